@@ -1,0 +1,192 @@
+"""One protocol per symbol of the papers and per stage of the pipeline. The pipeline knows these and nothing else.
+
+A model of the world is a value of four parts: motion f, p_S (and spawning β); sensor g, p_D; birth γ; clutter κ. Filters,
+extractors and associators are frozen settings with pure methods: state goes in, state comes out. A model answers with
+arrays and never with objects per target.
+
+Shapes: states x are (d, L), measurements z are (m, N); both are columns, so that each component is contiguous. Functions
+of (z, x) work elementwise and broadcast over everything behind the first axis: ``z[:, pair_z], x[:, pair_x]`` gives one
+value per pair, ``z[:, :, None], x[:, None, :]`` the dense table. ``dt`` is in the model's time unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from phdtrack.types import F8, Detections, Estimates, Frame, Particles, SequenceInfo, Step, Tracks, UpdateInfo
+
+
+class Motion(Protocol):
+    """f(x|ξ), p_S and β: how targets move, whether they stay, and what they throw off."""
+
+    @property
+    def dim(self) -> int:
+        """Number d of state components."""
+
+    def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
+        """(d, L) one draw of f(·|ξ) for each column of ``x`` (d, L)."""
+
+    def p_survive(self, x: F8, dt: float) -> F8:
+        """(L,) probability that a target at ``x`` is still there after ``dt``."""
+
+    def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
+        """Mean (d, n), Jacobian F (n, d, d) and noise covariance Q (n, d, d) of f(·|x) for the columns of ``x`` (d, n)."""
+
+    def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
+        """Draws of ∫ β(x|ξ) D(ξ) dξ for the intensity ``parents``; an empty set where nothing is spawned."""
+
+
+class Sensor(Protocol):
+    """g(z|x) and p_D: what a target looks like to the detector, and how often it is seen."""
+
+    def measure(self, detections: Detections) -> F8:
+        """(m, N) the measurement vectors of the detections."""
+
+    def log_likelihood(self, z: F8, x: F8) -> F8:
+        """log g(z|x), elementwise with broadcasting behind the first axis."""
+
+    def distance2(self, z: F8, x: F8) -> F8:
+        """Squared Mahalanobis distance between z and its prediction from x, elementwise like `log_likelihood`."""
+
+    def p_detect(self, x: F8) -> F8:
+        """(L,) detection probability of targets at ``x`` (d, L)."""
+
+    def gate(self, z: F8) -> tuple[F8, F8]:
+        """Rectangles in the position plane outside which g(z|·) is negligible: lower and upper corners, each (2, N)."""
+
+    def states(self, z: F8) -> tuple[F8, F8]:
+        """States at rest (d, N) that would give ``z``, and their covariance (N, d, d) when z is all that is known."""
+
+    def sample_states(self, z: F8, rng: np.random.Generator) -> tuple[F8, F8]:
+        """A newborn's draw (d, N) around each column of ``z`` (m, N), and the log of its proposal density (N,)."""
+
+    def noise(self, x: F8) -> F8:
+        """(d, n) standard deviations by which state components at ``x`` are resolved: the scale for distances."""
+
+    def boxes(self, x: F8) -> F8:
+        """(n, 4) the xyxy box that each state predicts in the image."""
+
+
+class Birth(Protocol):
+    """γ(x): where and how often new targets appear, and how newborn particles are drawn."""
+
+    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
+        """Newborn particles of total mass ∫γT, given measurements ``z`` (m, N) of which ``covered`` (N,) mass is predicted."""
+
+
+class Clutter(Protocol):
+    """κ(z): where and how often the detector reports what is not a target."""
+
+    def intensity(self, z: F8) -> F8:
+        """(N,) expected clutter points per frame and unit of measurement volume at ``z`` (m, N)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """The four parts of a model of the world, and ``rate``: its time units per second.
+
+    The papers state their noises per frame at 25 Hz; with ``rate`` 25 a frame of such a video has dt = 1, one of a
+    7 Hz video dt = 25/7, and a gap of three frames three times as much.
+    """
+
+    motion: Motion
+    sensor: Sensor
+    birth: Birth
+    clutter: Clutter
+    rate: float = 25.0
+
+
+S = TypeVar("S")
+
+
+class Filter(Protocol[S]):
+    """The recursion of an intensity: predict, update, reduce (resample, or prune and merge)."""
+
+    def start(self, model: Model) -> S:
+        """The state before the first frame."""
+
+    def predict(self, state: S, model: Model, dt: float, rng: np.random.Generator) -> S:
+        """The predicted intensity of what was there, ``dt`` later. Births wait for the update: they are driven by z."""
+
+    def update(self, state: S, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[S, UpdateInfo]:
+        """The intensity after the births of the interval ``dt`` and the measurements ``z`` (m, N)."""
+
+    def reduce(self, state: S, rng: np.random.Generator) -> S:
+        """The same intensity, described by fewer points."""
+
+
+S_contra = TypeVar("S_contra", contravariant=True)
+
+
+class Extractor(Protocol[S_contra]):
+    """From an intensity to states."""
+
+    def extract(self, state: S_contra, z: F8, model: Model) -> Estimates:
+        """The peaks of the intensity, given the measurements (m, N) that shaped it."""
+
+
+A = TypeVar("A")
+
+
+class Associator(Protocol[A]):
+    """From states to identities."""
+
+    def start(self) -> A:
+        """The state before the first frame."""
+
+    def extend(self, state: A, estimates: Estimates, number: int, dt: float, model: Model) -> tuple[A, Tracks]:
+        """Take in the states of frame ``number``, ``dt`` after the one before; give the online rows now final."""
+
+    def flush(self, state: A, model: Model) -> Tracks:
+        """The online rows still held back by the output delay; the sequence has ended."""
+
+    def finish(self, state: A, model: Model) -> Tracks:
+        """The corrected, bridged and cleaned tracks of everything taken in so far."""
+
+
+class Detector(Protocol):
+    """From a frame to detections. Background models keep what they have learned of the scene inside: `reset` forgets it."""
+
+    def __call__(self, frame: Frame) -> Detections:
+        """The boxes found in the frame, in its own pixel coordinates."""
+
+    def reset(self) -> None:
+        """Forget everything learned from earlier frames."""
+
+
+class Source(Protocol):
+    """Frames in order."""
+
+    @property
+    def info(self) -> SequenceInfo:
+        """Size, rate and name."""
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The frames."""
+
+
+class Sink(Protocol):
+    """Where steps go."""
+
+    def write(self, frame: Frame, step: Step) -> None:
+        """Take one step and the frame that it came from."""
+
+    def close(self) -> None:
+        """Finish what was written; also called after an error."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stages(Generic[S, A]):
+    """The settings of one tracker: model, filter, extractor and associator."""
+
+    model: Model
+    filter: Filter[S]
+    extractor: Extractor[S]
+    associator: Associator[A]
+
+
+AnyStages = Stages[Any, Any]

@@ -1,0 +1,300 @@
+"""The records that flow through phdtrack: one type at each arrow of the pipeline, frozen, arrays inside.
+
+    frame ─detect→ Detections ─predict, update→ (Particles, UpdateInfo) ─extract→ Estimates ─associate→ Tracks
+
+Conventions, stated once:
+
+* Boxes in records are ``xyxy`` (left, top, right, bottom) in pixels of the original video.
+* Frame numbers are 1-based, as MOTChallenge writes them.
+* Times are seconds. A model's interval ``dt`` is in the model's own time unit (`protocols.Model.rate` units a second).
+* States are columns: an array of L states of dimension d has shape (d, L), so that each component is contiguous.
+  Rows 0 and 1 of every state are its position.
+* Nothing is None where an empty array will do; nobody writes into an array he received.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+F8 = NDArray[np.float64]
+I8 = NDArray[np.int64]
+Bool = NDArray[np.bool_]
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceInfo:
+    """What is known about a sequence before its frames are read.
+
+    ``frames`` is 0 where the number is not known in advance (headers lie; it is counted by decoding).
+    """
+
+    width: int
+    height: int
+    fps: float
+    frames: int = 0
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One picture of a video: ``number`` from 1, ``time`` in seconds from the stream, ``image`` (H, W, 3) BGR uint8."""
+
+    number: int
+    time: float
+    image: Image
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detections:
+    """The measurements of one frame.
+
+    Attributes
+    ----------
+    xyxy : (N, 4) float64, pixels.
+    confidence : (N,) float64; 1 where the detector gives none.
+    class_id : (N,) int64; 0 where the detector gives none.
+    covariance : (N, 4, 4) of (centre x, centre y, width, height) in pixels², or None where the detector states none.
+    observed : False for a frame that nobody looked at (predict only), which is not the same as an empty frame.
+    """
+
+    xyxy: F8
+    confidence: F8
+    class_id: I8
+    covariance: F8 | None = None
+    observed: bool = True
+
+    @classmethod
+    def empty(cls, *, observed: bool = True) -> Detections:
+        """No boxes: an empty frame, or one that was not observed."""
+        return cls(np.zeros((0, 4)), np.zeros(0), np.zeros(0, np.int64), observed=observed)
+
+    @classmethod
+    def of(cls, xyxy: ArrayLike, confidence: ArrayLike | None = None, class_id: ArrayLike | None = None) -> Detections:
+        """From an (N, 4) array-like of boxes, with confidence 1 and class 0 where not given. Does not validate values."""
+        boxes = np.array(xyxy, dtype=np.float64).reshape(-1, 4)
+        n = len(boxes)
+        score = np.ones(n) if confidence is None else np.array(confidence, dtype=np.float64).reshape(n)
+        label = np.zeros(n, np.int64) if class_id is None else np.array(class_id, dtype=np.int64).reshape(n)
+        return cls(boxes, score, label)
+
+    def __len__(self) -> int:
+        return len(self.xyxy)
+
+    def take(self, index: I8 | Bool) -> Detections:
+        """The detections at ``index`` (integers or a mask), in that order."""
+        cov = None if self.covariance is None else self.covariance[index]
+        return Detections(self.xyxy[index], self.confidence[index], self.class_id[index], cov, self.observed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectionTable:
+    """The detections of a whole sequence: ``frame`` (M,) int64 from 1, ascending, beside ``detections`` with M rows."""
+
+    frame: I8
+    detections: Detections
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def at(self, number: int) -> Detections:
+        """The detections of frame ``number``; empty where the table has none."""
+        lo, hi = np.searchsorted(self.frame, [number, number + 1])
+        return self.detections.take(np.arange(lo, hi))
+
+    @property
+    def last(self) -> int:
+        """The highest frame number, 0 for an empty table."""
+        return int(self.frame[-1]) if len(self.frame) else 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """Annotated objects: ``frame`` (M,) from 1, ``identity`` (M,), ``xyxy`` (M, 4) pixels.
+
+    ``distractor`` (M,) marks rows that do not count, and whose matched output does not count either (MOT16 and later).
+    """
+
+    frame: I8
+    identity: I8
+    xyxy: F8
+    distractor: Bool
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Particles:
+    """A weighted particle set: ``state`` (d, L) float64, ``weight`` (L,) float64 ≥ 0, whose sum is the expected count."""
+
+    state: F8
+    weight: F8
+
+    def __len__(self) -> int:
+        return len(self.weight)
+
+    @property
+    def mass(self) -> float:
+        """The integral of the intensity: the expected number of targets."""
+        return float(self.weight.sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GaussianMixture:
+    """A weighted sum of Gaussians: ``weight`` (J,), ``mean`` (d, J), ``covariance`` (J, d, d)."""
+
+    weight: F8
+    mean: F8
+    covariance: F8
+
+    def __len__(self) -> int:
+        return len(self.weight)
+
+    @property
+    def mass(self) -> float:
+        """The integral of the intensity: the expected number of targets."""
+        return float(self.weight.sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UpdateInfo:
+    """What an update learned beside the new state.
+
+    Attributes
+    ----------
+    mass_predicted : mass before the update, newborn included.
+    mass_born : mass of the newborn within it.
+    mass : mass after the update.
+    evidence : (N,) C(z_j) = ∫ p_D g(z_j|x) D⁺(x) dx, per unit of measurement volume.
+    clutter : (N,) κ(z_j), in the same unit.
+    vanished : number of detections with κ + C = 0, whose term is 0 by definition.
+    """
+
+    mass_predicted: float
+    mass_born: float
+    mass: float
+    evidence: F8
+    clutter: F8
+    vanished: int = 0
+
+    @property
+    def clutter_probability(self) -> F8:
+        """(N,) posterior probability κ/(κ+C) that each detection is a false alarm; 1 where κ + C = 0."""
+        total = self.clutter + self.evidence
+        return np.divide(self.clutter, total, out=np.ones_like(total), where=total > 0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimates:
+    """The states extracted from one frame's intensity, before they have identities.
+
+    Attributes
+    ----------
+    state : (d, n) float64.
+    covariance : (n, d, d) float64.
+    weight : (n,) mass of the intensity behind each state.
+    xyxy : (n, 4) the box that each state predicts in the image, pixels.
+    detection : (n,) index of the detection that each state rests on in this frame, −1 where it is predicted only.
+    """
+
+    state: F8
+    covariance: F8
+    weight: F8
+    xyxy: F8
+    detection: I8
+
+    @classmethod
+    def empty(cls, dim: int) -> Estimates:
+        """No states of dimension ``dim``."""
+        return cls(np.zeros((dim, 0)), np.zeros((0, dim, dim)), np.zeros(0), np.zeros((0, 4)), np.zeros(0, np.int64))
+
+    def __len__(self) -> int:
+        return len(self.weight)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracks:
+    """Rows of tracks, of one frame (online) or of a whole sequence (offline, sorted by frame, then identity).
+
+    Attributes
+    ----------
+    frame : (M,) int64 from 1.        identity : (M,) int64 from 1.        xyxy : (M, 4) float64, pixels.
+    confidence : (M,) float64 in [0, 1].
+    detection : (M,) index among that frame's detections, −1: predicted or bridged.
+    confirmed : (M,) bool; False for rows given before the track was long enough to be believed.
+    """
+
+    frame: I8
+    identity: I8
+    xyxy: F8
+    confidence: F8
+    detection: I8
+    confirmed: Bool
+
+    @classmethod
+    def empty(cls) -> Tracks:
+        """No rows."""
+        none = np.zeros(0, np.int64)
+        return cls(none, none, np.zeros((0, 4)), np.zeros(0), none, np.zeros(0, np.bool_))
+
+    @classmethod
+    def concatenate(cls, parts: list[Tracks]) -> Tracks:
+        """All rows, sorted by frame, then identity."""
+        if not parts:
+            return cls.empty()
+        frame = np.concatenate([p.frame for p in parts])
+        identity = np.concatenate([p.identity for p in parts])
+        order = np.lexsort((identity, frame))
+        return cls(
+            frame[order],
+            identity[order],
+            np.concatenate([p.xyxy for p in parts])[order],
+            np.concatenate([p.confidence for p in parts])[order],
+            np.concatenate([p.detection for p in parts])[order],
+            np.concatenate([p.confirmed for p in parts])[order],
+        )
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def take(self, index: I8 | Bool) -> Tracks:
+        """The rows at ``index`` (integers or a mask), in that order."""
+        return Tracks(
+            self.frame[index],
+            self.identity[index],
+            self.xyxy[index],
+            self.confidence[index],
+            self.detection[index],
+            self.confirmed[index],
+        )
+
+    @property
+    def predicted(self) -> Bool:
+        """(M,) True where no detection supports the row."""
+        return self.detection < 0
+
+    def __iter__(self) -> Iterator[tuple[int, F8]]:
+        """Pairs (identity, xyxy) in row order."""
+        return ((int(i), box) for i, box in zip(self.identity, self.xyxy, strict=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """Everything that one frame brought: what a pipeline yields and what sinks and reports read.
+
+    ``tracks`` are the online rows that became final with this frame: with an output delay they belong to an earlier one.
+    ``seconds`` (filter, extract, associate) is the time each stage took.
+    """
+
+    number: int
+    time: float
+    detections: Detections
+    info: UpdateInfo
+    estimates: Estimates
+    tracks: Tracks
+    seconds: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))
