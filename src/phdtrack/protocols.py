@@ -75,7 +75,7 @@ class Birth(Protocol):
     """γ(x): where and how often new targets appear, and how newborn particles are drawn."""
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
-        """Newborn particles of total mass ∫γT, given measurements ``z`` (m, N) of which ``covered`` (N,) mass is predicted."""
+        """Newborn particles of total mass ∫γT; ``covered`` (N,) is the mass predicted at each column of ``z`` (m, N)."""
 
 
 class Clutter(Protocol):
