@@ -1,0 +1,162 @@
+"""Video files and network streams, decoded by PyAV.
+
+The file is opened twice: once for its first frame, which settles size, orientation and rate (headers are not believed),
+and once for each iteration. Packets that cannot be decoded are skipped and told in `VideoFile.problem`; a file cut short
+gives the frames that it has. Portrait recordings of telephones are turned upright, as players do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phdtrack.errors import InputError
+from phdtrack.types import Frame, Image, SequenceInfo
+from phdtrack.video.source import Clock, check_size
+
+FALLBACK_FPS = 25.0
+
+
+@dataclass(slots=True)
+class _Losses:
+    """What the decoder complained about during one pass."""
+
+    after: int = 0
+    reason: str = ""
+    announced: int = 0
+
+    def add(self, number: int, error: Exception) -> None:
+        """Note an ``error`` that came after frame ``number``."""
+        if not self.reason:
+            self.after, self.reason = number, str(getattr(error, "strerror", "") or error)
+
+    def describe(self, path: str, decoded: int) -> str:
+        """One sentence for the user; empty where nothing was lost."""
+        if self.reason:
+            return f"{path}: damaged after frame {self.after} ({self.reason}); {decoded} frames could be decoded"
+        if decoded < self.announced:
+            return f"{path}: ends after frame {decoded}, its header announces {self.announced}; it may be cut short"
+        return ""
+
+
+class VideoFile:
+    """The frames of a video file or stream address, in order of presentation.
+
+    Parameters
+    ----------
+    path : file or address that FFmpeg can open.
+    fps : frames per second; above 0 it replaces the stream's time stamps, 0 believes them.
+
+    Raises InputError where no frame can be decoded, and during iteration for a frame of another size.
+    """
+
+    def __init__(self, path: str | Path, *, fps: float = 0.0) -> None:
+        self._path = str(path)
+        self._fps = fps
+        self._problem = ""
+        with _open(self._path) as container:
+            stream = _video_stream(container, self._path)
+            rate = stream.average_rate or stream.guessed_rate or stream.base_rate
+            image = self._first_image(container)
+        self._info = SequenceInfo(
+            width=image.shape[1],
+            height=image.shape[0],
+            fps=fps or float(rate or FALLBACK_FPS),
+            name=Path(self._path).stem,
+        )
+        self._note = "" if fps or rate else f"{path} does not state its rate; {FALLBACK_FPS:g} frames a second assumed"
+
+    @property
+    def info(self) -> SequenceInfo:
+        """Size in pixels as shown, mean rate, name; ``frames`` is 0, for only decoding tells."""
+        return self._info
+
+    @property
+    def note(self) -> str:
+        """What was assumed; empty where nothing was."""
+        return self._note
+
+    @property
+    def problem(self) -> str:
+        """What was lost in the last iteration; empty where nothing was."""
+        return self._problem
+
+    def __iter__(self) -> Iterator[Frame]:
+        self._problem = ""
+        losses, number, clock = _Losses(), 0, Clock(1.0 / self._info.fps)
+        with _open(self._path) as container:
+            stream = _video_stream(container, self._path)
+            losses.announced = stream.frames
+            for picture in _pictures(container, stream, losses):
+                number += 1
+                image = _upright(picture)
+                check_size(image, self._info.width, self._info.height, f"{self._path}, frame {number}")
+                yield Frame(number, clock(None if self._fps else picture.time), image)
+        self._problem = losses.describe(self._path, number)
+
+    def _first_image(self, container: Any) -> Image:
+        losses = _Losses()
+        for picture in _pictures(container, _video_stream(container, self._path), losses):
+            return _upright(picture)
+        reason = f" ({losses.reason})" if losses.reason else ""
+        raise InputError(
+            f"no frame could be decoded{reason}",
+            where=self._path,
+            cure="The file is empty or damaged: copy it again, or convert it (ffmpeg -i IN -c:v libx264 OUT.mp4).",
+        )
+
+
+def _open(path: str) -> Any:
+    import av
+
+    try:
+        return av.open(path)
+    except (av.FFmpegError, OSError) as error:
+        raise InputError(
+            f"this cannot be read as a video ({getattr(error, 'strerror', '') or error})",
+            where=path,
+            cure="Check that it is a complete video file; `ffmpeg -i IN -c:v libx264 OUT.mp4` converts most others.",
+        ) from None
+
+
+def _video_stream(container: Any, path: str) -> Any:
+    if not container.streams.video:
+        raise InputError("there is no video in this file", where=path, cure="Give one with pictures.")
+    stream = container.streams.video[0]
+    stream.thread_type = "AUTO"
+    return stream
+
+
+def _pictures(container: Any, stream: Any, losses: _Losses) -> Iterator[Any]:
+    """The decoded pictures; whatever fails is counted in ``losses`` and passed over."""
+    import av
+
+    packets = container.demux(stream)
+    number = 0
+    while True:
+        try:
+            packet = next(packets, None)
+        except av.FFmpegError as error:
+            losses.add(number, error)
+            return
+        if packet is None:
+            return
+        try:
+            pictures = packet.decode()
+        except av.FFmpegError as error:
+            losses.add(number, error)
+            continue
+        for picture in pictures:
+            number += 1
+            yield picture
+
+
+def _upright(picture: Any) -> Image:
+    """(H, W, 3) BGR uint8, turned by the orientation that the recording carries."""
+    image: Image = picture.to_ndarray(format="bgr24")
+    turns = round(picture.rotation / 90) % 4
+    return np.ascontiguousarray(np.rot90(image, turns)) if turns else image

@@ -1,0 +1,123 @@
+"""Folders and patterns of images, and the camera."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from video_clips import picture
+
+from phdtrack.errors import InputError
+from phdtrack.video import open_source
+from phdtrack.video.images import frame_numbers, natural_key
+
+
+def save(folder: Path, names: list[str]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for index, name in enumerate(names):
+        cv2.imwrite(str(folder / name), picture(index))
+
+
+def test_a_folder_is_read_in_natural_order(tmp_path: Path) -> None:
+    save(tmp_path / "walk", ["i1.png", "i2.png", "i10.png"])
+    (tmp_path / "walk" / "notes.txt").write_text("not an image")
+    source = open_source(tmp_path / "walk", fps=5)
+    frames = list(source)
+    assert [frame.number for frame in frames] == [1, 2, 10]
+    np.testing.assert_allclose([frame.time for frame in frames], [0, 0.2, 1.8])
+    assert all(np.array_equal(frame.image, picture(i)) for i, frame in enumerate(frames))
+    assert (source.info.width, source.info.height, source.info.fps, source.info.frames) == (64, 48, 5, 3)
+    assert (source.info.name, source.note, source.problem) == ("walk", "", "")
+
+
+def test_an_assumed_rate_is_stated(tmp_path: Path) -> None:
+    save(tmp_path / "SEQ-1" / "img1", ["000001.jpg", "000002.jpg"])
+    source = open_source(tmp_path / "SEQ-1" / "img1")
+    assert source.info.fps == 25
+    assert "25 frames a second assumed" in source.note
+    assert source.info.name == "SEQ-1"
+
+
+def test_a_pattern_selects(tmp_path: Path) -> None:
+    save(tmp_path, ["a1.png", "a2.png", "b1.png"])
+    assert [frame.number for frame in open_source(str(tmp_path / "a*.png"))] == [1, 2]
+    with pytest.raises(InputError, match="no file matches"):
+        open_source(str(tmp_path / "c*.png"))
+
+
+@pytest.mark.parametrize(
+    ("stems", "numbers"),
+    [
+        (["000001", "000002", "000004"], [1, 2, 4]),
+        (["f000", "f010", "f020", "f040"], [1, 2, 3, 5]),
+        (["cam2_7", "cam2_8"], [1, 2]),
+        (["a", "b"], [1, 2]),
+        (["x1", "y1"], [1, 2]),
+        (["1583929349000", "1583929349040", "1583929349079"], [1, 2, 3]),
+        (["one"], [1]),
+    ],
+)
+def test_numbers_come_from_the_names(stems: list[str], numbers: list[int]) -> None:
+    assert frame_numbers(stems) == numbers
+
+
+@given(st.lists(st.text(alphabet="ab019_", max_size=6), max_size=8))
+def test_numbers_always_count_up_from_one(stems: list[str]) -> None:
+    numbers = frame_numbers(sorted(stems, key=natural_key))
+    assert len(numbers) == len(stems)
+    assert numbers[:1] == [1][: len(stems)]
+    assert all(after > before for before, after in itertools.pairwise(numbers))
+
+
+def test_bad_images_are_named(tmp_path: Path) -> None:
+    save(tmp_path / "s", ["1.png", "2.png", "3.png"])
+    (tmp_path / "s" / "2.png").write_text("no picture")
+    with pytest.raises(InputError, match=r"2\.png: this is not an image"):
+        list(open_source(tmp_path / "s"))
+    cv2.imwrite(str(tmp_path / "s" / "2.png"), picture(0, 80, 48))
+    with pytest.raises(InputError, match=r"2\.png, frame 2: this frame is 80x48 pixels, the first one 64x48"):
+        list(open_source(tmp_path / "s"))
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="no image"):
+        open_source(tmp_path / "empty")
+
+
+class FakeCapture:
+    """Stands in for a camera that delivers three pictures and then is unplugged."""
+
+    def __init__(self, index: int) -> None:
+        self.left, self.opened, self.released = 3, index == 0, False
+
+    def isOpened(self) -> bool:
+        return self.opened
+
+    def set(self, key: int, value: float) -> bool:
+        return True
+
+    def get(self, key: int) -> float:
+        return {cv2.CAP_PROP_FRAME_WIDTH: 64.0, cv2.CAP_PROP_FRAME_HEIGHT: 48.0}.get(key, 0.0)
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        self.left -= 1
+        return (True, picture(0)) if self.left >= 0 else (False, None)
+
+    def release(self) -> None:
+        self.released = True
+
+
+def test_a_camera_runs_until_it_stops(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cv2, "VideoCapture", FakeCapture)
+    source = open_source("0")
+    frames = list(source)
+    assert [frame.number for frame in frames] == [1, 2, 3]
+    assert frames[0].time == 0
+    assert all(b.time > a.time for a, b in itertools.pairwise(frames))
+    assert "no more pictures after frame 3" in source.problem
+    assert "25 frames a second assumed" in source.note
+    with pytest.raises(InputError, match="camera 1 cannot be opened"):
+        open_source(1)

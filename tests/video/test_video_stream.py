@@ -1,0 +1,172 @@
+"""Video files: numbers, times, orientation, damage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from video_clips import encode, picture
+
+from phdtrack.errors import InputError
+from phdtrack.types import Image
+from phdtrack.video import VideoWriter, open_source
+from phdtrack.video.source import Clock
+
+
+def test_a_written_clip_reads_back(clip: Path) -> None:
+    source = open_source(clip)
+    frames = list(source)
+    assert (source.info.width, source.info.height, source.info.fps) == (64, 48, 25.0)
+    assert source.info.frames == 0
+    assert [frame.number for frame in frames] == list(range(1, 31))
+    np.testing.assert_allclose([frame.time for frame in frames], np.arange(30) / 25, atol=1e-9)
+    assert source.problem == ""
+    assert source.note == ""
+    error = np.abs(frames[7].image.astype(int) - picture(7))
+    assert error.mean() < 4
+
+
+def test_iterating_twice_gives_the_same(clip: Path) -> None:
+    source = open_source(str(clip))
+    first = [frame.image for frame in source]
+    second = [frame.image for frame in source]
+    assert all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+def test_a_variable_rate_gives_true_times(tmp_path: Path) -> None:
+    stamps = [500, 540, 600, 1000, 1040, 3000]
+    encode(tmp_path / "vfr.mkv", [picture(i) for i in range(6)], stamps)
+    times = [frame.time for frame in open_source(tmp_path / "vfr.mkv")]
+    np.testing.assert_allclose(times, (np.array(stamps) - 500) / 1000, atol=1e-9)
+
+
+def test_a_given_rate_replaces_the_stamps(tmp_path: Path) -> None:
+    encode(tmp_path / "vfr.mkv", [picture(i) for i in range(3)], [0, 40, 900])
+    source = open_source(tmp_path / "vfr.mkv", fps=10)
+    assert source.info.fps == 10
+    np.testing.assert_allclose([frame.time for frame in source], [0, 0.1, 0.2])
+
+
+def test_the_clock_only_goes_forward() -> None:
+    clock = Clock(0.04)
+    stamps = [7.0, 7.1, None, 7.2, 7.2, 1.0, 1.1, None]
+    times = [clock(stamp) for stamp in stamps]
+    np.testing.assert_allclose(times, [0, 0.1, 0.14, 0.2, 0.24, 0.28, 0.38, 0.42])
+
+
+def noise(count: int) -> list[Image]:
+    rng = np.random.default_rng(1)
+    return [np.repeat(rng.integers(0, 255, (48, 64, 1), np.uint8), 3, axis=2) for _ in range(count)]
+
+
+def test_a_truncated_file_gives_what_it_has(tmp_path: Path) -> None:
+    whole, short = tmp_path / "whole.mp4", tmp_path / "short.mp4"
+    with VideoWriter(whole, 64, 48, 25) as out:
+        for image in noise(30):
+            out.write(image)
+    data = whole.read_bytes()
+    short.write_bytes(data[: len(data) * 4 // 5])
+    source = open_source(short)
+    frames = list(source)
+    assert 10 < len(frames) < 30
+    assert "short.mp4" in source.problem
+    assert f"{len(frames)}" in source.problem
+
+
+def test_damage_in_the_middle_loses_little(tmp_path: Path) -> None:
+    path = tmp_path / "noise.mkv"
+    encode(path, noise(60), [40 * i for i in range(60)])
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2 : len(data) // 2 + 3000] = bytes(3000)
+    path.write_bytes(bytes(data))
+    source = open_source(path)
+    numbers = [frame.number for frame in source]
+    assert 20 < len(numbers) <= 60
+    assert numbers == list(range(1, len(numbers) + 1))
+
+
+@pytest.mark.parametrize("content", [b"this is a text, not a film\n" * 20, b""])
+def test_what_is_no_video_is_named(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "film.mp4"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"film\.mp4: .*cannot be read"):
+        open_source(path)
+
+
+def test_a_missing_file_suggests_its_neighbour(clip: Path) -> None:
+    with pytest.raises(InputError, match=r"no such file.*Did you mean .*clip\.mp4"):
+        open_source(clip.with_name("clap.mp4"))
+
+
+def test_sound_alone_is_no_video(tmp_path: Path) -> None:
+    import av
+
+    path = tmp_path / "sound.wav"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("pcm_s16le", rate=8000, layout="mono")
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
+        frame.sample_rate = 8000
+        container.mux(stream.encode(frame))
+    with pytest.raises(InputError, match=r"no video in this file"):
+        open_source(path)
+
+
+def test_another_size_in_mid_stream_names_the_frame(tmp_path: Path) -> None:
+    # An MPEG-1 elementary stream repeats its size in every sequence header: two of them joined change in mid-stream.
+    import av
+
+    data = b""
+    for width in (64, 96):
+        path = tmp_path / f"{width}.m1v"
+        with av.open(str(path), "w", format="mpeg1video") as container:
+            stream = container.add_stream("mpeg1video", rate=25)
+            stream.width, stream.height, stream.pix_fmt = width, 48, "yuv420p"
+            for index in range(5):
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(picture(index, width), format="bgr24")))
+            container.mux(stream.encode(None))
+        data += path.read_bytes()
+    joined = tmp_path / "joined.m1v"
+    joined.write_bytes(data)
+    seen = []
+    with pytest.raises(InputError, match=r"joined\.m1v, frame \d+: this frame is 96x48 pixels, the first one 64x48"):
+        seen.extend(frame.number for frame in _each(open_source(joined), seen))
+    assert len(seen) >= 4
+
+
+def _each(source, seen):  # type: ignore[no-untyped-def]
+    for frame in source:
+        seen.append(frame.number)
+        yield frame
+
+
+def test_portrait_recordings_are_turned_upright(clip: Path, tmp_path: Path) -> None:
+    plain = b"".join(n.to_bytes(4, "big") for n in (0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000))
+    turned = b"".join(n.to_bytes(4, "big") for n in (0, 0x10000, 0, 0xFFFF0000, 0, 0, 0, 0, 0x40000000))
+    data = clip.read_bytes()
+    track = data.index(b"tkhd")
+    at = data.index(plain, track)
+    path = tmp_path / "portrait.mp4"
+    path.write_bytes(data[:at] + turned + data[at + len(plain) :])
+    source = open_source(path)
+    assert (source.info.width, source.info.height) == (48, 64)
+    upright = next(iter(source)).image
+    flat = next(iter(open_source(clip))).image
+    # The matrix turns the picture clockwise by a quarter: its left edge comes up.
+    np.testing.assert_array_equal(upright, np.rot90(flat, -1))
+
+
+@pytest.mark.parametrize("fps", [-1.0, float("nan"), float("inf")])
+def test_a_rate_must_make_sense(clip: Path, fps: float) -> None:
+    with pytest.raises(InputError, match="rate"):
+        open_source(clip, fps=fps)
+
+
+@pytest.mark.data
+def test_caviar_is_counted_by_decoding(data: Path) -> None:
+    source = open_source(data / "caviar" / "OneLeaveShop1cor.mpg")
+    times = [frame.time for frame in source]
+    assert len(times) == 295
+    assert min(np.diff(times)) > 0
+    assert source.problem == ""
+    assert source.info.fps == 25

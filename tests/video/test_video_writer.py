@@ -1,0 +1,84 @@
+"""Writing: what browsers need, odd sizes, rates, errors."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from video_clips import picture
+
+from phdtrack.errors import InputError
+from phdtrack.video import VideoWriter, open_source, writer
+
+
+def test_it_is_what_browsers_play(clip: Path) -> None:
+    with av.open(str(clip)) as container:
+        stream = container.streams.video[0]
+        assert stream.codec_context.name == "h264"
+        assert stream.codec_context.pix_fmt == "yuv420p"
+    data = clip.read_bytes()
+    assert data.index(b"moov") < data.index(b"mdat")
+
+
+@pytest.mark.parametrize("fps", [7.0, 29.97, 0.5, 12.5])
+def test_odd_sizes_and_fractional_rates(tmp_path: Path, fps: float) -> None:
+    path = tmp_path / "odd.mp4"
+    with VideoWriter(path, 63, 47, fps) as out:
+        for index in range(5):
+            out.write(picture(index, 63, 47))
+        assert out.frames == 5
+    source = open_source(path)
+    assert (source.info.width, source.info.height) == (64, 48)
+    frames = list(source)
+    assert source.info.fps == pytest.approx(fps)
+    np.testing.assert_allclose([frame.time for frame in frames], np.arange(5) / fps, atol=1e-3)
+    assert np.abs(frames[2].image[:47, :63].astype(int) - picture(2, 63, 47)).mean() < 5
+
+
+def test_the_file_is_whole_after_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "half.mp4"
+    with contextlib.suppress(RuntimeError), VideoWriter(path, 64, 48, 25) as out:
+        for index in range(9):
+            out.write(picture(index))
+        raise RuntimeError
+    assert len(list(open_source(path))) == 9
+
+
+@pytest.mark.parametrize(
+    "image", [np.zeros((48, 64), np.uint8), np.zeros((48, 66, 3), np.uint8), np.zeros((48, 64, 3), np.float32)]
+)
+def test_other_images_are_refused(tmp_path: Path, image: np.ndarray) -> None:
+    with VideoWriter(tmp_path / "x.mp4", 64, 48, 25) as out, pytest.raises(InputError, match="frame 1: expected an image"):
+        out.write(image)
+
+
+def test_closing_twice_is_fine_and_writing_after_it_is_not(tmp_path: Path) -> None:
+    out = VideoWriter(tmp_path / "x.mp4", 64, 48, 25)
+    out.write(picture(0))
+    out.close()
+    out.close()
+    with pytest.raises(InputError, match="closed"):
+        out.write(picture(1))
+
+
+def test_nothing_written_is_no_error(tmp_path: Path) -> None:
+    with VideoWriter(tmp_path / "x.mp4", 64, 48, 25):
+        pass
+
+
+def test_bad_places_sizes_and_rates(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be written"):
+        VideoWriter(tmp_path / "no" / "x.mp4", 64, 48, 25)
+    with pytest.raises(InputError, match="above 0"):
+        VideoWriter(tmp_path / "x.mp4", 64, 0, 25)
+    with pytest.raises(InputError, match="above 0"):
+        VideoWriter(tmp_path / "x.mp4", 64, 48, 0)
+
+
+def test_a_missing_encoder_is_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writer, "ENCODERS", ("no_such_encoder", "neither_this"))
+    with pytest.raises(InputError, match=r"tried no_such_encoder, neither_this.*pip install"):
+        VideoWriter(tmp_path / "x.mp4", 64, 48, 25)
