@@ -1,0 +1,75 @@
+# Two commands on a fresh machine with Python 3.11 or later:  make demo   and   make test
+#
+#   make demo         a rendered scene, tracked with the filter and without; says where to look
+#   make test         everything that must hold: style, types, imports, generated pages, tests
+#   make experiments  the measured tables under docs/results/ (long)
+#   make bench        speed and memory
+#   make format       put the sources into the one style
+#   make docs         write the generated pages anew
+#
+# PYTHON=... chooses the interpreter that makes the environment, VENV=... where it lies, PYTEST_ARGS=... is passed on.
+
+PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3 python; do \
+	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { command -v "$$p"; break; }; done)
+VENV ?= .venv
+PY := $(VENV)/bin/python
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+CODE := src tests scripts $(wildcard reproduce benchmarks)
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help env test lint pytest pytest-plain demo experiments bench format docs clean
+
+help:
+	@sed -n 's/^#   //p' Makefile
+
+env: $(STAMP)
+
+# The stamp is newer than what it was made from, so an environment that is up to date costs nothing.
+# The build backend is installed first, by the same constraints, because pip would fetch its newest otherwise.
+# TrackEval comes without its dependencies: they would put OpenCV 5, which has no cascades, over OpenCV 4.
+$(STAMP): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "phdtrack needs Python 3.11 or later, and none was found: install it, or say make PYTHON=/path/to/python3" >&2; exit 1; }
+	@test -x $(PY) || "$(PYTHON)" -m venv $(VENV) || { echo "$(PYTHON) cannot make an environment: on Debian and Ubuntu, apt-get install python3-venv" >&2; exit 1; }
+	$(PY) -m pip install --quiet -c constraints.txt hatchling editables
+	$(PY) -m pip install --quiet -c constraints.txt --no-build-isolation -e '.[dev]'
+	$(PY) -m pip install --quiet -c constraints.txt --no-deps trackeval
+	@touch $@
+
+test: lint pytest-plain pytest
+
+lint: env
+	$(BIN)/ruff check $(CODE)
+	$(BIN)/ruff format --check $(CODE)
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+	$(PY) scripts/equations.py --check
+
+# The kernels once more as plain Python: what the JIT hides (an index past the end, an overflow) shows here.
+pytest-plain: env
+	NUMBA_DISABLE_JIT=1 $(PY) -m pytest -q tests/kernels
+
+pytest: env
+	$(PY) -m pytest -q $(PYTEST_ARGS)
+
+demo: env
+	$(BIN)/phdtrack demo --out demo-run --overwrite
+	@echo "Look at demo-run/report.html and demo-run/annotated.mp4; demo-run/without-filter holds the same without the filter."
+
+experiments: env
+	$(PY) -m reproduce.experiments
+
+bench: env
+	$(PY) -m benchmarks
+
+format: env
+	$(BIN)/ruff check --fix $(CODE)
+	$(BIN)/ruff format $(CODE)
+
+docs: env
+	$(PY) scripts/equations.py
+
+clean:
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -1,0 +1,151 @@
+"""Write docs/equations.md: where each equation of the papers stands in the code.
+
+A docstring that implements an equation carries its tag: the paper, then the place in it, between square brackets, as in
+``[M07 §3]``, ``[M09 (22)]``, ``[D14 Alg. 2]``. The paper alone stands for the whole of it; ``[M07 §3; S05]`` is two tags.
+This script reads the docstrings under src/phdtrack without importing anything and lists them by paper. ``--check`` writes
+nothing and fails when the page is not what it would write.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+SOURCES = ROOT / "src" / "phdtrack"
+PAGE = ROOT / "docs" / "equations.md"
+
+PAPERS = {
+    "M07": "Maggio, Piccardo, Regazzoni, Cavallaro: Particle PHD filtering for multi-target visual tracking. ICASSP 2007",
+    "M09": "Maggio, Cavallaro: Learning scene context for multiple object tracking. IEEE Trans. Image Processing, 2009",
+    "E13": "Edman, Andersson, Jamrog, Gustafsson: Pedestrian group tracking using the GM-PHD filter. EUSIPCO 2013",
+    "D14": "Daniyan: Performance analysis of sequential Monte Carlo MCMC and PHD filters on multi-target tracking in video",
+    "S05": "Shafique, Shah: A noniterative greedy algorithm for multiframe point correspondence. IEEE Trans. PAMI, 2005",
+    "V06": "Vo, Ma: The Gaussian mixture probability hypothesis density filter. IEEE Trans. Signal Processing, 2006",
+    "V05": "Vo, Singh, Doucet: Sequential Monte Carlo methods for multi-target filtering with random finite sets. 2005",
+    "V07": "Vo, Vo, Cantoni: Analytic implementations of the cardinalized PHD filter. IEEE Trans. Signal Processing, 2007",
+    "K05": "Khan, Balch, Dellaert: MCMC-based particle filtering for tracking interacting targets. IEEE Trans. PAMI, 2005",
+    "C04": "Cavallaro, Ebrahimi: Interaction between high-level and low-level image analysis for video objects. 2004",
+    "B08": "Bernardin, Stiefelhagen: Evaluating multiple object tracking performance: the CLEAR MOT metrics. 2008",
+    "L20": "Luiten et al.: HOTA: a higher order metric for evaluating multi-object tracking. IJCV, 2020",
+    "R16": "Ristani et al.: Performance measures and a data set for multi-target, multi-camera tracking. ECCV, 2016",
+    "S08": "Schuhmacher, Vo, Vo: A consistent metric for performance evaluation of multi-object filters. IEEE TSP, 2008",
+    "G17": "Rahmathullah, García-Fernández, Svensson: Generalized optimal sub-pattern assignment metric. FUSION 2017",
+}
+Documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+BRACKET = re.compile(r"\[([A-Z]\d{2}(?![\w])[^\[\]]*)\](?!\()")
+PART = re.compile(r"([A-Z]\d{2})(?: (.+))?")
+
+HEAD = """# Equations and where they are
+
+Made by `make docs` from the tags in the docstrings under `src/phdtrack`; do not edit. `docs/notation.md` lists the symbols.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One tag in one docstring: ``paper`` and ``place`` in it, the ``owner`` that carries it, its file and first line."""
+
+    paper: str
+    place: str
+    owner: str
+    path: Path
+    line: int
+    summary: str
+
+
+def docstrings(tree: ast.Module, module: str) -> Iterator[tuple[str, int, str]]:
+    """Each documented definition of a module, itself first: dotted name, line, docstring."""
+
+    def walk(node: Documented, name: str) -> Iterator[tuple[str, int, str]]:
+        text = ast.get_docstring(node)
+        if text:
+            yield name, 1 if isinstance(node, ast.Module) else node.lineno, text
+        for child in node.body:
+            if isinstance(child, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                yield from walk(child, f"{name}.{child.name}")
+
+    return walk(tree, module)
+
+
+def tags(text: str) -> Iterator[tuple[str, str]]:
+    """Paper and place of each tag in a docstring; a semicolon separates several in one pair of brackets."""
+    for inside in BRACKET.findall(" ".join(text.split())):
+        for part in inside.split(";"):
+            if match := PART.fullmatch(part.strip()):
+                yield match[1], (match[2] or "").strip()
+
+
+def summary(text: str) -> str:
+    """The first paragraph of a docstring as one line, tags left out, fit for a table cell."""
+    first = " ".join(text.split("\n\n")[0].split())
+    return re.sub(r"\s+([.,;:])", r"\1", " ".join(BRACKET.sub("", first).split())).replace("|", "\\|")
+
+
+def entries(sources: Path) -> Iterator[Entry]:
+    """Every tag in every docstring under ``sources``, in the order of files and lines; a tag counts once a docstring."""
+    for path in sorted(sources.rglob("*.py")):
+        parts = path.relative_to(sources.parent).with_suffix("").parts
+        module = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        for owner, line, text in docstrings(ast.parse(path.read_text(encoding="utf-8")), module):
+            for paper, place in dict.fromkeys(tags(text)):
+                yield Entry(paper, place, owner, path, line, summary(text))
+
+
+def place_key(place: str) -> tuple[tuple[int, int, str], ...]:
+    """Sorts places as a reader would: whole paper, then by number ("(9)" before "(11)")."""
+    parts = re.findall(r"\d+|\D+", place)
+    return tuple((1, int(p), "") if p.isdigit() else (0, 0, p) for p in parts)
+
+
+def table(rows: Iterable[Entry], root: Path, page: Path) -> Iterator[str]:
+    """The lines of one paper's table."""
+    up = "../" * len(page.parent.relative_to(root).parts)
+    yield "| place | where | what |"
+    yield "|---|---|---|"
+    for row in sorted(rows, key=lambda e: (place_key(e.place), e.owner)):
+        link = f"[`{row.owner.removeprefix('phdtrack.')}`]({up}{row.path.relative_to(root).as_posix()})"
+        yield f"| {row.place or 'whole'} | {link} | {row.summary} |"
+
+
+def page_text(found: list[Entry], root: Path = ROOT, page: Path = PAGE) -> str:
+    """The whole page."""
+    lines = [HEAD]
+    for paper in dict.fromkeys([*PAPERS, *sorted({e.paper for e in found})]):
+        rows = [e for e in found if e.paper == paper]
+        if rows:
+            lines += [f"## {paper}", "", PAPERS[paper] + ".", "", *table(rows, root, page), ""]
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def unknown(found: list[Entry]) -> list[str]:
+    """One sentence for each tag whose paper is not known."""
+    return [
+        f"{e.path.relative_to(ROOT)}, {e.owner}: no paper has the tag {e.paper}; add it to PAPERS in scripts/equations.py"
+        for e in found
+        if e.paper not in PAPERS
+    ]
+
+
+def main(arguments: list[str]) -> int:
+    """Write the page, or with ``--check`` compare it; the exit status."""
+    found = list(entries(SOURCES))
+    if problems := unknown(found):
+        print("\n".join(problems), file=sys.stderr)
+        return 1
+    text = page_text(found)
+    if "--check" not in arguments:
+        PAGE.write_text(text, encoding="utf-8")
+        return 0
+    if PAGE.exists() and PAGE.read_text(encoding="utf-8") == text:
+        return 0
+    print("docs/equations.md is not what the docstrings say: run `make docs` and commit the page", file=sys.stderr)
+    return 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,6 @@
+"""``python -m phdtrack``: the same as the command ``phdtrack``."""
+
+from phdtrack.cli import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,23 @@
+"""Options that more than one command has, each described once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; everything else goes to stderr.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the files of an earlier run; others stay.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything random; it is written into run.json.")]
+Iou = Annotated[float, typer.Option("--iou", help="Overlap (intersection over union) from which two boxes match.")]
+MaxWidth = Annotated[
+    int,
+    typer.Option(
+        "--max-width", min=0, help="Detect on frames scaled down to this width, boxes stay in original pixels; 0: off."
+    ),
+]
+FrameSize = Annotated[str, typer.Option("--frame-size", metavar="WxH", help="Size of the frames in pixels, as 1920x1080.")]
+Fps = Annotated[float, typer.Option("--fps", min=0.0, help="Frames per second; 0: as the video or seqinfo.ini says.")]
+Detector = Annotated[str, typer.Option("--detector", metavar="NAME", help="Detector, by name.")]
+TruthFile = Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="Annotated objects to score against.")]

@@ -1,0 +1,84 @@
+"""What the commands say, and where: results on stdout; progress, warnings and errors on stderr.
+
+With ``--json`` stdout belongs to one JSON object alone, and every sentence moves to stderr.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+Advance = Callable[[int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """Where a command's words go; ``json``: stdout is kept for one JSON object."""
+
+    json: bool = False
+
+    def say(self, text: str = "") -> None:
+        """A sentence for the user."""
+        print(text, file=sys.stderr if self.json else sys.stdout, flush=True)
+
+    def warn(self, text: str) -> None:
+        """A sentence about something that is not as it should be, but does not stop the job."""
+        print(f"phdtrack: warning: {text}", file=sys.stderr, flush=True)
+
+    def document(self, value: dict[str, Any]) -> None:
+        """The one JSON object, where it was asked for."""
+        if self.json:
+            print(json_text(value))
+
+    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Columns under a head; the first aligned left, the others right."""
+        widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
+        for row in [head, *rows]:
+            cells = [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
+            self.say("  ".join(cells).rstrip())
+
+
+def json_text(value: Any) -> str:
+    """JSON in which numbers that JSON cannot write (NaN, infinities) are null."""
+    return json.dumps(finite(value), indent=2, allow_nan=False, ensure_ascii=False)
+
+
+def finite(value: Any) -> Any:
+    """The same value with NaN and infinities replaced by None, at any depth; tuples become lists."""
+    if isinstance(value, dict):
+        return {str(key): finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number as people read it: whole ones without decimals, a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    return str(value) if isinstance(value, int) else f"{value:.{digits}f}"
+
+
+@contextmanager
+def progress(title: str, total: int) -> Iterator[Advance]:
+    """A bar on stderr when that is a terminal, nothing otherwise; ``total`` 0 where the end is not known.
+
+    Gives the function to call with the number of frames done so far.
+    """
+    if not sys.stderr.isatty():
+        yield lambda done: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=total or None)
+        yield lambda done: bar.update(task, completed=done)

@@ -1,0 +1,77 @@
+"""The directory of a run: which files it holds, and the promise not to destroy anybody's work.
+
+An earlier run is replaced only when that was asked for, and even then only the files that a run writes are touched:
+whatever else lies in the directory stays.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from phdtrack.errors import InputError
+
+TRACKS = "tracks.csv"
+ONLINE = "tracks_online.csv"
+STATES = "states.csv"
+DETECTIONS = "detections.csv"
+VIDEO = "annotated.mp4"
+REPORT = "report.html"
+RUN = "run.json"
+FILES = (TRACKS, ONLINE, STATES, DETECTIONS, VIDEO, REPORT, RUN)
+
+
+@dataclass(frozen=True, slots=True)
+class RunDirectory:
+    """A directory that is ready to be written into: it exists, and none of the run's files do."""
+
+    path: Path
+
+    def file(self, name: str) -> Path:
+        """Where the file called ``name`` (one of the constants of this module) lies."""
+        return self.path / name
+
+    def written(self) -> list[Path]:
+        """Those of a run's files that exist by now, in the order of `FILES`."""
+        return [self.path / name for name in FILES if (self.path / name).exists()]
+
+
+def check(path: Path, overwrite: bool, names: tuple[str, ...] = FILES) -> None:
+    """Fail early where `claim` would fail because of what is there already; changes nothing.
+
+    Raises
+    ------
+    InputError : ``path`` is a file, or holds one of ``names`` and ``overwrite`` is False.
+    """
+    if path.exists() and not path.is_dir():
+        raise InputError("a directory was expected, and this is a file", where=f"--out {path}", cure="Choose another --out.")
+    held = [name for name in names if (path / name).exists()]
+    if folders := [name for name in held if (path / name).is_dir()]:
+        raise InputError(f"{folders[0]} is a directory, where a file is to be written", where=f"--out {path}")
+    if held and not overwrite:
+        raise InputError(
+            f"the directory holds an earlier run ({', '.join(held)})",
+            where=f"--out {path}",
+            cure="Say --overwrite to replace these files, or choose another --out.",
+        )
+
+
+def claim(path: Path, overwrite: bool, names: tuple[str, ...] = FILES) -> RunDirectory:
+    """The directory made ready; files of an earlier run are removed, so that none can be taken for this one's.
+
+    Raises
+    ------
+    InputError : as `check`, or the directory cannot be made or written into.
+    """
+    check(path, overwrite, names)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path):
+            pass
+        for name in names:
+            (path / name).unlink(missing_ok=True)
+    except OSError as error:
+        problem = f"cannot be written into ({error.strerror or error})"
+        raise InputError(problem, where=f"--out {path}", cure="Choose another --out.") from error
+    return RunDirectory(path)

@@ -1,0 +1,71 @@
+"""docs/equations.md is what the docstrings say, and the script that writes it reads them rightly."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def script() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("equations_script", ROOT / "scripts" / "equations.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_committed_page_is_current(script: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    assert script.main(["--check"]) == 0, capsys.readouterr().err
+
+
+def test_every_tag_names_a_known_paper(script: ModuleType) -> None:
+    assert script.unknown(list(script.entries(script.SOURCES))) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("The update [M07 §2].", [("M07", "§2")]),
+        ("Moves [M09 (11)] and [M09 (22)].", [("M09", "(11)"), ("M09", "(22)")]),
+        ("Association [M07 §3; S05].", [("M07", "§3"), ("S05", "")]),
+        ("Across a\n    line [D14\n    Alg. 2].", [("D14", "Alg. 2")]),
+        ("A link [M07](https://example.org) and x[M07x] and [F8] and (M, 4) [0, 1].", []),
+    ],
+)
+def test_tags_of_a_docstring(script: ModuleType, text: str, found: list[tuple[str, str]]) -> None:
+    assert list(script.tags(text)) == found
+
+
+def test_page_of_a_small_package(script: ModuleType, tmp_path: Path) -> None:
+    folder = tmp_path / "src" / "phdtrack" / "part"
+    folder.mkdir(parents=True)
+    (folder / "__init__.py").write_text('"""A part."""\n')
+    (folder / "motion.py").write_text(
+        '"""Motion."""\n\nclass Box:\n    """Boxes."""\n\n    def step(self):\n'
+        '        """One step | of\n        boxes [M09 (11)].\n\n        More, with [M09 (9)] and [M09 (11)] again."""\n'
+    )
+    found = list(script.entries(tmp_path / "src" / "phdtrack"))
+    page = script.page_text(found, tmp_path, tmp_path / "docs" / "equations.md")
+    lines = [line for line in page.splitlines() if line.startswith("| (")]
+    link = "[`part.motion.Box.step`](../src/phdtrack/part/motion.py)"
+    assert lines == [f"| {place} | {link} | One step \\| of boxes. |" for place in ("(9)", "(11)")]
+
+
+def test_a_stale_page_fails_the_check(
+    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(script, "PAGE", tmp_path / "equations.md")
+    assert script.main(["--check"]) == 1
+    assert "make docs" in capsys.readouterr().err
+    assert script.main([]) == 0
+    assert (tmp_path / "equations.md").read_text() == script.page_text(list(script.entries(script.SOURCES)))
+    assert script.main(["--check"]) == 0
