@@ -1,0 +1,161 @@
+"""From whatever a detector hands over to `Detections`, with every value checked. Shared by detectors and the tracker.
+
+Accepted: a `Detections`; anything with ``.xyxy`` and, where it has them, ``.confidence`` (or ``.conf``) and ``.class_id``
+(or ``.cls``), as supervision and ultralytics write them; an array-like of shape (N, 4) xyxy, (N, 5) with confidence,
+(N, 6) with confidence and class. No boxes: an empty array of any shape.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from phdtrack.errors import InputError
+from phdtrack.types import F8, I8, Bool, Detections
+
+_COLUMNS = "boxes as (N, 4) left, top, right, bottom; (N, 5) with confidence; (N, 6) with confidence and class"
+
+_LARGEST_CLASS = 2.0**53
+
+
+def as_detections(obj: object, *, where: str = "") -> Detections:
+    """``obj`` as `Detections`, checked.
+
+    Parameters
+    ----------
+    obj : a `Detections`, an object with ``.xyxy``, or an array-like (N, 4), (N, 5) or (N, 6); see the module.
+    where : what the message of an error starts with ("frame 12").
+
+    Raises
+    ------
+    InputError : another shape, values that are not finite numbers, boxes without width or height; it names the row.
+    """
+    if isinstance(obj, Detections):
+        return _checked(obj, where)
+    if obj is None:
+        raise InputError(
+            "expected boxes, got None",
+            where=where,
+            cure="Where nothing was detected give an empty array: numpy.empty((0, 4)).",
+        )
+    boxes = getattr(obj, "xyxy", None)
+    if boxes is not None:
+        table = _numbers(boxes, where)
+        if table.size and (table.ndim != 2 or table.shape[1] != 4):
+            raise InputError(f"expected .xyxy of shape (N, 4), got {table.shape}", where=where)
+        n = len(table) if table.size else 0
+        score, label = _attribute(obj, ("confidence", "conf"), n, where), _attribute(obj, ("class_id", "cls"), n, where)
+        return _assembled(table, score, label, where)
+    table = _numbers(obj, where)
+    if table.size and (table.ndim != 2 or table.shape[1] not in (4, 5, 6)):
+        cure = "A single box is an array of one row: [[left, top, right, bottom]]." if table.ndim == 1 else ""
+        raise InputError(f"expected {_COLUMNS}; got an array of shape {table.shape}", where=where, cure=cure)
+    if not table.size:
+        return Detections.empty()
+    score = table[:, 4] if table.shape[1] > 4 else None
+    label = table[:, 5] if table.shape[1] > 5 else None
+    return _assembled(table[:, :4], score, label, where)
+
+
+def check_inside(detections: Detections, width: int, height: int, *, where: str = "", drop: bool = False) -> Detections:
+    """The detections of a frame of ``width`` x ``height`` pixels; boxes that overlap its edge are fine.
+
+    A box wholly outside raises InputError that names its row, or is left out where ``drop`` is True.
+    """
+    inside = overlaps_frame(detections.xyxy, width, height)
+    if inside.all():
+        return detections
+    if drop:
+        return detections.take(inside)
+    row = int(np.argmin(inside))
+    raise InputError(
+        f"row {row} (from 0), box {_box(detections.xyxy[row])}, lies outside the frame of {width}x{height} pixels",
+        where=where,
+        cure="Boxes are left, top, right, bottom in pixels of the original video; check their scale and order.",
+    )
+
+
+def clip_to_frame(detections: Detections, width: int, height: int) -> Detections:
+    """The detections cut to the frame; boxes wholly outside it are left out."""
+    kept = detections.take(overlaps_frame(detections.xyxy, width, height))
+    limit = np.array([width, height, width, height], np.float64)
+    cut = np.clip(kept.xyxy, 0.0, limit)
+    return Detections(cut, kept.confidence, kept.class_id, kept.covariance, kept.observed)
+
+
+def overlaps_frame(xyxy: F8, width: int, height: int) -> Bool:
+    """(N,) True where a box shares some area with the frame."""
+    left, top, right, bottom = xyxy.T
+    inside: Bool = (left < width) & (top < height) & (right > 0) & (bottom > 0)
+    return inside
+
+
+def _numbers(values: object, where: str) -> F8:
+    """``values`` as float64; InputError where they are not numbers in a rectangular table."""
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputError(
+            f"expected {_COLUMNS}; got {type(values).__name__} that does not convert to numbers ({error})",
+            where=where,
+            cure="A tensor on a GPU or with gradients converts with .detach().cpu().numpy().",
+        ) from None
+
+
+def _attribute(obj: object, names: tuple[str, str], n: int, where: str) -> F8 | None:
+    """The first of the attributes ``names`` that ``obj`` has, (n,); None where it has none."""
+    for name in names:
+        given: Any = getattr(obj, name, None)
+        if given is not None:
+            values = _numbers(given, where)
+            if values.size != n:
+                raise InputError(f"expected .{name} with one value for each of {n} boxes, got {values.shape}", where=where)
+            return values.reshape(n)
+    return None
+
+
+def _assembled(xyxy: F8, confidence: F8 | None, class_id: F8 | None, where: str) -> Detections:
+    if class_id is None:
+        return _checked(Detections.of(xyxy, confidence), where)
+    whole = (np.abs(class_id) < _LARGEST_CLASS) & (np.rint(class_id) == class_id)
+    if not whole.all():
+        row = int(np.argmin(whole))
+        raise InputError(f"row {row} (from 0): the class must be a whole number, not {class_id[row]:g}", where=where)
+    label: I8 = class_id.astype(np.int64)
+    return _checked(Detections.of(xyxy, confidence, label), where)
+
+
+def _checked(detections: Detections, where: str) -> Detections:
+    """``detections`` itself, where its shapes agree and its values make sense."""
+    xyxy, n = detections.xyxy, len(detections.xyxy)
+    if xyxy.shape != (n, 4) or detections.confidence.shape != (n,) or detections.class_id.shape != (n,):
+        raise InputError(
+            f"expected xyxy (N, 4), confidence (N,) and class_id (N,), got {xyxy.shape}, "
+            f"{detections.confidence.shape} and {detections.class_id.shape}",
+            where=where,
+        )
+    finite = np.isfinite(xyxy).all(axis=1) & np.isfinite(detections.confidence)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise InputError(
+            f"row {row} (from 0) is not finite: box {_box(xyxy[row])}, confidence {detections.confidence[row]:g}",
+            where=where,
+            cure="Leave out boxes that the detector could not compute.",
+        )
+    sized = (xyxy[:, 2] > xyxy[:, 0]) & (xyxy[:, 3] > xyxy[:, 1])
+    if not sized.all():
+        row = int(np.argmin(sized))
+        raise InputError(
+            f"row {row} (from 0), box {_box(xyxy[row])}, has no width or height",
+            where=where,
+            cure="Boxes are left, top, right, bottom with left < right and top < bottom; convert from x, y, width, height.",
+        )
+    covariance = detections.covariance
+    if covariance is not None and (covariance.shape != (n, 4, 4) or not np.isfinite(covariance).all()):
+        raise InputError(f"expected a finite covariance of shape {(n, 4, 4)}, got {covariance.shape}", where=where)
+    return detections
+
+
+def _box(box: F8) -> str:
+    return "[" + ", ".join(f"{value:g}" for value in box) + "]"

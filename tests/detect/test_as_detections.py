@@ -1,0 +1,112 @@
+"""Anything a detector may hand over, and what is refused."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from phdtrack.detections import as_detections, check_inside, clip_to_frame
+from phdtrack.errors import InputError
+from phdtrack.types import Detections
+
+
+@dataclass
+class Boxes:
+    """Like the objects of other libraries."""
+
+    xyxy: Any
+    confidence: Any = None
+    class_id: Any = None
+
+
+@dataclass
+class OtherNames:
+    xyxy: Any
+    conf: Any
+    cls: Any
+
+
+def test_columns() -> None:
+    rows = [[0, 1, 10, 20, 0.5, 3], [5, 5, 6, 7, 0.25, 0]]
+    for columns in (4, 5, 6):
+        found = as_detections([row[:columns] for row in rows])
+        np.testing.assert_array_equal(found.xyxy, [row[:4] for row in rows])
+        np.testing.assert_array_equal(found.confidence, [0.5, 0.25] if columns > 4 else [1, 1])
+        np.testing.assert_array_equal(found.class_id, [3, 0] if columns > 5 else [0, 0])
+        assert found.class_id.dtype == np.int64
+
+
+def test_objects() -> None:
+    box = np.array([[0, 1, 10, 20]], np.float32)
+    assert as_detections(Boxes(box)).confidence[0] == 1
+    found = as_detections(Boxes(box, np.array([0.5]), np.array([2])))
+    assert (found.confidence[0], found.class_id[0]) == (0.5, 2)
+    found = as_detections(OtherNames(box, [0.5], [2.0]))
+    assert (found.confidence[0], found.class_id[0]) == (0.5, 2)
+    ours = Detections.of(box)
+    assert as_detections(ours) is ours
+
+
+@pytest.mark.parametrize("nothing", [[], (), np.zeros((0, 4)), np.zeros((0, 6)), np.zeros(0), Boxes(np.zeros((0, 4)))])
+def test_no_boxes(nothing: object) -> None:
+    assert len(as_detections(nothing)) == 0
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        (None, "got None.*empty"),
+        ([1, 2, 3, 4], "one row"),
+        (np.zeros((2, 3)), r"\(2, 3\)"),
+        (np.zeros((2, 7)), r"\(2, 7\)"),
+        ("boxes", "does not convert"),
+        ([[1, 2, 3], [1]], "does not convert"),
+        ([[0, 0, 9, 9], [0, np.nan, 9, 9]], "row 1 .* not finite"),
+        ([[0, 0, 9, np.inf]], "row 0 .* not finite"),
+        ([[0, 0, 9, 9, np.nan]], "row 0 .* not finite"),
+        ([[0, 0, 9, 9], [5, 5, 5, 9]], "row 1 .* no width"),
+        ([[5, 5, 3, 9]], "row 0 .* no width"),
+        ([[0, 0, 9, 9, 1, 0.5]], "whole number"),
+        (Boxes(np.zeros((2, 5))), "xyxy of shape"),
+        (Boxes([[0, 0, 9, 9]], [1, 1]), r"\.confidence with one value for each of 1"),
+    ],
+)
+def test_what_is_refused(bad: object, message: str) -> None:
+    with pytest.raises(InputError, match=f"^frame 12: .*{message}"):
+        as_detections(bad, where="frame 12")
+
+
+def test_a_covariance_must_fit() -> None:
+    bad = Detections(np.array([[0, 0, 1, 1.0]]), np.ones(1), np.zeros(1, np.int64), np.zeros((1, 3, 3)))
+    with pytest.raises(InputError, match="covariance"):
+        as_detections(bad)
+
+
+def test_boxes_outside_the_frame() -> None:
+    found = as_detections([[-5, 0, 3, 4], [90, 40, 130, 60], [100, 0, 110, 10]])
+    with pytest.raises(InputError, match=r"frame 3: row 2 .*outside the frame of 100x50"):
+        check_inside(found, 100, 50, where="frame 3")
+    assert len(check_inside(found, 100, 50, drop=True)) == 2
+    np.testing.assert_array_equal(clip_to_frame(found, 100, 50).xyxy, [[0, 0, 3, 4], [90, 40, 100, 50]])
+    assert found.xyxy[0, 0] == -5
+    assert check_inside(found, 200, 50) is found
+
+
+@given(arrays(np.float64, st.tuples(st.integers(0, 6), st.integers(3, 7))))
+def test_any_table_is_taken_whole_or_refused_with_a_reason(table: np.ndarray) -> None:
+    before = table.copy()
+    found = None
+    with contextlib.suppress(InputError):
+        found = as_detections(table, where="frame 1")
+    if found is not None:
+        assert len(found) == (len(table) if table.size else 0)
+        assert np.isfinite(found.xyxy).all()
+        assert (found.xyxy[:, 2:] > found.xyxy[:, :2]).all()
+    np.testing.assert_array_equal(table, before)
