@@ -1,1 +1,36 @@
-"""."""
+"""Scenarios with truth, as detections and as video.
+
+`make_scene` gives a named scene (street, crossing, occlusion, crowd, corridor, empty, constant) with truth, simulated
+detections and where each came from; `detect` and `add_clutter` work on any truth or detections; `linear_gaussian` is the
+standard scenario of points; `render` turns a scene into a video that a change detector can work on.
+"""
+
+from phdtrack.simulate.clutter import add_clutter
+from phdtrack.simulate.counting import Counting, constant
+from phdtrack.simulate.detector import DetectorModel, detect
+from phdtrack.simulate.ground import Walk
+from phdtrack.simulate.named import NAMED, build_scene, default_detector, make_scene
+from phdtrack.simulate.points import LinearGaussian, PointScene, linear_gaussian
+from phdtrack.simulate.records import Detected, Scene, World
+from phdtrack.simulate.scenario import Entrance, Scenario
+
+__all__ = [
+    "NAMED",
+    "Counting",
+    "Detected",
+    "DetectorModel",
+    "Entrance",
+    "LinearGaussian",
+    "PointScene",
+    "Scenario",
+    "Scene",
+    "Walk",
+    "World",
+    "add_clutter",
+    "build_scene",
+    "constant",
+    "default_detector",
+    "detect",
+    "linear_gaussian",
+    "make_scene",
+]
