@@ -1,1 +1,25 @@
-"""."""
+"""How good are tracks: VACE and CLEAR scores, IDF1, HOTA, OSPA, GOSPA, T-GOSPA, RMSE, lives of tracks."""
+
+from phdtrack.metrics.gospa import GospaParts, gospa, gospa_of, gospa_parts, gospa_parts_of
+from phdtrack.metrics.lifetimes import Delays, first_output_delays
+from phdtrack.metrics.ospa import ospa, ospa_of
+from phdtrack.metrics.rmse import TargetErrors, rmse_per_target
+from phdtrack.metrics.scores import Scores, Settings, evaluate, pool
+
+__all__ = [
+    "Delays",
+    "GospaParts",
+    "Scores",
+    "Settings",
+    "TargetErrors",
+    "evaluate",
+    "first_output_delays",
+    "gospa",
+    "gospa_of",
+    "gospa_parts",
+    "gospa_parts_of",
+    "ospa",
+    "ospa_of",
+    "pool",
+    "rmse_per_target",
+]

@@ -1,0 +1,204 @@
+"""All scores of a sequence, or of several pooled. The modules beside this one say what each means and on which mapping.
+
+`evaluate` scores one sequence; `pool` adds the sums behind several such results and forms the scores again, which is not
+the mean of the scores: MODA is the mean over the frames of all sequences, N_MODA, MOTA, IDF1 and HOTA are pooled as in
+TrackEval's combined row, OSPA and GOSPA are means over all frames.
+
+A score whose denominator is empty is NaN, never 0 or 1 by convention: MOTA without truth, MOTP without a mapped pair.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+
+from phdtrack.errors import InputError
+from phdtrack.metrics.clear import DetectionCounts, TrackingCounts, count_detections, count_tracking
+from phdtrack.metrics.hota import HotaCounts, count_hota
+from phdtrack.metrics.identity import IdentityCounts, count_identities
+from phdtrack.metrics.lifetimes import LifetimeCounts, check_threshold, count_lifetimes
+from phdtrack.metrics.matching import detection_mapping, tracking_mapping
+from phdtrack.metrics.scene import Scene, build
+from phdtrack.metrics.sets import SetCounts, count_sets
+from phdtrack.metrics.sums import total
+from phdtrack.types import Tracks, Truth
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """``iou``: the overlap that makes a match (HOTA has its own); c_m and c_f, the costs in MODA, N_MODA and MOTA."""
+
+    iou: float = 0.5
+    miss_cost: float = 1.0
+    false_positive_cost: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Counts:
+    """The sums behind all scores, each with its meaning in its own module. `sums.total` adds them."""
+
+    detections: DetectionCounts
+    tracking: TrackingCounts
+    identities: IdentityCounts
+    hota: HotaCounts
+    sets: SetCounts
+    lifetimes: LifetimeCounts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scores:
+    """Scores of a sequence or of several; NaN where undefined. Shares are at most 1, not per cent; delays are in frames.
+
+    ``counts`` and ``settings`` are what they were made of; `as_dict` leaves them out.
+    """
+
+    MODA: float
+    N_MODA: float
+    MODP: float
+    MOTA: float
+    MOTA_log: float
+    MOTP: float
+    IDF1: float
+    HOTA: float
+    OSPA: float
+    GOSPA: float
+    id_switches: int
+    misses: int
+    false_positives: int
+    fragments: int
+    frames: int
+    DetA: float
+    AssA: float
+    IDP: float
+    IDR: float
+    N_MODA_detection: float
+    truth_boxes: int
+    output_boxes: int
+    matches: int
+    truth_objects: int
+    output_identities: int
+    false_tracks: int
+    mostly_tracked: int
+    mostly_lost: int
+    objects_found: int
+    delay_mean: float
+    count_error_mean: float
+    count_error_rms: float
+    counts: Counts = field(repr=False)
+    settings: Settings = field(repr=False)
+
+    def as_dict(self) -> dict[str, float | int | None]:
+        """The scores by name, for JSON: None in place of NaN."""
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("counts", "settings")}
+        return {name: None if math.isnan(value) else value for name, value in values.items()}
+
+
+def evaluate(
+    truth: Truth,
+    tracks: Tracks,
+    *,
+    frames: int = 0,
+    iou: float = 0.5,
+    miss_cost: float = 1.0,
+    false_positive_cost: float = 1.0,
+) -> Scores:
+    """Score ``tracks`` against ``truth``.
+
+    Parameters
+    ----------
+    truth : annotated boxes; output matched to its distractors counts neither for nor against, as in MOT16 and later.
+    tracks : every row counts, confirmed or not, predicted or not. `Tracks.take` chooses among them.
+    frames : number of frames of the sequence, rows after it are left out; 0: up to the last frame of either side.
+    iou : the overlap from which a pair of boxes may match, in (0, 1]; pixels do not matter.
+    miss_cost, false_positive_cost : c_m and c_f ≥ 0 in MODA, N_MODA, MOTA and MOTA_log.
+
+    Raises
+    ------
+    InputError : for settings out of range, wrong shapes, frame numbers below 1, boxes without finite extent, or an
+        identity twice in a frame of either side.
+    """
+    settings = Settings(iou, miss_cost, false_positive_cost)
+    _check(settings)
+    return scores_of(count(build(truth, tracks, frames), iou), settings)
+
+
+def count(scene: Scene, iou: float) -> Counts:
+    """The sums of one sequence."""
+    tracking = tracking_mapping(scene, iou)
+    return Counts(
+        detections=count_detections(scene, detection_mapping(scene, iou)),
+        tracking=count_tracking(scene, tracking),
+        identities=count_identities(scene, iou),
+        hota=count_hota(scene),
+        sets=count_sets(scene),
+        lifetimes=count_lifetimes(scene, tracking),
+    )
+
+
+def pool(parts: Sequence[Scores]) -> Scores:
+    """The scores over several sequences, each one's result of `evaluate` (or of `pool`) with the same settings.
+
+    Raises
+    ------
+    InputError : for no results, or results with different settings.
+    """
+    if not parts:
+        raise InputError("expected the scores of at least one sequence, got none")
+    different = [part.settings for part in parts if part.settings != parts[0].settings]
+    if different:
+        raise InputError(
+            f"expected results with the same settings, got {parts[0].settings} and {different[0]}",
+            cure="Evaluate all sequences with the same threshold and costs.",
+        )
+    return scores_of(total([part.counts for part in parts]), parts[0].settings)
+
+
+def scores_of(counts: Counts, settings: Settings) -> Scores:
+    """The scores that follow from ``counts``."""
+    costs = settings.miss_cost, settings.false_positive_cost
+    boxes, tracking, names, sets = counts.detections, counts.tracking, counts.identities, counts.sets
+    lives = counts.lifetimes
+    return Scores(
+        MODA=boxes.moda(*costs),
+        N_MODA=tracking.n_moda(*costs),
+        MODP=boxes.modp(),
+        MOTA=tracking.mota(*costs),
+        MOTA_log=tracking.mota_log(*costs),
+        MOTP=tracking.motp(),
+        IDF1=names.idf1(),
+        HOTA=counts.hota.hota(),
+        OSPA=sets.ospa(),
+        GOSPA=sets.gospa(),
+        id_switches=tracking.switches,
+        misses=tracking.misses,
+        false_positives=tracking.false_positives,
+        fragments=tracking.fragments,
+        frames=sets.frames,
+        DetA=counts.hota.det_a(),
+        AssA=counts.hota.ass_a(),
+        IDP=names.precision(),
+        IDR=names.recall(),
+        N_MODA_detection=boxes.n_moda(*costs),
+        truth_boxes=tracking.truth_boxes,
+        output_boxes=names.output_boxes,
+        matches=tracking.matches,
+        truth_objects=lives.objects,
+        output_identities=lives.identities,
+        false_tracks=lives.false_tracks,
+        mostly_tracked=lives.mostly_tracked,
+        mostly_lost=lives.mostly_lost,
+        objects_found=lives.found,
+        delay_mean=lives.delay_mean(),
+        count_error_mean=sets.count_error_mean(),
+        count_error_rms=sets.count_error_rms(),
+        counts=counts,
+        settings=settings,
+    )
+
+
+def _check(settings: Settings) -> None:
+    check_threshold(settings.iou)
+    for name, cost in (("miss_cost", settings.miss_cost), ("false_positive_cost", settings.false_positive_cost)):
+        if not 0 <= cost < math.inf:
+            raise InputError(f"expected a finite cost ≥ 0, got {cost}", where=name)

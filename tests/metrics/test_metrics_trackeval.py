@@ -1,0 +1,94 @@
+"""HOTA, CLEAR and identity scores against TrackEval, on random and on real sequences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from metric_cases import REAL, crude_tracks, random_case, real_detections, real_truth, truth_of
+from trackeval_oracle import Figures, figures, pooled
+
+from phdtrack.metrics import Scores, evaluate, pool
+from phdtrack.types import Tracks
+
+CLOSE = 1e-9
+
+
+def compare(ours: Scores, theirs: Figures) -> None:
+    clear, hota, identity = theirs.clear, theirs.hota, theirs.identity
+    assert (ours.id_switches, ours.misses, ours.false_positives) == (clear["IDSW"], clear["CLR_FN"], clear["CLR_FP"])
+    assert (ours.fragments, ours.mostly_tracked, ours.mostly_lost) == (clear["Frag"], clear["MT"], clear["ML"])
+    assert ours.matches == clear["CLR_TP"]
+    if ours.truth_boxes:
+        assert ours.N_MODA == pytest.approx(clear["MODA"] if ours.output_boxes else 0, abs=CLOSE)
+        assert ours.MOTA == pytest.approx(clear["MOTA"] if ours.output_boxes else 0, abs=CLOSE)
+    if ours.matches:
+        assert ours.MOTP == pytest.approx(clear["MOTP"], abs=CLOSE)
+    assert ours.counts.identities.true_positives == identity["IDTP"]
+    if ours.truth_boxes + ours.output_boxes:
+        assert ours.IDF1 == pytest.approx(identity["IDF1"], abs=CLOSE)
+        assert ours.HOTA == pytest.approx(np.mean(hota["HOTA"]), abs=CLOSE)
+        assert ours.DetA == pytest.approx(np.mean(hota["DetA"]), abs=CLOSE)
+        assert ours.AssA == pytest.approx(np.mean(hota["AssA"]), abs=CLOSE)
+        assert ours.counts.hota.hota_per_alpha() == pytest.approx(hota["HOTA"], abs=CLOSE)
+
+
+@pytest.mark.parametrize("distractors", [False, True])
+@pytest.mark.parametrize("seed", range(25))
+def test_random_sequences(seed: int, distractors: bool):
+    rng = np.random.default_rng(seed)
+    objects = int(rng.integers(1, 9))
+    truth, tracks = random_case(rng, objects=objects, distractors=distractors)
+    for threshold in (0.5, 0.3):
+        ours = evaluate(truth, tracks, frames=32, iou=threshold)
+        compare(ours, figures(truth, tracks, 32, threshold))
+
+
+def test_the_random_sequences_hold_every_kind_of_error():
+    truth, tracks = random_case(np.random.default_rng(3), objects=8, frames=60)
+    scores = evaluate(truth, tracks)
+    for count in (scores.id_switches, scores.misses, scores.false_positives, scores.fragments, scores.false_tracks):
+        assert count >= 3
+
+
+def test_distractors_matter_in_the_random_sequences():
+    truth, tracks = random_case(np.random.default_rng(1), objects=8, distractors=True)
+    plain = truth_of(truth.frame, truth.identity, truth.xyxy)
+    rows = ~truth.distractor
+    without = truth_of(truth.frame[rows], truth.identity[rows], truth.xyxy[rows])
+    scores = evaluate(truth, tracks)
+    assert scores.truth_boxes < evaluate(plain, tracks).truth_boxes
+    assert scores.false_positives < evaluate(without, tracks).false_positives
+
+
+def test_pooled_sequences():
+    cases = [random_case(np.random.default_rng(50 + i), objects=3 + i, frames=15 + 5 * i) for i in range(4)]
+    cases.append((cases[0][0], Tracks.empty()))
+    ours = pool([evaluate(truth, tracks, frames=40) for truth, tracks in cases])
+    theirs = pooled([figures(truth, tracks, 40) for truth, tracks in cases])
+    compare(ours, theirs)
+    assert ours.frames == 5 * 40
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(("sequence", "detector"), REAL)
+def test_real_sequences(data, sequence: str, detector: str):
+    truth = real_truth(data, sequence)
+    tracks = crude_tracks(real_detections(data, sequence, detector))
+    ours = evaluate(truth, tracks)
+    assert ours.id_switches > 0
+    assert ours.fragments > 0
+    compare(ours, figures(truth, tracks, ours.frames))
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("sequence", ["PETS09-S2L1", "ADL-Rundle-6"])
+def test_real_sequence_with_distractors(data, sequence: str):
+    """Every fourth person of the annotation is declared one."""
+    people = real_truth(data, sequence)
+    truth = truth_of(people.frame, people.identity, people.xyxy, people.identity % 4 == 0)
+    rows = ~truth.distractor
+    without = truth_of(people.frame[rows], people.identity[rows], people.xyxy[rows])
+    tracks = crude_tracks(real_detections(data, sequence, "det_frcnn"))
+    ours = evaluate(truth, tracks)
+    assert ours.false_positives < evaluate(without, tracks).false_positives - 100
+    compare(ours, figures(truth, tracks, ours.frames))
