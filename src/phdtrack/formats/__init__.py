@@ -1,1 +1,31 @@
-"""."""
+"""Files of detections, truth, tracks and states: MOTChallenge, CSV, Parquet, COCO JSON, CVML (CAVIAR, PETS); seqinfo.ini."""
+
+from phdtrack.formats.cvml import GroupMembers, read_groups
+from phdtrack.formats.read import read_detections, read_tracks, read_truth
+from phdtrack.formats.seqinfo import find_seqinfo, read_seqinfo
+from phdtrack.formats.write import (
+    DetectionsWriter,
+    StatesWriter,
+    TracksWriter,
+    write_detections,
+    write_states,
+    write_tracks,
+    write_truth,
+)
+
+__all__ = [
+    "DetectionsWriter",
+    "GroupMembers",
+    "StatesWriter",
+    "TracksWriter",
+    "find_seqinfo",
+    "read_detections",
+    "read_groups",
+    "read_seqinfo",
+    "read_tracks",
+    "read_truth",
+    "write_detections",
+    "write_states",
+    "write_tracks",
+    "write_truth",
+]

@@ -1,0 +1,159 @@
+"""Tables in text: any usual delimiter, with or without a header, and errors that name the line.
+
+Values are separated by semicolons, tabs, commas or blanks, found from the first line that is neither empty nor a comment
+(``#``). That line is a header when no value in it is a number. Windows line ends, a byte order mark, quotes and an empty
+value at the end of every line are understood. Numbers have a decimal point.
+
+There are two ways through a file. NumPy parses a clean one in one go. Where that fails, the lines are read one by one:
+either the reason is found and told with its line, or it was harmless (quotes, say).
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from phdtrack.errors import InputError
+from phdtrack.formats.source import Origin
+from phdtrack.types import F8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Text:
+    """The lines of a file that hold values.
+
+    Attributes
+    ----------
+    origin : the file, and for each line its 1-based number there.
+    lines : the M lines with values, without header, comments and empty lines.
+    delimiter : None for any number of blanks.
+    pieces : number of values in the first line, header or not, empty ones included.
+    width : the same without empty ones at its end: the number of columns.
+    header : the names of the columns in lower case, empty where the file has no header.
+    """
+
+    origin: Origin
+    lines: list[str]
+    delimiter: str | None
+    pieces: int = 0
+    width: int = 0
+    header: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def cells(self, row: int) -> list[str]:
+        """The values of line ``row`` (0-based among ``lines``) as text."""
+        return _split(self.lines[row], self.delimiter)
+
+
+def scan(path: Path, content: bytes) -> Text:
+    """Find delimiter, header and the lines with values.
+
+    Raises
+    ------
+    InputError : the content is not UTF-8 text.
+    """
+    text = _decode(path, content).replace("\r\n", "\n").replace("\r", "\n")
+    everything = text.split("\n")
+    kept = [i for i, line in enumerate(everything) if line and not line.isspace() and line.lstrip()[0] != "#"]
+    lines = [everything[i] for i in kept]
+    number = np.array(kept, dtype=np.int64) + 1
+    if not lines:
+        return Text(Origin(path, "line", number), [], ",")
+    delimiter = next((d for d in ";\t," if d in lines[0]), None)
+    first = _split(lines[0], delimiter)
+    width = _filled(first)
+    if any(_is_number(cell) for cell in first):
+        return Text(Origin(path, "line", number), lines, delimiter, len(first), width)
+    header = tuple(normalise(cell) for cell in first)
+    return Text(Origin(path, "line", number[1:]), lines[1:], delimiter, len(first), width, header)
+
+
+def normalise(name: str) -> str:
+    """The name of a column as it is compared: lower case, with ``_`` for blanks and hyphens."""
+    return name.strip(" '").lower().replace(" ", "_").replace("-", "_")
+
+
+def numbers(text: Text, columns: Sequence[int], labels: Sequence[str]) -> F8:
+    """(M, k) the values of the k ``columns`` (0-based), which messages call by ``labels``.
+
+    Raises
+    ------
+    InputError : a value is not a number, or a line has more or fewer values than the first.
+    """
+    if not len(text) or not columns:
+        return np.zeros((len(text), len(columns)))
+    if _regular(text):
+        try:
+            return np.loadtxt(text.lines, delimiter=text.delimiter, comments=None, usecols=list(columns), ndmin=2)
+        except ValueError:
+            pass  # the slow way finds the line
+    return np.array([_parse(text, row, columns, labels) for row in range(len(text))])
+
+
+def _regular(text: Text) -> bool:
+    """Whether every line has as many values as the first, with no quotes to be careful about."""
+    if text.delimiter is None:
+        return {len(line.split()) for line in text.lines} == {text.pieces}
+    return {line.count(text.delimiter) + 1 for line in text.lines} == {text.pieces} and not any('"' in x for x in text.lines)
+
+
+def _parse(text: Text, row: int, columns: Sequence[int], labels: Sequence[str]) -> list[float]:
+    cells = text.cells(row)
+    if len(cells) != text.pieces and _filled(cells) != text.width:
+        raise InputError(
+            f"expected {text.width} values as in the {'header' if text.header else 'first line'}, came {_filled(cells)}",
+            where=text.origin.at(row),
+            cure="A line cut short is what an interrupted program leaves: mend or remove it.",
+        )
+    for column, label in zip(columns, labels, strict=True):
+        if not _is_number(cells[column]):
+            came = f"'{cells[column][:40]}'" if cells[column] else "nothing"
+            raise InputError(
+                f"expected a number for the {label} (column {column + 1}), came {came}",
+                where=text.origin.at(row),
+                cure="Numbers are written as 12 or 12.5, with a point.",
+            )
+    return [float(cells[column]) for column in columns]
+
+
+def _split(line: str, delimiter: str | None) -> list[str]:
+    if delimiter is None:
+        return [cell.strip('"') for cell in line.split()]
+    parts = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True)) if '"' in line else line.split(delimiter)
+    return [cell.strip() for cell in parts]
+
+
+def _filled(cells: Sequence[str]) -> int:
+    """Number of cells without the empty ones at the end."""
+    return next((i for i in range(len(cells), 0, -1) if cells[i - 1]), 0)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell  # Python's own notation, which no other program writes or reads
+
+
+def _decode(path: Path, content: bytes) -> str:
+    """The content as text; NUL bytes and whatever is not UTF-8 are refused."""
+    expected = "expected detections, truth or tracks as text, XML, JSON or Parquet"
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError("expected UTF-8 text, came UTF-16", where=path, cure="Save it as UTF-8.")
+    bad = content.find(b"\0")
+    if bad < 0:
+        try:
+            return content.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            bad = error.start
+    line = content.count(b"\n", 0, bad) + 1
+    raise InputError(
+        f"{expected}, came bytes that are no UTF-8 text", where=f"{path}, line {line}", cure="Is it the right file?"
+    )

@@ -1,0 +1,191 @@
+"""Writing tracks, detections, states and truth as text.
+
+A writer is open while a sequence runs and hands every frame to the operating system at once: what was computed is not lost
+when the program ends before its time. The functions `write_tracks`, `write_detections`, `write_states` and `write_truth`
+write a whole sequence. All but the states are MOTChallenge files without a header, which every tool of the field reads:
+
+* tracks: ``frame,id,left,top,width,height,confidence,-1,-1,-1,detection,confirmed``;
+* detections: ``frame,-1,left,top,width,height,confidence,-1,-1,-1,class`` and the 10 values of the covariance where there is
+  one (see `phdtrack.formats.columns`);
+* truth: ``frame,id,left,top,width,height,flag,class,visibility``, distractors with flag 0 and class 8, as in MOT16.
+
+States have a header: ``frame,time,weight,detection,left,top,width,height,s0,s1,…``. Frames count from 1, times are seconds,
+boxes pixels of the video, state components as the model has them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from phdtrack.errors import InputError
+from phdtrack.formats.source import AnyPath
+from phdtrack.types import F8, I8, Detections, DetectionTable, Estimates, Tracks, Truth
+
+# Seven digits: a thousandth of a pixel in the largest pictures, and boxes in other units do not collapse.
+_BOX = "%.7g,%.7g,%.7g,%.7g"
+_TRACK = f"%d,%d,{_BOX},%.7g,-1,-1,-1,%d,%d"
+# Detections go into filters again: what a detector gives as 32-bit floats comes back as the same floats.
+_DETECTION = "%d,-1,%.10g,%.10g,%.10g,%.10g,%.10g,-1,-1,-1,%d"
+_TRUTH = f"%d,%d,{_BOX},%d,%d,1"
+_PEDESTRIAN, _DISTRACTOR = 1, 8
+
+
+class Lines:
+    """A text file that is written line by line; ``close`` may be called twice."""
+
+    def __init__(self, path: AnyPath) -> None:
+        self.path = Path(path)
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self.path.open("w", encoding="utf-8", newline="\n")
+        except OSError as error:
+            raise self._failed(error) from None
+
+    def write(self, pattern: str, *columns: F8 | I8) -> None:
+        """One line for each row of the columns, which may be (M,) or (M, k); all of them reach the operating system."""
+        width = pattern.count("%")
+        table = [np.asarray(c).reshape(len(c), -1).T.tolist() for c in columns]
+        values = [column for block in table for column in block]
+        text = "".join([pattern % row + "\n" for row in zip(*values, strict=True)]) if width else f"{pattern}\n"
+        try:
+            self._file.write(text)
+            self._file.flush()
+        except OSError as error:
+            raise self._failed(error) from None
+
+    def close(self) -> None:
+        """Close the file; nothing is left to write."""
+        self._file.close()
+
+    def _failed(self, error: OSError) -> InputError:
+        reason = error.strerror or str(error)
+        return InputError(
+            f"the file cannot be written: {reason}", where=self.path, cure="Choose another place for the output."
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class TracksWriter(Lines):
+    """``tracks.csv``, frame by frame.
+
+    Raises
+    ------
+    InputError : the file cannot be written.
+    """
+
+    def append(self, tracks: Tracks) -> None:
+        """Write the rows as they come, of one frame or many."""
+        confirmed = tracks.confirmed.astype(np.int64)
+        self.write(_TRACK, tracks.frame, tracks.identity, _ltwh(tracks.xyxy), tracks.confidence, tracks.detection, confirmed)
+
+
+class DetectionsWriter(Lines):
+    """``detections.csv``, frame by frame. A frame that was not observed leaves no trace, as an empty one.
+
+    Raises
+    ------
+    InputError : the file cannot be written.
+    """
+
+    def append(self, frame: int, detections: Detections) -> None:
+        """Write the detections of frame ``frame``, counted from 1."""
+        self.append_table(DetectionTable(np.full(len(detections), frame, dtype=np.int64), detections))
+
+    def append_table(self, table: DetectionTable) -> None:
+        """Write the detections of many frames."""
+        found = table.detections
+        columns: list[F8 | I8] = [table.frame, _ltwh(found.xyxy), found.confidence, found.class_id]
+        if found.covariance is None:
+            self.write(_DETECTION, *columns)
+        else:
+            i, j = np.triu_indices(4)
+            self.write(_DETECTION + ",%.10g" * 10, *columns, found.covariance[:, i, j])
+
+
+class StatesWriter(Lines):
+    """``states.csv``, frame by frame: what was extracted before it had identities. The header comes with the first frame.
+
+    Raises
+    ------
+    InputError : the file cannot be written.
+    """
+
+    def __init__(self, path: AnyPath) -> None:
+        super().__init__(path)
+        self._started = False
+
+    def append(self, frame: int, time: float, estimates: Estimates) -> None:
+        """Write the states of frame ``frame``, counted from 1, at ``time`` seconds."""
+        dim, n = estimates.state.shape
+        if not self._started:
+            self.write(",".join(["frame,time,weight,detection,left,top,width,height", *(f"s{i}" for i in range(dim))]))
+            self._started = True
+        self.write(
+            f"%d,%.6f,%.7g,%d,{_BOX}" + ",%.9g" * dim,
+            np.full(n, frame, dtype=np.int64),
+            np.full(n, time),
+            estimates.weight,
+            estimates.detection,
+            _ltwh(estimates.xyxy),
+            estimates.state.T,
+        )
+
+
+def write_tracks(path: AnyPath, tracks: Tracks) -> None:
+    """Write the tracks of a sequence; an existing file is replaced.
+
+    Raises
+    ------
+    InputError : the file cannot be written.
+    """
+    with TracksWriter(path) as writer:
+        writer.append(tracks)
+
+
+def write_detections(path: AnyPath, table: DetectionTable) -> None:
+    """Write the detections of a sequence; an existing file is replaced.
+
+    Raises
+    ------
+    InputError : the file cannot be written.
+    """
+    with DetectionsWriter(path) as writer:
+        writer.append_table(table)
+
+
+def write_states(path: AnyPath, frames: I8, times: F8, estimates: list[Estimates]) -> None:
+    """Write the states of a sequence: frames (K,) from 1, times (K,) in seconds, and the K frames' estimates.
+
+    Raises
+    ------
+    InputError : the file cannot be written.
+    """
+    with StatesWriter(path) as writer:
+        for frame, time, states in zip(frames, times, estimates, strict=True):
+            writer.append(int(frame), float(time), states)
+
+
+def write_truth(path: AnyPath, truth: Truth) -> None:
+    """Write truth as MOT16 has it: scored rows as pedestrians with flag 1, distractors with flag 0.
+
+    Raises
+    ------
+    InputError : the file cannot be written.
+    """
+    flag = (~truth.distractor).astype(np.int64)
+    label = np.where(truth.distractor, _DISTRACTOR, _PEDESTRIAN)
+    with Lines(path) as file:
+        file.write(_TRUTH, truth.frame, truth.identity, _ltwh(truth.xyxy), flag, label)
+
+
+def _ltwh(xyxy: F8) -> F8:
+    """(M, 4) left, top, width, height of the boxes."""
+    return np.hstack([xyxy[:, :2], xyxy[:, 2:] - xyxy[:, :2]])
