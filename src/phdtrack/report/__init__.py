@@ -1,1 +1,24 @@
-"""."""
+"""What a run leaves to look at: the annotated video's frames, ``report.html``, ``run.json``."""
+
+from phdtrack.report.density import density_map
+from phdtrack.report.draw import Annotator, annotate
+from phdtrack.report.html import report_html, write_report
+from phdtrack.report.record import About, HeatMap, Recorder, RunRecord, Series
+from phdtrack.report.run_json import run_document, write_run
+from phdtrack.report.summary import sentences
+
+__all__ = [
+    "About",
+    "Annotator",
+    "HeatMap",
+    "Recorder",
+    "RunRecord",
+    "Series",
+    "annotate",
+    "density_map",
+    "report_html",
+    "run_document",
+    "sentences",
+    "write_report",
+    "write_run",
+]

@@ -1,0 +1,230 @@
+"""``report.html``: one file that tells a run, readable without network, on a phone, on paper and in the dark.
+
+Everything is inside: pictures as ``data:`` addresses, the style sheet inline, no script. A content security policy in the
+head forbids the browser to fetch anything else, so that the promise is kept by the browser and not only by us.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from phdtrack.report.charts import count_chart, lifetime_chart, timing_chart
+from phdtrack.report.markup import (
+    NOTHING,
+    Html,
+    bullets,
+    details,
+    element,
+    figure,
+    join,
+    paragraph,
+    section,
+    table,
+    text,
+)
+from phdtrack.report.record import RunRecord
+from phdtrack.report.run_json import flattened, write_text
+from phdtrack.report.scenes import heat_picture, trajectory_picture
+from phdtrack.report.summary import counted, duration, grouped, sentences, stage_times
+
+_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+_MEANING = (
+    ("MODA", "detection: 1 − (misses + false positives) / objects, mean over frames; 1 is perfect"),
+    ("N_MODA", "the same over the whole sequence at once"),
+    ("MODP", "mean overlap of matched boxes in the detection mapping; 1 is perfect"),
+    ("MOTA", "tracking: misses, false positives and identity switches; 1 is perfect"),
+    ("MOTA_log", "the same, switches counted by their logarithm"),
+    ("MOTP", "mean overlap of matched boxes in the tracking mapping; 1 is perfect"),
+    ("IDF1", "share of boxes that carry the right identity over the whole run; 1 is perfect"),
+    ("HOTA", "geometric mean of detection and association accuracy; 1 is perfect"),
+    ("OSPA", "distance between the sets of boxes per frame; 0 is perfect, 1 the worst"),
+    ("GOSPA", "distance of boxes plus a penalty for each missed and false one; 0 is perfect"),
+    ("id_switches", "times an object changed its identity"),
+    ("misses", "annotated boxes without a track"),
+    ("false_positives", "track boxes without an object"),
+    ("fragments", "times a track of an object was interrupted"),
+    ("frames", "frames that were compared"),
+)
+
+
+def write_report(path: Path, record: RunRecord, config: Mapping[str, object] | None = None) -> None:
+    """Write the report; ``config`` is listed in it. Raises `InputError` where the file cannot be written."""
+    write_text(path, report_html(record, config or {}))
+
+
+def report_html(record: RunRecord, config: Mapping[str, object]) -> str:
+    """The whole page as text."""
+    style = resources.files("phdtrack.report").joinpath("style.css").read_text(encoding="utf-8")
+    title = text(record.about.title or record.info.name or "Tracking run")
+    body = join(
+        [
+            _header(record, title),
+            _warnings(record),
+            _scores(record),
+            _count(record),
+            _trajectories(record),
+            _lifetimes(record),
+            _heat_maps(record),
+            _timings(record),
+            section("Good to know", bullets(record.about.notes)),
+            _settings(record, config),
+        ]
+    )
+    return (
+        f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f'<meta name="color-scheme" content="light dark">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
+        f"<title>{title} – phdtrack report</title>\n<style>\n{style}</style>\n</head>\n"
+        f"<body>\n<main>\n{body}\n</main>\n</body>\n</html>\n"
+    )
+
+
+def _header(record: RunRecord, title: Html) -> Html:
+    """Title, tiles with the key figures, and the run in words."""
+    series, tracks = record.series, record.tracks
+    false_alarms = float(series.clutter_mass.sum())
+    predicted = f"{100 * tracks.predicted.mean():.0f} %" if len(tracks) else "–"
+    speed = f"{record.frames_per_second:.1f}" if math.isfinite(record.frames_per_second) else "–"
+    tiles = (
+        (grouped(record.n_objects), "objects tracked"),
+        (grouped(len(series)), "frames"),
+        (grouped(int(series.n_detections.sum())), "detections"),
+        (grouped(false_alarms), "of them false alarms (expected)"),
+        (predicted, "of track boxes predicted"),
+        (speed, "frames per second"),
+    )
+    cells = [element("div", join([element("b", text(value)), element("span", text(name))]), "tile") for value, name in tiles]
+    source = f"{record.info.width} × {record.info.height} pixels, {record.info.fps:.4g} frames per second"
+    started = f", run {record.about.started}" if record.about.started else ""
+    return element(
+        "header",
+        join(
+            [
+                element("h1", title),
+                paragraph(source + started, "source"),
+                element("div", join(cells), "tiles"),
+                paragraph(" ".join(sentences(record)), "lead"),
+            ]
+        ),
+    )
+
+
+def _warnings(record: RunRecord) -> Html:
+    entries = bullets(record.about.warnings)
+    return element("section", join([element("h2", text("Warnings")), entries]), "warnings") if entries else NOTHING
+
+
+def _scores(record: RunRecord) -> Html:
+    meanings = dict(_MEANING)
+    rows = [(name, _score(value), meanings.get(name, "")) for name, value in record.about.scores]
+    return section("Scores against the truth", table(("score", "value", "what it says"), rows, "scores"))
+
+
+def _score(value: float) -> str:
+    if not math.isfinite(value):
+        return "undefined"
+    return grouped(value) if isinstance(value, int | np.integer) else f"{value:.3f}"
+
+
+def _count(record: RunRecord) -> Html:
+    if not len(record.series):
+        return section("Count over time", paragraph("No frame was processed."))
+    series = record.series
+    alt = (
+        f"Line chart over {counted(len(series), 'frame')}: the filter expects {series.mass.mean():.1f} objects on average "
+        f"and {series.mass.max():.1f} at most; there are {record.track_count.mean():.1f} tracks and "
+        f"{series.n_detections.mean():.1f} detections in a frame on average."
+    )
+    truth = " Broad green: annotated objects." if len(series.truth_count) else ""
+    caption = f"Grey dots: what the detector reported. Blue: how many objects the filter expects. Orange: tracks.{truth}"
+    return section("Count over time", figure(count_chart(record), alt, caption, "chart"))
+
+
+def _trajectories(record: RunRecord) -> Html:
+    if not len(record.tracks):
+        return section("Trajectories", paragraph("No object was tracked."))
+    alt = f"Map of the frame with the paths of {counted(record.n_objects, 'object')}, each in a colour of its own."
+    caption = (
+        "The foot point of every object. A ring marks where it appeared, its number where it was last seen; "
+        "thin stretches are predicted."
+    )
+    return section("Trajectories", figure(trajectory_picture(record), alt, caption, "photo"))
+
+
+def _lifetimes(record: RunRecord) -> Html:
+    if not len(record.tracks):
+        return NOTHING
+    lengths = np.unique(record.tracks.identity, return_counts=True)[1]
+    alt = (
+        f"Bar chart of {counted(len(lengths), 'track')}: the shortest has {counted(int(lengths.min()), 'box')}"
+        f", the median {np.median(lengths):.0f}, the longest {lengths.max()}."
+    ).replace("boxs", "boxes")
+    caption = "One bar for each identity. Light: predicted while the detector missed it. Gaps: no track."
+    return section("Track lifetimes", figure(lifetime_chart(record), alt, caption, "chart"))
+
+
+def _heat_maps(record: RunRecord) -> Html:
+    pictures = [
+        figure(
+            heat_picture(heat, record.info),
+            f"Heat map of the intensity over frame {heat.number}: {heat.mass:.1f} objects expected.",
+            f"Frame {heat.number}: {heat.mass:.1f} objects expected, {counted(len(heat.detections), 'detection')}, "
+            f"{counted(len(heat.estimates), 'extracted state')}.",
+            "photo",
+        )
+        for heat in record.heat_maps
+    ]
+    if not pictures:
+        return NOTHING
+    intro = paragraph(
+        "The probability hypothesis density over the image: where the filter expects objects, and how many. "
+        "A detection that leaves no light was taken for a false alarm."
+    )
+    return section("What the filter believes", intro, element("div", join(pictures), "grid"))
+
+
+def _timings(record: RunRecord) -> Html:
+    stages = stage_times(record)
+    if not stages:
+        return NOTHING
+    rows = [
+        (s.name, f"{s.mean:.2f}", f"{s.median:.2f}", f"{s.high:.2f}", f"{100 * s.share:.0f} %", _rate(s.mean))
+        for s in stages
+    ]
+    total = 1000 * record.series.seconds.sum(axis=1)
+    mean = float(total.mean())
+    rows.append(
+        ("together", f"{mean:.2f}", f"{np.median(total):.2f}", f"{np.quantile(total, 0.95):.2f}", "100 %", _rate(mean))
+    )
+    head = ("stage", "mean ms", "median ms", "95 % below, ms", "share", "frames per second")
+    alt = f"Stacked chart of the time per frame, {mean:.1f} milliseconds on average."
+    caption = "Time per frame and stage. Single spikes, such as a first compilation, may reach beyond the scale."
+    whole = f"Everything together, with decoding, drawing and writing, took {duration(record.about.seconds)}."
+    return section(
+        "Time per stage",
+        figure(timing_chart(record), alt, caption, "chart"),
+        table(head, rows, "numbers"),
+        paragraph(whole) if record.about.seconds > 0 else NOTHING,
+    )
+
+
+def _rate(milliseconds: float) -> str:
+    return f"{1000 / milliseconds:.1f}" if milliseconds > 0 else "–"
+
+
+def _settings(record: RunRecord, config: Mapping[str, object]) -> Html:
+    about = record.about
+    command = element("pre", element("code", text(about.command))) if about.command else NOTHING
+    versions = ", ".join(f"{name} {version}" for name, version in about.versions)
+    return section(
+        "How to get this again",
+        command,
+        paragraph(f"Seed {about.seed}. {versions}"),
+        details("All settings", table(("setting", "value"), flattened(config), "settings")),
+    )
