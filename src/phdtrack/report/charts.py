@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from phdtrack.report.canvas import INK, Picture, block_size, chart_axes, legend, new_figure, thinned, to_svg
-from phdtrack.report.palette import hexadecimal, identity_colour
+from phdtrack.report.palette import identity_colour
 from phdtrack.report.record import RunRecord
 from phdtrack.types import F8, I8, Bool, Tracks
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _POINTS = 1200
 _BARS = 200
 _LABELLED_ROWS = 60
+_OUTLINES = 3000
 STAGE_COLOURS = ("#9aa5b8", "#3b6fd4", "#e08a1e", "#2a9d74", "#a45cc0", "#c0504d")
 
 
@@ -49,26 +50,38 @@ def count_chart(record: RunRecord) -> Picture:
 
 def lifetime_chart(record: RunRecord) -> Picture:
     """One bar for each identity from its first to its last frame; lighter where predicted, white where missing."""
-    identities = np.unique(record.tracks.identity)
-    height = float(np.clip(0.8 + 0.17 * len(identities), 1.6, 9.0))
+    tracks = record.by_identity()
+    height = float(np.clip(0.8 + 0.17 * len(tracks), 1.6, 9.0))
     figure = new_figure(8.2, height)
     axes = chart_axes(figure, _time_label(1, 1), "identity")
     axes.grid(False, axis="y")
-    row_of = {int(identity): row for row, identity in enumerate(identities)}
-    for identity, row in row_of.items():
-        rows = record.tracks.take(record.tracks.identity == identity)
-        colour = hexadecimal(identity_colour(identity))
-        for predicted, alpha in ((False, 1.0), (True, 0.35)):
-            spans = _spans(record, rows, rows.predicted == predicted)
-            axes.broken_barh(spans, (row - 0.4, 0.8), facecolors=colour, alpha=alpha, linewidth=0)
-    if len(identities) <= _LABELLED_ROWS:
-        axes.set_yticks(range(len(identities)), [str(i) for i in identities])
+    _bars(axes, record, tracks)
+    if len(tracks) <= _LABELLED_ROWS:
+        axes.set_yticks(range(len(tracks)), [str(rows.identity[0]) for rows in tracks])
     else:
         axes.set_yticks([])
-        axes.set_ylabel(f"{len(identities)} identities, the earliest number on top", fontsize=10, color=INK)
-    axes.set_ylim(max(len(identities), 1) - 0.4, -0.6)
+        axes.set_ylabel(f"{len(tracks)} identities, the lowest number on top", fontsize=10, color=INK)
+    axes.set_ylim(max(len(tracks), 1) - 0.4, -0.6)
     _whole_run(axes, record.series.times)
     return to_svg(figure)
+
+
+def _bars(axes: Axes, record: RunRecord, tracks: tuple[Tracks, ...]) -> None:
+    """All bars as one collection, which stays quick with thousands; as pixels where outlines would swell the file."""
+    from matplotlib.collections import PolyCollection
+
+    corners: list[F8] = []
+    colours: list[tuple[float, float, float, float]] = []
+    for row, rows in enumerate(tracks):
+        red, green, blue = (c / 255 for c in identity_colour(int(rows.identity[0])))
+        for predicted, alpha in ((False, 1.0), (True, 0.35)):
+            for start, end in _spans(record, rows, rows.predicted == predicted):
+                bar = [(start, row - 0.4), (end, row - 0.4), (end, row + 0.4), (start, row + 0.4)]
+                corners.append(np.array(bar))
+                colours.append((red, green, blue, alpha))
+    bars = PolyCollection(corners, facecolors=colours, linewidths=0, rasterized=len(corners) > _OUTLINES)
+    axes.add_collection(bars, autolim=True)
+    axes.autoscale_view(scaley=False)
 
 
 def timing_chart(record: RunRecord) -> Picture:
@@ -91,15 +104,14 @@ def timing_chart(record: RunRecord) -> Picture:
 
 
 def _spans(record: RunRecord, rows: Tracks, chosen: Bool) -> list[tuple[float, float]]:
-    """(start, duration) in seconds of the stretches of consecutive frames among the ``chosen`` rows of one identity."""
+    """(start, end) in seconds of the stretches of consecutive frames among the ``chosen`` rows of one identity."""
     frames = rows.frame[chosen]
     if not len(frames):
         return []
     cuts = np.flatnonzero(np.diff(frames) > 1) + 1
     first, last = frames[np.r_[0, cuts]], frames[np.r_[cuts - 1, len(frames) - 1]]
-    start = _seconds_at(record, first)
-    duration = _seconds_at(record, last) + _interval(record) - start
-    return [(float(a), float(b)) for a, b in zip(start, duration, strict=True)]
+    start, end = _seconds_at(record, first), _seconds_at(record, last) + _interval(record)
+    return [(float(a), float(b)) for a, b in zip(start, end, strict=True)]
 
 
 def _seconds_at(record: RunRecord, frames: I8) -> F8:
@@ -109,7 +121,8 @@ def _seconds_at(record: RunRecord, frames: I8) -> F8:
         return (frames - 1).astype(np.float64) * interval
     inside: F8 = np.interp(frames, series.numbers, series.times)
     before, beyond = np.minimum(frames - series.numbers[0], 0), np.maximum(frames - series.numbers[-1], 0)
-    return inside + (before + beyond).astype(np.float64) * interval
+    seconds: F8 = np.asarray(inside + (before + beyond) * interval, dtype=np.float64)
+    return seconds
 
 
 def _interval(record: RunRecord) -> float:

@@ -30,7 +30,7 @@ from phdtrack.report.markup import (
 from phdtrack.report.record import RunRecord
 from phdtrack.report.run_json import flattened, write_text
 from phdtrack.report.scenes import heat_picture, trajectory_picture
-from phdtrack.report.summary import counted, duration, grouped, sentences, stage_times
+from phdtrack.report.summary import counted, duration, grouped, percent, sentences, stage_times
 
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 _MEANING = (
@@ -88,15 +88,13 @@ def report_html(record: RunRecord, config: Mapping[str, object]) -> str:
 def _header(record: RunRecord, title: Html) -> Html:
     """Title, tiles with the key figures, and the run in words."""
     series, tracks = record.series, record.tracks
-    false_alarms = float(series.clutter_mass.sum())
-    predicted = f"{100 * tracks.predicted.mean():.0f} %" if len(tracks) else "–"
     speed = f"{record.frames_per_second:.1f}" if math.isfinite(record.frames_per_second) else "–"
     tiles = (
         (grouped(record.n_objects), "objects tracked"),
         (grouped(len(series)), "frames"),
         (grouped(int(series.n_detections.sum())), "detections"),
-        (grouped(false_alarms), "of them false alarms (expected)"),
-        (predicted, "of track boxes predicted"),
+        (grouped(record.false_alarms), "of them false alarms (expected)"),
+        (percent(float(tracks.predicted.sum()), len(tracks)), "of track boxes predicted"),
         (speed, "frames per second"),
     )
     cells = [element("div", join([element("b", text(value)), element("span", text(name))]), "tile") for value, name in tiles]
@@ -162,9 +160,9 @@ def _lifetimes(record: RunRecord) -> Html:
         return NOTHING
     lengths = np.unique(record.tracks.identity, return_counts=True)[1]
     alt = (
-        f"Bar chart of {counted(len(lengths), 'track')}: the shortest has {counted(int(lengths.min()), 'box')}"
+        f"Bar chart of {counted(len(lengths), 'track')}: the shortest has {counted(int(lengths.min()), 'box', 'boxes')}"
         f", the median {np.median(lengths):.0f}, the longest {lengths.max()}."
-    ).replace("boxs", "boxes")
+    )
     caption = "One bar for each identity. Light: predicted while the detector missed it. Gaps: no track."
     return section("Track lifetimes", figure(lifetime_chart(record), alt, caption, "chart"))
 
@@ -184,7 +182,8 @@ def _heat_maps(record: RunRecord) -> Html:
         return NOTHING
     intro = paragraph(
         "The probability hypothesis density over the image: where the filter expects objects, and how many. "
-        "A detection that leaves no light was taken for a false alarm."
+        "White crosses are detections, rings the states extracted from the density: a cross without light around it "
+        "was taken for a false alarm."
     )
     return section("What the filter believes", intro, element("div", join(pictures), "grid"))
 
@@ -193,14 +192,11 @@ def _timings(record: RunRecord) -> Html:
     stages = stage_times(record)
     if not stages:
         return NOTHING
-    rows = [
-        (s.name, f"{s.mean:.2f}", f"{s.median:.2f}", f"{s.high:.2f}", f"{100 * s.share:.0f} %", _rate(s.mean))
-        for s in stages
-    ]
+    rows = [(s.name, f"{s.mean:.2f}", f"{s.median:.2f}", f"{s.high:.2f}", percent(s.share), _rate(s.mean)) for s in stages]
     total = 1000 * record.series.seconds.sum(axis=1)
     mean = float(total.mean())
     rows.append(
-        ("together", f"{mean:.2f}", f"{np.median(total):.2f}", f"{np.quantile(total, 0.95):.2f}", "100 %", _rate(mean))
+        ("together", f"{mean:.2f}", f"{np.median(total):.2f}", f"{np.quantile(total, 0.95):.2f}", percent(1), _rate(mean))
     )
     head = ("stage", "mean ms", "median ms", "95 % below, ms", "share", "frames per second")
     alt = f"Stacked chart of the time per frame, {mean:.1f} milliseconds on average."

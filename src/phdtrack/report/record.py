@@ -124,6 +124,17 @@ class RunRecord:
         return len(np.unique(self.tracks.identity))
 
     @property
+    def false_alarms(self) -> float:
+        """Expected number of false alarms among all detections; frames in which it is unknown (NaN) count as none."""
+        return float(np.nansum(self.series.clutter_mass))
+
+    def by_identity(self) -> tuple[Tracks, ...]:
+        """The rows of each identity, ascending, each in the order of frames."""
+        order = np.lexsort((self.tracks.frame, self.tracks.identity))
+        cuts = np.flatnonzero(np.diff(self.tracks.identity[order])) + 1
+        return tuple(self.tracks.take(index) for index in np.split(order, cuts) if len(index))
+
+    @property
     def frames_per_second(self) -> float:
         """Frames over the time of all stages, which leaves out decoding and drawing; NaN where no time was measured."""
         total = float(self.series.seconds.sum())

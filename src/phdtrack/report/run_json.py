@@ -45,7 +45,7 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
         "track_rows": len(record.tracks),
         "predicted_rows": int(record.tracks.predicted.sum()),
         "detections": int(series.n_detections.sum()),
-        "expected_false_alarms": float(series.clutter_mass.sum()),
+        "expected_false_alarms": record.false_alarms,
         "expected_count_mean": float(series.mass.mean()) if len(series) else math.nan,
         "scores": dict(about.scores),
         "warnings": list(about.warnings),

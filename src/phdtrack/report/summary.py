@@ -12,7 +12,8 @@ import numpy as np
 
 from phdtrack.report.record import RunRecord
 
-_NARROW = "\u202f"
+NBSP = "\u00a0"
+"""A space that does not break; unlike the narrow ones every legacy terminal encoding has it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,17 +28,17 @@ class StageTime:
 
 
 def grouped(number: float) -> str:
-    """A whole number with narrow spaces between groups of three digits."""
-    return f"{round(number):,}".replace(",", _NARROW)
+    """A whole number with spaces between groups of three digits."""
+    return f"{round(number):,}".replace(",", NBSP)
 
 
-def counted(number: int, noun: str) -> str:
-    """ "1 frame", "2 frames"."""
-    return f"{grouped(number)} {noun}{'' if number == 1 else 's'}"
+def counted(number: int, noun: str, plural: str = "") -> str:
+    """Such as "1 frame" and "2 frames"; ``plural`` where an s does not make it."""
+    return f"{grouped(number)} {noun if number == 1 else plural or noun + 's'}"
 
 
 def duration(seconds: float) -> str:
-    """ "8.2 s", "1 min 54 s", "2 h 5 min"."""
+    """Such as "8.2 s", "1 min 54 s", "2 h 5 min"."""
     if seconds < 60:
         return f"{seconds:.1f} s"
     if seconds < 3600:
@@ -49,18 +50,18 @@ def sentences(record: RunRecord) -> tuple[str, ...]:
     """What happened, in a few sentences without markup."""
     series, tracks = record.series, record.tracks
     said = [f"{counted(record.n_objects, 'object')} in {counted(len(series), 'frame')}{_length(record)}."]
-    detections, clutter = int(series.n_detections.sum()), float(series.clutter_mass.sum())
+    detections, clutter = int(series.n_detections.sum()), record.false_alarms
     if detections:
         said.append(
             f"The filter took about {grouped(clutter)} of {counted(detections, 'detection')} "
-            f"({_percent(clutter, detections)}) for false alarms."
+            f"({percent(clutter, detections)}) for false alarms."
         )
     elif len(series):
         said.append("The detector found nothing.")
     if len(tracks):
         predicted = int(tracks.predicted.sum())
         said.append(
-            f"{_percent(predicted, len(tracks))} of the track boxes bridge frames in which the detector missed the object."
+            f"{percent(predicted, len(tracks))} of the track boxes bridge frames in which the detector missed the object."
         )
     if math.isfinite(record.frames_per_second):
         said.append(f"Detection and tracking ran at {record.frames_per_second:.1f} frames per second.")
@@ -90,6 +91,9 @@ def _length(record: RunRecord) -> str:
     return f" ({duration(float(times[-1] - times[0]))} of video)" if len(times) > 1 else ""
 
 
-def _percent(part: float, whole: float) -> str:
+def percent(part: float, whole: float = 1.0) -> str:
+    """The share in per cent, with a decimal where it is small; a dash where there is no whole."""
+    if not whole > 0:
+        return "–"
     share = 100 * part / whole
-    return f"{share:.1f} %" if 0 < share < 10 else f"{share:.0f} %"
+    return f"{share:.1f}{NBSP}%" if 0 < share < 10 else f"{share:.0f}{NBSP}%"
