@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from phdtrack.boxes import iou
-from phdtrack.types import DetectionTable, Detections, Tracks, Truth
+from phdtrack.types import Detections, DetectionTable, Tracks, Truth
 
 REAL = [
     (sequence, detector)
@@ -15,6 +16,11 @@ REAL = [
     for detector in ("det_public", "det_frcnn")
     if (sequence, detector) != ("ADL-Rundle-6", "det_public")
 ]
+
+
+def close(ours, theirs, within: float = 1e-9) -> None:
+    """Equal but for rounding; NaN equals NaN."""
+    assert ours == pytest.approx(theirs, abs=within, rel=0, nan_ok=True)
 
 
 def tracks_of(frame, identity, xyxy) -> Tracks:

@@ -1,7 +1,7 @@
 """TrackEval's figures for the same rows.
 
-TrackEval is installed without its dependencies, because they would replace OpenCV 4 by 5; besides NumPy and SciPy it needs
-tqdm, matplotlib and Pillow. Its import prints a line about pycocotools, which only its BURST data set needs, to standard output.
+TrackEval is installed without its dependencies, because they would replace OpenCV 4 by 5. What is used here needs only NumPy
+and SciPy; its import prints a line about pycocotools, which its BURST data set would need.
 """
 
 from __future__ import annotations

@@ -5,12 +5,14 @@ from phdtrack.metrics.lifetimes import Delays, first_output_delays
 from phdtrack.metrics.ospa import ospa, ospa_of
 from phdtrack.metrics.rmse import TargetErrors, rmse_per_target
 from phdtrack.metrics.scores import Scores, Settings, evaluate, pool
+from phdtrack.metrics.tgospa import TGospaParts, tgospa_boxes, tgospa_of
 
 __all__ = [
     "Delays",
     "GospaParts",
     "Scores",
     "Settings",
+    "TGospaParts",
     "TargetErrors",
     "evaluate",
     "first_output_delays",
@@ -22,4 +24,6 @@ __all__ = [
     "ospa_of",
     "pool",
     "rmse_per_target",
+    "tgospa_boxes",
+    "tgospa_of",
 ]

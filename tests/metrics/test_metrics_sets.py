@@ -1,0 +1,244 @@
+"""OSPA, GOSPA, T-GOSPA and RMSE: against Stone Soup, against twins that try every mapping, and by their laws."""
+
+from __future__ import annotations
+
+import datetime
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from metric_cases import close, crude_tracks, perfect, random_case, real_detections, real_truth
+
+from phdtrack.boxes import iou
+from phdtrack.errors import InputError
+from phdtrack.metrics import (
+    evaluate,
+    gospa,
+    gospa_of,
+    gospa_parts,
+    ospa,
+    ospa_of,
+    rmse_per_target,
+    tgospa_boxes,
+    tgospa_of,
+)
+from phdtrack.types import Tracks
+from reference import metrics_twins as twins
+
+stonesoup = pytest.importorskip("stonesoup", reason="pip install stonesoup")
+from stonesoup.base import Property  # noqa: E402
+from stonesoup.measures import Euclidean, Measure  # noqa: E402
+from stonesoup.metricgenerator.ospametric import GOSPAMetric, OSPAMetric  # noqa: E402
+from stonesoup.types.state import State  # noqa: E402
+
+NOW = datetime.datetime(2009, 7, 6)
+seeds = st.integers(0, 2**32 - 1)
+
+
+class BoxDistance(Measure):
+    """1 − IoU of two xyxy state vectors, in plain Python."""
+
+    mapping: tuple = Property(default=None)
+
+    def __call__(self, state1, state2):
+        a, b = (tuple(float(v) for v in s.state_vector.ravel()) for s in (state1, state2))
+        return 1 - twins.overlap(a, b)
+
+
+class SquaredDistance(Euclidean):
+    def __call__(self, state1, state2):
+        return super().__call__(state1, state2) ** 2
+
+
+def states(points: np.ndarray) -> list[State]:
+    return [State(column[:, None], timestamp=NOW) for column in points.T]
+
+
+def theirs(x, y, c, p, measure=None) -> tuple[float, float]:
+    """Stone Soup's OSPA and GOSPA."""
+    measure = measure or Euclidean()
+    a, b = states(x), states(y)
+    o = OSPAMetric(c=c, p=p, measure=measure).compute_OSPA_distance(a, b).value
+    g, _ = GOSPAMetric(c=c, p=p, measure=measure).compute_gospa_metric(a, b)
+    return float(o), float(g.value["distance"])
+
+
+def sets(seed: int, most: int = 8) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    n, m = rng.integers(0, most, 2)
+    x = rng.uniform(0, 100, (2, n))
+    y = np.concatenate([x[:, : m // 2] + rng.normal(0, 5, (2, min(n, m // 2))), rng.uniform(0, 100, (2, m))], axis=1)[:, :m]
+    return x, y
+
+
+@pytest.mark.parametrize("c", [10.0, 50.0])
+@pytest.mark.parametrize("seed", range(40))
+def test_points_agree_with_stone_soup(seed: int, c: float):
+    x, y = sets(seed)
+    if not x.size and not y.size:
+        return
+    o, g = theirs(x, y, c, 1.0)
+    assert ospa(x, y, c) == pytest.approx(o, abs=1e-9)
+    assert gospa(x, y, c) == pytest.approx(g, abs=1e-9)
+    assert gospa(x, y, c, 2.0) == pytest.approx(theirs(x, y, c, 2.0)[1], abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_second_order_ospa(seed: int):
+    """Stone Soup assigns by d, not by d², so its OSPA of order 2 is an upper bound; of squared distances it is exact."""
+    x, y = sets(seed + 100)
+    if not x.size and not y.size:
+        return
+    ours = ospa(x, y, 20.0, 2.0)
+    assert ours <= theirs(x, y, 20.0, 2.0)[0] + 1e-9
+    assert ours == pytest.approx(np.sqrt(theirs(x, y, 400.0, 1.0, SquaredDistance())[0]), abs=1e-9)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("sequence", ["TUD-Campus", "PETS09-S2L1"])
+def test_real_sequences_agree_with_stone_soup(data, sequence: str):
+    """Boxes by 1 − IoU through `evaluate`, and their centres in pixels."""
+    truth = real_truth(data, sequence)
+    table = real_detections(data, sequence, "det_public")
+    tracks = crude_tracks(table)
+    frames = range(1, min(table.last, 120) + 1)
+    on_boxes = []
+    for k in frames:
+        t, o = truth.xyxy[truth.frame == k], tracks.xyxy[tracks.frame == k]
+        on_boxes.append(theirs(t.T, o.T, 1.0, 1.0, BoxDistance()) if len(t) + len(o) else (0.0, 0.0))
+        x, y = ((box[:, :2] + box[:, 2:]).T / 2 for box in (t, o))
+        assert [ospa(x, y, 40.0), gospa(x, y, 40.0)] == pytest.approx(theirs(x, y, 40.0, 1.0), abs=1e-9)
+    scores = evaluate(truth, tracks, frames=len(frames))
+    close([scores.OSPA, scores.GOSPA], np.mean(on_boxes, axis=0))
+
+
+@given(seeds, st.sampled_from([5.0, 30.0]), st.sampled_from([1.0, 2.0, 3.5]))
+@settings(max_examples=60, deadline=None)
+def test_sets_agree_with_every_mapping_tried(seed: int, c: float, p: float):
+    x, y = sets(seed, most=5)
+    distance = np.hypot(*(x[:, :, None] - y[:, None, :]))
+    n, m = distance.shape
+    assert ospa_of(distance, c, p) == pytest.approx(twins.ospa(distance, n, m, c, p))
+    assert gospa_of(distance, c, p) == pytest.approx(twins.gospa(distance, n, m, c, p))
+    parts = gospa_parts(x, y, c, p)
+    assert parts.distance == pytest.approx(gospa(x, y, c, p))
+    assert parts.distance**p == pytest.approx(parts.localisation + parts.missed + parts.false)
+    assert (parts.missed, parts.false) == pytest.approx((parts.missed_count * c**p / 2, parts.false_count * c**p / 2))
+
+
+@given(seeds, st.sampled_from([1.0, 2.0]), st.sampled_from([1.0, 2.0]))
+@settings(max_examples=60, deadline=None)
+def test_they_are_metrics(seed: int, p: float, alpha: float):
+    x, y = sets(seed)
+    z, _ = sets(seed ^ 12345)
+    for d in (lambda a, b: ospa(a, b, 20.0, p), lambda a, b: gospa(a, b, 20.0, p, alpha)):
+        assert d(x, x) == pytest.approx(0, abs=1e-12)
+        assert d(x, y) == pytest.approx(d(y, x))
+        assert d(x, z) <= d(x, y) + d(y, z) + 1e-9
+    assert ospa(x, y, 20.0, p) <= 20.0
+
+
+def test_known_values():
+    x, y = np.array([[0.0, 10.0], [0.0, 0.0]]), np.array([[3.0], [4.0]])
+    assert ospa(x, y, 20.0) == pytest.approx((5 + 20) / 2)
+    assert gospa(x, y, 20.0) == pytest.approx(5 + 10)
+    assert gospa(x, y, 20.0, alpha=1.0) == pytest.approx(5 + 20)
+    parts = gospa_parts(x, y, 20.0)
+    assert (parts.localisation, parts.missed, parts.false) == pytest.approx((5, 10, 0))
+    assert ospa(np.zeros((2, 0)), np.zeros((2, 0)), 5.0) == 0
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: ospa(np.zeros((2, 3)), np.zeros((4, 2)), 1.0),
+        lambda: ospa(np.zeros(3), np.zeros(3), 1.0),
+        lambda: gospa(np.zeros((2, 1)), np.full((2, 1), np.nan), 1.0),
+        lambda: ospa(np.zeros((2, 1)), np.zeros((2, 1)), 0.0),
+        lambda: ospa(np.zeros((2, 1)), np.zeros((2, 1)), 1.0, 0.5),
+        lambda: gospa(np.zeros((2, 1)), np.zeros((2, 1)), 1.0, alpha=3.0),
+        lambda: tgospa_of(np.zeros((2, 1, 1)), np.ones((2, 1), bool), np.ones((3, 1), bool), 1.0),
+        lambda: tgospa_of(np.zeros((2, 1, 1)), np.ones((2, 1), bool), np.ones((2, 1), bool), 1.0, gamma=-1.0),
+    ],
+)
+def test_bad_input_is_refused(call):
+    with pytest.raises(InputError, match="expected"):
+        call()
+
+
+def trajectories(seed: int, frames: int = 6, n: int = 2, m: int = 3):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(0, 2.5, (frames, n, m)), rng.random((frames, n)) < 0.8, rng.random((frames, m)) < 0.7
+
+
+@given(seeds, st.sampled_from([1.0, 2.0]), st.sampled_from([0.0, 0.3, 1.0, 4.0]))
+@settings(max_examples=40, deadline=None)
+def test_trajectories_of_one_object_agree_with_every_mapping_tried(seed: int, p: float, gamma: float):
+    """With one object the programme is a shortest path, and its weights are 0 or 1."""
+    distance, there, given_ = trajectories(seed, n=1)
+    ours = tgospa_of(distance, there, given_, 1.0, p, gamma)
+    power = twins.tgospa_power(distance, there, given_, 1.0, p, gamma)
+    assert ours.distance**p == pytest.approx(power, abs=1e-7)
+    assert ours.localisation + ours.missed + ours.false + ours.switching == pytest.approx(power, abs=1e-7)
+
+
+@given(seeds, st.sampled_from([0.2, 1.0]))
+@settings(max_examples=25, deadline=None)
+def test_the_relaxation_lies_below_and_mostly_on_the_integer_optimum(seed: int, gamma: float):
+    distance, there, given_ = trajectories(seed)
+    ours = tgospa_of(distance, there, given_, 1.0, 1.0, gamma).distance
+    power = twins.tgospa_power(distance, there, given_, 1.0, 1.0, gamma)
+    without = sum(gospa_of(distance[k][np.ix_(there[k], given_[k])], 1.0) for k in range(len(distance)))
+    assert without - 1e-7 <= ours <= power + 1e-7
+    assert tgospa_of(distance, there, given_, 1.0, 1.0, 0.0).distance == pytest.approx(without, abs=1e-7)
+
+
+def test_trajectories_of_boxes():
+    truth, tracks = random_case(np.random.default_rng(2), frames=25, objects=6)
+    scores = evaluate(truth, tracks)
+    assert tgospa_boxes(truth, tracks, gamma=0.0).distance == pytest.approx(scores.GOSPA * scores.frames)
+    assert tgospa_boxes(truth, tracks).switching > 0
+    assert tgospa_boxes(truth, perfect(truth)).distance == pytest.approx(0, abs=1e-9)
+    assert tgospa_boxes(truth, Tracks.empty()).missed == len(truth) / 2
+
+
+def test_a_switch_costs_gamma_and_a_break_half_of_it():
+    distance = np.zeros((4, 1, 2))
+    there = np.ones((4, 1), bool)
+    switched = np.array([[1, 0], [1, 0], [0, 1], [0, 1]], bool)
+    assert tgospa_of(distance, there, switched, 1.0, gamma=0.4).distance == pytest.approx(0.4)
+    assert tgospa_of(distance, there, switched, 1.0, gamma=0.4).switching == pytest.approx(0.4)
+    ended = np.array([[1, 0], [1, 0], [0, 0], [0, 0]], bool)
+    assert tgospa_of(distance, there, ended, 1.0, gamma=0.4).distance == pytest.approx(2 * 0.5)
+
+
+def test_rmse_of_known_errors():
+    frame = np.repeat([1, 2, 3], 2)
+    truth = np.array([[0, 100, 0, 100, 0, 100], [0, 0, 0, 0, 0, 0]], float)
+    estimate = truth + np.array([[3, 0, 0, 1, 3, 40], [0, 0, 4, 0, 0, 0]])
+    errors = rmse_per_target(frame, np.tile([7, 3], 3), truth, frame[::-1], estimate[:, ::-1], gate=20.0)
+    assert errors.identity.tolist() == [3, 7]
+    assert errors.mapped.tolist() == [2, 3]
+    assert errors.frames.tolist() == [3, 3]
+    assert errors.rmse == pytest.approx([np.sqrt(1 / 2), np.sqrt((9 + 16 + 9) / 3)])
+    assert errors.rmse_axis[:, 1] == pytest.approx([np.sqrt(18 / 3), np.sqrt(16 / 3)])
+    assert errors.overall == pytest.approx(np.sqrt((1 + 34) / 5))
+
+
+def test_rmse_without_estimates_is_undefined():
+    one = np.ones(1, np.int64)
+    errors = rmse_per_target(one, one, np.zeros((2, 1)), np.zeros(0, np.int64), np.zeros((2, 0)), gate=5.0)
+    assert np.isnan(errors.rmse).all()
+    assert np.isnan(errors.overall)
+    assert errors.mapped.tolist() == [0]
+    with pytest.raises(InputError, match="gate"):
+        rmse_per_target(one, one, np.zeros((2, 1)), one, np.zeros((2, 1)), gate=0.0)
+    with pytest.raises(InputError, match="columns"):
+        rmse_per_target(one, one, np.zeros((2, 1)), one, np.zeros((2, 2)), gate=1.0)
+
+
+def test_base_distance_on_boxes():
+    a, b = np.array([[0, 0, 10, 10.0]]), np.array([[0, 0, 10, 5.0], [40, 40, 50, 50]])
+    assert ospa_of(1 - iou(a, b), 1.0) == pytest.approx((0.5 + 1) / 2)
+    assert gospa_of(1 - iou(a, b), 1.0) == pytest.approx(0.5 + 0.5)
