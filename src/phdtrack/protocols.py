@@ -43,6 +43,10 @@ class Motion(Protocol):
 class Sensor(Protocol):
     """g(z|x) and p_D: what a target looks like to the detector, and how often it is seen."""
 
+    @property
+    def observed(self) -> tuple[int, ...]:
+        """The rows of the state that a measurement shows, in the order of its first components."""
+
     def measure(self, detections: Detections) -> F8:
         """(m, N) the measurement vectors of the detections."""
 
@@ -60,9 +64,6 @@ class Sensor(Protocol):
 
     def states(self, z: F8) -> tuple[F8, F8]:
         """States at rest (d, N) that would give ``z``, and their covariance (N, d, d) when z is all that is known."""
-
-    def sample_states(self, z: F8, rng: np.random.Generator) -> tuple[F8, F8]:
-        """A newborn's draw (d, N) around each column of ``z`` (m, N), and the log of its proposal density (N,)."""
 
     def noise(self, x: F8) -> F8:
         """(d, n) standard deviations by which state components at ``x`` are resolved: the scale for distances."""

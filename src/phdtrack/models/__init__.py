@@ -1,1 +1,19 @@
-"""."""
+"""The shipped models of the world: motions, sensors, births, clutters, and the papers' presets made of them."""
+
+from phdtrack.models.births import FixedBirth, MeasurementBirth, UniformBirth
+from phdtrack.models.box_motion import BoxMotion
+from phdtrack.models.box_sensor import BoxSensor
+from phdtrack.models.clutter import LocalClutter, UniformClutter
+from phdtrack.models.spawning import NoSpawn, SplitSpawn
+
+__all__ = [
+    "BoxMotion",
+    "BoxSensor",
+    "FixedBirth",
+    "LocalClutter",
+    "MeasurementBirth",
+    "NoSpawn",
+    "SplitSpawn",
+    "UniformBirth",
+    "UniformClutter",
+]

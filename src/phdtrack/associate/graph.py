@@ -1,0 +1,145 @@
+"""Multi-frame association by graph matching with false-hypothesis correction [M07 §3].
+
+Vertices are the extracted states of the last seconds. An edge joins a vertex to a later one; its gain is the log-density of
+the later state under the j-step transition from the earlier, minus that of leaving both ends open. The best set of tracks
+is the path cover of maximum total gain: with each vertex split into an out-side and an in-side, a bipartite matching
+(Shafique and Shah 2005). It is extended frame by frame, by one augmenting path per new vertex.
+
+The density of a loose end is that of a state ``gate`` deviations away from a typical one-step prediction: so the one parameter
+is free of the image's size, the target's size and the frame rate. The degenerate f is convolved with the covariances of
+both states and evaluated on the rows that a measurement shows.
+
+Online rows, once given, never change; the tracks of `finish` use all corrections.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from phdtrack.associate import offline, online
+from phdtrack.associate.history import History, Moment
+from phdtrack.associate.window import Columns, Window, advance, empty_window, insert
+from phdtrack.kernels.gating import gated_pairs
+from phdtrack.kernels.gaussian import gaussian_parts
+from phdtrack.protocols import Model
+from phdtrack.types import F8, I8, Estimates, Tracks
+
+
+@dataclass(frozen=True, slots=True)
+class GraphState:
+    """Window of open links, everything seen, and what was given out online."""
+
+    window: Window
+    history: History
+    online: online.Given
+    vertices: int = 0
+    time: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class GraphMatching:
+    """Settings of the association.
+
+    Parameters
+    ----------
+    span : seconds over which states are linked; M07's K = 50 frames at 25 Hz.
+    shortest : tracks of fewer states are discarded (offline) or not yet confirmed (online).
+    gate : an edge is worth as much as two loose ends at this many deviations.
+    miss : probability that a target goes without a state for one frame inside its track: the price of a gap.
+    delay : frames by which the online output lags, so that links can still be corrected; 0 allowed.
+    coast : seconds for which a confirmed track without a state is continued online by the motion model.
+    bridge : fill the gaps of tracks with predicted, flagged boxes.
+    """
+
+    span: float = 2.0
+    shortest: int = 5
+    gate: float = 4.5
+    miss: float = 0.3
+    delay: int = 0
+    coast: float = 0.3
+    bridge: bool = True
+
+    def start(self) -> GraphState:
+        """Nothing seen."""
+        return GraphState(empty_window(0), History(), online.Given())
+
+    def extend(
+        self, state: GraphState, estimates: Estimates, number: int, dt: float, model: Model
+    ) -> tuple[GraphState, Tracks]:
+        """Link the states of frame ``number`` to the past; give the online rows that are now due [M07 §3]."""
+        window = state.window if state.vertices else empty_window(len(estimates.state))
+        window, later, earlier = advance(window, model.motion, dt, self.span * model.rate + 1e-9)
+        vertex = state.vertices + np.arange(len(estimates))
+        row, column, gain = self._edges(window.columns, estimates, dt, model)
+        window = insert(window, vertex, estimates, row, column, gain)
+        moment = Moment(number, state.time + dt, state.vertices, estimates, later, earlier)
+        extended = GraphState(
+            window, state.history.append(moment), state.online, state.vertices + len(estimates), moment.time
+        )
+        due = len(extended.history) - 1 - self.delay
+        if due < 0:
+            return extended, Tracks.empty()
+        given, tracks = online.give(extended.online, extended.history[due], window, self._output(model), model)
+        return replace(extended, online=given), tracks
+
+    def flush(self, state: GraphState, model: Model) -> Tracks:
+        """The online rows of the last ``delay`` frames, under the final links."""
+        parts, given = [], state.online
+        for due in range(max(0, len(state.history) - self.delay), len(state.history)):
+            given, tracks = online.give(given, state.history[due], state.window, self._output(model), model)
+            parts.append(tracks)
+        return Tracks.concatenate(parts)
+
+    def finish(self, state: GraphState, model: Model) -> Tracks:
+        """The corrected tracks: short ones left out, gaps bridged, identities from 1 in order of appearance."""
+        return offline.tracks(state.history, state.window, self.shortest, self.bridge, model)
+
+    def _output(self, model: Model) -> online.Output:
+        """Settings of the online output, in model time."""
+        return online.Output(self.shortest, self.coast * model.rate + 1e-9 if self.bridge else 0.0)
+
+    def _edges(self, columns: Columns, estimates: Estimates, dt: float, model: Model) -> tuple[I8, I8, F8]:
+        """Edges (new state, column) of positive gain, ordered by state: log f minus the loose ends' [M07 §3]."""
+        rows = list(model.sensor.observed)
+        covs = np.ascontiguousarray(estimates.covariance[:, rows][:, :, rows])
+        open_end = self._open_end(estimates, covs, dt, model)
+        far = self._reach(columns, covs, open_end)
+        row, column = gated_pairs(estimates.state[0], estimates.state[1], columns.mean[:2] - far, columns.mean[:2] + far)
+        order = np.argsort(row, kind="stable")
+        row, column = row[order], column[order]
+        step = estimates.state[rows][:, row] - columns.mean[rows][:, column]
+        distance2, log_det = gaussian_parts(step, covs[row] + columns.cov[column][:, rows][:, :, rows])
+        skipped = columns.frames[column] - 1
+        gain = open_end[row] - 0.5 * (distance2 + log_det) + skipped * math.log(self.miss)
+        worth = (gain > 0) & (columns.since[column] <= self.span * model.rate + 1e-9)
+        return row[worth], column[worth], gain[worth]
+
+    def _open_end(self, estimates: Estimates, covs: F8, dt: float, model: Model) -> F8:
+        """(n,) minus the log-density of two loose ends, less the Gaussian's constant.
+
+        It is the density at ``gate`` deviations from a typical one-step prediction: two measurements' noise and one step
+        of the motion's.
+        """
+        rows = list(model.sensor.observed)
+        _, _, noise = model.motion.transition(estimates.state, dt)
+        typical = np.ascontiguousarray(noise[:, rows][:, :, rows])
+        sigma = model.sensor.noise(estimates.state)[rows]
+        typical[:, range(len(rows)), range(len(rows))] += 2 * sigma.T**2
+        _, log_det = gaussian_parts(np.zeros((len(rows), len(typical))), typical)
+        result: F8 = 0.5 * (self.gate**2 + log_det)
+        return result
+
+    def _reach(self, columns: Columns, covs: F8, open_end: F8) -> F8:
+        """(2, C) half extent in position beyond which no edge to a column can have positive gain."""
+        if len(covs) == 0:
+            return np.zeros((2, len(columns.vertex)))
+        widest = np.stack([covs[:, r, r].max() for r in (0, 1)])[:, None]
+        spread = np.stack([columns.cov[:, r, r] for r in (0, 1)])
+        # gain > 0 needs distance² ≤ 2·open_end − log|S|, and |S| is at least that of the smallest state's covariance.
+        _, log_det = gaussian_parts(np.zeros((covs.shape[1], len(covs))), covs)
+        limit = max(0.0, float((2 * open_end).max() - log_det.min()))
+        reach: F8 = np.sqrt(limit * (spread + widest))
+        return reach

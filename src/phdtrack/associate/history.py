@@ -1,0 +1,50 @@
+"""What the associator remembers of every frame, as a record that grows without copying all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from phdtrack.types import I8, Estimates
+
+CHUNK = 256
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moment:
+    """One frame: its number, its model time, its states (vertices ``first``, ``first`` + 1, …), and the links made final.
+
+    ``later`` and ``earlier`` are the ends (global vertex numbers) of the links that this frame made unchangeable.
+    """
+
+    number: int
+    time: float
+    first: int
+    estimates: Estimates
+    later: I8
+    earlier: I8
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """All moments so far, in chunks, so that adding one copies a few hundred references at most."""
+
+    full: tuple[tuple[Moment, ...], ...] = ()
+    recent: tuple[Moment, ...] = ()
+
+    def append(self, moment: Moment) -> History:
+        """A history with one more moment."""
+        recent = (*self.recent, moment)
+        return History((*self.full, recent), ()) if len(recent) == CHUNK else History(self.full, recent)
+
+    def __len__(self) -> int:
+        return CHUNK * len(self.full) + len(self.recent)
+
+    def __getitem__(self, index: int) -> Moment:
+        chunk, place = divmod(index, CHUNK)
+        return self.full[chunk][place] if chunk < len(self.full) else self.recent[place]
+
+    def __iter__(self) -> Iterator[Moment]:
+        for chunk in self.full:
+            yield from chunk
+        yield from self.recent

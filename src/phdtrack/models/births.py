@@ -1,0 +1,165 @@
+"""γ(x): new targets, and the three ways to draw them.
+
+``measurement``: around the detections that nothing predicted accounts for [M07 §2]; ``uniform``: anywhere [D14 Alg. 2];
+``fixed``: from given Gaussians [E13 §4]. Rates are expected births per time unit of the model.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from phdtrack.arrays import sum_by
+from phdtrack.kernels.gating import gated_pairs
+from phdtrack.kernels.pairs import quadratic_form
+from phdtrack.models.volume import Volume, image_volume, in_neighbourhood, local_volume
+from phdtrack.protocols import Sensor
+from phdtrack.types import F8, I8, GaussianMixture, Particles
+
+# The part of a Gaussian proposal that newborn particles are drawn from. Outside, the importance ratio of a flat γ to the
+# proposal grows like exp(r²/2) and its variance is infinite: that mass is dropped.
+KEPT = 0.99
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurementBirth:
+    """γ uniform over the image or around the detections, drawn around the detections [M07 §2].
+
+    Parameters
+    ----------
+    rate : expected births per time unit and detection.
+    most : Jmax, particles drawn around a detection of which nothing is predicted.
+    volume : ``image`` or ``local``: what γ is spread over (see `models.volume`).
+    frame_size : the image's width and height in pixels, needed for ``image``.
+    """
+
+    rate: float = 0.01
+    most: int = 1000
+    volume: Volume = "image"
+    frame_size: tuple[float, float] = (0.0, 0.0)
+
+    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
+        """J_j = ⌈Jmax·max(0, 1 − M_j)⌉ particles around z_j with importance weights γ(x) / Σ_i J_i p_i(x) [M07 §2].
+
+        Position and size are drawn from the observation noise inside its 99 % region (the mass of γ outside all these
+        regions is dropped), the velocity with uniform direction and Gaussian amplitude. γ uses the same law of
+        velocities, which therefore cancels in the weight.
+        """
+        mean, cov = sensor.states(z)
+        rows = list(sensor.observed)
+        counts = np.ceil(self.most * np.clip(1.0 - covered, 0.0, 1.0)).astype(np.int64)
+        parent = np.repeat(np.arange(z.shape[1]), counts)
+        if len(parent) == 0:
+            return Particles(np.zeros((len(mean), 0)), np.zeros(0))
+        observed_cov = cov[:, rows][:, :, rows]
+        limit = _chi2_quantile(len(rows))
+        state = mean[:, parent]
+        root = np.linalg.cholesky(observed_cov)
+        state[rows] += np.einsum("jrs,sj->rj", root[parent], _truncated_normal(len(rows), len(parent), limit, rng))
+        _draw_velocity(state, cov, parent, rng)
+        log_proposal = _log_mixture(state[rows], mean[rows], observed_cov, counts, limit)
+        gamma = self._intensity(state[rows], z[: len(rows)]) * dt
+        return Particles(state, gamma * np.exp(-log_proposal))
+
+    def _intensity(self, observed: F8, z: F8) -> F8:
+        """γ per time unit at positions and sizes (m, L)."""
+        if self.volume == "image":
+            return np.full(observed.shape[1], self.rate / image_volume(self.frame_size))
+        point, which = gated_pairs(observed[0], observed[1], z[:2] - z[2:4], z[:2] + z[2:4])
+        near = in_neighbourhood(observed[:, point], z[:, which])
+        density = self.rate / local_volume(z)[which[near]]
+        return sum_by(point[near], density, observed.shape[1])
+
+
+@dataclass(frozen=True, slots=True)
+class UniformBirth:
+    """γ uniform over positions in the frame and a range of sizes, drawn anywhere [D14 Alg. 2].
+
+    Parameters
+    ----------
+    frame_size : width and height of the image, pixels.
+    rate : expected births per time unit.
+    count : particles drawn per frame, D14's J = 10.
+    smallest, largest : range of sizes as fractions of the frame's width and height.
+    """
+
+    frame_size: tuple[float, float]
+    rate: float = 0.1
+    count: int = 10
+    smallest: float = 0.02
+    largest: float = 0.5
+
+    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
+        """``count`` particles of mass rate·dt / count each, whatever was measured."""
+        size = np.array(self.frame_size)[:, None]
+        drawn = np.vstack(
+            [size * rng.random((2, self.count)), size * rng.uniform(self.smallest, self.largest, (2, self.count))]
+        )
+        mean, cov = sensor.states(np.vstack([drawn, np.ones((max(0, len(z) - 4), self.count))]))
+        state = mean.copy()
+        _draw_velocity(state, cov, np.arange(self.count), rng)
+        return Particles(state, np.full(self.count, self.rate * dt / max(1, self.count)))
+
+
+@dataclass(frozen=True, slots=True)
+class FixedBirth:
+    """γ a given mixture of Gaussians whose weights are births per time unit, ``count`` particles each [E13 §4]."""
+
+    mixture: GaussianMixture
+    count: int = 300
+
+    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
+        """``count`` particles from each Gaussian, of total mass weight·dt, whatever was measured."""
+        return draw(self.mixture, self.count, dt, rng)
+
+
+def draw(mixture: GaussianMixture, count: int, scale: float, rng: np.random.Generator) -> Particles:
+    """``count`` particles from each component, of total mass ``scale`` times its weight."""
+    d, k = mixture.mean.shape
+    root = np.linalg.cholesky(mixture.covariance)
+    noise = rng.standard_normal((k, d, count))
+    state = mixture.mean.T[:, :, None] + root @ noise
+    weight = np.repeat(mixture.weight * scale / max(1, count), count)
+    return Particles(np.ascontiguousarray(state.transpose(1, 0, 2).reshape(d, k * count)), weight)
+
+
+def _chi2_quantile(dof: int) -> float:
+    """The squared radius that holds the kept part of a standard Gaussian in ``dof`` dimensions (13.28 in four)."""
+    from scipy.special import chdtri
+
+    return float(chdtri(dof, 1 - KEPT))
+
+
+def _truncated_normal(rows: int, count: int, limit: float, rng: np.random.Generator) -> F8:
+    """(rows, count) standard Gaussian vectors inside the radius √limit."""
+    out = rng.standard_normal((rows, count))
+    outside = np.flatnonzero((out**2).sum(0) > limit)
+    while len(outside):
+        out[:, outside] = rng.standard_normal((rows, len(outside)))
+        outside = outside[(out[:, outside] ** 2).sum(0) > limit]
+    return out
+
+
+def _draw_velocity(state: F8, cov: F8, parent: I8, rng: np.random.Generator) -> None:
+    """Fill rows 2 and 3 with velocities of uniform direction and Gaussian amplitude, whose variance per axis is half."""
+    n = state.shape[1]
+    amplitude = np.sqrt(2 * cov[parent, 2, 2]) * rng.standard_normal(n)
+    angle = rng.uniform(0, 2 * math.pi, n)
+    state[2], state[3] = amplitude * np.cos(angle), amplitude * np.sin(angle)
+
+
+def _log_mixture(points: F8, mean: F8, cov: F8, counts: I8, limit: float) -> F8:
+    """(L,) log Σ_i J_i p_i(x), p_i the Gaussian about ``mean[:, i]`` cut at Mahalanobis distance² ``limit``."""
+    reach = np.sqrt(limit * np.stack([cov[:, 0, 0], cov[:, 1, 1]]))
+    point, which = gated_pairs(points[0], points[1], mean[:2] - reach, mean[:2] + reach)
+    distance2 = quadratic_form(points, mean, np.linalg.inv(cov), point, which)
+    _, log_det = np.linalg.slogdet(cov)
+    log_norm = -0.5 * log_det - 0.5 * len(points) * math.log(2 * math.pi) - math.log(KEPT)
+    # A particle on the rim of its own region may come out just outside by rounding.
+    inside = distance2 <= limit * (1 + 1e-9)
+    density = counts[which] * np.exp(log_norm[which] - 0.5 * distance2)
+    total = sum_by(point[inside], density[inside], points.shape[1])
+    out: F8 = np.log(total)
+    return out

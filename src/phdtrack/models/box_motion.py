@@ -1,0 +1,114 @@
+"""How boxes move in the image: constant velocity of the centre, random walk of the size.
+
+State x = (px, py, vx, vy, w, h): centre, velocity per time unit (a frame at 25 Hz in M07 and M09), width and height. One
+white-noise acceleration n drives position and velocity of an axis, so f is degenerate in (p, v): it has no density in the
+full state space, and whoever needs one convolves it with the covariance of the state it is evaluated at.
+
+With ``scaled`` all noises are multiples of the target's own size ("state-dependent variances", SDV), because large objects
+in the image accelerate faster [M09 (11)]; without, they are constants ("fixed variances", FV).
+
+Interval T: the papers print T²/2 and T, under which a gap of two frames is not two steps of one. The covariance used is
+
+    position  a² (T³/3 − min(T, T³)/12)     position, velocity  a² T²/2     velocity  a² T      size  b² T
+
+equal to the papers' at T = 1 and, for whole T, to T of their steps. For T < 1 the subtracted term keeps it positive
+semidefinite with one noise an axis, as printed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from phdtrack.models.spawning import NoSpawn, Spawn
+from phdtrack.types import F8, Particles
+
+
+@dataclass(frozen=True, slots=True)
+class BoxMotion:
+    """f, p_S and β for boxes [M09 (11)].
+
+    Parameters
+    ----------
+    acceleration : standard deviation of the acceleration, in widths (x) and heights (y) per time unit², or in pixels
+        per time unit² where not ``scaled``.
+    resize : standard deviation of the change of size, in widths and heights per √time unit, or in pixels.
+    survival : probability p_S that a target survives one time unit.
+    scaled : state-dependent variances (SDV); False for fixed ones (FV).
+    remember_size : carry the size before the last prediction in rows 6 and 7, for the likelihood scaling ``previous``.
+    smallest : widths and heights are reflected at this many pixels: no particle takes w ≤ 0.
+    frame_size : width and height of the image in pixels; a target whose box has left it does not survive. (0, 0): no such
+        border.
+    births : the spawning part β.
+    """
+
+    acceleration: float = 0.03
+    resize: float = 0.1
+    survival: float = 0.99
+    scaled: bool = True
+    remember_size: bool = False
+    smallest: float = 1.0
+    frame_size: tuple[float, float] = (0.0, 0.0)
+    births: Spawn = field(default_factory=NoSpawn)
+
+    @property
+    def dim(self) -> int:
+        """Number of state components: 6, or 8 with the remembered size."""
+        return 8 if self.remember_size else 6
+
+    def _unit(self, x: F8) -> F8:
+        """(2, L) what the noises are multiples of."""
+        size: F8 = np.maximum(x[4:6], self.smallest) if self.scaled else np.ones((2, x.shape[1]))
+        return size
+
+    def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
+        """One draw of f(·|ξ) for each column ξ of ``x`` [M09 (11)]."""
+        unit = self._unit(x)
+        noise = rng.standard_normal((4, x.shape[1]))
+        kick = self.acceleration * np.sqrt(dt) * unit * noise[:2]
+        moved = np.empty_like(x)
+        moved[0:2] = x[0:2] + dt * (x[2:4] + 0.5 * kick)
+        moved[2:4] = x[2:4] + kick
+        moved[4:6] = x[4:6] + self.resize * np.sqrt(dt) * unit * noise[2:4]
+        moved[4:6] = self.smallest + np.abs(moved[4:6] - self.smallest)
+        if dt > 1:
+            # What is left of the position's variance beside the part that the velocity's noise explains.
+            rest = self.acceleration * np.sqrt((dt**3 - dt) / 12)
+            moved[0:2] += rest * unit * rng.standard_normal((2, x.shape[1]))
+        if self.remember_size:
+            moved[6:8] = x[4:6]
+        return moved
+
+    def p_survive(self, x: F8, dt: float) -> F8:
+        """p_S^T inside the image, 0 where the whole box has left it."""
+        stays = np.full(x.shape[1], self.survival**dt)
+        width, height = self.frame_size
+        if width > 0 and height > 0:
+            half = 0.5 * x[4:6]
+            inside = (x[0] > -half[0]) & (x[0] < width + half[0]) & (x[1] > -half[1]) & (x[1] < height + half[1])
+            stays[~inside] = 0.0
+        return stays
+
+    def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
+        """Mean, Jacobian and noise covariance of f(·|x) over the interval ``dt`` [M09 (11)]."""
+        d, n = x.shape
+        f = np.zeros((d, d))
+        f[range(6), range(6)] = 1.0
+        f[0, 2] = f[1, 3] = dt
+        if self.remember_size:
+            f[6, 4] = f[7, 5] = 1.0
+        jacobian = np.broadcast_to(f, (n, d, d))
+        unit = self._unit(x)
+        a2, b2 = (self.acceleration * unit) ** 2, (self.resize * unit) ** 2
+        q = np.zeros((n, d, d))
+        for axis in (0, 1):
+            q[:, axis, axis] = a2[axis] * (dt**3 / 3 - min(dt, dt**3) / 12)
+            q[:, axis, axis + 2] = q[:, axis + 2, axis] = a2[axis] * dt**2 / 2
+            q[:, axis + 2, axis + 2] = a2[axis] * dt
+            q[:, axis + 4, axis + 4] = b2[axis] * dt
+        return f @ x, jacobian, q
+
+    def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
+        """Draws of the spawning term."""
+        return self.births.sample(parents, dt, rng)

@@ -1,0 +1,51 @@
+"""β(x|ξ): targets that come out of targets. The papers leave it out (β = 0); the term stays in the model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from phdtrack.types import F8, Particles
+
+
+class Spawn(Protocol):
+    """The spawning part of a motion."""
+
+    def sample(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
+        """Draws of ∫ β(x|ξ) D(ξ) dξ."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoSpawn:
+    """β = 0, as in all four papers."""
+
+    def sample(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
+        """Nothing."""
+        return Particles(np.zeros((len(parents.state), 0)), np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True)
+class SplitSpawn:
+    """Each target throws off ``rate`` new ones per time unit, beside it.
+
+    A spawned target has its parent's state, displaced by a Gaussian of ``distance`` parent widths and heights.
+    ``fraction`` of the parents are drawn, so that the cost stays bounded.
+    """
+
+    rate: float = 0.001
+    distance: float = 0.5
+    fraction: float = 0.1
+
+    def sample(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
+        """Draws of β(x|ξ) = rate·dt · N(x; ξ, distance² · size²) over the intensity ``parents``."""
+        mass = self.rate * dt * parents.mass
+        count = int(np.ceil(self.fraction * len(parents)))
+        if count == 0 or mass <= 0:
+            return Particles(np.zeros((len(parents.state), 0)), np.zeros(0))
+        chosen = rng.choice(len(parents), size=count, p=parents.weight / parents.mass)
+        state = parents.state[:, chosen]
+        size: F8 = state[4:6]
+        state[:2] += self.distance * size * rng.standard_normal((2, count))
+        return Particles(state, np.full(count, mass / count))

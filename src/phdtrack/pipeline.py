@@ -1,0 +1,88 @@
+"""The loop: predict, update, reduce, extract, associate. It owns the order and knows protocols only.
+
+`advance` is one frame as a pure function: state and detections in, state and `Step` out. `run` drives it over a sequence.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from phdtrack.errors import InputError
+from phdtrack.protocols import AnyStages
+from phdtrack.types import Detections, Step, Tracks, UpdateInfo
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingState:
+    """Everything that is carried from frame to frame: the filter's and the associator's state, frame number and time."""
+
+    intensity: Any
+    association: Any
+    number: int = 0
+    time: float = 0.0
+
+
+def start(stages: AnyStages) -> TrackingState:
+    """The state before the first frame."""
+    return TrackingState(stages.filter.start(stages.model), stages.associator.start())
+
+
+def advance(
+    stages: AnyStages,
+    state: TrackingState,
+    detections: Detections,
+    number: int,
+    time: float,
+    rng: np.random.Generator,
+) -> tuple[TrackingState, Step]:
+    """Take in the detections of frame ``number`` (from 1) at ``time`` seconds.
+
+    A frame with ``detections.observed`` False is predicted and nothing more. Raises `InputError` where number or time does
+    not grow.
+    """
+    if state.number and (number <= state.number or not time > state.time):
+        raise InputError(
+            f"frame numbers and times must grow, but frame {number} at {time:g} s follows frame {state.number} at "
+            f"{state.time:g} s",
+            cure="Sort the frames, or reset the tracker before a new sequence",
+        )
+    model = stages.model
+    # The first frame has nothing before it; its births are those of one time unit.
+    dt = (time - state.time) * model.rate if state.number else 1.0
+    began = clock.perf_counter()
+    predicted = stages.filter.predict(state.intensity, model, dt, rng)
+    z = model.sensor.measure(detections)
+    if detections.observed:
+        updated, info = stages.filter.update(predicted, z, model, dt, rng)
+        reduced = stages.filter.reduce(updated, rng)
+    else:
+        reduced = predicted
+        info = UpdateInfo(predicted.mass, 0.0, predicted.mass, np.zeros(0), np.zeros(0))
+    filtered = clock.perf_counter()
+    estimates = stages.extractor.extract(reduced, z, model)
+    extracted = clock.perf_counter()
+    association, tracks = stages.associator.extend(state.association, estimates, number, dt, model)
+    ended = clock.perf_counter()
+    seconds = (filtered - began, extracted - filtered, ended - extracted)
+    step = Step(number, time, detections, info, estimates, tracks, seconds)
+    return TrackingState(reduced, association, number, time), step
+
+
+def run(
+    stages: AnyStages, frames: Iterable[tuple[int, float, Detections]], rng: np.random.Generator
+) -> Iterator[tuple[TrackingState, Step]]:
+    """Track a sequence of (frame number, seconds, detections); yields the state and the step of each frame."""
+    state = start(stages)
+    for number, time, detections in frames:
+        state, step = advance(stages, state, detections, number, time, rng)
+        yield state, step
+
+
+def finish(stages: AnyStages, state: TrackingState) -> Tracks:
+    """The corrected tracks of everything seen so far."""
+    return stages.associator.finish(state.association, stages.model)
