@@ -24,17 +24,23 @@ FILES = (TRACKS, ONLINE, STATES, DETECTIONS, VIDEO, REPORT, RUN)
 
 @dataclass(frozen=True, slots=True)
 class RunDirectory:
-    """A directory that is ready to be written into: it exists, and none of the run's files do."""
+    """A directory that is ready to be written into: it exists, and none of the files ``names`` did when it was claimed."""
 
     path: Path
+    names: tuple[str, ...] = FILES
 
     def file(self, name: str) -> Path:
-        """Where the file called ``name`` (one of the constants of this module) lies."""
+        """Where the file ``name``, one of ``names``, lies."""
         return self.path / name
 
     def written(self) -> list[Path]:
-        """Those of a run's files that exist by now, in the order of `FILES`."""
-        return [self.path / name for name in FILES if (self.path / name).exists()]
+        """Those of the files that exist by now, in the order of ``names``."""
+        return [self.path / name for name in self.names if (self.path / name).exists()]
+
+    def clear(self) -> None:
+        """Remove the files again: nothing came of the run, and what is there would be taken for a result."""
+        for file in self.written():
+            file.unlink()
 
 
 def check(path: Path, overwrite: bool, names: tuple[str, ...] = FILES) -> None:
@@ -74,4 +80,4 @@ def claim(path: Path, overwrite: bool, names: tuple[str, ...] = FILES) -> RunDir
     except OSError as error:
         problem = f"cannot be written into ({error.strerror or error})"
         raise InputError(problem, where=f"--out {path}", cure="Choose another --out.") from error
-    return RunDirectory(path)
+    return RunDirectory(path, names)

@@ -9,15 +9,32 @@ import typer
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; everything else goes to stderr.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the files of an earlier run; others stay.")]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything random; it is written into run.json.")]
-Iou = Annotated[float, typer.Option("--iou", help="Overlap (intersection over union) from which two boxes match.")]
+Seed = Annotated[
+    int, typer.Option("--seed", metavar="N", min=0, help="Seed of everything random; it is written into run.json.")
+]
+Iou = Annotated[
+    float, typer.Option("--iou", metavar="F", help="Overlap (intersection over union) from which two boxes match.")
+]
 MaxWidth = Annotated[
     int,
     typer.Option(
-        "--max-width", min=0, help="Detect on frames scaled down to this width, boxes stay in original pixels; 0: off."
+        "--max-width",
+        metavar="N",
+        min=0,
+        help="Detect on frames scaled down to this width, boxes stay in original pixels; 0: off.",
     ),
 ]
 FrameSize = Annotated[str, typer.Option("--frame-size", metavar="WxH", help="Size of the frames in pixels, as 1920x1080.")]
-Fps = Annotated[float, typer.Option("--fps", min=0.0, help="Frames per second; 0: as the video or seqinfo.ini says.")]
+Fps = Annotated[
+    float, typer.Option("--fps", metavar="F", min=0.0, help="Frames per second; 0: as the video or seqinfo.ini says.")
+]
 Detector = Annotated[str, typer.Option("--detector", metavar="NAME", help="Detector, by name.")]
 TruthFile = Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="Annotated objects to score against.")]
+Config = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="FILE", help="Settings in a TOML file; an unknown name is an error."),
+]
+Sets = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="One setting, as filter.particles=500; may be given again."),
+]

@@ -35,11 +35,13 @@ class Output:
         if self.json:
             print(json_text(value))
 
-    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Columns under a head; the first aligned left, the others right."""
-        widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
-        for row in [head, *rows]:
-            cells = [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
+    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]], *, words: Sequence[int] = (0,)) -> None:
+        """Columns under a head, which is left out where it is blank; ``words`` are the columns aligned left."""
+        lines = [head, *rows] if any(head) else list(rows)
+        widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
+        for line in lines:
+            pairs = zip(line, widths, strict=True)
+            cells = [cell.ljust(width) if i in words else cell.rjust(width) for i, (cell, width) in enumerate(pairs)]
             self.say("  ".join(cells).rstrip())
 
 

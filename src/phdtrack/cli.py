@@ -1,0 +1,86 @@
+"""The command line: ``phdtrack COMMAND`` and ``python -m phdtrack COMMAND``.
+
+Exit status: 0 the job is done; 1 something failed that is not the user's input (`doctor`: something essential does not
+work here); 2 the input or the options cannot be used, said in one sentence on stderr; 130 stopped by Ctrl-C.
+With ``--json`` stdout carries exactly one JSON object, and everything else goes to stderr.
+"""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable
+from typing import Annotated, ParamSpec
+
+import typer
+
+from phdtrack._version import __version__
+from phdtrack.commands import demo, detect, doctor, evaluate, simulate, track
+from phdtrack.errors import InputError
+
+P = ParamSpec("P")
+
+app = typer.Typer(
+    name="phdtrack",
+    help="From a video, or anybody's detections, to tracks: a PHD filter between detector and identities.",
+    no_args_is_help=True,
+    add_completion=False,
+    # Plain text: an error is one line that a program can find and a terminal does not break.
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def guarded(command: Callable[P, None]) -> Callable[P, None]:
+    """The command with its errors told in one sentence and turned into an exit status."""
+
+    @functools.wraps(command)
+    def run(*args: P.args, **kwargs: P.kwargs) -> None:
+        try:
+            command(*args, **kwargs)
+        except InputError as error:
+            raise failed(str(error), 2) from error
+        except KeyboardInterrupt as error:
+            raise failed("stopped", 130) from error
+        except BrokenPipeError:
+            # Whoever read our output has gone (phdtrack ... | head): nothing to say, and nobody to say it to.
+            raise
+        except OSError as error:
+            where = f"{error.filename}: " if error.filename else ""
+            raise failed(f"{where}{error.strerror or error}", 1) from error
+
+    return run
+
+
+def failed(sentence: str, status: int) -> typer.Exit:
+    """The sentence on stderr; the exit to raise."""
+    print(f"phdtrack: {sentence}", file=sys.stderr)
+    return typer.Exit(status)
+
+
+def version(wanted: bool) -> None:
+    """``--version``: print it and stop."""
+    if wanted:
+        print(f"phdtrack {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    wanted: Annotated[bool, typer.Option("--version", callback=version, is_eager=True, help="Print the version.")] = False,
+) -> None:
+    """From a video, or anybody's detections, to tracks: a PHD filter between detector and identities."""
+
+
+app.command("demo")(guarded(demo.demo))
+app.command("track")(guarded(track.track))
+app.command("detect")(guarded(detect.detect))
+app.command("evaluate")(guarded(evaluate.evaluate))
+app.command("simulate")(guarded(simulate.simulate))
+app.command("doctor")(guarded(doctor.doctor))
+
+
+def main() -> None:
+    """The entry point of the installed command."""
+    app(prog_name="phdtrack")

@@ -1,0 +1,66 @@
+"""``phdtrack demo``: the main job on a rendered scene, with the filter and without, and both scores side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from phdtrack import rundir
+from phdtrack.commands.inputs import Wanted
+from phdtrack.commands.options import Json, Overwrite, Seed
+from phdtrack.commands.output import Output
+
+SCENE = "street"
+FRAMES = 300
+VIDEO = "scene.mp4"
+TRUTH = "scene_gt.txt"
+WITHOUT = "without-filter"
+
+
+def demo(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where to write.")] = Path("demo-run"),
+    overwrite: Overwrite = False,
+    seed: Seed = 7,
+    json: Json = False,
+) -> None:
+    """Render a street with flickering light and waving leaves, and track the people in it, with the filter and without.
+
+    The directory holds the scene (scene.mp4, scene_gt.txt), the run with the filter, and in without-filter the one
+    without.
+    """
+    import numpy as np
+
+    from phdtrack.commands.configured import Choice, prepare
+    from phdtrack.commands.job import run
+    from phdtrack.commands.scene_files import render_video
+    from phdtrack.commands.scoring import score_table
+    from phdtrack.commands.track import command_line
+    from phdtrack.formats import write_truth
+    from phdtrack.simulate import make_scene
+
+    result = Output(json)
+    rundir.check(out / WITHOUT, overwrite)
+    directory = rundir.claim(out, overwrite, (VIDEO, TRUTH, *rundir.FILES))
+    scene = make_scene(SCENE, seed, frames=FRAMES)
+    write_truth(directory.file(TRUTH), scene.truth)
+    render_video(scene, np.random.default_rng(seed), directory.file(VIDEO))
+    result.say(f"The scene: {directory.file(VIDEO)}, {scene.info.frames} frames, flickering light, waving leaves.")
+    outcomes = []
+    for filter_name, place in (("particle-phd", directory), ("none", rundir.claim(out / WITHOUT, overwrite))):
+        choice = Choice(filter_name, seed=seed, truth=directory.file(TRUTH))
+        job = prepare(Wanted(str(directory.file(VIDEO))), choice, command_line(), video=True)
+        outcome = run(job, place)
+        for warning in outcome.warnings:
+            result.warn(warning)
+        if outcome.stop is not None:
+            raise outcome.stop
+        outcomes.append(outcome)
+    result.say()
+    pairs = zip(("with filter", "without"), outcomes, strict=True)
+    score_table(result, [(title, outcome.scores) for title, outcome in pairs if outcome.scores is not None])
+    result.say()
+    result.say(f"Look at {directory.file(rundir.VIDEO)} and {directory.file(rundir.REPORT)},")
+    result.say(f"and at the same without the filter in {out / WITHOUT}.")
+    result.document({"with_filter": outcomes[0].document, "without_filter": outcomes[1].document})

@@ -1,0 +1,200 @@
+"""What a run reads: a video, a video with detections beside it, or detections alone.
+
+Every source becomes the same thing, frames and a detector, so that the loop behind it knows one case only. Without a
+video the frames have empty pictures, and the detector looks its boxes up by frame number.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from phdtrack.detections import overlaps_frame
+from phdtrack.errors import InputError
+from phdtrack.protocols import Detector
+from phdtrack.types import DetectionTable, Frame, Image, SequenceInfo
+
+if TYPE_CHECKING:
+    from phdtrack.video import VideoSource
+
+NO_PICTURE: Image = np.zeros((0, 0, 3), np.uint8)
+DEFAULT_DETECTOR = "change"
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What the options say, before anything is opened. Empty text and 0 stand for an option that was not given.
+
+    ``last`` is the last annotated frame: a sequence without a video is at least that long.
+    """
+
+    source: str = ""
+    detections: Path | None = None
+    detector: str = ""
+    frame_size: str = ""
+    fps: float = 0.0
+    max_width: int = 0
+    last: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """What a run reads.
+
+    ``pictures``: the frames have any. ``again``: they can be read a second time (a camera's cannot). ``name`` is for
+    people and for the name of the run's directory; ``described`` says where the detections come from.
+    """
+
+    info: SequenceInfo
+    source: VideoSource
+    detector: Detector
+    name: str
+    described: str
+    pictures: bool
+    again: bool
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Blank:
+    """Frames without pictures: ``info.frames`` of them, at the rate of ``info``. Nothing can go wrong with them."""
+
+    info: SequenceInfo
+    note: str = ""
+    problem: str = ""
+
+    def __iter__(self) -> Iterator[Frame]:
+        for number in range(1, self.info.frames + 1):
+            yield Frame(number, (number - 1) / self.info.fps, NO_PICTURE)
+
+
+def open_inputs(wanted: Wanted, parameters: dict[str, object]) -> Inputs:
+    """Open what the options name; ``parameters`` are the detector's own settings.
+
+    Raises
+    ------
+    InputError : options that do not go together, or anything that cannot be read.
+    """
+    if wanted.detections is None:
+        return _from_video(wanted, parameters)
+    if wanted.detector not in ("", "file"):
+        raise InputError(
+            f"the detections come from {wanted.detections}, so the detector {wanted.detector} would have nothing to do",
+            where="--detector",
+            cure="Leave out --detector or --detections.",
+        )
+    return _with_video(wanted, wanted.detections) if wanted.source else _from_file(wanted, wanted.detections)
+
+
+def frame_size(text: str) -> tuple[int, int]:
+    """Width and height in pixels from ``WxH``.
+
+    Raises
+    ------
+    InputError : the text is no size.
+    """
+    match = re.fullmatch(r"\s*(\d+)\s*[x×X*]\s*(\d+)\s*", text)
+    if not match or not int(match[1]) or not int(match[2]):
+        raise InputError(f"expected a size as 1920x1080, got {text!r}", where="--frame-size")
+    return int(match[1]), int(match[2])
+
+
+def _from_video(wanted: Wanted, parameters: dict[str, object]) -> Inputs:
+    from phdtrack.detect import Rescaled, make_detector
+    from phdtrack.video import open_source
+
+    if wanted.detector == "file":
+        raise InputError("the detector file reads a file of detections", where="--detector", cure="Say --detections FILE.")
+    if not wanted.source:
+        raise InputError("nothing to work on", where="SOURCE", cure="Name a video, a folder of images or a camera's number.")
+    name = wanted.detector or DEFAULT_DETECTOR
+    detector = make_detector(name, **parameters)
+    source = open_source(wanted.source, fps=wanted.fps)
+    _same_size(wanted, source.info)
+    if wanted.max_width:
+        detector = Rescaled(detector, wanted.max_width)
+    return Inputs(source.info, source, detector, wanted.source, name, True, _again(wanted.source))
+
+
+def _with_video(wanted: Wanted, path: Path) -> Inputs:
+    from phdtrack.detect import TableDetector
+    from phdtrack.formats import read_detections
+    from phdtrack.video import open_source
+
+    table = read_detections(path)
+    source = open_source(wanted.source, fps=wanted.fps)
+    _same_size(wanted, source.info)
+    inside, left_out = _inside(table, source.info, path)
+    return Inputs(
+        source.info, source, TableDetector(inside), wanted.source, str(path), True, _again(wanted.source), left_out
+    )
+
+
+def _from_file(wanted: Wanted, path: Path) -> Inputs:
+    from phdtrack.detect import TableDetector
+    from phdtrack.formats import read_detections
+
+    if wanted.max_width:
+        raise InputError(
+            "there are no pictures to scale down", where="--max-width", cure="Name the video too, or leave it out."
+        )
+    table = read_detections(path)
+    info = _sequence(wanted, path, table)
+    inside, left_out = _inside(table, info, path)
+    return Inputs(info, Blank(info), TableDetector(inside), str(path), str(path), False, True, left_out)
+
+
+def _sequence(wanted: Wanted, path: Path, table: DetectionTable) -> SequenceInfo:
+    """Size, rate and length of a sequence of which there are detections only: options first, then seqinfo.ini."""
+    from phdtrack.formats import find_seqinfo
+
+    found = find_seqinfo(path) or SequenceInfo(0, 0, 0.0, 0, path.stem)
+    if wanted.frame_size:
+        width, height = frame_size(wanted.frame_size)
+        found = replace(found, width=width, height=height)
+    found = replace(found, fps=wanted.fps or found.fps, frames=max(found.frames, table.last, wanted.last))
+    beside = "or put a seqinfo.ini beside the file or one folder up, or name the video."
+    if not found.width or not found.height:
+        raise InputError("the size of the frames is not known", where=path, cure=f"Say --frame-size WxH, {beside}")
+    if not found.fps:
+        raise InputError("the rate of the frames is not known", where=path, cure=f"Say --fps F, {beside}")
+    return found
+
+
+def _inside(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple[DetectionTable, tuple[str, ...]]:
+    """The detections of which any part is in the frame, and a sentence where some were left out.
+
+    Raises
+    ------
+    InputError : all of them are outside: the size or the units are wrong.
+    """
+    kept = overlaps_frame(table.detections.xyxy, info.width, info.height)
+    if kept.all():
+        return table, ()
+    outside = int((~kept).sum())
+    first = int(table.frame[~kept][0])
+    said = f"{outside} of {len(table)} boxes lie outside the frame of {info.width}x{info.height} pixels"
+    if outside == len(table):
+        raise InputError(said, where=path, cure="Boxes are in pixels of the original video: check them, or --frame-size.")
+    sentence = f"{path}: {said} and are left out, the first in frame {first}"
+    return DetectionTable(table.frame[kept], table.detections.take(kept)), (sentence,)
+
+
+def _same_size(wanted: Wanted, info: SequenceInfo) -> None:
+    """With a video its own size holds, and another one in the options is a mistake."""
+    if wanted.frame_size and frame_size(wanted.frame_size) != (info.width, info.height):
+        raise InputError(
+            f"{wanted.source} has frames of {info.width}x{info.height} pixels, not {wanted.frame_size}",
+            where="--frame-size",
+            cure="Leave it out: it is for detections without a video.",
+        )
+
+
+def _again(source: str) -> bool:
+    """Whether the frames can be read a second time: not those of a camera or of a stream on the network."""
+    return "://" not in source and not (source.isdecimal() and not Path(source).exists())

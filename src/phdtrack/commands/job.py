@@ -1,0 +1,214 @@
+"""One run from frames to the run directory: the loop with its files, then what can only be made at the end.
+
+While the loop runs, every frame's detections, states and online track rows go to their files at once. Whatever stops it,
+the end of the video, a frame that cannot be used, a full disk or Ctrl-C, the frames done so far are finished like a whole
+run: corrected tracks, scores, annotated video, report, ``run.json``. The outcome then carries what stopped it.
+
+The annotated video is drawn in a second pass over the frames, so that it shows the corrected tracks of ``tracks.csv`` and
+not the online rows of ``tracks_online.csv``, which could not know the future.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+import numpy as np
+
+from phdtrack import rundir
+from phdtrack.commands.inputs import Inputs
+from phdtrack.commands.output import progress
+from phdtrack.commands.spool import rereadable
+from phdtrack.commands.steps import Steps
+from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter, write_tracks
+from phdtrack.metrics import Scores, evaluate
+from phdtrack.report import About, Annotator, Recorder, RunRecord, run_document, sentences, write_report, write_run
+from phdtrack.rundir import RunDirectory
+from phdtrack.types import F8, Detections, Step, Tracks, Truth
+from phdtrack.video import VideoSource, VideoWriter
+
+Stop = Exception | KeyboardInterrupt
+
+WHICH = (
+    f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they were given "
+    "frame by frame, which did not change afterwards."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What is to be run.
+
+    ``configuration`` is everything that decides the result, ``command`` the line that asked for it.
+    """
+
+    inputs: Inputs
+    steps: Steps
+    seed: int
+    configuration: dict[str, object]
+    command: str
+    title: str
+    versions: tuple[tuple[str, str], ...]
+    truth: Truth | None = None
+    video: bool = True
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of a run: the content of run.json, a summary in sentences, frames done, scores where there is truth.
+
+    ``stop`` is what ended it before its time, None where it ran to the end.
+    """
+
+    document: dict[str, object]
+    summary: tuple[str, ...]
+    frames: int
+    scores: Scores | None
+    warnings: tuple[str, ...]
+    stop: Stop | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What the second pass needs of a frame."""
+
+    number: int
+    detections: Detections
+    mass: float
+    clutter_probability: F8
+
+
+@dataclass(slots=True)
+class _Progress:
+    """How far the loop got; ``lost``: what the source said when it ended."""
+
+    recorder: Recorder
+    lost: str = ""
+    seen: list[_Seen] = field(default_factory=list)
+    stop: Stop | None = None
+
+    @property
+    def last(self) -> int:
+        """The number of the last frame that went through, 0 where none did."""
+        return self.seen[-1].number if self.seen else 0
+
+
+def run(job: Job, directory: RunDirectory) -> Outcome:
+    """Run the job. Raises only where nothing was computed; the directory is then left without files of this run."""
+    started, clock = datetime.now(UTC), time.perf_counter()
+    with rereadable(job.inputs, job.video) as source:
+        done = _loop(job, source, directory)
+        if not done.seen and done.stop is not None:
+            directory.clear()
+            raise done.stop
+        tracks = _finish(job, directory)
+        scores = None if job.truth is None else evaluate(job.truth, tracks, frames=done.last)
+        if job.video and job.inputs.pictures:
+            done.stop = _draw(job, source, directory, done, tracks) or done.stop
+    warnings = _problems(job, done)
+    about = About(
+        title=job.title,
+        command=job.command,
+        seed=job.seed,
+        started=started.isoformat(timespec="seconds"),
+        seconds=time.perf_counter() - clock,
+        versions=job.versions,
+        scores=() if scores is None else tuple((key, _plain(value)) for key, value in scores.as_dict().items()),
+        warnings=warnings,
+        notes=(*job.notes, WHICH),
+    )
+    record = done.recorder.record(tracks, about, job.truth)
+    document = _written(job, directory, record, complete=done.stop is None)
+    return Outcome(document, sentences(record), len(done.seen), scores, warnings, done.stop)
+
+
+def _loop(job: Job, source: VideoSource, directory: RunDirectory) -> _Progress:
+    """Every frame through detector and steps, into files and record, until the source ends or something stops it."""
+    inputs, place = job.inputs, directory.file
+    done = _Progress(Recorder(inputs.info))
+    with ExitStack() as files:
+        detections = files.enter_context(DetectionsWriter(place(rundir.DETECTIONS)))
+        states = files.enter_context(StatesWriter(place(rundir.STATES)))
+        online = files.enter_context(TracksWriter(place(rundir.ONLINE)))
+        advance = files.enter_context(progress("tracking", inputs.info.frames))
+        try:
+            for frame in source:
+                clock = time.perf_counter()
+                found = inputs.detector(frame)
+                seconds = time.perf_counter() - clock
+                step = job.steps.advance(frame.number, frame.time, found)
+                detections.append(frame.number, found)
+                states.append(frame.number, frame.time, step.estimates)
+                online.append(step.tracks)
+                done.recorder.add(frame.image if inputs.pictures else None, step, job.steps.particles, seconds)
+                done.seen.append(_seen(step))
+                advance(len(done.seen))
+            online.append(job.steps.flush())
+        except (Exception, KeyboardInterrupt) as stop:
+            done.stop = stop
+    done.lost = source.problem
+    return done
+
+
+def _seen(step: Step) -> _Seen:
+    return _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
+
+
+def _finish(job: Job, directory: RunDirectory) -> Tracks:
+    """The corrected tracks of all frames, written."""
+    tracks = job.steps.finish()
+    write_tracks(directory.file(rundir.TRACKS), tracks)
+    return tracks
+
+
+def _draw(job: Job, source: VideoSource, directory: RunDirectory, done: _Progress, tracks: Tracks) -> Stop | None:
+    """The annotated video of the frames that were tracked; what stopped it, if anything did."""
+    info = job.inputs.info
+    annotate = Annotator(info)
+    first = np.searchsorted(tracks.frame, [seen.number for seen in done.seen], side="left")
+    last = np.searchsorted(tracks.frame, [seen.number for seen in done.seen], side="right")
+    try:
+        with (
+            VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps) as video,
+            progress("drawing", len(done.seen)) as advance,
+        ):
+            for i, (seen, frame) in enumerate(zip(done.seen, source, strict=False)):
+                rows = tracks.take(np.arange(first[i], last[i]))
+                chances = seen.clutter_probability
+                video.write(
+                    annotate(frame.image, seen.number, rows, seen.detections, mass=seen.mass, clutter_probability=chances)
+                )
+                advance(i + 1)
+    except (Exception, KeyboardInterrupt) as stop:
+        return stop
+    return None
+
+
+def _problems(job: Job, done: _Progress) -> tuple[str, ...]:
+    """What did not go as it should, in sentences: what the source lost, and what stopped the run."""
+    stop = done.stop
+    said = [sentence for sentence in (*job.inputs.warnings, job.inputs.source.note, done.lost) if sentence]
+    if isinstance(stop, KeyboardInterrupt):
+        said.append(f"stopped by Ctrl-C after frame {done.last}; the results hold the frames up to there")
+    elif stop is not None:
+        said.append(f"ended after frame {done.last}: {stop}; the results hold the frames up to there")
+    return tuple(said)
+
+
+def _plain(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _written(job: Job, directory: RunDirectory, record: RunRecord, *, complete: bool) -> dict[str, object]:
+    """Report and run.json; the latter's content."""
+    write_report(directory.file(rundir.REPORT), record, job.configuration)
+    document = run_document(record, job.configuration)
+    own = {"complete": complete, "detections_from": job.inputs.described, "directory": str(directory.path)}
+    files = {file.name: str(file) for file in directory.written()} | {rundir.RUN: str(directory.file(rundir.RUN))}
+    document = document | own | {"files": files}
+    write_run(directory.file(rundir.RUN), document)
+    return document

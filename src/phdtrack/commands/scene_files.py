@@ -1,0 +1,28 @@
+"""Files of a simulated scene that are neither truth nor detections: its video, and what MOTChallenge says about it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from phdtrack.commands.output import progress
+from phdtrack.simulate import Scene, render
+from phdtrack.types import SequenceInfo
+from phdtrack.video import VideoWriter
+
+
+def render_video(scene: Scene, rng: np.random.Generator, path: Path) -> None:
+    """The scene as an mp4 file."""
+    info = scene.info
+    with VideoWriter(path, info.width, info.height, info.fps) as writer, progress("rendering", info.frames) as advance:
+        for frame in render(scene, rng):
+            writer.write(frame.image)
+            advance(frame.number)
+
+
+def seqinfo(info: SequenceInfo) -> str:
+    """The text of seqinfo.ini."""
+    about = {"name": info.name, "frameRate": f"{info.fps:g}", "seqLength": info.frames}
+    size = {"imWidth": info.width, "imHeight": info.height}
+    return "\n".join(["[Sequence]", *(f"{key}={value}" for key, value in (about | size).items()), ""])

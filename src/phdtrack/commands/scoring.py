@@ -1,0 +1,43 @@
+"""How scores are shown: one table, a column for each run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from phdtrack.commands.output import Output, number
+from phdtrack.errors import InputError
+from phdtrack.metrics import Scores
+
+# In the order of the table: the key of `Scores.as_dict`, and what it says.
+EXPLAINED = (
+    ("MODA", "detection accuracy, mean over frames"),
+    ("N_MODA", "detection accuracy, pooled"),
+    ("MODP", "overlap of matched boxes, mean over frames"),
+    ("MOTA", "tracking accuracy"),
+    ("MOTA_log", "the same, switches counted as ln(1 + n)"),
+    ("MOTP", "overlap of matched boxes, pooled"),
+    ("IDF1", "identities kept"),
+    ("HOTA", "detection and association in one"),
+    ("OSPA", "distance on boxes 1 − IoU, c = 1, p = 1; lower is better"),
+    ("GOSPA", "the same base, c = 1, p = 1, α = 2; lower is better"),
+    ("id_switches", "an object's identity changed"),
+    ("misses", "annotated boxes without a track"),
+    ("false_positives", "track boxes without an annotation"),
+    ("fragments", "a track of an object broke off and went on"),
+    ("false_tracks", "tracks that follow nobody"),
+    ("delay_mean", "frames from an object's appearance to its first track box"),
+    ("frames", "frames scored"),
+)
+
+
+def check_iou(iou: float) -> None:
+    """Raise InputError where the threshold is not in (0, 1]."""
+    if not 0 < iou <= 1:
+        raise InputError(f"expected an overlap above 0 and at most 1, got {iou:g}", where="--iou", cure="0.5 is usual.")
+
+
+def score_table(out: Output, runs: Sequence[tuple[str, Scores]]) -> None:
+    """The scores of each run (its title, its scores) in a column of its own, and what each of them says."""
+    columns = [scores.as_dict() for _, scores in runs]
+    rows = [[key, *(number(column[key]) for column in columns), meaning] for key, meaning in EXPLAINED]
+    out.table(["", *(title for title, _ in runs), ""], rows, words=(0, len(runs) + 1))

@@ -1,0 +1,101 @@
+"""``phdtrack track``: the main job, from a video or from detections to tracks."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from phdtrack import rundir
+from phdtrack.commands.inputs import Wanted
+from phdtrack.commands.options import Config, Detector, Fps, FrameSize, Json, MaxWidth, Overwrite, Seed, Sets, TruthFile
+from phdtrack.commands.output import Output
+
+if TYPE_CHECKING:
+    from phdtrack.commands.job import Outcome
+
+
+def track(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE", help="Video, folder or pattern of images, camera number; not needed with --detections."
+        ),
+    ] = "",
+    detections: Annotated[
+        Path | None, typer.Option("--detections", metavar="FILE", help="Detections instead of a detector.")
+    ] = None,
+    detector: Detector = "",
+    filter_name: Annotated[
+        str, typer.Option("--filter", metavar="NAME", help="particle-phd, or none: the same association on raw detections.")
+    ] = "particle-phd",
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="The run's directory; default: runs/ and the source's name.")
+    ] = None,
+    overwrite: Overwrite = False,
+    seed: Seed = 0,
+    config: Config = None,
+    sets: Sets = None,
+    frame_size: FrameSize = "",
+    fps: Fps = 0.0,
+    max_width: MaxWidth = 0,
+    video: Annotated[bool, typer.Option("--video/--no-video", help="Write annotated.mp4.")] = True,
+    truth: TruthFile = None,
+    json: Json = False,
+) -> None:
+    """Track the objects in a video, or in anybody's detections.
+
+    The run's directory holds tracks.csv (MOTChallenge), detections.csv, states.csv, annotated.mp4, report.html and
+    run.json. A video that is cut short is tracked as far as it goes, with a warning. Ctrl-C finishes what was done so far.
+    """
+    from phdtrack.commands.configured import Choice, prepare
+    from phdtrack.commands.job import run
+
+    result = Output(json)
+    if out is not None:
+        rundir.check(out, overwrite)
+    wanted = Wanted(source, detections, detector, frame_size, fps, max_width)
+    job = prepare(wanted, Choice(filter_name, config, tuple(sets or ()), seed, truth), command_line(), video=video)
+    directory = rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite)
+    outcome = run(job, directory)
+    tell(result, outcome, directory)
+    if outcome.stop is not None:
+        # What there is has been told; how it ended decides the exit status.
+        raise outcome.stop
+
+
+def command_line() -> str:
+    """What was typed, so that it can be typed again."""
+    return shlex.join(["phdtrack", *sys.argv[1:]])
+
+
+def tell(out: Output, outcome: Outcome, directory: rundir.RunDirectory) -> None:
+    """The outcome in plain words, or as JSON."""
+    from phdtrack.commands.scoring import score_table
+
+    for warning in outcome.warnings:
+        out.warn(warning)
+    for sentence in outcome.summary:
+        out.say(sentence)
+    out.say()
+    for file, meaning in MEANING.items():
+        if directory.file(file).exists():
+            out.say(f"  {directory.file(file)}  {meaning}")
+    if outcome.scores is not None:
+        out.say()
+        score_table(out, [("", outcome.scores)])
+    out.document(outcome.document)
+
+
+MEANING = {
+    rundir.TRACKS: "tracks, corrected, MOTChallenge",
+    rundir.ONLINE: "the same as they came, frame by frame",
+    rundir.STATES: "the filter's states before they had identities",
+    rundir.DETECTIONS: "what the detector saw",
+    rundir.VIDEO: "to look at",
+    rundir.REPORT: "the run in pictures and numbers",
+    rundir.RUN: "everything that decided it, for programs",
+}
