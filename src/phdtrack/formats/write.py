@@ -47,8 +47,7 @@ class Lines:
     def write(self, pattern: str, *columns: F8 | I8) -> None:
         """One line for each row of the columns, which may be (M,) or (M, k); all of them reach the operating system."""
         width = pattern.count("%")
-        table = [np.asarray(c).reshape(len(c), -1).T.tolist() for c in columns]
-        values = [column for block in table for column in block]
+        values = [column.tolist() for block in columns for column in (block.T if block.ndim == 2 else block[None])]
         text = "".join([pattern % row + "\n" for row in zip(*values, strict=True)]) if width else f"{pattern}\n"
         try:
             self._file.write(text)
@@ -100,7 +99,7 @@ class DetectionsWriter(Lines):
         self.append_table(DetectionTable(np.full(len(detections), frame, dtype=np.int64), detections))
 
     def append_table(self, table: DetectionTable) -> None:
-        """Write the detections of many frames."""
+        """Write the detections of many frames. Covariances come with every frame of a file or with none."""
         found = table.detections
         columns: list[F8 | I8] = [table.frame, _ltwh(found.xyxy), found.confidence, found.class_id]
         if found.covariance is None:

@@ -1,0 +1,114 @@
+"""CVML: boxes, groups, and XML that is not what it should be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from phdtrack.errors import InputError
+from phdtrack.formats import read_detections, read_groups, read_tracks, read_truth
+
+GOOD = """<?xml version="1.0" encoding="UTF-8"?>
+<dataset name="x">
+  <frame number="0">
+    <objectlist>
+      <object id="0"><orientation>90</orientation><box h="10" w="4" xc="100" yc="50.5"/></object>
+      <object id="7"><box h="10" w="4" xc="20" yc="30"/></object>
+    </objectlist>
+    <grouplist>
+      <group id="2"><box h="40" w="90" xc="60" yc="40"/><members>0, 7</members></group>
+    </grouplist>
+  </frame>
+  <frame number="1"><objectlist/><grouplist/></frame>
+  <frame number="2"><objectlist><object id="7"><box h="10" w="4" xc="21" yc="30"/></object></objectlist></frame>
+</dataset>
+"""
+
+
+def put(folder: Path, content: str) -> Path:
+    path = folder / "scene.xml"
+    path.write_text(content)
+    return path
+
+
+def test_boxes_and_groups(tmp_path: Path) -> None:
+    path = put(tmp_path, GOOD)
+    truth = read_truth(path)
+    assert truth.frame.tolist() == [1, 1, 3]
+    assert truth.identity.tolist() == [0, 7, 7]
+    assert truth.xyxy[0].tolist() == [98, 45.5, 102, 55.5]
+    assert not truth.distractor.any()
+    assert read_tracks(path).identity.tolist() == [0, 7, 7]
+    assert read_detections(path).detections.xyxy.tolist() == truth.xyxy.tolist()
+    groups = read_groups(path)
+    assert groups.frame.tolist() == [1, 1]
+    assert groups.group.tolist() == [2, 2]
+    assert groups.member.tolist() == [0, 7]
+
+
+def test_another_first_frame(tmp_path: Path) -> None:
+    path = put(
+        tmp_path, GOOD.replace('number="0"', 'number="1"').replace('<frame number="1"><objectlist/>', '<frame number="3">')
+    )
+    assert read_truth(path, first_frame=1).frame.tolist() == [1, 1, 2]
+
+
+def test_a_data_set_without_frames_is_empty(tmp_path: Path) -> None:
+    path = put(tmp_path, "<dataset/>")
+    assert len(read_truth(path)) == len(read_groups(path)) == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "line", "words"),
+    [
+        (('xc="20"', 'xc="twenty"'), 6, "a number for xc of <box>, came 'twenty'"),
+        (('xc="20" ', ""), 6, "<box> with a value for xc"),
+        (('xc="20"', 'xc="nan"'), 6, "finite numbers for the box"),
+        (('w="4" xc="20"', 'w="0" xc="20"'), 6, "width and a height above 0, came width 0"),
+        (
+            ('object id="7"><box h="10" w="4" xc="20"', 'object id="0"><box h="10" w="4" xc="20"'),
+            6,
+            "identity 0 is in frame 1",
+        ),
+        (('number="2"', 'number="2.5"'), 13, "whole number for the frame number, came 2.5"),
+        (('number="2"', 'number="-1"'), 13, "expected frame 0 or later, came -1"),
+        (('<object id="0">', "<object>"), 5, "<object> with a value for id"),
+        (("</objectlist>\n    <grouplist>", "\n    <grouplist>"), 11, "XML, which breaks here: mismatched tag"),
+        (("</dataset>\n", ""), 14, "XML, which breaks here"),
+        (('<frame number="1"><objectlist/>', '<box h="1" w="1" xc="1" yc="1"/><frame number="1">'), 12, "came one outside"),
+        (("<dataset", "<Camera"), 2, "outermost element is <dataset>, came <Camera>"),
+    ],
+)
+def test_the_message_names_the_line(tmp_path: Path, change: tuple[str, str], line: int, words: str) -> None:
+    assert change[0] in GOOD
+    path = put(tmp_path, GOOD.replace(*change))
+    with pytest.raises(InputError) as caught:
+        read_truth(path)
+    assert caught.value.where == f"{path}, line {line}"
+    assert words in caught.value.problem
+
+
+@pytest.mark.parametrize(
+    ("members", "words"), [("0, x", "a member of group 2, came 'x'"), ("0, 1.5", "whole numbers for frame")]
+)
+def test_bad_members(tmp_path: Path, members: str, words: str) -> None:
+    path = put(tmp_path, GOOD.replace("0, 7", members))
+    with pytest.raises(InputError, match=words) as caught:
+        read_groups(path)
+    assert caught.value.where == f"{path}, line 9"
+
+
+@pytest.mark.parametrize(
+    "declaration",
+    [
+        '<!DOCTYPE dataset [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;">]>',
+        '<!DOCTYPE dataset [<!ENTITY x SYSTEM "file:///etc/passwd">]>',
+        '<!DOCTYPE dataset SYSTEM "cvml.dtd">',
+    ],
+)
+def test_document_types_and_entities_are_refused(tmp_path: Path, declaration: str) -> None:
+    path = put(tmp_path, f"{declaration}\n<dataset/>")
+    for reader in (read_truth, read_detections, read_groups):
+        with pytest.raises(InputError, match=r"line 1: .*without a document type and entities.*DOCTYPE"):
+            reader(path)

@@ -1,0 +1,69 @@
+"""The real sequences, against counting that knows nothing of the readers."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phdtrack.formats import find_seqinfo, read_detections, read_groups, read_tracks, read_truth
+
+pytestmark = pytest.mark.data
+
+
+def cells(path: Path) -> list[list[str]]:
+    return [line.split(",") for line in path.read_text().split() if line]
+
+
+def test_every_file_of_detections(data: Path) -> None:
+    files = sorted(data.glob("mot15/*/det_*/det.txt"))
+    assert len(files) == 9
+    for path in files:
+        table, rows = read_detections(path), cells(path)
+        assert len(table) == len(rows)
+        assert table.last == max(int(row[0]) for row in rows)
+        assert table.detections.confidence.sum() == pytest.approx(sum(float(row[6]) for row in rows))
+        width = table.detections.xyxy[:, 2] - table.detections.xyxy[:, 0]
+        assert width.sum() == pytest.approx(sum(float(row[4]) for row in rows))
+        info = find_seqinfo(path)
+        assert info is not None
+        assert info.name == path.parent.parent.name
+        assert 0 < table.last <= info.frames
+
+
+def test_every_file_of_truth(data: Path) -> None:
+    files = sorted(data.glob("mot15/*/gt/gt.txt"))
+    assert len(files) == 5
+    for path in files:
+        truth, rows = read_truth(path), [row for row in cells(path) if row[6] != "0"]
+        assert len(truth) == len(rows)
+        assert set(truth.identity.tolist()) == {int(row[1]) for row in rows}
+        assert np.bincount(truth.frame).tolist() == np.bincount([int(row[0]) for row in rows]).tolist()
+        assert not truth.distractor.any()
+        assert len(read_tracks(path)) == len(cells(path))
+
+
+def test_pets_2009(data: Path) -> None:
+    path = data / "pets2009" / "PETS2009-S1L1-1.xml"
+    text, truth = path.read_text(), read_truth(path)
+    assert len(truth) == text.count("<box ")
+    assert truth.frame.max() == text.count("<frame ") == 221
+    assert len(np.unique(truth.identity)) == len(set(re.findall(r'<object id="(\d+)"', text))) == 46
+    first = text[: text.index('<frame number="1"')].count("<object ")
+    assert (truth.frame == 1).sum() == first
+    np.testing.assert_allclose(truth.xyxy[0, [0, 2]].mean(), 630.1302)
+    assert len(read_groups(path)) == 0
+
+
+def test_caviar(data: Path) -> None:
+    path = data / "caviar" / "cols1gt.xml"
+    text, truth, groups = path.read_text(), read_truth(path), read_groups(path)
+    assert len(truth) == text.count("<object ")
+    assert len(np.unique(truth.identity)) == 6
+    assert truth.frame.max() == text.count("<frame ") == 295
+    assert len(groups) == 2 * text.count("<members>3,4</members>")
+    assert set(groups.member.tolist()) == {3, 4}
+    assert groups.frame.tolist() == np.repeat(np.arange(1, 296), 2).tolist()
+    assert len(read_detections(path)) == len(truth)

@@ -1,0 +1,211 @@
+"""Text tables: what is understood, and what a user is told where it is not."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from phdtrack.errors import InputError
+from phdtrack.formats import read_detections, read_tracks, read_truth
+from phdtrack.formats.text import numbers, scan
+
+GOOD = "1,-1,10,20,30,40,0.5,-1,-1,-1\n"
+
+
+def put(folder: Path, content: str | bytes, name: str = "det.txt") -> Path:
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        GOOD,
+        GOOD.strip(),
+        GOOD.replace("\n", "\r\n"),
+        GOOD.replace("\n", "\r"),
+        "\ufeff" + GOOD,
+        "\n# a comment\n\n" + GOOD + "\n\n",
+        GOOD.replace(",", ", "),
+        GOOD.replace(",", ";"),
+        GOOD.replace(",", "\t"),
+        GOOD.replace(",", "   "),
+        "  " + GOOD.replace(",", " "),
+        GOOD.replace("\n", ",\n"),
+        "1.0,-1,1e1,20.0,3e1,40,.5\n",
+        '"1","-1","10","20","30","40","0.5"\n',
+        "frame,id,left,top,width,height,conf\n1,-1,10,20,30,40,0.5\n",
+        "Frame Number;X1;Y1;X2;Y2;Score\n1;10;20;40;60;0.5\n",
+        "conf cx cy w h frame_idx\n0.5 25 40 30 40 1\n",
+        "frame,name,x,y,w,h,score\n1,somebody,10,20,30,40,0.5\n",
+        'frame,name,x,y,w,h,score\n1,"some,body",10,20,30,40,0.5\n',
+        "frame,id,bb_left,bb_top,bb_width,bb_height,conf,x,y,z\n1,-1,10,20,30,40,0.5,7,8,9\n",
+        "x_min,y_min,x_max,y_max,class_id,confidence,tracker_id,frame_number\n10,20,40,60,0,0.5,,1\n",
+        "frame,left,top,right,bottom,score,note,\n1,10,20,40,60,0.5,,\n",
+    ],
+)
+def test_every_usual_way_to_write_a_row(tmp_path: Path, content: str) -> None:
+    table = read_detections(put(tmp_path, content))
+    assert table.frame.tolist() == [1]
+    np.testing.assert_allclose(table.detections.xyxy, [[10, 20, 40, 60]])
+    assert table.detections.confidence.tolist() == [0.5]
+    assert table.detections.class_id.tolist() == [0]
+    assert table.detections.covariance is None
+
+
+@pytest.mark.parametrize("content", ["", "\n\n", "# nothing\n", "\ufeff", "frame,id,left,top,width,height\n"])
+def test_an_empty_file_has_no_rows(tmp_path: Path, content: str) -> None:
+    path = put(tmp_path, content)
+    assert len(read_detections(path)) == len(read_truth(path)) == len(read_tracks(path)) == 0
+    assert read_detections(path).detections.xyxy.shape == (0, 4)
+
+
+@pytest.mark.parametrize(
+    ("content", "line", "words"),
+    [
+        (GOOD + "2,-1,abc,20,30,40,0.5,-1,-1,-1\n", 2, "number for the left (column 3), came 'abc'"),
+        (GOOD + "\n# c\n2,-1,,20,30,40,0.5,-1,-1,-1\n", 4, "number for the left (column 3), came nothing"),
+        (GOOD + "2,-1,nan,20,30,40,0.5,-1,-1,-1\n", 2, "finite numbers for the box, came left nan"),
+        (GOOD + "2,-1,10,20,inf,40,0.5,-1,-1,-1\n", 2, "finite numbers for the box"),
+        (GOOD + "2,-1,10,20,1e999,40,0.5,-1,-1,-1\n", 2, "finite numbers for the box"),
+        (GOOD + "2,-1,10,20,30,40,nan,-1,-1,-1\n", 2, "finite confidence, came nan"),
+        (GOOD + "2,-1,10,20,-3,40,0.5,-1,-1,-1\n", 2, "above 0, came width -3, height 40"),
+        (GOOD + "2,-1,10,20,30,0,0.5,-1,-1,-1\n", 2, "above 0, came width 30, height 0"),
+        (GOOD + "1.5,-1,10,20,30,40,0.5,-1,-1,-1\n", 2, "whole number for the frame number, came 1.5"),
+        (GOOD + "nan,-1,10,20,30,40,0.5,-1,-1,-1\n", 2, "whole number for the frame number, came nan"),
+        (GOOD + "1e30,-1,10,20,30,40,0.5,-1,-1,-1\n", 2, "whole number for the frame number, came 1e+30"),
+        (GOOD + "0,-1,10,20,30,40,0.5,-1,-1,-1\n", 2, "expected frame 1 or later, came 0"),
+        (GOOD + "-4,-1,10,20,30,40,0.5,-1,-1,-1\n", 2, "expected frame 1 or later, came -4"),
+        (GOOD + "2,-1,10,20,30,4\n", 2, "expected 10 values as in the first line, came 6"),
+        (GOOD + "2,-1,10,20,30,40,0.\n", 2, "expected 10 values as in the first line, came 7"),
+        (GOOD + "2,-1,10,20,30,40,0.5,-1,-1,-1,7\n", 2, "expected 10 values as in the first line, came 11"),
+        ("1,-1,1,2,3\n", 1, "at least 6 columns (frame, id, left, top, width, height), came 5"),
+        ("1 -1 1_0 2 3 4\n", 1, "came '1_0'"),
+        ("frame,left,top,width,height\n1,2,3,4,5\n\n2,3,x,4,5\n", 4, "number for the top (column 3), came 'x'"),
+        ("frame,left,top,width,height\n1,2,3,4,5,6\n", 2, "expected 5 values as in the header, came 6"),
+        ("frame,left,top,width,height,class\n1,2,3,4,5,person\n", 2, "number for the class"),
+        ("frame,left,top,width,height,class\n1,2,3,4,5,1\n2,2,3,4,5,\n", 3, "number for the class (column 6), came nothing"),
+        ("frame,left,top,width,height,class\n1,2,3,4,5,1.5\n", 2, "whole number for the class"),
+    ],
+)
+def test_the_message_names_file_and_line(tmp_path: Path, content: str, line: int, words: str) -> None:
+    path = put(tmp_path, content)
+    with pytest.raises(InputError) as caught:
+        read_detections(path)
+    assert caught.value.where == f"{path}, line {line}"
+    assert words in caught.value.problem
+
+
+def test_the_first_bad_line_is_named_and_the_others_counted(tmp_path: Path) -> None:
+    path = put(tmp_path, GOOD + "0,-1,1,2,3,4,1,-1,-1,-1\n" * 3 + "1,-1,1,2,0,4,1,-1,-1,-1\n")
+    with pytest.raises(InputError, match=r"line 2: .*came 0 \(2 more like it\)"):
+        read_detections(path)
+
+
+@pytest.mark.parametrize("reader", [read_detections, read_truth, read_tracks])
+def test_a_missing_column_is_told_with_the_names_that_would_do(tmp_path: Path, reader: object) -> None:
+    assert callable(reader)
+    path = put(tmp_path, "time,left,top,width,height\n1,2,3,4,5\n")
+    with pytest.raises(InputError, match=r"no column for the frame; the columns are time, left.*frame_idx") as caught:
+        reader(path)
+    assert caught.value.where == str(path)
+    path = put(tmp_path, "frame,id,left,top,width\n1,1,2,3,4\n")
+    with pytest.raises(InputError, match="no column for the box"):
+        reader(path)
+
+
+def test_truth_and_tracks_need_an_identity(tmp_path: Path) -> None:
+    path = put(tmp_path, "frame,left,top,width,height\n1,2,3,4,5\n")
+    assert len(read_detections(path)) == 1
+    for reader in (read_truth, read_tracks):
+        with pytest.raises(InputError, match="no column for the identity"):
+            reader(path)
+    for reader in (read_truth, read_tracks):
+        with pytest.raises(InputError, match=r"det.txt, line 1: .*identity, came -1.*file of detections"):
+            reader(put(tmp_path, GOOD))
+
+
+@pytest.mark.parametrize("content", [b"1,-1,10\0", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0", GOOD.encode() + b"\xe9"])
+def test_bytes_that_are_no_text(tmp_path: Path, content: bytes) -> None:
+    path = put(tmp_path, content)
+    with pytest.raises(InputError, match="no UTF-8 text") as caught:
+        read_detections(path)
+    assert caught.value.where == f"{path}, line {2 if content.startswith(GOOD.encode()) else 1}"
+
+
+def test_utf16_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"came UTF-16. Save it as UTF-8"):
+        read_detections(put(tmp_path, GOOD.encode("utf-16")))
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no such file") as caught:
+        read_detections(tmp_path / "nowhere" / "det.txt")
+    assert str(tmp_path) in caught.value.cure
+    (tmp_path / "det").mkdir()
+    path = put(tmp_path / "det", GOOD)
+    with pytest.raises(InputError, match="expected a file, came a folder") as caught:
+        read_detections(tmp_path)
+    assert str(path) in caught.value.cure
+
+
+def test_frames_are_sorted_and_the_order_within_them_is_kept(tmp_path: Path) -> None:
+    frames, lefts = [3, 1, 3, 2, 1], [1, 2, 3, 4, 5]
+    lines = "".join(f"{f},-1,{x},0,1,1\n" for f, x in zip(frames, lefts, strict=True))
+    table = read_detections(put(tmp_path, lines))
+    assert table.frame.tolist() == [1, 1, 2, 3, 3]
+    assert table.detections.xyxy[:, 0].tolist() == [2, 5, 4, 1, 3]
+    assert table.at(3).xyxy[:, 0].tolist() == [1, 3]
+    assert table.detections.confidence.tolist() == [1] * 5
+
+
+def test_scores_have_no_bounds(tmp_path: Path) -> None:
+    table = read_detections(put(tmp_path, "1,-1,0,0,1,1,-0.8\n1,-1,0,0,1,1,139\n"))
+    assert table.detections.confidence.tolist() == [-0.8, 139]
+
+
+def test_files_that_count_from_zero(tmp_path: Path) -> None:
+    path = put(tmp_path, "0,5,0,0,1,1\n1,5,0,0,1,1\n")
+    with pytest.raises(InputError, match="first_frame=0"):
+        read_tracks(path)
+    for reader in (read_tracks, read_truth, read_detections):
+        assert reader(path, first_frame=0).frame.tolist() == [1, 2]
+
+
+cell = st.floats(allow_nan=False, allow_infinity=False, width=64)
+
+
+@given(st.lists(st.tuples(cell, cell, cell), min_size=1), st.sampled_from([",", ";", "\t", " "]))
+def test_both_ways_through_a_file_agree(rows: list[tuple[float, float, float]], delimiter: str) -> None:
+    """The fast way and, forced by one pair of quotes, the careful one."""
+    plain = [[repr(value) for value in row] for row in rows]
+    quoted = [[f'"{plain[0][0]}"', *plain[0][1:]], *plain[1:]]
+    got = []
+    for cells in (plain, quoted):
+        text = scan(Path("t"), "\n".join(delimiter.join(row) for row in cells).encode())
+        got.append(numbers(text, [2, 0], ["a", "b"]))
+    np.testing.assert_array_equal(got[0], np.array(rows)[:, [2, 0]])
+    np.testing.assert_array_equal(got[1], got[0])
+
+
+@given(st.binary(max_size=200))
+def test_no_content_whatever_gives_anything_but_rows_or_an_input_error(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes
+) -> None:
+    path = put(tmp_path_factory.getbasetemp(), content, "anything")
+    for reader in (read_detections, read_truth, read_tracks):
+        with contextlib.suppress(InputError):
+            reader(path)
+
+
+@given(st.text(alphabet="0123456789.,;-\n\t \"'#eEinfa<[{", max_size=120))
+def test_nearly_a_table(tmp_path_factory: pytest.TempPathFactory, content: str) -> None:
+    test_no_content_whatever_gives_anything_but_rows_or_an_input_error.hypothesis.inner_test(  # type: ignore[attr-defined]
+        tmp_path_factory, content.encode()
+    )

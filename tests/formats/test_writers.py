@@ -1,0 +1,186 @@
+"""What is written can be read back, and is there as soon as it is written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from phdtrack.errors import InputError
+from phdtrack.formats import (
+    DetectionsWriter,
+    StatesWriter,
+    TracksWriter,
+    read_detections,
+    read_tracks,
+    read_truth,
+    write_detections,
+    write_states,
+    write_tracks,
+    write_truth,
+)
+from phdtrack.types import F8, Detections, DetectionTable, Estimates, Tracks, Truth
+
+SIZE = st.integers(0, 12)
+
+
+def boxes(draw: st.DrawFn, n: int) -> F8:
+    corner = draw(hnp.arrays(np.float64, (n, 2), elements=st.floats(-5000, 5000)))
+    size = draw(hnp.arrays(np.float64, (n, 2), elements=st.floats(0.1, 3000)))
+    return np.hstack([corner, corner + size])
+
+
+@st.composite
+def tracks(draw: st.DrawFn) -> Tracks:
+    keys = sorted(draw(st.sets(st.tuples(st.integers(1, 9), st.integers(1, 99)), max_size=12)))
+    n = len(keys)
+    table = np.array(keys, dtype=np.int64).reshape(n, 2)
+    return Tracks(
+        table[:, 0],
+        table[:, 1],
+        boxes(draw, n),
+        draw(hnp.arrays(np.float64, n, elements=st.floats(0, 1))),
+        draw(hnp.arrays(np.int64, n, elements=st.integers(-1, 500))),
+        draw(hnp.arrays(np.bool_, n)),
+    )
+
+
+@st.composite
+def detection_tables(draw: st.DrawFn) -> DetectionTable:
+    n = draw(SIZE)
+    frame = np.sort(draw(hnp.arrays(np.int64, n, elements=st.integers(1, 10**6))))
+    root = draw(hnp.arrays(np.float64, (n, 4, 4), elements=st.floats(-20, 20)))
+    found = Detections(
+        boxes(draw, n),
+        draw(hnp.arrays(np.float64, n, elements=st.floats(-500, 500))),
+        draw(hnp.arrays(np.int64, n, elements=st.integers(-1, 90))),
+        root @ root.transpose(0, 2, 1) if draw(st.booleans()) else None,
+    )
+    return DetectionTable(frame, found)
+
+
+@given(tracks())
+def test_tracks_come_back(tmp_path_factory: pytest.TempPathFactory, original: Tracks) -> None:
+    path = tmp_path_factory.getbasetemp() / "tracks.csv"
+    write_tracks(path, original)
+    again = read_tracks(path)
+    np.testing.assert_array_equal(again.frame, original.frame)
+    np.testing.assert_array_equal(again.identity, original.identity)
+    np.testing.assert_allclose(again.xyxy, original.xyxy, rtol=0, atol=2e-3)
+    np.testing.assert_allclose(again.confidence, original.confidence, rtol=1e-6)
+    np.testing.assert_array_equal(again.detection, original.detection)
+    np.testing.assert_array_equal(again.confirmed, original.confirmed)
+
+
+@given(detection_tables())
+def test_detections_come_back(tmp_path_factory: pytest.TempPathFactory, original: DetectionTable) -> None:
+    path = tmp_path_factory.getbasetemp() / "detections.csv"
+    write_detections(path, original)
+    again = read_detections(path)
+    np.testing.assert_array_equal(again.frame, original.frame)
+    a, b = again.detections, original.detections
+    np.testing.assert_allclose(a.xyxy, b.xyxy, rtol=0, atol=2e-6)
+    np.testing.assert_allclose(a.confidence, b.confidence, rtol=1e-9)
+    np.testing.assert_array_equal(a.class_id, b.class_id)
+    if b.covariance is None or not len(b):
+        assert a.covariance is None
+    else:
+        assert a.covariance is not None
+        np.testing.assert_allclose(a.covariance, b.covariance, rtol=1e-9, atol=1e-12)
+
+
+@given(tracks(), st.booleans())
+def test_truth_comes_back(tmp_path_factory: pytest.TempPathFactory, source: Tracks, mark: bool) -> None:
+    original = Truth(source.frame, source.identity, source.xyxy, source.confirmed & mark)
+    path = tmp_path_factory.getbasetemp() / "gt.txt"
+    write_truth(path, original)
+    again = read_truth(path)
+    np.testing.assert_array_equal(again.frame, original.frame)
+    np.testing.assert_array_equal(again.identity, original.identity)
+    np.testing.assert_allclose(again.xyxy, original.xyxy, rtol=0, atol=2e-3)
+    np.testing.assert_array_equal(again.distractor, original.distractor)
+
+
+def test_the_form_of_tracks(tmp_path: Path) -> None:
+    one = Tracks(
+        np.array([3]),
+        np.array([8]),
+        np.array([[1.5, 2.0, 11.25, 42.0]]),
+        np.array([1.25]),
+        np.array([-1]),
+        np.array([False]),
+    )
+    write_tracks(tmp_path / "new" / "tracks.csv", one)
+    assert (tmp_path / "new" / "tracks.csv").read_bytes() == b"3,8,1.5,2,9.75,40,1.25,-1,-1,-1,-1,0\n"
+
+
+def test_single_precision_detections_come_back_the_same(tmp_path: Path, rng: np.random.Generator) -> None:
+    score = rng.random(200).astype(np.float32)
+    corner = (rng.random((200, 2)) * 2000).astype(np.float32)
+    found = Detections.of(np.hstack([corner, corner + 50]), score)
+    write_detections(tmp_path / "d.csv", DetectionTable(np.ones(200, np.int64), found))
+    again = read_detections(tmp_path / "d.csv").detections
+    np.testing.assert_array_equal(again.confidence.astype(np.float32), score)
+    np.testing.assert_array_equal(again.xyxy[:, :2].astype(np.float32), corner)
+
+
+def test_a_covariance_must_be_one(tmp_path: Path) -> None:
+    good = "1,-1,0,0,5,5,1,-1,-1,-1,0,1,0,0,0,1,0,0,1,0,1\n"
+    path = tmp_path / "d.csv"
+    path.write_text(good)
+    assert read_detections(path).detections.covariance is not None
+    path.write_text(good + good.replace("0,1,0,0,0,1", "0,1,9,0,0,1"))
+    with pytest.raises(InputError, match=r"d.csv, line 2: .*positive semidefinite"):
+        read_detections(path)
+
+
+def test_every_frame_is_on_disk_before_the_writer_is_closed(tmp_path: Path) -> None:
+    found = Detections.of([[0, 0, 1, 1], [2, 2, 4, 4]], [0.5, -7])
+    row = Tracks(np.array([1]), np.array([1]), np.array([[0.0, 0, 1, 1]]), np.array([1.0]), np.array([0]), np.array([True]))
+    state = Estimates(np.arange(12.0).reshape(6, 2), np.zeros((2, 6, 6)), np.array([1, 0.5]), found.xyxy, np.array([0, -1]))
+    with (
+        DetectionsWriter(tmp_path / "d.csv") as detections,
+        TracksWriter(tmp_path / "t.csv") as written,
+        StatesWriter(tmp_path / "s.csv") as states,
+    ):
+        for frame in (1, 2, 3):
+            detections.append(frame, found if frame != 2 else Detections.empty())
+            written.append(row if frame == 1 else Tracks.empty())
+            states.append(frame, frame / 25, state if frame != 2 else Estimates.empty(6))
+        assert read_detections(tmp_path / "d.csv").frame.tolist() == [1, 1, 3, 3]
+        assert len(read_tracks(tmp_path / "t.csv")) == 1
+        assert (tmp_path / "s.csv").read_text().splitlines() == [
+            "frame,time,weight,detection,left,top,width,height,s0,s1,s2,s3,s4,s5",
+            "1,0.040000,1,0,0,0,1,1,0,2,4,6,8,10",
+            "1,0.040000,0.5,-1,2,2,2,2,1,3,5,7,9,11",
+            "3,0.120000,1,0,0,0,1,1,0,2,4,6,8,10",
+            "3,0.120000,0.5,-1,2,2,2,2,1,3,5,7,9,11",
+        ]
+        states.close()  # closing twice does no harm
+
+
+def test_states_of_a_sequence_read_as_detections_too(tmp_path: Path) -> None:
+    state = Estimates(np.ones((4, 1)), np.zeros((1, 4, 4)), np.ones(1), np.array([[1.0, 2, 3, 5]]), np.array([0]))
+    write_states(tmp_path / "states.csv", np.array([4, 7]), np.array([0.1, 0.2]), [state, state])
+    table = read_detections(tmp_path / "states.csv")
+    assert table.frame.tolist() == [4, 7]
+    assert table.detections.xyxy.tolist() == [[1, 2, 3, 5]] * 2
+
+
+def test_nothing_is_written_into_the_arrays(tmp_path: Path) -> None:
+    one = Tracks(np.array([1]), np.array([1]), np.array([[0.0, 0, 1, 1]]), np.array([1.0]), np.array([0]), np.array([True]))
+    for array in (one.frame, one.identity, one.xyxy, one.confidence, one.detection, one.confirmed):
+        array.setflags(write=False)
+    write_tracks(tmp_path / "t.csv", one)
+
+
+def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "file" / "t.csv", tmp_path):
+        with pytest.raises(InputError, match="cannot be written") as caught:
+            write_tracks(path, Tracks.empty())
+        assert caught.value.where == str(path)
