@@ -53,7 +53,8 @@ def test_a_data_set_numbers_its_frames(tmp_path: Path, images: list[dict[str, An
 
 
 def test_nothing_in_it(tmp_path: Path) -> None:
-    for document in ([], {"images": [], "annotations": []}):
+    documents: list[object] = [[], {"images": [], "annotations": []}]
+    for document in documents:
         path = put(tmp_path, document)
         assert len(read_detections(path)) == len(read_truth(path)) == len(read_tracks(path)) == 0
 

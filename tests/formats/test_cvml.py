@@ -90,7 +90,12 @@ def test_the_message_names_the_line(tmp_path: Path, change: tuple[str, str], lin
 
 
 @pytest.mark.parametrize(
-    ("members", "words"), [("0, x", "a member of group 2, came 'x'"), ("0, 1.5", "whole numbers for frame")]
+    ("members", "words"),
+    [
+        ("0, x", "a member of group 2, came 'x'"),
+        ("0, 1.5", "whole number of 0 or more for the member, came 1.5"),
+        ("0 inf", "for the member, came inf"),
+    ],
 )
 def test_bad_members(tmp_path: Path, members: str, words: str) -> None:
     path = put(tmp_path, GOOD.replace("0, 7", members))

@@ -63,11 +63,11 @@ def test_the_choice_of_distractors(tmp_path: Path) -> None:
 
 def synthetic(rng: np.random.Generator, frames: int) -> list[tuple[int, int, float, float, int, int, int, int]]:
     """Rows of MOT16 truth, every class with either flag, boxes that do not touch."""
-    rows = []
+    rows: list[tuple[int, int, float, float, int, int, int, int]] = []
     for frame in range(1, frames + 1):
         for i in range(26):
             place = rng.integers(0, 20)
-            rows.append((frame, i + 1, 100.0 * i + place, 50.0, 40, 80, i % 2, i // 2 + 1))
+            rows.append((frame, i + 1, float(100 * i + place), 50.0, 40, 80, i % 2, i // 2 + 1))
     return rows
 
 

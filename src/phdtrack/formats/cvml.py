@@ -17,7 +17,7 @@ from xml.parsers import expat
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.formats.rows import Rows, Rule, enforce
+from phdtrack.formats.rows import Rows, enforce, whole
 from phdtrack.formats.source import AnyPath, Origin, load
 from phdtrack.types import I8
 
@@ -47,9 +47,9 @@ def read_groups(path: AnyPath, *, first_frame: int = 0) -> GroupMembers:
     reader = _Reader(Path(path))
     reader.parse(load(path))
     table = np.array(reader.members, dtype=np.float64).reshape(-1, 4)
-    bad = (table != np.floor(table)).any(axis=1)
     origin = Origin(reader.path, "line", table[:, 3].astype(np.int64))
-    enforce(origin, [Rule(bad, lambda i: "expected whole numbers for frame, group and members, came others")])
+    names = ("member", "group", "frame number")
+    enforce(origin, [whole(table[:, 2 - i], name, lowest=first_frame if i == 2 else 0) for i, name in enumerate(names)])
     frame, group, member = table[:, :3].T.astype(np.int64)
     return GroupMembers(frame + (1 - first_frame), group, member)
 

@@ -14,7 +14,7 @@ from phdtrack.formats.table import assemble
 from phdtrack.formats.text import normalise
 
 
-def rows_of_parquet(path: Path, kind: Kind, first: int) -> Rows:
+def rows_of_parquet(path: Path, content: bytes, kind: Kind, first: int) -> Rows:
     """The boxes in a Parquet file; ``first`` is the number that it gives the first frame.
 
     Raises
@@ -30,7 +30,7 @@ def rows_of_parquet(path: Path, kind: Kind, first: int) -> Rows:
             "reading Parquet needs the package pyarrow, which is not installed", where=path, cure=cure
         ) from None
     try:
-        file = parquet.ParquetFile(path)
+        file = parquet.ParquetFile(arrow.BufferReader(content))
         names = [str(name) for name in file.schema_arrow.names]
         if len(set(names)) < len(names):
             raise InputError("expected columns of different names, came two of the same", where=path)
@@ -38,8 +38,6 @@ def rows_of_parquet(path: Path, kind: Kind, first: int) -> Rows:
         table = file.read(columns=[names[c] for c in layout.columns])
     except arrow.ArrowException as error:
         raise InputError(f"expected a Parquet file, which cannot be read: {error}", where=path) from None
-    except OSError as error:
-        raise InputError(f"the file cannot be read: {error}", where=path) from None
     absent = [c for c in layout.optional if table[names[c]].null_count == len(table)]
     layout = layout.without(absent)
     origin = Origin(path, "row", np.arange(1, len(table) + 1))

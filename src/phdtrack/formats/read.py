@@ -19,21 +19,22 @@ from phdtrack.formats.motchallenge import judge, usual_distractors
 from phdtrack.formats.rows import Rows
 from phdtrack.formats.source import AnyPath, Origin, load
 from phdtrack.formats.table import rows_of_text
-from phdtrack.types import DetectionTable, Tracks, Truth
+from phdtrack.types import DetectionTable, SequenceInfo, Tracks, Truth
 
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 
-def read_detections(path: AnyPath, *, first_frame: int | None = None) -> DetectionTable:
+def read_detections(path: AnyPath, *, first_frame: int | None = None, within: SequenceInfo | None = None) -> DetectionTable:
     """The detections in a MOTChallenge ``det.txt``, CSV, Parquet, COCO JSON or CVML file, sorted by frame.
 
-    Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no bounds.
+    Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no bounds. Where ``within``
+    tells the size of the picture, a box that lies outside of it altogether is an error.
 
     Raises
     ------
     InputError : the file is missing or malformed; the message names the line.
     """
-    return records.detections(_read(Path(path), Kind.DETECTIONS, first_frame))
+    return records.detections(_read(Path(path), Kind.DETECTIONS, first_frame), within)
 
 
 def read_truth(path: AnyPath, *, first_frame: int | None = None, distractors: Collection[int] | None = None) -> Truth:
@@ -73,7 +74,7 @@ def _read(path: Path, kind: Kind, first_frame: int | None, distractors: Collecti
     if start == b"PAR1":
         from phdtrack.formats.parquet import rows_of_parquet
 
-        return rows_of_parquet(path, kind, first)
+        return rows_of_parquet(path, content, kind, first)
     if start.startswith(b"<"):
         from phdtrack.formats.cvml import rows_of_cvml
 

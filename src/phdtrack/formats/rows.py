@@ -13,7 +13,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.formats.source import Origin
-from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Tracks, Truth
+from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, SequenceInfo, Tracks, Truth
 
 _LARGEST = 2.0**53  # beyond it a float no longer tells neighbouring integers apart
 
@@ -73,16 +73,18 @@ def enforce(origin: Origin, rules: list[Rule]) -> None:
     raise InputError(rule.problem(row) + more, where=origin.at(row), cure=rule.cure)
 
 
-def detections(rows: Rows) -> DetectionTable:
-    """The rows as detections, sorted by frame, in the file's order within it.
+def detections(rows: Rows, within: SequenceInfo | None = None) -> DetectionTable:
+    """The rows as detections, sorted by frame, in the file's order within it; ``within`` tells the size of the picture.
 
     Raises
     ------
-    InputError : a row has no valid frame, box, confidence, class or covariance.
+    InputError : a row has no valid frame, box, confidence, class or covariance, or its box lies outside of the picture.
     """
     confidence = np.ones(len(rows)) if rows.confidence is None else rows.confidence
     label = np.zeros(len(rows)) if rows.class_id is None else rows.class_id
-    rules = [*_box_rules(rows), _finite(confidence, "confidence"), _whole(label, "class")]
+    rules = [*_box_rules(rows), _finite(confidence, "confidence"), whole(label, "class")]
+    if within is not None:
+        rules.append(_outside(rows.xyxy, within))
     cov = None if rows.covariance is None else _symmetric(rows.covariance)
     if cov is not None:
         rules.append(_definite(cov))
@@ -128,7 +130,7 @@ def tracks(rows: Rows) -> Tracks:
     used = -ones if rows.detection is None else rows.detection
     confirmed = ones if rows.confirmed is None else rows.confirmed
     rules = [*_box_rules(rows), _identities(identity), _finite(confidence, "confidence")]
-    enforce(rows.origin, [*rules, _whole(used, "detection", lowest=-1), _flag(confirmed, "confirmed")])
+    enforce(rows.origin, [*rules, whole(used, "detection", lowest=-1), _flag(confirmed, "confirmed")])
     frame, who = _frames(rows), identity.astype(np.int64)
     enforce(rows.origin, [_twice(rows.origin, frame, who)])
     everything = Tracks(frame, who, rows.xyxy, confidence, used.astype(np.int64), confirmed != 0)
@@ -141,15 +143,15 @@ def _frames(rows: Rows) -> I8:
 
 def _box_rules(rows: Rows) -> list[Rule]:
     first, box = rows.first, rows.xyxy
-    whole = _whole(rows.frame, "frame number")
+    number = whole(rows.frame, "frame number")
     cure = "Where the file counts from 0, read it with first_frame=0." if first == 1 else ""
     with np.errstate(invalid="ignore"):
         early = rows.frame < first
         flat = ~((box[:, 2] > box[:, 0]) & (box[:, 3] > box[:, 1]))
     finite: Bool = np.isfinite(np.abs(box).max(axis=1))  # a NaN is the largest
     return [
-        whole,
-        Rule(early & ~whole.bad, lambda i: f"expected frame {first} or later, came {rows.frame[i]:.15g}", cure),
+        number,
+        Rule(early & ~number.bad, lambda i: f"expected frame {first} or later, came {rows.frame[i]:.15g}", cure),
         Rule(~finite, lambda i: f"expected finite numbers for the box, came {_box(box[i])}", "Remove the row."),
         Rule(
             flat & finite,
@@ -171,7 +173,8 @@ def _finite(values: F8, name: str) -> Rule:
     return Rule(~np.isfinite(values), lambda i: f"expected a finite {name}, came {values[i]}")
 
 
-def _whole(values: F8, name: str, *, lowest: float = -_LARGEST) -> Rule:
+def whole(values: F8, name: str, *, lowest: float = -_LARGEST) -> Rule:
+    """A value that is no whole number, below ``lowest``, or too large to be told from its neighbours."""
     with np.errstate(invalid="ignore"):
         good = (np.abs(values) <= _LARGEST) & (np.floor(values) == values) & (values >= lowest)
     least = "" if lowest == -_LARGEST else f" of {lowest:.0f} or more"
@@ -179,7 +182,7 @@ def _whole(values: F8, name: str, *, lowest: float = -_LARGEST) -> Rule:
 
 
 def _identities(values: F8) -> Rule:
-    rule = _whole(values, "identity", lowest=0)
+    rule = whole(values, "identity", lowest=0)
     return Rule(rule.bad, rule.problem, "An identity of −1 means that there is none: is this a file of detections?")
 
 
@@ -199,6 +202,15 @@ def _twice(origin: Origin, frame: I8, identity: I8) -> Rule:
         return f"identity {identity[i]} is in frame {frame[i]} (counted from 1) already, in {place}"
 
     return Rule(before >= 0, problem, "One object has one box in a frame: remove one, or give it an identity of its own.")
+
+
+def _outside(box: F8, picture: SequenceInfo) -> Rule:
+    """A box of which nothing is in the picture. Parts outside are usual: people walk in and out."""
+    width, height = picture.width, picture.height
+    with np.errstate(invalid="ignore"):
+        bad = (box[:, 0] >= width) | (box[:, 1] >= height) | (box[:, 2] <= 0) | (box[:, 3] <= 0)
+    cure = "Do the detections belong to this video, and are they in pixels of its full size?"
+    return Rule(bad, lambda i: f"expected a box in the picture of {width} × {height} pixels, came {_box(box[i])}", cure)
 
 
 def _symmetric(triangle: F8) -> F8:
