@@ -68,6 +68,15 @@ def test_a_file_cut_short(tmp_path: Path) -> None:
         read_detections(path)
 
 
+def test_a_broken_footer(tmp_path: Path) -> None:
+    path = put(tmp_path, {"frame": [1, 2], **BOX})
+    good = path.read_bytes()
+    start = len(good) - 8 - int.from_bytes(good[-8:-4], "little")
+    path.write_bytes(good[:start] + b"\xff" * 8 + good[start + 8 :])
+    with pytest.raises(InputError, match="expected a Parquet file, which cannot be read"):
+        read_detections(path)
+
+
 def test_names_of_columns_must_differ(tmp_path: Path) -> None:
     path = tmp_path / "boxes.parquet"
     parquet.write_table(arrow.Table.from_arrays([arrow.array([1])] * 2, names=["frame", "frame"]), path)

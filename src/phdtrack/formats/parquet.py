@@ -36,7 +36,7 @@ def rows_of_parquet(path: Path, content: bytes, kind: Kind, first: int) -> Rows:
             raise InputError("expected columns of different names, came two of the same", where=path)
         layout = by_name(kind, [normalise(name) for name in names], path)
         table = file.read(columns=[names[c] for c in layout.columns])
-    except arrow.ArrowException as error:
+    except (arrow.ArrowException, OSError, UnicodeDecodeError) as error:  # a broken footer can be any of them
         raise InputError(f"expected a Parquet file, which cannot be read: {error}", where=path) from None
     absent = [c for c in layout.optional if table[names[c]].null_count == len(table)]
     layout = layout.without(absent)
