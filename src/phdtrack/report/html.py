@@ -31,6 +31,7 @@ from phdtrack.report.record import RunRecord
 from phdtrack.report.run_json import flattened, write_text
 from phdtrack.report.scenes import heat_picture, trajectory_picture
 from phdtrack.report.summary import counted, duration, grouped, percent, sentences, stage_times
+from phdtrack.types import F8
 
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 _MEANING = (
@@ -135,13 +136,18 @@ def _count(record: RunRecord) -> Html:
         return section("Count over time", paragraph("No frame was processed."))
     series = record.series
     alt = (
-        f"Line chart over {counted(len(series), 'frame')}: the filter expects {series.mass.mean():.1f} objects on average "
-        f"and {series.mass.max():.1f} at most; there are {record.track_count.mean():.1f} tracks and "
-        f"{series.n_detections.mean():.1f} detections in a frame on average."
+        f"Line chart over {counted(len(series), 'frame')}: {_expectation(series.mass)}"
+        f"{record.track_count.mean():.1f} tracks and {series.n_detections.mean():.1f} detections in a frame on average."
     )
     truth = " Broad green: annotated objects." if len(series.truth_count) else ""
     caption = f"Grey dots: what the detector reported. Blue: how many objects the filter expects. Orange: tracks.{truth}"
     return section("Count over time", figure(count_chart(record), alt, caption, "chart"))
+
+
+def _expectation(mass: F8) -> str:
+    """The filter's expectation for the alternative text; nothing where it gives no mass."""
+    known = mass[np.isfinite(mass)]
+    return f"{known.mean():.1f} objects expected on average and {known.max():.1f} at most, " if len(known) else ""
 
 
 def _trajectories(record: RunRecord) -> Html:

@@ -65,7 +65,8 @@ def write_text(path: Path, text: str) -> None:
     """Write UTF-8 and make the folder. Raises `InputError` where that cannot be done."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8", newline="\n")
+        # File names may hold bytes that are no text; their escape is also how JSON spells them.
+        path.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
     except OSError as error:
         raise InputError(
             f"could not be written: {error.strerror or error}", where=path, cure="Choose another output folder."

@@ -50,7 +50,8 @@ def corners(box: F8, image: Image) -> Corners | None:
     Boxes reaching far out are cut one frame beyond the edges: OpenCV's coordinates overflow otherwise.
     """
     high, wide = image.shape[:2]
-    left, top, right, bottom = (float(v) for v in box)
+    left, right = sorted((float(box[0]), float(box[2])))
+    top, bottom = sorted((float(box[1]), float(box[3])))
     if not np.isfinite(box).all() or right < 0 or bottom < 0 or left > wide or top > high:
         return None
     x0, x1 = (round(min(max(v, -wide), 2 * wide)) for v in (left, right))

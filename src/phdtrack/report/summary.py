@@ -51,7 +51,9 @@ def sentences(record: RunRecord) -> tuple[str, ...]:
     series, tracks = record.series, record.tracks
     said = [f"{counted(record.n_objects, 'object')} in {counted(len(series), 'frame')}{_length(record)}."]
     detections, clutter = int(series.n_detections.sum()), record.false_alarms
-    if detections:
+    if detections and not clutter:
+        said.append(f"{counted(detections, 'detection')}, none of them judged a false alarm.")
+    elif detections:
         said.append(
             f"The filter took about {grouped(clutter)} of {counted(detections, 'detection')} "
             f"({percent(clutter, detections)}) for false alarms."

@@ -1,0 +1,71 @@
+"""Hand-made runs for the tests of the report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from phdtrack.report import About, Recorder, RunRecord
+from phdtrack.types import Detections, Estimates, Particles, SequenceInfo, Step, Tracks, Truth, UpdateInfo
+
+WIDE, HIGH = 160, 120
+
+
+def step(number: int, boxes: np.ndarray, clutter: float = 0.25) -> Step:
+    """A step with a detection and an estimate at each of the boxes (n, 4), each detection clutter with this probability."""
+    n = len(boxes)
+    info = UpdateInfo(float(n), 0.1, n * (1 - clutter), np.full(n, 1 - clutter), np.full(n, clutter))
+    estimates = Estimates(np.zeros((6, n)), np.zeros((n, 6, 6)), np.ones(n), boxes, np.arange(n))
+    return Step(number, number / 10, Detections.of(boxes), info, estimates, Tracks.empty(), (0.004, 0.002, 0.001))
+
+
+def tracks_of(boxes_by_frame: dict[int, np.ndarray]) -> Tracks:
+    """Identity k + 1 for row k of each frame; every third frame predicted."""
+    parts = [
+        Tracks(
+            np.full(len(boxes), number),
+            np.arange(1, len(boxes) + 1),
+            boxes,
+            np.ones(len(boxes)),
+            np.full(len(boxes), -1 if number % 3 == 0 else 0),
+            np.ones(len(boxes), np.bool_),
+        )
+        for number, boxes in boxes_by_frame.items()
+    ]
+    return Tracks.concatenate(parts)
+
+
+def walkers(frames: int, objects: int, info: SequenceInfo) -> dict[int, np.ndarray]:
+    """Boxes that cross the frame."""
+    size = np.array([info.width, info.height]) / 8
+    out = {}
+    for number in range(1, frames + 1):
+        share = number / (frames + 1)
+        centre = np.stack([np.full(objects, share), (np.arange(objects) + 1) / (objects + 1)], axis=1)
+        centre = centre * (info.width, info.height)
+        out[number] = np.concatenate([centre - size / 2, centre + size / 2], axis=1)
+    return out
+
+
+def run_record(
+    frames: int = 12,
+    objects: int = 2,
+    *,
+    about: About | None = None,
+    info: SequenceInfo | None = None,
+    video: bool = True,
+    truth: bool = True,
+) -> RunRecord:
+    """A run of ``objects`` walkers over a noisy picture."""
+    info = info or SequenceInfo(WIDE, HIGH, 10.0, frames, "walk")
+    rng = np.random.default_rng(3)
+    picture = rng.integers(0, 255, (info.height, info.width, 3), dtype=np.uint8)
+    recorder = Recorder(info)
+    boxes = walkers(frames, objects, info)
+    for number, here in boxes.items():
+        centre = np.repeat((here[:, :2] + here[:, 2:]).T / 2, 50, axis=1)
+        state = np.concatenate([centre + rng.normal(0, 2, centre.shape), np.zeros((4, centre.shape[1]))])
+        particles = Particles(state, np.full(state.shape[1], 1 / 50))
+        recorder.add(picture if video else None, step(number, here), particles, 0.003)
+    tracks = tracks_of(boxes)
+    annotated = Truth(tracks.frame, tracks.identity, tracks.xyxy, np.zeros(len(tracks), np.bool_)) if truth else None
+    return recorder.record(tracks, about or About(title="Walk", command="phdtrack track walk.mp4", seed=4), annotated)

@@ -1,0 +1,162 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phdtrack.errors import InputError
+from phdtrack.report import Annotator, annotate
+from phdtrack.report.palette import COLOURS, identity_colour, ink_on
+from phdtrack.types import Detections, SequenceInfo, Tracks
+
+BOX = (100.0, 80.0, 140.0, 200.0)
+GREY = np.full((240, 320, 3), 90, np.uint8)
+
+
+def rows(*boxes: tuple[float, ...], frame: int = 1, identity: int = 1, seen: bool = True, confirmed: bool = True) -> Tracks:
+    n = len(boxes)
+    return Tracks(
+        np.full(n, frame),
+        np.arange(identity, identity + n),
+        np.array(boxes, dtype=np.float64).reshape(n, 4),
+        np.ones(n),
+        np.full(n, 0 if seen else -1),
+        np.full(n, confirmed),
+    )
+
+
+def coloured(image: np.ndarray, identity: int = 1) -> np.ndarray:
+    """(H, W) where the picture has exactly the identity's colour."""
+    return (image == np.array(identity_colour(identity)[::-1])).all(axis=2)
+
+
+def left_edge(image: np.ndarray) -> np.ndarray:
+    """(rows,) whether the left edge of BOX is drawn in identity 1's colour, between its corners."""
+    return coloured(image)[82:199, 100]
+
+
+def test_a_seen_box_is_closed_and_a_predicted_one_dashed() -> None:
+    seen = left_edge(annotate(GREY, 1, rows(BOX), Detections.empty()))
+    predicted = left_edge(annotate(GREY, 1, rows(BOX, seen=False), Detections.empty()))
+    assert seen.all()
+    assert 0.35 < predicted.mean() < 0.8
+    assert (np.diff(predicted.astype(int)) == 1).sum() >= 3
+
+
+def test_an_unconfirmed_box_is_faint_and_has_no_label() -> None:
+    faint = annotate(GREY, 1, rows(BOX, confirmed=False), Detections.empty())
+    assert not coloured(faint).any()
+    assert (faint[82:199, 100] != 90).any(axis=1).all()
+    assert (faint[60:78, 100:130] == 90).all()
+
+
+def test_the_picture_received_is_not_written_into() -> None:
+    image = GREY.copy()
+    image.flags.writeable = False
+    out = annotate(image, 1, rows(BOX), Detections.of([[10, 10, 50, 50]]), mass=1.0)
+    assert (image == 90).all()
+    assert out is not image
+    assert (out != 90).any()
+
+
+def test_only_rows_of_this_frame_are_drawn() -> None:
+    other = annotate(GREY, 2, rows(BOX, frame=1), Detections.empty())
+    assert (other[30:] == 90).all()
+
+
+def test_a_false_alarm_is_crossed_out() -> None:
+    found = Detections.of([BOX])
+    believed = annotate(GREY, 1, Tracks.empty(), found, clutter_probability=np.array([0.2]))
+    doubted = annotate(GREY, 1, Tracks.empty(), found, clutter_probability=np.array([0.9]))
+    assert (believed[130:150, 110:130] == 90).all()
+    assert (doubted[130:150, 110:130] != 90).any()
+
+
+def test_the_header_stays_inside_a_narrow_frame() -> None:
+    for wide in (60, 160, 320):
+        out = annotate(np.full((90, wide, 3), 200, np.uint8), 123456, Tracks.empty(), Detections.empty(), mass=123.4)
+        assert (out[:3, : wide // 2] != 200).any()
+        assert (out[45:] == 200).all()
+
+
+def test_line_width_grows_with_the_frame() -> None:
+    def width(scale: int) -> int:
+        image = np.zeros((240 * scale, 320 * scale, 3), np.uint8)
+        out = annotate(image, 1, rows(tuple(scale * v for v in BOX)), Detections.empty())
+        return int(coloured(out)[150 * scale, : 120 * scale].sum())
+
+    assert width(1) == 1
+    assert 2 <= width(2) <= 4
+    assert 5 <= width(9) <= 12
+
+
+def test_trails_follow_the_feet_and_fade() -> None:
+    annotator = Annotator(SequenceInfo(320, 240, 10.0), trail_seconds=1.0)
+    for number in range(1, 21):
+        box = (10.0 * number, 80.0, 10.0 * number + 20, 150.0)
+        out = annotator(GREY, number, rows(box, frame=number), Detections.empty())
+    strength = np.abs(out[150].astype(int) - 90).sum(axis=1)
+    assert strength[185] > strength[130] > 0  # recent stronger than old
+    assert (strength[:105] == 0).all()  # beyond one second: forgotten
+
+
+def test_trails_end_when_the_track_does_and_at_reset() -> None:
+    annotator = Annotator(SequenceInfo(320, 240, 10.0), trail_seconds=1.0)
+    for number in (1, 2, 3):
+        annotator(GREY, number, rows((50.0 * number, 80, 50.0 * number + 20, 150), frame=number), Detections.empty())
+    assert (annotator(GREY, 5, Tracks.empty(), Detections.empty())[100:] != 90).any()
+    assert (annotator(GREY, 40, Tracks.empty(), Detections.empty())[100:] == 90).all()
+    annotator(GREY, 41, rows(BOX, frame=41), Detections.empty())
+    annotator.reset()
+    assert (annotator(GREY, 42, Tracks.empty(), Detections.empty())[100:] == 90).all()
+
+
+wild = st.floats(allow_nan=True, allow_infinity=True, width=32) | st.floats(-20, 90)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(1, 70), st.integers(1, 70), st.lists(st.tuples(wild, wild, wild, wild), max_size=5), st.booleans())
+def test_any_box_on_any_frame_draws_without_error(high: int, wide: int, boxes: list[tuple[float, ...]], flag: bool) -> None:
+    image = np.zeros((high, wide, 3), np.uint8)
+    annotator = Annotator(SequenceInfo(wide, high, 0.0))
+    for number in (1, 2):
+        found = Detections.of(np.array(boxes, dtype=np.float64).reshape(-1, 4))
+        tracks = rows(*boxes, frame=number, identity=10**12, seen=flag, confirmed=not flag or number == 2)
+        out = annotator(image, number, tracks, found, mass=np.inf, clutter_probability=np.ones(len(boxes)))
+        assert out.shape == image.shape
+        assert out.dtype == np.uint8
+    assert not image.any()
+
+
+def test_pictures_and_probabilities_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(InputError, match=r"frame 7.*BGR"):
+        annotate(np.zeros((4, 4), np.uint8), 7, Tracks.empty(), Detections.empty())
+    with pytest.raises(InputError, match="uint8"):
+        annotate(np.zeros((4, 4, 3)), 7, Tracks.empty(), Detections.empty())
+    with pytest.raises(InputError, match="clutter probability"):
+        annotate(GREY, 7, Tracks.empty(), Detections.of([BOX]), clutter_probability=np.ones(2))
+
+
+MACHADO = {
+    "normal": np.eye(3),
+    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]],
+}
+
+
+@pytest.mark.parametrize("sight", sorted(MACHADO))
+def test_neighbouring_identities_differ_for_every_sight(sight: str) -> None:
+    share = np.array(COLOURS) / 255
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4) @ np.array(MACHADO[sight]).T
+    linear = np.clip(linear, 0, 1)
+    seen = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    lab = cv2.cvtColor(seen[None].astype(np.float32), cv2.COLOR_RGB2LAB)[0]
+    assert np.linalg.norm(lab - np.roll(lab, 1, axis=0), axis=1).min() > 40
+
+
+def test_colours_are_stable_and_their_ink_legible() -> None:
+    assert identity_colour(3) == identity_colour(3 + len(COLOURS)) != identity_colour(4)
+    for colour in (*COLOURS, (0, 0, 0), (255, 255, 255)):
+        assert abs(sum(ink_on(colour)) / 3 - np.dot(colour, (0.3, 0.59, 0.11))) > 90

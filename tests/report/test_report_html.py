@@ -1,0 +1,176 @@
+from __future__ import annotations
+
+import base64
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from report_runs import run_record
+
+from phdtrack.errors import InputError
+from phdtrack.report import About, Recorder, report_html, write_report
+from phdtrack.report.markup import section, table, text
+from phdtrack.types import SequenceInfo, Tracks
+
+VOID = {"meta", "img", "br"}
+EVIL = "<script>alert('x')</script>&\"<img src=x onerror=y>"
+
+
+class Page(HTMLParser):
+    """Checks that tags close in order; collects tags, pictures and the visible text."""
+
+    def __init__(self, source: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: set[str] = set()
+        self.images: list[dict[str, str | None]] = []
+        self.words = ""
+        self.feed(source)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        for name, value in attrs:
+            assert not name.startswith("on")
+            assert name not in ("href", "srcset")
+            if name == "src":
+                assert value is not None
+                assert value.startswith("data:image/")
+        if tag == "img":
+            self.images.append(dict(attrs))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "style" not in self.open:
+            self.words += data
+
+
+def offline(source: str) -> None:
+    """No address of the network anywhere, also not inside the pictures, save for the names of XML name spaces."""
+    texts = [source]
+    for data in re.findall(r"data:image/svg\+xml;base64,([A-Za-z0-9+/=]+)", source):
+        svg = base64.b64decode(data).decode()
+        texts.append(re.sub(r'xmlns(:\w+)?="[^"]*"', "", svg))
+    for part in texts:
+        assert not re.search(r"https?:|//[a-z]+\.|@import|url\((?!#)", part)
+
+
+def test_a_report_is_one_offline_file_with_every_part(tmp_path: Path) -> None:
+    about = About(
+        title="Walk",
+        command="phdtrack track walk.mp4",
+        seed=11,
+        started="2025-01-01T00:00:00+00:00",
+        seconds=100.0,
+        versions=(("phdtrack", "9.8.7"),),
+        scores=(("MOTA", 0.8125), ("id_switches", 3), ("GOSPA", float("nan"))),
+        warnings=("The video ended early.",),
+        notes=("An object is believed after 2 coherent detections.",),
+    )
+    path = tmp_path / "new" / "report.html"
+    write_report(path, run_record(24, 2, about=about), {"filter": {"p_detect": 0.95}})
+    source = path.read_text(encoding="utf-8")
+    page = Page(source)
+    offline(source)
+    assert "script" not in page.tags
+    assert len(page.images) == 8  # count, paths, lifetimes, times and four heat maps
+    assert all(image["alt"] for image in page.images)
+    words = page.words.replace("\u00a0", " ")
+    for expected in (
+        "2 objects in 24 frames (2.3 s of video)",
+        "The filter took about 12 of 48 detections (25 %) for false alarms.",
+        "33 % of the track boxes",
+        "ran at 100.0 frames per second",
+        "1 min 40 s",
+        "0.812",
+        "undefined",
+        "The video ended early.",
+        "2 coherent detections",
+        "phdtrack track walk.mp4",
+        "Seed 11",
+        "phdtrack 9.8.7",
+        "filter.p_detect",
+        "0.95",
+    ):
+        assert expected in words, expected
+    assert re.search(r"id_switches\s*3\s", words)
+
+
+def test_whatever_comes_from_outside_is_escaped() -> None:
+    pairs = ((EVIL, 0.5),)
+    about = About(EVIL, EVIL, 0, EVIL, 0.0, ((EVIL, EVIL),), pairs, (EVIL,), (EVIL,))
+    record = run_record(3, 1, about=about, info=SequenceInfo(40, 30, 5.0, name=EVIL))
+    source = report_html(record, {EVIL: {"a": EVIL, "b": [EVIL]}})
+    page = Page(source)
+    assert "script" not in page.tags
+    assert page.words.count("<script>alert") >= 8
+
+
+@given(st.text())
+def test_text_survives_unless_it_cannot_be_shown(value: str) -> None:
+    class Words(HTMLParser):
+        seen = ""
+
+        def handle_data(self, data: str) -> None:
+            self.seen += data
+
+    words = Words()
+    words.feed(text(value))
+    words.close()
+    shown = re.sub(r"[^\S\n\t]", " ", re.sub(r"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]", "\ufffd", value))
+    assert re.sub(r"[^\S\n\t]", " ", words.seen) == shown
+
+
+def test_an_empty_run_has_a_report() -> None:
+    record = Recorder(SequenceInfo(64, 48, 25.0, name="nothing")).record(Tracks.empty(), About())
+    source = report_html(record, {})
+    page = Page(source)
+    assert "No frame was processed." in page.words
+    assert "No object was tracked." in page.words
+    assert "0 objects in 0 frames." in page.words
+    assert page.images == []
+
+
+@pytest.mark.parametrize(("frames", "objects"), [(1, 1), (5, 0), (1, 0)])
+@pytest.mark.parametrize("video", [True, False])
+def test_small_runs_have_a_report(frames: int, objects: int, video: bool) -> None:
+    source = report_html(run_record(frames, objects, video=video), {})
+    Page(source)
+    offline(source)
+    assert ("The detector found nothing." in source) == (objects == 0)
+
+
+@settings(max_examples=3, deadline=None)
+@given(st.integers(1, 400), st.integers(1, 400), st.integers(0, 6), st.integers(0, 3))
+def test_reports_of_any_size_are_well_formed(wide: int, high: int, frames: int, objects: int) -> None:
+    Page(report_html(run_record(frames, objects, info=SequenceInfo(wide, high, 3.0)), {"a": None}))
+
+
+def test_a_filter_without_mass_or_judgement_has_a_report() -> None:
+    record = run_record(4, 1)
+    record.series.mass[:] = np.nan
+    record.series.clutter_mass[:] = np.nan
+    source = report_html(record, {})
+    Page(source)
+    assert "none of them judged a false alarm" in source
+    assert "nan" not in re.sub(r'src="[^"]*"', "", source)
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"report\.html"):
+        write_report(tmp_path / "file" / "report.html", run_record(1), {})
+
+
+def test_sections_and_tables_without_content_vanish() -> None:
+    assert table(("a",), []) == ""
+    assert section("title", text("")) == ""

@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from report_runs import run_record
+
+from phdtrack.errors import InputError
+from phdtrack.report import About, Recorder, run_document, sentences, write_run
+from phdtrack.report.run_json import flattened, json_value
+from phdtrack.report.summary import counted, duration, grouped, percent
+from phdtrack.types import SequenceInfo, Tracks
+
+KEYS = [
+    "command",
+    "title",
+    "summary",
+    "versions",
+    "seed",
+    "started",
+    "seconds",
+    "source",
+    "frames",
+    "frames_per_second",
+    "stages",
+    "tracks",
+    "track_rows",
+    "predicted_rows",
+    "detections",
+    "expected_false_alarms",
+    "expected_count_mean",
+    "scores",
+    "warnings",
+    "notes",
+    "configuration",
+]
+
+
+def test_keys_and_values() -> None:
+    about = About("T", "c", 5, "now", 2.5, (("phdtrack", "1"),), (("MOTA", 0.5), ("GOSPA", float("nan"))), ("w",), ("n",))
+    document = run_document(run_record(9, 2, about=about), {"filter": {"name": "gm"}})
+    assert list(document) == KEYS
+    assert document["scores"] == {"MOTA": 0.5, "GOSPA": None}
+    assert document["versions"] == {"phdtrack": "1"}
+    assert (document["frames"], document["tracks"], document["detections"]) == (9, 2, 18)
+    assert (document["track_rows"], document["predicted_rows"]) == (18, 6)
+    assert document["frames_per_second"] == pytest.approx(100)
+    stages = document["stages"]
+    assert isinstance(stages, dict)
+    assert list(stages) == ["detect", "filter", "extract", "associate"]
+    assert stages["filter"] == pytest.approx({"mean": 4.0, "median": 4.0, "p95": 4.0, "share": 0.4})
+    assert document["configuration"] == {"filter": {"name": "gm"}}
+    assert document["source"] == {"name": "walk", "width": 160, "height": 120, "fps": 10.0}
+
+
+def test_an_empty_run_is_valid_json(tmp_path: Path) -> None:
+    document = run_document(Recorder(SequenceInfo(0, 0, 0.0)).record(Tracks.empty(), About()), {})
+    path = tmp_path / "deep" / "run.json"
+    write_run(path, document)
+    assert json.loads(path.read_text(encoding="utf-8")) == document
+    assert document["frames_per_second"] is None
+    assert document["stages"] == {}
+
+
+@dataclass
+class Setting:
+    rate: float
+    place: Path
+
+
+def test_values_of_every_kind_become_json() -> None:
+    value = {
+        "array": np.array([1.0, np.inf]),
+        "scalar": np.float64("nan"),
+        "whole": np.int64(3),
+        "truth": np.True_,
+        "tuple": (1, "a", None),
+        "path": Path("a") / "b",
+        "setting": Setting(float("inf"), Path("x")),
+        3: 1,
+    }
+    expected = {
+        "array": [1.0, None],
+        "scalar": None,
+        "whole": 3,
+        "truth": True,
+        "tuple": [1, "a", None],
+        "path": str(Path("a") / "b"),
+        "setting": {"rate": None, "place": "x"},
+        "3": 1,
+    }
+    assert json_value(value) == expected
+    assert json_value(value)["truth"] is True
+
+
+trees = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=12,
+)
+
+
+@given(st.dictionaries(st.text(), trees, max_size=4))
+def test_any_configuration_survives(config: dict[str, object]) -> None:
+    document = run_document(Recorder(SequenceInfo(0, 0, 0.0)).record(Tracks.empty(), About()), config)
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+
+
+def test_file_names_that_are_no_text_can_be_written(tmp_path: Path) -> None:
+    write_run(tmp_path / "run.json", {"command": "track caf\udce9.mp4 é"})
+    assert json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))["command"] == "track caf\udce9.mp4 é"
+
+
+def test_settings_are_listed_by_dotted_names() -> None:
+    pairs = flattened({"a": {"b": {"c": 1}, "d": "x"}, "e": [1.5, None]})
+    assert pairs == (("a.b.c", "1"), ("a.d", '"x"'), ("e", "[1.5, null]"))
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"run\.json"):
+        write_run(tmp_path / "file" / "run.json", {})
+
+
+def test_words_and_numbers() -> None:
+    assert grouped(1234567.4) == "1\u00a0234\u00a0567"
+    assert (counted(1, "box", "boxes"), counted(2, "box", "boxes"), counted(0, "frame")) == ("1 box", "2 boxes", "0 frames")
+    assert (duration(8.24), duration(114), duration(7500)) == ("8.2 s", "1 min 54 s", "2 h 5 min")
+    assert (percent(1, 3), percent(0.05), percent(0, 0), percent(0)) == ("33\u00a0%", "5.0\u00a0%", "–", "0\u00a0%")
+    for sentence in sentences(run_record(5)):
+        sentence.encode("cp1252")  # legacy terminals can print it
