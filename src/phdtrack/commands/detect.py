@@ -10,7 +10,7 @@ import typer
 
 from phdtrack.commands.inputs import DEFAULT_DETECTOR, Wanted, open_inputs
 from phdtrack.commands.options import Config, Detector, Fps, Json, MaxWidth, Overwrite, Sets
-from phdtrack.commands.output import Output, progress
+from phdtrack.commands.output import Output, counted, progress
 from phdtrack.rundir import DETECTIONS, claim
 
 
@@ -48,9 +48,8 @@ def detect(
     for sentence in warnings:
         result.warn(sentence)
     rate = frames / seconds if seconds > 0 else 0.0
-    result.say(
-        f"{boxes} boxes in {frames} frames by {inputs.described}, {rate:.0f} frames per second: {target.file(DETECTIONS)}"
-    )
+    done = f"{counted(boxes, 'box')} in {counted(frames, 'frame')} by {inputs.described}"
+    result.say(f"{done}, {rate:.0f} frames per second: {target.file(DETECTIONS)}")
     result.document(
         {
             "source": source,

@@ -68,6 +68,12 @@ def number(value: float | None, digits: int = 3) -> str:
     return str(value) if isinstance(value, int) else f"{value:.{digits}f}"
 
 
+def counted(count: int, noun: str) -> str:
+    """ "no boxes", "1 box", "2 boxes"."""
+    many = f"{noun}es" if noun.endswith("x") else f"{noun}s"
+    return f"{count or 'no'} {noun if count == 1 else many}"
+
+
 @contextmanager
 def progress(title: str, total: int) -> Iterator[Advance]:
     """A bar on stderr when that is a terminal, nothing otherwise; ``total`` 0 where the end is not known.

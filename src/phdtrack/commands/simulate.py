@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from phdtrack.commands.options import Json, Overwrite, Seed
-from phdtrack.commands.output import Output
+from phdtrack.commands.output import Output, counted
 from phdtrack.commands.settings import scene_settings
 from phdtrack.rundir import claim
 

@@ -1,24 +1,39 @@
-"""The tracker as the run loop drives it: a frame's detections in, its step out."""
+"""The tracker as the run loop drives it: one frame's detections in, its step out, corrected tracks at the end."""
 
 from __future__ import annotations
 
-from typing import Protocol
+import numpy as np
 
+from phdtrack import pipeline
+from phdtrack.filters import NoFilter
+from phdtrack.protocols import AnyStages
 from phdtrack.types import Detections, Particles, Step, Tracks
 
 
-class Steps(Protocol):
-    """Detections in, steps out, corrected tracks at the end."""
+class Steps:
+    """Holds the state between frames; everything else is `pipeline`'s."""
+
+    def __init__(self, stages: AnyStages, rng: np.random.Generator) -> None:
+        self._stages, self._rng = stages, rng
+        self._state = pipeline.start(stages)
 
     def advance(self, number: int, time: float, detections: Detections) -> Step:
         """Take in the detections of frame ``number`` at ``time`` seconds."""
+        self._state, step = pipeline.advance(self._stages, self._state, detections, number, time, self._rng)
+        return step
 
     @property
     def particles(self) -> Particles | None:
-        """The filter's particles after the last frame; None for a filter without."""
+        """The filter's particles after the last frame; None where there is no filter, or one without particles."""
+        intensity = self._state.intensity
+        if isinstance(self._stages.filter, NoFilter) or not isinstance(intensity, Particles):
+            return None
+        return intensity
 
     def flush(self) -> Tracks:
         """The online rows that the output delay held back."""
+        return self._stages.associator.flush(self._state.association, self._stages.model)
 
     def finish(self) -> Tracks:
         """The corrected tracks of everything taken in so far."""
+        return pipeline.finish(self._stages, self._state)

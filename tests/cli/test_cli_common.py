@@ -1,0 +1,103 @@
+"""What holds for the command line as a whole: start-up, entry points, usage errors, exit statuses."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import typer
+from cli_runner import phdtrack
+
+from phdtrack import __version__
+from phdtrack.cli import guarded
+from phdtrack.errors import InputError
+
+COMMANDS = ("demo", "track", "detect", "evaluate", "simulate", "doctor")
+HEAVY = ("numba", "scipy", "cv2", "av", "matplotlib", "pydantic", "rich")
+
+
+def run(*command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_help_names_every_command_and_starts_quickly() -> None:
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        done = run(sys.executable, "-m", "phdtrack", "--help")
+        times.append(time.perf_counter() - start)
+        assert done.returncode == 0
+        assert all(command in done.stdout for command in COMMANDS)
+    # It takes 0.2 s; the rest is for machines that do something else at the time.
+    assert min(times) < 1.0
+
+
+def test_nothing_heavy_is_imported_before_a_command_runs() -> None:
+    code = f"import sys, phdtrack.cli; print([name for name in {HEAVY} if name in sys.modules])"
+    assert run(sys.executable, "-c", code).stdout.strip() == "[]"
+
+
+def test_both_entry_points_are_the_same() -> None:
+    script = Path(sys.executable).with_name("phdtrack")
+    assert script.exists()
+    for command in ([str(script)], [sys.executable, "-m", "phdtrack"]):
+        done = run(*command, "--version")
+        assert (done.returncode, done.stdout.strip()) == (0, f"phdtrack {__version__}")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help(command: str) -> None:
+    said = phdtrack(command, "--help")
+    assert said.status == 0
+    assert "--json" in said.out
+
+
+@pytest.mark.parametrize(
+    "arguments", [["trak"], ["track", "--detektor", "x"], ["track", "v.mp4", "--seed", "-1"], ["evaluate", "--iou", "x"]]
+)
+def test_usage_errors_are_status_2_without_a_traceback(arguments: list[str]) -> None:
+    done = run(sys.executable, "-m", "phdtrack", *arguments)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert "Error: " in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "words"),
+    [
+        (InputError("expected this, got that", where="det.txt, line 3"), 2, "det.txt, line 3: expected this, got that"),
+        (KeyboardInterrupt(), 130, "stopped"),
+        (FileNotFoundError(2, "No such file or directory", "a.mp4"), 1, "a.mp4: No such file or directory"),
+        (OSError(28, "No space left on device"), 1, "No space left on device"),
+    ],
+)
+def test_errors_become_a_sentence_and_a_status(
+    error: BaseException, status: int, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command() -> None:
+        raise error
+
+    with pytest.raises(typer.Exit) as exit_:
+        guarded(command)()
+    assert exit_.value.exit_code == status
+    captured = capsys.readouterr()
+    assert captured.err.strip() == f"phdtrack: {words}"
+    assert captured.out == ""
+
+
+def test_a_mistake_of_ours_is_not_hidden() -> None:
+    def command() -> None:
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        guarded(command)()
+
+
+def test_a_reader_that_goes_away_is_no_error() -> None:
+    done = run("bash", "-c", f"{sys.executable} -m phdtrack doctor | head -1")
+    assert done.stdout.startswith("phdtrack")
+    assert "Traceback" not in done.stderr

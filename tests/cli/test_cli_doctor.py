@@ -1,0 +1,64 @@
+"""`phdtrack doctor`: what it says where all is well, and where something is missing."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from cli_runner import phdtrack
+
+from phdtrack import doctor
+
+
+def test_all_is_well_here() -> None:
+    said = phdtrack("doctor", "--json")
+    assert said.status == 0
+    found = said.object
+    assert found["ok"] is True
+    assert {"phdtrack", "python", "numpy", "av", "opencv-python-headless"} <= set(found["versions"])
+    names = {check["name"] for check in found["checks"]}
+    assert {"OpenCV", "detector face (cascades)", "detector person (HOG)", "video in", "video out (H.264)"} <= names
+    assert all(check["cure"] for check in found["checks"] if not check["ok"])
+
+
+def test_the_words_are_the_same_as_the_json(monkeypatch: pytest.MonkeyPatch) -> None:
+    said = phdtrack("doctor")
+    assert said.status == 0
+    assert "Everything essential works here." in said.out
+    assert "video out (H.264)" in said.out
+
+
+def test_a_missing_cascade_is_told_with_its_cure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    import cv2
+
+    monkeypatch.setattr(cv2.data, "haarcascades", str(tmp_path))
+    monkeypatch.delattr(cv2, "HOGDescriptor_getDefaultPeopleDetector")
+    said = phdtrack("doctor", "--json")
+    checks = {check["name"]: check for check in said.object["checks"]}
+    for name in ("detector face (cascades)", "detector person (HOG)"):
+        assert checks[name]["ok"] is False
+        assert "opencv-python-headless" in checks[name]["cure"]
+    # Two detectors less do not stop the main job.
+    assert said.status == 0
+
+
+def test_something_essential_missing_is_status_1(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken() -> str:
+        raise ImportError("libav: cannot open shared object file")
+
+    monkeypatch.setattr(doctor, "_decoders", broken)
+    said = phdtrack("doctor")
+    assert said.status == 1
+    assert "MISSING  video in: ImportError: libav: cannot open shared object file" in said.out
+    assert phdtrack("doctor", "--json").object["ok"] is False
+
+
+@pytest.mark.skipif(os.name == "nt", reason="paths of POSIX systems")
+def test_the_cache_is_where_numba_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    assert doctor.cache_folder() == tmp_path / "cache"
+    (tmp_path / "cache").write_text("a file, not a folder")
+    checks = {check.name: check for check in doctor.examine().checks}
+    assert not checks["cache of compiled kernels"].ok
+    assert "NUMBA_CACHE_DIR" in checks["cache of compiled kernels"].cure

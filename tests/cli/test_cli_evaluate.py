@@ -1,0 +1,116 @@
+"""`phdtrack evaluate`: the keys, the table, and every way to use it wrongly."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from cli_runner import phdtrack, refused, walkers
+
+KEYS = [
+    "MODA",
+    "N_MODA",
+    "MODP",
+    "MOTA",
+    "MOTA_log",
+    "MOTP",
+    "IDF1",
+    "HOTA",
+    "OSPA",
+    "GOSPA",
+    "id_switches",
+    "misses",
+    "false_positives",
+    "fragments",
+    "frames",
+]
+
+
+@pytest.fixture
+def truth(tmp_path: Path) -> Path:
+    return walkers(tmp_path / "seq") / "gt" / "gt.txt"
+
+
+def test_json_is_one_object_with_all_keys(truth: Path) -> None:
+    said = phdtrack("evaluate", "--truth", truth, "--tracks", truth, "--json")
+    assert said.status == 0
+    assert set(KEYS) <= set(said.object)
+    assert (said.object["MOTA"], said.object["OSPA"], said.object["misses"], said.object["frames"]) == (1, 0, 0, 40)
+
+
+def test_the_threshold_is_used(truth: Path, tmp_path: Path) -> None:
+    shifted = tmp_path / "shifted.txt"
+    # 6 of 24 pixels: an overlap of 18 / 30 = 0.6.
+    lines = [line.split(",") for line in truth.read_text().split()]
+    shifted.write_text("\n".join(",".join([a, b, str(int(x) + 6), *rest]) for a, b, x, *rest in lines))
+    scores = {
+        iou: phdtrack("evaluate", "--truth", truth, "--tracks", shifted, "--iou", iou, "--json").object for iou in (0.5, 0.7)
+    }
+    assert scores[0.5]["MOTA"] == 1
+    assert scores[0.5]["MOTP"] == pytest.approx(0.6)
+    assert scores[0.7]["MOTA"] == -1
+    assert scores[0.7]["MOTP"] is None
+
+
+def test_the_table_is_for_people(truth: Path) -> None:
+    said = phdtrack("evaluate", "--truth", truth, "--tracks", truth)
+    assert said.status == 0
+    assert said.err == ""
+    lines = {line.split()[0]: line.split()[1] for line in said.out.splitlines() if line[:1].isalpha()}
+    assert set(KEYS) <= set(lines)
+    assert lines["MOTA"] == "1.000"
+    assert lines["frames"] == "40"
+
+
+def test_frames_without_any_box_count_where_seqinfo_names_them(truth: Path) -> None:
+    info = truth.parents[1] / "seqinfo.ini"
+    info.write_text(info.read_text().replace("seqLength=40", "seqLength=50"))
+    assert phdtrack("evaluate", "--truth", truth, "--tracks", truth, "--json").object["frames"] == 50
+    assert phdtrack("evaluate", "--truth", truth, "--tracks", truth, "--frames", 45, "--json").object["frames"] == 45
+
+
+def test_empty_files_are_no_error(tmp_path: Path) -> None:
+    nothing = tmp_path / "nothing.txt"
+    nothing.write_text("")
+    said = phdtrack("evaluate", "--truth", nothing, "--tracks", nothing, "--json")
+    assert said.status == 0
+    assert said.object["MOTA"] is None
+
+
+def test_missing_file(truth: Path) -> None:
+    assert "nowhere.txt" in refused("evaluate", "--truth", truth, "--tracks", "nowhere.txt")
+
+
+@pytest.mark.parametrize("iou", [0, -1, 1.5, "nan"])
+def test_impossible_threshold(truth: Path, iou: object) -> None:
+    assert "--iou" in refused("evaluate", "--truth", truth, "--tracks", truth, "--iou", iou, "--json")
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("2,1,10,10,abc,20,1,-1,-1,-1", "abc"),
+        ("2,1,10,10", "expected"),
+        ("2,1,10,10,nan,20,1,-1,-1,-1", "line 2"),
+        ("2,1,10,10,-5,20,1,-1,-1,-1", "line 2"),
+        ("1,1,10,10,5,20,1,-1,-1,-1", "line 2"),
+    ],
+)
+def test_malformed_tracks_name_file_and_line(truth: Path, tmp_path: Path, line: str, words: str) -> None:
+    bad = tmp_path / "bad.txt"
+    bad.write_text(f"1,1,10,10,20,20,1,-1,-1,-1\n{line}\n")
+    sentence = refused("evaluate", "--truth", truth, "--tracks", bad)
+    assert f"{bad}, line 2" in sentence
+    assert words in sentence
+
+
+def test_binary_rubbish(truth: Path, tmp_path: Path) -> None:
+    rubbish = tmp_path / "rubbish.txt"
+    rubbish.write_bytes(bytes(range(256)) * 4)
+    assert str(rubbish) in refused("evaluate", "--truth", truth, "--tracks", rubbish)
+
+
+def test_a_required_option_is_missing(truth: Path) -> None:
+    said = phdtrack("evaluate", "--truth", truth)
+    assert said.status == 2
+    assert "--tracks" in said.err

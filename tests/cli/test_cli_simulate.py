@@ -1,0 +1,82 @@
+"""`phdtrack simulate`: files that the other commands read, options that are used, mistakes that are named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runner import phdtrack, refused
+
+from phdtrack.formats import find_seqinfo, read_detections, read_truth
+
+
+def test_the_layout_is_that_of_motchallenge(tmp_path: Path) -> None:
+    out = tmp_path / "scene"
+    said = phdtrack("simulate", "crossing", "--out", out, "--frames", 30, "--seed", 4, "--no-video", "--json")
+    assert said.status == 0
+    assert said.object["frames"] == 30
+    assert said.object["files"] == [str(out / name) for name in ("gt/gt.txt", "det/det.txt", "seqinfo.ini")]
+    info = find_seqinfo(out / "det" / "det.txt")
+    assert info is not None
+    assert (info.name, info.frames, info.width, info.height, info.fps) == ("crossing", 30, 640, 360, 25)
+    assert len(read_detections(out / "det" / "det.txt")) == said.object["detections"]
+    assert len(np.unique(read_truth(out / "gt" / "gt.txt").identity)) == said.object["objects"]
+
+
+def test_the_seed_decides(tmp_path: Path) -> None:
+    texts = []
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        phdtrack("simulate", "street", "--out", tmp_path / name, "--frames", 60, "--seed", seed, "--no-video")
+        texts.append((tmp_path / name / "det" / "det.txt").read_text())
+    assert texts[0] == texts[1] != texts[2]
+
+
+def test_options_change_the_detector_and_nothing_else(tmp_path: Path) -> None:
+    perfect = ["--p-detect", 1, "--clutter", 0, "--places", 0, "--jitter", 0]
+    said = phdtrack("simulate", "constant", "--out", tmp_path / "s", "--frames", 20, "--no-video", "--json", *perfect)
+    truth = read_truth(tmp_path / "s" / "gt" / "gt.txt")
+    assert said.object["detections"] == len(truth)
+    found = read_detections(tmp_path / "s" / "det" / "det.txt").detections.xyxy
+    order = [np.lexsort((boxes[:, 1], boxes[:, 0])) for boxes in (found, truth.xyxy)]
+    assert np.allclose(found[order[0]], truth.xyxy[order[1]], atol=0.01)
+
+
+def test_a_setting_of_the_scene(tmp_path: Path) -> None:
+    common = ["--frames", 20, "--no-video", "--json"]
+    said = phdtrack("simulate", "constant", "--out", tmp_path / "s", "--set", "n=3", "--set", "birth_rate=0", *common)
+    assert said.object["objects"] == 3
+
+
+def test_the_video_has_as_many_frames(tmp_path: Path) -> None:
+    from phdtrack.video import open_source
+
+    said = phdtrack("simulate", "empty", "--out", tmp_path / "s", "--frames", 5)
+    assert said.status == 0
+    assert "5 frames, no objects" in said.out
+    assert [frame.number for frame in open_source(tmp_path / "s" / "scene.mp4")] == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["streets"], "did you mean street"),
+        (["street", "--set", "arivals=2"], "Did you mean arrivals?"),
+        (["street", "--set", "arrivals"], "NAME=VALUE"),
+        (["street", "--set", "arrivals=many"], "expected a number, got 'many'"),
+        (["street", "--set", "frames=2.5"], "expected a whole number"),
+        (["street", "--set", "speed=-1"], "speed must be positive"),
+        (["street", "--p-detect", "1.5"], "p_detect is a probability"),
+        (["street", "--clutter", "-1"], "must not be negative"),
+    ],
+)
+def test_mistakes_are_named(tmp_path: Path, arguments: list[str], words: str) -> None:
+    assert words in refused("simulate", *arguments, "--out", tmp_path / "s")
+    assert not (tmp_path / "s").exists()
+
+
+def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
+    arguments = ["simulate", "empty", "--frames", 3, "--no-video", "--out", tmp_path]
+    assert phdtrack(*arguments).status == 0
+    assert "--overwrite" in refused(*arguments)
+    assert phdtrack(*arguments, "--overwrite").status == 0
