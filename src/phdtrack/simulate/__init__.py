@@ -9,9 +9,11 @@ from phdtrack.simulate.clutter import add_clutter
 from phdtrack.simulate.counting import Counting, constant
 from phdtrack.simulate.detector import DetectorModel, detect
 from phdtrack.simulate.ground import Walk
+from phdtrack.simulate.look import Look
 from phdtrack.simulate.named import NAMED, build_scene, default_detector, make_scene
 from phdtrack.simulate.points import LinearGaussian, PointScene, linear_gaussian
 from phdtrack.simulate.records import Detected, Scene, World
+from phdtrack.simulate.renderer import Rendered, render
 from phdtrack.simulate.scenario import Entrance, Scenario
 
 __all__ = [
@@ -21,7 +23,9 @@ __all__ = [
     "DetectorModel",
     "Entrance",
     "LinearGaussian",
+    "Look",
     "PointScene",
+    "Rendered",
     "Scenario",
     "Scene",
     "Walk",
@@ -33,4 +37,5 @@ __all__ = [
     "detect",
     "linear_gaussian",
     "make_scene",
+    "render",
 ]

@@ -95,8 +95,8 @@ class Counting:
 
     @property
     def doors_px(self) -> F8:
-        """No doors: (0, 2)."""
-        return np.zeros((0, 2))
+        """No doors: (0, 4)."""
+        return np.zeros((0, 4))
 
     def figures(self, rng: np.random.Generator) -> Truth:
         """All targets of all frames, numbered in the order of their births."""

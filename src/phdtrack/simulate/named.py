@@ -109,7 +109,7 @@ def build_scene(world: World, seed: int, detector: DetectorModel) -> Scene:
 
 def default_detector(world: Scenario | Counting) -> DetectorModel:
     """The detector that a scene is given where none is asked for."""
-    return PAPER_DETECTOR if isinstance(world, Counting) else DetectorModel(occlusion=2.0, places=3)
+    return PAPER_DETECTOR if isinstance(world, Counting) else DetectorModel(occlusion=2.0, places=5)
 
 
 def _changed(world: Scenario | Counting, settings: dict[str, Any]) -> Scenario | Counting:

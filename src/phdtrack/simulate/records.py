@@ -43,7 +43,7 @@ class Scene:
     source : (M,) int64 where each came from, as in `Detected`.
     places : (P, 4) xyxy of the places with persistent clutter, where the renderer lets leaves wave.
     obstacles : (K, 4) xyxy of standing things that hide who is behind them, pixels.
-    doors : (D, 2) foot points in the picture at which figures appear or vanish, pixels.
+    doors : (D, 4) xyxy of the doors in which figures appear or vanish, pixels.
     """
 
     info: SequenceInfo
@@ -69,7 +69,7 @@ class World(Protocol):
 
     @property
     def doors_px(self) -> F8:
-        """(D, 2) foot points in the picture at which figures appear or vanish, pixels."""
+        """(D, 4) xyxy of the doors in which figures appear or vanish, pixels."""
 
     def figures(self, rng: np.random.Generator) -> Truth:
         """All figures with any part in the frame, sorted by frame, then identity; boxes not clipped."""

@@ -1,0 +1,1 @@
+"""Painting: the parts of a rendered scene. Needs OpenCV; imported by the renderer only."""

@@ -1,0 +1,167 @@
+"""Walking people, drawn once per phase of the step and then only scaled.
+
+A figure is drawn in units of its height, from the side, walking to the right: y = 0 at the crown, y = 1 at the ground. One
+step cycle has `PHASES` pictures. The arms and legs swing as pendulums, the knee bends while a leg comes forward, and the
+body sinks so far that the lower foot stands on the ground.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from phdtrack.simulate.paint.sprite import premultiplied, pyramid
+from phdtrack.types import Image
+
+PHASES = 12
+STRIDE = 0.85
+"""Body heights walked in one cycle of two steps."""
+HEIGHT = 128
+FINE = 3
+"""Drawn this many times larger, then reduced: smooth edges."""
+
+Colour = tuple[int, int, int]
+Spot = tuple[float, float]
+
+SKIN: tuple[Colour, ...] = ((130, 160, 215), (110, 140, 200), (70, 100, 160), (50, 70, 110))
+HAIR: tuple[Colour, ...] = ((20, 25, 35), (30, 45, 70), (70, 120, 170), (150, 150, 150))
+COATS: tuple[Colour, ...] = (
+    (35, 30, 150),
+    (140, 60, 25),
+    (30, 25, 25),
+    (235, 235, 240),
+    (40, 120, 35),
+    (30, 160, 225),
+    (110, 35, 95),
+    (190, 150, 40),
+)
+TROUSERS: tuple[Colour, ...] = ((25, 25, 28), (85, 45, 25), (110, 75, 45), (40, 55, 75), (215, 215, 215))
+COAT: tuple[Spot, ...] = (
+    (-0.07, 0.16),
+    (0.06, 0.16),
+    (0.085, 0.22),
+    (0.075, 0.40),
+    (0.09, 0.55),
+    (-0.09, 0.55),
+    (-0.08, 0.40),
+    (-0.095, 0.22),
+)
+"""The outline of a coat."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clothes:
+    """The colours of one person and the pattern of the coat: 0 plain, 1 stripes, 2 checks."""
+
+    skin: Colour
+    hair: Colour
+    coat: Colour
+    trousers: Colour
+    pattern: int
+
+
+def draw_clothes(rng: np.random.Generator) -> Clothes:
+    """A person's looks, by chance."""
+    skin, hair, coat, trousers = (each[int(rng.integers(len(each)))] for each in (SKIN, HAIR, COATS, TROUSERS))
+    return Clothes(skin, hair, coat, trousers, int(rng.integers(3)))
+
+
+def walking(clothes: Clothes, aspect: float) -> tuple[tuple[Image, ...], ...]:
+    """For each of the `PHASES` the sprite pyramid of the person; ``aspect`` is its width over its height."""
+    return tuple(pyramid(_phase(clothes, aspect, 2 * np.pi * k / PHASES)) for k in range(PHASES))
+
+
+class _Pen:
+    """Draws on a fine canvas in units of the figure's height; x = 0 is its axis. Keeps colour and opacity together."""
+
+    def __init__(self, aspect: float) -> None:
+        self.scale = HEIGHT * FINE
+        self.size = (max(round(aspect * HEIGHT), 8), HEIGHT)
+        self.colour = np.zeros((self.scale, self.size[0] * FINE, 3), np.uint8)
+        self.opacity = np.zeros(self.colour.shape[:2], np.uint8)
+
+    def _at(self, spot: Spot) -> tuple[int, int]:
+        return round(spot[0] * self.scale + self.colour.shape[1] / 2), round(spot[1] * self.scale)
+
+    def limb(self, colour: Colour, thick: float, *joints: Spot) -> None:
+        """A line through the joints, rounded at them."""
+        for a, b in pairwise(joints):
+            for target, value in ((self.colour, colour), (self.opacity, 255)):
+                cv2.line(target, self._at(a), self._at(b), value, max(1, round(thick * self.scale)), cv2.LINE_AA)
+
+    def oval(self, colour: Colour, centre: Spot, radii: Spot, start: float = 0, end: float = 360) -> None:
+        """A filled ellipse, or the sector of it between two angles."""
+        axes = (round(radii[0] * self.scale), round(radii[1] * self.scale))
+        for target, value in ((self.colour, colour), (self.opacity, 255)):
+            cv2.ellipse(target, self._at(centre), axes, 0, start, end, value, -1, cv2.LINE_AA)
+
+    def cloth(self, picture: Image, *corners: Spot) -> None:
+        """A polygon that shows the part of ``picture`` (of the canvas's size) under it."""
+        outline = np.array([self._at(c) for c in corners], np.int32)
+        mask = np.zeros_like(self.opacity)
+        cv2.fillPoly(mask, [outline], 255, cv2.LINE_AA)
+        self.colour[mask > 0] = picture[mask > 0]
+        np.maximum(self.opacity, mask, out=self.opacity)
+
+    def finish(self) -> Image:
+        """The sprite, shaded: lit from the upper left."""
+        across = np.linspace(1.12, 0.78, self.colour.shape[1], dtype=np.float32)[None, :, None]
+        down = np.linspace(1.08, 0.88, self.colour.shape[0], dtype=np.float32)[:, None, None]
+        shaded = np.clip(self.colour * (across * down), 0, 255).astype(np.uint8)
+        fine = premultiplied(shaded, self.opacity)
+        small: Image = cv2.resize(fine, self.size, interpolation=cv2.INTER_AREA)
+        return small
+
+
+def _phase(clothes: Clothes, aspect: float, angle: float) -> Image:
+    """The sprite of one phase of the step; ``angle`` in radians, 0 where the legs pass each other."""
+    pen = _Pen(aspect)
+    swing = min(0.5, 1.15 * aspect)
+    legs = [_leg(swing * np.sin(a), 0.6 * max(0.0, float(np.cos(a)))) for a in (angle + np.pi, angle)]
+    sink = 0.985 - max(foot[1] for *_, foot in legs)
+    far_arm, near_arm = (_arm(0.9 * swing * np.sin(a), sink) for a in (angle, angle + np.pi))
+    dark: Colour = (clothes.trousers[0] * 3 // 4, clothes.trousers[1] * 3 // 4, clothes.trousers[2] * 3 // 4)
+    pen.limb(clothes.coat, 0.042, *far_arm)
+    for leg, colour in zip(legs, (dark, clothes.trousers), strict=True):
+        hip, knee, ankle = ((x, y + sink) for x, y in leg)
+        pen.limb(colour, 0.085, hip, knee)
+        pen.limb(colour, 0.06, knee, ankle)
+        pen.limb((25, 25, 30), 0.035, (ankle[0] - 0.01, ankle[1] - 0.005), (ankle[0] + 0.055, ankle[1] - 0.003))
+    pen.cloth(_pattern(clothes, *pen.opacity.shape), *((x, y + sink) for x, y in COAT))
+    pen.limb(clothes.skin, 0.05, (0.0, 0.12 + sink), (0.0, 0.16 + sink))
+    pen.oval(clothes.skin, (0.008, 0.078 + sink), (0.05, 0.066))
+    pen.oval(clothes.hair, (-0.004, 0.066 + sink), (0.056, 0.064), 150, 330)
+    shade: Colour = (clothes.coat[0] * 4 // 5, clothes.coat[1] * 4 // 5, clothes.coat[2] * 4 // 5)
+    pen.limb(shade, 0.045, *near_arm)
+    pen.oval(clothes.skin, near_arm[-1], (0.024, 0.024))
+    return pen.finish()
+
+
+def _leg(angle: float, bend: float) -> tuple[Spot, Spot, Spot]:
+    """Hip, knee and ankle for the angle of the thigh (forward positive) and the bend of the knee, radians."""
+    hip = (0.0, 0.52)
+    knee = (hip[0] + 0.235 * np.sin(angle), hip[1] + 0.235 * np.cos(angle))
+    return hip, knee, (knee[0] + 0.235 * np.sin(angle - bend), knee[1] + 0.235 * np.cos(angle - bend))
+
+
+def _arm(angle: float, sink: float) -> tuple[Spot, Spot, Spot]:
+    """Shoulder, elbow and hand for the angle of the upper arm, radians."""
+    shoulder = (0.0, 0.21 + sink)
+    elbow = (0.15 * np.sin(angle), shoulder[1] + 0.15 * np.cos(angle))
+    return shoulder, elbow, (elbow[0] + 0.14 * np.sin(angle + 0.3), elbow[1] + 0.14 * np.cos(angle + 0.3))
+
+
+def _pattern(clothes: Clothes, height: int, width: int) -> Image:
+    """(height, width, 3) the cloth of the coat."""
+    cloth = np.empty((height, width, 3), np.uint8)
+    cloth[:] = clothes.coat
+    other = tuple((c + 255) // 2 if sum(clothes.coat) < 330 else c * 2 // 3 for c in clothes.coat)
+    band = height // 32
+    if clothes.pattern >= 1:
+        cloth[(np.arange(height) // band) % 3 == 0] = other
+    if clothes.pattern == 2:
+        cloth[:, (np.arange(width) // band) % 3 == 0] = other
+    return cloth

@@ -1,0 +1,123 @@
+"""The stage of one rendered scene: everything drawn beforehand, and the painting of one frame."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from phdtrack.simulate.clutter import place_boxes
+from phdtrack.simulate.look import Look
+from phdtrack.simulate.paint.backdrop import backdrop, obstacle
+from phdtrack.simulate.paint.figure import PHASES, STRIDE, draw_clothes, walking
+from phdtrack.simulate.paint.leaves import grow, gusts
+from phdtrack.simulate.paint.light import SHIFT, blinking, exposed, flicker, lamps, noise_pool, shadow
+from phdtrack.simulate.paint.sprite import put, put_scaled, pyramid
+from phdtrack.simulate.records import Scene
+from phdtrack.types import F8, I8, Bool, Image, Truth
+
+PARTS = 7
+"""Random streams of a rendering: plants' places, backdrop, things, plants, gusts, light, noise."""
+
+
+class Stage:
+    """Paints the frames of a scene, in any order. Figures are drawn when they first appear."""
+
+    def __init__(self, scene: Scene, look: Look, seed: int) -> None:
+        _, backdrop_rng, things_rng, plants_rng, gusts_rng, light_rng, noise_rng = _streams(seed)
+        info, frames = scene.info, scene.info.frames
+        self._scene, self._look, self._seed = scene, look, seed
+        self._phase, self._leftward = gait(scene.figures)
+        self._wardrobe: dict[int, tuple[tuple[Image, ...], ...]] = {}
+        self._backdrop = backdrop(info, _wall_base(scene), scene.doors, backdrop_rng)
+        boxes = plant_boxes(scene, look.plants, seed)
+        self._plants = tuple(grow(box, rng) for box, rng in zip(boxes, plants_rng.spawn(len(boxes)), strict=True))
+        self._gusts = gusts(frames, info.fps, len(boxes), look.wave * (boxes[:, 3] - boxes[:, 1]), gusts_rng)
+        self._things = tuple(
+            obstacle(box, rng) for box, rng in zip(scene.obstacles, things_rng.spawn(len(scene.obstacles)), strict=True)
+        )
+        self._lamps = lamps(info, look.lamps, light_rng)
+        self._levels = blinking(frames, info.fps, look.lamps, light_rng)
+        self._gain = flicker(frames, info.fps, look.flicker, light_rng)
+        self._pool = noise_pool(info, look.noise, noise_rng)
+        self._corner = noise_rng.integers(0, SHIFT, (frames, 2))
+        self._shadow = pyramid(shadow(look.shadow))
+
+    def paint(self, number: int) -> Image:
+        """(H, W, 3) the picture of frame ``number``, from 1."""
+        canvas = self._backdrop.copy()
+        figures = self._scene.figures
+        here = np.arange(*np.searchsorted(figures.frame, [number, number + 1]))
+        for row in here:
+            self._cast(canvas, figures.xyxy[row])
+        jobs = [(float(figures.xyxy[row, 3]), partial(self._figure, canvas, int(row))) for row in here]
+        for box, sprite in zip(self._scene.obstacles, self._things, strict=True):
+            jobs.append((float(box[3]), partial(put, canvas, sprite, round(float(box[0])), round(float(box[1])))))
+        for plant, gust in zip(self._plants, self._gusts[number - 1], strict=True):
+            jobs.append((plant.foot, partial(plant.wave, canvas, number / self._scene.info.fps, float(gust))))
+        for _, job in sorted(jobs, key=lambda job: job[0]):
+            job()
+        for lamp, level in zip(self._lamps, self._levels[number - 1], strict=True):
+            lamp.shine(canvas, float(level))
+        return exposed(canvas, float(self._gain[number - 1]), self._pool, self._corner[number - 1])
+
+    def _figure(self, canvas: Image, row: int) -> None:
+        """Draw one figure."""
+        box, identity = self._scene.figures.xyxy[row], int(self._scene.figures.identity[row])
+        if identity not in self._wardrobe:
+            aspect = float((box[2] - box[0]) / (box[3] - box[1]))
+            self._wardrobe[identity] = walking(draw_clothes(np.random.default_rng([self._seed, identity])), aspect)
+        sprite = self._wardrobe[identity][self._phase[row]]
+        put_scaled(canvas, sprite, box, mirrored=bool(self._leftward[row]))
+
+    def _cast(self, canvas: Image, box: F8) -> None:
+        """Draw the shadow of the figure in ``box``: a little to the right of its feet."""
+        left, _, right, bottom = box
+        wide, deep = right - left, 0.16 * (right - left)
+        put_scaled(canvas, self._shadow, np.array([left + 0.1 * wide, bottom - deep, right + 0.25 * wide, bottom + deep]))
+
+
+def plant_boxes(scene: Scene, number: int, seed: int) -> F8:
+    """(P, 4) where plants grow: at the scene's persistent places, or at ``number`` random ones of the figures' sizes."""
+    if len(scene.places):
+        return scene.places
+    box = scene.figures.xyxy
+    sizes = np.stack([box[:, 2] - box[:, 0], box[:, 3] - box[:, 1]], axis=1)
+    return place_boxes(scene.info, number, sizes, _streams(seed)[0])
+
+
+def gait(figures: Truth) -> tuple[I8, Bool]:
+    """(M,) the phase of the step that each row shows, and whether it walks to the left.
+
+    The phase follows the way walked, in body heights, so that feet do not slide; who stands keeps it, and looks on.
+    """
+    order = np.lexsort((figures.frame, figures.identity))
+    identity, box = figures.identity[order], figures.xyxy[order]
+    first = np.diff(identity, prepend=-1) != 0
+    centre, foot = (box[:, 0] + box[:, 2]) / 2, box[:, 3]
+    across = np.where(first, 0, np.diff(centre, prepend=0))
+    way = np.hypot(across, np.where(first, 0, np.diff(foot, prepend=0))) / (box[:, 3] - box[:, 1])
+    phase = np.empty(len(order), np.int64)
+    phase[order] = np.floor(np.cumsum(way) / STRIDE * PHASES).astype(np.int64) % PHASES
+    moving = np.flatnonzero(np.abs(across) > 0.02)
+    leftward = np.zeros(len(order), np.bool_)
+    if len(moving):
+        latest = np.searchsorted(moving, np.arange(len(order)), side="right") - 1
+        person = np.cumsum(first)
+        of_other = (latest < 0) | (person[moving[np.maximum(latest, 0)]] != person)
+        nearest = np.where(of_other, np.minimum(latest + 1, len(moving) - 1), latest)
+        leftward[order] = across[moving[nearest]] < 0
+    return phase, leftward
+
+
+def _wall_base(scene: Scene) -> int:
+    """The row where the wall meets the ground: a little above the uppermost foot."""
+    height = scene.info.height
+    foot = scene.figures.xyxy[:, 3]
+    highest = float(foot.min()) if len(foot) else 0.5 * height
+    return int(np.clip(highest - 0.01 * height, 0.15 * height, 0.6 * height))
+
+
+def _streams(seed: int) -> list[np.random.Generator]:
+    """The random streams of a rendering."""
+    return np.random.default_rng(seed).spawn(PARTS)

@@ -1,0 +1,96 @@
+"""The scene with a known model keeps to it: statistics within 4 standard errors at fixed seeds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phdtrack.boxes import to_cxcywh
+from phdtrack.errors import InputError
+from phdtrack.simulate import Counting, constant, make_scene
+from phdtrack.simulate.counting import counts
+
+
+def test_noise_of_the_motion() -> None:
+    """One step from equal states: mean, standard deviations and correlations as M09 (11) says."""
+    n, w, h = 40000, 30.0, 80.0
+    x = np.tile(np.array([[100.0], [200], [3], [-2], [w], [h]]), n)
+    y = constant(5).step(x, np.random.default_rng(0))
+    mean = np.array([103, 198, 3, -2, w, h])
+    sd = np.array([0.015 * w, 0.015 * h, 0.03 * w, 0.03 * h, 0.1 * w, 0.1 * h])
+    assert (np.abs(y.mean(axis=1) - mean) < 4 * sd / np.sqrt(n)).all()
+    assert (np.abs(y.std(axis=1) - sd) < 4 * sd / np.sqrt(2 * n)).all()
+    expected = np.eye(6)
+    expected[[0, 2, 1, 3], [2, 0, 3, 1]] = 1  # one noise drives position and velocity of an axis
+    assert np.abs(np.corrcoef(y) - expected).max() < 4 / np.sqrt(n)
+
+
+def test_second_differences_of_the_truth() -> None:
+    """c(k+1) − 2c(k) + c(k−1) = (w(k−1) n(k−1) + w(k) n(k)) / 2: its scaled values have the standard deviation 0.03."""
+    truth = make_scene("constant", 2, n=40, sd_size=0.02).truth
+    scaled = []
+    for identity in np.unique(truth.identity):
+        box = to_cxcywh(truth.xyxy[truth.identity == identity])
+        for axis in (0, 1):
+            size = box[2 + axis]
+            scaled.append(np.diff(box[axis], 2) / (0.5 * np.hypot(size[:-2], size[1:-1])))
+    values = np.concatenate(scaled)
+    assert len(values) > 5000
+    # neighbours share a noise term (correlation 1/2): the standard error of the variance grows by √(1 + 2/4)
+    assert abs(values.std() / 0.03 - 1) < 4 * np.sqrt(1.5 / (2 * len(values)))
+
+
+def test_expected_number_stays() -> None:
+    """The number is n in every frame on average: 60 runs, with the variance of survivors and Poisson births."""
+    world, n, runs = constant(10, frames=100), 10, 60
+    number = np.array([counts(world.figures(np.random.default_rng(seed)), 100) for seed in range(runs)])
+    assert (number[:, 0] == n).all()
+    for frame in (49, 99):
+        kept = 0.99**frame
+        spread = np.sqrt(n * kept * (1 - kept) + n * (1 - kept))
+        assert abs(number[:, frame].mean() - n) < 4 * spread / np.sqrt(runs)
+
+
+def test_lifetimes() -> None:
+    """Survival from frame to frame happens with p_S."""
+    world = constant(50, frames=200, p_survive=0.95)
+    truth = world.figures(np.random.default_rng(1))
+    key = truth.frame * 100000 + truth.identity
+    before_last = truth.frame < 200
+    stays = np.isin(key[before_last] + 100000, key)
+    assert abs(stays.mean() - 0.95) < 4 * np.sqrt(0.95 * 0.05 / len(stays))
+
+
+def test_births_have_the_rate_that_was_asked_for() -> None:
+    world = constant(0, frames=1000, birth_rate=0.5)
+    truth = world.figures(np.random.default_rng(3))
+    born = len(np.unique(truth.identity))
+    assert abs(born - 0.5 * 999) < 4 * np.sqrt(0.5 * 999)
+    assert constant(0).births == 0
+
+
+def test_leaving_targets_are_gone_and_others_go_on() -> None:
+    for leaving in (True, False):
+        world = constant(30, width=200, height=200, leaving=leaving, frames=100)
+        x, y, w, h = to_cxcywh(world.figures(np.random.default_rng(0)).xyxy)
+        inside = (x >= 0) & (x < 200) & (y >= 0) & (y < 200)
+        assert inside.all() == leaving
+        assert (w > 0).all()
+        assert (h > 0).all()
+
+
+def test_sizes_stay_positive_under_extreme_noise() -> None:
+    world = constant(20, sd_size=2.0, frames=50, leaving=True)
+    box = to_cxcywh(world.figures(np.random.default_rng(0)).xyxy)
+    assert (box[2:] > 0).all()
+
+
+def test_fixed_number() -> None:
+    truth = constant(7, p_survive=1.0).figures(np.random.default_rng(0))
+    assert (counts(truth, 200) == 7).all()
+
+
+@pytest.mark.parametrize("bad", [{"n": -1}, {"p_survive": 1.1}, {"frames": 0}, {"birth_height": (0.0, 10.0)}])
+def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
+    with pytest.raises(InputError, match="scenario constant"):
+        Counting(**bad)  # type: ignore[arg-type]

@@ -1,0 +1,244 @@
+"""Statistics of the simulated detector, each within 4 standard errors at a fixed seed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from phdtrack.boxes import to_cxcywh, to_xyxy
+from phdtrack.errors import InputError
+from phdtrack.simulate import Detected, DetectorModel, add_clutter, detect
+from phdtrack.simulate.records import rows
+from phdtrack.types import Detections, DetectionTable, SequenceInfo, Truth
+
+INFO = SequenceInfo(640, 480, 25.0, 400, "test")
+PERFECT = DetectorModel(p_detect=1.0, jitter=0.0, jitter_size=0.0, clutter_rate=0.0)
+CLUTTERED = DetectorModel(clutter_rate=20.0, places=5)
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    rng = np.random.default_rng(0)
+    frame, identity = np.repeat(np.arange(1, 401), 10), np.tile(np.arange(1, 11), 400)
+    size = np.repeat([[30.0], [80.0]], 4000, axis=1) * rng.uniform(0.5, 1.5, 4000)
+    centre = rng.random((2, 4000)) * np.array([[640], [480]])
+    return rows(frame, identity, to_xyxy(np.concatenate([centre, size])))
+
+
+def run(truth: Truth, settings: DetectorModel, seed: int = 1) -> Detected:
+    return detect(truth, INFO, np.random.default_rng(seed), settings)
+
+
+def targets(found: Detected) -> np.ndarray:
+    """Rows (frame, identity, xyxy) of the detections of targets, in the truth's order."""
+    real = found.source > 0
+    table = np.column_stack([found.table.frame[real], found.source[real], found.table.detections.xyxy[real]])
+    return table[np.lexsort((table[:, 1], table[:, 0]))]
+
+
+def test_perfect_detector_gives_the_truth(truth: Truth) -> None:
+    got = targets(run(truth, PERFECT))
+    assert np.allclose(got[:, 2:], truth.xyxy)
+    assert (got[:, 0] == truth.frame).all()
+
+
+@pytest.mark.parametrize("p_detect", [0.0, 0.3, 0.9, 1.0])
+def test_detection_probability(truth: Truth, p_detect: float) -> None:
+    part = len(targets(run(truth, replace(PERFECT, p_detect=p_detect)))) / len(truth)
+    assert abs(part - p_detect) <= 4 * np.sqrt(p_detect * (1 - p_detect) / len(truth))
+
+
+@pytest.mark.parametrize(("centre", "size"), [(0.05, 0.05), (0.075, 0.15), (0.0, 0.02)])
+def test_jitter(truth: Truth, centre: float, size: float) -> None:
+    got = to_cxcywh(targets(run(truth, replace(PERFECT, jitter=centre, jitter_size=size)))[:, 2:])
+    true = to_cxcywh(truth.xyxy)
+    errors = np.concatenate([(got[:2] - true[:2]) / true[2:], got[2:] / true[2:] - 1])
+    for error, sd in zip(errors, (centre, centre, size, size), strict=True):
+        assert abs(error.mean()) <= 4 * sd / np.sqrt(len(truth)) + 1e-12
+        assert abs(error.std() - sd) <= 4 * sd / np.sqrt(2 * len(truth)) + 1e-12
+    if centre and size:
+        correlation = np.corrcoef(errors) - np.eye(4)
+        assert np.abs(correlation).max() < 4 / np.sqrt(len(truth))
+
+
+def test_jitter_never_turns_a_box_inside_out(truth: Truth) -> None:
+    box = to_cxcywh(targets(run(truth, replace(PERFECT, jitter_size=2.0)))[:, 2:])
+    assert (box[2:] >= 0.2 * to_cxcywh(truth.xyxy)[2:] - 1e-9).all()
+
+
+@pytest.mark.parametrize("rate", [0.0, 2.0, 20.0])
+def test_poisson_clutter(truth: Truth, rate: float) -> None:
+    found = run(truth, replace(PERFECT, clutter_rate=rate))
+    false = found.source == 0
+    number = np.bincount(found.table.frame[false], minlength=401)[1:]
+    assert abs(number.mean() - rate) <= 4 * np.sqrt(rate / 400)
+    if not rate:
+        return
+    assert abs(number.var() / rate - 1) < 4 * np.sqrt(2 / 400)
+    x, y, w, h = to_cxcywh(found.table.detections.xyxy[false])
+    n = len(x)
+    for place, extent in ((x, 640), (y, 480)):
+        assert place.min() >= 0
+        assert place.max() <= extent
+        assert abs(place.mean() / extent - 0.5) < 4 / np.sqrt(12 * n)
+        assert abs((place / extent).var() - 1 / 12) < 4 * np.sqrt(1 / 180 / n)
+    sizes = np.round(to_cxcywh(truth.xyxy)[2:].T, 6)
+    assert set(map(tuple, np.round(np.stack([w, h], axis=1), 6))) <= set(map(tuple, sizes))
+
+
+def test_log_uniform_sizes(truth: Truth) -> None:
+    found = run(truth, replace(PERFECT, clutter_rate=10.0, clutter_sizes="log-uniform"))
+    _, _, w, h = to_cxcywh(found.table.detections.xyxy[found.source == 0])
+    low, high = 0.08 * 480, 0.5 * 480
+    part = np.log(h / low) / np.log(high / low)
+    assert abs(part.mean() - 0.5) < 4 / np.sqrt(12 * len(h))
+    assert (w / h).min() >= 1 / 3 - 1e-9
+    assert (w / h).max() <= 1 + 1e-9
+
+
+def test_persistent_places_fire_with_their_probability_around_their_box(truth: Truth) -> None:
+    found = run(truth, replace(PERFECT, places=5, place_fire=0.5, place_jitter=0.1))
+    assert found.places.shape == (5, 4)
+    assert (found.places >= 0).all()
+    assert (found.places <= [640, 480, 640, 480]).all()
+    for p, place in enumerate(to_cxcywh(found.places).T):
+        mine = found.source == -(p + 1)
+        assert abs(mine.sum() / 400 - 0.5) <= 4 * 0.5 / np.sqrt(400)
+        frame, box = found.table.frame[mine], to_cxcywh(found.table.detections.xyxy[mine])
+        assert len(np.unique(frame)) == len(frame)
+        error = (box[:2].T - place[:2]) / place[2:]
+        assert np.abs(error.mean(axis=0)).max() < 4 * 0.1 / np.sqrt(len(error))
+        assert np.abs(error.std(axis=0) - 0.1).max() < 4 * 0.1 / np.sqrt(2 * len(error))
+
+
+def test_targets_are_the_same_whatever_the_clutter(truth: Truth) -> None:
+    plain = targets(run(truth, replace(CLUTTERED, clutter_rate=0.0, places=0)))
+    for settings in (CLUTTERED, replace(CLUTTERED, clutter_rate=2.0), replace(CLUTTERED, clutter_sizes="log-uniform")):
+        assert (targets(run(truth, settings)) == plain).all()
+
+
+def test_places_are_the_same_whatever_the_poisson_clutter(truth: Truth) -> None:
+    a, b = (run(truth, replace(CLUTTERED, clutter_rate=rate)) for rate in (0.0, 10.0))
+    assert (a.places == b.places).all()
+    box_a, box_b = (np.sort(f.table.detections.xyxy[f.source < 0], axis=0) for f in (a, b))
+    assert (box_a == box_b).all()
+
+
+def test_higher_detection_probability_only_adds(truth: Truth) -> None:
+    less, more = ({tuple(r) for r in targets(run(truth, replace(CLUTTERED, p_detect=p)))} for p in (0.6, 0.8))
+    assert less < more
+
+
+def test_same_seed_same_detections_other_seed_others(truth: Truth) -> None:
+    a, b, c = (run(truth, CLUTTERED, seed) for seed in (1, 1, 2))
+    assert (a.table.detections.xyxy == b.table.detections.xyxy).all()
+    assert not np.array_equal(a.source, c.source)
+
+
+def test_order_within_a_frame_is_random(truth: Truth) -> None:
+    """A detection's rank says nothing about its origin: the mean rank of targets among false alarms is the middle."""
+    found = run(truth, replace(PERFECT, clutter_rate=10.0))
+    start = np.searchsorted(found.table.frame, found.table.frame)
+    number = np.bincount(found.table.frame)[found.table.frame]
+    rank = (np.arange(len(found.source)) - start + 0.5) / number
+    real = rank[found.source > 0]
+    assert abs(real.mean() - 0.5) < 4 / np.sqrt(12 * len(real))
+
+
+def test_occlusion_lowers_the_detection_probability() -> None:
+    frame, identity = np.repeat(np.arange(1, 401), 2), np.tile([1, 2], 400)
+    behind, before = [100.0, 100, 200, 300], [100.0, 100, 150, 310]
+    half_hidden = rows(frame, identity, np.tile([behind, before], (400, 1)))
+    got = targets(run(half_hidden, replace(PERFECT, occlusion=2.0)))
+    hidden_part = 4 / 9
+    expected = (1 - hidden_part) ** 2
+    assert (got[:, 1] == 2).sum() == 400
+    assert abs((got[:, 1] == 1).mean() * len(got) / 400 - expected) < 4 * np.sqrt(expected * (1 - expected) / 400)
+
+
+def test_informative_scores_rank_targets_higher(truth: Truth) -> None:
+    found = run(truth, replace(CLUTTERED, scores="informative"))
+    score = found.table.detections.confidence
+    assert ((score > 0) & (score < 1)).all()
+    assert abs(score[found.source > 0].mean() - 0.75) < 0.01
+    assert abs(score[found.source <= 0].mean() - 1 / 3) < 0.02
+    assert (run(truth, CLUTTERED).table.detections.confidence == 1).all()
+
+
+def test_distractors_are_not_detected(truth: Truth) -> None:
+    marked = replace(truth, distractor=truth.identity <= 4)
+    assert set(run(marked, PERFECT).source) == {5, 6, 7, 8, 9, 10}
+
+
+def test_nothing_received_is_written_to(truth: Truth) -> None:
+    before = truth.xyxy.copy()
+    truth.xyxy.setflags(write=False)
+    run(truth, replace(CLUTTERED, occlusion=1.0))
+    assert (truth.xyxy == before).all()
+
+
+def test_no_targets_and_no_clutter_is_an_empty_table() -> None:
+    none = rows(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)))
+    assert len(run(none, replace(CLUTTERED, clutter_rate=0.0, places=0)).table) == 0
+    assert len(run(none, CLUTTERED).table) > 0
+
+
+def test_truth_outside_the_sequence_is_refused(truth: Truth) -> None:
+    for info in (replace(INFO, frames=399), replace(INFO, frames=0)):
+        with pytest.raises(InputError, match="frames"):
+            detect(truth, info, np.random.default_rng(0), PERFECT)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"p_detect": 1.2}, {"clutter_rate": -1.0}, {"jitter": float("nan")}, {"scores": "random"}, {"clutter_sizes": "big"}],
+)
+def test_impossible_detectors_are_refused(bad: dict[str, object]) -> None:
+    with pytest.raises(InputError, match="detector model"):
+        DetectorModel(**bad)  # type: ignore[arg-type]
+
+
+def real_detections() -> DetectionTable:
+    rng = np.random.default_rng(3)
+    frame = np.sort(rng.integers(10, 200, 500))
+    box = np.concatenate([rng.random((2, 500)) * 400, rng.random((2, 500)) * 50 + 5])
+    return DetectionTable(frame, Detections.of(to_xyxy(box), rng.random(500), rng.integers(0, 3, 500)))
+
+
+@pytest.mark.parametrize("rate", [0.0, 2.0, 10.0])
+def test_added_clutter_reaches_all_frames_and_keeps_the_detections(rate: float) -> None:
+    table, sizes = real_detections(), np.array([[20.0, 50.0], [30.0, 90.0]])
+    more = add_clutter(table, INFO, rate, np.random.default_rng(4), sizes)
+    n = len(more) - len(table)
+    assert abs(n / 400 - rate) <= 4 * np.sqrt(rate / 400)
+    assert (np.diff(more.frame) >= 0).all()
+    old = {tuple(row) for row in np.column_stack([table.frame, table.detections.xyxy, table.detections.confidence])}
+    new = [tuple(row) for row in np.column_stack([more.frame, more.detections.xyxy, more.detections.confidence])]
+    assert old <= set(new)
+    if rate:
+        assert {1, 400} & set(more.frame[[0, -1]])
+        assert len(np.unique(more.frame)) > 0.7 * 400
+        added = np.array([row for row in new if row not in old])
+        assert set(np.round(added[:, 3] - added[:, 1], 6)) == {20.0, 30.0}
+        assert set(more.detections.confidence) <= set(table.detections.confidence)
+
+
+def test_added_clutter_keeps_covariances_and_empty_tables() -> None:
+    table = real_detections()
+    known = replace(table, detections=replace(table.detections, covariance=np.tile(np.eye(4), (500, 1, 1))))
+    more = add_clutter(known, INFO, 3.0, np.random.default_rng(0), np.zeros((0, 2)))
+    assert more.detections.covariance is not None
+    assert more.detections.covariance.shape == (len(more), 4, 4)
+    none = DetectionTable(np.zeros(0, np.int64), Detections.empty())
+    alone = add_clutter(none, INFO, 3.0, np.random.default_rng(0), np.zeros((0, 2)))
+    assert len(alone) > 1000
+    assert (alone.detections.confidence == 1).all()
+
+
+def test_clutter_needs_the_number_of_frames_and_a_rate() -> None:
+    with pytest.raises(InputError, match="number of frames"):
+        add_clutter(real_detections(), replace(INFO, frames=0), 1.0, np.random.default_rng(0), np.zeros((0, 2)))
+    with pytest.raises(InputError, match="clutter rate"):
+        add_clutter(real_detections(), INFO, -1.0, np.random.default_rng(0), np.zeros((0, 2)))

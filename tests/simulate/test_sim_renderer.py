@@ -1,0 +1,233 @@
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from phdtrack.errors import InputError
+from phdtrack.simulate import NAMED, DetectorModel, Look, Rendered, Scenario, Scene, Walk, build_scene, make_scene, render
+from phdtrack.simulate.paint.stage import Stage, gait
+from phdtrack.types import F8, Image
+
+STILL = Look(noise=0.0, flicker=0.0, plants=0, wave=0.0, lamps=0)
+NOTHING = DetectorModel(clutter_rate=0.0)
+
+
+def video(scene: Scene, look: Look | None = None, seed: int = 7) -> Rendered:
+    return render(scene, np.random.default_rng(seed), look)
+
+
+def part(image: Image, box: F8) -> np.ndarray:
+    left, top, right, bottom = np.round(box).astype(int)
+    return image[max(top, 0) : bottom, max(left, 0) : right].astype(float)
+
+
+def bare_stage(scene: Scene, look: Look, seed: int) -> Stage:
+    """The same stage, on which nobody appears."""
+    stage = Stage(scene, look, seed)
+    none = np.zeros(0, np.int64)
+    nobody = replace(scene.figures, frame=none, identity=none, xyxy=np.zeros((0, 4)), distractor=none.astype(bool))
+    stage._scene = replace(scene, figures=nobody)
+    return stage
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_frames_are_pictures_of_the_stated_size(name: str) -> None:
+    scene = make_scene(name, 0, frames=4)
+    frames = list(video(scene))
+    assert [f.number for f in frames] == [1, 2, 3, 4]
+    assert [f.time for f in frames] == pytest.approx([0, 0.04, 0.08, 0.12])
+    for frame in frames:
+        assert frame.image.shape == (scene.info.height, scene.info.width, 3)
+        assert frame.image.dtype == np.uint8
+        assert frame.image.flags.c_contiguous
+        assert 40 < frame.image.mean() < 200
+
+
+def test_same_seed_same_video_also_the_second_time() -> None:
+    scene = make_scene("street", 1, frames=60)
+    source = video(scene)
+    first, again, same, other = (list(islice(v, 50, 53)) for v in (source, source, video(scene), video(scene, seed=8)))
+    for a, b, c, d in zip(first, again, same, other, strict=True):
+        assert (a.image == b.image).all()
+        assert (a.image == c.image).all()
+        assert (a.image != d.image).any()
+
+
+def test_figures_are_visible_where_the_truth_says() -> None:
+    """In its box a figure changes the picture a lot; away from all figures and their shadows nothing changes."""
+    scene = make_scene("street", 2, lead_in=-10.0, frames=80, detector=NOTHING)
+    stage, bare = Stage(scene, STILL, 3), bare_stage(scene, STILL, 3)
+    changes, fill = [], []
+    for number in (5, 40, 80):
+        difference = np.abs(stage.paint(number).astype(int) - bare.paint(number)).max(axis=2)
+        for box in scene.truth.xyxy[scene.truth.frame == number]:
+            inside = part(difference, box)
+            changes.append(inside.mean())
+            fill.append((inside > 15).mean())
+        outside = np.ones(difference.shape, bool)
+        for left, top, right, bottom in scene.figures.xyxy[scene.figures.frame == number]:
+            wide = 0.3 * (right - left)
+            outside[max(int(top - 2), 0) : int(bottom + wide), max(int(left - 2), 0) : int(right + wide + 2)] = False
+        assert (difference[outside] == 0).all()
+    assert len(changes) >= 6
+    assert min(changes) > 12
+    assert min(fill) > 0.2
+
+
+def test_figure_fills_its_box() -> None:
+    """Head at the top, a foot at the bottom, limbs near both sides at some time of the step."""
+    world = Scenario("one", frames=200, arrivals=0.0, walks=(Walk(((0.1, 0.8), (0.9, 0.8))),))
+    scene = build_scene(world, 0, NOTHING)
+    stage = Stage(scene, replace(STILL, shadow=0.0), 1)
+    bare = bare_stage(scene, replace(STILL, shadow=0.0), 1)
+    extents = []
+    for number in range(20, 60, 2):
+        box = scene.figures.xyxy[scene.figures.frame == number][0]
+        changed = np.abs(stage.paint(number).astype(int) - bare.paint(number)).max(axis=2) > 12
+        y, x = np.nonzero(changed)
+        size = np.tile(box[2:] - box[:2], 2)
+        extents.append((np.array([x.min(), y.min(), x.max() + 1, y.max() + 1]) - box) / size)
+    extent = np.array(extents)
+    assert np.abs(extent[:, [1, 3]]).max() < 0.06
+    assert (extent[:, 0] > -0.06).all()
+    assert (extent[:, 2] < 0.06).all()
+    width = 1 + extent[:, 2] - extent[:, 0]
+    assert width.max() > 0.75
+
+
+def walks_at(*rows: float) -> Scene:
+    """Figures that stand in the middle of the frame at these foot rows, in this order."""
+    walks = tuple(Walk(((0.5, row), (0.51, row)), at=-1e-3 * (9 - k), speed=1e-6) for k, row in enumerate(rows))
+    return build_scene(Scenario("stand", frames=1, arrivals=0.0, walks=walks), 0, NOTHING)
+
+
+@pytest.mark.parametrize("rows", [(0.7, 0.75), (0.75, 0.7)])
+def test_the_nearer_figure_hides_the_farther(rows: tuple[float, float]) -> None:
+    """The picture of two is, on the nearer one's body, the picture of the nearer alone, whoever came first."""
+    scene = walks_at(*rows)
+    near = int(np.argmax(scene.figures.xyxy[:, 3]))
+    look = replace(STILL, shadow=0.0)
+    both, alone, bare = Stage(scene, look, 5), Stage(scene, look, 5), bare_stage(scene, look, 5)
+    keep = np.array([near])
+    figures = scene.figures
+    alone._scene = replace(
+        scene,
+        figures=replace(
+            figures,
+            frame=figures.frame[keep],
+            identity=figures.identity[keep],
+            xyxy=figures.xyxy[keep],
+            distractor=figures.distractor[keep],
+        ),
+    )
+    alone._phase, alone._leftward = both._phase[keep], both._leftward[keep]
+    pictures = [stage.paint(1).astype(int) for stage in (both, alone, bare)]
+    x0, y0, x1, y1 = figures.xyxy[near]
+    torso = np.s_[int(y0 + 0.25 * (y1 - y0)) : int(y0 + 0.5 * (y1 - y0)), int((x0 + x1) / 2) - 2 : int((x0 + x1) / 2) + 2]
+    assert (pictures[0][torso] == pictures[1][torso]).all()
+    assert (pictures[0][torso] != pictures[2][torso]).any()
+    assert (pictures[0] != pictures[1]).any()  # the farther one is there where the nearer does not hide him
+
+
+def test_obstacles_hide_who_is_behind_and_not_who_is_before() -> None:
+    for row, hidden in ((0.70, True), (0.95, False)):
+        world = Scenario(
+            "one",
+            frames=1,
+            arrivals=0.0,
+            walks=(Walk(((0.5, row), (0.51, row)), speed=1e-6),),
+            obstacles=((0.4, 0.2, 0.6, 0.85),),
+        )
+        scene = build_scene(world, 0, NOTHING)
+        look = replace(STILL, shadow=0.0)
+        stage, bare = Stage(scene, look, 2), bare_stage(scene, look, 2)
+        assert (stage.paint(1) == bare.paint(1)).all() == hidden
+
+
+def test_gait_follows_the_way_and_stops_with_it() -> None:
+    world = Scenario("one", frames=250, arrivals=0.0, walks=(Walk(((0.9, 0.8), (0.1, 0.8)), pauses=((2.0, 3.0),)),))
+    figures = world.figures(np.random.default_rng(0))
+    phase, leftward = gait(figures)
+    assert leftward.all()
+    walking, standing = phase[:40], phase[55:120]
+    assert len(np.unique(standing)) == 1
+    assert len(np.unique(walking)) >= 10
+
+
+def test_gait_does_not_mix_people() -> None:
+    walks = (Walk(((-0.1, 0.7), (1.1, 0.7))), Walk(((1.1, 0.8), (-0.1, 0.8))))
+    figures = Scenario("two", frames=100, arrivals=0.0, walks=walks).figures(np.random.default_rng(0))
+    _, leftward = gait(figures)
+    assert (leftward == (figures.identity == 2)).all()
+
+
+def changing(scene: Scene, look: Look, frames: int) -> np.ndarray:
+    """(frames - 1, H, W) bool: where neighbouring frames differ by more than 20 grey levels."""
+    grey = np.array([f.image.astype(np.int16).mean(axis=2) for f in islice(video(scene, look), frames)])
+    return np.abs(np.diff(grey, axis=0)) > 20
+
+
+def test_waving_plants_are_seen_as_change_often_but_not_always() -> None:
+    scene = make_scene("empty", 0, frames=150, detector=NOTHING)
+    look = replace(STILL, plants=5, wave=0.09)
+    moving = changing(scene, look, 150)
+    boxes = video(scene, look).plants
+    assert boxes.shape == (5, 4)
+    fires = np.array([[part(frame, box).sum() > 40 for box in boxes] for frame in moving])
+    assert (fires.mean(axis=0) > 0.1).sum() >= 4
+    assert 0.1 < fires.mean() < 0.95
+    near = np.zeros(moving.shape[1:], bool)
+    for left, top, right, bottom in boxes:
+        reach = 0.35 * (bottom - top)
+        near[max(int(top - reach), 0) : int(bottom) + 1, max(int(left - reach), 0) : int(right + reach)] = True
+    assert not moving[:, ~near].any()
+    assert not changing(scene, replace(look, wave=0.0), 10).any()
+
+
+def test_plants_grow_at_the_persistent_places() -> None:
+    scene = make_scene("street", 0, frames=5, detector=replace(NOTHING, places=3))
+    assert (video(scene).plants == scene.places).all()
+
+
+def test_flicker_changes_the_whole_picture_by_its_strength() -> None:
+    scene = make_scene("empty", 0, frames=300, detector=NOTHING)
+    mean = np.array([f.image.mean() for f in video(scene, replace(STILL, flicker=0.03))])
+    relative = mean / mean.mean()
+    assert 0.015 < relative.std() < 0.05
+    assert np.abs(np.diff(relative)).mean() > 0.005
+    assert np.std([f.image.mean() for f in islice(video(scene, STILL), 20)]) < 0.1
+
+
+def test_noise_has_its_strength_and_is_new_in_every_frame() -> None:
+    scene = make_scene("empty", 0, frames=6, detector=NOTHING)
+    clean = next(iter(video(scene, STILL))).image.astype(float)
+    noisy = [f.image.astype(float) - clean for f in video(scene, replace(STILL, noise=3.0))]
+    assert abs(np.std(noisy[0]) - 3.0) < 0.1
+    assert abs(np.mean(noisy[0])) < 0.1
+    assert abs(np.corrcoef(noisy[0].ravel(), noisy[1].ravel())[0, 1]) < 0.02
+
+
+def test_lamps_blink() -> None:
+    scene = make_scene("empty", 0, frames=150, detector=NOTHING)
+    moving = changing(scene, replace(STILL, lamps=4), 150)
+    assert 0 < moving.any(axis=(1, 2)).mean() < 1
+    assert moving.any(axis=0).mean() < 0.03
+
+
+def test_rendering_is_fast() -> None:
+    """At least 60 frames a second at 640 × 360, here with a wide margin of measured 500."""
+    scene = make_scene("street", 0, frames=120)
+    start = time.process_time()
+    for _ in video(scene):
+        pass
+    assert 120 / (time.process_time() - start) > 60
+
+
+@pytest.mark.parametrize("bad", [{"noise": -1.0}, {"shadow": 2.0}, {"flicker": float("nan")}])
+def test_impossible_looks_are_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(InputError, match="look of the rendered scene"):
+        Look(**bad)  # type: ignore[arg-type]

@@ -1,0 +1,260 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from phdtrack.boxes import iou, to_cxcywh
+from phdtrack.errors import InputError
+from phdtrack.simulate import NAMED, DetectorModel, Entrance, Scenario, Walk, build_scene, make_scene
+from phdtrack.simulate.cover import covered
+from phdtrack.simulate.ground import Camera, follow, rounded, walked_seconds
+from phdtrack.simulate.records import rows
+from phdtrack.types import Truth
+
+PEOPLE = [name for name in NAMED if name not in ("empty", "constant")]
+
+
+def of(truth: Truth, identity: int) -> tuple[np.ndarray, np.ndarray]:
+    mine = truth.identity == identity
+    return truth.frame[mine], truth.xyxy[mine]
+
+
+@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_scene_is_consistent(name: str, seed: int) -> None:
+    scene = make_scene(name, seed)
+    for table in (scene.truth, scene.figures):
+        pairs = np.stack([table.frame, table.identity], axis=1)
+        assert len(np.unique(pairs, axis=0)) == len(pairs)
+        assert (np.lexsort((table.identity, table.frame)) == np.arange(len(table))).all()
+        assert ((table.frame >= 1) & (table.frame <= scene.info.frames)).all()
+        assert (table.xyxy[:, 2:] > table.xyxy[:, :2]).all()
+        assert (table.identity >= 1).all()
+        assert not table.distractor.any()
+    assert (np.diff(scene.detections.frame) >= 0).all()
+    assert scene.detections.last <= scene.info.frames
+    assert len(scene.source) == len(scene.detections)
+    assert set(scene.source[scene.source > 0]) <= set(scene.truth.identity)
+    assert -scene.source.min() <= len(scene.places)
+    if name != "constant":
+        edge = np.tile([scene.info.width, scene.info.height], 2)
+        assert (scene.truth.xyxy >= 0).all()
+        assert (scene.truth.xyxy <= edge).all()
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_same_seed_same_scene_other_seed_other_scene(name: str) -> None:
+    a, b, c = (make_scene(name, seed, frames=60, detector=DetectorModel()) for seed in (5, 5, 6))
+    assert (a.truth.xyxy == b.truth.xyxy).all()
+    assert (a.detections.detections.xyxy == b.detections.detections.xyxy).all()
+    assert (a.source == b.source).all()
+    assert not np.array_equal(a.detections.detections.xyxy, c.detections.detections.xyxy)
+
+
+def test_truth_does_not_depend_on_the_detector() -> None:
+    a, b = (make_scene("street", 3, detector=DetectorModel(p_detect=p, clutter_rate=9 * p)) for p in (0.3, 1.0))
+    assert (a.truth.xyxy == b.truth.xyxy).all()
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_lower_in_the_picture_is_larger(name: str) -> None:
+    world = NAMED[name]
+    assert isinstance(world, Scenario)
+    box = world.figures(np.random.default_rng(4)).xyxy
+    tall, foot = box[:, 3] - box[:, 1], box[:, 3]
+    expected = (foot - world.horizon * world.height) / world.camera_height
+    assert (np.abs(tall / expected - 1) <= 0.3 + 1e-9).all()
+    assert np.corrcoef(tall, foot)[0, 1] > 0.8
+
+
+@pytest.mark.parametrize("name", ["street", "crowd", "corridor"])
+def test_people_walk_at_the_speed_that_was_asked_for(name: str) -> None:
+    """On the ground nobody moves faster than his own speed, and the mean of the fastest steps is the scene's speed."""
+    world = NAMED[name]
+    assert isinstance(world, Scenario)
+    figures = world.figures(np.random.default_rng(8))
+    speeds = []
+    for identity in np.unique(figures.identity):
+        frame, box = of(figures, int(identity))
+        foot = np.stack([(box[:, 0] + box[:, 2]) / 2, box[:, 3]], axis=1)
+        ground = world.camera.to_ground(foot)
+        step = np.hypot(*np.diff(ground, axis=0).T) * world.fps / np.diff(frame)
+        if len(step) > 10:
+            speeds.append(np.quantile(step, 0.9))
+    bound = 4 * world.speed_spread / np.sqrt(len(speeds))
+    assert abs(np.mean(speeds) - world.speed) < bound
+    assert np.max(speeds) < world.speed + 5 * world.speed_spread
+
+
+def test_crossing_pairs_meet() -> None:
+    truth = make_scene("crossing", 0).truth
+    met = 0
+    for a, b in ((1, 2), (3, 4), (5, 6)):
+        (frame_a, box_a), (frame_b, box_b) = of(truth, a), of(truth, b)
+        _, i, j = np.intersect1d(frame_a, frame_b, return_indices=True)
+        overlap = np.array([iou(box_a[[p]], box_b[[q]])[0, 0] for p, q in zip(i, j, strict=True)])
+        side = np.sign(box_a[i, 0] - box_b[j, 0])
+        assert (overlap > 0.2).any()
+        met += int(side[0] != side[-1])
+    assert met == 3
+
+
+def test_occlusion_hides_people_completely_and_keeps_them_in_the_truth() -> None:
+    scene = make_scene("occlusion", 0)
+    hidden = covered(scene.truth, scene.obstacles)
+    gone = [
+        identity for identity in np.unique(scene.truth.identity) if hidden[scene.truth.identity == identity].max() > 0.99
+    ]
+    assert len(gone) >= 4
+    for identity in gone:
+        frame, _ = of(scene.truth, int(identity))
+        assert (np.diff(frame) == 1).all()
+    open_view = make_scene("occlusion", 0, detector=DetectorModel(p_detect=1.0, occlusion=2.0, clutter_rate=0))
+    seen = np.isin(scene.truth.frame * 1000 + scene.truth.identity, open_view.detections.frame * 1000 + open_view.source)
+    assert not seen[hidden > 0.999].any()
+    assert seen[hidden == 0].all()
+
+
+def test_empty_scene_has_only_false_alarms() -> None:
+    scene = make_scene("empty", 0)
+    assert len(scene.truth) == 0
+    assert len(scene.detections) > 0
+    assert (scene.source <= 0).all()
+
+
+def test_nobody_comes_before_the_lead_in_and_many_are_there_when_it_is_negative() -> None:
+    late = make_scene("street", 1, lead_in=4.0)
+    assert late.figures.frame.min() > 4 * late.info.fps
+    early = make_scene("crowd", 1)
+    assert (early.truth.frame == 1).sum() >= 5
+
+
+def test_doors_are_where_people_appear() -> None:
+    world = Scenario("doors", entrances=(Entrance("door", (0.3, 0.6)), Entrance("right")), arrivals=1.0, pause_rate=0.0)
+    figures = world.figures(np.random.default_rng(0))
+    at_door = 0
+    for identity in np.unique(figures.identity):
+        frame, box = of(figures, int(identity))
+        ends = (box[0], box[-1]) if frame[-1] < world.frames else (box[0],)
+        at_door += any(abs((b[0] + b[2]) / 2 / 640 - 0.3) < 0.03 and abs(b[3] / 360 - 0.6) < 0.03 for b in ends)
+        assert any(abs((b[0] + b[2]) / 2 / 640 - 0.3) < 0.03 or b[2] > 640 for b in ends)
+    assert at_door >= 5
+    assert world.doors_px.shape == (1, 4)
+
+
+def test_arrivals_are_poisson() -> None:
+    """40 scenes of 20 s at 1 a second; the mean number within 4 standard errors."""
+    world = Scenario("many", frames=500, arrivals=1.0, lead_in=0.0)
+    numbers = [len(world._arriving(np.random.default_rng(seed))) for seed in range(40)]
+    assert abs(np.mean(numbers) - 20) < 4 * np.sqrt(20 / 40)
+    assert 20 / 2.5 < np.var(numbers, ddof=1) < 20 * 2.5
+
+
+def test_min_visible_decides_when_the_truth_begins() -> None:
+    """At most one step's worth of a figure more than asked for is in the frame when it enters."""
+    walk = Walk(((-0.1, 0.7), (1.1, 0.7)))
+    for part in (0.3, 0.9):
+        world = Scenario("one", walks=(walk,), arrivals=0.0, min_visible=part)
+        truth = world.truth(world.figures(np.random.default_rng(0)))
+        box = truth.xyxy[0]
+        shown = (box[2] - box[0]) / (world.aspect * (box[3] - box[1]))
+        assert part <= shown < part + 0.1
+
+
+def test_unknown_scene_and_setting_name_the_nearest() -> None:
+    with pytest.raises(InputError, match="did you mean street"):
+        make_scene("stret", 0)
+    with pytest.raises(InputError, match="did you mean arrivals"):
+        make_scene("street", 0, arivals=2.0)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"frames": 0}, {"fps": 0.0}, {"arrivals": -1.0}, {"rows": (0.05, 0.9)}, {"min_visible": 0.0}, {"camera_height": 1.0}],
+)
+def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
+    with pytest.raises(InputError, match="scenario street"):
+        make_scene("street", 0, **bad)
+
+
+def test_walks_above_the_horizon_are_refused() -> None:
+    with pytest.raises(InputError, match="horizon"):
+        Scenario(walks=(Walk(((0.1, 0.0), (0.9, 0.5))),))
+
+
+def test_own_scenario_can_be_built() -> None:
+    scene = build_scene(Scenario("mine", frames=20, arrivals=0.0), 0, DetectorModel(clutter_rate=1.0))
+    assert scene.info.name == "mine"
+
+
+CAMERA = Camera(320, 43, 576, 2.7)
+
+
+@given(st.lists(st.tuples(st.floats(-500, 1500), st.floats(60, 500)), min_size=1, max_size=20))
+def test_ground_and_picture_are_inverse(points: list[tuple[float, float]]) -> None:
+    xy = np.array(points)
+    assert np.allclose(CAMERA.to_picture(CAMERA.to_ground(xy)), xy, rtol=1e-9, atol=1e-6)
+
+
+@given(st.floats(0.7, 1.3))
+def test_row_below_puts_the_head_at_the_edge(stature: float) -> None:
+    row = CAMERA.row_below(360, stature)
+    assert CAMERA.boxes(np.array([[100.0, row]]), stature, 0.4)[0, 1] == pytest.approx(360)
+
+
+@given(st.lists(st.tuples(st.floats(0.1, 5), st.floats(0, 5)), max_size=5))
+def test_pauses_stop_the_walk_for_their_length(pauses: list[tuple[float, float]]) -> None:
+    at = np.cumsum([gap for gap, _ in pauses])
+    since = np.linspace(0, 80, 2001)
+    walked = walked_seconds(since, tuple((float(a), length) for a, (_, length) in zip(at, pauses, strict=True)))
+    steps = np.diff(walked)
+    assert (steps >= -1e-9).all()
+    assert (steps <= since[1] + 1e-9).all()
+    assert walked[-1] == pytest.approx(80 - sum(length for _, length in pauses))
+
+
+def test_rounding_keeps_the_ends_and_shortens_the_way() -> None:
+    corners = np.array([[0.0, 0.0], [1.0, 3.0], [2.0, 0.0]])
+    path = rounded(corners)
+    assert (path[[0, -1]] == corners[[0, -1]]).all()
+    assert path[:, 1].max() < 3
+    assert np.hypot(*np.diff(path, axis=0).T).sum() < np.hypot(*np.diff(corners, axis=0).T).sum()
+
+
+def test_follow_walks_at_constant_speed_on_the_ground() -> None:
+    walk = Walk(((-0.1, 0.9), (0.5, 0.6), (1.1, 0.8)), at=1.0, speed=0.5)
+    times = np.arange(0, 60, 0.04)
+    foot, index = follow(walk, CAMERA, (640, 360), times)
+    assert times[index[0]] == pytest.approx(1.0)
+    step = np.hypot(*np.diff(CAMERA.to_ground(foot), axis=0).T)
+    assert np.allclose(step, 0.5 * 0.04, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("boxes", "expected"),
+    [
+        ([[0, 0, 10, 20], [0, 0, 10, 30]], [1.0, 0.0]),
+        ([[0, 0, 10, 20], [5, 0, 15, 30]], [5 / 9, 0.0]),
+        ([[0, 0, 10, 20], [50, 0, 60, 30]], [0.0, 0.0]),
+        ([[0, 0, 10, 20], [0, 0, 5, 30], [0, 0, 5, 31]], [4 / 9, 1.0, 0.0]),
+    ],
+)
+def test_covered_part(boxes: list[list[float]], expected: list[float]) -> None:
+    truth = rows(np.ones(len(boxes), np.int64), np.arange(1, len(boxes) + 1), np.array(boxes, float))
+    part = covered(truth, np.zeros((0, 4)))
+    assert np.abs(part - expected).max() <= 1 / 9 + 1e-9
+
+
+def test_covered_looks_at_each_frame_alone() -> None:
+    box = np.array([[0.0, 0, 10, 20], [0, 0, 10, 30]])
+    truth = rows(np.array([1, 2]), np.array([1, 2]), box)
+    assert (covered(truth, np.zeros((0, 4))) == 0).all()
+    assert (covered(truth, np.array([[0.0, 0, 10, 40]])) == 1).all()
+
+
+def test_boxes_have_the_aspect_of_the_scenario() -> None:
+    world = Scenario(aspect=0.5)
+    w, h = to_cxcywh(world.figures(np.random.default_rng(0)).xyxy)[2:]
+    assert np.allclose(w / h, 0.5)
