@@ -65,7 +65,7 @@ def test_the_video_has_as_many_frames(tmp_path: Path) -> None:
         (["street", "--set", "arrivals"], "NAME=VALUE"),
         (["street", "--set", "arrivals=many"], "expected a number, got 'many'"),
         (["street", "--set", "frames=2.5"], "expected a whole number"),
-        (["street", "--set", "speed=-1"], "speed must be positive"),
+        (["street", "--set", "speed=-1"], "must be positive"),
         (["street", "--p-detect", "1.5"], "p_detect is a probability"),
         (["street", "--clutter", "-1"], "must not be negative"),
     ],

@@ -63,9 +63,8 @@ def simulate(
     if video:
         render_video(scene, np.random.default_rng(seed), target.file(VIDEO))
     objects = len(set(scene.truth.identity.tolist()))
-    result.say(
-        f"{name}: {scene.info.frames} frames, {objects} objects, {len(scene.detections)} detections, in {target.path}"
-    )
+    parts = [(scene.info.frames, "frame"), (objects, "object"), (len(scene.detections), "detection")]
+    result.say(f"{name}: {', '.join(counted(*part) for part in parts)}, in {target.path}")
     files = [str(file) for file in target.written()]
     result.say("\n".join(f"  {file}" for file in files))
     result.document(
