@@ -7,7 +7,7 @@
 * The mapping of `identity.py`: one for the sequence; identities are mapped, not boxes. IDF1.
 
 "Mapped before" means: in the last frame that held boxes on both sides. A frame with an empty side neither breaks nor makes a
-mapping, in agreement with TrackEval's CLEAR [VACE; M09 (22)–(25)].
+mapping, in agreement with TrackEval's CLEAR [M09 (22)–(25)].
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ class TargetErrors:
 
 
 def rmse_per_target(truth_frame: I8, truth_identity: I8, truth_point: F8, frame: I8, point: F8, gate: float) -> TargetErrors:
-    """Errors of the estimates ``point`` (d, N) of frames ``frame`` (N,) against ``truth_point`` (d, M), target by target.
+    """Errors of estimates ``point`` (d, N) of frames ``frame`` (N,) against ``truth_point`` (d, M) [D14 Tables I–III].
 
     Parameters
     ----------
