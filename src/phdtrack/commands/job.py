@@ -84,12 +84,13 @@ class _Seen:
 
 @dataclass(slots=True)
 class _Progress:
-    """How far the loop got; ``lost``: what the source said when it ended."""
+    """How far it got. ``lost``: what the source said when it ended; ``stop`` ended the loop, ``cut`` the drawing."""
 
     recorder: Recorder
     lost: str = ""
     seen: list[_Seen] = field(default_factory=list)
     stop: Stop | None = None
+    cut: Stop | None = None
 
     @property
     def last(self) -> int:
@@ -108,7 +109,8 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         tracks = _finish(job, directory)
         scores = None if job.truth is None else evaluate(job.truth, tracks, frames=done.last)
         if job.video and job.inputs.pictures:
-            done.stop = _draw(job, source, directory, done, tracks) or done.stop
+            done.cut = _draw(job, source, directory, done, tracks)
+    stop = done.stop or done.cut
     warnings = _problems(job, done)
     about = About(
         title=job.title,
@@ -122,8 +124,8 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         notes=(*job.notes, WHICH),
     )
     record = done.recorder.record(tracks, about, job.truth)
-    document = _written(job, directory, record, complete=done.stop is None)
-    return Outcome(document, sentences(record), len(done.seen), scores, warnings, done.stop)
+    document = _written(job, directory, record, complete=stop is None)
+    return Outcome(document, sentences(record), len(done.seen), scores, warnings, stop)
 
 
 def _loop(job: Job, source: VideoSource, directory: RunDirectory) -> _Progress:
@@ -190,13 +192,16 @@ def _draw(job: Job, source: VideoSource, directory: RunDirectory, done: _Progres
 
 def _problems(job: Job, done: _Progress) -> tuple[str, ...]:
     """What did not go as it should, in sentences: what the source lost, and what stopped the run."""
-    stop = done.stop
     said = [sentence for sentence in (*job.inputs.warnings, job.inputs.source.note, done.lost) if sentence]
-    if isinstance(stop, KeyboardInterrupt):
-        said.append(f"stopped by Ctrl-C after frame {done.last}; the results hold the frames up to there")
-    elif stop is not None:
-        said.append(f"ended after frame {done.last}: {stop}; the results hold the frames up to there")
+    if done.stop is not None:
+        said.append(f"{_reason(done.stop)} after frame {done.last}; the results hold the frames up to there")
+    if done.cut is not None:
+        said.append(f"{_reason(done.cut)} while the video was drawn; {rundir.VIDEO} is not whole, everything else is")
     return tuple(said)
+
+
+def _reason(stop: Stop) -> str:
+    return "stopped by Ctrl-C" if isinstance(stop, KeyboardInterrupt) else f"ended ({stop or type(stop).__name__})"
 
 
 def _plain(value: float | None) -> float:

@@ -1,0 +1,224 @@
+"""One run, whatever stops it: what was computed is there and is consistent."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phdtrack import rundir
+from phdtrack.associate import GraphMatching
+from phdtrack.commands.inputs import Blank, Inputs
+from phdtrack.commands.job import Job, Outcome, run
+from phdtrack.commands.spool import rereadable
+from phdtrack.commands.steps import Steps
+from phdtrack.errors import InputError
+from phdtrack.extract import Raw
+from phdtrack.filters import NoFilter
+from phdtrack.formats import read_detections, read_tracks
+from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth
+from phdtrack.protocols import Model, Stages
+from phdtrack.types import Detections, Frame, SequenceInfo, Truth
+from phdtrack.video import open_source
+
+INFO = SequenceInfo(96, 64, 25.0, 0, "clip")
+FRAMES = 20
+
+
+def box(number: int) -> list[float]:
+    return [2.0 + 2 * number, 20.0, 14.0 + 2 * number, 44.0]
+
+
+@dataclass
+class Clip:
+    """Frames with one moving bright box; fails with ``error`` instead of giving frame ``at``; may be gone through once."""
+
+    error: BaseException | None = None
+    at: int = 0
+    once: bool = False
+    problem: str = ""
+    note: str = ""
+    info: SequenceInfo = INFO
+    passes: int = 0
+
+    def __iter__(self) -> Iterator[Frame]:
+        self.passes += 1
+        assert not (self.once and self.passes > 1), "a camera gives its frames once"
+        for number in range(1, FRAMES + 1):
+            if self.error is not None and number == self.at:
+                raise self.error
+            image = np.full((64, 96, 3), 40, np.uint8)
+            left, top, right, bottom = (int(v) for v in box(number))
+            image[top:bottom, left:right] = 220
+            yield Frame(number, (number - 1) / 25.0, image)
+        self.problem = "clip.mp4: ends after frame 20, its header announces 30; it may be cut short"
+
+
+class Looker:
+    """Detects the box, and misses it in two frames."""
+
+    def __call__(self, frame: Frame) -> Detections:
+        return Detections.empty() if frame.number in (9, 10) else Detections.of([box(frame.number)])
+
+    def reset(self) -> None:
+        """It learns nothing."""
+
+
+@pytest.fixture
+def job() -> Job:
+    model = Model(BoxMotion(), BoxSensor(), MeasurementBirth(volume="local"), LocalClutter(1.0))
+    steps = Steps(Stages(model, NoFilter(), Raw(), GraphMatching()), np.random.default_rng(0))
+    clip = Clip()
+    return Job(
+        inputs=Inputs(INFO, clip, Looker(), "clip", "looker", pictures=True, again=True),
+        steps=steps,
+        seed=0,
+        configuration={"filter": {"name": "none"}},
+        command="phdtrack track clip",
+        title="clip",
+        versions=(("phdtrack", "0"),),
+    )
+
+
+@pytest.fixture
+def directory(tmp_path: Path) -> rundir.RunDirectory:
+    return rundir.claim(tmp_path / "run", overwrite=False)
+
+
+def reading(job: Job, **changes: object) -> Job:
+    """The same job on another clip."""
+    return replace(job, inputs=replace(job.inputs, source=Clip(**changes)))  # type: ignore[arg-type]
+
+
+def consistent(directory: rundir.RunDirectory, outcome: Outcome, frames: int, *, video: bool = True) -> None:
+    """All files are there, complete, and of the same ``frames`` frames."""
+    present = set(rundir.FILES) - (set() if video else {rundir.VIDEO})
+    assert {path.name for path in directory.path.iterdir()} == present
+    assert outcome.frames == frames
+    tracks = read_tracks(directory.file(rundir.TRACKS))
+    assert tracks.frame.tolist() == list(range(1, frames + 1))
+    assert set(tracks.identity) == {1}
+    assert read_detections(directory.file(rundir.DETECTIONS)).last == frames
+    document = json.loads(directory.file(rundir.RUN).read_text())
+    assert document == outcome.document
+    assert document["frames"] == frames
+    assert document["complete"] is (outcome.stop is None)
+    if video:
+        assert len(list(open_source(directory.file(rundir.VIDEO)))) == frames
+
+
+def test_a_whole_run(job: Job, directory: rundir.RunDirectory) -> None:
+    outcome = run(job, directory)
+    assert outcome.stop is None
+    consistent(directory, outcome, FRAMES)
+    tracks = read_tracks(directory.file(rundir.TRACKS))
+    # The two frames that the detector missed are bridged, and say so.
+    assert tracks.frame[tracks.predicted].tolist() == [9, 10]
+    assert tracks.xyxy[8] == pytest.approx(box(9), abs=1.0)
+
+
+def test_a_source_that_ends_early_is_a_warning(job: Job, directory: rundir.RunDirectory) -> None:
+    outcome = run(job, directory)
+    assert [warning for warning in outcome.warnings if "cut short" in warning]
+    assert outcome.document["warnings"] == list(outcome.warnings)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        InputError("this frame is 10x10 pixels, the first one 96x64", where="clip, frame 13"),
+        KeyboardInterrupt(),
+        RuntimeError("a mistake of ours"),
+    ],
+)
+def test_what_stops_a_run_loses_nothing(job: Job, directory: rundir.RunDirectory, error: BaseException) -> None:
+    outcome = run(reading(job, error=error, at=13), directory)
+    assert outcome.stop is error
+    consistent(directory, outcome, 12)
+    said = "Ctrl-C" if isinstance(error, KeyboardInterrupt) else str(error)
+    assert any("after frame 12" in warning and said in warning for warning in outcome.warnings)
+
+
+def test_a_run_that_was_stopped_is_scored_on_what_it_saw(job: Job, directory: rundir.RunDirectory) -> None:
+    number = np.arange(1, FRAMES + 1)
+    truth = Truth(number, np.ones(FRAMES, np.int64), np.array([box(n) for n in number]), np.zeros(FRAMES, np.bool_))
+    outcome = run(replace(reading(job, error=KeyboardInterrupt(), at=13), truth=truth), directory)
+    assert outcome.scores is not None
+    assert (outcome.scores.frames, outcome.scores.misses) == (12, 0)
+
+
+def test_a_failing_detector_is_like_a_failing_frame(job: Job, directory: rundir.RunDirectory) -> None:
+    class Broken(Looker):
+        def __call__(self, frame: Frame) -> Detections:
+            if frame.number == 13:
+                raise InputError("expected boxes, got None", where="frame 13")
+            return super().__call__(frame)
+
+    outcome = run(replace(job, inputs=replace(job.inputs, detector=Broken())), directory)
+    assert isinstance(outcome.stop, InputError)
+    consistent(directory, outcome, 12)
+
+
+def test_nothing_computed_leaves_nothing(job: Job, directory: rundir.RunDirectory) -> None:
+    (directory.path / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="frame 1"):
+        run(reading(job, error=InputError("bad", where="clip, frame 1"), at=1), directory)
+    assert [path.name for path in directory.path.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.parametrize("at", [0, 13])
+def test_a_camera_gives_its_frames_once(job: Job, directory: rundir.RunDirectory, at: int) -> None:
+    clip = Clip(once=True, error=KeyboardInterrupt() if at else None, at=at)
+    outcome = run(replace(job, inputs=replace(job.inputs, source=clip, again=False)), directory)
+    consistent(directory, outcome, 12 if at else FRAMES)
+
+
+def test_no_copy_is_made_where_no_video_is_wanted(job: Job, directory: rundir.RunDirectory) -> None:
+    clip = Clip(once=True)
+    inputs = replace(job.inputs, source=clip, again=False)
+    with rereadable(inputs, wanted=False) as source:
+        assert source is clip
+    outcome = run(replace(job, inputs=inputs, video=False), directory)
+    consistent(directory, outcome, FRAMES, video=False)
+
+
+def test_a_copy_of_a_camera_shows_the_same(job: Job) -> None:
+    inputs = replace(job.inputs, source=Clip(once=True), again=False)
+    with rereadable(inputs, wanted=True) as source:
+        first, second = list(source), list(source)
+    assert [(f.number, f.time) for f in first] == [(f.number, f.time) for f in second]
+    assert max(float(np.abs(a.image.astype(int) - b.image).mean()) for a, b in zip(first, second, strict=True)) < 4
+
+
+def test_detections_alone_give_no_video(job: Job, directory: rundir.RunDirectory) -> None:
+    blank = Blank(replace(INFO, frames=FRAMES))
+    outcome = run(replace(job, inputs=replace(job.inputs, source=blank, pictures=False)), directory)
+    consistent(directory, outcome, FRAMES, video=False)
+
+
+def test_stopped_while_drawing(job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch) -> None:
+    from phdtrack.commands import job as module
+
+    real: Callable[..., object] = module.Annotator
+
+    class Interrupted:
+        def __init__(self, info: SequenceInfo) -> None:
+            self.drawn, self.annotate = 0, real(info)
+
+        def __call__(self, *args: object, **kwargs: object) -> object:
+            self.drawn += 1
+            if self.drawn == 5:
+                raise KeyboardInterrupt
+            return self.annotate(*args, **kwargs)  # type: ignore[operator]
+
+    monkeypatch.setattr(module, "Annotator", Interrupted)
+    outcome = run(job, directory)
+    assert isinstance(outcome.stop, KeyboardInterrupt)
+    assert outcome.frames == FRAMES
+    assert len(read_tracks(directory.file(rundir.TRACKS))) == FRAMES
+    assert len(list(open_source(directory.file(rundir.VIDEO)))) == 4
+    assert any("while the video was drawn" in warning for warning in outcome.warnings)
