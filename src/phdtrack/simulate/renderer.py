@@ -1,7 +1,7 @@
 """The renderer: from a scene to a video with what makes change detection hard.
 
-Painted from back to front by the row of the foot: backdrop, shadows, then figures, obstacles and plants, then lamps; at
-last the camera adds flicker and noise. Everything that can be drawn beforehand is; a frame costs a few milliseconds.
+Painted from back to front: the backdrop, lights on it, shadows, then figures, obstacles and plants by the row of the foot;
+at last the camera adds flicker and noise. Everything that can be drawn beforehand is; a frame costs a few milliseconds.
 """
 
 from __future__ import annotations

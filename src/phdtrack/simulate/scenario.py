@@ -185,7 +185,7 @@ def _problems(s: Scenario) -> list[tuple[str, str]]:
             "Make it larger",
         ),
         (s.fps > 0, f"fps must be positive, not {s.fps:g}", "25 is usual"),
-        (s.arrivals >= 0, f"arrivals must not be negative, not {s.arrivals:g}", "0 gives a scene without arrivals"),
+        (0 <= s.arrivals < np.inf, f"arrivals must be 0 or more, not {s.arrivals:g}", "0 gives a scene without arrivals"),
         (
             s.speed > 0 and s.speed_spread >= 0,
             f"speed {s.speed:g} must be positive, its spread not negative",

@@ -46,6 +46,8 @@ class Stage:
     def paint(self, number: int) -> Image:
         """(H, W, 3) the picture of frame ``number``, from 1."""
         canvas = self._backdrop.copy()
+        for lamp, level in zip(self._lamps, self._levels[number - 1], strict=True):
+            lamp.shine(canvas, float(level))
         figures = self._scene.figures
         here = np.arange(*np.searchsorted(figures.frame, [number, number + 1]))
         for row in here:
@@ -57,8 +59,6 @@ class Stage:
             jobs.append((plant.foot, partial(plant.wave, canvas, number / self._scene.info.fps, float(gust))))
         for _, job in sorted(jobs, key=lambda job: job[0]):
             job()
-        for lamp, level in zip(self._lamps, self._levels[number - 1], strict=True):
-            lamp.shine(canvas, float(level))
         return exposed(canvas, float(self._gain[number - 1]), self._pool, self._corner[number - 1])
 
     def _figure(self, canvas: Image, row: int) -> None:
