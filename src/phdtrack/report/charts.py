@@ -6,6 +6,7 @@ block means, which the axis label says: a report must stay small and a chart can
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,8 @@ _POINTS = 1200
 _BARS = 200
 _LABELLED_ROWS = 60
 _OUTLINES = 3000
+_SLOWEST = 1e-3
+"""Frames per second below which a stated rate is no rate."""
 STAGE_COLOURS = ("#9aa5b8", "#3b6fd4", "#e08a1e", "#2a9d74", "#a45cc0", "#c0504d")
 
 
@@ -70,14 +73,14 @@ def _bars(axes: Axes, record: RunRecord, tracks: tuple[Tracks, ...]) -> None:
     """All bars as one collection, which stays quick with thousands; as pixels where outlines would swell the file."""
     from matplotlib.collections import PolyCollection
 
-    corners: list[F8] = []
+    clock = _Clock.of(record)
+    corners: list[list[tuple[float, float]]] = []
     colours: list[tuple[float, float, float, float]] = []
     for row, rows in enumerate(tracks):
         red, green, blue = (c / 255 for c in identity_colour(int(rows.identity[0])))
         for predicted, alpha in ((False, 1.0), (True, 0.35)):
-            for start, end in _spans(record, rows, rows.predicted == predicted):
-                bar = [(start, row - 0.4), (end, row - 0.4), (end, row + 0.4), (start, row + 0.4)]
-                corners.append(np.array(bar))
+            for start, end in clock.spans(rows, rows.predicted == predicted):
+                corners.append([(start, row - 0.4), (end, row - 0.4), (end, row + 0.4), (start, row + 0.4)])
                 colours.append((red, green, blue, alpha))
     bars = PolyCollection(corners, facecolors=colours, linewidths=0, rasterized=len(corners) > _OUTLINES)
     axes.add_collection(bars, autolim=True)
@@ -94,7 +97,7 @@ def timing_chart(record: RunRecord) -> Picture:
         colours = [STAGE_COLOURS[k % len(STAGE_COLOURS)] for k in range(len(series.stages))]
         time = thinned(series.times, _BARS)
         if len(table) == 1:
-            time, table = time + np.array([0.0, _interval(record)]), np.repeat(table, 2, axis=0)
+            time, table = time + np.array([0.0, _Clock.of(record).interval]), np.repeat(table, 2, axis=0)
         axes.stackplot(time, table.T, labels=series.stages, colors=colours, step="post", linewidth=0)
         ceiling = 1.25 * float(np.quantile(table.sum(axis=1), 0.97))
         axes.set_ylim(0, max(min(ceiling, 1.05 * float(table.sum(axis=1).max())), 1e-3))
@@ -103,35 +106,38 @@ def timing_chart(record: RunRecord) -> Picture:
     return to_svg(figure)
 
 
-def _spans(record: RunRecord, rows: Tracks, chosen: Bool) -> list[tuple[float, float]]:
-    """(start, end) in seconds of the stretches of consecutive frames among the ``chosen`` rows of one identity."""
-    frames = rows.frame[chosen]
-    if not len(frames):
-        return []
-    cuts = np.flatnonzero(np.diff(frames) > 1) + 1
-    first, last = frames[np.r_[0, cuts]], frames[np.r_[cuts - 1, len(frames) - 1]]
-    start, end = _seconds_at(record, first), _seconds_at(record, last) + _interval(record)
-    return [(float(a), float(b)) for a, b in zip(start, end, strict=True)]
+@dataclass(frozen=True, slots=True, eq=False)
+class _Clock:
+    """From frame numbers to seconds; ``interval`` is the time between frames."""
 
+    numbers: I8
+    times: F8
+    interval: float
 
-def _seconds_at(record: RunRecord, frames: I8) -> F8:
-    """Times of the frames; those beyond the series at the sequence's rate."""
-    series, interval = record.series, _interval(record)
-    if not len(series):
-        return (frames - 1).astype(np.float64) * interval
-    inside: F8 = np.interp(frames, series.numbers, series.times)
-    before, beyond = np.minimum(frames - series.numbers[0], 0), np.maximum(frames - series.numbers[-1], 0)
-    seconds: F8 = np.asarray(inside + (before + beyond) * interval, dtype=np.float64)
-    return seconds
+    @classmethod
+    def of(cls, record: RunRecord) -> _Clock:
+        """With the median interval of the run, else that of the stated rate."""
+        steps = np.diff(record.series.times)
+        steps = steps[steps > 0]
+        stated = 1 / record.info.fps if record.info.fps > _SLOWEST else 1.0
+        return cls(record.series.numbers, record.series.times, float(np.median(steps)) if len(steps) else stated)
 
+    def seconds(self, frames: I8) -> F8:
+        """Times of the frames; those beyond the run follow at the interval."""
+        if not len(self.numbers):
+            return (frames - 1).astype(np.float64) * self.interval
+        beyond = np.minimum(frames - self.numbers[0], 0) + np.maximum(frames - self.numbers[-1], 0)
+        seconds: F8 = np.interp(frames, self.numbers, self.times) + beyond * self.interval
+        return seconds
 
-def _interval(record: RunRecord) -> float:
-    """Seconds between frames: the median of the run, else by the stated rate."""
-    steps = np.diff(record.series.times)
-    steps = steps[steps > 0]
-    if len(steps):
-        return float(np.median(steps))
-    return 1 / record.info.fps if record.info.fps > 0 else 1.0
+    def spans(self, rows: Tracks, chosen: Bool) -> list[tuple[float, float]]:
+        """(start, end) in seconds of the stretches of consecutive frames among the ``chosen`` rows of one identity."""
+        frames = rows.frame[chosen]
+        if not len(frames):
+            return []
+        cuts = np.flatnonzero(np.diff(frames) > 1) + 1
+        first, last = frames[np.r_[0, cuts]], frames[np.r_[cuts - 1, len(frames) - 1]]
+        return list(zip(self.seconds(first).tolist(), (self.seconds(last) + self.interval).tolist(), strict=True))
 
 
 def _time_label(frames: int, limit: int) -> str:
