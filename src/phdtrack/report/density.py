@@ -26,7 +26,7 @@ def density_map(particles: Particles, info: SequenceInfo, cell: float, *, smooth
     """(gh, gw) expected number of objects in each cell of ``cell`` × ``cell`` pixels; row 0 is the top of the frame.
 
     ``smooth`` is the number of passes with the kernel (1, 2, 1)/4 along both axes. The sum is the mass of the particles
-    whose position lies inside the frame [M07 §2, Fig. 1]. The last row and column may reach beyond the frame's edge.
+    whose position lies inside the frame [M07 Fig. 1]. The last row and column may reach beyond the frame's edge.
 
     Raises `InputError` where the cell or the frame has no size.
     """

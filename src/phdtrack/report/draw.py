@@ -2,7 +2,7 @@
 
 What is drawn, from the back to the front:
 
-* detections: thin white outlines; thin dark red ones with a cross where the filter takes them for false alarms (posterior
+* detections: thin white outlines; thin red ones with a cross where the filter takes them for false alarms (posterior
   clutter probability above one half);
 * trails of the last seconds of each track, at the foot of its box, fading;
 * tracks not yet confirmed: a faint outline, no label;
@@ -24,7 +24,7 @@ from phdtrack.report.palette import BLACK, WHITE, Rgb, identity_colour
 from phdtrack.report.strokes import Pen
 from phdtrack.types import F8, Detections, Image, SequenceInfo, Tracks
 
-_FALSE_ALARM: Rgb = (150, 30, 30)
+_FALSE_ALARM: Rgb = (200, 45, 45)
 _UNJUDGED: F8 = np.zeros(0)
 
 
