@@ -1,0 +1,177 @@
+"""From a foreground mask to boxes: clean-up, connected components, parting of what touches, joining of fragments.
+
+All background detectors share this. Sizes are fractions of the frame, so that one setting serves every resolution:
+
+1. *Clean*: peel the foreground's border (bridges between neighbours and specks go), then close gaps, higher than wide.
+2. *Components*: outer contours; those with too little area are dropped. (Contours with their bounding boxes cost a
+   fortieth of labelling every pixel.)
+3. *Split*: objects side by side make one component. Its column profile (foreground pixels per column) has a peak for
+   each and a valley between; a valley deep enough, with enough of the component on either side, is where it is cut.
+4. *Join*: fragments one above the other (a coat that looks like the wall behind it) become one box, unless the box would
+   be much higher than wide, as one person behind another is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from phdtrack.types import F8, Detections, Image
+
+Contour = NDArray[np.int32]
+_SMALLEST_SHARE = 0.3
+_NARROWEST = 0.15
+_SMOOTHING = 0.06
+_ALIGNED = 0.6
+_SLENDEREST = 3.5
+_WIDEST = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class BlobSettings:
+    """How a mask becomes boxes.
+
+    Attributes
+    ----------
+    peel : radius by which the foreground's border is taken away, fraction of the frame's height (at least one pixel);
+        the boxes get it back.
+    closing : height of the gaps that are closed, fraction of the frame's height; gaps a third as wide are closed too.
+    min_area : smallest component, fraction of the frame's area.
+    split : a component is cut where its column profile falls to this fraction of the lower peak beside; 0: never.
+    join : fragments one above the other are joined over gaps up to this fraction of their common height; 0: never.
+    """
+
+    peel: float = 0.002
+    closing: float = 0.026
+    min_area: float = 0.0006
+    split: float = 0.7
+    join: float = 0.15
+
+
+class Box(NamedTuple):
+    """Left, top, right, bottom in whole pixels; right and bottom are one beyond the last."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+
+def clean(mask: Image, settings: BlobSettings) -> Image:
+    """(H, W) uint8, 255 where ``mask`` (H, W) still is foreground after peeling and closing."""
+    height = mask.shape[0]
+    radius = _radius(height, settings)
+    across = max(1, round(settings.closing * height / 3)) | 1
+    along = max(1, round(settings.closing * height)) | 1
+    peeled = cv2.erode(mask, _disc(2 * radius + 1, 2 * radius + 1, cv2.MORPH_RECT))
+    opened = cv2.morphologyEx(peeled, cv2.MORPH_OPEN, _disc(2 * radius + 1, 2 * radius + 1))
+    closed: Image = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, _disc(across, along))
+    return closed
+
+
+def components(mask: Image, settings: BlobSettings) -> list[Contour]:
+    """The outer contours (n, 1, 2) of the components of a cleaned ``mask`` that are large enough."""
+    found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    least = settings.min_area * mask.size
+    return [contour for contour in found if cv2.contourArea(contour) >= least]
+
+
+def boxes(contours: Sequence[Contour], shape: tuple[int, ...], settings: BlobSettings) -> F8:
+    """(N, 4) xyxy of the objects in the components, in a frame of ``shape`` (H, W, ...); from top to bottom."""
+    height, width = shape[:2]
+    least = settings.min_area * height * width
+    parts = [part for contour in contours for part in _split(contour, settings.split, least)]
+    grown = _radius(height, settings)
+    joined = np.array(sorted(_join(parts, settings.join), key=lambda box: (box.top, box.left)), np.float64).reshape(-1, 4)
+    inside: F8 = np.clip(joined + np.array([-grown, -grown, grown, grown]), 0, [width, height, width, height])
+    return inside
+
+
+def detections(mask: Image, settings: BlobSettings) -> Detections:
+    """The detections in a raw foreground ``mask`` (H, W) uint8."""
+    cleaned = clean(mask, settings)
+    return Detections.of(boxes(components(cleaned, settings), mask.shape, settings))
+
+
+def _radius(height: int, settings: BlobSettings) -> int:
+    return max(1, round(settings.peel * height)) if settings.peel > 0 else 0
+
+
+def _disc(across: int, along: int, kind: int = cv2.MORPH_ELLIPSE) -> Image:
+    element: Image = cv2.getStructuringElement(kind, (across, along))
+    return element
+
+
+def _split(contour: Contour, depth: float, least: float) -> list[Box]:
+    """The boxes of the parts into which the component falls at the valleys of its column profile."""
+    x, y, width, height = cv2.boundingRect(contour)
+    whole = Box(x, y, x + width, y + height)
+    if depth <= 0 or width < 2 * max(2, _NARROWEST * height):
+        return [whole]
+    filled = np.zeros((height, width), np.uint8)
+    cv2.drawContours(filled, [contour], -1, 255, cv2.FILLED, offset=(-x, -y))
+    cut = _valley(filled, depth)
+    if cut is None:
+        return [whole]
+    parts: list[Box] = []
+    for left, right in ((0, cut), (cut, width)):
+        pieces, _ = cv2.findContours(filled[:, left:right].copy(), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        largest = max(pieces, key=cv2.contourArea)
+        if cv2.contourArea(largest) >= least:
+            moved: Contour = largest + np.array([x + left, y], np.int32)
+            parts.extend(_split(moved, depth, least))
+    return parts or [whole]
+
+
+def _valley(filled: Image, depth: float) -> int | None:
+    """The column at which to cut ``filled`` (h, w), None where no valley is deep enough."""
+    height, width = filled.shape
+    profile = np.count_nonzero(filled, axis=0).astype(np.float64)
+    span = max(3, round(_SMOOTHING * height)) | 1
+    profile = cv2.blur(profile[None], (span, 1))[0]
+    left = np.maximum.accumulate(profile)
+    right = np.maximum.accumulate(profile[::-1])[::-1]
+    before = np.cumsum(profile)
+    margin = round(max(2.0, _NARROWEST * height))
+    allowed = (before > _SMALLEST_SHARE * before[-1]) & (before < (1 - _SMALLEST_SHARE) * before[-1])
+    allowed[:margin] = False
+    allowed[width - margin :] = False
+    ratio = np.where(allowed, profile / np.maximum(np.minimum(left, right), 1.0), np.inf)
+    lowest = int(ratio.argmin())
+    return lowest if ratio[lowest] <= depth else None
+
+
+def _join(parts: list[Box], gap: float) -> list[Box]:
+    """The boxes, with fragments that stand one above the other made one."""
+    joined: list[Box] = []
+    for part in parts:
+        box = part
+        while True:
+            partner = next((other for other in joined if _belong(box, other, gap)), None)
+            if partner is None:
+                break
+            joined.remove(partner)
+            box = _union(box, partner)
+        joined.append(box)
+    return joined
+
+
+def _union(a: Box, b: Box) -> Box:
+    return Box(min(a.left, b.left), min(a.top, b.top), max(a.right, b.right), max(a.bottom, b.bottom))
+
+
+def _belong(a: Box, b: Box, gap: float) -> bool:
+    """Whether two boxes are fragments of one upright object."""
+    if gap <= 0:
+        return False
+    both = _union(a, b)
+    width, height = both.right - both.left, both.bottom - both.top
+    shared = min(a.right, b.right) - max(a.left, b.left)
+    between = max(a.top, b.top) - min(a.bottom, b.bottom)
+    aligned = shared > _ALIGNED * min(a.right - a.left, b.right - b.left)
+    return aligned and between < gap * height and width < _WIDEST * height and height < _SLENDEREST * width

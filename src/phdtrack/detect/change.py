@@ -1,0 +1,232 @@
+"""Statistical colour change detection against a reference that adapts [M07] [M09], after Cavallaro and Ebrahimi (2004).
+
+Without change, frame and reference differ by noise. The difference of each pixel is taken in three channels c that keep
+brightness apart from colour (logarithm of luma; the two chroma differences), divided by the deviation that noise explains
+there, and summed; the mean of that over a small window W is the statistic, compared with a χ² quantile of 3 degrees:
+
+    T(p) = (1/|W|) Σ_{q∈W} (1/s(q)) Σ_c d_c(q)² / σ_c²   >   χ²₃(1 − false alarm rate)
+
+The noise has three parts:
+
+* the camera's, σ_c, estimated in every frame from the quartile of the differences of successive frames, which moving
+  objects do not move;
+* local light: shadows, reflections. It is relative, hence the logarithm, and stronger towards dark; its deviations are
+  settings. It is the same all over a window, which is why the window adds no degrees of freedom;
+* the scene's own, s(q) ≥ 1, learned for each pixel: a tape in the wind, leaves, edges that tremble.
+
+Light that changes all over the frame (flicker, clouds, exposure) is taken out before: `illumination`. What remains is
+cleaned and made boxes by `blobs`. A component whose outline is a stronger edge in the reference than in the frame is where
+an object stood when the reference was learned and has left since; it is not reported, and the reference takes it in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from statistics import NormalDist
+
+import cv2
+import numpy as np
+
+from phdtrack.detect import blobs
+from phdtrack.detect.blobs import BlobSettings, Contour
+from phdtrack.detect.checks import check_same_size, positive
+from phdtrack.detect.illumination import relit
+from phdtrack.detect.reference import F4, Reference
+from phdtrack.types import F8, Detections, Frame, Image
+
+CHANNELS = 3
+_LOG_KNEE = 16.0
+_LOG_SCALE = 90.0
+_QUARTILE_OF_NORMAL = 1.1503
+_MEDIAN_OF_CHI2 = 0.789
+_NOISE_MEMORY = 0.9
+_LOUDEST = 20.0
+_GHOST_EDGE = 0.8
+_GHOST_SHARE = 0.5
+_MARGIN = np.ones((5, 5), np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeSettings:
+    """How the `ChangeDetector` decides.
+
+    Attributes
+    ----------
+    false_alarm : share of unchanged pixels that may pass the test before clean-up.
+    window : side of the window W in pixels, odd.
+    shadow, glare : usual relative change of brightness by local light, towards dark and towards bright (one deviation).
+    chroma : usual change of colour by local light, grey levels (one deviation).
+    learn : seconds over which the first reference is learned; detections come from the second frame on.
+    samples : frames of which the first reference is the median; odd.
+    adapt : time constant in seconds with which the reference follows the background.
+    adapt_objects : the same under objects: how long what has stopped stays an object.
+    blobs : how the mask becomes boxes.
+    """
+
+    false_alarm: float = 0.005
+    window: int = 5
+    shadow: float = 0.11
+    glare: float = 0.055
+    chroma: float = 3.0
+    learn: float = 4.0
+    samples: int = 15
+    adapt: float = 10.0
+    adapt_objects: float = 120.0
+    blobs: BlobSettings = field(default_factory=BlobSettings)
+
+    def __post_init__(self) -> None:
+        positive(self, "shadow", "glare", "chroma", "learn", "adapt", "adapt_objects")
+        positive(self, "false_alarm", below=1.0)
+        positive(self, "window", "samples", odd=True)
+
+
+@dataclass(frozen=True, slots=True)
+class _Channels:
+    """A picture as (H, W) uint8 planes: logarithm of luma, and the two chroma differences."""
+
+    luma: Image
+    red: Image
+    blue: Image
+
+    @classmethod
+    def of(cls, image: Image) -> _Channels:
+        luma, red, blue = cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb))
+        return cls(cv2.LUT(luma, _LOG), red, blue)
+
+
+_LOG: Image = np.rint(_LOG_SCALE * np.log1p(np.arange(256) / _LOG_KNEE)).astype(np.uint8)
+
+
+class ChangeDetector:
+    """Boxes around whatever differs from the learned scene. Nothing on the first frame; settings in `ChangeSettings`."""
+
+    def __init__(self, settings: ChangeSettings | None = None) -> None:
+        self.settings = settings or ChangeSettings()
+        self._threshold = chi2_quantile(1.0 - self.settings.false_alarm, CHANNELS)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the scene."""
+        self._reference: Reference | None = None
+
+    def __call__(self, frame: Frame) -> Detections:
+        """[M09 §III] The boxes of what changed in ``frame`` (H, W, 3)."""
+        if self._reference is None:
+            self._begin(frame)
+            return Detections.empty()
+        check_same_size(frame, self._foreground.shape)
+        channels = _Channels.of(frame.image)
+        self._learn_camera_noise(channels)
+        if self._reference.sample(frame.image, frame.time):
+            self._learn_scene_noise()
+        expected = relit(self._reference.image, frame.image, self._foreground)
+        energy = self._energy(channels, _Channels.of(expected))
+        mask = blobs.clean(self._changed(energy), self.settings.blobs)
+        found = blobs.components(mask, self.settings.blobs)
+        ghosts = [is_ghost(contour, frame.image, expected) for contour in found]
+        self._adapt(frame, energy, mask, [contour for contour, ghost in zip(found, ghosts, strict=True) if ghost])
+        real = [contour for contour, ghost in zip(found, ghosts, strict=True) if not ghost]
+        return Detections.of(blobs.boxes(real, mask.shape, self.settings.blobs))
+
+    def _begin(self, frame: Frame) -> None:
+        shape = frame.image.shape[:2]
+        self._reference = Reference(frame.image, frame.time, self.settings.learn, self.settings.samples)
+        self._foreground: Image = np.zeros(shape, np.uint8)
+        self._scene: F4 = np.full(shape, float(CHANNELS), np.float32)
+        self._camera: F8 = np.ones(CHANNELS)
+        self._previous = _Channels.of(frame.image)
+        self._time = frame.time
+
+    def _learn_camera_noise(self, now: _Channels) -> None:
+        """σ_c from the third quartile of |difference of successive frames| on a sparse grid."""
+        before = self._previous
+        planes = ((now.luma, before.luma), (now.red, before.red), (now.blue, before.blue))
+        quartile = [np.percentile(cv2.absdiff(a[::4, ::4], b[::4, ::4]), 75) for a, b in planes]
+        latest = np.array(quartile) / (_QUARTILE_OF_NORMAL * np.sqrt(2))
+        self._camera = _NOISE_MEMORY * self._camera + (1 - _NOISE_MEMORY) * latest
+        self._previous = now
+
+    def _learn_scene_noise(self) -> None:
+        """s from the median of the energies of the samples, which objects that pass by do not move."""
+        assert self._reference is not None
+        samples = self._reference.samples
+        if len(samples) < 5:
+            return
+        expected = _Channels.of(self._reference.image)
+        energies = np.stack([self._energy(_Channels.of(sample), expected) for sample in samples])
+        typical = np.median(energies, axis=0).astype(np.float32) / _MEDIAN_OF_CHI2
+        spread = cv2.dilate(cv2.blur(typical, (5, 5)), np.ones((3, 3), np.uint8))
+        self._scene = np.minimum(spread, np.float32(CHANNELS * _LOUDEST))
+
+    def _energy(self, image: _Channels, expected: _Channels) -> F4:
+        """(H, W) Σ_c d_c² / σ_c²."""
+        light = self.settings
+        terms = (
+            (cv2.subtract(expected.luma, image.luma), _LOG_SCALE * light.shadow, 0),
+            (cv2.subtract(image.luma, expected.luma), _LOG_SCALE * light.glare, 0),
+            (cv2.absdiff(image.red, expected.red), light.chroma, 1),
+            (cv2.absdiff(image.blue, expected.blue), light.chroma, 2),
+        )
+        # A difference of 8-bit planes has 256 values: one look-up per term is all the arithmetic there is.
+        total: F4 = np.zeros(image.luma.shape, np.float32)
+        for difference, deviation, channel in terms:
+            cv2.add(total, cv2.LUT(difference, self._table(deviation, channel)), dst=total)
+        return total
+
+    def _table(self, light: float, channel: int) -> F4:
+        """(256,) d²/σ² for each difference d, with the variances of local light and camera added."""
+        variance = light**2 + float(self._camera[channel]) ** 2
+        table: F4 = (np.arange(256, dtype=np.float64) ** 2 / variance).astype(np.float32)
+        return table
+
+    def _changed(self, energy: F4) -> Image:
+        """The raw mask: the window's mean must pass, and half of it the pixel itself, which keeps outlines sharp."""
+        normal = energy / np.maximum(self._scene * np.float32(1 / CHANNELS), np.float32(1))
+        side = (self.settings.window, self.settings.window)
+        window: Image = cv2.compare(cv2.blur(normal, side), self._threshold, cv2.CMP_GT)
+        pixel: Image = cv2.compare(normal, self._threshold / 2, cv2.CMP_GT)
+        return window & pixel
+
+    def _adapt(self, frame: Frame, energy: F4, mask: Image, ghosts: list[Contour]) -> None:
+        """Let reference and scene noise follow, by the time that has passed."""
+        assert self._reference is not None
+        settings, passed = self.settings, max(0.0, frame.time - self._time)
+        self._time = frame.time
+        self._foreground = cv2.dilate(mask, _MARGIN)
+        background = cv2.bitwise_not(self._foreground)
+        cv2.accumulateWeighted(energy, self._scene, min(0.2, passed / settings.adapt), background)
+        np.minimum(self._scene, np.float32(CHANNELS * _LOUDEST), out=self._scene)
+        if self._reference.learning:
+            return
+        self._reference.blend(frame.image, passed / settings.adapt, background)
+        self._reference.blend(frame.image, passed / settings.adapt_objects, self._foreground)
+        if ghosts:
+            left = np.zeros_like(mask)
+            cv2.drawContours(left, ghosts, -1, 255, cv2.FILLED)
+            self._reference.blend(frame.image, _GHOST_SHARE, cv2.dilate(left, _MARGIN))
+
+
+def is_ghost(contour: Contour, image: Image, expected: Image) -> bool:
+    """Whether the outline of a component is more of an edge in the reference than in the frame: its object has left."""
+    x, y, width, height = cv2.boundingRect(contour)
+    left, top = max(0, x - 4), max(0, y - 4)
+    window = (slice(top, y + height + 4), slice(left, x + width + 4))
+    filled = np.zeros(image[window].shape[:2], np.uint8)
+    cv2.drawContours(filled, [contour], -1, 255, cv2.FILLED, offset=(-left, -top))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
+    outline = cv2.morphologyEx(filled, cv2.MORPH_GRADIENT, disc) > 0
+    return _edge(image[window], outline) < _GHOST_EDGE * _edge(expected[window], outline)
+
+
+def _edge(image: Image, where: F8) -> float:
+    """Mean gradient of the grey values of ``image`` over the mask ``where``."""
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    gradient = cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
+    return float(gradient[where].mean())
+
+
+def chi2_quantile(probability: float, degrees: int) -> float:
+    """χ² quantile by the cube-root approximation of Wilson and Hilferty, within 2 % for 3 degrees and more."""
+    z = NormalDist().inv_cdf(probability)
+    c = 2.0 / (9.0 * degrees)
+    return float(degrees * max(0.0, 1.0 - c + z * c**0.5) ** 3)

@@ -1,0 +1,123 @@
+"""Detectors by name: the one list of what there is, and how options of that name become settings."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from phdtrack.detect.blobs import BlobSettings
+from phdtrack.detect.cascade import FaceDetector, FaceSettings
+from phdtrack.detect.change import ChangeDetector, ChangeSettings
+from phdtrack.detect.given import CallableDetector, TableDetector
+from phdtrack.detect.mean_background import MeanBackgroundDetector, MeanBackgroundSettings
+from phdtrack.detect.person import PersonDetector, PersonSettings
+from phdtrack.detect.subtractors import SubtractorDetector, SubtractorSettings
+from phdtrack.detect.wrappers import Masked, Rescaled
+from phdtrack.errors import InputError
+from phdtrack.protocols import Detector
+from phdtrack.types import Bool, Image
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """A detector's class, its settings' class, and what the name itself settles."""
+
+    build: Callable[[Any], Detector]
+    settings: type[Any]
+    summary: str
+    fixed: tuple[tuple[str, Any], ...] = ()
+
+
+_ENTRIES = {
+    "change": _Entry(ChangeDetector, ChangeSettings, "what differs from the scene as learned, shadows and flicker aside"),
+    "mean-background": _Entry(MeanBackgroundDetector, MeanBackgroundSettings, "what differs from the first frames' mean"),
+    "mog2": _Entry(SubtractorDetector, SubtractorSettings, "OpenCV's mixture of Gaussians", (("method", "mog2"),)),
+    "knn": _Entry(SubtractorDetector, SubtractorSettings, "OpenCV's nearest neighbours", (("method", "knn"),)),
+    "face": _Entry(FaceDetector, FaceSettings, "faces, by a Viola-Jones cascade"),
+    "person": _Entry(PersonDetector, PersonSettings, "pedestrians, by gradient histograms"),
+}
+_GIVEN: dict[str, Callable[..., Detector]] = {"file": TableDetector, "callable": CallableDetector}
+
+DETECTORS = (*_ENTRIES, *_GIVEN)
+
+
+def detector_names() -> tuple[tuple[str, str], ...]:
+    """Pairs (name, what it finds) of the detectors that need nothing but the video."""
+    return tuple((name, entry.summary) for name, entry in _ENTRIES.items())
+
+
+def detector_parameters(name: str) -> tuple[dataclasses.Field[Any], ...]:
+    """The parameters of detector ``name`` with their defaults, those of the clean-up included."""
+    entry = _entry(name)
+    fixed = {key for key, _ in entry.fixed}
+    return tuple(field for field in _flat(entry.settings) if field.name not in fixed)
+
+
+def make_detector(
+    name: str, *, max_width: int = 0, mask: Image | Bool | str | Path | None = None, **parameters: Any
+) -> Detector:
+    """The detector called ``name``.
+
+    Parameters
+    ----------
+    name : one of `DETECTORS`. "file" takes ``table`` (a `DetectionTable`), "callable" takes ``function``.
+    max_width : above 0, wider frames are shrunk to this many pixels for the search; boxes stay in original coordinates.
+    mask : (H, W) array or image file; only boxes at least half inside its region are reported.
+    parameters : fields of the detector's settings, and of `BlobSettings` for those that clean a mask.
+
+    Raises
+    ------
+    InputError : an unknown name or parameter (the nearest one is suggested), or a value out of range.
+    """
+    if name in _GIVEN:
+        detector = _given(name, parameters)
+    else:
+        entry = _entry(name)
+        detector = entry.build(_settings(name, entry, parameters))
+    if max_width:
+        detector = Rescaled(detector, max_width)
+    return detector if mask is None else Masked(detector, mask)
+
+
+def _entry(name: str) -> _Entry:
+    if name not in _ENTRIES:
+        raise InputError(f"there is no detector {name!r}", cure=_suggest(name, DETECTORS))
+    return _ENTRIES[name]
+
+
+def _given(name: str, parameters: dict[str, Any]) -> Detector:
+    try:
+        return _GIVEN[name](**parameters)
+    except TypeError:
+        needed = "table, a DetectionTable" if name == "file" else "function, of a picture"
+        raise InputError(f"detector {name!r} takes {needed}; got {', '.join(parameters) or 'nothing'}") from None
+
+
+def _settings(name: str, entry: _Entry, parameters: dict[str, Any]) -> Any:
+    known = tuple(field.name for field in detector_parameters(name))
+    for key in parameters:
+        if key not in known:
+            raise InputError(f"detector {name!r} has no parameter {key!r}", cure=_suggest(key, known))
+    own = {field.name for field in dataclasses.fields(entry.settings)}
+    values = {key: value for key, value in parameters.items() if key in own} | dict(entry.fixed)
+    if "blobs" in own:
+        values["blobs"] = BlobSettings(**{key: value for key, value in parameters.items() if key not in own})
+    return entry.settings(**values)
+
+
+def _flat(settings: type[Any]) -> tuple[dataclasses.Field[Any], ...]:
+    """The fields of a settings class, with those of `BlobSettings` in the place of ``blobs``."""
+    flat: list[dataclasses.Field[Any]] = []
+    for field in dataclasses.fields(settings):
+        flat.extend(dataclasses.fields(BlobSettings) if field.name == "blobs" else (field,))
+    return tuple(flat)
+
+
+def _suggest(name: str, known: tuple[str, ...]) -> str:
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    meant = f"Did you mean {close[0]!r}? " if close else ""
+    return f"{meant}There are {', '.join(known)}."

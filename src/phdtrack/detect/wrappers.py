@@ -1,0 +1,103 @@
+"""Detectors around detectors: search a smaller picture; report only a region of interest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from phdtrack.errors import InputError
+from phdtrack.protocols import Detector
+from phdtrack.types import F8, Bool, Detections, Frame, Image
+
+_INSIDE = 0.5
+
+
+class Rescaled:
+    """``detector`` on frames shrunk to ``max_width`` pixels; boxes come back in the coordinates of the original.
+
+    Narrower frames are left as they are.
+    """
+
+    def __init__(self, detector: Detector, max_width: int) -> None:
+        if max_width < 1:
+            raise InputError(f"the width must be at least one pixel, not {max_width}", where="max_width")
+        self._detector = detector
+        self._max_width = max_width
+
+    def reset(self) -> None:
+        """Reset the detector inside."""
+        self._detector.reset()
+
+    def __call__(self, frame: Frame) -> Detections:
+        """The boxes found in the smaller picture, (N, 4) in pixels of ``frame``."""
+        height, width = frame.image.shape[:2]
+        if width <= self._max_width:
+            return self._detector(frame)
+        small = (self._max_width, max(1, round(height * self._max_width / width)))
+        image: Image = cv2.resize(frame.image, small, interpolation=cv2.INTER_AREA)
+        found = self._detector(Frame(frame.number, frame.time, image))
+        sx, sy = width / small[0], height / small[1]
+        covariance = found.covariance
+        if covariance is not None:
+            factor = np.array([sx, sy, sx, sy])
+            covariance = covariance * factor[:, None] * factor[None, :]
+        boxes = found.xyxy * np.array([sx, sy, sx, sy])
+        return Detections(boxes, found.confidence, found.class_id, covariance, found.observed)
+
+
+class Masked:
+    """``detector``, of whose boxes those are kept that lie at least half inside a region of interest.
+
+    Parameters
+    ----------
+    detector : the detector inside; it sees the whole picture.
+    mask : (H, W) array or image file, of the frame's size; the region is where it is not 0.
+    """
+
+    def __init__(self, detector: Detector, mask: Image | Bool | str | Path) -> None:
+        self._detector = detector
+        self._where = str(mask) if isinstance(mask, str | Path) else "mask"
+        region = _read_mask(Path(mask)) if isinstance(mask, str | Path) else np.asarray(mask)
+        if region.ndim != 2:
+            raise InputError(f"a mask has the shape (height, width), this one {region.shape}", where=self._where)
+        self._shape = region.shape
+        self._sum: F8 = cv2.integral((region != 0).astype(np.uint8)).astype(np.float64)
+
+    def reset(self) -> None:
+        """Reset the detector inside."""
+        self._detector.reset()
+
+    def __call__(self, frame: Frame) -> Detections:
+        """The boxes found in the region."""
+        if frame.image.shape[:2] != self._shape:
+            height, width = frame.image.shape[:2]
+            raise InputError(
+                f"the mask is {self._shape[1]}x{self._shape[0]} pixels, frame {frame.number} is {width}x{height}",
+                where=self._where,
+                cure="Draw the mask on a frame of this video, at its full size.",
+            )
+        found = self._detector(frame)
+        return found.take(self._share(found.xyxy) >= _INSIDE)
+
+    def _share(self, xyxy: F8) -> F8:
+        """(N,) the share of each box's area within the frame that is in the region."""
+        height, width = self._shape
+        corners = np.rint(xyxy).astype(np.int64)
+        left, right = np.clip(corners[:, [0, 2]], 0, width).T
+        top, bottom = np.clip(corners[:, [1, 3]], 0, height).T
+        total = self._sum[bottom, right] - self._sum[top, right] - self._sum[bottom, left] + self._sum[top, left]
+        share: F8 = total / np.maximum((right - left) * (bottom - top), 1)
+        return share
+
+
+def _read_mask(path: Path) -> Image:
+    try:
+        data = np.fromfile(path, np.uint8)
+    except OSError as error:
+        raise InputError(f"the mask cannot be read ({error.strerror})", where=path) from None
+    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+    if image is None:
+        raise InputError("this is not an image that can be read", where=path, cure="A mask is a PNG file, say.")
+    return np.asarray(image, np.uint8)
