@@ -20,6 +20,7 @@ CODE := src tests scripts $(wildcard reproduce benchmarks)
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
+.NOTPARALLEL:
 .PHONY: help env test lint pytest pytest-plain demo experiments bench format docs clean
 
 help:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from phdtrack.commands.inputs import DEFAULT_DETECTOR, Wanted, open_inputs
-from phdtrack.commands.options import Config, Detector, Fps, Json, MaxWidth, Overwrite, Sets
+from phdtrack.commands.options import Config, Detector, Fps, Json, Mask, MaxWidth, Overwrite, Sets
 from phdtrack.commands.output import Output, counted, progress
 from phdtrack.rundir import DETECTIONS, claim
 
@@ -23,6 +23,7 @@ def detect(
     sets: Sets = None,
     fps: Fps = 0.0,
     max_width: MaxWidth = 0,
+    mask: Mask = None,
     json: Json = False,
 ) -> None:
     """Detect objects in a video and write detections.csv, a MOTChallenge file.
@@ -32,7 +33,7 @@ def detect(
     from phdtrack.commands.configured import detector_parameters
     from phdtrack.formats import DetectionsWriter
 
-    wanted = Wanted(source, detector=detector, fps=fps, max_width=max_width)
+    wanted = Wanted(source, detector=detector, fps=fps, max_width=max_width, mask=mask)
     inputs = open_inputs(wanted, detector_parameters(config, sets))
     target, result = claim(out or Path("runs") / inputs.info.name, overwrite, (DETECTIONS,)), Output(json)
     frames = boxes = 0

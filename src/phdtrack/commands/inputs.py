@@ -6,11 +6,12 @@ video the frames have empty pictures, and the detector looks its boxes up by fra
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,6 +40,7 @@ class Wanted:
     frame_size: str = ""
     fps: float = 0.0
     max_width: int = 0
+    mask: Path | None = None
     last: int = 0
 
 
@@ -73,21 +75,21 @@ class Blank:
             yield Frame(number, (number - 1) / self.info.fps, NO_PICTURE)
 
 
-def open_inputs(wanted: Wanted, parameters: dict[str, object]) -> Inputs:
+def open_inputs(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
     """Open what the options name; ``parameters`` are the detector's own settings.
 
     Raises
     ------
     InputError : options that do not go together, or anything that cannot be read.
     """
+    if not 0 <= wanted.fps < math.inf:
+        raise InputError(f"expected frames per second above 0, got {wanted.fps:g}", where="--fps")
     if wanted.detections is None:
         return _from_video(wanted, parameters)
-    if wanted.detector not in ("", "file"):
-        raise InputError(
-            f"the detections come from {wanted.detections}, so the detector {wanted.detector} would have nothing to do",
-            where="--detector",
-            cure="Leave out --detector or --detections.",
-        )
+    given = (("--detector", wanted.detector not in ("", "file")), ("--max-width", wanted.max_width), ("--mask", wanted.mask))
+    for option, used in given:
+        if used:
+            raise _no_work(option, wanted)
     return _with_video(wanted, wanted.detections) if wanted.source else _from_file(wanted, wanted.detections)
 
 
@@ -104,8 +106,8 @@ def frame_size(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def _from_video(wanted: Wanted, parameters: dict[str, object]) -> Inputs:
-    from phdtrack.detect import Rescaled, make_detector
+def _from_video(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
+    from phdtrack.detect import make_detector
     from phdtrack.video import open_source
 
     if wanted.detector == "file":
@@ -113,12 +115,16 @@ def _from_video(wanted: Wanted, parameters: dict[str, object]) -> Inputs:
     if not wanted.source:
         raise InputError("nothing to work on", where="SOURCE", cure="Name a video, a folder of images or a camera's number.")
     name = wanted.detector or DEFAULT_DETECTOR
-    detector = make_detector(name, **parameters)
+    detector = make_detector(name, max_width=wanted.max_width, mask=wanted.mask, **parameters)
     source = open_source(wanted.source, fps=wanted.fps)
     _same_size(wanted, source.info)
-    if wanted.max_width:
-        detector = Rescaled(detector, wanted.max_width)
     return Inputs(source.info, source, detector, wanted.source, name, True, _again(wanted.source))
+
+
+def _no_work(option: str, wanted: Wanted) -> InputError:
+    """The error for an option that changes what a detector does, where the detections are given."""
+    problem = f"the detections come from {wanted.detections}, so there is no detector that this could change"
+    return InputError(problem, where=option, cure=f"Leave out {option} or --detections.")
 
 
 def _with_video(wanted: Wanted, path: Path) -> Inputs:
@@ -139,10 +145,6 @@ def _from_file(wanted: Wanted, path: Path) -> Inputs:
     from phdtrack.detect import TableDetector
     from phdtrack.formats import read_detections
 
-    if wanted.max_width:
-        raise InputError(
-            "there are no pictures to scale down", where="--max-width", cure="Name the video too, or leave it out."
-        )
     table = read_detections(path)
     info = _sequence(wanted, path, table)
     inside, left_out = _inside(table, info, path)

@@ -24,6 +24,12 @@ MaxWidth = Annotated[
         help="Detect on frames scaled down to this width, boxes stay in original pixels; 0: off.",
     ),
 ]
+Mask = Annotated[
+    Path | None,
+    typer.Option(
+        "--mask", metavar="FILE", help="Image of the frame's size; only what lies where it is not black is reported."
+    ),
+]
 FrameSize = Annotated[str, typer.Option("--frame-size", metavar="WxH", help="Size of the frames in pixels, as 1920x1080.")]
 Fps = Annotated[
     float, typer.Option("--fps", metavar="F", min=0.0, help="Frames per second; 0: as the video or seqinfo.ini says.")

@@ -11,7 +11,19 @@ import typer
 
 from phdtrack import rundir
 from phdtrack.commands.inputs import Wanted
-from phdtrack.commands.options import Config, Detector, Fps, FrameSize, Json, MaxWidth, Overwrite, Seed, Sets, TruthFile
+from phdtrack.commands.options import (
+    Config,
+    Detector,
+    Fps,
+    FrameSize,
+    Json,
+    Mask,
+    MaxWidth,
+    Overwrite,
+    Seed,
+    Sets,
+    TruthFile,
+)
 from phdtrack.commands.output import Output
 
 if TYPE_CHECKING:
@@ -42,6 +54,7 @@ def track(
     frame_size: FrameSize = "",
     fps: Fps = 0.0,
     max_width: MaxWidth = 0,
+    mask: Mask = None,
     video: Annotated[bool, typer.Option("--video/--no-video", help="Write annotated.mp4.")] = True,
     truth: TruthFile = None,
     json: Json = False,
@@ -57,7 +70,7 @@ def track(
     result = Output(json)
     if out is not None:
         rundir.check(out, overwrite)
-    wanted = Wanted(source, detections, detector, frame_size, fps, max_width)
+    wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
     job = prepare(wanted, Choice(filter_name, config, tuple(sets or ()), seed, truth), command_line(), video=video)
     directory = rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite)
     outcome = run(job, directory)
