@@ -38,6 +38,7 @@ PAPERS = {
 }
 Documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 BRACKET = re.compile(r"\[([A-Z]\d{2}(?![\w])[^\[\]]*)\](?!\()")
+BETWEEN = re.compile(r"[;,]\s*(?=[A-Z]\d{2}\b)")
 PART = re.compile(r"([A-Z]\d{2})(?: (.+))?")
 
 HEAD = """# Equations and where they are
@@ -73,9 +74,9 @@ def docstrings(tree: ast.Module, module: str) -> Iterator[tuple[str, int, str]]:
 
 
 def tags(text: str) -> Iterator[tuple[str, str]]:
-    """Paper and place of each tag in a docstring; a semicolon separates several in one pair of brackets."""
+    """Paper and place of each tag in a docstring; a semicolon or comma separates several in one pair of brackets."""
     for inside in BRACKET.findall(" ".join(text.split())):
-        for part in inside.split(";"):
+        for part in BETWEEN.split(inside):
             if match := PART.fullmatch(part.strip()):
                 yield match[1], (match[2] or "").strip()
 

@@ -71,11 +71,12 @@ class Looker:
 @pytest.fixture
 def job() -> Job:
     model = Model(BoxMotion(), BoxSensor(), MeasurementBirth(volume="local"), LocalClutter(1.0))
-    steps = Steps(Stages(model, NoFilter(), Raw(), GraphMatching()), np.random.default_rng(0))
+    stages = Stages(model, NoFilter(), Raw(), GraphMatching())
     clip = Clip()
     return Job(
         inputs=Inputs(INFO, clip, Looker(), "clip", "looker", pictures=True, again=True),
-        steps=steps,
+        stages=stages,
+        steps=Steps(stages, np.random.default_rng(0)),
         seed=0,
         configuration={"filter": {"name": "none"}},
         command="phdtrack track clip",

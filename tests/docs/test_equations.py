@@ -37,6 +37,7 @@ def test_every_tag_names_a_known_paper(script: ModuleType) -> None:
         ("The update [M07 §2].", [("M07", "§2")]),
         ("Moves [M09 (11)] and [M09 (22)].", [("M09", "(11)"), ("M09", "(22)")]),
         ("Association [M07 §3; S05].", [("M07", "§3"), ("S05", "")]),
+        ("Predict [M07 (5), (6), D14 Alg. 2].", [("M07", "(5), (6)"), ("D14", "Alg. 2")]),
         ("Across a\n    line [D14\n    Alg. 2].", [("D14", "Alg. 2")]),
         ("A link [M07](https://example.org) and x[M07x] and [F8] and (M, 4) [0, 1].", []),
     ],

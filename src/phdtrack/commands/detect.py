@@ -34,7 +34,7 @@ def detect(
     from phdtrack.formats import DetectionsWriter
 
     wanted = Wanted(source, detector=detector, fps=fps, max_width=max_width, mask=mask)
-    inputs = open_inputs(wanted, detector_parameters(config, sets))
+    inputs = open_inputs(wanted, detector_parameters(config, tuple(sets or ())))
     target, result = claim(out or Path("runs") / inputs.info.name, overwrite, (DETECTIONS,)), Output(json)
     frames = boxes = 0
     clock = time.perf_counter()

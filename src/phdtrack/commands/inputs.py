@@ -113,7 +113,11 @@ def _from_video(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
     if wanted.detector == "file":
         raise InputError("the detector file reads a file of detections", where="--detector", cure="Say --detections FILE.")
     if not wanted.source:
-        raise InputError("nothing to work on", where="SOURCE", cure="Name a video, a folder of images or a camera's number.")
+        raise InputError(
+            "nothing to work on",
+            where="SOURCE",
+            cure="Name a video, a folder of images or a camera's number; or say --detections FILE.",
+        )
     name = wanted.detector or DEFAULT_DETECTOR
     detector = make_detector(name, max_width=wanted.max_width, mask=wanted.mask, **parameters)
     source = open_source(wanted.source, fps=wanted.fps)

@@ -19,12 +19,15 @@ from datetime import UTC, datetime
 import numpy as np
 
 from phdtrack import rundir
+from phdtrack.commands import belief
 from phdtrack.commands.inputs import Inputs
 from phdtrack.commands.output import progress
 from phdtrack.commands.spool import rereadable
 from phdtrack.commands.steps import Steps
+from phdtrack.filters import NoFilter
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter, write_tracks
 from phdtrack.metrics import Scores, evaluate
+from phdtrack.protocols import AnyStages
 from phdtrack.report import About, Annotator, Recorder, RunRecord, run_document, sentences, write_report, write_run
 from phdtrack.rundir import RunDirectory
 from phdtrack.types import F8, Detections, Step, Tracks, Truth
@@ -46,6 +49,7 @@ class Job:
     """
 
     inputs: Inputs
+    stages: AnyStages
     steps: Steps
     seed: int
     configuration: dict[str, object]
@@ -54,7 +58,6 @@ class Job:
     versions: tuple[tuple[str, str], ...]
     truth: Truth | None = None
     video: bool = True
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +114,8 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         if job.video and job.inputs.pictures:
             done.cut = _draw(job, source, directory, done, tracks)
     stop = done.stop or done.cut
-    warnings = _problems(job, done)
+    notes, doubts = _belief(job, done)
+    warnings = (*_problems(job, done), *doubts)
     about = About(
         title=job.title,
         command=job.command,
@@ -121,7 +125,7 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         versions=job.versions,
         scores=() if scores is None else tuple((key, _plain(value)) for key, value in scores.as_dict().items()),
         warnings=warnings,
-        notes=(*job.notes, WHICH),
+        notes=(*notes, WHICH),
     )
     record = done.recorder.record(tracks, about, job.truth)
     document = _written(job, directory, record, complete=stop is None)
@@ -198,6 +202,18 @@ def _problems(job: Job, done: _Progress) -> tuple[str, ...]:
     if done.cut is not None:
         said.append(f"{_reason(done.cut)} while the video was drawn; {rundir.VIDEO} is not whole, everything else is")
     return tuple(said)
+
+
+def _belief(job: Job, done: _Progress) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """After how many detections of the usual size an object is believed: notes, and warnings where it takes long."""
+    boxes = [seen.detections.xyxy for seen in done.seen if len(seen.detections)]
+    if isinstance(job.stages.filter, NoFilter) or not boxes:
+        return (), ()
+    xyxy = np.concatenate(boxes)
+    width, height = np.median(xyxy[:, 2:] - xyxy[:, :2], axis=0)
+    needed = belief.detections_needed(job.stages, job.inputs.info, (float(width), float(height)))
+    doubt = belief.warning(needed)
+    return (belief.sentence(needed),), (doubt,) if doubt else ()
 
 
 def _reason(stop: Stop) -> str:

@@ -42,5 +42,8 @@ Config = Annotated[
 ]
 Sets = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="One setting, as filter.particles=500; may be given again."),
+    typer.Option("--set", metavar="NAME=VALUE", help="One setting, as sensor.detection=0.9; may be given again."),
+]
+Preset = Annotated[
+    str, typer.Option("--preset", metavar="NAME", help="Settings to start from: default, or a paper's: m07, m09, fv.")
 ]

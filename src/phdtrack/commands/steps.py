@@ -15,7 +15,7 @@ class Steps:
 
     def __init__(self, stages: AnyStages, rng: np.random.Generator) -> None:
         self._stages, self._rng = stages, rng
-        self._state = pipeline.start(stages)
+        self._state = pipeline.start(stages, rng)
 
     def advance(self, number: int, time: float, detections: Detections) -> Step:
         """Take in the detections of frame ``number`` at ``time`` seconds."""

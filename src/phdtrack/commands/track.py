@@ -20,6 +20,7 @@ from phdtrack.commands.options import (
     Mask,
     MaxWidth,
     Overwrite,
+    Preset,
     Seed,
     Sets,
     TruthFile,
@@ -42,13 +43,17 @@ def track(
     ] = None,
     detector: Detector = "",
     filter_name: Annotated[
-        str, typer.Option("--filter", metavar="NAME", help="particle-phd, or none: the same association on raw detections.")
-    ] = "particle-phd",
+        str,
+        typer.Option(
+            "--filter", metavar="NAME", help="particle-phd (default), or none: the same association on raw detections."
+        ),
+    ] = "",
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="The run's directory; default: runs/ and the source's name.")
     ] = None,
     overwrite: Overwrite = False,
     seed: Seed = 0,
+    preset: Preset = "",
     config: Config = None,
     sets: Sets = None,
     frame_size: FrameSize = "",
@@ -71,7 +76,7 @@ def track(
     if out is not None:
         rundir.check(out, overwrite)
     wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
-    job = prepare(wanted, Choice(filter_name, config, tuple(sets or ()), seed, truth), command_line(), video=video)
+    job = prepare(wanted, Choice(filter_name, preset, config, tuple(sets or ()), seed, truth), command_line(), video=video)
     directory = rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite)
     outcome = run(job, directory)
     tell(result, outcome, directory)

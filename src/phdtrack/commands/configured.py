@@ -1,0 +1,80 @@
+"""From options to a job: inputs opened, settings checked, stages built. Nothing is written yet: a mistake costs nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phdtrack import config, doctor
+from phdtrack.commands.inputs import DEFAULT_DETECTOR, Inputs, Wanted, open_inputs
+from phdtrack.commands.job import Job
+from phdtrack.commands.steps import Steps
+from phdtrack.formats import read_truth
+from phdtrack.types import Truth
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """How to track. Empty text stands for an option that was not given; ``truth`` is the file to score against."""
+
+    filter_name: str = ""
+    preset: str = ""
+    config: Path | None = None
+    sets: tuple[str, ...] = ()
+    seed: int = 0
+    truth: Path | None = None
+
+
+def prepare(wanted: Wanted, choice: Choice, command: str, *, video: bool) -> Job:
+    """Everything that a run needs.
+
+    Raises
+    ------
+    InputError : an input that cannot be read, an unknown name, options that do not go together.
+    """
+    settings = config.load(choice.config, choice.sets, choice.preset)
+    if choice.filter_name:
+        settings = config.overlay(settings, {"filter": {"kind": choice.filter_name}}, "--filter")
+    truth = None if choice.truth is None else read_truth(choice.truth)
+    inputs = open_inputs(_at_least(wanted, truth), settings.detector)
+    stages = config.build(settings, inputs.info)
+    return Job(
+        inputs=inputs,
+        stages=stages,
+        steps=Steps(stages, np.random.default_rng(choice.seed)),
+        seed=choice.seed,
+        configuration=settings.as_dict() | {"input": _described(wanted, inputs)},
+        command=command,
+        title=inputs.name,
+        versions=tuple((name, version) for name, version in doctor.versions() if version),
+        truth=truth,
+        video=video,
+    )
+
+
+def detector_parameters(file: Path | None, sets: tuple[str, ...]) -> dict[str, Any]:
+    """The detector's own settings from a file and ``--set detector.name=value``."""
+    return config.load(file, sets).detector
+
+
+def _at_least(wanted: Wanted, truth: Truth | None) -> Wanted:
+    """The same, for a sequence at least as long as its truth."""
+    return wanted if truth is None or not len(truth) else replace(wanted, last=int(truth.frame.max()))
+
+
+def _described(wanted: Wanted, inputs: Inputs) -> dict[str, object]:
+    """What was read, for run.json."""
+    if wanted.detections is not None:
+        return {"source": wanted.source, "detections": str(wanted.detections)}
+    detector = wanted.detector or DEFAULT_DETECTOR
+    mask = "" if wanted.mask is None else str(wanted.mask)
+    return {
+        "source": wanted.source,
+        "detector": detector,
+        "max_width": wanted.max_width,
+        "mask": mask,
+        "fps": inputs.info.fps,
+    }

@@ -1,0 +1,261 @@
+"""`phdtrack track` and `detect`: what they read, what they write, and every way to ask for the impossible."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runner import phdtrack, refused, walkers
+
+from phdtrack import rundir
+from phdtrack.formats import read_detections, read_tracks
+from phdtrack.video import VideoWriter, open_source
+
+FILES = {rundir.TRACKS, rundir.ONLINE, rundir.STATES, rundir.DETECTIONS, rundir.REPORT, rundir.RUN}
+
+
+@pytest.fixture(scope="module")
+def sequence(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return walkers(tmp_path_factory.mktemp("walkers") / "walkers")
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A video of 40 frames in which two dark boxes cross a noisy grey."""
+    path = tmp_path_factory.mktemp("clip") / "clip.mp4"
+    rng = np.random.default_rng(5)
+    ground = rng.integers(120, 136, (240, 320, 3))
+    with VideoWriter(path, 320, 240, 25.0) as writer:
+        for k in range(1, 41):
+            image = (ground + rng.integers(-2, 3, ground.shape)).astype(np.uint8)
+            for x, y in ((20 + 5 * k, 60), (270 - 5 * k, 150)):
+                image[y : y + 60, x : x + 24] = 30
+            writer.write(image)
+    return path
+
+
+def test_detections_alone(sequence: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    truth = sequence / "gt" / "gt.txt"
+    said = phdtrack("track", "--detections", sequence / "det" / "det.txt", "--truth", truth, "--out", out, "--json")
+    assert said.status == 0, said.err
+    assert {path.name for path in out.iterdir()} == FILES
+    document = said.object
+    assert document == json.loads((out / rundir.RUN).read_text())
+    assert document["frames"] == 40
+    assert document["tracks"] == 2
+    assert document["scores"]["MOTA"] > 0.9
+    assert document["complete"] is True
+    assert document["seed"] == 0
+    tracks = read_tracks(out / rundir.TRACKS)
+    assert sorted(set(tracks.identity)) == [1, 2]
+
+
+def test_the_summary_is_for_people(sequence: Path, tmp_path: Path) -> None:
+    said = phdtrack("track", "--detections", sequence / "det" / "det.txt", "--out", tmp_path / "run", "--filter", "none")
+    assert said.status == 0
+    assert "2 objects in 40 frames" in said.out
+    assert str(tmp_path / "run" / rundir.TRACKS) in said.out
+    assert said.err == ""
+
+
+def test_size_and_rate_from_the_options(tmp_path: Path) -> None:
+    plain = walkers(tmp_path / "plain", seqinfo=False) / "det" / "det.txt"
+    given = ["--frame-size", "320x240", "--fps", 12.5]
+    said = phdtrack("track", "--detections", plain, *given, "--out", tmp_path / "run", "--json", "--filter", "none")
+    assert said.status == 0, said.err
+    assert said.object["source"] == {"name": "det", "width": 320, "height": 240, "fps": 12.5}
+
+
+def test_the_same_seed_gives_the_same_files(sequence: Path, tmp_path: Path) -> None:
+    texts = []
+    for name in ("a", "b"):
+        phdtrack("track", "--detections", sequence / "det" / "det.txt", "--out", tmp_path / name, "--seed", 5)
+        texts.append([(tmp_path / name / file).read_bytes() for file in (rundir.TRACKS, rundir.STATES)])
+    assert texts[0] == texts[1]
+
+
+def test_a_video(clip: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    said = phdtrack("track", clip, "--out", out, "--json")
+    assert said.status == 0, said.err
+    assert {path.name for path in out.iterdir()} == FILES | {rundir.VIDEO}
+    assert said.object["frames"] == 40
+    assert len(list(open_source(out / rundir.VIDEO))) == 40
+    assert len(read_tracks(out / rundir.TRACKS)) > 30
+
+
+def test_a_video_with_detections_beside_it(clip: Path, sequence: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    said = phdtrack("track", clip, "--detections", sequence / "det" / "det.txt", "--out", out, "--json", "--filter", "none")
+    assert said.status == 0, said.err
+    assert (out / rundir.VIDEO).exists()
+    assert said.object["detections"] == 80
+    assert said.object["tracks"] == 2
+
+
+def test_no_video_wanted(clip: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    assert phdtrack("track", clip, "--out", out, "--no-video", "--filter", "none").status == 0
+    assert {path.name for path in out.iterdir()} == FILES
+
+
+def test_a_video_cut_short_is_tracked_as_far_as_it_goes(clip: Path, tmp_path: Path) -> None:
+    raw = tmp_path / "whole.mpg"
+    import av
+
+    with av.open(str(raw), "w", format="mpeg") as container:
+        stream = container.add_stream("mpeg1video", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 320, 240, "yuv420p"
+        for frame in open_source(clip):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame.image, format="bgr24")))
+        container.mux(stream.encode(None))
+    short = tmp_path / "short.mpg"
+    short.write_bytes(raw.read_bytes()[: raw.stat().st_size * 2 // 3])
+    said = phdtrack("track", short, "--out", tmp_path / "run", "--json", "--filter", "none")
+    assert said.status == 0, said.err
+    assert 5 < said.object["frames"] < 40
+
+
+def test_detect_writes_what_track_reads(clip: Path, tmp_path: Path) -> None:
+    said = phdtrack("detect", clip, "--out", tmp_path / "found", "--json")
+    assert said.status == 0, said.err
+    file = tmp_path / "found" / rundir.DETECTIONS
+    assert said.object["file"] == str(file)
+    assert len(read_detections(file)) == said.object["detections"] > 30
+    given = ["--frame-size", "320x240", "--fps", 25, "--filter", "none"]
+    assert phdtrack("track", "--detections", file, *given, "--out", tmp_path / "run").status == 0
+
+
+def test_max_width_keeps_the_coordinates_of_the_video(clip: Path, tmp_path: Path) -> None:
+    tables = []
+    for width in (0, 160):
+        out = tmp_path / str(width)
+        assert phdtrack("detect", clip, "--max-width", width, "--out", out).status == 0
+        tables.append(read_detections(out / rundir.DETECTIONS))
+    full, half = (table.at(35).xyxy for table in tables)
+    assert len(full) == len(half) == 2
+    order = [boxes[np.argsort(boxes[:, 0])] for boxes in (full, half)]
+    assert order[0] == pytest.approx(order[1], abs=8)
+
+
+def test_boxes_outside_the_frame_are_left_out_and_told(tmp_path: Path) -> None:
+    folder = walkers(tmp_path / "s")
+    file = folder / "det" / "det.txt"
+    file.write_text(file.read_text() + "7,-1,5000,10,20,40,1,-1,-1,-1\n")
+    said = phdtrack("track", "--detections", file, "--out", tmp_path / "run", "--json", "--filter", "none")
+    assert said.status == 0
+    assert "1 of 81 boxes" in said.err
+    assert "frame 7" in said.err
+    assert said.object["detections"] == 80
+
+
+def test_an_empty_file_of_detections_is_an_empty_run(tmp_path: Path) -> None:
+    folder = walkers(tmp_path / "s")
+    (folder / "det" / "det.txt").write_text("")
+    said = phdtrack("track", "--detections", folder / "det" / "det.txt", "--out", tmp_path / "run", "--json")
+    assert said.status == 0, said.err
+    assert (said.object["frames"], said.object["tracks"]) == (40, 0)
+
+
+# What cannot be: one sentence, status 2, nothing written.
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], ["SOURCE", "--detections"]),
+        (["nowhere.mp4"], ["nowhere.mp4"]),
+        (["{clip}", "--detector", "chagne"], ["chagne", "change"]),
+        (["{clip}", "--detector", "file"], ["--detections"]),
+        (["{clip}", "--detector", "mog2", "--detections", "{det}"], ["--detector", "det.txt"]),
+        (["{clip}", "--mask", "{det}", "--detections", "{det}"], ["--mask"]),
+        (["{clip}", "--mask", "nowhere.png"], ["nowhere.png"]),
+        (["{clip}", "--filter", "partcle-phd"], ["partcle-phd", "particle-phd"]),
+        (["{clip}", "--frame-size", "100x100"], ["--frame-size", "320x240"]),
+        (["{clip}", "--set", "filtre.per_target=3"], ["filtre"]),
+        (["{clip}", "--set", "nonsense"], ["nonsense"]),
+        (["{clip}", "--config", "nowhere.toml"], ["nowhere.toml"]),
+        (["{clip}", "--truth", "nowhere.txt"], ["nowhere.txt"]),
+        (["--detections", "nowhere.txt"], ["nowhere.txt"]),
+        (["--detections", "{det}", "--frame-size", "big"], ["--frame-size", "big", "1920x1080"]),
+        (["--detections", "{det}", "--frame-size", "0x10"], ["--frame-size"]),
+        (["--detections", "{det}", "--max-width", "100"], ["--max-width"]),
+        (["--detections", "{det}", "--fps", "inf"], ["--fps"]),
+        (["--detections", "{plain}"], ["--frame-size", "seqinfo.ini"]),
+        (["--detections", "{plain}", "--frame-size", "320x240"], ["--fps", "seqinfo.ini"]),
+        (["--detections", "{det}", "--frame-size", "4x4"], ["4x4", "outside"]),
+    ],
+)
+def test_impossible_requests(arguments: list[str], words: list[str], clip: Path, sequence: Path, tmp_path: Path) -> None:
+    plain = walkers(tmp_path / "plain", seqinfo=False)
+    places = {"clip": clip, "det": sequence / "det" / "det.txt", "plain": plain / "det" / "det.txt"}
+    sentence = refused("track", *(text.format(**places) for text in arguments), "--out", tmp_path / "run")
+    assert all(word in sentence for word in words), sentence
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_text_file_is_no_video(tmp_path: Path) -> None:
+    fake = tmp_path / "fake.mp4"
+    fake.write_text("not a video")
+    assert "fake.mp4" in refused("track", fake, "--out", tmp_path / "run")
+    assert "fake.mp4" in refused("detect", fake, "--out", tmp_path / "run")
+
+
+def test_an_earlier_run_is_kept(sequence: Path, tmp_path: Path) -> None:
+    arguments = ["track", "--detections", sequence / "det" / "det.txt", "--filter", "none", "--out", tmp_path]
+    (tmp_path / rundir.TRACKS).write_text("precious")
+    assert "--overwrite" in refused(*arguments)
+    assert (tmp_path / rundir.TRACKS).read_text() == "precious"
+    (tmp_path / "notes.txt").write_text("mine")
+    assert phdtrack(*arguments, "--overwrite").status == 0
+    assert (tmp_path / rundir.TRACKS).read_text() != "precious"
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_an_output_that_cannot_be_written(sequence: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    for out in (tmp_path / "file", tmp_path / "file" / "below"):
+        assert str(out) in refused("track", "--detections", sequence / "det" / "det.txt", "--out", out)
+
+
+def test_a_mistake_in_the_configuration_names_the_nearest(clip: Path, tmp_path: Path) -> None:
+    config = tmp_path / "my.toml"
+    config.write_text("[filter]\nper_taget = 300\n")
+    sentence = refused("track", clip, "--config", config, "--out", tmp_path / "run")
+    assert "per_taget" in sentence
+    assert "per_target" in sentence
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX systems")
+def test_ctrl_c_finishes_what_was_done(tmp_path: Path) -> None:
+    folder = walkers(tmp_path / "long", 40)
+    (folder / "seqinfo.ini").write_text((folder / "seqinfo.ini").read_text().replace("seqLength=40", "seqLength=1000000"))
+    out = tmp_path / "run"
+    command = [sys.executable, "-m", "phdtrack", "track", "--detections", str(folder / "det" / "det.txt")]
+    process = subprocess.Popen(
+        [*command, "--filter", "none", "--out", str(out), "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    for _ in range(300):
+        if (out / rundir.STATES).exists() and (out / rundir.STATES).stat().st_size > 2000:
+            break
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    output, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    document = json.loads(output)
+    assert document["complete"] is False
+    assert 0 < document["frames"] < 1000000
+    assert "Ctrl-C" in errors
+    assert "Traceback" not in errors
+    assert {path.name for path in out.iterdir()} == FILES
