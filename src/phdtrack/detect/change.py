@@ -42,7 +42,6 @@ _MEDIAN_OF_CHI2 = 0.789
 _NOISE_MEMORY = 0.9
 _LOUDEST = 20.0
 _GHOST_EDGE = 0.8
-_GHOST_SHARE = 0.5
 _MARGIN = np.ones((5, 5), np.uint8)
 
 
@@ -203,7 +202,7 @@ class ChangeDetector:
         if ghosts:
             left = np.zeros_like(mask)
             cv2.drawContours(left, ghosts, -1, 255, cv2.FILLED)
-            self._reference.blend(frame.image, _GHOST_SHARE, cv2.dilate(left, _MARGIN))
+            self._reference.blend(frame.image, 1.0, cv2.dilate(left, _MARGIN))
 
 
 def is_ghost(contour: Contour, image: Image, expected: Image) -> bool:

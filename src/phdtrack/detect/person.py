@@ -19,7 +19,7 @@ from phdtrack.detect.opencv import shipped
 from phdtrack.types import F8, I8, Detections, Frame
 
 _WINDOW = (64, 128)
-_BODY = (0.5, 0.78)
+_BODY = (0.55, 0.8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class PersonSettings:
     scale: float = 1.5
     step: float = 1.05
     stride: int = 8
-    threshold: float = 0.3
+    threshold: float = 0.5
     overlap: float = 0.4
 
     def __post_init__(self) -> None:

@@ -70,8 +70,10 @@ class SubtractorDetector:
         passed = frame.time - self._time
         self._time = frame.time
         interval = passed if passed > 0 else _FALLBACK_INTERVAL
-        # Early frames count as a plain mean would weigh them, later ones by the time constant.
-        rate = max(1.0 / self._seen, min(1.0, interval / settings.adapt))
+        # OpenCV's own rule for early frames (half of what a plain mean would give them), the time constant later.
+        rate = max(0.5 / self._seen, min(1.0, interval / settings.adapt))
+        # KNN draws the samples that it replaces from OpenCV's generator, which is global: seeded, a run can be repeated.
+        cv2.setRNGSeed(self._seen)
         mask = self._subtractor.apply(frame.image, learningRate=rate)
         if frame.time - self._began < settings.warmup:
             return Detections.empty()

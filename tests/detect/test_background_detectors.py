@@ -1,0 +1,264 @@
+"""What every background detector must do, and what `change` must do better."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scenes import HEIGHT, WIDTH, Scene
+
+from phdtrack.boxes import iou
+from phdtrack.detect import ChangeDetector, MeanBackgroundDetector, MeanBackgroundSettings, make_detector
+from phdtrack.detect.change import chi2_quantile
+from phdtrack.detect.illumination import relit
+from phdtrack.detect.reference import Reference, median_image
+from phdtrack.errors import InputError
+from phdtrack.protocols import Detector
+from phdtrack.types import Detections, Frame, Image
+
+BACKGROUND = ["change", "mean-background", "mog2", "knn"]
+
+
+def build(name: str, **parameters: object) -> Detector:
+    few = {"frames": 10} if name == "mean-background" else {}
+    return make_detector(name, **(few | parameters))
+
+
+@pytest.mark.parametrize("name", BACKGROUND)
+def test_a_moving_square_is_found(name: str) -> None:
+    scene = Scene(frames=130, speed=2.0, enter=30)
+    detector = build(name)
+    hits = seen = extra = 0
+    for frame in scene:
+        found = detector(frame)
+        truth = scene.truth[frame.number]
+        whole = truth[(truth[:, 2] - truth[:, 0]) == 24]
+        if frame.number <= 30 or not len(whole):
+            continue
+        seen += 1
+        overlap = iou(whole, found.xyxy)
+        hits += overlap.size > 0 and overlap.max() > 0.6
+        extra += max(0, len(found) - 1)
+    assert seen > 40
+    assert hits >= 0.97 * seen
+    assert extra <= 0.1 * seen
+
+
+@pytest.mark.parametrize("name", BACKGROUND)
+def test_repetition_and_reset_give_the_same(name: str) -> None:
+    frames = list(Scene(frames=40, squares=2))
+    detector = build(name)
+    first = [detector(frame).xyxy for frame in frames]
+    detector.reset()
+    second = [detector(frame).xyxy for frame in frames]
+    third = [build(name)(frame).xyxy for frame in frames[:1]]
+    assert all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
+    assert np.array_equal(first[0], third[0])
+    assert sum(map(len, first)) > 0
+
+
+@pytest.mark.parametrize("name", BACKGROUND)
+def test_an_empty_scene_stays_empty_and_frames_stay_unwritten(name: str) -> None:
+    detector = build(name)
+    for frame in Scene(frames=40, squares=0):
+        before = frame.image.copy()
+        assert len(detector(frame)) == 0
+        np.testing.assert_array_equal(frame.image, before)
+
+
+@pytest.mark.parametrize("name", BACKGROUND)
+def test_another_size_is_an_error_until_reset(name: str) -> None:
+    detector = build(name)
+    for frame in Scene(frames=3):
+        detector(frame)
+    other = Frame(4, 0.2, np.zeros((50, 60, 3), np.uint8))
+    with pytest.raises(InputError, match=r"frame 4: .*60x50 .*160x120"):
+        detector(other)
+    detector.reset()
+    assert len(detector(other)) == 0
+
+
+def test_flicker_lights_nothing_up() -> None:
+    detector = ChangeDetector()
+    counts = [len(detector(frame)) for frame in Scene(frames=120, squares=0, flicker=0.1)]
+    assert sum(counts[5:]) == 0
+
+
+def test_flicker_does_not_hide_what_moves() -> None:
+    scene = Scene(frames=100, flicker=0.1)
+    detector = ChangeDetector()
+    hits = seen = 0
+    for frame in scene:
+        found, truth = detector(frame), scene.truth[frame.number]
+        if frame.number > 40 and len(truth) and truth[0, 2] - truth[0, 0] == 24:
+            seen += 1
+            hits += len(found) > 0 and iou(truth, found.xyxy).max() > 0.5
+    assert hits >= 0.95 * seen > 0
+
+
+def test_a_sudden_change_of_exposure_is_compensated() -> None:
+    detector = ChangeDetector()
+    gain = (1.0,) * 60 + (0.75,) * 60
+    counts = [len(detector(frame)) for frame in Scene(frames=120, squares=0, gain=gain)]
+    assert sum(counts) == 0
+
+
+def test_a_shadow_is_tolerated_where_an_object_is_not() -> None:
+    scene = Scene(frames=40, squares=0)
+    *learned, last = scene
+    for factor, expected in ((0.85, 0), (0.3, 1)):
+        detector = ChangeDetector()
+        for frame in learned:
+            detector(frame)
+        image = last.image.copy()
+        image[40:80, 60:90] = (image[40:80, 60:90] * factor).astype(np.uint8)
+        assert len(detector(Frame(last.number, last.time, image))) == expected
+
+
+def still(image: Image, count: int, start: int = 0, fps: float = 25.0) -> list[Frame]:
+    rng = np.random.default_rng(9)
+    noisy = [np.clip(image + rng.normal(0, 1, image.shape), 0, 255).astype(np.uint8) for _ in range(count)]
+    return [Frame(start + i + 1, (start + i) / fps, picture) for i, picture in enumerate(noisy)]
+
+
+def with_object(image: Image, left: int) -> Image:
+    out = image.copy()
+    out[40:80, left : left + 24] = (20, 30, 230)
+    return out
+
+
+def test_an_object_that_stops_stays_for_a_while_and_then_belongs_to_the_scene() -> None:
+    background = Scene().background()
+    detector = make_detector("change", learn=1.0, adapt_objects=20.0)
+    for frame in still(background, 10, fps=5):
+        detector(frame)
+    counts = [len(detector(frame)) for frame in still(with_object(background, 70), 300, 10, fps=5)]
+    assert all(counts[:30])
+    assert not any(counts[-20:])
+
+
+def test_where_an_object_stood_from_the_start_no_ghost_remains() -> None:
+    background = Scene().background()
+    detector = make_detector("change", learn=1.0)
+    for frame in still(with_object(background, 70), 60):
+        detector(frame)
+    counts = [len(detector(frame)) for frame in still(background, 60, 60)]
+    assert sum(counts) == 0
+
+
+def test_objects_in_the_first_frames_do_not_spoil_the_reference() -> None:
+    scene = Scene(frames=60, squares=2, speed=3)
+    detector = ChangeDetector()
+    found = [detector(frame) for frame in scene]
+    late = range(30, 60)
+    wrong = sum(len(found[i]) > len(scene.truth[i + 1]) for i in late)
+    assert wrong <= 2
+
+
+def test_people_who_touch_are_parted() -> None:
+    image = np.full((288, 384, 3), 128, np.uint8)
+    detector = make_detector("change", learn=0.5)
+    for frame in still(image, 30):
+        detector(frame)
+    pair = image.copy()
+    for left in (100, 121):
+        cv2.ellipse(pair, (left + 12, 130), (11, 45), 0, 0, 360, (30, 30, 30), -1)
+    (last,) = still(pair, 1, 30)
+    assert len(detector(last)) == 2
+    together = make_detector("change", learn=0.5, split=0.0)
+    for frame in still(image, 30):
+        together(frame)
+    assert len(together(last)) == 1
+
+
+def test_fragments_are_joined() -> None:
+    image = np.full((288, 384, 3), 128, np.uint8)
+    parted = image.copy()
+    parted[60:100, 100:130] = 20
+    parted[110:150, 100:130] = 20
+    results = []
+    for join in (0.15, 0.0):
+        detector = make_detector("change", learn=0.5, join=join)
+        for frame in still(image, 30):
+            detector(frame)
+        (last,) = still(parted, 1, 30)
+        results.append(detector(last))
+    assert [len(found) for found in results] == [1, 2]
+    np.testing.assert_allclose(results[0].xyxy, [[100, 60, 130, 150]], atol=2)
+
+
+def test_the_signed_form_sees_only_the_dark() -> None:
+    image = np.full((120, 160, 3), 128, np.uint8)
+    both = image.copy()
+    both[20:60, 20:50] = 20
+    both[20:60, 100:130] = 240
+    frame = Frame(1, 0.0, both)
+    absolute = MeanBackgroundDetector(MeanBackgroundSettings(), background=[image])
+    signed = MeanBackgroundDetector(MeanBackgroundSettings(signed=True), background=[image])
+    assert len(absolute(frame)) == 2
+    dark = signed(frame)
+    assert len(dark) == 1
+    np.testing.assert_allclose(dark.xyxy, [[20, 20, 50, 60]], atol=3)
+
+
+def test_nothing_is_detected_while_the_mean_is_learned() -> None:
+    detector = make_detector("mean-background", frames=20)
+    counts = [len(detector(frame)) for frame in Scene(frames=60)]
+    assert sum(counts[:20]) == 0
+    assert sum(counts[20:]) > 0
+
+
+@pytest.mark.parametrize("count", [1, 3, 5, 9])
+def test_the_median_is_numpys(count: int, rng: np.random.Generator) -> None:
+    images = list(rng.integers(0, 256, (count, 7, 5, 3), np.uint8))
+    np.testing.assert_array_equal(median_image(images), np.median(images, axis=0))
+
+
+def test_the_reference_is_there_at_once_and_ends_learning() -> None:
+    reference = Reference(np.full((4, 4, 3), 10, np.uint8), 0.0, 1.0, 5)
+    assert reference.learning
+    assert reference.image[0, 0, 0] == 10
+    news = [reference.sample(np.full((4, 4, 3), 50, np.uint8), 0.25 * (i + 1)) for i in range(6)]
+    assert news == [False, True, False, True, False, False]
+    assert not reference.learning
+    assert reference.image[0, 0, 0] == 50
+
+
+def test_light_is_fitted_though_a_third_of_the_picture_has_changed(rng: np.random.Generator) -> None:
+    reference = rng.integers(30, 180, (120, 160, 3), np.uint8)
+    frame = np.clip(np.rint(reference * 1.2 + 6), 0, 255).astype(np.uint8)
+    expected = frame.copy()
+    frame[:, :50] = 0
+    adapted = relit(reference, frame, np.zeros((HEIGHT, WIDTH), np.uint8))
+    assert np.abs(adapted.astype(int) - expected).max() <= 2
+
+
+@pytest.mark.parametrize("probability", [0.9, 0.99, 0.999])
+def test_the_quantile_is_scipys(probability: float) -> None:
+    from scipy.stats import chi2
+
+    assert chi2_quantile(probability, 3) == pytest.approx(chi2.ppf(probability, 3), rel=0.02)
+
+
+@pytest.mark.data
+def test_people_of_pets_are_found(data) -> None:  # type: ignore[no-untyped-def]
+    from phdtrack.video import open_source
+
+    folder = data / "mot15" / "PETS09-S2L1"
+    rows = np.loadtxt(folder / "gt" / "gt.txt", delimiter=",")
+    detector = make_detector("change")
+    matched = found = there = 0
+    for frame in open_source(folder / "PETS09-S2L1.mp4"):
+        if frame.number > 100:
+            break
+        result: Detections = detector(frame)
+        if frame.number <= 10:
+            continue
+        mine = rows[(rows[:, 0] == frame.number) & (rows[:, 6] != 0)]
+        truth = np.hstack([mine[:, 2:4], mine[:, 2:4] + mine[:, 4:6]])
+        overlap = iou(truth, result.xyxy)
+        matched += int((overlap.max(axis=1, initial=0) >= 0.5).sum())
+        found += len(result)
+        there += len(truth)
+    assert matched / there > 0.75
+    assert matched / found > 0.75
