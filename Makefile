@@ -57,7 +57,6 @@ pytest: env
 
 demo: env
 	$(BIN)/phdtrack demo --out demo-run --overwrite
-	@echo "Look at demo-run/report.html and demo-run/annotated.mp4; demo-run/without-filter holds the same without the filter."
 
 experiments: env
 	$(PY) -m reproduce.experiments

@@ -17,6 +17,9 @@ FRAMES = 300
 VIDEO = "scene.mp4"
 TRUTH = "scene_gt.txt"
 WITHOUT = "without-filter"
+FLICKER, PLANTS, WAVE = 0.05, 8, 0.2
+# No blinking lamps: they stay lit for seconds, and what is seen coherently for seconds is an object to any filter.
+LAMPS = 0
 
 
 def demo(
@@ -38,14 +41,15 @@ def demo(
     from phdtrack.commands.scoring import score_table
     from phdtrack.commands.track import command_line
     from phdtrack.formats import write_truth
-    from phdtrack.simulate import make_scene
+    from phdtrack.simulate import Look, make_scene
 
     result = Output(json)
     rundir.check(out / WITHOUT, overwrite)
     directory = rundir.claim(out, overwrite, (VIDEO, TRUTH, *rundir.FILES))
     scene = make_scene(SCENE, seed, frames=FRAMES)
     write_truth(directory.file(TRUTH), scene.truth)
-    render_video(scene, np.random.default_rng(seed), directory.file(VIDEO))
+    look = Look(flicker=FLICKER, plants=PLANTS, wave=WAVE, lamps=LAMPS)
+    render_video(scene, np.random.default_rng(seed), directory.file(VIDEO), look)
     result.say(f"The scene: {directory.file(VIDEO)}, {scene.info.frames} frames, flickering light, waving leaves.")
     outcomes = []
     for filter_name, place in (("particle-phd", directory), ("none", rundir.claim(out / WITHOUT, overwrite))):

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from phdtrack.commands.output import progress
-from phdtrack.simulate import Scene, render
+from phdtrack.simulate import Look, Scene, render
 from phdtrack.types import SequenceInfo
 from phdtrack.video import VideoWriter
 
 
-def render_video(scene: Scene, rng: np.random.Generator, path: Path) -> None:
-    """The scene as an mp4 file."""
+def render_video(scene: Scene, rng: np.random.Generator, path: Path, look: Look | None = None) -> None:
+    """The scene as an mp4 file; ``look`` None for the renderer's own."""
     info = scene.info
     with VideoWriter(path, info.width, info.height, info.fps) as writer, progress("rendering", info.frames) as advance:
-        for frame in render(scene, rng):
+        for frame in render(scene, rng, look):
             writer.write(frame.image)
             advance(frame.number)
 
