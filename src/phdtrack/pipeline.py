@@ -27,9 +27,9 @@ class TrackingState:
     time: float = 0.0
 
 
-def start(stages: AnyStages) -> TrackingState:
+def start(stages: AnyStages, rng: np.random.Generator) -> TrackingState:
     """The state before the first frame."""
-    return TrackingState(stages.filter.start(stages.model), stages.associator.start())
+    return TrackingState(stages.filter.start(stages.model, rng), stages.associator.start())
 
 
 def advance(
@@ -77,7 +77,7 @@ def run(
     stages: AnyStages, frames: Iterable[tuple[int, float, Detections]], rng: np.random.Generator
 ) -> Iterator[tuple[TrackingState, Step]]:
     """Track a sequence of (frame number, seconds, detections); yields the state and the step of each frame."""
-    state = start(stages)
+    state = start(stages, rng)
     for number, time, detections in frames:
         state, step = advance(stages, state, detections, number, time, rng)
         yield state, step

@@ -107,7 +107,7 @@ S = TypeVar("S")
 class Filter(Protocol[S]):
     """The recursion of an intensity: predict, update, reduce (resample, or prune and merge)."""
 
-    def start(self, model: Model) -> S:
+    def start(self, model: Model, rng: np.random.Generator) -> S:
         """The state before the first frame."""
 
     def predict(self, state: S, model: Model, dt: float, rng: np.random.Generator) -> S:

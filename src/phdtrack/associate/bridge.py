@@ -12,8 +12,8 @@ def bridge(motion: Motion, before: F8, cov_before: F8, after: F8, cov_after: F8,
     """(d, n) means of the states between two estimates, given both: a fixed-interval smoother over the gap.
 
     ``before`` and ``after`` are (d,), their covariances (d, d); ``steps`` (n + 1,) the intervals from ``before`` through
-    the n frames of the gap to ``after``. With P the predicted covariance, x_i = m_i + P_i Φᵀ (P_end + P_after)⁻¹ (after − m_end),
-    Φ the transition from i to the end: Rauch, Tung and Striebel's smoother with one observation.
+    the n frames of the gap to ``after``. With m, P the predictions and Φ the transition from i to the end,
+    x_i = m_i + P_i Φᵀ (P_end + P_after)⁻¹ (after − m_end): Rauch, Tung and Striebel's smoother with one observation.
     """
     mean, cov = before[:, None], cov_before
     means, covs, jacobians = [], [], []

@@ -5,9 +5,9 @@ the later state under the j-step transition from the earlier, minus that of leav
 is the path cover of maximum total gain: with each vertex split into an out-side and an in-side, a bipartite matching
 (Shafique and Shah 2005). It is extended frame by frame, by one augmenting path per new vertex.
 
-The density of a loose end is that of a state ``gate`` deviations away from a typical one-step prediction: so the one parameter
-is free of the image's size, the target's size and the frame rate. The degenerate f is convolved with the covariances of
-both states and evaluated on the rows that a measurement shows.
+The density of a loose end is that of a state ``gate`` deviations away from a typical one-step prediction: so the one
+parameter is free of the image's size, the target's size and the frame rate. The degenerate f is convolved with the
+covariances of both states and evaluated on the rows that a measurement shows.
 
 Online rows, once given, never change; the tracks of `finish` use all corrections.
 """
@@ -22,6 +22,7 @@ import numpy as np
 from phdtrack.associate import offline, online
 from phdtrack.associate.history import History, Moment
 from phdtrack.associate.window import Columns, Window, advance, empty_window, insert
+from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Share, check
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.protocols import Model
@@ -48,19 +49,24 @@ class GraphMatching:
     span : seconds over which states are linked; M07's K = 50 frames at 25 Hz.
     shortest : tracks of fewer states are discarded (offline) or not yet confirmed (online).
     gate : an edge is worth as much as two loose ends at this many deviations.
+    consistent : no edge joins states that are more than this many deviations apart, however little it would cost.
     miss : probability that a target goes without a state for one frame inside its track: the price of a gap.
     delay : frames by which the online output lags, so that links can still be corrected; 0 allowed.
     coast : seconds for which a confirmed track without a state is continued online by the motion model.
     bridge : fill the gaps of tracks with predicted, flagged boxes.
     """
 
-    span: float = 2.0
-    shortest: int = 5
-    gate: float = 4.5
-    miss: float = 0.3
-    delay: int = 0
-    coast: float = 0.3
+    span: Positive = 2.0
+    shortest: PositiveCount = 5
+    gate: Positive = 4.5
+    miss: Share = 0.3
+    consistent: Positive = 3.5
+    delay: Count = 0
+    coast: NonNegative = 0.3
     bridge: bool = True
+
+    def __post_init__(self) -> None:
+        check(self)
 
     def start(self) -> GraphState:
         """Nothing seen."""
@@ -114,7 +120,7 @@ class GraphMatching:
         distance2, log_det = gaussian_parts(step, covs[row] + columns.cov[column][:, rows][:, :, rows])
         skipped = columns.frames[column] - 1
         gain = open_end[row] - 0.5 * (distance2 + log_det) + skipped * math.log(self.miss)
-        worth = (gain > 0) & (columns.since[column] <= self.span * model.rate + 1e-9)
+        worth = (gain > 0) & (distance2 <= self.consistent**2) & (columns.since[column] <= self.span * model.rate + 1e-9)
         return row[worth], column[worth], gain[worth]
 
     def _open_end(self, estimates: Estimates, covs: F8, dt: float, model: Model) -> F8:

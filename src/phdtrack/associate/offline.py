@@ -64,14 +64,14 @@ def _states(moments: list[Moment], path: list[tuple[int, int]], name: int) -> Tr
 def _gaps(moments: list[Moment], path: list[tuple[int, int]], name: int, model: Model) -> list[Tracks]:
     """Predicted rows between the states of a track that are more than one frame apart."""
     parts = []
-    for (k, i), (l, j) in itertools.pairwise(path):
-        if l == k + 1:
+    for (k, i), (m, j) in itertools.pairwise(path):
+        if m == k + 1:
             continue
-        a, b = moments[k].estimates, moments[l].estimates
-        times: F8 = np.array([m.time for m in moments[k : l + 1]])
+        a, b = moments[k].estimates, moments[m].estimates
+        times: F8 = np.array([x.time for x in moments[k : m + 1]])
         states = bridge(model.motion, a.state[:, i], a.covariance[i], b.state[:, j], b.covariance[j], np.diff(times))
-        n = l - k - 1
-        frames: I8 = np.array([m.number for m in moments[k + 1 : l]], np.int64)
+        n = m - k - 1
+        frames: I8 = np.array([x.number for x in moments[k + 1 : m]], np.int64)
         confidence = np.full(n, min(1.0, float(a.weight[i]), float(b.weight[j])))
         parts.append(
             Tracks(

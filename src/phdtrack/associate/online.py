@@ -1,8 +1,8 @@
 """Online output: rows that never change once they are given.
 
-The identity of a state is fixed when its frame is given: it is that of the state it is then linked to. A later correction cannot
-recall what was given; it only decides how the identities go on. Where two states claim one identity, the one linked to its
-last holder keeps it.
+The identity of a state is fixed when its frame is given: it is that of the state it is then linked to. A later correction
+cannot recall what was given; it only decides how the identities go on. Where two states claim one identity, the one linked
+to its last holder keeps it.
 """
 
 from __future__ import annotations

@@ -38,8 +38,8 @@ class Columns:
 class Rows:
     """In-sides of vertices whose link may still be corrected, with their edges as compressed rows.
 
-    ``vertex`` (R,), ``since`` (R,), ``column`` (R,): matched column or −1; ``price`` (R,): dual variable; row r has the edges
-    start[r] … start[r+1]−1 to columns ``target`` with gains ``gain``.
+    ``vertex`` (R,), ``since`` (R,), ``column`` (R,): matched column or −1; ``price`` (R,): dual variable; row r has the
+    edges start[r] … start[r+1]−1 to columns ``target`` with gains ``gain``.
     """
 
     vertex: I8

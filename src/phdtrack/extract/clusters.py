@@ -59,7 +59,7 @@ def label(particles: Particles, centres: F8, sensor: Sensor) -> tuple[I8, F8]:
     return labels, best
 
 
-def finish(mean: F8, cov: F8, mass: F8, z: F8, model: Model, region: float) -> Estimates:
+def finish(mass: F8, mean: F8, cov: F8, z: F8, model: Model, region: float) -> Estimates:
     """States from clusters: a floor under their covariances, their boxes, and the detection that each rests on.
 
     A state rests on the nearest detection in whose 99 % region it lies; a detection serves one state, the closest first.

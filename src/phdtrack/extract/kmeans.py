@@ -15,7 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phdtrack.checks import Positive, PositiveCount, Share, check
 from phdtrack.extract import clusters
+from phdtrack.extract.resolution import join_unresolved
 from phdtrack.kernels.pairs import moments
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8, Estimates, Particles
@@ -31,12 +33,17 @@ class KMeans:
     split : clusters of more mass are several targets.
     iterations : bound on K-means iterations after each split.
     region : squared Mahalanobis radius within which a state counts as resting on a detection (99 % in four dimensions).
+    overlap : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
     """
 
-    lightest: float = 0.6
-    split: float = 1.5
-    iterations: int = 5
-    region: float = 13.28
+    lightest: Positive = 0.6
+    split: Positive = 1.5
+    iterations: PositiveCount = 5
+    region: Positive = 13.28
+    overlap: Share = 0.4
+
+    def __post_init__(self) -> None:
+        check(self)
 
     def extract(self, state: Particles, z: F8, model: Model) -> Estimates:
         """The centres of the clusters heavy enough to be targets: weighted means of full states [M07 §3]."""
@@ -53,7 +60,8 @@ class KMeans:
         labels = self._join_light(state, centres, labels, model.sensor)
         mass, mean, cov = self._moments(state, labels, centres.shape[1])
         kept = mass >= self.lightest
-        return clusters.finish(np.ascontiguousarray(mean[:, kept]), cov[kept], mass[kept], z, model, self.region)
+        found = join_unresolved(mass[kept], mean[:, kept], cov[kept], model.sensor, self.overlap)
+        return clusters.finish(*found, z, model, self.region)
 
     def _settle(self, state: Particles, centres: F8, sensor: Sensor) -> tuple[F8, I8]:
         """Iterate assignment and means until nothing moves between clusters; clusters without particles are left out."""

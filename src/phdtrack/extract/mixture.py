@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.arrays import sum_by
+from phdtrack.checks import Positive, PositiveCount, Share, check
 from phdtrack.extract import clusters
+from phdtrack.extract.resolution import join_unresolved
 from phdtrack.kernels.pairs import moments, quadratic_form
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, Particles
@@ -28,12 +30,17 @@ class Mixture:
     split : components of more mass are several targets (see `extract.kmeans`).
     iterations : EM iterations after the start and after each split.
     region : squared Mahalanobis radius within which a state counts as resting on a detection.
+    overlap : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
     """
 
-    lightest: float = 0.5
-    split: float = 1.5
-    iterations: int = 6
-    region: float = 13.28
+    lightest: Positive = 0.5
+    split: Positive = 1.5
+    iterations: PositiveCount = 6
+    region: Positive = 13.28
+    overlap: Share = 0.4
+
+    def __post_init__(self) -> None:
+        check(self)
 
     def extract(self, state: Particles, z: F8, model: Model) -> Estimates:
         """The means of the components heavy enough to be targets [M09 §III-B]."""
@@ -47,8 +54,10 @@ class Mixture:
                 break
             mixture = self._fit(state, divided, model.sensor)
         kept = mixture.weight >= self.lightest
-        mean = np.ascontiguousarray(mixture.mean[:, kept])
-        return clusters.finish(mean, mixture.covariance[kept], mixture.weight[kept], z, model, self.region)
+        found = join_unresolved(
+            mixture.weight[kept], mixture.mean[:, kept], mixture.covariance[kept], model.sensor, self.overlap
+        )
+        return clusters.finish(*found, z, model, self.region)
 
     def _start(self, state: Particles, centres: F8, sensor: Sensor) -> GaussianMixture:
         """Components from the nearest-centre clusters."""

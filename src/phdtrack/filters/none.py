@@ -14,13 +14,13 @@ from phdtrack.types import F8, Particles, UpdateInfo
 class NoFilter:
     """Each detection is a target of weight 1, at rest; nothing is remembered and nothing doubted."""
 
-    def start(self, model: Model) -> Particles:
+    def start(self, model: Model, rng: np.random.Generator) -> Particles:
         """Nothing."""
         return Particles(np.zeros((model.motion.dim, 0)), np.zeros(0))
 
     def predict(self, state: Particles, model: Model, dt: float, rng: np.random.Generator) -> Particles:
         """Nothing outlives its frame."""
-        return self.start(model)
+        return self.start(model, rng)
 
     def update(
         self, state: Particles, z: F8, model: Model, dt: float, rng: np.random.Generator

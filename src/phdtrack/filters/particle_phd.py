@@ -17,10 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.arrays import sum_by
+from phdtrack.checks import Count, Positive, PositiveCount, check
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.resample import systematic
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, Particles, UpdateInfo
+from phdtrack.sampling import draw
+from phdtrack.types import F8, I8, GaussianMixture, Particles, UpdateInfo
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +40,19 @@ class ParticlePHD:
     initial : the intensity before the first frame.
     """
 
-    per_target: int = 1500
-    most: int = 0
-    region: float = 13.28
+    per_target: PositiveCount = 1500
+    most: Count = 0
+    region: Positive = 13.28
     skip_empty: bool = False
-    initial: Particles | None = None
+    initial: Particles | GaussianMixture | None = None
 
-    def start(self, model: Model) -> Particles:
-        """The initial intensity; empty where none was given."""
+    def __post_init__(self) -> None:
+        check(self)
+
+    def start(self, model: Model, rng: np.random.Generator) -> Particles:
+        """The initial intensity, a mixture as ρ particles per component; empty where none was given."""
+        if isinstance(self.initial, GaussianMixture):
+            return draw(self.initial, self.per_target, 1.0, rng)
         if self.initial is not None:
             return self.initial
         return Particles(np.zeros((model.motion.dim, 0)), np.zeros(0))

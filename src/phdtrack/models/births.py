@@ -12,10 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.arrays import sum_by
+from phdtrack.checks import NonNegative, PositiveCount, Probability, check
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.pairs import quadratic_form
 from phdtrack.models.volume import Volume, image_volume, in_neighbourhood, local_volume
 from phdtrack.protocols import Sensor
+from phdtrack.sampling import draw
 from phdtrack.types import F8, I8, GaussianMixture, Particles
 
 # The part of a Gaussian proposal that newborn particles are drawn from. Outside, the importance ratio of a flat γ to the
@@ -35,10 +37,13 @@ class MeasurementBirth:
     frame_size : the image's width and height in pixels, needed for ``image``.
     """
 
-    rate: float = 0.01
-    most: int = 1000
+    rate: NonNegative = 0.01
+    most: PositiveCount = 1000
     volume: Volume = "image"
     frame_size: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        check(self)
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
         """J_j = ⌈Jmax·max(0, 1 − M_j)⌉ particles around z_j with importance weights γ(x) / Σ_i J_i p_i(x) [M07 §2].
@@ -86,10 +91,13 @@ class UniformBirth:
     """
 
     frame_size: tuple[float, float]
-    rate: float = 0.1
-    count: int = 10
-    smallest: float = 0.02
-    largest: float = 0.5
+    rate: NonNegative = 0.1
+    count: PositiveCount = 10
+    smallest: Probability = 0.02
+    largest: Probability = 0.5
+
+    def __post_init__(self) -> None:
+        check(self)
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
         """``count`` particles of mass rate·dt / count each, whatever was measured."""
@@ -108,21 +116,14 @@ class FixedBirth:
     """γ a given mixture of Gaussians whose weights are births per time unit, ``count`` particles each [E13 §4]."""
 
     mixture: GaussianMixture
-    count: int = 300
+    count: PositiveCount = 300
+
+    def __post_init__(self) -> None:
+        check(self)
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
         """``count`` particles from each Gaussian, of total mass weight·dt, whatever was measured."""
         return draw(self.mixture, self.count, dt, rng)
-
-
-def draw(mixture: GaussianMixture, count: int, scale: float, rng: np.random.Generator) -> Particles:
-    """``count`` particles from each component, of total mass ``scale`` times its weight."""
-    d, k = mixture.mean.shape
-    root = np.linalg.cholesky(mixture.covariance)
-    noise = rng.standard_normal((k, d, count))
-    state = mixture.mean.T[:, :, None] + root @ noise
-    weight = np.repeat(mixture.weight * scale / max(1, count), count)
-    return Particles(np.ascontiguousarray(state.transpose(1, 0, 2).reshape(d, k * count)), weight)
 
 
 def _chi2_quantile(dof: int) -> float:

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from phdtrack.checks import NonNegative, Positive, Probability, check
 from phdtrack.models.spawning import NoSpawn, Spawn
 from phdtrack.types import F8, Particles
 
@@ -43,14 +44,17 @@ class BoxMotion:
     births : the spawning part β.
     """
 
-    acceleration: float = 0.03
-    resize: float = 0.1
-    survival: float = 0.99
+    acceleration: NonNegative = 0.03
+    resize: NonNegative = 0.1
+    survival: Probability = 0.99
     scaled: bool = True
     remember_size: bool = False
-    smallest: float = 1.0
+    smallest: Positive = 1.0
     frame_size: tuple[float, float] = (0.0, 0.0)
     births: Spawn = field(default_factory=NoSpawn)
+
+    def __post_init__(self) -> None:
+        check(self)
 
     @property
     def dim(self) -> int:

@@ -19,6 +19,7 @@ from typing import Literal
 import numpy as np
 
 from phdtrack.boxes import to_cxcywh, to_xyxy
+from phdtrack.checks import NonNegative, Positive, Probability, check
 from phdtrack.errors import InputError
 from phdtrack.types import F8, Detections
 
@@ -45,14 +46,17 @@ class BoxSensor:
         Gaussian is cut.
     """
 
-    detection: float = 0.95
-    spread: float = 0.15
-    floor: float = 1.0
+    detection: Probability = 0.95
+    spread: Positive = 0.15
+    floor: NonNegative = 1.0
     scaling: Scaling = "particle"
-    fixed: tuple[float, float] = (math.sqrt(3.0), math.sqrt(6.0))
-    speed: float = 0.06
-    fixed_speed: float = math.sqrt(200.0)
-    gate_sigmas: float = 5.0
+    fixed: tuple[float, float] = (3.0**0.5, 6.0**0.5)
+    speed: NonNegative = 0.06
+    fixed_speed: NonNegative = 200.0**0.5
+    gate_sigmas: Positive = 5.0
+
+    def __post_init__(self) -> None:
+        check(self)
 
     @property
     def observed(self) -> tuple[int, ...]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phdtrack.checks import NonNegative, Positive, check
 from phdtrack.models.volume import local_volume
 from phdtrack.types import F8
 
@@ -14,8 +15,11 @@ from phdtrack.types import F8
 class UniformClutter:
     """``rate`` expected clutter points per frame, uniform over a volume of measurement space (pixel⁴ for boxes)."""
 
-    rate: float
-    volume: float
+    rate: NonNegative
+    volume: Positive
+
+    def __post_init__(self) -> None:
+        check(self)
 
     def intensity(self, z: F8) -> F8:
         """κ = rate / volume, the same everywhere."""
@@ -26,7 +30,10 @@ class UniformClutter:
 class LocalClutter:
     """``rate`` expected clutter points per frame around each detection: ±1 box in position, 0.5 to 1.5 in size [M07 §2]."""
 
-    rate: float
+    rate: NonNegative
+
+    def __post_init__(self) -> None:
+        check(self)
 
     def intensity(self, z: F8) -> F8:
         """κ(z) = rate / V(z), V the volume of the neighbourhood."""

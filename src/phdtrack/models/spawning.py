@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from phdtrack.checks import NonNegative, Probability, check
 from phdtrack.types import F8, Particles
 
 
@@ -34,9 +35,12 @@ class SplitSpawn:
     ``fraction`` of the parents are drawn, so that the cost stays bounded.
     """
 
-    rate: float = 0.001
-    distance: float = 0.5
-    fraction: float = 0.1
+    rate: NonNegative = 0.001
+    distance: NonNegative = 0.5
+    fraction: Probability = 0.1
+
+    def __post_init__(self) -> None:
+        check(self)
 
     def sample(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of β(x|ξ) = rate·dt · N(x; ξ, distance² · size²) over the intensity ``parents``."""

@@ -1,0 +1,313 @@
+"""Settings from TOML and options, and the stages that they name: the one place that knows every name.
+
+A configuration has sections, one for each part of the model and of the tracker. A section has the fields of the record
+that it makes (its docstring explains them) and, where there is a choice, ``kind``:
+
+    preset = "m09"                 # default, m07, m09, fv
+    [sensor]
+    detection = 0.9
+    [birth]
+    kind = "measurement"           # measurement, uniform, fixed
+    rate = 0.02
+
+On the command line the same is ``--set sensor.detection=0.9``. An unknown name is an error that says the nearest one.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import numpy as np
+
+from phdtrack.associate import GraphMatching
+from phdtrack.boxes import to_cxcywh
+from phdtrack.checks import NonNegative, Positive, PositiveCount, Probability, check
+from phdtrack.errors import InputError
+from phdtrack.extract import KMeans, Mixture, Raw
+from phdtrack.filters import NoFilter, ParticlePHD
+from phdtrack.models import (
+    BoxMotion,
+    BoxSensor,
+    FixedBirth,
+    LocalClutter,
+    MeasurementBirth,
+    NoSpawn,
+    SplitSpawn,
+    UniformBirth,
+    UniformClutter,
+)
+from phdtrack.models.volume import Volume, image_volume
+from phdtrack.presets import PRESETS
+from phdtrack.protocols import AnyStages, Birth, Clutter, Model, Stages
+from phdtrack.types import F8, GaussianMixture, SequenceInfo
+
+Values = dict[str, Any]
+Boxes = list[tuple[float, float, float, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class ClutterSettings:
+    """``rate``: expected false alarms per frame; ``volume``: spread over the image, or around each detection (local)."""
+
+    rate: NonNegative = 1.0
+    volume: Volume = "image"
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSettings:
+    """``rate``: time units per second in which the noises and rates are stated; the papers' are per frame at 25 Hz."""
+
+    rate: Positive = 25.0
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class FixedBirthSettings:
+    """``boxes``: where objects appear, as left, top, right, bottom; ``rate``: births per time unit at each."""
+
+    boxes: Boxes
+    rate: Probability = 0.01
+    count: PositiveCount = 300
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class DetectorSettings:
+    """Settings of a detector, checked by the detector itself."""
+
+
+# section → kind → record; the first kind is the default. Fields that depend on the sequence are not settings.
+SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
+    "time": {"": TimeSettings},
+    "motion": {"": BoxMotion},
+    "spawn": {"none": NoSpawn, "split": SplitSpawn},
+    "sensor": {"": BoxSensor},
+    "birth": {"measurement": MeasurementBirth, "uniform": UniformBirth, "fixed": FixedBirthSettings},
+    "clutter": {"": ClutterSettings},
+    "filter": {"particle-phd": ParticlePHD, "none": NoFilter},
+    "extract": {"kmeans": KMeans, "mixture": Mixture},
+    "associate": {"": GraphMatching},
+    "detector": {"": DetectorSettings},
+}
+_FROM_SEQUENCE = {"frame_size", "births", "initial", "remember_size"}
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """A checked configuration: the preset's values with those of file and options over them, by section."""
+
+    preset: str
+    sections: Mapping[str, Values]
+
+    def as_dict(self) -> dict[str, object]:
+        """Every setting with its value, defaults included: what run.json records and `load` reads back."""
+        out: dict[str, object] = {"preset": self.preset}
+        for name, kinds in SECTIONS.items():
+            given = dict(self.sections.get(name, {}))
+            kind = given.pop("kind", next(iter(kinds)))
+            defaults = {f.name: _default(f) for f in fields(kinds[kind]) if f.name not in _FROM_SEQUENCE}
+            values = {k: v for k, v in defaults.items() if v is not MISSING} | given
+            out[name] = ({"kind": kind} if kind else {}) | values
+        return out
+
+    @property
+    def detector(self) -> Values:
+        """Parameters for the detector."""
+        return dict(self.sections.get("detector", {}))
+
+
+def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "") -> Settings:
+    """Settings from a TOML file and ``section.name=value`` assignments, over a preset; the last named wins.
+
+    Raises
+    ------
+    InputError : the file cannot be read, a name is unknown, or a value is of the wrong type or out of bounds.
+    """
+    document = _read(path) if path is not None else {}
+    where = str(path) if path is not None else "configuration"
+    named = preset or document.pop("preset", "default")
+    document.pop("preset", None)
+    if named not in PRESETS:
+        raise _unknown("preset", str(named), list(PRESETS), where)
+    sections: dict[str, Values] = {name: dict(values) for name, values in PRESETS[named].items()}
+    for name, values in document.items():
+        if not isinstance(values, dict):
+            raise InputError(f"expected a section [{name}] with names and values", where=where)
+        _overlay(sections, name, values, where)
+    for assignment in sets:
+        name, key, value = _assignment(assignment)
+        _overlay(sections, name, {key: value}, f"--set {assignment}")
+    return _checked(Settings(named, sections), where)
+
+
+def overlay(settings: Settings, sections: Mapping[str, Values], where: str = "settings") -> Settings:
+    """``settings`` with the values of ``sections`` over them."""
+    merged = {name: dict(values) for name, values in settings.sections.items()}
+    for name, values in sections.items():
+        _overlay(merged, name, values, where)
+    return _checked(Settings(settings.preset, merged), where)
+
+
+def _checked(settings: Settings, where: str) -> Settings:
+    for name in SECTIONS:
+        if name != "detector":
+            _record(settings, name, where, dry=True)
+    return settings
+
+
+def build(settings: Settings, info: SequenceInfo, filter_name: str = "") -> AnyStages:
+    """The stages that the settings name, for a sequence of this size; ``filter_name`` overrides ``filter.kind``.
+
+    Raises `InputError` where settings do not go together.
+    """
+    size = (float(info.width), float(info.height))
+    kind = filter_name or settings.sections.get("filter", {}).get("kind", "particle-phd")
+    if kind not in SECTIONS["filter"]:
+        raise _unknown("filter", kind, list(SECTIONS["filter"]), "--filter")
+    sensor = _record(settings, "sensor")
+    motion = _record(
+        settings,
+        "motion",
+        frame_size=size,
+        births=_record(settings, "spawn"),
+        remember_size=sensor.scaling == "previous",
+    )
+    rate = _record(settings, "time").rate
+    model = Model(motion, sensor, _birth(settings, sensor, size), _clutter(settings, size), rate)
+    associator = _record(settings, "associate")
+    if kind == "none":
+        return Stages(model, NoFilter(), Raw(), associator)
+    given = dict(settings.sections.get("filter", {}))
+    boxes = given.pop("initial", [])
+    initial = _mixture(sensor, boxes, 1.0) if boxes else None
+    recursion = _record(Settings(settings.preset, {"filter": given}), "filter", initial=initial)
+    return Stages(model, recursion, _record(settings, "extract"), associator)
+
+
+def _birth(settings: Settings, sensor: BoxSensor, size: tuple[float, float]) -> Birth:
+    kind = settings.sections.get("birth", {}).get("kind", "measurement")
+    if kind == "fixed":
+        fixed: FixedBirthSettings = _record(settings, "birth")
+        return FixedBirth(_mixture(sensor, fixed.boxes, fixed.rate), fixed.count)
+    birth: Birth = _record(settings, "birth", frame_size=size)
+    return birth
+
+
+def _clutter(settings: Settings, size: tuple[float, float]) -> Clutter:
+    clutter: ClutterSettings = _record(settings, "clutter")
+    if clutter.volume == "local":
+        return LocalClutter(clutter.rate)
+    return UniformClutter(clutter.rate, image_volume(size))
+
+
+def _mixture(sensor: BoxSensor, boxes: Boxes, weight: float) -> GaussianMixture:
+    """Gaussians about given boxes, as uncertain as one detection of each."""
+    xyxy: F8 = np.array(boxes, dtype=np.float64).reshape(-1, 4)
+    if not np.isfinite(xyxy).all() or (xyxy[:, 2:] <= xyxy[:, :2]).any():
+        raise InputError("expected boxes as left, top, right, bottom with left < right and top < bottom", where="boxes")
+    mean, cov = sensor.states(to_cxcywh(xyxy))
+    return GaussianMixture(np.full(len(xyxy), weight), mean, cov)
+
+
+def _record(settings: Settings, section: str, where: str = "configuration", dry: bool = False, **more: Any) -> Any:
+    """The record of a section, made of its values and of ``more``; with ``dry`` only checked."""
+    values = dict(settings.sections.get(section, {}))
+    kinds = SECTIONS[section]
+    kind = values.pop("kind", next(iter(kinds)))
+    values.pop("initial", None)
+    record = kinds[kind]
+    known = {f.name for f in fields(record)}
+    if dry:
+        required = [f.name for f in fields(record) if _default(f) is MISSING and f.name not in values]
+        missing = [name for name in required if name not in _FROM_SEQUENCE]
+        if missing:
+            raise InputError(f"[{section}] of kind {kind} needs a value for {missing[0]}", where=where)
+        more = {"frame_size": (1.0, 1.0)} if "frame_size" in known else {}
+    return record(**values, **{k: v for k, v in more.items() if k in known})
+
+
+def _overlay(sections: dict[str, Values], name: str, values: Values, where: str) -> None:
+    """Put ``values`` over section ``name``, checking names and types."""
+    if name not in SECTIONS:
+        raise _unknown("section", name, list(SECTIONS), where)
+    section = sections.setdefault(name, {})
+    if name == "detector":
+        section.update(values)
+        return
+    kinds = SECTIONS[name]
+    if "kind" in values:
+        if values["kind"] not in kinds or not values["kind"]:
+            raise _unknown(f"kind of {name}", str(values["kind"]), [k for k in kinds if k], where)
+        if values["kind"] != section.get("kind", next(iter(kinds))):
+            # Another kind has other fields; those of the preset's kind do not belong to it.
+            section.clear()
+        section["kind"] = values["kind"]
+    record = kinds[section.get("kind", next(iter(kinds)))]
+    hints = get_type_hints(record)
+    known = [f.name for f in fields(record) if f.name not in _FROM_SEQUENCE]
+    if name == "filter" and record is ParticlePHD:
+        known.append("initial")
+        hints = hints | {"initial": Boxes}
+    for key, value in values.items():
+        if key == "kind":
+            continue
+        if key not in known:
+            raise _unknown(f"setting of [{name}]", key, known, where)
+        section[key] = _typed(f"{name}.{key}", value, hints[key], where)
+
+
+def _typed(key: str, value: Any, hint: Any, where: str) -> Any:
+    """``value`` as the type that the field states."""
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        return TypeAdapter(hint).validate_python(value)
+    except ValidationError as error:
+        raise InputError(f"{key}: {error.errors()[0]['msg'].lower()}, got {value!r}", where=where) from None
+
+
+def _assignment(text: str) -> tuple[str, str, Any]:
+    """Section, name and value of ``section.name=value``; the value is TOML, or a word without quotes."""
+    path, equals, value = text.partition("=")
+    section, dot, key = path.strip().partition(".")
+    if not equals or not dot or not key:
+        raise InputError(
+            "expected section.name=value", where=f"--set {text}", cure="For example: --set sensor.detection=0.9"
+        )
+    try:
+        return section, key, tomllib.loads(f"value = {value.strip()}")["value"]
+    except tomllib.TOMLDecodeError:
+        return section, key, value.strip()
+
+
+def _read(path: Path) -> Values:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", where=path) from None
+    except UnicodeDecodeError:
+        raise InputError("expected a TOML file, got bytes that are no text", where=path) from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"not TOML: {error}", where=path) from None
+
+
+def _default(field: Any) -> Any:
+    return field.default if field.default_factory is MISSING else field.default_factory()
+
+
+def _unknown(what: str, name: str, known: Sequence[str], where: str) -> InputError:
+    close = difflib.get_close_matches(name, known, 1)
+    cure = f"Did you mean {close[0]}?" if close else f"There are {', '.join(known)}."
+    return InputError(f"unknown {what}: {name}", where=where, cure=cure)

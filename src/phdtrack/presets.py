@@ -1,0 +1,43 @@
+"""The papers' parameters, and the defaults, as overlays on the records' own defaults.
+
+``default``: what `phdtrack track` uses; decided by the table in docs/results/.
+``m07``: Maggio et al. 2007: likelihood scaled by the detection, births and clutter around the detections, K-means.
+``m09``: Maggio and Cavallaro 2009: M07's numbers (M09 prints none of its own) with the likelihood scaled by the particle, no
+floor, and extraction by a Gaussian mixture at 0.5.
+``fv``: M09's fixed variances: constant noises in pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+_PAPER: Mapping[str, Mapping[str, Any]] = {
+    "motion": {"acceleration": 0.03, "resize": 0.1, "survival": 0.99},
+    "sensor": {"detection": 0.95, "spread": 0.15},
+    "birth": {"rate": 0.01, "most": 1000},
+    "clutter": {"rate": 1.0},
+    "filter": {"per_target": 1500},
+}
+_M09: Mapping[str, Mapping[str, Any]] = {
+    **_PAPER,
+    "sensor": {**_PAPER["sensor"], "floor": 0.0, "scaling": "particle"},
+    "extract": {"kind": "mixture", "lightest": 0.5},
+}
+
+PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
+    "default": {},
+    "m07": {
+        **_PAPER,
+        "sensor": {**_PAPER["sensor"], "scaling": "detection"},
+        "birth": {**_PAPER["birth"], "volume": "local"},
+        "clutter": {**_PAPER["clutter"], "volume": "local"},
+        "extract": {"kind": "kmeans", "lightest": 0.6},
+    },
+    "m09": _M09,
+    "fv": {
+        **_M09,
+        "motion": {"acceleration": 1.5**0.5, "resize": 2.0, "survival": 0.99, "scaled": False},
+        "sensor": {"detection": 0.95, "scaling": "fixed"},
+    },
+}

@@ -1,0 +1,71 @@
+"""Records to plain dictionaries and back, for checkpoints. Only the records listed here can be read: no code is loaded."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from phdtrack.associate.graph import GraphState
+from phdtrack.associate.history import History, Moment
+from phdtrack.associate.online import Given, Holder
+from phdtrack.associate.window import Columns, Rows, Window
+from phdtrack.errors import InputError
+from phdtrack.pipeline import TrackingState
+from phdtrack.types import Estimates, GaussianMixture, Particles
+
+_RECORDS: dict[str, type[Any]] = {
+    kind.__name__: kind
+    for kind in (
+        TrackingState,
+        Particles,
+        GaussianMixture,
+        Estimates,
+        GraphState,
+        History,
+        Moment,
+        Given,
+        Holder,
+        Window,
+        Columns,
+        Rows,
+    )
+}
+
+
+def pack(value: Any) -> Any:
+    """Dictionaries, lists, numbers and arrays that `unpack` makes the same value of. Arrays are copied."""
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if isinstance(value, tuple):
+        return [pack(item) for item in value]
+    if isinstance(value, dict):
+        return {"record": "dict", "keys": list(value), "values": [pack(item) for item in value.values()]}
+    if type(value).__name__ in _RECORDS:
+        inside = {field.name: pack(getattr(value, field.name)) for field in fields(value)}
+        return {"record": type(value).__name__, "fields": inside}
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    raise InputError(f"a state of type {type(value).__name__} cannot be saved", where="state_dict")
+
+
+def unpack(value: Any) -> Any:
+    """The value that `pack` was given.
+
+    Raises
+    ------
+    InputError : a record that this version does not know.
+    """
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if isinstance(value, list):
+        return tuple(unpack(item) for item in value)
+    if isinstance(value, dict):
+        name = value["record"]
+        if name == "dict":
+            return dict(zip(value["keys"], (unpack(item) for item in value["values"]), strict=True))
+        if name not in _RECORDS:
+            raise InputError(f"the saved state holds a record {name!r}, which this version does not know")
+        return _RECORDS[name](**{key: unpack(item) for key, item in value["fields"].items()})
+    return value

@@ -1,0 +1,148 @@
+"""`Tracker`: the thin stateful face of the pipeline, for a loop of one's own.
+
+tracker = Tracker(frame_size=(1920, 1080), fps=30)
+for boxes in detections:                      # (N, 4…6) arrays, or objects with .xyxy
+    for identity, box in tracker.update(boxes):
+        ...
+corrected = tracker.tracks()
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phdtrack import config, pipeline
+from phdtrack.detections import as_detections
+from phdtrack.errors import InputError
+from phdtrack.protocols import AnyStages
+from phdtrack.statedict import pack, unpack
+from phdtrack.types import Detections, SequenceInfo, Step, Tracks
+
+FORMAT = 1
+
+
+class Tracker:
+    """Detections in, tracks with identities out; one call per frame.
+
+    Parameters
+    ----------
+    frame_size : width and height of the images in pixels.
+    fps : frames per second, used where `update` is given no timestamp.
+    seed : seed of the particle filter's randomness; the same seed and detections give the same tracks.
+    filter : ``particle-phd``, or ``none`` for the association alone.
+    preset : ``default``, ``m07``, ``m09`` or ``fv``.
+    settings : a TOML file with settings.
+    stages : one's own model, filter, extractor and associator, instead of all of the above but fps and seed.
+    **sections : settings by section, as ``sensor={"detection": 0.9}``.
+
+    Raises
+    ------
+    InputError : an unknown name, a value out of bounds, or neither ``frame_size`` nor ``stages``.
+    """
+
+    def __init__(
+        self,
+        frame_size: tuple[int, int] | None = None,
+        *,
+        fps: float = 25.0,
+        seed: int = 0,
+        filter: str = "",
+        preset: str = "",
+        settings: str | Path | None = None,
+        stages: AnyStages | None = None,
+        **sections: dict[str, Any],
+    ) -> None:
+        if not fps > 0:
+            raise InputError(f"expected frames per second above 0, got {fps!r}", where="Tracker(fps=…)")
+        if stages is None:
+            if frame_size is None:
+                raise InputError(
+                    "the size of the images is not known", where="Tracker", cure="Give frame_size=(width, height)"
+                )
+            path = Path(settings) if settings is not None else None
+            loaded = config.overlay(config.load(path, preset=preset), sections)
+            stages = config.build(loaded, SequenceInfo(int(frame_size[0]), int(frame_size[1]), fps), filter)
+        elif sections or settings is not None or preset or filter:
+            raise InputError("stages are complete; settings beside them would be ignored", where="Tracker")
+        self.stages, self.fps, self.seed = stages, float(fps), seed
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: the next frame is the first of a new sequence, and identities start at 1 again."""
+        self._rng = np.random.default_rng(self.seed)
+        self._state = pipeline.start(self.stages, self._rng)
+        self._step: Step | None = None
+
+    def update(self, detections: Any, frame: int | None = None, timestamp: float | None = None) -> Tracks:
+        """Take in one frame's detections; give the online rows that became final, which will not change.
+
+        Parameters
+        ----------
+        detections : (N, 4…6) array of left, top, right, bottom[, confidence[, class]] in pixels, or an object with
+            ``.xyxy`` (and ``.confidence``, ``.class_id``); empty for a frame in which nothing was detected;
+            `Detections.empty(observed=False)` for a frame that nobody looked at.
+        frame : its number from 1; default one more than the last. Numbers left out are frames that were dropped.
+        timestamp : its time in seconds; default from the number and ``fps``.
+
+        Raises
+        ------
+        InputError : boxes that are none, or a frame that does not come after the last.
+        """
+        number = self._state.number + 1 if frame is None else int(frame)
+        if number < 1:
+            raise InputError(f"expected a frame number from 1, got {number}", where="update(frame=…)")
+        time = self._time(number) if timestamp is None else float(timestamp)
+        found = as_detections(detections, where=f"frame {number}")
+        self._state, self._step = pipeline.advance(self.stages, self._state, found, number, time, self._rng)
+        return self._step.tracks
+
+    def _time(self, number: int) -> float:
+        """Seconds of a frame without timestamp: ``1/fps`` per number since the last."""
+        if self._state.number == 0:
+            return (number - 1) / self.fps
+        return self._state.time + (number - self._state.number) / self.fps
+
+    def flush(self) -> Tracks:
+        """The online rows that the output delay holds back; none without a delay."""
+        return self.stages.associator.flush(self._state.association, self.stages.model)
+
+    def tracks(self) -> Tracks:
+        """The corrected tracks of everything so far: short ones left out, gaps bridged, identities of their own."""
+        return pipeline.finish(self.stages, self._state)
+
+    @property
+    def step(self) -> Step | None:
+        """Everything the last update brought: detections, info, states, rows, times. None before the first."""
+        return self._step
+
+    @property
+    def state(self) -> pipeline.TrackingState:
+        """The filter's and the associator's state."""
+        return self._state
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that decides what comes next, as plain dictionaries, lists, numbers and arrays (it can be pickled)."""
+        return {"format": FORMAT, "state": pack(self._state), "random": self._rng.bit_generator.state}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Go on from a `state_dict` of a tracker with the same settings.
+
+        Raises `InputError` where it is none.
+        """
+        try:
+            if saved["format"] != FORMAT:
+                raise InputError(f"expected format {FORMAT}, got {saved['format']!r}", where="load_state_dict")
+            state = unpack(saved["state"])
+            rng = np.random.default_rng(self.seed)
+            rng.bit_generator.state = saved["random"]
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"this is no state of a tracker ({error})", where="load_state_dict") from error
+        if not isinstance(state, pipeline.TrackingState):
+            raise InputError("this is no state of a tracker", where="load_state_dict")
+        self._state, self._rng, self._step = state, rng, None
+
+
+__all__ = ["Detections", "Tracker"]
