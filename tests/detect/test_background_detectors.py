@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from scenes import HEIGHT, WIDTH, Scene
+from detect_scenes import HEIGHT, WIDTH, Scene
 
 from phdtrack.boxes import iou
 from phdtrack.detect import ChangeDetector, MeanBackgroundDetector, MeanBackgroundSettings, make_detector

@@ -7,9 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from detect_scenes import Scene
 from hypothesis import given
 from hypothesis import strategies as st
-from scenes import Scene
 
 from phdtrack.boxes import iou
 from phdtrack.detect import (

@@ -41,7 +41,7 @@ class BlobSettings:
     peel : radius by which the foreground's border is taken away, fraction of the frame's height (at least one pixel);
         the boxes get it back.
     closing : height of the gaps that are closed, fraction of the frame's height; gaps a third as wide are closed too.
-    min_area : smallest component, fraction of the frame's area.
+    min_area : smallest component after peeling, fraction of the frame's area.
     split : a component is cut where its column profile falls to this fraction of the lower peak beside; 0: never.
     join : fragments one above the other are joined over gaps up to this fraction of their common height; 0: never.
     """
@@ -75,20 +75,20 @@ def clean(mask: Image, settings: BlobSettings) -> Image:
 
 
 def components(mask: Image, settings: BlobSettings) -> list[Contour]:
-    """The outer contours (n, 1, 2) of the components of a cleaned ``mask`` that are large enough."""
+    """The outer contours (n, 1, 2) of what is large enough in a cleaned ``mask``, objects that touch parted."""
     found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     least = settings.min_area * mask.size
-    return [contour for contour in found if cv2.contourArea(contour) >= least]
+    large = (contour for contour in found if cv2.contourArea(contour) >= least)
+    return [part for contour in large for part in _split(contour, settings.split, least)]
 
 
 def boxes(contours: Sequence[Contour], shape: tuple[int, ...], settings: BlobSettings) -> F8:
     """(N, 4) xyxy of the objects in the components, in a frame of ``shape`` (H, W, ...); from top to bottom."""
     height, width = shape[:2]
-    least = settings.min_area * height * width
-    parts = [part for contour in contours for part in _split(contour, settings.split, least)]
+    joined = _join([_box(contour) for contour in contours], settings.join)
+    rows = np.array(sorted(joined, key=lambda box: (box.top, box.left)), np.float64).reshape(-1, 4)
     grown = _radius(height, settings)
-    joined = np.array(sorted(_join(parts, settings.join), key=lambda box: (box.top, box.left)), np.float64).reshape(-1, 4)
-    inside: F8 = np.clip(joined + np.array([-grown, -grown, grown, grown]), 0, [width, height, width, height])
+    inside: F8 = np.clip(rows + np.array([-grown, -grown, grown, grown]), 0, [width, height, width, height])
     return inside
 
 
@@ -107,25 +107,29 @@ def _disc(across: int, along: int, kind: int = cv2.MORPH_ELLIPSE) -> Image:
     return element
 
 
-def _split(contour: Contour, depth: float, least: float) -> list[Box]:
-    """The boxes of the parts into which the component falls at the valleys of its column profile."""
+def _box(contour: Contour) -> Box:
     x, y, width, height = cv2.boundingRect(contour)
-    whole = Box(x, y, x + width, y + height)
+    return Box(x, y, x + width, y + height)
+
+
+def _split(contour: Contour, depth: float, least: float) -> list[Contour]:
+    """The contours of the parts into which the component falls at the valleys of its column profile."""
+    x, y, width, height = cv2.boundingRect(contour)
     if depth <= 0 or width < 2 * max(2, _NARROWEST * height):
-        return [whole]
+        return [contour]
     filled = np.zeros((height, width), np.uint8)
     cv2.drawContours(filled, [contour], -1, 255, cv2.FILLED, offset=(-x, -y))
     cut = _valley(filled, depth)
     if cut is None:
-        return [whole]
-    parts: list[Box] = []
+        return [contour]
+    parts: list[Contour] = []
     for left, right in ((0, cut), (cut, width)):
         pieces, _ = cv2.findContours(filled[:, left:right].copy(), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
         largest = max(pieces, key=cv2.contourArea)
         if cv2.contourArea(largest) >= least:
             moved: Contour = largest + np.array([x + left, y], np.int32)
             parts.extend(_split(moved, depth, least))
-    return parts or [whole]
+    return parts or [contour]
 
 
 def _valley(filled: Image, depth: float) -> int | None:

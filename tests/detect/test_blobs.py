@@ -1,0 +1,88 @@
+"""From masks to boxes, on any mask."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from phdtrack.detect import BlobSettings
+from phdtrack.detect.blobs import clean, components, detections
+from phdtrack.detections import as_detections, check_inside
+from phdtrack.types import Image
+
+SHAPE = (144, 176)
+
+
+def mask_of(*rectangles: tuple[int, int, int, int]) -> Image:
+    mask = np.zeros(SHAPE, np.uint8)
+    for left, top, right, bottom in rectangles:
+        mask[top:bottom, left:right] = 255
+    return mask
+
+
+corner = st.tuples(st.integers(0, 175), st.integers(0, 143), st.integers(1, 176), st.integers(1, 144))
+rectangles = st.lists(corner, max_size=8)
+    st.tuples(st.integers(0, 175), st.integers(0, 143), st.integers(1, 176), st.integers(1, 144)), max_size=8
+)
+
+
+@given(rectangles, st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.1, 0.5]), st.sampled_from([0.0, 0.002, 0.01]))
+def test_any_mask_gives_valid_boxes_within_the_frame(
+    drawn: list[tuple[int, int, int, int]], seed: int, salt: float, peel: float
+) -> None:
+    mask = mask_of(*drawn)
+    mask[np.random.default_rng(seed).random(SHAPE) < salt] = 255
+    before = mask.copy()
+    found = as_detections(detections(mask, BlobSettings(peel=peel)))
+    assert len(check_inside(found, SHAPE[1], SHAPE[0])) == len(found)
+    if len(found):
+        assert found.xyxy.min() >= 0
+        assert (found.xyxy.max(axis=0) <= [SHAPE[1], SHAPE[0]] * 2).all()
+    np.testing.assert_array_equal(mask, before)
+
+
+@pytest.mark.parametrize("peel", [0.0, 0.002, 0.01])
+def test_one_rectangle_gives_its_box(peel: float) -> None:
+    found = detections(mask_of((40, 30, 64, 90)), BlobSettings(peel=peel))
+    np.testing.assert_allclose(found.xyxy, [[40, 30, 64, 90]], atol=1)
+
+
+def test_specks_and_bridges_go_and_gaps_close() -> None:
+    assert len(detections(mask_of((10, 10, 12, 12), (90, 90, 93, 92)), BlobSettings())) == 0
+    bridged = mask_of((20, 20, 40, 60), (60, 20, 80, 60), (40, 39, 60, 41))
+    assert len(detections(bridged, BlobSettings(split=0))) == 2
+    gap = mask_of((20, 20, 40, 50), (20, 52, 40, 90))
+    assert len(detections(gap, BlobSettings(join=0))) == 1
+
+
+def test_small_components_are_dropped_by_the_share_of_the_frame() -> None:
+    mask = mask_of((20, 20, 32, 32))
+    assert len(detections(mask, BlobSettings(min_area=0.002))) == 1
+    assert len(detections(mask, BlobSettings(min_area=0.008))) == 0
+
+
+def test_three_in_a_row_are_parted_and_a_wide_thing_is_not() -> None:
+    mask = np.zeros(SHAPE, np.uint8)
+    for x in (40, 62, 84):
+        cv2.ellipse(mask, (x, 70), (13, 40), 0, 0, 360, 255, -1)
+    assert len(detections(mask, BlobSettings())) == 3
+    assert len(detections(mask, BlobSettings(split=0))) == 1
+    assert len(detections(mask_of((30, 60, 130, 100)), BlobSettings())) == 1
+
+
+def test_one_behind_the_other_is_not_joined() -> None:
+    fragments = mask_of((60, 20, 92, 60), (60, 68, 92, 110))
+    assert len(detections(fragments, BlobSettings(join=0.15))) == 1
+    slender = mask_of((60, 10, 76, 66), (60, 74, 76, 134))
+    assert len(detections(slender, BlobSettings(join=0.15))) == 2
+    beside = mask_of((40, 20, 60, 60), (70, 20, 90, 60))
+    assert len(detections(beside, BlobSettings(join=0.15))) == 2
+
+
+def test_contours_lie_in_the_mask() -> None:
+    mask = clean(mask_of((20, 20, 60, 100)), BlobSettings())
+    (contour,) = components(mask, BlobSettings())
+    assert (mask[contour[:, 0, 1], contour[:, 0, 0]] == 255).all()
