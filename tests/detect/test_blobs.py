@@ -25,8 +25,6 @@ def mask_of(*rectangles: tuple[int, int, int, int]) -> Image:
 
 corner = st.tuples(st.integers(0, 175), st.integers(0, 143), st.integers(1, 176), st.integers(1, 144))
 rectangles = st.lists(corner, max_size=8)
-    st.tuples(st.integers(0, 175), st.integers(0, 143), st.integers(1, 176), st.integers(1, 144)), max_size=8
-)
 
 
 @given(rectangles, st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.1, 0.5]), st.sampled_from([0.0, 0.002, 0.01]))
