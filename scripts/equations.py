@@ -110,7 +110,7 @@ def table(rows: Iterable[Entry], root: Path, page: Path) -> Iterator[str]:
     yield "|---|---|---|"
     for row in sorted(rows, key=lambda e: (place_key(e.place), e.owner)):
         link = f"[`{row.owner.removeprefix('phdtrack.')}`]({up}{row.path.relative_to(root).as_posix()})"
-        yield f"| {row.place or 'whole'} | {link} | {row.summary} |"
+        yield f"| {row.place or '–'} | {link} | {row.summary} |"
 
 
 def page_text(found: list[Entry], root: Path = ROOT, page: Path = PAGE) -> str:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from phdtrack.commands.parameters import typed
 from phdtrack.detections import overlaps_frame
 from phdtrack.errors import InputError
 from phdtrack.protocols import Detector
@@ -112,6 +113,10 @@ def _from_video(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
 
     if wanted.detector == "file":
         raise InputError("the detector file reads a file of detections", where="--detector", cure="Say --detections FILE.")
+    if wanted.detector == "callable":
+        raise InputError(
+            "a callable is a function of your own program", where="--detector", cure="Use phdtrack.Tracker there."
+        )
     if not wanted.source:
         raise InputError(
             "nothing to work on",
@@ -119,7 +124,8 @@ def _from_video(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
             cure="Name a video, a folder of images or a camera's number; or say --detections FILE.",
         )
     name = wanted.detector or DEFAULT_DETECTOR
-    detector = make_detector(name, max_width=wanted.max_width, mask=wanted.mask, **parameters)
+    settings = typed(name, parameters)
+    detector = make_detector(name, max_width=wanted.max_width, mask=wanted.mask, **settings)
     source = open_source(wanted.source, fps=wanted.fps)
     _same_size(wanted, source.info)
     return Inputs(source.info, source, detector, wanted.source, name, True, _again(wanted.source))
