@@ -12,30 +12,29 @@ from phdtrack.commands import demo
 from phdtrack.video import open_source
 
 
-@pytest.fixture(autouse=True)
-def short(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_both_runs_and_where_to_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(demo, "FRAMES", 60)
-
-
-def test_both_runs_and_where_to_look(tmp_path: Path) -> None:
     out = tmp_path / "demo"
-    said = phdtrack("demo", "--out", out)
+    # With --json the words of the terminal are on stderr.
+    said = phdtrack("demo", "--out", out, "--json")
     assert said.status == 0, said.err
     for folder in (out, out / demo.WITHOUT):
         assert set(rundir.FILES) <= {path.name for path in folder.iterdir()}
-        assert str(folder) in said.out
+        assert str(folder) in said.err
     assert len(list(open_source(out / demo.VIDEO))) == 60
-    head = next(line for line in said.out.splitlines() if "with filter" in line)
-    assert head.split() == ["with", "filter", "without"]
-    frames = next(line.split() for line in said.out.splitlines() if line.startswith("frames "))
-    assert frames[1:3] == ["60", "60"]
+    lines = [line.split() for line in said.err.splitlines()]
+    assert ["with", "filter", "without"] in lines
+    assert next(line for line in lines if line[:1] == ["frames"])[1:3] == ["60", "60"]
+    runs = [said.object["with_filter"], said.object["without_filter"]]
+    assert [run["configuration"]["filter"]["kind"] for run in runs] == ["particle-phd", "none"]
+    assert runs[0]["detections"] == runs[1]["detections"]
+    assert "--overwrite" in refused("demo", "--out", out)
 
 
-def test_json_and_overwrite(tmp_path: Path) -> None:
-    said = phdtrack("demo", "--out", tmp_path, "--json")
-    assert said.status == 0, said.err
-    assert set(said.object) == {"with_filter", "without_filter"}
-    kinds = [said.object[name]["configuration"]["filter"]["kind"] for name in ("with_filter", "without_filter")]
-    assert kinds == ["particle-phd", "none"]
-    assert said.object["with_filter"]["detections"] == said.object["without_filter"]["detections"]
-    assert "--overwrite" in refused("demo", "--out", tmp_path)
+def test_an_earlier_run_below_is_kept_too(tmp_path: Path) -> None:
+    below = tmp_path / demo.WITHOUT / rundir.TRACKS
+    below.parent.mkdir()
+    below.write_text("precious")
+    assert str(below.parent) in refused("demo", "--out", tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [demo.WITHOUT]
+    assert below.read_text() == "precious"

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -54,6 +55,7 @@ def test_detections_alone(sequence: Path, tmp_path: Path) -> None:
     assert document["scores"]["MOTA"] > 0.9
     assert document["complete"] is True
     assert document["seed"] == 0
+    assert document["input"] == {"source": "", "detections": str(sequence / "det" / "det.txt")}
     tracks = read_tracks(out / rundir.TRACKS)
     assert sorted(set(tracks.identity)) == [1, 2]
 
@@ -163,6 +165,28 @@ def test_an_empty_file_of_detections_is_an_empty_run(tmp_path: Path) -> None:
     said = phdtrack("track", "--detections", folder / "det" / "det.txt", "--out", tmp_path / "run", "--json")
     assert said.status == 0, said.err
     assert (said.object["frames"], said.object["tracks"]) == (40, 0)
+
+
+def test_the_configuration_of_a_run_can_be_run_again(sequence: Path, tmp_path: Path) -> None:
+    given = ["--detections", sequence / "det" / "det.txt", "--seed", 3]
+    first = phdtrack(
+        "track", *given, "--set", "sensor.detection=0.8", "--set", "filter.per_target=300", "--out", tmp_path / "a", "--json"
+    )
+    config = tmp_path / "again.toml"
+    config.write_text(as_toml(first.object["configuration"]))
+    second = phdtrack("track", *given, "--config", config, "--out", tmp_path / "b", "--json")
+    assert second.status == 0, second.err
+    assert second.object["configuration"] == first.object["configuration"]
+    assert (tmp_path / "a" / rundir.TRACKS).read_bytes() == (tmp_path / "b" / rundir.TRACKS).read_bytes()
+
+
+def as_toml(configuration: dict[str, Any]) -> str:
+    """JSON's scalars and lists are TOML's."""
+    lines = [f"preset = {json.dumps(configuration['preset'])}"]
+    for name, values in configuration.items():
+        if isinstance(values, dict):
+            lines += [f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in values.items())]
+    return "\n".join(lines)
 
 
 # What cannot be: one sentence, status 2, nothing written.

@@ -79,6 +79,7 @@ def job() -> Job:
         steps=Steps(stages, np.random.default_rng(0)),
         seed=0,
         configuration={"filter": {"name": "none"}},
+        read={"source": "clip", "detector": "looker"},
         command="phdtrack track clip",
         title="clip",
         versions=(("phdtrack", "0"),),

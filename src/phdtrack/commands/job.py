@@ -45,7 +45,7 @@ WHICH = (
 class Job:
     """What is to be run.
 
-    ``configuration`` is everything that decides the result, ``command`` the line that asked for it.
+    ``configuration`` and ``read``, what was read and how, decide the result; ``command`` is the line that asked for it.
     """
 
     inputs: Inputs
@@ -53,6 +53,7 @@ class Job:
     steps: Steps
     seed: int
     configuration: dict[str, object]
+    read: dict[str, object]
     command: str
     title: str
     versions: tuple[tuple[str, str], ...]
@@ -226,9 +227,9 @@ def _plain(value: float | None) -> float:
 
 def _written(job: Job, directory: RunDirectory, record: RunRecord, *, complete: bool) -> dict[str, object]:
     """Report and run.json; the latter's content."""
-    write_report(directory.file(rundir.REPORT), record, job.configuration)
+    write_report(directory.file(rundir.REPORT), record, job.configuration | {"input": job.read})
     document = run_document(record, job.configuration)
-    own = {"complete": complete, "detections_from": job.inputs.described, "directory": str(directory.path)}
+    own = {"complete": complete, "input": job.read, "directory": str(directory.path)}
     files = {file.name: str(file) for file in directory.written()} | {rundir.RUN: str(directory.file(rundir.RUN))}
     document = document | own | {"files": files}
     write_run(directory.file(rundir.RUN), document)
