@@ -196,3 +196,10 @@ def test_every_name_makes_a_detector_and_every_parameter_is_taken() -> None:
 def test_what_is_wrong_is_named(name: str, parameters: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         make_detector(name, **parameters)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("parameters", [{"min_area": -0.1}, {"split": 1.5}, {"closing": float("nan")}])
+def test_the_clean_up_is_checked_too(parameters: dict[str, float]) -> None:
+    for name in ("change", "knn"):
+        with pytest.raises(InputError, match=f"{next(iter(parameters))} must be a number not below 0 and below 1"):
+            make_detector(name, **parameters)  # type: ignore[arg-type]

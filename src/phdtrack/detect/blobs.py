@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from phdtrack.detect.checks import positive
 from phdtrack.types import F8, Detections, Image
 
 Contour = NDArray[np.int32]
@@ -38,19 +39,22 @@ class BlobSettings:
 
     Attributes
     ----------
-    peel : radius by which the foreground's border is taken away, fraction of the frame's height (at least one pixel);
-        the boxes get it back.
+    peel : by how much the foreground's border is taken away, fraction of the frame's height, rounded to whole pixels; the
+        boxes get it back. Specks of a pixel go in any case.
     closing : height of the gaps that are closed, fraction of the frame's height; gaps a third as wide are closed too.
     min_area : smallest component after peeling, fraction of the frame's area.
     split : a component is cut where its column profile falls to this fraction of the lower peak beside; 0: never.
     join : fragments one above the other are joined over gaps up to this fraction of their common height; 0: never.
     """
 
-    peel: float = 0.002
+    peel: float = 0.0015
     closing: float = 0.026
     min_area: float = 0.0006
     split: float = 0.7
     join: float = 0.15
+
+    def __post_init__(self) -> None:
+        positive(self, "peel", "closing", "min_area", "split", "join", below=1.0, zero=True)
 
 
 class Box(NamedTuple):
@@ -68,9 +72,10 @@ def clean(mask: Image, settings: BlobSettings) -> Image:
     radius = _radius(height, settings)
     across = max(1, round(settings.closing * height / 3)) | 1
     along = max(1, round(settings.closing * height)) | 1
-    peeled = cv2.erode(mask, _disc(2 * radius + 1, 2 * radius + 1, cv2.MORPH_RECT))
-    opened = cv2.morphologyEx(peeled, cv2.MORPH_OPEN, _disc(2 * radius + 1, 2 * radius + 1))
-    closed: Image = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, _disc(across, along))
+    peeled = cv2.erode(mask, _element(2 * radius + 1, 2 * radius + 1, cv2.MORPH_RECT)) if radius else mask
+    speck = 2 * max(1, radius) + 1
+    opened = cv2.morphologyEx(peeled, cv2.MORPH_OPEN, _element(speck, speck))
+    closed: Image = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, _element(across, along))
     return closed
 
 
@@ -99,10 +104,11 @@ def detections(mask: Image, settings: BlobSettings) -> Detections:
 
 
 def _radius(height: int, settings: BlobSettings) -> int:
-    return max(1, round(settings.peel * height)) if settings.peel > 0 else 0
+    """By how many pixels the foreground is peeled; none in small pictures, where a pixel is a good part of an arm."""
+    return round(settings.peel * height)
 
 
-def _disc(across: int, along: int, kind: int = cv2.MORPH_ELLIPSE) -> Image:
+def _element(across: int, along: int, kind: int = cv2.MORPH_ELLIPSE) -> Image:
     element: Image = cv2.getStructuringElement(kind, (across, along))
     return element
 
