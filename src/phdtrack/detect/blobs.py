@@ -15,16 +15,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import cv2
 import numpy as np
+from annotated_types import Ge, Lt
 from numpy.typing import NDArray
 
-from phdtrack.detect.checks import positive
+from phdtrack.checks import check
 from phdtrack.types import F8, Detections, Image
 
 Contour = NDArray[np.int32]
+FrameShare = Annotated[float, Ge(0), Lt(1)]
 _SMALLEST_SHARE = 0.3
 _NARROWEST = 0.15
 _SMOOTHING = 0.06
@@ -47,14 +49,14 @@ class BlobSettings:
     join : fragments one above the other are joined over gaps up to this fraction of their common height; 0: never.
     """
 
-    peel: float = 0.0015
-    closing: float = 0.026
-    min_area: float = 0.0006
-    split: float = 0.7
-    join: float = 0.15
+    peel: FrameShare = 0.0015
+    closing: FrameShare = 0.026
+    min_area: FrameShare = 0.0006
+    split: FrameShare = 0.7
+    join: FrameShare = 0.15
 
     def __post_init__(self) -> None:
-        positive(self, "peel", "closing", "min_area", "split", "join", below=1.0, zero=True)
+        check(self)
 
 
 class Box(NamedTuple):

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
+from annotated_types import Gt
 
-from phdtrack.detect.checks import positive
+from phdtrack.checks import Positive, PositiveCount, Probability, check
 from phdtrack.detect.opencv import cascade_file, shipped
 from phdtrack.errors import InputError
 from phdtrack.types import Detections, Frame
+
+SearchStep = Annotated[float, Gt(1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,16 +31,13 @@ class FaceSettings:
     """
 
     cascade: str = "frontalface_alt2"
-    scale: float = 1.0
-    step: float = 1.1
-    neighbours: int = 3
-    min_size: float = 0.04
+    scale: Positive = 1.0
+    step: SearchStep = 1.1
+    neighbours: PositiveCount = 3
+    min_size: Probability = 0.04
 
     def __post_init__(self) -> None:
-        positive(self, "scale", "neighbours")
-        positive(self, "min_size", below=1.0, zero=True)
-        if not self.step > 1:
-            raise InputError(f"step must be above 1, not {self.step!r}", where="FaceSettings")
+        check(self)
 
 
 class FaceDetector:

@@ -23,17 +23,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from statistics import NormalDist
+from typing import Annotated
 
 import cv2
 import numpy as np
+from annotated_types import Gt, Lt
 
+from phdtrack.checks import Positive, PositiveCount, check
 from phdtrack.detect import blobs
 from phdtrack.detect.blobs import BlobSettings, Contour
-from phdtrack.detect.checks import check_same_size, positive
+from phdtrack.detect.checks import check_odd, check_same_size
 from phdtrack.detect.illumination import relit
 from phdtrack.detect.reference import F4, Reference
 from phdtrack.types import F8, Detections, Frame, Image
 
+OpenShare = Annotated[float, Gt(0), Lt(1)]
 CHANNELS = 3
 _LOG_KNEE = 16.0
 _LOG_SCALE = 90.0
@@ -62,21 +66,20 @@ class ChangeSettings:
     blobs : how the mask becomes boxes.
     """
 
-    false_alarm: float = 0.005
-    window: int = 5
-    shadow: float = 0.11
-    glare: float = 0.055
-    chroma: float = 3.0
-    learn: float = 4.0
-    samples: int = 15
-    adapt: float = 10.0
-    adapt_objects: float = 120.0
+    false_alarm: OpenShare = 0.005
+    window: PositiveCount = 5
+    shadow: Positive = 0.11
+    glare: Positive = 0.055
+    chroma: Positive = 3.0
+    learn: Positive = 4.0
+    samples: PositiveCount = 15
+    adapt: Positive = 10.0
+    adapt_objects: Positive = 120.0
     blobs: BlobSettings = field(default_factory=BlobSettings)
 
     def __post_init__(self) -> None:
-        positive(self, "shadow", "glare", "chroma", "learn", "adapt", "adapt_objects")
-        positive(self, "false_alarm", below=1.0)
-        positive(self, "window", "samples", odd=True)
+        check(self)
+        check_odd(self, "window", "samples")
 
 
 @dataclass(frozen=True, slots=True)

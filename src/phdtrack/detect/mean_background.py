@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from phdtrack.checks import NonNegative, Positive, PositiveCount, check
 from phdtrack.detect import blobs
 from phdtrack.detect.blobs import BlobSettings
-from phdtrack.detect.checks import check_same_size, positive
+from phdtrack.detect.checks import check_same_size
 from phdtrack.detect.reference import F4
 from phdtrack.types import Detections, Frame, Image
 
@@ -33,15 +34,14 @@ class MeanBackgroundSettings:
     blobs : how the mask becomes boxes.
     """
 
-    frames: int = 50
+    frames: PositiveCount = 50
     signed: bool = False
-    smooth: float = 1.5
-    threshold: float = 20.0
+    smooth: NonNegative = 1.5
+    threshold: Positive = 20.0
     blobs: BlobSettings = field(default_factory=BlobSettings)
 
     def __post_init__(self) -> None:
-        positive(self, "frames", "threshold")
-        positive(self, "smooth", zero=True)
+        check(self)
 
 
 class MeanBackgroundDetector:

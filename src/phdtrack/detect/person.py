@@ -14,8 +14,10 @@ import cv2
 import numpy as np
 
 from phdtrack.boxes import iou
-from phdtrack.detect.checks import positive
+from phdtrack.checks import Positive, PositiveCount, Probability, check
+from phdtrack.detect.cascade import SearchStep
 from phdtrack.detect.opencv import shipped
+from phdtrack.errors import InputError
 from phdtrack.types import F8, I8, Detections, Frame
 
 _WINDOW = (64, 128)
@@ -35,15 +37,16 @@ class PersonSettings:
     overlap : of two boxes with a larger intersection over union only the stronger is kept.
     """
 
-    scale: float = 1.5
-    step: float = 1.05
-    stride: int = 8
+    scale: Positive = 1.5
+    step: SearchStep = 1.05
+    stride: PositiveCount = 8
     threshold: float = 0.5
-    overlap: float = 0.4
+    overlap: Probability = 0.4
 
     def __post_init__(self) -> None:
-        positive(self, "scale", "step", "stride")
-        positive(self, "overlap", below=1.0)
+        check(self)
+        if self.stride % 8:
+            raise InputError(f"expected a multiple of 8, got {self.stride}", where="PersonSettings.stride")
 
 
 class PersonDetector:

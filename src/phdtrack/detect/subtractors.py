@@ -8,9 +8,10 @@ from typing import Any
 
 import cv2
 
+from phdtrack.checks import NonNegative, Positive, check
 from phdtrack.detect import blobs
 from phdtrack.detect.blobs import BlobSettings
-from phdtrack.detect.checks import check_same_size, positive
+from phdtrack.detect.checks import check_same_size
 from phdtrack.errors import InputError
 from phdtrack.types import Detections, Frame
 
@@ -32,9 +33,9 @@ class SubtractorSettings:
     """
 
     method: str = "mog2"
-    adapt: float = 20.0
-    threshold: float = 0.0
-    warmup: float = 0.5
+    adapt: Positive = 20.0
+    threshold: NonNegative = 0.0
+    warmup: NonNegative = 0.5
     blobs: BlobSettings = field(default_factory=BlobSettings)
 
     def __post_init__(self) -> None:
@@ -42,8 +43,7 @@ class SubtractorSettings:
             raise InputError(
                 f"method must be one of {', '.join(_FACTORIES)}, not {self.method!r}", where="SubtractorSettings"
             )
-        positive(self, "adapt")
-        positive(self, "threshold", "warmup", zero=True)
+        check(self)
 
 
 class SubtractorDetector:
