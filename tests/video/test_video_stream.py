@@ -84,6 +84,8 @@ def test_damage_in_the_middle_loses_little(tmp_path: Path) -> None:
     numbers = [frame.number for frame in source]
     assert 20 < len(numbers) <= 60
     assert numbers == list(range(1, len(numbers) + 1))
+    assert "noise.mkv: damaged after frame" in source.problem
+    assert f"{len(numbers)} frames could be decoded" in source.problem
 
 
 @pytest.mark.parametrize("content", [b"this is a text, not a film\n" * 20, b""])

@@ -29,10 +29,10 @@ class _Losses:
     reason: str = ""
     announced: int = 0
 
-    def add(self, number: int, error: Exception) -> None:
-        """Note an ``error`` that came after frame ``number``."""
+    def add(self, number: int, reason: str) -> None:
+        """Note the first damage, which came after frame ``number``."""
         if not self.reason:
-            self.after, self.reason = number, str(getattr(error, "strerror", "") or error)
+            self.after, self.reason = number, reason
 
     def describe(self, path: str, decoded: int) -> str:
         """One sentence for the user; empty where nothing was lost."""
@@ -110,6 +110,11 @@ class VideoFile:
         )
 
 
+def _reason(error: Exception) -> str:
+    """What FFmpeg says, without its call and number."""
+    return str(getattr(error, "strerror", "") or error)
+
+
 def _open(path: str) -> Any:
     import av
 
@@ -117,9 +122,10 @@ def _open(path: str) -> Any:
         return av.open(path)
     except (av.FFmpegError, OSError) as error:
         raise InputError(
-            f"this cannot be read as a video ({getattr(error, 'strerror', '') or error})",
+            f"this cannot be read as a video ({_reason(error)})",
             where=path,
-            cure="Check that it is a complete video file; `ffmpeg -i IN -c:v libx264 OUT.mp4` converts most others.",
+            cure="Check that it is a whole video file: an mp4 cut off while it was recorded or copied has no index. "
+            "`ffmpeg -i IN -c:v libx264 OUT.mp4` converts most other kinds.",
         ) from None
 
 
@@ -141,16 +147,18 @@ def _pictures(container: Any, stream: Any, losses: _Losses) -> Iterator[Any]:
         try:
             packet = next(packets, None)
         except av.FFmpegError as error:
-            losses.add(number, error)
+            losses.add(number, _reason(error))
             return
         if packet is None:
             return
         try:
             pictures = packet.decode()
         except av.FFmpegError as error:
-            losses.add(number, error)
+            losses.add(number, _reason(error))
             continue
         for picture in pictures:
+            if picture.is_corrupt:
+                losses.add(number, "parts of a picture are missing")
             number += 1
             yield picture
 
