@@ -112,7 +112,7 @@ class ChangeDetector:
         self._reference: Reference | None = None
 
     def __call__(self, frame: Frame) -> Detections:
-        """[M09 §III] The boxes of what changed in ``frame`` (H, W, 3)."""
+        """The boxes of what changed in ``frame`` (H, W, 3) [M09]."""
         if self._reference is None:
             self._begin(frame)
             return Detections.empty()
