@@ -66,7 +66,7 @@ def advance(
     filtered = clock.perf_counter()
     estimates = stages.extractor.extract(reduced, z, model)
     extracted = clock.perf_counter()
-    association, tracks = stages.associator.extend(state.association, estimates, number, dt, model)
+    association, tracks = stages.associator.extend(state.association, estimates, z, number, dt, model)
     ended = clock.perf_counter()
     seconds = (filtered - began, extracted - filtered, ended - extracted)
     step = Step(number, time, detections, info, estimates, tracks, seconds)

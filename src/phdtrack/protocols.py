@@ -139,8 +139,11 @@ class Associator(Protocol[A]):
     def start(self) -> A:
         """The state before the first frame."""
 
-    def extend(self, state: A, estimates: Estimates, number: int, dt: float, model: Model) -> tuple[A, Tracks]:
-        """Take in the states of frame ``number``, ``dt`` after the one before; give the online rows now final."""
+    def extend(self, state: A, estimates: Estimates, z: F8, number: int, dt: float, model: Model) -> tuple[A, Tracks]:
+        """Take in the states of frame ``number``, ``dt`` after the one before, and the measurements ``z`` (m, N).
+
+        Gives the online rows that are now final.
+        """
 
     def flush(self, state: A, model: Model) -> Tracks:
         """The online rows still held back by the output delay; the sequence has ended."""

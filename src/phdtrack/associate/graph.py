@@ -54,16 +54,18 @@ class GraphMatching:
     delay : frames by which the online output lags, so that links can still be corrected; 0 allowed.
     coast : seconds for which a confirmed track without a state is continued online by the motion model.
     bridge : fill the gaps of tracks with predicted, flagged boxes.
+    backfill : offline, a track is led back through at most this many earlier detections that the filter did not yet believe.
     """
 
     span: Positive = 2.0
     shortest: PositiveCount = 5
-    gate: Positive = 4.5
-    miss: Share = 0.3
-    consistent: Positive = 3.5
+    gate: Positive = 4.0
+    miss: Share = 0.2
+    consistent: Positive = 3.0
     delay: Count = 0
     coast: NonNegative = 0.3
     bridge: bool = True
+    backfill: Count = 5
 
     def __post_init__(self) -> None:
         check(self)
@@ -73,7 +75,7 @@ class GraphMatching:
         return GraphState(empty_window(0), History(), online.Given())
 
     def extend(
-        self, state: GraphState, estimates: Estimates, number: int, dt: float, model: Model
+        self, state: GraphState, estimates: Estimates, z: F8, number: int, dt: float, model: Model
     ) -> tuple[GraphState, Tracks]:
         """Link the states of frame ``number`` to the past; give the online rows that are now due [M07 §3]."""
         window = state.window if state.vertices else empty_window(len(estimates.state))
@@ -81,7 +83,8 @@ class GraphMatching:
         vertex = state.vertices + np.arange(len(estimates))
         row, column, gain = self._edges(window.columns, estimates, dt, model)
         window = insert(window, vertex, estimates, row, column, gain)
-        moment = Moment(number, state.time + dt, state.vertices, estimates, later, earlier)
+        spare = np.setdiff1d(np.arange(z.shape[1]), estimates.detection)
+        moment = Moment(number, state.time + dt, state.vertices, estimates, later, earlier, z[:, spare], spare)
         extended = GraphState(
             window, state.history.append(moment), state.online, state.vertices + len(estimates), moment.time
         )
@@ -101,7 +104,8 @@ class GraphMatching:
 
     def finish(self, state: GraphState, model: Model) -> Tracks:
         """The corrected tracks: short ones left out, gaps bridged, identities from 1 in order of appearance."""
-        return offline.tracks(state.history, state.window, self.shortest, self.bridge, model)
+        wanted = offline.Wanted(self.shortest, self.bridge, self.backfill)
+        return offline.tracks(state.history, state.window, wanted, model)
 
     def _output(self, model: Model) -> online.Output:
         """Settings of the online output, in model time."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from phdtrack.types import I8, Estimates
+from phdtrack.types import F8, I8, Estimates
 
 CHUNK = 256
 
@@ -14,7 +14,8 @@ CHUNK = 256
 class Moment:
     """One frame: its number, its model time, its states (vertices ``first``, ``first`` + 1, …), and the links made final.
 
-    ``later`` and ``earlier`` are the ends (global vertex numbers) of the links that this frame made unchangeable.
+    ``later`` and ``earlier`` are the ends (global vertex numbers) of the links that this frame made unchangeable. ``spare``
+    (m, S) are the measurements that no state rested on, ``spare_index`` (S,) which of the frame's they are.
     """
 
     number: int
@@ -23,6 +24,8 @@ class Moment:
     estimates: Estimates
     later: I8
     earlier: I8
+    spare: F8
+    spare_index: I8
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 
+from phdtrack.associate.backfill import Earlier, lead_back
 from phdtrack.associate.bridge import bridge
 from phdtrack.associate.history import History, Moment
 from phdtrack.associate.window import Window
@@ -13,16 +15,34 @@ from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Tracks
 
 
-def tracks(history: History, window: Window, shortest: int, bridged: bool, model: Model) -> Tracks:
-    """All tracks of at least ``shortest`` states, gaps filled where ``bridged``, sorted by frame, then identity."""
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Fewest states of a track, whether gaps are filled, and through how many earlier detections a track is led back."""
+
+    shortest: int
+    bridge: bool
+    backfill: int
+
+
+def tracks(history: History, window: Window, wanted: Wanted, model: Model) -> Tracks:
+    """All tracks of enough states, led back to their beginning, gaps filled, sorted by frame, then identity."""
     moments = list(history)
     if not moments:
         return Tracks.empty()
     parts = []
-    long_enough = [path for path in _paths(moments, window) if len(path) >= shortest]
-    for name, path in enumerate(long_enough, start=1):
+    taken: set[tuple[int, int]] = set()
+    name = 0
+    for path in _paths(moments, window):
+        k, i = path[0]
+        first = moments[k].estimates
+        before = lead_back(moments, k, first.state[:, i], first.covariance[i], wanted.backfill, taken, model)
+        if len(path) + len(before) < wanted.shortest:
+            continue
+        name += 1
+        taken.update((row.place, row.detection) for row in before)
+        parts.append(_beginning(moments, before, float(first.weight[i]), name, model))
         parts.append(_states(moments, path, name))
-        if bridged:
+        if wanted.bridge:
             parts.extend(_gaps(moments, path, name, model))
     return Tracks.concatenate(parts)
 
@@ -45,6 +65,21 @@ def _paths(moments: list[Moment], window: Window) -> list[list[tuple[int, int]]]
         path.append(where)
         path_of[vertex] = path
     return paths
+
+
+def _beginning(moments: list[Moment], rows: list[Earlier], weight: float, name: int, model: Model) -> Tracks:
+    """The rows before a track's first state, from detections that the filter did not believe yet."""
+    if not rows:
+        return Tracks.empty()
+    n = len(rows)
+    return Tracks(
+        np.array([moments[row.place].number for row in rows], np.int64),
+        np.full(n, name),
+        model.sensor.boxes(np.stack([row.state for row in rows], axis=1)),
+        np.full(n, min(1.0, weight)),
+        np.array([row.detection for row in rows], np.int64),
+        np.ones(n, np.bool_),
+    )
 
 
 def _states(moments: list[Moment], path: list[tuple[int, int]], name: int) -> Tracks:
