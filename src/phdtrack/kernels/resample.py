@@ -18,6 +18,8 @@ def systematic(weight: F8, count: int, offset: float) -> I8:
     ⌊count·w/Σ⌋ and ⌈count·w/Σ⌉ offspring. The running sum is float64: in float32 a million weights lose the small ones.
     """
     out = np.empty(count, np.int64)
+    if count == 0:
+        return out
     step = weight.sum() / count
     target = offset * step
     reached = 0.0
