@@ -91,14 +91,14 @@ class GraphMatching:
         due = len(extended.history) - 1 - self.delay
         if due < 0:
             return extended, Tracks.empty()
-        given, tracks = online.give(extended.online, extended.history[due], window, self._output(model), model)
+        given, tracks = self._give(extended.online, due, extended, model)
         return replace(extended, online=given), tracks
 
     def flush(self, state: GraphState, model: Model) -> Tracks:
         """The online rows of the last ``delay`` frames, under the final links."""
         parts, given = [], state.online
         for due in range(max(0, len(state.history) - self.delay), len(state.history)):
-            given, tracks = online.give(given, state.history[due], state.window, self._output(model), model)
+            given, tracks = self._give(given, due, state, model)
             parts.append(tracks)
         return Tracks.concatenate(parts)
 
@@ -107,9 +107,11 @@ class GraphMatching:
         wanted = offline.Wanted(self.shortest, self.bridge, self.backfill)
         return offline.tracks(state.history, state.window, wanted, model)
 
-    def _output(self, model: Model) -> online.Output:
-        """Settings of the online output, in model time."""
-        return online.Output(self.shortest, self.coast * model.rate + 1e-9 if self.bridge else 0.0)
+    def _give(self, given: online.Given, due: int, state: GraphState, model: Model) -> tuple[online.Given, Tracks]:
+        """The rows of the frame at place ``due`` of the history, under the present links."""
+        held = [state.history[k] for k in range(due + 1, len(state.history))]
+        output = online.Output(self.shortest, self.coast * model.rate + 1e-9 if self.bridge else 0.0)
+        return online.give(given, state.history[due], held, state.window, output, model)
 
     def _edges(self, columns: Columns, estimates: Estimates, dt: float, model: Model) -> tuple[I8, I8, F8]:
         """Edges (new state, column) of positive gain, ordered by state: log f minus the loose ends' [M07 §3]."""

@@ -7,6 +7,7 @@ to its last holder keeps it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -45,12 +46,17 @@ class Given:
     used: int = 0
 
 
-def give(given: Given, moment: Moment, window: Window, output: Output, model: Model) -> tuple[Given, Tracks]:
-    """The rows of one frame under the present links, and the new record of what was given."""
+def give(
+    given: Given, moment: Moment, held: Sequence[Moment], window: Window, output: Output, model: Model
+) -> tuple[Given, Tracks]:
+    """The rows of one frame under the present links, and the new record of what was given.
+
+    ``held`` are the frames after ``moment`` whose rows the delay holds back.
+    """
     estimates = moment.estimates
     n = len(estimates)
     vertex = moment.first + np.arange(n)
-    before = predecessors(window, vertex)
+    before = predecessors(window, held, vertex)
     identities, used = _claims(given, vertex, before)
     identity, holder = dict(given.identity), dict(given.holder)
     for i in range(n):
@@ -69,20 +75,32 @@ def give(given: Given, moment: Moment, window: Window, output: Output, model: Mo
         confirmed,
     )
     coasting = _coast(holder, set(identities.tolist()), moment, output, model)
-    oldest = int(window.columns.vertex[0]) if len(window.columns.vertex) else moment.first
+    oldest = _oldest(window, moment, held)
     identity = {v: name for v, name in identity.items() if v >= oldest}
     live = set(identity.values())
     holder = {name: h for name, h in holder.items() if name in live}
     return Given(identity, holder, used), Tracks.concatenate([seen, coasting])
 
 
-def predecessors(window: Window, vertex: I8) -> I8:
-    """(n,) the vertex that each of ``vertex`` is linked to, −1 where it starts a track."""
-    row = np.searchsorted(window.rows.vertex, vertex)
-    column = window.rows.column[row]
+def predecessors(window: Window, held: Sequence[Moment], vertex: I8) -> I8:
+    """(n,) the vertex that each of ``vertex`` is linked to, −1 where it starts a track.
+
+    Where the delay is longer than the window, the link was made final by one of the frames ``held`` back since.
+    """
+    column = np.append(window.rows.column, -1)[np.searchsorted(window.rows.vertex, vertex)]
+    column[~np.isin(vertex, window.rows.vertex)] = -1
     out = np.full(len(vertex), -1, np.int64)
     out[column >= 0] = window.columns.vertex[column[column >= 0]]
+    for later in held:
+        _, mine, theirs = np.intersect1d(vertex, later.later, assume_unique=True, return_indices=True)
+        out[mine] = later.earlier[theirs]
     return out
+
+
+def _oldest(window: Window, moment: Moment, held: Sequence[Moment]) -> int:
+    """The first vertex whose identity a row still to be given may ask for."""
+    asked = [window.columns.vertex[:1], *(later.earlier for later in held)]
+    return int(np.concatenate(asked).min(initial=moment.first))
 
 
 def _claims(given: Given, vertex: I8, before: I8) -> tuple[I8, int]:
