@@ -1,0 +1,125 @@
+"""Models, states and sequences for the tests of association."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from phdtrack.associate import GraphMatching, GraphState
+from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
+from phdtrack.protocols import Model
+from phdtrack.types import Estimates, Tracks
+
+WIDTH, HEIGHT = 640.0, 480.0
+FIELDS = ("frame", "identity", "xyxy", "confidence", "detection", "confirmed")
+
+
+def model_of(*, rate: float = 25.0, **motion) -> Model:
+    size = (WIDTH, HEIGHT)
+    settings = {"acceleration": 0.03, "resize": 0.05, "survival": 0.99, "frame_size": size} | motion
+    sensor = BoxSensor(detection=0.95, spread=0.15, floor=1.0, scaling="particle", speed=0.06)
+    return Model(BoxMotion(**settings), sensor, MeasurementBirth(frame_size=size), UniformClutter(1.0, 1e10), rate)
+
+
+def matching_of(**settings) -> GraphMatching:
+    """Settings of which none is the default's: the tests hold whatever that is."""
+    plain = {
+        "span": 2.0,
+        "shortest": 5,
+        "gate": 4.0,
+        "miss": 0.3,
+        "consistent": 3.5,
+        "delay": 0,
+        "coast": 0.3,
+        "bridge": True,
+        "backfill": 0,
+    }
+    return GraphMatching(**(plain | settings))
+
+
+def states(points, *, velocity=None, size: float = 40.0, sure: float = 0.3, model: Model | None = None) -> Estimates:
+    """States at ``points`` (n, 2): at rest, or with a ``velocity`` (n, 2) known to ``sure`` pixels."""
+    sensor = (model or model_of()).sensor
+    xy = np.asarray(points, np.float64).reshape(-1, 2).T
+    n = xy.shape[1]
+    state, cov = sensor.states(np.vstack([xy, np.full((2, n), size)]))
+    if velocity is not None:
+        state[2:4] = np.asarray(velocity, np.float64).reshape(-1, 2).T
+        cov[:, [2, 3], [2, 3]] = sure**2
+    return Estimates(state, cov, np.ones(n), sensor.boxes(state), np.arange(n))
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What a run gave: the state after each frame, the rows given with each, the rows of the end, the corrected tracks."""
+
+    states: list[GraphState]
+    given: list[Tracks]
+    flushed: Tracks
+    tracks: Tracks
+
+    @property
+    def online(self) -> Tracks:
+        return Tracks.concatenate([*self.given, self.flushed])
+
+
+def run(matching: GraphMatching, frames, model: Model | None = None, intervals=None) -> Result:
+    """Association of a sequence of `Estimates` whose detections they are themselves."""
+    model = model or model_of()
+    state = matching.start()
+    after, given = [], []
+    for number, estimates in enumerate(frames, start=1):
+        dt = 1.0 if intervals is None else intervals[number - 1]
+        z = estimates.state[list(model.sensor.observed)]
+        state, rows = matching.extend(state, estimates, z, number, dt, model)
+        after.append(state)
+        given.append(rows)
+    return Result(after, given, matching.flush(state, model), matching.finish(state, model))
+
+
+def links(state: GraphState) -> set[tuple[int, int]]:
+    """All links (later, earlier), open ones and those that can no longer change."""
+    rows, columns = state.window.rows, state.window.columns
+    taken = rows.column >= 0
+    open_links = zip(rows.vertex[taken].tolist(), columns.vertex[rows.column[taken]].tolist(), strict=True)
+    closed = (pair for m in state.history for pair in zip(m.later.tolist(), m.earlier.tolist(), strict=True))
+    return {*open_links, *closed}
+
+
+def scattered(rng: np.random.Generator, frames: int, most: int, side: float = 20.0) -> list[Estimates]:
+    """Up to ``most`` states a frame, so close that nearly all could be linked, half with a known velocity."""
+    out = []
+    for _ in range(frames):
+        n = int(rng.integers(0, most + 1))
+        points = 100 + rng.uniform(0, side, (n, 2))
+        velocity = rng.normal(0, 4, (n, 2)) if rng.random() < 0.5 else None
+        out.append(states(points, velocity=velocity, size=rng.uniform(36, 44), sure=rng.uniform(0.5, 4)))
+    return out
+
+
+def walkers(rng: np.random.Generator, frames: int, *, p_seen: float = 0.9, clutter: float = 1.0, n: int = 3):
+    """Targets at nearly constant velocity that meet in the middle; states with noise, misses and clutter.
+
+    Returns the frames and, for each, who each state is (−1: clutter), in the random order of the states.
+    """
+    model = model_of()
+    middle = np.array([WIDTH / 2, HEIGHT / 2]) + rng.normal(0, 8, (n, 2))
+    angle = rng.uniform(0, 2 * np.pi, n)
+    velocity = 3.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    out, who = [], []
+    for k in range(frames):
+        here = middle + (k - frames / 2) * velocity + rng.normal(0, 1.5, (n, 2))
+        seen = np.flatnonzero(rng.random(n) < p_seen)
+        false = rng.uniform(0, (WIDTH, HEIGHT), (rng.poisson(clutter), 2))
+        points = np.vstack([here[seen], false])
+        names = np.concatenate([seen, np.full(len(false), -1)])
+        order = rng.permutation(len(names))
+        out.append(states(points[order], model=model))
+        who.append(names[order])
+    return out, who
+
+
+def same(a: Tracks, b: Tracks) -> bool:
+    """Equal to the last bit."""
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in FIELDS)

@@ -1,0 +1,102 @@
+"""The links are those of the path cover of maximum total gain [M07 §3]."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from association_cases import links, matching_of, model_of, run, scattered, states, walkers
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phdtrack.associate.window import empty_window
+from reference import graph_twin as twin
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def total(state, edges) -> float:
+    """The gain of a state's links; a link that is no edge fails."""
+    return sum(edges[link] for link in links(state))
+
+
+def is_cover(pairs) -> bool:
+    later, earlier = [b for b, _ in pairs], [a for _, a in pairs]
+    return len(set(later)) == len(later) and len(set(earlier)) == len(earlier) and all(a < b for b, a in pairs)
+
+
+@given(seeds, st.integers(2, 4), st.floats(0.05, 1.0), st.floats(1.5, 6.0))
+@settings(max_examples=40, deadline=None)
+def test_total_gain_is_that_of_the_best_of_all_covers(seed: int, count: int, miss: float, gate: float):
+    frames = scattered(np.random.default_rng(seed), count, 3)
+    matching = matching_of(miss=miss, gate=gate)
+    edges = twin.gains(frames, [1.0] * count, matching, model_of())
+    last = run(matching, frames).states[-1]
+    assert is_cover(links(last))
+    assert total(last, edges) == pytest.approx(twin.best_cover(edges), abs=1e-9)
+
+
+def test_the_cases_ask_for_corrections():
+    """Links made for good, frame by frame, come to less in many of them."""
+    model, matching = model_of(), matching_of(gate=5.0, miss=0.7)
+    worse = edges_seen = 0
+    for seed in range(40):
+        frames = scattered(np.random.default_rng(seed), 4, 3)
+        edges = twin.gains(frames, [1.0] * 4, matching, model)
+        worse += twin.without_correction(edges, np.cumsum([len(f) for f in frames])) < twin.best_cover(edges) - 1e-9
+        edges_seen += len(edges)
+    assert worse >= 6
+    assert edges_seen > 400
+
+
+@given(seeds, st.lists(st.floats(0.2, 3.0), min_size=12, max_size=12))
+@settings(max_examples=15, deadline=None)
+def test_window_is_optimal_after_every_frame_while_nothing_is_closed(seed: int, intervals: list[float]):
+    frames = scattered(np.random.default_rng(seed), 12, 4, side=120)
+    matching, model = matching_of(span=100.0), model_of()
+    edges = twin.gains(frames, intervals, matching, model)
+    first = np.cumsum([len(f) for f in frames])
+    for state, end in zip(run(matching, frames, model, intervals).states, first, strict=True):
+        known = {(b, a): gain for (b, a), gain in edges.items() if b < end}
+        assert is_cover(links(state))
+        assert total(state, known) == pytest.approx(twin.best_assignment(known), abs=1e-8)
+
+
+def test_open_part_is_optimal_after_links_are_closed():
+    frames, _ = walkers(np.random.default_rng(4), 80, clutter=3.0)
+    for state in run(matching_of(span=0.3), frames).states:
+        rows, columns = state.window.rows, state.window.columns
+        owner = np.repeat(np.arange(len(rows.vertex)), np.diff(rows.start))
+        edges = {(int(r) + len(columns.vertex), int(c)): g for r, c, g in zip(owner, rows.target, rows.gain, strict=True)}
+        chosen = [(r + len(columns.vertex), int(c)) for r, c in enumerate(rows.column) if c >= 0]
+        assert sum(edges[link] for link in chosen) == pytest.approx(twin.best_assignment(edges), abs=1e-8)
+        np.testing.assert_array_equal(columns.row[rows.column[rows.column >= 0]], np.flatnonzero(rows.column >= 0))
+
+
+@given(seeds)
+@settings(max_examples=25, deadline=None)
+def test_edges_are_all_that_are_worth_taking(seed: int):
+    """The search by position leaves none out, and gains are the formula's."""
+    rng = np.random.default_rng(seed)
+    matching, model = matching_of(), model_of()
+    past = scattered(rng, 3, 4, side=200)
+    last = run(matching, past).states[-1]
+    new = states(100 + rng.uniform(0, 200, (5, 2)), velocity=rng.normal(0, 3, (5, 2)))
+    after, _ = matching.extend(last, new, np.zeros((4, 0)), 4, 1.0, model)
+    window = after.window
+    fresh = window.rows.vertex >= last.vertices
+    ours = {}
+    for r in np.flatnonzero(fresh):
+        for e in range(window.rows.start[r], window.rows.start[r + 1]):
+            earlier = window.columns.vertex[window.rows.target[e]]
+            ours[int(window.rows.vertex[r]), int(earlier)] = window.rows.gain[e]
+    theirs = twin.gains([*past, new], [1.0] * 4, matching, model)
+    theirs = {link: gain for link, gain in theirs.items() if link[0] >= last.vertices}
+    assert ours == pytest.approx(theirs, abs=1e-9)
+
+
+def test_no_states_no_links():
+    matching = matching_of()
+    assert links(matching.start()) == set()
+    assert len(empty_window(6).columns.vertex) == 0
+    result = run(matching, [states([]) for _ in range(4)])
+    assert len(result.tracks) == len(result.online) == 0

@@ -1,0 +1,244 @@
+"""Corrected tracks: false hypotheses undone, gaps bridged, short tracks left out, identities kept at crossings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from association_cases import links, matching_of, model_of, run, same, states, walkers
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phdtrack.types import Estimates, Tracks
+
+seeds = st.integers(0, 2**32 - 1)
+AT_REST = [[200.0, 200.0]]
+
+
+def resting(frames: int) -> list[Estimates]:
+    return [states(AT_REST, velocity=[[0, 0]]) for _ in range(frames)]
+
+
+def track(tracks: Tracks, identity: int) -> Tracks:
+    return tracks.take(tracks.identity == identity)
+
+
+def names_by_source(result, who) -> tuple[dict[int, set[int]], dict[int, set[int]]]:
+    """Which identities each target had, and which targets each identity, by the detections of the corrected tracks."""
+    names, targets = {}, {}
+    rows = result.tracks
+    for frame, name, detection in zip(rows.frame, rows.identity, rows.detection, strict=True):
+        if detection >= 0:
+            target = int(who[frame - 1][detection])
+            names.setdefault(target, set()).add(int(name))
+            targets.setdefault(int(name), set()).add(target)
+    return names, targets
+
+
+def false_hypothesis():
+    """A target at rest is missed once, while a false alarm stands near it and seems to move away; then it is there again."""
+    stray = states([[209.0, 200.0]], velocity=[[25.0, 0.0]])
+    return [*resting(8), stray, *resting(8)]
+
+
+def test_a_later_frame_undoes_a_false_link():
+    result = run(matching_of(), false_hypothesis())
+    assert (8, 7) in links(result.states[8]), "at its time the false alarm was the best link"
+    assert (8, 7) not in links(result.states[9])
+    assert (9, 7) in links(result.states[9])
+    assert set(result.tracks.identity) == {1}
+    ninth = result.tracks.take(result.tracks.frame == 9)
+    assert ninth.detection.tolist() == [-1], "the false alarm is no part of the corrected track"
+    np.testing.assert_allclose(ninth.xyxy, [[180, 180, 220, 220]], atol=1)
+
+
+def test_what_was_given_online_stays_as_it_was():
+    result = run(matching_of(), false_hypothesis())
+    online = result.online
+    assert online.identity[online.frame == 9].tolist() == [1], "given before the correction"
+    assert online.detection[online.frame == 9].tolist() == [0]
+    assert set(online.identity[(online.detection >= 0) & (online.frame != 9)]) == {1}
+
+
+def test_with_a_delay_the_correction_is_in_the_online_rows_too():
+    online = run(matching_of(delay=2), false_hypothesis()).online
+    assert set(online.identity[(online.detection >= 0) & (online.frame != 9)]) == {1}
+    ninth = online.take((online.frame == 9) & (online.detection >= 0))
+    assert ninth.identity.tolist() != [1]
+    assert not ninth.confirmed.any()
+
+
+@pytest.mark.parametrize(("gap", "joined"), [(1, True), (9, True), (10, False), (15, False)])
+def test_span_closes_links(gap: int, joined: bool):
+    """10 frames at 25 Hz are 0.4 s: a state 10 frames back can still be linked, one 11 frames back cannot."""
+    frames = [*resting(6), *[states([])] * gap, *resting(6)]
+    tracks = run(matching_of(span=0.4, gate=8.0, miss=0.9), frames).tracks
+    assert set(tracks.identity) == ({1} if joined else {1, 2})
+    assert len(tracks) == 12 + (gap if joined else 0)
+
+
+def test_span_is_time_and_not_frames():
+    frames = [*resting(6), *[states([])] * 9, *resting(6)]
+    twice = run(matching_of(span=0.4, gate=8.0, miss=0.9), frames, intervals=[2.0] * len(frames)).tracks
+    assert set(twice.identity) == {1, 2}
+
+
+def test_links_become_final_when_the_window_leaves_them():
+    result = run(matching_of(span=0.4), resting(40))
+    final = [set(zip(m.later.tolist(), m.earlier.tolist(), strict=True)) for m in result.states[-1].history]
+    assert sum(map(len, final)) == 28  # of 39, the last 11 states may still be linked otherwise
+    assert all(len(f) <= 1 for f in final)
+    assert set().union(*final) <= links(result.states[-1]) == {(k, k - 1) for k in range(1, 40)}
+
+
+def test_window_does_not_grow():
+    result = run(matching_of(), walkers(np.random.default_rng(0), 2000, clutter=2.0, n=0)[0])
+    rows = np.array([len(s.window.rows.vertex) for s in result.states])
+    columns = np.array([len(s.window.columns.vertex) for s in result.states])
+    edges = np.array([len(s.window.rows.gain) for s in result.states])
+    identities = np.array([len(s.online.identity) for s in result.states])
+    for size in (rows, columns, edges, identities):
+        assert size[1000:].max() <= 1.3 * size[100:1000].max() + 5
+    assert rows.max() < 200
+    assert columns.max() < 200
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_crossing_targets_keep_their_identities(seed: int):
+    """They pass at half a box's height, from opposite sides, and come in random order."""
+    rng = np.random.default_rng(seed)
+    truth = [np.array([[200 + 3 * k, 200], [380 - 3 * k, 220]]) for k in range(60)]
+    frames, who = [], []
+    for points in truth:
+        order = rng.permutation(2)
+        frames.append(states((points + rng.normal(0, 1, (2, 2)))[order], velocity=np.array([[3, 0], [-3, 0]])[order]))
+        who.append(order)
+    names, targets = names_by_source(run(matching_of(), frames), who)
+    assert all(len(found) == 1 for found in (*names.values(), *targets.values()))
+
+
+def occluded(gap: int) -> tuple[list[Estimates], np.ndarray]:
+    """One target at constant velocity, hidden for ``gap`` frames in the middle; the true centres."""
+    truth = np.array([[100 + 3.0 * k, 200 + 1.0 * k] for k in range(60 + gap)])
+    hidden = range(30, 30 + gap)
+    rng = np.random.default_rng(gap)
+    frames = [
+        states([] if k in hidden else [p + rng.normal(0, 0.7, 2)], velocity=[] if k in hidden else [[3, 1]])
+        for k, p in enumerate(truth)
+    ]
+    return frames, truth
+
+
+@pytest.mark.parametrize("gap", [1, 5, 20])
+def test_an_occluded_target_is_bridged(gap: int):
+    frames, truth = occluded(gap)
+    tracks = run(matching_of(miss=0.9, gate=6.0), frames).tracks
+    assert set(tracks.identity) == {1}
+    assert tracks.frame.tolist() == list(range(1, len(frames) + 1))
+    np.testing.assert_array_equal(np.flatnonzero(tracks.detection < 0), np.arange(30, 30 + gap))
+    np.testing.assert_array_equal(tracks.predicted, tracks.detection < 0)
+    centre = (tracks.xyxy[:, :2] + tracks.xyxy[:, 2:]) / 2
+    assert np.abs(centre - truth).max() < 4
+    assert tracks.confirmed.all()
+    assert ((tracks.confidence > 0) & (tracks.confidence <= 1)).all()
+
+
+def test_without_bridge_gaps_stay_open():
+    frames, _ = occluded(10)
+    tracks = run(matching_of(miss=0.9, bridge=False), frames).tracks
+    assert set(tracks.identity) == {1}
+    assert not tracks.predicted.any()
+    assert len(tracks) == 60
+
+
+@pytest.mark.parametrize(("length", "shortest", "kept"), [(4, 5, False), (5, 5, True), (1, 1, True), (7, 8, False)])
+def test_short_tracks_are_left_out(length: int, shortest: int, kept: bool):
+    tracks = run(matching_of(shortest=shortest), [*resting(length), *[states([])] * 3]).tracks
+    assert len(tracks) == (length if kept else 0)
+
+
+def test_length_is_counted_in_states_and_not_in_bridged_rows():
+    frames = [*resting(2), states([]), states([]), *resting(2)]
+    assert len(run(matching_of(shortest=5, miss=0.9, gate=8.0), frames).tracks) == 0
+    assert len(run(matching_of(shortest=4, miss=0.9, gate=8.0), frames).tracks) == 6
+
+
+@given(seeds)
+@settings(max_examples=15, deadline=None)
+def test_identities_start_at_1_and_stand_once_in_a_frame(seed: int):
+    frames, _ = walkers(np.random.default_rng(seed), 40, clutter=3.0)
+    tracks = run(matching_of(shortest=3), frames).tracks
+    assert set(tracks.identity) == set(range(1, len(set(tracks.identity)) + 1))
+    assert len({*zip(tracks.frame, tracks.identity, strict=True)}) == len(tracks)
+    np.testing.assert_array_equal(np.lexsort((tracks.identity, tracks.frame)), np.arange(len(tracks)))
+    appears = [tracks.frame[tracks.identity == i].min() for i in range(1, tracks.identity.max(initial=0) + 1)]
+    assert appears == sorted(appears)
+    used = [(f, d) for f, d in zip(tracks.frame, tracks.detection, strict=True) if d >= 0]
+    assert len(set(used)) == len(used), "a detection supports one row"
+
+
+@given(seeds)
+@settings(max_examples=10, deadline=None)
+def test_the_order_of_states_in_a_frame_does_not_matter(seed: int):
+    rng = np.random.default_rng(seed)
+    frames, _ = walkers(rng, 30, clutter=2.0)
+    shuffled = []
+    for estimates in frames:
+        order = rng.permutation(len(estimates))
+        shuffled.append(
+            Estimates(
+                np.ascontiguousarray(estimates.state[:, order]),
+                estimates.covariance[order],
+                estimates.weight[order],
+                estimates.xyxy[order],
+                estimates.detection[order],
+            )
+        )
+    a, b = (run(matching_of(), f) for f in (frames, shuffled))
+
+    def content(tracks: Tracks) -> set:
+        groups = {}
+        for frame, name, box, detection in zip(tracks.frame, tracks.identity, tracks.xyxy, tracks.detection, strict=True):
+            groups.setdefault(int(name), []).append((int(frame), *np.round(box, 6).tolist(), int(detection)))
+        return {tuple(sorted(group)) for group in groups.values()}
+
+    assert content(a.tracks) == content(b.tracks)
+
+
+def test_finish_at_any_time_changes_nothing():
+    frames, _ = walkers(np.random.default_rng(3), 30)
+    matching, model = matching_of(), model_of()
+    whole = run(matching, frames)
+    for state in whole.states[::7]:
+        assert same(matching.finish(state, model), matching.finish(state, model))
+    assert same(matching.finish(whole.states[12], model), run(matching, frames[:13]).tracks)
+
+
+def test_nobody_writes_into_what_he_received():
+    frames, _ = walkers(np.random.default_rng(5), 25)
+    for estimates in frames:
+        for name in ("state", "covariance", "weight", "xyxy", "detection"):
+            getattr(estimates, name).flags.writeable = False
+    first = run(matching_of(backfill=3), frames)
+    assert same(first.tracks, run(matching_of(backfill=3), frames).tracks)
+
+
+def test_writing_into_rows_that_were_given_changes_no_later_row():
+    """People scale the boxes they get in place."""
+    matching, model = matching_of(), model_of()
+    frames = resting(12)
+    wanted = run(matching, frames).tracks
+    state = matching.start()
+    for number, estimates in enumerate(frames, 1):
+        state, rows = matching.extend(state, estimates, np.zeros((4, 0)), number, 1.0, model)
+        rows.xyxy[:] = -1
+        rows.identity[:] = 99
+        rows.confidence[:] = 0
+    assert same(matching.finish(state, model), wanted)
+
+
+def test_fewer_confident_states_make_less_confident_rows():
+    frames = [replace(e, weight=np.full(1, 0.7 if k == 5 else 1.3)) for k, e in enumerate(resting(10))]
+    tracks = run(matching_of(), frames).tracks
+    np.testing.assert_allclose(tracks.confidence, [0.7 if k == 5 else 1.0 for k in range(10)])

@@ -1,0 +1,157 @@
+"""Online rows: given once, never changed, each identity once in a frame; delay, confirmation, coasting."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from association_cases import HEIGHT, WIDTH, links, matching_of, model_of, run, same, scattered, states, walkers
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phdtrack.metrics import evaluate
+from phdtrack.types import Estimates, Tracks, Truth
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def moving(frames: int, *, start=(100.0, 200.0), velocity=(3.0, 0.0)) -> list[Estimates]:
+    begin, step = np.array(start), np.array(velocity)
+    return [states([begin + k * step], velocity=[step]) for k in range(frames)]
+
+
+@given(seeds, st.integers(0, 12), st.floats(0.1, 3.0))
+@settings(max_examples=40, deadline=None)
+def test_every_state_is_given_once_and_identities_are_unique(seed: int, delay: int, span: float):
+    """Also where corrections make two states claim one identity, and where the delay is longer than the window."""
+    rng = np.random.default_rng(seed)
+    frames = scattered(rng, 25, 4, side=60)
+    online = run(matching_of(delay=delay, span=span, shortest=3, miss=0.7, gate=5.0), frames).online
+    seen = online.take(online.detection >= 0)
+    wanted = [(k, i) for k, f in enumerate(frames, 1) for i in range(len(f))]
+    assert sorted(zip(seen.frame.tolist(), seen.detection.tolist(), strict=True)) == wanted
+    assert len({*zip(online.frame.tolist(), online.identity.tolist(), strict=True)}) == len(online)
+    assert online.identity.min(initial=1) >= 1
+    assert set(seen.identity) == set(range(1, len(set(seen.identity)) + 1)), "identities are numbered without holes"
+    for name in set(online.identity):
+        confirmed = online.confirmed[online.identity == name]
+        assert not (confirmed[:-1] & ~confirmed[1:]).any(), "once confirmed, always confirmed"
+
+
+@given(seeds, st.integers(3, 9))
+@settings(max_examples=20, deadline=None)
+def test_a_window_shorter_than_the_delay_loses_no_link(seed: int, delay: int):
+    """Links that became final while their rows were held back hold for the rows all the same."""
+    frames, _ = walkers(np.random.default_rng(seed), 30, n=2, clutter=0.5)
+    result = run(matching_of(delay=delay, span=0.08), frames)
+    first = np.cumsum([0, *(len(f) for f in frames)])
+    online = result.online
+    name = {
+        int(first[f - 1] + d): int(i)
+        for f, d, i in zip(online.frame, online.detection, online.identity, strict=True)
+        if d >= 0
+    }
+    final = run(matching_of(span=0.08), frames).states[-1]
+    settled = {(b, a) for b, a in links(final) if b < first[-delay - 1]}
+    assert all(name[b] == name[a] for b, a in settled)
+
+
+def test_a_pause_longer_than_the_window_keeps_rows_that_are_held_back():
+    frames = [*moving(8), *moving(8, start=(400.0, 100.0))]
+    intervals = [1.0] * 8 + [100.0] + [1.0] * 7
+    result = run(matching_of(delay=4), frames, intervals=intervals)
+    assert result.online.identity.tolist() == [1] * 8 + [2] * 8
+
+
+@pytest.mark.parametrize("delay", [0, 1, 7])
+def test_output_lags_exactly_the_delay(delay: int):
+    result = run(matching_of(delay=delay), moving(20))
+    for number, rows in enumerate(result.given, start=1):
+        assert rows.frame.tolist() == ([number - delay] if number > delay else [])
+    assert result.flushed.frame.tolist() == list(range(21 - delay, 21))
+    assert len(run(matching_of(delay=delay), moving(3)).online) == 3
+    assert len(matching_of(delay=delay).flush(matching_of().start(), model_of())) == 0
+
+
+def test_flush_does_not_change_the_state():
+    matching, model = matching_of(delay=5), model_of()
+    state = run(matching, moving(12)).states[-1]
+    assert same(matching.flush(state, model), matching.flush(state, model))
+
+
+def test_confirmed_from_the_fifth_state_on():
+    online = run(matching_of(shortest=5), moving(9)).online
+    assert online.confirmed.tolist() == [False] * 4 + [True] * 5
+    with_gap = run(matching_of(shortest=5, miss=0.9), [*moving(3), states([]), *moving(3, start=(112.0, 200.0))]).online
+    assert with_gap.frame.tolist() == [1, 2, 3, 5, 6, 7], "an unconfirmed track is not continued"
+    assert with_gap.confirmed.tolist() == [False] * 4 + [True] * 2
+
+
+def test_a_missed_target_is_continued_for_as_long_as_coast():
+    online = run(matching_of(coast=0.3), [*moving(10), *[states([])] * 20]).online
+    coasted = online.take(online.detection < 0)
+    assert coasted.frame.tolist() == list(range(11, 18)), "0.3 s at 25 Hz are 7 frames"
+    assert set(coasted.identity) == {1}
+    assert coasted.confirmed.all()
+    centre = (coasted.xyxy[:, :2] + coasted.xyxy[:, 2:]) / 2
+    np.testing.assert_allclose(centre, [[100 + 3 * k, 200] for k in range(10, 17)], atol=1e-9)
+    assert (np.diff(coasted.confidence) < 0).all()
+
+
+def test_coast_is_time_and_not_frames():
+    frames = [*moving(10), *[states([])] * 20]
+    online = run(matching_of(coast=0.3), frames, intervals=[1.0] * 10 + [3.5] * 20).online
+    assert online.frame[online.detection < 0].tolist() == [11, 12]
+
+
+@pytest.mark.parametrize("settings", [{"coast": 0.0}, {"bridge": False}])
+def test_nothing_is_continued_when_told_not_to(settings):
+    online = run(matching_of(**settings), [*moving(10), *[states([])] * 5]).online
+    assert (online.detection >= 0).all()
+
+
+def test_a_target_that_leaves_the_frame_is_not_continued():
+    leaving = moving(10, start=(WIDTH - 40.0, HEIGHT / 2), velocity=(6.0, 0.0))
+    online = run(matching_of(coast=2.0), [*leaving, *[states([])] * 20]).online
+    last = online.xyxy[online.detection < 0]
+    assert (last[:, 0] < WIDTH).all()
+    assert len(last) == 0 or online.frame.max() < 14
+
+
+def test_a_target_seen_again_keeps_its_identity():
+    frames = [*moving(10), *[states([])] * 4, *moving(10, start=(142.0, 200.0))]
+    online = run(matching_of(miss=0.9, gate=6.0), frames).online
+    assert online.frame.tolist() == list(range(1, 25))
+    assert set(online.identity) == {1}
+    assert online.predicted.tolist() == [False] * 10 + [True] * 4 + [False] * 10
+
+
+def rows_of(frames: list[Estimates], who) -> Truth:
+    """The targets among the states, as truth for counting switches."""
+    number = np.concatenate([np.full(len(w), k) for k, w in enumerate(who, 1)])
+    names, boxes = np.concatenate(who), np.concatenate([f.xyxy for f in frames])
+    real = names >= 0
+    return Truth(number[real], names[real] + 1, boxes[real], np.zeros(int(real.sum()), np.bool_))
+
+
+def switches(online: Tracks, truth: Truth) -> int:
+    return evaluate(truth, online.take(online.detection >= 0)).id_switches
+
+
+def test_waiting_does_not_cost_identities():
+    """Over crossings with misses and clutter, rows that wait for later frames have no more switches."""
+    counts = {0: 0, 3: 0, 10: 0}
+    for seed in range(12):
+        frames, who = walkers(np.random.default_rng(seed), 60, p_seen=0.9, clutter=1.0, n=4)
+        truth = rows_of(frames, who)
+        for delay in counts:
+            counts[delay] += switches(run(matching_of(delay=delay, shortest=3), frames).online, truth)
+    assert counts[0] > 20, "hard enough to make a difference"
+    assert counts[10] <= counts[3] <= counts[0]
+    assert counts[10] < counts[0]
+
+
+def test_online_rows_do_not_depend_on_what_comes_later():
+    frames, _ = walkers(np.random.default_rng(2), 50, clutter=2.0)
+    whole = run(matching_of(delay=2), frames).given
+    for end in (1, 10, 33):
+        assert all(same(a, b) for a, b in zip(run(matching_of(delay=2), frames[:end]).given, whole, strict=False))
