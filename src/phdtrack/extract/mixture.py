@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.arrays import sum_by
 from phdtrack.checks import Positive, PositiveCount, Share, check
 from phdtrack.extract import clusters
 from phdtrack.extract.resolution import join_unresolved
-from phdtrack.kernels.pairs import moments, quadratic_form
+from phdtrack.kernels.pairs import moments, quadratic_form, shares
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, Particles
 
@@ -81,11 +80,7 @@ def _responsibilities(state: Particles, mixture: GaussianMixture, sensor: Sensor
     distance2 = quadratic_form(state.state, mixture.mean, np.linalg.inv(mixture.covariance), point, which)
     _, log_det = np.linalg.slogdet(mixture.covariance)
     log_density = np.log(mixture.weight)[which] - 0.5 * log_det[which] - 0.5 * distance2
-    top = np.full(len(state), -np.inf)
-    np.maximum.at(top, point, log_density)
-    density = np.exp(log_density - top[point])
-    total = sum_by(point, density, len(state))
-    return point, which, density / total[point]
+    return point, which, shares(log_density, point, len(state))
 
 
 def _components(state: Particles, weight: F8, point: I8, which: I8, k: int, sensor: Sensor) -> GaussianMixture:

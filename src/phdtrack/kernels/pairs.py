@@ -92,3 +92,19 @@ def moments(x: F8, weight: F8, point: I8, which: I8, k: int) -> tuple[F8, F8, F8
                     cov[j, r, s] /= mass[j]
                     cov[j, s, r] = cov[j, r, s]
     return mass, mean, cov
+
+
+@njit(cache=True)
+def shares(log_density: F8, point: I8, count: int) -> F8:
+    """(P,) exp(log_density) of each pair over the sum of its point's pairs: responsibilities, safe from underflow."""
+    top = np.full(count, -np.inf)
+    for p in range(point.size):
+        top[point[p]] = max(top[point[p]], log_density[p])
+    total = np.zeros(count)
+    out = np.empty(point.size)
+    for p in range(point.size):
+        out[p] = np.exp(log_density[p] - top[point[p]])
+        total[point[p]] += out[p]
+    for p in range(point.size):
+        out[p] /= total[point[p]]
+    return out

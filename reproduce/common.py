@@ -1,0 +1,110 @@
+"""What the experiments share: sequences, one run of the tracker, parallel work, tables in Markdown."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from phdtrack import config, pipeline
+from phdtrack.errors import InputError
+from phdtrack.formats import read_detections, read_seqinfo, read_truth
+from phdtrack.metrics import Scores, evaluate, first_output_delays
+from phdtrack.types import DetectionTable, SequenceInfo, Tracks, Truth
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "docs" / "results"
+DATA = Path(os.environ.get("PHDTRACK_DATA", ROOT.parent / "shared" / "data"))
+
+A = TypeVar("A")
+B = TypeVar("B")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """A sequence with truth and one set of detections."""
+
+    name: str
+    info: SequenceInfo
+    truth: Truth
+    table: DetectionTable
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """What one run gave."""
+
+    scores: Scores
+    delay: float
+    seconds_per_frame: float
+
+
+def need_data() -> Path:
+    """The folder of real sequences; `InputError` where it is missing."""
+    if not (DATA / "mot15").is_dir():
+        raise InputError(
+            "the real sequences are missing", where=DATA, cure="Set PHDTRACK_DATA to the folder that holds mot15/"
+        )
+    return DATA
+
+
+def mot15(sequence: str, kind: str) -> Case:
+    """A MOT15 sequence with its ``public`` or ``frcnn`` detections."""
+    folder = need_data() / "mot15" / sequence
+    table = read_detections(folder / f"det_{kind}" / "det.txt")
+    return Case(f"{sequence} {kind}", read_seqinfo(folder), read_truth(folder / "gt" / "gt.txt"), table)
+
+
+def track(case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), preset: str = "") -> tuple[Tracks, float]:
+    """Corrected tracks of a case, and the seconds that a frame took in filter, extraction and association."""
+    stages = config.build(config.load(None, sets, preset), case.info, filter_name)
+    rng = np.random.default_rng(seed)
+    state, spent = pipeline.start(stages, rng), 0.0
+    for number in range(1, case.info.frames + 1):
+        time_ = (number - 1) / case.info.fps
+        state, step = pipeline.advance(stages, state, case.table.at(number), number, time_, rng)
+        spent += sum(step.seconds)
+    return pipeline.finish(stages, state), spent / case.info.frames
+
+
+def measure(case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), preset: str = "") -> Result:
+    """Track and score a case."""
+    tracks, seconds = track(case, filter_name, seed, sets, preset)
+    delays = first_output_delays(case.truth, tracks, case.table).delay
+    delay = float(np.nanmean(delays)) if np.isfinite(delays).any() else float("nan")
+    return Result(evaluate(case.truth, tracks, frames=case.info.frames), delay, seconds)
+
+
+def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str) -> list[B]:
+    """``work`` over ``jobs`` in as many processes as there are cores, with progress on stderr."""
+    began = time.perf_counter()
+    out = []
+    with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
+        for done, result in enumerate(pool.map(work, jobs), start=1):
+            out.append(result)
+            print(f"\r{label}: {done} of {len(jobs)}, {time.perf_counter() - began:.0f} s", end="", file=sys.stderr)
+    print(file=sys.stderr)
+    return out
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table; floats with three digits."""
+    lines = [" | ".join(header), " | ".join("---" for _ in header)]
+    lines += [" | ".join(f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row) for row in rows]
+    return "\n".join(f"| {line} |" for line in lines) + "\n"
+
+
+def write(name: str, text: str) -> Path:
+    """Write a page of results."""
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    path = RESULTS / name
+    path.write_text(text, encoding="utf-8")
+    print(path, file=sys.stderr)
+    return path

@@ -1,0 +1,16 @@
+"""All measured tables: `make experiments`. Each can be run alone; see the modules."""
+
+from __future__ import annotations
+
+from reproduce import count, detections, videos
+
+
+def main() -> None:
+    """Every experiment, the short ones first."""
+    count.main()
+    videos.main()
+    detections.main()
+
+
+if __name__ == "__main__":
+    main()
