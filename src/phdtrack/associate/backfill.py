@@ -45,8 +45,11 @@ def lead_back(
             break
         dt = moments[k + 1].time - earlier.time
         _, jacobian, noise = model.motion.transition(state[:, None], dt)
-        back = np.linalg.inv(jacobian[0])
-        state, cov = back @ state, back @ (cov + noise[0]) @ back.T
+        # A component that the transition forgets (a remembered size) cannot be told from what came after: it stays.
+        back = np.linalg.pinv(jacobian[0])
+        forgotten = ~jacobian[0].any(axis=0)
+        state = np.where(forgotten, state, back @ state)
+        cov = back @ (cov + noise[0]) @ back.T
         seen, _ = model.sensor.states(earlier.spare[:, free])
         sigma = model.sensor.noise(seen)[rows]
         spread = cov[np.ix_(rows, rows)] + np.apply_along_axis(np.diag, 0, sigma**2).transpose(2, 0, 1)
