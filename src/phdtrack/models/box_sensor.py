@@ -42,8 +42,8 @@ class BoxSensor:
     speed : standard deviation of an unknown velocity's amplitude, in box sizes √(wh) per time unit. No paper gives it: the
         default 0.06 is 1.5 box sizes per second at 25 Hz, a brisk walk for a standing person.
     fixed_speed : the same in pixels per time unit, for ``scaling="fixed"``.
-    gate_sigmas : detections touch only particles within this many deviations in position; at 5, at most 5.1e-5 of a
-        Gaussian is cut.
+    gate_sigmas : G, detections touch only particles within this many deviations; at 5, at most 5.1e-5 of a Gaussian is
+        cut, as long as G·spread < 1 where σ follows the state's own size (at a spread of 0.3 it is about 1e-3).
     """
 
     detection: Probability = 0.95
@@ -68,6 +68,8 @@ class BoxSensor:
         z = to_cxcywh(detections.xyxy)
         if self.scaling != "given":
             return z
+        if len(detections) == 0:
+            return np.zeros((8, 0))
         if detections.covariance is None:
             raise InputError(
                 "the sensor's scaling is 'given', but the detections bring no covariance",
