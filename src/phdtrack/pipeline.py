@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -43,8 +44,10 @@ def advance(
     """Take in the detections of frame ``number`` (from 1) at ``time`` seconds.
 
     A frame with ``detections.observed`` False is predicted and nothing more. Raises `InputError` where number or time does
-    not grow.
+    not grow, or the time is no number.
     """
+    if not math.isfinite(time):
+        raise InputError(f"expected the time of a frame in seconds, got {time:g}", where=f"frame {number}")
     if state.number and (number <= state.number or not time > state.time):
         raise InputError(
             f"frame numbers and times must grow, but frame {number} at {time:g} s follows frame {state.number} at "
@@ -56,7 +59,7 @@ def advance(
     dt = (time - state.time) * model.rate if state.number else 1.0
     began = clock.perf_counter()
     predicted = stages.filter.predict(state.intensity, model, dt, rng)
-    z = model.sensor.measure(detections)
+    z = model.sensor.measure(detections if detections.observed else Detections.empty(observed=False))
     if detections.observed:
         updated, info = stages.filter.update(predicted, z, model, dt, rng)
         reduced = stages.filter.reduce(updated, rng)
