@@ -139,15 +139,15 @@ def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "") -
     where = str(path) if path is not None else "configuration"
     named = preset or document.pop("preset", "default")
     document.pop("preset", None)
-    if named not in PRESETS:
+    if not isinstance(named, str) or named not in PRESETS:
         raise _unknown("preset", str(named), list(PRESETS), where)
     sections: dict[str, Values] = {name: dict(values) for name, values in PRESETS[named].items()}
     for name, values in document.items():
-        if not isinstance(values, dict):
-            raise InputError(f"expected a section [{name}] with names and values", where=where)
         _overlay(sections, name, values, where)
-    for assignment in sets:
-        name, key, value = _assignment(assignment)
+    # A kind decides which other names there are, wherever it stands among the options.
+    for assignment, (name, key, value) in sorted(
+        ((text, _assignment(text)) for text in sets), key=lambda parsed: parsed[1][1] != "kind"
+    ):
         _overlay(sections, name, {key: value}, f"--set {assignment}")
     return _checked(Settings(named, sections), where)
 
@@ -172,10 +172,10 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "") -> AnyS
 
     Raises `InputError` where settings do not go together.
     """
+    if filter_name:
+        settings = overlay(settings, {"filter": {"kind": filter_name}}, "--filter")
     size = (float(info.width), float(info.height))
-    kind = filter_name or settings.sections.get("filter", {}).get("kind", "particle-phd")
-    if kind not in SECTIONS["filter"]:
-        raise _unknown("filter", kind, list(SECTIONS["filter"]), "--filter")
+    kind = settings.sections.get("filter", {}).get("kind", "particle-phd")
     sensor = _record(settings, "sensor")
     motion = _record(
         settings,
@@ -239,23 +239,27 @@ def _record(settings: Settings, section: str, where: str = "configuration", dry:
 
 
 def _overlay(sections: dict[str, Values], name: str, values: Values, where: str) -> None:
-    """Put ``values`` over section ``name``, checking names and types."""
+    """Put ``values`` over section ``name``, checking names, types and bounds."""
     if name not in SECTIONS:
         raise _unknown("section", name, list(SECTIONS), where)
+    if not isinstance(values, Mapping):
+        raise InputError(f"expected a section [{name}] with names and values, got {values!r}", where=where)
     section = sections.setdefault(name, {})
     if name == "detector":
         section.update(values)
         return
     kinds = SECTIONS[name]
     if "kind" in values:
-        if values["kind"] not in kinds or not values["kind"]:
-            raise _unknown(f"kind of {name}", str(values["kind"]), [k for k in kinds if k], where)
+        if "" in kinds:
+            raise InputError(f"[{name}] comes in one kind only, got kind = {values['kind']!r}", where=where)
+        if not isinstance(values["kind"], str) or values["kind"] not in kinds:
+            raise _unknown(f"kind of {name}", str(values["kind"]), list(kinds), where)
         if values["kind"] != section.get("kind", next(iter(kinds))):
             # Another kind has other fields; those of the preset's kind do not belong to it.
             section.clear()
         section["kind"] = values["kind"]
     record = kinds[section.get("kind", next(iter(kinds)))]
-    hints = get_type_hints(record)
+    hints = get_type_hints(record, include_extras=True)
     known = [f.name for f in fields(record) if f.name not in _FROM_SEQUENCE]
     if name == "filter" and record is ParticlePHD:
         known.append("initial")
@@ -269,11 +273,12 @@ def _overlay(sections: dict[str, Values], name: str, values: Values, where: str)
 
 
 def _typed(key: str, value: Any, hint: Any, where: str) -> Any:
-    """``value`` as the type that the field states."""
+    """``value`` as the type that the field states, within its bounds."""
     from pydantic import TypeAdapter, ValidationError
 
     try:
-        return TypeAdapter(hint).validate_python(value)
+        # A list may stand for a tuple and 5.0 for 5, but neither true nor "0.9" for a number.
+        return TypeAdapter(hint).validate_python(value, strict=isinstance(value, (bool, str)))
     except ValidationError as error:
         raise InputError(f"{key}: {error.errors()[0]['msg'].lower()}, got {value!r}", where=where) from None
 
