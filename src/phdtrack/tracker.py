@@ -9,6 +9,7 @@ corrected = tracker.tracks()
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from phdtrack.detections import as_detections
 from phdtrack.errors import InputError
 from phdtrack.protocols import AnyStages
 from phdtrack.statedict import pack, unpack
-from phdtrack.types import Detections, SequenceInfo, Step, Tracks
+from phdtrack.types import Detections, Particles, SequenceInfo, Step, Tracks
 
 FORMAT = 1
 
@@ -55,8 +56,10 @@ class Tracker:
         stages: AnyStages | None = None,
         **sections: dict[str, Any],
     ) -> None:
-        if not fps > 0:
+        if not 0 < _number(fps, "Tracker(fps=…)") < math.inf:
             raise InputError(f"expected frames per second above 0, got {fps!r}", where="Tracker(fps=…)")
+        if _whole(seed, "Tracker(seed=…)") < 0:
+            raise InputError(f"expected a seed from 0, got {seed}", where="Tracker(seed=…)")
         if stages is None:
             if frame_size is None:
                 raise InputError(
@@ -64,10 +67,10 @@ class Tracker:
                 )
             path = Path(settings) if settings is not None else None
             loaded = config.overlay(config.load(path, preset=preset), sections)
-            stages = config.build(loaded, SequenceInfo(int(frame_size[0]), int(frame_size[1]), fps), filter)
+            stages = config.build(loaded, SequenceInfo(*_size(frame_size), float(fps)), filter)
         elif sections or settings is not None or preset or filter:
             raise InputError("stages are complete; settings beside them would be ignored", where="Tracker")
-        self.stages, self.fps, self.seed = stages, float(fps), seed
+        self.stages, self.fps, self.seed = stages, float(fps), int(seed)
         self.reset()
 
     def reset(self) -> None:
@@ -91,10 +94,10 @@ class Tracker:
         ------
         InputError : boxes that are none, or a frame that does not come after the last.
         """
-        number = self._state.number + 1 if frame is None else int(frame)
+        number = self._state.number + 1 if frame is None else _whole(frame, "update(frame=…)")
         if number < 1:
             raise InputError(f"expected a frame number from 1, got {number}", where="update(frame=…)")
-        time = self._time(number) if timestamp is None else float(timestamp)
+        time = self._time(number) if timestamp is None else _number(timestamp, f"frame {number}, update(timestamp=…)")
         found = as_detections(detections, where=f"frame {number}")
         self._state, self._step = pipeline.advance(self.stages, self._state, found, number, time, self._rng)
         return self._step.tracks
@@ -134,15 +137,47 @@ class Tracker:
         """
         try:
             if saved["format"] != FORMAT:
-                raise InputError(f"expected format {FORMAT}, got {saved['format']!r}", where="load_state_dict")
+                raise ValueError(f"expected format {FORMAT}, got {saved['format']!r}")
             state = unpack(saved["state"])
             rng = np.random.default_rng(self.seed)
             rng.bit_generator.state = saved["random"]
-        except (KeyError, TypeError, ValueError) as error:
+            if not isinstance(state, pipeline.TrackingState):
+                raise TypeError(f"expected a TrackingState, got a {type(state).__name__}")
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"this is no state of a tracker ({error})", where="load_state_dict") from error
-        if not isinstance(state, pipeline.TrackingState):
-            raise InputError("this is no state of a tracker", where="load_state_dict")
+        dim, held = self.stages.model.motion.dim, state.intensity
+        if isinstance(held, Particles) and len(held.state) != dim:
+            raise InputError(
+                f"expected states of {dim} components, got {len(held.state)}",
+                where="load_state_dict",
+                cure="Load it into a tracker with the settings of the one that it is from",
+            )
         self._state, self._rng, self._step = state, rng, None
+
+
+def _number(value: Any, where: str) -> float:
+    """``value`` as a float, where it is a number."""
+    if not isinstance(value, (int, float, np.integer, np.floating)):
+        raise InputError(f"expected a number, got {value!r}", where=where)
+    return float(value)
+
+
+def _whole(value: Any, where: str) -> int:
+    """``value`` as an integer, where it is a whole number (OpenCV tells frame numbers as floats)."""
+    if not _number(value, where).is_integer():
+        raise InputError(f"expected a whole number, got {value!r}", where=where)
+    return int(value)
+
+
+def _size(frame_size: Any) -> tuple[int, int]:
+    """Width and height in whole pixels."""
+    where = "Tracker(frame_size=…)"
+    if not isinstance(frame_size, (tuple, list, np.ndarray)) or len(frame_size) != 2:
+        raise InputError(f"expected (width, height) in pixels, got {frame_size!r}", where=where)
+    width, height = (_whole(side, where) for side in frame_size)
+    if width < 1 or height < 1:
+        raise InputError(f"expected a width and height of at least one pixel, got {width}x{height}", where=where)
+    return width, height
 
 
 __all__ = ["Detections", "Tracker"]
