@@ -64,14 +64,17 @@ class MeasurementBirth:
         root = np.linalg.cholesky(observed_cov)
         state[rows] += np.einsum("jrs,sj->rj", root[parent], _truncated_normal(len(rows), len(parent), limit, rng))
         _draw_velocity(state, cov, parent, rng)
-        log_proposal = _log_mixture(state[rows], mean[rows], observed_cov, counts, limit)
         gamma = self._intensity(state[rows], z[: len(rows)]) * dt
+        # Of a small box the noise's region reaches sizes below 0, where nothing is born.
+        possible = gamma > 0
+        state, gamma = state[:, possible], gamma[possible]
+        log_proposal = _log_mixture(state[rows], mean[rows], observed_cov, counts, limit)
         return Particles(state, gamma * np.exp(-log_proposal))
 
     def _intensity(self, observed: F8, z: F8) -> F8:
-        """γ per time unit at positions and sizes (m, L)."""
+        """γ per time unit at positions and sizes (m, L); 0 where a size is not positive."""
         if self.volume == "image":
-            return np.full(observed.shape[1], self.rate / image_volume(self.frame_size))
+            return np.where((observed[2:4] > 0).all(0), self.rate / image_volume(self.frame_size), 0.0)
         point, which = gated_pairs(observed[0], observed[1], z[:2] - z[2:4], z[:2] + z[2:4])
         near = in_neighbourhood(observed[:, point], z[:, which])
         density = self.rate / local_volume(z)[which[near]]
