@@ -1,0 +1,114 @@
+"""A believed object is led back through the detections that no state rested on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from association_cases import matching_of, model_of, states
+
+from phdtrack.boxes import to_cxcywh, to_xyxy
+from phdtrack.types import Estimates, Tracks
+
+MODEL = model_of()
+NONE = states([])
+
+
+def measured(*points, size: float = 40.0) -> np.ndarray:
+    xy = np.asarray(points, np.float64).reshape(-1, 2).T
+    return np.vstack([xy, np.full((2, xy.shape[1]), size)])
+
+
+def run(frames, model=MODEL, **settings) -> Tracks:
+    """Corrected tracks of a sequence of (states, measurements)."""
+    matching = matching_of(**settings)
+    state = matching.start()
+    for number, (estimates, z) in enumerate(frames, start=1):
+        state, _ = matching.extend(state, estimates, z, number, 1.0, model)
+    return matching.finish(state, model)
+
+
+def walker(believed_from: int, frames: int = 20, *, stray=()) -> list[tuple[Estimates, np.ndarray]]:
+    """One target at 3 pixels a frame, detected always, a state from frame ``believed_from`` (from 0) on; strays first."""
+    out = []
+    for k in range(frames):
+        z = measured(*stray, (100 + 3 * k, 200))
+        here = states([(100 + 3 * k, 200)], velocity=[(3, 0)]) if k >= believed_from else NONE
+        own = np.full(len(here), len(stray))
+        out.append((Estimates(here.state, here.covariance, here.weight, here.xyxy, own), z))
+    return out
+
+
+@pytest.mark.parametrize(("late", "most", "rows"), [(3, 5, 3), (5, 5, 5), (8, 5, 5), (3, 0, 0), (3, 2, 2)])
+def test_a_track_begins_at_the_detections_that_started_it(late: int, most: int, rows: int):
+    tracks = run(walker(late), backfill=most)
+    assert set(tracks.identity) == {1}
+    assert tracks.frame.tolist() == list(range(late - rows + 1, 21))
+    assert (tracks.detection == 0).all()
+    centre = to_cxcywh(tracks.xyxy)[0]
+    np.testing.assert_allclose(centre, 100 + 3 * (tracks.frame - 1), atol=1e-6)
+
+
+def test_it_takes_the_detection_that_the_state_predicts():
+    tracks = run(walker(4, stray=[(300, 300), (150, 260)]), backfill=5)
+    assert tracks.frame.tolist() == list(range(1, 21))
+    assert (tracks.detection == 2).all()
+
+
+def test_it_stops_where_there_is_none():
+    frames = walker(5)
+    frames[2] = (NONE, measured((300, 300)))
+    assert run(frames, backfill=5).frame.tolist() == list(range(4, 21))
+    frames[2] = (NONE, measured())
+    assert run(frames, backfill=5).frame.tolist() == list(range(4, 21))
+
+
+def test_states_are_counted_with_what_leads_to_them():
+    """Three states and two detections before them make five."""
+    frames = [*walker(2, 5), *[(NONE, measured())] * 3]
+    assert run(frames, backfill=5, shortest=5).frame.tolist() == [1, 2, 3, 4, 5]
+    assert len(run(frames, backfill=0, shortest=5)) == 0
+
+
+def test_two_tracks_do_not_share_a_detection():
+    frames = []
+    for k in range(14):
+        z = measured((200, 200)) if k < 4 else measured((200, 200), (206, 204))
+        here = states([(200, 200), (206, 204)], velocity=[(0, 0), (0, 0)]) if k >= 4 else NONE
+        frames.append((here, z))
+    tracks = run(frames, backfill=5)
+    assert len({*zip(tracks.frame.tolist(), tracks.detection.tolist(), strict=True)}) == len(tracks)
+    assert (np.bincount(tracks.frame)[1:5] == 1).all()
+
+
+def test_a_measured_size_leads_back_like_a_position():
+    """Noise in the detections is smoothed: the rows lie nearer to the truth than the detections."""
+    rng = np.random.default_rng(0)
+    errors, theirs = [], []
+    for _ in range(40):
+        frames = walker(5)
+        for k in range(5):
+            noisy = measured((100 + 3 * k, 200)) + rng.normal(0, [[2], [2], [4], [4]], (4, 1))
+            frames[k] = (NONE, noisy)
+            theirs.append(noisy[:, 0] - measured((100 + 3 * k, 200))[:, 0])
+        tracks = run(frames, backfill=5, shortest=3)
+        early = tracks.take(tracks.frame <= 5)
+        truth = np.array([measured((100 + 3 * (f - 1), 200))[:, 0] for f in early.frame]).reshape(-1, 4)
+        errors.extend(to_cxcywh(early.xyxy).T - truth)
+    assert len(errors) > 180
+    assert np.square(errors).mean() < 0.7 * np.square(theirs).mean()
+
+
+def test_a_remembered_size_is_led_back_too():
+    """With the previous size in the state the transition has no inverse."""
+    model = model_of(remember_size=True)
+    frames = []
+    for k, (estimates, z) in enumerate(walker(4)):
+        state = np.vstack([estimates.state, estimates.state[4:6]])
+        cov = np.zeros((len(estimates), 8, 8))
+        cov[:, :6, :6] = estimates.covariance
+        cov[:, [6, 7], [6, 7]] = cov[:, [4, 5], [4, 5]]
+        frames.append((Estimates(state, cov, estimates.weight, to_xyxy(z[:, :1])[: len(estimates)], estimates.detection), z))
+        assert len(estimates) == (k >= 4)
+    tracks = run(frames, model, backfill=5)
+    assert tracks.frame.tolist() == list(range(1, 21))
+    np.testing.assert_allclose(to_cxcywh(tracks.xyxy)[2:], 40, atol=1e-6)
