@@ -1,0 +1,173 @@
+"""Newborn particles stand for the mass of γ where they are drawn, whatever they are drawn from."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2, kstest
+
+from phdtrack.errors import InputError
+from phdtrack.models import BoxSensor, FixedBirth, MeasurementBirth, NoSpawn, SplitSpawn, UniformBirth
+from phdtrack.models.births import _truncated_normal
+from phdtrack.types import GaussianMixture, Particles
+from reference import birth_twin as twin
+
+FRAME = (640.0, 480.0)
+ALONE = [[300.0, 200, 40, 90]]
+APART = [*ALONE, [100.0, 300, 20, 60], [500.0, 100, 70, 80]]
+OVERLAPPING = [*ALONE, [306.0, 205, 44, 80], [300.0, 200, 40, 90]]
+TINY = [[300.0, 200, 2, 3]]
+
+
+def columns(rows) -> np.ndarray:
+    return np.array(rows, dtype=float).T.copy()
+
+
+@pytest.mark.parametrize("volume", ["image", "local"])
+@pytest.mark.parametrize("covered", [0.0, 0.6])
+@pytest.mark.parametrize(
+    ("boxes", "few"),
+    [(ALONE, 0.03), (APART, 0.03), (OVERLAPPING, 0.05), (TINY, 0.2)],
+    ids=["alone", "apart", "near", "tiny"],
+)
+def test_weights_integrate_gamma_over_the_regions(boxes, few: float, covered: float, volume: str, rng):
+    """A thousand particles a detection give the mass within a few per cent, and on average without bias.
+
+    Of a box of two by three pixels a good part of the region has sizes at which nothing is born.
+    """
+    z, sensor = columns(boxes), BoxSensor(spread=0.15)
+    birth = MeasurementBirth(0.02, 1000, volume, FRAME)
+    masses = [birth.sample(z, np.full(z.shape[1], covered), sensor, 2.0, rng).mass for _ in range(80)]
+    sigma = sensor.noise(sensor.states(z)[0])[[0, 1, 4, 5]]
+
+    def density(points):
+        per_time = twin.image_density(points, 0.02, FRAME) if volume == "image" else twin.local_density(points, z, 0.02)
+        return 2.0 * per_time
+
+    want = twin.mass(z, sigma, density, 200_000, rng)
+    deviation = np.std(masses) / want
+    # Half of the particles at M = 0.6, and so more deviation.
+    assert deviation <= few * (1 + covered)
+    assert np.mean(masses) == pytest.approx(want, rel=4 * deviation / math.sqrt(80) + 0.006)
+
+
+@given(st.lists(st.integers(0, 12), max_size=6), st.integers(1, 5), st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_stratified_draws_fill_the_region_evenly(counts: list[int], rows: int, seed: int):
+    """Of J draws of one detection, one lies in each of J shells of equal probability."""
+    drawn = _truncated_normal(rows, np.array(counts, np.int64), np.random.default_rng(seed))
+    assert drawn.shape == (rows, sum(counts))
+    parts = np.split(chi2(rows).cdf((drawn**2).sum(0)) / 0.99, np.cumsum(counts)[:-1]) if counts else []
+    for part, count in zip(parts, counts, strict=True):
+        # The table of quantiles is coarse at the centre.
+        assert np.all(np.abs(part * count - np.arange(count) - 0.5) <= 0.5 + 2e-3 * count)
+
+
+def test_the_number_of_newborn_follows_what_is_predicted(rng):
+    z, sensor = columns(APART), BoxSensor()
+    birth = MeasurementBirth(0.01, 1000, "image", FRAME)
+    born = birth.sample(z, np.array([0.0, 0.7494, 1.2]), sensor, 1.0, rng)
+    nearest = np.argmin(np.abs(born.state[0][:, None] - z[0]), axis=1)
+    np.testing.assert_array_equal(np.bincount(nearest, minlength=3), [1000, 251, 0])
+
+
+def test_newborn_lie_in_the_region_with_positive_sizes_and_any_direction(rng):
+    z, sensor = columns(ALONE), BoxSensor()
+    born = MeasurementBirth(0.01, 4000, "image", FRAME).sample(z, np.zeros(1), sensor, 1.0, rng)
+    x, cov = sensor.states(z)
+    distance2 = (((born.state - x) ** 2).T / np.diag(cov[0]))[:, [0, 1, 4, 5]].sum(1)
+    assert distance2.max() <= twin.REGION * (1 + 1e-9)
+    assert kstest(np.arctan2(born.state[3], born.state[2]), "uniform", (-math.pi, 2 * math.pi)).pvalue > 1e-3
+    # A Gaussian amplitude of variance a² in a uniform direction: a²/2 on each axis, and no correlation.
+    np.testing.assert_allclose(np.cov(born.state[2:4]), cov[0][2:4, 2:4], atol=0.1 * cov[0][2, 2])
+
+
+@pytest.mark.parametrize("sensor", [BoxSensor(floor=1.0), BoxSensor(spread=0.4, floor=0.0), BoxSensor(scaling="fixed")])
+def test_nothing_is_born_without_extent(sensor: BoxSensor, rng):
+    for volume in ("image", "local"):
+        for _ in range(5):
+            born = MeasurementBirth(0.01, 1000, volume, FRAME).sample(columns(TINY), np.zeros(1), sensor, 1.0, rng)
+            assert len(born) > 0
+            assert born.state[4:6].min() > 0
+            assert np.all(born.weight > 0)
+            assert np.isfinite(born.weight).all()
+
+
+def test_no_detection_and_no_rate_bring_nothing(rng):
+    sensor = BoxSensor(scaling="previous")
+    none = MeasurementBirth(0.01, 1000, "local").sample(np.zeros((4, 0)), np.zeros(0), sensor, 1.0, rng)
+    assert none.state.shape == (8, 0)
+    assert len(MeasurementBirth(0.0, 1000, "local").sample(columns(ALONE), np.zeros(1), BoxSensor(), 1.0, rng)) == 0
+    assert len(MeasurementBirth(0.1, 1000, "local").sample(columns(ALONE), np.ones(1), BoxSensor(), 1.0, rng)) == 0
+
+
+def test_the_image_volume_needs_the_size_of_the_frame(rng):
+    with pytest.raises(InputError, match="frame-size"):
+        MeasurementBirth(volume="image").sample(columns(ALONE), np.zeros(1), BoxSensor(), 1.0, rng)
+
+
+def test_the_same_seed_draws_the_same():
+    drawn = [
+        MeasurementBirth(volume="local").sample(columns(APART), np.zeros(3), BoxSensor(), 1.0, np.random.default_rng(5))
+        for _ in range(2)
+    ]
+    np.testing.assert_array_equal(drawn[0].state, drawn[1].state)
+    np.testing.assert_array_equal(drawn[0].weight, drawn[1].weight)
+
+
+@pytest.mark.parametrize("scaling", ["particle", "previous", "given"])
+def test_uniform_births(scaling: str, rng):
+    z = np.vstack([columns(APART), np.ones((4, 3))]) if scaling == "given" else columns(APART)
+    birth = UniformBirth(FRAME, rate=0.3, count=500, smallest=0.1, largest=0.4)
+    born = birth.sample(z, np.zeros(3), BoxSensor(scaling=scaling), 2.5, rng)
+    assert born.mass == pytest.approx(0.75)
+    assert len(set(born.weight)) == 1
+    assert born.state.shape == (8 if scaling == "previous" else 6, 500)
+    for row, low, high in ((0, 0, 640), (1, 0, 480), (4, 64, 256), (5, 48, 192)):
+        assert kstest(born.state[row], "uniform", (low, high - low)).pvalue > 1e-3
+    if scaling == "previous":
+        np.testing.assert_array_equal(born.state[6:8], born.state[4:6])
+
+
+def test_fixed_births(rng):
+    mean = np.array([[100.0, 50, 1, 0, 20, 40], [300, 60, 0, 1, 30, 50]]).T
+    cov = np.stack([np.diag([9.0, 4, 1, 1, 2, 3]), np.eye(6) + 0.5])
+    mixture = GaussianMixture(np.array([0.01, 0.04]), mean, cov)
+    born = FixedBirth(mixture, 20_000).sample(np.zeros((4, 0)), np.zeros(0), BoxSensor(), 3.0, rng)
+    assert born.mass == pytest.approx(0.15)
+    first = born.state[0] < 200
+    assert born.weight[first].sum() == pytest.approx(0.03)
+    for part, want_mean, want_cov in zip((first, ~first), mean.T, cov, strict=True):
+        np.testing.assert_allclose(born.state[:, part].mean(1), want_mean, atol=4 * 3 / math.sqrt(20_000))
+        np.testing.assert_allclose(np.cov(born.state[:, part]), want_cov, atol=0.4)
+
+
+def test_spawned_mass_and_place(rng):
+    state = np.repeat(np.array([[0.0, 0, 1, 1, 20, 40], [500, 0, 1, 1, 20, 40]]).T, [300, 300], axis=1)
+    parents = Particles(state, np.repeat([0.001, 0.003], 300))
+    spawned = SplitSpawn(rate=0.05, distance=0.5, fraction=1.0).sample(parents, 2.0, rng)
+    assert spawned.mass == pytest.approx(0.05 * 2.0 * 1.2)
+    far = spawned.state[0] > 250
+    assert far.mean() == pytest.approx(0.75, abs=4 * math.sqrt(0.75 * 0.25 / 600))
+    assert spawned.state[0, ~far].std() == pytest.approx(10, rel=0.3)
+    assert spawned.state[1].std() == pytest.approx(20, rel=0.15)
+    np.testing.assert_array_equal(spawned.state[2:], state[2:, :600])
+    for nothing in (SplitSpawn(rate=0.0), SplitSpawn(fraction=0.0), NoSpawn()):
+        assert nothing.sample(parents, 1.0, rng).state.shape == (6, 0)
+    assert len(SplitSpawn().sample(Particles(np.zeros((6, 0)), np.zeros(0)), 1.0, rng)) == 0
+
+
+@pytest.mark.parametrize(
+    "birth", [MeasurementBirth(volume="local"), MeasurementBirth(frame_size=FRAME), UniformBirth(FRAME)], ids=str
+)
+def test_inputs_are_left_alone(birth, rng):
+    z, covered = columns(OVERLAPPING), np.zeros(3)
+    z.flags.writeable = covered.flags.writeable = False
+    birth.sample(z, covered, BoxSensor(scaling="detection"), 1.0, rng)
+    state, weight = np.ones((6, 9)), np.full(9, 0.1)
+    state.flags.writeable = weight.flags.writeable = False
+    SplitSpawn(rate=1.0).sample(Particles(state, weight), 1.0, rng)

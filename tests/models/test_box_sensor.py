@@ -1,0 +1,209 @@
+"""The likelihoods of boxes, each scaling by its name, against SciPy's Gaussian; the gate against what it may cut."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, multivariate_normal
+
+from phdtrack.errors import InputError
+from phdtrack.models import BoxMotion, BoxSensor
+from phdtrack.types import Detections
+
+SCALINGS = ["particle", "detection", "previous", "fixed", "given"]
+ROWS = [0, 1, 4, 5]
+
+
+def states(rng, n: int, scaling: str, smallest: float = 3.0) -> np.ndarray:
+    size = rng.uniform(smallest, 120, (2, n))
+    x = np.vstack([rng.uniform(0, 640, (2, n)), rng.normal(0, 3, (2, n)), size])
+    return np.vstack([x, size * rng.uniform(0.7, 1.4, (2, n))]) if scaling == "previous" else x
+
+
+def near(rng, x: np.ndarray, scaling: str) -> np.ndarray:
+    z = x[ROWS] + rng.normal(0, 0.15, (4, x.shape[1])) * np.vstack([x[4:6], x[4:6]])
+    z[2:] = np.maximum(z[2:], 1.0)
+    return np.vstack([z, rng.uniform(1, 90, z.shape)]) if scaling == "given" else z
+
+
+def deviations(sensor: BoxSensor, z, x) -> list[float]:
+    """The deviations as the papers' words give them, for one pair."""
+    if sensor.scaling == "fixed":
+        position, size = sensor.fixed
+        return [position, position, size, size]
+    if sensor.scaling == "given":
+        return [math.sqrt(v) for v in z[4:8]]
+    w, h = {"particle": x[4:6], "detection": z[2:4], "previous": x[6:8]}[sensor.scaling]
+    sw, sh = max(sensor.spread * w, sensor.floor), max(sensor.spread * h, sensor.floor)
+    return [sw / 2, sh / 2, sw, sh]
+
+
+@pytest.mark.parametrize("floor", [0.0, 1.0, 6.0])
+@pytest.mark.parametrize("scaling", SCALINGS)
+def test_likelihood_is_the_named_gaussian(scaling: str, floor: float, rng):
+    """With the normaliser, which differs from particle to particle."""
+    sensor = BoxSensor(scaling=scaling, floor=floor, spread=0.2)
+    x = states(rng, 25, scaling)
+    z = near(rng, x, scaling)
+    for i in range(25):
+        cov = np.diag(np.square(deviations(sensor, z[:, i], x[:, i])))
+        want = multivariate_normal.logpdf(z[:4, i], x[ROWS, i], cov)
+        assert sensor.log_likelihood(z[:, [i]], x[:, [i]])[0] == pytest.approx(want, rel=1e-10)
+        step = z[:4, i] - x[ROWS, i]
+        assert sensor.distance2(z[:, [i]], x[:, [i]])[0] == pytest.approx(step @ np.linalg.solve(cov, step), rel=1e-10)
+
+
+@pytest.mark.parametrize("scaling", SCALINGS)
+def test_pairs_and_tables_broadcast(scaling: str, rng):
+    sensor = BoxSensor(scaling=scaling)
+    x = states(rng, 7, scaling)
+    z = near(rng, x, scaling)[:, :5]
+    table = sensor.log_likelihood(z[:, :, None], x[:, None, :])
+    assert table.shape == (5, 7)
+    which, point = (a.ravel() for a in np.indices((5, 7)))
+    np.testing.assert_allclose(sensor.log_likelihood(z[:, which], x[:, point]), table.ravel(), rtol=1e-13)
+    np.testing.assert_allclose(
+        sensor.distance2(z[:, which], x[:, point]), sensor.distance2(z[:, :, None], x[:, None, :]).ravel(), rtol=1e-13
+    )
+
+
+@pytest.mark.parametrize("scaling", SCALINGS)
+def test_states_at_rest_and_what_one_detection_tells(scaling: str, rng):
+    sensor = BoxSensor(scaling=scaling)
+    z = near(rng, states(rng, 6, scaling), scaling)
+    x, cov = sensor.states(z)
+    d = 8 if scaling == "previous" else 6
+    assert x.shape == (d, 6)
+    assert cov.shape == (6, d, d)
+    np.testing.assert_array_equal(x[ROWS], z[:4])
+    assert not x[2:4].any()
+    np.testing.assert_allclose(sensor.distance2(z, x), 0)
+    for i in range(6):
+        want = np.square(deviations(sensor, z[:, i], x[:, i]))
+        np.testing.assert_allclose(np.diag(cov[i])[ROWS], want)
+        amplitude = sensor.fixed_speed if scaling == "fixed" else sensor.speed * math.sqrt(z[2, i] * z[3, i])
+        np.testing.assert_allclose(np.diag(cov[i])[2:4], amplitude**2 / 2)
+        assert np.linalg.eigvalsh(cov[i]).min() > 0
+    if scaling != "given":
+        np.testing.assert_allclose(sensor.noise(x).T ** 2, np.diagonal(cov, axis1=1, axis2=2))
+    assert sensor.noise(x).shape == x.shape
+    assert sensor.boxes(x).shape == (6, 4)
+
+
+@pytest.mark.parametrize("scaling", SCALINGS)
+def test_nothing_gives_nothing(scaling: str):
+    sensor = BoxSensor(scaling=scaling)
+    d = 8 if scaling == "previous" else 6
+    z, x = np.zeros((8 if scaling == "given" else 4, 0)), np.zeros((d, 0))
+    assert sensor.log_likelihood(z, x).shape == (0,)
+    assert [a.shape for a in sensor.states(z)] == [(d, 0), (0, d, d)]
+    assert [a.shape for a in sensor.gate(z)] == [(2, 0), (2, 0)]
+    assert sensor.noise(x).shape == (d, 0)
+    assert sensor.boxes(x).shape == (0, 4)
+
+
+def gated_out(sensor: BoxSensor, z, x) -> np.ndarray:
+    lower, upper = sensor.gate(z)
+    return np.any((x[:2] < lower) | (x[:2] > upper), axis=0)
+
+
+@pytest.mark.parametrize("floor", [0.0, 1.0, 4.0])
+@pytest.mark.parametrize("spread", [0.05, 0.15, 0.19])
+@pytest.mark.parametrize("scaling", ["particle", "detection", "fixed", "given"])
+def test_no_pair_within_the_gate_is_dropped(scaling: str, spread: float, floor: float, rng):
+    """Nothing at Mahalanobis distance ≤ G in position and size is cut, also where σ follows a size that z does not show."""
+    sensor = BoxSensor(scaling=scaling, spread=spread, floor=floor)
+    x = states(rng, 30_000, scaling)
+    direction = rng.normal(size=(4, 30_000))
+    # On the rim of the ball, where it bulges most: mostly in x and w, sometimes anywhere.
+    direction[[1, 3], :20_000] *= 0.01
+    direction[0, :20_000] *= rng.uniform(0.2, 5, 20_000)
+    direction *= sensor.gate_sigmas / np.linalg.norm(direction, axis=0) * rng.uniform(0.9, 1.0, 30_000)
+    if scaling == "detection":
+        # σ is the detection's: go from z to x.
+        z = x[ROWS].copy()
+        sigma = sensor.noise(x)[ROWS]
+        x[ROWS] = z - direction * sigma
+    elif scaling == "given":
+        z = np.vstack([x[ROWS], rng.uniform(1, 90, (4, 30_000))])
+        x[ROWS] -= direction * np.sqrt(z[4:])
+    else:
+        z = x[ROWS] + direction * sensor.noise(x)[ROWS]
+    assert sensor.distance2(z, x).max() <= sensor.gate_sigmas**2 * (1 + 1e-9)
+    assert not gated_out(sensor, z, x).any()
+
+
+def test_the_gate_around_a_particle_is_as_tight_as_it_can_be(rng):
+    """At the worst pair of position and size, sin θ = G·s, the formula's edge is reached."""
+    sensor = BoxSensor(spread=0.15, floor=0.0)
+    g, s, w = sensor.gate_sigmas, sensor.spread, 40.0
+    sine = g * s
+    cosine = math.sqrt(1 - sine**2)
+    z = np.array([[0.0], [0.0], [w * (1 - g * s * sine)], [50.0]])
+    x = np.array([[g * s * w / 2 * cosine], [0.0], [0.0], [0.0], [w], [50.0]])
+    assert sensor.distance2(z, x)[0] == pytest.approx(g**2)
+    assert sensor.gate(z)[1][0, 0] == pytest.approx(x[0, 0])
+    assert sensor.gate(z)[1][0, 0] / z[2, 0] == pytest.approx(0.567, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("scaling", "spread"), [("particle", 0.15), ("particle", 0.19), ("previous", 0.15), ("fixed", 0.15)]
+)
+def test_at_most_5e_5_of_a_gaussian_is_cut(scaling: str, spread: float, rng):
+    """The share of measurements whose own particle is outside their gate; what the distance alone would allow is 5.03e-5."""
+    sensor = BoxSensor(scaling=scaling, spread=spread)
+    assert 1 - chi2(4).cdf(sensor.gate_sigmas**2) == pytest.approx(5.03e-5, rel=1e-3)
+    x = states(rng, 500, scaling, smallest=6.0)
+    if scaling == "previous":
+        x = BoxMotion(resize=0.1, remember_size=True).sample(x, 1.0, rng)
+    x = np.tile(x, 1000)
+    z = x[ROWS] + sensor.noise(x)[ROWS] * rng.standard_normal((4, x.shape[1]))
+    # 25 expected at the most; four deviations above that.
+    assert gated_out(sensor, z, x).sum() <= 5.1e-5 * x.shape[1] + 4 * 5
+
+
+def test_wide_spreads_still_have_a_gate():
+    """From G·s = 1 on no size bounds the distance; the gate stays finite, and wider than for a smaller spread."""
+    z = np.array([[0.0], [0.0], [40.0], [40.0]])
+    reach = [BoxSensor(spread=s).gate(z)[1][0, 0] for s in (0.15, 0.19, 0.2, 0.3, 1.0)]
+    assert np.all(np.isfinite(reach))
+    assert np.all(np.diff(reach) > 0)
+
+
+def test_measurements_and_given_covariances():
+    boxes = np.array([[10.0, 20, 30, 60], [0, 0, 4, 8]])
+    found = Detections(boxes, np.ones(2), np.zeros(2, np.int64), np.stack([np.diag([1.0, 2, 3, 4])] * 2))
+    np.testing.assert_array_equal(BoxSensor().measure(found), [[20, 2], [40, 4], [20, 4], [40, 8]])
+    z = BoxSensor(scaling="given").measure(found)
+    np.testing.assert_array_equal(z[4:], [[1, 1], [2, 2], [3, 3], [4, 4]])
+    with pytest.raises(InputError, match="covariance"):
+        BoxSensor(scaling="given").measure(Detections.of(boxes))
+    x, _ = BoxSensor().states(BoxSensor().measure(found))
+    np.testing.assert_allclose(BoxSensor().boxes(x), boxes)
+
+
+def test_p_detect_is_the_same_everywhere(rng):
+    np.testing.assert_array_equal(BoxSensor(detection=0.7).p_detect(states(rng, 4, "particle")), np.full(4, 0.7))
+
+
+@pytest.mark.parametrize("scaling", SCALINGS)
+def test_inputs_are_left_alone(scaling: str, rng):
+    sensor = BoxSensor(scaling=scaling)
+    x = states(rng, 9, scaling)
+    z = near(rng, x, scaling)
+    x.flags.writeable = z.flags.writeable = False
+    sensor.log_likelihood(z, x)
+    sensor.distance2(z, x)
+    sensor.gate(z)
+    sensor.states(z)
+    sensor.noise(x)
+    sensor.boxes(x)
+    sensor.p_detect(x)
+
+
+@pytest.mark.parametrize("wrong", [{"detection": 1.01}, {"spread": 0.0}, {"floor": -1.0}, {"gate_sigmas": 0.0}])
+def test_settings_out_of_bounds(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        BoxSensor(**wrong)

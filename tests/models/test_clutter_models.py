@@ -1,0 +1,40 @@
+"""κ and the volumes it is spread over."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from phdtrack.errors import InputError
+from phdtrack.models import LocalClutter, UniformClutter
+from phdtrack.models.volume import image_volume, in_neighbourhood, local_volume
+
+Z = np.array([[300.0, 200, 40, 90], [10, 20, 8, 6]]).T
+
+
+def test_uniform_clutter_integrates_to_its_rate():
+    volume = image_volume((640, 480))
+    assert volume == 640**2 * 480**2
+    np.testing.assert_allclose(UniformClutter(2.5, volume).intensity(Z) * volume, 2.5)
+    assert UniformClutter(2.5, volume).intensity(np.zeros((4, 0))).shape == (0,)
+
+
+def test_local_clutter_integrates_to_its_rate_over_each_neighbourhood(rng):
+    """±1 box in position, half to one and a half in size: the volume, by counting hits in a larger box."""
+    for j in range(2):
+        z = Z[:, [j]]
+        low, high = z[:, 0] - 2 * z[[2, 3, 2, 3], 0], z[:, 0] + 2 * z[[2, 3, 2, 3], 0]
+        points = rng.uniform(low[:, None], high[:, None], (4, 400_000))
+        volume = in_neighbourhood(points, z).mean() * np.prod(high - low)
+        assert local_volume(z)[0] == pytest.approx(volume, rel=0.04)
+        assert LocalClutter(0.3).intensity(z)[0] * volume == pytest.approx(0.3, rel=0.04)
+
+
+def test_volumes_and_rates_that_make_no_sense():
+    with pytest.raises(InputError, match="frame"):
+        image_volume((0, 480))
+    for wrong in (lambda: UniformClutter(-1, 1), lambda: UniformClutter(1, 0), lambda: LocalClutter(math.nan)):
+        with pytest.raises(InputError):
+            wrong()

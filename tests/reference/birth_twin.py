@@ -1,0 +1,42 @@
+"""The mass of γ that newborn particles stand for, by uniform draws over the regions they come from."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+REGION = 13.276704135987622
+"""The 99 % quantile of χ² with four degrees of freedom."""
+
+
+def uniform_in_regions(z, sigma, count, rng):
+    """Points uniform over each 99 % region: (4, N·count), the volume of each point's region, the regions that hold it."""
+    n = z.shape[1]
+    direction = rng.normal(size=(4, n * count))
+    radius = math.sqrt(REGION) * rng.random(n * count) ** 0.25
+    owner = np.repeat(np.arange(n), count)
+    points = z[:, owner] + sigma[:, owner] * direction / np.linalg.norm(direction, axis=0) * radius
+    volume = math.pi**2 / 2 * REGION**2 * sigma.prod(0)
+    distance2 = (((points[:, :, None] - z[:, None, :]) / sigma[:, None, :]) ** 2).sum(0)
+    return points, volume[owner], (distance2 <= REGION * (1 + 1e-12)).sum(1)
+
+
+def image_density(points, rate, frame):
+    inside = (points[2:] > 0).all(0)
+    return inside * rate / (frame[0] * frame[1]) ** 2
+
+
+def local_density(points, z, rate):
+    total = np.zeros(points.shape[1])
+    for x, y, w, h in z.T:
+        near = (np.abs(points[0] - x) <= w) & (np.abs(points[1] - y) <= h)
+        near &= (np.abs(points[2] - w) <= w / 2) & (np.abs(points[3] - h) <= h / 2)
+        total += near * rate / (2 * w * 2 * h * w * h)
+    return total
+
+
+def mass(z, sigma, density, count, rng):
+    """∫ over the union of the regions of ``density`` (a function of points)."""
+    points, volume, held = uniform_in_regions(z, sigma, count, rng)
+    return float((density(points) * volume / held).sum() / count)
