@@ -1,0 +1,63 @@
+"""Intensities, models and detections for the tests of the filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
+from phdtrack.models.volume import image_volume
+from phdtrack.protocols import Model
+from phdtrack.types import Particles
+
+FRAME = (640.0, 480.0)
+
+
+@dataclass(frozen=True)
+class NoBirth:
+    """γ = 0."""
+
+    def sample(self, z, covered, sensor, dt, rng) -> Particles:
+        x, _ = sensor.states(z[:, :0])
+        return Particles(x, np.zeros(0))
+
+
+def world(birth=None, clutter=None, **sensor) -> Model:
+    """Boxes with the default noises; no births, a clutter of one a frame over the image."""
+    seen = BoxSensor(**sensor)
+    motion = BoxMotion(remember_size=seen.scaling == "previous", frame_size=FRAME)
+    return Model(motion, seen, birth or NoBirth(), clutter or UniformClutter(1.0, image_volume(FRAME)))
+
+
+def with_births(model: Model, rate: float = 0.05, most: int = 300) -> Model:
+    return replace(model, birth=MeasurementBirth(rate, most, "local", FRAME), clutter=LocalClutter(0.5))
+
+
+def crowd(rng, targets: int, each: int, mass: float = 1.0, spread: float = 0.15, width: float = 640.0) -> Particles:
+    """Particles around random targets, spread about as the sensor's noise."""
+    centre = rng.uniform([0, 0, -2, -2, 15, 30], [width, 480, 2, 2, 60, 150], (targets, 6)).T
+    x = np.repeat(centre, each, axis=1)
+    scale = np.stack([spread / 2 * x[4], spread / 2 * x[5], 0.05 * x[4], 0.05 * x[4], spread * x[4], spread * x[5]])
+    x = x + scale * rng.standard_normal(x.shape)
+    x[4:6] = np.maximum(np.abs(x[4:6]), 2.0)
+    weight = rng.uniform(0.5, 1.5, x.shape[1])
+    return Particles(x, weight * mass * targets / weight.sum())
+
+
+def seen_by(rng, particles: Particles, count: int) -> np.ndarray:
+    """(4, count) detections of randomly chosen particles."""
+    x = particles.state[:, rng.integers(len(particles), size=count)]
+    z = x[[0, 1, 4, 5]] + 0.1 * rng.standard_normal((4, count)) * np.vstack([x[4:6], x[4:6]])
+    z[2:] = np.maximum(z[2:], 2.0)
+    return z
+
+
+def freeze(particles: Particles) -> Particles:
+    particles.state.flags.writeable = particles.weight.flags.writeable = False
+    return particles
+
+
+def same(a: Particles, b: Particles) -> None:
+    np.testing.assert_array_equal(a.state, b.state)
+    np.testing.assert_array_equal(a.weight, b.weight)
