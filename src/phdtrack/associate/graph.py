@@ -51,8 +51,10 @@ class GraphMatching:
     gate : an edge is worth as much as two loose ends at this many deviations.
     consistent : no edge joins states that are more than this many deviations apart, however little it would cost.
     miss : probability that a target goes without a state for one frame inside its track: the price of a gap.
-    delay : frames by which the online output lags, so that links can still be corrected; 0 allowed.
-    coast : seconds for which a confirmed track without a state is continued online by the motion model.
+    delay : frames by which the online output lags, so that links can still be corrected and tracks be confirmed by what
+        follows; 0 allowed.
+    coast : seconds for which a confirmed track without a state is continued online by the motion model; a gap whose end the
+        delay already shows is bridged instead. 0: neither.
     bridge : fill the gaps of tracks with predicted, flagged boxes.
     backfill : offline, a track is led back through at most this many earlier detections that the filter did not yet believe.
     """
@@ -63,7 +65,7 @@ class GraphMatching:
     miss: Share = 0.2
     consistent: Positive = 3.0
     delay: Count = 0
-    coast: NonNegative = 0.3
+    coast: NonNegative = 0.2
     bridge: bool = True
     backfill: Count = 5
 
@@ -109,9 +111,9 @@ class GraphMatching:
 
     def _give(self, given: online.Given, due: int, state: GraphState, model: Model) -> tuple[online.Given, Tracks]:
         """The rows of the frame at place ``due`` of the history, under the present links."""
-        held = [state.history[k] for k in range(due + 1, len(state.history))]
+        held = tuple(state.history[k] for k in range(due + 1, len(state.history)))
         output = online.Output(self.shortest, self.coast * model.rate + 1e-9 if self.bridge else 0.0)
-        return online.give(given, state.history[due], held, state.window, output, model)
+        return online.give(given, state.history[due], online.Present(state.window, state.time, held), output, model)
 
     def _edges(self, columns: Columns, estimates: Estimates, dt: float, model: Model) -> tuple[I8, I8, F8]:
         """Edges (new state, column) of positive gain, ordered by state: log f minus the loose ends' [M07 §3]."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from phdtrack.associate.bridge import bridge
 from phdtrack.associate.history import Moment
 from phdtrack.associate.window import Window
 from phdtrack.protocols import Model
@@ -26,12 +27,25 @@ class Output:
     coast: float
 
 
+@dataclass(frozen=True, slots=True)
+class Present:
+    """What is known when a frame's rows are given: the open links, the model time, and the frames since.
+
+    ``held`` are the moments after the given one, whose rows the delay holds back; none without a delay.
+    """
+
+    window: Window
+    time: float
+    held: tuple[Moment, ...] = ()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Holder:
-    """The last state given under an identity: its vertex, state (d,), box confidence, time, and how many there were."""
+    """The last state given under an identity: vertex, state (d,), covariance (d, d), confidence, time, number so far."""
 
     vertex: int
     state: F8
+    covariance: F8
     confidence: float
     time: float
     length: int
@@ -46,26 +60,22 @@ class Given:
     used: int = 0
 
 
-def give(
-    given: Given, moment: Moment, held: Sequence[Moment], window: Window, output: Output, model: Model
-) -> tuple[Given, Tracks]:
-    """The rows of one frame under the present links, and the new record of what was given.
-
-    ``held`` are the frames after ``moment`` whose rows the delay holds back.
-    """
-    estimates = moment.estimates
+def give(given: Given, moment: Moment, present: Present, output: Output, model: Model) -> tuple[Given, Tracks]:
+    """The rows of one frame under the present links, and the new record of what was given."""
+    estimates, window, held = moment.estimates, present.window, present.held
     n = len(estimates)
     vertex = moment.first + np.arange(n)
-    before = predecessors(window, held, vertex)
-    identities, used = _claims(given, vertex, before)
+    identities, used = _claims(given, vertex, predecessors(window, held, vertex))
     identity, holder = dict(given.identity), dict(given.holder)
     for i in range(n):
         name = int(identities[i])
         length = holder[name].length + 1 if name in holder else 1
         confidence = float(min(1.0, estimates.weight[i]))
-        holder[name] = Holder(int(vertex[i]), estimates.state[:, i], confidence, moment.time, length)
+        state, cov = estimates.state[:, i], estimates.covariance[i]
+        holder[name] = Holder(int(vertex[i]), state, cov, confidence, moment.time, length)
         identity[int(vertex[i])] = name
-    confirmed = np.array([holder[int(i)].length >= output.shortest for i in identities], np.bool_)
+    coming = _successors(window, held)
+    confirmed = np.array([_reaches(holder[int(i)], coming, output.shortest) for i in identities], np.bool_)
     seen = Tracks(
         np.full(n, moment.number),
         identities,
@@ -74,12 +84,31 @@ def give(
         estimates.detection,
         confirmed,
     )
-    coasting = _coast(holder, set(identities.tolist()), moment, output, model)
+    absent = {name: h for name, h in holder.items() if h.vertex < moment.first and _reaches(h, coming, output.shortest)}
+    filled = _fill(absent, coming, moment, present, output.coast, model)
     oldest = _oldest(window, moment, held)
     identity = {v: name for v, name in identity.items() if v >= oldest}
     live = set(identity.values())
     holder = {name: h for name, h in holder.items() if name in live}
-    return Given(identity, holder, used), Tracks.concatenate([seen, coasting])
+    return Given(identity, holder, used), Tracks.concatenate([seen, filled])
+
+
+def _successors(window: Window, held: Sequence[Moment]) -> dict[int, int]:
+    """The vertex that each linked vertex goes on to, of those that were not yet given or may still be linked."""
+    linked = np.flatnonzero(window.columns.row >= 0)
+    later = window.rows.vertex[window.columns.row[linked]]
+    coming = dict(zip(window.columns.vertex[linked].tolist(), later.tolist(), strict=True))
+    for moment in held:
+        coming.update(zip(moment.earlier.tolist(), moment.later.tolist(), strict=True))
+    return coming
+
+
+def _reaches(holder: Holder, coming: dict[int, int], shortest: int) -> bool:
+    """Whether the states given under an identity and those known to follow are enough to confirm it."""
+    length, vertex = holder.length, holder.vertex
+    while length < shortest and vertex in coming:
+        length, vertex = length + 1, coming[vertex]
+    return length >= shortest
 
 
 def predecessors(window: Window, held: Sequence[Moment], vertex: I8) -> I8:
@@ -120,28 +149,55 @@ def _claims(given: Given, vertex: I8, before: I8) -> tuple[I8, int]:
     return identities, used
 
 
-def _coast(holder: dict[int, Holder], seen: set[int], moment: Moment, output: Output, model: Model) -> Tracks:
-    """Predicted rows for confirmed tracks that have no state in this frame."""
-    names = [
-        name
-        for name, h in holder.items()
-        if name not in seen and h.length >= output.shortest and moment.time - h.time <= output.coast
-    ]
-    states, confidences = [], []
-    for name in names:
-        h = holder[name]
-        mean, _, _ = model.motion.transition(h.state[:, None], moment.time - h.time)
-        states.append(mean)
-        confidences.append(h.confidence * float(model.motion.p_survive(mean, moment.time - h.time)[0]))
-    if not states:
+def _fill(
+    absent: dict[int, Holder], coming: dict[int, int], moment: Moment, present: Present, coast: float, model: Model
+) -> Tracks:
+    """Rows for confirmed tracks that have no state in this frame.
+
+    Where the delay shows that a track goes on, the gap is bridged between its ends. Otherwise it is continued by the motion
+    model while, at the present, it has not been missing for longer than ``coast``.
+    """
+    if coast <= 0:
         return Tracks.empty()
-    alive = np.array(confidences) > 0
-    n = int(alive.sum())
+    names, states, confidences = [], [], []
+    for name, h in absent.items():
+        after = _find(coming.get(h.vertex, -1), present.held)
+        if after is not None:
+            state = _between(h, moment, after, model)
+            confidence = h.confidence
+        elif present.time - h.time <= coast:
+            state, _, _ = model.motion.transition(h.state[:, None], moment.time - h.time)
+            confidence = h.confidence * float(model.motion.p_survive(state, moment.time - h.time)[0])
+        else:
+            continue
+        if confidence > 0:
+            names.append(name)
+            states.append(state)
+            confidences.append(confidence)
+    if not names:
+        return Tracks.empty()
+    n = len(names)
     return Tracks(
         np.full(n, moment.number),
-        np.array(names, np.int64)[alive],
-        model.sensor.boxes(np.hstack(states))[alive],
-        np.array(confidences)[alive],
+        np.array(names, np.int64),
+        model.sensor.boxes(np.hstack(states)),
+        np.array(confidences),
         np.full(n, -1),
         np.ones(n, np.bool_),
     )
+
+
+def _find(vertex: int, moments: tuple[Moment, ...]) -> tuple[Moment, int] | None:
+    """The moment among ``moments`` that holds a vertex, and its place there."""
+    for moment in moments:
+        if moment.first <= vertex < moment.first + len(moment.estimates):
+            return moment, vertex - moment.first
+    return None
+
+
+def _between(holder: Holder, moment: Moment, after: tuple[Moment, int], model: Model) -> F8:
+    """(d, 1) the state at ``moment`` given the last state before it and the next one after it."""
+    later, i = after
+    x = later.estimates
+    steps = np.array([moment.time - holder.time, later.time - moment.time])
+    return bridge(model.motion, holder.state, holder.covariance, x.state[:, i], x.covariance[i], steps)
