@@ -8,7 +8,7 @@ to its last holder keeps it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class Present:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Holder:
-    """The last state given under an identity: vertex, state (d,), covariance (d, d), confidence, time, number so far."""
+    """The last state given under an identity: vertex, state (d,), covariance (d, d), confidence, time, number."""
 
     vertex: int
     state: F8
@@ -49,6 +49,7 @@ class Holder:
     confidence: float
     time: float
     length: int
+    confirmed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,19 +73,23 @@ def give(given: Given, moment: Moment, present: Present, output: Output, model: 
         length = holder[name].length + 1 if name in holder else 1
         confidence = float(min(1.0, estimates.weight[i]))
         state, cov = estimates.state[:, i], estimates.covariance[i]
-        holder[name] = Holder(int(vertex[i]), state, cov, confidence, moment.time, length)
+        confirmed = name in holder and holder[name].confirmed
+        holder[name] = Holder(int(vertex[i]), state, cov, confidence, moment.time, length, confirmed)
         identity[int(vertex[i])] = name
-    coming = _successors(window, held)
-    confirmed = np.array([_reaches(holder[int(i)], coming, output.shortest) for i in identities], np.bool_)
+    links = _successors(window, held)
+    coming = {v: w for v, w in links.items() if w >= moment.first + n}
+    holder = {name: _judged(h, coming, output.shortest) for name, h in holder.items()}
     seen = Tracks(
         np.full(n, moment.number),
         identities,
         estimates.xyxy,
         np.minimum(1.0, estimates.weight),
         estimates.detection,
-        confirmed,
+        np.array([holder[int(i)].confirmed for i in identities], np.bool_),
     )
-    absent = {name: h for name, h in holder.items() if h.vertex < moment.first and _reaches(h, coming, output.shortest)}
+    # A holder that goes on to a state given before has lost its track to another identity.
+    lost = links.keys() - coming.keys()
+    absent = {name: h for name, h in holder.items() if h.vertex < moment.first and h.confirmed and h.vertex not in lost}
     filled = _fill(absent, coming, moment, present, output.coast, model)
     oldest = _oldest(window, moment, held)
     identity = {v: name for v, name in identity.items() if v >= oldest}
@@ -94,21 +99,21 @@ def give(given: Given, moment: Moment, present: Present, output: Output, model: 
 
 
 def _successors(window: Window, held: Sequence[Moment]) -> dict[int, int]:
-    """The vertex that each linked vertex goes on to, of those that were not yet given or may still be linked."""
+    """The vertex that each linked vertex goes on to."""
     linked = np.flatnonzero(window.columns.row >= 0)
     later = window.rows.vertex[window.columns.row[linked]]
-    coming = dict(zip(window.columns.vertex[linked].tolist(), later.tolist(), strict=True))
+    links = dict(zip(window.columns.vertex[linked].tolist(), later.tolist(), strict=True))
     for moment in held:
-        coming.update(zip(moment.earlier.tolist(), moment.later.tolist(), strict=True))
-    return coming
+        links.update(zip(moment.earlier.tolist(), moment.later.tolist(), strict=True))
+    return links
 
 
-def _reaches(holder: Holder, coming: dict[int, int], shortest: int) -> bool:
-    """Whether the states given under an identity and those known to follow are enough to confirm it."""
+def _judged(holder: Holder, coming: dict[int, int], shortest: int) -> Holder:
+    """Confirmed where the states given under the identity and those known to follow are enough; for good once it is."""
     length, vertex = holder.length, holder.vertex
     while length < shortest and vertex in coming:
         length, vertex = length + 1, coming[vertex]
-    return length >= shortest
+    return replace(holder, confirmed=holder.confirmed or length >= shortest)
 
 
 def predecessors(window: Window, held: Sequence[Moment], vertex: I8) -> I8:
