@@ -152,7 +152,7 @@ def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "") -
     return _checked(Settings(named, sections), where)
 
 
-def overlay(settings: Settings, sections: Mapping[str, Values], where: str = "settings") -> Settings:
+def overlay(settings: Settings, sections: Mapping[str, Mapping[str, Any]], where: str = "settings") -> Settings:
     """``settings`` with the values of ``sections`` over them."""
     merged = {name: dict(values) for name, values in settings.sections.items()}
     for name, values in sections.items():
@@ -238,7 +238,7 @@ def _record(settings: Settings, section: str, where: str = "configuration", dry:
     return record(**values, **{k: v for k, v in more.items() if k in known})
 
 
-def _overlay(sections: dict[str, Values], name: str, values: Values, where: str) -> None:
+def _overlay(sections: dict[str, Values], name: str, values: Mapping[str, Any], where: str) -> None:
     """Put ``values`` over section ``name``, checking names, types and bounds."""
     if name not in SECTIONS:
         raise _unknown("section", name, list(SECTIONS), where)
@@ -314,5 +314,5 @@ def _default(field: Any) -> Any:
 
 def _unknown(what: str, name: str, known: Sequence[str], where: str) -> InputError:
     close = difflib.get_close_matches(name, known, 1)
-    cure = f"Did you mean {close[0]}?" if close else f"There are {', '.join(known)}."
+    cure = f"Did you mean {close[0]}?" if close else f"There are {', '.join(known) or 'none'}."
     return InputError(f"unknown {what}: {name}", where=where, cure=cure)

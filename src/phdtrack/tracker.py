@@ -10,6 +10,7 @@ corrected = tracker.tracks()
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ class Tracker:
     frame_size : width and height of the images in pixels.
     fps : frames per second, used where `update` is given no timestamp.
     seed : seed of the particle filter's randomness; the same seed and detections give the same tracks.
-    filter : ``particle-phd``, or ``none`` for the association alone.
+    filter : ``particle-phd``, or ``none`` for the association alone; or the settings of that section.
     preset : ``default``, ``m07``, ``m09`` or ``fv``.
     settings : a TOML file with settings.
     stages : one's own model, filter, extractor and associator, instead of all of the above but fps and seed.
@@ -50,11 +51,11 @@ class Tracker:
         *,
         fps: float = 25.0,
         seed: int = 0,
-        filter: str = "",
+        filter: str | Mapping[str, Any] = "",
         preset: str = "",
         settings: str | Path | None = None,
         stages: AnyStages | None = None,
-        **sections: dict[str, Any],
+        **sections: Mapping[str, Any],
     ) -> None:
         if not 0 < _number(fps, "Tracker(fps=…)") < math.inf:
             raise InputError(f"expected frames per second above 0, got {fps!r}", where="Tracker(fps=…)")
@@ -66,8 +67,10 @@ class Tracker:
                     "the size of the images is not known", where="Tracker", cure="Give frame_size=(width, height)"
                 )
             path = Path(settings) if settings is not None else None
-            loaded = config.overlay(config.load(path, preset=preset), sections)
-            stages = config.build(loaded, SequenceInfo(*_size(frame_size), float(fps)), filter)
+            if filter:
+                sections["filter"] = {"kind": filter} if isinstance(filter, str) else filter
+            loaded = config.overlay(config.load(path, preset=preset), sections, "Tracker")
+            stages = config.build(loaded, SequenceInfo(*_size(frame_size), float(fps)))
         elif sections or settings is not None or preset or filter:
             raise InputError("stages are complete; settings beside them would be ignored", where="Tracker")
         self.stages, self.fps, self.seed = stages, float(fps), int(seed)
