@@ -1,0 +1,119 @@
+"""The loop: its order, true intervals, frames that nobody looked at, and errors before anything changes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from spies import INFO, spying
+
+from phdtrack import config, pipeline
+from phdtrack.errors import InputError
+from phdtrack.types import Detections
+
+BOX = Detections.of([[100, 100, 140, 200]])
+
+
+@pytest.fixture
+def stages():
+    return config.build(config.load(sets=["filter.per_target=50", "birth.most=50"]), INFO)
+
+
+def test_a_frame_is_predicted_updated_reduced_extracted_and_linked(rng):
+    stages, filter_, extractor, associator = spying()
+    state, step = pipeline.advance(stages, pipeline.start(stages, rng), BOX, 1, 0.0, rng)
+    assert filter_.calls == [("predict", 1.0), ("update", 1.0, (4, 1)), ("reduce",)]
+    assert extractor.seen == [(("predict", 1.0), ("update", (4, 1)))]
+    assert associator.frames == [(1, 1.0)]
+    assert (state.number, state.time, state.association) == (1, 0.0, 1)
+    assert (step.number, step.time, len(step.tracks), len(step.estimates)) == (1, 0.0, 1, 1)
+    assert step.detections is BOX
+    assert len(step.seconds) == 3
+    assert min(step.seconds) >= 0
+
+
+@pytest.mark.parametrize(("rate", "times", "intervals"), [
+    (25.0, [0.0, 0.04, 0.08], [1, 1, 1]),
+    (25.0, [0.0, 1 / 7, 4 / 7], [1, 25 / 7, 75 / 7]),
+    (1.0, [10.0, 11.0, 11.5], [1, 1, 0.5]),
+    (1000.0, [0.0, 0.001, 3600.0], [1, 1, 3599999]),
+])  # fmt: skip
+def test_intervals_are_those_of_the_times(rate: float, times: list[float], intervals: list[float], rng):
+    stages, filter_, _, associator = spying(rate)
+    list(pipeline.run(stages, [(k, t, BOX) for k, t in enumerate(times, 1)], rng))
+    assert [dt for name, dt, *_ in (c for c in filter_.calls if c[0] == "predict")] == pytest.approx(intervals)
+    assert [dt for name, dt, *_ in (c for c in filter_.calls if c[0] == "update")] == pytest.approx(intervals)
+    assert [dt for _, dt in associator.frames] == pytest.approx(intervals)
+
+
+def test_a_frame_that_nobody_looked_at_is_only_predicted(rng):
+    stages, filter_, _, associator = spying()
+    unseen = Detections(BOX.xyxy, BOX.confidence, BOX.class_id, observed=False)
+    _, step = pipeline.advance(stages, pipeline.start(stages, rng), unseen, 1, 0.0, rng)
+    assert filter_.calls == [("predict", 1.0)]
+    assert associator.frames == [(1, 1.0)]
+    assert len(step.estimates) == 0, "its boxes are not taken up"
+    assert len(step.info.evidence) == len(step.info.clutter) == 0
+
+
+def test_an_empty_frame_is_not_an_unobserved_one(stages, rng):
+    state = pipeline.start(stages, rng)
+    for k in range(1, 11):
+        state, _ = pipeline.advance(stages, state, BOX, k, k / 25, rng)
+    before = state.intensity.mass
+    empty, _ = pipeline.advance(stages, state, Detections.empty(), 11, 11 / 25, rng)
+    unseen, step = pipeline.advance(stages, state, Detections.empty(observed=False), 11, 11 / 25, rng)
+    survival, p_d = stages.model.motion.survival, stages.model.sensor.detection
+    assert unseen.intensity.mass == pytest.approx(before * survival)
+    assert empty.intensity.mass == pytest.approx(before * survival * (1 - p_d))
+    assert len(step.estimates) == 1
+    assert step.estimates.detection.tolist() == [-1]
+
+
+@pytest.mark.parametrize(("number", "time"), [(3, 1.0), (2, 1.0), (4, 0.12), (4, 0.11), (4, math.nan), (4, math.inf)])
+def test_numbers_and_times_must_grow(stages, rng, number: int, time: float):
+    state = pipeline.start(stages, rng)
+    state, _ = pipeline.advance(stages, state, BOX, 3, 0.12, rng)
+    drawn = rng.bit_generator.state
+    with pytest.raises(InputError, match=f"frame {number}"):
+        pipeline.advance(stages, state, BOX, number, time, rng)
+    assert rng.bit_generator.state == drawn, "nothing happened"
+
+
+def test_the_first_time_must_be_a_number(stages, rng):
+    with pytest.raises(InputError, match="seconds"):
+        pipeline.advance(stages, pipeline.start(stages, rng), BOX, 1, math.nan, rng)
+
+
+def test_states_are_values(stages):
+    """Going on twice from one state gives the same twice, and leaves the state as it was."""
+    rng = np.random.default_rng(0)
+    state = pipeline.start(stages, rng)
+    for k in range(1, 8):
+        state, _ = pipeline.advance(stages, state, BOX, k, k / 25, rng)
+    ends = []
+    for _ in range(2):
+        here, again = state, np.random.default_rng(1)
+        for k in range(8, 14):
+            here, step = pipeline.advance(stages, here, BOX, k, k / 25, again)
+        ends.append((here, step))
+    (a, step_a), (b, step_b) = ends
+    np.testing.assert_array_equal(a.intensity.state, b.intensity.state)
+    np.testing.assert_array_equal(step_a.tracks.xyxy, step_b.tracks.xyxy)
+    assert (state.number, len(pipeline.finish(stages, state))) == (7, 7)
+
+
+def test_a_sequence_may_end_before_it_begins(stages, rng):
+    assert list(pipeline.run(stages, [], rng)) == []
+    assert len(pipeline.finish(stages, pipeline.start(stages, rng))) == 0
+
+
+@pytest.mark.parametrize("scaling", ["particle", "detection", "previous", "fixed", "given"])
+def test_every_scaling_takes_frames_without_detections(scaling: str, rng):
+    stages = config.build(config.load(sets=[f"sensor.scaling={scaling}", "filter.per_target=50"]), INFO)
+    cov = np.diag([4.0, 9.0, 16.0, 36.0])[None]
+    found = Detections(BOX.xyxy, BOX.confidence, BOX.class_id, cov)
+    frames = [Detections.empty(), *[found] * 10, Detections.empty(), found, Detections.empty(observed=False), *[found] * 5]
+    *_, (state, _) = pipeline.run(stages, [(k, k / 25, d) for k, d in enumerate(frames, 1)], rng)
+    assert set(pipeline.finish(stages, state).identity) == {1}

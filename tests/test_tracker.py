@@ -1,0 +1,490 @@
+"""The tracker as people use it: what it takes, what it gives, how it goes on after a pause, what it says when it cannot."""
+
+from __future__ import annotations
+
+import pickle
+import time
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phdtrack import Tracker, config
+from phdtrack.errors import InputError
+from phdtrack.extract import Raw
+from phdtrack.filters import NoFilter
+from phdtrack.presets import PRESETS
+from phdtrack.simulate import DetectorModel, make_scene
+from phdtrack.types import Detections, SequenceInfo, Tracks
+
+SIZE = (640, 480)
+FEW = {"filter": {"per_target": 200}, "birth": {"most": 200}}
+FIELDS = ("frame", "identity", "xyxy", "confidence", "detection", "confirmed")
+
+
+def tracker_of(*, seed: int = 0, fps: float = 25.0, **sections) -> Tracker:
+    """A tracker with few particles, and other settings by section."""
+    merged = {name: FEW.get(name, {}) | sections.get(name, {}) for name in {*FEW, *sections}}
+    if merged["filter"].get("kind") == "none":
+        merged["filter"] = {"kind": "none"}
+    return Tracker(SIZE, seed=seed, fps=fps, **merged)
+
+
+def boxes(k: int) -> np.ndarray:
+    """Two people who walk towards each other, at frame k from 0."""
+    return np.array([[100.0 + 3 * k, 100, 140 + 3 * k, 200], [400.0 - 3 * k, 250, 440 - 3 * k, 350]])
+
+
+def equal(a: Tracks, b: Tracks) -> bool:
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in FIELDS)
+
+
+def feed(tracker: Tracker, frames) -> list[Tracks]:
+    return [tracker.update(found) for found in frames]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Frames of detections with clutter."""
+    made = make_scene("street", 3, DetectorModel(clutter_rate=3), frames=60, lead_in=-4.0)
+    return [made.detections.at(k) for k in range(1, 61)]
+
+
+# What it takes
+
+
+def forms(found: np.ndarray) -> dict[str, object]:
+    n = len(found)
+    score, label = np.linspace(0.5, 0.9, n), np.arange(n)
+    return {
+        "four columns": found,
+        "five columns": np.column_stack([found, score]),
+        "six columns": np.column_stack([found, score, label]),
+        "a list": found.tolist(),
+        "single precision": found.astype(np.float32),
+        "integers": found.astype(np.int64),
+        "an object": SimpleNamespace(xyxy=found),
+        "an object with scores": SimpleNamespace(xyxy=found, confidence=score, class_id=label),
+        "Detections": Detections.of(found),
+    }
+
+
+@pytest.mark.parametrize("form", forms(boxes(0)))
+def test_all_forms_of_boxes_give_the_same_tracks(form: str):
+    plain, other = tracker_of(), tracker_of()
+    for k in range(12):
+        assert equal(plain.update(boxes(k)), other.update(forms(boxes(k))[form]))
+    assert equal(plain.tracks(), other.tracks())
+    assert set(plain.tracks().identity) == {1, 2}
+
+
+@pytest.mark.parametrize("nothing", [[], np.empty((0, 4)), np.empty((0, 6)), np.zeros(0), Detections.empty()], ids=repr)
+def test_no_boxes_have_any_shape(nothing):
+    tracker = tracker_of()
+    assert len(tracker.update(nothing)) == 0
+    assert len(tracker.step.detections) == 0
+
+
+@pytest.mark.parametrize(("bad", "says"), [
+    ([[1, 2, np.nan, 4]], "not finite"),
+    ([[1, 2, np.inf, 4]], "not finite"),
+    ([[10, 2, 5, 4]], "no width or height"),
+    ([[10, 20, 15, 20]], "no width or height"),
+    ([[1, 2, 3]], "shape"),
+    ([[1, 2, 3, 4, 5, 6, 7]], "shape"),
+    ([1, 2, 3, 4], "shape"),
+    ("boxes", "numbers"),
+    (None, "None"),
+    ([[1, 2, 3, 4], [1, 2]], "numbers"),
+    (SimpleNamespace(xyxy=np.zeros((2, 5))), "xyxy"),
+    (SimpleNamespace(xyxy=np.array([[1, 2, 3, 4]]), confidence=np.ones(2)), "confidence"),
+])  # fmt: skip
+def test_bad_boxes_name_the_frame_and_change_nothing(bad, says: str):
+    spoilt, plain = tracker_of(), tracker_of()
+    for k in range(11):
+        spoilt.update(boxes(k))
+        plain.update(boxes(k))
+    with pytest.raises(InputError, match="frame 12") as error:
+        spoilt.update(bad)
+    assert says in str(error.value)
+    assert equal(spoilt.update(boxes(11)), plain.update(boxes(11)))
+
+
+@pytest.mark.parametrize(("arguments", "says"), [
+    ({"frame": 0}, "from 1"),
+    ({"frame": 3}, "must grow"),
+    ({"frame": 2}, "must grow"),
+    ({"frame": 4.5}, "whole"),
+    ({"frame": "4"}, "number"),
+    ({"timestamp": 0.08}, "must grow"),
+    ({"timestamp": -1.0}, "must grow"),
+    ({"timestamp": float("nan")}, "seconds"),
+    ({"timestamp": "now"}, "number"),
+    ({"frame": 9, "timestamp": 0.01}, "must grow"),
+])  # fmt: skip
+def test_frames_come_in_order(arguments, says: str):
+    tracker, plain = tracker_of(), tracker_of()
+    for k in range(3):
+        tracker.update(boxes(k))
+        plain.update(boxes(k))
+    with pytest.raises(InputError, match=says):
+        tracker.update(boxes(3), **arguments)
+    assert equal(tracker.update(boxes(3)), plain.update(boxes(3))), "the refused frame left no trace"
+
+
+@pytest.mark.parametrize(("arguments", "says"), [
+    ({"frame_size": None}, "frame_size"),
+    ({"frame_size": (640,)}, "width, height"),
+    ({"frame_size": "640x480"}, "width, height"),
+    ({"frame_size": (0, 480)}, "one pixel"),
+    ({"frame_size": (float("nan"), 480)}, "whole"),
+    ({"fps": 0}, "above 0"),
+    ({"fps": float("inf")}, "above 0"),
+    ({"fps": float("nan")}, "above 0"),
+    ({"fps": "25"}, "number"),
+    ({"seed": -1}, "from 0"),
+    ({"seed": "a"}, "number"),
+    ({"filter": "kalman"}, "kind of filter"),
+    ({"filter": "particle_phd"}, "Did you mean particle-phd"),
+    ({"filter": {"per_targt": 3}}, "Did you mean per_target"),
+    ({"filter": 3}, "filter"),
+    ({"preset": "m08"}, "preset"),
+    ({"settings": "nowhere.toml"}, "nowhere.toml"),
+    ({"sensor": 0.9}, "section"),
+    ({"sensr": {}}, "Did you mean sensor"),
+    ({"sensor": {"detection": 2}}, "sensor.detection"),
+])  # fmt: skip
+def test_what_is_no_setting_is_told(arguments, says: str):
+    with pytest.raises(InputError, match=says):
+        Tracker(**({"frame_size": SIZE} | arguments))
+
+
+def test_whole_numbers_may_be_floats():
+    """OpenCV tells sizes and frame numbers as floats."""
+    tracker = Tracker((640.0, np.float32(480)), filter="none")
+    assert tracker.update(boxes(0), frame=3.0).frame.tolist() == [3, 3]
+    assert tracker.update(boxes(1), frame=np.int64(4), timestamp=np.float64(1)).frame.tolist() == [4, 4]
+
+
+# What it gives
+
+
+def test_rows_name_frame_identity_box_and_detection():
+    tracker = tracker_of()
+    rows = feed(tracker, [boxes(k) for k in range(15)])[-1]
+    assert rows.frame.tolist() == [15, 15]
+    assert sorted(rows.identity.tolist()) == [1, 2]
+    assert sorted(rows.detection.tolist()) == [0, 1]
+    assert rows.confirmed.all()
+    for name, box in rows:
+        assert np.abs(box - boxes(14)[rows.detection[rows.identity == name][0]]).max() < 15
+    assert tracker.step.number == 15
+    assert tracker.step.info.mass == pytest.approx(2, abs=0.3)
+    assert tracker.state.number == 15
+
+
+@pytest.mark.parametrize("filter_name", ["particle-phd", "none"])
+def test_frames_that_were_dropped_count_as_time(filter_name: str):
+    """A target at constant speed, every third frame: intervals are three units, and the track holds."""
+    tracker = tracker_of(filter={"kind": filter_name, "per_target": 500})
+    for k in range(0, 45, 3):
+        tracker.update(boxes(k), frame=k + 1)
+        assert tracker.step.time == pytest.approx(k / 25)
+    tracks = tracker.tracks()
+    assert set(tracks.identity) == {1, 2}
+    assert set(tracks.frame) <= set(range(1, 46, 3))
+    assert tracks.frame.max() == 43
+
+
+def test_timestamps_rule_over_frame_numbers():
+    by_number, by_time = tracker_of(fps=32.0), tracker_of(fps=5.0)
+    for k in range(12):
+        a = by_number.update(boxes(k))
+        b = by_time.update(boxes(k), timestamp=k / 32)
+        assert equal(a, b)
+
+
+def test_after_a_timestamp_frames_go_on_from_it():
+    tracker = tracker_of(fps=10.0)
+    tracker.update(boxes(0), timestamp=100.0)
+    tracker.update(boxes(1))
+    assert tracker.step.time == pytest.approx(100.1)
+    tracker.update(boxes(2), frame=5)
+    assert tracker.step.time == pytest.approx(100.4)
+
+
+def test_a_frame_that_nobody_looked_at_keeps_the_targets():
+    tracker = tracker_of()
+    feed(tracker, [boxes(k) for k in range(15)])
+    for _ in range(3):
+        rows = tracker.update(Detections.empty(observed=False))
+        assert rows.detection.tolist() == [-1, -1]
+        assert sorted(rows.identity.tolist()) == [1, 2]
+    assert tracker.step.info.mass == pytest.approx(2, abs=0.3)
+
+
+def test_tracks_can_be_asked_for_at_any_time(scene):
+    asked, plain = tracker_of(), tracker_of()
+    assert len(asked.tracks()) == len(asked.flush()) == 0
+    assert asked.step is None
+    for found in scene[:30]:
+        plain.update(found)
+        asked.update(found)
+        assert equal(asked.tracks(), asked.tracks())
+        asked.flush()
+    assert equal(asked.tracks(), plain.tracks())
+
+
+def test_delay_and_flush(scene):
+    tracker = tracker_of(associate={"delay": 4})
+    given = feed(tracker, scene[:20])
+    for number, rows in enumerate(given, start=1):
+        assert set(rows.frame) <= {number - 4}
+    assert set(tracker.flush().frame) <= set(range(17, 21))
+    assert len(tracker.flush()) > 0
+
+
+def test_the_same_seed_gives_the_same_and_another_does_not(scene):
+    a, b, c = (feed(tracker_of(seed=s), scene[:25]) for s in (7, 7, 8))
+    assert all(equal(x, y) for x, y in zip(a, b, strict=True))
+    assert not all(equal(x, y) for x, y in zip(a, c, strict=True))
+
+
+def test_reset_begins_again(scene):
+    tracker = tracker_of()
+    first = feed(tracker, scene[:25])
+    corrected = tracker.tracks()
+    tracker.reset()
+    assert tracker.step is None
+    assert len(tracker.tracks()) == 0
+    again = feed(tracker, scene[:25])
+    assert all(equal(x, y) for x, y in zip(first, again, strict=True))
+    assert equal(tracker.tracks(), corrected)
+
+
+def test_two_trackers_share_nothing(scene):
+    alone = feed(tracker_of(), scene[:15])
+    a, b = tracker_of(), tracker_of(seed=5)
+    for found, wanted in zip(scene[:15], alone, strict=True):
+        assert equal(a.update(found), wanted)
+        b.update(boxes(3))
+    assert set(b.tracks().identity) == {1, 2}
+
+
+def test_a_long_empty_sequence_is_quick():
+    tracker = Tracker(SIZE)
+    began = time.perf_counter()
+    for _ in range(3000):
+        assert len(tracker.update([])) == 0
+    assert len(tracker.tracks()) == 0
+    assert time.perf_counter() - began < 6
+
+
+def test_after_emptiness_targets_are_found():
+    tracker = tracker_of()
+    feed(tracker, [[]] * 300)
+    rows = feed(tracker, [boxes(k) for k in range(12)])[-1]
+    assert sorted(rows.identity.tolist()) == [1, 2]
+    assert rows.frame.tolist() == [312, 312]
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.lists(st.tuples(st.floats(-50, 650), st.floats(-50, 500), st.floats(1, 300), st.floats(1, 300)),
+                         max_size=4), max_size=6), st.sampled_from(["particle-phd", "none"]))  # fmt: skip
+def test_any_boxes_are_survived(frames, filter_name: str):
+    """Tiny, huge and outside of the picture: rows are finite, identities unique, confidence a share."""
+    tracker = tracker_of(filter={"kind": filter_name, "per_target": 50})
+    for found in frames:
+        xywh = np.array(found).reshape(-1, 4)
+        rows = tracker.update(np.hstack([xywh[:, :2], xywh[:, :2] + xywh[:, 2:]]))
+        assert np.isfinite(rows.xyxy).all()
+        assert len(set(rows.identity)) == len(rows)
+        assert ((rows.confidence >= 0) & (rows.confidence <= 1)).all()
+        assert rows.detection.max(initial=-1) < len(xywh)
+    tracker.tracks()
+
+
+def test_what_is_done_to_rows_and_boxes_afterwards_has_no_effect(scene):
+    """Rows are scaled in place, and a detector may use one buffer for all frames."""
+    plain, abused = tracker_of(), tracker_of()
+    wanted = feed(plain, scene[:20])
+    buffer = np.zeros((200, 4))
+    for found, expected in zip(scene[:20], wanted, strict=True):
+        here = buffer[: len(found)]
+        here[:] = found.xyxy
+        rows = abused.update(here)
+        assert equal(rows, expected)
+        here[:] = -1
+        rows.xyxy[:] = 0
+        rows.identity[:] = 0
+    assert equal(plain.tracks(), abused.tracks())
+
+
+# Checkpoints
+
+
+@pytest.mark.parametrize("section", [
+    {},
+    {"associate": {"delay": 3}},
+    {"sensor": {"scaling": "previous"}},
+    {"filter": {"kind": "none"}},
+], ids=["default", "delay", "previous size", "none"])  # fmt: skip
+@pytest.mark.parametrize("carry", [lambda d: d, lambda d: pickle.loads(pickle.dumps(d))], ids=["dict", "pickled"])
+def test_a_resumed_run_is_bit_identical(section, carry, scene):
+    whole, first, second = (tracker_of(**section) for _ in range(3))
+    wanted = feed(whole, scene)
+    feed(first, scene[:35])
+    saved = first.state_dict()
+    feed(first, scene[5:30])
+    second.update(boxes(0))
+    second.load_state_dict(carry(saved))
+    rest = feed(second, scene[35:])
+    assert all(equal(x, y) for x, y in zip(rest, wanted[35:], strict=True))
+    assert equal(second.tracks(), whole.tracks())
+    assert equal(second.flush(), whole.flush())
+
+
+def test_a_saved_state_may_be_used_twice_and_written_into(scene):
+    tracker = tracker_of()
+    feed(tracker, scene[:20])
+    saved = tracker.state_dict()
+    results = []
+    for _ in range(2):
+        other = tracker_of()
+        other.load_state_dict(saved)
+        results.append(feed(other, scene[20:30]))
+    assert all(equal(a, b) for a, b in zip(*results, strict=True))
+    overwrite(saved)
+    assert all(equal(a, b) for a, b in zip(feed(tracker, scene[20:30]), results[0], strict=True))
+
+
+def overwrite(value) -> None:
+    """Every array within set to 0."""
+    if isinstance(value, np.ndarray):
+        value[...] = 0
+    for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        overwrite(item)
+
+
+def test_a_saved_state_holds_plain_values_only(scene):
+    tracker = tracker_of()
+    feed(tracker, scene[:10])
+
+    def check(value):
+        if isinstance(value, dict):
+            for key, item in value.items():
+                assert isinstance(key, str)
+                check(item)
+        elif isinstance(value, list):
+            for item in value:
+                check(item)
+        else:
+            assert value is None or type(value) in (bool, int, float, str, np.ndarray, np.float64), type(value)
+
+    check(tracker.state_dict())
+
+
+def test_the_state_before_the_first_frame_can_be_saved(scene):
+    tracker = tracker_of()
+    tracker.load_state_dict(tracker_of().state_dict())
+    assert all(equal(a, b) for a, b in zip(feed(tracker, scene[:5]), feed(tracker_of(), scene[:5]), strict=True))
+
+
+def damaged(saved) -> dict[str, object]:
+    fields = saved["state"]["fields"]
+    return {
+        "nothing": None,
+        "a list": [],
+        "empty": {},
+        "another format": saved | {"format": 99},
+        "no state": {k: v for k, v in saved.items() if k != "state"},
+        "no randomness": saved | {"random": {}},
+        "a number": saved | {"state": 3},
+        "another record": saved | {"state": {"record": "History", "fields": {}}},
+        "an unknown record": saved | {"state": {"record": "os.system", "fields": {}}},
+        "no fields": saved | {"state": {"record": "TrackingState", "fields": []}},
+        "a missing field": saved | {"state": {"record": "TrackingState", "fields": {"number": 3}}},
+        "an unknown record inside": saved | {
+            "state": {"record": "TrackingState", "fields": fields | {"intensity": {"record": "Mystery", "fields": {}}}}
+        },
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("how", damaged(Tracker(SIZE).state_dict()))
+def test_what_is_no_saved_state_is_told_and_changes_nothing(how: str):
+    tracker, plain = tracker_of(), tracker_of()
+    for k in range(10):
+        tracker.update(boxes(k))
+        plain.update(boxes(k))
+    with pytest.raises(InputError, match="load_state_dict"):
+        tracker.load_state_dict(damaged(tracker.state_dict())[how])
+    assert equal(tracker.update(boxes(10)), plain.update(boxes(10)))
+
+
+def test_a_state_of_other_settings_is_told():
+    saved = tracker_of(sensor={"scaling": "previous"})
+    saved.update(boxes(0))
+    with pytest.raises(InputError, match="8"):
+        tracker_of().load_state_dict(saved.state_dict())
+
+
+# Which stages
+
+
+def test_without_filter_detections_are_the_states():
+    tracker = Tracker(SIZE, filter="none")
+    for k in range(8):
+        rows = tracker.update(boxes(k))
+        np.testing.assert_allclose(rows.xyxy[np.argsort(rows.detection)], boxes(k))
+    assert isinstance(tracker.stages.filter, NoFilter)
+    assert len(tracker.tracks()) == 16
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_preset_finds_two_people(preset: str):
+    tracker = Tracker(SIZE, preset=preset, filter={"per_target": 500}, birth={"most": 500})
+    feed(tracker, [boxes(k) for k in range(25)])
+    tracks = tracker.tracks()
+    assert set(tracks.identity) == {1, 2}
+    for name in (1, 2):
+        mine = tracks.take(tracks.identity == name)
+        which = mine.detection[-1]
+        truth = np.array([boxes(f - 1)[which] for f in mine.frame])
+        assert np.abs(mine.xyxy - truth).mean() < 8
+        assert len(mine) >= 18
+
+
+def test_settings_come_from_file_preset_and_sections(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text("[sensor]\ndetection = 0.7\nspread = 0.2\n", encoding="utf-8")
+    sensor = Tracker(SIZE, preset="m07", settings=path, sensor={"spread": 0.3}).stages.model.sensor
+    assert (sensor.detection, sensor.spread, sensor.scaling) == (0.7, 0.3, "detection")
+
+
+def test_stages_of_ones_own():
+    made = config.build(config.load(), SequenceInfo(*SIZE, 25.0))
+    own = replace(made, filter=NoFilter(), extractor=Raw())
+    tracker, plain = Tracker(stages=own), Tracker(SIZE, filter="none")
+    for k in range(8):
+        assert equal(tracker.update(boxes(k)), plain.update(boxes(k)))
+    for beside in ({"filter": "none"}, {"preset": "m07"}, {"sensor": {}}, {"settings": "a.toml"}):
+        with pytest.raises(InputError, match="stages"):
+            Tracker(stages=own, **beside)
+
+
+def test_a_state_of_ones_own_that_cannot_be_saved_is_told():
+    class Odd:
+        """A state that no checkpoint knows."""
+
+        mass = 0.0
+
+    class OddFilter(NoFilter):
+        def start(self, model, rng):
+            return Odd()
+
+    made = config.build(config.load(), SequenceInfo(*SIZE, 25.0))
+    with pytest.raises(InputError, match="Odd"):
+        Tracker(stages=replace(made, filter=OddFilter())).state_dict()
