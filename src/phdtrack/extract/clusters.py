@@ -11,7 +11,7 @@ import numpy as np
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.pairs import nearest, scaled_distance2
 from phdtrack.protocols import Model, Sensor
-from phdtrack.types import F8, I8, Estimates, Particles
+from phdtrack.types import F8, I8, Bool, Estimates, Particles
 
 # A cluster reaches this many deviations of the measurement noise. Wide, because a target that was missed spreads.
 REACH = 8.0
@@ -29,27 +29,43 @@ def seeds(particles: Particles, z: F8, sensor: Sensor, lightest: float) -> F8:
     """(d, k) first centres: the detections, at rest [M07 §3], and what no detection is near.
 
     A target that was missed has no detection to start from, and its particles would be drawn into a far cluster or lost.
-    While more than ``lightest`` mass is out of every centre's reach, the first such particle becomes a centre and moves
-    once to the mean around it.
+    While more than ``lightest`` mass is out of every centre's reach, some of these particles become centres.
     """
     centres, _ = sensor.states(z)
-    bound = int(particles.mass / lightest) + 1
     lonely = np.ones(len(particles), np.bool_)
     point, _, _ = near(particles, centres, sensor)
     lonely[point] = False
-    for _ in range(bound):
+    # Once finds every target whose particles lie together in memory, as resampling leaves them; again, to be sure.
+    for _ in range(2):
         left = np.flatnonzero(lonely)
         if particles.weight[left].sum() < lightest:
             break
         rest = Particles(np.ascontiguousarray(particles.state[:, left]), particles.weight[left])
-        point, _, _ = near(rest, rest.state[:, :1], sensor)
-        weight = rest.weight[point]
-        if weight.sum() > 0:
-            centre = (rest.state[:, point] * weight).sum(1, keepdims=True) / weight.sum()
-            centres = np.hstack([centres, centre])
-        lonely[left[point]] = False
-        lonely[left[0]] = False
+        found, claimed = _lonely_centres(rest, sensor, lightest)
+        centres = np.hstack([centres, found])
+        lonely[left[claimed]] = False
     return centres
+
+
+def _lonely_centres(rest: Particles, sensor: Sensor, lightest: float) -> tuple[F8, Bool]:
+    """Centres (d, k) among particles that no detection is near, and which particles (L,) they have claimed.
+
+    Every half of ``lightest`` along the cumulative weight one particle is asked: it claims what is in its reach and not
+    claimed yet, and the mean of that is a centre.
+    """
+    mass = np.cumsum(rest.weight)
+    teeth = np.arange(0.25 * lightest, mass[-1], 0.5 * lightest)
+    asked = np.unique(np.minimum(np.searchsorted(mass, teeth), len(mass) - 1))
+    point, which, _ = near(rest, np.ascontiguousarray(rest.state[:, asked]), sensor)
+    claimed = np.zeros(len(rest), np.bool_)
+    centres = []
+    for i, members in zip(asked, np.split(point, np.searchsorted(which, np.arange(1, len(asked)))), strict=True):
+        if claimed[i]:
+            continue
+        mine = members[~claimed[members]]
+        centres.append(np.average(rest.state[:, mine], axis=1, weights=rest.weight[mine]))
+        claimed[mine] = True
+    return np.stack(centres, axis=1), claimed
 
 
 def label(particles: Particles, centres: F8, sensor: Sensor) -> tuple[I8, F8]:
