@@ -155,3 +155,28 @@ def test_online_rows_do_not_depend_on_what_comes_later():
     whole = run(matching_of(delay=2), frames).given
     for end in (1, 10, 33):
         assert all(same(a, b) for a, b in zip(run(matching_of(delay=2), frames[:end]).given, whole, strict=False))
+
+
+def test_a_delay_confirms_by_what_follows():
+    for delay, early in ((0, 4), (2, 2), (4, 0), (9, 0)):
+        online = run(matching_of(delay=delay, shortest=5), moving(12)).online
+        assert (~online.confirmed).tolist() == [True] * early + [False] * (12 - early)
+    short = run(matching_of(delay=9, shortest=5), moving(4)).online
+    assert not short.confirmed.any()
+
+
+def test_a_delay_bridges_the_gap_that_it_sees_the_end_of():
+    """The rows lie where the corrected tracks have them, not where the motion model alone would."""
+    swerving = [*moving(10), *[states([])] * 4, *moving(8, start=(150.0, 206.0))]
+    result = run(matching_of(delay=6, miss=0.9, gate=6.0), swerving)
+    filled = result.online.take(result.online.detection < 0)
+    corrected = result.tracks.take(result.tracks.detection < 0)
+    assert filled.frame.tolist() == corrected.frame.tolist() == [11, 12, 13, 14]
+    assert (np.diff(filled.xyxy[:, 1]) > 0).all(), "drawn to where it was seen again"
+    np.testing.assert_allclose(filled.xyxy, corrected.xyxy, atol=1e-9)
+
+
+@pytest.mark.parametrize(("delay", "ghosts"), [(0, 7), (3, 4), (7, 0), (12, 0)])
+def test_a_delay_ends_what_it_knows_to_have_ended(delay: int, ghosts: int):
+    online = run(matching_of(delay=delay, coast=0.3), [*moving(10), *[states([])] * 20]).online
+    assert online.predicted.sum() == ghosts

@@ -1,0 +1,381 @@
+"""Settings from TOML, options and presets: every name can be reached, every mistake names its place and the nearest name."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phdtrack import config
+from phdtrack.checks import bounds
+from phdtrack.config import SECTIONS
+from phdtrack.errors import InputError
+from phdtrack.extract import KMeans, Mixture, Raw
+from phdtrack.filters import NoFilter, ParticlePHD
+from phdtrack.models import (
+    FixedBirth,
+    LocalClutter,
+    MeasurementBirth,
+    NoSpawn,
+    SplitSpawn,
+    UniformBirth,
+    UniformClutter,
+)
+from phdtrack.presets import PRESETS
+from phdtrack.types import GaussianMixture, SequenceInfo
+
+INFO = SequenceInfo(640, 480, 25.0)
+BOX = (10.0, 20.0, 30.0, 60.0)
+# What a section's kind cannot do without.
+NEEDED = {("birth", "fixed"): ["birth.boxes=[[10, 20, 30, 60]]"]}
+
+# Section, kind and name of every setting there is.
+EVERY = [
+    (section, kind, field.name)
+    for section, kinds in SECTIONS.items()
+    for kind, record in kinds.items()
+    for field in fields(record)
+    if field.name not in ("frame_size", "births", "initial", "remember_size")
+]
+
+
+def toml(value) -> str:
+    """A value as TOML writes it."""
+    match value:
+        case bool():
+            return str(value).lower()
+        case str():
+            return f'"{value}"'
+        case list() | tuple():
+            return "[" + ", ".join(toml(item) for item in value) + "]"
+        case _:
+            return repr(value)
+
+
+def written(path: Path, settings: dict[str, object]) -> Path:
+    """A TOML file of `Settings.as_dict`."""
+    lines = [f"preset = {toml(settings['preset'])}"]
+    for name, values in settings.items():
+        if isinstance(values, dict):
+            lines += [f"[{name}]", *(f"{key} = {toml(value)}" for key, value in values.items())]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def chosen(section: str, kind: str) -> list[str]:
+    """Options that choose a kind and what it needs."""
+    return [*([f"{section}.kind={kind}"] if kind else []), *NEEDED.get((section, kind), [])]
+
+
+def another(value):
+    """A legal value that is not ``value``."""
+    match value:
+        case bool():
+            return not value
+        case int():
+            return value + 1
+        case float():
+            return value / 2 if value else 0.25
+        case tuple():
+            return tuple(another(item) for item in value)
+        case list():
+            return [*value, (1.0, 2.0, 3.0, 4.0)]
+        case "image":
+            return "local"
+        case "local":
+            return "image"
+        case "particle":
+            return "detection"
+    raise AssertionError(f"no other value is known for {value!r}")
+
+
+# Reaching every setting
+
+
+@pytest.mark.parametrize(("section", "kind", "name"), EVERY)
+def test_every_setting_is_reached_by_set(section: str, kind: str, name: str):
+    options = chosen(section, kind)
+    before = config.load(sets=options).as_dict()[section]
+    value = another(before[name])
+    loaded = config.load(sets=[*options, f"{section}.{name}={toml(value)}"])
+    after = loaded.as_dict()[section]
+    assert after == before | {name: value}
+    config.build(loaded, INFO)
+
+
+@pytest.mark.parametrize(("section", "kind", "name"), EVERY)
+def test_every_setting_is_reached_by_a_file(section: str, kind: str, name: str, tmp_path):
+    value = another(config.load(sets=chosen(section, kind)).as_dict()[section][name])
+    lines = [f"[{section}]", f"{name} = {toml(value)}"]
+    lines += [option.partition(".")[2] for option in NEEDED.get((section, kind), []) if f".{name}=" not in option]
+    lines += [f'kind = "{kind}"'] if kind else []
+    path = tmp_path / "settings.toml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    assert config.load(path).as_dict()[section][name] == value
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_all_that_as_dict_tells_is_what_is_built(preset: str):
+    told = config.load(preset=preset).as_dict()
+    stages = config.build(config.load(preset=preset), INFO)
+    records = {"motion": stages.model.motion, "sensor": stages.model.sensor, "filter": stages.filter,
+               "birth": stages.model.birth, "extract": stages.extractor, "associate": stages.associator}  # fmt: skip
+    for section, record in records.items():
+        for name, value in told[section].items():
+            if name != "kind":
+                assert getattr(record, name) == value, (section, name)
+    assert stages.model.rate == told["time"]["rate"]
+    assert stages.model.clutter.rate == told["clutter"]["rate"]
+
+
+@pytest.mark.parametrize("sets", [
+    [],
+    ["birth.kind=fixed", "birth.boxes=[[10, 20, 30, 60], [1, 2, 3, 4.5]]"],
+    ["birth.kind=uniform", "spawn.kind=split", "extract.kind=mixture"],
+    ["filter.kind=none"],
+    ["filter.initial=[[10, 20, 30, 60]]", "sensor.fixed=[1, 2]", "sensor.scaling=fixed"],
+    ["detector.threshold=3", "detector.name=x"],
+])  # fmt: skip
+@pytest.mark.parametrize("preset", PRESETS)
+def test_as_dict_written_as_toml_loads_to_the_same(preset: str, sets: list[str], tmp_path):
+    settings = config.load(sets=sets, preset=preset)
+    again = config.load(written(tmp_path / "all.toml", settings.as_dict()))
+    assert again.as_dict() == settings.as_dict()
+    assert repr(config.build(again, INFO)) == repr(config.build(settings, INFO))
+
+
+def test_the_last_named_wins(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('preset = "m07"\n[sensor]\ndetection = 0.8\nspread = 0.3\n', encoding="utf-8")
+    sensor = config.load(path, ["sensor.spread=0.4", "sensor.spread=0.5"]).as_dict()["sensor"]
+    assert (sensor["scaling"], sensor["detection"], sensor["spread"]) == ("detection", 0.8, 0.5)
+    assert config.load(path, preset="m09").as_dict()["sensor"]["scaling"] == "particle"
+    assert config.load(path, preset="m09").preset == "m09"
+    over = config.overlay(config.load(path), {"sensor": {"detection": 0.6}})
+    assert over.as_dict()["sensor"]["detection"] == 0.6
+    assert config.load(path).as_dict()["sensor"]["detection"] == 0.8, "the settings laid over stay what they were"
+
+
+def test_loading_does_not_change_the_presets():
+    before = repr(PRESETS)
+    for preset in PRESETS:
+        config.load(sets=["sensor.detection=0.5", "birth.kind=uniform", "clutter.rate=7"], preset=preset)
+    assert repr(PRESETS) == before
+
+
+# Kinds
+
+
+@pytest.mark.parametrize(("sets", "part", "kind"), [
+    ([], "birth", MeasurementBirth),
+    (["birth.kind=uniform"], "birth", UniformBirth),
+    (["birth.kind=fixed", "birth.boxes=[[1, 2, 3, 4]]"], "birth", FixedBirth),
+    (["clutter.volume=image"], "clutter", UniformClutter),
+    (["clutter.volume=local"], "clutter", LocalClutter),
+])  # fmt: skip
+def test_kinds_of_the_model(sets: list[str], part: str, kind: type):
+    assert isinstance(getattr(config.build(config.load(sets=sets), INFO).model, part), kind)
+
+
+def test_kinds_of_the_other_stages():
+    stages = config.build(config.load(sets=["extract.kind=mixture", "spawn.kind=split", "spawn.rate=0.1"]), INFO)
+    assert isinstance(stages.extractor, Mixture)
+    assert stages.model.motion.births == SplitSpawn(rate=0.1)
+    plain = config.build(config.load(), INFO)
+    assert isinstance(plain.extractor, KMeans)
+    assert isinstance(plain.filter, ParticlePHD)
+    assert plain.model.motion.births == NoSpawn()
+
+
+def test_another_kind_does_not_inherit_settings():
+    """The preset's birth rate is per detection; that of uniform births is per frame."""
+    assert config.load(sets=["birth.kind=uniform"], preset="m07").as_dict()["birth"]["rate"] == UniformBirth((1, 1)).rate
+    same = config.load(sets=["birth.kind=measurement"], preset="m07").as_dict()["birth"]
+    assert same["rate"] == PRESETS["m07"]["birth"]["rate"]
+
+
+@pytest.mark.parametrize("sets", [
+    ["birth.kind=uniform", "birth.count=7"],
+    ["birth.count=7", "birth.kind=uniform"],
+])  # fmt: skip
+def test_a_kind_may_stand_behind_its_settings(sets: list[str]):
+    assert config.build(config.load(sets=sets), INFO).model.birth.count == 7
+
+
+@pytest.mark.parametrize(("configured", "named", "kind"), [
+    ("none", "", NoFilter), ("particle-phd", "", ParticlePHD),
+    ("none", "particle-phd", ParticlePHD), ("particle-phd", "none", NoFilter),
+])  # fmt: skip
+def test_a_named_filter_wins(configured: str, named: str, kind: type):
+    stages = config.build(config.load(sets=[f"filter.kind={configured}"]), INFO, named)
+    assert isinstance(stages.filter, kind)
+    assert isinstance(stages.extractor, Raw) == (kind is NoFilter)
+
+
+# What depends on the sequence, and boxes
+
+
+def test_the_frame_gives_its_size():
+    stages = config.build(config.load(sets=["clutter.volume=image", "birth.volume=image", "clutter.rate=2"]), INFO)
+    assert stages.model.motion.frame_size == stages.model.birth.frame_size == (640.0, 480.0)
+    assert stages.model.clutter.volume == (640 * 480) ** 2
+    assert stages.model.clutter.rate == 2
+
+
+@pytest.mark.parametrize(("scaling", "dim"), [("particle", 6), ("previous", 8)])
+def test_the_motion_remembers_what_the_sensor_needs(scaling: str, dim: int):
+    model = config.build(config.load(sets=[f"sensor.scaling={scaling}"]), INFO).model
+    assert model.motion.dim == len(model.sensor.states(np.ones((4, 1)))[0]) == dim
+
+
+def test_initial_boxes(rng):
+    stages = config.build(config.load(sets=[f"filter.initial=[{list(BOX)}, [100, 100, 200, 300]]"]), INFO)
+    assert isinstance(stages.filter.initial, GaussianMixture)
+    np.testing.assert_allclose(stages.filter.initial.mean[[0, 1, 4, 5]].T, [[20, 40, 20, 40], [150, 200, 100, 200]])
+    np.testing.assert_array_equal(stages.filter.initial.weight, [1, 1])
+    assert stages.filter.start(stages.model, rng).mass == pytest.approx(2)
+
+
+def test_fixed_births():
+    sets = ["birth.kind=fixed", f"birth.boxes=[{list(BOX)}]", "birth.rate=0.2", "birth.count=50"]
+    birth = config.build(config.load(sets=sets), INFO).model.birth
+    assert birth.count == 50
+    np.testing.assert_allclose(birth.mixture.mean[[0, 1, 4, 5], 0], [20, 40, 20, 40])
+    np.testing.assert_array_equal(birth.mixture.weight, [0.2])
+
+
+@pytest.mark.parametrize("boxes", ["[[30, 20, 10, 60]]", "[[1, 2, 3, 2]]", "[[nan, 2, 3, 4]]"])
+@pytest.mark.parametrize("where", ["birth.boxes", "filter.initial"])
+def test_boxes_that_are_none_are_told(where: str, boxes: str):
+    sets = [f"{where}={boxes}", *(["birth.kind=fixed"] if where.startswith("birth") else [])]
+    with pytest.raises(InputError, match="left < right"):
+        config.build(config.load(sets=sets), INFO)
+
+
+# Mistakes
+
+
+MISTAKES = [
+    ("sensor.detecton=0.9", "Did you mean detection?"),
+    ("sensr.detection=0.9", "Did you mean sensor?"),
+    ("birth.kind=unifrom", "Did you mean uniform?"),
+    ("filter.kind=phd", "particle-phd"),
+    ("sensor.kind=box", "one kind only"),
+    ("motion.frame_size=[1, 2]", "unknown setting"),
+    ("sensor.detection=1.5", "less than or equal to 1"),
+    ("sensor.detection=-0.1", "greater than or equal to 0"),
+    ("sensor.detection=nan", "sensor.detection"),
+    ("sensor.detection=true", "valid number"),
+    ("sensor.detection='0.9'", "valid number"),
+    ("sensor.detection=high", "valid number"),
+    ("sensor.detection=", "valid number"),
+    ("sensor.scaling=partical", "'particle'"),
+    ("sensor.fixed=[1, 2, 3]", "at most 2"),
+    ("motion.acceleration=-1", "greater than or equal to 0"),
+    ("motion.scaled=maybe", "valid boolean"),
+    ("associate.span=0", "greater than 0"),
+    ("associate.shortest=2.5", "valid integer"),
+    ("associate.shortest=0", "greater than or equal to 1"),
+    ("associate.miss=0", "greater than 0"),
+    ("filter.per_target=0", "greater than or equal to 1"),
+    ("clutter.rate=-1", "greater than or equal to 0"),
+    ("clutter.volume=frame", "'image'"),
+    ("time.rate=0", "greater than 0"),
+    ("birth.boxes=[[1, 2, 3, 4]]", "unknown setting"),
+    ("filter.initial=[[1, 2, 3]]", "filter.initial"),
+]
+
+
+@pytest.mark.parametrize(("option", "says"), MISTAKES)
+def test_mistakes_in_options(option: str, says: str):
+    with pytest.raises(InputError) as error:
+        config.load(sets=["motion.survival=0.98", option])
+    assert says in str(error.value)
+    assert str(error.value).startswith(f"--set {option}: ")
+
+
+@pytest.mark.parametrize(("option", "says"), [m for m in MISTAKES if m[0].count("=") == 1 and not m[0].endswith("=")])
+def test_the_same_mistakes_in_a_file(option: str, says: str, tmp_path):
+    path, _, value = option.partition("=")
+    section, _, key = path.partition(".")
+    bare = value.isalpha() and value not in ("true", "nan")
+    file = tmp_path / "settings.toml"
+    file.write_text(f"[{section}]\n{key} = {toml(value) if bare else value}\n", encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        config.load(file)
+    assert says in str(error.value)
+    assert str(error.value).startswith(f"{file}: ")
+
+
+@pytest.mark.parametrize(("section", "name"), [
+    (section, name) for section, kinds in SECTIONS.items() for name, _ in bounds(next(iter(kinds.values())))
+])  # fmt: skip
+def test_no_bounded_setting_may_be_negative(section: str, name: str):
+    with pytest.raises(InputError, match=f"{section}.{name}: .* got -1"):
+        config.load(sets=[f"{section}.{name}=-1"])
+
+
+@pytest.mark.parametrize("option", ["sensor.detection", "sensor=3", "detection=0.9", "sensor.=1", "", "=", "preset=m09"])
+def test_options_have_a_section_a_name_and_a_value(option: str):
+    with pytest.raises(InputError, match=r"section\.name=value"):
+        config.load(sets=[option])
+
+
+@pytest.mark.parametrize(("text", "says"), [
+    ("[sensor\ndetection = 0.9", "line 1"),
+    ("[sensor]\ndetection = 0.9\n\nspread = = 2", "line 4"),
+    ("[sensor]\ndetection = .9", "line 2"),
+    ("[sensor]\ndetection = 0.9\ndetection = 0.8\nspread = 1\n", "line 3"),
+    ("sensor = 3", "section [sensor]"),
+    ("[[sensor]]\ndetection = 0.9", "section [sensor]"),
+    ('preset = "m08"', "preset"),
+    ("preset = 9", "preset"),
+    ('preset = ["m09"]', "preset"),
+    ('[birth]\nkind = ["uniform"]', "kind of birth"),
+    ("[birth]\nkind = 3", "kind of birth"),
+    ('[birth]\nkind = "fixed"', "boxes"),
+    ("[tracker]\nx = 1", "section"),
+    ("x = 1", "section"),
+])  # fmt: skip
+def test_files_that_are_no_settings(text: str, says: str, tmp_path):
+    path = tmp_path / "settings.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        config.load(path)
+    assert says in str(error.value)
+    assert str(path) in str(error.value)
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    (tmp_path / "latin.toml").write_bytes(b"# caf\xe9\n[sensor]\n")
+    for path in (tmp_path / "nowhere.toml", tmp_path, tmp_path / "latin.toml"):
+        with pytest.raises(InputError) as error:
+            config.load(path)
+        assert str(path) in str(error.value)
+
+
+def test_an_unknown_preset_is_told():
+    with pytest.raises(InputError, match="Did you mean m09"):
+        config.load(preset="m9")
+
+
+@pytest.mark.parametrize("values", [0.9, "detection", [("detection", 0.9)], None])
+def test_sections_laid_over_must_be_sections(values):
+    with pytest.raises(InputError, match="section"):
+        config.overlay(config.load(), {"sensor": values})
+
+
+def test_settings_of_the_detector_go_through_unchecked(tmp_path):
+    """They depend on the detector, which checks them itself."""
+    path = tmp_path / "settings.toml"
+    path.write_text("[detector]\nthreshold = 12\n", encoding="utf-8")
+    assert config.load(path, ["detector.mask=a.png"]).detector == {"threshold": 12, "mask": "a.png"}
+    assert config.load().detector == {}
+
+
+def test_a_settings_file_is_valid_toml(tmp_path):
+    path = written(tmp_path / "all.toml", config.load(preset="fv").as_dict())
+    assert set(tomllib.loads(path.read_text(encoding="utf-8"))) == {"preset", *SECTIONS}
