@@ -1,0 +1,140 @@
+"""Everything shipped that claims a protocol, and worlds to try it in. A new one is added here, and tested by that."""
+
+from __future__ import annotations
+
+import inspect
+
+import numpy as np
+
+from phdtrack.associate import GraphMatching
+from phdtrack.boxes import to_cxcywh
+from phdtrack.extract import KMeans, Mixture, Raw
+from phdtrack.filters import NoFilter, ParticlePHD
+from phdtrack.models import (
+    BoxMotion,
+    BoxSensor,
+    FixedBirth,
+    LocalClutter,
+    MeasurementBirth,
+    SplitSpawn,
+    UniformBirth,
+    UniformClutter,
+)
+from phdtrack.protocols import Model
+from phdtrack.types import Detections, Estimates, GaussianMixture, Particles
+
+SIZE = (640.0, 480.0)
+
+MOTIONS = {
+    "scaled": BoxMotion(frame_size=SIZE),
+    "fixed": BoxMotion(acceleration=1.2, resize=2.0, scaled=False, frame_size=SIZE),
+    "remembering": BoxMotion(remember_size=True, frame_size=SIZE),
+    "splitting": BoxMotion(births=SplitSpawn(rate=0.1), frame_size=SIZE),
+    "borderless": BoxMotion(),
+    "still": BoxMotion(acceleration=0.0, resize=0.0),
+}
+SENSORS = {scaling: BoxSensor(scaling=scaling) for scaling in ("particle", "detection", "previous", "fixed", "given")}
+SENSORS["no floor"] = BoxSensor(floor=0.0)
+
+
+def mixture(dim: int) -> GaussianMixture:
+    mean = np.array([[100.0, 200.0, 0, 0, 40, 100], [300.0, 100.0, 0, 0, 30, 60]]).T
+    if dim == 8:
+        mean = np.vstack([mean, mean[4:6]])
+    return GaussianMixture(np.array([0.02, 0.01]), mean, np.tile(4.0 * np.eye(dim), (2, 1, 1)))
+
+
+BIRTHS = {
+    "measurement, image": MeasurementBirth(rate=0.02, most=200, volume="image", frame_size=SIZE),
+    "measurement, local": MeasurementBirth(rate=0.02, most=200, volume="local"),
+    "uniform": UniformBirth(SIZE, count=40),
+    "fixed": FixedBirth(mixture(6), count=100),
+}
+CLUTTERS = {"uniform": UniformClutter(2.0, (640.0 * 480) ** 2), "local": LocalClutter(2.0), "none": UniformClutter(0.0, 1.0)}
+FILTERS = {
+    "particle-phd": ParticlePHD(per_target=200),
+    "bounded": ParticlePHD(per_target=200, most=150),
+    "skipping": ParticlePHD(per_target=200, skip_empty=True),
+    "started": ParticlePHD(per_target=200, initial=mixture(6)),
+    "none": NoFilter(),
+}
+EXTRACTORS = {"kmeans": KMeans(), "mixture": Mixture(), "raw": Raw()}
+ASSOCIATORS = {"graph": GraphMatching(), "delayed": GraphMatching(delay=3), "plain": GraphMatching(bridge=False, backfill=0)}
+
+
+def model_of(sensor: BoxSensor | None = None) -> Model:
+    sensor = sensor or SENSORS["particle"]
+    motion = BoxMotion(frame_size=SIZE, remember_size=sensor.scaling == "previous")
+    return Model(motion, sensor, BIRTHS["measurement, image"], CLUTTERS["uniform"])
+
+
+def detections(rng: np.random.Generator, n: int) -> Detections:
+    """``n`` boxes in the frame, with a covariance."""
+    size = rng.uniform(20, 120, (n, 2))
+    corner = rng.uniform(0, 1, (n, 2)) * (np.array(SIZE) - size)
+    variance = rng.uniform(1, 25, (n, 4))
+    found = Detections.of(np.hstack([corner, corner + size]))
+    return Detections(found.xyxy, found.confidence, found.class_id, np.apply_along_axis(np.diag, 1, variance) if n else None)
+
+
+def states(rng: np.random.Generator, n: int, dim: int = 6) -> np.ndarray:
+    """(dim, n) states in the frame."""
+    z = to_cxcywh(detections(rng, n).xyxy) if n else np.zeros((4, 0))
+    x = np.vstack([z[:2], rng.normal(0, 3, (2, n)), z[2:], z[2:]])
+    return np.ascontiguousarray(x[:dim])
+
+
+def about(x: np.ndarray, each: int, rng: np.random.Generator, mass: float = 1.0) -> Particles:
+    """``each`` particles of ``mass`` about every column of ``x``."""
+    cloud = np.repeat(x, each, axis=1)
+    return Particles(cloud + rng.normal(0, 1, cloud.shape), np.full(cloud.shape[1], mass / each))
+
+
+def frozen(record):
+    """The record, its arrays made read-only."""
+    for name in record.__dataclass_fields__:
+        value = getattr(record, name)
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+    return record
+
+
+def fixed(array: np.ndarray) -> np.ndarray:
+    """The array, made read-only."""
+    array.flags.writeable = False
+    return array
+
+
+def keeps(protocol: type, implementation: object) -> None:
+    """Every method of the protocol is there, with the protocol's arguments in its order; properties are properties."""
+    for name, wanted in vars(protocol).items():
+        if name.startswith("_") and name not in ("__call__", "__iter__"):
+            continue
+        if isinstance(wanted, property):
+            assert not callable(getattr(implementation, name)), name
+        elif callable(wanted):
+            theirs = list(inspect.signature(wanted).parameters)[1:]
+            ours = inspect.signature(getattr(implementation, name)).parameters
+            assert list(ours)[: len(theirs)] == theirs, f"{type(implementation).__name__}.{name}"
+            rest = list(ours.values())[len(theirs) :]
+            assert all(p.default is not p.empty for p in rest), f"{type(implementation).__name__}.{name} asks for more"
+
+
+def check_estimates(found: Estimates, dim: int, n: int) -> None:
+    """What every set of states must be, drawn from ``n`` detections."""
+    k = len(found)
+    assert found.state.shape == (dim, k)
+    assert found.covariance.shape == (k, dim, dim)
+    assert found.xyxy.shape == (k, 4)
+    assert found.detection.shape == (k,)
+    assert found.detection.dtype == np.int64
+    for array in (found.state, found.covariance, found.weight, found.xyxy):
+        assert np.isfinite(array).all()
+    assert (found.weight > 0).all()
+    assert (found.xyxy[:, 2:] > found.xyxy[:, :2]).all()
+    np.testing.assert_allclose(found.covariance, found.covariance.transpose(0, 2, 1))
+    if k:
+        assert np.linalg.eigvalsh(found.covariance).min() > 0
+    rests = found.detection[found.detection >= 0]
+    assert len(set(rests.tolist())) == len(rests), "a detection serves one state"
+    assert rests.max(initial=-1) < n

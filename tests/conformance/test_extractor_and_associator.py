@@ -1,0 +1,127 @@
+"""What every extractor and every associator must do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from shipped import (
+    ASSOCIATORS,
+    EXTRACTORS,
+    SENSORS,
+    about,
+    check_estimates,
+    detections,
+    fixed,
+    frozen,
+    keeps,
+    model_of,
+    states,
+)
+
+from phdtrack.extract import Raw
+from phdtrack.protocols import Associator, Extractor
+from phdtrack.types import Particles, Tracks
+
+extractors = pytest.mark.parametrize("extractor", EXTRACTORS.values(), ids=EXTRACTORS)
+associators = pytest.mark.parametrize("associator", ASSOCIATORS.values(), ids=ASSOCIATORS)
+
+
+@extractors
+@pytest.mark.parametrize("scaling", ["particle", "detection", "previous", "fixed", "given"])
+@pytest.mark.parametrize("seed", range(3))
+def test_states_of_an_intensity(extractor, scaling: str, seed: int):
+    keeps(Extractor, extractor)
+    rng = np.random.default_rng(seed)
+    model = model_of(SENSORS[scaling])
+    z = fixed(model.sensor.measure(detections(rng, 4)))
+    seen, _ = model.sensor.states(z)
+    unseen = states(rng, 2, model.motion.dim)
+    intensity = frozen(about(np.hstack([seen[:, :3], unseen]), 150, rng))
+    first, second = (extractor.extract(intensity, z, model) for _ in range(2))
+    check_estimates(first, model.motion.dim, 4)
+    np.testing.assert_array_equal(first.state, second.state)
+    np.testing.assert_allclose(first.xyxy, model.sensor.boxes(first.state))
+    assert len(first) >= 3
+
+
+@extractors
+def test_nothing_is_in_an_empty_intensity(extractor):
+    model = model_of()
+    found = extractor.extract(Particles(np.zeros((6, 0)), np.zeros(0)), np.zeros((4, 0)), model)
+    check_estimates(found, 6, 0)
+    assert len(found) == 0
+
+
+@pytest.mark.parametrize("name", sorted({*EXTRACTORS} - {"raw"}))
+def test_next_to_no_mass_is_no_state(name: str, rng):
+    """Raw is left out: the detections are its states, whatever the intensity."""
+    extractor, model = EXTRACTORS[name], model_of()
+    z = model.sensor.measure(detections(rng, 3))
+    seen, _ = model.sensor.states(z)
+    assert len(extractor.extract(about(seen, 100, rng, mass=0.05), z, model)) == 0
+
+
+def sequence(rng: np.random.Generator, count: int):
+    """States and measurements of two targets that walk, with misses, and of clutter."""
+    model = model_of()
+    begin, velocity = states(rng, 2), rng.normal(0, 2, (2, 2))
+    for k in range(count):
+        here = begin.copy()
+        here[:2] += k * velocity
+        found = detections(rng, int(rng.integers(0, 2)))
+        boxes = np.vstack([model.sensor.boxes(here[:, rng.random(2) < 0.9]), found.xyxy])
+        z = model.sensor.measure(type(found).of(boxes))
+        yield Raw().extract(Particles(np.zeros((6, 0)), np.zeros(0)), z, model), fixed(z)
+
+
+def check_rows(tracks: Tracks) -> None:
+    """What every set of rows must be."""
+    n = len(tracks)
+    for name in ("frame", "identity", "confidence", "detection", "confirmed"):
+        assert getattr(tracks, name).shape == (n,)
+    assert tracks.xyxy.shape == (n, 4)
+    assert np.isfinite(tracks.xyxy).all()
+    assert (tracks.identity >= 1).all()
+    assert (tracks.detection >= -1).all()
+    assert ((tracks.confidence >= 0) & (tracks.confidence <= 1)).all()
+    np.testing.assert_array_equal(np.lexsort((tracks.identity, tracks.frame)), np.arange(n))
+    assert len({*zip(tracks.frame.tolist(), tracks.identity.tolist(), strict=True)}) == n
+
+
+@associators
+@pytest.mark.parametrize("seed", range(4))
+def test_rows_of_a_sequence(associator, seed: int):
+    keeps(Associator, associator)
+    model, before = model_of(), repr(associator)
+    results = []
+    for _ in range(2):
+        state, given = associator.start(), []
+        for number, (estimates, z) in enumerate(sequence(np.random.default_rng(seed), 30), start=3):
+            state, rows = associator.extend(state, frozen(estimates), z, number, 1.0, model)
+            check_rows(rows)
+            assert len(set(rows.frame)) <= 1
+            assert rows.frame.max(initial=0) <= number
+            given.append(rows)
+        online = Tracks.concatenate([*given, associator.flush(state, model)])
+        corrected = associator.finish(state, model)
+        check_rows(online)
+        check_rows(corrected)
+        assert set(corrected.frame) <= set(range(3, 33))
+        assert corrected.confirmed.all()
+        results.append((online, corrected))
+    assert repr(associator) == before
+    for a, b in zip(*results, strict=True):
+        np.testing.assert_array_equal(a.xyxy, b.xyxy)
+        np.testing.assert_array_equal(a.identity, b.identity)
+
+
+@associators
+def test_nothing_is_followed_in_an_empty_sequence(associator):
+    model = model_of()
+    state = associator.start()
+    assert len(associator.flush(state, model)) == len(associator.finish(state, model)) == 0
+    nothing = Raw().extract(Particles(np.zeros((6, 0)), np.zeros(0)), np.zeros((4, 0)), model)
+    for number in range(1, 6):
+        state, rows = associator.extend(state, nothing, np.zeros((4, 0)), number, 1.0, model)
+        assert len(rows) == 0
+    assert len(associator.flush(state, model)) == len(associator.finish(state, model)) == 0

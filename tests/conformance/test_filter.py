@@ -1,0 +1,100 @@
+"""What every filter must do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from shipped import FILTERS, SENSORS, detections, fixed, frozen, keeps, mixture, model_of
+
+from phdtrack.filters import ParticlePHD
+from phdtrack.protocols import Filter
+
+pytestmark = pytest.mark.parametrize("filter_", FILTERS.values(), ids=FILTERS)
+
+
+def step(filter_, state, z, model, dt, rng):
+    predicted = filter_.predict(state, model, dt, rng)
+    updated, info = filter_.update(predicted, z, model, dt, rng)
+    return filter_.reduce(updated, rng), info
+
+
+def scans(rng, count: int) -> list[np.ndarray]:
+    """Two targets that are seen, and now and then something else; some scans are empty."""
+    model, steady = model_of(), detections(rng, 2)
+    out = []
+    for k in range(count):
+        extra = detections(rng, int(rng.integers(0, 3)))
+        found = np.vstack([steady.xyxy, extra.xyxy]) if k % 4 else np.zeros((0, 4))
+        out.append(fixed(model.sensor.measure(type(extra).of(found))))
+    return out
+
+
+def test_signatures(filter_):
+    keeps(Filter, filter_)
+
+
+def test_information_agrees_with_the_state(filter_, rng):
+    model = model_of()
+    state = filter_.start(model, rng)
+    for z in scans(rng, 9):
+        predicted = filter_.predict(state, model, 1.0, rng)
+        updated, info = filter_.update(predicted, z, model, 1.0, rng)
+        n = z.shape[1]
+        assert info.evidence.shape == info.clutter.shape == info.clutter_probability.shape == (n,)
+        assert ((info.clutter_probability >= 0) & (info.clutter_probability <= 1)).all()
+        assert info.mass == pytest.approx(updated.mass)
+        assert 0 <= info.mass_born <= info.mass_predicted + 1e-12
+        assert 0 <= info.vanished <= n
+        state = filter_.reduce(updated, rng)
+        # Less than half a particle's worth of mass is no particle.
+        assert state.mass == pytest.approx(updated.mass, abs=0.5 / 200), "reducing keeps the mass"
+        assert len(state) <= max(len(updated), 200 * state.mass + 1)
+
+
+def test_states_are_values_and_runs_repeat(filter_):
+    """No state is written into, nothing is stored on the filter, and the same seed gives the same."""
+    model, before = model_of(), repr(filter_)
+    results = []
+    for _ in range(2):
+        rng = np.random.default_rng(5)
+        state = frozen(filter_.start(model, rng))
+        for z in scans(np.random.default_rng(6), 8):
+            state, _ = step(filter_, state, z, model, 1.0, rng)
+            frozen(state)
+        results.append(state)
+    np.testing.assert_array_equal(results[0].state, results[1].state)
+    np.testing.assert_array_equal(results[0].weight, results[1].weight)
+    assert repr(filter_) == before
+
+
+def test_two_steady_targets_count_as_two(filter_, rng):
+    model = model_of()
+    state = filter_.start(model, rng)
+    z = model.sensor.measure(detections(np.random.default_rng(2), 2))
+    for _ in range(12):
+        state, info = step(filter_, state, z, model, 1.0, rng)
+    assert info.mass == pytest.approx(2, abs=0.35)
+
+
+def test_nothing_comes_of_nothing(filter_, rng):
+    model = model_of()
+    state = filter_.start(model, rng)
+    for _ in range(200):
+        state, info = step(filter_, state, np.zeros((4, 0)), model, 1.0, rng)
+        assert np.isfinite(info.mass)
+    assert info.mass < 0.1
+
+
+@pytest.mark.parametrize("scaling", ["detection", "previous", "fixed", "given"])
+def test_every_sensor_will_do(filter_, scaling: str, rng):
+    model = model_of(SENSORS[scaling])
+    if isinstance(filter_, ParticlePHD) and filter_.initial is not None:
+        filter_ = replace(filter_, initial=mixture(model.motion.dim))
+    state = filter_.start(model, rng)
+    z = model.sensor.measure(detections(np.random.default_rng(2), 2))
+    for _ in range(6):
+        state, info = step(filter_, state, z, model, 1.0, rng)
+    assert len(state.state) == model.motion.dim
+    assert np.isfinite(info.mass)

@@ -1,0 +1,84 @@
+"""What every motion must do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from shipped import MOTIONS, fixed, frozen, keeps, states
+
+from phdtrack.protocols import Motion
+from phdtrack.types import Particles
+
+pytestmark = pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+INTERVALS = (0.3, 1.0, 25 / 7)
+
+
+def test_signatures(motion):
+    keeps(Motion, motion)
+    assert isinstance(motion.dim, int)
+
+
+def test_draws_are_states_and_repeat(motion, rng):
+    x = fixed(states(rng, 50, motion.dim))
+    for dt in INTERVALS:
+        a, b = (motion.sample(x, dt, np.random.default_rng(1)) for _ in range(2))
+        assert a.shape == x.shape
+        assert np.isfinite(a).all()
+        assert a.flags.c_contiguous
+        np.testing.assert_array_equal(a, b)
+
+
+def test_transition_is_that_of_the_draws(motion, rng):
+    """Mean and covariance of 20 000 draws from one state, within five standard errors."""
+    one = states(rng, 1, motion.dim)
+    many = np.repeat(one, 20000, axis=1)
+    for dt in INTERVALS:
+        mean, jacobian, noise = motion.transition(one, dt)
+        assert mean.shape == one.shape
+        assert jacobian.shape == noise.shape == (1, motion.dim, motion.dim)
+        drawn = motion.sample(many, dt, rng)
+        scale = np.sqrt(np.diag(noise[0]))
+        assert (np.abs(drawn.mean(1) - mean[:, 0]) <= 5 * scale / np.sqrt(20000) + 1e-9).all()
+        error = np.abs(np.cov(drawn) - noise[0])
+        assert (error <= 0.05 * np.outer(scale, scale) + 1e-9).all()
+
+
+def test_noise_is_a_covariance_and_the_jacobian_a_derivative(motion, rng):
+    x = states(rng, 10, motion.dim)
+    for dt in INTERVALS:
+        mean, jacobian, noise = motion.transition(fixed(x), dt)
+        np.testing.assert_allclose(noise, noise.transpose(0, 2, 1))
+        assert np.linalg.eigvalsh(noise).min() > -1e-9
+        for row in range(motion.dim):
+            nudged = x.copy()
+            nudged[row] += 1e-4
+            slope = (motion.transition(nudged, dt)[0] - mean) / 1e-4
+            np.testing.assert_allclose(slope.T, jacobian[:, :, row], atol=1e-6)
+
+
+def test_survival_is_a_probability_that_falls_with_time(motion, rng):
+    x = fixed(states(rng, 40, motion.dim))
+    shares = [motion.p_survive(x, dt) for dt in INTERVALS]
+    for share in shares:
+        assert share.shape == (40,)
+        assert ((share >= 0) & (share <= 1)).all()
+    assert (np.diff(shares, axis=0) <= 0).all()
+
+
+def test_spawned_are_particles(motion, rng):
+    parents = frozen(Particles(states(rng, 100, motion.dim), np.full(100, 0.02)))
+    spawned = motion.spawn(parents, 1.0, rng)
+    assert spawned.state.shape == (motion.dim, len(spawned))
+    assert (spawned.weight >= 0).all()
+    assert spawned.mass <= parents.mass
+    nobody = motion.spawn(Particles(np.zeros((motion.dim, 0)), np.zeros(0)), 1.0, rng)
+    assert nobody.state.shape == (motion.dim, 0)
+
+
+def test_nobody_moves_to_nowhere(motion, rng):
+    x = np.zeros((motion.dim, 0))
+    assert motion.sample(x, 1.0, rng).shape == x.shape
+    assert motion.p_survive(x, 1.0).shape == (0,)
+    mean, jacobian, noise = motion.transition(x, 1.0)
+    assert mean.shape == x.shape
+    assert jacobian.shape == noise.shape == (0, motion.dim, motion.dim)

@@ -1,0 +1,101 @@
+"""What every sensor must do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from shipped import SENSORS, detections, fixed, frozen, keeps
+
+from phdtrack.protocols import Sensor
+from phdtrack.types import Detections
+
+pytestmark = pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
+
+
+@pytest.fixture
+def z(sensor, rng):
+    return fixed(sensor.measure(frozen(detections(rng, 30))))
+
+
+def test_signatures(sensor):
+    keeps(Sensor, sensor)
+    assert sensor.observed == (0, 1, *sensor.observed[2:]), "rows 0 and 1 are the position"
+
+
+def test_measurements_are_columns(sensor, z):
+    assert z.shape[1] == 30
+    assert len(z) >= len(sensor.observed)
+    assert sensor.measure(Detections.empty()).shape == (len(z), 0)
+
+
+def test_a_state_made_of_a_measurement_predicts_it(sensor, z, rng):
+    x, cov = sensor.states(z)
+    d = len(x)
+    assert x.shape == (d, 30)
+    assert cov.shape == (30, d, d)
+    assert np.linalg.eigvalsh(cov).min() > 0
+    np.testing.assert_allclose(sensor.distance2(z, x), 0, atol=1e-18)
+    np.testing.assert_allclose(x[list(sensor.observed)], z[: len(sensor.observed)])
+    np.testing.assert_allclose(sensor.measure(detections(rng, 0)), np.zeros((len(z), 0)))
+    boxes = sensor.boxes(x)
+    assert boxes.shape == (30, 4)
+    np.testing.assert_allclose(sensor.measure(Detections.of(boxes))[:4] if len(z) == 4 else z[:4], z[:4])
+
+
+def test_likelihoods_are_elementwise_with_broadcasting(sensor, z):
+    x, _ = sensor.states(z)
+    x = fixed(x + 0.5)
+    for function in (sensor.log_likelihood, sensor.distance2):
+        table = function(z[:, :, None], x[:, None, :])
+        assert table.shape == (30, 30)
+        np.testing.assert_allclose(np.diagonal(table), function(z, x))
+        pairs = (np.array([3, 3, 7]), np.array([1, 3, 20]))
+        np.testing.assert_allclose(table[pairs], function(z[:, pairs[0]], x[:, pairs[1]]))
+    assert (sensor.distance2(z, x) >= 0).all()
+
+
+def test_the_likelihood_is_a_density(sensor, z, rng):
+    """Its integral over measurements about one state is 1, by importance sampling with twice the noise."""
+    x, _ = sensor.states(z[:, :1])
+    rows, n = list(sensor.observed), 40000
+    wide = 2 * sensor.noise(x)[rows] if len(z) == 4 else 2 * np.sqrt(z[4:8, :1])
+    step = rng.standard_normal((4, n))
+    drawn = x[rows] + wide * step
+    if len(z) == 8:
+        drawn = np.vstack([drawn, np.repeat(z[4:8, :1], n, axis=1)])
+    proposal = -0.5 * (step**2).sum(0) - np.log(wide).sum() - 2 * np.log(2 * np.pi)
+    weight = np.exp(sensor.log_likelihood(drawn, np.repeat(x, n, axis=1)) - proposal)
+    # The detection's own size scales the noise of one sensor: as a function of z it is no density then.
+    if sensor.scaling != "detection":
+        assert weight.mean() == pytest.approx(1, abs=0.05)
+
+
+def test_the_gate_holds_what_is_likely(sensor, z, rng):
+    """No state within three deviations in every component is outside of the gate."""
+    lower, upper = sensor.gate(z)
+    assert lower.shape == upper.shape == (2, 30)
+    x, _ = sensor.states(z)
+    rows = list(sensor.observed)
+    for _ in range(200):
+        near = x.copy()
+        near[rows] += rng.uniform(-1, 1, (4, 30)) * sensor.noise(x)[rows]
+        assert ((near[:2] >= lower) & (near[:2] <= upper)).all()
+
+
+def test_detection_probability_and_noise(sensor, z):
+    x, _ = sensor.states(z)
+    p = sensor.p_detect(fixed(x))
+    assert p.shape == (30,)
+    assert ((p >= 0) & (p <= 1)).all()
+    noise = sensor.noise(x)
+    assert noise.shape == x.shape
+    assert (noise > 0).all()
+
+
+def test_nothing_is_measured_of_nothing(sensor, z):
+    none = z[:, :0]
+    x, cov = sensor.states(none)
+    assert x.shape[1] == len(cov) == len(sensor.p_detect(x)) == len(sensor.boxes(x)) == 0
+    assert sensor.log_likelihood(none, x).shape == (0,)
+    assert sensor.gate(none)[0].shape == (2, 0)
+    assert sensor.noise(x).shape == x.shape
