@@ -8,6 +8,7 @@ from association_cases import matching_of, model_of, states
 
 from phdtrack.boxes import to_cxcywh, to_xyxy
 from phdtrack.types import Estimates, Tracks
+from reference import graph_twin as twin
 
 MODEL = model_of()
 NONE = states([])
@@ -112,3 +113,17 @@ def test_a_remembered_size_is_led_back_too():
     tracks = run(frames, model, backfill=5)
     assert tracks.frame.tolist() == list(range(1, 21))
     np.testing.assert_allclose(to_cxcywh(tracks.xyxy)[2:], 40, atol=1e-6)
+
+
+def test_rows_are_the_conditional_means():
+    """Each is the mean given the first state and all detections from its own frame on."""
+    model = model_of(scaled=False, acceleration=0.8, resize=1.0)
+    rng = np.random.default_rng(1)
+    frames = walker(4)
+    noisy = np.hstack([z for _, z in frames[:4]]) + rng.normal(0, 2, (4, 4))
+    frames[:4] = [(NONE, noisy[:, [k]]) for k in range(4)]
+    first = frames[4][0]
+    tracks = run(frames, model, backfill=5)
+    assert tracks.frame.tolist() == list(range(1, 21))
+    wanted = twin.led_back(model.motion, model.sensor, first.state[:, 0], first.covariance[0], noisy, 1.0)
+    np.testing.assert_allclose(tracks.xyxy[:4], model.sensor.boxes(wanted), atol=1e-8)

@@ -115,3 +115,32 @@ def smoothed(motion, before, cov_before, after, cov_after, steps):
         smooth = mean[k] + back @ (smooth - predicted[k][0])
         out.append(smooth)
     return np.array(out[::-1]).reshape(-1, len(before)).T
+
+
+def led_back(motion, sensor, state, cov, measured, dt):
+    """(d, n) means of the n states before ``state``, each given it and the measurements (4, n) from itself on.
+
+    The joint Gaussian of all states, written down at once and conditioned: x_k = F⁻¹ (x_{k+1} − w), w ~ N(0, Q).
+    """
+    d, seen = len(state), list(sensor.observed)
+    _, jacobian, noise = motion.transition(state[:, None], dt)
+    back = np.linalg.inv(jacobian[0])
+    n = measured.shape[1]
+    powers = [np.linalg.matrix_power(back, j) for j in range(n + 2)]
+    out = []
+    for count in range(1, n + 1):
+        # x_j for j = 1 … count steps back as a linear map of (x_0, w_1, …, w_count)
+        maps = [np.hstack([powers[j], *(-powers[j - i + 1] if i <= j else np.zeros((d, d)) for i in range(1, count + 1))])
+                for j in range(1, count + 1)]  # fmt: skip
+        sources = np.zeros(((count + 1) * d, (count + 1) * d))
+        sources[:d, :d] = cov
+        for i in range(1, count + 1):
+            sources[i * d : (i + 1) * d, i * d : (i + 1) * d] = noise[0]
+        z = measured[:, n - count :][:, ::-1]
+        rows = np.vstack([m[seen] for m in maps])
+        x, _ = sensor.states(z)
+        spread = rows @ sources @ rows.T + np.diag((sensor.noise(x)[seen] ** 2).T.ravel())
+        mean = [powers[j] @ state for j in range(1, count + 1)]
+        step = z.T.ravel() - np.concatenate([m[seen] for m in mean])
+        out.append(mean[-1] + maps[-1] @ sources @ rows.T @ np.linalg.solve(spread, step))
+    return np.array(out[::-1]).T
