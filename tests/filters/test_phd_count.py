@@ -1,0 +1,61 @@
+"""With known parameters the mass of the intensity is the number of targets: the experiment of docs/results/count.md."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from reproduce import count
+from scipy.integrate import quad
+
+from phdtrack.boxes import to_cxcywh
+from phdtrack.models import BoxSensor
+from phdtrack.simulate import constant
+from phdtrack.simulate.clutter import poisson_boxes
+
+ASKED = 0.10
+
+
+@pytest.mark.parametrize(("p_detect", "clutter", "laws"), [(0.98, 0.0, "known"), (0.9, 5.0, "shipped")])
+def test_the_count_is_the_truth(p_detect: float, clutter: float, laws: count.Laws):
+    found = count.row(p_detect, clutter, seeds=range(3), frames=60, laws=laws, per_target=600)
+    assert 5 < found.truth < 15
+    assert abs(found.bias) <= ASKED
+    assert found.rms < 0.2 * found.truth
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("laws", ["known", "shipped"])
+@pytest.mark.parametrize("p_detect", count.P_DETECT)
+@pytest.mark.parametrize("clutter", count.CLUTTER)
+def test_every_combination(p_detect: float, clutter: float, laws: count.Laws):
+    assert abs(count.row(p_detect, clutter, laws=laws).bias) <= ASKED
+
+
+def test_the_same_seed_counts_the_same():
+    runs = [count.run(0.9, 5.0, 3, frames=8, per_target=200) for _ in range(2)]
+    np.testing.assert_array_equal(*runs)
+
+
+def test_the_clutter_of_the_scene_is_what_the_simulator_draws(rng):
+    """λ over expected values: E[1/κ] over drawn false alarms is the volume they occur in, over the rate."""
+    scene = constant(10, frames=4000)
+    _, boxes = poisson_boxes(scene.info, 5.0, np.zeros((0, 2)), rng)
+    z = to_cxcywh(boxes)
+    density = count.SceneClutter(scene, 5.0).intensity(z)
+    assert np.all(density > 0)
+    # ∫ h dh times the range of aspects, over the frame.
+    low, high = 0.08 * 720, 0.5 * 720
+    volume = 1280 * 720 * quad(lambda h: h, low, high)[0] * (1 - 1 / 3)
+    assert np.mean(5.0 / density) == pytest.approx(volume, rel=0.03)
+    assert count.SceneClutter(scene, 5.0).intensity(np.array([[-1.0], [5], [50], [100]]))[0] == 0
+
+
+def test_the_births_of_the_scene_have_the_mass_of_what_can_be_drawn(rng):
+    """Detections all over the frame leave nothing out: the mass is the rate."""
+    scene = constant(10, width=120, height=90)
+    x, y, h = np.meshgrid(np.arange(-2, 124, 3.0), np.arange(-2, 94, 4.0), np.array([42.0, 50, 60, 70, 78]))
+    z = np.stack([x.ravel(), y.ravel(), 0.4 * h.ravel(), h.ravel()])
+    z = z[:, rng.permutation(z.shape[1])[:1200]]
+    birth = count.SceneBirth(scene, rate=0.3, most=8)
+    masses = [birth.sample(z, np.zeros(1200), BoxSensor(), 2.0, rng).mass for _ in range(3)]
+    assert np.mean(masses) == pytest.approx(0.6, rel=0.03)
