@@ -10,7 +10,7 @@ import numpy as np
 from phdtrack.associate.graph import GraphState
 from phdtrack.associate.history import History, Moment
 from phdtrack.associate.online import Given, Holder
-from phdtrack.associate.window import Columns, Rows, Window
+from phdtrack.associate.window import Columns, Links, Rows, Window
 from phdtrack.errors import InputError
 from phdtrack.pipeline import TrackingState
 from phdtrack.types import Estimates, GaussianMixture, Particles
@@ -30,6 +30,7 @@ _RECORDS: dict[str, type[Any]] = {
         Window,
         Columns,
         Rows,
+        Links,
     )
 }
 

@@ -83,7 +83,7 @@ def links(state: GraphState) -> set[tuple[int, int]]:
     rows, columns = state.window.rows, state.window.columns
     taken = rows.column >= 0
     open_links = zip(rows.vertex[taken].tolist(), columns.vertex[rows.column[taken]].tolist(), strict=True)
-    closed = (pair for m in state.history for pair in zip(m.later.tolist(), m.earlier.tolist(), strict=True))
+    closed = (pair for m in state.history for pair in zip(m.final.later.tolist(), m.final.earlier.tolist(), strict=True))
     return {*open_links, *closed}
 
 

@@ -86,7 +86,7 @@ def test_span_is_time_and_not_frames():
 
 def test_links_become_final_when_the_window_leaves_them():
     result = run(matching_of(span=0.4), resting(40))
-    final = [set(zip(m.later.tolist(), m.earlier.tolist(), strict=True)) for m in result.states[-1].history]
+    final = [set(zip(m.final.later.tolist(), m.final.earlier.tolist(), strict=True)) for m in result.states[-1].history]
     assert sum(map(len, final)) == 28  # of 39, the last 11 states may still be linked otherwise
     assert all(len(f) <= 1 for f in final)
     assert set().union(*final) <= links(result.states[-1]) == {(k, k - 1) for k in range(1, 40)}

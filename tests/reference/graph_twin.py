@@ -18,7 +18,7 @@ def gains(frames, intervals, matching, model):
 
     ``frames`` is a list of `Estimates`, ``intervals`` the model time from the frame before to each.
     The gain is the log-density of the later state under the j-step transition, convolved with both covariances, less that of
-    a state ``gate`` deviations from a typical one-step prediction, less the price of the frames that were missed between.
+    a state ``gate`` deviations from a typical one-step prediction, less the price of the time without a state between.
     """
     rows = np.ix_(model.sensor.observed, model.sensor.observed)
     seen = list(model.sensor.observed)
@@ -39,7 +39,7 @@ def gains(frames, intervals, matching, model):
                     distance2 = float(step @ np.linalg.solve(spread, step))
                     density = multivariate_normal.logpdf(step, cov=spread)
                     worth = density - _loose(here.state[:, [b]], intervals[k], matching, model)
-                    worth += (k - back - 1) * math.log(matching.miss)
+                    worth += sum(intervals[back + 1 : k]) * math.log(matching.miss)
                     if worth > 0 and distance2 <= matching.consistent**2:
                         found[int(first[k] + b), int(first[back] + a)] = worth
     return found

@@ -22,7 +22,7 @@ import numpy as np
 from phdtrack.associate import offline, online
 from phdtrack.associate.history import History, Moment
 from phdtrack.associate.window import Columns, Window, advance, empty_window, insert
-from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Share, check
+from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, Share, check
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.protocols import Model
@@ -49,8 +49,11 @@ class GraphMatching:
     span : seconds over which states are linked; M07's K = 50 frames at 25 Hz.
     shortest : tracks of fewer states are discarded (offline) or not yet confirmed (online).
     gate : an edge is worth as much as two loose ends at this many deviations.
+    worth : tracks whose links gain less than this share of gate²/2 on average are discarded (offline) or not confirmed
+        (online): false alarms can be strung together, but their links are poor.
     consistent : no edge joins states that are more than this many deviations apart, however little it would cost.
-    miss : probability that a target goes without a state for one frame inside its track: the price of a gap.
+    miss : probability that a target inside its track goes on without a state for one more time unit (1/25 s): the price
+        of a gap, whatever the frame rate.
     delay : frames by which the online output lags, so that links can still be corrected and tracks be confirmed by what
         follows; 0 allowed.
     coast : seconds for which a confirmed track without a state is continued online by the motion model; a gap whose end the
@@ -62,7 +65,8 @@ class GraphMatching:
     span: Positive = 2.0
     shortest: PositiveCount = 5
     gate: Positive = 4.0
-    miss: Share = 0.2
+    miss: Share = 0.8
+    worth: Probability = 0.75
     consistent: Positive = 3.0
     delay: Count = 0
     coast: NonNegative = 0.2
@@ -81,12 +85,12 @@ class GraphMatching:
     ) -> tuple[GraphState, Tracks]:
         """Link the states of frame ``number`` to the past; give the online rows that are now due [M07 §3]."""
         window = state.window if state.vertices else empty_window(len(estimates.state))
-        window, later, earlier = advance(window, model.motion, dt, self.span * model.rate + 1e-9)
+        window, final = advance(window, model.motion, dt, self.span * model.rate + 1e-9)
         vertex = state.vertices + np.arange(len(estimates))
         row, column, gain = self._edges(window.columns, estimates, dt, model)
         window = insert(window, vertex, estimates, row, column, gain)
         spare = np.setdiff1d(np.arange(z.shape[1]), estimates.detection)
-        moment = Moment(number, state.time + dt, state.vertices, estimates, later, earlier, z[:, spare], spare)
+        moment = Moment(number, state.time + dt, state.vertices, estimates, final, z[:, spare], spare)
         extended = GraphState(
             window, state.history.append(moment), state.online, state.vertices + len(estimates), moment.time
         )
@@ -106,13 +110,17 @@ class GraphMatching:
 
     def finish(self, state: GraphState, model: Model) -> Tracks:
         """The corrected tracks: short ones left out, gaps bridged, identities from 1 in order of appearance."""
-        wanted = offline.Wanted(self.shortest, self.bridge, self.backfill)
+        wanted = offline.Wanted(self.shortest, self._least(), self.bridge, self.backfill)
         return offline.tracks(state.history, state.window, wanted, model)
+
+    def _least(self) -> float:
+        """The mean gain that a track's links must reach; a perfect typical link gains gate²/2."""
+        return self.worth * 0.5 * self.gate**2
 
     def _give(self, given: online.Given, due: int, state: GraphState, model: Model) -> tuple[online.Given, Tracks]:
         """The rows of the frame at place ``due`` of the history, under the present links."""
         held = tuple(state.history[k] for k in range(due + 1, len(state.history)))
-        output = online.Output(self.shortest, self.coast * model.rate + 1e-9 if self.bridge else 0.0)
+        output = online.Output(self.shortest, self._least(), self.coast * model.rate + 1e-9 if self.bridge else 0.0)
         return online.give(given, state.history[due], online.Present(state.window, state.time, held), output, model)
 
     def _edges(self, columns: Columns, estimates: Estimates, dt: float, model: Model) -> tuple[I8, I8, F8]:
@@ -126,8 +134,8 @@ class GraphMatching:
         row, column = row[order], column[order]
         step = estimates.state[rows][:, row] - columns.mean[rows][:, column]
         distance2, log_det = gaussian_parts(step, covs[row] + columns.cov[column][:, rows][:, :, rows])
-        skipped = columns.frames[column] - 1
-        gain = open_end[row] - 0.5 * (distance2 + log_det) + skipped * math.log(self.miss)
+        unseen = columns.since[column] - dt
+        gain = open_end[row] - 0.5 * (distance2 + log_det) + unseen * math.log(self.miss)
         worth = (gain > 0) & (distance2 <= self.consistent**2) & (columns.since[column] <= self.span * model.rate + 1e-9)
         return row[worth], column[worth], gain[worth]
 

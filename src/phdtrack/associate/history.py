@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from phdtrack.associate.window import Links
 from phdtrack.types import F8, I8, Estimates
 
 CHUNK = 256
@@ -14,7 +15,7 @@ CHUNK = 256
 class Moment:
     """One frame: its number, its model time, its states (vertices ``first``, ``first`` + 1, …), and the links made final.
 
-    ``later`` and ``earlier`` are the ends (global vertex numbers) of the links that this frame made unchangeable. ``spare``
+    ``final`` are the links (between global vertex numbers) that this frame made unchangeable. ``spare``
     (m, S) are the measurements that no state rested on, ``spare_index`` (S,) which of the frame's they are.
     """
 
@@ -22,8 +23,7 @@ class Moment:
     time: float
     first: int
     estimates: Estimates
-    later: I8
-    earlier: I8
+    final: Links
     spare: F8
     spare_index: I8
 

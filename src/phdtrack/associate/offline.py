@@ -10,16 +10,17 @@ import numpy as np
 from phdtrack.associate.backfill import Earlier, lead_back
 from phdtrack.associate.bridge import bridge
 from phdtrack.associate.history import History, Moment
-from phdtrack.associate.window import Window
+from phdtrack.associate.window import Window, links
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Tracks
 
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """Fewest states of a track, whether gaps are filled, and through how many earlier detections a track is led back."""
+    """Fewest states, least mean gain of the links, whether gaps are filled, most earlier detections to be led back to."""
 
     shortest: int
+    worth: float
     bridge: bool
     backfill: int
 
@@ -32,7 +33,7 @@ def tracks(history: History, window: Window, wanted: Wanted, model: Model) -> Tr
     parts = []
     taken: set[tuple[int, int]] = set()
     name = 0
-    for path in _paths(moments, window):
+    for path in _paths(moments, window, wanted.worth):
         k, i = path[0]
         first = moments[k].estimates
         before = lead_back(moments, k, first.state[:, i], first.covariance[i], wanted.backfill, taken, model)
@@ -47,24 +48,22 @@ def tracks(history: History, window: Window, wanted: Wanted, model: Model) -> Tr
     return Tracks.concatenate(parts)
 
 
-def _paths(moments: list[Moment], window: Window) -> list[list[tuple[int, int]]]:
-    """Tracks as lists of (moment, place in it), in order of appearance."""
+def _paths(moments: list[Moment], window: Window, worth: float) -> list[list[tuple[int, int]]]:
+    """Tracks as lists of (moment, place in it), in order of appearance, whose links gain ``worth`` on average."""
     place = [(k, i) for k, m in enumerate(moments) for i in range(len(m.estimates))]
-    before = np.full(len(place), -1, np.int64)
-    for m in moments:
-        before[m.later] = m.earlier
-    open_rows = window.rows.column >= 0
-    before[window.rows.vertex[open_rows]] = window.columns.vertex[window.rows.column[open_rows]]
-    path_of: dict[int, list[tuple[int, int]]] = {}
-    paths: list[list[tuple[int, int]]] = []
-    for vertex, where in enumerate(place):
+    before, gain = np.full(len(place), -1, np.int64), np.zeros(len(place))
+    for part in (*(m.final for m in moments), links(window)):
+        before[part.later], gain[part.later] = part.earlier, part.gain
+    path_of: dict[int, list[int]] = {}
+    paths: list[list[int]] = []
+    for vertex in range(len(place)):
         path = path_of.pop(int(before[vertex]), None)
         if path is None:
             path = []
             paths.append(path)
-        path.append(where)
+        path.append(vertex)
         path_of[vertex] = path
-    return paths
+    return [[place[v] for v in path] for path in paths if gain[path].sum() >= worth * (len(path) - 1)]
 
 
 def _beginning(moments: list[Moment], rows: list[Earlier], weight: float, name: int, model: Model) -> Tracks:

@@ -14,16 +14,17 @@ import numpy as np
 
 from phdtrack.associate.bridge import bridge
 from phdtrack.associate.history import Moment
-from phdtrack.associate.window import Window
+from phdtrack.associate.window import Window, links
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Tracks
 
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """When a track is confirmed (states), and for how long it is continued without one (model time)."""
+    """When a track is confirmed (states, mean gain of its links), how long it is continued without one (model time)."""
 
     shortest: int
+    worth: float
     coast: float
 
 
@@ -41,7 +42,8 @@ class Present:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Holder:
-    """The last state given under an identity: vertex, state (d,), covariance (d, d), confidence, time, number."""
+    """The last state given under an identity: vertex, state (d,), covariance (d, d), confidence, time, how
+    many states there were and what their links gained."""
 
     vertex: int
     state: F8
@@ -49,6 +51,7 @@ class Holder:
     confidence: float
     time: float
     length: int
+    gain: float
     confirmed: bool = False
 
 
@@ -68,17 +71,19 @@ def give(given: Given, moment: Moment, present: Present, output: Output, model: 
     vertex = moment.first + np.arange(n)
     identities, used = _claims(given, vertex, predecessors(window, held, vertex))
     identity, holder = dict(given.identity), dict(given.holder)
+    onward = _onward(window, held)
+    gains = {link.vertex: link.gain for link in onward.values()}
     for i in range(n):
-        name = int(identities[i])
-        length = holder[name].length + 1 if name in holder else 1
+        name, v = int(identities[i]), int(vertex[i])
+        before = holder.get(name)
+        length, gain, confirmed = (before.length, before.gain, before.confirmed) if before else (0, 0.0, False)
         confidence = float(min(1.0, estimates.weight[i]))
         state, cov = estimates.state[:, i], estimates.covariance[i]
-        confirmed = name in holder and holder[name].confirmed
-        holder[name] = Holder(int(vertex[i]), state, cov, confidence, moment.time, length, confirmed)
-        identity[int(vertex[i])] = name
-    links = _successors(window, held)
-    coming = {v: w for v, w in links.items() if w >= moment.first + n}
-    holder = {name: _judged(h, coming, output.shortest) for name, h in holder.items()}
+        gain += gains.get(v, 0.0) if length else 0.0
+        holder[name] = Holder(v, state, cov, confidence, moment.time, length + 1, gain, confirmed)
+        identity[v] = name
+    coming = {v: link for v, link in onward.items() if link.vertex >= moment.first + n}
+    holder = {name: _judged(h, coming, output) for name, h in holder.items()}
     seen = Tracks(
         np.full(n, moment.number),
         identities,
@@ -88,7 +93,7 @@ def give(given: Given, moment: Moment, present: Present, output: Output, model: 
         np.array([holder[int(i)].confirmed for i in identities], np.bool_),
     )
     # A holder that goes on to a state given before has lost its track to another identity.
-    lost = links.keys() - coming.keys()
+    lost = onward.keys() - coming.keys()
     absent = {name: h for name, h in holder.items() if h.vertex < moment.first and h.confirmed and h.vertex not in lost}
     filled = _fill(absent, coming, moment, present, output.coast, model)
     oldest = _oldest(window, moment, held)
@@ -98,22 +103,35 @@ def give(given: Given, moment: Moment, present: Present, output: Output, model: 
     return Given(identity, holder, used), Tracks.concatenate([seen, filled])
 
 
-def _successors(window: Window, held: Sequence[Moment]) -> dict[int, int]:
-    """The vertex that each linked vertex goes on to."""
-    linked = np.flatnonzero(window.columns.row >= 0)
-    later = window.rows.vertex[window.columns.row[linked]]
-    links = dict(zip(window.columns.vertex[linked].tolist(), later.tolist(), strict=True))
-    for moment in held:
-        links.update(zip(moment.earlier.tolist(), moment.later.tolist(), strict=True))
-    return links
+@dataclass(frozen=True, slots=True)
+class Link:
+    """The vertex that another goes on to, and what the link gains."""
+
+    vertex: int
+    gain: float
 
 
-def _judged(holder: Holder, coming: dict[int, int], shortest: int) -> Holder:
-    """Confirmed where the states given under the identity and those known to follow are enough; for good once it is."""
-    length, vertex = holder.length, holder.vertex
-    while length < shortest and vertex in coming:
-        length, vertex = length + 1, coming[vertex]
-    return replace(holder, confirmed=holder.confirmed or length >= shortest)
+def _onward(window: Window, held: Sequence[Moment]) -> dict[int, Link]:
+    """Where each linked vertex goes on to."""
+    known = [links(window), *(moment.final for moment in held)]
+    return {
+        v: Link(w, gain)
+        for part in known
+        for v, w, gain in zip(part.earlier.tolist(), part.later.tolist(), part.gain.tolist(), strict=True)
+    }
+
+
+def _judged(holder: Holder, coming: dict[int, Link], output: Output) -> Holder:
+    """Confirmed where the states given under the identity and those known to follow suffice; for good once it is."""
+    length, gain, vertex = holder.length, holder.gain, holder.vertex
+    while vertex in coming and not _suffices(length, gain, output):
+        link = coming[vertex]
+        length, gain, vertex = length + 1, gain + link.gain, link.vertex
+    return replace(holder, confirmed=holder.confirmed or _suffices(length, gain, output))
+
+
+def _suffices(length: int, gain: float, output: Output) -> bool:
+    return length >= output.shortest and gain >= output.worth * (length - 1)
 
 
 def predecessors(window: Window, held: Sequence[Moment], vertex: I8) -> I8:
@@ -126,14 +144,14 @@ def predecessors(window: Window, held: Sequence[Moment], vertex: I8) -> I8:
     out = np.full(len(vertex), -1, np.int64)
     out[column >= 0] = window.columns.vertex[column[column >= 0]]
     for later in held:
-        _, mine, theirs = np.intersect1d(vertex, later.later, assume_unique=True, return_indices=True)
-        out[mine] = later.earlier[theirs]
+        _, mine, theirs = np.intersect1d(vertex, later.final.later, assume_unique=True, return_indices=True)
+        out[mine] = later.final.earlier[theirs]
     return out
 
 
 def _oldest(window: Window, moment: Moment, held: Sequence[Moment]) -> int:
     """The first vertex whose identity a row still to be given may ask for."""
-    asked = [window.columns.vertex[:1], *(later.earlier for later in held)]
+    asked = [window.columns.vertex[:1], *(later.final.earlier for later in held)]
     return int(np.concatenate(asked).min(initial=moment.first))
 
 
@@ -155,7 +173,7 @@ def _claims(given: Given, vertex: I8, before: I8) -> tuple[I8, int]:
 
 
 def _fill(
-    absent: dict[int, Holder], coming: dict[int, int], moment: Moment, present: Present, coast: float, model: Model
+    absent: dict[int, Holder], coming: dict[int, Link], moment: Moment, present: Present, coast: float, model: Model
 ) -> Tracks:
     """Rows for confirmed tracks that have no state in this frame.
 
@@ -166,7 +184,7 @@ def _fill(
         return Tracks.empty()
     names, states, confidences = [], [], []
     for name, h in absent.items():
-        after = _find(coming.get(h.vertex, -1), present.held)
+        after = _find(coming[h.vertex].vertex, present.held) if h.vertex in coming else None
         if after is not None:
             state = _between(h, moment, after, model)
             confidence = h.confidence

@@ -66,10 +66,30 @@ def empty_window(dim: int) -> Window:
     return Window(columns, Rows(none, zero, none, zero, np.zeros(1, np.int64), none, zero))
 
 
-def advance(window: Window, motion: Motion, dt: float, span: float) -> tuple[Window, I8, I8]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Links:
+    """Links (L,) from vertex ``later`` back to vertex ``earlier``, with their gains."""
+
+    later: I8
+    earlier: I8
+    gain: F8
+
+
+def links(window: Window, rows: I8 | None = None) -> Links:
+    """The links of the matched rows, or of those among ``rows``."""
+    matched = np.flatnonzero(window.rows.column >= 0) if rows is None else rows[window.rows.column[rows] >= 0]
+    degree = np.diff(window.rows.start)
+    owner = np.repeat(np.arange(len(degree)), degree)
+    taken = window.rows.target == window.rows.column[owner]
+    gain = np.bincount(owner[taken], window.rows.gain[taken], len(degree)).astype(np.float64)
+    column = window.rows.column[matched]
+    return Links(window.rows.vertex[matched], window.columns.vertex[column], gain[matched])
+
+
+def advance(window: Window, motion: Motion, dt: float, span: float) -> tuple[Window, Links]:
     """Let ``dt`` pass: predict the columns; close what is older than ``span``.
 
-    Returns the window and the links (later vertex, earlier vertex) that can no longer change. A closed row takes its
+    Returns the window and the links that can no longer change. A closed row takes its
     matched column with it; a closed column without a row ends its track. The rest stays optimally matched, because the
     dual variables of what is left still certify it.
     """
@@ -81,7 +101,7 @@ def advance(window: Window, motion: Motion, dt: float, span: float) -> tuple[Win
     spent = np.zeros(len(columns.vertex), np.bool_)
     spent[rows.column[linked]] = True
     column_stays = ~spent & ((age_column <= span) | (columns.row >= 0))
-    final_later, final_earlier = rows.vertex[linked], columns.vertex[rows.column[linked]]
+    final = links(window, closed)
 
     new_row = np.where(row_stays, np.cumsum(row_stays) - 1, -1)
     new_column = np.where(column_stays, np.cumsum(column_stays) - 1, -1)
@@ -97,7 +117,7 @@ def advance(window: Window, motion: Motion, dt: float, span: float) -> tuple[Win
         _renumbered(columns.row[column_stays], new_row),
         columns.price[column_stays],
     )
-    return Window(kept_columns, _kept_rows(rows, row_stays, age_row, new_column)), final_later, final_earlier
+    return Window(kept_columns, _kept_rows(rows, row_stays, age_row, new_column)), final
 
 
 def _renumbered(index: I8, new: I8) -> I8:
