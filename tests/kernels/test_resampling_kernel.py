@@ -41,9 +41,10 @@ def test_the_average_over_offsets_is_the_weight():
 
 
 def test_the_last_tooth_beyond_the_rounded_sum_belongs_to_the_last_point_with_weight():
-    weight = np.array([0.1] * 10 + [0.0])
-    chosen = systematic(weight, 1000, np.nextafter(1.0, 0.0))
-    assert chosen.max() == 9
+    weight = np.array([0.25] * 4 + [0.0])
+    # The last tooth stands at (1023 + 1 − ε)/1024 of the sum, which rounds to all of it.
+    chosen = systematic(weight, 1024, np.nextafter(1.0, 0.0))
+    assert chosen.max() == 3
 
 
 def test_small_weights_at_the_end_of_a_long_sum_keep_their_offspring():
