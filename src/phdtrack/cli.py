@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import sys
 from collections.abc import Callable
-from typing import Annotated, ParamSpec
+from typing import Annotated, Any, ParamSpec
 
 import typer
 
@@ -23,7 +23,6 @@ P = ParamSpec("P")
 app = typer.Typer(
     name="phdtrack",
     help="From a video, or anybody's detections, to tracks: a PHD filter between detector and identities.",
-    no_args_is_help=True,
     add_completion=False,
     # Plain text: an error is one line that a program can find and a terminal does not break.
     rich_markup_mode=None,
@@ -81,6 +80,21 @@ app.command("simulate")(guarded(simulate.simulate))
 app.command("doctor")(guarded(doctor.doctor))
 
 
+# What typer raises for a command line that cannot be read. Some versions bring a click of their own, others import it.
+Misuse: type[Exception] = typer.BadParameter.__bases__[0]
+
+
 def main() -> None:
     """The entry point of the installed command."""
-    app(prog_name="phdtrack")
+    try:
+        status = app(sys.argv[1:] or ["--help"], prog_name="phdtrack", standalone_mode=False)
+    except Misuse as error:
+        status = failed(misuse(error), 2).exit_code
+    sys.exit(status)
+
+
+def misuse(error: Any) -> str:
+    """One sentence for a command line that cannot be read, and where its help stands."""
+    command = error.ctx.command_path if error.ctx is not None else "phdtrack"
+    sentence = " ".join(error.format_message().split())
+    return f"{sentence if sentence.endswith(('.', '?')) else sentence + '.'} See {command} --help."

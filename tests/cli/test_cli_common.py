@@ -62,8 +62,16 @@ def test_usage_errors_are_status_2_without_a_traceback(arguments: list[str]) -> 
     done = run(sys.executable, "-m", "phdtrack", *arguments)
     assert done.returncode == 2
     assert done.stdout == ""
-    assert "Error: " in done.stderr
-    assert "Traceback" not in done.stderr
+    assert done.stderr.startswith("phdtrack: ")
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.endswith(" --help.\n")
+    assert any(argument in done.stderr for argument in arguments)
+
+
+def test_nothing_asked_for_is_help() -> None:
+    done = run(sys.executable, "-m", "phdtrack")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert all(command in done.stdout for command in COMMANDS)
 
 
 @pytest.mark.parametrize(
