@@ -140,7 +140,7 @@ def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "") -
     named = preset or document.pop("preset", "default")
     document.pop("preset", None)
     if not isinstance(named, str) or named not in PRESETS:
-        raise _unknown("preset", str(named), list(PRESETS), where)
+        raise _unknown("preset", str(named), list(PRESETS), "preset" if preset else where)
     sections: dict[str, Values] = {name: dict(values) for name, values in PRESETS[named].items()}
     for name, values in document.items():
         _overlay(sections, name, values, where)

@@ -197,7 +197,7 @@ def as_toml(configuration: dict[str, Any]) -> str:
     [
         ([], ["SOURCE", "--detections"]),
         (["nowhere.mp4"], ["nowhere.mp4"]),
-        (["{clip}", "--detector", "chagne"], ["chagne", "change"]),
+        (["{clip}", "--detector", "chagne"], ["--detector", "chagne", "change"]),
         (["{clip}", "--detector", "file"], ["--detections"]),
         (["{clip}", "--detector", "mog2", "--detections", "{det}"], ["--detector", "det.txt"]),
         (["{clip}", "--mask", "{det}", "--detections", "{det}"], ["--mask"]),
@@ -210,7 +210,8 @@ def as_toml(configuration: dict[str, Any]) -> str:
         (["{clip}", "--set", "detector.min_aera=0.1"], ["min_aera", "min_area"]),
         (["{clip}", "--set", "detector.min_area=big"], ["detector.min_area", "a number", "'big'"]),
         (["{clip}", "--set", "detector.window=2.5"], ["detector.window", "whole number"]),
-        (["{clip}", "--set", "detector.window=0"], ["window"]),
+        (["{clip}", "--set", "detector.window=0"], ["detector.window"]),
+        (["{clip}", "--detector", "mog2", "--set", "detector.min_area=-1"], ["detector.min_area", "-1"]),
         (["{clip}", "--detector", "callable"], ["--detector", "phdtrack.Tracker"]),
         (["{clip}", "--preset", "m08"], ["m08"]),
         (["{clip}", "--config", "nowhere.toml"], ["nowhere.toml"]),
@@ -231,6 +232,21 @@ def test_impossible_requests(arguments: list[str], words: list[str], clip: Path,
     sentence = refused("track", *(text.format(**places) for text in arguments), "--out", tmp_path / "run")
     assert all(word in sentence for word in words), sentence
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("command", ["track", "detect"])
+def test_a_picture_too_small_to_search_leaves_nothing_behind(command: str, clip: Path, tmp_path: Path) -> None:
+    sentence = refused(command, clip, "--max-width", 2, "--out", tmp_path / "run")
+    assert "320x240" in sentence
+    assert not list((tmp_path / "run").iterdir())
+
+
+def test_the_truth_of_a_longer_sequence_is_doubted(clip: Path, tmp_path: Path) -> None:
+    longer = walkers(tmp_path / "longer", 60) / "gt" / "gt.txt"
+    said = phdtrack("track", clip, "--truth", longer, "--out", tmp_path / "run", "--no-video")
+    assert said.status == 0
+    assert "frame 60" in said.err
+    assert "40" in said.err
 
 
 def test_a_text_file_is_no_video(tmp_path: Path) -> None:

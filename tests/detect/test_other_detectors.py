@@ -157,6 +157,8 @@ def test_a_region_of_interest(tmp_path: Path) -> None:
     np.testing.assert_array_equal(Masked(inner, mask)(blank()).xyxy, np.array(boxes)[[0, 2, 4]])
     cv2.imwrite(str(tmp_path / "roi.png"), mask)
     assert len(make_detector("callable", function=lambda image: boxes, mask=tmp_path / "roi.png")(blank())) == 3
+    with pytest.raises(InputError, match="black all over"):
+        Masked(inner, np.zeros((120, 160), np.uint8))
     with pytest.raises(InputError, match=r"roi\.png: the mask is 160x120 pixels, frame 1 is 50x40"):
         Masked(inner, str(tmp_path / "roi.png"))(blank(40, 50))
     with pytest.raises(InputError, match=r"shape \(height, width\)"):

@@ -11,6 +11,7 @@ import typer
 from phdtrack.commands.inputs import DEFAULT_DETECTOR, Wanted, open_inputs
 from phdtrack.commands.options import Config, Detector, Fps, Json, Mask, MaxWidth, Overwrite, Sets
 from phdtrack.commands.output import Output, counted, progress
+from phdtrack.errors import InputError
 from phdtrack.rundir import DETECTIONS, claim
 
 
@@ -40,7 +41,13 @@ def detect(
     clock = time.perf_counter()
     with DetectionsWriter(target.file(DETECTIONS)) as writer, progress("detecting", inputs.info.frames) as advance:
         for frame in inputs.source:
-            found = inputs.detector(frame)
+            try:
+                found = inputs.detector(frame)
+            except InputError:
+                if not frames:
+                    # Nothing was looked at: an empty file would be taken for "nothing was detected".
+                    target.clear()
+                raise
             writer.append(frame.number, found)
             frames, boxes = frames + 1, boxes + len(found)
             advance(frames)

@@ -124,11 +124,20 @@ def _from_video(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
             cure="Name a video, a folder of images or a camera's number; or say --detections FILE.",
         )
     name = wanted.detector or DEFAULT_DETECTOR
-    settings = typed(name, parameters)
-    detector = make_detector(name, max_width=wanted.max_width, mask=wanted.mask, **settings)
+    try:
+        detector = make_detector(name, max_width=wanted.max_width, mask=wanted.mask, **typed(name, parameters))
+    except InputError as error:
+        raise _as_typed(error, parameters) from error
     source = open_source(wanted.source, fps=wanted.fps)
     _same_size(wanted, source.info)
     return Inputs(source.info, source, detector, wanted.source, name, True, _again(wanted.source))
+
+
+def _as_typed(error: InputError, parameters: dict[str, Any]) -> InputError:
+    """The error in the user's own words: ``detector.min_area``, not the record of settings that refused the value."""
+    setting = error.where.rpartition(".")[2]
+    where = f"detector.{setting}" if setting in parameters else error.where or "--detector"
+    return InputError(error.problem, where=where, cure=error.cure)
 
 
 def _no_work(option: str, wanted: Wanted) -> InputError:

@@ -198,6 +198,12 @@ def _draw(job: Job, source: VideoSource, directory: RunDirectory, done: _Progres
 def _problems(job: Job, done: _Progress) -> tuple[str, ...]:
     """What did not go as it should, in sentences: what the source lost, and what stopped the run."""
     said = [sentence for sentence in (*job.inputs.warnings, job.inputs.source.note, done.lost) if sentence]
+    annotated = 0 if job.truth is None else int(job.truth.frame.max(initial=0))
+    if done.stop is None and annotated > done.last:
+        said.append(
+            f"the truth goes on to frame {annotated}, the frames end at {done.last}: scored up to there; "
+            "is it the truth of this sequence?"
+        )
     if done.stop is not None:
         said.append(f"{_reason(done.stop)} after frame {done.last}; the results hold the frames up to there")
     if done.cut is not None:

@@ -12,6 +12,8 @@ from phdtrack.protocols import Detector
 from phdtrack.types import F8, Bool, Detections, Frame, Image
 
 _INSIDE = 0.5
+_SMALLEST = 16
+"""Pixels on a side below which no detector sees anything, and the clean-up's windows are larger than the picture."""
 
 
 class Rescaled:
@@ -35,7 +37,13 @@ class Rescaled:
         height, width = frame.image.shape[:2]
         if width <= self._max_width:
             return self._detector(frame)
-        small = (self._max_width, max(1, round(height * self._max_width / width)))
+        small = (self._max_width, round(height * self._max_width / width))
+        if min(small) < _SMALLEST:
+            raise InputError(
+                f"frames of {width}x{height} pixels would be shrunk to {small[0]}x{small[1]}",
+                where="max_width",
+                cure=f"At least {_SMALLEST} pixels must be left on either side; 320 is a usual width.",
+            )
         image: Image = cv2.resize(frame.image, small, interpolation=cv2.INTER_AREA)
         found = self._detector(Frame(frame.number, frame.time, image))
         sx, sy = width / small[0], height / small[1]
@@ -62,6 +70,9 @@ class Masked:
         region = _read_mask(Path(mask)) if isinstance(mask, str | Path) else np.asarray(mask)
         if region.ndim != 2:
             raise InputError(f"a mask has the shape (height, width), this one {region.shape}", where=self._where)
+        if not region.any():
+            cure = "White is where to look, black is left out."
+            raise InputError("the mask is black all over: nothing could be reported", where=self._where, cure=cure)
         self._shape = region.shape
         self._sum: F8 = cv2.integral((region != 0).astype(np.uint8)).astype(np.float64)
 

@@ -144,7 +144,7 @@ def _frames(rows: Rows) -> I8:
 def _box_rules(rows: Rows) -> list[Rule]:
     first, box = rows.first, rows.xyxy
     number = whole(rows.frame, "frame number")
-    cure = "Where the file counts from 0, read it with first_frame=0." if first == 1 else ""
+    cure = "Where the file counts from 0, add 1, or in Python read it with first_frame=0." if first == 1 else ""
     with np.errstate(invalid="ignore"):
         early = rows.frame < first
         flat = ~((box[:, 2] > box[:, 0]) & (box[:, 3] > box[:, 1]))
