@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from report_runs import run_record
 
 from phdtrack.errors import InputError
-from phdtrack.report import About, Recorder, report_html, write_report
+from phdtrack.metrics import evaluate
+from phdtrack.report import About, Recorder, html, report_html, write_report
 from phdtrack.report.markup import section, table, text
-from phdtrack.types import SequenceInfo, Tracks
+from phdtrack.types import SequenceInfo, Tracks, Truth
 
 VOID = {"meta", "img", "br"}
 EVIL = "<script>alert('x')</script>&\"<img src=x onerror=y>"
@@ -174,3 +175,8 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 def test_sections_and_tables_without_content_vanish() -> None:
     assert table(("a",), []) == ""
     assert section("title", text("")) == ""
+
+
+def test_every_score_says_what_it_means() -> None:
+    nobody = Truth(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), np.zeros(0, np.bool_))
+    assert set(evaluate(nobody, Tracks.empty()).as_dict()) == {name for name, _ in html._MEANING}

@@ -50,6 +50,23 @@ _MEANING = (
     ("false_positives", "track boxes without an object"),
     ("fragments", "times a track of an object was interrupted"),
     ("frames", "frames that were compared"),
+    ("DetA", "detection accuracy within HOTA"),
+    ("AssA", "association accuracy within HOTA"),
+    ("IDP", "share of track boxes with the right identity"),
+    ("IDR", "share of annotated boxes with the right identity"),
+    ("N_MODA_detection", "N_MODA with every frame matched for itself"),
+    ("truth_boxes", "annotated boxes"),
+    ("output_boxes", "track boxes"),
+    ("matches", "track boxes on an annotated one"),
+    ("truth_objects", "annotated objects"),
+    ("output_identities", "tracks"),
+    ("false_tracks", "tracks that follow nobody in any frame"),
+    ("mostly_tracked", "objects tracked in more than 80 % of their frames"),
+    ("mostly_lost", "objects tracked in less than 20 % of their frames"),
+    ("objects_found", "objects tracked in at least one frame"),
+    ("delay_mean", "frames from an object's appearance to its first track box, of those found"),
+    ("count_error_mean", "track boxes minus annotated ones, mean over frames; 0 is perfect"),
+    ("count_error_rms", "the same, root of the mean square"),
 )
 
 
