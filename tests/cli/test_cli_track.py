@@ -197,6 +197,7 @@ def as_toml(configuration: dict[str, Any]) -> str:
     [
         ([], ["SOURCE", "--detections"]),
         (["nowhere.mp4"], ["nowhere.mp4"]),
+        (["{det}"], ["det.txt", "--detections"]),
         (["{clip}", "--detector", "chagne"], ["--detector", "chagne", "change"]),
         (["{clip}", "--detector", "file"], ["--detections"]),
         (["{clip}", "--detector", "mog2", "--detections", "{det}"], ["--detector", "det.txt"]),

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 NO_PICTURE: Image = np.zeros((0, 0, 3), np.uint8)
 DEFAULT_DETECTOR = "change"
+TABLES = (".txt", ".csv", ".tsv", ".json", ".xml", ".parquet")
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +123,12 @@ def _from_video(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
             "nothing to work on",
             where="SOURCE",
             cure="Name a video, a folder of images or a camera's number; or say --detections FILE.",
+        )
+    if Path(wanted.source).suffix.lower() in TABLES:
+        raise InputError(
+            "expected a video, and by its name this is a table",
+            where=wanted.source,
+            cure=f"For detections say --detections {wanted.source}.",
         )
     name = wanted.detector or DEFAULT_DETECTOR
     try:

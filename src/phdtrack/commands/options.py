@@ -10,7 +10,7 @@ import typer
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; everything else goes to stderr.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the files of an earlier run; others stay.")]
 Seed = Annotated[
-    int, typer.Option("--seed", metavar="N", min=0, help="Seed of everything random; it is written into run.json.")
+    int, typer.Option("--seed", metavar="N", min=0, help="Seed of everything random: the same seed gives the same result.")
 ]
 Iou = Annotated[
     float, typer.Option("--iou", metavar="F", help="Overlap (intersection over union) from which two boxes match.")
@@ -34,7 +34,9 @@ FrameSize = Annotated[str, typer.Option("--frame-size", metavar="WxH", help="Siz
 Fps = Annotated[
     float, typer.Option("--fps", metavar="F", min=0.0, help="Frames per second; 0: as the video or seqinfo.ini says.")
 ]
-Detector = Annotated[str, typer.Option("--detector", metavar="NAME", help="Detector, by name.")]
+Detector = Annotated[
+    str, typer.Option("--detector", metavar="NAME", help="change (default), mean-background, mog2, knn, face or person.")
+]
 TruthFile = Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="Annotated objects to score against.")]
 Config = Annotated[
     Path | None,
@@ -42,7 +44,11 @@ Config = Annotated[
 ]
 Sets = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="One setting, as sensor.detection=0.9; may be given again."),
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="One setting, as sensor.detection=0.9 or detector.min_area=0.001; may be given again.",
+    ),
 ]
 Preset = Annotated[
     str, typer.Option("--preset", metavar="NAME", help="Settings to start from: default, or a paper's: m07, m09, fv.")
