@@ -169,6 +169,17 @@ def test_a_detection_that_nothing_explains_vanishes_and_is_counted(rng):
     assert empty.mass == 0
 
 
+@pytest.mark.parametrize("deviations", [38.0, 39.0, 39.06, 39.5, 60.0])
+def test_a_likelihood_far_out_in_its_tail_does_not_poison_the_weights(deviations: float, rng):
+    """κ = 0 and a size so unlike all particles that g is a denormal number: its reciprocal would be infinite."""
+    x = np.array([[100.0, 100.0], [100, 100], [0, 0], [0, 0], [20, 20.3], [40, 40]])
+    z = np.array([[100.0], [100], [20 + 20 * 0.15 * deviations], [40]])
+    model = world(clutter=UniformClutter(0.0, 1.0), detection=0.9)
+    updated, _ = ParticlePHD().update(Particles(x, np.ones(2)), z, model, 1.0, rng)
+    assert np.isfinite(updated.weight).all()
+    assert updated.mass <= 1.2 + 1e-9
+
+
 def test_mass_cannot_exceed_what_detections_and_misses_allow(rng):
     """After an update: at most one for each detection and (1 − p_D) of what was predicted."""
     model = with_births(world(detection=0.9), rate=5.0)

@@ -101,6 +101,16 @@ def test_a_line_of_points_and_tiny_rectangles_need_little_memory():
     assert agree(x, y, lower, lower + np.array([[2e-3], [0.0]])) == 60
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+@pytest.mark.parametrize("place", range(4))
+def test_what_is_not_finite_is_refused(wrong: float, place: int):
+    """Cells made of NaN would lie outside the grid, and memory beside it would be written."""
+    arrays = [np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.zeros((2, 1)), np.ones((2, 1))]
+    arrays[place].flat[-1] = wrong
+    with pytest.raises(ValueError, match="finite"):
+        gated_pairs(*arrays)
+
+
 def test_inputs_are_left_alone():
     p, lower = np.random.default_rng(3).uniform(0, 9, (2, 20)), np.zeros((2, 1))
     upper = np.full((2, 1), 5.0)

@@ -76,8 +76,8 @@ class ParticlePHD:
     ) -> tuple[Particles, UpdateInfo]:
         """Draw the newborn, then weigh everything with the measurements [M07 (6), M09 (6)].
 
-        Where κ(z) + C(z) = 0 (no clutter and nothing to explain the detection), the detection's term is 0 and counted in
-        ``info.vanished``.
+        Where κ(z) + C(z) = 0 (no clutter and nothing to explain the detection, to the smallest normal number), the
+        detection's term is 0 and counted in ``info.vanished``.
         """
         covered = self._covered(state, z, model)
         born = model.birth.sample(z, covered, model.sensor, dt, rng)
@@ -92,11 +92,11 @@ class ParticlePHD:
         share = seen[point] * likelihood
         evidence = sum_by(which, share, z.shape[1])
         total = kappa + evidence
-        explained = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
+        # A likelihood far out in its tail is a denormal number, whose reciprocal overflows.
+        known = total >= np.finfo(np.float64).tiny
+        explained = np.divide(1.0, total, out=np.zeros_like(total), where=known)
         weight = everything.weight - seen + sum_by(point, share * explained[which], len(everything))
-        info = UpdateInfo(
-            everything.mass, born.mass, float(weight.sum()), evidence, kappa, int(np.count_nonzero(total <= 0))
-        )
+        info = UpdateInfo(everything.mass, born.mass, float(weight.sum()), evidence, kappa, int(np.count_nonzero(~known)))
         return Particles(everything.state, weight), info
 
     def reduce(self, state: Particles, rng: np.random.Generator) -> Particles:

@@ -18,7 +18,7 @@ I8 = NDArray[np.int64]
 def _cell(value: float, origin: float, size: float, count: int) -> int:
     """Index of the cell that holds ``value``, clamped to the grid."""
     position = (value - origin) / size
-    if position <= 0.0:
+    if not position > 0.0:  # also NaN
         return 0
     if position >= count - 1:
         return count - 1
@@ -74,10 +74,17 @@ def gated_pairs(px: F8, py: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
     Returns
     -------
     point, rectangle : (P,) indices of the pairs.
+
+    Raises
+    ------
+    ValueError : a position or a rectangle is NaN or infinite.
     """
     n = lower.shape[1]
     if px.size == 0 or n == 0:
         return np.empty(0, np.int64), np.empty(0, np.int64)
+    # Indices made of NaN would be written through.
+    if not np.isfinite(px.sum() + py.sum() + lower.sum() + upper.sum()):
+        raise ValueError("positions and rectangles must be finite")
     x0, y0, width, height, nx, ny = _grid(px, py, lower, upper)
     start, order = _sort_into_cells(px, py, x0, y0, width, height, nx, ny)
     capacity = px.size + 16
