@@ -26,7 +26,7 @@ import numpy as np
 
 from phdtrack.associate import GraphMatching
 from phdtrack.boxes import to_cxcywh
-from phdtrack.checks import NonNegative, Positive, PositiveCount, Probability, check
+from phdtrack.checks import NonNegative, Positive, PositiveCount, check
 from phdtrack.errors import InputError
 from phdtrack.extract import KMeans, Mixture, Raw
 from phdtrack.filters import NoFilter, ParticlePHD
@@ -76,7 +76,7 @@ class FixedBirthSettings:
     """``boxes``: where objects appear, as left, top, right, bottom; ``rate``: births per time unit at each."""
 
     boxes: Boxes
-    rate: Probability = 0.01
+    rate: NonNegative = 0.01
     count: PositiveCount = 300
 
     def __post_init__(self) -> None:

@@ -4,7 +4,7 @@
 have, births and clutter around the detections, and states joined that no sensor could tell apart.
 ``m07``: Maggio et al. 2007: likelihood scaled by the detection, births and clutter around the detections, K-means.
 ``m09``: Maggio and Cavallaro 2009: M07's numbers (M09 prints none of its own) with the likelihood scaled by the particle, no
-floor, and extraction by a Gaussian mixture at 0.5.
+floor, births and clutter uniform over the image, and extraction by a Gaussian mixture at 0.5.
 ``fv``: M09's fixed variances: constant noises in pixels.
 """
 

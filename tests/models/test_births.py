@@ -133,6 +133,12 @@ def test_uniform_births(scaling: str, rng):
         np.testing.assert_array_equal(born.state[6:8], born.state[4:6])
 
 
+@pytest.mark.parametrize("wrong", [{"smallest": 0.0}, {"smallest": 0.6}, {"largest": 0.01}])
+def test_uniform_births_have_a_range_of_sizes_above_zero(wrong):
+    with pytest.raises(InputError, match="smallest"):
+        UniformBirth((640.0, 480.0), **wrong)
+
+
 def test_fixed_births(rng):
     mean = np.array([[100.0, 50, 1, 0, 20, 40], [300, 60, 0, 1, 30, 50]]).T
     cov = np.stack([np.diag([9.0, 4, 1, 1, 2, 3]), np.eye(6) + 0.5])

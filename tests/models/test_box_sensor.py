@@ -184,6 +184,14 @@ def test_measurements_and_given_covariances():
     np.testing.assert_allclose(BoxSensor().boxes(x), boxes)
 
 
+@pytest.mark.parametrize("variance", [0.0, -1.0])
+def test_a_given_covariance_needs_variances_above_zero(variance: float):
+    boxes = np.array([[0.0, 0, 10, 20]])
+    found = Detections(boxes, np.ones(1), np.zeros(1, np.int64), np.diag([1.0, 1, variance, 1])[None])
+    with pytest.raises(InputError, match="variances above 0"):
+        BoxSensor(scaling="given").measure(found)
+
+
 def test_p_detect_is_the_same_everywhere(rng):
     np.testing.assert_array_equal(BoxSensor(detection=0.7).p_detect(states(rng, 4, "particle")), np.full(4, 0.7))
 
@@ -203,7 +211,17 @@ def test_inputs_are_left_alone(scaling: str, rng):
     sensor.p_detect(x)
 
 
-@pytest.mark.parametrize("wrong", [{"detection": 1.01}, {"spread": 0.0}, {"floor": -1.0}, {"gate_sigmas": 0.0}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"detection": 1.01},
+        {"spread": 0.0},
+        {"floor": -1.0},
+        {"gate_sigmas": 0.0},
+        {"fixed": (0.0, 1.0)},
+        {"fixed": (1.0, np.nan)},
+    ],
+)
 def test_settings_out_of_bounds(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         BoxSensor(**wrong)

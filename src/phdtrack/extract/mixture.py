@@ -95,7 +95,7 @@ def _components(state: Particles, weight: F8, point: I8, which: I8, k: int, sens
 
 
 def _divide(mixture: GaussianMixture, split: float, sensor: Sensor) -> GaussianMixture:
-    """Divide components heavier than ``split`` in two, one deviation apart along the longest axis in units of the noise."""
+    """Divide components heavier than ``split``: a deviation to either side on the longest axis in units of the noise."""
     heavy = mixture.weight > split
     if not heavy.any():
         return mixture

@@ -13,7 +13,8 @@ from functools import lru_cache
 import numpy as np
 
 from phdtrack.arrays import sum_by
-from phdtrack.checks import NonNegative, PositiveCount, Probability, check
+from phdtrack.checks import NonNegative, PositiveCount, Probability, Share, check
+from phdtrack.errors import InputError
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.pairs import quadratic_form
 from phdtrack.models.volume import Volume, image_volume, in_neighbourhood, local_volume
@@ -32,7 +33,7 @@ class MeasurementBirth:
 
     Parameters
     ----------
-    rate : expected births per time unit and detection.
+    rate : expected births per time unit: in all where spread over the ``image``, around each detection where ``local``.
     most : Jmax, particles drawn around a detection of which nothing is predicted.
     volume : ``image`` or ``local``: what γ is spread over (see `models.volume`).
     frame_size : the image's width and height in pixels, needed for ``image``.
@@ -97,11 +98,15 @@ class UniformBirth:
     frame_size: tuple[float, float]
     rate: NonNegative = 0.1
     count: PositiveCount = 10
-    smallest: Probability = 0.02
+    smallest: Share = 0.02
     largest: Probability = 0.5
 
     def __post_init__(self) -> None:
         check(self)
+        if self.smallest > self.largest:
+            raise InputError(
+                f"expected smallest ≤ largest, got {self.smallest:g} and {self.largest:g}", where="UniformBirth.smallest"
+            )
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
         """``count`` particles of mass rate·dt / count each, whatever was measured."""
@@ -112,7 +117,7 @@ class UniformBirth:
         mean, cov = sensor.states(np.vstack([drawn, np.ones((max(0, len(z) - 4), self.count))]))
         state = mean.copy()
         _draw_velocity(state, cov, np.arange(self.count), rng)
-        return Particles(state, np.full(self.count, self.rate * dt / max(1, self.count)))
+        return Particles(state, np.full(self.count, self.rate * dt / self.count))
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,13 +175,14 @@ def _draw_velocity(state: F8, cov: F8, parent: I8, rng: np.random.Generator) -> 
 
 def _log_mixture(points: F8, mean: F8, cov: F8, counts: I8, limit: float) -> F8:
     """(L,) log Σ_i J_i p_i(x), p_i the Gaussian about ``mean[:, i]`` cut at Mahalanobis distance² ``limit``."""
+    # A particle on the rim of its own region may come out just outside by rounding.
+    limit *= 1 + 1e-9
     reach = np.sqrt(limit * np.stack([cov[:, 0, 0], cov[:, 1, 1]]))
     point, which = gated_pairs(points[0], points[1], mean[:2] - reach, mean[:2] + reach)
     distance2 = quadratic_form(points, mean, np.linalg.inv(cov), point, which)
     _, log_det = np.linalg.slogdet(cov)
     log_norm = -0.5 * log_det - 0.5 * len(points) * math.log(2 * math.pi) - math.log(KEPT)
-    # A particle on the rim of its own region may come out just outside by rounding.
-    inside = distance2 <= limit * (1 + 1e-9)
+    inside = distance2 <= limit
     density = counts[which] * np.exp(log_norm[which] - 0.5 * distance2)
     total = sum_by(point[inside], density[inside], points.shape[1])
     out: F8 = np.log(total)

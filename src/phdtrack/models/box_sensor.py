@@ -41,7 +41,8 @@ class BoxSensor:
     fixed : deviations of position and of size in pixels, for ``scaling="fixed"``.
     speed : standard deviation of an unknown velocity's amplitude, in box sizes √(wh) per time unit. No paper gives it: the
         default 0.06 is 1.5 box sizes per second at 25 Hz, a brisk walk for a standing person.
-    fixed_speed : the same in pixels per time unit, for ``scaling="fixed"``.
+    fixed_speed : the same in pixels per time unit, for ``scaling="fixed"``: M09's initial velocity variance of 200 is read
+        as the amplitude's, which is 100 along each axis.
     gate_sigmas : G, detections touch only particles within this many deviations; at 5, at most 5.1e-5 of a Gaussian is
         cut, as long as G·spread < 1 where σ follows the state's own size (at a spread of 0.3 it is about 1e-3).
     """
@@ -50,13 +51,15 @@ class BoxSensor:
     spread: Positive = 0.15
     floor: NonNegative = 1.0
     scaling: Scaling = "particle"
-    fixed: tuple[float, float] = (3.0**0.5, 6.0**0.5)
+    fixed: tuple[Positive, Positive] = (3.0**0.5, 6.0**0.5)
     speed: NonNegative = 0.06
     fixed_speed: NonNegative = 200.0**0.5
     gate_sigmas: Positive = 5.0
 
     def __post_init__(self) -> None:
         check(self)
+        if not all(deviation > 0 for deviation in self.fixed):
+            raise InputError(f"expected deviations above 0 pixels, got {self.fixed}", where="BoxSensor.fixed")
 
     @property
     def observed(self) -> tuple[int, ...]:
@@ -64,7 +67,10 @@ class BoxSensor:
         return OBSERVED
 
     def measure(self, detections: Detections) -> F8:
-        """(4, N) centres and sizes; (8, N) with the variances below them where the scaling is ``given``."""
+        """(4, N) centres and sizes; (8, N) with the variances below them where the scaling is ``given``.
+
+        The likelihood is diagonal: what a detection's covariance has beside its diagonal is not used.
+        """
         z = to_cxcywh(detections.xyxy)
         if self.scaling != "given":
             return z
@@ -75,7 +81,13 @@ class BoxSensor:
                 "the sensor's scaling is 'given', but the detections bring no covariance",
                 cure="Use a detector that states one, or another scaling: particle, detection, previous, fixed",
             )
-        return np.vstack([z, np.diagonal(detections.covariance, axis1=1, axis2=2).T])
+        variance = np.diagonal(detections.covariance, axis1=1, axis2=2).T
+        if not (variance > 0).all():
+            raise InputError(
+                f"expected variances above 0 pixels² in the detections' covariance, got {variance.min():g}",
+                cure="Give the detector's own noise, or another scaling",
+            )
+        return np.vstack([z, variance])
 
     def _sigmas(self, z: F8, x: F8) -> tuple[F8, F8, F8, F8]:
         """Deviations of the four components of z."""
