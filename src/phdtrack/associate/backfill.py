@@ -50,9 +50,8 @@ def lead_back(
         forgotten = ~jacobian[0].any(axis=0)
         state = np.where(forgotten, state, back @ state)
         cov = back @ (cov + noise[0]) @ back.T
-        seen, _ = model.sensor.states(earlier.spare[:, free])
-        sigma = model.sensor.noise(seen)[rows]
-        spread = cov[np.ix_(rows, rows)] + np.apply_along_axis(np.diag, 0, sigma**2).transpose(2, 0, 1)
+        seen, seen_cov = model.sensor.states(earlier.spare[:, free])
+        spread = cov[np.ix_(rows, rows)] + seen_cov[:, rows][:, :, rows]
         step = seen[rows] - state[rows, None]
         distance2, _ = gaussian_parts(step, np.ascontiguousarray(spread))
         best = int(np.argmin(distance2))

@@ -1,11 +1,12 @@
 """Multi-frame association by graph matching with false-hypothesis correction [M07 §3].
 
 Vertices are the extracted states of the last seconds. An edge joins a vertex to a later one; its gain is the log-density of
-the later state under the j-step transition from the earlier, minus that of leaving both ends open. The best set of tracks
-is the path cover of maximum total gain: with each vertex split into an out-side and an in-side, a bipartite matching
-(Shafique and Shah 2005). It is extended frame by frame, by one augmenting path per new vertex.
+the later state under the j-step transition from the earlier, minus that of leaving both ends open, less the price of the
+time that the track then spends without a state. The best set of tracks is the path cover of maximum total gain: with each
+vertex split into an out-side and an in-side, a bipartite matching (Shafique and Shah 2005). It is extended frame by frame,
+by one augmenting path per new vertex.
 
-The density of a loose end is that of a state ``gate`` deviations away from a typical one-step prediction: so the one
+The density of a loose end is that of a state ``gate`` deviations away from a typical one-step prediction: so the
 parameter is free of the image's size, the target's size and the frame rate. The degenerate f is convolved with the
 covariances of both states and evaluated on the rows that a measurement shows.
 
@@ -47,13 +48,14 @@ class GraphMatching:
     Parameters
     ----------
     span : seconds over which states are linked; M07's K = 50 frames at 25 Hz.
-    shortest : tracks of fewer states are discarded (offline) or not yet confirmed (online).
+    shortest : tracks of fewer states are discarded (offline, where earlier detections that they are led back to count too)
+        or not yet confirmed (online).
     gate : an edge is worth as much as two loose ends at this many deviations.
+    miss : probability that a target inside its track goes on without a state for one more time unit of the model (1/25 s
+        as shipped): the price of a gap, whatever the frame rate.
     worth : tracks whose links gain less than this share of gate²/2 on average are discarded (offline) or not confirmed
         (online): false alarms can be strung together, but their links are poor.
     consistent : no edge joins states that are more than this many deviations apart, however little it would cost.
-    miss : probability that a target inside its track goes on without a state for one more time unit (1/25 s): the price
-        of a gap, whatever the frame rate.
     delay : frames by which the online output lags, so that links can still be corrected and tracks be confirmed by what
         follows; 0 allowed.
     coast : seconds for which a confirmed track without a state is continued online by the motion model; a gap whose end the
@@ -124,7 +126,7 @@ class GraphMatching:
         return online.give(given, state.history[due], online.Present(state.window, state.time, held), output, model)
 
     def _edges(self, columns: Columns, estimates: Estimates, dt: float, model: Model) -> tuple[I8, I8, F8]:
-        """Edges (new state, column) of positive gain, ordered by state: log f minus the loose ends' [M07 §3]."""
+        """Edges (new state, column) of positive gain, by state: log f minus the loose ends' and the gap's price [M07 §3]."""
         rows = list(model.sensor.observed)
         covs = np.ascontiguousarray(estimates.covariance[:, rows][:, :, rows])
         open_end = self._open_end(estimates, covs, dt, model)
@@ -136,8 +138,8 @@ class GraphMatching:
         distance2, log_det = gaussian_parts(step, covs[row] + columns.cov[column][:, rows][:, :, rows])
         unseen = columns.since[column] - dt
         gain = open_end[row] - 0.5 * (distance2 + log_det) + unseen * math.log(self.miss)
-        worth = (gain > 0) & (distance2 <= self.consistent**2) & (columns.since[column] <= self.span * model.rate + 1e-9)
-        return row[worth], column[worth], gain[worth]
+        kept = (gain > 0) & (distance2 <= self.consistent**2) & (columns.since[column] <= self.span * model.rate + 1e-9)
+        return row[kept], column[kept], gain[kept]
 
     def _open_end(self, estimates: Estimates, covs: F8, dt: float, model: Model) -> F8:
         """(n,) minus the log-density of two loose ends, less the Gaussian's constant.

@@ -20,7 +20,7 @@ class Wanted:
     """Fewest states, least mean gain of the links, whether gaps are filled, most earlier detections to be led back to."""
 
     shortest: int
-    worth: float
+    least: float
     bridge: bool
     backfill: int
 
@@ -33,7 +33,7 @@ def tracks(history: History, window: Window, wanted: Wanted, model: Model) -> Tr
     parts = []
     taken: set[tuple[int, int]] = set()
     name = 0
-    for path in _paths(moments, window, wanted.worth):
+    for path in _paths(moments, window, wanted.least):
         k, i = path[0]
         first = moments[k].estimates
         before = lead_back(moments, k, first.state[:, i], first.covariance[i], wanted.backfill, taken, model)
@@ -48,8 +48,8 @@ def tracks(history: History, window: Window, wanted: Wanted, model: Model) -> Tr
     return Tracks.concatenate(parts)
 
 
-def _paths(moments: list[Moment], window: Window, worth: float) -> list[list[tuple[int, int]]]:
-    """Tracks as lists of (moment, place in it), in order of appearance, whose links gain ``worth`` on average."""
+def _paths(moments: list[Moment], window: Window, least: float) -> list[list[tuple[int, int]]]:
+    """Tracks as lists of (moment, place in it), in order of appearance, whose links gain ``least`` on average."""
     place = [(k, i) for k, m in enumerate(moments) for i in range(len(m.estimates))]
     before, gain = np.full(len(place), -1, np.int64), np.zeros(len(place))
     for part in (*(m.final for m in moments), links(window)):
@@ -63,7 +63,7 @@ def _paths(moments: list[Moment], window: Window, worth: float) -> list[list[tup
             paths.append(path)
         path.append(vertex)
         path_of[vertex] = path
-    return [[place[v] for v in path] for path in paths if gain[path].sum() >= worth * (len(path) - 1)]
+    return [[place[v] for v in path] for path in paths if gain[path].sum() >= least * (len(path) - 1)]
 
 
 def _beginning(moments: list[Moment], rows: list[Earlier], weight: float, name: int, model: Model) -> Tracks:

@@ -24,7 +24,7 @@ class Output:
     """When a track is confirmed (states, mean gain of its links), how long it is continued without one (model time)."""
 
     shortest: int
-    worth: float
+    least: float
     coast: float
 
 
@@ -131,7 +131,7 @@ def _judged(holder: Holder, coming: dict[int, Link], output: Output) -> Holder:
 
 
 def _suffices(length: int, gain: float, output: Output) -> bool:
-    return length >= output.shortest and gain >= output.worth * (length - 1)
+    return length >= output.shortest and gain >= output.least * (length - 1)
 
 
 def predecessors(window: Window, held: Sequence[Moment], vertex: I8) -> I8:

@@ -20,14 +20,13 @@ from phdtrack.types import F8, I8, Estimates
 class Columns:
     """Out-sides of vertices that may still get a successor.
 
-    ``vertex`` (C,) global number, ascending. ``since`` (C,) model time since their frame, ``frames`` (C,) frames since.
+    ``vertex`` (C,) global number, ascending. ``since`` (C,) model time since their frame.
     ``mean`` (d, C) and ``cov`` (C, d, d): the state predicted for the present. ``row`` (C,): index of the row matched to it
     or −1. ``price`` (C,): its dual variable.
     """
 
     vertex: I8
     since: F8
-    frames: I8
     mean: F8
     cov: F8
     row: I8
@@ -62,7 +61,7 @@ class Window:
 def empty_window(dim: int) -> Window:
     """No vertices."""
     none, zero = np.zeros(0, np.int64), np.zeros(0)
-    columns = Columns(none, zero, none, np.zeros((dim, 0)), np.zeros((0, dim, dim)), none, zero)
+    columns = Columns(none, zero, np.zeros((dim, 0)), np.zeros((0, dim, dim)), none, zero)
     return Window(columns, Rows(none, zero, none, zero, np.zeros(1, np.int64), none, zero))
 
 
@@ -111,7 +110,6 @@ def advance(window: Window, motion: Motion, dt: float, span: float) -> tuple[Win
     kept_columns = Columns(
         columns.vertex[column_stays],
         age_column[column_stays],
-        columns.frames[column_stays] + 1,
         mean,
         cov,
         _renumbered(columns.row[column_stays], new_row),
@@ -172,7 +170,6 @@ def insert(window: Window, vertex: I8, estimates: Estimates, row: I8, column: I8
     new_columns = Columns(
         np.concatenate([columns.vertex, vertex]),
         np.append(columns.since, np.zeros(n)),
-        np.concatenate([columns.frames, np.zeros(n, np.int64)]),
         np.hstack([columns.mean, estimates.state]),
         np.concatenate([columns.cov, estimates.covariance]),
         np.concatenate([row_of, nobody]),
