@@ -44,8 +44,10 @@ def advance(
     """Take in the detections of frame ``number`` (from 1) at ``time`` seconds.
 
     A frame with ``detections.observed`` False is predicted and nothing more. Raises `InputError` where number or time does
-    not grow, or the time is no number.
+    not grow, the number is below 1, or the time is no number.
     """
+    if number < 1:
+        raise InputError(f"expected a frame number from 1, got {number}")
     if not math.isfinite(time):
         raise InputError(f"expected the time of a frame in seconds, got {time:g}", where=f"frame {number}")
     if state.number and (number <= state.number or not time > state.time):

@@ -86,6 +86,11 @@ def test_the_first_time_must_be_a_number(stages, rng):
         pipeline.advance(stages, pipeline.start(stages, rng), BOX, 1, math.nan, rng)
 
 
+def test_the_first_frame_is_1(stages, rng):
+    with pytest.raises(InputError, match="from 1, got 0"):
+        pipeline.advance(stages, pipeline.start(stages, rng), BOX, 0, 0.0, rng)
+
+
 def test_states_are_values(stages):
     """Going on twice from one state gives the same twice, and leaves the state as it was."""
     rng = np.random.default_rng(0)
