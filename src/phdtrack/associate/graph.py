@@ -130,14 +130,15 @@ class GraphMatching:
         rows = list(model.sensor.observed)
         covs = np.ascontiguousarray(estimates.covariance[:, rows][:, :, rows])
         open_end = self._open_end(estimates, covs, dt, model)
-        far = self._reach(columns, covs, open_end)
+        price = (columns.since - dt) * math.log(self.miss)
+        before = np.ascontiguousarray(columns.cov[:, rows][:, :, rows])
+        far = self._reach(before, covs, open_end, price)
         row, column = gated_pairs(estimates.state[0], estimates.state[1], columns.mean[:2] - far, columns.mean[:2] + far)
         order = np.argsort(row, kind="stable")
         row, column = row[order], column[order]
         step = estimates.state[rows][:, row] - columns.mean[rows][:, column]
-        distance2, log_det = gaussian_parts(step, covs[row] + columns.cov[column][:, rows][:, :, rows])
-        unseen = columns.since[column] - dt
-        gain = open_end[row] - 0.5 * (distance2 + log_det) + unseen * math.log(self.miss)
+        distance2, log_det = gaussian_parts(step, covs[row] + before[column])
+        gain = open_end[row] - 0.5 * (distance2 + log_det) + price[column]
         kept = (gain > 0) & (distance2 <= self.consistent**2) & (columns.since[column] <= self.span * model.rate + 1e-9)
         return row[kept], column[kept], gain[kept]
 
@@ -156,14 +157,15 @@ class GraphMatching:
         result: F8 = 0.5 * (self.gate**2 + log_det)
         return result
 
-    def _reach(self, columns: Columns, covs: F8, open_end: F8) -> F8:
-        """(2, C) half extent in position beyond which no edge to a column can have positive gain."""
+    def _reach(self, before: F8, covs: F8, open_end: F8, price: F8) -> F8:
+        """(2, C) half extent in position beyond which no edge to a column, of covariance ``before``, can be worth taking."""
         if len(covs) == 0:
-            return np.zeros((2, len(columns.vertex)))
+            return np.zeros((2, len(before)))
         widest = np.stack([covs[:, r, r].max() for r in (0, 1)])[:, None]
-        spread = np.stack([columns.cov[:, r, r] for r in (0, 1)])
-        # gain > 0 needs distance² ≤ 2·open_end − log|S|, and |S| is at least that of the smallest state's covariance.
+        spread = np.stack([before[:, r, r] for r in (0, 1)])
+        # gain > 0 needs distance² < 2·(open_end + price) − log|S|, and |S| is at least that of either state's covariance.
         _, log_det = gaussian_parts(np.zeros((covs.shape[1], len(covs))), covs)
-        limit = max(0.0, float((2 * open_end).max() - log_det.min()))
-        reach: F8 = np.sqrt(limit * (spread + widest))
+        _, log_det_before = gaussian_parts(np.zeros((covs.shape[1], len(before))), before)
+        limit = 2 * (open_end.max() + price) - np.maximum(log_det.min(), log_det_before)
+        reach: F8 = np.sqrt(np.clip(limit, 0.0, self.consistent**2) * (spread + widest))
         return reach
