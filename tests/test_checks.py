@@ -45,7 +45,7 @@ def test_what_is_out_of_bounds_is_told(name: str, value: float):
 
 
 @pytest.mark.parametrize("name", [name for name, _ in bounds(Bounded)])
-@pytest.mark.parametrize("value", [math.nan, "1", None, True, [1.0], np.array([0.5])], ids=repr)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, "1", None, True, [1.0], np.array([0.5])], ids=repr)
 def test_what_is_no_number_is_told(name: str, value: object):
     with pytest.raises(InputError, match=f"Bounded.{name}: expected a number"):
         Bounded(**{name: value})

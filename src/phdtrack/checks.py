@@ -41,15 +41,15 @@ def bounds(kind: type[Any]) -> tuple[tuple[str, tuple[Any, ...]], ...]:
 
 
 def check(settings: Any) -> None:
-    """Raise `InputError` where a field of the dataclass ``settings`` breaks the bounds of its annotation, or is NaN."""
+    """Raise `InputError` where a field of the dataclass ``settings`` breaks its annotation's bounds or is not finite."""
     kind: type[Any] = type(settings)
     for name, limits in bounds(kind):
         value = getattr(settings, name)
         where = f"{type(settings).__name__}.{name}"
         if isinstance(value, bool) or not isinstance(value, Real):
             raise InputError(f"expected a number, got {value!r}", where=where)
-        if math.isnan(value):
-            raise InputError("expected a number, got NaN", where=where)
+        if not math.isfinite(value):
+            raise InputError(f"expected a number that is finite, got {value:g}", where=where)
         for limit in limits:
             words, attribute = _TESTS[type(limit)]
             bound = getattr(limit, attribute)
