@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from phdtrack.errors import InputError
 from phdtrack.extract import KMeans, Mixture, Raw
+from phdtrack.extract.clusters import finish
 from phdtrack.filters import ParticlePHD
 from phdtrack.types import Estimates, Particles
 from reference import extract_twin as twin
@@ -221,6 +222,17 @@ def test_states_name_the_detection_that_they_rest_on(extractor, rng):
     found = extractor.extract(together(cloud(rng, HERE, 1.0), cloud(rng, beside, 1.0)), seen(HERE), MODEL)
     assert sorted(found.detection) == [-1, 0]
     assert found.detection[nearest_state(found, HERE)] == 0
+
+
+def test_a_detection_serves_the_closest_state_only():
+    """Two states share one detection; and, the other way round, one state between two."""
+    beside = moved(4)
+    pair, cov = np.array([beside, HERE]).T.copy(), np.stack([np.eye(6)] * 2)
+    assert list(finish(np.ones(2), pair, cov, seen(moved(1)), MODEL, 13.28).detection) == [-1, 0]
+    assert list(finish(np.ones(2), pair, cov, seen(moved(1), moved(6)), MODEL, 13.28).detection) == [1, 0]
+    # The closest pair goes first: the second detection is nearer to both, and the first is left to the other.
+    assert list(finish(np.ones(2), pair, cov, seen(moved(-3), moved(2.5)), MODEL, 13.28).detection) == [1, 0]
+    assert list(finish(np.ones(2), pair, cov, seen(), MODEL, 13.28).detection) == [-1, -1]
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -164,6 +164,11 @@ def test_a_detection_that_nothing_explains_vanishes_and_is_counted(rng):
     assert updated.mass == pytest.approx(1.0)
     assert np.isfinite(updated.weight).all()
     np.testing.assert_array_equal(info.clutter_probability[[0, 2]], [1.0, 1.0])
+    # Particles of no weight explain nothing either.
+    ghosts = Particles(np.repeat(model.sensor.states(far)[0], 5, axis=1), np.zeros(5))
+    updated, info = ParticlePHD().update(ghosts, far, model, 1.0, rng)
+    assert info.vanished == 1
+    np.testing.assert_array_equal(updated.weight, np.zeros(5))
     empty, info = ParticlePHD().update(NOTHING, far, model, 1.0, rng)
     assert info.vanished == 1
     assert empty.mass == 0
