@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack.kernels.gaussian import gaussian_parts
-from phdtrack.kernels.pairs import moments, nearest, quadratic_form, scaled_distance2
+from phdtrack.kernels.pairs import moments, nearest, quadratic_form, scaled_distance2, shares
 from reference import kernel_twins as twins
 
 seeds = st.integers(0, 2**32 - 1)
@@ -72,6 +72,20 @@ def test_moments(seed: int, d: int, pairs: int, offset: float):
     assert not cov[4].any()
 
 
+@given(seeds, st.integers(0, 40), st.sampled_from([1.0, 30.0, 2000.0]))
+@settings(max_examples=60, deadline=None)
+def test_shares(seed: int, pairs: int, width: float):
+    """Those of a point add up to one, also where every density of it is too small for a number."""
+    rng = np.random.default_rng(seed)
+    point, _ = pairing(rng, 8, 1, pairs)
+    log_density = rng.normal(-1000, width, pairs)
+    out = shares(log_density, point, 9)
+    np.testing.assert_allclose(out, twins.shares(log_density, point, 9), rtol=1e-9, atol=1e-300)
+    total = np.bincount(point, out, 9)
+    np.testing.assert_allclose(total[np.unique(point)], 1.0)
+    assert total[8] == 0
+
+
 def test_moments_far_from_the_origin_keep_their_digits():
     """Differences of raw moments would leave nothing of a variance of 1e-4 at 1e7 pixels."""
     step = np.array([-0.01, 0.01])
@@ -95,6 +109,7 @@ def test_no_pairs():
     label, best = nearest(np.zeros(0), none, none, 2)
     assert list(label) == [-1, -1]
     assert np.all(np.isinf(best))
+    assert shares(np.zeros(0), none, 3).shape == (0,)
     assert [a.shape for a in moments(x, np.zeros(0), none, none, 0)] == [(0,), (3, 0), (0, 3, 3)]
 
 

@@ -43,6 +43,16 @@ def nearest(distance2, point, which, count):
     return label, best
 
 
+def shares(log_density, point, count):
+    """In exact logarithms: what is far below its point's best still has its small share."""
+    out = np.empty(len(point))
+    for i in range(count):
+        mine = np.flatnonzero(point == i)
+        for p in mine:
+            out[p] = 1 / math.fsum(math.exp(min(log_density[q] - log_density[p], 700.0)) for q in mine)
+    return out
+
+
 def moments(x, weight, point, which, k):
     d = len(x)
     mass, mean, cov = np.zeros(k), np.zeros((d, k)), np.zeros((k, d, d))
