@@ -105,6 +105,13 @@ def test_no_detection_and_no_rate_bring_nothing(rng):
     assert len(MeasurementBirth(0.1, 1000, "local").sample(columns(ALONE), np.ones(1), BoxSensor(), 1.0, rng)) == 0
 
 
+def test_where_positions_cannot_be_told_apart_no_weight_is_infinite(rng):
+    """At 1e16 pixels two positions are 2 apart: newborn of a box of 4 fall out of their own region."""
+    z, sensor = np.array([[1e16], [25.0], [4.0], [50.0]]), BoxSensor(floor=0.0)
+    born = MeasurementBirth(0.01, 300, "local").sample(z, np.zeros(1), sensor, 1.0, rng)
+    assert np.isfinite(born.weight).all()
+
+
 def test_the_image_volume_needs_the_size_of_the_frame(rng):
     with pytest.raises(InputError, match="frame-size"):
         MeasurementBirth(volume="image").sample(columns(ALONE), np.zeros(1), BoxSensor(), 1.0, rng)

@@ -185,5 +185,6 @@ def _log_mixture(points: F8, mean: F8, cov: F8, counts: I8, limit: float) -> F8:
     inside = distance2 <= limit
     density = counts[which] * np.exp(log_norm[which] - 0.5 * distance2)
     total = sum_by(point[inside], density[inside], points.shape[1])
-    out: F8 = np.log(total)
+    # Far from the origin rounding can throw a particle out of every region: it weighs nothing.
+    out: F8 = np.log(total, out=np.full_like(total, np.inf), where=total > 0)
     return out
