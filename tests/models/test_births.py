@@ -95,6 +95,7 @@ def test_nothing_is_born_without_extent(sensor: BoxSensor, rng):
             assert born.state[4:6].min() > 0
             assert np.all(born.weight > 0)
             assert np.isfinite(born.weight).all()
+    assert (born.weight == 0).any()
 
 
 def test_no_detection_and_no_rate_bring_nothing(rng):
@@ -107,9 +108,10 @@ def test_no_detection_and_no_rate_bring_nothing(rng):
 
 def test_where_positions_cannot_be_told_apart_no_weight_is_infinite(rng):
     """At 1e16 pixels two positions are 2 apart: newborn of a box of 4 fall out of their own region."""
-    z, sensor = np.array([[1e16], [25.0], [4.0], [50.0]]), BoxSensor(floor=0.0)
-    born = MeasurementBirth(0.01, 300, "local").sample(z, np.zeros(1), sensor, 1.0, rng)
+    z, sensor = np.array([[1e16], [25.0], [4.0], [50.0]]), BoxSensor()
+    born = MeasurementBirth(0.01, 1000, "local").sample(z, np.zeros(1), sensor, 1.0, rng)
     assert np.isfinite(born.weight).all()
+    assert (born.weight == 0).any()
 
 
 def test_the_image_volume_needs_the_size_of_the_frame(rng):
