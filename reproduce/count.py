@@ -236,8 +236,9 @@ missed weighs about 1 − p_D and is not one of them.
 
 ## Too few particles count too few
 
-What is left of the bias comes from the particles. A target that is missed keeps 1 − p_D of its mass, and as many of its ρ
-particles; if none of them is where it is seen next, it is lost until it is born again. {len(FEW_SEEDS)} seeds:
+Most of the bias comes from the particles. A target that is missed keeps 1 − p_D of its mass, and as many of its ρ particles;
+if none of them is where it is seen next, it is lost until it is born again. The rest is the mass of γ that births around
+detections leave out: newborn targets that are not seen at once. {len(FEW_SEEDS)} seeds:
 
 {_cells(few)}""",
     )
