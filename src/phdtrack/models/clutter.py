@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phdtrack.arrays import sum_by
 from phdtrack.checks import NonNegative, Positive, check
-from phdtrack.models.volume import local_volume
+from phdtrack.kernels.gating import gated_pairs
+from phdtrack.models.volume import REACH, in_neighbourhood, local_volume
 from phdtrack.types import F8
 
 
@@ -28,7 +30,11 @@ class UniformClutter:
 
 @dataclass(frozen=True, slots=True)
 class LocalClutter:
-    """``rate`` expected clutter points per frame around each detection: ±1 box in position, 0.5 to 1.5 in size [M07 §2]."""
+    """``rate`` expected clutter points per frame around each detection: ±1 box in position, 0.5 to 1.5 in size [M07 §2].
+
+    Where neighbourhoods overlap their densities add up, as those of the births do: where a detector reports much, more of it
+    is taken for clutter, and the ratio of the two densities stays what the rates say.
+    """
 
     rate: NonNegative
 
@@ -36,5 +42,7 @@ class LocalClutter:
         check(self)
 
     def intensity(self, z: F8) -> F8:
-        """κ(z) = rate / V(z), V the volume of the neighbourhood."""
-        return self.rate / local_volume(z)
+        """κ(z) = Σ_j rate / V(z_j) over the detections z_j in whose neighbourhood z lies, its own included."""
+        point, which = gated_pairs(z[0], z[1], z[:2] - REACH * z[2:4], z[:2] + REACH * z[2:4])
+        near = in_neighbourhood(z[:, point], z[:, which])
+        return sum_by(point[near], self.rate / local_volume(z)[which[near]], z.shape[1])
