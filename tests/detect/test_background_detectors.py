@@ -262,3 +262,21 @@ def test_people_of_pets_are_found(data) -> None:  # type: ignore[no-untyped-def]
         there += len(truth)
     assert matched / there > 0.75
     assert matched / found > 0.75
+
+
+def test_what_flies_past_once_leaves_no_ghost(rng: np.random.Generator) -> None:
+    """A smooth blot hides the edges behind it, as a ghost does; learned at once it would be reported ever after."""
+    detector = make_detector("change")
+    wall = np.kron(rng.integers(60, 200, (30, 40)), np.ones((4, 4))).astype(np.uint8)
+    wall = np.repeat(wall[:, :, None], 3, axis=2)
+    found = []
+    for number in range(1, 181):
+        image = np.clip(wall + rng.normal(0, 1.5, wall.shape), 0, 255).astype(np.uint8)
+        if number > 110 and number % 10 == 0:
+            x = 10 + (number * 7) % 120
+            blot = np.zeros(image.shape, np.float32)
+            blot[40:64, x : x + 14] = 1
+            blot = cv2.GaussianBlur(blot, (0, 0), 3)
+            image = (image * (1 - blot) + 130 * blot).astype(np.uint8)
+        found.append(len(detector(Frame(number, number / 25, image))))
+    assert sum(found[160:169]) == 0

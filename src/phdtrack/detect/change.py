@@ -16,7 +16,8 @@ The noise has three parts:
 
 Light that changes all over the frame (flicker, clouds, exposure) is taken out before: `illumination`. What remains is
 cleaned and made boxes by `blobs`. A component whose outline is a stronger edge in the reference than in the frame is where
-an object stood when the reference was learned and has left since; it is not reported, and the reference takes it in.
+an object stood when the reference was learned and has left since; it is not reported, and when it lasts the reference takes
+it in.
 """
 
 from __future__ import annotations
@@ -46,6 +47,8 @@ _MEDIAN_OF_CHI2 = 0.789
 _NOISE_MEMORY = 0.9
 _LOUDEST = 20.0
 _GHOST_EDGE = 0.8
+# What flies past and hides an edge looks like a ghost for a frame or two: learned at once, it would be one ever after.
+_GHOST_SECONDS = 0.2
 _MARGIN = np.ones((5, 5), np.uint8)
 
 
@@ -135,6 +138,7 @@ class ChangeDetector:
         self._reference = Reference(frame.image, frame.time, self.settings.learn, self.settings.samples)
         self._foreground: Image = np.zeros(shape, np.uint8)
         self._scene: F4 = np.full(shape, float(CHANNELS), np.float32)
+        self._haunted: F4 = np.zeros(shape, np.float32)
         self._camera: F8 = np.ones(CHANNELS)
         self._previous = _Channels.of(frame.image)
         self._time = frame.time
@@ -202,10 +206,13 @@ class ChangeDetector:
             return
         self._reference.blend(frame.image, passed / settings.adapt, background)
         self._reference.blend(frame.image, passed / settings.adapt_objects, self._foreground)
-        if ghosts:
-            left = np.zeros_like(mask)
-            cv2.drawContours(left, ghosts, -1, 255, cv2.FILLED)
-            self._reference.blend(frame.image, 1.0, cv2.dilate(left, _MARGIN))
+        left = np.zeros_like(mask)
+        cv2.drawContours(left, ghosts, -1, 255, cv2.FILLED)
+        # The time since its first frame: however few frames a second there are, one alone is not enough.
+        lasted = np.where(self._haunted > 0, self._haunted + np.float32(passed), np.float32(1e-6))
+        self._haunted = np.where(left > 0, lasted, np.float32(0))
+        lasting = (self._haunted >= _GHOST_SECONDS).astype(np.uint8)
+        self._reference.blend(frame.image, 1.0, cv2.dilate(lasting, _MARGIN))
 
 
 def is_ghost(contour: Contour, image: Image, expected: Image) -> bool:
