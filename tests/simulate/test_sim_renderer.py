@@ -231,3 +231,14 @@ def test_rendering_is_fast() -> None:
 def test_impossible_looks_are_refused(bad: dict[str, float]) -> None:
     with pytest.raises(InputError, match="look of the rendered scene"):
         Look(**bad)  # type: ignore[arg-type]
+
+
+def test_blown_leaves_are_elsewhere_in_every_frame_and_change_nothing_else() -> None:
+    scene = make_scene("empty", 1, frames=30)
+    calm, windy = (list(render(scene, np.random.default_rng(2), look)) for look in (STILL, replace(STILL, blown=3.0)))
+    changed = [np.any(a.image != b.image, axis=2) for a, b in zip(calm, windy, strict=True)]
+    assert sum(mask.any() for mask in changed) > 20
+    share = np.mean(changed, axis=0)
+    # Three leaves of a few per cent of the height cover little, and never the same place for long.
+    assert 0.002 < share.mean() < 0.05
+    assert share.max() < 0.3

@@ -19,6 +19,7 @@ class Look:
     flicker : relative standard deviation of the brightness of the whole picture.
     plants : number of waving plants where the scene has no persistent places; where it has, one grows at each.
     wave : how far the top of a plant moves in a usual gust, in plant heights.
+    blown : leaves that the wind blows past the camera, expected number per frame; each is in one frame only.
     lamps : number of blinking lights and shimmering reflections.
     shadow : darkness of the shadows, 0 to 1.
     """
@@ -29,12 +30,14 @@ class Look:
     wave: float = 0.09
     lamps: int = 3
     shadow: float = 0.35
+    blown: float = 0.0
 
     def __post_init__(self) -> None:
-        amounts = (self.noise, self.flicker, self.plants, self.wave, self.lamps, self.shadow)
+        amounts = (self.noise, self.flicker, self.plants, self.wave, self.lamps, self.shadow, self.blown)
         if not all(0 <= amount < np.inf for amount in amounts) or self.shadow > 1:
             raise InputError(
-                f"noise, flicker, plants, wave, lamps and shadow must not be negative, shadow not above 1, not {amounts}",
+                "noise, flicker, plants, wave, lamps, shadow and blown must not be negative, shadow not above 1, "
+                f"not {amounts}",
                 where="look of the rendered scene",
                 cure="Give 0 to leave something out",
             )

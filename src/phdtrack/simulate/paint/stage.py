@@ -9,6 +9,7 @@ import numpy as np
 from phdtrack.simulate.clutter import place_boxes
 from phdtrack.simulate.look import Look
 from phdtrack.simulate.paint.backdrop import backdrop, obstacle
+from phdtrack.simulate.paint.blown import blown
 from phdtrack.simulate.paint.figure import PHASES, STRIDE, draw_clothes, walking
 from phdtrack.simulate.paint.leaves import grow, gusts
 from phdtrack.simulate.paint.light import SHIFT, blinking, exposed, flicker, lamps, noise_pool, shadow
@@ -16,15 +17,15 @@ from phdtrack.simulate.paint.sprite import put, put_scaled, pyramid
 from phdtrack.simulate.records import Scene
 from phdtrack.types import F8, I8, Bool, Image, Truth
 
-PARTS = 7
-"""Random streams of a rendering: plants' places, backdrop, things, plants, gusts, light, noise."""
+PARTS = 8
+"""Random streams of a rendering: plants' places, backdrop, things, plants, gusts, light, noise, blown leaves."""
 
 
 class Stage:
     """Paints the frames of a scene, in any order. Figures are drawn when they first appear."""
 
     def __init__(self, scene: Scene, look: Look, seed: int) -> None:
-        _, backdrop_rng, things_rng, plants_rng, gusts_rng, light_rng, noise_rng = _streams(seed)
+        _, backdrop_rng, things_rng, plants_rng, gusts_rng, light_rng, noise_rng, blown_rng = _streams(seed)
         info, frames = scene.info, scene.info.frames
         self._scene, self._look, self._seed = scene, look, seed
         self._phase, self._leftward = gait(scene.figures)
@@ -41,6 +42,7 @@ class Stage:
         self._gain = flicker(frames, info.fps, look.flicker, light_rng)
         self._pool = noise_pool(info, look.noise, noise_rng)
         self._corner = noise_rng.integers(0, SHIFT, (frames, 2))
+        self._blown = blown(info, look.blown, blown_rng)
         self._shadow = pyramid(shadow(look.shadow))
 
     def paint(self, number: int) -> Image:
@@ -59,6 +61,7 @@ class Stage:
             jobs.append((plant.foot, partial(plant.wave, canvas, number / self._scene.info.fps, float(gust))))
         for _, job in sorted(jobs, key=lambda job: job[0]):
             job()
+        self._blown.fly(canvas, number)
         return exposed(canvas, float(self._gain[number - 1]), self._pool, self._corner[number - 1])
 
     def _figure(self, canvas: Image, row: int) -> None:
