@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from pathlib import Path
 
@@ -10,8 +11,8 @@ import pytest
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_tracks, read_truth
 
-arrow = pytest.importorskip("pyarrow")
-parquet = pytest.importorskip("pyarrow.parquet")
+arrow = importlib.import_module("pyarrow")
+parquet = importlib.import_module("pyarrow.parquet")
 
 
 def put(folder: Path, columns: dict[str, list[object]]) -> Path:

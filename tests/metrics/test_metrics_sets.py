@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import importlib
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from phdtrack.metrics import (
 from phdtrack.types import Tracks
 from reference import metrics_twins as twins
 
-stonesoup = pytest.importorskip("stonesoup", reason="pip install stonesoup")
+stonesoup = importlib.import_module("stonesoup")
 from stonesoup.base import Property  # noqa: E402
 from stonesoup.measures import Euclidean, Measure  # noqa: E402
 from stonesoup.metricgenerator.ospametric import GOSPAMetric, OSPAMetric  # noqa: E402

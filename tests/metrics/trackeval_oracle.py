@@ -7,16 +7,16 @@ and SciPy; its import prints a line about pycocotools, which its BURST data set 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 from dataclasses import dataclass
 
 import numpy as np
-import pytest
 
 from phdtrack.types import Tracks, Truth
 
 with contextlib.redirect_stdout(io.StringIO()):
-    trackeval = pytest.importorskip("trackeval", reason="pip install --no-deps trackeval")
+    trackeval = importlib.import_module("trackeval")
 
 CLASSES = {"pedestrian": 1, "person_on_vehicle": 2, "static_person": 7, "distractor": 8, "reflection": 12}
 
