@@ -60,22 +60,20 @@ def advance(
     # The first frame has nothing before it; its births are those of one time unit.
     dt = (time - state.time) * model.rate if state.number else 1.0
     began = clock.perf_counter()
-    predicted = stages.filter.predict(state.intensity, model, dt, rng)
     z = model.sensor.measure(detections if detections.observed else Detections.empty(observed=False))
     if detections.observed:
-        updated, info = stages.filter.update(predicted, z, model, dt, rng)
-        reduced = stages.filter.reduce(updated, rng)
+        intensity, info = stages.filter.step(state.intensity, z, model, dt, rng)
     else:
-        reduced = predicted
-        info = UpdateInfo(predicted.mass, 0.0, predicted.mass, np.zeros(0), np.zeros(0))
+        intensity = stages.filter.predict(state.intensity, model, dt, rng)
+        info = UpdateInfo(intensity.mass, 0.0, intensity.mass, np.zeros(0), np.zeros(0))
     filtered = clock.perf_counter()
-    estimates = stages.extractor.extract(reduced, z, model)
+    estimates = stages.extractor.extract(intensity, z, model)
     extracted = clock.perf_counter()
     association, tracks = stages.associator.extend(state.association, estimates, z, number, dt, model)
     ended = clock.perf_counter()
     seconds = (filtered - began, extracted - filtered, ended - extracted)
     step = Step(number, time, detections, info, estimates, tracks, seconds)
-    return TrackingState(reduced, association, number, time), step
+    return TrackingState(intensity, association, number, time), step
 
 
 def run(

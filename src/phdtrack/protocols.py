@@ -119,6 +119,9 @@ class Filter(Protocol[S]):
     def reduce(self, state: S, rng: np.random.Generator) -> S:
         """The same intensity, described by fewer points."""
 
+    def step(self, state: S, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[S, UpdateInfo]:
+        """Predict, update and reduce, for a frame that was observed: their composition, or a faster form of it."""
+
 
 S_contra = TypeVar("S_contra", contravariant=True)
 

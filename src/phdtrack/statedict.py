@@ -13,13 +13,14 @@ from phdtrack.associate.online import Given, Holder
 from phdtrack.associate.window import Columns, Links, Rows, Window
 from phdtrack.errors import InputError
 from phdtrack.pipeline import TrackingState
-from phdtrack.types import Estimates, GaussianMixture, Particles
+from phdtrack.types import Estimates, GaussianMixture, ParticleBlocks, Particles
 
 _RECORDS: dict[str, type[Any]] = {
     kind.__name__: kind
     for kind in (
         TrackingState,
         Particles,
+        ParticleBlocks,
         GaussianMixture,
         Estimates,
         GraphState,

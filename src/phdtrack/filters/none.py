@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phdtrack.filters.composed import composed_step
 from phdtrack.protocols import Model
 from phdtrack.types import F8, Particles, UpdateInfo
 
@@ -33,3 +34,9 @@ class NoFilter:
     def reduce(self, state: Particles, rng: np.random.Generator) -> Particles:
         """There is nothing to reduce."""
         return state
+
+    def step(
+        self, state: Particles, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[Particles, UpdateInfo]:
+        """Predict, update and reduce in turn."""
+        return composed_step(self, state, z, model, dt, rng)

@@ -18,6 +18,7 @@ import numpy as np
 
 from phdtrack.arrays import sum_by
 from phdtrack.checks import Count, Positive, PositiveCount, check
+from phdtrack.filters.composed import composed_step
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.resample import systematic
 from phdtrack.protocols import Model
@@ -109,6 +110,12 @@ class ParticlePHD:
             return Particles(state.state[:, :0], np.zeros(0))
         chosen = systematic(state.weight, count, rng.random())
         return Particles(np.ascontiguousarray(state.state[:, chosen]), np.full(count, mass / count))
+
+    def step(
+        self, state: Particles, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[Particles, UpdateInfo]:
+        """Predict, update and reduce in turn."""
+        return composed_step(self, state, z, model, dt, rng)
 
     def _gated(self, state: Particles, z: F8, model: Model) -> tuple[I8, I8]:
         """Pairs (particle, detection) inside the sensor's gates."""
