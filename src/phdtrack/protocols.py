@@ -17,7 +17,18 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from phdtrack.types import F8, Detections, Estimates, Frame, Particles, SequenceInfo, Step, Tracks, UpdateInfo
+from phdtrack.types import (
+    F8,
+    Detections,
+    Estimates,
+    Frame,
+    GaussianMixture,
+    Particles,
+    SequenceInfo,
+    Step,
+    Tracks,
+    UpdateInfo,
+)
 
 
 class Motion(Protocol):
@@ -56,6 +67,12 @@ class Sensor(Protocol):
     def distance2(self, z: F8, x: F8) -> F8:
         """Squared Mahalanobis distance between z and its prediction from x, elementwise like `log_likelihood`."""
 
+    def covariance(self, z: F8, x: F8) -> F8:
+        """(P, r, r) noise covariance R of the ``observed`` rows, for pairs of columns of ``z`` (m, P) and ``x`` (d, P).
+
+        With the rows as H it is the linear-Gaussian view of g that the Gaussian-mixture filters take.
+        """
+
     def p_detect(self, x: F8) -> F8:
         """(L,) detection probability of targets at ``x`` (d, L)."""
 
@@ -77,6 +94,9 @@ class Birth(Protocol):
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
         """Newborn particles of total mass ∫γT; ``covered`` (N,) is the mass predicted at each column of ``z`` (m, N)."""
+
+    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+        """γT as a Gaussian mixture, for the filters that carry one; `InputError` where γ has no such form."""
 
 
 class Clutter(Protocol):

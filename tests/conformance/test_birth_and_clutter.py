@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from shipped import BIRTHS, CLUTTERS, SENSORS, detections, fixed, keeps
 
+from phdtrack.errors import InputError
+from phdtrack.models import UniformBirth
 from phdtrack.protocols import Birth, Clutter
 
 SENSOR = SENSORS["particle"]
@@ -40,11 +42,56 @@ def test_their_mass_follows_the_interval(birth, rng):
     assert 0 < one < 1
 
 
+gaussian = pytest.mark.parametrize("name", sorted({*BIRTHS} - {"uniform"}))
+
+
+@gaussian
+def test_their_mixture_has_the_mass_of_their_particles(name: str):
+    """Averaged over draws: detections far apart, so that regions of γ neither overlap nor leave the image."""
+    birth = BIRTHS[name]
+    z = fixed(np.array([[100.0, 300, 500], [200, 250, 100], [40, 60, 30], [80, 120, 100]]))
+    covered = fixed(np.array([0.0, 0.5, 1.3]))
+    mixture = birth.components(z, covered, SENSOR, 1.5)
+    assert mixture.mean.shape == (6, len(mixture))
+    assert mixture.covariance.shape == (len(mixture), 6, 6)
+    assert (mixture.weight > 0).all()
+    assert np.linalg.eigvalsh(mixture.covariance).min() > 0
+    drawn = [birth.sample(z, covered, SENSOR, 1.5, np.random.default_rng(k)).mass for k in range(40)]
+    # A region of the noise reaches a little beyond the neighbourhood that a local γ is spread over.
+    assert mixture.mass == pytest.approx(np.mean(drawn), rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["measurement, image", "measurement, local"])
+def test_newborn_gaussians_have_the_density_of_gamma_at_their_detection(name: str):
+    """Seen through the noise; the second and third detections share what lies between them."""
+    birth = BIRTHS[name]
+    z = np.array([[100.0, 300, 303], [200, 250, 251], [40, 60, 60], [80, 120, 122]])
+    mixture = birth.components(z, np.zeros(3), SENSOR, 1.0)
+    seen = mixture.covariance[:, [0, 1, 4, 5]][:, :, [0, 1, 4, 5]] + SENSOR.covariance(z, mixture.mean)
+    step = z[:, :, None] - mixture.mean[[0, 1, 4, 5]][:, None, :]
+    distance2 = np.einsum("rji,irs,sji->ji", step, np.linalg.inv(seen), step)
+    density = (mixture.weight / np.sqrt(np.linalg.det(2 * np.pi * seen)) * np.exp(-0.5 * distance2)).sum(1)
+    gamma = 0.02 / (640.0 * 480) ** 2 * np.ones(3)
+    if "local" in name:
+        gamma = 0.02 / (4 * (z[2] * z[3]) ** 2)
+        gamma[1:] = gamma[1:].sum()
+    np.testing.assert_allclose(density, gamma, rtol=0.01)
+
+
+def test_uniform_births_have_no_mixture_and_say_what_has():
+    with pytest.raises(InputError, match="measurement"):
+        BIRTHS["uniform"].components(np.zeros((4, 0)), np.zeros(0), SENSOR, 1.0)
+
+
 @births
 def test_no_measurements(birth, rng):
     born = birth.sample(np.zeros((4, 0)), np.zeros(0), SENSOR, 1.0, rng)
     assert born.state.shape == (6, len(born))
     assert (born.weight >= 0).all()
+    if not isinstance(birth, UniformBirth):
+        mixture = birth.components(np.zeros((4, 0)), np.zeros(0), SENSOR, 1.0)
+        assert mixture.mean.shape == (6, len(mixture))
+        assert mixture.covariance.shape == (len(mixture), 6, 6)
 
 
 @clutters

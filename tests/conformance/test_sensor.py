@@ -82,6 +82,21 @@ def test_the_gate_holds_what_is_likely(sensor, z, rng):
         assert ((near[:2] >= lower) & (near[:2] <= upper)).all()
 
 
+def test_the_linear_view_has_the_likelihood_of_a_known_state(sensor, z, rng):
+    """With H the observed rows, N(z; Hx, R) is g(z|x)."""
+    x, _ = sensor.states(z)
+    x = fixed(x + rng.normal(0, 1, x.shape))
+    r = sensor.covariance(z, x)
+    rows = list(sensor.observed)
+    assert r.shape == (30, len(rows), len(rows))
+    step = z[: len(rows)] - x[rows]
+    distance2 = np.einsum("rp,prs,sp->p", step, np.linalg.inv(r), step)
+    np.testing.assert_allclose(distance2, sensor.distance2(z, x))
+    log_norm = np.linalg.slogdet(2 * np.pi * r)[1]
+    np.testing.assert_allclose(-0.5 * (distance2 + log_norm), sensor.log_likelihood(z, x))
+    assert sensor.covariance(z[:, :0], x[:, :0]).shape == (0, len(rows), len(rows))
+
+
 def test_detection_probability_and_noise(sensor, z):
     x, _ = sensor.states(z)
     p = sensor.p_detect(fixed(x))

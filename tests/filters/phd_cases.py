@@ -9,7 +9,7 @@ import numpy as np
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
 from phdtrack.models.volume import image_volume
 from phdtrack.protocols import Model
-from phdtrack.types import Particles
+from phdtrack.types import GaussianMixture, Particles
 
 FRAME = (640.0, 480.0)
 
@@ -21,6 +21,10 @@ class NoBirth:
     def sample(self, z, covered, sensor, dt, rng) -> Particles:
         x, _ = sensor.states(z[:, :0])
         return Particles(x, np.zeros(0))
+
+    def components(self, z, covered, sensor, dt) -> GaussianMixture:
+        x, cov = sensor.states(z[:, :0])
+        return GaussianMixture(np.zeros(0), x, cov)
 
 
 def world(birth=None, clutter=None, **sensor) -> Model:

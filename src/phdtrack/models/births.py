@@ -73,6 +73,36 @@ class MeasurementBirth:
         log_proposal = _log_mixture(state[rows], mean[rows], observed_cov, counts, limit)
         return Particles(state, gamma * np.exp(-log_proposal))
 
+    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+        """A Gaussian about each detection with M_j < 1, at rest; two conditions choose its mass m and covariance aR.
+
+        Seen through the noise R it has the density of the flat γ at the detection, and its mass is that of γ in the 99 %
+        region {r² ≤ r₀²}, as of the particles. In n dimensions, V_n the volume of the unit ball,
+
+            m = γ V_n r₀ⁿ √|R|,     m N(0; 0, (1 + a) R) = γ     ⇒     1 + a = (V_n r₀ⁿ)^(2/n) / 2π
+
+        (a = 3.70 for boxes). Where regions overlap the Gaussians share γ: each is divided by Σ_i γ_i exp(−d²_ij/2) / γ_j
+        over those whose region reaches its detection, d in (1 + a) R_i.
+        """
+        mean, cov = sensor.states(z)
+        rows = list(sensor.observed)
+        gamma = self._intensity(z[: len(rows)], z[: len(rows)]) * dt
+        fresh = np.flatnonzero((covered < 1.0) & (gamma > 0))
+        mean, cov, gamma = np.ascontiguousarray(mean[:, fresh]), cov[fresh], gamma[fresh]
+        noise = cov[:, rows][:, :, rows]
+        volume, stretch = newborn_shape(len(rows))
+        wide = stretch * noise
+        limit = _chi2_quantile(len(rows))
+        reach = np.sqrt(limit * np.stack([wide[:, 0, 0], wide[:, 1, 1]]))
+        seen = np.ascontiguousarray(mean[rows])
+        point, which = gated_pairs(seen[0], seen[1], seen[:2] - reach, seen[:2] + reach)
+        distance2 = quadratic_form(seen, seen, np.linalg.inv(wide), point, which)
+        inside = distance2 <= limit
+        shared = sum_by(point[inside], (gamma[which] * np.exp(-0.5 * distance2))[inside], len(fresh))
+        mass = gamma * volume * np.sqrt(np.linalg.det(noise)) * gamma / shared
+        cov[np.ix_(range(len(fresh)), rows, rows)] = wide - noise
+        return GaussianMixture(mass, mean, cov)
+
     def _intensity(self, observed: F8, z: F8) -> F8:
         """γ per time unit at positions and sizes (m, L); 0 where a size is not positive."""
         if self.volume == "image":
@@ -119,6 +149,14 @@ class UniformBirth:
         _draw_velocity(state, cov, np.arange(self.count), rng)
         return Particles(state, np.full(self.count, self.rate * dt / self.count))
 
+    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+        """There is none: raises `InputError`."""
+        raise InputError(
+            "births that are uniform over the image have no form as a Gaussian mixture",
+            where="UniformBirth",
+            cure="Use births around the detections (birth.kind=measurement), at given places (fixed), or particles",
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class FixedBirth:
@@ -134,12 +172,24 @@ class FixedBirth:
         """``count`` particles from each Gaussian, of total mass weight·dt, whatever was measured."""
         return draw(self.mixture, self.count, dt, rng)
 
+    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+        """The given Gaussians, of total mass weight·dt, whatever was measured [V06 (22)]."""
+        return GaussianMixture(self.mixture.weight * dt, self.mixture.mean, self.mixture.covariance)
+
 
 def _chi2_quantile(dof: int) -> float:
     """The squared radius that holds the kept part of a standard Gaussian in ``dof`` dimensions (13.28 in four)."""
     from scipy.special import chdtri
 
     return float(chdtri(dof, 1 - KEPT))
+
+
+@lru_cache(maxsize=8)
+def newborn_shape(dof: int) -> tuple[float, float]:
+    """Volume of the kept region of a unit Gaussian, and 1 + a of `MeasurementBirth.components`, in ``dof`` dimensions."""
+    ball = math.pi ** (dof / 2) / math.gamma(dof / 2 + 1)
+    volume = ball * _chi2_quantile(dof) ** (dof / 2)
+    return volume, volume ** (2 / dof) / (2 * math.pi)
 
 
 @lru_cache(maxsize=8)

@@ -26,6 +26,8 @@ from phdtrack.types import F8, Detections
 Scaling = Literal["particle", "detection", "previous", "fixed", "given"]
 # Rows of the state that a measurement shows, in the order of its components.
 OBSERVED = (0, 1, 4, 5)
+# Smallest variance of the linear-Gaussian view, pixels².
+TINY = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +116,15 @@ class BoxSensor:
         sx, sy, sw, sh = self._sigmas(z, x)
         product: F8 = sx * sy * sw * sh
         return -0.5 * self.distance2(z, x) - np.log(product) - 2 * math.log(2 * math.pi)
+
+    def covariance(self, z: F8, x: F8) -> F8:
+        """(P, 4, 4) diagonal noise covariance of (px, py, w, h) for pairs of columns; sizes are those of the mean state."""
+        n = x.shape[1]
+        out = np.zeros((n, 4, 4))
+        for row, sigma in enumerate(self._sigmas(z, x)):
+            # Without a floor the noise of a vanishing box would be none, and no density.
+            out[:, row, row] = np.maximum(np.square(sigma), TINY)
+        return out
 
     def p_detect(self, x: F8) -> F8:
         """p_D, the same everywhere."""
