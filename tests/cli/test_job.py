@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
+import threading
+import time
+import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,19 +14,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phdtrack import rundir
+from phdtrack import config, rundir
 from phdtrack.associate import GraphMatching
 from phdtrack.commands.inputs import Blank, Inputs
 from phdtrack.commands.job import Job, Outcome, run
 from phdtrack.commands.spool import rereadable
 from phdtrack.commands.steps import Steps
+from phdtrack.detect import make_detector
 from phdtrack.errors import InputError
 from phdtrack.extract import Raw
 from phdtrack.filters import NoFilter
-from phdtrack.formats import read_detections, read_tracks
+from phdtrack.formats import DetectionsWriter, TracksWriter, read_detections, read_tracks, write_tracks
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth
+from phdtrack.overlap import DEPTH
 from phdtrack.protocols import Model, Stages
-from phdtrack.types import Detections, Frame, SequenceInfo, Truth
+from phdtrack.report import Annotator
+from phdtrack.types import Detections, Frame, Image, SequenceInfo, Truth
 from phdtrack.video import open_source
 
 INFO = SequenceInfo(96, 64, 25.0, 0, "clip")
@@ -200,6 +207,91 @@ def test_detections_alone_give_no_video(job: Job, directory: rundir.RunDirectory
     blank = Blank(replace(INFO, frames=FRAMES))
     outcome = run(replace(job, inputs=replace(job.inputs, source=blank, pictures=False)), directory)
     consistent(directory, outcome, FRAMES, video=False)
+
+
+def test_overlap_changes_no_result(job: Job, directory: rundir.RunDirectory) -> None:
+    """Against the plain loop: detector and filter of the same settings, one frame after the other in this thread."""
+    info = SequenceInfo(96, 64, 25.0, 0, "clip")
+    stages = config.build(config.load(), info)
+    changing = replace(job, stages=stages, steps=Steps(stages, np.random.default_rng(5)))
+    detector = make_detector("change")
+    inputs = replace(job.inputs, detector=make_detector("change"))
+    run(replace(changing, inputs=inputs), directory)
+    plain, found, online = Steps(stages, np.random.default_rng(5)), [], []
+    for frame in Clip():
+        seen = detector(frame)
+        online.append(plain.advance(frame.number, frame.time, seen).tracks)
+        found.append((frame.number, seen))
+    assert sum(len(seen) for _, seen in found) > 0
+    beside = directory.path / "plain"
+    beside.mkdir()
+    with DetectionsWriter(beside / "detections.csv") as detections, TracksWriter(beside / "online.csv") as rows:
+        for (number, seen), tracks in zip(found, online, strict=True):
+            detections.append(number, seen)
+            rows.append(tracks)
+        rows.append(plain.flush())
+    write_tracks(beside / "tracks.csv", plain.finish())
+    pairs = ((rundir.DETECTIONS, "detections.csv"), (rundir.ONLINE, "online.csv"), (rundir.TRACKS, "tracks.csv"))
+    for ours, theirs in pairs:
+        assert directory.file(ours).read_bytes() == (beside / theirs).read_bytes()
+
+
+@pytest.mark.parametrize("slow", ["detector", "drawing", "nothing"])
+def test_few_frames_live_however_long_the_video(
+    job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch, slow: str
+) -> None:
+    from phdtrack.commands import job as module
+
+    living: list[weakref.ref[object]] = []
+    most = 0
+
+    def count() -> None:
+        nonlocal most
+        living[:] = [ref for ref in living if ref() is not None]
+        most = max(most, len(living))
+
+    class Long(Clip):
+        def __iter__(self) -> Iterator[Frame]:
+            for number in range(1, 151):
+                image = np.full((64, 96, 3), 40, np.uint8)
+                living.append(weakref.ref(image))
+                count()
+                yield Frame(number, (number - 1) / 25.0, image)
+
+    class Slow(Looker):
+        def __call__(self, frame: Frame) -> Detections:
+            time.sleep(0.002 if slow == "detector" else 0)
+            return Detections.empty()
+
+    class Drawing(Annotator):
+        def __call__(self, *args: object, **kwargs: object) -> Image:
+            time.sleep(0.002 if slow == "drawing" else 0)
+            return super().__call__(*args, **kwargs)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(module, "Annotator", Drawing)
+    run(replace(job, inputs=replace(job.inputs, source=Long(), detector=Slow())), directory)
+    # Two belts, and one frame in the hands of each of three stages; twice, for the second pass may begin before the
+    # last frames of the first are given up.
+    assert most <= 2 * (2 * DEPTH + 3)
+
+
+def test_an_interrupt_in_the_loop_stops_the_stages(job: Job, directory: rundir.RunDirectory) -> None:
+    """A real signal: it reaches the main thread, wherever that is, while source and detector are frames ahead."""
+
+    class Signalling(Looker):
+        def __call__(self, frame: Frame) -> Detections:
+            if frame.number == 13:
+                signal.raise_signal(signal.SIGINT)
+            return super().__call__(frame)
+
+    before = threading.active_count()
+    outcome = run(replace(job, inputs=replace(job.inputs, detector=Signalling())), directory)
+    assert isinstance(outcome.stop, KeyboardInterrupt)
+    assert 12 - 2 * DEPTH <= outcome.frames <= FRAMES
+    assert json.loads(directory.file(rundir.RUN).read_text())["frames"] == outcome.frames
+    assert len(list(open_source(directory.file(rundir.VIDEO)))) == outcome.frames
+    assert any("stopped by Ctrl-C after frame" in warning for warning in outcome.warnings)
+    assert threading.active_count() == before
 
 
 def test_stopped_while_drawing(job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -41,6 +41,11 @@ def test_track_count_objects_and_speed() -> None:
     assert all((np.diff(rows.frame) == 1).all() for rows in record.by_identity())
 
 
+def test_speed_is_that_of_the_overlapping_stages_where_it_was_measured() -> None:
+    record = run_record(10, 3, about=About(tracking_seconds=0.05))
+    assert record.frames_per_second == pytest.approx(200)
+
+
 def test_nothing_at_all() -> None:
     record = Recorder(INFO).record(Tracks.empty(), About())
     assert len(record.series) == 0

@@ -8,10 +8,11 @@ from typing import Annotated
 
 import typer
 
-from phdtrack.commands.inputs import DEFAULT_DETECTOR, Wanted, open_inputs
+from phdtrack.commands.inputs import DEFAULT_DETECTOR, Wanted, detected, open_inputs
 from phdtrack.commands.options import Config, Detector, Fps, Json, Mask, MaxWidth, Overwrite, Sets
 from phdtrack.commands.output import Output, counted, progress
 from phdtrack.errors import InputError
+from phdtrack.overlap import ahead
 from phdtrack.rundir import DETECTIONS, claim
 
 
@@ -40,17 +41,17 @@ def detect(
     frames = boxes = 0
     clock = time.perf_counter()
     with DetectionsWriter(target.file(DETECTIONS)) as writer, progress("detecting", inputs.info.frames) as advance:
-        for frame in inputs.source:
-            try:
-                found = inputs.detector(frame)
-            except InputError:
-                if not frames:
-                    # Nothing was looked at: an empty file would be taken for "nothing was detected".
-                    target.clear()
-                raise
-            writer.append(frame.number, found)
-            frames, boxes = frames + 1, boxes + len(found)
-            advance(frames)
+        try:
+            with ahead(inputs.source) as pictures, ahead(detected(inputs.detector, pictures)) as looked:
+                for frame, found, _ in looked:
+                    writer.append(frame.number, found)
+                    frames, boxes = frames + 1, boxes + len(found)
+                    advance(frames)
+        except InputError:
+            if not frames:
+                # Nothing was looked at: an empty file would be taken for "nothing was detected".
+                target.clear()
+            raise
     seconds = time.perf_counter() - clock
     warnings = [sentence for sentence in (inputs.source.note, inputs.source.problem) if sentence]
     for sentence in warnings:

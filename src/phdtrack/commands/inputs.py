@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+import time
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ from phdtrack.commands.parameters import typed
 from phdtrack.detections import overlaps_frame
 from phdtrack.errors import InputError
 from phdtrack.protocols import Detector
-from phdtrack.types import DetectionTable, Frame, Image, SequenceInfo
+from phdtrack.types import Detections, DetectionTable, Frame, Image, SequenceInfo
 
 if TYPE_CHECKING:
     from phdtrack.video import VideoSource
@@ -75,6 +76,14 @@ class Blank:
     def __iter__(self) -> Iterator[Frame]:
         for number in range(1, self.info.frames + 1):
             yield Frame(number, (number - 1) / self.info.fps, NO_PICTURE)
+
+
+def detected(detector: Detector, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Detections, float]]:
+    """Each frame with what ``detector`` sees in it and how many seconds it looked."""
+    for frame in frames:
+        clock = time.perf_counter()
+        found = detector(frame)
+        yield frame, found, time.perf_counter() - clock
 
 
 def open_inputs(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:

@@ -4,14 +4,14 @@ While the loop runs, every frame's detections, states and online track rows go t
 the end of the video, a frame that cannot be used, a full disk or Ctrl-C, the frames done so far are finished like a whole
 run: corrected tracks, scores, annotated video, report, ``run.json``. The outcome then carries what stopped it.
 
-The annotated video is drawn in a second pass over the frames, so that it shows the corrected tracks of ``tracks.csv`` and
-not the online rows of ``tracks_online.csv``, which could not know the future.
+Decoding, detecting and tracking overlap (see `overlap`), and so do decoding, drawing and encoding. XX
 """
 
 from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -20,17 +20,18 @@ import numpy as np
 
 from phdtrack import rundir
 from phdtrack.commands import belief
-from phdtrack.commands.inputs import Inputs
+from phdtrack.commands.inputs import Inputs, detected
 from phdtrack.commands.output import progress
 from phdtrack.commands.spool import rereadable
 from phdtrack.commands.steps import Steps
 from phdtrack.filters import NoFilter
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter, write_tracks
 from phdtrack.metrics import Scores, evaluate
+from phdtrack.overlap import ahead
 from phdtrack.protocols import AnyStages
 from phdtrack.report import About, Annotator, Recorder, RunRecord, run_document, sentences, write_report, write_run
 from phdtrack.rundir import RunDirectory
-from phdtrack.types import F8, Detections, Step, Tracks, Truth
+from phdtrack.types import F8, Detections, Frame, Image, Step, Tracks, Truth
 from phdtrack.video import VideoSource, VideoWriter
 
 Stop = Exception | KeyboardInterrupt
@@ -88,10 +89,14 @@ class _Seen:
 
 @dataclass(slots=True)
 class _Progress:
-    """How far it got. ``lost``: what the source said when it ended; ``stop`` ended the loop, ``cut`` the drawing."""
+    """How far it got. ``lost``: what the source said when it ended; ``stop`` ended the loop, ``cut`` the drawing.
+
+    ``seconds`` is what the loop took.
+    """
 
     recorder: Recorder
     lost: str = ""
+    seconds: float = 0.0
     seen: list[_Seen] = field(default_factory=list)
     stop: Stop | None = None
     cut: Stop | None = None
@@ -123,6 +128,7 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         seed=job.seed,
         started=started.isoformat(timespec="seconds"),
         seconds=time.perf_counter() - clock,
+        tracking_seconds=done.seconds,
         versions=job.versions,
         scores=() if scores is None else tuple((key, _plain(value)) for key, value in scores.as_dict().items()),
         warnings=warnings,
@@ -142,21 +148,21 @@ def _loop(job: Job, source: VideoSource, directory: RunDirectory) -> _Progress:
         states = files.enter_context(StatesWriter(place(rundir.STATES)))
         online = files.enter_context(TracksWriter(place(rundir.ONLINE)))
         advance = files.enter_context(progress("tracking", inputs.info.frames))
+        clock = time.perf_counter()
         try:
-            for frame in source:
-                clock = time.perf_counter()
-                found = inputs.detector(frame)
-                seconds = time.perf_counter() - clock
-                step = job.steps.advance(frame.number, frame.time, found)
-                detections.append(frame.number, found)
-                states.append(frame.number, frame.time, step.estimates)
-                online.append(step.tracks)
-                done.recorder.add(frame.image if inputs.pictures else None, step, job.steps.particles, seconds)
-                done.seen.append(_seen(step))
-                advance(len(done.seen))
+            with ahead(source) as frames, ahead(detected(inputs.detector, frames)) as looked:
+                for frame, found, seconds in looked:
+                    step = job.steps.advance(frame.number, frame.time, found)
+                    detections.append(frame.number, found)
+                    states.append(frame.number, frame.time, step.estimates)
+                    online.append(step.tracks)
+                    done.recorder.add(frame.image if inputs.pictures else None, step, job.steps.particles, seconds)
+                    done.seen.append(_seen(step))
+                    advance(len(done.seen))
             online.append(job.steps.flush())
         except (Exception, KeyboardInterrupt) as stop:
             done.stop = stop
+        done.seconds = time.perf_counter() - clock
     done.lost = source.problem
     return done
 
@@ -175,24 +181,28 @@ def _finish(job: Job, directory: RunDirectory) -> Tracks:
 def _draw(job: Job, source: VideoSource, directory: RunDirectory, done: _Progress, tracks: Tracks) -> Stop | None:
     """The annotated video of the frames that were tracked; what stopped it, if anything did."""
     info = job.inputs.info
-    annotate = Annotator(info)
-    first = np.searchsorted(tracks.frame, [seen.number for seen in done.seen], side="left")
-    last = np.searchsorted(tracks.frame, [seen.number for seen in done.seen], side="right")
     try:
         with (
             VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps) as video,
             progress("drawing", len(done.seen)) as advance,
+            ahead(source) as frames,
+            ahead(_pictures(Annotator(info), done.seen, frames, tracks)) as pictures,
         ):
-            for i, (seen, frame) in enumerate(zip(done.seen, source, strict=False)):
-                rows = tracks.take(np.arange(first[i], last[i]))
-                chances = seen.clutter_probability
-                video.write(
-                    annotate(frame.image, seen.number, rows, seen.detections, mass=seen.mass, clutter_probability=chances)
-                )
-                advance(i + 1)
+            for picture in pictures:
+                video.write(picture)
+                advance(video.frames)
     except (Exception, KeyboardInterrupt) as stop:
         return stop
     return None
+
+
+def _pictures(annotate: Annotator, seen: Sequence[_Seen], frames: Iterable[Frame], tracks: Tracks) -> Iterator[Image]:
+    """The frames that were seen, drawn on."""
+    numbers = [one.number for one in seen]
+    first, last = (np.searchsorted(tracks.frame, numbers, side=side) for side in ("left", "right"))
+    for one, frame, i, j in zip(seen, frames, first, last, strict=False):
+        rows, chances = tracks.take(np.arange(i, j)), one.clutter_probability
+        yield annotate(frame.image, one.number, rows, one.detections, mass=one.mass, clutter_probability=chances)
 
 
 def _problems(job: Job, done: _Progress) -> tuple[str, ...]:

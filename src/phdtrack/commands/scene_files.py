@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from phdtrack.commands.output import progress
+from phdtrack.overlap import ahead
 from phdtrack.simulate import Look, Scene, render
 from phdtrack.types import SequenceInfo
 from phdtrack.video import VideoWriter
@@ -15,8 +16,12 @@ from phdtrack.video import VideoWriter
 def render_video(scene: Scene, rng: np.random.Generator, path: Path, look: Look | None = None) -> None:
     """The scene as an mp4 file; ``look`` None for the renderer's own."""
     info = scene.info
-    with VideoWriter(path, info.width, info.height, info.fps) as writer, progress("rendering", info.frames) as advance:
-        for frame in render(scene, rng, look):
+    with (
+        VideoWriter(path, info.width, info.height, info.fps) as writer,
+        progress("rendering", info.frames) as advance,
+        ahead(render(scene, rng, look)) as frames,
+    ):
+        for frame in frames:
             writer.write(frame.image)
             advance(frame.number)
 

@@ -28,8 +28,9 @@ NO_IMAGE: Image = np.zeros((0, 0, 3), np.uint8)
 class About:
     """What is told of a run in words and single values.
 
-    ``command`` is the line that was run, ``started`` an ISO time, ``seconds`` the wall time of everything, ``versions`` and
-    ``scores`` pairs of name and value, ``notes`` sentences to show (after how many detections an object is believed, …).
+    ``command`` is the line that was run, ``started`` an ISO time, ``seconds`` the wall time of everything,
+    ``tracking_seconds`` that of detection and tracking, which overlap (0: not measured), ``versions`` and ``scores`` pairs
+    of name and value, ``notes`` sentences to show (after how many detections an object is believed, …).
     """
 
     title: str = ""
@@ -41,6 +42,7 @@ class About:
     scores: tuple[tuple[str, float], ...] = ()
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    tracking_seconds: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,8 +138,11 @@ class RunRecord:
 
     @property
     def frames_per_second(self) -> float:
-        """Frames over the time of all stages, which leaves out decoding and drawing; NaN where no time was measured."""
-        total = float(self.series.seconds.sum())
+        """Frames over the wall time of detection and tracking; NaN where no time was measured.
+
+        Where only the stages were measured and not the whole, over the sum of these, as if they did not overlap.
+        """
+        total = self.about.tracking_seconds or float(self.series.seconds.sum())
         return len(self.series) / total if total > 0 else float("nan")
 
 

@@ -23,8 +23,8 @@ from phdtrack.report.summary import sentences, stage_times
 def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, object]:
     """The run as JSON values: ``config`` is the whole configuration as nested mappings.
 
-    Times are seconds, ``frames_per_second`` is over the stages (without decoding and drawing) and ``stages`` milliseconds
-    per frame.
+    Times are seconds, ``frames_per_second`` is that of detection and tracking (without drawing), and ``stages`` are
+    milliseconds per frame, whose sum may exceed a frame's share of the time because stages overlap.
     """
     about, series, info = record.about, record.series, record.info
     document = {
