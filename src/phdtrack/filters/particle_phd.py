@@ -18,12 +18,15 @@ import numpy as np
 
 from phdtrack.arrays import sum_by
 from phdtrack.checks import Count, Positive, PositiveCount, check
+from phdtrack.filters.blocks import plain
+from phdtrack.filters.box_tables import box_model
 from phdtrack.filters.composed import composed_step
+from phdtrack.filters.fused import fused_step
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.resample import systematic
 from phdtrack.protocols import Model
 from phdtrack.sampling import draw
-from phdtrack.types import F8, I8, GaussianMixture, Particles, UpdateInfo
+from phdtrack.types import F8, I8, GaussianMixture, ParticleBlocks, Particles, UpdateInfo
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +41,7 @@ class ParticlePHD:
         the 99 % region of a Gaussian in four dimensions.
     skip_empty : leave the intensity as predicted when a frame brings no detection, as D14 does. The default is the
         filter's own update, (1 − p_D) D⁺.
+    threads : threads that share a frame's work in `step`, 0 for one per core; the result is the same to the bit.
     initial : the intensity before the first frame.
     """
 
@@ -45,6 +49,7 @@ class ParticlePHD:
     most: Count = 0
     region: Positive = 13.28
     skip_empty: bool = False
+    threads: Count = 1
     initial: Particles | GaussianMixture | None = None
 
     def __post_init__(self) -> None:
@@ -112,10 +117,13 @@ class ParticlePHD:
         return Particles(np.ascontiguousarray(state.state[:, chosen]), np.full(count, mass / count))
 
     def step(
-        self, state: Particles, z: F8, model: Model, dt: float, rng: np.random.Generator
-    ) -> tuple[Particles, UpdateInfo]:
-        """Predict, update and reduce in turn."""
-        return composed_step(self, state, z, model, dt, rng)
+        self, state: Particles | ParticleBlocks, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[Particles | ParticleBlocks, UpdateInfo]:
+        """Predict, update and reduce; fused for the shipped model of boxes (see `filters.fused`)."""
+        parts = box_model(model)
+        if parts is not None:
+            return fused_step(self, parts, state, z, model, dt, rng)
+        return composed_step(self, plain(state), z, model, dt, rng)
 
     def _gated(self, state: Particles, z: F8, model: Model) -> tuple[I8, I8]:
         """Pairs (particle, detection) inside the sensor's gates."""

@@ -20,7 +20,7 @@ from phdtrack.kernels.pairs import quadratic_form
 from phdtrack.models.volume import Volume, image_volume, in_neighbourhood, local_volume
 from phdtrack.protocols import Sensor
 from phdtrack.sampling import draw
-from phdtrack.types import F8, I8, GaussianMixture, Particles
+from phdtrack.types import F4, F8, I8, GaussianMixture, Particles
 
 # The part of a Gaussian proposal that newborn particles are drawn from. Outside, the importance ratio of a flat γ to the
 # proposal grows like exp(r²/2) and its variance is infinite: that mass is dropped.
@@ -190,6 +190,12 @@ def newborn_shape(dof: int) -> tuple[float, float]:
     ball = math.pi ** (dof / 2) / math.gamma(dof / 2 + 1)
     volume = ball * _chi2_quantile(dof) ** (dof / 2)
     return volume, volume ** (2 / dof) / (2 * math.pi)
+
+
+@lru_cache(maxsize=1)
+def region() -> tuple[float, F4]:
+    """The squared radius of a Gaussian's kept part in four dimensions, and the radii at equal steps of its quantile."""
+    return _chi2_quantile(4), _radius_table(4)[1].astype(np.float32)
 
 
 @lru_cache(maxsize=8)

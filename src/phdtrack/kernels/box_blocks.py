@@ -1,0 +1,149 @@
+"""A block of boxes at once: moved, bounded, and weighed against a detection; float32, branch-free, in vector registers.
+
+A block lies in a scratch array of rows of ``BLOCK`` numbers, one row per quantity: with one array and constant distances
+the compiler sees that rows do not overlap.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from phdtrack.kernels.fast32 import FAST, FOUR, HALF, ONE, cos_sin_turn, exp32, log32
+from phdtrack.kernels.philox import ROUNDS, philox, unit
+
+F4 = NDArray[np.float32]
+F8 = NDArray[np.float64]
+F = np.float32
+BLOCK = 256
+# Rows of the scratch array: the state, four normals, what a detection is compared with, and the weight.
+X, Y, VX, VY, W, H = (BLOCK * row for row in range(6))
+N0, N1, N2, N3 = (BLOCK * row for row in range(6, 10))
+IW, IH, ALIVE, SCALE, G, SUM = (BLOCK * row for row in range(10, 16))
+ROWS = 16
+# Rows of the table of detections: z, one over the deviations, the likelihood's normaliser; then what births need.
+ZX, ZY, ZW, ZH, IX, IY, IZW, IZH, GSCALE = range(9)
+MINUS_TWO, MINUS_HALF, ZERO = F(-2.0), F(-0.5), F(0.0)
+# (2π)⁻² times 4, because σ_px σ_py = σ_w σ_h / 4.
+NORM = F(4.0 / (2.0 * np.pi) ** 2)
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def fill_normals(s: F4, n: int, c1: np.uint32, c2: np.uint32, k0: np.uint32, k1: np.uint32) -> None:
+    """Standard normals into the rows N0 … N3, four for each counter (i, c1, c2, 0) [Box and Muller 1958]."""
+    for i in range(n):
+        a, b, c, d = philox(np.uint32(i), c1, c2, np.uint32(0), k0, k1, ROUNDS)
+        s[N0 + i], s[N1 + i], s[N2 + i], s[N3 + i] = unit(a), unit(b), unit(c), unit(d)
+    for row in range(N0, N3 + 1, 2 * BLOCK):
+        for i in range(row, row + n):
+            radius = np.sqrt(MINUS_TWO * log32(s[i]))
+            cosine, sine = cos_sin_turn(s[i + BLOCK])
+            s[i], s[i + BLOCK] = radius * cosine, radius * sine
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def move(s: F4, n: int, motion: F4) -> None:
+    """One draw of f(·|ξ) for each particle of the block, from the normals in N0 … N3 [M09 (11)].
+
+    ``motion``: dt, a√dt, b√dt, smallest size, whether noises scale with the size, the frame's width and height (0: no
+    border). A particle whose whole box has left the frame does not survive: ALIVE is 0 for it, else 1.
+    """
+    dt, kick, resize, smallest, scaled, width, height = motion[0], motion[1], motion[2], motion[3], motion[4], motion[5], motion[6]
+    for i in range(n):
+        s[ALIVE + i] = ONE
+    if width > ZERO:
+        for i in range(n):
+            inside_x = (s[X + i] > -HALF * s[W + i]) & (s[X + i] < width + HALF * s[W + i])
+            inside_y = (s[Y + i] > -HALF * s[H + i]) & (s[Y + i] < height + HALF * s[H + i])
+            s[ALIVE + i] = ONE if inside_x & inside_y else ZERO
+    for axis in range(0, 2 * BLOCK, BLOCK):
+        for i in range(axis, axis + n):
+            size = s[W + i]
+            noise = ONE + scaled * (max(size, smallest) - ONE)
+            push = kick * noise * s[N0 + i]
+            s[X + i] += dt * (s[VX + i] + HALF * push)
+            s[VX + i] += push
+            s[W + i] = smallest + abs(size + resize * noise * s[N2 + i] - smallest)
+            s[IW + i] = noise
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def drift(s: F4, n: int, rest: np.float32) -> None:
+    """For dt > 1 what the position's variance is beside the part that the velocity's noise explains [M09 (11)].
+
+    Uses the normals in N0 and N1, drawn anew, and the unit of the noises that `move` left in IW and IH.
+    """
+    for axis in range(0, 2 * BLOCK, BLOCK):
+        for i in range(axis, axis + n):
+            s[X + i] += rest * s[IW + i] * s[N0 + i]
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def extent(s: F4, n: int, out: F4) -> None:
+    """Into ``out`` (6,): left, top, right, bottom of the block's positions, and its mean width and height."""
+    left, top, right, bottom = s[X], s[Y], s[X], s[Y]
+    width, height = ZERO, ZERO
+    for i in range(n):
+        left, right = min(left, s[X + i]), max(right, s[X + i])
+    for i in range(n):
+        top, bottom = min(top, s[Y + i]), max(bottom, s[Y + i])
+    for i in range(n):
+        width += s[W + i]
+        height += s[H + i]
+    out[0], out[1], out[2], out[3] = left, top, right, bottom
+    out[4], out[5] = width / F(n), height / F(n)
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def own_precisions(s: F4, n: int, spread: np.float32, floor: np.float32) -> None:
+    """1/σ_w and 1/σ_h of each particle into IW and IH, and the likelihood's normaliser into SCALE [M09 §III]."""
+    for i in range(n):
+        iw = ONE / max(spread * s[W + i], floor)
+        ih = ONE / max(spread * s[H + i], floor)
+        s[IW + i], s[IH + i] = iw, ih
+        s[SCALE + i] = NORM * (iw * ih) * (iw * ih)
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def likelihood_own(s: F4, n: int, d: F4, j: int, region: np.float32) -> tuple[np.float32, np.float32]:
+    """g(z_j|x)·ALIVE into G, where σ follows the particle; gives its sum and how many lie in the ``region`` around z_j.
+
+    ``d`` is the table of detections, see `the rows above. [M07 §2, M09 §III]
+    """
+    zx, zy, zw, zh = d[ZX, j], d[ZY, j], d[ZW, j], d[ZH, j]
+    total, near = ZERO, ZERO
+    for i in range(n):
+        dx, dy = (zx - s[X + i]) * s[IW + i], (zy - s[Y + i]) * s[IH + i]
+        dw, dh = (zw - s[W + i]) * s[IW + i], (zh - s[H + i]) * s[IH + i]
+        distance2 = FOUR * (dx * dx + dy * dy) + (dw * dw + dh * dh)
+        g = exp32(MINUS_HALF * distance2) * s[SCALE + i] * s[ALIVE + i]
+        s[G + i] = g
+        total += g
+        near += s[ALIVE + i] if distance2 <= region else ZERO
+    return total, near
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def likelihood_given(s: F4, n: int, d: F4, j: int, region: np.float32) -> tuple[np.float32, np.float32]:
+    """The same where σ is the detection's."""
+    zx, zy, zw, zh = d[ZX, j], d[ZY, j], d[ZW, j], d[ZH, j]
+    ix, iy, iw, ih, scale = d[IX, j], d[IY, j], d[IZW, j], d[IZH, j], d[GSCALE, j]
+    total, near = ZERO, ZERO
+    for i in range(n):
+        dx, dy = (zx - s[X + i]) * ix, (zy - s[Y + i]) * iy
+        dw, dh = (zw - s[W + i]) * iw, (zh - s[H + i]) * ih
+        distance2 = (dx * dx + dy * dy) + (dw * dw + dh * dh)
+        g = exp32(MINUS_HALF * distance2) * scale * s[ALIVE + i]
+        s[G + i] = g
+        total += g
+        near += s[ALIVE + i] if distance2 <= region else ZERO
+    return total, near
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def likelihood(s: F4, n: int, d: F4, j: int, region: np.float32, own: bool) -> tuple[np.float32, np.float32]:
+    """g(z_j|x)·ALIVE into G; its sum, and how many particles lie in the ``region`` around z_j."""
+    if own:
+        return likelihood_own(s, n, d, j, region)
+    return likelihood_given(s, n, d, j, region)

@@ -1,0 +1,274 @@
+"""The fused particle PHD filter in two sweeps over blocks of particles [M07 §2, M09 §III].
+
+The first sweep moves the particles and sums, for each block and each detection near it, what the detections' evidence
+C(z) is made of. Everything that the filter needs then follows from these sums: births, C(z), the mass of every block, and
+the stretch of the resampling comb that falls to each. The second sweep weighs the particles again and picks their offspring.
+Newborn particles are drawn again in the second sweep where somebody survives, and never stored.
+
+A block's work depends on nothing but its own number, so that any division among threads gives the same bits. Blocks are
+ranges [lo, hi); sums over blocks are taken in their order, in float64.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from phdtrack.kernels.box_blocks import (
+    ALIVE, BLOCK, G, H, N0, ROWS, SUM, VX, VY, W, X, Y, ZERO,
+    drift, extent, fill_normals, likelihood, move, own_precisions,
+)
+from phdtrack.kernels.newborn import draw_newborn, velocity, weigh_newborn
+from phdtrack.kernels.rectangles import overlapping
+
+F4 = NDArray[np.float32]
+F8 = NDArray[np.float64]
+I8 = NDArray[np.int64]
+F = np.float32
+# Newborn particles are summed and drawn again in groups of one vector register.
+GROUP = 16
+EXTENTS = 6
+STAGE_MOVE, STAGE_DRIFT = np.uint32(0), np.uint32(1)
+
+
+@njit(cache=True, nogil=True)
+def sweep_old(
+    lo: int, hi: int, state: F4, start: I8, motion: F4, key: I8, detections: F4, own: bool, sensor: F4,
+    lower: F8, upper: F8, frame: F8, cell_start: I8, cell_item: I8, corner: I8,
+    moved: F4, extents: F4, alive: F8,
+) -> tuple[I8, I8, F4]:
+    """Move the blocks lo … hi − 1 into ``moved`` and sum their likelihoods.
+
+    Parameters
+    ----------
+    state, start : the blocks, see `types.ParticleBlocks`.
+    motion : see `box_blocks.move`, and beside it the rest of the position's noise for dt > 1.
+    sensor : spread, floor, and the squared radius of the region that counts as explained.
+    lower, upper : gates of the detections; frame, cell_start, cell_item, corner : their grid (`rectangles`).
+    moved, extents, alive : outputs: states after the motion (a width below 0 marks what did not survive), extents (B, 6) and
+        number of survivors of each block.
+
+    Returns
+    -------
+    first : (hi − lo + 1,) where each block's sums begin.  which : the detection.  sums : (2, E) Σg and how many are explained.
+    """
+    k0, k1 = np.uint32(key[0]), np.uint32(key[1])
+    s = np.empty(ROWS * BLOCK, np.float32)
+    found = np.empty(lower.shape[1] + 1, np.int64)
+    first = np.zeros(hi - lo + 1, np.int64)
+    which, sums = np.empty(4 * (hi - lo) + 64, np.int64), np.empty((2, 4 * (hi - lo) + 64), np.float32)
+    used = 0
+    for b in range(lo, hi):
+        at, n = start[b], start[b + 1] - start[b]
+        for row in range(6):
+            s[row * BLOCK : row * BLOCK + n] = state[row, at : at + n]
+        fill_normals(s, n, np.uint32(b), STAGE_MOVE, k0, k1)
+        move(s, n, motion)
+        if motion[7] > ZERO:
+            fill_normals(s, n, np.uint32(b), STAGE_DRIFT, k0, k1)
+            drift(s, n, motion[7])
+        extent(s, n, extents[b])
+        alive[b] = s[ALIVE : ALIVE + n].sum()
+        for row in range(6):
+            moved[row, at : at + n] = s[row * BLOCK : row * BLOCK + n]
+        if alive[b] < n:
+            for i in range(n):
+                moved[4, at + i] = s[W + i] if s[ALIVE + i] > ZERO else -s[W + i]
+        near = overlapping(
+            extents[b, 0], extents[b, 1], extents[b, 2], extents[b, 3], lower, upper, frame, cell_start, cell_item, corner, found
+        )
+        if used + near > which.size:
+            which, sums = _longer(which, sums, used, near)
+        if own and near:
+            own_precisions(s, n, sensor[0], sensor[1])
+        for m in range(near):
+            which[used] = found[m]
+            sums[0, used], sums[1, used] = likelihood(s, n, detections, found[m], sensor[2], own)
+            used += 1
+        first[b - lo + 1] = used
+    return first, which[:used], sums[:, :used]
+
+
+@njit(cache=True, nogil=True)
+def _longer(which: I8, sums: F4, used: int, more: int) -> tuple[I8, F4]:
+    """The same lists with room for ``more`` and as much again."""
+    size = 2 * (used + more)
+    longer, wider = np.empty(size, np.int64), np.empty((sums.shape[0], size), np.float32)
+    longer[:used] = which[:used]
+    wider[:, :used] = sums[:, :used]
+    return longer, wider
+
+
+@njit(cache=True, nogil=True)
+def sweep_born(
+    lo: int, hi: int, many: I8, group_start: I8, radius: F4, key: I8, detections: F4, own: bool, sensor: F4, limit: np.float32,
+    local: bool, flat: np.float32, near_start: I8, near: I8, touching: I8, gain_start: I8, base: F4, gains: F4,
+) -> None:
+    """Draw and weigh the newborn of the detections lo … hi − 1 and sum their likelihoods by groups of ``GROUP``.
+
+    Parameters
+    ----------
+    many : (N,) J_j.  group_start : (N + 1,) where each detection's groups begin.
+    near_start, near : the neighbours of each detection, those whose gates its newborn can lie in first: ``touching`` (N,) many.
+    gain_start : (N + 1,) where each detection's sums begin; touching × groups of them.
+    base : (groups,) output: the newborn's mass.  gains : output: Σ weight·g, by neighbour, then group.
+    """
+    k0, k1 = np.uint32(key[0]), np.uint32(key[1])
+    s = np.empty(ROWS * BLOCK, np.float32)
+    for j in range(lo, hi):
+        neighbour = near[near_start[j] : near_start[j + 1]]
+        groups = group_start[j + 1] - group_start[j]
+        for rank in range(0, many[j], BLOCK):
+            n = min(BLOCK, many[j] - rank)
+            full = (n + GROUP - 1) // GROUP
+            draw_newborn(s, n, rank, many[j], detections, j, radius, k0, k1)
+            weigh_newborn(s, n, detections, j, neighbour, neighbour.size, limit, local, flat)
+            s[ALIVE + n : ALIVE + full * GROUP] = ZERO
+            _group_sums(s, ALIVE, full, base, group_start[j] + rank // GROUP)
+            if own:
+                own_precisions(s, n, sensor[0], sensor[1])
+            for m in range(touching[j]):
+                likelihood(s, n, detections, neighbour[m], sensor[2], own)
+                s[G + n : G + full * GROUP] = ZERO
+                _group_sums(s, G, full, gains, gain_start[j] + m * groups + rank // GROUP)
+
+
+@njit
+def _group_sums(s: F4, row: int, groups: int, out: F4, at: int) -> None:
+    for g in range(groups):
+        total = ZERO
+        for i in range(row + g * GROUP, row + (g + 1) * GROUP):
+            total += s[i]
+        out[at + g] = total
+
+
+@njit(cache=True, nogil=True)
+def sweep_offspring(
+    lo: int, hi: int, order: I8, many_offspring: I8, place: I8, phase: F8, width: F8, divided: I8,
+    moved: F4, start: I8, first: I8, which: I8, weight: F4, seen: F4,
+    detections: F4, own: bool, sensor: F4, key: I8,
+    many: I8, group_start: I8, radius: F4, limit: np.float32, local: bool, flat: np.float32,
+    near_start: I8, near: I8, touching: I8, group_mass: F4, speed: F4,
+    out: F4,
+) -> None:
+    """The offspring of the sources order[lo] … order[hi − 1], each into its own columns of ``out``.
+
+    A source is a block (its number) or the newborn of a detection (its number behind the blocks').
+
+    Parameters
+    ----------
+    many_offspring, place : (S,) how many offspring each source has, and their first column.
+    divided : (S,) 1 or 2 where the source is to be sorted along x or y first, so that its offspring form compact blocks.
+    phase, width : (S,) in steps of the comb: where a source's first tooth stands, and how wide the source is.
+    first, which : the detections near each block.  weight : (N,) p_D/(κ + C).  seen : (1,) 1 − p_D.
+    group_mass : mass of each group of newborn after the update.  speed : (N,) deviation of the velocity's amplitude.
+    """
+    k0, k1 = np.uint32(key[0]), np.uint32(key[1])
+    blocks = start.size - 1
+    s = np.empty(ROWS * BLOCK, np.float32)
+    for o in range(lo, hi):
+        source = order[o]
+        teeth = many_offspring[source]
+        if teeth == 0:
+            continue
+        at = place[source]
+        if source >= blocks:
+            j = source - blocks
+            _born_offspring(
+                s, j, teeth, at, phase[source], width[source], many[j], group_mass[group_start[j] : group_start[j + 1]], radius, weight, seen, detections,
+                own, sensor, limit, local, flat, near[near_start[j] : near_start[j + 1]], touching[j], speed[j], k0, k1, out,
+            )
+            continue
+        begin, n = start[source], start[source + 1] - start[source]
+        for row in range(6):
+            s[row * BLOCK : row * BLOCK + n] = moved[row, begin : begin + n]
+        _survivors(s, n)
+        _posterior(s, n, which[first[source] : first[source + 1]], weight, seen, detections, own, sensor)
+        if divided[source]:
+            _sort(s, n, X if divided[source] == 1 else Y)
+        _pick(s, n, teeth, at, phase[source], width[source], out)
+
+
+@njit
+def _survivors(s: F4, n: int) -> None:
+    """ALIVE from the sign of the width, which becomes positive again."""
+    for i in range(n):
+        s[ALIVE + i] = F(1.0) if s[W + i] > ZERO else ZERO
+        s[W + i] = abs(s[W + i])
+
+
+@njit
+def _posterior(s: F4, n: int, which: I8, weight: F4, seen: F4, d: F4, own: bool, sensor: F4) -> None:
+    """The particles' weights after the update into SUM: [1 − p_D + Σ_z p_D g(z|x)/(κ + C)]·ALIVE [M07 (6), M09 (6)]."""
+    missed = seen[0]
+    for i in range(n):
+        s[SUM + i] = missed * s[ALIVE + i]
+    if own and which.size:
+        own_precisions(s, n, sensor[0], sensor[1])
+    for m in range(which.size):
+        likelihood(s, n, d, which[m], sensor[2], own)
+        factor = weight[which[m]]
+        for i in range(n):
+            s[SUM + i] += factor * s[G + i]
+
+
+@njit
+def _sort(s: F4, n: int, row: int) -> None:
+    """Sort the block's particles along a row, states and weights together."""
+    rank = np.argsort(s[row : row + n])
+    for r in range(7):
+        part = SUM if r == 6 else r * BLOCK
+        s[part : part + n] = s[part : part + n].copy()[rank]
+
+
+@njit
+def _pick(s: F4, n: int, teeth: int, at: int, phase: float, width: float, out: F4) -> None:
+    """Write the offspring of a block: the particles on whose stretch of the weights a tooth of the comb falls.
+
+    In units of the comb's step the block is ``width`` wide and its teeth stand at phase, phase + 1, …
+    """
+    total = 0.0
+    for i in range(n):
+        total += np.float64(s[SUM + i])
+        s[N0 + i] = F(total)
+    scale = F(width / total) if total > 0.0 else ZERO
+    shift = F(1.0 - phase)
+    done = 0
+    for i in range(n):
+        upto = min(np.int64(s[N0 + i] * scale + shift), teeth)
+        for t in range(done, upto):
+            for row in range(6):
+                out[row, at + t] = s[row * BLOCK + i]
+        done = max(done, upto)
+    # Rounding can leave the last tooth beyond the last sum.
+    for t in range(done, teeth):
+        for row in range(6):
+            out[row, at + t] = s[row * BLOCK + n - 1]
+
+
+@njit
+def _born_offspring(
+    s: F4, j: int, teeth: int, at: int, phase: float, width: float, many: int, group_mass: F4, radius: F4, weight: F4, seen: F4,
+    d: F4, own: bool, sensor: F4, limit: np.float32, local: bool, flat: np.float32, neighbour: I8, touching: int,
+    amplitude: np.float32, k0: np.uint32, k1: np.uint32, out: F4,
+) -> None:
+    """The offspring of a detection's newborn: only groups on which a tooth falls are drawn again."""
+    total = 0.0
+    for g in range(group_mass.size):
+        total += group_mass[g]
+    reached, done = 0.0, 0
+    scale = width / total
+    for g in range(group_mass.size):
+        share = group_mass[g] * scale
+        upto = teeth if g == group_mass.size - 1 else min(int(reached + share - phase + 1.0), teeth)
+        if upto > done:
+            n = min(GROUP, many - g * GROUP)
+            draw_newborn(s, n, g * GROUP, many, d, j, radius, k0, k1)
+            weigh_newborn(s, n, d, j, neighbour, neighbour.size, limit, local, flat)
+            _posterior(s, n, neighbour[:touching], weight, seen, d, own, sensor)
+            _pick(s, n, upto - done, at + done, phase + done - reached, share, out)
+            for t in range(done, upto):
+                out[2, at + t], out[3, at + t] = velocity(t, j, amplitude, k0, k1)
+            done = upto
+        reached += share
