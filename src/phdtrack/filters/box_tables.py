@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.kernels import box_blocks, newborn
-from phdtrack.kernels.rectangles import rectangle_grid
+from phdtrack.kernels.overlaps import rectangle_grid
 from phdtrack.models.births import KEPT, MeasurementBirth
 from phdtrack.models.box_motion import BoxMotion
 from phdtrack.models.box_sensor import BoxSensor
@@ -67,7 +67,7 @@ class Seen:
     z : (4, N).  reach : (2, N) half the extent of the region in which each one's newborn are drawn.
     table : (rows, N) float32, see `kernels.box_blocks` and `kernels.newborn`.
     speed : (N,) float32 deviation of a newborn velocity's amplitude.
-    lower, upper : (2, N) gates.  grid : their grid, see `kernels.rectangles`.
+    lower, upper : (2, N) gates.  grid : their grid, see `kernels.overlaps`.
     """
 
     z: F8

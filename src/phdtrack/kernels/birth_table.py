@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.rectangles import overlapping, rectangle_grid
+from phdtrack.kernels.overlaps import overlapping, rectangle_grid
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]

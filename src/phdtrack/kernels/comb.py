@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.box_blocks import BLOCK
-from phdtrack.kernels.rectangles import cell_of
+from phdtrack.kernels.overlaps import cell_of
 
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]

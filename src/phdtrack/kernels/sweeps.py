@@ -20,7 +20,7 @@ from phdtrack.kernels.box_blocks import (
     drift, extent, fill_normals, likelihood, move, own_precisions,
 )
 from phdtrack.kernels.newborn import draw_newborn, velocity, weigh_newborn
-from phdtrack.kernels.rectangles import overlapping
+from phdtrack.kernels.overlaps import overlapping
 
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
@@ -45,7 +45,7 @@ def sweep_old(
     state, start : the blocks, see `types.ParticleBlocks`.
     motion : see `box_blocks.move`, and beside it the rest of the position's noise for dt > 1.
     sensor : spread, floor, and the squared radius of the region that counts as explained.
-    lower, upper : gates of the detections; frame, cell_start, cell_item, corner : their grid (`rectangles`).
+    lower, upper : gates of the detections; frame, cell_start, cell_item, corner : their grid (`overlaps`).
     moved, extents, alive : outputs: states after the motion (a width below 0 marks what did not survive), extents (B, 6) and
         number of survivors of each block.
 

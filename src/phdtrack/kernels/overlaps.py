@@ -1,0 +1,103 @@
+"""Which of many rectangles a box overlaps: a grid whose cells list the rectangles that reach into them.
+
+The counterpart of `gating` (points in rectangles) for blocks of particles: one question per block instead of one per point.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+F8 = NDArray[np.float64]
+I8 = NDArray[np.int64]
+F4 = NDArray[np.float32]
+
+
+@njit(cache=True, nogil=True)
+def cell_of(value: float, origin: float, per_cell: float, count: int) -> int:
+    """Index of the cell that holds ``value``, clamped to the grid; ``per_cell`` is one over the cell's size."""
+    position = (value - origin) * per_cell
+    if not position > 0.0:  # also NaN
+        return 0
+    if position >= count - 1:
+        return count - 1
+    return int(position)
+
+
+@njit(cache=True, nogil=True)
+def rectangle_grid(lower: F8, upper: F8) -> tuple[F8, I8, I8, I8]:
+    """A grid over the rectangles ``lower``, ``upper`` (2, N), its cells about as large as they are.
+
+    Returns
+    -------
+    frame : (6,) origin x and y, cells per pixel in x and y, number of cells in x and y.
+    start, item : the rectangles of cell c (row by row) are item[start[c]] … item[start[c + 1] − 1].
+    corner : (2, N) the first cell of each rectangle in x and y.
+    """
+    n = lower.shape[1]
+    frame = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
+    corner = np.zeros((2, n), np.int64)
+    if n == 0:
+        return frame, np.zeros(2, np.int64), np.zeros(0, np.int64), corner
+    cells = 1.0
+    for axis in range(2):
+        low, high = lower[axis].min(), upper[axis].max()
+        size = max((upper[axis] - lower[axis]).sum() / n, (high - low) * 1e-3, 1e-9)
+        frame[axis], frame[2 + axis] = low, 1.0 / size
+        frame[4 + axis] = 1.0 + np.floor((high - low) / size)
+        cells *= frame[4 + axis]
+    if cells > 4 * n + 16:
+        shrink = np.sqrt((4 * n + 16) / cells)
+        for axis in range(2):
+            count = max(1.0, np.floor(frame[4 + axis] * shrink))
+            frame[2 + axis] *= count / frame[4 + axis]
+            frame[4 + axis] = count
+    nx, ny = int(frame[4]), int(frame[5])
+    last = np.empty((2, n), np.int64)
+    start = np.zeros(nx * ny + 1, np.int64)
+    for j in range(n):
+        corner[0, j], last[0, j] = _span(lower[0, j], upper[0, j], frame[0], frame[2], nx)
+        corner[1, j], last[1, j] = _span(lower[1, j], upper[1, j], frame[1], frame[3], ny)
+        for row in range(corner[1, j], last[1, j] + 1):
+            for column in range(corner[0, j], last[0, j] + 1):
+                start[row * nx + column + 1] += 1
+    for c in range(nx * ny):
+        start[c + 1] += start[c]
+    place = start[:-1].copy()
+    item = np.empty(start[nx * ny], np.int64)
+    for j in range(n):
+        for row in range(corner[1, j], last[1, j] + 1):
+            for column in range(corner[0, j], last[0, j] + 1):
+                item[place[row * nx + column]] = j
+                place[row * nx + column] += 1
+    return frame, start, item, corner
+
+
+@njit(cache=True, nogil=True)
+def _span(low: float, high: float, origin: float, per_cell: float, count: int) -> tuple[int, int]:
+    """First and last cell of an interval."""
+    return cell_of(low, origin, per_cell, count), cell_of(high, origin, per_cell, count)
+
+
+@njit(cache=True, nogil=True)
+def overlapping(
+    left: float, top: float, right: float, bottom: float,
+    lower: F8, upper: F8, frame: F8, start: I8, item: I8, corner: I8, found: I8,
+) -> int:
+    """Write into ``found`` (N,) the rectangles that the closed box overlaps, each once; returns how many."""
+    nx, ny = int(frame[4]), int(frame[5])
+    x0, x1 = _span(left, right, frame[0], frame[2], nx)
+    y0, y1 = _span(top, bottom, frame[1], frame[3], ny)
+    count = 0
+    for row in range(y0, y1 + 1):
+        for column in range(x0, x1 + 1):
+            for k in range(start[row * nx + column], start[row * nx + column + 1]):
+                j = item[k]
+                # A rectangle in several cells counts in the first that it shares with the box.
+                if column != max(x0, corner[0, j]) or row != max(y0, corner[1, j]):
+                    continue
+                if lower[0, j] <= right and upper[0, j] >= left and lower[1, j] <= bottom and upper[1, j] >= top:
+                    found[count] = j
+                    count += 1
+    return count
