@@ -1,0 +1,117 @@
+"""The shipped box model as numbers, and a whole frame of the GM-PHD filter as one call for it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from phdtrack.kernels import gm_model
+from phdtrack.kernels.gm_model import BoxNumbers
+from phdtrack.kernels.gm_reduce import triangles
+from phdtrack.kernels.gm_step import Limits, box_step
+from phdtrack.models import BoxMotion, BoxSensor, FixedBirth, LocalClutter, MeasurementBirth, NoSpawn, UniformClutter
+from phdtrack.models.births import newborn_shape, region
+from phdtrack.models.volume import REACH, SIZES, image_volume
+from phdtrack.protocols import Birth, Clutter, Model
+from phdtrack.types import F8, GaussianMixture, UpdateInfo
+
+_SCALINGS = {
+    "particle": gm_model.PARTICLE,
+    "detection": gm_model.DETECTION,
+    "fixed": gm_model.FIXED,
+    "given": gm_model.GIVEN,
+}
+_NOBODY = GaussianMixture(np.zeros(0), np.zeros((gm_model.D, 0)), np.zeros((0, gm_model.D, gm_model.D)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoxModel:
+    """The model over one interval: its ``numbers``, and the births that are given as a mixture."""
+
+    numbers: BoxNumbers
+    births: GaussianMixture
+
+
+def box_model(model: Model, dt: float) -> BoxModel | None:
+    """The model in numbers, where its parts are shipped ones that the kernel knows; None where any is another's.
+
+    Its own, not one derived from it: who overrides a method wants it called. The scaling ``previous`` has a longer state.
+    """
+    motion, sensor = model.motion, model.sensor
+    # The kinds themselves and nothing derived from them.
+    if type(motion) is not BoxMotion or type(sensor) is not BoxSensor or type(motion.births) is not NoSpawn:
+        return None
+    birth, clutter = _birth(model.birth, dt), _clutter(model.clutter)
+    if motion.remember_size or sensor.scaling not in _SCALINGS or birth is None or clutter is None:
+        return None
+    volume, stretch = newborn_shape(gm_model.M)
+    numbers = BoxNumbers(
+        dt=float(dt),
+        acceleration=float(motion.acceleration),
+        resize=float(motion.resize),
+        scaled=motion.scaled,
+        smallest=float(motion.smallest),
+        survival=float(motion.survival**dt),
+        frame_width=float(motion.frame_size[0]),
+        frame_height=float(motion.frame_size[1]),
+        scaling=_SCALINGS[sensor.scaling],
+        spread=float(sensor.spread),
+        floor=float(sensor.floor),
+        fixed_position=float(sensor.fixed[0]) ** 2,
+        fixed_size=float(sensor.fixed[1]) ** 2,
+        deviation_scaled=sensor.speed / math.sqrt(2),
+        deviation_fixed=sensor.fixed_speed / math.sqrt(2),
+        p_detect=float(sensor.detection),
+        birth=birth[0],
+        born=birth[1],
+        newborn_volume=volume,
+        newborn_stretch=stretch,
+        newborn_limit=region()[0],
+        clutter=clutter[0],
+        false=clutter[1],
+        local_volume=(2 * REACH) ** 2 * (SIZES[1] - SIZES[0]) ** 2,
+        reach=REACH,
+        size_low=SIZES[0],
+        size_high=SIZES[1],
+    )
+    return BoxModel(numbers, birth[2])
+
+
+def _birth(birth: Birth, dt: float) -> tuple[int, float, GaussianMixture] | None:
+    """What γ is spread over, its density or rate, and its Gaussians where it is a mixture."""
+    if type(birth) is FixedBirth and len(birth.mixture.mean) == gm_model.D:
+        given = birth.mixture
+        return gm_model.NOWHERE, 0.0, GaussianMixture(given.weight * dt, given.mean, given.covariance)
+    if type(birth) is not MeasurementBirth:
+        return None
+    if birth.volume == "local":
+        return gm_model.LOCAL, float(birth.rate * dt), _NOBODY
+    return gm_model.IMAGE, birth.rate / image_volume(birth.frame_size) * dt, _NOBODY
+
+
+def _clutter(clutter: Clutter) -> tuple[int, float] | None:
+    """What κ is spread over, and its density or rate."""
+    if type(clutter) is LocalClutter:
+        return gm_model.LOCAL, float(clutter.rate)
+    if type(clutter) is UniformClutter:
+        return gm_model.IMAGE, float(clutter.rate / clutter.volume)
+    return None
+
+
+def fused_step(state: GaussianMixture, z: F8, box: BoxModel, limits: Limits) -> tuple[GaussianMixture, UpdateInfo]:
+    """`GMPHD.step` for the box model [V06 (24)–(38), Table II]."""
+    born = box.births
+    weight, mean, cov, evidence, kappa, predicted, newborn, mass, vanished = box_step(
+        state.weight,
+        state.mean,
+        state.covariance,
+        z,
+        born.weight,
+        born.mean,
+        triangles(born.covariance),
+        box.numbers,
+        limits,
+    )
+    return GaussianMixture(weight, mean, cov), UpdateInfo(predicted, newborn, mass, evidence, kappa, vanished)

@@ -1,0 +1,176 @@
+"""The Gaussian-mixture PHD filter [V06, E13 §4].
+
+With a linear Gaussian motion and sensor the intensity of `particle_phd` stays a mixture D(x) = Σ w_i N(x; m_i, P_i), and the
+recursion is a Kalman filter for every Gaussian:
+
+    predict   w_i ← p_S w_i,  m_i ← f(m_i),  P_i ← F P_i Fᵀ + Q
+    update    D(x) = (1 − p_D) D⁺(x) + Σ_z Σ_i p_D w_i q_i(z) / (κ(z) + C(z)) N(x; m_i + K(z − H m_i), (I − K H) P_i)
+              q_i(z) = N(z; H m_i, S_i),  S_i = H P_i Hᵀ + R,  K = P_i Hᵀ S_i⁻¹,  C(z) = Σ_i p_D w_i q_i(z)
+
+A mixture grows with every measurement; `GMPHD.reduce` prunes, merges and caps it. What depends on the state (p_D, p_S, F, Q
+and the sensor's noise R) is taken at the means; H is a choice of rows, `Sensor.observed`.
+
+This file is the definition, for any model that keeps the protocols. A measurement touches only the Gaussians in whose gate
+it is, d² = (z − H m)ᵀ S⁻¹ (z − H m) ≤ G², found through a grid: the cost grows linearly with the number of targets. For the
+shipped box model `GMPHD.step` is the same in one kernel (`kernels.gm_step`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from phdtrack.arrays import sum_by
+from phdtrack.checks import Count, NonNegative, Positive, check
+from phdtrack.errors import InputError
+from phdtrack.filters.composed import composed_step
+from phdtrack.filters.gm_box import box_model, fused_step
+from phdtrack.kernels.gating import gated_pairs
+from phdtrack.kernels.gaussian import gaussian_parts
+from phdtrack.kernels.gm_reduce import reduced, triangles
+from phdtrack.kernels.gm_step import Limits
+from phdtrack.kernels.kalman import predicted_covariance, updated
+from phdtrack.protocols import Model, Sensor
+from phdtrack.types import F8, I8, GaussianMixture, Particles, UpdateInfo
+
+
+@dataclass(frozen=True, slots=True)
+class GMPHD:
+    """Settings of the GM-PHD filter; the defaults are E13's.
+
+    Parameters
+    ----------
+    prune : Gaussians that weigh less are dropped.
+    merge : Mahalanobis distance (not squared) up to which a Gaussian is united with a stronger one, in its own covariance.
+    most : J_max, Gaussians kept, the heaviest; 0 for all. It must be some times the number of targets.
+    redistribute : what pruning and capping drop is given to the rest, so that the expected number stays; False is as
+        Vo and Ma print it.
+    gate : G, measurements further than this many deviations of the innovation from a Gaussian do not touch it; at 5, at
+        most 5.1e-5 of a Gaussian in four dimensions is cut.
+    region : squared Mahalanobis distance within which a Gaussian's mass counts as explaining a detection, M(z); 13.28 is the
+        99 % region in four dimensions.
+    skip_empty : leave the intensity as predicted when a frame brings no detection, as D14 does.
+    initial : the intensity before the first frame.
+    """
+
+    prune: NonNegative = 1e-5
+    merge: NonNegative = 2.0
+    most: Count = 100
+    redistribute: bool = True
+    gate: Positive = 5.0
+    region: Positive = 13.28
+    skip_empty: bool = False
+    initial: GaussianMixture | None = None
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def start(self, model: Model, rng: np.random.Generator) -> GaussianMixture:
+        """The initial intensity; empty where none was given."""
+        if self.initial is not None:
+            return self.initial
+        d = model.motion.dim
+        return GaussianMixture(np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d)))
+
+    def predict(self, state: GaussianMixture, model: Model, dt: float, rng: np.random.Generator) -> GaussianMixture:
+        """Every Gaussian through f, weighed with p_S [V06 (24)–(29)].
+
+        Raises `InputError` where the motion spawns: spawned targets are drawn as particles and have no Gaussian form.
+        """
+        if len(state) == 0:
+            return state
+        if len(model.motion.spawn(Particles(state.mean, state.weight), dt, rng)):
+            raise InputError(
+                "the GM-PHD filter has no spawning", where="motion.births", cure="Use NoSpawn, or the particle filter"
+            )
+        weight = state.weight * model.motion.p_survive(state.mean, dt)
+        alive = weight > 0
+        mean, f, q = model.motion.transition(np.ascontiguousarray(state.mean[:, alive]), dt)
+        return GaussianMixture(weight[alive], mean, predicted_covariance(state.covariance[alive], f, q))
+
+    def update(
+        self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[GaussianMixture, UpdateInfo]:
+        """Add the newborn, then update every Gaussian with every measurement within its gate [V06 (32)–(38)].
+
+        The mass that explains a detection, which decides where targets are born, is that of the Gaussians within
+        ``region`` of it. Where κ(z) + C(z) = 0 the detection's term is 0 and counted in ``info.vanished``.
+        """
+        sensor = model.sensor
+        point, which, distance2, _ = self._pairs(state, z, sensor)
+        near = distance2 <= self.region
+        covered = sum_by(which[near], state.weight[point[near]], z.shape[1])
+        born = model.birth.components(z, covered, sensor, dt)
+        everything = join(state, born)
+        kappa = model.clutter.intensity(z)
+        if z.shape[1] == 0 and self.skip_empty:
+            return everything, UpdateInfo(everything.mass, born.mass, everything.mass, np.zeros(0), kappa)
+        point, which, distance2, log_norm = self._pairs(everything, z, sensor)
+        seen = everything.weight * sensor.p_detect(everything.mean)
+        share = seen[point] * np.exp(log_norm - 0.5 * distance2)
+        evidence = sum_by(which, share, z.shape[1])
+        total = kappa + evidence
+        # The reciprocal of a denormal number overflows.
+        known = total >= np.finfo(np.float64).tiny
+        explained = np.divide(1.0, total, out=np.zeros_like(total), where=known)
+        noise = sensor.covariance(z[:, which], everything.mean[:, point])
+        rows = np.array(sensor.observed)
+        mean, cov = updated(everything.mean, everything.covariance, z, noise, rows, point, which)
+        weight = np.concatenate([everything.weight - seen, share * explained[which]])
+        result = GaussianMixture(weight, np.hstack([everything.mean, mean]), np.concatenate([everything.covariance, cov]))
+        info = UpdateInfo(everything.mass, born.mass, result.mass, evidence, kappa, int(np.count_nonzero(~known)))
+        return result, info
+
+    def reduce(self, state: GaussianMixture, rng: np.random.Generator) -> GaussianMixture:
+        """Prune, merge, cap: the strongest first, with all that are near it, moment-matched [V06 Table II, E13 §4]."""
+        mass = state.mass if self.redistribute else -1.0
+        x = np.ascontiguousarray(state.mean.T)
+        return GaussianMixture(
+            *reduced(state.weight, x, triangles(state.covariance), self.prune, self.merge, self.most, mass)
+        )
+
+    def step(
+        self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[GaussianMixture, UpdateInfo]:
+        """Predict, update and reduce; in one kernel where the model is the shipped box model."""
+        box = box_model(model, dt)
+        if box is None:
+            return composed_step(self, state, z, model, dt, rng)
+        limits = Limits(self.gate, self.region, self.prune, self.merge, self.most, self.redistribute, self.skip_empty)
+        return fused_step(state, z, box, limits)
+
+    def _pairs(self, state: GaussianMixture, z: F8, sensor: Sensor) -> tuple[I8, I8, F8, F8]:
+        """Pairs (Gaussian, measurement) within the gate, their d², and log 1/√det(2πS).
+
+        The grid is asked for what lies within G deviations of position; the sensor's noise is bounded there by the larger
+        of what it is for the Gaussian's own state and for any of the measurements.
+        """
+        rows = list(sensor.observed)
+        if len(state) == 0 or z.shape[1] == 0:
+            none = np.zeros(0, np.int64)
+            return none, none, np.zeros(0), np.zeros(0)
+        _, noise = sensor.states(z)
+        position = state.mean[:2]
+        variance = state.covariance[:, (0, 1), (0, 1)].T
+        widest = np.maximum(sensor.noise(state.mean)[:2] ** 2, noise[:, (0, 1), (0, 1)].max(0)[:, None])
+        half = self.gate * np.sqrt(variance + widest)
+        z_of, point = gated_pairs(z[0], z[1], position - half, position + half)
+        innovation = state.covariance[point][:, rows][:, :, rows] + sensor.covariance(z[:, z_of], state.mean[:, point])
+        step = z[: len(rows), z_of] - state.mean[rows][:, point]
+        distance2, log_det = gaussian_parts(step, innovation)
+        inside = distance2 <= self.gate**2
+        log_norm = -0.5 * (log_det + len(rows) * math.log(2 * math.pi))
+        return point[inside], z_of[inside], distance2[inside], log_norm[inside]
+
+
+def join(a: GaussianMixture, b: GaussianMixture) -> GaussianMixture:
+    """The sum of two mixtures."""
+    if len(b) == 0:
+        return a
+    if len(a) == 0:
+        return b
+    return GaussianMixture(
+        np.concatenate([a.weight, b.weight]), np.hstack([a.mean, b.mean]), np.concatenate([a.covariance, b.covariance])
+    )

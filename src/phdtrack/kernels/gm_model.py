@@ -1,0 +1,240 @@
+"""The shipped box model in numbers, for the fused GM-PHD step: prediction, noise, and the densities of births and clutter.
+
+State (px, py, vx, vy, w, h), measurement (px, py, w, h[, their variances]). What the numbers mean, and why the formulas are
+what they are, stands at `BoxMotion`, `BoxSensor`, `MeasurementBirth` and the clutters; here they are only written out.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from phdtrack.kernels.gating import _cell, _sort_into_cells
+
+F8 = NDArray[np.float64]
+I8 = NDArray[np.int64]
+
+# Covariances are kept as their lower triangles, row by row: that is 42 % less to move.
+D, M, ENTRIES = 6, 4, 21
+ROWS = (0, 1, 4, 5)
+PARTICLE, DETECTION, FIXED, GIVEN = 0, 1, 2, 3
+NOWHERE, IMAGE, LOCAL = 0, 1, 2
+TINY_VARIANCE = 1e-12
+
+
+class Scene(NamedTuple):
+    """The measurements of a frame, sorted into the cells of a grid.
+
+    ``boxes`` (N, m), of which the k-th was measurement ``order[k]``; ``start`` (cells + 1,) where each cell's begin;
+    ``x0``, ``y0`` the grid's origin, ``width``, ``height`` of a cell, ``nx``, ``ny`` how many there are.
+    """
+
+    boxes: F8
+    order: I8
+    start: I8
+    x0: float
+    y0: float
+    width: float
+    height: float
+    nx: int
+    ny: int
+
+
+class BoxNumbers(NamedTuple):
+    """Settings of motion, sensor, birth and clutter over one interval.
+
+    ``survival`` is p_S^dt, ``frame_*`` 0 where there is no border; ``scaling`` one of the four names above; ``deviation_*``
+    those of a newborn velocity, relative to √(wh) or in pixels; ``birth`` and ``clutter`` say what γ and κ are spread over:
+    ``born`` and ``false`` are densities (``IMAGE``), or rates around each detection (``LOCAL``) of 4w²h² pixel⁴.
+    """
+
+    dt: float
+    acceleration: float
+    resize: float
+    scaled: bool
+    smallest: float
+    survival: float
+    frame_width: float
+    frame_height: float
+    scaling: int
+    spread: float
+    floor: float
+    fixed_position: float
+    fixed_size: float
+    deviation_scaled: float
+    deviation_fixed: float
+    p_detect: float
+    birth: int
+    born: float
+    newborn_volume: float
+    newborn_stretch: float
+    newborn_limit: float
+    clutter: int
+    false: float
+    local_volume: float
+    reach: float
+    size_low: float
+    size_high: float
+
+
+@njit(cache=True, inline="always")
+def entry(r: int, s: int) -> int:
+    """Where the element in row r, column s ≤ r of a covariance is kept."""
+    return r * (r + 1) // 2 + s
+
+
+@njit(cache=True)
+def predicted(weight: F8, mean: F8, cov: F8, b: BoxNumbers, w: F8, x: F8, p: F8) -> int:
+    """Predict a mixture into ``w``, ``x``, ``p`` (triangles); how many survive.
+
+    ``mean`` (d, J), ``cov`` (J, d, d); room of at least (J,), (J, d), (J, 21).
+    """
+    t = b.dt
+    position, mixed = t * t * t / 3.0 - min(t, t * t * t) / 12.0, t * t / 2.0
+    bordered = b.frame_width > 0.0 and b.frame_height > 0.0
+    k = 0
+    for i in range(weight.size):
+        if bordered:
+            half_w, half_h = 0.5 * mean[4, i], 0.5 * mean[5, i]
+            inside = -half_w < mean[0, i] < b.frame_width + half_w and -half_h < mean[1, i] < b.frame_height + half_h
+            if not inside:
+                continue
+        w[k] = weight[i] * b.survival
+        if not w[k] > 0.0:
+            continue
+        for r in range(D):
+            x[k, r] = mean[r, i]
+        for a in range(2):
+            x[k, a] = mean[a, i] + t * mean[a + 2, i]
+        out = p[k]
+        for r in range(D):
+            for s in range(r + 1):
+                out[entry(r, s)] = cov[i, r, s]
+        # F P Fᵀ, lower triangle: first the columns of the velocities onto those of the positions, then the rows.
+        for a in range(2):
+            for r in range(2, D):
+                out[entry(r, a)] += t * cov[i, r, a + 2]
+        out[entry(0, 0)] += t * (2.0 * cov[i, 2, 0] + t * cov[i, 2, 2])
+        out[entry(1, 1)] += t * (2.0 * cov[i, 3, 1] + t * cov[i, 3, 3])
+        out[entry(1, 0)] += t * (cov[i, 3, 0] + cov[i, 2, 1] + t * cov[i, 3, 2])
+        for a in range(2):
+            unit = max(mean[a + 4, i], b.smallest) if b.scaled else 1.0
+            a2, b2 = (b.acceleration * unit) ** 2, (b.resize * unit) ** 2
+            out[entry(a, a)] += a2 * position
+            out[entry(a + 2, a)] += a2 * mixed
+            out[entry(a + 2, a + 2)] += a2 * t
+            out[entry(a + 4, a + 4)] += b2 * t
+        k += 1
+    return k
+
+
+@njit(cache=True, inline="always")
+def noise(b: BoxNumbers, w: float, h: float, z: F8) -> tuple[float, float, float, float]:
+    """Variances of (px, py, w, h) of the measurement ``z`` (m,) of a box of size ``w``, ``h``."""
+    if b.scaling == FIXED:
+        return b.fixed_position, b.fixed_position, b.fixed_size, b.fixed_size
+    if b.scaling == GIVEN:
+        return z[4], z[5], z[6], z[7]
+    if b.scaling == DETECTION:
+        w, h = z[2], z[3]
+    sw, sh = max(b.spread * w, b.floor), max(b.spread * h, b.floor)
+    vw, vh = max(sw * sw, TINY_VARIANCE), max(sh * sh, TINY_VARIANCE)
+    return max(0.25 * vw, TINY_VARIANCE), max(0.25 * vh, TINY_VARIANCE), vw, vh
+
+
+@njit(cache=True)
+def sorted_boxes(z: F8) -> Scene:
+    """The measurements ``z`` (m, N), N > 0, in a grid with about one of them a cell.
+
+    Raises ValueError where a position is NaN or infinite.
+    """
+    n = z.shape[1]
+    if not np.isfinite(z[:2].sum()):
+        raise ValueError("positions must be finite")
+    x0, y0 = z[0].min(), z[1].min()
+    wide, high = z[0].max() - x0 + 1e-9, z[1].max() - y0 + 1e-9
+    nx = int(min(max(np.sqrt(n * (wide / high)), 1.0), n))
+    ny = max(1, n // nx)
+    start, order = _sort_into_cells(z[0], z[1], x0, y0, wide / nx, high / ny, nx, ny)
+    boxes = np.empty((n, z.shape[0]))
+    for k in range(n):
+        for r in range(z.shape[0]):
+            boxes[k, r] = z[r, order[k]]
+    return Scene(boxes, order, start, x0, y0, wide / nx, high / ny, nx, ny)
+
+
+@njit(cache=True, inline="always")
+def cells(x: float, y: float, half_x: float, half_y: float, scene: Scene) -> tuple[int, int, int, int]:
+    """First and last column, first and last line of the cells that a rectangle about (x, y) touches."""
+    left, right = _cell(x - half_x, scene.x0, scene.width, scene.nx), _cell(x + half_x, scene.x0, scene.width, scene.nx)
+    top, bottom = _cell(y - half_y, scene.y0, scene.height, scene.ny), _cell(y + half_y, scene.y0, scene.height, scene.ny)
+    return left, right, top, bottom
+
+
+@njit(cache=True)
+def crowding(scene: Scene, b: BoxNumbers) -> F8:
+    """(N,) Σ_i 1/V_i over the neighbourhoods in which each measurement lies: a local density per rate of one."""
+    boxes, start, nx = scene.boxes, scene.start, scene.nx
+    out = np.zeros(len(boxes))
+    for i in range(len(boxes)):
+        x, y, w, h = boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3]
+        density = 1.0 / (b.local_volume * (w * h) ** 2)
+        left, right, top, bottom = cells(x, y, b.reach * w, b.reach * h, scene)
+        for line in range(top, bottom + 1):
+            for k in range(start[line * nx + left], start[line * nx + right + 1]):
+                near = abs(boxes[k, 0] - x) <= b.reach * w and abs(boxes[k, 1] - y) <= b.reach * h
+                near = near and b.size_low * w <= boxes[k, 2] <= b.size_high * w
+                if near and b.size_low * h <= boxes[k, 3] <= b.size_high * h:
+                    out[k] += density
+    return out
+
+
+@njit(cache=True)
+def newborn(scene: Scene, b: BoxNumbers, gamma: F8, covered: F8, w: F8, x: F8, p: F8, k: int) -> int:
+    """Put Gaussians about what nothing covers behind the first ``k`` of ``w``, ``x``, ``p``; how many there are then.
+
+    ``gamma`` (N,) is the density of births at each, per interval.
+    """
+    boxes, start, nx = scene.boxes, scene.start, scene.nx
+    n, first = len(boxes), k
+    parent, deviation2 = np.empty(n, np.int64), np.empty((n, M))
+    shared = np.zeros(n)
+    for j in range(n):
+        if not (covered[j] < 1.0 and gamma[j] > 0.0):
+            continue
+        here = noise(b, boxes[j, 2], boxes[j, 3], boxes[j])
+        for a in range(M):
+            deviation2[j, a] = b.newborn_stretch * here[a]
+        half_x, half_y = np.sqrt(b.newborn_limit * deviation2[j, 0]), np.sqrt(b.newborn_limit * deviation2[j, 1])
+        left, right, top, bottom = cells(boxes[j, 0], boxes[j, 1], half_x, half_y, scene)
+        for line in range(top, bottom + 1):
+            for i in range(start[line * nx + left], start[line * nx + right + 1]):
+                distance2 = 0.0
+                for a in range(M):
+                    step = boxes[i, a] - boxes[j, a]
+                    distance2 += step * step / deviation2[j, a]
+                if distance2 <= b.newborn_limit:
+                    shared[i] += gamma[j] * np.exp(-0.5 * distance2)
+        parent[k - first] = j
+        k += 1
+    for i in range(first, k):
+        j = parent[i - first]
+        size = np.sqrt(boxes[j, 2] * boxes[j, 3])
+        speed = b.deviation_fixed if b.scaling == FIXED else b.deviation_scaled * size
+        for r in range(D):
+            x[i, r] = 0.0
+        for e in range(ENTRIES):
+            p[i, e] = 0.0
+        volume = b.newborn_volume
+        for a in range(M):
+            x[i, ROWS[a]] = boxes[j, a]
+            here2 = deviation2[j, a] / b.newborn_stretch
+            p[i, entry(ROWS[a], ROWS[a])] = deviation2[j, a] - here2
+            volume *= np.sqrt(here2)
+        for a in range(2):
+            p[i, entry(a + 2, a + 2)] = max(speed, 1e-6) ** 2
+        w[i] = gamma[j] * volume * gamma[j] / shared[j]
+    return k

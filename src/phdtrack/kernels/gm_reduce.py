@@ -1,0 +1,231 @@
+"""Fewer Gaussians for the same intensity: prune, merge, cap, in time linear in their number.
+
+Merging as printed takes the strongest remaining Gaussian j and unites with it all i of small (m_i − m_j)ᵀ P_i⁻¹ (m_i − m_j),
+then the strongest of the rest, and so on. Asked the other way round: each Gaussian, by descending weight, joins the
+strongest head that it is near, or becomes a head itself. The groups are the same, and because the distance is in its own
+covariance, the heads that can be near lie in a rectangle about its mean: a grid of heads answers at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from phdtrack.kernels.gm_order import descending
+
+F8 = NDArray[np.float64]
+I8 = NDArray[np.int64]
+
+
+@njit(cache=True)
+def triangles(cov: F8) -> F8:
+    """(J, d(d + 1)/2) the lower triangles of ``cov`` (J, d, d), row by row."""
+    n, d, _ = cov.shape
+    out = np.empty((n, d * (d + 1) // 2))
+    for i in range(n):
+        for r in range(d):
+            for s in range(r + 1):
+                out[i, r * (r + 1) // 2 + s] = cov[i, r, s]
+    return out
+
+
+# The inner functions take the dimension as an argument and are copied into their callers, which name the box model's: loops
+# of a known length are unrolled, which saves a third of the time.
+BOX = 6
+
+
+@njit(cache=True, inline="always")
+def _apart(step: F8, cov: F8, limit: float, d: int) -> bool:
+    """Whether one component alone says that stepᵀ cov⁻¹ step is above ``limit``: step_r² / cov_rr is never more than it."""
+    far = False
+    for r in range(d):
+        far |= step[r] * step[r] > limit * cov[r * (r + 1) // 2 + r]
+    return far
+
+
+@njit(cache=True, inline="always")
+def _factor(cov: F8, work: F8, inverse: F8, d: int) -> None:
+    """cov = L D Lᵀ without roots: L below the diagonal of ``work`` (d, d), (L D)ᵀ above it, and 1/D in ``inverse`` (d,).
+
+    NaN where ``cov`` is not positive definite.
+    """
+    for r in range(d):
+        pivot = cov[r * (r + 1) // 2 + r]
+        for c in range(r):
+            value = cov[r * (r + 1) // 2 + c]
+            for t in range(c):
+                value -= work[t, r] * work[c, t]
+            work[c, r] = value
+            work[r, c] = value * inverse[c]
+            pivot -= value * work[r, c]
+        inverse[r] = 1.0 / pivot if pivot > 0.0 else np.nan
+
+
+@njit(cache=True, inline="always")
+def _distance2(step: F8, work: F8, inverse: F8, d: int) -> float:
+    """stepᵀ cov⁻¹ step from the factors of `_factor`; overwrites ``step`` with L⁻¹ step."""
+    total = 0.0
+    for r in range(d):
+        for t in range(r):
+            step[r] -= work[r, t] * step[t]
+        total += step[r] * step[r] * inverse[r]
+    return total
+
+
+@njit(cache=True)
+def _cells(x: F8, cov: F8, alive: I8) -> tuple[float, float, float, float, int, int]:
+    """Origin, inverse cell size and number of cells of the heads' grid: about four deviations, at most 2 a Gaussian."""
+    n = alive.size
+    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
+    wide, high, sums = 0.0, 0.0, 0.0
+    for i in alive:
+        x0, x1 = min(x0, x[i, 0]), max(x1, x[i, 0])
+        y0, y1 = min(y0, x[i, 1]), max(y1, x[i, 1])
+        sums += x[i, 0] + x[i, 1]
+        wide += np.sqrt(cov[i, 0])
+        high += np.sqrt(cov[i, 2])
+    # A cell made of NaN would be written through.
+    if not np.isfinite(sums + wide + high):
+        raise ValueError("means and variances must be finite, and variances not negative")
+    width, height = max(4.0 * wide / n, 1e-9), max(4.0 * high / n, 1e-9)
+    columns, lines = (x1 - x0) / width + 1.0, (y1 - y0) / height + 1.0
+    most = 2.0 * n
+    if columns * lines > most:
+        shrink = np.sqrt(columns / most * lines)
+        columns, lines = max(1.0, min(columns / shrink, most)), max(1.0, min(lines / shrink, most))
+    nx, ny = int(columns), int(lines)
+    return x0, y0, nx / max(x1 - x0, 1e-9), ny / max(y1 - y0, 1e-9), nx, ny
+
+
+@njit(cache=True)
+def _cell(value: float, origin: float, scale: float, count: int) -> int:
+    """Index of the cell that holds ``value``, clamped to the grid."""
+    position = (value - origin) * scale
+    if not position > 0.0:  # also NaN
+        return 0
+    return count - 1 if position >= count else int(position)
+
+
+@njit(cache=True, inline="always")
+def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, d: int) -> tuple[I8, I8, I8]:
+    n = alive.size
+    order, group, head = alive[descending(weight[alive])], np.empty(n, np.int64), np.empty(n, np.int64)
+    limit = distance * distance
+    x0, y0, sx, sy, nx, ny = _cells(x, cov, alive)
+    first, after = np.full(nx * ny, -1), np.empty(n, np.int64)
+    work, inverse, step = np.empty((d, d)), np.empty(d), np.empty(d)
+    count = 0
+    for k in range(n):
+        i = order[k]
+        px, py = x[i, 0], x[i, 1]
+        reach_x, reach_y = distance * np.sqrt(cov[i, 0]), distance * np.sqrt(cov[i, 2])
+        best, known = n, False
+        left, right = _cell(px - reach_x, x0, sx, nx), _cell(px + reach_x, x0, sx, nx)
+        for line in range(_cell(py - reach_y, y0, sy, ny), _cell(py + reach_y, y0, sy, ny) + 1):
+            for column in range(left, right + 1):
+                g = first[line * nx + column]
+                while g >= 0:
+                    # The strongest head counts; a weaker one than found already need not be asked.
+                    if g < best and abs(x[head[g], 0] - px) <= reach_x and abs(x[head[g], 1] - py) <= reach_y:
+                        for r in range(d):
+                            step[r] = x[head[g], r] - x[i, r]
+                        if not _apart(step, cov[i], limit, d):
+                            if not known:
+                                _factor(cov[i], work, inverse, d)
+                                known = True
+                            if _distance2(step, work, inverse, d) <= limit:
+                                best = g
+                    g = after[g]
+        if best == n:
+            best = count
+            head[count] = i
+            cell = _cell(py, y0, sy, ny) * nx + _cell(px, x0, sx, nx)
+            after[count], first[cell] = first[cell], count
+            count += 1
+        group[k] = best
+    return order, group, head[:count]
+
+
+@njit(cache=True, inline="always")
+def _united(weight: F8, x: F8, cov: F8, order: I8, group: I8, head: I8, d: int) -> tuple[F8, F8, F8]:
+    count, entries = head.size, d * (d + 1) // 2
+    mass, mean, out = np.zeros(count), np.empty((d, count)), np.empty((count, d, d))
+    members, spread, step = np.zeros(count, np.int64), np.empty((count, entries)), np.empty(d)
+    for k in range(order.size):
+        i, g = order[k], group[k]
+        w = weight[i]
+        mass[g] += w
+        members[g] += 1
+        if members[g] == 1:
+            continue
+        if members[g] == 2:
+            # Sums about the head, the strongest, so that no digits are lost far from the origin.
+            for r in range(d):
+                mean[r, g] = 0.0
+            for e in range(entries):
+                spread[g, e] = weight[head[g]] * cov[head[g], e]
+        for r in range(d):
+            step[r] = x[i, r] - x[head[g], r]
+            mean[r, g] += w * step[r]
+            for s in range(r + 1):
+                e = r * (r + 1) // 2 + s
+                spread[g, e] += w * (cov[i, e] + step[r] * step[s])
+    for g in range(count):
+        i = head[g]
+        # A head without weight has members without weight: it stands for them.
+        alone = members[g] == 1 or not mass[g] > 0.0
+        share = 0.0 if alone else 1.0 / mass[g]
+        for r in range(d):
+            step[r] = 0.0 if alone else mean[r, g] * share
+            mean[r, g] = x[i, r] + step[r]
+            for s in range(r + 1):
+                e = r * (r + 1) // 2 + s
+                value = cov[i, e] if alone else spread[g, e] * share - step[r] * step[s]
+                out[g, r, s] = value
+                out[g, s, r] = value
+    return mass, mean, out
+
+
+@njit(cache=True)
+def merged(weight: F8, x: F8, cov: F8, alive: I8, distance: float) -> tuple[F8, F8, F8]:
+    """Weight (k,), mean (d, k) and covariance (k, d, d) of the groups, strongest head first, moment-matched.
+
+    Parameters
+    ----------
+    weight, x, cov : (J,), (J, d) means, (J, d(d + 1)/2) lower triangles of the covariances, row by row, of Gaussians.
+    alive : indices of those that take part.
+    distance : Mahalanobis distance (not squared) up to which two are one.
+
+    Raises
+    ------
+    ValueError : a mean or a variance is NaN or infinite, or a variance negative.
+    """
+    d = x.shape[1]
+    if alive.size == 0:
+        return np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d))
+    if d == BOX:
+        order, group, head = _groups(weight, x, cov, alive, distance, BOX)
+        mass, mean, covs = _united(weight, x, cov, order, group, head, BOX)
+    else:
+        order, group, head = _groups(weight, x, cov, alive, distance, d)
+        mass, mean, covs = _united(weight, x, cov, order, group, head, d)
+    return mass, mean, covs
+
+
+@njit(cache=True)
+def reduced(weight: F8, x: F8, cov: F8, prune: float, distance: float, most: int, mass: float) -> tuple[F8, F8, F8]:
+    """Prune, merge and cap: weight (k,), mean (d, k), covariance (k, d, d) of a mixture given as for `merged`.
+
+    Gaussians lighter than ``prune`` are left out; of what merging leaves, the ``most`` heaviest are kept (0: all). The
+    weights are scaled to the sum ``mass``; where that is negative they stay.
+    """
+    alive = np.flatnonzero(weight >= prune)
+    w, mean, covs = merged(weight, x, cov, alive, distance)
+    if 0 < most < w.size:
+        kept = descending(w)[:most]
+        w, mean, covs = w[kept], np.ascontiguousarray(mean[:, kept]), covs[kept]
+    total = w.sum()
+    if mass >= 0.0 and total > 0.0:
+        w = w * (mass / total)
+    return w, mean, covs
