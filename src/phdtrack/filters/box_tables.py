@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.kernels import box_blocks, newborn
+from phdtrack.kernels.birth_table import detection_table, neighbours
 from phdtrack.kernels.overlaps import rectangle_grid
-from phdtrack.models.births import KEPT, MeasurementBirth
+from phdtrack.models.births import MeasurementBirth, region
 from phdtrack.models.box_motion import BoxMotion
 from phdtrack.models.box_sensor import BoxSensor
 from phdtrack.models.spawning import NoSpawn
@@ -64,47 +64,40 @@ class Seen:
 
     Attributes
     ----------
-    z : (4, N).  reach : (2, N) half the extent of the region in which each one's newborn are drawn.
-    table : (rows, N) float32, see `kernels.box_blocks` and `kernels.newborn`.
+    table : (rows, N) float32, see `kernels.box_blocks` and `kernels.newborn`; the proposals' peaks are still missing.
+    numbers : (4,) float32 of the sensor: spread, floor, squared radius of the region that counts as explained, and of the one
+        in which births are drawn.
     speed : (N,) float32 deviation of a newborn velocity's amplitude.
+    reach : (2, N) half the extent of the region in which each one's newborn are drawn.
     lower, upper : (2, N) gates.  grid : their grid, see `kernels.overlaps`.
+    near_start, near, touching : the neighbours of each one's newborn, see `kernels.birth_table`.
     """
 
-    z: F8
-    reach: F8
     table: F4
+    numbers: F4
     speed: F4
+    reach: F8
     lower: F8
     upper: F8
     grid: tuple[F8, I8, I8, I8]
+    near_start: I8
+    near: I8
+    touching: I8
 
 
-def seen(model: BoxModel, z: F8, dt: float, limit: float) -> Seen:
-    """The tables for detections z (4, N); ``limit`` is the squared radius of the region of births."""
-    n = z.shape[1]
-    at_rest = np.zeros((6, n))
+def seen(model: BoxModel, z: F8, explained: float, dt: float) -> Seen:
+    """The tables for detections z (4, N); ``explained`` is the squared radius of the region that counts as explained."""
+    at_rest = np.zeros((6, z.shape[1]))
     at_rest[0:2], at_rest[4:6] = z[0:2], z[2:4]
     noise = model.sensor.noise(at_rest)
-    sigma = np.concatenate([noise[0:2], noise[4:6]])
-    table = np.zeros((newborn.COLUMNS, n), np.float32)
-    table[box_blocks.ZX : box_blocks.ZH + 1] = z
-    inverse = 1.0 / sigma
-    table[box_blocks.IX : box_blocks.IZH + 1] = inverse
-    table[newborn.BX : newborn.BH + 1] = inverse
-    table[box_blocks.GSCALE] = inverse.prod(0) / (2 * math.pi) ** 2
-    table[newborn.SX : newborn.SH + 1] = sigma
-    if model.local:
-        table[newborn.DENSITY] = model.birth.rate * dt / local_volume(z)
     lower, upper = model.sensor.gate(z)
-    speed = (math.sqrt(2) * noise[2]).astype(np.float32)
-    return Seen(z, math.sqrt(limit) * sigma[:2], table, speed, lower, upper, rectangle_grid(lower, upper))
-
-
-def proposal_peaks(seen: Seen, many: I8) -> F4:
-    """The table with J_i times the density of each detection's proposal at its centre, a Gaussian cut to its kept part."""
-    table = seen.table.copy()
-    table[newborn.PEAK] = many * (table[box_blocks.GSCALE] / np.float32(KEPT))
-    return table
+    limit, _ = region()
+    rate = model.birth.rate * dt if model.local else 0.0
+    table, speed, reach = detection_table(z, noise, rate, local_volume(z), limit)
+    # A floor of zero would let the deviation of a vanishing box vanish.
+    numbers = np.array([model.sensor.spread, max(model.sensor.floor, 1e-3), explained, limit], np.float32)
+    near = neighbours(z, reach, lower, upper, model.local)
+    return Seen(table, numbers, speed, reach, lower, upper, rectangle_grid(lower, upper), *near)
 
 
 def flat_density(birth: MeasurementBirth, dt: float) -> float:

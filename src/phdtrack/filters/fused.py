@@ -14,12 +14,12 @@ from typing import Protocol
 import numpy as np
 
 from phdtrack.filters.blocks import REACH, blocked
-from phdtrack.filters.box_tables import BoxModel, Seen, flat_density, motion_numbers, proposal_peaks, seen
+from phdtrack.filters.box_tables import BoxModel, Seen, flat_density, motion_numbers, seen
 from phdtrack.filters.threads import in_ranges
-from phdtrack.kernels.birth_table import neighbours
-from phdtrack.kernels.comb import block_masses, born_masses, by_cells, comb, cut, gains_by_detection
-from phdtrack.kernels.sweeps import EXTENTS, GROUP, sweep_born, sweep_offspring, sweep_old
-from phdtrack.models.births import region
+from phdtrack.kernels.account import account, births, share_out
+from phdtrack.kernels.newborn import standard_points
+from phdtrack.kernels.sweeps import EXTENTS, sweep_born, sweep_offspring, sweep_old
+from phdtrack.models.births import KEPT, region
 from phdtrack.protocols import Model
 from phdtrack.types import F4, F8, I8, ParticleBlocks, Particles, UpdateInfo
 
@@ -40,10 +40,17 @@ class Settings(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Draws:
+    """A frame's random numbers: the key (2,) of the generator of all particles, and where the comb starts."""
+
+    key: I8
+    offset: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Old:
     """What the first sweep leaves of the particles that were there: states moved, and sums by block and detection."""
 
-    blocks: ParticleBlocks
     moved: F4
     extents: F4
     alive: F8
@@ -55,18 +62,15 @@ class _Old:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Born:
-    """The newborn of each detection: how many, their neighbours, and sums by group and detection."""
+    """The newborn of each detection: how many, sums by group and detection, and the points that they are placed from."""
 
-    table: F4
     many: I8
     group_start: I8
-    near_start: I8
-    near: I8
-    touching: I8
     gain_start: I8
     base: F4
     gains: F4
-    flat: float
+    points: F4
+    flat: np.float32
 
 
 def fused_step(
@@ -74,73 +78,49 @@ def fused_step(
 ) -> tuple[ParticleBlocks, UpdateInfo]:
     """Predict, update and resample [M07 (5), (6); M09 (6)]."""
     blocks = blocked(state, settings.per_target, rng)
-    key = rng.integers(0, 2**32, 2)
-    offset = rng.random()
-    limit, radii = region()
-    frame = seen(parts, z, dt, limit)
-    old = _sweep_old(settings, parts, blocks, frame, dt, key)
-    n = z.shape[1]
-    near = np.bincount(old.which, old.sums[1], n) * old.unit
-    born = _sweep_born(settings, parts, frame, near, dt, key)
+    draws = Draws(rng.integers(0, 2**32, 2), rng.random())
+    frame = seen(parts, z, settings.region, dt)
+    old = _sweep_old(settings, parts, blocks, frame, dt, draws)
+    born = _sweep_born(settings, parts, old, frame, dt, draws)
     kappa = model.clutter.intensity(z)
-    p_detect = parts.sensor.detection
-    if n == 0 and settings.skip_empty:
-        p_detect = 0.0
-    evidence = p_detect * (np.bincount(old.which, old.sums[0], n) * old.unit + _evidence_of_born(born))
-    total = kappa + evidence
-    # A likelihood far out in its tail is a denormal number, whose reciprocal overflows.
-    known = total >= np.finfo(np.float64).tiny
-    weight = np.divide(p_detect, total, out=np.zeros(n), where=known)
-    mass_old = block_masses(old.first, old.which, old.sums, old.alive, old.unit, weight, 1.0 - p_detect)
-    mass_born, group_mass = born_masses(
-        born.group_start, born.near_start, born.near, born.touching, born.gain_start, born.base, born.gains, weight, 1.0 - p_detect
-    )
-    mass = np.concatenate([mass_old, mass_born])
-    count = round(settings.per_target * float(mass.sum()))
+    p_detect = 0.0 if settings.skip_empty and z.shape[1] == 0 else parts.sensor.detection
+    evidence, weight, mass, group_mass, vanished = account(
+        old.first, old.which, old.sums, old.alive, old.unit, born.group_start, frame.near_start, frame.near, frame.touching,
+        born.gain_start, born.base, born.gains, kappa, p_detect,
+    )  # fmt: skip
+    before, newborn, after = old.unit * float(old.alive.sum()), float(born.base.sum(dtype=np.float64)), float(mass.sum())
+    info = UpdateInfo(before + newborn, newborn, after, evidence, kappa, vanished)
+    count = round(settings.per_target * after)
     if settings.most:
         count = min(count, settings.most)
-    born_total = float(born.base.sum(dtype=np.float64))
-    info = UpdateInfo(
-        old.unit * float(old.alive.sum()) + born_total, born_total, float(mass.sum()), evidence, kappa, int(n - np.count_nonzero(known))
-    )
     if count == 0:
         return ParticleBlocks.empty(6), info
-    extents = np.concatenate([old.extents, _born_extents(frame)])
-    order = by_cells(extents)
-    teeth, place, phase, width = comb(mass, order, count, offset)
-    start, divided = cut(extents, order, teeth, REACH)
+    order, teeth, place, phase, width, start, divided = share_out(
+        mass, old.extents, z, frame.reach, count, draws.offset, REACH
+    )
     out = np.empty((6, count), np.float32)
-    factor = weight.astype(np.float32)
-    missed = np.array([1.0 - p_detect], np.float32)
+    factor, missed = weight.astype(np.float32), np.float32(1.0 - p_detect)
 
     def offspring(lo: int, hi: int) -> None:
         sweep_offspring(
-            lo, hi, order, teeth, place, phase, width, divided,
-            old.moved, blocks.start, old.first, old.which, factor, missed,
-            born.table, parts.own, _sensor_numbers(settings, parts), key,
-            born.many, born.group_start, radii, np.float32(limit), parts.local, np.float32(born.flat),
-            born.near_start, born.near, born.touching, group_mass, frame.speed, out,
+            lo, hi, order, teeth, place, phase, width, divided, old.moved, blocks.start, old.first, old.which, factor, missed,
+            frame.table, parts.own, frame.numbers, draws.key, born.many, born.group_start, born.points, parts.birth.most,
+            parts.local, born.flat, frame.near_start, frame.near, frame.touching, group_mass, frame.speed, out,
         )  # fmt: skip
 
     in_ranges(offspring, len(order), settings.threads)
-    return ParticleBlocks(out, start, float(mass.sum()) / count), info
+    return ParticleBlocks(out, start, after / count), info
 
 
-def _sensor_numbers(settings: Settings, parts: BoxModel) -> F4:
-    """What the kernels read of the sensor: spread, floor, and the squared radius of the region that counts as explained."""
-    # A floor of zero would let the deviation of a vanishing box vanish.
-    return np.array([parts.sensor.spread, max(parts.sensor.floor, 1e-3), settings.region], np.float32)
-
-
-def _sweep_old(settings: Settings, parts: BoxModel, blocks: ParticleBlocks, frame: Seen, dt: float, key: I8) -> _Old:
+def _sweep_old(settings: Settings, parts: BoxModel, blocks: ParticleBlocks, frame: Seen, dt: float, draws: Draws) -> _Old:
     """Move the particles and sum what the detections near them say."""
     count = len(blocks.start) - 1
     moved, extents, alive = np.empty_like(blocks.state), np.empty((count, EXTENTS), np.float32), np.empty(count)
-    motion, sensor = motion_numbers(parts.motion, dt), _sensor_numbers(settings, parts)
+    motion = motion_numbers(parts.motion, dt)
 
     def sweep(lo: int, hi: int) -> tuple[I8, I8, F4]:
         out: tuple[I8, I8, F4] = sweep_old(
-            lo, hi, blocks.state, blocks.start, motion, key, frame.table, parts.own, sensor,
+            lo, hi, blocks.state, blocks.start, motion, draws.key, frame.table, parts.own, frame.numbers,
             frame.lower, frame.upper, *frame.grid, moved, extents, alive,
         )  # fmt: skip
         return out
@@ -152,46 +132,23 @@ def _sweep_old(settings: Settings, parts: BoxModel, blocks: ParticleBlocks, fram
         first = np.concatenate([[0], *(part[0][1:] + end for part, end in zip(found, ends[:-1], strict=True))])
         which = np.concatenate([part[1] for part in found])
         sums = np.concatenate([part[2] for part in found], axis=1)
-    unit = blocks.unit * parts.motion.survival**dt
-    return _Old(blocks, moved, extents, alive, first, which, sums, unit)
+    return _Old(moved, extents, alive, first, which, sums, blocks.unit * parts.motion.survival**dt)
 
 
-def _sweep_born(settings: Settings, parts: BoxModel, frame: Seen, covered: F8, dt: float, key: I8) -> _Born:
+def _sweep_born(settings: Settings, parts: BoxModel, old: _Old, frame: Seen, dt: float, draws: Draws) -> _Born:
     """Draw J_j = ⌈Jmax·max(0, 1 − M_j)⌉ newborn around each detection and sum what the detections near them say [M07 §2]."""
-    limit, radii = region()
-    many = np.ceil(parts.birth.most * np.clip(1.0 - covered, 0.0, 1.0)).astype(np.int64)
-    flat = flat_density(parts.birth, dt)
-    table = proposal_peaks(frame, many)
-    near_start, near, touching = neighbours(frame.z, frame.reach, frame.lower, frame.upper, parts.local)
-    groups = (many + GROUP - 1) // GROUP
-    group_start, gain_start = _starts(groups), _starts(groups * touching)
+    most = parts.birth.most
+    # Twice as many points as one detection needs, so that detections have different ones.
+    points = standard_points(2 * most, region()[1], draws.key)
+    many, group_start, gain_start = births(old.which, old.sums, old.unit, most, KEPT, frame.touching, frame.table)
+    flat = np.float32(flat_density(parts.birth, dt))
     base, gains = np.empty(group_start[-1], np.float32), np.empty(gain_start[-1], np.float32)
-    sensor = _sensor_numbers(settings, parts)
 
     def sweep(lo: int, hi: int) -> None:
         sweep_born(
-            lo, hi, many, group_start, radii, key, table, parts.own, sensor,
-            np.float32(limit), parts.local, np.float32(flat), near_start, near, touching, gain_start, base, gains,
+            lo, hi, many, group_start, points, most, draws.key, frame.table, parts.own, frame.numbers, parts.local, flat,
+            frame.near_start, frame.near, frame.touching, gain_start, base, gains,
         )  # fmt: skip
 
     in_ranges(sweep, len(many), settings.threads)
-    return _Born(table, many, group_start, near_start, near, touching, gain_start, base, gains, flat)
-
-
-def _starts(counts: I8) -> I8:
-    """Where stretches of these lengths begin, and the end of the last."""
-    out = np.zeros(len(counts) + 1, np.int64)
-    np.cumsum(counts, out=out[1:])
-    return out
-
-
-def _evidence_of_born(born: _Born) -> F8:
-    """(N,) Σ weight·g over the newborn, for each detection."""
-    out: F8 = gains_by_detection(born.group_start, born.near_start, born.near, born.touching, born.gain_start, born.gains)
-    return out
-
-
-def _born_extents(frame: Seen) -> F4:
-    """(N, 6) where the newborn of each detection lie, as the blocks' extents."""
-    z, reach = frame.z, frame.reach
-    return np.concatenate([z[:2] - reach, z[:2] + reach, z[2:4]]).T.astype(np.float32)
+    return _Born(many, group_start, gain_start, base, gains, points, flat)

@@ -1,4 +1,4 @@
-"""Who the neighbours of a detection's newborn are: whose proposals, densities and gates reach where they are drawn."""
+"""The table of a frame's detections, and who the neighbours of each one's newborn are."""
 
 from __future__ import annotations
 
@@ -6,10 +6,48 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.box_blocks import GSCALE, IX, ZX
+from phdtrack.kernels.newborn import BX, COLUMNS, DENSITY, SX
 from phdtrack.kernels.overlaps import overlapping, rectangle_grid
 
+F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
+# The state's rows that a measurement shows.
+OBSERVED = (0, 1, 4, 5)
+
+
+@njit(cache=True, nogil=True)
+def detection_table(z: F8, noise: F8, rate: float, volume: F8, limit: float) -> tuple[F4, F4, F8]:
+    """The detections' rows that `box_blocks` and `newborn` read, the proposals' peaks left out.
+
+    Parameters
+    ----------
+    z : (4, N).  noise : (6, N) deviations of the states that would give them.
+    rate, volume : γ's births per frame around each detection, and the volumes (N,) that they are spread over.
+    limit : squared radius of the region in which newborn are drawn.
+
+    Returns
+    -------
+    table : (rows, N).  speed : (N,) deviation of a new velocity's amplitude, √2 that of a component.
+    reach : (2, N) half the extent in which newborn are drawn.
+    """
+    n = z.shape[1]
+    table, speed, reach = np.zeros((COLUMNS, n), np.float32), np.empty(n, np.float32), np.empty((2, n))
+    for j in range(n):
+        product = (2.0 * np.pi) ** 2
+        for k in range(4):
+            sigma = noise[OBSERVED[k], j]
+            product *= sigma
+            table[ZX + k, j] = z[k, j]
+            table[IX + k, j] = table[BX + k, j] = 1.0 / sigma
+            table[SX + k, j] = sigma
+        table[GSCALE, j] = 1.0 / product
+        table[DENSITY, j] = rate / volume[j]
+        speed[j] = np.sqrt(2.0) * noise[2, j]
+        for axis in range(2):
+            reach[axis, j] = np.sqrt(limit) * noise[axis, j]
+    return table, speed, reach
 
 
 @njit(cache=True, nogil=True)

@@ -29,17 +29,39 @@ MINUS_TWO, MINUS_HALF, ZERO = F(-2.0), F(-0.5), F(0.0)
 NORM = F(4.0 / (2.0 * np.pi) ** 2)
 
 
+@njit
+def load(s: F4, n: int, state: F4, at: int) -> None:
+    """Copy the columns ``at`` … at + n − 1 of ``state`` (6, L) into the block."""
+    for row in range(6):
+        source, target = state[row, at : at + n], s[row * BLOCK : row * BLOCK + n]
+        for i in range(n):
+            target[i] = source[i]
+
+
+@njit
+def store(s: F4, n: int, state: F4, at: int) -> None:
+    """Copy the block into the columns ``at`` … at + n − 1 of ``state`` (6, L)."""
+    for row in range(6):
+        source, target = s[row * BLOCK : row * BLOCK + n], state[row, at : at + n]
+        for i in range(n):
+            target[i] = source[i]
+
+
 @njit(fastmath=FAST, error_model="numpy")
 def fill_normals(s: F4, n: int, c1: np.uint32, c2: np.uint32, k0: np.uint32, k1: np.uint32) -> None:
     """Standard normals into the rows N0 … N3, four for each counter (i, c1, c2, 0) [Box and Muller 1958]."""
     for i in range(n):
         a, b, c, d = philox(np.uint32(i), c1, c2, np.uint32(0), k0, k1, ROUNDS)
         s[N0 + i], s[N1 + i], s[N2 + i], s[N3 + i] = unit(a), unit(b), unit(c), unit(d)
-    for row in range(N0, N3 + 1, 2 * BLOCK):
-        for i in range(row, row + n):
-            radius = np.sqrt(MINUS_TWO * log32(s[i]))
-            cosine, sine = cos_sin_turn(s[i + BLOCK])
-            s[i], s[i + BLOCK] = radius * cosine, radius * sine
+    # Two loops and not one over the rows: a row's place must be a constant for the compiler to vectorise.
+    for i in range(n):
+        radius = np.sqrt(MINUS_TWO * log32(s[N0 + i]))
+        cosine, sine = cos_sin_turn(s[N1 + i])
+        s[N0 + i], s[N1 + i] = radius * cosine, radius * sine
+    for i in range(n):
+        radius = np.sqrt(MINUS_TWO * log32(s[N2 + i]))
+        cosine, sine = cos_sin_turn(s[N3 + i])
+        s[N2 + i], s[N3 + i] = radius * cosine, radius * sine
 
 
 @njit(fastmath=FAST, error_model="numpy")
@@ -57,15 +79,17 @@ def move(s: F4, n: int, motion: F4) -> None:
             inside_x = (s[X + i] > -HALF * s[W + i]) & (s[X + i] < width + HALF * s[W + i])
             inside_y = (s[Y + i] > -HALF * s[H + i]) & (s[Y + i] < height + HALF * s[H + i])
             s[ALIVE + i] = ONE if inside_x & inside_y else ZERO
-    for axis in range(0, 2 * BLOCK, BLOCK):
-        for i in range(axis, axis + n):
-            size = s[W + i]
-            noise = ONE + scaled * (max(size, smallest) - ONE)
-            push = kick * noise * s[N0 + i]
-            s[X + i] += dt * (s[VX + i] + HALF * push)
-            s[VX + i] += push
-            s[W + i] = smallest + abs(size + resize * noise * s[N2 + i] - smallest)
-            s[IW + i] = noise
+    for i in range(n):
+        w, h = s[W + i], s[H + i]
+        unit_x, unit_y = ONE + scaled * (max(w, smallest) - ONE), ONE + scaled * (max(h, smallest) - ONE)
+        push_x, push_y = kick * unit_x * s[N0 + i], kick * unit_y * s[N1 + i]
+        vx, vy = s[VX + i], s[VY + i]
+        s[X + i] += dt * (vx + HALF * push_x)
+        s[Y + i] += dt * (vy + HALF * push_y)
+        s[VX + i], s[VY + i] = vx + push_x, vy + push_y
+        s[W + i] = smallest + abs(w + resize * unit_x * s[N2 + i] - smallest)
+        s[H + i] = smallest + abs(h + resize * unit_y * s[N3 + i] - smallest)
+        s[IW + i], s[IH + i] = unit_x, unit_y
 
 
 @njit(fastmath=FAST, error_model="numpy")
@@ -74,25 +98,30 @@ def drift(s: F4, n: int, rest: np.float32) -> None:
 
     Uses the normals in N0 and N1, drawn anew, and the unit of the noises that `move` left in IW and IH.
     """
-    for axis in range(0, 2 * BLOCK, BLOCK):
-        for i in range(axis, axis + n):
-            s[X + i] += rest * s[IW + i] * s[N0 + i]
+    for i in range(n):
+        s[X + i] += rest * s[IW + i] * s[N0 + i]
+        s[Y + i] += rest * s[IH + i] * s[N1 + i]
 
 
-@njit(fastmath=FAST, error_model="numpy")
-def extent(s: F4, n: int, out: F4) -> None:
-    """Into ``out`` (6,): left, top, right, bottom of the block's positions, and its mean width and height."""
+# Minima vectorise only where the compiler may assume that nothing is NaN; positions that are would be found by the grid.
+@njit(fastmath=FAST | {"nnan"})
+def extent(s: F4, n: int, out: F4) -> np.float32:
+    """Into ``out`` (6,): left, top, right, bottom of the block's positions, its mean width and height; gives Σ ALIVE."""
     left, top, right, bottom = s[X], s[Y], s[X], s[Y]
-    width, height = ZERO, ZERO
+    width, height, alive = ZERO, ZERO, ZERO
     for i in range(n):
-        left, right = min(left, s[X + i]), max(right, s[X + i])
-    for i in range(n):
-        top, bottom = min(top, s[Y + i]), max(bottom, s[Y + i])
+        x, y = s[X + i], s[Y + i]
+        left = x if x < left else left
+        right = x if x > right else right
+        top = y if y < top else top
+        bottom = y if y > bottom else bottom
     for i in range(n):
         width += s[W + i]
         height += s[H + i]
+        alive += s[ALIVE + i]
     out[0], out[1], out[2], out[3] = left, top, right, bottom
     out[4], out[5] = width / F(n), height / F(n)
+    return alive
 
 
 @njit(fastmath=FAST, error_model="numpy")
@@ -117,10 +146,11 @@ def likelihood_own(s: F4, n: int, d: F4, j: int, region: np.float32) -> tuple[np
         dx, dy = (zx - s[X + i]) * s[IW + i], (zy - s[Y + i]) * s[IH + i]
         dw, dh = (zw - s[W + i]) * s[IW + i], (zh - s[H + i]) * s[IH + i]
         distance2 = FOUR * (dx * dx + dy * dy) + (dw * dw + dh * dh)
-        g = exp32(MINUS_HALF * distance2) * s[SCALE + i] * s[ALIVE + i]
+        alive = s[ALIVE + i]
+        g = exp32(MINUS_HALF * distance2) * s[SCALE + i] * alive
         s[G + i] = g
         total += g
-        near += s[ALIVE + i] if distance2 <= region else ZERO
+        near += alive if distance2 <= region else ZERO
     return total, near
 
 
@@ -134,10 +164,11 @@ def likelihood_given(s: F4, n: int, d: F4, j: int, region: np.float32) -> tuple[
         dx, dy = (zx - s[X + i]) * ix, (zy - s[Y + i]) * iy
         dw, dh = (zw - s[W + i]) * iw, (zh - s[H + i]) * ih
         distance2 = (dx * dx + dy * dy) + (dw * dw + dh * dh)
-        g = exp32(MINUS_HALF * distance2) * scale * s[ALIVE + i]
+        alive = s[ALIVE + i]
+        g = exp32(MINUS_HALF * distance2) * scale * alive
         s[G + i] = g
         total += g
-        near += s[ALIVE + i] if distance2 <= region else ZERO
+        near += alive if distance2 <= region else ZERO
     return total, near
 
 

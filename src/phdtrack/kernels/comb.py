@@ -20,52 +20,6 @@ FIXED = 2.0**32
 
 
 @njit(cache=True, nogil=True)
-def block_masses(first: I8, which: I8, sums: F4, alive: F8, unit: float, weight: F8, seen: float) -> F8:
-    """(B,) mass of each block after the update: Σ [1 − p_D + Σ_z p_D g/(κ + C)] w, linear in the sums of the first sweep."""
-    out = np.empty(alive.size)
-    for b in range(alive.size):
-        total = seen * alive[b]
-        for e in range(first[b], first[b + 1]):
-            total += weight[which[e]] * sums[0, e]
-        out[b] = unit * total
-    return out
-
-
-@njit(cache=True, nogil=True)
-def born_masses(
-    group_start: I8, near_start: I8, near: I8, touching: I8, gain_start: I8, base: F4, gains: F4, weight: F8, seen: float
-) -> tuple[F8, F4]:
-    """Mass after the update of each detection's newborn (N,), and of each group of them."""
-    n = touching.size
-    out = np.zeros(n)
-    groups = np.empty(base.size, np.float32)
-    for j in range(n):
-        many = group_start[j + 1] - group_start[j]
-        for g in range(many):
-            total = seen * base[group_start[j] + g]
-            for m in range(touching[j]):
-                total += weight[near[near_start[j] + m]] * gains[gain_start[j] + m * many + g]
-            groups[group_start[j] + g] = total
-            out[j] += groups[group_start[j] + g]
-    return out, groups
-
-
-@njit(cache=True, nogil=True)
-def gains_by_detection(group_start: I8, near_start: I8, near: I8, touching: I8, gain_start: I8, gains: F4) -> F8:
-    """(N,) Σ weight·g of all newborn, for each detection."""
-    n = touching.size
-    out = np.zeros(n)
-    for j in range(n):
-        many = group_start[j + 1] - group_start[j]
-        for m in range(touching[j]):
-            total = 0.0
-            for g in range(many):
-                total += gains[gain_start[j] + m * many + g]
-            out[near[near_start[j] + m]] += total
-    return out
-
-
-@njit(cache=True, nogil=True)
 def by_cells(extents: F4) -> I8:
     """(S,) the sources in the order of the cells that their centres lie in; cells are as large as boxes are on average."""
     n = extents.shape[0]

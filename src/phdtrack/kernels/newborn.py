@@ -1,8 +1,10 @@
-"""Newborn boxes around one detection: drawn from counters, so that they can be drawn again instead of being stored.
+"""Newborn boxes around the detections, placed from one table of standard points a frame instead of being stored.
 
 Positions and sizes come from the observation noise inside its 99 % region, their radii stratified. A point of the unit
 sphere in four dimensions is two angles and a share: of two independent complex normals, the share of the first in the
-squared radius is uniform.
+squared radius is uniform. Every detection takes its own stretch of the frame's table: each one's newborn follow the proposal
+exactly; those of two detections in one frame are not independent of each other, which changes no expectation, and the
+table is drawn anew for every frame.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.box_blocks import ALIVE, BLOCK, G, H, IH, IW, IX, IY, IZH, IZW, W, X, Y, ZERO, ZH, ZW, ZX, ZY
+from phdtrack.kernels.box_blocks import ALIVE, H, IH, IW, W, X, Y, ZERO, ZH, ZW, ZX, ZY
 from phdtrack.kernels.fast32 import FAST, HALF, ONE, cos_sin_turn, exp32, log32
 from phdtrack.kernels.philox import ROUNDS, philox, unit
 
@@ -22,37 +24,73 @@ F = np.float32
 # densities there of the proposal (J_i at its peak) and of γ.
 SX, SY, SW, SH, BX, BY, BW, BH, PEAK, DENSITY = range(9, 19)
 COLUMNS = 19
+# Newborn particles are summed and looked at again in groups of one vector register.
+GROUP = 16
 LOWEST_SIZE, HIGHEST_SIZE = F(0.5), F(1.5)
 STAGE_POINT, STAGE_VELOCITY = np.uint32(2), np.uint32(3)
+ALL = np.uint32(0xFFFFFFFF)
+GOLDEN = 0.6180339887498949
+
+
+@njit(fastmath=FAST, error_model="numpy", cache=True, nogil=True)
+def standard_points(count: int, radius: F4, key: I8) -> F4:
+    """(5, count) points of a standard Gaussian in four dimensions inside its kept part, and exp(−r²/2) of each.
+
+    ``radius`` are the radii at equal steps of the quantile. The quantiles are a golden-section sequence with a random start
+    (so that every stretch of the points has about every radius) and a jitter that makes each one's law exact.
+    """
+    k0, k1 = np.uint32(key[0]), np.uint32(key[1])
+    out = np.empty((5, count), np.float32)
+    x, y, w, h, density = out[0], out[1], out[2], out[3], out[4]
+    cells = F(radius.size - 1)
+    a, _, _, _ = philox(ALL, ALL, STAGE_POINT, np.uint32(0), k0, k1, ROUNDS)
+    start = np.float64(unit(a))
+    for i in range(count):
+        turn = start + GOLDEN * i
+        density[i] = F(turn - np.floor(turn))
+    for i in range(count):
+        _, b, c, e = philox(np.uint32(i), np.uint32(0), STAGE_POINT, np.uint32(0), k0, k1, ROUNDS)
+        x[i], y[i], w[i] = unit(b), unit(c), unit(e)
+    for i in range(count):
+        place = density[i] * cells
+        below = min(int(place), radius.size - 2)
+        low = radius[below]
+        length = low + (radius[below + 1] - low) * (place - F(below))
+        cosine, sine = cos_sin_turn(y[i])
+        first, second = length * np.sqrt(x[i]), length * np.sqrt(ONE - x[i])
+        x[i], y[i] = first * cosine, first * sine
+        cosine, sine = cos_sin_turn(w[i])
+        w[i], h[i] = second * cosine, second * sine
+        density[i] = exp32(-HALF * length * length)
+    return out
+
+
+@njit
+def stretch(j: int, room: int, k0: np.uint32, k1: np.uint32) -> int:
+    """Where in the standard points those of detection j begin, 0 ≤ … ≤ ``room``."""
+    a, _, _, _ = philox(np.uint32(j), ALL, STAGE_POINT, np.uint32(0), k0, k1, ROUNDS)
+    return np.int64(a) % (room + 1)
 
 
 @njit(fastmath=FAST, error_model="numpy")
-def draw_newborn(s: F4, n: int, first: int, many: int, d: F4, j: int, radius: F4, k0: np.uint32, k1: np.uint32) -> None:
-    """Particles ``first`` … first + n − 1 of the ``many`` around detection j, into X, Y, W, H [M07 §2].
-
-    ``radius`` are the radii at equal steps of the quantile.
-    """
-    cells = F(radius.size - 1)
-    share = ONE / F(many)
+def place_newborn(s: F4, row: int, n: int, points: F4, first: int, d: F4, j: int) -> None:
+    """The points ``first`` … first + n − 1 around detection j, into X, Y, W, H from column ``row``; their proposal's density in IW."""
+    x, y, w, h = s[X + row : X + row + n], s[Y + row : Y + row + n], s[W + row : W + row + n], s[H + row : H + row + n]
+    own = s[IW + row : IW + row + n]
+    a, b, c, e = points[0, first : first + n], points[1, first : first + n], points[2, first : first + n], points[3, first : first + n]
+    density = points[4, first : first + n]
+    zx, zy, zw, zh = d[ZX, j], d[ZY, j], d[ZW, j], d[ZH, j]
+    sx, sy, sw, sh, peak = d[SX, j], d[SY, j], d[SW, j], d[SH, j], d[PEAK, j]
     for i in range(n):
-        a, b, c, e = philox(np.uint32(first + i), np.uint32(j), STAGE_POINT, np.uint32(0), k0, k1, ROUNDS)
-        s[IW + i], s[IH + i], s[G + i] = unit(b), unit(c), unit(e)
-        s[ALIVE + i] = min((F(first + i) + unit(a)) * share, ONE) * cells
+        x[i] = zx + sx * a[i]
     for i in range(n):
-        place = s[ALIVE + i]
-        below = min(np.int32(place), np.int32(radius.size - 2))
-        low = radius[below]
-        s[ALIVE + i] = low + (radius[below + 1] - low) * (place - F(below))
+        y[i] = zy + sy * b[i]
     for i in range(n):
-        length = s[ALIVE + i] * np.sqrt(s[G + i])
-        cosine, sine = cos_sin_turn(s[IW + i])
-        s[X + i] = d[ZX, j] + d[SX, j] * length * cosine
-        s[Y + i] = d[ZY, j] + d[SY, j] * length * sine
+        w[i] = zw + sw * c[i]
     for i in range(n):
-        length = s[ALIVE + i] * np.sqrt(ONE - s[G + i])
-        cosine, sine = cos_sin_turn(s[IH + i])
-        s[W + i] = d[ZW, j] + d[SW, j] * length * cosine
-        s[H + i] = d[ZH, j] + d[SH, j] * length * sine
+        h[i] = zh + sh * e[i]
+    for i in range(n):
+        own[i] = peak * density[i]
 
 
 @njit(fastmath=FAST, error_model="numpy")
@@ -61,23 +99,21 @@ def weigh_newborn(
 ) -> None:
     """Importance weights γ(x) / Σ_i J_i p_i(x) into ALIVE, with the proposals and the γ of all neighbours [M07 §2].
 
-    ``flat``: γ where it is the same everywhere; with ``local`` it is the sum of the neighbourhoods that hold x.
+    ``flat``: γ where it is the same everywhere; with ``local`` it is the sum of the neighbourhoods that hold x. IW holds the
+    particles' own proposal already.
     """
     for i in range(n):
-        s[IW + i] = ZERO
         s[IH + i] = ZERO if local else flat
     for m in range(count):
         k = neighbour[m]
         zx, zy, zw, zh = d[ZX, k], d[ZY, k], d[ZW, k], d[ZH, k]
         bx, by, bw, bh, peak = d[BX, k], d[BY, k], d[BW, k], d[BH, k], d[PEAK, k]
-        # Its own region holds every particle, whatever rounding says.
-        reach = F(1e30) if k == j else limit
-        if peak > ZERO:
+        if peak > ZERO and k != j:
             for i in range(n):
                 dx, dy, dw, dh = (s[X + i] - zx) * bx, (s[Y + i] - zy) * by, (s[W + i] - zw) * bw, (s[H + i] - zh) * bh
                 distance2 = (dx * dx + dy * dy) + (dw * dw + dh * dh)
                 p = peak * exp32(-HALF * distance2)
-                s[IW + i] += p if distance2 <= reach else ZERO
+                s[IW + i] += p if distance2 <= limit else ZERO
         if local:
             density = d[DENSITY, k]
             least_w, most_w, least_h, most_h = LOWEST_SIZE * zw, HIGHEST_SIZE * zw, LOWEST_SIZE * zh, HIGHEST_SIZE * zh

@@ -17,18 +17,22 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.box_blocks import (
     ALIVE, BLOCK, G, H, N0, ROWS, SUM, VX, VY, W, X, Y, ZERO,
-    drift, extent, fill_normals, likelihood, move, own_precisions,
+    drift, extent, fill_normals, likelihood, load, move, own_precisions, store,
 )
-from phdtrack.kernels.newborn import draw_newborn, velocity, weigh_newborn
+from phdtrack.kernels.fast32 import FAST
+from phdtrack.kernels.newborn import GROUP, place_newborn, stretch, velocity, weigh_newborn
 from phdtrack.kernels.overlaps import overlapping
 
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
+I4 = NDArray[np.int32]
+U4 = NDArray[np.uint32]
 I8 = NDArray[np.int64]
 F = np.float32
-# Newborn particles are summed and drawn again in groups of one vector register.
-GROUP = 16
+GROUPS = BLOCK // GROUP
 EXTENTS = 6
+# Rows as unsigned numbers: a gather need not ask whether its index is negative.
+AT_X, AT_Y, AT_VX, AT_VY, AT_W, AT_H = (np.uint32(row) for row in (X, Y, VX, VY, W, H))
 STAGE_MOVE, STAGE_DRIFT = np.uint32(0), np.uint32(1)
 
 
@@ -44,7 +48,7 @@ def sweep_old(
     ----------
     state, start : the blocks, see `types.ParticleBlocks`.
     motion : see `box_blocks.move`, and beside it the rest of the position's noise for dt > 1.
-    sensor : spread, floor, and the squared radius of the region that counts as explained.
+    sensor : spread, floor, and the squared radii of the regions that count as explained and in which births are drawn.
     lower, upper : gates of the detections; frame, cell_start, cell_item, corner : their grid (`overlaps`).
     moved, extents, alive : outputs: states after the motion (a width below 0 marks what did not survive), extents (B, 6) and
         number of survivors of each block.
@@ -61,17 +65,14 @@ def sweep_old(
     used = 0
     for b in range(lo, hi):
         at, n = start[b], start[b + 1] - start[b]
-        for row in range(6):
-            s[row * BLOCK : row * BLOCK + n] = state[row, at : at + n]
+        load(s, n, state, at)
         fill_normals(s, n, np.uint32(b), STAGE_MOVE, k0, k1)
         move(s, n, motion)
         if motion[7] > ZERO:
             fill_normals(s, n, np.uint32(b), STAGE_DRIFT, k0, k1)
             drift(s, n, motion[7])
-        extent(s, n, extents[b])
-        alive[b] = s[ALIVE : ALIVE + n].sum()
-        for row in range(6):
-            moved[row, at : at + n] = s[row * BLOCK : row * BLOCK + n]
+        alive[b] = extent(s, n, extents[b])
+        store(s, n, moved, at)
         if alive[b] < n:
             for i in range(n):
                 moved[4, at + i] = s[W + i] if s[ALIVE + i] > ZERO else -s[W + i]
@@ -102,13 +103,13 @@ def _longer(which: I8, sums: F4, used: int, more: int) -> tuple[I8, F4]:
 
 @njit(cache=True, nogil=True)
 def sweep_born(
-    lo: int, hi: int, many: I8, group_start: I8, radius: F4, key: I8, detections: F4, own: bool, sensor: F4, limit: np.float32,
-    local: bool, flat: np.float32, near_start: I8, near: I8, touching: I8, gain_start: I8, base: F4, gains: F4,
+    lo: int, hi: int, many: I8, group_start: I8, points: F4, room: int, key: I8, detections: F4, own: bool, sensor: F4, local: bool, flat: np.float32, near_start: I8, near: I8, touching: I8, gain_start: I8, base: F4, gains: F4,
 ) -> None:
     """Draw and weigh the newborn of the detections lo … hi − 1 and sum their likelihoods by groups of ``GROUP``.
 
     Parameters
     ----------
+    points, room : standard points of the frame, and how far into them a detection's stretch may begin.
     many : (N,) J_j.  group_start : (N + 1,) where each detection's groups begin.
     near_start, near : the neighbours of each detection, those whose gates its newborn can lie in first: ``touching`` (N,) many.
     gain_start : (N + 1,) where each detection's sums begin; touching × groups of them.
@@ -119,11 +120,12 @@ def sweep_born(
     for j in range(lo, hi):
         neighbour = near[near_start[j] : near_start[j + 1]]
         groups = group_start[j + 1] - group_start[j]
+        at = stretch(j, room, k0, k1)
         for rank in range(0, many[j], BLOCK):
             n = min(BLOCK, many[j] - rank)
             full = (n + GROUP - 1) // GROUP
-            draw_newborn(s, n, rank, many[j], detections, j, radius, k0, k1)
-            weigh_newborn(s, n, detections, j, neighbour, neighbour.size, limit, local, flat)
+            place_newborn(s, 0, n, points, at + rank, detections, j)
+            weigh_newborn(s, n, detections, j, neighbour, neighbour.size, sensor[3], local, flat)
             s[ALIVE + n : ALIVE + full * GROUP] = ZERO
             _group_sums(s, ALIVE, full, base, group_start[j] + rank // GROUP)
             if own:
@@ -146,9 +148,9 @@ def _group_sums(s: F4, row: int, groups: int, out: F4, at: int) -> None:
 @njit(cache=True, nogil=True)
 def sweep_offspring(
     lo: int, hi: int, order: I8, many_offspring: I8, place: I8, phase: F8, width: F8, divided: I8,
-    moved: F4, start: I8, first: I8, which: I8, weight: F4, seen: F4,
+    moved: F4, start: I8, first: I8, which: I8, weight: F4, missed: np.float32,
     detections: F4, own: bool, sensor: F4, key: I8,
-    many: I8, group_start: I8, radius: F4, limit: np.float32, local: bool, flat: np.float32,
+    many: I8, group_start: I8, points: F4, room: int, local: bool, flat: np.float32,
     near_start: I8, near: I8, touching: I8, group_mass: F4, speed: F4,
     out: F4,
 ) -> None:
@@ -161,12 +163,13 @@ def sweep_offspring(
     many_offspring, place : (S,) how many offspring each source has, and their first column.
     divided : (S,) 1 or 2 where the source is to be sorted along x or y first, so that its offspring form compact blocks.
     phase, width : (S,) in steps of the comb: where a source's first tooth stands, and how wide the source is.
-    first, which : the detections near each block.  weight : (N,) p_D/(κ + C).  seen : (1,) 1 − p_D.
+    first, which : the detections near each block.  weight : (N,) p_D/(κ + C).  missed : 1 − p_D.
     group_mass : mass of each group of newborn after the update.  speed : (N,) deviation of the velocity's amplitude.
     """
     k0, k1 = np.uint32(key[0]), np.uint32(key[1])
     blocks = start.size - 1
     s = np.empty(ROWS * BLOCK, np.float32)
+    upto, chosen = np.empty(BLOCK, np.int32), np.empty(many_offspring.max() + 2, np.uint32)
     for o in range(lo, hi):
         source = order[o]
         teeth = many_offspring[source]
@@ -176,18 +179,17 @@ def sweep_offspring(
         if source >= blocks:
             j = source - blocks
             _born_offspring(
-                s, j, teeth, at, phase[source], width[source], many[j], group_mass[group_start[j] : group_start[j + 1]], radius, weight, seen, detections,
-                own, sensor, limit, local, flat, near[near_start[j] : near_start[j + 1]], touching[j], speed[j], k0, k1, out,
+                s, j, teeth, at, phase[source], width[source], many[j], group_mass[group_start[j] : group_start[j + 1]], points, room, weight, missed, detections,
+                own, sensor, local, flat, near[near_start[j] : near_start[j + 1]], touching[j], speed[j], k0, k1, out,
             )
             continue
         begin, n = start[source], start[source + 1] - start[source]
-        for row in range(6):
-            s[row * BLOCK : row * BLOCK + n] = moved[row, begin : begin + n]
+        load(s, n, moved, begin)
         _survivors(s, n)
-        _posterior(s, n, which[first[source] : first[source + 1]], weight, seen, detections, own, sensor)
+        _posterior(s, n, which[first[source] : first[source + 1]], weight, missed, detections, own, sensor)
         if divided[source]:
             _sort(s, n, X if divided[source] == 1 else Y)
-        _pick(s, n, teeth, at, phase[source], width[source], out)
+        _pick(s, n, teeth, at, phase[source], width[source], upto, chosen, out)
 
 
 @njit
@@ -199,9 +201,8 @@ def _survivors(s: F4, n: int) -> None:
 
 
 @njit
-def _posterior(s: F4, n: int, which: I8, weight: F4, seen: F4, d: F4, own: bool, sensor: F4) -> None:
+def _posterior(s: F4, n: int, which: I8, weight: F4, missed: np.float32, d: F4, own: bool, sensor: F4) -> None:
     """The particles' weights after the update into SUM: [1 − p_D + Σ_z p_D g(z|x)/(κ + C)]·ALIVE [M07 (6), M09 (6)]."""
-    missed = seen[0]
     for i in range(n):
         s[SUM + i] = missed * s[ALIVE + i]
     if own and which.size:
@@ -223,52 +224,91 @@ def _sort(s: F4, n: int, row: int) -> None:
 
 
 @njit
-def _pick(s: F4, n: int, teeth: int, at: int, phase: float, width: float, out: F4) -> None:
+def _pick(s: F4, n: int, teeth: int, at: int, phase: float, width: float, upto: I4, chosen: U4, out: F4) -> None:
     """Write the offspring of a block: the particles on whose stretch of the weights a tooth of the comb falls.
 
     In units of the comb's step the block is ``width`` wide and its teeth stand at phase, phase + 1, …
     """
-    total = 0.0
+    total = ZERO
     for i in range(n):
-        total += np.float64(s[SUM + i])
-        s[N0 + i] = F(total)
-    scale = F(width / total) if total > 0.0 else ZERO
-    shift = F(1.0 - phase)
+        total += s[SUM + i]
+        s[N0 + i] = total
+    _teeth_before(s, n, F(width) / total if total > ZERO else ZERO, F(1.0 - phase), teeth, upto)
+    # A particle is written down for two teeth whether they fall on it or not, and overwritten by the next: no branch to miss.
     done = 0
     for i in range(n):
-        upto = min(np.int64(s[N0 + i] * scale + shift), teeth)
-        for t in range(done, upto):
-            for row in range(6):
-                out[row, at + t] = s[row * BLOCK + i]
-        done = max(done, upto)
+        chosen[done], chosen[done + 1] = i, i
+        for t in range(done + 2, upto[i]):
+            chosen[t] = i
+        done = max(done, np.int64(upto[i]))
     # Rounding can leave the last tooth beyond the last sum.
     for t in range(done, teeth):
-        for row in range(6):
-            out[row, at + t] = s[row * BLOCK + n - 1]
+        chosen[t] = n - 1
+    x, y, vx, vy = out[0, at : at + teeth], out[1, at : at + teeth], out[2, at : at + teeth], out[3, at : at + teeth]
+    w, h = out[4, at : at + teeth], out[5, at : at + teeth]
+    for t in range(teeth):
+        i = chosen[t]
+        x[t], y[t], vx[t] = s[i + AT_X], s[i + AT_Y], s[i + AT_VX]
+        vy[t], w[t], h[t] = s[i + AT_VY], s[i + AT_W], s[i + AT_H]
+
+
+@njit(fastmath=FAST)
+def _teeth_before(s: F4, n: int, scale: np.float32, shift: np.float32, teeth: int, upto: I4) -> None:
+    """How many teeth stand before the end of each particle's stretch, from the running sum in N0."""
+    most = np.int32(teeth)
+    for i in range(n):
+        upto[i] = min(np.int32(s[N0 + i] * scale + shift), most)
 
 
 @njit
 def _born_offspring(
-    s: F4, j: int, teeth: int, at: int, phase: float, width: float, many: int, group_mass: F4, radius: F4, weight: F4, seen: F4,
-    d: F4, own: bool, sensor: F4, limit: np.float32, local: bool, flat: np.float32, neighbour: I8, touching: int,
+    s: F4, j: int, teeth: int, at: int, phase: float, width: float, many: int, group_mass: F4, points: F4, room: int, weight: F4, missed: np.float32,
+    d: F4, own: bool, sensor: F4, local: bool, flat: np.float32, neighbour: I8, touching: int,
     amplitude: np.float32, k0: np.uint32, k1: np.uint32, out: F4,
 ) -> None:
     """The offspring of a detection's newborn: only groups on which a tooth falls are drawn again."""
     total = 0.0
     for g in range(group_mass.size):
         total += group_mass[g]
-    reached, done = 0.0, 0
     scale = width / total
+    ends, phases, shares = np.empty(GROUPS, np.int64), np.empty(GROUPS), np.empty(GROUPS)
+    begin = stretch(j, room, k0, k1)
+    reached, done, given, held, last = 0.0, 0, 0, 0, 0
     for g in range(group_mass.size):
         share = group_mass[g] * scale
-        upto = teeth if g == group_mass.size - 1 else min(int(reached + share - phase + 1.0), teeth)
-        if upto > done:
-            n = min(GROUP, many - g * GROUP)
-            draw_newborn(s, n, g * GROUP, many, d, j, radius, k0, k1)
-            weigh_newborn(s, n, d, j, neighbour, neighbour.size, limit, local, flat)
-            _posterior(s, n, neighbour[:touching], weight, seen, d, own, sensor)
-            _pick(s, n, upto - done, at + done, phase + done - reached, share, out)
-            for t in range(done, upto):
-                out[2, at + t], out[3, at + t] = velocity(t, j, amplitude, k0, k1)
-            done = upto
+        end = teeth if g == group_mass.size - 1 else min(int(reached + share - phase + 1.0), teeth)
+        if end > given:
+            place_newborn(s, held * GROUP, min(GROUP, many - g * GROUP), points, begin + g * GROUP, d, j)
+            last = held * GROUP + min(GROUP, many - g * GROUP)
+            ends[held], phases[held], shares[held] = end, phase + given - reached, share
+            held += 1
+            given = end
         reached += share
+        if held == GROUPS or (g == group_mass.size - 1 and held > 0):
+            n = held * GROUP
+            weigh_newborn(s, n, d, j, neighbour, neighbour.size, sensor[3], local, flat)
+            # The last group may be longer than what is left of the newborn.
+            s[ALIVE + last : ALIVE + n] = ZERO
+            _posterior(s, n, neighbour[:touching], weight, missed, d, own, sensor)
+            for h in range(held):
+                _pick_in_group(s, h * GROUP, ends[h] - done, at + done, phases[h], shares[h], out)
+                done = ends[h]
+            held = 0
+    for t in range(teeth):
+        out[2, at + t], out[3, at + t] = velocity(t, j, amplitude, k0, k1)
+
+
+@njit
+def _pick_in_group(s: F4, first: int, teeth: int, at: int, phase: float, width: float, out: F4) -> None:
+    """The same for one group of newborn, from row place ``first``; few teeth."""
+    total = ZERO
+    for i in range(first, first + GROUP):
+        total += s[SUM + i]
+    scale = width / total if total > ZERO else 0.0
+    reached, i = s[SUM + first] * scale, first
+    for t in range(teeth):
+        while reached <= phase + t and i < first + GROUP - 1:
+            i += 1
+            reached += s[SUM + i] * scale
+        out[0, at + t], out[1, at + t] = s[X + i], s[Y + i]
+        out[4, at + t], out[5, at + t] = s[W + i], s[H + i]
