@@ -1,14 +1,12 @@
 """What works on this machine: versions, detectors, codecs, the cache of compiled kernels.
 
-Every check does the thing itself where that is cheap (it makes a cascade, opens an encoder, writes into the cache's
-folder) instead of trusting a version number, and says how to mend what does not work. A check that is not essential may
-fail and phdtrack still does its main job.
+Every check does the thing itself where that is cheap (it makes a cascade, opens an encoder) instead of trusting a version
+number, and says how to mend what does not work. A check that is not essential may fail and phdtrack still does its main job.
 """
 
 from __future__ import annotations
 
 import importlib
-import os
 import platform
 import tempfile
 from collections.abc import Callable
@@ -79,7 +77,7 @@ def examine() -> Examination:
         _tried(
             "cache of compiled kernels",
             _cache,
-            cure="Set NUMBA_CACHE_DIR to a folder that can be written into; until then every start compiles anew.",
+            cure="Set NUMBA_CACHE_DIR to a folder that can be written into.",
         ),
         _tried("report (plots)", _plots, cure="pip install --force-reinstall matplotlib"),
         _tried("Parquet files", _parquet, cure="pip install pyarrow"),
@@ -170,24 +168,14 @@ def _kernels() -> str:
     return f"numba {numba.__version__}, {state}"
 
 
-def cache_folder() -> Path:
-    """Where Numba keeps compiled kernels: $NUMBA_CACHE_DIR, beside the sources, or the user's own cache, in this order."""
-    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
-        return Path(chosen)
-    beside = Path(__file__).parent / "kernels" / "__pycache__"
-    if os.access(beside if beside.exists() else beside.parent, os.W_OK):
-        return beside
-    from numba.misc.appdirs import AppDirs
-
-    return Path(AppDirs(appname="numba", appauthor=False).user_cache_dir)
-
-
 def _cache() -> str:
-    folder = cache_folder()
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=folder):
-        pass
-    return str(folder)
+    from phdtrack.kernels import CACHE
+
+    if not CACHE.lasting:
+        raise RuntimeError("no folder can be written into, so every run compiles anew")
+    kept = CACHE.kept
+    state = f"warm, {kept} kernels" if kept else "cold, the first run compiles for some seconds"
+    return f"{CACHE.folder} ({state})"
 
 
 def _plots() -> str:

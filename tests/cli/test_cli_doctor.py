@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
 from cli_runner import phdtrack
 
-from phdtrack import doctor
+from phdtrack import doctor, kernels
 
 
 def test_all_is_well_here() -> None:
@@ -54,11 +53,16 @@ def test_something_essential_missing_is_status_1(monkeypatch: pytest.MonkeyPatch
     assert phdtrack("doctor", "--json").object["ok"] is False
 
 
-@pytest.mark.skipif(os.name == "nt", reason="paths of POSIX systems")
-def test_the_cache_is_where_numba_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
-    assert doctor.cache_folder() == tmp_path / "cache"
-    (tmp_path / "cache").write_text("a file, not a folder")
-    checks = {check.name: check for check in doctor.examine().checks}
-    assert not checks["cache of compiled kernels"].ok
-    assert "NUMBA_CACHE_DIR" in checks["cache of compiled kernels"].cure
+def test_it_says_where_kernels_are_kept_and_whether_any_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def said(lasting: bool = True) -> doctor.Check:
+        monkeypatch.setattr(kernels, "CACHE", kernels.Cache(tmp_path, lasting))
+        return {check.name: check for check in doctor.examine().checks}["cache of compiled kernels"]
+
+    assert said().ok
+    assert f"{tmp_path} (cold" in said().detail
+    (tmp_path / "gated_pairs-17.py311.nbi").touch()
+    assert f"{tmp_path} (warm, 1 kernel" in said().detail
+    nowhere = said(lasting=False)
+    assert not nowhere.ok
+    assert not nowhere.essential
+    assert "NUMBA_CACHE_DIR" in nowhere.cure

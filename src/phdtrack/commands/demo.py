@@ -38,6 +38,7 @@ def demo(
     import numpy as np
 
     from phdtrack.commands.configured import Choice, prepare
+    from phdtrack.commands.first_use import announced
     from phdtrack.commands.job import run
     from phdtrack.commands.scene_files import render_video
     from phdtrack.commands.scoring import score_table
@@ -57,7 +58,8 @@ def demo(
     for filter_name, place in (("particle-phd", directory), ("none", rundir.claim(out / WITHOUT, overwrite))):
         choice = Choice(filter_name, seed=seed, truth=directory.file(TRUTH))
         job = prepare(Wanted(str(directory.file(VIDEO))), choice, command_line(), video=True)
-        outcome = run(job, place)
+        with announced(result):
+            outcome = run(job, place)
         for warning in outcome.warnings:
             result.warn(warning)
         if outcome.stop is not None:

@@ -30,6 +30,10 @@ class Output:
         """A sentence about something that is not as it should be, but does not stop the job."""
         print(f"phdtrack: warning: {text}", file=sys.stderr, flush=True)
 
+    def note(self, text: str) -> None:
+        """A sentence about what is going on; on stderr, like progress."""
+        print(f"phdtrack: {text}", file=sys.stderr, flush=True)
+
     def document(self, value: dict[str, Any]) -> None:
         """The one JSON object, where it was asked for."""
         if self.json:

@@ -70,6 +70,7 @@ def track(
     run.json. A video that is cut short is tracked as far as it goes, with a warning. Ctrl-C finishes what was done so far.
     """
     from phdtrack.commands.configured import Choice, prepare
+    from phdtrack.commands.first_use import announced
     from phdtrack.commands.job import run
 
     result = Output(json)
@@ -78,7 +79,8 @@ def track(
     wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
     job = prepare(wanted, Choice(filter_name, preset, config, tuple(sets or ()), seed, truth), command_line(), video=video)
     directory = rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite)
-    outcome = run(job, directory)
+    with announced(result):
+        outcome = run(job, directory)
     tell(result, outcome, directory)
     if outcome.stop is not None:
         # What there is has been told; how it ended decides the exit status.

@@ -1,0 +1,34 @@
+"""One line while kernels are compiled, so that the first run does not look as if it hung."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from phdtrack.commands.output import Output
+from phdtrack.compiling import Compiled, watched
+from phdtrack.kernels import CACHE
+
+FIRST = "compiling kernels (first use on this machine, some seconds; they are kept for the next runs) ..."
+ALWAYS = (
+    "kernels are compiled anew in every run (some seconds): neither the installation nor the home folder can be "
+    "written into; set NUMBA_CACHE_DIR to a folder that can"
+)
+
+
+@contextmanager
+def announced(out: Output) -> Iterator[Compiled]:
+    """While this lasts, say so when the first kernel is compiled, and nothing where all come from disk.
+
+    On a terminal only, as a progress bar is; what a user can mend is said in any case.
+    """
+
+    def begun() -> None:
+        if not CACHE.lasting:
+            out.warn(ALWAYS)
+        elif sys.stderr.isatty():
+            out.note(FIRST)
+
+    with watched(begun) as compiled:
+        yield compiled

@@ -1,0 +1,94 @@
+"""Where compiled kernels are kept between runs, and that what is kept there is what the sources say.
+
+Numba looks for a folder when a kernel is defined: ``$NUMBA_CACHE_DIR``, ``__pycache__`` beside the sources, the user's own
+cache, the first of them that can be written into. Two things it leaves to us:
+
+* Where none can be written into (a read-only installation, a user without a home), it refuses to define the kernel. Then a
+  folder is made that lives as long as the process.
+* It keeps a kernel until the *file* of that kernel changes. A kernel that calls another one, of another file, would stay as
+  it was compiled after an upgrade. So the folder carries a digest of all sources, and is emptied where that is another one.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import os
+import shutil
+import tempfile
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba import njit
+
+SOURCES = Path(__file__).parent
+STAMP = "phdtrack-kernels.sha256"
+
+
+@dataclass(frozen=True, slots=True)
+class Cache:
+    """``folder``: where compiled kernels are; ``lasting``: whether the next process finds them there."""
+
+    folder: Path
+    lasting: bool
+
+    @property
+    def kept(self) -> int:
+        """How many kernels are there."""
+        return len(list(self.folder.glob("*.nbi")))
+
+
+def prepare() -> Cache:
+    """Find the folder as Numba will, make one where there is none, empty it where it is of other sources."""
+    if numba.config.DISABLE_JIT:
+        return Cache(SOURCES / "__pycache__", lasting=True)
+    try:
+        folder = _somewhere()
+    except RuntimeError:
+        return _passing()
+    _freshen(folder, digest(SOURCES))
+    return Cache(folder, lasting=True)
+
+
+def digest(sources: Path) -> str:
+    """Of the names and contents of the Python files in a folder."""
+    total = hashlib.sha256()
+    for file in sorted(sources.glob("*.py")):
+        total.update(file.name.encode() + hashlib.sha256(file.read_bytes()).digest())
+    return total.hexdigest()
+
+
+def _somewhere() -> Path:
+    """The folder that Numba takes for functions of this package; RuntimeError where it finds none."""
+    if os.path.expanduser("~") == "~" and not (numba.config.CACHE_DIR or os.access(SOURCES, os.W_OK)):
+        # Nobody knows this user: Numba would make a folder called "~" where the process happens to be.
+        raise RuntimeError("no home")
+    probe: Any = njit(cache=True)(_probe)
+    return Path(probe.stats.cache_path)
+
+
+def _probe() -> None:
+    """Defined, never compiled: it is enough to learn the folder."""
+
+
+def _passing() -> Cache:
+    """A folder for this process."""
+    folder = tempfile.mkdtemp(prefix="phdtrack-kernels-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    numba.config.CACHE_DIR = folder
+    return Cache(_somewhere(), lasting=False)
+
+
+def _freshen(folder: Path, now: str) -> None:
+    """Empty ``folder`` where its kernels are not of the sources with the digest ``now``."""
+    stamp = folder / STAMP
+    with suppress(OSError):
+        if stamp.read_text() == now:
+            return
+    for index in folder.glob("*.nb[ic]"):
+        # Another process may be doing the same.
+        index.unlink(missing_ok=True)
+    stamp.write_text(now)

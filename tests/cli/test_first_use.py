@@ -1,0 +1,136 @@
+"""Compiled kernels: said when they are compiled, kept on disk, also where the installation cannot be written into."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import phdtrack
+from phdtrack.kernels import cache
+
+SOURCES = Path(phdtrack.__file__).parent
+FIRST = "compiling kernels"
+EVERY = "compiled anew in every run"
+
+# Two kernels of two files, the second calling the first, in a package whose `kernels` is a copy of ours.
+LEAF = "from numba import njit\n\n\n@njit\ndef leaf(x):\n    return x + {}\n"
+CALLER = (
+    "from numba import njit\nfrom phdtrack.kernels.leaf import leaf\n\n\n"
+    "@njit(cache=True)\ndef caller(x):\n    return 10 * leaf(x)\n"
+)
+PROGRAM = """
+import json, sys
+from phdtrack.commands.first_use import announced
+from phdtrack.commands.output import Output
+from phdtrack.kernels import CACHE
+from phdtrack.kernels.caller import caller
+sys.stderr.isatty = lambda: {terminal}
+with announced(Output(json=True)) as compiled:
+    value = caller(1)
+again = caller(2)
+found = {{"value": value, "compiled": compiled.kernels, "seconds": compiled.seconds, "folder": str(CACHE.folder)}}
+print(json.dumps(found | {{"lasting": CACHE.lasting, "kept": CACHE.kept}}))
+"""
+
+
+@pytest.fixture
+def installed(tmp_path: Path) -> Path:
+    """A folder to put on the path: phdtrack with two kernels more. Everybody may read it."""
+    folder = tmp_path / "site"
+    shutil.copytree(SOURCES, folder / "phdtrack", ignore=shutil.ignore_patterns("__pycache__"))
+    (folder / "phdtrack" / "kernels" / "leaf.py").write_text(LEAF.format(1))
+    (folder / "phdtrack" / "kernels" / "caller.py").write_text(CALLER)
+    return folder
+
+
+def run(installed: Path, *, terminal: bool = True, **environment: str) -> tuple[dict[str, object], str]:
+    """The program in a fresh process: what it found, and what it said on stderr."""
+    kept = {key: value for key, value in os.environ.items() if key not in ("NUMBA_CACHE_DIR", "NUMBA_DISABLE_JIT")}
+    environment = kept | {"PYTHONPATH": str(installed), "PYTHONDONTWRITEBYTECODE": "1"} | environment
+    command = [sys.executable, "-c", PROGRAM.format(terminal=terminal)]
+    done = subprocess.run(command, env=environment, cwd=installed, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout), done.stderr
+
+
+def unwritable(kernels: Path) -> None:
+    """Nobody can make files in ``kernels/__pycache__``, an administrator neither: it is no folder."""
+    (kernels / "__pycache__").write_text("not a folder")
+
+
+def test_the_line_comes_when_something_is_compiled_and_only_then(installed: Path) -> None:
+    found, said = run(installed)
+    assert found["compiled"] == ["caller", "leaf"]
+    assert (found["value"], found["lasting"], found["kept"]) == (20, True, 1)
+    assert 0 < float(str(found["seconds"])) < 60
+    assert said.count(FIRST) == 1
+    assert Path(str(found["folder"])) == installed / "phdtrack" / "kernels" / "__pycache__"
+    found, said = run(installed)
+    assert (found["compiled"], found["value"], said) == ([], 20, "")
+
+
+def test_no_line_in_logs(installed: Path) -> None:
+    found, said = run(installed, terminal=False)
+    assert found["compiled"]
+    assert said == ""
+
+
+def test_a_kernel_that_calls_a_changed_one_is_compiled_again(installed: Path) -> None:
+    assert run(installed)[0]["value"] == 20
+    (installed / "phdtrack" / "kernels" / "leaf.py").write_text(LEAF.format(2))
+    found, _ = run(installed)
+    assert (found["value"], found["compiled"]) == (30, ["caller", "leaf"])
+
+
+def test_a_read_only_installation_uses_the_home_folder(installed: Path, tmp_path: Path) -> None:
+    unwritable(installed / "phdtrack" / "kernels")
+    home = tmp_path / "home"
+    home.mkdir()
+    places = {"HOME": str(home), "XDG_CACHE_HOME": str(home / "cache"), "LOCALAPPDATA": str(home)}
+    found, said = run(installed, **places)
+    assert home in Path(str(found["folder"])).parents
+    assert found["lasting"] is True
+    assert FIRST in said
+    assert run(installed, **places)[0]["compiled"] == []
+
+
+def test_the_user_chooses_the_folder(installed: Path, tmp_path: Path) -> None:
+    chosen = tmp_path / "chosen"
+    found, _ = run(installed, NUMBA_CACHE_DIR=str(chosen))
+    assert chosen in Path(str(found["folder"])).parents
+    assert run(installed, NUMBA_CACHE_DIR=str(chosen))[0]["compiled"] == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="homes of POSIX systems")
+@pytest.mark.parametrize("terminal", [True, False])
+def test_without_any_folder_it_runs_and_says_how_to_mend_it(installed: Path, tmp_path: Path, terminal: bool) -> None:
+    unwritable(installed / "phdtrack" / "kernels")
+    (tmp_path / "nothing").write_text("a file, under which no folder can be made")
+    nowhere = str(tmp_path / "nothing" / "home")
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    found, said = run(installed, terminal=terminal, HOME=nowhere, XDG_CACHE_HOME=nowhere, TMPDIR=str(temporary))
+    assert (found["value"], found["lasting"]) == (20, False)
+    assert said.count(EVERY) == 1
+    assert len(said.strip().splitlines()) == 1
+    assert "NUMBA_CACHE_DIR" in said
+    # The folder lived as long as the process.
+    assert list(temporary.iterdir()) == []
+
+
+def test_the_digest_follows_names_and_contents(tmp_path: Path) -> None:
+    versions = ({"a": "1", "b": "2"}, {"a": "2", "b": "1"}, {"a": "1"}, {"a": "1", "c": "2"}, {"a": "12", "b": ""})
+    seen = set()
+    for number, files in enumerate((*versions, versions[0])):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        for name, text in files.items():
+            (folder / f"{name}.py").write_text(text)
+        seen.add(cache.digest(folder))
+    assert len(seen) == len(versions)
