@@ -6,44 +6,54 @@ would drown in size. A particle is compared only with the centres near it: those
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from phdtrack.extract.cloud import Cloud
+from phdtrack.kernels.clustering import assign, cluster_moments, outside
 from phdtrack.kernels.gating import gated_pairs
-from phdtrack.kernels.pairs import nearest, scaled_distance2
+from phdtrack.kernels.joining import claim, serve
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8, Bool, Estimates, Particles
 
 # A cluster reaches this many deviations of the measurement noise. Wide, because a target that was missed spreads.
 REACH = 8.0
+NO_LABELS = np.zeros(0, np.int32)
 
 
-def near(particles: Particles, centres: F8, sensor: Sensor) -> tuple[I8, I8, F8]:
-    """Pairs (particle, centre) within reach, and the scaled distance² of each."""
-    scale = sensor.noise(centres)
-    reach = REACH * scale[:2]
-    point, which = gated_pairs(particles.state[0], particles.state[1], centres[:2] - reach, centres[:2] + reach)
-    return point, which, scaled_distance2(particles.state, centres, scale, point, which)
+@dataclass(frozen=True, slots=True, eq=False)
+class Labels:
+    """Which cluster each particle belongs to.
+
+    Attributes
+    ----------
+    block, own : clusters of whole blocks (B,) and of the particles of mixed ones (L,), as in `kernels.clustering`.
+    mass, mean : (k,) and (d, k) of the clusters; the mean of an empty one is its centre.
+    """
+
+    block: np.ndarray[tuple[int], np.dtype[np.int32]]
+    own: np.ndarray[tuple[int], np.dtype[np.int32]]
+    mass: F8
+    mean: F8
 
 
-def seeds(particles: Particles, z: F8, sensor: Sensor, lightest: float) -> F8:
+def seeds(cloud: Cloud, z: F8, sensor: Sensor, lightest: float) -> F8:
     """(d, k) first centres: the detections, at rest [M07 §3], and what no detection is near.
 
     A target that was missed has no detection to start from, and its particles would be drawn into a far cluster or lost.
     While more than ``lightest`` mass is out of every centre's reach, some of these particles become centres.
     """
     centres, _ = sensor.states(z)
-    lonely = np.ones(len(particles), np.bool_)
-    point, _, _ = near(particles, centres, sensor)
-    lonely[point] = False
-    # Once finds every target whose particles lie together in memory, as resampling leaves them; again, to be sure.
+    left = outside(cloud.state, cloud.start, cloud.low, cloud.high, centres, sensor.noise(centres), REACH)
+    # Once finds every target whose particles lie together, as blocks do; again, to be sure.
     for _ in range(2):
-        left = np.flatnonzero(lonely)
-        if particles.weight[left].sum() < lightest:
+        rest = cloud.take(left)
+        if rest.mass < lightest:
             break
-        rest = Particles(np.ascontiguousarray(particles.state[:, left]), particles.weight[left])
         found, claimed = _lonely_centres(rest, sensor, lightest)
-        centres = np.hstack([centres, found])
-        lonely[left[claimed]] = False
+        centres = np.concatenate((centres, found), axis=1)
+        left = left[~claimed]
     return centres
 
 
@@ -56,23 +66,36 @@ def _lonely_centres(rest: Particles, sensor: Sensor, lightest: float) -> tuple[F
     mass = np.cumsum(rest.weight)
     teeth = np.arange(0.25 * lightest, mass[-1], 0.5 * lightest)
     asked = np.unique(np.minimum(np.searchsorted(mass, teeth), len(mass) - 1))
-    point, which, _ = near(rest, np.ascontiguousarray(rest.state[:, asked]), sensor)
-    claimed = np.zeros(len(rest), np.bool_)
-    centres = []
-    for i, members in zip(asked, np.split(point, np.searchsorted(which, np.arange(1, len(asked)))), strict=True):
-        if claimed[i]:
-            continue
-        mine = members[~claimed[members]]
-        centres.append(np.average(rest.state[:, mine], axis=1, weights=rest.weight[mine]))
-        claimed[mine] = True
-    return np.stack(centres, axis=1), claimed
+    centre = rest.state.take(asked, axis=1)
+    reach = REACH * sensor.noise(centre)[:2]
+    point, which = gated_pairs(rest.state[0], rest.state[1], centre[:2] - reach, centre[:2] + reach)
+    found: tuple[F8, Bool] = claim(rest.state, rest.weight, asked, point, which)
+    return found
 
 
-def label(particles: Particles, centres: F8, sensor: Sensor) -> tuple[I8, F8]:
-    """The nearest centre in reach of each particle (−1: none), and its scaled distance²."""
-    point, which, distance2 = near(particles, centres, sensor)
-    labels, best = nearest(distance2, point, which, len(particles))
-    return labels, best
+def label(cloud: Cloud, centres: F8, sensor: Sensor, alive: F8, before: Labels | None) -> tuple[Labels, bool]:
+    """Every particle with the nearest centre (d, k) in reach, and whether any has another than ``before``.
+
+    Centres with ``alive`` (k,) not above 0 get nothing.
+    """
+    block, own = (NO_LABELS, NO_LABELS) if before is None else (before.block, before.own)
+    *found, changed = assign(
+        cloud.state, cloud.weight, cloud.start, cloud.low, cloud.high, cloud.origin, cloud.mass, cloud.first,
+        centres, sensor.noise(centres), REACH, alive, block, own,
+    )  # fmt: skip
+    return Labels(*found), changed
+
+
+def moments(cloud: Cloud, labels: Labels, cluster: I8, reference: F8) -> tuple[F8, F8, F8]:
+    """Masses (k,), means (d, k) and covariances (k, d, d): label j is part of cluster ``cluster[j]``, −1 for none.
+
+    ``reference`` (d, k) is a point in the middle of each cluster.
+    """
+    result: tuple[F8, F8, F8] = cluster_moments(
+        cloud.state, cloud.weight, cloud.start, cloud.origin, cloud.mass, cloud.first, cloud.second,
+        labels.block, labels.own, cluster, reference,
+    )  # fmt: skip
+    return result
 
 
 def finish(mass: F8, mean: F8, cov: F8, z: F8, model: Model, region: float) -> Estimates:
@@ -81,17 +104,12 @@ def finish(mass: F8, mean: F8, cov: F8, z: F8, model: Model, region: float) -> E
     A state rests on the nearest detection in whose 99 % region it lies; a detection serves one state, the closest first.
     """
     sensor = model.sensor
-    # Resampled particles can pile up on few points; a covariance of zero would claim certainty.
-    floor = (0.1 * sensor.noise(mean)) ** 2
     d = len(mean)
-    cov = cov.copy()
-    cov[:, range(d), range(d)] += floor.T
-    detection = np.full(len(mass), -1, np.int64)
+    # Resampled particles can pile up on few points; a covariance of zero would claim certainty.
+    floored = cov.copy()
+    np.einsum("jrr->jr", floored)[...] += np.square(0.1 * sensor.noise(mean)).T.reshape(-1, d)
     state_of, z_of = gated_pairs(mean[0], mean[1], *sensor.gate(z))
-    distance2 = sensor.distance2(z[:, z_of], mean[:, state_of])
-    taken = np.zeros(z.shape[1], np.bool_)
-    for p in np.argsort(distance2, kind="stable"):
-        i, j = state_of[p], z_of[p]
-        if distance2[p] <= region and detection[i] < 0 and not taken[j]:
-            detection[i], taken[j] = j, True
-    return Estimates(mean, cov, mass, sensor.boxes(mean), detection)
+    distance2 = sensor.distance2(z.take(z_of, axis=1), mean.take(state_of, axis=1))
+    order = distance2.argsort(kind="stable")
+    order = order[: np.searchsorted(distance2[order], region, side="right")]
+    return Estimates(mean, floored, mass, sensor.boxes(mean), serve(order, state_of, z_of, len(mass), z.shape[1]))

@@ -11,16 +11,20 @@ threshold.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from phdtrack.checks import Positive, PositiveCount, Share, check
 from phdtrack.extract import clusters
+from phdtrack.extract.cloud import Cloud
+from phdtrack.extract.clusters import Labels
 from phdtrack.extract.resolution import join_unresolved
-from phdtrack.kernels.pairs import moments
+from phdtrack.kernels.clustering import farthest
+from phdtrack.kernels.joining import join_pairs, near_pairs
 from phdtrack.protocols import Model, Sensor
-from phdtrack.types import F8, I8, Estimates, Particles
+from phdtrack.types import F8, I8, Estimates, ParticleBlocks, Particles
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,76 +49,65 @@ class KMeans:
     def __post_init__(self) -> None:
         check(self)
 
-    def extract(self, state: Particles, z: F8, model: Model) -> Estimates:
+    def extract(self, state: Particles | ParticleBlocks, z: F8, model: Model) -> Estimates:
         """The centres of the clusters heavy enough to be targets: weighted means of full states [M07 §3]."""
         if state.mass < self.lightest:
             return Estimates.empty(model.motion.dim)
-        centres = clusters.seeds(state, z, model.sensor, self.lightest)
-        centres, labels = self._settle(state, centres, model.sensor)
+        sensor, cloud = model.sensor, Cloud.of(state)
+        centres = clusters.seeds(cloud, z, sensor, self.lightest)
+        centres, labels = self._settle(cloud, centres, np.ones(centres.shape[1]), sensor)
         # Each split adds a cluster, and a mass M holds at most M/split too heavy ones: the bound only guards rounding.
-        for _ in range(int(np.ceil(2 * state.mass / self.split))):
-            heavy = self._farthest_in_heavy(state, centres, labels, model.sensor)
+        for _ in range(math.ceil(2 * state.mass / self.split)):
+            heavy = self._farthest_in_heavy(cloud, centres, labels, sensor)
             if len(heavy) == 0:
                 break
-            centres, labels = self._settle(state, np.hstack([centres, state.state[:, heavy]]), model.sensor)
-        labels = self._join_light(state, centres, labels, model.sensor)
-        mass, mean, cov = self._moments(state, labels, centres.shape[1])
-        kept = mass >= self.lightest
-        found = join_unresolved(mass[kept], mean[:, kept], cov[kept], model.sensor, self.overlap)
+            alive = np.concatenate((labels.mass, np.ones(len(heavy))))
+            centres = np.concatenate((centres, cloud.take(heavy).state), axis=1)
+            centres, labels = self._settle(cloud, centres, alive, sensor)
+        mass, mean, cov = self._heavy_enough(cloud, labels, self._join_light(labels, sensor))
+        found = join_unresolved(mass, mean, cov, sensor, self.overlap)
         return clusters.finish(*found, z, model, self.region)
 
-    def _settle(self, state: Particles, centres: F8, sensor: Sensor) -> tuple[F8, I8]:
-        """Iterate assignment and means until nothing moves between clusters; clusters without particles are left out."""
-        labels, _ = clusters.label(state, centres, sensor)
+    def _settle(self, cloud: Cloud, centres: F8, alive: F8, sensor: Sensor) -> tuple[F8, Labels]:
+        """Iterate assignment and means until nothing moves between clusters; clusters without particles stay empty."""
+        labels, _ = clusters.label(cloud, centres, sensor, alive, None)
         for _ in range(self.iterations):
-            mass, mean, _ = self._moments(state, labels, centres.shape[1])
-            centres = np.ascontiguousarray(mean[:, mass > 0])
-            before = labels
-            labels, _ = clusters.label(state, centres, sensor)
-            renumber = np.append(np.cumsum(mass > 0) - 1, -1)
-            if np.array_equal(labels, renumber[before]):
+            centres = labels.mean
+            labels, changed = clusters.label(cloud, centres, sensor, labels.mass, labels)
+            if not changed:
                 break
         return centres, labels
 
-    def _farthest_in_heavy(self, state: Particles, centres: F8, labels: I8, sensor: Sensor) -> I8:
+    def _farthest_in_heavy(self, cloud: Cloud, centres: F8, labels: Labels, sensor: Sensor) -> I8:
         """For each cluster heavier than the split mass, its particle farthest from the centre [M07 §3]."""
-        mass, _, _ = self._moments(state, labels, centres.shape[1])
-        heavy = np.flatnonzero(mass > self.split)
-        if len(heavy) == 0:
-            return heavy
-        _, distance2 = clusters.label(state, centres, sensor)
-        chosen = [int(np.argmax(np.where(labels == j, distance2, -1.0))) for j in heavy]
+        heavy = labels.mass > self.split
+        if not heavy.any():
+            return np.zeros(0, np.int64)
+        scale = sensor.noise(centres)
+        at, distance2 = farthest(cloud.state, cloud.start, cloud.origin, labels.block, labels.own, centres, scale, heavy)
         # A cluster whose particles all stand on its centre cannot be divided.
-        return np.array([i for i in chosen if distance2[i] > 0], np.int64)
+        chosen: I8 = at[distance2 > 0]
+        return chosen
 
-    def _join_light(self, state: Particles, centres: F8, labels: I8, sensor: Sensor) -> I8:
-        """Join light clusters that are near each other.
+    def _join_light(self, labels: Labels, sensor: Sensor) -> I8:
+        """(k,) the cluster that each belongs to once light clusters near each other are joined.
 
         Clusters start on every detection, so one target beside a false alarm, or detected twice, may lie in two halves
         that are each too light. Two light neighbours are joined, nearest first, while the union is not too heavy.
         """
-        labels = labels.copy()
-        mass, mean, _ = self._moments(state, labels, centres.shape[1])
-        light = np.flatnonzero((mass > 0) & (mass < self.lightest))
+        light = ((labels.mass > 0) & (labels.mass < self.lightest)).nonzero()[0]
+        alone = np.arange(len(labels.mass))
         if len(light) < 2:
-            return labels
-        scale = sensor.noise(np.ascontiguousarray(mean[:, light]))
-        step = (mean[:, light, None] - mean[:, None, light]) / scale[:, :, None]
-        distance2 = (step**2).sum(0)
-        a, b = np.nonzero(np.triu(distance2 <= clusters.REACH**2, 1))
-        root = np.arange(len(mass))
-        for p in np.argsort(distance2[a, b], kind="stable"):
-            i, j = root[light[a[p]]], root[light[b[p]]]
-            if i != j and min(mass[i], mass[j]) < self.lightest and mass[i] + mass[j] <= self.split:
-                root[root == j] = i
-                mass[i] += mass[j]
-                mass[j] = 0.0
-        inside = labels >= 0
-        labels[inside] = root[labels[inside]]
-        return labels
+            return alone
+        first, second, distance2 = near_pairs(labels.mean, sensor.noise(labels.mean), clusters.REACH, light)
+        if len(first) == 0:
+            return alone
+        order = np.lexsort((second, first, distance2))
+        root: I8 = join_pairs(order, first, second, labels.mass, self.lightest, self.split)
+        return root
 
-    def _moments(self, state: Particles, labels: I8, k: int) -> tuple[F8, F8, F8]:
-        """Mass, mean and covariance of each cluster."""
-        point = np.flatnonzero(labels >= 0)
-        result: tuple[F8, F8, F8] = moments(state.state, state.weight[point], point, labels[point], k)
-        return result
+    def _heavy_enough(self, cloud: Cloud, labels: Labels, root: I8) -> tuple[F8, F8, F8]:
+        """Mass, mean and covariance of the clusters heavy enough, each with what has joined it."""
+        kept = np.bincount(root, labels.mass, len(root)) >= self.lightest
+        place = np.where(kept, kept.cumsum() - 1, -1)
+        return clusters.moments(cloud, labels, place[root], labels.mean.compress(kept, axis=1))

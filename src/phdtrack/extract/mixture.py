@@ -7,16 +7,18 @@ dropped.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from phdtrack.checks import Positive, PositiveCount, Share, check
 from phdtrack.extract import clusters
+from phdtrack.extract.cloud import Cloud
 from phdtrack.extract.resolution import join_unresolved
-from phdtrack.kernels.pairs import moments, quadratic_form, shares
+from phdtrack.kernels.em import em_step
 from phdtrack.protocols import Model, Sensor
-from phdtrack.types import F8, I8, Estimates, GaussianMixture, Particles
+from phdtrack.types import F8, Estimates, GaussianMixture, ParticleBlocks, Particles
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,65 +43,62 @@ class Mixture:
     def __post_init__(self) -> None:
         check(self)
 
-    def extract(self, state: Particles, z: F8, model: Model) -> Estimates:
+    def extract(self, state: Particles | ParticleBlocks, z: F8, model: Model) -> Estimates:
         """The means of the components heavy enough to be targets [M09 §III-B]."""
         if state.mass < self.lightest:
             return Estimates.empty(model.motion.dim)
-        centres = clusters.seeds(state, z, model.sensor, self.lightest)
-        mixture = self._fit(state, self._start(state, centres, model.sensor), model.sensor)
-        for _ in range(int(np.ceil(2 * state.mass / self.split))):
-            divided = _divide(mixture, self.split, model.sensor)
-            if len(divided) == len(mixture):
+        sensor, cloud = model.sensor, Cloud.of(state)
+        centres = clusters.seeds(cloud, z, sensor, self.lightest)
+        mixture, scale = self._fit(cloud, *_start(cloud, centres, sensor), sensor)
+        for _ in range(math.ceil(2 * state.mass / self.split)):
+            if not (mixture.weight > self.split).any():
                 break
-            mixture = self._fit(state, divided, model.sensor)
+            divided = _divide(mixture, scale, self.split)
+            mixture, scale = self._fit(cloud, divided, sensor.noise(divided.mean), sensor)
         kept = mixture.weight >= self.lightest
         found = join_unresolved(
-            mixture.weight[kept], mixture.mean[:, kept], mixture.covariance[kept], model.sensor, self.overlap
+            mixture.weight[kept], mixture.mean.compress(kept, axis=1), mixture.covariance[kept], sensor, self.overlap
         )
         return clusters.finish(*found, z, model, self.region)
 
-    def _start(self, state: Particles, centres: F8, sensor: Sensor) -> GaussianMixture:
-        """Components from the nearest-centre clusters."""
-        labels, _ = clusters.label(state, centres, sensor)
-        point = np.flatnonzero(labels >= 0)
-        return _components(state, state.weight[point], point, labels[point], centres.shape[1], sensor)
-
-    def _fit(self, state: Particles, mixture: GaussianMixture, sensor: Sensor) -> GaussianMixture:
-        """EM iterations [M09 §III-B]."""
+    def _fit(self, cloud: Cloud, mixture: GaussianMixture, scale: F8, sensor: Sensor) -> tuple[GaussianMixture, F8]:
+        """EM iterations [M09 §III-B]: the mixture, and the noise (d, k) at its means as in ``scale``."""
         for _ in range(self.iterations):
             if len(mixture) == 0:
                 break
-            point, which, share = _responsibilities(state, mixture, sensor)
-            mixture = _components(state, share * state.weight[point], point, which, len(mixture), sensor)
-        return mixture
+            mass, mean, cov = em_step(
+                cloud.state, cloud.weight, cloud.start, cloud.low, cloud.high, cloud.origin,
+                cloud.mass, cloud.first, cloud.second,
+                mixture.weight, mixture.mean, mixture.covariance, scale, clusters.REACH,
+            )  # fmt: skip
+            mixture, scale = _floored(mass, mean, cov, sensor)
+        return mixture, scale
 
 
-def _responsibilities(state: Particles, mixture: GaussianMixture, sensor: Sensor) -> tuple[I8, I8, F8]:
-    """E step: pairs (particle, component) in reach, and the share of the particle that belongs to the component."""
-    point, which, _ = clusters.near(state, mixture.mean, sensor)
-    distance2 = quadratic_form(state.state, mixture.mean, np.linalg.inv(mixture.covariance), point, which)
-    _, log_det = np.linalg.slogdet(mixture.covariance)
-    log_density = np.log(mixture.weight)[which] - 0.5 * log_det[which] - 0.5 * distance2
-    return point, which, shares(log_density, point, len(state))
+def _start(cloud: Cloud, centres: F8, sensor: Sensor) -> tuple[GaussianMixture, F8]:
+    """Components from the nearest-centre clusters, and the noise at their means."""
+    k = centres.shape[1]
+    labels, _ = clusters.label(cloud, centres, sensor, np.ones(k), None)
+    mass, mean, cov = clusters.moments(cloud, labels, np.arange(k), labels.mean)
+    return _floored(mass, mean, cov, sensor)
 
 
-def _components(state: Particles, weight: F8, point: I8, which: I8, k: int, sensor: Sensor) -> GaussianMixture:
-    """M step: mass, mean and covariance of each component; what has no mass is left out."""
-    mass, mean, cov = moments(state.state, weight, point, which, k)
+def _floored(mass: F8, mean: F8, cov: F8, sensor: Sensor) -> tuple[GaussianMixture, F8]:
+    """Components with a floor under their covariances, and the noise (d, k) at their means; what has no mass is left out."""
     # A component of next to no mass has no shape; its particles fall to its neighbours.
     alive = mass > 1e-3
-    mean, cov = np.ascontiguousarray(mean[:, alive]), cov[alive]
-    d = len(mean)
-    cov[:, range(d), range(d)] += (0.1 * sensor.noise(mean).T) ** 2
-    return GaussianMixture(mass[alive], mean, cov)
+    if not alive.all():
+        mass, mean, cov = mass[alive], mean.compress(alive, axis=1), cov[alive]
+    scale = sensor.noise(mean)
+    floored = cov.copy()
+    np.einsum("jrr->jr", floored)[...] += np.square(0.1 * scale).T
+    return GaussianMixture(mass, mean, floored), scale
 
 
-def _divide(mixture: GaussianMixture, split: float, sensor: Sensor) -> GaussianMixture:
+def _divide(mixture: GaussianMixture, noise: F8, split: float) -> GaussianMixture:
     """Divide components heavier than ``split``: a deviation to either side on the longest axis in units of the noise."""
     heavy = mixture.weight > split
-    if not heavy.any():
-        return mixture
-    scale = sensor.noise(np.ascontiguousarray(mixture.mean[:, heavy])).T
+    scale = noise.compress(heavy, axis=1).T
     length2, axes = np.linalg.eigh(mixture.covariance[heavy] / (scale[:, :, None] * scale[:, None, :]))
     step = (scale * axes[:, :, -1] * np.sqrt(length2[:, -1:])).T
     weight = np.where(heavy, mixture.weight / 2, mixture.weight)

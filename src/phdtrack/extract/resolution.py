@@ -8,9 +8,11 @@ association bridges that gap.
 
 from __future__ import annotations
 
+import heapq
+
 import numpy as np
 
-from phdtrack.boxes import iou
+from phdtrack.kernels.joining import overlapping_boxes, overlaps_with
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8
 
@@ -20,21 +22,39 @@ def join_unresolved(mass: F8, mean: F8, cov: F8, sensor: Sensor, overlap: float)
 
     A union keeps mass, mean and covariance of its parts (moment matching).
     """
-    mass, mean, cov = mass.copy(), mean.copy(), cov.copy()
+    if len(mass) < 2 or overlap >= 1:
+        return mass, mean, cov
+    boxes = sensor.boxes(mean)
+    first, second, shared = overlapping_boxes(boxes, overlap)
+    if len(first) == 0:
+        return mass, mean, cov
+    mass, mean, cov, boxes = mass.copy(), mean.copy(), cov.copy(), boxes.copy()
+    # The pair that overlaps most comes first; ``version`` tells the boxes that have been joined since.
+    version = np.zeros(len(mass), np.int64)
     alive = np.ones(len(mass), np.bool_)
-    while alive.sum() > 1:
-        index = np.flatnonzero(alive)
-        boxes = sensor.boxes(np.ascontiguousarray(mean[:, index]))
-        shared = np.triu(iou(boxes, boxes), 1)
-        a, b = divmod(int(np.argmax(shared)), len(index))
-        if shared[a, b] <= overlap:
-            break
-        i, j = index[a], index[b]
-        total = mass[i] + mass[j]
-        share = mass[j] / total
-        step = mean[:, j] - mean[:, i]
-        cov[i] = (1 - share) * cov[i] + share * cov[j] + share * (1 - share) * np.outer(step, step)
-        mean[:, i] += share * step
-        mass[i] = total
+    waiting = [(-s, i, j, 0, 0) for s, i, j in zip(shared.tolist(), first.tolist(), second.tolist(), strict=True)]
+    heapq.heapify(waiting)
+    while waiting:
+        _, i, j, known_i, known_j = heapq.heappop(waiting)
+        if version[i] != known_i or version[j] != known_j:
+            continue
+        _merge(mass, mean, cov, i, j)
         alive[j] = False
-    return mass[alive], np.ascontiguousarray(mean[:, alive]), cov[alive]
+        version[i] += 1
+        version[j] = -1
+        boxes[i] = sensor.boxes(mean.take([i], axis=1))[0]
+        others, overlaps = overlaps_with(boxes, i, alive, overlap)
+        for other, s in zip(others.tolist(), overlaps.tolist(), strict=True):
+            a, b = min(i, other), max(i, other)
+            heapq.heappush(waiting, (-s, a, b, int(version[a]), int(version[b])))
+    return mass[alive], mean.compress(alive, axis=1), cov[alive]
+
+
+def _merge(mass: F8, mean: F8, cov: F8, i: int, j: int) -> None:
+    """Put the union of clusters i and j in the place of i, in the arrays given, which the caller owns."""
+    total = mass[i] + mass[j]
+    share = mass[j] / total
+    step = mean[:, j] - mean[:, i]
+    cov[i] = (1 - share) * cov[i] + share * cov[j] + share * (1 - share) * np.outer(step, step)
+    mean[:, i] += share * step
+    mass[i] = total

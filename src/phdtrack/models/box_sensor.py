@@ -18,9 +18,10 @@ from typing import Literal
 
 import numpy as np
 
-from phdtrack.boxes import to_cxcywh, to_xyxy
+from phdtrack.boxes import to_cxcywh
 from phdtrack.checks import NonNegative, Positive, Probability, check
 from phdtrack.errors import InputError
+from phdtrack.kernels.box import box_corners, box_gate, box_noise, resting
 from phdtrack.types import F8, Detections
 
 Scaling = Literal["particle", "detection", "previous", "fixed", "given"]
@@ -140,50 +141,43 @@ class BoxSensor:
         if self.scaling in ("fixed", "given"):
             sx, sy, _, _ = self._sigmas(z, z)
             half = g * np.stack([np.broadcast_to(sx, z.shape[1]), np.broadcast_to(sy, z.shape[1])])
-        else:
-            reach = g * self.spread / 2
-            if self.scaling == "particle":
-                # G·s ≥ 1 would let every larger box in: the size alone no longer bounds the distance.
-                reach /= math.sqrt(max(1 - (g * self.spread) ** 2, 0.05))
-            elif self.scaling == "previous":
-                reach *= 2.0  # the size before the last prediction is not known from z
-            half = np.maximum(reach * z[2:4], g * self.floor / 2)
-        return z[:2] - half, z[:2] + half
+            return z[:2] - half, z[:2] + half
+        reach = g * self.spread / 2
+        if self.scaling == "particle":
+            # G·s ≥ 1 would let every larger box in: the size alone no longer bounds the distance.
+            reach /= math.sqrt(max(1 - (g * self.spread) ** 2, 0.05))
+        elif self.scaling == "previous":
+            reach *= 2.0  # the size before the last prediction is not known from z
+        corners: tuple[F8, F8] = box_gate(z, reach, g * self.floor / 2)
+        return corners
 
     def states(self, z: F8) -> tuple[F8, F8]:
         """States at rest that would give z, with the covariance of what z alone tells.
 
         The velocity of uniform direction and Gaussian amplitude a has variance a²/2 per axis.
         """
-        n = z.shape[1]
-        d = 8 if self.scaling == "previous" else 6
-        x = np.zeros((d, n))
-        x[0:2], x[4:6] = z[0:2], z[2:4]
-        if d == 8:
-            x[6:8] = z[2:4]
-        variance = self.noise(x, z) ** 2
+        n, d = z.shape[1], 8 if self.scaling == "previous" else 6
+        x = resting(z, d)
         cov = np.zeros((n, d, d))
-        cov[:, range(d), range(d)] = variance.T
+        np.einsum("nrr->nr", cov)[...] = np.square(self.noise(x, z)).T
         return x, cov
 
     def noise(self, x: F8, z: F8 | None = None) -> F8:
         """Deviations of the state's components: the measurement's, and an unknown velocity's."""
-        seen = np.vstack([x[0:2], x[4:6]]) if z is None else z
-        if z is None and self.scaling == "given":
-            # No detection is at hand to give them; a box of this size would be measured about so.
-            sw, sh = np.maximum(self.spread * x[4], self.floor), np.maximum(self.spread * x[5], self.floor)
-            sigmas = (sw / 2, sh / 2, sw, sh)
-        else:
-            sigmas = self._sigmas(seen, x)
-        out = np.empty_like(x)
-        for row, sigma in zip(OBSERVED, sigmas, strict=True):
-            out[row] = sigma
-        amplitude = self.fixed_speed if self.scaling == "fixed" else self.speed * np.sqrt(x[4] * x[5])
-        out[2:4] = np.maximum(amplitude / math.sqrt(2), 1e-6)
-        if len(x) == 8:
-            out[6:8] = out[4:6]
+        if self.scaling == "fixed":
+            position, size = self.fixed
+            speed = max(self.fixed_speed / math.sqrt(2), 1e-6)
+            out: F8 = np.repeat([position, speed, size], [2, 2, len(x) - 4])[:, None] * np.ones(x.shape[1])
+            return out
+        # A detection at hand gives its own size, or its own noise; a box of this size would be measured about so.
+        out = box_noise(x, 6 if self.scaling == "previous" else 4, self.spread, self.floor, self.speed)
+        if z is not None and self.scaling == "given":
+            out[list(OBSERVED)] = np.sqrt(z[4:8])
+        elif z is not None and self.scaling == "detection":
+            out[list(OBSERVED)] = self._sigmas(z, x)
         return out
 
     def boxes(self, x: F8) -> F8:
         """(n, 4) the boxes of the states."""
-        return to_xyxy(x[list(OBSERVED)])
+        corners: F8 = box_corners(x)
+        return corners
