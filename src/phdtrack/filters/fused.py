@@ -74,7 +74,13 @@ class _Born:
 
 
 def fused_step(
-    settings: Settings, parts: BoxModel, state: Particles | ParticleBlocks, z: F8, model: Model, dt: float, rng: np.random.Generator
+    settings: Settings,
+    parts: BoxModel,
+    state: Particles | ParticleBlocks,
+    z: F8,
+    model: Model,
+    dt: float,
+    rng: np.random.Generator,
 ) -> tuple[ParticleBlocks, UpdateInfo]:
     """Predict, update and resample [M07 (5), (6); M09 (6)]."""
     blocks = blocked(state, settings.per_target, rng)

@@ -41,9 +41,20 @@ def births(which: I8, sums: F4, unit: float, most: int, kept: float, touching: I
 
 @njit(cache=True, nogil=True)
 def account(
-    first: I8, which: I8, sums: F4, alive: F8, unit: float,
-    group_start: I8, near_start: I8, near: I8, touching: I8, gain_start: I8, base: F4, gains: F4,
-    kappa: F8, p_detect: float,
+    first: I8,
+    which: I8,
+    sums: F4,
+    alive: F8,
+    unit: float,
+    group_start: I8,
+    near_start: I8,
+    near: I8,
+    touching: I8,
+    gain_start: I8,
+    base: F4,
+    gains: F4,
+    kappa: F8,
+    p_detect: float,
 ) -> tuple[F8, F8, F8, F4, int]:
     """The evidence of every detection, and the masses after the update [M07 (6), M09 (6)].
 

@@ -71,7 +71,15 @@ def move(s: F4, n: int, motion: F4) -> None:
     ``motion``: dt, a√dt, b√dt, smallest size, whether noises scale with the size, the frame's width and height (0: no
     border). A particle whose whole box has left the frame does not survive: ALIVE is 0 for it, else 1.
     """
-    dt, kick, resize, smallest, scaled, width, height = motion[0], motion[1], motion[2], motion[3], motion[4], motion[5], motion[6]
+    dt, kick, resize, smallest, scaled, width, height = (
+        motion[0],
+        motion[1],
+        motion[2],
+        motion[3],
+        motion[4],
+        motion[5],
+        motion[6],
+    )
     for i in range(n):
         s[ALIVE + i] = ONE
     if width > ZERO:

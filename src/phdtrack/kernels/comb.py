@@ -90,11 +90,11 @@ def cut(extents: F4, order: I8, teeth: I8, reach: float) -> tuple[I8, I8]:
     """Where the offspring of the sources in ``order`` are cut into blocks of at most ``BLOCK`` neighbours.
 
     Sources are put together while their common extent is at most ``reach`` boxes. A source that is wider than that itself is
-    to be sorted along its longer side, and its offspring are halved: so what has drifted apart is parted again.
+    to be parted along its longer side, and its offspring are halved: so what has drifted apart is parted again, in a few frames.
 
     Returns
     -------
-    start : (B + 1,) of the new blocks.  divided : (S,) 1 or 2 where a source is to be sorted along x or y, else 0.
+    start : (B + 1,) of the new blocks.  divided : (S,) 1 or 2 where a source is to be parted along x or y, else 0.
     """
     n = order.size
     divided = np.zeros(n, np.int64)

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.box_blocks import ALIVE, H, IH, IW, W, X, Y, ZERO, ZH, ZW, ZX, ZY
+from phdtrack.kernels.box_blocks import ALIVE, H, IH, IW, MINUS_TWO, W, X, Y, ZERO, ZH, ZW, ZX, ZY
 from phdtrack.kernels.fast32 import FAST, HALF, ONE, cos_sin_turn, exp32, log32
 from phdtrack.kernels.philox import ROUNDS, philox, unit
 
@@ -34,34 +34,42 @@ GOLDEN = 0.6180339887498949
 
 @njit(fastmath=FAST, error_model="numpy", cache=True, nogil=True)
 def standard_points(count: int, radius: F4, key: I8) -> F4:
-    """(5, count) points of a standard Gaussian in four dimensions inside its kept part, and exp(−r²/2) of each.
+    """(7, count) points of a standard Gaussian in four dimensions inside its kept part, exp(−r²/2) of each, and velocities.
 
-    ``radius`` are the radii at equal steps of the quantile. The quantiles are a golden-section sequence with a random start
-    (so that every stretch of the points has about every radius) and a jitter that makes each one's law exact.
+    ``radius`` are the radii at equal steps of the quantile. The quantiles are a golden-section sequence, so that every
+    stretch of the points has about every radius; its random start makes the law of each single one exact. The velocities
+    (2, count) have uniform direction and standard Gaussian amplitude [M07 §2].
     """
     k0, k1 = np.uint32(key[0]), np.uint32(key[1])
-    out = np.empty((5, count), np.float32)
-    x, y, w, h, density = out[0], out[1], out[2], out[3], out[4]
-    cells = F(radius.size - 1)
+    out = np.empty((7, count), np.float32)
+    x, y, w, h, density, vx, vy = out[0], out[1], out[2], out[3], out[4], out[5], out[6]
     a, _, _, _ = philox(ALL, ALL, STAGE_POINT, np.uint32(0), k0, k1, ROUNDS)
-    start = np.float64(unit(a))
-    for i in range(count):
-        turn = start + GOLDEN * i
-        density[i] = F(turn - np.floor(turn))
+    start, cells, last = np.float64(unit(a)), np.float64(radius.size - 1), np.int32(radius.size - 2)
     for i in range(count):
         _, b, c, e = philox(np.uint32(i), np.uint32(0), STAGE_POINT, np.uint32(0), k0, k1, ROUNDS)
         x[i], y[i], w[i] = unit(b), unit(c), unit(e)
     for i in range(count):
-        place = density[i] * cells
-        below = min(int(place), radius.size - 2)
-        low = radius[below]
-        length = low + (radius[below + 1] - low) * (place - F(below))
+        turn = start + GOLDEN * i
+        h[i] = F((turn - np.floor(turn)) * cells)
+    for i in range(count):
+        below = min(np.int32(h[i]), last)
+        density[i] = radius[below] + (radius[below + np.int32(1)] - radius[below]) * (h[i] - F(below))
+    for i in range(count):
+        first = density[i] * np.sqrt(x[i])
         cosine, sine = cos_sin_turn(y[i])
-        first, second = length * np.sqrt(x[i]), length * np.sqrt(ONE - x[i])
+        h[i] = density[i] * np.sqrt(ONE - x[i])
         x[i], y[i] = first * cosine, first * sine
+    for i in range(count):
+        second = h[i]
         cosine, sine = cos_sin_turn(w[i])
         w[i], h[i] = second * cosine, second * sine
-        density[i] = exp32(-HALF * length * length)
+        density[i] = exp32(-HALF * density[i] * density[i])
+    for i in range(count):
+        a, b, c, _ = philox(np.uint32(i), np.uint32(0), STAGE_VELOCITY, np.uint32(0), k0, k1, ROUNDS)
+        vx[i], vy[i] = np.sqrt(MINUS_TWO * log32(unit(a))) * cos_sin_turn(unit(b))[0], unit(c)
+    for i in range(count):
+        cosine, sine = cos_sin_turn(vy[i])
+        vx[i], vy[i] = vx[i] * cosine, vx[i] * sine
     return out
 
 
@@ -77,7 +85,12 @@ def place_newborn(s: F4, row: int, n: int, points: F4, first: int, d: F4, j: int
     """The points ``first`` … first + n − 1 around detection j, into X, Y, W, H from column ``row``; their proposal's density in IW."""
     x, y, w, h = s[X + row : X + row + n], s[Y + row : Y + row + n], s[W + row : W + row + n], s[H + row : H + row + n]
     own = s[IW + row : IW + row + n]
-    a, b, c, e = points[0, first : first + n], points[1, first : first + n], points[2, first : first + n], points[3, first : first + n]
+    a, b, c, e = (
+        points[0, first : first + n],
+        points[1, first : first + n],
+        points[2, first : first + n],
+        points[3, first : first + n],
+    )
     density = points[4, first : first + n]
     zx, zy, zw, zh = d[ZX, j], d[ZY, j], d[ZW, j], d[ZH, j]
     sx, sy, sw, sh, peak = d[SX, j], d[SY, j], d[SW, j], d[SH, j], d[PEAK, j]
@@ -128,13 +141,3 @@ def weigh_newborn(
     for i in range(n):
         # A size that cannot be still needs a deviation above zero below.
         s[W + i], s[H + i] = max(s[W + i], F(1e-3)), max(s[H + i], F(1e-3))
-
-
-@njit(fastmath=FAST, error_model="numpy")
-def velocity(tooth: int, j: int, amplitude: np.float32, k0: np.uint32, k1: np.uint32) -> tuple[np.float32, np.float32]:
-    """A velocity of uniform direction and Gaussian amplitude, for one offspring of a newborn particle [M07 §2]."""
-    a, b, c, _ = philox(np.uint32(tooth), np.uint32(j), STAGE_VELOCITY, np.uint32(0), k0, k1, ROUNDS)
-    normal, _ = cos_sin_turn(unit(b))
-    cosine, sine = cos_sin_turn(unit(c))
-    length = amplitude * np.sqrt(F(-2.0) * log32(unit(a))) * normal
-    return length * cosine, length * sine

@@ -82,8 +82,17 @@ def _span(low: float, high: float, origin: float, per_cell: float, count: int) -
 
 @njit(cache=True, nogil=True)
 def overlapping(
-    left: float, top: float, right: float, bottom: float,
-    lower: F8, upper: F8, frame: F8, start: I8, item: I8, corner: I8, found: I8,
+    left: float,
+    top: float,
+    right: float,
+    bottom: float,
+    lower: F8,
+    upper: F8,
+    frame: F8,
+    start: I8,
+    item: I8,
+    corner: I8,
+    found: I8,
 ) -> int:
     """Write into ``found`` (N,) the rectangles that the closed box overlaps, each once; returns how many."""
     nx, ny = int(frame[4]), int(frame[5])

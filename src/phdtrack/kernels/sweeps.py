@@ -16,11 +16,30 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.box_blocks import (
-    ALIVE, BLOCK, G, H, N0, ROWS, SUM, VX, VY, W, X, Y, ZERO,
-    drift, extent, fill_normals, likelihood, load, move, own_precisions, store,
+    ALIVE,
+    BLOCK,
+    G,
+    H,
+    N0,
+    ROWS,
+    SUM,
+    VX,
+    VY,
+    W,
+    X,
+    Y,
+    ZERO,
+    drift,
+    extent,
+    fill_normals,
+    likelihood,
+    load,
+    move,
+    own_precisions,
+    store,
 )
-from phdtrack.kernels.fast32 import FAST
-from phdtrack.kernels.newborn import GROUP, place_newborn, stretch, velocity, weigh_newborn
+from phdtrack.kernels.fast32 import FAST, HALF
+from phdtrack.kernels.newborn import GROUP, place_newborn, stretch, weigh_newborn
 from phdtrack.kernels.overlaps import overlapping
 
 F4 = NDArray[np.float32]
@@ -38,9 +57,24 @@ STAGE_MOVE, STAGE_DRIFT = np.uint32(0), np.uint32(1)
 
 @njit(cache=True, nogil=True)
 def sweep_old(
-    lo: int, hi: int, state: F4, start: I8, motion: F4, key: I8, detections: F4, own: bool, sensor: F4,
-    lower: F8, upper: F8, frame: F8, cell_start: I8, cell_item: I8, corner: I8,
-    moved: F4, extents: F4, alive: F8,
+    lo: int,
+    hi: int,
+    state: F4,
+    start: I8,
+    motion: F4,
+    key: I8,
+    detections: F4,
+    own: bool,
+    sensor: F4,
+    lower: F8,
+    upper: F8,
+    frame: F8,
+    cell_start: I8,
+    cell_item: I8,
+    corner: I8,
+    moved: F4,
+    extents: F4,
+    alive: F8,
 ) -> tuple[I8, I8, F4]:
     """Move the blocks lo … hi − 1 into ``moved`` and sum their likelihoods.
 
@@ -77,7 +111,17 @@ def sweep_old(
             for i in range(n):
                 moved[4, at + i] = s[W + i] if s[ALIVE + i] > ZERO else -s[W + i]
         near = overlapping(
-            extents[b, 0], extents[b, 1], extents[b, 2], extents[b, 3], lower, upper, frame, cell_start, cell_item, corner, found
+            extents[b, 0],
+            extents[b, 1],
+            extents[b, 2],
+            extents[b, 3],
+            lower,
+            upper,
+            frame,
+            cell_start,
+            cell_item,
+            corner,
+            found,
         )
         if used + near > which.size:
             which, sums = _longer(which, sums, used, near)
@@ -103,7 +147,24 @@ def _longer(which: I8, sums: F4, used: int, more: int) -> tuple[I8, F4]:
 
 @njit(cache=True, nogil=True)
 def sweep_born(
-    lo: int, hi: int, many: I8, group_start: I8, points: F4, room: int, key: I8, detections: F4, own: bool, sensor: F4, local: bool, flat: np.float32, near_start: I8, near: I8, touching: I8, gain_start: I8, base: F4, gains: F4,
+    lo: int,
+    hi: int,
+    many: I8,
+    group_start: I8,
+    points: F4,
+    room: int,
+    key: I8,
+    detections: F4,
+    own: bool,
+    sensor: F4,
+    local: bool,
+    flat: np.float32,
+    near_start: I8,
+    near: I8,
+    touching: I8,
+    gain_start: I8,
+    base: F4,
+    gains: F4,
 ) -> None:
     """Draw and weigh the newborn of the detections lo … hi − 1 and sum their likelihoods by groups of ``GROUP``.
 
@@ -147,11 +208,35 @@ def _group_sums(s: F4, row: int, groups: int, out: F4, at: int) -> None:
 
 @njit(cache=True, nogil=True)
 def sweep_offspring(
-    lo: int, hi: int, order: I8, many_offspring: I8, place: I8, phase: F8, width: F8, divided: I8,
-    moved: F4, start: I8, first: I8, which: I8, weight: F4, missed: np.float32,
-    detections: F4, own: bool, sensor: F4, key: I8,
-    many: I8, group_start: I8, points: F4, room: int, local: bool, flat: np.float32,
-    near_start: I8, near: I8, touching: I8, group_mass: F4, speed: F4,
+    lo: int,
+    hi: int,
+    order: I8,
+    many_offspring: I8,
+    place: I8,
+    phase: F8,
+    width: F8,
+    divided: I8,
+    moved: F4,
+    start: I8,
+    first: I8,
+    which: I8,
+    weight: F4,
+    missed: np.float32,
+    detections: F4,
+    own: bool,
+    sensor: F4,
+    key: I8,
+    many: I8,
+    group_start: I8,
+    points: F4,
+    room: int,
+    local: bool,
+    flat: np.float32,
+    near_start: I8,
+    near: I8,
+    touching: I8,
+    group_mass: F4,
+    speed: F4,
     out: F4,
 ) -> None:
     """The offspring of the sources order[lo] … order[hi − 1], each into its own columns of ``out``.
@@ -161,7 +246,7 @@ def sweep_offspring(
     Parameters
     ----------
     many_offspring, place : (S,) how many offspring each source has, and their first column.
-    divided : (S,) 1 or 2 where the source is to be sorted along x or y first, so that its offspring form compact blocks.
+    divided : (S,) 1 or 2 where the source's particles are to be parted along x or y, so that its offspring form compact blocks.
     phase, width : (S,) in steps of the comb: where a source's first tooth stands, and how wide the source is.
     first, which : the detections near each block.  weight : (N,) p_D/(κ + C).  missed : 1 − p_D.
     group_mass : mass of each group of newborn after the update.  speed : (N,) deviation of the velocity's amplitude.
@@ -179,8 +264,29 @@ def sweep_offspring(
         if source >= blocks:
             j = source - blocks
             _born_offspring(
-                s, j, teeth, at, phase[source], width[source], many[j], group_mass[group_start[j] : group_start[j + 1]], points, room, weight, missed, detections,
-                own, sensor, local, flat, near[near_start[j] : near_start[j + 1]], touching[j], speed[j], k0, k1, out,
+                s,
+                j,
+                teeth,
+                at,
+                phase[source],
+                width[source],
+                many[j],
+                group_mass[group_start[j] : group_start[j + 1]],
+                points,
+                room,
+                weight,
+                missed,
+                detections,
+                own,
+                sensor,
+                local,
+                flat,
+                near[near_start[j] : near_start[j + 1]],
+                touching[j],
+                speed[j],
+                k0,
+                k1,
+                out,
             )
             continue
         begin, n = start[source], start[source + 1] - start[source]
@@ -188,7 +294,7 @@ def sweep_offspring(
         _survivors(s, n)
         _posterior(s, n, which[first[source] : first[source + 1]], weight, missed, detections, own, sensor)
         if divided[source]:
-            _sort(s, n, X if divided[source] == 1 else Y)
+            _part(s, n, X if divided[source] == 1 else Y)
         _pick(s, n, teeth, at, phase[source], width[source], upto, chosen, out)
 
 
@@ -215,12 +321,27 @@ def _posterior(s: F4, n: int, which: I8, weight: F4, missed: np.float32, d: F4, 
 
 
 @njit
-def _sort(s: F4, n: int, row: int) -> None:
-    """Sort the block's particles along a row, states and weights together."""
-    rank = np.argsort(s[row : row + n])
+def _part(s: F4, n: int, row: int) -> None:
+    """Put the block's particles that lie before the middle of its extent along a row before the others."""
+    at = s[row : row + n].copy()
+    middle = HALF * (at.min() + at.max())
+    target = np.empty(n, np.int64)
+    before = 0
+    for i in range(n):
+        before += at[i] < middle
+    left, right = 0, before
+    for i in range(n):
+        if at[i] < middle:
+            target[i] = left
+            left += 1
+        else:
+            target[i] = right
+            right += 1
     for r in range(7):
-        part = SUM if r == 6 else r * BLOCK
-        s[part : part + n] = s[part : part + n].copy()[rank]
+        part = s[SUM : SUM + n] if r == 6 else s[r * BLOCK : r * BLOCK + n]
+        held = part.copy()
+        for i in range(n):
+            part[target[i]] = held[i]
 
 
 @njit
@@ -262,9 +383,29 @@ def _teeth_before(s: F4, n: int, scale: np.float32, shift: np.float32, teeth: in
 
 @njit
 def _born_offspring(
-    s: F4, j: int, teeth: int, at: int, phase: float, width: float, many: int, group_mass: F4, points: F4, room: int, weight: F4, missed: np.float32,
-    d: F4, own: bool, sensor: F4, local: bool, flat: np.float32, neighbour: I8, touching: int,
-    amplitude: np.float32, k0: np.uint32, k1: np.uint32, out: F4,
+    s: F4,
+    j: int,
+    teeth: int,
+    at: int,
+    phase: float,
+    width: float,
+    many: int,
+    group_mass: F4,
+    points: F4,
+    room: int,
+    weight: F4,
+    missed: np.float32,
+    d: F4,
+    own: bool,
+    sensor: F4,
+    local: bool,
+    flat: np.float32,
+    neighbour: I8,
+    touching: int,
+    amplitude: np.float32,
+    k0: np.uint32,
+    k1: np.uint32,
+    out: F4,
 ) -> None:
     """The offspring of a detection's newborn: only groups on which a tooth falls are drawn again."""
     total = 0.0
@@ -295,7 +436,9 @@ def _born_offspring(
                 done = ends[h]
             held = 0
     for t in range(teeth):
-        out[2, at + t], out[3, at + t] = velocity(t, j, amplitude, k0, k1)
+        # Each offspring has a velocity of its own, also where a newborn particle has several.
+        i = (begin + t) % points.shape[1]
+        out[2, at + t], out[3, at + t] = amplitude * points[5, i], amplitude * points[6, i]
 
 
 @njit
