@@ -3,7 +3,8 @@
 #   make demo         a rendered scene, tracked with the filter and without; says where to look
 #   make test         everything that must hold: style, types, imports, generated pages, tests
 #   make experiments  the measured tables under docs/results/ (long)
-#   make bench        speed and memory
+#   make bench        speed and memory beside other libraries, below five minutes
+#   make bench-full   the same with all sizes, more frames and seeds
 #   make format       put the sources into the one style
 #   make docs         write the generated pages anew
 #
@@ -15,13 +16,14 @@ VENV ?= .venv
 PY := $(VENV)/bin/python
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+PEERS := .venv-peers
 CODE := src tests scripts $(wildcard reproduce benchmarks)
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help env test lint pytest pytest-plain demo experiments bench format docs clean
+.PHONY: help env test lint pytest pytest-plain demo experiments bench bench-full peers format docs clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -61,8 +63,20 @@ demo: env
 experiments: env
 	$(PY) -m reproduce.experiments
 
-bench: env
+bench: env peers
 	$(PY) -m benchmarks
+
+bench-full: env peers
+	$(PY) -m benchmarks --full
+
+# The trackers to compare with live in an environment of their own: they bring another OpenCV. Where it cannot be made, the
+# benchmark says so in their place and measures the rest.
+peers: $(PEERS)/.installed
+
+$(PEERS)/.installed: benchmarks/peers-constraints.txt | env
+	@{ test -x $(PEERS)/bin/python || $(PY) -m venv $(PEERS); } \
+		&& $(PEERS)/bin/python -m pip install --quiet -c $< trackers norfair-enough && touch $@ \
+		|| echo "the environment of the other trackers could not be made; the benchmark goes on without them" >&2
 
 format: env
 	$(BIN)/ruff check --fix $(CODE)
@@ -72,4 +86,4 @@ docs: env
 	$(PY) scripts/equations.py
 
 clean:
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(PEERS) .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

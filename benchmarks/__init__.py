@@ -1,1 +1,1 @@
-"""Speed and memory, measured in one run: `make bench`."""
+"""Speed and memory, measured in one run: `make bench` (quick) and `make bench-full`."""

@@ -1,87 +1,113 @@
-"""Frames per second of filter, extraction and association at M07's parameters.
+"""Speed and memory, measured in one run on this machine.
 
-    python -m benchmarks
+    python -m benchmarks [--full] [--only NAME …] [--out FILE]
 
-One process on one core: 1500 particles per target, 1000 newborn per detection, targets and clutter at constant density.
-Writes benchmarks/out/bench.json and prints a table; milliseconds per frame are medians after a warm-up.
+Prints one table and writes benchmarks/out/bench.json: machine, versions, seeds, medians, quartiles, and the ratios to the
+peers within the run. A part that fails or cannot be measured here leaves its reason, and the others go on.
 """
 
 from __future__ import annotations
 
-import json
+import argparse
 import os
-import platform
 import sys
+import time
+import traceback
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
-import numpy as np
+from benchmarks import report
+from benchmarks.parts import FULL, QUICK, SCALES, Outcome, Part, Scale, Skipped
+from benchmarks.registry import PARTS
 
-from phdtrack import config, pipeline
-from phdtrack.doctor import versions
-from phdtrack.simulate import DetectorModel, make_scene
-
-OUT = Path(__file__).resolve().parent / "out"
-FRAMES, WARM_UP = 120, 20
-# 10 targets and 10 clutter points per 720 × 480 area; the area grows with the targets.
-AREA = (720, 480)
+# NumPy's libraries would otherwise take all cores in some places, and each side of a comparison in others.
+PINNED = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
-def measure(targets: int, preset: str, seed: int = 1) -> tuple[np.ndarray[tuple[int, int], np.dtype[np.float64]], float]:
-    """(frames, 3) seconds of filter, extraction and association, and the mean number of particles."""
-    grow = (targets / 10) ** 0.5
-    detector = DetectorModel(p_detect=0.95, jitter=0.05, clutter_rate=float(targets))
-    size = {"width": round(AREA[0] * grow), "height": round(AREA[1] * grow)}
-    # Slow, steady targets that do not die: their number stays what the row says.
-    world = {"n": targets, "frames": FRAMES, "sd_size": 0.0, "sd_velocity": 0.002, "birth_speed": 0.02, "p_survive": 1.0}
-    world |= size
-    scene = make_scene("constant", seed, detector, **world)
-    info, table = scene.info, scene.detections
-    stages = config.build(config.load(preset=preset), info)
-    rng = np.random.default_rng(seed)
-    state, spent, particles = pipeline.start(stages, rng), [], []
-    for number in range(1, FRAMES + 1):
-        state, step = pipeline.advance(stages, state, table.at(number), number, number / 25, rng)
-        spent.append(step.seconds)
-        particles.append(len(state.intensity))
-    return np.array(spent)[WARM_UP:], float(np.mean(particles[WARM_UP:]))
+def measure(parts: Sequence[Part], scale: Scale, out: Path, paper: report.Paper) -> dict[str, Any]:
+    """Run the parts, and write the document after each: what was measured is not lost."""
+    from phdtrack.doctor import versions
 
-
-def main() -> None:
-    """Measure, print, write."""
-    rows = []
-    print(
-        f"{'preset':8}{'targets':>8}{'particles':>11}{'filter ms':>11}{'extract ms':>12}{'associate ms':>14}{'frames/s':>10}"
-    )
-    for preset in ("m07", "m09", "default"):
-        for targets in (10, 30, 100):
-            seconds, particles = measure(targets, preset)
-            stage = 1e3 * np.median(seconds, axis=0)
-            total = 1e3 * float(np.median(seconds.sum(axis=1)))
-            rows.append(
-                {
-                    "preset": preset,
-                    "targets": targets,
-                    "particles": particles,
-                    "filter_ms": stage[0],
-                    "extract_ms": stage[1],
-                    "associate_ms": stage[2],
-                    "frames_per_second": 1e3 / total,
-                }
-            )
-            cells = (
-                f"{preset:8}{targets:8d}{particles:11.0f}{stage[0]:11.2f}{stage[1]:12.2f}{stage[2]:14.2f}{1e3 / total:10.0f}"
-            )
-            print(cells, flush=True)
-    OUT.mkdir(exist_ok=True)
-    machine = {
-        "processor": platform.processor() or platform.machine(),
-        "cores": os.cpu_count(),
-        "python": sys.version.split()[0],
+    document: dict[str, Any] = {
+        "when": datetime.now(UTC).isoformat(timespec="seconds"),
+        "scale": scale.name,
+        "seeds": list(scale.seeds),
+        "machine": report.machine(),
+        "versions": dict(versions()),
+        "parts": {},
+        **{key: None for part in parts for key in part.keys},
     }
-    document = {"machine": machine, "versions": dict(versions()), "frames": FRAMES - WARM_UP, "rows": rows}
-    (OUT / "bench.json").write_text(json.dumps(document, indent=2) + "\n")
-    print(OUT / "bench.json")
+    for part in parts:
+        began = time.perf_counter()
+        outcome, status, reason = _tried(part, scale)
+        spent = time.perf_counter() - began
+        document["parts"][part.name] = {"status": status, "reason": reason, "seconds": spent, "rows": _rows(outcome)}
+        document.update(outcome.entries)
+        paper.part(part.title, outcome.rows, f"{status}: {reason}" if reason else "")
+        report.write(document, out)
+        _progress(f"{part.name}: {status} in {spent:.0f} s {reason}")
+    return document
+
+
+def _tried(part: Part, scale: Scale) -> tuple[Outcome, str, str]:
+    """The outcome of a part, and whether it was done, skipped or failed, and why."""
+    try:
+        return part.run(scale, lambda text: _progress(f"{part.name}: {text}")), "done", ""
+    except Skipped as reason:
+        return Outcome(()), "skipped", str(reason)
+    except Exception as error:  # one part's failure is a finding, the others go on
+        traceback.print_exc(limit=-3)
+        return Outcome(()), "failed", f"{type(error).__name__}: {error}"
+
+
+def _progress(text: str) -> None:
+    """A line on stderr about what is being measured."""
+    print(f"  … {text}", file=sys.stderr, flush=True)
+
+
+def _rows(outcome: Outcome) -> list[dict[str, Any]]:
+    return [
+        {
+            "what": row.what,
+            "value": row.value,
+            "unit": row.unit,
+            "spread": row.spread.as_dict() if row.spread else None,
+            "most": row.most,
+            "least": row.least,
+            "kept": row.kept,
+            "note": row.note,
+        }
+        for row in outcome.rows
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; 1 where a part failed."""
+    names = [part.name for part in PARTS]
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Speed and memory, measured in one run.")
+    parser.add_argument("--full", action="store_true", help="all sizes, more frames and seeds (about half an hour)")
+    parser.add_argument("--smoke", action="store_true", help="seconds: shows that everything runs, not how fast")
+    parser.add_argument("--only", nargs="+", choices=names, metavar="NAME", help=f"of {', '.join(names)}")
+    parser.add_argument("--out", type=Path, default=report.OUT / "bench.json", help="where the numbers go")
+    given = parser.parse_args(arguments)
+    scale = SCALES["smoke"] if given.smoke else FULL if given.full else QUICK
+    began = time.perf_counter()
+    parts = [part for part in PARTS if not given.only or part.name in given.only]
+    paper = report.Paper()
+    document = measure(parts, scale, given.out, paper)
+    paper.show()
+    done = document["parts"].values()
+    broken = [row["what"] for part in done for row in part["rows"] if row["kept"] is False]
+    print(f"{given.out}: {scale.name}, {time.perf_counter() - began:.0f} s; limits not kept: {len(broken)}")
+    for what in broken:
+        print(f"  {what}")
+    return int(any(part["status"] == "failed" for part in done))
 
 
 if __name__ == "__main__":
-    main()
+    if any(os.environ.get(name) != value for name, value in PINNED.items()):
+        # The libraries read these when they are loaded, so the process begins again.
+        os.execve(sys.executable, [sys.executable, "-m", "benchmarks", *sys.argv[1:]], {**os.environ, **PINNED})
+    sys.exit(main())

@@ -1,0 +1,122 @@
+"""Parts that are measured by one function each: the GM-PHD filter, extraction, association, detectors, the whole process."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import Any
+
+from benchmarks.parts import Outcome, Row, Scale, Skipped
+from benchmarks.timing import Spread, exponent
+
+GM_LIMIT_US = {10: 25.0, 100: 200.0, 1000: 2000.0}
+
+
+def _module(name: str) -> Any:
+    """A module beside this one; raises `Skipped` where it, or what it imports, is missing."""
+    try:
+        return importlib.import_module(f"benchmarks.{name}")
+    except ModuleNotFoundError as missing:
+        raise Skipped(f"{missing.name} is not there") from missing
+
+
+def gm_phd(scale: Scale, say: Callable[[str], None]) -> Outcome:
+    """µs per step of the GM-PHD filter at every size."""
+    measure = _module("gm_phd").measure
+    rows, us, details = [], {}, {}
+    for targets in scale.sizes:
+        say(f"{targets} targets")
+        found = measure(targets, seed=1, frames=min(scale.frames, 60))
+        us[str(targets)] = found["us"]
+        details[str(targets)] = found
+        rows.append(
+            Row(f"GM-PHD, {targets} targets", found["us"], "µs", most=GM_LIMIT_US.get(targets), note=_rest(found, "us"))
+        )
+    growth = exponent([float(n) for n in us], list(us.values()))
+    rows.append(Row(f"GM-PHD, growth exponent, {scale.sizes[0]} … {scale.sizes[-1]} targets", growth, ""))
+    return Outcome(tuple(rows), {"gm_phd_us": us, "gm_phd": {"growth_exponent": growth, "runs": details}})
+
+
+def extraction(scale: Scale, say: Callable[[str], None]) -> Outcome:
+    """ms per frame of both extractors."""
+    measure = _module("extraction").measure
+    return _by_size(
+        scale, say, "extraction", {kind: lambda n, k=kind: measure(n, k, frames=3) for kind in ("kmeans", "mixture")}
+    )
+
+
+def association(scale: Scale, say: Callable[[str], None]) -> Outcome:
+    """µs per frame of the association."""
+    measure = _module("association").measure
+    return _by_size(scale, say, "association", {"graph": lambda n: measure(n, frames=min(scale.frames, 100))})
+
+
+def _by_size(scale: Scale, say: Callable[[str], None], name: str, kinds: dict[str, Callable[[int], Any]]) -> Outcome:
+    """Rows and entries of measurements by kind and number of targets."""
+    rows = []
+    entry: dict[str, dict[str, Any]] = {kind: {} for kind in kinds}
+    for kind, measure in kinds.items():
+        for targets in scale.sizes:
+            say(f"{kind}, {targets} targets")
+            found = measure(targets)
+            unit = "ms" if "ms" in found else "us"
+            entry[kind][str(targets)] = found
+            rows.append(Row(f"{kind}, {targets} targets", found[unit], unit.replace("us", "µs"), note=_rest(found, unit)))
+    return Outcome(tuple(rows), {name: entry})
+
+
+def detectors(scale: Scale, say: Callable[[str], None]) -> Outcome:
+    """ms per frame of every detector at QCIF, 768 × 576 and 1080p."""
+    if not scale.others:
+        raise Skipped("not in this scale")
+    module = _module("detectors")
+    rows = []
+    entry: dict[str, dict[str, Any]] = {}
+    # Outer loop over the sizes: frames are rendered once for each.
+    for size in module.SIZES:
+        for detector in module.DETECTORS:
+            say(f"{detector}, {size}")
+            frames = scale.repeats if detector not in module.LEARNING else max(3, scale.repeats // 5)
+            found = module.measure(module.SIZES[size], detector, frames=frames)
+            entry.setdefault(size, {})[detector] = found
+            note = f"{found['detections']:.1f} boxes a frame"
+            rows.append(Row(f"{detector}, {size}", found["ms"], "ms", Spread(**found["spread"]), note=note))
+    return Outcome(tuple(rows), {"detectors": entry})
+
+
+def process(scale: Scale, say: Callable[[str], None]) -> Outcome:
+    """Whole-process frames per second of `phdtrack track` on the PETS video, by detector."""
+    if not scale.others:
+        raise Skipped("not in this scale")
+    module = _module("process")
+    rows = []
+    entry: dict[str, Any] = {}
+    for detector in module.DETECTORS:
+        say(detector)
+        found = module.measure(detector=detector)
+        if found["frames_per_second"] is None:
+            raise Skipped(found["reason"])
+        entry[detector] = found
+        note = f"detection and tracking {found['tracking_frames_per_second']:.0f} frames/s; stages, ms: "
+        note += ", ".join(f"{name} {ms:.2g}" for name, ms in found["stage_ms"].items())
+        rows.append(Row(f"{found['video']}, {detector}", found["frames_per_second"], "frames/s", note=note))
+    return Outcome(tuple(rows), {"process": entry})
+
+
+def first_use(scale: Scale, say: Callable[[str], None]) -> Outcome:
+    """Seconds of compiling with an empty cache, and to the first frame with a full one."""
+    if not scale.others:
+        raise Skipped("not in this scale")
+    found = _module("compile").measure()
+    rows = (
+        Row("compiling all kernels of phdtrack track", found["compile_s"], "s", most=10.0),
+        Row("to the first frame, first use", found["first_use_s"], "s"),
+        Row("to the first frame, cached", found["start_s"], "s", most=1.0),
+    )
+    return Outcome(rows, {"first_use": found})
+
+
+def _rest(found: dict[str, Any], but: str) -> str:
+    """The other numbers of a measurement in a few words."""
+    words = [f"{key} {value:.3g}" for key, value in found.items() if isinstance(value, (int, float)) and key != but]
+    return ", ".join(words)

@@ -1,0 +1,101 @@
+"""How far each stage is from what this machine allows: memory bandwidth, normals and exponentials measured in the same run.
+
+What a frame of the filter cannot avoid: every old particle is read and written once (24 bytes each way), moved by four
+normals and weighed by one exponential per detection in whose gate it is; every newborn needs four normals and its pairs. The
+floor is the larger of the two times, memory and arithmetic, on one thread. The extraction reads every particle once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from benchmarks.loops import Ours, race
+from benchmarks.particle_phd import pairs_per_target
+from benchmarks.parts import Outcome, Row, Scale
+from benchmarks.timing import Spread, seconds
+from benchmarks.twins import NEWBORN
+from benchmarks.workload import Crowd, draw, stages
+from phdtrack.kernels.box_blocks import BLOCK, ROWS, fill_normals
+from phdtrack.kernels.fast32 import FAST, exp32
+
+KEYS = ("roofline",)
+PARTICLE = 24
+F4 = NDArray[np.float32]
+F8 = NDArray[np.float64]
+
+
+@njit
+def triad(a: F8, b: F8, c: F8) -> None:
+    """a = b + 3c: 24 bytes per element, as STREAM counts them."""
+    for i in range(a.size):
+        a[i] = b[i] + 3.0 * c[i]
+
+
+@njit
+def normals(s: F4, calls: int) -> None:
+    """Four standard normals per particle of a block, ``calls`` times."""
+    for call in range(calls):
+        fill_normals(s, BLOCK, np.uint32(call), np.uint32(1), np.uint32(2), np.uint32(3))
+
+
+@njit(fastmath=FAST)
+def exponentials(x: F4, out: F4, calls: int) -> None:
+    """exp of every element of a block, ``calls`` times."""
+    for _ in range(calls):
+        for i in range(x.size):
+            out[i] = exp32(x[i])
+
+
+def limits(scale: Scale) -> dict[str, Spread]:
+    """Bytes, normals and exponentials per nanosecond (10⁹ a second)."""
+    n = scale.triad
+    a, b, c = np.zeros(n), np.ones(n), np.ones(n)
+    s = np.zeros(ROWS * BLOCK, np.float32)
+    x, out = np.linspace(-40, 0, BLOCK, dtype=np.float32), np.zeros(BLOCK, np.float32)
+    calls = 2000
+    return {
+        "bandwidth": Spread.of(24e-9 * n / seconds(lambda: triad(a, b, c), scale.repeats, 2)),
+        "normals": Spread.of(4e-9 * BLOCK * calls / seconds(lambda: normals(s, calls), scale.repeats, 2)),
+        "exponentials": Spread.of(1e-9 * BLOCK * calls / seconds(lambda: exponentials(x, out, calls), scale.repeats, 2)),
+    }
+
+
+def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
+    """The limits, and each stage's time over its floor in the worst case of births."""
+    say("limits")
+    best = limits(scale)
+    targets = scale.threads_at
+    say(f"{targets} targets")
+    crowd = Crowd(targets, min(scale.frames, 40))
+    stream = draw(crowd, 1)
+    loop = Ours(stages(crowd, worst=True), 1)
+    (lap,) = race([loop], stream, min(14, crowd.frames // 2))
+    old, born = len(loop.state), NEWBORN * len(stream.table) / crowd.frames
+    pairs = targets * pairs_per_target(Crowd(min(100, targets), min(12, crowd.frames)))["worst"]
+    parts = {
+        "memory": 2 * PARTICLE * old / best["bandwidth"].median * 1e-6,
+        "normals": 4 * (old + born) / best["normals"].median * 1e-6,
+        "exponentials": pairs / best["exponentials"].median * 1e-6,
+    }
+    floors = {
+        "filter": max(parts["memory"], parts["normals"] + parts["exponentials"]),
+        "extraction": PARTICLE * old / best["bandwidth"].median * 1e-6,
+    }
+    units = {"bandwidth": "GB/s", "normals": "10⁹/s", "exponentials": "10⁹/s"}
+    rows = [Row(f"{name}, one thread", spread.median, units[name], spread) for name, spread in best.items()]
+    stage_entries: dict[str, Any] = {}
+    for column, (stage, floor) in enumerate(floors.items()):
+        spent = Spread.of(lap.seconds[:, column], 1e3)
+        note = f"floor {floor:.3g} ms"
+        if stage == "filter":
+            note += " of " + ", ".join(f"{name} {ms:.3g}" for name, ms in parts.items())
+        rows.append(Row(f"{stage}, {targets} targets, over its floor", spent.median / floor, "×", note=note))
+        stage_entries[stage] = {"ms": spent.as_dict(), "floor_ms": floor, "over_floor": spent.median / floor}
+    rate = {name: spread.as_dict() for name, spread in best.items()}
+    entry = {"limits_per_ns": rate, "targets": targets, "floor_parts_ms": parts, "stages": stage_entries}
+    return Outcome(tuple(rows), {"roofline": entry})

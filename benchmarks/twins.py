@@ -1,0 +1,265 @@
+"""The same filter in NumPy, float64, as one would write it: dense, and gated through a grid; K-means in NumPy.
+
+They do what `ParticlePHD` does with M09's model and Jmax newborn for every detection: move with noises that follow the size,
+draw newborn inside the 99 % region of each detection, weigh them by γ over the whole proposal, weigh everything with every
+detection, resample, and find clusters that start on the detections and on what no detection is near. The dense twin compares
+every particle with every detection; the gated one only those within 5 σ, through a grid of the detections.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from benchmarks.workload import Crowd
+from phdtrack.boxes import to_cxcywh
+from phdtrack.types import F8, Detections
+
+I8 = NDArray[np.int64]
+PER_TARGET, NEWBORN = 1500, 1000
+ACCELERATION, RESIZE, SPREAD, SURVIVAL, SPEED = 0.03, 0.1, 0.15, 0.99, 0.06
+REGION = float(chdtri(4, 0.01))
+GATE, REACH = 5.0, 8.0
+LIGHTEST, HEAVIEST, ROUNDS = 0.6, 1.5, 3
+# State rows: x, y, vx, vy, w, h.
+OBSERVED = [0, 1, 4, 5]
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """Numbers of the model: p_D, and γ and κ per unit of (position, size) volume."""
+
+    detection: float
+    gamma: float
+    kappa: float
+
+    @classmethod
+    def of(cls, crowd: Crowd, sizes: float) -> World:
+        """That of the crowd; ``sizes`` is the volume of possible sizes that the intensities are spread over."""
+        area = crowd.info.width * crowd.info.height
+        return cls(crowd.p_detect, 0.001 * crowd.targets / (area * sizes), crowd.false_alarms / (area * sizes))
+
+
+class Twin:
+    """One of the two: ``gated`` or dense."""
+
+    def __init__(self, world: World, seed: int, *, gated: bool) -> None:
+        self.world, self.gated = world, gated
+        self.rng = np.random.default_rng(seed)
+        self.state: F8 = np.zeros((6, 0))
+        self.unit = 0.0
+
+    def frame(self, number: int, detections: Detections) -> tuple[tuple[float, ...], F8]:
+        """Seconds of filter and extraction, and the centres found."""
+        began = time.perf_counter()
+        z = to_cxcywh(detections.xyxy)
+        moved, weight = self._predict()
+        born, born_weight = self._births(z)
+        x, weight = np.hstack([moved, born]), np.concatenate([weight, born_weight])
+        weight = self._update_gated(x, weight, z) if self.gated else self._update_dense(x, weight, z)
+        self._resample(x, weight)
+        filtered = time.perf_counter()
+        centres = extract(self.state, self.unit, z, gated=self.gated)
+        return (filtered - began, time.perf_counter() - filtered), centres[:2]
+
+    def _predict(self) -> tuple[F8, F8]:
+        x = self.state
+        noise = self.rng.standard_normal((4, x.shape[1]))
+        size = x[4:6]
+        kick = ACCELERATION * size * noise[:2]
+        moved = np.concatenate([x[:2] + x[2:4] + kick / 2, x[2:4] + kick, np.abs(size + RESIZE * size * noise[2:])])
+        return moved, np.full(x.shape[1], self.unit * SURVIVAL)
+
+    def _births(self, z: F8) -> tuple[F8, F8]:
+        """Jmax particles for each detection, uniform γ over the proposal mixture."""
+        n = z.shape[1]
+        parent = np.repeat(np.arange(n), NEWBORN)
+        sigma = sigmas(z[2:4])
+        direction = self.rng.standard_normal((4, len(parent)))
+        # Radii of a Gaussian inside the region, by the inverse of their distribution.
+        quantile = np.linspace(0, 0.99, 1025)
+        radius = np.interp(0.99 * self.rng.random(len(parent)), quantile, np.sqrt(chdtri(4, 1 - quantile)))
+        drawn = z[:, parent] + sigma[:, parent] * direction * (radius / np.sqrt((direction**2).sum(0)))
+        amplitude = SPEED * np.sqrt(z[2] * z[3])[parent] * self.rng.standard_normal(len(parent))
+        angle = self.rng.uniform(0, 2 * math.pi, len(parent))
+        born = np.concatenate([drawn[:2], [amplitude * np.cos(angle), amplitude * np.sin(angle)], drawn[2:]])
+        norm = 1 / (0.99 * (2 * math.pi) ** 2 * sigma.prod(0))
+        if self.gated:
+            half = math.sqrt(REGION) * sigma[:2]
+            point, which = in_rectangles(born[0], born[1], z[:2] - half, z[:2] + half)
+            d2 = (((drawn[:, point] - z[:, which]) / sigma[:, which]) ** 2).sum(0)
+            share = np.where(d2 <= REGION * (1 + 1e-9), norm[which] * np.exp(-0.5 * d2), 0.0)
+            proposal = np.bincount(point, share, len(parent))
+        else:
+            d2 = (((drawn[:, None, :] - z[:, :, None]) / sigma[:, :, None]) ** 2).sum(0)
+            proposal = np.where(d2 <= REGION * (1 + 1e-9), norm[:, None] * np.exp(-0.5 * d2), 0.0).sum(0)
+        return born, self.world.gamma / (NEWBORN * proposal)
+
+    def _update_dense(self, x: F8, weight: F8, z: F8) -> F8:
+        sigma = sigmas(x[4:6])
+        d2 = np.zeros((z.shape[1], x.shape[1]))
+        for row, s, value in zip(OBSERVED, sigma, z, strict=True):
+            d2 += ((value[:, None] - x[row]) / s) ** 2
+        share = self.world.detection * weight / ((2 * math.pi) ** 2 * sigma.prod(0)) * np.exp(-0.5 * d2)
+        total = self.world.kappa + share.sum(1)
+        out: F8 = (1 - self.world.detection) * weight + (share / total[:, None]).sum(0)
+        return out
+
+    def _update_gated(self, x: F8, weight: F8, z: F8) -> F8:
+        g = GATE * SPREAD
+        half = g / 2 / math.sqrt(1 - g**2) * z[2:4]
+        point, which = in_rectangles(x[0], x[1], z[:2] - half, z[:2] + half)
+        sigma = sigmas(x[4:6])
+        d2 = np.zeros(len(point))
+        for row, s, value in zip(OBSERVED, sigma, z, strict=True):
+            d2 += ((value[which] - x[row][point]) / s[point]) ** 2
+        seen = self.world.detection * weight / ((2 * math.pi) ** 2 * sigma.prod(0))
+        share = seen[point] * np.exp(-0.5 * d2)
+        total = self.world.kappa + np.bincount(which, share, z.shape[1])
+        out: F8 = (1 - self.world.detection) * weight + np.bincount(point, share / total[which], len(weight))
+        return out
+
+    def _resample(self, x: F8, weight: F8) -> None:
+        mass = weight.sum()
+        count = round(PER_TARGET * mass)
+        comb = (np.arange(count) + self.rng.random()) * (mass / max(count, 1))
+        chosen = np.minimum(np.searchsorted(np.cumsum(weight), comb), len(weight) - 1)
+        self.state, self.unit = x[:, chosen], mass / max(count, 1)
+
+
+def sigmas(size: F8) -> F8:
+    """(4, n) deviations of x, y, w, h for sizes (2, n)."""
+    return np.concatenate([SPREAD / 2 * size, SPREAD * size])
+
+
+def in_rectangles(px: F8, py: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
+    """Pairs (point, rectangle): rectangles are entered in all cells that they touch, a point asks its own cell."""
+    none = np.zeros(0, np.int64)
+    if not px.size or not lower.shape[1]:
+        return none, none
+    origin = lower.min(1)
+    cell = np.maximum((upper - lower).mean(1), 1e-9)
+    first = ((lower - origin[:, None]) / cell[:, None]).astype(np.int64)
+    last = ((upper - origin[:, None]) / cell[:, None]).astype(np.int64)
+    columns, grid_rows = last.max(1) + 1
+    wide, high = last - first + 1
+    rectangle = np.repeat(np.arange(lower.shape[1]), wide * high)
+    nth = np.arange(len(rectangle)) - np.repeat(np.cumsum(wide * high) - wide * high, wide * high)
+    entered = (first[1][rectangle] + nth // wide[rectangle]) * columns + first[0][rectangle] + nth % wide[rectangle]
+    rectangle = rectangle[np.argsort(entered, kind="stable")]
+    held = np.bincount(entered, minlength=columns * grid_rows)
+    start = np.cumsum(held) - held
+    at = np.stack([(px - origin[0]) / cell[0], (py - origin[1]) / cell[1]])
+    inside = np.flatnonzero((at >= 0).all(0) & (at[0] < columns) & (at[1] < grid_rows))
+    mine = at[1, inside].astype(np.int64) * columns + at[0, inside].astype(np.int64)
+    counts = held[mine]
+    point = np.repeat(inside, counts)
+    offset = np.arange(len(point)) - np.repeat(np.cumsum(counts) - counts, counts)
+    which = rectangle[np.repeat(start[mine], counts) + offset]
+    x, y = px[point], py[point]
+    kept = (x >= lower[0, which]) & (x <= upper[0, which]) & (y >= lower[1, which]) & (y <= upper[1, which])
+    return point[kept], which[kept]
+
+
+def extract(x: F8, unit: float, z: F8, *, gated: bool) -> F8:
+    """(6, k) cluster centres: K-means from the detections at rest and from what none of them is near."""
+    if not x.size:
+        return np.zeros((6, 0))
+    centres = np.concatenate([z[:2], np.zeros_like(z[:2]), z[2:]])
+    labels = _labels(x, centres, gated)
+    lonely = np.flatnonzero(labels < 0)
+    if len(lonely) * unit >= LIGHTEST:
+        centres = np.hstack([centres, _lonely(x[:, lonely])])
+        labels = _labels(x, centres, gated)
+    centres, labels = _settle(x, centres, labels, gated)
+    mass = unit * np.bincount(labels[labels >= 0], minlength=centres.shape[1])
+    heavy = np.flatnonzero(mass > HEAVIEST)
+    if len(heavy):
+        inside = np.flatnonzero(np.isin(labels, heavy))
+        distance2 = (((x[:, inside] - centres[:, labels[inside]]) / _scale(centres)[:, labels[inside]]) ** 2).sum(0)
+        order = np.lexsort((distance2, labels[inside]))
+        farthest = inside[order[np.searchsorted(labels[inside][order], heavy, side="right") - 1]]
+        centres = np.hstack([centres, x[:, farthest]])
+        centres, labels = _settle(x, centres, _labels(x, centres, gated), gated)
+        mass = unit * np.bincount(labels[labels >= 0], minlength=centres.shape[1])
+    return _join_light(centres, mass)
+
+
+def _lonely(x: F8) -> F8:
+    """Means of the particles in cells about as large as an object."""
+    size = np.median(x[4:6], axis=1)
+    cell = np.round(x[:2] / (2 * size[:, None])).astype(np.int64)
+    _, group = np.unique(cell, axis=1, return_inverse=True)
+    count = np.bincount(group)
+    return np.stack([np.bincount(group, row) for row in x]) / count
+
+
+def _settle(x: F8, centres: F8, labels: I8, gated: bool) -> tuple[F8, I8]:
+    """K-means until no label changes."""
+    for _ in range(ROUNDS):
+        inside = np.flatnonzero(labels >= 0)
+        mine = labels[inside]
+        count = np.bincount(mine, minlength=centres.shape[1])
+        kept = count > 0
+        centres = np.stack([np.bincount(mine, row[inside], len(count)) for row in x])[:, kept] / count[kept]
+        before = np.append(np.cumsum(kept) - 1, -1)[labels]
+        labels = _labels(x, centres, gated)
+        if np.array_equal(labels, before):
+            break
+    return centres, labels
+
+
+def _scale(centres: F8) -> F8:
+    """(6, k) deviations that distances are measured in."""
+    size = centres[4:6]
+    speed = np.broadcast_to(np.maximum(SPEED * np.sqrt(size[0] * size[1]) / math.sqrt(2), 1e-6), size.shape)
+    return np.concatenate([SPREAD / 2 * size, speed, SPREAD * size])
+
+
+def _labels(x: F8, centres: F8, gated: bool) -> I8:
+    """The nearest centre of each particle within reach, −1 for none."""
+    scale = _scale(centres)
+    labels = np.full(x.shape[1], -1)
+    if not centres.shape[1]:
+        return labels
+    if not gated:
+        d2 = np.zeros((centres.shape[1], x.shape[1]))
+        for value, centre, s in zip(x, centres, scale, strict=True):
+            d2 += ((value - centre[:, None]) / s[:, None]) ** 2
+        d2[(np.abs(x[:2, None] - centres[:2, :, None]) > REACH * scale[:2, :, None]).any(0)] = np.inf
+        nearest = d2.argmin(0)
+        return np.where(np.isfinite(d2[nearest, np.arange(x.shape[1])]), nearest, -1)
+    point, which = in_rectangles(x[0], x[1], centres[:2] - REACH * scale[:2], centres[:2] + REACH * scale[:2])
+    # Where there is no choice, no distance is needed.
+    labels[point] = which
+    choice = np.bincount(point, minlength=len(labels))[point] > 1
+    if choice.any():
+        point, which = point[choice], which[choice]
+        d2 = np.zeros(len(point))
+        for value, centre, s in zip(x, centres, scale, strict=True):
+            d2 += ((value[point] - centre[which]) / s[which]) ** 2
+        # The pairs come in the order of their particles.
+        first = np.flatnonzero(np.diff(point, prepend=-1))
+        least = np.repeat(np.minimum.reduceat(d2, first), np.diff(np.append(first, len(point))))
+        won = d2 == least
+        labels[point[won]] = which[won]
+    return labels
+
+
+def _join_light(centres: F8, mass: F8) -> F8:
+    """Centres heavy enough; light neighbours are joined first, nearest first, while they are not too heavy together."""
+    light = np.flatnonzero((mass > 0) & (mass < LIGHTEST))
+    lower, upper = centres[:2, light] - centres[4:6, light] / 2, centres[:2, light] + centres[4:6, light] / 2
+    a, b = in_rectangles(centres[0, light], centres[1, light], lower, upper)
+    a, b = light[a[a < b]], light[b[a < b]]
+    mass, centres = mass.copy(), centres.copy()
+    for i, j in zip(a, b, strict=True):
+        if mass[i] and mass[j] and min(mass[i], mass[j]) < LIGHTEST and mass[i] + mass[j] <= HEAVIEST:
+            centres[:, i] = (mass[i] * centres[:, i] + mass[j] * centres[:, j]) / (mass[i] + mass[j])
+            mass[i], mass[j] = mass[i] + mass[j], 0.0
+    return centres[:, mass >= LIGHTEST]

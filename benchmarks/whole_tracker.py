@@ -1,0 +1,182 @@
+"""Whole trackers, detections in and tracks out: phdtrack against SORT and ByteTrack of `trackers`, and Norfair.
+
+The scenes (constant density, people come and go every 150 frames, see `benchmarks.workload`): easy has p_D = 0.95 and one
+false alarm per 20 objects and frame; hard has p_D = 0.85 and ten times the clutter, so 10 → 100 per frame at 200 objects.
+All scores are 1, so that motion alone decides. The peers run in an environment of their own, on its default settings
+or the best of those that `TUNED` names, by its MOTA on the smaller scenes; only their update call is timed.
+Everyone's online rows are scored, MOTA at IoU 0.5; for phdtrack the confirmed ones.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.parts import Outcome, Row, Scale, Skipped
+from benchmarks.timing import Spread
+from benchmarks.workload import RATE, Crowd, Stream, draw
+from phdtrack import Tracker
+from phdtrack.metrics import evaluate
+from phdtrack.types import Tracks
+
+KEYS = ("tracker_ms", "trackers")
+ROOT = Path(__file__).resolve().parent.parent
+PYTHON = ROOT / ".venv-peers" / "bin" / "python"
+SCRIPT = Path(__file__).resolve().parent / "peer_process.py"
+WARM_UP = 20
+LIFE = 150
+# Settings tried, each library's own defaults first (Norfair has no default threshold): tracks kept shorter, believed sooner
+# or later. The scenes' frame_rate is given to those that ask for it.
+TUNED: dict[str, tuple[dict[str, Any], ...]] = {
+    "sort": ({}, {"lost_track_buffer": 15}, {"minimum_consecutive_frames": 2}),
+    "bytetrack": ({}, {"lost_track_buffer": 15}, {"minimum_consecutive_frames": 3, "minimum_iou_threshold": 0.2}),
+    "norfair": (
+        {"distance_threshold": 0.7},
+        {"distance_threshold": 0.7, "hit_counter_max": 10, "initialization_delay": 4},
+        {"distance_threshold": 0.7, "hit_counter_max": 8, "initialization_delay": 3},
+    ),
+}
+Case = tuple[str, Crowd]
+
+
+def cases(scale: Scale) -> list[Case]:
+    """Names and scenes."""
+    out = []
+    for objects in scale.peer_objects:
+        easy, hard = objects / 20, objects / 2
+        common = {"targets": objects, "frames": scale.peer_frames, "life": min(LIFE, scale.peer_frames)}
+        out.append((f"{objects} easy", Crowd(clutter=easy, p_detect=0.95, **common)))
+        out.append((f"{objects} hard", Crowd(clutter=hard, p_detect=0.85, **common)))
+    return out
+
+
+def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
+    """Ours and the peers on every case."""
+    scenes = cases(scale)
+    streams = {name: draw(crowd, 1) for name, crowd in scenes}
+    few = {name: streams[name] for name, crowd in scenes if crowd.targets == min(scale.peer_objects)}
+    chosen, reasons = {}, {}
+    for peer in TUNED:
+        say(f"{peer}, settings")
+        try:
+            chosen[peer] = _best(peer, few)
+        except Skipped as reason:
+            reasons[peer] = str(reason)
+    results: dict[str, dict[str, dict[str, Any]]] = {who: {} for who in ("phdtrack", *chosen)}
+    for name, stream in streams.items():
+        say(name)
+        for who, result in _in_turns(stream, chosen, scale.rounds).items():
+            results[who][name] = result
+    rows = [row for name in streams for row in _rows(name, results)]
+    rows += [Row(peer, float("nan"), "", note=f"skipped: {reason}") for peer, reason in reasons.items()]
+    entries = {
+        "tracker_ms": {who: {case: r["ms"]["median"] for case, r in of.items()} for who, of in results.items()},
+        "trackers": {"results": results, "skipped": reasons, "scenes": {name: _scene(crowd) for name, crowd in scenes}},
+    }
+    return Outcome(tuple(rows), entries)
+
+
+def _best(peer: str, streams: dict[str, Stream]) -> dict[str, Any]:
+    """The setting whose MOTA is best, summed over the streams."""
+    given = [settings if peer == "norfair" else {"frame_rate": RATE, **settings} for settings in TUNED[peer]]
+    return max(given, key=lambda settings: sum(theirs(peer, settings, stream)["MOTA"] for stream in streams.values()))
+
+
+def _in_turns(stream: Stream, chosen: dict[str, dict[str, Any]], turns: int) -> dict[str, dict[str, Any]]:
+    """Everybody on one stream, in rounds; of each the round with the least median."""
+    rounds: dict[str, list[dict[str, Any]]] = {who: [] for who in ("phdtrack", *chosen)}
+    for _ in range(turns):
+        rounds["phdtrack"].append(ours(stream))
+        for peer, settings in chosen.items():
+            rounds[peer].append({**theirs(peer, settings, stream), "settings": settings})
+    return {who: min(results, key=lambda r: r["ms"]["median"]) for who, results in rounds.items()}
+
+
+def _scene(crowd: Crowd) -> dict[str, float]:
+    return {"objects": crowd.targets, "p_detect": crowd.p_detect, "clutter": crowd.false_alarms, "life": crowd.life}
+
+
+def ours(stream: Stream) -> dict[str, Any]:
+    """phdtrack's default settings."""
+    tracker = Tracker((stream.info.width, stream.info.height), fps=RATE)
+    seconds, parts = [], []
+    for found in stream.detections():
+        boxes = np.column_stack([found.xyxy, found.confidence])
+        began = time.perf_counter()
+        tracks = tracker.update(boxes)
+        seconds.append(time.perf_counter() - began)
+        parts.append(tracks)
+    online = Tracks.concatenate(parts)
+    online = online.take(online.confirmed)
+    scores = evaluate(stream.truth, online, frames=stream.info.frames)
+    corrected = evaluate(stream.truth, tracker.tracks(), frames=stream.info.frames)
+    return {**_result(np.array(seconds), scores), "MOTA_corrected": corrected.MOTA, "settings": "defaults"}
+
+
+def _result(seconds: np.ndarray[Any, Any], scores: Any) -> dict[str, Any]:
+    kept = seconds[min(WARM_UP, len(seconds) // 2) :]
+    spread = Spread.of(kept, 1e3).as_dict()
+    return {"ms": spread, "mean_ms": 1e3 * float(kept.mean()), "MOTA": scores.MOTA, "IDF1": scores.IDF1, "HOTA": scores.HOTA}
+
+
+def theirs(peer: str, settings: dict[str, Any], stream: Stream) -> dict[str, Any]:
+    """A peer in its own process; raises `Skipped` where its environment or the package is missing."""
+    python = Path(os.environ.get("PEERS_PYTHON", PYTHON))
+    if not python.exists():
+        raise Skipped(f"no environment for the peers at {python.parent.parent.name}: make bench makes it")
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder) / "in.npz", Path(folder) / "out.npz"
+        table = stream.table
+        np.savez(
+            source,
+            frame=table.frame,
+            xyxy=table.detections.xyxy,
+            confidence=table.detections.confidence,
+            frames=stream.info.frames,
+        )
+        command = [str(python), "-P", str(SCRIPT), peer, json.dumps(settings), str(source), str(target)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise Skipped(f"{peer} ended with: {(done.stderr.strip().splitlines() or ['no word'])[-1]}")
+        with np.load(target) as out:
+            seconds, frame, identity, xyxy = (out[key] for key in ("seconds", "frame", "identity", "xyxy"))
+    n = len(frame)
+    tracks = Tracks(
+        frame.astype(np.int64),
+        identity.astype(np.int64) + 1,
+        xyxy.astype(np.float64),
+        np.ones(n),
+        np.full(n, -1),
+        np.ones(n, np.bool_),
+    )
+    return _result(seconds, evaluate(stream.truth, tracks, frames=stream.info.frames))
+
+
+def _rows(case: str, results: dict[str, dict[str, dict[str, Any]]]) -> list[Row]:
+    """A case: everybody's time and MOTA, and how much faster ours is than the fastest peer."""
+    rows = []
+    mine = results["phdtrack"][case]
+    for who, of in results.items():
+        result = of[case]
+        extra = f", corrected {result['MOTA_corrected']:.3f}" if who == "phdtrack" else f"; {json.dumps(result['settings'])}"
+        most = 1.0 if who == "phdtrack" and case.startswith("20 ") else None
+        note = f"MOTA {result['MOTA']:.3f}, IDF1 {result['IDF1']:.3f}{extra}"
+        rows.append(Row(f"{case}: {who}", result["ms"]["median"], "ms", Spread(**result["ms"]), most, note=note))
+    peers = {who: of[case] for who, of in results.items() if who != "phdtrack"}
+    if peers:
+        fastest = min(peers.values(), key=lambda r: r["ms"]["median"])
+        ratio = fastest["ms"]["median"] / mine["ms"]["median"]
+        best = max(r["MOTA"] for r in peers.values())
+        hard = case == "200 hard"
+        rows.append(Row(f"{case}: phdtrack against the fastest peer", ratio, "×", least=2.0 if hard else None))
+        gain = mine["MOTA"] - best
+        rows.append(Row(f"{case}: MOTA above the best peer's", gain, "", least=0.0 if hard else None))
+    return rows
