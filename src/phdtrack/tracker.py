@@ -21,7 +21,7 @@ from phdtrack.detections import as_detections
 from phdtrack.errors import InputError
 from phdtrack.protocols import AnyStages
 from phdtrack.statedict import pack, unpack
-from phdtrack.types import Detections, Particles, SequenceInfo, Step, Tracks
+from phdtrack.types import Detections, ParticleBlocks, Particles, SequenceInfo, Step, Tracks
 
 FORMAT = 1
 
@@ -149,7 +149,7 @@ class Tracker:
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"this is no state of a tracker ({error})", where="load_state_dict") from error
         dim, held = self.stages.model.motion.dim, state.intensity
-        if isinstance(held, Particles) and len(held.state) != dim:
+        if isinstance(held, (Particles, ParticleBlocks)) and len(held.state) != dim:
             raise InputError(
                 f"expected states of {dim} components, got {len(held.state)}",
                 where="load_state_dict",

@@ -7,7 +7,7 @@ import numpy as np
 from phdtrack.kernels.box_blocks import BLOCK
 from phdtrack.kernels.comb import by_cells, cut
 from phdtrack.kernels.resample import systematic
-from phdtrack.types import Particles, ParticleBlocks
+from phdtrack.types import ParticleBlocks, Particles
 
 # Blocks are put together up to this extent, in boxes.
 REACH = 1.0
@@ -19,7 +19,7 @@ def plain(state: Particles | ParticleBlocks) -> Particles:
 
 
 def blocked(state: Particles | ParticleBlocks, per_target: int, rng: np.random.Generator) -> ParticleBlocks:
-    """The intensity in blocks; where the weights are not equal, resampled to ``per_target`` particles per expected target."""
+    """The intensity in blocks; resampled to ``per_target`` particles per expected target where its weights are not equal."""
     if isinstance(state, ParticleBlocks):
         return state
     if len(state) == 0:

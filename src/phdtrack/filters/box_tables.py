@@ -65,8 +65,8 @@ class Seen:
     Attributes
     ----------
     table : (rows, N) float32, see `kernels.box_blocks` and `kernels.newborn`; the proposals' peaks are still missing.
-    numbers : (4,) float32 of the sensor: spread, floor, squared radius of the region that counts as explained, and of the one
-        in which births are drawn.
+    numbers : (4,) float32 of the sensor: spread, floor, squared radii of the regions that count as explained and in which
+        births are drawn.
     speed : (N,) float32 deviation of a newborn velocity's amplitude.
     reach : (2, N) half the extent of the region in which each one's newborn are drawn.
     lower, upper : (2, N) gates.  grid : their grid, see `kernels.overlaps`.

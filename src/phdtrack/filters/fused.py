@@ -109,9 +109,9 @@ def fused_step(
 
     def offspring(lo: int, hi: int) -> None:
         sweep_offspring(
-            lo, hi, order, teeth, place, phase, width, divided, old.moved, blocks.start, old.first, old.which, factor, missed,
-            frame.table, parts.own, frame.numbers, draws.key, born.many, born.group_start, born.points, parts.birth.most,
-            parts.local, born.flat, frame.near_start, frame.near, frame.touching, group_mass, frame.speed, out,
+            lo, hi, order, teeth, place, phase, width, divided, old.moved, blocks.start, old.first, old.which,
+            factor, missed, frame.table, parts.own, frame.numbers, draws.key, born.many, born.group_start, born.points,
+            parts.birth.most, parts.local, born.flat, frame.near_start, frame.near, frame.touching, group_mass, frame.speed, out,
         )  # fmt: skip
 
     in_ranges(offspring, len(order), settings.threads)

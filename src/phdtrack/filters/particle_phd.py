@@ -5,9 +5,9 @@ The intensity D(x), whose integral over a region is the expected number of targe
     predict   D⁺(x) = ∫ [p_S(ξ) f(x|ξ) + β(x|ξ)] D(ξ) dξ + γ(x)
     update    D(x)  = [1 − p_D(x) + Σ_z p_D(x) g(z|x) / (κ(z) + C(z))] D⁺(x),   C(z) = ∫ p_D g(z|x) D⁺(x) dx
 
-This file is the definition, for any model that keeps the protocols. A detection touches only the particles inside its gate,
-found through a grid, so that the cost grows linearly with the number of targets; what the gate drops is bounded by the
-sensor's gate and tested against the ungated filter.
+This file is the definition, for any model that keeps the protocols; `fused` does the same faster for the shipped model of
+boxes. A detection touches only the particles inside its gate, found through a grid, so that the cost grows linearly with
+the number of targets; what the gate drops is bounded by the sensor's gate and tested against the ungated filter.
 """
 
 from __future__ import annotations
@@ -27,6 +27,9 @@ from phdtrack.kernels.resample import systematic
 from phdtrack.protocols import Model
 from phdtrack.sampling import draw
 from phdtrack.types import F8, I8, GaussianMixture, ParticleBlocks, Particles, UpdateInfo
+
+# Plain particles, or the blocks of the fused form.
+Intensity = Particles | ParticleBlocks
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +66,9 @@ class ParticlePHD:
             return self.initial
         return Particles(np.zeros((model.motion.dim, 0)), np.zeros(0))
 
-    def predict(self, state: Particles, model: Model, dt: float, rng: np.random.Generator) -> Particles:
+    def predict(self, state: Intensity, model: Model, dt: float, rng: np.random.Generator) -> Particles:
         """Move every particle through f, weigh it with p_S, add what is spawned [M07 (5), D14 Alg. 2]."""
+        state = plain(state)
         if len(state) == 0:
             return state
         weight = state.weight * model.motion.p_survive(state.state, dt)
@@ -78,13 +82,14 @@ class ParticlePHD:
         return join(Particles(moved, weight), spawned)
 
     def update(
-        self, state: Particles, z: F8, model: Model, dt: float, rng: np.random.Generator
+        self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[Particles, UpdateInfo]:
         """Draw the newborn, then weigh everything with the measurements [M07 (6), M09 (6)].
 
         Where κ(z) + C(z) = 0 (no clutter and nothing to explain the detection, to the smallest normal number), the
         detection's term is 0 and counted in ``info.vanished``.
         """
+        state = plain(state)
         covered = self._covered(state, z, model)
         born = model.birth.sample(z, covered, model.sensor, dt, rng)
         everything = join(state, born)
@@ -105,8 +110,9 @@ class ParticlePHD:
         info = UpdateInfo(everything.mass, born.mass, float(weight.sum()), evidence, kappa, int(np.count_nonzero(~known)))
         return Particles(everything.state, weight), info
 
-    def reduce(self, state: Particles, rng: np.random.Generator) -> Particles:
+    def reduce(self, state: Intensity, rng: np.random.Generator) -> Particles:
         """Systematic resampling to ρ particles per expected target, which keeps the mass exactly [M07 §2]."""
+        state = plain(state)
         mass = state.mass
         count = round(self.per_target * mass)
         if self.most:
@@ -117,13 +123,13 @@ class ParticlePHD:
         return Particles(np.ascontiguousarray(state.state[:, chosen]), np.full(count, mass / count))
 
     def step(
-        self, state: Particles | ParticleBlocks, z: F8, model: Model, dt: float, rng: np.random.Generator
-    ) -> tuple[Particles | ParticleBlocks, UpdateInfo]:
+        self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[Intensity, UpdateInfo]:
         """Predict, update and reduce; fused for the shipped model of boxes (see `filters.fused`)."""
         parts = box_model(model)
         if parts is not None:
             return fused_step(self, parts, state, z, model, dt, rng)
-        return composed_step(self, plain(state), z, model, dt, rng)
+        return composed_step(self, state, z, model, dt, rng)
 
     def _gated(self, state: Particles, z: F8, model: Model) -> tuple[I8, I8]:
         """Pairs (particle, detection) inside the sensor's gates."""

@@ -19,7 +19,7 @@ TINY = float(np.finfo(np.float64).tiny)
 
 @njit(cache=True, nogil=True)
 def births(which: I8, sums: F4, unit: float, most: int, kept: float, touching: I8, table: F4) -> tuple[I8, I8, I8]:
-    """J_j = ⌈Jmax·max(0, 1 − M_j)⌉ newborn for each detection [M07 §2], and the proposals' peaks J_j p_j(z_j) into ``table``.
+    """J_j = ⌈Jmax·max(0, 1 − M_j)⌉ newborn a detection [M07 §2], and the proposals' peaks J_j p_j(z_j) into ``table``.
 
     Returns
     -------

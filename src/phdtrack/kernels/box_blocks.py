@@ -183,6 +183,9 @@ def likelihood_given(s: F4, n: int, d: F4, j: int, region: np.float32) -> tuple[
 @njit(fastmath=FAST, error_model="numpy")
 def likelihood(s: F4, n: int, d: F4, j: int, region: np.float32, own: bool) -> tuple[np.float32, np.float32]:
     """g(z_j|x)·ALIVE into G; its sum, and how many particles lie in the ``region`` around z_j."""
+    total, near = ZERO, ZERO
     if own:
-        return likelihood_own(s, n, d, j, region)
-    return likelihood_given(s, n, d, j, region)
+        total, near = likelihood_own(s, n, d, j, region)
+    else:
+        total, near = likelihood_given(s, n, d, j, region)
+    return total, near

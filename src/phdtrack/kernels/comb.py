@@ -90,7 +90,7 @@ def cut(extents: F4, order: I8, teeth: I8, reach: float) -> tuple[I8, I8]:
     """Where the offspring of the sources in ``order`` are cut into blocks of at most ``BLOCK`` neighbours.
 
     Sources are put together while their common extent is at most ``reach`` boxes. A source that is wider than that itself is
-    to be parted along its longer side, and its offspring are halved: so what has drifted apart is parted again, in a few frames.
+    to be parted along its longer side, and its offspring are halved: what has drifted apart is parted in a few frames.
 
     Returns
     -------

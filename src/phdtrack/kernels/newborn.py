@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.box_blocks import ALIVE, H, IH, IW, MINUS_TWO, W, X, Y, ZERO, ZH, ZW, ZX, ZY
+from phdtrack.kernels.box_blocks import ALIVE, IH, IW, MINUS_TWO, ZERO, ZH, ZW, ZX, ZY, H, W, X, Y
 from phdtrack.kernels.fast32 import FAST, HALF, ONE, cos_sin_turn, exp32, log32
 from phdtrack.kernels.philox import ROUNDS, philox, unit
 
@@ -77,12 +77,12 @@ def standard_points(count: int, radius: F4, key: I8) -> F4:
 def stretch(j: int, room: int, k0: np.uint32, k1: np.uint32) -> int:
     """Where in the standard points those of detection j begin, 0 ≤ … ≤ ``room``."""
     a, _, _, _ = philox(np.uint32(j), ALL, STAGE_POINT, np.uint32(0), k0, k1, ROUNDS)
-    return np.int64(a) % (room + 1)
+    return int(a) % (room + 1)
 
 
 @njit(fastmath=FAST, error_model="numpy")
 def place_newborn(s: F4, row: int, n: int, points: F4, first: int, d: F4, j: int) -> None:
-    """The points ``first`` … first + n − 1 around detection j, into X, Y, W, H from column ``row``; their proposal's density in IW."""
+    """The points ``first`` … first + n − 1 around detection j into X, Y, W, H from place ``row``, their proposal into IW."""
     x, y, w, h = s[X + row : X + row + n], s[Y + row : Y + row + n], s[W + row : W + row + n], s[H + row : H + row + n]
     own = s[IW + row : IW + row + n]
     a, b, c, e = (

@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 from phdtrack.kernels.box_blocks import (
     ALIVE,
     BLOCK,
-    G,
-    H,
     N0,
     ROWS,
     SUM,
     VX,
     VY,
+    ZERO,
+    G,
+    H,
     W,
     X,
     Y,
-    ZERO,
     drift,
     extent,
     fill_normals,
@@ -89,7 +89,8 @@ def sweep_old(
 
     Returns
     -------
-    first : (hi − lo + 1,) where each block's sums begin.  which : the detection.  sums : (2, E) Σg and how many are explained.
+    first : (hi − lo + 1,) where each block's sums begin.  which : the detection.
+    sums : (2, E) Σg, and how many particles are explained.
     """
     k0, k1 = np.uint32(key[0]), np.uint32(key[1])
     s = np.empty(ROWS * BLOCK, np.float32)
@@ -172,7 +173,7 @@ def sweep_born(
     ----------
     points, room : standard points of the frame, and how far into them a detection's stretch may begin.
     many : (N,) J_j.  group_start : (N + 1,) where each detection's groups begin.
-    near_start, near : the neighbours of each detection, those whose gates its newborn can lie in first: ``touching`` (N,) many.
+    near_start, near : the neighbours of each detection; first the ``touching`` (N,) in whose gates its newborn can lie.
     gain_start : (N + 1,) where each detection's sums begin; touching × groups of them.
     base : (groups,) output: the newborn's mass.  gains : output: Σ weight·g, by neighbour, then group.
     """
@@ -246,7 +247,7 @@ def sweep_offspring(
     Parameters
     ----------
     many_offspring, place : (S,) how many offspring each source has, and their first column.
-    divided : (S,) 1 or 2 where the source's particles are to be parted along x or y, so that its offspring form compact blocks.
+    divided : (S,) 1 or 2 where the source's particles are to be parted along x or y, so that blocks become compact.
     phase, width : (S,) in steps of the comb: where a source's first tooth stands, and how wide the source is.
     first, which : the detections near each block.  weight : (N,) p_D/(κ + C).  missed : 1 − p_D.
     group_mass : mass of each group of newborn after the update.  speed : (N,) deviation of the velocity's amplitude.
@@ -355,13 +356,13 @@ def _pick(s: F4, n: int, teeth: int, at: int, phase: float, width: float, upto: 
         total += s[SUM + i]
         s[N0 + i] = total
     _teeth_before(s, n, F(width) / total if total > ZERO else ZERO, F(1.0 - phase), teeth, upto)
-    # A particle is written down for two teeth whether they fall on it or not, and overwritten by the next: no branch to miss.
+    # Each particle is written down for two teeth, whether they fall on it or not, and overwritten: no branch to miss.
     done = 0
     for i in range(n):
         chosen[done], chosen[done + 1] = i, i
         for t in range(done + 2, upto[i]):
             chosen[t] = i
-        done = max(done, np.int64(upto[i]))
+        done = max(done, int(upto[i]))
     # Rounding can leave the last tooth beyond the last sum.
     for t in range(done, teeth):
         chosen[t] = n - 1
