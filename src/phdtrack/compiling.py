@@ -16,38 +16,58 @@ from numba.core import event
 
 @dataclass(slots=True)
 class Compiled:
-    """What was compiled so far: names of kernels in the order in which they were begun, and seconds of all together."""
+    """What was compiled so far: each kernel with its own seconds, without those of kernels that it calls.
 
-    kernels: list[str] = field(default_factory=list)
-    seconds: float = 0.0
+    Parts of Numba itself that a kernel uses count as its own: they are what it costs.
+    """
+
+    kernels: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def seconds(self) -> float:
+        """Of all together."""
+        return sum(self.kernels.values())
+
+
+@dataclass(slots=True)
+class _Begun:
+    """A function that is being compiled; ``within``: seconds of the kernels compiled on its behalf."""
+
+    name: str
+    ours: bool
+    clock: float = field(default_factory=time.perf_counter)
+    within: float = 0.0
 
 
 class _Listener(event.Listener):  # type: ignore[misc]
-    """Counts; a kernel that is compiled on behalf of another one is inside that one's time."""
+    """Adds up. Numba compiles one function at a time, and those that it calls in between."""
 
     def __init__(self, into: Compiled, begun: Callable[[], None]) -> None:
         self._into, self._begun = into, begun
-        self._depth, self._clock = 0, 0.0
+        self._stack: list[_Begun] = []
 
     def on_start(self, event: event.Event) -> None:
-        """A kernel begins to be compiled."""
-        if not self._into.kernels:
+        """A function begins to be compiled."""
+        function = event.data["dispatcher"].py_func
+        ours = function.__module__.startswith("phdtrack.")
+        if ours and not self._into.kernels and not self._stack:
             self._begun()
-        if not self._depth:
-            self._clock = time.perf_counter()
-        self._depth += 1
-        self._into.kernels.append(event.data["dispatcher"].py_func.__qualname__)
+        self._stack.append(_Begun(function.__name__, ours))
 
     def on_end(self, event: event.Event) -> None:
         """It has been compiled."""
-        self._depth -= 1
-        if not self._depth:
-            self._into.seconds += time.perf_counter() - self._clock
+        ended = self._stack.pop()
+        passed = time.perf_counter() - ended.clock
+        if ended.ours:
+            kernels = self._into.kernels
+            kernels[ended.name] = kernels.get(ended.name, 0.0) + passed - ended.within
+        if self._stack:
+            self._stack[-1].within += passed if ended.ours else ended.within
 
 
 @contextmanager
 def watched(begun: Callable[[], None]) -> Iterator[Compiled]:
-    """While this lasts, count what is compiled in any thread; ``begun`` is called once, before the first kernel is."""
+    """While this lasts, count the kernels compiled in any thread; ``begun`` is called once, before the first one is."""
     compiled = Compiled()
     with event.install_listener("numba:compile", _Listener(compiled, begun)):
         yield compiled

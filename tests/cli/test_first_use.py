@@ -34,7 +34,7 @@ sys.stderr.isatty = lambda: {terminal}
 with announced(Output(json=True)) as compiled:
     value = caller(1)
 again = caller(2)
-found = {{"value": value, "compiled": compiled.kernels, "seconds": compiled.seconds, "folder": str(CACHE.folder)}}
+found = {{"value": value, "compiled": sorted(compiled.kernels), "seconds": compiled.seconds, "folder": str(CACHE.folder)}}
 print(json.dumps(found | {{"lasting": CACHE.lasting, "kept": CACHE.kept}}))
 """
 
