@@ -100,8 +100,8 @@ def _clutter(clutter: Clutter) -> tuple[int, float] | None:
     return None
 
 
-def fused_step(state: GaussianMixture, z: F8, box: BoxModel, limits: Limits) -> tuple[GaussianMixture, UpdateInfo]:
-    """`GMPHD.step` for the box model [V06 (24)–(38), Table II]."""
+def fused_update(state: GaussianMixture, z: F8, box: BoxModel, limits: Limits) -> tuple[tuple[F8, F8, F8], UpdateInfo]:
+    """Predict and update of the box model [V06 (24)–(38)]: weights (J,), means (J, d), covariance triangles (J, 21)."""
     born = box.births
     weight, mean, cov, evidence, kappa, predicted, newborn, mass, vanished = box_step(
         state.weight,
@@ -114,4 +114,4 @@ def fused_step(state: GaussianMixture, z: F8, box: BoxModel, limits: Limits) -> 
         box.numbers,
         limits,
     )
-    return GaussianMixture(weight, mean, cov), UpdateInfo(predicted, newborn, mass, evidence, kappa, vanished)
+    return (weight, mean, cov), UpdateInfo(predicted, newborn, mass, evidence, kappa, vanished)

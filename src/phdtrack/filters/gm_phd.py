@@ -26,7 +26,7 @@ from phdtrack.arrays import sum_by
 from phdtrack.checks import Count, NonNegative, Positive, check
 from phdtrack.errors import InputError
 from phdtrack.filters.composed import composed_step
-from phdtrack.filters.gm_box import box_model, fused_step
+from phdtrack.filters.gm_box import box_model, fused_update
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.kernels.gm_reduce import reduced, triangles
@@ -125,11 +125,7 @@ class GMPHD:
 
     def reduce(self, state: GaussianMixture, rng: np.random.Generator) -> GaussianMixture:
         """Prune, merge, cap: the strongest first, with all that are near it, moment-matched [V06 Table II, E13 §4]."""
-        mass = state.mass if self.redistribute else -1.0
-        x = np.ascontiguousarray(state.mean.T)
-        return GaussianMixture(
-            *reduced(state.weight, x, triangles(state.covariance), self.prune, self.merge, self.most, mass)
-        )
+        return self._reduced(state.weight, np.ascontiguousarray(state.mean.T), triangles(state.covariance), state.mass)
 
     def step(
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
@@ -138,8 +134,15 @@ class GMPHD:
         box = box_model(model, dt)
         if box is None:
             return composed_step(self, state, z, model, dt, rng)
-        limits = Limits(self.gate, self.region, self.prune, self.merge, self.most, self.redistribute, self.skip_empty)
-        return fused_step(state, z, box, limits)
+        limits = Limits(self.gate, self.region, self.prune, self.skip_empty)
+        (weight, x, cov), info = fused_update(state, z, box, limits)
+        return self._reduced(weight, x, cov, info.mass), info
+
+    def _reduced(self, weight: F8, x: F8, cov: F8, mass: float) -> GaussianMixture:
+        """Prune, merge, cap, in the kernels' layout; ``mass`` is that before anything was dropped."""
+        wanted = mass if self.redistribute else -1.0
+        axes = tuple(range(x.shape[1]))
+        return GaussianMixture(*reduced(weight, x, cov, axes, self.prune, self.merge, self.most, wanted))
 
     def _pairs(self, state: GaussianMixture, z: F8, sensor: Sensor) -> tuple[I8, I8, F8, F8]:
         """Pairs (Gaussian, measurement) within the gate, their d², and log 1/√det(2πS).

@@ -80,7 +80,7 @@ class BoxNumbers(NamedTuple):
     size_high: float
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def entry(r: int, s: int) -> int:
     """Where the element in row r, column s ≤ r of a covariance is kept."""
     return r * (r + 1) // 2 + s
@@ -131,7 +131,7 @@ def predicted(weight: F8, mean: F8, cov: F8, b: BoxNumbers, w: F8, x: F8, p: F8)
     return k
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def noise(b: BoxNumbers, w: float, h: float, z: F8) -> tuple[float, float, float, float]:
     """Variances of (px, py, w, h) of the measurement ``z`` (m,) of a box of size ``w``, ``h``."""
     if b.scaling == FIXED:
@@ -152,10 +152,14 @@ def sorted_boxes(z: F8) -> Scene:
     Raises ValueError where a position is NaN or infinite.
     """
     n = z.shape[1]
-    if not np.isfinite(z[:2].sum()):
+    x0, x1, y0, y1, total = z[0, 0], z[0, 0], z[1, 0], z[1, 0], 0.0
+    for j in range(n):
+        x0, x1 = min(x0, z[0, j]), max(x1, z[0, j])
+        y0, y1 = min(y0, z[1, j]), max(y1, z[1, j])
+        total += z[0, j] + z[1, j]
+    if not np.isfinite(total):
         raise ValueError("positions must be finite")
-    x0, y0 = z[0].min(), z[1].min()
-    wide, high = z[0].max() - x0 + 1e-9, z[1].max() - y0 + 1e-9
+    wide, high = x1 - x0 + 1e-9, y1 - y0 + 1e-9
     nx = int(min(max(np.sqrt(n * (wide / high)), 1.0), n))
     ny = max(1, n // nx)
     start, order = _sort_into_cells(z[0], z[1], x0, y0, wide / nx, high / ny, nx, ny)
@@ -166,7 +170,7 @@ def sorted_boxes(z: F8) -> Scene:
     return Scene(boxes, order, start, x0, y0, wide / nx, high / ny, nx, ny)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def cells(x: float, y: float, half_x: float, half_y: float, scene: Scene) -> tuple[int, int, int, int]:
     """First and last column, first and last line of the cells that a rectangle about (x, y) touches."""
     left, right = _cell(x - half_x, scene.x0, scene.width, scene.nx), _cell(x + half_x, scene.x0, scene.width, scene.nx)

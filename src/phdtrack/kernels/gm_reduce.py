@@ -30,27 +30,27 @@ def triangles(cov: F8) -> F8:
     return out
 
 
-# The inner functions take the dimension as an argument and are copied into their callers, which name the box model's: loops
-# of a known length are unrolled, which saves a third of the time.
-BOX = 6
+# ``axes`` is (0, 1, …, d − 1): the length of a tuple is known when a function is compiled, and loops of known length are
+# unrolled, which saves a third of the time.
+Axes = tuple[int, ...]
 
 
-@njit(cache=True, inline="always")
-def _apart(step: F8, cov: F8, limit: float, d: int) -> bool:
+@njit(cache=True)
+def _apart(step: F8, cov: F8, limit: float, axes: Axes) -> bool:
     """Whether one component alone says that stepᵀ cov⁻¹ step is above ``limit``: step_r² / cov_rr is never more than it."""
     far = False
-    for r in range(d):
+    for r in range(len(axes)):
         far |= step[r] * step[r] > limit * cov[r * (r + 1) // 2 + r]
     return far
 
 
-@njit(cache=True, inline="always")
-def _factor(cov: F8, work: F8, inverse: F8, d: int) -> None:
+@njit(cache=True)
+def _factor(cov: F8, work: F8, inverse: F8, axes: Axes) -> None:
     """cov = L D Lᵀ without roots: L below the diagonal of ``work`` (d, d), (L D)ᵀ above it, and 1/D in ``inverse`` (d,).
 
     NaN where ``cov`` is not positive definite.
     """
-    for r in range(d):
+    for r in range(len(axes)):
         pivot = cov[r * (r + 1) // 2 + r]
         for c in range(r):
             value = cov[r * (r + 1) // 2 + c]
@@ -62,11 +62,11 @@ def _factor(cov: F8, work: F8, inverse: F8, d: int) -> None:
         inverse[r] = 1.0 / pivot if pivot > 0.0 else np.nan
 
 
-@njit(cache=True, inline="always")
-def _distance2(step: F8, work: F8, inverse: F8, d: int) -> float:
+@njit(cache=True)
+def _distance2(step: F8, work: F8, inverse: F8, axes: Axes) -> float:
     """stepᵀ cov⁻¹ step from the factors of `_factor`; overwrites ``step`` with L⁻¹ step."""
     total = 0.0
-    for r in range(d):
+    for r in range(len(axes)):
         for t in range(r):
             step[r] -= work[r, t] * step[t]
         total += step[r] * step[r] * inverse[r]
@@ -107,10 +107,16 @@ def _cell(value: float, origin: float, scale: float, count: int) -> int:
     return count - 1 if position >= count else int(position)
 
 
-@njit(cache=True, inline="always")
-def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, d: int) -> tuple[I8, I8, I8]:
-    n = alive.size
-    order, group, head = alive[descending(weight[alive])], np.empty(n, np.int64), np.empty(n, np.int64)
+@njit(cache=True)
+def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) -> tuple[I8, I8, I8]:
+    """Indices by descending weight (n,), the number of the group of each of these (n,), the head of each group (k,)."""
+    n, d = alive.size, len(axes)
+    own, group, head = np.empty(n), np.empty(n, np.int64), np.empty(n, np.int64)
+    for k in range(n):
+        own[k] = weight[alive[k]]
+    order = descending(own)
+    for k in range(n):
+        order[k] = alive[order[k]]
     limit = distance * distance
     x0, y0, sx, sy, nx, ny = _cells(x, cov, alive)
     first, after = np.full(nx * ny, -1), np.empty(n, np.int64)
@@ -130,11 +136,11 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, d: int) -> t
                     if g < best and abs(x[head[g], 0] - px) <= reach_x and abs(x[head[g], 1] - py) <= reach_y:
                         for r in range(d):
                             step[r] = x[head[g], r] - x[i, r]
-                        if not _apart(step, cov[i], limit, d):
+                        if not _apart(step, cov[i], limit, axes):
                             if not known:
-                                _factor(cov[i], work, inverse, d)
+                                _factor(cov[i], work, inverse, axes)
                                 known = True
-                            if _distance2(step, work, inverse, d) <= limit:
+                            if _distance2(step, work, inverse, axes) <= limit:
                                 best = g
                     g = after[g]
         if best == n:
@@ -147,8 +153,10 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, d: int) -> t
     return order, group, head[:count]
 
 
-@njit(cache=True, inline="always")
-def _united(weight: F8, x: F8, cov: F8, order: I8, group: I8, head: I8, d: int) -> tuple[F8, F8, F8]:
+@njit(cache=True)
+def _united(weight: F8, x: F8, cov: F8, order: I8, group: I8, head: I8, axes: Axes) -> tuple[F8, F8, F8]:
+    """Mass (k,), mean (d, k) and covariance (k, d, d) of the groups."""
+    d = len(axes)
     count, entries = head.size, d * (d + 1) // 2
     mass, mean, out = np.zeros(count), np.empty((d, count)), np.empty((count, d, d))
     members, spread, step = np.zeros(count, np.int64), np.empty((count, entries)), np.empty(d)
@@ -188,44 +196,62 @@ def _united(weight: F8, x: F8, cov: F8, order: I8, group: I8, head: I8, d: int) 
 
 
 @njit(cache=True)
-def merged(weight: F8, x: F8, cov: F8, alive: I8, distance: float) -> tuple[F8, F8, F8]:
-    """Weight (k,), mean (d, k) and covariance (k, d, d) of the groups, strongest head first, moment-matched.
+def _alive(weight: F8, prune: float) -> I8:
+    """Indices of what is no lighter than ``prune``."""
+    out, count = np.empty(weight.size, np.int64), 0
+    for i in range(weight.size):
+        if weight[i] >= prune:
+            out[count] = i
+            count += 1
+    return out[:count]
+
+
+@njit(cache=True)
+def _heaviest(weight: F8, mean: F8, cov: F8, most: int) -> tuple[F8, F8, F8]:
+    """The ``most`` heaviest of a mixture, (J,), (d, J), (J, d, d), in descending order."""
+    order, d = descending(weight), len(mean)
+    w, m, c = np.empty(most), np.empty((d, most)), np.empty((most, d, d))
+    for k in range(most):
+        i = order[k]
+        w[k] = weight[i]
+        for r in range(d):
+            m[r, k] = mean[r, i]
+            for s in range(d):
+                c[k, r, s] = cov[i, r, s]
+    return w, m, c
+
+
+@njit(cache=True)
+def reduced(
+    weight: F8, x: F8, cov: F8, axes: Axes, prune: float, distance: float, most: int, mass: float
+) -> tuple[F8, F8, F8]:
+    """Prune, merge and cap: weight (k,), mean (d, k), covariance (k, d, d), each group by its strongest, moment-matched.
 
     Parameters
     ----------
-    weight, x, cov : (J,), (J, d) means, (J, d(d + 1)/2) lower triangles of the covariances, row by row, of Gaussians.
-    alive : indices of those that take part.
+    weight, x, cov : (J,), (J, d) means, (J, d(d + 1)/2) `triangles` of the covariances.
+    axes : (0, 1, …, d − 1).
+    prune : what is lighter is left out.
     distance : Mahalanobis distance (not squared) up to which two are one.
+    most : as many of what merging leaves, the heaviest, are kept; 0: all.
+    mass : the weights are scaled to this sum; where it is negative they stay.
 
     Raises
     ------
     ValueError : a mean or a variance is NaN or infinite, or a variance negative.
     """
-    d = x.shape[1]
+    alive = _alive(weight, prune)
+    d = len(axes)
     if alive.size == 0:
         return np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d))
-    if d == BOX:
-        order, group, head = _groups(weight, x, cov, alive, distance, BOX)
-        mass, mean, covs = _united(weight, x, cov, order, group, head, BOX)
-    else:
-        order, group, head = _groups(weight, x, cov, alive, distance, d)
-        mass, mean, covs = _united(weight, x, cov, order, group, head, d)
-    return mass, mean, covs
-
-
-@njit(cache=True)
-def reduced(weight: F8, x: F8, cov: F8, prune: float, distance: float, most: int, mass: float) -> tuple[F8, F8, F8]:
-    """Prune, merge and cap: weight (k,), mean (d, k), covariance (k, d, d) of a mixture given as for `merged`.
-
-    Gaussians lighter than ``prune`` are left out; of what merging leaves, the ``most`` heaviest are kept (0: all). The
-    weights are scaled to the sum ``mass``; where that is negative they stay.
-    """
-    alive = np.flatnonzero(weight >= prune)
-    w, mean, covs = merged(weight, x, cov, alive, distance)
+    order, group, head = _groups(weight, x, cov, alive, distance, axes)
+    w, mean, covs = _united(weight, x, cov, order, group, head, axes)
     if 0 < most < w.size:
-        kept = descending(w)[:most]
-        w, mean, covs = w[kept], np.ascontiguousarray(mean[:, kept]), covs[kept]
-    total = w.sum()
+        w, mean, covs = _heaviest(w, mean, covs, most)
+    total = 0.0
+    for i in range(w.size):
+        total += w[i]
     if mass >= 0.0 and total > 0.0:
-        w = w * (mass / total)
+        for i in range(w.size):
+            w[i] *= mass / total
     return w, mean, covs

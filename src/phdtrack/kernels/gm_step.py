@@ -1,8 +1,8 @@
-"""One frame of the GM-PHD filter for the box model in one call: predict, births, update, prune, merge, cap.
+"""One frame of the GM-PHD filter for the box model in one call: predict, births, update, prune.
 
-What it computes is the composition of the steps of `filters.gm_phd`, to rounding, and a test holds it to that. It is
-faster because nothing that the pruning would drop is ever made, because a Gaussian that meets several measurements is
-factored once, and because there is no Python between the steps.
+It computes what predict and update of `filters.gm_phd` compute, to rounding, and a test holds it to that. It is faster
+because nothing that the pruning would drop is ever made, because a Gaussian that meets several measurements is factored
+once, and because there is no Python between the steps.
 """
 
 from __future__ import annotations
@@ -33,7 +33,6 @@ from phdtrack.kernels.gm_model import (
     predicted,
     sorted_boxes,
 )
-from phdtrack.kernels.gm_reduce import reduced
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -44,18 +43,15 @@ SMALLEST = float(np.finfo(np.float64).tiny)
 
 
 class Limits(NamedTuple):
-    """Settings of the filter: see `filters.gm_phd.GMPHD`."""
+    """Settings of the filter that the step needs: see `filters.gm_phd.GMPHD`."""
 
     gate: float
     region: float
     prune: float
-    distance: float
-    most: int
-    redistribute: bool
     skip_empty: bool
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _innovation(x: F8, p: F8, box: F8, b: BoxNumbers, s: F8, w: F8) -> float:
     """Root L of H P Hᵀ + R in ``s`` (its diagonal inverted), W = L⁻¹ H P in ``w``; 1/√det."""
     variance = noise(b, x[4], x[5], box)
@@ -158,7 +154,7 @@ def paired(x: F8, p: F8, first: int, last: int, scene: Scene, b: BoxNumbers, gat
     return index[:found], value[:found], roots
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _posterior(x: F8, p: F8, y: F8, w: F8, mean: F8, cov: F8) -> None:
     """m + Wᵀ y and P − Wᵀ W into ``mean`` and ``cov``."""
     for r in range(D):
@@ -174,25 +170,75 @@ def _posterior(x: F8, p: F8, y: F8, w: F8, mean: F8, cov: F8) -> None:
 
 
 @njit(cache=True)
-def _grown(w: F8, x: F8, p: F8, used: int, more: int) -> tuple[F8, F8, F8]:
+def _with_room(w: F8, x: F8, p: F8, used: int, more: int) -> tuple[F8, F8, F8]:
     """The same arrays, copied into longer ones where they have no room for ``more``."""
     if used + more <= w.size:
         return w, x, p
     size = used + more
     wider, longer, larger = np.empty(size), np.empty((size, D)), np.empty((size, ENTRIES))
-    wider[:used], longer[:used], larger[:used] = w[:used], x[:used], p[:used]
+    for i in range(used):
+        wider[i] = w[i]
+        for r in range(D):
+            longer[i, r] = x[i, r]
+        for e in range(ENTRIES):
+            larger[i, e] = p[i, e]
     return wider, longer, larger
 
 
 @njit(cache=True)
-def _survivors(
-    index: I8, value: F8, w: F8, x: F8, p: F8, roots: F8, used: int, seen: F8, explained: F8, prune: float
+def _given(weight: F8, mean: F8, cov: F8, w: F8, x: F8, p: F8, used: int) -> int:
+    """Put a mixture, (B,), (d, B), (B, 21) triangles, behind the first ``used`` Gaussians; how many there are then."""
+    for k in range(weight.size):
+        w[used] = weight[k]
+        for r in range(D):
+            x[used, r] = mean[r, k]
+        for e in range(ENTRIES):
+            p[used, e] = cov[k, e]
+        used += 1
+    return used
+
+
+@njit(cache=True)
+def _covered(index: I8, value: F8, w: F8, n: int, region: float) -> F8:
+    """(n,) M(z): the mass of the Gaussians within ``region`` of each measurement."""
+    out = np.zeros(n)
+    for q in range(len(index)):
+        if value[q, 0] <= region:
+            out[index[q, 1]] += w[index[q, 0]]
+    return out
+
+
+@njit(cache=True)
+def _birth_density(scene: Scene, b: BoxNumbers, crowded: F8) -> F8:
+    """(N,) γ at each measurement, for the interval; 0 where a size is not positive."""
+    out = np.empty(crowded.size)
+    for j in range(crowded.size):
+        possible = scene.boxes[j, 2] > 0.0 and scene.boxes[j, 3] > 0.0
+        density = b.born * crowded[j] if b.birth == LOCAL else b.born
+        out[j] = density if possible else 0.0
+    return out
+
+
+@njit(cache=True)
+def _shares(index: I8, value: F8, w: F8, p_detect: float, evidence: F8) -> F8:
+    """(P,) p_D w q(z) of each pair, added to ``evidence`` (N,), C(z)."""
+    seen = np.empty(len(index))
+    for q in range(len(index)):
+        seen[q] = p_detect * w[index[q, 0]] * value[q, 1]
+        evidence[index[q, 1]] += seen[q]
+    return seen
+
+
+@njit(cache=True)
+def _posteriors(
+    index: I8, value: F8, roots: F8, seen: F8, explained: F8, prune: float, w: F8, x: F8, p: F8, used: int
 ) -> tuple[F8, F8, F8, int]:
     """Append the posteriors of the pairs that are no lighter than ``prune``; the arrays, and how many are in use."""
     count = 0
     for q in range(len(index)):
-        count += seen[q] * explained[index[q, 1]] >= prune
-    w, x, p = _grown(w, x, p, used, count)
+        if seen[q] * explained[index[q, 1]] >= prune:
+            count += 1
+    w, x, p = _with_room(w, x, p, used, count)
     for q in range(len(index)):
         share = seen[q] * explained[index[q, 1]]
         if share >= prune:
@@ -204,85 +250,76 @@ def _survivors(
 
 
 @njit(cache=True)
+def _sum(w: F8, first: int, last: int) -> float:
+    """The sum of ``w`` from ``first`` to before ``last``."""
+    total = 0.0
+    for i in range(first, last):
+        total += w[i]
+    return total
+
+
+@njit(cache=True)
 def box_step(
     weight: F8, mean: F8, cov: F8, z: F8, born_weight: F8, born_mean: F8, born_cov: F8, b: BoxNumbers, limits: Limits
 ) -> tuple[F8, F8, F8, F8, F8, float, float, float, int]:
-    """The mixture after a frame.
+    """Predict, births and update: the Gaussians that pruning would leave.
 
     Parameters
     ----------
-    weight, mean, cov : (J,), (d, J), (J, d, d) the mixture before it.
+    weight, mean, cov : (J,), (d, J), (J, d, d) the mixture before the frame.
     z : (m, N) measurements.
     born_weight, born_mean, born_cov : a mixture of births that is given, (B,), (d, B), (B, 21) triangles.
     b, limits : the model and the filter.
 
     Returns
     -------
-    weight, mean, cov : as above; evidence, clutter : (N,); the masses predicted (with births), born, and after the update
-    (before anything is dropped); the number of measurements with κ + C = 0.
+    weight, x, cov : (K,), (K, d), (K, 21) triangles; evidence, clutter : (N,); the masses predicted (with births), born,
+    and after the update (before anything is dropped); the number of measurements with κ + C = 0.
+
+    Raises
+    ------
+    ValueError : the position of a measurement is NaN or infinite.
     """
-    n, fixed = z.shape[1], born_weight.size
-    room = 2 * weight.size + 3 * n + fixed + 8
+    n, given = z.shape[1], born_weight.size
+    # A literal zero is a type of its own, for which the functions below would be compiled once more.
+    none = 0 * n
+    room = 2 * weight.size + 3 * n + given + 8
     w, x, p = np.empty(room), np.empty((room, D)), np.empty((room, ENTRIES))
     old = predicted(weight, mean, cov, b, w, x, p)
-    w, x, p = _grown(w, x, p, old, n + fixed)
-    used = old
-    for k in range(fixed):
-        w[used] = born_weight[k]
-        x[used] = born_mean[:, k]
-        p[used] = born_cov[k]
-        used += 1
-    evidence, kappa = np.zeros(n), np.zeros(n)
+    evidence, kappa, vanished = np.zeros(n), np.zeros(n), none
+    used = _given(born_weight, born_mean, born_cov, w, x, p, old)
+    missed = 1.0 - b.p_detect
     if n == 0:
-        before = w[:used].sum()
-        if not limits.skip_empty:
-            w[:used] *= 1.0 - b.p_detect
-        after = w[:used].sum()
-        out = reduced(
-            w[:used], x[:used], p[:used], limits.prune, limits.distance, limits.most, after if limits.redistribute else -1.0
-        )
-        return (*out, evidence, kappa, before, born_weight.sum(), after, 0)
+        before, born = _sum(w, none, used), _sum(w, old, used)
+        if limits.skip_empty:
+            missed = 1.0
+        for i in range(used):
+            w[i] *= missed
+        return w[:used], x[:used], p[:used], evidence, kappa, before, born, missed * before, vanished
     scene = sorted_boxes(z)
-    boxes, order = scene.boxes, scene.order
-    crowded = crowding(scene, b) if b.birth == LOCAL or b.clutter == LOCAL else evidence
-    index, value, roots = paired(x, p, 0, old, scene, b, limits.gate)
+    crowded = crowding(scene, b) if b.birth == LOCAL or b.clutter == LOCAL else np.zeros(n)
+    index, value, roots = paired(x, p, none, old, scene, b, limits.gate)
     if b.birth != NOWHERE:
-        covered = np.zeros(n)
-        for q in range(len(index)):
-            if value[q, 0] <= limits.region:
-                covered[index[q, 1]] += w[index[q, 0]]
-        gamma = np.empty(n)
-        for j in range(n):
-            possible = boxes[j, 2] > 0.0 and boxes[j, 3] > 0.0
-            gamma[j] = b.born * crowded[j] if b.birth == LOCAL else b.born if possible else 0.0
-        used = newborn(scene, b, gamma, covered, w, x, p, used)
+        covered = _covered(index, value, w, n, limits.region)
+        used = newborn(scene, b, _birth_density(scene, b, crowded), covered, w, x, p, used)
     born_index, born_value, born_roots = paired(x, p, old, used, scene, b, limits.gate)
     total = np.zeros(n)
-    seen, born_seen = np.empty(len(index)), np.empty(len(born_index))
-    for q in range(len(index)):
-        seen[q] = b.p_detect * w[index[q, 0]] * value[q, 1]
-        total[index[q, 1]] += seen[q]
-    for q in range(len(born_index)):
-        born_seen[q] = b.p_detect * w[born_index[q, 0]] * born_value[q, 1]
-        total[born_index[q, 1]] += born_seen[q]
-    vanished = 0
-    explained = np.empty(n)
-    before, born = w[:used].sum(), w[old:used].sum()
-    after = (1.0 - b.p_detect) * before
+    seen = _shares(index, value, w, b.p_detect, total)
+    born_seen = _shares(born_index, born_value, w, b.p_detect, total)
+    explained = np.zeros(n)
+    before, born = _sum(w, none, used), _sum(w, old, used)
+    after = missed * before
     for j in range(n):
-        evidence[order[j]] = total[j]
         clutter = b.false * crowded[j] if b.clutter == LOCAL else b.false
-        kappa[order[j]] = clutter
-        everything = clutter + total[j]
-        known = everything >= SMALLEST
-        vanished += not known
-        explained[j] = 1.0 / everything if known else 0.0
+        evidence[scene.order[j]], kappa[scene.order[j]] = total[j], clutter
+        if clutter + total[j] >= SMALLEST:
+            explained[j] = 1.0 / (clutter + total[j])
+        else:
+            vanished += 1
         after += total[j] * explained[j]
     priors = used
-    w, x, p, used = _survivors(index, value, w, x, p, roots, used, seen, explained, limits.prune)
-    w, x, p, used = _survivors(born_index, born_value, w, x, p, born_roots, used, born_seen, explained, limits.prune)
-    w[:priors] *= 1.0 - b.p_detect
-    out = reduced(
-        w[:used], x[:used], p[:used], limits.prune, limits.distance, limits.most, after if limits.redistribute else -1.0
-    )
-    return (*out, evidence, kappa, before, born, after, vanished)
+    w, x, p, used = _posteriors(index, value, roots, seen, explained, limits.prune, w, x, p, used)
+    w, x, p, used = _posteriors(born_index, born_value, born_roots, born_seen, explained, limits.prune, w, x, p, used)
+    for i in range(priors):
+        w[i] *= missed
+    return w[:used], x[:used], p[:used], evidence, kappa, before, born, after, vanished

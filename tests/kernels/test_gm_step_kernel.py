@@ -1,0 +1,157 @@
+"""The fused GM-PHD step for boxes is the composition of predict, update and reduce, to rounding."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from phdtrack.filters import GMPHD
+from phdtrack.filters.composed import composed_step
+from phdtrack.filters.gm_box import box_model
+from phdtrack.models import (
+    BoxMotion,
+    BoxSensor,
+    FixedBirth,
+    LocalClutter,
+    MeasurementBirth,
+    SplitSpawn,
+    UniformClutter,
+)
+from phdtrack.protocols import Model
+from phdtrack.types import GaussianMixture
+
+SIZE = (640.0, 480.0)
+CLUTTER = UniformClutter(3.0, (SIZE[0] * SIZE[1]) ** 2)
+
+
+def given_births() -> GaussianMixture:
+    mean = np.array([[100.0, 200, 1, 0, 40, 100], [300, 100, 0, 0, 30, 60]]).T
+    root = np.random.default_rng(3).normal(0, 2, (2, 6, 6))
+    return GaussianMixture(np.array([0.02, 0.01]), mean, root @ root.transpose(0, 2, 1) + 4 * np.eye(6))
+
+
+LOCAL = MeasurementBirth(volume="local")
+MODELS = {
+    "particle": Model(BoxMotion(frame_size=SIZE), BoxSensor(), MeasurementBirth(frame_size=SIZE), CLUTTER),
+    "local": Model(BoxMotion(frame_size=SIZE), BoxSensor(detection=0.8), LOCAL, LocalClutter(0.4)),
+    "mixed": Model(BoxMotion(), BoxSensor(floor=0.0), LOCAL, CLUTTER),
+    "detection": Model(BoxMotion(), BoxSensor(scaling="detection"), MeasurementBirth(frame_size=SIZE), LocalClutter(1.0)),
+    "given": Model(BoxMotion(), BoxSensor(scaling="given"), MeasurementBirth(volume="local", rate=0.1), CLUTTER),
+    "fixed": Model(
+        BoxMotion(1.2, 2.0, scaled=False), BoxSensor(scaling="fixed"), MeasurementBirth(frame_size=SIZE), CLUTTER
+    ),
+    "given births": Model(BoxMotion(frame_size=SIZE), BoxSensor(), FixedBirth(given_births()), CLUTTER),
+    "no clutter": Model(BoxMotion(), BoxSensor(detection=1.0), FixedBirth(given_births()), UniformClutter(0.0, 1.0)),
+}
+FILTERS = {
+    "default": GMPHD(),
+    "few": GMPHD(most=6, merge=4.0),
+    "as printed": GMPHD(redistribute=False, prune=1e-4, gate=3.0),
+    "skipping": GMPHD(skip_empty=True, most=0, region=5.0),
+}
+
+
+def scans(seed: int, count: int) -> list[np.ndarray]:
+    """(8, N) measurements with variances: targets that walk and come close, misses, doubles, clutter; some are empty."""
+    rng = np.random.default_rng(seed)
+    at, velocity = rng.uniform([100, 100], [540, 380], (6, 2)), rng.normal(0, 4, (6, 2))
+    at[1], velocity[1] = at[0] + 15, -velocity[0]
+    size = rng.uniform(20, 90, (6, 2))
+    out = []
+    for k in range(count):
+        here = np.hstack([at + k * velocity, size])
+        seen = here[rng.random(6) < 0.85]
+        clutter = np.hstack([rng.uniform([0, 0], SIZE, (4, 2)), rng.uniform(10, 120, (4, 2))])
+        boxes = np.vstack([seen, seen[:1] + 3, clutter])
+        boxes = boxes + rng.normal(0, 0.05, boxes.shape) * np.hstack([boxes[:, 2:], boxes[:, 2:]])
+        boxes = boxes[: 0 if k % 5 == 4 else 1 if k % 7 == 6 else None]
+        out.append(np.ascontiguousarray(np.hstack([boxes, rng.uniform(2, 30, boxes.shape)]).T))
+    return out
+
+
+def ordered(mixture: GaussianMixture) -> GaussianMixture:
+    order = np.lexsort((mixture.weight, mixture.mean[0].round(6)))
+    return GaussianMixture(mixture.weight[order], mixture.mean[:, order], mixture.covariance[order])
+
+
+def heavier(mixture: GaussianMixture) -> GaussianMixture:
+    """Without the lightest: newborn of equal weight, of which a cap keeps those that rounding favours."""
+    kept = mixture.weight > mixture.weight.min() * (1 + 1e-9)
+    return GaussianMixture(mixture.weight[kept], mixture.mean[:, kept], mixture.covariance[kept])
+
+
+def agree(a: GaussianMixture, b: GaussianMixture, most: int = 0) -> None:
+    assert len(a) == len(b)
+    if most and len(a) == most:
+        a, b = heavier(a), heavier(b)
+        assert len(a) == len(b)
+    a, b = ordered(a), ordered(b)
+    np.testing.assert_allclose(a.weight, b.weight, rtol=1e-9)
+    np.testing.assert_allclose(a.mean, b.mean, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(a.covariance, b.covariance, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("settings", FILTERS.values(), ids=FILTERS)
+@pytest.mark.parametrize("name", MODELS)
+def test_the_fused_step_is_the_composition(name: str, settings: GMPHD):
+    """Along a run with dropped frames, from a mixture that is given: masses, evidence, and every Gaussian."""
+    model, rng = MODELS[name], np.random.default_rng(0)
+    assert box_model(model, 1.0) is not None, "the fused path is tested"
+    measured = [z if model.sensor.scaling == "given" else np.ascontiguousarray(z[:4]) for z in scans(len(name), 12)]
+    initial = GaussianMixture(np.full(measured[0].shape[1], 0.5), *model.sensor.states(measured[0]))
+    state = replace(settings, initial=initial).start(model, rng)
+    heaviest = 0.0
+    for k, z in enumerate(measured):
+        dt = (1.0, 0.5, 3.0)[k % 3]
+        fused, info = settings.step(state, z, model, dt, rng)
+        general, expected = composed_step(settings, state, z, model, dt, rng)
+        agree(fused, general, settings.most)
+        np.testing.assert_allclose(info.evidence, expected.evidence, rtol=1e-9, atol=1e-300)
+        np.testing.assert_allclose(info.clutter, expected.clutter, rtol=1e-12)
+        for name_ in ("mass_predicted", "mass_born", "mass"):
+            assert getattr(info, name_) == pytest.approx(getattr(expected, name_), rel=1e-9, abs=1e-15)
+        assert info.vanished == expected.vanished
+        heaviest = max(heaviest, info.mass)
+        # From the same state again: rounding must not be given the time to grow.
+        state = general
+    assert heaviest > 1.5, "there was something to compare"
+
+
+def test_more_births_than_there_is_room_for(rng):
+    """Buffers grow: many given births, and every Gaussian meets every measurement."""
+    model, z = MODELS["given births"], np.ascontiguousarray(np.repeat([[100.0], [200], [40], [100]], 30, axis=1))
+    z = z + rng.normal(0, 1, z.shape)
+    given = given_births()
+    birth = FixedBirth(
+        GaussianMixture(np.tile(given.weight, 40), np.tile(given.mean, 40), np.tile(given.covariance, (40, 1, 1)))
+    )
+    model, settings = replace(model, birth=birth), GMPHD(merge=0.0, most=0)
+    state = settings.start(model, rng)
+    agree(settings.step(state, z, model, 1.0, rng)[0], composed_step(settings, state, z, model, 1.0, rng)[0])
+
+
+class Walking(BoxMotion):
+    """Another motion: what is derived may override anything."""
+
+
+def test_other_models_take_the_general_path():
+    """And a step is possible for each."""
+    model = MODELS["particle"]
+    assert box_model(replace(model, motion=Walking()), 1.0) is None
+    assert box_model(replace(model, motion=BoxMotion(births=SplitSpawn())), 1.0) is None
+    previous = replace(model, motion=BoxMotion(remember_size=True), sensor=BoxSensor(scaling="previous"))
+    assert box_model(previous, 1.0) is None
+    rng, z = np.random.default_rng(0), np.array([[100.0], [200], [40], [100]])
+    for other in (replace(model, motion=Walking()), previous):
+        state, info = GMPHD().step(GMPHD().start(other, rng), z, other, 1.0, rng)
+        assert len(state.mean) == other.motion.dim
+        assert info.mass > 0
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_measurements_that_are_no_numbers_are_refused(bad: float, rng):
+    z = np.array([[100.0, bad], [200, 100], [40, 40], [100, 100]])
+    with pytest.raises(ValueError, match="finite"):
+        GMPHD().step(GMPHD().start(MODELS["particle"], rng), z, MODELS["particle"], 1.0, rng)
