@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack import config
+from phdtrack.filters.composed import composed_step
 from phdtrack.protocols import AnyStages, Stages
 from phdtrack.types import Estimates, SequenceInfo, Tracks, UpdateInfo
 
@@ -33,6 +34,9 @@ class SpyFilter:
     def reduce(self, state, rng):
         self.calls.append(("reduce",))
         return state
+
+    def step(self, state, z, model, dt, rng):
+        return composed_step(self, state, z, model, dt, rng)
 
 
 class Counted(tuple):
