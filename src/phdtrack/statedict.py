@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from phdtrack.associate.graph import GraphState
-from phdtrack.associate.history import History, Moment
-from phdtrack.associate.online import Given, Holder
-from phdtrack.associate.window import Columns, Links, Rows, Window
+from phdtrack.associate.history import Chunk, History, Moment
+from phdtrack.associate.online import Given
+from phdtrack.associate.window import Columns, Edges, Links, Rows, Window
 from phdtrack.errors import InputError
 from phdtrack.pipeline import TrackingState
 from phdtrack.types import Estimates, GaussianMixture, ParticleBlocks, Particles
@@ -25,12 +25,13 @@ _RECORDS: dict[str, type[Any]] = {
         Estimates,
         GraphState,
         History,
+        Chunk,
         Moment,
         Given,
-        Holder,
         Window,
         Columns,
         Rows,
+        Edges,
         Links,
     )
 }

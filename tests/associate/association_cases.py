@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
 from phdtrack.associate import GraphMatching, GraphState
+from phdtrack.associate.window import Window
+from phdtrack.associate.window import links as window_links
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import Estimates, Tracks
@@ -80,11 +83,22 @@ def run(matching: GraphMatching, frames, model: Model | None = None, intervals=N
 
 def links(state: GraphState) -> set[tuple[int, int]]:
     """All links (later, earlier), open ones and those that can no longer change."""
-    rows, columns = state.window.rows, state.window.columns
-    taken = rows.column >= 0
-    open_links = zip(rows.vertex[taken].tolist(), columns.vertex[rows.column[taken]].tolist(), strict=True)
-    closed = (pair for m in state.history for pair in zip(m.final.later.tolist(), m.final.earlier.tolist(), strict=True))
-    return {*open_links, *closed}
+    parts = [window_links(state.window), *(m.final for m in state.history)]
+    return {pair for part in parts for pair in zip(part.later.tolist(), part.earlier.tolist(), strict=True)}
+
+
+def open_edges(window: Window) -> dict[tuple[int, int], float]:
+    """{(later, earlier): gain} of all edges between open rows and columns."""
+    found, vertex = {}, window.rows.first
+    onward, first = window.columns.next, window.columns.first
+    for part in (window.rows.older, window.rows.recent):
+        for low, high in itertools.pairwise(part.start.tolist()):
+            for earlier, gain in zip(part.target[low:high].tolist(), part.gain[low:high].tolist(), strict=True):
+                if earlier >= first and onward[earlier - first] > -2:
+                    found[vertex, earlier] = gain
+            vertex += 1
+    assert vertex == window.rows.first + len(window.rows.since)
+    return found
 
 
 def scattered(rng: np.random.Generator, frames: int, most: int, side: float = 20.0) -> list[Estimates]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from association_cases import links, matching_of, model_of, run, scattered, states, walkers
+from association_cases import links, matching_of, model_of, open_edges, run, scattered, states, walkers
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack.associate.window import empty_window
+from phdtrack.associate.window import links as window_links
 from reference import graph_twin as twin
 
 seeds = st.integers(0, 2**32 - 1)
@@ -64,12 +65,14 @@ def test_window_is_optimal_after_every_frame_while_nothing_is_closed(seed: int, 
 def test_open_part_is_optimal_after_links_are_closed():
     frames, _ = walkers(np.random.default_rng(4), 80, clutter=3.0)
     for state in run(matching_of(span=0.3), frames).states:
-        rows, columns = state.window.rows, state.window.columns
-        owner = np.repeat(np.arange(len(rows.vertex)), np.diff(rows.start))
-        edges = {(int(r) + len(columns.vertex), int(c)): g for r, c, g in zip(owner, rows.target, rows.gain, strict=True)}
-        chosen = [(r + len(columns.vertex), int(c)) for r, c in enumerate(rows.column) if c >= 0]
+        edges = open_edges(state.window)
+        taken = window_links(state.window)
+        chosen = list(zip(taken.later.tolist(), taken.earlier.tolist(), strict=True))
         assert sum(edges[link] for link in chosen) == pytest.approx(twin.best_assignment(edges), abs=1e-8)
-        np.testing.assert_array_equal(columns.row[rows.column[rows.column >= 0]], np.flatnonzero(rows.column >= 0))
+        assert taken.gain.tolist() == [edges[link] for link in chosen]
+        columns = state.window.columns
+        onward = np.flatnonzero(columns.next >= 0)
+        assert {(int(columns.next[s]), int(s) + columns.first) for s in onward} == set(chosen)
 
 
 @given(seeds)
@@ -82,13 +85,7 @@ def test_edges_are_all_that_are_worth_taking(seed: int):
     last = run(matching, past).states[-1]
     new = states(100 + rng.uniform(0, 200, (5, 2)), velocity=rng.normal(0, 3, (5, 2)))
     after, _ = matching.extend(last, new, np.zeros((4, 0)), 4, 1.0, model)
-    window = after.window
-    fresh = window.rows.vertex >= last.vertices
-    ours = {}
-    for r in np.flatnonzero(fresh):
-        for e in range(window.rows.start[r], window.rows.start[r + 1]):
-            earlier = window.columns.vertex[window.rows.target[e]]
-            ours[int(window.rows.vertex[r]), int(earlier)] = window.rows.gain[e]
+    ours = {link: gain for link, gain in open_edges(after.window).items() if link[0] >= last.vertices}
     theirs = twin.gains([*past, new], [1.0] * 4, matching, model)
     theirs = {link: gain for link, gain in theirs.items() if link[0] >= last.vertices}
     assert ours == pytest.approx(theirs, abs=1e-9)
@@ -97,6 +94,6 @@ def test_edges_are_all_that_are_worth_taking(seed: int):
 def test_no_states_no_links():
     matching = matching_of()
     assert links(matching.start()) == set()
-    assert len(empty_window(6).columns.vertex) == 0
+    assert len(empty_window(6).columns.next) == 0
     result = run(matching, [states([]) for _ in range(4)])
     assert len(result.tracks) == len(result.online) == 0

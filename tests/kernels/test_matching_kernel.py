@@ -22,26 +22,34 @@ def random_edges(rng: np.random.Generator, rows: int, columns: int, share: float
     return edges
 
 
-def solve(rows: int, columns: int, edges: Edges, batches: list[int]):
-    """Insert the rows in batches that end before the given rows; each call sees the rows inserted so far."""
-    order = sorted(edges)
-    column_all, gain_all = np.array([c for _, c in order], np.int64), np.array([edges[e] for e in order])
-    start_all = np.searchsorted([r for r, _ in order], np.arange(rows + 1)).astype(np.int64)
+def part(edges: Edges, low: int, high: int, base: int):
+    """The edges of rows ``low`` … ``high`` − 1 as compressed rows, columns numbered from ``base``."""
+    order = sorted(e for e in edges if low <= e[0] < high)
+    start = np.searchsorted([r for r, _ in order], np.arange(low, high + 1)).astype(np.int64)
+    return start, np.array([c + base for _, c in order], np.int64), np.array([edges[e] for e in order])
+
+
+def solve(rows: int, columns: int, edges: Edges, batches: list[int], base: tuple[int, int] = (0, 0)):
+    """Insert the rows in batches that end before the given rows; each call sees the rows inserted so far.
+
+    The edges of the last batch come in the second part; rows and columns are numbered from ``base``.
+    """
     row_of, v = np.full(columns, -1, np.int64), np.zeros(columns)
-    column_of, u, first = np.zeros(0, np.int64), np.zeros(0), 0
+    column_of, worth, u, first = np.zeros(0, np.int64), np.zeros(0), np.zeros(0), 0
     for last in [*batches, rows]:
-        start = start_all[: last + 1]
-        used = start[-1]
         column_of = np.append(column_of, np.full(last - first, -1, np.int64))
-        u = np.append(u, np.zeros(last - first))
-        given_arrays = (start, column_all[:used], gain_all[:used], column_of, row_of, u, v)
+        worth, u = np.append(worth, np.zeros(last - first)), np.append(u, np.zeros(last - first))
+        older, recent = part(edges, 0, first, base[1]), part(edges, first, last, base[1])
+        given_arrays = (*older, *recent, column_of, row_of, worth, u, v)
         before = [a.copy() for a in given_arrays]
-        column_of, row_of, u, v = insert_rows(first, *given_arrays)
+        column_of, row_of, worth, u, v = insert_rows(first, base, older, recent, column_of, row_of, worth, u, v)
         for was, now in zip(before, given_arrays, strict=True):
             np.testing.assert_array_equal(was, now)
         first = last
-        certify({e: g for e, g in edges.items() if e[0] < last}, column_of, row_of, u, v)
-    return column_of, row_of, u, v
+        plain_column, plain_row = column_of - base[1] * (column_of >= 0), row_of - base[0] * (row_of >= 0)
+        certify({e: g for e, g in edges.items() if e[0] < last}, plain_column, plain_row, u, v)
+        assert worth.tolist() == [edges[r, c] if c >= 0 else 0.0 for r, c in enumerate(plain_column.tolist())]
+    return plain_column, plain_row, u, v
 
 
 def total(edges: Edges, column_of) -> float:
@@ -70,11 +78,14 @@ def certify(edges: Edges, column_of, row_of, u, v) -> None:
     st.sampled_from([0.15, 0.5, 1.0]),
     st.booleans(),
     st.lists(st.integers(0, 9), max_size=3),
+    st.tuples(st.integers(0, 99), st.integers(0, 99)),
 )
 @settings(max_examples=150, deadline=None)
-def test_total_gain_is_the_maximum(seed: int, rows: int, columns: int, share: float, whole: bool, cuts: list[int]):
+def test_total_gain_is_the_maximum(
+    seed: int, rows: int, columns: int, share: float, whole: bool, cuts: list[int], base: tuple[int, int]
+):
     edges = random_edges(np.random.default_rng(seed), rows, columns, share, whole)
-    column_of, *_ = solve(rows, columns, edges, sorted(min(c, rows) for c in cuts))
+    column_of, *_ = solve(rows, columns, edges, sorted(min(c, rows) for c in cuts), base)
     assert total(edges, column_of) == pytest.approx(twins.best_matching(rows, columns, edges), abs=1e-9)
 
 
@@ -106,18 +117,32 @@ def test_edges_that_lose_are_not_taken():
 def test_columns_may_be_added_between_calls():
     """The window grows: new states bring rows and columns; old duals stay valid."""
     edges = {(0, 0): 1.0, (1, 0): 2.0, (1, 1): 4.0}
-    column_of, row_of, u, v = insert_rows(
-        0, np.array([0, 1]), np.zeros(1, np.int64), np.ones(1), np.array([-1]), np.array([-1]), np.zeros(1), np.zeros(1)
-    )
-    column_of, row_of, u, v = insert_rows(
+    none = part({}, 0, 0, 0)
+    nobody, zero = np.array([-1]), np.zeros(1)
+    column_of, row_of, worth, u, v = insert_rows(0, (0, 0), none, part(edges, 0, 1, 0), nobody, nobody, zero, zero, zero)
+    column_of, row_of, worth, u, v = insert_rows(
         1,
-        np.array([0, 1, 3]),
-        np.array([0, 0, 1]),
-        np.array([1.0, 2.0, 4.0]),
+        (0, 0),
+        part(edges, 0, 2, 0),
+        none,
         np.append(column_of, -1),
         np.append(row_of, -1),
+        np.append(worth, 0.0),
         np.append(u, 0.0),
         np.append(v, 0.0),
     )
     certify(edges, column_of, row_of, u, v)
     assert list(column_of) == [0, 1]
+    assert list(worth) == [1.0, 4.0]
+
+
+def test_closed_columns_and_those_before_the_first_are_no_ends():
+    """Columns are numbered from 10; the row's edges lead to 8 (gone), 10 (closed), 11 and 12."""
+    edges = (np.array([0, 4]), np.array([8, 10, 11, 12]), np.array([9.0, 8.0, 1.0, 2.0]))
+    one = np.zeros(1)
+    column_of, row_of, worth, _, _ = insert_rows(
+        0, (20, 10), part({}, 0, 0, 0), edges, np.array([-1]), np.array([-2, -1, -1]), one, one, np.zeros(3)
+    )
+    assert list(column_of) == [12]
+    assert list(row_of) == [-2, -1, 20]
+    assert list(worth) == [2.0]

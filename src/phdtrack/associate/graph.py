@@ -16,18 +16,17 @@ Online rows, once given, never change; the tracks of `finish` use all correction
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from phdtrack.associate import offline, online
-from phdtrack.associate.history import History, Moment
-from phdtrack.associate.window import Columns, Window, advance, empty_window, insert
+from phdtrack.associate.history import History, moment_of
+from phdtrack.associate.window import Edges, Window, close, empty_window, insert
 from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, Share, check
-from phdtrack.kernels.gating import gated_pairs
-from phdtrack.kernels.gaussian import gaussian_parts
+from phdtrack.kernels.association import find_edges, predict_covariances
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, Estimates, Tracks
+from phdtrack.types import F8, Estimates, Tracks
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +61,8 @@ class GraphMatching:
         delay already shows is bridged instead. 0: neither.
     bridge : fill the gaps of tracks with predicted, flagged boxes.
     backfill : offline, a track is led back through at most this many earlier detections that the filter did not yet believe.
+    remember : seconds after which the past is forgotten, for cameras that run for days: the corrected tracks then go no
+        further back (a little more is kept than this), and the state stops growing. 0: nothing is.
     """
 
     span: Positive = 2.0
@@ -74,33 +75,30 @@ class GraphMatching:
     coast: NonNegative = 0.2
     bridge: bool = True
     backfill: Count = 5
+    remember: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         check(self)
 
     def start(self) -> GraphState:
         """Nothing seen."""
-        return GraphState(empty_window(0), History(), online.Given())
+        return GraphState(empty_window(0), History(), online.Given.nothing())
 
     def extend(
         self, state: GraphState, estimates: Estimates, z: F8, number: int, dt: float, model: Model
     ) -> tuple[GraphState, Tracks]:
         """Link the states of frame ``number`` to the past; give the online rows that are now due [M07 §3]."""
         window = state.window if state.vertices else empty_window(len(estimates.state))
-        window, final = advance(window, model.motion, dt, self.span * model.rate + 1e-9)
-        vertex = state.vertices + np.arange(len(estimates))
-        row, column, gain = self._edges(window.columns, estimates, dt, model)
-        window = insert(window, vertex, estimates, row, column, gain)
-        spare = np.setdiff1d(np.arange(z.shape[1]), estimates.detection)
-        moment = Moment(number, state.time + dt, state.vertices, estimates, final, z[:, spare], spare)
-        extended = GraphState(
-            window, state.history.append(moment), state.online, state.vertices + len(estimates), moment.time
-        )
-        due = len(extended.history) - 1 - self.delay
+        window, final = close(window, dt, self._span(model))
+        window = self._linked(window, estimates, dt, model)
+        time, vertices = state.time + dt, state.vertices + len(estimates)
+        history = state.history.append(moment_of(number, time, state.vertices, estimates, final, z))
+        extended = GraphState(window, history, state.online, vertices, time)
+        due = len(history) - 1 - self.delay
         if due < 0:
             return extended, Tracks.empty()
         given, tracks = self._give(extended.online, due, extended, model)
-        return replace(extended, online=given), tracks
+        return GraphState(window, self._recent(history, due, time, model), given, vertices, time), tracks
 
     def flush(self, state: GraphState, model: Model) -> Tracks:
         """The online rows of the last ``delay`` frames, under the final links."""
@@ -119,53 +117,43 @@ class GraphMatching:
         """The mean gain that a track's links must reach; a perfect typical link gains gate²/2."""
         return self.worth * 0.5 * self.gate**2
 
+    def _span(self, model: Model) -> float:
+        """The window in model time; the small addition keeps a state exactly that old."""
+        return self.span * model.rate + 1e-9
+
+    def _recent(self, history: History, due: int, time: float, model: Model) -> History:
+        """The history without what is past remembering; what open links and rows still due rest on stays."""
+        if self.remember == 0:
+            return history
+        needed = history[due].time - (2 * self.span + self.coast) * model.rate
+        return history.since(min(time - self.remember * model.rate, needed))
+
     def _give(self, given: online.Given, due: int, state: GraphState, model: Model) -> tuple[online.Given, Tracks]:
         """The rows of the frame at place ``due`` of the history, under the present links."""
-        held = tuple(state.history[k] for k in range(due + 1, len(state.history)))
         output = online.Output(self.shortest, self._least(), self.coast * model.rate + 1e-9 if self.bridge else 0.0)
-        return online.give(given, state.history[due], online.Present(state.window, state.time, held), output, model)
+        return online.give(given, due, online.Present(state.window, state.time, state.history), output, model)
 
-    def _edges(self, columns: Columns, estimates: Estimates, dt: float, model: Model) -> tuple[I8, I8, F8]:
-        """Edges (new state, column) of positive gain, by state: log f minus the loose ends' and the gap's price [M07 §3]."""
-        rows = list(model.sensor.observed)
-        covs = np.ascontiguousarray(estimates.covariance[:, rows][:, :, rows])
-        open_end = self._open_end(estimates, covs, dt, model)
-        price = (columns.since - dt) * math.log(self.miss)
-        before = np.ascontiguousarray(columns.cov[:, rows][:, :, rows])
-        far = self._reach(before, covs, open_end, price)
-        row, column = gated_pairs(estimates.state[0], estimates.state[1], columns.mean[:2] - far, columns.mean[:2] + far)
-        order = np.argsort(row, kind="stable")
-        row, column = row[order], column[order]
-        step = estimates.state[rows][:, row] - columns.mean[rows][:, column]
-        distance2, log_det = gaussian_parts(step, covs[row] + before[column])
-        gain = open_end[row] - 0.5 * (distance2 + log_det) + price[column]
-        kept = (gain > 0) & (distance2 <= self.consistent**2) & (columns.since[column] <= self.span * model.rate + 1e-9)
-        return row[kept], column[kept], gain[kept]
-
-    def _open_end(self, estimates: Estimates, covs: F8, dt: float, model: Model) -> F8:
-        """(n,) minus the log-density of two loose ends, less the Gaussian's constant.
-
-        It is the density at ``gate`` deviations from a typical one-step prediction: two measurements' noise and one step
-        of the motion's.
-        """
-        rows = list(model.sensor.observed)
-        _, _, noise = model.motion.transition(estimates.state, dt)
-        typical = np.ascontiguousarray(noise[:, rows][:, :, rows])
-        sigma = model.sensor.noise(estimates.state)[rows]
-        typical[:, range(len(rows)), range(len(rows))] += 2 * sigma.T**2
-        _, log_det = gaussian_parts(np.zeros((len(rows), len(typical))), typical)
-        result: F8 = 0.5 * (self.gate**2 + log_det)
-        return result
-
-    def _reach(self, before: F8, covs: F8, open_end: F8, price: F8) -> F8:
-        """(2, C) half extent in position beyond which no edge to a column, of covariance ``before``, can be worth taking."""
-        if len(covs) == 0:
-            return np.zeros((2, len(before)))
-        widest = np.stack([covs[:, r, r].max() for r in (0, 1)])[:, None]
-        spread = np.stack([before[:, r, r] for r in (0, 1)])
-        # gain > 0 needs distance² < 2·(open_end + price) − log|S|, and |S| is at least that of either state's covariance.
-        _, log_det = gaussian_parts(np.zeros((covs.shape[1], len(covs))), covs)
-        _, log_det_before = gaussian_parts(np.zeros((covs.shape[1], len(before))), before)
-        limit = 2 * (open_end.max() + price) - np.maximum(log_det.min(), log_det_before)
-        reach: F8 = np.sqrt(np.clip(limit, 0.0, self.consistent**2) * (spread + widest))
-        return reach
+    def _linked(self, window: Window, estimates: Estimates, dt: float, model: Model) -> Window:
+        """The window predicted for now, with the new states in it, linked where that gains most [M07 §3]."""
+        n, count = len(estimates), len(window.rows.since)
+        states = np.concatenate((window.mean, estimates.state), axis=1)
+        moved, jacobian, noise = model.motion.transition(states, dt)
+        # One Jacobian for all is a view that repeats itself.
+        shared = count + n > 0 and jacobian.strides[0] == 0
+        cov = predict_covariances(
+            window.cov, np.array(jacobian[:1]) if shared else jacobian, noise, np.array(estimates.covariance)
+        )
+        mean = np.concatenate((moved[:, :count], estimates.state), axis=1)
+        start, target, gain = find_edges(
+            mean,
+            cov,
+            noise,
+            model.sensor.noise(estimates.state),
+            window.rows.since,
+            np.array(model.sensor.observed),
+            dt,
+            self.gate,
+            math.log(self.miss),
+            self.consistent,
+        )
+        return insert(window, estimates, Edges(start, target + window.rows.first, gain), mean, cov)

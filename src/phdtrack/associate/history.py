@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from phdtrack.associate.window import Links
 from phdtrack.types import F8, I8, Estimates
 
-CHUNK = 256
+# Twice as many moments are held as they came before the older half is joined: what was just seen is asked for most.
+CHUNK = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,26 +31,132 @@ class Moment:
     spare_index: I8
 
 
+def moment_of(number: int, time: float, first: int, estimates: Estimates, final: Links, z: F8) -> Moment:
+    """A moment of the frame with the measurements ``z`` (m, N)."""
+    free = np.ones(z.shape[1], np.bool_)
+    used = estimates.detection
+    free[used[(used >= 0) & (used < len(free))]] = False
+    spare = free.nonzero()[0]
+    return Moment(number, time, first, estimates, final, z[:, spare], spare)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chunk:
+    """Some moments in a row, end to end in few arrays: a frame takes its numbers and no objects.
+
+    ``number``, ``time`` (K,); ``vertex`` (K + 1,), ``link`` (K + 1,), ``other`` (K + 1,): where each moment's states (by
+    vertex number), final links and spare measurements begin. ``estimates`` holds all states, with of each covariance
+    the lower triangle (d·(d + 1)/2,).
+    """
+
+    number: I8
+    time: F8
+    vertex: I8
+    link: I8
+    other: I8
+    estimates: Estimates
+    final: Links
+    spare: F8
+    spare_index: I8
+
+    @classmethod
+    def of(cls, moments: tuple[Moment, ...]) -> Chunk:
+        """The same moments, joined."""
+        estimates, final = [m.estimates for m in moments], [m.final for m in moments]
+        # Frames without states may come in any dimension: that of a tracker that has not seen any.
+        full = [e for e in estimates if len(e)] or estimates[:1]
+        shown = [m.spare for m in moments if m.spare.shape[1]] or [moments[0].spare]
+        lower = np.tril_indices(len(full[0].state))
+        return cls(
+            np.array([m.number for m in moments], np.int64),
+            np.array([m.time for m in moments]),
+            moments[0].first + _ends([len(e) for e in estimates]),
+            _ends([len(f.later) for f in final]),
+            _ends([len(m.spare_index) for m in moments]),
+            Estimates(
+                np.hstack([e.state for e in full]),
+                np.concatenate([e.covariance for e in full])[:, lower[0], lower[1]],
+                np.concatenate([e.weight for e in full]),
+                np.concatenate([e.xyxy for e in full]),
+                np.concatenate([e.detection for e in full]),
+            ),
+            Links(
+                np.concatenate([f.later for f in final]),
+                np.concatenate([f.earlier for f in final]),
+                np.concatenate([f.gain for f in final]),
+            ),
+            np.hstack(shown),
+            np.concatenate([m.spare_index for m in moments]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    def __getitem__(self, place: int) -> Moment:
+        states = slice(*(self.vertex[place : place + 2] - self.vertex[0]).tolist())
+        links, spare = slice(*self.link[place : place + 2].tolist()), slice(*self.other[place : place + 2].tolist())
+        x, f = self.estimates, self.final
+        covariance = _whole(x.covariance[states], len(x.state))
+        return Moment(
+            int(self.number[place]),
+            float(self.time[place]),
+            int(self.vertex[place]),
+            Estimates(x.state[:, states], covariance, x.weight[states], x.xyxy[states], x.detection[states]),
+            Links(f.later[links], f.earlier[links], f.gain[links]),
+            self.spare[:, spare],
+            self.spare_index[spare],
+        )
+
+
+def _ends(counts: list[int]) -> I8:
+    """(K + 1,) where each of K stretches of these lengths begins, and the last ends."""
+    return np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
+
+
+def _whole(lower: F8, dim: int) -> F8:
+    """(n, d, d) symmetric matrices from their lower triangles."""
+    out = np.empty((len(lower), dim, dim))
+    row, column = np.tril_indices(dim)
+    out[:, row, column] = lower
+    out[:, column, row] = lower
+    return out
+
+
 @dataclass(frozen=True, slots=True)
 class History:
-    """All moments so far, in chunks, so that adding one copies a few hundred references at most."""
+    """All moments so far, in chunks, so that adding one copies a few dozen references at most.
 
-    full: tuple[tuple[Moment, ...], ...] = ()
+    Places count from the first frame; the first ``forgotten`` of them are no longer held.
+    """
+
+    full: tuple[Chunk, ...] = ()
     recent: tuple[Moment, ...] = ()
+    forgotten: int = 0
 
     def append(self, moment: Moment) -> History:
         """A history with one more moment."""
         recent = (*self.recent, moment)
-        return History((*self.full, recent), ()) if len(recent) == CHUNK else History(self.full, recent)
+        if len(recent) < 2 * CHUNK:
+            return History(self.full, recent, self.forgotten)
+        return History((*self.full, Chunk.of(recent[:CHUNK])), recent[CHUNK:], self.forgotten)
+
+    def since(self, time: float) -> History:
+        """Without the chunks that lie before ``time``."""
+        gone = 0
+        while gone < len(self.full) and self.full[gone].time[-1] < time:
+            gone += 1
+        return History(self.full[gone:], self.recent, self.forgotten + CHUNK * gone) if gone else self
 
     def __len__(self) -> int:
-        return CHUNK * len(self.full) + len(self.recent)
+        return self.forgotten + CHUNK * len(self.full) + len(self.recent)
 
     def __getitem__(self, index: int) -> Moment:
-        chunk, place = divmod(index, CHUNK)
-        return self.full[chunk][place] if chunk < len(self.full) else self.recent[place]
+        chunk, place = divmod(index - self.forgotten, CHUNK)
+        if chunk < len(self.full):
+            return self.full[chunk][place]
+        return self.recent[index - self.forgotten - CHUNK * len(self.full)]
 
     def __iter__(self) -> Iterator[Moment]:
-        for chunk in self.full:
-            yield from chunk
-        yield from self.recent
+        """Those still held."""
+        for index in range(self.forgotten, len(self)):
+            yield self[index]

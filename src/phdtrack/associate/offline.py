@@ -52,8 +52,12 @@ def _paths(moments: list[Moment], window: Window, least: float) -> list[list[tup
     """Tracks as lists of (moment, place in it), in order of appearance, whose links gain ``least`` on average."""
     place = [(k, i) for k, m in enumerate(moments) for i in range(len(m.estimates))]
     before, gain = np.full(len(place), -1, np.int64), np.zeros(len(place))
+    first = moments[0].first
     for part in (*(m.final for m in moments), links(window)):
-        before[part.later], gain[part.later] = part.earlier, part.gain
+        # What went before the first moment may be forgotten: tracks then begin here.
+        known = part.earlier >= first
+        later = part.later[known] - first
+        before[later], gain[later] = part.earlier[known] - first, part.gain[known]
     path_of: dict[int, list[int]] = {}
     paths: list[list[int]] = []
     for vertex in range(len(place)):

@@ -7,16 +7,16 @@ to its last holder keeps it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from phdtrack.associate.bridge import bridge
-from phdtrack.associate.history import Moment
+from phdtrack.associate.history import History, Moment
 from phdtrack.associate.window import Window, links
+from phdtrack.kernels.identities import claim
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, Tracks
+from phdtrack.types import F8, I8, Bool, Tracks
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,197 +30,151 @@ class Output:
 
 @dataclass(frozen=True, slots=True)
 class Present:
-    """What is known when a frame's rows are given: the open links, the model time, and the frames since.
-
-    ``held`` are the moments after the given one, whose rows the delay holds back; none without a delay.
-    """
+    """What is known when a frame's rows are given: the open links, the model time, and all frames up to now."""
 
     window: Window
     time: float
-    held: tuple[Moment, ...] = ()
+    history: History
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Holder:
-    """The last state given under an identity: vertex, state (d,), covariance (d, d), confidence, time, how
-    many states there were and what their links gained."""
-
-    vertex: int
-    state: F8
-    covariance: F8
-    confidence: float
-    time: float
-    length: int
-    gain: float
-    confirmed: bool = False
-
-
-@dataclass(frozen=True, slots=True)
 class Given:
-    """What was given: identity of each vertex that may still be linked to, last holder of each live identity."""
+    """What was given, (V,) for each vertex from ``first`` on that may still be linked to.
 
-    identity: dict[int, int] = field(default_factory=dict)
-    holder: dict[int, Holder] = field(default_factory=dict)
+    ``identity``; ``length``, ``gain``, ``confirmed``: states under it up to that vertex, what their links gained, whether
+    they were believed; ``holds``: no later vertex has the identity. ``used`` counts the identities.
+    """
+
+    first: int
+    identity: I8
+    length: I8
+    gain: F8
+    confirmed: Bool
+    holds: Bool
     used: int = 0
 
+    @classmethod
+    def nothing(cls) -> Given:
+        """Before the first frame."""
+        none, never = np.zeros(0, np.int64), np.zeros(0, np.bool_)
+        return cls(0, none, none, np.zeros(0), never, never)
 
-def give(given: Given, moment: Moment, present: Present, output: Output, model: Model) -> tuple[Given, Tracks]:
-    """The rows of one frame under the present links, and the new record of what was given."""
-    estimates, window, held = moment.estimates, present.window, present.held
-    n = len(estimates)
-    vertex = moment.first + np.arange(n)
-    identities, used = _claims(given, vertex, predecessors(window, held, vertex))
-    identity, holder = dict(given.identity), dict(given.holder)
-    onward = _onward(window, held)
-    gains = {link.vertex: link.gain for link in onward.values()}
-    for i in range(n):
-        name, v = int(identities[i]), int(vertex[i])
-        before = holder.get(name)
-        length, gain, confirmed = (before.length, before.gain, before.confirmed) if before else (0, 0.0, False)
-        confidence = float(min(1.0, estimates.weight[i]))
-        state, cov = estimates.state[:, i], estimates.covariance[i]
-        gain += gains.get(v, 0.0) if length else 0.0
-        holder[name] = Holder(v, state, cov, confidence, moment.time, length + 1, gain, confirmed)
-        identity[v] = name
-    coming = {v: link for v, link in onward.items() if link.vertex >= moment.first + n}
-    holder = {name: _judged(h, coming, output) for name, h in holder.items()}
+
+def give(given: Given, due: int, present: Present, output: Output, model: Model) -> tuple[Given, Tracks]:
+    """The rows of the frame at place ``due`` of the history under the present links, and the new record."""
+    moment = present.history[due]
+    estimates, n = moment.estimates, len(moment.estimates)
+    held = [present.history[k] for k in range(due + 1, len(present.history))]
+    first = given.first
+    onward, worth = _onward(first, present.window, held)
+    record = (given.identity, given.length, given.gain, given.confirmed, given.holds)
+    record, absent, used = claim(first, n, given.used, record, onward, worth, output.shortest, output.least)
+    identity, length, gain, confirmed, holds = record
+    new = slice(len(given.identity), None)
+    names = identity[new]
+    # Identities stand once in a frame: sorted by them, its rows are in order.
+    order = names.argsort()
     seen = Tracks(
         np.full(n, moment.number),
-        identities,
-        estimates.xyxy,
-        np.minimum(1.0, estimates.weight),
-        estimates.detection,
-        np.array([holder[int(i)].confirmed for i in identities], np.bool_),
+        names[order],
+        estimates.xyxy[order],
+        np.minimum(1.0, estimates.weight[order]),
+        estimates.detection[order],
+        confirmed[new][order],
     )
-    # A holder that goes on to a state given before has lost its track to another identity.
-    lost = onward.keys() - coming.keys()
-    absent = {name: h for name, h in holder.items() if h.vertex < moment.first and h.confirmed and h.vertex not in lost}
-    filled = _fill(absent, coming, moment, present, output.coast, model)
-    oldest = _oldest(window, moment, held)
-    identity = {v: name for v, name in identity.items() if v >= oldest}
-    live = set(identity.values())
-    holder = {name: h for name, h in holder.items() if name in live}
-    return Given(identity, holder, used), Tracks.concatenate([seen, filled])
+    absences = Absences(first + absent, identity[absent], onward[absent], due)
+    filled = _fill(absences, held, present, output.coast, model) if len(absent) and output.coast > 0 else []
+    gone = _oldest(present.window, moment, held) - first
+    kept = Given(first + gone, identity[gone:], length[gone:], gain[gone:], confirmed[gone:], holds[gone:], used)
+    return kept, Tracks.concatenate([seen, *filled]) if filled else seen
 
 
-@dataclass(frozen=True, slots=True)
-class Link:
-    """The vertex that another goes on to, and what the link gains."""
-
-    vertex: int
-    gain: float
-
-
-def _onward(window: Window, held: Sequence[Moment]) -> dict[int, Link]:
-    """Where each linked vertex goes on to."""
-    known = [links(window), *(moment.final for moment in held)]
-    return {
-        v: Link(w, gain)
-        for part in known
-        for v, w, gain in zip(part.earlier.tolist(), part.later.tolist(), part.gain.tolist(), strict=True)
-    }
+def _onward(first: int, window: Window, held: list[Moment]) -> tuple[I8, F8]:
+    """Where each vertex from ``first`` on goes on to, −1 where nowhere; and what the link gains."""
+    end = window.rows.first + len(window.rows.since)
+    onward, worth = np.full(end - first, -1), np.zeros(end - first)
+    for part in (links(window), *(moment.final for moment in held)):
+        onward[part.earlier - first] = part.later
+        worth[part.earlier - first] = part.gain
+    return onward, worth
 
 
-def _judged(holder: Holder, coming: dict[int, Link], output: Output) -> Holder:
-    """Confirmed where the states given under the identity and those known to follow suffice; for good once it is."""
-    length, gain, vertex = holder.length, holder.gain, holder.vertex
-    while vertex in coming and not _suffices(length, gain, output):
-        link = coming[vertex]
-        length, gain, vertex = length + 1, gain + link.gain, link.vertex
-    return replace(holder, confirmed=holder.confirmed or _suffices(length, gain, output))
-
-
-def _suffices(length: int, gain: float, output: Output) -> bool:
-    return length >= output.shortest and gain >= output.least * (length - 1)
-
-
-def predecessors(window: Window, held: Sequence[Moment], vertex: I8) -> I8:
-    """(n,) the vertex that each of ``vertex`` is linked to, −1 where it starts a track.
-
-    Where the delay is longer than the window, the link was made final by one of the frames ``held`` back since.
-    """
-    column = np.append(window.rows.column, -1)[np.searchsorted(window.rows.vertex, vertex)]
-    column[~np.isin(vertex, window.rows.vertex)] = -1
-    out = np.full(len(vertex), -1, np.int64)
-    out[column >= 0] = window.columns.vertex[column[column >= 0]]
-    for later in held:
-        _, mine, theirs = np.intersect1d(vertex, later.final.later, assume_unique=True, return_indices=True)
-        out[mine] = later.final.earlier[theirs]
-    return out
-
-
-def _oldest(window: Window, moment: Moment, held: Sequence[Moment]) -> int:
+def _oldest(window: Window, moment: Moment, held: list[Moment]) -> int:
     """The first vertex whose identity a row still to be given may ask for."""
-    asked = [window.columns.vertex[:1], *(later.final.earlier for later in held)]
-    return int(np.concatenate(asked).min(initial=moment.first))
+    oldest = min(window.columns.first, moment.first)
+    return min([oldest, *(int(later.final.earlier.min(initial=oldest)) for later in held)])
 
 
-def _claims(given: Given, vertex: I8, before: I8) -> tuple[I8, int]:
-    """Identities of the states of a frame: inherited from the state before, or new."""
-    identities = np.zeros(len(vertex), np.int64)
-    names = [given.identity.get(int(p), 0) for p in before]
-    holds = [bool(name) and given.holder[name].vertex == p for name, p in zip(names, before, strict=True)]
-    taken: set[int] = set()
-    used = given.used
-    for i in sorted(range(len(vertex)), key=lambda i: (not holds[i], i)):
-        name = names[i]
-        if name == 0 or name in taken:
-            used += 1
-            name = used
-        taken.add(name)
-        identities[i] = name
-    return identities, used
+@dataclass(frozen=True, slots=True, eq=False)
+class Absences:
+    """Confirmed tracks without a state in the frame at place ``due``: their last vertices, ascending, their identities, and
+    the vertices that they go on to or −1; all (a,)."""
+
+    vertex: I8
+    identity: I8
+    after: I8
+    due: int
 
 
-def _fill(
-    absent: dict[int, Holder], coming: dict[int, Link], moment: Moment, present: Present, coast: float, model: Model
-) -> Tracks:
-    """Rows for confirmed tracks that have no state in this frame.
+def _fill(absences: Absences, held: list[Moment], present: Present, coast: float, model: Model) -> list[Tracks]:
+    """Rows for tracks that have no state in this frame, by the frame that saw them last.
 
     Where the delay shows that a track goes on, the gap is bridged between its ends. Otherwise it is continued by the motion
     model while, at the present, it has not been missing for longer than ``coast``.
     """
-    if coast <= 0:
-        return Tracks.empty()
-    names, states, confidences = [], [], []
-    for name, h in absent.items():
-        after = _find(coming[h.vertex].vertex, present.held) if h.vertex in coming else None
-        if after is not None:
-            state = _between(h, moment, after, model)
-            confidence = h.confidence
-        elif present.time - h.time <= coast:
-            state, _, _ = model.motion.transition(h.state[:, None], moment.time - h.time)
-            confidence = h.confidence * float(model.motion.p_survive(state, moment.time - h.time)[0])
-        else:
-            continue
-        if confidence > 0:
-            names.append(name)
-            states.append(state)
-            confidences.append(confidence)
-    if not names:
-        return Tracks.empty()
-    n = len(names)
+    moment = present.history[absences.due]
+    left = int(absences.vertex[absences.after >= 0].min(initial=moment.first))
+    parts = []
+    for k in range(absences.due - 1, present.history.forgotten - 1, -1):
+        last = present.history[k]
+        fresh = present.time - last.time <= coast
+        begin, end = absences.vertex.searchsorted((last.first, last.first + len(last.estimates)))
+        for i in range(begin, end):
+            if absences.after[i] >= 0:
+                place, name = int(absences.vertex[i]) - last.first, int(absences.identity[i])
+                parts.append(_bridged(last, place, moment, _find(int(absences.after[i]), held), name, model))
+        if fresh:
+            alone = begin + (absences.after[begin:end] < 0).nonzero()[0]
+            if len(alone):
+                parts.append(_coasted(last, absences.vertex[alone] - last.first, moment, absences.identity[alone], model))
+        elif last.first <= left:
+            break
+    return parts
+
+
+def _coasted(last: Moment, place: I8, moment: Moment, identity: I8, model: Model) -> Tracks:
+    """Rows predicted for ``moment`` from the states at ``place`` of an earlier one."""
+    x, dt = last.estimates, moment.time - last.time
+    state, _, _ = model.motion.transition(x.state[:, place], dt)
+    confidence = np.minimum(1.0, x.weight[place]) * model.motion.p_survive(state, dt)
+    return _rows(moment, identity, state, confidence, model)
+
+
+def _bridged(last: Moment, place: int, moment: Moment, after: tuple[Moment, int], identity: int, model: Model) -> Tracks:
+    """The row at ``moment`` given the last state before it and the next one after it."""
+    later, i = after
+    x, y = last.estimates, later.estimates
+    steps = np.array([moment.time - last.time, later.time - moment.time])
+    ends = (x.state[:, place], x.covariance[place], y.state[:, i], y.covariance[i])
+    state = bridge(model.motion, *ends, steps)
+    return _rows(moment, np.array([identity]), state, np.minimum(1.0, x.weight[place : place + 1]), model)
+
+
+def _rows(moment: Moment, identity: I8, state: F8, confidence: F8, model: Model) -> Tracks:
+    """Predicted rows, of the tracks that may still be there."""
+    alive = confidence > 0
+    n = int(alive.sum())
     return Tracks(
         np.full(n, moment.number),
-        np.array(names, np.int64),
-        model.sensor.boxes(np.hstack(states)),
-        np.array(confidences),
+        identity[alive],
+        model.sensor.boxes(state[:, alive]),
+        confidence[alive],
         np.full(n, -1),
         np.ones(n, np.bool_),
     )
 
 
-def _find(vertex: int, moments: tuple[Moment, ...]) -> tuple[Moment, int] | None:
+def _find(vertex: int, moments: list[Moment]) -> tuple[Moment, int]:
     """The moment among ``moments`` that holds a vertex, and its place there."""
-    for moment in moments:
-        if moment.first <= vertex < moment.first + len(moment.estimates):
-            return moment, vertex - moment.first
-    return None
-
-
-def _between(holder: Holder, moment: Moment, after: tuple[Moment, int], model: Model) -> F8:
-    """(d, 1) the state at ``moment`` given the last state before it and the next one after it."""
-    later, i = after
-    x = later.estimates
-    steps = np.array([moment.time - holder.time, later.time - moment.time])
-    return bridge(model.motion, holder.state, holder.covariance, x.state[:, i], x.covariance[i], steps)
+    found = next(m for m in moments if vertex < m.first + len(m.estimates))
+    return found, vertex - found.first
