@@ -17,9 +17,9 @@ ROUNDS = 7
 MULTIPLY_0, MULTIPLY_1 = D(0xD2511F53), D(0xCD9E8D57)
 WEYL_0, WEYL_1 = D(0x9E3779B9), D(0xBB67AE85)
 HIGH, LOW = D(32), D(0xFFFFFFFF)
-TO_24_BITS = W(8)
-STEP = np.float32(2.0**-24)
-HALF_STEP = np.float32(2.0**-25)
+TO_23_BITS = W(9)
+STEP = np.float32(2.0**-23)
+HALF_STEP = np.float32(2.0**-24)
 
 
 @njit
@@ -36,5 +36,5 @@ def philox(
 
 @njit(fastmath=FAST)
 def unit(word: np.uint32) -> np.float32:
-    """A uniform number in (0, 1): the middle of one of 2²⁴ equal cells (2²⁴ − ½ steps round to 1 − 2⁻²⁴)."""
-    return np.float32(np.int32(word >> TO_24_BITS)) * STEP + HALF_STEP
+    """A uniform number in (0, 1): the middle of one of 2²³ equal cells (of 2²⁴ the last would round to 1)."""
+    return np.float32(np.int32(word >> TO_23_BITS)) * STEP + HALF_STEP
