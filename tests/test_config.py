@@ -13,8 +13,8 @@ from phdtrack import config
 from phdtrack.checks import bounds
 from phdtrack.config import SECTIONS
 from phdtrack.errors import InputError
-from phdtrack.extract import KMeans, Mixture, Raw
-from phdtrack.filters import NoFilter, ParticlePHD
+from phdtrack.extract import Components, KMeans, Mixture, Raw
+from phdtrack.filters import GMPHD, NoFilter, ParticlePHD
 from phdtrack.models import (
     FixedBirth,
     LocalClutter,
@@ -30,7 +30,10 @@ from phdtrack.types import GaussianMixture, SequenceInfo
 INFO = SequenceInfo(640, 480, 25.0)
 BOX = (10.0, 20.0, 30.0, 60.0)
 # What a section's kind cannot do without.
-NEEDED = {("birth", "fixed"): ["birth.boxes=[[10, 20, 30, 60]]"]}
+NEEDED = {
+    ("birth", "fixed"): ["birth.boxes=[[10, 20, 30, 60]]"],
+    ("extract", "components"): ["filter.kind='gm-phd'"],
+}
 
 # Section, kind and name of every setting there is.
 EVERY = [
@@ -110,8 +113,11 @@ def test_every_setting_is_reached_by_set(section: str, kind: str, name: str):
 def test_every_setting_is_reached_by_a_file(section: str, kind: str, name: str, tmp_path):
     value = another(config.load(sets=chosen(section, kind)).as_dict()[section][name])
     lines = [f"[{section}]", f"{name} = {toml(value)}"]
-    lines += [option.partition(".")[2] for option in NEEDED.get((section, kind), []) if f".{name}=" not in option]
     lines += [f'kind = "{kind}"'] if kind else []
+    for option in NEEDED.get((section, kind), []):
+        where, _, assignment = option.partition(".")
+        if not assignment.startswith(f"{name}="):
+            lines += [assignment] if where == section else [f"[{where}]", assignment]
     path = tmp_path / "settings.toml"
     path.write_text("\n".join(lines), encoding="utf-8")
     assert config.load(path).as_dict()[section][name] == value
@@ -137,6 +143,7 @@ def test_all_that_as_dict_tells_is_what_is_built(preset: str):
     ["birth.kind=uniform", "spawn.kind=split", "extract.kind=mixture"],
     ["filter.kind=none"],
     ["filter.initial=[[10, 20, 30, 60]]", "sensor.fixed=[1, 2]", "sensor.scaling=fixed"],
+    ["filter.kind=gm-phd", "filter.most=1000"],
     ["detector.threshold=3", "detector.name=x"],
 ])  # fmt: skip
 @pytest.mark.parametrize("preset", PRESETS)
@@ -208,11 +215,39 @@ def test_a_kind_may_stand_behind_its_settings(sets: list[str]):
 @pytest.mark.parametrize(("configured", "named", "kind"), [
     ("none", "", NoFilter), ("particle-phd", "", ParticlePHD),
     ("none", "particle-phd", ParticlePHD), ("particle-phd", "none", NoFilter),
+    ("gm-phd", "", GMPHD), ("none", "gm-phd", GMPHD), ("particle-phd", "gm-phd", GMPHD), ("gm-phd", "none", NoFilter),
+    ("gm-phd", "particle-phd", ParticlePHD),
 ])  # fmt: skip
 def test_a_named_filter_wins(configured: str, named: str, kind: type):
     stages = config.build(config.load(sets=[f"filter.kind={configured}"]), INFO, named)
     assert isinstance(stages.filter, kind)
-    assert isinstance(stages.extractor, Raw) == (kind is NoFilter)
+    assert isinstance(stages.extractor, {NoFilter: Raw, ParticlePHD: KMeans, GMPHD: Components}[kind])
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_filter_brings_an_extraction_that_fits_it(preset: str, tmp_path):
+    """By option, by a file and by name; what both kinds of extraction have stays."""
+    path = tmp_path / "mine.toml"
+    path.write_text("[extract]\noverlap = 0.7\n[filter]\nkind = 'gm-phd'\n", encoding="utf-8")
+    for settings, overlap in (
+        (config.load(sets=["extract.overlap=0.3", "filter.kind=gm-phd"], preset=preset), 0.3),
+        (config.load(path, preset=preset), 0.7),
+        (config.overlay(config.load(preset=preset), {"extract": {"overlap": 0.6}, "filter": {"kind": "gm-phd"}}), 0.6),
+    ):
+        assert settings.as_dict()["extract"] == {**settings.as_dict()["extract"], "kind": "components", "overlap": overlap}
+    assert isinstance(config.build(config.load(preset=preset), INFO, "gm-phd").extractor, Components)
+
+
+@pytest.mark.parametrize(("sets", "says"), [
+    (["filter.kind=gm-phd", "extract.kind=kmeans"], "use components"),
+    (["extract.kind=mixture", "filter.kind=gm-phd"], "use components"),
+    (["extract.kind=components"], "kmeans or mixture"),
+    (["filter.kind=gm-phd", "birth.kind=uniform"], "birth.kind=measurement"),
+    (["filter.kind=gm-phd", "spawn.kind=split"], "spawn.kind=none"),
+])  # fmt: skip
+def test_kinds_that_do_not_go_together(sets: list[str], says: str):
+    with pytest.raises(InputError, match=says):
+        config.load(sets=sets)
 
 
 # What depends on the sequence, and boxes
@@ -262,7 +297,7 @@ MISTAKES = [
     ("sensor.detecton=0.9", "Did you mean detection?"),
     ("sensr.detection=0.9", "Did you mean sensor?"),
     ("birth.kind=unifrom", "Did you mean uniform?"),
-    ("filter.kind=phd", "particle-phd"),
+    ("filter.kind=particle", "particle-phd"),
     ("sensor.kind=box", "one kind only"),
     ("motion.frame_size=[1, 2]", "unknown setting"),
     ("sensor.detection=1.5", "less than or equal to 1"),

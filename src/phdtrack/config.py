@@ -28,8 +28,8 @@ from phdtrack.associate import GraphMatching
 from phdtrack.boxes import to_cxcywh
 from phdtrack.checks import NonNegative, Positive, PositiveCount, check
 from phdtrack.errors import InputError
-from phdtrack.extract import KMeans, Mixture, Raw
-from phdtrack.filters import NoFilter, ParticlePHD
+from phdtrack.extract import Components, KMeans, Mixture, Raw
+from phdtrack.filters import GMPHD, NoFilter, ParticlePHD
 from phdtrack.models import (
     BoxMotion,
     BoxSensor,
@@ -96,10 +96,16 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
     "sensor": {"": BoxSensor},
     "birth": {"measurement": MeasurementBirth, "uniform": UniformBirth, "fixed": FixedBirthSettings},
     "clutter": {"": ClutterSettings},
-    "filter": {"particle-phd": ParticlePHD, "none": NoFilter},
-    "extract": {"kmeans": KMeans, "mixture": Mixture},
+    "filter": {"particle-phd": ParticlePHD, "gm-phd": GMPHD, "none": NoFilter},
+    "extract": {"kmeans": KMeans, "mixture": Mixture, "components": Components},
     "associate": {"": GraphMatching},
     "detector": {"": DetectorSettings},
+}
+# What can be extracted from each filter's intensity, the default first; without a filter nothing is extracted.
+EXTRACTORS: Mapping[str, tuple[str, ...]] = {"particle-phd": ("kmeans", "mixture"), "gm-phd": ("components",)}
+# Kinds that a filter cannot do, with what to use instead.
+_MISFITS: Mapping[str, Mapping[tuple[str, str], str]] = {
+    "gm-phd": {("birth", "uniform"): "birth.kind=measurement, or fixed", ("spawn", "split"): "spawn.kind=none"},
 }
 _FROM_SEQUENCE = {"frame_size", "births", "initial", "remember_size"}
 
@@ -142,11 +148,11 @@ def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "") -
     if not isinstance(named, str) or named not in PRESETS:
         raise _unknown("preset", str(named), list(PRESETS), "preset" if preset else where)
     sections: dict[str, Values] = {name: dict(values) for name, values in PRESETS[named].items()}
-    for name, values in document.items():
+    for name, values in _filter_first(document):
         _overlay(sections, name, values, where)
-    # A kind decides which other names there are, wherever it stands among the options.
+    # A kind decides which other names there are, wherever it stands among the options, and the filter's which kinds fit.
     for assignment, (name, key, value) in sorted(
-        ((text, _assignment(text)) for text in sets), key=lambda parsed: parsed[1][1] != "kind"
+        ((text, _assignment(text)) for text in sets), key=lambda parsed: (parsed[1][1] != "kind", parsed[1][0] != "filter")
     ):
         _overlay(sections, name, {key: value}, f"--set {assignment}")
     return _checked(Settings(named, sections), where)
@@ -155,7 +161,7 @@ def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "") -
 def overlay(settings: Settings, sections: Mapping[str, Mapping[str, Any]], where: str = "settings") -> Settings:
     """``settings`` with the values of ``sections`` over them."""
     merged = {name: dict(values) for name, values in settings.sections.items()}
-    for name, values in sections.items():
+    for name, values in _filter_first(sections):
         _overlay(merged, name, values, where)
     return _checked(Settings(settings.preset, merged), where)
 
@@ -164,7 +170,32 @@ def _checked(settings: Settings, where: str) -> Settings:
     for name in SECTIONS:
         if name != "detector":
             _record(settings, name, where, dry=True)
+    _fits(settings, where)
     return settings
+
+
+def _filter_first(sections: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Sections in the order to lay them over others: the filter's kind decides the default kind of extraction."""
+    return sorted(sections.items(), key=lambda section: section[0] != "filter")
+
+
+def _fits(settings: Settings, where: str) -> None:
+    """Raise `InputError` where the filter cannot do with another section's kind."""
+    kinds = {name: settings.sections.get(name, {}).get("kind", next(iter(SECTIONS[name]))) for name in SECTIONS}
+    fitting = EXTRACTORS.get(kinds["filter"])
+    if fitting and kinds["extract"] not in fitting:
+        raise InputError(
+            f"extract.kind={kinds['extract']} does not fit filter.kind={kinds['filter']}",
+            where=where,
+            cure=f"Leave extract.kind out, or use {' or '.join(fitting)}",
+        )
+    for (section, kind), instead in _MISFITS.get(kinds["filter"], {}).items():
+        if kinds[section] == kind:
+            raise InputError(
+                f"{section}.kind={kind} has no form as a Gaussian mixture, which filter.kind={kinds['filter']} needs",
+                where=where,
+                cure=f"Use {instead}, or filter.kind=particle-phd",
+            )
 
 
 def build(settings: Settings, info: SequenceInfo, filter_name: str = "") -> AnyStages:
@@ -258,10 +289,12 @@ def _overlay(sections: dict[str, Values], name: str, values: Mapping[str, Any], 
             # Another kind has other fields; those of the preset's kind do not belong to it.
             section.clear()
         section["kind"] = values["kind"]
+        if name == "filter":
+            _fit_extraction(sections, values["kind"])
     record = kinds[section.get("kind", next(iter(kinds)))]
     hints = get_type_hints(record, include_extras=True)
     known = [f.name for f in fields(record) if f.name not in _FROM_SEQUENCE]
-    if name == "filter" and record is ParticlePHD:
+    if name == "filter" and record is not NoFilter:
         known.append("initial")
         hints = hints | {"initial": Boxes}
     for key, value in values.items():
@@ -270,6 +303,16 @@ def _overlay(sections: dict[str, Values], name: str, values: Mapping[str, Any], 
         if key not in known:
             raise _unknown(f"setting of [{name}]", key, known, where)
         section[key] = _typed(f"{name}.{key}", value, hints[key], where)
+
+
+def _fit_extraction(sections: dict[str, Values], filter_kind: str) -> None:
+    """Give the extraction a kind that fits the filter, and those of its values that this kind has too."""
+    given = sections.get("extract", {})
+    fitting = EXTRACTORS.get(filter_kind, ())
+    if not fitting or given.get("kind", next(iter(SECTIONS["extract"]))) in fitting:
+        return
+    known = {f.name for f in fields(SECTIONS["extract"][fitting[0]])}
+    sections["extract"] = {key: value for key, value in given.items() if key in known} | {"kind": fitting[0]}
 
 
 def _typed(key: str, value: Any, hint: Any, where: str) -> Any:

@@ -34,7 +34,7 @@ class Tracker:
     frame_size : width and height of the images in pixels.
     fps : frames per second, used where `update` is given no timestamp.
     seed : seed of the particle filter's randomness; the same seed and detections give the same tracks.
-    filter : ``particle-phd``, or ``none`` for the association alone; or the settings of that section.
+    filter : ``particle-phd``, ``gm-phd``, or ``none`` for the association alone; or the settings of that section.
     preset : ``default``, ``m07``, ``m09`` or ``fv``.
     settings : a TOML file with settings.
     stages : one's own model, filter, extractor and associator, instead of all of the above but fps and seed.

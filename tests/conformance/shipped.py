@@ -8,8 +8,8 @@ import numpy as np
 
 from phdtrack.associate import GraphMatching
 from phdtrack.boxes import to_cxcywh
-from phdtrack.extract import KMeans, Mixture, Raw
-from phdtrack.filters import NoFilter, ParticlePHD
+from phdtrack.extract import Components, KMeans, Mixture, Raw
+from phdtrack.filters import GMPHD, NoFilter, ParticlePHD
 from phdtrack.models import (
     BoxMotion,
     BoxSensor,
@@ -56,9 +56,11 @@ FILTERS = {
     "bounded": ParticlePHD(per_target=200, most=150),
     "skipping": ParticlePHD(per_target=200, skip_empty=True),
     "started": ParticlePHD(per_target=200, initial=mixture(6)),
+    "gm-phd": GMPHD(),
+    "gm-phd, started": GMPHD(initial=mixture(6), most=20, skip_empty=True),
     "none": NoFilter(),
 }
-EXTRACTORS = {"kmeans": KMeans(), "mixture": Mixture(), "raw": Raw()}
+EXTRACTORS = {"kmeans": KMeans(), "mixture": Mixture(), "components": Components(), "raw": Raw()}
 ASSOCIATORS = {"graph": GraphMatching(), "delayed": GraphMatching(delay=3), "plain": GraphMatching(bridge=False, backfill=0)}
 
 
@@ -82,6 +84,17 @@ def states(rng: np.random.Generator, n: int, dim: int = 6) -> np.ndarray:
     z = to_cxcywh(detections(rng, n).xyxy) if n else np.zeros((4, 0))
     x = np.vstack([z[:2], rng.normal(0, 3, (2, n)), z[2:], z[2:]])
     return np.ascontiguousarray(x[:dim])
+
+
+def gaussians(x: np.ndarray, mass: float = 1.0) -> GaussianMixture:
+    """A Gaussian of ``mass`` about every column of ``x``."""
+    d, n = x.shape
+    return GaussianMixture(np.full(n, mass), x, np.tile(np.eye(d), (n, 1, 1)))
+
+
+def intensity_for(extractor: object, x: np.ndarray, each: int, rng: np.random.Generator, mass: float = 1.0):
+    """An intensity about every column of ``x`` that the extractor can read: Gaussians, or ``each`` particles."""
+    return gaussians(x, mass) if isinstance(extractor, Components) else about(x, each, rng, mass)
 
 
 def about(x: np.ndarray, each: int, rng: np.random.Generator, mass: float = 1.0) -> Particles:

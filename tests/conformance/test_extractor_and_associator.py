@@ -8,11 +8,11 @@ from shipped import (
     ASSOCIATORS,
     EXTRACTORS,
     SENSORS,
-    about,
     check_estimates,
     detections,
     fixed,
     frozen,
+    intensity_for,
     keeps,
     model_of,
     states,
@@ -36,7 +36,7 @@ def test_states_of_an_intensity(extractor, scaling: str, seed: int):
     z = fixed(model.sensor.measure(detections(rng, 4)))
     seen, _ = model.sensor.states(z)
     unseen = states(rng, 2, model.motion.dim)
-    intensity = frozen(about(np.hstack([seen[:, :3], unseen]), 150, rng))
+    intensity = frozen(intensity_for(extractor, np.hstack([seen[:, :3], unseen]), 150, rng))
     first, second = (extractor.extract(intensity, z, model) for _ in range(2))
     check_estimates(first, model.motion.dim, 4)
     np.testing.assert_array_equal(first.state, second.state)
@@ -45,9 +45,9 @@ def test_states_of_an_intensity(extractor, scaling: str, seed: int):
 
 
 @extractors
-def test_nothing_is_in_an_empty_intensity(extractor):
+def test_nothing_is_in_an_empty_intensity(extractor, rng):
     model = model_of()
-    found = extractor.extract(Particles(np.zeros((6, 0)), np.zeros(0)), np.zeros((4, 0)), model)
+    found = extractor.extract(intensity_for(extractor, np.zeros((6, 0)), 1, rng), np.zeros((4, 0)), model)
     check_estimates(found, 6, 0)
     assert len(found) == 0
 
@@ -58,7 +58,7 @@ def test_next_to_no_mass_is_no_state(name: str, rng):
     extractor, model = EXTRACTORS[name], model_of()
     z = model.sensor.measure(detections(rng, 3))
     seen, _ = model.sensor.states(z)
-    assert len(extractor.extract(about(seen, 100, rng, mass=0.05), z, model)) == 0
+    assert len(extractor.extract(intensity_for(extractor, seen, 100, rng, mass=0.05), z, model)) == 0
 
 
 def sequence(rng: np.random.Generator, count: int):

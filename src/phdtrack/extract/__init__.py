@@ -1,7 +1,8 @@
-"""From an intensity to states: modified K-means, a Gaussian mixture by EM, or the detections themselves."""
+"""From an intensity to states: modified K-means, EM, the components of a mixture, or the detections themselves."""
 
+from phdtrack.extract.components import Components
 from phdtrack.extract.kmeans import KMeans
 from phdtrack.extract.mixture import Mixture
 from phdtrack.extract.raw import Raw
 
-__all__ = ["KMeans", "Mixture", "Raw"]
+__all__ = ["Components", "KMeans", "Mixture", "Raw"]
