@@ -84,6 +84,23 @@ def test_the_same_seed_gives_the_same_files(sequence: Path, tmp_path: Path) -> N
     assert texts[0] == texts[1]
 
 
+def test_threads_reach_the_filter_and_change_nothing(sequence: Path, tmp_path: Path) -> None:
+    texts = []
+    for threads in (1, 3, 0):
+        out = tmp_path / str(threads)
+        found = sequence / "det" / "det.txt"
+        said = phdtrack("track", "--detections", found, "--out", out, "--threads", threads, "--json")
+        assert said.status == 0, said.err
+        assert said.object["configuration"]["filter"]["threads"] == threads
+        texts.append([(out / file).read_bytes() for file in (rundir.TRACKS, rundir.STATES, rundir.ONLINE)])
+    assert texts[0] == texts[1] == texts[2]
+
+
+def test_threads_for_a_filter_that_has_none(sequence: Path, tmp_path: Path) -> None:
+    options = ["--out", tmp_path / "run", "--filter", "none", "--threads", 2]
+    assert "threads" in refused("track", "--detections", sequence / "det" / "det.txt", *options)
+
+
 def test_a_video(clip: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     said = phdtrack("track", clip, "--out", out, "--json")

@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 
 from phdtrack import config, doctor
-from phdtrack.commands.inputs import DEFAULT_DETECTOR, Inputs, Wanted, open_inputs
+from phdtrack.commands.inputs import Inputs, open_inputs
 from phdtrack.commands.job import Job
 from phdtrack.commands.steps import Steps
+from phdtrack.commands.wanted import DEFAULT_DETECTOR, Wanted
 from phdtrack.formats import read_truth
 from phdtrack.types import Truth
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """How to track. Empty text stands for an option that was not given; ``truth`` is the file to score against."""
+    """How to track. Empty text and None stand for an option that was not given; ``truth`` is the file to score against."""
 
     filter_name: str = ""
     preset: str = ""
@@ -26,6 +27,7 @@ class Choice:
     sets: tuple[str, ...] = ()
     seed: int = 0
     truth: Path | None = None
+    threads: int | None = None
 
 
 def prepare(wanted: Wanted, choice: Choice, command: str, *, video: bool) -> Job:
@@ -38,6 +40,8 @@ def prepare(wanted: Wanted, choice: Choice, command: str, *, video: bool) -> Job
     settings = config.load(choice.config, choice.sets, choice.preset)
     if choice.filter_name:
         settings = config.overlay(settings, {"filter": {"kind": choice.filter_name}}, "--filter")
+    if choice.threads is not None:
+        settings = config.overlay(settings, {"filter": {"threads": choice.threads}}, "--threads")
     truth = None if choice.truth is None else read_truth(choice.truth)
     inputs = open_inputs(_at_least(wanted, truth), settings.detector)
     stages = config.build(settings, inputs.info)

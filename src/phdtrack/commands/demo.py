@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from phdtrack import rundir
-from phdtrack.commands.inputs import Wanted
 from phdtrack.commands.options import Json, Overwrite, Seed
 from phdtrack.commands.output import Output
+from phdtrack.commands.wanted import Wanted
 
 SCENE = "street"
 FRAMES = 300

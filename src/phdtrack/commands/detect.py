@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from phdtrack.commands.inputs import DEFAULT_DETECTOR, Wanted, detected, open_inputs
 from phdtrack.commands.options import Config, Detector, Fps, Json, Mask, MaxWidth, Overwrite, Sets
 from phdtrack.commands.output import Output, counted, progress
+from phdtrack.commands.wanted import DEFAULT_DETECTOR, Wanted
 from phdtrack.errors import InputError
 from phdtrack.overlap import ahead
 from phdtrack.rundir import DETECTIONS, claim
@@ -33,6 +33,7 @@ def detect(
     What was detected is written frame by frame, so that Ctrl-C loses nothing.
     """
     from phdtrack.commands.configured import detector_parameters
+    from phdtrack.commands.inputs import detected, open_inputs
     from phdtrack.formats import DetectionsWriter
 
     wanted = Wanted(source, detector=detector, fps=fps, max_width=max_width, mask=mask)

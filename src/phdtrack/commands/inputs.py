@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phdtrack.commands.parameters import typed
+from phdtrack.commands.wanted import DEFAULT_DETECTOR, Wanted
 from phdtrack.detections import overlaps_frame
 from phdtrack.errors import InputError
 from phdtrack.protocols import Detector
@@ -26,25 +27,7 @@ if TYPE_CHECKING:
     from phdtrack.video import VideoSource
 
 NO_PICTURE: Image = np.zeros((0, 0, 3), np.uint8)
-DEFAULT_DETECTOR = "change"
 TABLES = (".txt", ".csv", ".tsv", ".json", ".xml", ".parquet")
-
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """What the options say, before anything is opened. Empty text and 0 stand for an option that was not given.
-
-    ``last`` is the last annotated frame: a sequence without a video is at least that long.
-    """
-
-    source: str = ""
-    detections: Path | None = None
-    detector: str = ""
-    frame_size: str = ""
-    fps: float = 0.0
-    max_width: int = 0
-    mask: Path | None = None
-    last: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,13 +27,15 @@ from phdtrack.commands.spool import rereadable
 from phdtrack.commands.steps import Steps
 from phdtrack.filters import NoFilter
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter, write_tracks
-from phdtrack.metrics import Scores, evaluate
 from phdtrack.overlap import ahead
 from phdtrack.protocols import AnyStages
 from phdtrack.report import About, Annotator, Recorder, RunRecord, run_document, sentences, write_report, write_run
 from phdtrack.rundir import RunDirectory
 from phdtrack.types import F8, Detections, Frame, Image, Step, Tracks, Truth
 from phdtrack.video import VideoSource, VideoWriter
+
+if TYPE_CHECKING:
+    from phdtrack.metrics import Scores
 
 Stop = Exception | KeyboardInterrupt
 
@@ -116,7 +119,7 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
             directory.clear()
             raise done.stop
         tracks = _finish(job, directory)
-        scores = None if job.truth is None else evaluate(job.truth, tracks, frames=done.last)
+        scores = None if job.truth is None else _scores(job.truth, tracks, done.last)
         if job.video and job.inputs.pictures:
             done.cut = _draw(job, source, directory, done, tracks)
     stop = done.stop or done.cut
@@ -176,6 +179,12 @@ def _finish(job: Job, directory: RunDirectory) -> Tracks:
     tracks = job.steps.finish()
     write_tracks(directory.file(rundir.TRACKS), tracks)
     return tracks
+
+
+def _scores(truth: Truth, tracks: Tracks, last: int) -> Scores:
+    from phdtrack.metrics import evaluate
+
+    return evaluate(truth, tracks, frames=last)
 
 
 def _draw(job: Job, source: VideoSource, directory: RunDirectory, done: _Progress, tracks: Tracks) -> Stop | None:

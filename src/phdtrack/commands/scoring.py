@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from phdtrack.commands.output import Output, number
 from phdtrack.errors import InputError
-from phdtrack.metrics import Scores
+
+if TYPE_CHECKING:
+    from phdtrack.metrics import Scores
 
 # In the order of the table: the key of `Scores.as_dict`, and what it says.
 EXPLAINED = (

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from phdtrack import rundir
-from phdtrack.commands.inputs import Wanted
 from phdtrack.commands.options import (
     Config,
     Detector,
@@ -26,6 +25,7 @@ from phdtrack.commands.options import (
     TruthFile,
 )
 from phdtrack.commands.output import Output
+from phdtrack.commands.wanted import Wanted
 
 if TYPE_CHECKING:
     from phdtrack.commands.job import Outcome
@@ -45,13 +45,24 @@ def track(
     filter_name: Annotated[
         str,
         typer.Option(
-            "--filter", metavar="NAME", help="particle-phd (default), or none: the same association on raw detections."
+            "--filter",
+            metavar="NAME",
+            help="particle-phd (default), gm-phd, or none: the same association on raw detections.",
         ),
     ] = "",
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="The run's directory; default: runs/ and the source's name.")
     ] = None,
     overwrite: Overwrite = False,
+    threads: Annotated[
+        int | None,
+        typer.Option(
+            "--threads",
+            metavar="N",
+            min=0,
+            help="Threads of the filter, 0 for one per core (default: filter.threads, 1); any number gives the same result.",
+        ),
+    ] = None,
     seed: Seed = 0,
     preset: Preset = "",
     config: Config = None,
@@ -77,7 +88,8 @@ def track(
     if out is not None:
         rundir.check(out, overwrite)
     wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
-    job = prepare(wanted, Choice(filter_name, preset, config, tuple(sets or ()), seed, truth), command_line(), video=video)
+    choice = Choice(filter_name, preset, config, tuple(sets or ()), seed, truth, threads)
+    job = prepare(wanted, choice, command_line(), video=video)
     directory = rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite)
     with announced(result):
         outcome = run(job, directory)
