@@ -1,0 +1,83 @@
+"""The GM-PHD filter for boxes: µs per step (predict, births, update, prune, merge, cap) and OSPA against the truth.
+
+    python -m benchmarks.gm_phd
+
+The workload is `benchmarks.workload`'s, the model M09's for its density. Extraction is not part of a step; OSPA is between
+the centres of the components of weight ≥ 0.5 and the true ones.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from benchmarks.loops import CUTOFF
+from benchmarks.workload import Crowd, Stream, draw, stages
+from phdtrack.filters import GMPHD
+from phdtrack.metrics import ospa
+from phdtrack.protocols import Model
+from phdtrack.types import F8, GaussianMixture
+
+# Gaussians per target that are kept at most: twice what clutter's newborn need.
+MOST = 10
+REPEATS = 10
+
+
+def measure(targets: int, seed: int = 1, frames: int = 60) -> dict[str, Any]:
+    """Median µs per step over the second half of the frames, of each the least of some repeats, with what was tracked."""
+    crowd = Crowd(targets, frames)
+    stream = draw(crowd, seed)
+    model = stages(crowd).model
+    recursion = GMPHD(most=MOST * targets)
+    measured = [model.sensor.measure(found) for found in stream.detections()]
+    spent = [_run(recursion, model, measured, None)[0] for _ in range(REPEATS)]
+    settled = np.array(spent)[:, frames // 2 :]
+    _, components, mass, distance = _run(recursion, model, measured, stream)
+    return {
+        "us": float(np.median(settled.min(axis=0)) * 1e6),
+        "us_median_repeat": float(np.median(settled) * 1e6),
+        "components": float(np.mean(components[frames // 2 :])),
+        "detections": float(np.mean([z.shape[1] for z in measured])),
+        "mass": float(np.mean(mass[frames // 2 :])),
+        "ospa": float(np.mean(distance[frames // 2 :])),
+        "frames": frames,
+        "seed": seed,
+    }
+
+
+def _run(recursion: GMPHD, model: Model, measured: list[F8], stream: Stream | None) -> tuple[list[float], ...]:
+    """Seconds, components and mass of every frame, and with the ``stream`` OSPA."""
+    rng = np.random.default_rng(0)
+    state = recursion.start(model, rng)
+    seconds, components, mass, distance = [], [], [], []
+    for number, z in enumerate(measured, start=1):
+        began = time.perf_counter()
+        state, info = recursion.step(state, z, model, 1.0, rng)
+        seconds.append(time.perf_counter() - began)
+        components.append(float(len(state)))
+        mass.append(info.mass)
+        if stream is not None:
+            distance.append(_ospa(state, stream, number))
+    return seconds, components, mass, distance
+
+
+def _ospa(state: GaussianMixture, stream: Stream, number: int) -> float:
+    """OSPA of order 1 of the heavy components, pixels."""
+    boxes = stream.truth_at(number)
+    true = (boxes[:, :2] + boxes[:, 2:]).T / 2
+    return ospa(state.mean[:2, state.weight >= 0.5], true, CUTOFF)
+
+
+def main() -> None:
+    """One line for each number of targets."""
+    print(f"{'targets':>8}{'µs':>9}{'components':>12}{'detections':>12}{'mass':>9}{'OSPA px':>9}")
+    for targets in (10, 30, 100, 300, 1000):
+        m = measure(targets)
+        cells = f"{m['us']:9.1f}{m['components']:12.0f}{m['detections']:12.0f}{m['mass']:9.1f}{m['ospa']:9.2f}"
+        print(f"{targets:8d}{cells}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
