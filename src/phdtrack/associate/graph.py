@@ -138,11 +138,11 @@ class GraphMatching:
         n, count = len(estimates), len(window.rows.since)
         states = np.concatenate((window.mean, estimates.state), axis=1)
         moved, jacobian, noise = model.motion.transition(states, dt)
-        # One Jacobian for all is a view that repeats itself.
+        noise = np.ascontiguousarray(noise)
+        # One Jacobian for all is a view that repeats itself; the copies are the kernel's kind of array.
         shared = count + n > 0 and jacobian.strides[0] == 0
-        cov = predict_covariances(
-            window.cov, np.array(jacobian[:1]) if shared else jacobian, noise, np.array(estimates.covariance)
-        )
+        one = np.array(jacobian[:1] if shared else jacobian, order="C")
+        cov = predict_covariances(window.cov, one, noise, np.array(estimates.covariance, order="C"))
         mean = np.concatenate((moved[:, :count], estimates.state), axis=1)
         start, target, gain = find_edges(
             mean,

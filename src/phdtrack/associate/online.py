@@ -13,8 +13,8 @@ import numpy as np
 
 from phdtrack.associate.bridge import bridge
 from phdtrack.associate.history import History, Moment
-from phdtrack.associate.window import Window, links
-from phdtrack.kernels.identities import claim
+from phdtrack.associate.window import Window
+from phdtrack.kernels.identities import claim, follow
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Bool, Tracks
 
@@ -71,31 +71,23 @@ def give(given: Given, due: int, present: Present, output: Output, model: Model)
     record, absent, used = claim(first, n, given.used, record, onward, worth, output.shortest, output.least)
     identity, length, gain, confirmed, holds = record
     new = slice(len(given.identity), None)
-    names = identity[new]
-    # Identities stand once in a frame: sorted by them, its rows are in order.
-    order = names.argsort()
-    seen = Tracks(
-        np.full(n, moment.number),
-        names[order],
-        estimates.xyxy[order],
-        np.minimum(1.0, estimates.weight[order]),
-        estimates.detection[order],
-        confirmed[new][order],
-    )
-    absences = Absences(first + absent, identity[absent], onward[absent], due)
-    filled = _fill(absences, held, present, output.coast, model) if len(absent) and output.coast > 0 else []
+    rows = Rows(identity[new], estimates.xyxy, estimates.weight, estimates.detection, confirmed[new])
+    if len(absent) and output.coast > 0:
+        absences = Absences(first + absent, identity[absent], onward[absent], due)
+        rows = _with(rows, _fill(absences, held, present, output.coast, model), model)
     gone = _oldest(present.window, moment, held) - first
     kept = Given(first + gone, identity[gone:], length[gone:], gain[gone:], confirmed[gone:], holds[gone:], used)
-    return kept, Tracks.concatenate([seen, *filled]) if filled else seen
+    return kept, _in_order(rows, moment.number)
 
 
 def _onward(first: int, window: Window, held: list[Moment]) -> tuple[I8, F8]:
     """Where each vertex from ``first`` on goes on to, −1 where nowhere; and what the link gains."""
-    end = window.rows.first + len(window.rows.since)
-    onward, worth = np.full(end - first, -1), np.zeros(end - first)
-    for part in (links(window), *(moment.final for moment in held)):
-        onward[part.earlier - first] = part.later
-        worth[part.earlier - first] = part.gain
+    rows = window.rows
+    onward, worth = follow(first, rows.first, rows.previous, rows.gain)
+    for moment in held:
+        final = moment.final
+        onward[final.earlier - first] = final.later
+        worth[final.earlier - first] = final.gain
     return onward, worth
 
 
@@ -103,6 +95,21 @@ def _oldest(window: Window, moment: Moment, held: list[Moment]) -> int:
     """The first vertex whose identity a row still to be given may ask for."""
     oldest = min(window.columns.first, moment.first)
     return min([oldest, *(int(later.final.earlier.min(initial=oldest)) for later in held)])
+
+
+# Identities (a,), states (d, a) and confidences (a,).
+Predicted = tuple[I8, F8, F8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Columns of `Tracks` for one frame, in any order."""
+
+    identity: I8
+    xyxy: F8
+    confidence: F8
+    detection: I8
+    confirmed: Bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,8 +123,8 @@ class Absences:
     due: int
 
 
-def _fill(absences: Absences, held: list[Moment], present: Present, coast: float, model: Model) -> list[Tracks]:
-    """Rows for tracks that have no state in this frame, by the frame that saw them last.
+def _fill(absences: Absences, held: list[Moment], present: Present, coast: float, model: Model) -> list[Predicted]:
+    """What is predicted for tracks that have no state in this frame, by the frame that saw them last.
 
     Where the delay shows that a track goes on, the gap is bridged between its ends. Otherwise it is continued by the motion
     model while, at the present, it has not been missing for longer than ``coast``.
@@ -128,49 +135,63 @@ def _fill(absences: Absences, held: list[Moment], present: Present, coast: float
     for k in range(absences.due - 1, present.history.forgotten - 1, -1):
         last = present.history[k]
         fresh = present.time - last.time <= coast
-        begin, end = absences.vertex.searchsorted((last.first, last.first + len(last.estimates)))
-        for i in range(begin, end):
-            if absences.after[i] >= 0:
-                place, name = int(absences.vertex[i]) - last.first, int(absences.identity[i])
-                parts.append(_bridged(last, place, moment, _find(int(absences.after[i]), held), name, model))
-        if fresh:
-            alone = begin + (absences.after[begin:end] < 0).nonzero()[0]
-            if len(alone):
-                parts.append(_coasted(last, absences.vertex[alone] - last.first, moment, absences.identity[alone], model))
-        elif last.first <= left:
+        if not fresh and last.first + len(last.estimates) <= left:
             break
+        begin, end = absences.vertex.searchsorted((last.first, last.first + len(last.estimates)))
+        if begin == end:
+            continue
+        vertex, after, name = absences.vertex[begin:end], absences.after[begin:end], absences.identity[begin:end]
+        for i in (after >= 0).nonzero()[0]:
+            found = _find(int(after[i]), held)
+            parts.append(_bridged(last, int(vertex[i]) - last.first, moment, found, int(name[i]), model))
+        alone = after < 0
+        if fresh and alone.any():
+            parts.append(_coasted(last, vertex[alone] - last.first, moment, name[alone], model))
     return parts
 
 
-def _coasted(last: Moment, place: I8, moment: Moment, identity: I8, model: Model) -> Tracks:
-    """Rows predicted for ``moment`` from the states at ``place`` of an earlier one."""
+def _coasted(last: Moment, place: I8, moment: Moment, identity: I8, model: Model) -> Predicted:
+    """States predicted for ``moment`` from those at ``place`` of an earlier one."""
     x, dt = last.estimates, moment.time - last.time
     state, _, _ = model.motion.transition(x.state[:, place], dt)
-    confidence = np.minimum(1.0, x.weight[place]) * model.motion.p_survive(state, dt)
-    return _rows(moment, identity, state, confidence, model)
+    return identity, state, np.minimum(1.0, x.weight[place]) * model.motion.p_survive(state, dt)
 
 
-def _bridged(last: Moment, place: int, moment: Moment, after: tuple[Moment, int], identity: int, model: Model) -> Tracks:
-    """The row at ``moment`` given the last state before it and the next one after it."""
+def _bridged(last: Moment, place: int, moment: Moment, after: tuple[Moment, int], identity: int, model: Model) -> Predicted:
+    """The state at ``moment`` given the last one before it and the next one after it."""
     later, i = after
     x, y = last.estimates, later.estimates
     steps = np.array([moment.time - last.time, later.time - moment.time])
     ends = (x.state[:, place], x.covariance[place], y.state[:, i], y.covariance[i])
-    state = bridge(model.motion, *ends, steps)
-    return _rows(moment, np.array([identity]), state, np.minimum(1.0, x.weight[place : place + 1]), model)
+    return np.array([identity]), bridge(model.motion, *ends, steps), x.weight[place : place + 1]
 
 
-def _rows(moment: Moment, identity: I8, state: F8, confidence: F8, model: Model) -> Tracks:
-    """Predicted rows, of the tracks that may still be there."""
+def _with(rows: Rows, parts: list[Predicted], model: Model) -> Rows:
+    """The rows and those of the predicted tracks that may still be there."""
+    if not parts:
+        return rows
+    identity, state, confidence = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
     alive = confidence > 0
     n = int(alive.sum())
+    return Rows(
+        np.concatenate((rows.identity, identity[alive])),
+        np.concatenate((rows.xyxy, model.sensor.boxes(state[:, alive]))),
+        np.concatenate((rows.confidence, confidence[alive])),
+        np.concatenate((rows.detection, np.full(n, -1))),
+        np.concatenate((rows.confirmed, np.ones(n, np.bool_))),
+    )
+
+
+def _in_order(rows: Rows, number: int) -> Tracks:
+    """The rows of frame ``number``, copied: sorted by identity, which stands once in a frame."""
+    order = rows.identity.argsort()
     return Tracks(
-        np.full(n, moment.number),
-        identity[alive],
-        model.sensor.boxes(state[:, alive]),
-        confidence[alive],
-        np.full(n, -1),
-        np.ones(n, np.bool_),
+        np.full(len(order), number),
+        rows.identity[order],
+        rows.xyxy[order],
+        np.minimum(1.0, rows.confidence)[order],
+        rows.detection[order],
+        rows.confirmed[order],
     )
 
 

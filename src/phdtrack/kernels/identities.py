@@ -12,6 +12,27 @@ Bool = NDArray[np.bool_]
 
 
 @njit(cache=True)
+def follow(first: int, row: int, previous: I8, gain: F8) -> tuple[I8, F8]:
+    """Links seen from their other end: for each vertex from ``first`` on the one that goes on from it, −1 where none does.
+
+    Parameters
+    ----------
+    row : number of the first of the R vertices that ``previous`` and ``gain`` are of; they are the last there are.
+    previous, gain : (R,) the vertex that each goes on from, −1 where none, and the link's gain.
+
+    Returns
+    -------
+    onward, worth : for the vertices from ``first`` to the last; gains are 0 where there is no link.
+    """
+    size = row + previous.size - first
+    onward, worth = np.full(size, -1), np.zeros(size)
+    for r in range(previous.size):
+        if previous[r] >= first:
+            onward[previous[r] - first], worth[previous[r] - first] = row + r, gain[r]
+    return onward, worth
+
+
+@njit(cache=True)
 def _holder(name: int, identity: I8, holds: Bool) -> int:
     """The place of the last state under an identity, which there is."""
     place = identity.size - 1

@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack.checks import NonNegative, Positive, Probability, check
+from phdtrack.kernels.constant_velocity import move_boxes
 from phdtrack.models.spawning import NoSpawn, Spawn
 from phdtrack.types import F8, Particles
 
@@ -96,22 +97,10 @@ class BoxMotion:
 
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean, Jacobian and noise covariance of f(·|x) over the interval ``dt`` [M09 (11)]."""
-        d, n = x.shape
-        f = np.zeros((d, d))
-        f[range(6), range(6)] = 1.0
-        f[0, 2] = f[1, 3] = dt
-        if self.remember_size:
-            f[6, 4] = f[7, 5] = 1.0
-        jacobian = np.broadcast_to(f, (n, d, d))
-        unit = self._unit(x)
-        a2, b2 = (self.acceleration * unit) ** 2, (self.resize * unit) ** 2
-        q = np.zeros((n, d, d))
-        for axis in (0, 1):
-            q[:, axis, axis] = a2[axis] * (dt**3 / 3 - min(dt, dt**3) / 12)
-            q[:, axis, axis + 2] = q[:, axis + 2, axis] = a2[axis] * dt**2 / 2
-            q[:, axis + 2, axis + 2] = a2[axis] * dt
-            q[:, axis + 4, axis + 4] = b2[axis] * dt
-        return f @ x, jacobian, q
+        mean, f, noise = move_boxes(
+            np.ascontiguousarray(x), float(dt), self.acceleration, self.resize, self.smallest, self.scaled
+        )
+        return mean, np.broadcast_to(f, noise.shape), noise
 
     def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of the spawning term."""

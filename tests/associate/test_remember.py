@@ -1,0 +1,116 @@
+"""What is remembered: everything, in little space, or a bounded past."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from association_cases import matching_of, model_of, run, same, states, walkers
+
+from phdtrack.associate.history import CHUNK, History, moment_of
+from phdtrack.associate.window import NO_LINKS, Links
+from phdtrack.types import Estimates, Tracks
+
+MODEL = model_of()
+
+
+def circling(frames: int):
+    """Two targets on circles of 100 frames, missed now and then, and a false alarm: a cycle of frames, for ever."""
+    rng = np.random.default_rng(0)
+    cycle = []
+    for k in range(100):
+        angle = 2 * np.pi * k / 100 + np.array([0, np.pi])
+        points = np.stack([300 + 120 * np.cos(angle), 240 + 120 * np.sin(angle)], axis=1)[rng.random(2) < 0.95]
+        cycle.append(states(np.vstack([points, rng.uniform(0, 200, (1, 2))])))
+    return (cycle[k % 100] for k in range(frames))
+
+
+def test_the_state_stops_growing():
+    """Over 10 000 frames: its bytes after 2000 are those after 10 000."""
+    matching, state, size = matching_of(remember=8.0, backfill=3), matching_of().start(), {}
+    for number, estimates in enumerate(circling(10_000), start=1):
+        state, _ = matching.extend(state, estimates, estimates.state[[0, 1, 4, 5]], number, 1.0, MODEL)
+        if number % 1000 == 0:
+            size[number] = len(pickle.dumps(state))
+            tracks = matching.finish(state, MODEL)
+            held = number - tracks.frame.min() + 1
+            assert 8 * 25 <= held <= 8 * 25 + 2 * CHUNK
+            assert tracks.frame.max() == number
+    assert max(size.values()) <= 1.1 * size[2000]
+
+
+def test_what_is_remembered_is_as_if_all_were():
+    """Online rows are the same; corrected tracks that begin after the forgotten past are too."""
+    frames, _ = walkers(np.random.default_rng(1), 700, n=0, clutter=0.0)
+    ended = [*walkers(np.random.default_rng(2), 60, n=3)[0], *frames[:400], *walkers(np.random.default_rng(3), 90, n=3)[0]]
+    whole, part = run(matching_of(delay=3), ended), run(matching_of(delay=3, remember=5.0), ended)
+    assert same(whole.online, part.online)
+    assert whole.tracks.frame.min() < 60
+    recent = whole.tracks.take(whole.tracks.frame > 460)
+    assert part.tracks.frame.min() > 460
+    assert len(recent) == len(part.tracks) > 200
+    np.testing.assert_array_equal(recent.xyxy, part.tracks.xyxy)
+    np.testing.assert_array_equal(recent.identity - recent.identity.min() + 1, part.tracks.identity)
+
+
+def test_a_living_track_goes_back_as_far_as_is_remembered():
+    frames = [states([(100 + 0.1 * k, 200)], velocity=[(0.1, 0)]) for k in range(600)]
+    tracks = run(matching_of(remember=6.0), frames).tracks
+    assert set(tracks.identity) == {1}
+    assert tracks.frame.tolist() == list(range(tracks.frame.min(), 601))
+    assert 150 <= len(tracks) <= 150 + 2 * CHUNK
+    assert set(run(matching_of(remember=6.0), frames).online.identity) == {1}
+
+
+@pytest.mark.parametrize("settings", [{"delay": 40}, {"span": 6.0}, {"coast": 9.0}])
+def test_what_open_links_rest_on_is_never_forgotten(settings):
+    frames, _ = walkers(np.random.default_rng(4), 500, n=2, p_seen=0.6)
+    whole, part = run(matching_of(**settings), frames), run(matching_of(remember=0.04, **settings), frames)
+    assert same(whole.online, part.online)
+
+
+def test_moments_come_back_as_they_were():
+    rng = np.random.default_rng(5)
+    moments, vertex, history = [], 0, History()
+    for k in range(5 * CHUNK + 7):
+        n = int(rng.integers(0, 4)) if k > 2 else 0
+        x = states(rng.uniform(0, 400, (n, 2))) if k > 2 else Estimates.empty(0)
+        final = Links(np.arange(n), np.arange(n) - 1, rng.random(n)) if k % 2 else NO_LINKS
+        moment = moment_of(k + 1, 0.5 * k, vertex, x, final, rng.normal(size=(4, n + 2)))
+        history, vertex = history.append(moment), vertex + n
+        moments.append(moment)
+    assert len(history) == len(moments)
+    for past in (history, history.since(0.5 * 2.5 * CHUNK)):
+        kept = range(past.forgotten, len(past))
+        assert len(list(past)) == len(kept)
+        for k in kept:
+            a, b = past[k], moments[k]
+            assert (a.number, a.time, a.first) == (b.number, b.time, b.first)
+            for field in ("weight", "xyxy", "detection"):
+                np.testing.assert_array_equal(getattr(a.estimates, field), getattr(b.estimates, field))
+            if len(b.estimates):
+                np.testing.assert_array_equal(a.estimates.state, b.estimates.state)
+                np.testing.assert_array_equal(a.estimates.covariance, b.estimates.covariance)
+            for field in ("later", "earlier", "gain"):
+                np.testing.assert_array_equal(getattr(a.final, field), getattr(b.final, field))
+            np.testing.assert_array_equal(a.spare, b.spare)
+            np.testing.assert_array_equal(a.spare_index, b.spare_index)
+    assert history.since(0.5 * 2.5 * CHUNK).forgotten == 2 * CHUNK
+    assert history.since(-1.0) is history
+
+
+def test_a_frame_takes_little_room():
+    """Per state 264 bytes of numbers and its link; nothing else that grows with the frames is worth counting."""
+    frames = [states(np.arange(20).reshape(10, 2) * 37.0 % 500) for _ in range(40 * CHUNK)]
+    history, count = History(), {}
+    for k, x in enumerate(frames, start=1):
+        history = history.append(moment_of(k, float(k), 10 * (k - 1), x, NO_LINKS, np.zeros((4, 0))))
+        count[k] = len(pickle.dumps(history)) if k in (10 * CHUNK, 40 * CHUNK) else 0
+    assert (count[40 * CHUNK] - count[10 * CHUNK]) / (30 * CHUNK) < 10 * 264 + 100
+
+
+def test_nothing_is_forgotten_unless_told():
+    assert matching_of().remember == 0
+    tracks: Tracks = run(matching_of(), [states([(100, 100)], velocity=[(0, 0)])] * 300).tracks
+    assert tracks.frame.tolist() == list(range(1, 301))
