@@ -15,6 +15,7 @@ import numpy as np
 
 from phdtrack.filters.blocks import REACH, blocked
 from phdtrack.filters.box_tables import BoxModel, Seen, flat_density, motion_numbers, seen
+from phdtrack.filters.memory import empty
 from phdtrack.filters.threads import in_ranges
 from phdtrack.kernels.account import account, births, share_out
 from phdtrack.kernels.newborn import standard_points
@@ -62,10 +63,10 @@ class _Old:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Born:
-    """The newborn of each detection: how many, sums by group and detection, and the points that they are placed from."""
+    """The newborn of each detection: how many, sums by batch and detection, and the points that they are placed from."""
 
     many: I8
-    group_start: I8
+    batch_start: I8
     gain_start: I8
     base: F4
     gains: F4
@@ -90,8 +91,8 @@ def fused_step(
     born = _sweep_born(settings, parts, old, frame, dt, draws)
     kappa = model.clutter.intensity(z)
     p_detect = 0.0 if settings.skip_empty and z.shape[1] == 0 else parts.sensor.detection
-    evidence, weight, mass, group_mass, vanished = account(
-        old.first, old.which, old.sums, old.alive, old.unit, born.group_start, frame.near_start, frame.near, frame.touching,
+    evidence, weight, mass, batch_mass, vanished = account(
+        old.first, old.which, old.sums, old.alive, old.unit, born.batch_start, frame.near_start, frame.near, frame.touching,
         born.gain_start, born.base, born.gains, kappa, p_detect,
     )  # fmt: skip
     before, newborn, after = old.unit * float(old.alive.sum()), float(born.base.sum(dtype=np.float64)), float(mass.sum())
@@ -104,14 +105,15 @@ def fused_step(
     order, teeth, place, phase, width, start, divided = share_out(
         mass, old.extents, z, frame.reach, count, draws.offset, REACH
     )
-    out = np.empty((6, count), np.float32)
+    out = empty(6, count)
     factor, missed = weight.astype(np.float32), np.float32(1.0 - p_detect)
 
     def offspring(lo: int, hi: int) -> None:
         sweep_offspring(
             lo, hi, order, teeth, place, phase, width, divided, old.moved, blocks.start, old.first, old.which,
-            factor, missed, frame.table, parts.own, frame.numbers, draws.key, born.many, born.group_start, born.points,
-            parts.birth.most, parts.local, born.flat, frame.near_start, frame.near, frame.touching, group_mass, frame.speed, out,
+            factor, missed, frame.table, parts.own, frame.numbers, draws.key, born.many, born.batch_start, born.points,
+            parts.birth.most, parts.local, born.flat, frame.near_start, frame.near, frame.touching, batch_mass,
+            frame.speed, out,
         )  # fmt: skip
 
     in_ranges(offspring, len(order), settings.threads)
@@ -121,7 +123,7 @@ def fused_step(
 def _sweep_old(settings: Settings, parts: BoxModel, blocks: ParticleBlocks, frame: Seen, dt: float, draws: Draws) -> _Old:
     """Move the particles and sum what the detections near them say."""
     count = len(blocks.start) - 1
-    moved, extents, alive = np.empty_like(blocks.state), np.empty((count, EXTENTS), np.float32), np.empty(count)
+    moved, extents, alive = empty(*blocks.state.shape), np.empty((count, EXTENTS), np.float32), np.empty(count)
     motion = motion_numbers(parts.motion, dt)
 
     def sweep(lo: int, hi: int) -> tuple[I8, I8, F4]:
@@ -146,15 +148,15 @@ def _sweep_born(settings: Settings, parts: BoxModel, old: _Old, frame: Seen, dt:
     most = parts.birth.most
     # Twice as many points as one detection needs, so that detections have different ones.
     points = standard_points(2 * most, region()[1], draws.key)
-    many, group_start, gain_start = births(old.which, old.sums, old.unit, most, KEPT, frame.touching, frame.table)
+    many, batch_start, gain_start = births(old.which, old.sums, old.unit, most, KEPT, frame.touching, frame.table)
     flat = np.float32(flat_density(parts.birth, dt))
-    base, gains = np.empty(group_start[-1], np.float32), np.empty(gain_start[-1], np.float32)
+    base, gains = np.empty(batch_start[-1], np.float32), np.empty(gain_start[-1], np.float32)
 
     def sweep(lo: int, hi: int) -> None:
         sweep_born(
-            lo, hi, many, group_start, points, most, draws.key, frame.table, parts.own, frame.numbers, parts.local, flat,
+            lo, hi, many, batch_start, points, most, draws.key, frame.table, parts.own, frame.numbers, parts.local, flat,
             frame.near_start, frame.near, frame.touching, gain_start, base, gains,
         )  # fmt: skip
 
     in_ranges(sweep, len(many), settings.threads)
-    return _Born(many, group_start, gain_start, base, gains, points, flat)
+    return _Born(many, batch_start, gain_start, base, gains, points, flat)

@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.box_blocks import GSCALE
+from phdtrack.kernels.box_blocks import BLOCK, GSCALE
 from phdtrack.kernels.comb import by_cells, comb, cut
-from phdtrack.kernels.newborn import GROUP, PEAK
+from phdtrack.kernels.newborn import PEAK
 
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
@@ -23,20 +23,20 @@ def births(which: I8, sums: F4, unit: float, most: int, kept: float, touching: I
 
     Returns
     -------
-    many : (N,) J_j.  group_start, gain_start : (N + 1,) where each one's groups and its sums by neighbour and group begin.
+    many : (N,) J_j.  batch_start, gain_start : (N + 1,) where each one's batches and its sums by neighbour and batch begin.
     """
     n = touching.size
     covered = np.zeros(n)
     for e in range(which.size):
         covered[which[e]] += sums[1, e]
-    many, group_start, gain_start = np.empty(n, np.int64), np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)
+    many, batch_start, gain_start = np.empty(n, np.int64), np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)
     for j in range(n):
         many[j] = int(np.ceil(most * min(max(1.0 - unit * covered[j], 0.0), 1.0)))
-        groups = (many[j] + GROUP - 1) // GROUP
-        group_start[j + 1] = group_start[j] + groups
-        gain_start[j + 1] = gain_start[j] + groups * touching[j]
+        batches = (many[j] + BLOCK - 1) // BLOCK
+        batch_start[j + 1] = batch_start[j] + batches
+        gain_start[j + 1] = gain_start[j] + batches * touching[j]
         table[PEAK, j] = many[j] * table[GSCALE, j] / kept
-    return many, group_start, gain_start
+    return many, batch_start, gain_start
 
 
 @njit(cache=True, nogil=True)
@@ -46,7 +46,7 @@ def account(
     sums: F4,
     alive: F8,
     unit: float,
-    group_start: I8,
+    batch_start: I8,
     near_start: I8,
     near: I8,
     touching: I8,
@@ -61,13 +61,13 @@ def account(
     Parameters
     ----------
     first, which, sums, alive : of the first sweep over the particles that were there; ``unit`` is the weight of each.
-    group_start … gains : of the newborn, see `sweeps.sweep_born`.
+    batch_start … gains : of the newborn, see `sweeps.sweep_born`.
     kappa : (N,) κ.  p_detect : p_D.
 
     Returns
     -------
     evidence : (N,) C.  weight : (N,) p_D/(κ + C).
-    mass : (B + N,) of each block, then of each detection's newborn.  group_mass : of each group of newborn.
+    mass : (B + N,) of each block, then of each detection's newborn.  batch_mass : of each batch of newborn.
     vanished : how many detections have κ + C = 0, and no weight.
     """
     n, blocks = touching.size, alive.size
@@ -76,10 +76,10 @@ def account(
         evidence[which[e]] += sums[0, e]
     evidence *= unit
     for j in range(n):
-        groups = group_start[j + 1] - group_start[j]
+        batches = batch_start[j + 1] - batch_start[j]
         for m in range(touching[j]):
             total = 0.0
-            for g in range(gain_start[j] + m * groups, gain_start[j] + (m + 1) * groups):
+            for g in range(gain_start[j] + m * batches, gain_start[j] + (m + 1) * batches):
                 total += gains[g]
             evidence[near[near_start[j] + m]] += total
     vanished = 0
@@ -89,21 +89,21 @@ def account(
             weight[j] = p_detect / (kappa[j] + evidence[j])
         else:
             vanished += 1
-    mass, group_mass = np.zeros(blocks + n), np.empty(base.size, np.float32)
+    mass, batch_mass = np.zeros(blocks + n), np.empty(base.size, np.float32)
     for b in range(blocks):
         total = (1.0 - p_detect) * alive[b]
         for e in range(first[b], first[b + 1]):
             total += weight[which[e]] * sums[0, e]
         mass[b] = unit * total
     for j in range(n):
-        groups = group_start[j + 1] - group_start[j]
-        for g in range(groups):
-            total = (1.0 - p_detect) * base[group_start[j] + g]
+        batches = batch_start[j + 1] - batch_start[j]
+        for g in range(batches):
+            total = (1.0 - p_detect) * base[batch_start[j] + g]
             for m in range(touching[j]):
-                total += weight[near[near_start[j] + m]] * gains[gain_start[j] + m * groups + g]
-            group_mass[group_start[j] + g] = total
-            mass[blocks + j] += group_mass[group_start[j] + g]
-    return evidence, weight, mass, group_mass, vanished
+                total += weight[near[near_start[j] + m]] * gains[gain_start[j] + m * batches + g]
+            batch_mass[batch_start[j] + g] = total
+            mass[blocks + j] += batch_mass[batch_start[j] + g]
+    return evidence, weight, mass, batch_mass, vanished
 
 
 @njit(cache=True, nogil=True)

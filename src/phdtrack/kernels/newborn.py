@@ -24,8 +24,7 @@ F = np.float32
 # densities there of the proposal (J_i at its peak) and of γ.
 SX, SY, SW, SH, BX, BY, BW, BH, PEAK, DENSITY = range(9, 19)
 COLUMNS = 19
-# Newborn particles are summed and looked at again in groups of one vector register.
-GROUP = 16
+SMALLEST = F(1e-3)
 LOWEST_SIZE, HIGHEST_SIZE = F(0.5), F(1.5)
 STAGE_POINT, STAGE_VELOCITY = np.uint32(2), np.uint32(3)
 ALL = np.uint32(0xFFFFFFFF)
@@ -81,36 +80,24 @@ def stretch(j: int, room: int, k0: np.uint32, k1: np.uint32) -> int:
 
 
 @njit(fastmath=FAST, error_model="numpy")
-def place_newborn(s: F4, row: int, n: int, points: F4, first: int, d: F4, j: int) -> None:
-    """The points ``first`` … first + n − 1 around detection j into X, Y, W, H from place ``row``, their proposal into IW."""
-    x, y, w, h = s[X + row : X + row + n], s[Y + row : Y + row + n], s[W + row : W + row + n], s[H + row : H + row + n]
-    own = s[IW + row : IW + row + n]
-    a, b, c, e = (
-        points[0, first : first + n],
-        points[1, first : first + n],
-        points[2, first : first + n],
-        points[3, first : first + n],
-    )
+def place_newborn(s: F4, n: int, points: F4, first: int, d: F4, j: int) -> None:
+    """The points ``first`` … first + n − 1 around detection j into X, Y, W, H, their own proposal's density into IW."""
+    x, y = points[0, first : first + n], points[1, first : first + n]
+    w, h = points[2, first : first + n], points[3, first : first + n]
     density = points[4, first : first + n]
     zx, zy, zw, zh = d[ZX, j], d[ZY, j], d[ZW, j], d[ZH, j]
     sx, sy, sw, sh, peak = d[SX, j], d[SY, j], d[SW, j], d[SH, j], d[PEAK, j]
     for i in range(n):
-        x[i] = zx + sx * a[i]
+        s[X + i], s[Y + i], s[IW + i] = zx + sx * x[i], zy + sy * y[i], peak * density[i]
     for i in range(n):
-        y[i] = zy + sy * b[i]
-    for i in range(n):
-        w[i] = zw + sw * c[i]
-    for i in range(n):
-        h[i] = zh + sh * e[i]
-    for i in range(n):
-        own[i] = peak * density[i]
+        s[W + i], s[H + i] = zw + sw * w[i], zh + sh * h[i]
 
 
 @njit(fastmath=FAST, error_model="numpy")
 def weigh_newborn(
     s: F4, n: int, d: F4, j: int, neighbour: I8, count: int, limit: np.float32, local: bool, flat: np.float32
-) -> None:
-    """Importance weights γ(x) / Σ_i J_i p_i(x) into ALIVE, with the proposals and the γ of all neighbours [M07 §2].
+) -> np.float32:
+    """Importance weights γ(x) / Σ_i J_i p_i(x) into ALIVE, with the proposals and γ of all neighbours [M07 §2]; their sum.
 
     ``flat``: γ where it is the same everywhere; with ``local`` it is the sum of the neighbourhoods that hold x. IW holds the
     particles' own proposal already.
@@ -135,9 +122,13 @@ def weigh_newborn(
                 there = (abs(s[X + i] - zx) <= zw) & (abs(s[Y + i] - zy) <= zh)
                 alike = (w >= least_w) & (w <= most_w) & (h >= least_h) & (h <= most_h)
                 s[IH + i] += density if there & alike else ZERO
+    total = ZERO
     for i in range(n):
-        possible = (s[W + i] > ZERO) & (s[H + i] > ZERO)
-        s[ALIVE + i] = s[IH + i] / s[IW + i] if possible else ZERO
-    for i in range(n):
-        # A size that cannot be still needs a deviation above zero below.
-        s[W + i], s[H + i] = max(s[W + i], F(1e-3)), max(s[H + i], F(1e-3))
+        w, h = s[W + i], s[H + i]
+        weight = s[IH + i] / s[IW + i]
+        weight = weight if (w > ZERO) & (h > ZERO) else ZERO
+        s[ALIVE + i] = weight
+        total += weight
+        # A size that cannot be still needs a deviation above zero in the likelihood.
+        s[W + i], s[H + i] = max(w, SMALLEST), max(h, SMALLEST)
+    return total

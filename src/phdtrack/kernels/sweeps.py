@@ -39,7 +39,7 @@ from phdtrack.kernels.box_blocks import (
     store,
 )
 from phdtrack.kernels.fast32 import FAST, HALF
-from phdtrack.kernels.newborn import GROUP, place_newborn, stretch, weigh_newborn
+from phdtrack.kernels.newborn import place_newborn, stretch, weigh_newborn
 from phdtrack.kernels.overlaps import overlapping
 
 F4 = NDArray[np.float32]
@@ -48,10 +48,10 @@ I4 = NDArray[np.int32]
 U4 = NDArray[np.uint32]
 I8 = NDArray[np.int64]
 F = np.float32
-GROUPS = BLOCK // GROUP
 EXTENTS = 6
 # Rows as unsigned numbers: a gather need not ask whether its index is negative.
 AT_X, AT_Y, AT_VX, AT_VY, AT_W, AT_H = (np.uint32(row) for row in (X, Y, VX, VY, W, H))
+ZEROTH = np.uint32(0)
 STAGE_MOVE, STAGE_DRIFT = np.uint32(0), np.uint32(1)
 
 
@@ -151,7 +151,7 @@ def sweep_born(
     lo: int,
     hi: int,
     many: I8,
-    group_start: I8,
+    batch_start: I8,
     points: F4,
     room: int,
     key: I8,
@@ -167,44 +167,33 @@ def sweep_born(
     base: F4,
     gains: F4,
 ) -> None:
-    """Draw and weigh the newborn of the detections lo … hi − 1 and sum their likelihoods by groups of ``GROUP``.
+    """Draw and weigh the newborn of the detections lo … hi − 1 and sum their likelihoods, in batches of ``BLOCK``.
 
     Parameters
     ----------
     points, room : standard points of the frame, and how far into them a detection's stretch may begin.
-    many : (N,) J_j.  group_start : (N + 1,) where each detection's groups begin.
+    many : (N,) J_j.  batch_start : (N + 1,) where each detection's batches begin.
     near_start, near : the neighbours of each detection; first the ``touching`` (N,) in whose gates its newborn can lie.
-    gain_start : (N + 1,) where each detection's sums begin; touching × groups of them.
-    base : (groups,) output: the newborn's mass.  gains : output: Σ weight·g, by neighbour, then group.
+    gain_start : (N + 1,) where each detection's sums begin; touching × batches of them.
+    base : (batches,) output: the newborn's mass.  gains : output: Σ weight·g, by neighbour, then batch.
     """
     k0, k1 = np.uint32(key[0]), np.uint32(key[1])
     s = np.empty(ROWS * BLOCK, np.float32)
     for j in range(lo, hi):
         neighbour = near[near_start[j] : near_start[j + 1]]
-        groups = group_start[j + 1] - group_start[j]
+        batches = batch_start[j + 1] - batch_start[j]
         at = stretch(j, room, k0, k1)
         for rank in range(0, many[j], BLOCK):
             n = min(BLOCK, many[j] - rank)
-            full = (n + GROUP - 1) // GROUP
-            place_newborn(s, 0, n, points, at + rank, detections, j)
-            weigh_newborn(s, n, detections, j, neighbour, neighbour.size, sensor[3], local, flat)
-            s[ALIVE + n : ALIVE + full * GROUP] = ZERO
-            _group_sums(s, ALIVE, full, base, group_start[j] + rank // GROUP)
+            place_newborn(s, n, points, at + rank, detections, j)
+            base[batch_start[j] + rank // BLOCK] = weigh_newborn(
+                s, n, detections, j, neighbour, neighbour.size, sensor[3], local, flat
+            )
             if own:
                 own_precisions(s, n, sensor[0], sensor[1])
             for m in range(touching[j]):
-                likelihood(s, n, detections, neighbour[m], sensor[2], own)
-                s[G + n : G + full * GROUP] = ZERO
-                _group_sums(s, G, full, gains, gain_start[j] + m * groups + rank // GROUP)
-
-
-@njit
-def _group_sums(s: F4, row: int, groups: int, out: F4, at: int) -> None:
-    for g in range(groups):
-        total = ZERO
-        for i in range(row + g * GROUP, row + (g + 1) * GROUP):
-            total += s[i]
-        out[at + g] = total
+                total, _ = likelihood(s, n, detections, neighbour[m], sensor[2], own)
+                gains[gain_start[j] + m * batches + rank // BLOCK] = total
 
 
 @njit(cache=True, nogil=True)
@@ -228,7 +217,7 @@ def sweep_offspring(
     sensor: F4,
     key: I8,
     many: I8,
-    group_start: I8,
+    batch_start: I8,
     points: F4,
     room: int,
     local: bool,
@@ -236,7 +225,7 @@ def sweep_offspring(
     near_start: I8,
     near: I8,
     touching: I8,
-    group_mass: F4,
+    batch_mass: F4,
     speed: F4,
     out: F4,
 ) -> None:
@@ -250,12 +239,12 @@ def sweep_offspring(
     divided : (S,) 1 or 2 where the source's particles are to be parted along x or y, so that blocks become compact.
     phase, width : (S,) in steps of the comb: where a source's first tooth stands, and how wide the source is.
     first, which : the detections near each block.  weight : (N,) p_D/(κ + C).  missed : 1 − p_D.
-    group_mass : mass of each group of newborn after the update.  speed : (N,) deviation of the velocity's amplitude.
+    batch_mass : mass of each batch of newborn after the update.  speed : (N,) deviation of the velocity's amplitude.
     """
     k0, k1 = np.uint32(key[0]), np.uint32(key[1])
     blocks = start.size - 1
     s = np.empty(ROWS * BLOCK, np.float32)
-    upto, chosen = np.empty(BLOCK, np.int32), np.empty(many_offspring.max() + 2, np.uint32)
+    upto, owner = np.empty(BLOCK, np.int32), np.empty(many_offspring.max() + 2, np.uint32)
     for o in range(lo, hi):
         source = order[o]
         teeth = many_offspring[source]
@@ -272,7 +261,7 @@ def sweep_offspring(
                 phase[source],
                 width[source],
                 many[j],
-                group_mass[group_start[j] : group_start[j + 1]],
+                batch_mass[batch_start[j] : batch_start[j + 1]],
                 points,
                 room,
                 weight,
@@ -287,6 +276,8 @@ def sweep_offspring(
                 speed[j],
                 k0,
                 k1,
+                upto,
+                owner,
                 out,
             )
             continue
@@ -296,7 +287,7 @@ def sweep_offspring(
         _posterior(s, n, which[first[source] : first[source + 1]], weight, missed, detections, own, sensor)
         if divided[source]:
             _part(s, n, X if divided[source] == 1 else Y)
-        _pick(s, n, teeth, at, phase[source], width[source], upto, chosen, out)
+        _pick(s, n, teeth, at, phase[source], width[source], upto, owner, out)
 
 
 @njit
@@ -346,7 +337,7 @@ def _part(s: F4, n: int, row: int) -> None:
 
 
 @njit
-def _pick(s: F4, n: int, teeth: int, at: int, phase: float, width: float, upto: I4, chosen: U4, out: F4) -> None:
+def _pick(s: F4, n: int, teeth: int, at: int, phase: float, width: float, upto: I4, owner: U4, out: F4) -> None:
     """Write the offspring of a block: the particles on whose stretch of the weights a tooth of the comb falls.
 
     In units of the comb's step the block is ``width`` wide and its teeth stand at phase, phase + 1, …
@@ -356,20 +347,19 @@ def _pick(s: F4, n: int, teeth: int, at: int, phase: float, width: float, upto: 
         total += s[SUM + i]
         s[N0 + i] = total
     _teeth_before(s, n, F(width) / total if total > ZERO else ZERO, F(1.0 - phase), teeth, upto)
-    # Each particle is written down for two teeth, whether they fall on it or not, and overwritten: no branch to miss.
-    done = 0
+    # Where its teeth begin each particle puts its number; a later one overwrites those without any. The running maximum then
+    # is the owner of each tooth: no branch to miss. Rounding can leave the last tooth beyond the last sum.
+    for t in range(teeth):
+        owner[t] = ZEROTH
+    begin = 0
     for i in range(n):
-        chosen[done], chosen[done + 1] = i, i
-        for t in range(done + 2, upto[i]):
-            chosen[t] = i
-        done = max(done, int(upto[i]))
-    # Rounding can leave the last tooth beyond the last sum.
-    for t in range(done, teeth):
-        chosen[t] = n - 1
+        owner[begin] = i
+        begin = upto[i]
     x, y, vx, vy = out[0, at : at + teeth], out[1, at : at + teeth], out[2, at : at + teeth], out[3, at : at + teeth]
     w, h = out[4, at : at + teeth], out[5, at : at + teeth]
+    i = ZEROTH
     for t in range(teeth):
-        i = chosen[t]
+        i = max(i, owner[t])
         x[t], y[t], vx[t] = s[i + AT_X], s[i + AT_Y], s[i + AT_VX]
         vy[t], w[t], h[t] = s[i + AT_VY], s[i + AT_W], s[i + AT_H]
 
@@ -391,7 +381,7 @@ def _born_offspring(
     phase: float,
     width: float,
     many: int,
-    group_mass: F4,
+    batch_mass: F4,
     points: F4,
     room: int,
     weight: F4,
@@ -406,53 +396,29 @@ def _born_offspring(
     amplitude: np.float32,
     k0: np.uint32,
     k1: np.uint32,
+    upto: I4,
+    owner: U4,
     out: F4,
 ) -> None:
-    """The offspring of a detection's newborn: only groups on which a tooth falls are drawn again."""
+    """The offspring of a detection's newborn: only batches on which a tooth falls are drawn again."""
     total = 0.0
-    for g in range(group_mass.size):
-        total += group_mass[g]
+    for g in range(batch_mass.size):
+        total += batch_mass[g]
     scale = width / total
-    ends, phases, shares = np.empty(GROUPS, np.int64), np.empty(GROUPS), np.empty(GROUPS)
     begin = stretch(j, room, k0, k1)
-    reached, done, given, held, last = 0.0, 0, 0, 0, 0
-    for g in range(group_mass.size):
-        share = group_mass[g] * scale
-        end = teeth if g == group_mass.size - 1 else min(int(reached + share - phase + 1.0), teeth)
-        if end > given:
-            place_newborn(s, held * GROUP, min(GROUP, many - g * GROUP), points, begin + g * GROUP, d, j)
-            last = held * GROUP + min(GROUP, many - g * GROUP)
-            ends[held], phases[held], shares[held] = end, phase + given - reached, share
-            held += 1
-            given = end
-        reached += share
-        if held == GROUPS or (g == group_mass.size - 1 and held > 0):
-            n = held * GROUP
+    reached, done = 0.0, 0
+    for g in range(batch_mass.size):
+        share = batch_mass[g] * scale
+        end = teeth if g == batch_mass.size - 1 else min(int(reached + share - phase + 1.0), teeth)
+        if end > done:
+            n = min(BLOCK, many - g * BLOCK)
+            place_newborn(s, n, points, begin + g * BLOCK, d, j)
             weigh_newborn(s, n, d, j, neighbour, neighbour.size, sensor[3], local, flat)
-            # The last group may be longer than what is left of the newborn.
-            s[ALIVE + last : ALIVE + n] = ZERO
             _posterior(s, n, neighbour[:touching], weight, missed, d, own, sensor)
-            for h in range(held):
-                _pick_in_group(s, h * GROUP, ends[h] - done, at + done, phases[h], shares[h], out)
-                done = ends[h]
-            held = 0
+            _pick(s, n, end - done, at + done, phase + done - reached, share, upto, owner, out)
+            done = end
+        reached += share
     for t in range(teeth):
         # Each offspring has a velocity of its own, also where a newborn particle has several.
         i = (begin + t) % points.shape[1]
         out[2, at + t], out[3, at + t] = amplitude * points[5, i], amplitude * points[6, i]
-
-
-@njit
-def _pick_in_group(s: F4, first: int, teeth: int, at: int, phase: float, width: float, out: F4) -> None:
-    """The same for one group of newborn, from row place ``first``; few teeth."""
-    total = ZERO
-    for i in range(first, first + GROUP):
-        total += s[SUM + i]
-    scale = width / total if total > ZERO else 0.0
-    reached, i = s[SUM + first] * scale, first
-    for t in range(teeth):
-        while reached <= phase + t and i < first + GROUP - 1:
-            i += 1
-            reached += s[SUM + i] * scale
-        out[0, at + t], out[1, at + t] = s[X + i], s[Y + i]
-        out[4, at + t], out[5, at + t] = s[W + i], s[H + i]
