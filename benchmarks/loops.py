@@ -66,7 +66,7 @@ class Lap:
         return out
 
 
-def race(loops: Sequence[Loop], stream: Stream, warm_up: int, budget: float = 60.0) -> list[Lap]:
+def race(loops: Sequence[Loop], stream: Stream, warm_up: int, budget: float = 20.0) -> list[Lap]:
     """All loops over the stream, in turns; the first ``warm_up`` frames do not count.
 
     After ``budget`` seconds no further turn begins, once two turns have counted. The scores are not part of any time.

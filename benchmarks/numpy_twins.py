@@ -32,7 +32,7 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
         names = ["gated", *(["dense"] if targets <= DENSE_UP_TO else [])]
         loops: list[Loop] = [Ours(stages(crowd, worst=True), 1)]
         loops += [Twin(world, 1, gated=name == "gated") for name in names]
-        ours, *twins = race(loops, draw(crowd, 1), scale.twin_frames // 3)
+        ours, *twins = race(loops, draw(crowd, 1), scale.twin_frames // 3, 2 * scale.budget)
         details.append({"targets": targets, "twin": "phdtrack", **_scores(ours)})
         for name, lap in zip(names, twins, strict=True):
             ratio = float(np.median(lap.total) / np.median(ours.total))

@@ -22,7 +22,7 @@ from phdtrack.protocols import AnyStages
 from phdtrack.types import ParticleBlocks, Particles
 
 KEYS = ("particle_phd_ms", "particle_phd", "growth_exponent", "threads", "ns_per_pair")
-WARM_UP = 20
+WARM_UP = 12
 LIMIT_MS = {10: 0.4, 100: 4.0, 1000: 45.0}
 
 
@@ -36,7 +36,7 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
         warm = min(WARM_UP, scale.frames // 2)
         for seed in scale.seeds:
             loops = [Ours(stages(crowd, worst=worst), seed, link=True) for worst in (True, False)]
-            laps = race(loops, draw(crowd, seed), warm)
+            laps = race(loops, draw(crowd, seed), warm, scale.budget)
             for form, lap, loop in zip(("worst", "specified"), laps, loops, strict=True):
                 details.append(_detail(targets, form, seed, lap, len(loop.state), per_target[form] * targets))
         for form in ("worst", "specified"):
@@ -139,7 +139,7 @@ def _threads(scale: Scale, say: Callable[[str], None]) -> tuple[dict[str, Any], 
     say(f"{scale.threads_at} targets, two threads")
     crowd = Crowd(scale.threads_at, scale.frames)
     loops = [Ours(threaded(crowd, threads), 1) for threads in (1, 2)]
-    one, two = race(loops, draw(crowd, 1), min(WARM_UP, scale.frames // 2))
+    one, two = race(loops, draw(crowd, 1), min(WARM_UP, scale.frames // 2), scale.budget)
     same = bool(np.array_equal(plain(loops[0].state).state, plain(loops[1].state).state))
     ratio = float(np.median(one.total) / np.median(two.total))
     alone = float(np.median(one.seconds[:, 0]) / np.median(two.seconds[:, 0]))

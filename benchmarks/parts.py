@@ -21,6 +21,7 @@ class Scale:
     sizes: tuple[int, ...]
     threads_at: int
     frames: int
+    budget: float
     twin_sizes: tuple[int, ...]
     twin_frames: int
     memory_at: int
@@ -43,6 +44,7 @@ QUICK = Scale(
     sizes=SIZES,
     threads_at=1000,
     frames=60,
+    budget=10.0,
     twin_sizes=(10, 100),
     twin_frames=24,
     memory_at=300,
@@ -61,6 +63,7 @@ FULL = Scale(
     sizes=SIZES,
     threads_at=1000,
     frames=200,
+    budget=60.0,
     twin_sizes=(10, 100, 1000),
     twin_frames=48,
     memory_at=1000,
@@ -80,6 +83,7 @@ SMOKE = Scale(
     sizes=(2, 4),
     threads_at=4,
     frames=4,
+    budget=10.0,
     twin_sizes=(2,),
     twin_frames=4,
     memory_at=2,

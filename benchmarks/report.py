@@ -44,9 +44,10 @@ def _processor() -> str:
 
 def write(document: dict[str, Any], path: Path) -> None:
     """The document as JSON, NaN as null; all of it or nothing is at ``path``."""
+    text = json.dumps(_plain(document), indent=2, allow_nan=False) + "\n"
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".json", delete=False) as file:
-        file.write(json.dumps(_plain(document), indent=2, allow_nan=False) + "\n")
+        file.write(text)
     Path(file.name).replace(path)
 
 

@@ -74,7 +74,7 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
     crowd = Crowd(targets, min(scale.frames, 40))
     stream = draw(crowd, 1)
     loop = Ours(stages(crowd, worst=True), 1)
-    (lap,) = race([loop], stream, min(14, crowd.frames // 2))
+    (lap,) = race([loop], stream, min(12, crowd.frames // 2), scale.budget)
     old, born = len(loop.state), NEWBORN * len(stream.table) / crowd.frames
     pairs = targets * pairs_per_target(Crowd(min(100, targets), min(12, crowd.frames)))["worst"]
     parts = {

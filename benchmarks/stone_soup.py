@@ -23,8 +23,9 @@ from benchmarks.loops import Lap, Ours, race
 from benchmarks.parts import Outcome, Row, Scale, Skipped
 from benchmarks.timing import Spread
 from benchmarks.workload import Crowd, Stream, draw, stages
+from phdtrack.filters import GMPHD
 from phdtrack.protocols import AnyStages
-from phdtrack.types import GaussianMixture
+from phdtrack.types import Estimates, GaussianMixture
 
 KEYS = ("ratio_stonesoup_gm", "ratio_stonesoup_smc", "stonesoup")
 SETTINGS = ({"gate": "none", "merge": "none"}, {"gate": "tree", "merge": "none"}, {"gate": "tree", "merge": "tree"})
@@ -72,12 +73,10 @@ def _stages(targets: int, frames: int) -> AnyStages:
 
 
 class OurMixture:
-    """phdtrack's GM-PHD filter without extraction."""
+    """phdtrack's GM-PHD filter without extraction, at most ``most`` components."""
 
-    def __init__(self, built: AnyStages) -> None:
-        from phdtrack.filters.gm_phd import GMPHD
-
-        self.loop = Ours(replace(built, filter=GMPHD(most=0), extractor=_Nothing()), 1)
+    def __init__(self, built: AnyStages, most: int) -> None:
+        self.loop = Ours(replace(built, filter=GMPHD(most=most), extractor=_Nothing()), 1)
 
     def frame(self, number: int, detections: Any) -> Any:
         """Seconds of a step, and the means of the components of weight ≥ 0.5."""
@@ -90,8 +89,6 @@ class _Nothing:
     """Extracts nothing."""
 
     def extract(self, state: Any, z: Any, model: Any) -> Any:
-        from phdtrack.types import Estimates
-
         return Estimates.empty(model.motion.dim)
 
 
@@ -109,7 +106,7 @@ def _gm(targets: int, stream: Stream, settings: dict[str, str], warm_up: int) ->
     from benchmarks.stone_soup_loops import Mixture
 
     built = _stages(targets, stream.info.frames)
-    ours, theirs = race([OurMixture(built), Mixture(built, settings, 4 * targets)], stream, warm_up)
+    ours, theirs = race([OurMixture(built, 10 * targets), Mixture(built, settings, 4 * targets)], stream, warm_up)
     return _compared("GM-PHD", targets, ours, theirs, LEAST_GM)
 
 

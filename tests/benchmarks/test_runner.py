@@ -1,0 +1,126 @@
+"""The benchmark's runner: what it writes, and that a part which fails or is skipped does not stop the others."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks.__main__ import measure
+from benchmarks.parts import SMOKE, Outcome, Part, Row, Skipped
+from benchmarks.registry import PARTS
+from benchmarks.report import Paper, write
+from benchmarks.timing import Spread, exponent, in_turns
+from rich.console import Console
+
+from benchmarks import c_kernel, particle_phd
+
+REQUIRED = {
+    "particle_phd_ms",
+    "gm_phd_us",
+    "growth_exponent",
+    "ratio_gated_numpy",
+    "ratio_dense_numpy",
+    "ratio_stonesoup_gm",
+    "ratio_stonesoup_smc",
+    "tracker_ms",
+    "bytes_per_particle",
+}
+
+
+def paper() -> tuple[Paper, Console]:
+    console = Console(record=True, width=160, quiet=True)
+    return Paper(console), console
+
+
+def test_the_parts_make_every_required_entry() -> None:
+    assert {key for part in PARTS for key in part.keys} >= REQUIRED
+    assert len({part.name for part in PARTS}) == len(PARTS)
+
+
+def test_a_part_that_fails_leaves_its_reason_and_the_others_go_on(tmp_path: Path) -> None:
+    def broken(scale: object, say: object) -> Outcome:
+        raise RuntimeError("no such luck")
+
+    def skipped(scale: object, say: object) -> Outcome:
+        raise Skipped("no compiler")
+
+    def fine(scale: object, say: object) -> Outcome:
+        rows = (Row("slow", 2.0, "ms", most=1.0), Row("fast", 2.0, "×", least=1.0), Row("free", float("nan"), ""))
+        return Outcome(rows, {"answer": float("nan"), "array": np.float64(3)})
+
+    parts = [
+        Part("broken", "B", broken, ("lost",)),
+        Part("skipped", "S", skipped, ("missing",)),
+        Part("fine", "F", fine, ("answer",)),
+    ]
+    sheet, _ = paper()
+    measure(parts, SMOKE, tmp_path / "out" / "bench.json", sheet)
+    document = json.loads((tmp_path / "out" / "bench.json").read_text())
+    assert document["parts"]["broken"]["status"] == "failed"
+    assert document["parts"]["broken"]["reason"] == "RuntimeError: no such luck"
+    assert document["parts"]["skipped"] | {"seconds": 0} == {
+        "status": "skipped",
+        "reason": "no compiler",
+        "seconds": 0,
+        "rows": [],
+    }
+    assert [row["kept"] for row in document["parts"]["fine"]["rows"]] == [False, True, None]
+    assert document["lost"] is None
+    assert document["missing"] is None
+    assert document["answer"] is None
+    assert document["array"] == 3.0
+    assert document["machine"]["cores"] >= 1
+    assert document["versions"]["numpy"] == np.__version__
+    assert document["seeds"] == [1]
+
+
+def test_the_table_has_every_part_and_its_reason() -> None:
+    sheet, console = paper()
+    sheet.part("Some part", (Row("a value", 12.5, "ms", Spread.of([12.0, 12.5, 13.0]), most=20.0, note="n [b]"),))
+    sheet.part("Other part", (), "skipped: no compiler [cc]")
+    console.quiet = False
+    with console.capture() as caught:
+        sheet.show()
+    text = caught.get()
+    for word in ("Some part", "12.5 ms", "12.2 … 12.8", "≤ 20", "yes", "n [b]", "Other part", "no compiler [cc]"):
+        assert word in text
+
+
+def test_the_particle_part_measures_all_sizes_and_forms() -> None:
+    entries = particle_phd.run(SMOKE, lambda text: None).entries
+    assert set(entries["particle_phd_ms"]) == {"2", "4"}
+    assert all(ms > 0 for ms in entries["particle_phd_ms"].values())
+    assert {(d["targets"], d["form"]) for d in entries["particle_phd"]} == {
+        (n, form) for n in (2, 4) for form in ("worst", "specified")
+    }
+    worst = {d["targets"]: d["pairs"] for d in entries["particle_phd"] if d["form"] == "worst"}
+    assert worst[4] > worst[2] > 0
+
+
+def test_c_and_numba_agree_on_the_kernel() -> None:
+    try:
+        outcome = c_kernel.run(SMOKE, lambda text: None)
+    except Skipped as reason:
+        pytest.skip(str(reason))
+    assert outcome.entries["c_kernel"]["ratio"] > 0
+
+
+def test_a_document_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None:
+    path = tmp_path / "bench.json"
+    write({"a": 1}, path)
+    with pytest.raises(TypeError):
+        write({"a": {1, 2}}, path)
+    assert json.loads(path.read_text()) == {"a": 1}
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_exponent_and_turns() -> None:
+    assert exponent([10, 100, 1000], [2, 20, 200]) == pytest.approx(1.0)
+    assert exponent([1, 2, 4], [3, 12, 48]) == pytest.approx(2.0)
+    assert np.isnan(exponent([1], [1]))
+    order: list[str] = []
+    times = in_turns([lambda: order.append("a"), lambda: order.append("b")], repeats=2, warm_up=1)
+    assert order == ["a", "b"] * 3
+    assert [len(t) for t in times] == [2, 2]
