@@ -83,7 +83,7 @@ def _birth(birth: Birth, dt: float) -> tuple[int, float, GaussianMixture] | None
     """What γ is spread over, its density or rate, and its Gaussians where it is a mixture."""
     if type(birth) is FixedBirth and len(birth.mixture.mean) == gm_model.D:
         given = birth.mixture
-        return gm_model.NOWHERE, 0.0, GaussianMixture(given.weight * dt, given.mean, given.covariance)
+        return gm_model.NOWHERE, 0.0, GaussianMixture(given.weight * dt, np.ascontiguousarray(given.mean), given.covariance)
     if type(birth) is not MeasurementBirth:
         return None
     if birth.volume == "local":

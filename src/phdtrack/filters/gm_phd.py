@@ -69,8 +69,10 @@ class GMPHD:
 
     def start(self, model: Model, rng: np.random.Generator) -> GaussianMixture:
         """The initial intensity; empty where none was given."""
-        if self.initial is not None:
-            return self.initial
+        given = self.initial
+        if given is not None:
+            # Arrays that lie otherwise in memory would have the kernels compiled once more.
+            return GaussianMixture(*(np.ascontiguousarray(part) for part in (given.weight, given.mean, given.covariance)))
         d = model.motion.dim
         return GaussianMixture(np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d)))
 

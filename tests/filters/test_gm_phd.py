@@ -1,0 +1,268 @@
+"""Laws of the GM-PHD filter: the Kalman filter of one target, the printed update, mass, order, gates, particles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from phd_cases import FRAME, NoBirth, world
+
+from phdtrack.errors import InputError
+from phdtrack.filters import GMPHD, ParticlePHD
+from phdtrack.filters.composed import composed_step
+from phdtrack.models import (
+    BoxMotion,
+    BoxSensor,
+    FixedBirth,
+    LocalClutter,
+    MeasurementBirth,
+    SplitSpawn,
+    UniformBirth,
+    UniformClutter,
+)
+from phdtrack.protocols import Model
+from phdtrack.types import GaussianMixture
+from reference import gm_twin, phd_twin
+
+ROWS = [0, 1, 4, 5]
+H = np.eye(6)[ROWS]
+MEAN = np.array([320.0, 240, 2, -1, 60, 110])
+COV = np.diag([3.0, 3, 20, 20, 6, 6])
+# M09's fixed variances: linear and Gaussian.
+LINEAR = Model(
+    BoxMotion(1.5**0.5, 2.0, survival=1.0, scaled=False),
+    BoxSensor(detection=1.0, scaling="fixed"),
+    NoBirth(),
+    UniformClutter(0.0, 1.0),
+)
+NOTHING = np.zeros((4, 0))
+
+
+def nearby(rng: np.random.Generator, n: int, width: float = 500.0) -> GaussianMixture:
+    """Gaussians of targets, some of them close together."""
+    mean = rng.uniform([50, 50, -3, -3, 20, 40], [width, 400, 3, 3, 60, 120], (n, 6)).T
+    mean[:, 1::3] = mean[:, ::3][:, : mean[:, 1::3].shape[1]] + rng.normal(0, 3, mean[:, 1::3].shape)
+    root = rng.normal(0, 1.5, (n, 6, 6))
+    return GaussianMixture(rng.uniform(0.1, 1.2, n), mean, root @ root.transpose(0, 2, 1) + np.eye(6))
+
+
+def seen_by(rng: np.random.Generator, state: GaussianMixture, n: int) -> np.ndarray:
+    x = state.mean[:, rng.integers(len(state), size=n)]
+    return x[ROWS] + rng.normal(0, 3, (4, n))
+
+
+def test_one_target_is_the_kalman_filter(rng):
+    """p_D = 1, no clutter, no births: means and covariances to 1e-10."""
+    _, (f,), (q,) = LINEAR.motion.transition(MEAN[:, None], 1.0)
+    x, measured = rng.multivariate_normal(MEAN, COV)[:, None], []
+    for _ in range(30):
+        x = LINEAR.motion.sample(x, 1.0, rng)
+        measured.append(x[ROWS, 0] + rng.normal(0, np.sqrt([3.0, 3, 6, 6])))
+    means, covs = phd_twin.kalman(MEAN, COV, np.array(measured), f, q, H, np.diag([3.0, 3, 6, 6]))
+    for fused in (False, True):
+        # The fused path knows births that are given: here none.
+        birth = FixedBirth(GaussianMixture(np.zeros(0), np.zeros((6, 0)), np.zeros((0, 6, 6)))) if fused else NoBirth()
+        model = replace(LINEAR, birth=birth)
+        recursion = GMPHD(initial=GaussianMixture(np.ones(1), MEAN[:, None], COV[None]))
+        state = recursion.start(model, rng)
+        for k, z in enumerate(measured):
+            state, info = recursion.step(state, z[:, None], model, 1.0, rng)
+            assert len(state) == 1
+            assert info.mass == pytest.approx(1.0)
+            np.testing.assert_allclose(state.mean[:, 0], means[k], rtol=1e-10, atol=1e-10)
+            np.testing.assert_allclose(state.covariance[0], covs[k], rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("scaling", ["particle", "detection", "fixed"])
+def test_the_update_is_the_printed_one_but_for_the_gate(scaling: str, rng):
+    """Every pair by matrix inverses, without gates: evidence and mass within what a gate of five deviations cuts."""
+    model = world(scaling=scaling, detection=0.9)
+    state, sensor = nearby(rng, 9), model.sensor
+    z = np.hstack([seen_by(rng, state, 6), [[900.0], [900], [30], [60]]])
+    kappa = model.clutter.intensity(z)
+
+    def noise(i: int, j: int) -> np.ndarray:
+        return sensor.covariance(z[:, j : j + 1], state.mean[:, i : i + 1])[0]
+
+    p = np.full(9, 0.9)
+    weight, mean, cov, evidence = gm_twin.update(state.weight, state.mean, state.covariance, z, H, noise, p, kappa)
+    wide, info = GMPHD(gate=60.0).update(state, z, model, 1.0, rng)
+    np.testing.assert_allclose(info.evidence, evidence, rtol=1e-9, atol=1e-300)
+    assert wide.mass == pytest.approx(weight.sum())
+    for printed in np.flatnonzero(weight > 1e-9):
+        here = np.flatnonzero(np.isclose(wide.weight, weight[printed], rtol=1e-8))
+        assert any(np.allclose(wide.mean[:, i], mean[:, printed]) for i in here)
+        assert any(np.allclose(wide.covariance[i], cov[printed]) for i in here)
+    gated, short = GMPHD().update(state, z, model, 1.0, rng)
+    # N(z; Hm, S) is at most its value on the gate outside of it.
+    largest = 0.0
+    for j in range(7):
+        norms = [np.linalg.det(2 * np.pi * (H @ state.covariance[i] @ H.T + noise(i, j))) ** -0.5 for i in range(9)]
+        bound = 0.9 * np.exp(-12.5) * float(state.weight @ norms)
+        assert -1e-9 * evidence[j] <= evidence[j] - short.evidence[j] <= bound * (1 + 1e-9)
+        largest = max(largest, bound / (kappa[j] + short.evidence[j]))
+    assert abs(gated.mass - wide.mass) <= 7 * 2 * largest
+
+
+def test_prediction_is_the_printed_one(rng):
+    model = world()
+    state = nearby(rng, 5)
+    mean, f, q = model.motion.transition(state.mean, 2.0)
+    weight, _, cov = gm_twin.predict(state.weight, state.mean, state.covariance, 0.99**2, f, q)
+    predicted = GMPHD().predict(state, model, 2.0, rng)
+    np.testing.assert_allclose(predicted.weight, weight)
+    np.testing.assert_allclose(predicted.mean, mean)
+    np.testing.assert_allclose(predicted.covariance, cov)
+    outside = GaussianMixture(np.ones(1), np.array([[-500.0, 50, 0, 0, 20, 40]]).T, COV[None])
+    assert len(GMPHD().predict(outside, model, 1.0, rng)) == 0
+
+
+def test_an_empty_scan_leaves_what_was_missed(rng):
+    model, state = world(detection=0.9), nearby(rng, 6)
+    after, info = GMPHD().update(state, NOTHING, model, 1.0, rng)
+    np.testing.assert_allclose(after.weight, 0.1 * state.weight)
+    np.testing.assert_array_equal(after.mean, state.mean)
+    assert info.mass == pytest.approx(0.1 * state.mass)
+    kept, info = GMPHD(skip_empty=True).update(state, NOTHING, model, 1.0, rng)
+    np.testing.assert_array_equal(kept.weight, state.weight)
+    assert info.mass == pytest.approx(state.mass)
+
+
+def test_reducing_keeps_the_mass_unless_it_is_to_be_as_printed(rng):
+    state = nearby(rng, 40)
+    for most in (0, 5):
+        recursion = GMPHD(prune=0.3, most=most)
+        assert recursion.reduce(state, rng).mass == pytest.approx(state.mass)
+        printed = replace(recursion, redistribute=False).reduce(state, rng)
+        expected = gm_twin.reduce(state.weight, state.mean, state.covariance, 0.3, 2.0, most, False)
+        assert printed.mass == pytest.approx(expected[0].sum())
+        assert printed.mass < state.mass - 0.1
+        assert len(printed) == len(expected[0]) == (5 if most else len(expected[0]))
+
+
+def test_order_of_the_detections_does_not_matter(rng):
+    state = nearby(rng, 8)
+    z = np.hstack([seen_by(rng, state, 6), rng.uniform([0, 0, 20, 40], [500, 400, 60, 120], (6, 4)).T])
+    order = rng.permutation(12)
+    model = world(birth=MeasurementBirth(0.05, volume="local"), clutter=LocalClutter(0.5), detection=0.9)
+    for one, other in (
+        (GMPHD().step(state, z, model, 1.0, rng), GMPHD().step(state, z[:, order].copy(), model, 1.0, rng)),
+        (
+            composed_step(GMPHD(), state, z, model, 1.0, rng),
+            composed_step(GMPHD(), state, z[:, order].copy(), model, 1.0, rng),
+        ),
+    ):
+        np.testing.assert_allclose(one[1].evidence[order], other[1].evidence)
+        np.testing.assert_allclose(np.sort(one[0].weight), np.sort(other[0].weight), rtol=1e-9)
+        np.testing.assert_allclose(np.sort(one[0].mean[0]), np.sort(other[0].mean[0]))
+
+
+def test_a_detection_that_nothing_explains_vanishes_and_is_counted(rng):
+    model = world(clutter=UniformClutter(0.0, 1.0), detection=1.0)
+    state = GaussianMixture(np.ones(1), MEAN[:, None], COV[None])
+    z = np.array([[5000.0, 320, 5050], [5000, 240, 5000], [20, 60, 20], [40, 110, 40]])
+    for after, info in (GMPHD().update(state, z, model, 1.0, rng), GMPHD().step(state, z, with_no_births(model), 1.0, rng)):
+        assert info.vanished == 2
+        assert after.mass == pytest.approx(1.0)
+        np.testing.assert_array_equal(info.clutter_probability[[0, 2]], [1.0, 1.0])
+
+
+def with_no_births(model: Model) -> Model:
+    """The same, in a form that the fused step knows."""
+    return replace(model, birth=FixedBirth(GaussianMixture(np.zeros(0), np.zeros((6, 0)), np.zeros((0, 6, 6)))))
+
+
+def test_births_stop_where_mass_explains_the_detection(rng):
+    model = world(birth=MeasurementBirth(0.05, volume="local"), clutter=LocalClutter(0.5))
+    z = MEAN[ROWS, None]
+    for weight, born in ((1.2, False), (0.5, True)):
+        state = GaussianMixture(np.array([weight]), MEAN[:, None], COV[None])
+        for info in (GMPHD().update(state, z, model, 1.0, rng)[1], GMPHD().step(state, z, model, 1.0, rng)[1]):
+            assert (info.mass_born > 0) == born
+            assert info.mass_born < 0.1
+
+
+def test_an_object_is_believed_as_soon_as_by_the_particles(rng):
+    """Masses of a coherent object along its first detections, births and clutter by rate: within the particles' error."""
+    model = Model(
+        BoxMotion(frame_size=FRAME),
+        BoxSensor(detection=0.9),
+        MeasurementBirth(0.01, 1000, "local", FRAME),
+        LocalClutter(0.3),
+    )
+    z = np.array([[300.0], [200], [40], [100]])
+    gm, state = [], GMPHD().start(model, rng)
+    for _ in range(8):
+        state, info = GMPHD().step(state, z, model, 1.0, rng)
+        gm.append(info.mass)
+    runs = []
+    for _ in range(12):
+        particles, masses = ParticlePHD().start(model, rng), []
+        for _ in range(8):
+            particles, info = composed_step(ParticlePHD(), particles, z, model, 1.0, rng)
+            masses.append(info.mass)
+        runs.append(masses)
+    # Newborn are flat for the particles and Gaussian here; the size-dependent noise is taken at the mean.
+    np.testing.assert_allclose(gm, np.mean(runs, axis=0), atol=0.12)
+    assert gm[-1] > 0.9
+
+
+def test_a_linear_scene_is_the_particle_filters(rng):
+    """Two targets of fixed variances, misses and clutter: masses and evidence of both filters along 12 frames."""
+    model = replace(LINEAR, sensor=BoxSensor(detection=0.85, scaling="fixed"), clutter=UniformClutter(2.0, 1e6))
+    start = np.array([MEAN, MEAN + np.array([90, 20, -3, 1, 10, -20])]).T
+    initial = GaussianMixture(np.ones(2), start, np.stack([COV, COV]))
+    scans, x = [], start
+    for k in range(12):
+        x = model.motion.sample(x, 1.0, rng)
+        seen = x[ROWS] + rng.normal(0, 1, (4, 2)) * np.sqrt([[3.0], [3], [6], [6]])
+        clutter = rng.uniform([0, 0, 20, 40], [*FRAME, 90, 150], (2, 4)).T
+        scans.append(np.hstack([seen[:, : 1 if k == 5 else 2], clutter]))
+    recursion, exact = GMPHD(initial=initial, merge=0.05, prune=1e-7, most=0), []
+    state = recursion.start(model, rng)
+    for z in scans:
+        state, info = composed_step(recursion, state, z, model, 1.0, rng)
+        exact.append((info.mass, info.evidence[0]))
+    runs = []
+    for _ in range(10):
+        sampled = ParticlePHD(4000, initial=initial)
+        particles, here = sampled.start(model, rng), []
+        for z in scans:
+            particles, info = composed_step(sampled, particles, z, model, 1.0, rng)
+            here.append((info.mass, info.evidence[0]))
+        runs.append(here)
+    mean, error = np.mean(runs, axis=0), np.std(runs, axis=0, ddof=1) / np.sqrt(10)
+    # Ten runs know their own deviation poorly; merging within a twentieth of a deviation costs little.
+    assert (np.abs(np.array(exact) - mean) <= 5 * error + 0.01 * mean).all()
+
+
+def test_the_count_is_right_on_average(rng):
+    """Five targets that stay, p_D = 0.9, clutter as modelled: the mass over 150 frames."""
+    clutter = UniformClutter(2.0, FRAME[0] * FRAME[1] * 40 * 80)
+    motion = BoxMotion(1.0, 1.0, survival=0.995, scaled=False)
+    model = Model(motion, BoxSensor(detection=0.9, scaling="fixed"), MeasurementBirth(0.2, frame_size=FRAME), clutter)
+    at = rng.uniform([60, 60, 30, 60], [580, 420, 60, 120], (5, 4)).T
+    recursion, masses = GMPHD(), []
+    state = recursion.start(model, rng)
+    for _ in range(150):
+        seen = (at + rng.normal(0, 1, (4, 5)) * np.sqrt([[3.0], [3], [6], [6]]))[:, rng.random(5) < 0.9]
+        false = rng.uniform([0, 0, 25, 50], [*FRAME, 65, 130], (rng.poisson(2.0), 4)).T
+        state, info = recursion.step(state, np.hstack([seen, false]), model, 1.0, rng)
+        masses.append(info.mass)
+    assert np.mean(masses[30:]) == pytest.approx(5, abs=0.35)
+
+
+def test_what_has_no_gaussian_form_is_an_error_with_its_cure(rng):
+    state, z = nearby(rng, 2), MEAN[ROWS, None]
+    splitting = replace(LINEAR, motion=BoxMotion(births=SplitSpawn(rate=0.1)))
+    with pytest.raises(InputError, match="spawn"):
+        GMPHD().step(state, z, splitting, 1.0, rng)
+    with pytest.raises(InputError, match=r"birth\.kind=measurement"):
+        GMPHD().step(state, z, replace(LINEAR, birth=UniformBirth(FRAME)), 1.0, rng)
+
+
+def test_settings_out_of_bounds():
+    for wrong in ({"prune": -1.0}, {"merge": -1.0}, {"most": -1}, {"gate": 0.0}, {"region": 0.0}):
+        with pytest.raises(InputError, match=next(iter(wrong))):
+            GMPHD(**wrong)
