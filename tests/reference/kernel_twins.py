@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 
@@ -17,54 +15,12 @@ def gated_pairs(px, py, lower, upper):
     }
 
 
-def scaled_distance2(x, centre, scale, point, which):
-    return np.array(
-        [
-            math.fsum(((a - b) / s) ** 2 for a, b, s in zip(x[:, i], centre[:, j], scale[:, j], strict=True))
-            for i, j in zip(point, which, strict=True)
-        ]
-    )
-
-
 def quadratic_form(x, centre, precision, point, which):
     out = np.empty(len(point))
     for p, (i, j) in enumerate(zip(point, which, strict=True)):
         step = x[:, i] - centre[:, j]
         out[p] = step @ precision[j] @ step
     return out
-
-
-def nearest(distance2, point, which, count):
-    label, best = np.full(count, -1), np.full(count, np.inf)
-    for i in range(count):
-        mine = sorted((d, j) for d, p, j in zip(distance2, point, which, strict=True) if p == i)
-        if mine:
-            best[i], label[i] = mine[0]
-    return label, best
-
-
-def shares(log_density, point, count):
-    """In exact logarithms: what is far below its point's best still has its small share."""
-    out = np.empty(len(point))
-    for i in range(count):
-        mine = np.flatnonzero(point == i)
-        for p in mine:
-            out[p] = 1 / math.fsum(math.exp(min(log_density[q] - log_density[p], 700.0)) for q in mine)
-    return out
-
-
-def moments(x, weight, point, which, k):
-    d = len(x)
-    mass, mean, cov = np.zeros(k), np.zeros((d, k)), np.zeros((k, d, d))
-    for j in range(k):
-        mine = which == j
-        w, y = weight[mine], x[:, point[mine]]
-        mass[j] = math.fsum(w)
-        if mass[j] > 0:
-            mean[:, j] = (w * y).sum(1) / mass[j]
-            step = y - mean[:, [j]]
-            cov[j] = (w * step) @ step.T / mass[j]
-    return mass, mean, cov
 
 
 def systematic(weight, count, offset):

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.kernels.blocks import cut, summarise
+from phdtrack.kernels.clustering import block_grid
 from phdtrack.types import F8, I8, ParticleBlocks, Particles
 
 Real = NDArray[np.floating[Any]]
@@ -30,6 +31,7 @@ class Cloud:
     low, high : (B, d) corners of the box that holds a block's particles.
     origin : (B, d) a point in the middle of each block.
     mass : (B,) of each block; ``first`` (B, d), ``second`` (B, ≥ d, ≥ d): its moments about the origin.
+    grid : over the blocks' boxes, as `kernels.clustering.block_grid` makes it.
     """
 
     state: Real
@@ -41,6 +43,7 @@ class Cloud:
     mass: F8
     first: F8
     second: F8
+    grid: tuple[F8, F8, F8, I8, I8, I8]
 
     @classmethod
     def of(cls, intensity: Particles | ParticleBlocks) -> Cloud:
@@ -53,7 +56,8 @@ class Cloud:
             state, weight, start = cut(intensity.state, intensity.weight, MOST)
         bits = state.view(np.int32 if state.itemsize == 4 else np.int64)
         low, high, origin, mass, first, second = summarise(state, bits, weight, start)
-        return cls(state, weight, start, low.view(state.dtype), high.view(state.dtype), origin, mass, first, second)
+        low, high = low.view(state.dtype), high.view(state.dtype)
+        return cls(state, weight, start, low, high, origin, mass, first, second, block_grid(low, high))
 
     def take(self, index: I8) -> Particles:
         """The particles at ``index``."""

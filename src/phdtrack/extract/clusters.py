@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phdtrack.extract.cloud import Cloud
 from phdtrack.kernels.clustering import assign, cluster_moments, outside
@@ -17,25 +18,42 @@ from phdtrack.kernels.joining import claim, serve
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8, Bool, Estimates, Particles
 
+I4 = NDArray[np.int32]
+
 # A cluster reaches this many deviations of the measurement noise. Wide, because a target that was missed spreads.
 REACH = 8.0
-NO_LABELS = np.zeros(0, np.int32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Labels:
-    """Which cluster each particle belongs to.
+    """Which cluster each particle belongs to, and by which centres.
 
     Attributes
     ----------
+    centre, scale, alive : (d, k), (d, k), (k,) the centres that the particles were assigned to, the noise there, and what
+        was above 0 for those that took part.
     block, own : clusters of whole blocks (B,) and of the particles of mixed ones (L,), as in `kernels.clustering`.
-    mass, mean : (k,) and (d, k) of the clusters; the mean of an empty one is its centre.
+    count, mass, sums, mean : (k,) particles, (k,) masses, (k, d) sums of states, (d, k) means of the clusters; that of an
+        empty one is its centre.
     """
 
-    block: np.ndarray[tuple[int], np.dtype[np.int32]]
-    own: np.ndarray[tuple[int], np.dtype[np.int32]]
+    centre: F8
+    scale: F8
+    alive: F8
+    block: I4
+    own: I4
+    count: I8
     mass: F8
+    sums: F8
     mean: F8
+
+    @classmethod
+    def none(cls, cloud: Cloud) -> Labels:
+        """No particle belongs to any cluster; there are none."""
+        d, n = cloud.state.shape
+        block, own = np.full(len(cloud.mass), -1, np.int32), np.empty(n, np.int32)
+        nothing, columns = np.zeros(0), np.zeros((d, 0))
+        return cls(columns, columns, nothing, block, own, np.zeros(0, np.int64), nothing, np.zeros((0, d)), columns)
 
 
 def seeds(cloud: Cloud, z: F8, sensor: Sensor, lightest: float) -> F8:
@@ -73,17 +91,19 @@ def _lonely_centres(rest: Particles, sensor: Sensor, lightest: float) -> tuple[F
     return found
 
 
-def label(cloud: Cloud, centres: F8, sensor: Sensor, alive: F8, before: Labels | None) -> tuple[Labels, bool]:
+def label(cloud: Cloud, centres: F8, sensor: Sensor, alive: F8, before: Labels) -> tuple[Labels, bool]:
     """Every particle with the nearest centre (d, k) in reach, and whether any has another than ``before``.
 
-    Centres with ``alive`` (k,) not above 0 get nothing.
+    The first centres are those of ``before``, as they have moved. Those with ``alive`` (k,) not above 0 get nothing. What
+    ``before`` held of single particles goes over into the result: it is not to be used any more.
     """
-    block, own = (NO_LABELS, NO_LABELS) if before is None else (before.block, before.own)
-    *found, changed = assign(
-        cloud.state, cloud.weight, cloud.start, cloud.low, cloud.high, cloud.origin, cloud.mass, cloud.first,
-        centres, sensor.noise(centres), REACH, alive, block, own,
+    scale = sensor.noise(centres)
+    block, *found, changed = assign(
+        cloud.state, cloud.weight, cloud.start, cloud.low, cloud.high, cloud.origin, cloud.mass, cloud.first, *cloud.grid,
+        centres, scale, REACH, alive, before.centre, before.scale, before.alive,
+        before.block, before.own, before.count, before.mass, before.sums,
     )  # fmt: skip
-    return Labels(*found), changed
+    return Labels(centres, scale, alive, block, before.own, *found), changed
 
 
 def moments(cloud: Cloud, labels: Labels, cluster: I8, reference: F8) -> tuple[F8, F8, F8]:

@@ -55,36 +55,34 @@ class KMeans:
             return Estimates.empty(model.motion.dim)
         sensor, cloud = model.sensor, Cloud.of(state)
         centres = clusters.seeds(cloud, z, sensor, self.lightest)
-        centres, labels = self._settle(cloud, centres, np.ones(centres.shape[1]), sensor)
+        labels = self._settle(cloud, centres, np.ones(centres.shape[1]), Labels.none(cloud), sensor)
         # Each split adds a cluster, and a mass M holds at most M/split too heavy ones: the bound only guards rounding.
         for _ in range(math.ceil(2 * state.mass / self.split)):
-            heavy = self._farthest_in_heavy(cloud, centres, labels, sensor)
+            heavy = self._farthest_in_heavy(cloud, labels)
             if len(heavy) == 0:
                 break
             alive = np.concatenate((labels.mass, np.ones(len(heavy))))
-            centres = np.concatenate((centres, cloud.take(heavy).state), axis=1)
-            centres, labels = self._settle(cloud, centres, alive, sensor)
+            centres = np.concatenate((labels.centre, cloud.take(heavy).state), axis=1)
+            labels = self._settle(cloud, centres, alive, labels, sensor)
         mass, mean, cov = self._heavy_enough(cloud, labels, self._join_light(labels, sensor))
         found = join_unresolved(mass, mean, cov, sensor, self.overlap)
         return clusters.finish(*found, z, model, self.region)
 
-    def _settle(self, cloud: Cloud, centres: F8, alive: F8, sensor: Sensor) -> tuple[F8, Labels]:
+    def _settle(self, cloud: Cloud, centres: F8, alive: F8, labels: Labels, sensor: Sensor) -> Labels:
         """Iterate assignment and means until nothing moves between clusters; clusters without particles stay empty."""
-        labels, _ = clusters.label(cloud, centres, sensor, alive, None)
+        labels, _ = clusters.label(cloud, centres, sensor, alive, labels)
         for _ in range(self.iterations):
-            centres = labels.mean
-            labels, changed = clusters.label(cloud, centres, sensor, labels.mass, labels)
+            labels, changed = clusters.label(cloud, labels.mean, sensor, labels.mass, labels)
             if not changed:
                 break
-        return centres, labels
+        return labels
 
-    def _farthest_in_heavy(self, cloud: Cloud, centres: F8, labels: Labels, sensor: Sensor) -> I8:
+    def _farthest_in_heavy(self, cloud: Cloud, labels: Labels) -> I8:
         """For each cluster heavier than the split mass, its particle farthest from the centre [M07 §3]."""
         heavy = labels.mass > self.split
         if not heavy.any():
             return np.zeros(0, np.int64)
-        scale = sensor.noise(centres)
-        at, distance2 = farthest(cloud.state, cloud.start, cloud.origin, labels.block, labels.own, centres, scale, heavy)
+        at, distance2 = farthest(cloud.state, cloud.start, labels.block, labels.own, labels.centre, labels.scale, heavy)
         # A cluster whose particles all stand on its centre cannot be divided.
         chosen: I8 = at[distance2 > 0]
         return chosen

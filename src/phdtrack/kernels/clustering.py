@@ -145,87 +145,155 @@ def nearest_in_block(
 
 
 @njit(nogil=True, cache=True, fastmath=FAST)
+def block_grid(low: Real, high: Real) -> tuple[F8, F8, F8, I8, I8, I8]:
+    """A grid over the blocks' boxes in position, as `overlaps.overlapping` asks it: their corners (2, B), and the grid."""
+    blocks = low.shape[0]
+    lower, upper = np.empty((2, blocks)), np.empty((2, blocks))
+    for b in range(blocks):
+        for r in range(2):
+            lower[r, b], upper[r, b] = low[b, r], high[b, r]
+    frame, cells, item, corner = rectangle_grid(lower, upper)
+    return lower, upper, frame, cells, item, corner
+
+
+@njit(nogil=True, fastmath=FAST)
+def stirred(
+    centre: F8, scale: F8, alive: F8, was_centre: F8, was_scale: F8, was_alive: F8, reach: float,
+    lower: F8, upper: F8, frame: F8, cells: I8, item: I8, corner: I8,
+) -> Bool:  # fmt: skip
+    """(B,) which blocks may be labelled otherwise than before: those that a changed centre reaches or reached."""
+    k, before = centre.shape[1], was_centre.shape[1]
+    out, found = np.zeros(lower.shape[1], np.bool_), np.empty(lower.shape[1], np.int64)
+    for j in range(k):
+        moved = j >= before or (alive[j] > 0.0) != (was_alive[j] > 0.0)
+        if not moved and alive[j] > 0.0:
+            for r in range(centre.shape[0]):
+                moved |= centre[r, j] != was_centre[r, j] or scale[r, j] != was_scale[r, j]
+        if not moved:
+            continue
+        x, y, half_x, half_y = centre[0, j], centre[1, j], reach * scale[0, j], reach * scale[1, j]
+        left, top, right, bottom = x - half_x, y - half_y, x + half_x, y + half_y
+        if j < before:
+            x, y, half_x, half_y = was_centre[0, j], was_centre[1, j], reach * was_scale[0, j], reach * was_scale[1, j]
+            left, top = min(left, x - half_x), min(top, y - half_y)
+            right, bottom = max(right, x + half_x), max(bottom, y + half_y)
+        for p in range(overlapping(left, top, right, bottom, lower, upper, frame, cells, item, corner, found)):
+            out[found[p]] = True
+    return out
+
+
+@njit(nogil=True, fastmath=FAST)
+def add_block(
+    sign: float, label: int, own: I4, step: Real, weight: Real, n: int, origin: Real, mass: float, first: F8,
+    count: I8, total: F8, sums: F8,
+) -> None:  # fmt: skip
+    """Add a block (``sign`` 1) to the numbers, masses and sums of states of its clusters, or take it away (−1).
+
+    For a mixed block ``own``, ``step`` and ``weight`` are those of its n particles.
+    """
+    d = origin.size
+    if label >= 0:
+        count[label] += int(sign) * n
+        total[label] += sign * mass
+        for r in range(d):
+            sums[label, r] += sign * (first[r] + mass * origin[r])
+    elif label == MIXED:
+        for i in range(n):
+            j = own[i]
+            if j >= 0:
+                w = sign * weight[i]
+                count[j] += int(sign)
+                total[j] += w
+                for r in range(d):
+                    sums[j, r] += w * (float(step[r, i]) + float(origin[r]))
+
+
+@njit(nogil=True, cache=True, fastmath=FAST)
 def assign(
     state: Real, weight: Real, start: I8, low: Real, high: Real, origin: Real, mass: F8, first: F8,
-    centre: F8, scale: F8, reach: float, alive: F8, label: I4, own: I4,
-) -> tuple[I4, I4, F8, F8, bool]:  # fmt: skip
+    lower: F8, upper: F8, frame: F8, cells: I8, item: I8, corner: I8,
+    centre: F8, scale: F8, reach: float, alive: F8,
+    was_centre: F8, was_scale: F8, was_alive: F8, label: I4, own: I4, count: I8, total: F8, sums: F8,
+) -> tuple[I4, I8, F8, F8, F8, bool]:  # fmt: skip
     """Assign every particle to the nearest centre that reaches it, and take the means of the clusters [M07 §3].
+
+    Only blocks are looked at that a centre reaches, or reached, which is another than before.
 
     Parameters
     ----------
     state, weight, start : blocks; low, high, origin, mass, first : what `blocks.summarise` knows of them.
-    label, own : the clusters of the iteration before; empty for none.
+    lower … corner : their `block_grid`.
+    was_centre, was_scale, was_alive : (d, k'), (d, k'), (k',) the first k' ≤ k centres as they were when the particles got
+        the clusters ``label``, ``own``, with ``count``, ``total``, ``sums`` as returned; k' = 0 for no clusters yet. ``own``
+        is the one array that is brought up to date in place: it is as long as the particles, and little of it changes.
 
     Returns
     -------
-    label, own : the clusters now.
-    total, mean : (k,) masses and (d, k) means; a cluster without mass keeps its centre.
+    label : the clusters of the blocks now.
+    count, total, sums, mean : (k,) particles, (k,) masses, (k, d) sums of states, (d, k) means of the clusters; one without
+        particles keeps its centre.
     changed : whether any particle's cluster is another than before.
     """
     d, k = centre.shape
     most = widest(start)
-    lower, upper = reaches(centre, scale, reach, alive)
-    frame, cells, item, corner = rectangle_grid(lower, upper)
+    touched = stirred(
+        centre, scale, alive, was_centre, was_scale, was_alive, reach, lower, upper, frame, cells, item, corner
+    )
+    reach_lower, reach_upper = reaches(centre, scale, reach, alive)
+    grid, centre_cells, centre_item, centre_corner = rectangle_grid(reach_lower, reach_upper)
     near, which = np.empty(k, np.int64), np.empty(most, np.int32)
     step, w = np.zeros((d, most), state.dtype), np.empty(most, state.dtype)
     distance2, best = np.empty(most, state.dtype), np.empty(most, state.dtype)
-    now, now_own = np.full(mass.size, -1, np.int32), np.empty(state.shape[1], np.int32)
-    total, sums = np.zeros(k), np.zeros((k, d))
-    changed = label.size == 0
+    now = label.copy()
+    now_count, now_total, now_sums = np.zeros(k, np.int64), np.zeros(k), np.zeros((k, d))
+    for j in range(count.size):
+        now_count[j], now_total[j] = count[j], total[j]
+        for r in range(d):
+            now_sums[j, r] = sums[j, r]
+    changed = False
     for b in range(mass.size):
         begin, n = start[b], start[b + 1] - start[b]
-        if n == 0:
+        if n == 0 or not touched[b]:
             continue
-        count = reaching(low[b], high[b], lower, upper, frame, cells, item, corner, alive, near)
+        some = reaching(
+            low[b], high[b], reach_lower, reach_upper, grid, centre_cells, centre_item, centre_corner, alive, near
+        )
         whole = False
-        if count > 0:
-            count, whole = contenders(centre, scale, lower, upper, low[b], high[b], origin[b], near, count)
-        if whole:
-            now[b] = near[0]
-        elif count > 0:
+        if some > 0:
+            some, whole = contenders(centre, scale, reach_lower, reach_upper, low[b], high[b], origin[b], near, some)
+        found = near[0] if whole else -1
+        if (some > 0 and not whole) or label[b] == MIXED:
             load_steps(state, begin, n, origin[b], step)
-            nearest_in_block(step, n, centre, scale, reach, origin[b], near, count, distance2, best, which)
-            now[b] = which[0]
+            load_weight(weight, begin, n, w)
+        if some > 0 and not whole:
+            nearest_in_block(step, n, centre, scale, reach, origin[b], near, some, distance2, best, which)
+            found = which[0]
             for i in range(1, n):
                 if which[i] != which[0]:
-                    now[b] = MIXED
-        j = now[b]
-        if j >= 0:
-            total[j] += mass[b]
-            for r in range(d):
-                sums[j, r] += first[b, r] + mass[b] * origin[b, r]
-        elif j == MIXED:
-            load_weight(weight, begin, n, w)
+                    found = MIXED
+        same = found == label[b]
+        if found == MIXED and same:
             for i in range(n):
-                now_own[begin + i] = which[i]
-            for c in range(count):
-                add_members(step, w, which, n, near[c], origin[b], total, sums)
-        if not changed:
-            changed = now[b] != label[b]
-            if not changed and j == MIXED:
-                for i in range(begin, begin + n):
-                    changed |= now_own[i] != own[i]
+                same &= which[i] == own[begin + i]
+        if same:
+            continue
+        changed = True
+        add_block(
+            -1.0, label[b], own[begin : begin + n], step, w, n, origin[b], mass[b], first[b], now_count, now_total, now_sums
+        )
+        add_block(1.0, found, which, step, w, n, origin[b], mass[b], first[b], now_count, now_total, now_sums)
+        now[b] = found
+        if found == MIXED:
+            for i in range(n):
+                own[begin + i] = which[i]
     mean = centre.copy()
     for j in range(k):
-        if total[j] > 0.0:
+        if now_count[j] > 0 and now_total[j] > 0.0:
             for r in range(d):
-                mean[r, j] = sums[j, r] / total[j]
-    return now, now_own, total, mean, changed
-
-
-@njit(nogil=True, fastmath=FAST)
-def add_members(step: Real, weight: Real, which: I4, n: int, j: int, origin: Real, total: F8, sums: F8) -> None:
-    """Add the block's particles of cluster j to its mass and to its sum of states."""
-    zero = step.dtype.type(0)
-    mass = zero
-    for i in range(n):
-        mass += weight[i] if which[i] == j else zero
-    total[j] += mass
-    for r in range(step.shape[0]):
-        row, part = step[r], zero
-        for i in range(n):
-            part += weight[i] * row[i] if which[i] == j else zero
-        sums[j, r] += part + mass * float(origin[r])
+                mean[r, j] = now_sums[j, r] / now_total[j]
+        else:
+            now_total[j] = 0.0
+    return now, now_count, now_total, now_sums, mean, changed
 
 
 @njit(nogil=True, cache=True, fastmath=FAST)
@@ -264,22 +332,20 @@ def outside(state: Real, start: I8, low: Real, high: Real, centre: F8, scale: F8
 
 
 @njit(nogil=True, cache=True, fastmath=FAST)
-def farthest(state: Real, start: I8, origin: Real, label: I4, own: I4, centre: F8, scale: F8, heavy: Bool) -> tuple[I8, F8]:
+def farthest(state: Real, start: I8, label: I4, own: I4, centre: F8, scale: F8, heavy: Bool) -> tuple[I8, F8]:
     """For each cluster in ``heavy`` (k,) its particle farthest from the centre (−1: it has none), and that distance²."""
     d, k = centre.shape
-    step = np.zeros((d, widest(start)), state.dtype)
     at, best = np.full(k, -1, np.int64), np.full(k, -1.0)
     for b in range(label.size):
         begin, n = start[b], start[b + 1] - start[b]
         if n == 0 or label[b] == -1 or (label[b] >= 0 and not heavy[label[b]]):
             continue
-        load_steps(state, begin, n, origin[b], step)
         for i in range(n):
             j = label[b] if label[b] >= 0 else own[begin + i]
             if j >= 0 and heavy[j]:
                 apart = 0.0
                 for r in range(d):
-                    part = (step[r, i] - (centre[r, j] - origin[b, r])) / scale[r, j]
+                    part = (float(state[r, begin + i]) - centre[r, j]) / scale[r, j]
                     apart += part * part
                 if apart > best[j]:
                     best[j], at[j] = apart, begin + i
@@ -328,6 +394,7 @@ def cluster_moments(
     step, weighted = np.zeros((even(d), most), state.dtype), np.zeros((even(d), most), state.dtype)
     w, mine = np.empty(most, state.dtype), np.empty(most, state.dtype)
     shift, one, two = np.empty(d), np.empty(d), np.empty((even(d), even(d)))
+    done = np.empty(most, np.int64)
     for b in range(label.size):
         begin, n = start[b], start[b + 1] - start[b]
         if label[b] >= 0:
@@ -339,16 +406,16 @@ def cluster_moments(
         elif label[b] == MIXED:
             load_steps(state, begin, n, origin[b], step)
             load_weight(weight, begin, n, w)
-            # Each cluster is served once, at its first particle.
+            served = 0
             for i in range(n):
                 j = cluster[own[begin + i]] if own[begin + i] >= 0 else -1
                 known = j < 0
-                for q in range(i):
-                    if known:
-                        break
-                    known = own[begin + q] >= 0 and cluster[own[begin + q]] == j
+                for q in range(served):
+                    known |= done[q] == j
                 if known:
                     continue
+                done[served] = j
+                served += 1
                 for q in range(n):
                     member = own[begin + q] >= 0 and cluster[own[begin + q]] == j
                     mine[q] = w[q] if member else state.dtype.type(0)

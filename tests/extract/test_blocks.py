@@ -1,0 +1,201 @@
+"""Extraction over blocks: the twin's clusters, whatever the blocks are; float32 blocks give the states of the particles."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from extract_cases import EXTRACTORS, HERE, MODEL, NAMES, THERE, cloud, moved, seen, together
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phdtrack.extract import KMeans
+from phdtrack.extract.cloud import Cloud
+from phdtrack.extract.clusters import REACH, Labels, label, moments, seeds
+from phdtrack.kernels.blocks import cut
+from phdtrack.kernels.em import em_step
+from phdtrack.types import ParticleBlocks, Particles
+from reference import clustering_twin as twin
+
+both = pytest.mark.parametrize("extractor", EXTRACTORS, ids=NAMES)
+random_seeds = st.integers(0, 2**32 - 1)
+
+
+def blocks(state: Particles, rng: np.random.Generator | None = None, most: int = 256) -> ParticleBlocks:
+    """Particles of equal weight in blocks; with ``rng`` the blocks in random order."""
+    x, weight, start = cut(state.state, state.weight, most)
+    assert np.ptp(weight) <= 1e-12 * weight[0]
+    parts = [x[:, a:b] for a, b in pairwise(start)]
+    if rng is not None:
+        parts = [parts[i] for i in rng.permutation(len(parts))]
+    sizes = [part.shape[1] for part in parts]
+    assert max(sizes) <= most
+    return ParticleBlocks(np.hstack(parts).astype(np.float32), np.cumsum([0, *sizes]), float(weight[0]))
+
+
+def scene(rng: np.random.Generator, targets: int, alarms: int, width: float = 900.0, each: int = 200):
+    """Targets that may touch or be missed, of equal weights; their detections and false alarms."""
+    at = [
+        [*rng.uniform(100, width, 2), *rng.normal(0, 2, 2), rng.uniform(20, 60), rng.uniform(50, 120)]
+        for _ in range(targets)
+    ]
+    counts = rng.integers(each // 2, 2 * each, targets)
+    # No number of particles weighs exactly as much as a threshold: rounding would decide.
+    state = together(*(cloud(rng, x, 0.99731 * n / each, n, rng.uniform(0.3, 1.2)) for x, n in zip(at, counts, strict=True)))
+    z = np.hstack(
+        [
+            seen(*(x for x in at if rng.random() < 0.8)),
+            np.vstack([rng.uniform(100, width, (2, alarms)), rng.uniform(20, 90, (2, alarms))]),
+        ]
+    )
+    return state, z + rng.normal(0, 1, z.shape)
+
+
+@given(random_seeds, st.integers(1, 7), st.integers(0, 6), st.sampled_from([300.0, 900.0]))
+@settings(max_examples=40, deadline=None)
+def test_clusters_are_the_twins(seed: int, targets: int, alarms: int, width: float):
+    """From the same seeds on the same particles, in float64 to rounding."""
+    rng = np.random.default_rng(seed)
+    state, z = scene(rng, targets, alarms, width)
+    extractor, sensor = KMeans(overlap=1.0), MODEL.sensor
+    if state.mass < extractor.lightest:
+        return
+    centres = seeds(Cloud.of(state), z, sensor, extractor.lightest)
+    x, weight, _ = cut(state.state, state.weight, 256)
+    mass, mean, cov = twin.kmeans(x, weight, centres, sensor.noise, extractor.lightest, extractor.split)
+    found = extractor.extract(state, z, MODEL)
+    np.testing.assert_allclose(found.weight, mass, rtol=1e-9)
+    np.testing.assert_allclose(found.state, mean, rtol=1e-9, atol=1e-9)
+    floor = (0.1 * sensor.noise(mean)) ** 2
+    np.testing.assert_allclose(found.covariance - np.array([np.diag(f) for f in floor.T]).reshape(cov.shape), cov, atol=1e-6)
+
+
+@both
+@given(random_seeds, st.integers(1, 6), st.integers(0, 5))
+@settings(max_examples=25, deadline=None)
+def test_float32_blocks_give_the_states_of_the_particles(extractor, seed: int, targets: int, alarms: int):
+    """Well apart, so that no particle stands on an edge that rounding could move."""
+    rng = np.random.default_rng(seed)
+    at = [[200.0 + 300 * i, 500, 0, 0, rng.uniform(20, 60), rng.uniform(50, 120)] for i in range(targets)]
+    state = together(*(cloud(rng, x, 1.0, 300) for x in at))
+    false = np.vstack([rng.uniform(0, 2000, (1, alarms)), np.full((1, alarms), 1500), np.full((2, alarms), 50)])
+    z = np.hstack([seen(*at)[:, rng.random(targets) < 0.8], false])
+    a, b = extractor.extract(state, z, MODEL), extractor.extract(blocks(state, rng), z, MODEL)
+    assert len(a) == len(b) == targets
+    mine, other = np.argsort(a.state[0]), np.argsort(b.state[0])
+    np.testing.assert_allclose(b.weight[other], a.weight[mine], rtol=1e-5)
+    np.testing.assert_allclose(b.state[:, other], a.state[:, mine], atol=1e-3)
+    np.testing.assert_allclose(b.covariance[other], a.covariance[mine], rtol=1e-3, atol=1e-3)
+    np.testing.assert_array_equal(b.detection[other], a.detection[mine])
+    assert b.weight.sum() == pytest.approx(state.mass, rel=1e-5)
+
+
+@both
+def test_the_same_blocks_give_the_same_states_bit_by_bit(extractor, rng):
+    state, z = scene(rng, 5, 3)
+    first, second = (extractor.extract(blocks(state), z, MODEL) for _ in range(2))
+    np.testing.assert_array_equal(first.state, second.state)
+    np.testing.assert_array_equal(first.covariance, second.covariance)
+
+
+@pytest.mark.parametrize("most", [1, 7, 256])
+def test_the_size_of_blocks_does_not_matter(most: int, rng):
+    state, z = scene(rng, 6, 4, 500.0)
+    a, b = (KMeans(overlap=1.0).extract(blocks(state, most=m), z, MODEL) for m in (64, most))
+    np.testing.assert_allclose(np.sort(b.state[0]), np.sort(a.state[0]), atol=1e-2)
+    assert b.weight.sum() == pytest.approx(a.weight.sum(), rel=1e-5)
+
+
+@given(random_seeds, st.integers(1, 6))
+@settings(max_examples=20, deadline=None)
+def test_moving_some_centres_labels_as_starting_anew(seed: int, targets: int):
+    """Only blocks near a changed centre are looked at again; centres that appear, move, and die are such changes."""
+    rng = np.random.default_rng(seed)
+    state, z = scene(rng, targets, 5, 500.0)
+    part, sensor = Cloud.of(state), MODEL.sensor
+    centres, _ = sensor.states(z)
+    labels, _ = label(part, centres, sensor, np.ones(centres.shape[1]), Labels.none(part))
+    for _ in range(4):
+        k = centres.shape[1]
+        alive = labels.mass * (rng.random(k) < 0.9)
+        centres = labels.centre + 20 * rng.normal(size=(6, k)) * (rng.random(k) < 0.4) * [[1], [1], [0], [0], [0], [0]]
+        born = part.take(rng.integers(0, len(state), 2)).state
+        centres, alive = np.hstack([centres, born]), np.append(alive, np.ones(2))
+        labels, _ = label(part, centres, sensor, alive, labels)
+        anew, _ = label(part, centres, sensor, alive, Labels.none(part))
+        np.testing.assert_array_equal(labels.block, anew.block)
+        np.testing.assert_array_equal(labels.count, anew.count)
+        np.testing.assert_allclose(labels.mass, anew.mass, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(labels.mean, anew.mean, rtol=1e-9, atol=1e-9)
+        x, _, _ = cut(state.state, state.weight, 256)
+        reached = np.where(alive > 0, sensor.noise(centres), 1e-12)
+        want, _ = twin.label(x, np.where(alive > 0, centres, 1e9), reached)
+        np.testing.assert_array_equal(labels.count, np.bincount(want[want >= 0], minlength=k + 2))
+
+
+@given(random_seeds, st.integers(1, 5))
+@settings(max_examples=25, deadline=None)
+def test_an_iteration_of_em_is_the_twins(seed: int, targets: int):
+    rng = np.random.default_rng(seed)
+    state, z = scene(rng, targets, 3, 400.0)
+    part, sensor = Cloud.of(state), MODEL.sensor
+    mean, cov = sensor.states(z)
+    if z.shape[1] == 0:
+        return
+    root = rng.normal(size=(z.shape[1], 6, 6)) * np.sqrt(0.1)
+    cov = cov + np.sqrt(np.einsum("jrr,jss->jrs", cov, cov)) * (root @ root.transpose(0, 2, 1))
+    amount, scale = rng.uniform(0.1, 1.5, z.shape[1]), sensor.noise(mean)
+    mass, to, spread = em_step(
+        part.state, part.weight, part.start, part.low, part.high, part.origin, part.mass, part.first, part.second,
+        amount, mean, cov, scale, REACH,
+    )  # fmt: skip
+    want = twin.em(state.state, state.weight, amount, mean, cov, scale)
+    np.testing.assert_allclose(mass, want[0], rtol=1e-4, atol=1e-7)
+    heavy = want[0] > 1e-3
+    np.testing.assert_allclose(to[:, heavy], want[1][:, heavy], atol=1e-3)
+    np.testing.assert_allclose(spread[heavy], want[2][heavy], rtol=1e-3, atol=1e-2)
+
+
+def test_moments_of_joined_clusters(rng):
+    """Blocks that are mixed, whole, and of no cluster: mass, mean and covariance of what has been joined."""
+    state = together(cloud(rng, HERE, 1.0), cloud(rng, moved(40), 1.0), cloud(rng, THERE, 1.0))
+    part = Cloud.of(state)
+    centres = np.array([HERE, moved(40)]).T.copy()
+    labels, _ = label(part, centres, MODEL.sensor, np.ones(2), Labels.none(part))
+    mass, mean, cov = moments(part, labels, np.zeros(2, np.int64), centres[:, :1])
+    mine = state.state[:, :800]
+    np.testing.assert_allclose(mass, [2.0])
+    np.testing.assert_allclose(mean[:, 0], mine.mean(1))
+    np.testing.assert_allclose(cov[0], np.cov(mine, bias=True), rtol=1e-9, atol=1e-9)
+
+
+@both
+def test_edges(extractor, rng):
+    nothing = ParticleBlocks.empty(6)
+    assert len(extractor.extract(nothing, seen(HERE), MODEL)) == 0
+    single = ParticleBlocks(HERE[:, None].astype(np.float32), np.array([0, 1]), 1.0)
+    for z in (seen(), seen(HERE), seen(THERE)):
+        found = extractor.extract(single, z, MODEL)
+        np.testing.assert_allclose(found.state[:, 0], HERE)
+        assert np.linalg.eigvalsh(found.covariance[0]).min() > 0
+    pile = ParticleBlocks(np.repeat(HERE[:, None], 300, axis=1).astype(np.float32), np.array([0, 0, 256, 300]), 0.01)
+    assert extractor.extract(pile, seen(HERE), MODEL).weight.sum() == pytest.approx(3.0)
+    with pytest.raises(ValueError, match="finite"):
+        extractor.extract(ParticleBlocks(np.full((6, 3), np.nan, np.float32), np.array([0, 3]), 1.0), seen(), MODEL)
+
+
+@both
+def test_crossing_targets_are_two(extractor, rng):
+    crossing = HERE * [1, 1, -1, 1, 1, 1] + [6, 0, -6, 0, 0, 0]
+    state = together(cloud(rng, moved(0, 0, 6), 1.0), cloud(rng, crossing, 1.0))
+    assert len(extractor.extract(blocks(state), seen(HERE, crossing), MODEL)) == 2
+
+
+@both
+def test_a_thousand_targets(extractor, rng):
+    at = np.array([[200.0 * (i % 40), 300.0 * (i // 40), 0, 0, 40, 100] for i in range(1000)])
+    state = together(*(cloud(rng, x, 1.0, 30) for x in at))
+    found = extractor.extract(blocks(state), seen(*at[rng.random(1000) < 0.95]), MODEL)
+    assert len(found) == 1000
+    assert found.weight.sum() == pytest.approx(1000, rel=1e-4)

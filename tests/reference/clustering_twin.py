@@ -1,0 +1,109 @@
+"""K-means and EM of the extraction with every pair in reach written out: what the forms over blocks must agree with.
+
+Particles are (d, L), weights (L,), centres (d, k). Everything is a dense table of particles and centres, in float64.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+REACH = 8.0
+
+
+def table(x, centres, scale):
+    """(L, k) scaled distance², infinite where the centre does not reach the particle."""
+    step = (x[:, :, None] - centres[:, None, :]) / scale[:, None, :]
+    inside = (np.abs(step[:2]) <= REACH).all(0)
+    return np.where(inside, (step**2).sum(0), np.inf)
+
+
+def label(x, centres, scale):
+    """The nearest centre in reach of each particle (−1: none), and its scaled distance²."""
+    if centres.shape[1] == 0:
+        return np.full(x.shape[1], -1), np.full(x.shape[1], np.inf)
+    distance2 = table(x, centres, scale)
+    best = distance2.min(1)
+    return np.where(np.isfinite(best), distance2.argmin(1), -1), best
+
+
+def moments(x, weight, k):
+    """Masses, means, covariances for weights (L, k)."""
+    d = len(x)
+    mass, mean, cov = weight.sum(0), np.zeros((d, k)), np.zeros((k, d, d))
+    for j in np.flatnonzero(mass > 0):
+        mean[:, j] = x @ weight[:, j] / mass[j]
+        step = x - mean[:, [j]]
+        cov[j] = (weight[:, j] * step) @ step.T / mass[j]
+    return mass, mean, cov
+
+
+def members(labels, weight, k):
+    """(L, k) the weight of each particle where it belongs to the cluster."""
+    return np.where(labels[:, None] == np.arange(k), weight[:, None], 0.0)
+
+
+def settle(x, weight, centres, noise, iterations):
+    """Centres (d, k) and labels after assignment and means in turn; empty clusters are left out."""
+    labels, _ = label(x, centres, noise(centres))
+    for _ in range(iterations):
+        mass, mean, _ = moments(x, members(labels, weight, centres.shape[1]), centres.shape[1])
+        centres = np.ascontiguousarray(mean[:, mass > 0])
+        before, (labels, _) = labels, label(x, centres, noise(centres))
+        renumber = np.append(np.cumsum(mass > 0) - 1, -1)
+        if np.array_equal(labels, renumber[before]):
+            break
+    return centres, labels
+
+
+def join_light(mass, mean, noise, lightest, split):
+    """(k,) what each cluster becomes part of; pairs of light ones that are near each other, nearest first."""
+    root, mass = np.arange(len(mass)), mass.copy()
+    light = np.flatnonzero((mass > 0) & (mass < lightest))
+    scale = noise(mean)
+    pairs = []
+    for i in light:
+        for j in light[light > i]:
+            apart = (((mean[:, i] - mean[:, j]) / scale[:, i]) ** 2).sum()
+            if apart <= REACH**2:
+                pairs.append((apart, i, j))
+    for _, a, b in sorted(pairs):
+        i, j = root[a], root[b]
+        if i != j and min(mass[i], mass[j]) < lightest and mass[i] + mass[j] <= split:
+            root[root == j] = i
+            mass[i], mass[j] = mass[i] + mass[j], 0.0
+    return root
+
+
+def kmeans(x, weight, centres, noise, lightest, split, iterations=5):
+    """Masses, means and covariances of the clusters heavy enough, from the centres (d, k) on."""
+    centres, labels = settle(x, weight, centres, noise, iterations)
+    while True:
+        k = centres.shape[1]
+        mass, mean, _ = moments(x, members(labels, weight, k), k)
+        _, distance2 = label(x, centres, noise(centres))
+        far = [int(np.argmax(np.where(labels == j, distance2, -1.0))) for j in np.flatnonzero(mass > split)]
+        far = [i for i in far if distance2[i] > 0]
+        if not far:
+            break
+        centres, labels = settle(x, weight, np.hstack([centres, x[:, far]]), noise, iterations)
+    root = join_light(mass, mean, noise, lightest, split)
+    labels = np.where(labels >= 0, np.append(root, -1)[labels], -1)
+    mass, mean, cov = moments(x, members(labels, weight, k), k)
+    kept = mass >= lightest
+    return mass[kept], mean[:, kept], cov[kept]
+
+
+def em(x, weight, amount, mean, cov, scale):
+    """Masses, means and covariances after one EM iteration."""
+    k = len(amount)
+    inside = np.isfinite(table(x, mean, scale))
+    log = np.full(inside.shape, -np.inf)
+    for j in range(k):
+        step = x - mean[:, [j]]
+        log[:, j] = np.log(amount[j]) - 0.5 * np.linalg.slogdet(cov[j])[1]
+        log[:, j] -= 0.5 * (step * np.linalg.solve(cov[j], step)).sum(0)
+    log[~inside] = -np.inf
+    top = log.max(1, keepdims=True, initial=-1e300)
+    share = np.exp(log - top) * inside
+    total = share.sum(1, keepdims=True)
+    return moments(x, np.divide(share, total, out=np.zeros_like(share), where=total > 0) * weight[:, None], k)
