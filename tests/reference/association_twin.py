@@ -24,10 +24,10 @@ def moved_boxes(x, dt, acceleration, resize, smallest, scaled):
     return f @ x, f, noise
 
 
-def predicted(cov, jacobian, noise, new):
-    """F P Fᵀ + Q, and the new ones."""
+def predicted(cov, jacobian, noise):
+    """F P Fᵀ + Q."""
     f = np.broadcast_to(jacobian, (max(len(cov), len(jacobian)), *cov.shape[1:]))
-    return np.array([*(f[i] @ cov[i] @ f[i].T + noise[i] for i in range(len(cov))), *new]).reshape(-1, *cov.shape[1:])
+    return np.array([f[i] @ cov[i] @ f[i].T + noise[i] for i in range(len(cov))]).reshape(cov.shape)
 
 
 def edges(mean, cov, noise, sigma, since, rows, dt, gate, log_miss, consistent):
@@ -35,7 +35,7 @@ def edges(mean, cov, noise, sigma, since, rows, dt, gate, log_miss, consistent):
     count, found = len(since), {}
     block = np.ix_(rows, rows)
     for i in range(sigma.shape[1]):
-        typical = noise[count + i][block] + 2 * np.diag(sigma[rows, i] ** 2)
+        typical = noise[i][block] + 2 * np.diag(sigma[rows, i] ** 2)
         loose = -0.5 * (gate**2 + np.linalg.slogdet(2 * np.pi * typical)[1])
         for c in range(count):
             spread = cov[c][block] + cov[count + i][block]

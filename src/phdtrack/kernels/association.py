@@ -27,8 +27,8 @@ def _off_identity(jacobian: F8, row: I8, column: I8, value: F8) -> int:
 
 
 @njit(cache=True)
-def predict_covariances(cov: F8, jacobian: F8, noise: F8, new: F8) -> F8:
-    """(C + n, d, d): F P Fᵀ + Q for each P of ``cov`` (C, d, d), then those of ``new`` (n, d, d) as they are.
+def predict_covariances(cov: F8, jacobian: F8, noise: F8, out: F8) -> None:
+    """F P Fᵀ + Q for each P of ``cov`` (C, d, d), written to ``out`` (C, d, d).
 
     Parameters
     ----------
@@ -36,7 +36,6 @@ def predict_covariances(cov: F8, jacobian: F8, noise: F8, new: F8) -> F8:
     noise : Q, (C, d, d) or more; what lies beyond C is not read, in both. All arrays are C-contiguous.
     """
     count, d = cov.shape[0], cov.shape[1]
-    out = np.empty((count + new.shape[0], d, d))
     flat, old, added = out.ravel(), cov.ravel(), noise.ravel()
     for k in range(old.size):
         flat[k] = old[k] + added[k]
@@ -53,8 +52,6 @@ def predict_covariances(cov: F8, jacobian: F8, noise: F8, new: F8) -> F8:
                 out[i, s, r] += here * cov[i, s, c]
             for j in range(off):
                 out[i, r, row[j]] += here * value[j] * cov[i, c, column[j]]
-    out[count:] = new
-    return out
 
 
 @njit(cache=True)
@@ -156,7 +153,7 @@ def find_edges(
     Parameters
     ----------
     mean, cov : (d, C + n), (C + n, d, d) the C columns predicted for now, then the n new states.
-    noise : (C + n, d, d) the motion's noise of one step; that of the new states is read.
+    noise : (n, d, d) the motion's noise of one step from the new states.
     sigma : (d, n) measurement noise of the new states.
     since : (C,) time since each column's frame.
     rows : the state's components that a measurement shows; the first two are the position.
@@ -175,7 +172,7 @@ def find_edges(
     if n == 0 or count == 0:
         return start, np.empty(0, np.int64), np.empty(0)
     new, new_cov = mean[:, count:], cov[count:]
-    open_end, log_new = _loose_ends(new_cov, noise[count:], sigma, rows, gate)
+    open_end, log_new = _loose_ends(new_cov, noise, sigma, rows, gate)
     price = (since - dt) * log_miss
     index, lower, upper, log_old = _reach(mean, cov, price, rows, new_cov, open_end.max(), log_new.min(), consistent)
     row, place = gated_pairs(new[rows[0]].copy(), new[rows[1]].copy(), lower, upper)
