@@ -206,6 +206,9 @@ class ChangeDetector:
             return
         self._reference.blend(frame.image, passed / settings.adapt, background)
         self._reference.blend(frame.image, passed / settings.adapt_objects, self._foreground)
+        if not ghosts:
+            self._haunted = np.zeros(mask.shape, np.float32)
+            return
         left = np.zeros_like(mask)
         cv2.drawContours(left, ghosts, -1, 255, cv2.FILLED)
         # The time since its first frame: however few frames a second there are, one alone is not enough.
