@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -23,15 +24,15 @@ _SCALINGS = {
     "fixed": gm_model.FIXED,
     "given": gm_model.GIVEN,
 }
-_NOBODY = GaussianMixture(np.zeros(0), np.zeros((gm_model.D, 0)), np.zeros((0, gm_model.D, gm_model.D)))
+_NOBODY = np.zeros(0), np.zeros((gm_model.D, 0)), np.zeros((0, gm_model.ENTRIES))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxModel:
-    """The model over one interval: its ``numbers``, and the births that are given as a mixture."""
+    """The model over one interval: its ``numbers``, and the births that are given: (B,), (d, B), (B, 21) triangles."""
 
     numbers: BoxNumbers
-    births: GaussianMixture
+    births: tuple[F8, F8, F8]
 
 
 def box_model(model: Model, dt: float) -> BoxModel | None:
@@ -43,7 +44,24 @@ def box_model(model: Model, dt: float) -> BoxModel | None:
     # The kinds themselves and nothing derived from them.
     if type(motion) is not BoxMotion or type(sensor) is not BoxSensor or type(motion.births) is not NoSpawn:
         return None
-    birth, clutter = _birth(model.birth, dt), _clutter(model.clutter)
+    birth, clutter = model.birth, model.clutter
+    if type(birth) is not MeasurementBirth and type(birth) is not FixedBirth:
+        return None
+    if type(clutter) is not UniformClutter and type(clutter) is not LocalClutter:
+        return None
+    return _in_numbers(motion, sensor, birth, clutter, dt)
+
+
+# The parts are values, so the same ones give the same numbers.
+@lru_cache(maxsize=64)
+def _in_numbers(
+    motion: BoxMotion,
+    sensor: BoxSensor,
+    births: MeasurementBirth | FixedBirth,
+    false: UniformClutter | LocalClutter,
+    dt: float,
+) -> BoxModel | None:
+    birth, clutter = _birth(births, dt), _clutter(false)
     if motion.remember_size or sensor.scaling not in _SCALINGS or birth is None or clutter is None:
         return None
     volume, stretch = newborn_shape(gm_model.M)
@@ -51,7 +69,7 @@ def box_model(model: Model, dt: float) -> BoxModel | None:
         dt=float(dt),
         acceleration=float(motion.acceleration),
         resize=float(motion.resize),
-        scaled=motion.scaled,
+        scaled=float(motion.scaled),
         smallest=float(motion.smallest),
         survival=float(motion.survival**dt),
         frame_width=float(motion.frame_size[0]),
@@ -79,19 +97,19 @@ def box_model(model: Model, dt: float) -> BoxModel | None:
     return BoxModel(numbers, birth[2])
 
 
-def _birth(birth: Birth, dt: float) -> tuple[int, float, GaussianMixture] | None:
+def _birth(birth: Birth, dt: float) -> tuple[float, float, tuple[F8, F8, F8]] | None:
     """What γ is spread over, its density or rate, and its Gaussians where it is a mixture."""
     if type(birth) is FixedBirth and len(birth.mixture.mean) == gm_model.D:
         given = birth.mixture
-        return gm_model.NOWHERE, 0.0, GaussianMixture(given.weight * dt, np.ascontiguousarray(given.mean), given.covariance)
+        return gm_model.NOWHERE, 0.0, (given.weight * dt, np.ascontiguousarray(given.mean), triangles(given.covariance))
     if type(birth) is not MeasurementBirth:
         return None
     if birth.volume == "local":
         return gm_model.LOCAL, float(birth.rate * dt), _NOBODY
-    return gm_model.IMAGE, birth.rate / image_volume(birth.frame_size) * dt, _NOBODY
+    return gm_model.IMAGE, float(birth.rate / image_volume(birth.frame_size) * dt), _NOBODY
 
 
-def _clutter(clutter: Clutter) -> tuple[int, float] | None:
+def _clutter(clutter: Clutter) -> tuple[float, float] | None:
     """What κ is spread over, and its density or rate."""
     if type(clutter) is LocalClutter:
         return gm_model.LOCAL, float(clutter.rate)
@@ -102,16 +120,7 @@ def _clutter(clutter: Clutter) -> tuple[int, float] | None:
 
 def fused_update(state: GaussianMixture, z: F8, box: BoxModel, limits: Limits) -> tuple[tuple[F8, F8, F8], UpdateInfo]:
     """Predict and update of the box model [V06 (24)–(38)]: weights (J,), means (J, d), covariance triangles (J, 21)."""
-    born = box.births
     weight, mean, cov, evidence, kappa, predicted, newborn, mass, vanished = box_step(
-        state.weight,
-        state.mean,
-        state.covariance,
-        z,
-        born.weight,
-        born.mean,
-        triangles(born.covariance),
-        box.numbers,
-        limits,
+        state.weight, state.mean, state.covariance, z, *box.births, tuple(box.numbers), tuple(limits)
     )
     return (weight, mean, cov), UpdateInfo(predicted, newborn, mass, evidence, kappa, vanished)

@@ -136,7 +136,7 @@ class GMPHD:
         box = box_model(model, dt)
         if box is None:
             return composed_step(self, state, z, model, dt, rng)
-        limits = Limits(self.gate, self.region, self.prune, self.skip_empty)
+        limits = Limits(self.gate, self.region, self.prune, float(self.skip_empty))
         (weight, x, cov), info = fused_update(state, z, box, limits)
         return self._reduced(weight, x, cov, info.mass), info
 

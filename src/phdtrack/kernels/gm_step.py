@@ -42,13 +42,16 @@ NORM = 1.0 / (2.0 * math.pi) ** 2
 SMALLEST = float(np.finfo(np.float64).tiny)
 
 
+Numbers = tuple[float, ...]
+
+
 class Limits(NamedTuple):
     """Settings of the filter that the step needs: see `filters.gm_phd.GMPHD`."""
 
     gate: float
     region: float
     prune: float
-    skip_empty: bool
+    skip_empty: float
 
 
 @njit(cache=True)
@@ -260,7 +263,7 @@ def _sum(w: F8, first: int, last: int) -> float:
 
 @njit(cache=True)
 def box_step(
-    weight: F8, mean: F8, cov: F8, z: F8, born_weight: F8, born_mean: F8, born_cov: F8, b: BoxNumbers, limits: Limits
+    weight: F8, mean: F8, cov: F8, z: F8, born_weight: F8, born_mean: F8, born_cov: F8, model: Numbers, settings: Numbers
 ) -> tuple[F8, F8, F8, F8, F8, float, float, float, int]:
     """Predict, births and update: the Gaussians that pruning would leave.
 
@@ -269,7 +272,7 @@ def box_step(
     weight, mean, cov : (J,), (d, J), (J, d, d) the mixture before the frame.
     z : (m, N) measurements.
     born_weight, born_mean, born_cov : a mixture of births that is given, (B,), (d, B), (B, 21) triangles.
-    b, limits : the model and the filter.
+    model, settings : the values of `BoxNumbers` and of `Limits`, as plain tuples.
 
     Returns
     -------
@@ -280,6 +283,7 @@ def box_step(
     ------
     ValueError : the position of a measurement is NaN or infinite.
     """
+    b, limits = BoxNumbers(*model), Limits(*settings)
     n, given = z.shape[1], born_weight.size
     # A literal zero is a type of its own, for which the functions below would be compiled once more.
     none = 0 * n
@@ -291,7 +295,7 @@ def box_step(
     missed = 1.0 - b.p_detect
     if n == 0:
         before, born = _sum(w, none, used), _sum(w, old, used)
-        if limits.skip_empty:
+        if limits.skip_empty > 0.0:
             missed = 1.0
         for i in range(used):
             w[i] *= missed
