@@ -38,31 +38,27 @@ def gm_phd(scale: Scale, say: Callable[[str], None]) -> Outcome:
 
 
 def extraction(scale: Scale, say: Callable[[str], None]) -> Outcome:
-    """ms per frame of both extractors."""
+    """ms per frame of both extractors, on the filter's own intensities."""
     measure = _module("extraction").measure
-    return _by_size(
-        scale, say, "extraction", {kind: lambda n, k=kind: measure(n, k, frames=3) for kind in ("kmeans", "mixture")}
-    )
+    rows = []
+    entry: dict[str, dict[str, Any]] = {"kmeans": {}, "mixture": {}}
+    for kind, sizes in entry.items():
+        for targets in scale.sizes[::2]:
+            say(f"{kind}, {targets} targets")
+            found = sizes[str(targets)] = measure(targets, kind, frames=2)
+            rows.append(Row(f"{kind}, {targets} targets", found["ms"], "ms", note=_rest(found, "ms")))
+    return Outcome(tuple(rows), {"extraction": entry})
 
 
 def association(scale: Scale, say: Callable[[str], None]) -> Outcome:
     """µs per frame of the association."""
     measure = _module("association").measure
-    return _by_size(scale, say, "association", {"graph": lambda n: measure(n, frames=min(scale.frames, 100))})
-
-
-def _by_size(scale: Scale, say: Callable[[str], None], name: str, kinds: dict[str, Callable[[int], Any]]) -> Outcome:
-    """Rows and entries of measurements by kind and number of targets."""
-    rows = []
-    entry: dict[str, dict[str, Any]] = {kind: {} for kind in kinds}
-    for kind, measure in kinds.items():
-        for targets in scale.sizes:
-            say(f"{kind}, {targets} targets")
-            found = measure(targets)
-            unit = "ms" if "ms" in found else "us"
-            entry[kind][str(targets)] = found
-            rows.append(Row(f"{kind}, {targets} targets", found[unit], unit.replace("us", "µs"), note=_rest(found, unit)))
-    return Outcome(tuple(rows), {name: entry})
+    rows, entry = [], {}
+    for targets in scale.sizes[::2]:
+        say(f"{targets} targets")
+        found = entry[str(targets)] = measure(targets)
+        rows.append(Row(f"association, {targets} targets", found["median"], "µs", note=_rest(found, "median")))
+    return Outcome(tuple(rows), {"association": entry})
 
 
 def detectors(scale: Scale, say: Callable[[str], None]) -> Outcome:
