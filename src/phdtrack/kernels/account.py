@@ -13,8 +13,9 @@ from phdtrack.kernels.newborn import PEAK
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
-# The smallest normal number: below it a sum of likelihoods is a tail whose reciprocal overflows.
-TINY = float(np.finfo(np.float64).tiny)
+# κ + C below this is 0: likelihoods in single precision have no tail below 1e-38 (`fast32.exp32` ends there), and the
+# reciprocal must be a number in single precision.
+FAINT = 1e-30
 
 
 @njit(cache=True, nogil=True)
@@ -68,7 +69,7 @@ def account(
     -------
     evidence : (N,) C.  weight : (N,) p_D/(κ + C).
     mass : (B + N,) of each block, then of each detection's newborn.  batch_mass : of each batch of newborn.
-    vanished : how many detections have κ + C = 0, and no weight.
+    vanished : how many detections have κ + C = 0 (below `FAINT`), and no weight.
     """
     n, blocks = touching.size, alive.size
     evidence, weight = np.zeros(n), np.zeros(n)
@@ -85,9 +86,10 @@ def account(
     vanished = 0
     for j in range(n):
         evidence[j] *= p_detect
-        if kappa[j] + evidence[j] >= TINY:
+        if kappa[j] + evidence[j] >= FAINT:
             weight[j] = p_detect / (kappa[j] + evidence[j])
         else:
+            evidence[j] = 0.0
             vanished += 1
     mass, batch_mass = np.zeros(blocks + n), np.empty(base.size, np.float32)
     for b in range(blocks):

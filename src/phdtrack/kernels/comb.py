@@ -106,9 +106,10 @@ def cut(extents: F4, order: I8, teeth: I8, reach: float) -> tuple[I8, I8]:
         if teeth[i] == 0:
             continue
         e = extents[i]
-        wide_x, wide_y = (e[2] - e[0]) / (reach * e[4]), (e[3] - e[1]) / (reach * e[5])
-        if max(wide_x, wide_y) > 1.0:
-            divided[i] = 1 if wide_x >= wide_y else 2
+        wide, high = e[2] - e[0], e[3] - e[1]
+        if wide > reach * e[4] or high > reach * e[5]:
+            # In boxes, without a division: a state that somebody gives may have no size.
+            divided[i] = 1 if wide * e[5] >= high * e[4] else 2
         fits = filled > 0 and divided[i] == 0
         if fits:
             left, top, right, bottom = min(box[0], e[0]), min(box[1], e[1]), max(box[2], e[2]), max(box[3], e[3])

@@ -49,6 +49,7 @@ U4 = NDArray[np.uint32]
 I8 = NDArray[np.int64]
 F = np.float32
 EXTENTS = 6
+BELOW_ONE = F(1.0 - 2.0**-24)
 # Rows as unsigned numbers: a gather need not ask whether its index is negative.
 AT_X, AT_Y, AT_VX, AT_VY, AT_W, AT_H = (np.uint32(row) for row in (X, Y, VX, VY, W, H))
 ZEROTH = np.uint32(0)
@@ -346,14 +347,18 @@ def _pick(s: F4, n: int, teeth: int, at: int, phase: float, width: float, upto: 
     for i in range(n):
         total += s[SUM + i]
         s[N0 + i] = total
-    _teeth_before(s, n, F(width) / total if total > ZERO else ZERO, F(1.0 - phase), teeth, upto)
+    # Below 1, or a tooth at the very beginning would fall on particles without weight there.
+    shift = min(F(1.0 - phase), BELOW_ONE)
+    _teeth_before(s, n, F(width) / total if total > ZERO else ZERO, shift, teeth, upto)
     # Where its teeth begin each particle puts its number; a later one overwrites those without any. The running maximum then
-    # is the owner of each tooth: no branch to miss. Rounding can leave the last tooth beyond the last sum.
+    # is the owner of each tooth: no branch to miss. Rounding can leave the last tooth beyond the last sum: it belongs to the
+    # last particle that has a weight.
     for t in range(teeth):
         owner[t] = ZEROTH
     begin = 0
     for i in range(n):
-        owner[begin] = i
+        if s[SUM + i] > ZERO:
+            owner[begin] = i
         begin = upto[i]
     x, y, vx, vy = out[0, at : at + teeth], out[1, at : at + teeth], out[2, at : at + teeth], out[3, at : at + teeth]
     w, h = out[4, at : at + teeth], out[5, at : at + teeth]
