@@ -102,9 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     broken = [row["what"] for part in done for row in part["rows"] if row["kept"] is False]
     busy = document["machine"]["load_at_start"]
     if busy is not None and busy > 0.5:
-        print(
-            f"The machine was busy (load {busy:.1f} at the start): times and their limits mean little, ratios somewhat more."
-        )
+        print(f"The machine was busy (load {busy:.1f} at the start): times mean little, ratios more.")
     print(f"{given.out}: {scale.name}, {time.perf_counter() - began:.0f} s; limits not kept: {len(broken)}")
     for what in broken:
         print(f"  {what}")

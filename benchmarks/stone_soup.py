@@ -30,6 +30,7 @@ from phdtrack.types import Estimates, GaussianMixture
 KEYS = ("ratio_stonesoup_gm", "ratio_stonesoup_smc", "stonesoup")
 SETTINGS = ({"gate": "none", "merge": "none"}, {"gate": "tree", "merge": "none"}, {"gate": "tree", "merge": "tree"})
 LEAST_GM, LEAST_SMC = 500.0, 30.0
+WARM_UP = 10
 
 
 def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
@@ -42,8 +43,8 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
     for targets in scale.stone_sizes:
         say(f"GM-PHD, {targets} targets")
         stream = _scene(targets, scale.stone_frames)
-        settings = settings or _fastest(targets, stream, scale.stone_frames // 2)
-        lines, detail = _gm(targets, stream, settings, scale.stone_frames // 2)
+        settings = settings or _fastest(targets, stream, min(WARM_UP, scale.stone_frames // 2))
+        lines, detail = _gm(targets, stream, settings, min(WARM_UP, scale.stone_frames // 2))
         gm[str(targets)] = detail["ratio"]
         rows += lines
         details.append(detail)
@@ -116,7 +117,9 @@ def _smc(targets: int, scale: Scale) -> tuple[list[Row], dict[str, Any]]:
 
     built = _stages(targets, scale.stone_frames)
     stream = _scene(targets, scale.stone_frames)
-    ours, theirs = race([Ours(built, 1), Sampled(built, scale.stone_particles, 1)], stream, scale.stone_frames // 2)
+    ours, theirs = race(
+        [Ours(built, 1), Sampled(built, scale.stone_particles, 1)], stream, min(WARM_UP, scale.stone_frames // 2)
+    )
     step = Lap(ours.seconds[:, :1], ours.count, ours.ospa)
     return _compared(f"SMC-PHD, {scale.stone_particles} particles", targets, step, theirs, LEAST_SMC)
 
