@@ -362,11 +362,11 @@ def _pick(s: F4, n: int, teeth: int, at: int, phase: float, width: float, upto: 
         begin = upto[i]
     x, y, vx, vy = out[0, at : at + teeth], out[1, at : at + teeth], out[2, at : at + teeth], out[3, at : at + teeth]
     w, h = out[4, at : at + teeth], out[5, at : at + teeth]
-    i = ZEROTH
+    mine = ZEROTH
     for t in range(teeth):
-        i = max(i, owner[t])
-        x[t], y[t], vx[t] = s[i + AT_X], s[i + AT_Y], s[i + AT_VX]
-        vy[t], w[t], h[t] = s[i + AT_VY], s[i + AT_W], s[i + AT_H]
+        mine = max(mine, owner[t])
+        x[t], y[t], vx[t] = s[mine + AT_X], s[mine + AT_Y], s[mine + AT_VX]
+        vy[t], w[t], h[t] = s[mine + AT_VY], s[mine + AT_W], s[mine + AT_H]
 
 
 @njit(fastmath=FAST)
