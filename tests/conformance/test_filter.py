@@ -75,6 +75,41 @@ def test_states_are_values_and_runs_repeat(filter_):
     assert repr(filter_) == before
 
 
+def averages(advance, filter_, model, dt: float, seeds) -> np.ndarray:
+    """(seeds, statistics): masses, evidence and the mean state after each of five scans."""
+    rows = []
+    for seed in seeds:
+        rng, row = np.random.default_rng(seed), []
+        state = filter_.start(model, rng)
+        for z in scans(np.random.default_rng(6), 5):
+            state, info = advance(filter_, state, z, model, dt, rng)
+            row += [info.mass_predicted, info.mass_born, info.mass, state.mass, *info.evidence, *info.clutter]
+        x = points(state)
+        row += [*x.mean(1)] if x.shape[1] else [0.0] * len(x)
+        rows.append(row)
+    return np.array(rows, dtype=np.float64)
+
+
+@pytest.mark.parametrize("dt", [1.0, 2.5])
+def test_a_step_is_predict_update_and_reduce(filter_, dt: float):
+    """On average over seeds, to 4.5 standard errors; what draws no random numbers to rounding."""
+    model = model_of()
+    ours = averages(type(filter_).step, filter_, model, dt, range(50))
+    theirs = averages(step, filter_, model, dt, range(100, 150))
+    error = np.sqrt((ours.var(0, ddof=1) + theirs.var(0, ddof=1)) / 50)
+    rounding = 1e-6 * np.abs(theirs).max(0) + 1e-30
+    np.testing.assert_array_less(np.abs(ours.mean(0) - theirs.mean(0)), 4.5 * error + rounding)
+
+
+def test_a_step_without_a_faster_form_is_exactly_that(filter_):
+    """A likelihood that remembers the size has none in the particle filter; the same seed gives the same."""
+    model = model_of(SENSORS["previous"])
+    if isinstance(filter_, ParticlePHD | GMPHD) and filter_.initial is not None:
+        filter_ = replace(filter_, initial=mixture(model.motion.dim))
+    ours = averages(type(filter_).step, filter_, model, 1.0, range(2))
+    np.testing.assert_allclose(ours, averages(step, filter_, model, 1.0, range(2)), rtol=1e-9)
+
+
 def test_two_steady_targets_count_as_two(filter_, rng):
     model = model_of()
     state = filter_.start(model, rng)
