@@ -12,9 +12,9 @@ from phdtrack.filters import ParticlePHD
 from phdtrack.filters.box_tables import BoxModel, motion_numbers, seen
 from phdtrack.filters.fused import fused_step
 from phdtrack.kernels.account import account, births, share_out
-from phdtrack.kernels.box_blocks import BLOCK
+from phdtrack.kernels.box_blocks import BLOCK, ROWS, SUM
 from phdtrack.kernels.newborn import PEAK, standard_points, stretch
-from phdtrack.kernels.sweeps import EXTENTS, sweep_born, sweep_offspring, sweep_old
+from phdtrack.kernels.sweeps import EXTENTS, _pick, sweep_born, sweep_offspring, sweep_old
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth
 from phdtrack.models.births import KEPT, region
 from phdtrack.protocols import Model
@@ -242,6 +242,28 @@ def test_second_sweep(scaling: str, offset: float):
     assert doubtful <= 0.05 * count
     assert teeth[6:].sum() > 0
     assert divided.any()
+
+
+@pytest.mark.parametrize(("weight", "phase", "width", "teeth", "chosen"), [
+    ([1, 1, 1, 1], 0.5, 4.0, 4, [0, 1, 2, 3]),
+    ([3, 0, 0, 1], 0.25, 4.0, 4, [0, 0, 0, 3]),
+    ([0, 5, 0, 0], 0.9, 7.0, 7, [1] * 7),
+    ([1, 1, 1, 1], 0.6, 1.0, 1, [2]),
+    # A tooth at the very beginning, and one that rounding has put at or behind the end.
+    ([0, 0.7, 1.3, 0], 0.0, 2.0, 2, [1, 2]),
+    ([0, 0.7, 1.3, 0], 1e-12, 2.0, 2, [1, 2]),
+    ([0, 0.7, 1.3, 0], 0.0, 1.999, 3, [1, 2, 2]),
+    ([0, 1, 0, 0], 0.9999999, 0.9999999, 1, [1]),
+])  # fmt: skip
+def test_teeth_fall_on_particles_that_have_a_weight(weight, phase: float, width: float, teeth: int, chosen):
+    n, s = len(weight), np.full(ROWS * BLOCK, np.nan, F)
+    s.reshape(ROWS, BLOCK)[:6, :n] = np.arange(n)
+    s[SUM : SUM + n] = weight
+    out = np.full((6, teeth + 3), np.nan, F)
+    _pick(s, n, teeth, 2, phase, width, np.empty(BLOCK, np.int32), np.full(teeth + 2, 99, np.uint32), out)
+    np.testing.assert_array_equal(out[:, 2 : 2 + teeth], np.tile(chosen, (6, 1)))
+    assert np.isnan(out[:, :2]).all()
+    assert np.isnan(out[:, 2 + teeth :]).all()
 
 
 @pytest.mark.parametrize("local", [True, False])
