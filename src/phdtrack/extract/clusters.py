@@ -6,15 +6,17 @@ would drown in size. A particle is compared only with the centres near it: those
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.extract.cloud import Cloud
-from phdtrack.kernels.clustering import assign, cluster_moments, outside
+from phdtrack.kernels.clustering import cluster_moments, outside
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.joining import claim, serve
+from phdtrack.kernels.kmeans import kmeans
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8, Bool, Estimates, Particles
 
@@ -26,34 +28,18 @@ REACH = 8.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Labels:
-    """Which cluster each particle belongs to, and by which centres.
+    """Which cluster each particle belongs to.
 
     Attributes
     ----------
-    centre, scale, alive : (d, k), (d, k), (k,) the centres that the particles were assigned to, the noise there, and what
-        was above 0 for those that took part.
-    block, own : clusters of whole blocks (B,) and of the particles of mixed ones (L,), as in `kernels.clustering`.
-    count, mass, sums, mean : (k,) particles, (k,) masses, (k, d) sums of states, (d, k) means of the clusters; that of an
-        empty one is its centre.
+    block, own : clusters of whole blocks (B,) and of the particles of mixed ones (L,), as in `kernels.kmeans`.
+    mass, mean : (k,) masses and (d, k) means of the clusters; an empty one keeps its centre.
     """
 
-    centre: F8
-    scale: F8
-    alive: F8
     block: I4
     own: I4
-    count: I8
     mass: F8
-    sums: F8
     mean: F8
-
-    @classmethod
-    def none(cls, cloud: Cloud) -> Labels:
-        """No particle belongs to any cluster; there are none."""
-        d, n = cloud.state.shape
-        block, own = np.full(len(cloud.mass), -1, np.int32), np.empty(n, np.int32)
-        nothing, columns = np.zeros(0), np.zeros((d, 0))
-        return cls(columns, columns, nothing, block, own, np.zeros(0, np.int64), nothing, np.zeros((0, d)), columns)
 
 
 def seeds(cloud: Cloud, z: F8, sensor: Sensor, lightest: float) -> F8:
@@ -91,29 +77,29 @@ def _lonely_centres(rest: Particles, sensor: Sensor, lightest: float) -> tuple[F
     return found
 
 
-def label(cloud: Cloud, centres: F8, sensor: Sensor, alive: F8, before: Labels) -> tuple[Labels, bool]:
-    """Every particle with the nearest centre (d, k) in reach, and whether any has another than ``before``.
+def cluster(cloud: Cloud, centres: F8, sensor: Sensor, split: float, iterations: int) -> Labels:
+    """K-means from the centres (d, k): clusters heavier than ``split`` are divided, and it settles in ``iterations``.
 
-    The first centres are those of ``before``, as they have moved. Those with ``alive`` (k,) not above 0 get nothing. What
-    ``before`` held of single particles goes over into the result: it is not to be used any more.
+    Distances are measured in the noise at the first centres; that changes little as the centres move, and asking the
+    sensor in every iteration would cost as much as the iteration.
     """
-    scale = sensor.noise(centres)
-    block, *found, changed = assign(
+    # Each division adds a cluster, and a mass M holds at most M/split too heavy ones: the bound only guards rounding.
+    rounds = math.ceil(2 * float(cloud.mass.sum()) / split) if split < math.inf else 0
+    k, mass, mean, block, own = kmeans(
         cloud.state, cloud.weight, cloud.start, cloud.low, cloud.high, cloud.origin, cloud.mass, cloud.first, *cloud.grid,
-        centres, scale, REACH, alive, before.centre, before.scale, before.alive,
-        before.block, before.own, before.count, before.mass, before.sums,
+        centres, sensor.noise(centres), REACH, split, iterations, rounds,
     )  # fmt: skip
-    return Labels(centres, scale, alive, block, before.own, *found), changed
+    return Labels(block, own, mass[:k], np.ascontiguousarray(mean[:, :k]))
 
 
-def moments(cloud: Cloud, labels: Labels, cluster: I8, reference: F8) -> tuple[F8, F8, F8]:
-    """Masses (k,), means (d, k) and covariances (k, d, d): label j is part of cluster ``cluster[j]``, −1 for none.
+def moments(cloud: Cloud, labels: Labels, place: I8, reference: F8) -> tuple[F8, F8, F8]:
+    """Masses (k,), means (d, k) and covariances (k, d, d): label j is part of cluster ``place[j]``, −1 for none.
 
     ``reference`` (d, k) is a point in the middle of each cluster.
     """
     result: tuple[F8, F8, F8] = cluster_moments(
         cloud.state, cloud.weight, cloud.start, cloud.origin, cloud.mass, cloud.first, cloud.second,
-        labels.block, labels.own, cluster, reference,
+        labels.block, labels.own, place, reference,
     )  # fmt: skip
     return result
 

@@ -11,7 +11,6 @@ threshold.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +20,6 @@ from phdtrack.extract import clusters
 from phdtrack.extract.cloud import Cloud
 from phdtrack.extract.clusters import Labels
 from phdtrack.extract.resolution import join_unresolved
-from phdtrack.kernels.clustering import farthest
 from phdtrack.kernels.joining import join_pairs, near_pairs
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8, Estimates, ParticleBlocks, Particles
@@ -55,37 +53,10 @@ class KMeans:
             return Estimates.empty(model.motion.dim)
         sensor, cloud = model.sensor, Cloud.of(state)
         centres = clusters.seeds(cloud, z, sensor, self.lightest)
-        labels = self._settle(cloud, centres, np.ones(centres.shape[1]), Labels.none(cloud), sensor)
-        # Each split adds a cluster, and a mass M holds at most M/split too heavy ones: the bound only guards rounding.
-        for _ in range(math.ceil(2 * state.mass / self.split)):
-            heavy = self._farthest_in_heavy(cloud, labels)
-            if len(heavy) == 0:
-                break
-            alive = np.concatenate((labels.mass, np.ones(len(heavy))))
-            centres = np.concatenate((labels.centre, cloud.take(heavy).state), axis=1)
-            labels = self._settle(cloud, centres, alive, labels, sensor)
+        labels = clusters.cluster(cloud, centres, sensor, self.split, self.iterations)
         mass, mean, cov = self._heavy_enough(cloud, labels, self._join_light(labels, sensor))
         found = join_unresolved(mass, mean, cov, sensor, self.overlap)
         return clusters.finish(*found, z, model, self.region)
-
-    def _settle(self, cloud: Cloud, centres: F8, alive: F8, labels: Labels, sensor: Sensor) -> Labels:
-        """Iterate assignment and means until nothing moves between clusters; clusters without particles stay empty."""
-        labels, _ = clusters.label(cloud, centres, sensor, alive, labels)
-        for _ in range(self.iterations):
-            labels, changed = clusters.label(cloud, labels.mean, sensor, labels.mass, labels)
-            if not changed:
-                break
-        return labels
-
-    def _farthest_in_heavy(self, cloud: Cloud, labels: Labels) -> I8:
-        """For each cluster heavier than the split mass, its particle farthest from the centre [M07 §3]."""
-        heavy = labels.mass > self.split
-        if not heavy.any():
-            return np.zeros(0, np.int64)
-        at, distance2 = farthest(cloud.state, cloud.start, labels.block, labels.own, labels.centre, labels.scale, heavy)
-        # A cluster whose particles all stand on its centre cannot be divided.
-        chosen: I8 = at[distance2 > 0]
-        return chosen
 
     def _join_light(self, labels: Labels, sensor: Sensor) -> I8:
         """(k,) the cluster that each belongs to once light clusters near each other are joined.

@@ -78,7 +78,7 @@ class Mixture:
 def _start(cloud: Cloud, centres: F8, sensor: Sensor) -> tuple[GaussianMixture, F8]:
     """Components from the nearest-centre clusters, and the noise at their means."""
     k = centres.shape[1]
-    labels, _ = clusters.label(cloud, centres, sensor, np.ones(k), clusters.Labels.none(cloud))
+    labels = clusters.cluster(cloud, centres, sensor, math.inf, 0)
     mass, mean, cov = clusters.moments(cloud, labels, np.arange(k), labels.mean)
     return _floored(mass, mean, cov, sensor)
 
