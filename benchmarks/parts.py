@@ -30,6 +30,7 @@ class Scale:
     peer_frames: int
     stone_sizes: tuple[int, ...]
     stone_frames: int
+    stone_seeds: tuple[int, ...]
     stone_particles: int
     rounds: int
     repeats: int
@@ -53,6 +54,7 @@ QUICK = Scale(
     peer_frames=120,
     stone_sizes=(10, 100),
     stone_frames=30,
+    stone_seeds=(1, 2, 3),
     stone_particles=15_000,
     rounds=1,
     repeats=15,
@@ -71,7 +73,8 @@ FULL = Scale(
     peer_objects=(20, 200),
     peer_frames=400,
     stone_sizes=(10, 100),
-    stone_frames=60,
+    stone_frames=100,
+    stone_seeds=(1, 2, 3, 4, 5),
     stone_particles=15_000,
     rounds=3,
     repeats=40,
@@ -92,6 +95,7 @@ SMOKE = Scale(
     peer_frames=8,
     stone_sizes=(2,),
     stone_frames=2,
+    stone_seeds=(1,),
     stone_particles=300,
     rounds=1,
     repeats=2,

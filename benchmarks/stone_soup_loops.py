@@ -36,10 +36,16 @@ GATE, TREE = 5.0, 60.0
 REGION = 13.28
 
 
-def transition(model: Model) -> LinearGaussianTimeInvariantTransitionModel:
-    """f of one time unit; the fixed variances make it the same for every state."""
+def matrices(model: Model) -> tuple[F8, F8]:
+    """F and Q of one time unit; the fixed variances make them the same for every state."""
     _, f, q = model.motion.transition(np.full((model.motion.dim, 1), 30.0), 1.0)
-    return LinearGaussianTimeInvariantTransitionModel(transition_matrix=f[0], covariance_matrix=q[0])
+    return f[0], q[0]
+
+
+def transition(model: Model) -> LinearGaussianTimeInvariantTransitionModel:
+    """f of one time unit."""
+    f, q = matrices(model)
+    return LinearGaussianTimeInvariantTransitionModel(transition_matrix=f, covariance_matrix=q)
 
 
 def measurement(stages: AnyStages) -> LinearGaussian:
@@ -59,6 +65,7 @@ class Mixture:
     def __init__(self, stages: AnyStages, settings: Mapping[str, str], most: int) -> None:
         model = stages.model
         self.model, self.sensor = model, measurement(stages)
+        self.f, self.q = matrices(model)
         predictor, updater = KalmanPredictor(transition(model)), KalmanUpdater(self.sensor)
         base = DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=GATE)
         if settings["gate"] == "tree":
@@ -94,22 +101,31 @@ class Mixture:
         return (spent,), np.array(heavy).reshape(-1, 2).T
 
     def _births(self, z: F8, when: datetime) -> list[TaggedWeightedGaussianState]:
-        """phdtrack's own births: fewer where mass is predicted, none where all of a target is."""
+        """phdtrack's own births, where less than a target's mass is predicted; as they are before f, which is applied."""
         covered = np.zeros(z.shape[1])
         if self.components:
-            mean = np.array([np.asarray(c.state_vector, float).ravel() for c in self.components])
-            at = (mean[:, :2] + mean[:, 2:4]).T
-            sd = np.sqrt(np.diag(self.sensor.noise_covar))
-            step = np.concatenate([at, mean[:, 4:].T])[:, :, None] - z[:, None, :]
-            near = ((step / sd[:, None, None]) ** 2).sum(0) <= 2 * REGION
-            covered = np.array([float(c.weight) for c in self.components]) @ near
+            covered = self._covered(z)
         born = self.model.birth.components(z, covered, self.model.sensor, 1.0)
-        parts: Iterable[tuple[Any, ...]] = zip(born.weight, born.mean.T, born.covariance, strict=True)
+        back = np.linalg.inv(self.f)
+        mean, cov = back @ born.mean, back @ (born.covariance - self.q) @ back.T
+        parts: Iterable[tuple[Any, ...]] = zip(born.weight, mean.T, cov, strict=True)
         return [
             TaggedWeightedGaussianState(StateVector(m), p, weight=w, tag="birth", timestamp=when)
             for w, m, p in parts
             if w > 0
         ]
+
+    def _covered(self, z: F8) -> F8:
+        """M(z): mass of the predicted components within whose 99 % region a detection lies."""
+        rows = list(self.model.sensor.observed)
+        mean = np.array([np.asarray(c.state_vector, float).ravel() for c in self.components]) @ self.f.T
+        cov = self.f @ np.array([np.asarray(c.covar, float) for c in self.components]) @ self.f.T + self.q
+        inverse = np.linalg.inv(cov[:, rows][:, :, rows] + np.asarray(self.sensor.noise_covar, float))
+        step = z.T[None] - mean[:, None, rows]
+        near = np.einsum("knr,krs,kns->kn", step, inverse, step) <= REGION
+        weight = self.model.motion.survival * np.array([float(c.weight) for c in self.components])
+        out: F8 = weight @ near
+        return out
 
 
 class Sampled:
@@ -139,20 +155,32 @@ class Sampled:
         self.state: ParticleState | None = None
 
     def _draw(self, num_samples: int) -> Any:
-        """Newborn of the frame, made before the clock starts."""
-        return self.born.state[:, self.rng.integers(0, len(self.born), num_samples)].T
+        """Newborn of the frame, made before the clock starts, as likely as they weigh: Stone Soup's all weigh the same."""
+        share = self.born.weight / self.born.mass
+        return self.born.state[:, self.rng.choice(len(self.born), num_samples, p=share)].T
+
+    def _births(self, z: F8) -> Particles:
+        """phdtrack's births where less than a target's mass is predicted, and everywhere where that leaves none."""
+        sensor = self.model.sensor
+        covered = np.zeros(z.shape[1])
+        if self.state is not None:
+            moved = self.model.motion.sample(_plain(self.state.state_vector), 1.0, self.rng)
+            near = sensor.distance2(z[:, :, None], moved[:, None, :]) <= REGION
+            covered = near @ (self.model.motion.survival * np.exp(np.asarray(self.state.log_weight, float)))
+        born = self.model.birth.sample(z, covered, sensor, 1.0, self.rng)
+        return born if len(born) else self.model.birth.sample(z, np.zeros_like(covered), sensor, 1.0, self.rng)
 
     def frame(self, number: int, detections: Detections) -> tuple[tuple[float, ...], F8]:
         """Seconds of a step, and the centres of phdtrack's K-means of the particles."""
         when = START + timedelta(seconds=number)
         z = self.model.sensor.measure(detections)
-        self.born = self.model.birth.sample(z, np.zeros(z.shape[1]), self.model.sensor, 1.0, self.rng)
+        self.born = self._births(z)
         if len(self.born) == 0:
-            return (float("nan"),), np.zeros((2, 0))
+            raise RuntimeError(f"frame {number} of the scene has no detections, for which this loop is not made")
         self.predictor.birth_rate = self.born.mass
         found = detected(z, when, self.sensor)
         if self.state is None:
-            first = self.born.state[:, self.rng.integers(0, len(self.born), self.count)]
+            first = self._draw(self.count).T
             weight = np.full(self.count, np.log(self.born.mass / self.count))
             self.state = ParticleState(StateVectors(first), log_weight=weight, timestamp=when - timedelta(seconds=1))
         began = time.perf_counter()
@@ -165,8 +193,10 @@ class Sampled:
         )
         self.state = self.updater.update(hypotheses)
         spent = time.perf_counter() - began
-        cloud = Particles(
-            np.ascontiguousarray(np.asarray(self.state.state_vector, float)),
-            np.exp(np.asarray(self.state.log_weight, float)),
-        )
+        cloud = Particles(_plain(self.state.state_vector), np.exp(np.asarray(self.state.log_weight, float)))
         return (spent,), self.stages.extractor.extract(cloud, z, self.model).state[:2]
+
+
+def _plain(vectors: Any) -> F8:
+    """Stone Soup's state vectors as an array."""
+    return np.ascontiguousarray(np.asarray(vectors, float))

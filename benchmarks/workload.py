@@ -31,6 +31,7 @@ class Crowd:
     targets, frames : how many, how long.
     clutter : expected false alarms per frame; −1 for as many as targets.
     p_detect, jitter : detector; ``jitter`` is the deviation of centre and size in box sizes.
+    noise : deviations of centre and of size in pixels, instead of ``jitter``.
     speed : deviation of the velocity, box sizes per frame.
     widths, aspect : range of widths in pixels, height over width.
     life : frames after which a target vanishes and another appears elsewhere; 0 for never.
@@ -41,6 +42,7 @@ class Crowd:
     clutter: float = -1.0
     p_detect: float = 0.95
     jitter: float = 0.05
+    noise: tuple[float, float] | None = None
     speed: float = 0.02
     widths: tuple[float, float] = (20.0, 50.0)
     aspect: float = 2.0
@@ -84,8 +86,8 @@ def draw(crowd: Crowd, seed: int) -> Stream:
     flat_centre, flat_size = centre.reshape(-1, 2), size.reshape(-1, 2)
     truth = Truth(frames.ravel(), identity.ravel(), _boxes(flat_centre, flat_size), np.zeros(identity.size, np.bool_))
     seen = np.flatnonzero(see_rng.random(identity.size) < crowd.p_detect)
-    errors = crowd.jitter * see_rng.standard_normal((4, len(seen))).T
-    found = _boxes(flat_centre[seen] + errors[:, :2] * flat_size[seen], flat_size[seen] * np.maximum(1 + errors[:, 2:], 0.2))
+    errors = see_rng.standard_normal((4, len(seen))).T * _deviations(crowd, flat_size[seen])
+    found = _boxes(flat_centre[seen] + errors[:, :2], np.maximum(flat_size[seen] + errors[:, 2:], 0.2 * flat_size[seen]))
     counts = clutter_rng.poisson(crowd.false_alarms, crowd.frames)
     total = int(counts.sum())
     place = clutter_rng.random((total, 2)) * [crowd.info.width, crowd.info.height]
@@ -93,6 +95,13 @@ def draw(crowd: Crowd, seed: int) -> Stream:
     frame = np.concatenate([truth.frame[seen], np.repeat(np.arange(1, crowd.frames + 1), counts)])
     order = np.lexsort((order_rng.random(len(frame)), frame))
     return Stream(crowd.info, truth, DetectionTable(frame[order], Detections.of(np.concatenate([found, false])[order])))
+
+
+def _deviations(crowd: Crowd, size: F8) -> F8:
+    """(n, 4) deviations of centre and size for boxes of these sizes (n, 2)."""
+    if crowd.noise is None:
+        return crowd.jitter * np.concatenate([size, size], axis=1)
+    return np.broadcast_to(np.repeat(crowd.noise, 2), (len(size), 4))
 
 
 def _walks(crowd: Crowd, rng: np.random.Generator) -> tuple[Any, F8, F8]:
