@@ -102,9 +102,10 @@ def test_the_noises_of_position_and_velocity_have_the_covariance_of_the_model(dt
 def test_extent():
     for n in (1, 5, 256):
         x = boxes(n, n)
-        s, out = block(x), np.empty(6, F)
+        s, both = block(x), np.empty((2, 6), F)
         rows(s)[12, :n] = np.arange(n) % 3 > 0
-        assert extent(s, n, out) == (np.arange(n) % 3 > 0).sum()
+        assert extent(s, n, both, 1) == (np.arange(n) % 3 > 0).sum()
+        out = both[1]
         np.testing.assert_array_equal(out[:4], [x[0].min(), x[1].min(), x[0].max(), x[1].max()])
         np.testing.assert_allclose(out[4:], x[4:6].mean(1), rtol=1e-5)
 
@@ -122,9 +123,11 @@ def test_likelihood(scaling: str, floor: float):
     at_rest = np.zeros((6, 4))
     at_rest[[0, 1, 4, 5]] = z
     noise = sensor.noise(at_rest)
-    table, speed, reach = detection_table(z, noise, 0.1, np.ones(4), 13.28)
+    table, speed, reach, extents = detection_table(z, noise, 0.1, np.ones(4), 13.28)
     np.testing.assert_allclose(speed, np.sqrt(2) * noise[2], rtol=1e-6)
     np.testing.assert_allclose(reach, np.sqrt(13.28) * noise[:2])
+    around = [*(z[:2] - reach), *(z[:2] + reach), *z[2:]]
+    np.testing.assert_allclose(extents.T, around, rtol=1e-6)
     own, s = scaling == "particle", block(x)
     alive = (np.arange(n) % 7 > 0).astype(F)
     rows(s)[12, :n] = alive

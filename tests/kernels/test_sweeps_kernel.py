@@ -11,8 +11,9 @@ import pytest
 from phdtrack.filters import ParticlePHD
 from phdtrack.filters.box_tables import BoxModel, motion_numbers, seen
 from phdtrack.filters.fused import fused_step
-from phdtrack.kernels.account import account, births, share_out
+from phdtrack.kernels.account import account, births
 from phdtrack.kernels.box_blocks import BLOCK, ROWS, SUM
+from phdtrack.kernels.comb import by_cells, comb, cut
 from phdtrack.kernels.newborn import PEAK, standard_points, stretch
 from phdtrack.kernels.sweeps import EXTENTS, _pick, sweep_born, sweep_offspring, sweep_old
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth
@@ -61,7 +62,7 @@ def swept(model: Model, state: ParticleBlocks, z, dt: float = 1.0, pieces: int =
     lengths = np.cumsum([0, *(len(part[1]) for part in found)])
     out.first = np.concatenate([[0], *(part[0][1:] + e for part, e in zip(found, lengths[:-1], strict=True))])
     out.which = np.concatenate([part[1] for part in found])
-    out.sums = np.concatenate([part[2] for part in found], axis=1)
+    out.sums = np.concatenate([part[2][:, : len(part[1])] for part in found], axis=1)
     return out
 
 
@@ -197,7 +198,10 @@ def test_second_sweep(scaling: str, offset: float):
         new.gain_start, new.base, new.gains, kappa, P_D,
     )  # fmt: skip
     count = round(PER_TARGET * mass.sum())
-    order, teeth, place, phase, width, start, divided = share_out(mass, old.extents, z, frame.reach, count, offset, 1.0)
+    extents = np.concatenate([old.extents, frame.extents])
+    order = by_cells(extents)
+    teeth, place, phase, width = comb(mass, order, count, offset)
+    start, divided = cut(extents, order, teeth, 1.0)
     assert start[-1] == teeth.sum() == count
     out = np.full((6, count), np.nan, F)
     for lo, hi in ((0, 4), (4, len(order))):

@@ -68,7 +68,7 @@ class Seen:
     numbers : (4,) float32 of the sensor: spread, floor, squared radii of the regions that count as explained and in which
         births are drawn.
     speed : (N,) float32 deviation of a newborn velocity's amplitude.
-    reach : (2, N) half the extent of the region in which each one's newborn are drawn.
+    extents : (N, 6) of the regions in which each one's newborn are drawn, see `kernels.birth_table`.
     lower, upper : (2, N) gates.  grid : their grid, see `kernels.overlaps`.
     near_start, near, touching : the neighbours of each one's newborn, see `kernels.birth_table`.
     """
@@ -76,7 +76,7 @@ class Seen:
     table: F4
     numbers: F4
     speed: F4
-    reach: F8
+    extents: F4
     lower: F8
     upper: F8
     grid: tuple[F8, I8, I8, I8]
@@ -93,11 +93,11 @@ def seen(model: BoxModel, z: F8, explained: float, dt: float) -> Seen:
     lower, upper = model.sensor.gate(z)
     limit, _ = region()
     rate = model.birth.rate * dt if model.local else 0.0
-    table, speed, reach = detection_table(z, noise, rate, local_volume(z), limit)
+    table, speed, reach, extents = detection_table(z, noise, rate, local_volume(z), limit)
     # A floor of zero would let the deviation of a vanishing box vanish.
     numbers = np.array([model.sensor.spread, max(model.sensor.floor, 1e-3), explained, limit], np.float32)
     near = neighbours(z, reach, lower, upper, model.local)
-    return Seen(table, numbers, speed, reach, lower, upper, rectangle_grid(lower, upper), *near)
+    return Seen(table, numbers, speed, extents, lower, upper, rectangle_grid(lower, upper), *near)
 
 
 def flat_density(birth: MeasurementBirth, dt: float) -> float:

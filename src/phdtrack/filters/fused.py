@@ -17,7 +17,8 @@ from phdtrack.filters.blocks import REACH, blocked
 from phdtrack.filters.box_tables import BoxModel, Seen, flat_density, motion_numbers, seen
 from phdtrack.filters.memory import empty
 from phdtrack.filters.threads import in_ranges
-from phdtrack.kernels.account import account, births, share_out
+from phdtrack.kernels.account import account, births
+from phdtrack.kernels.comb import by_cells, comb, cut
 from phdtrack.kernels.newborn import standard_points
 from phdtrack.kernels.sweeps import EXTENTS, sweep_born, sweep_offspring, sweep_old
 from phdtrack.models.births import KEPT, region
@@ -102,9 +103,10 @@ def fused_step(
         count = min(count, settings.most)
     if count == 0:
         return ParticleBlocks.empty(6), info
-    order, teeth, place, phase, width, start, divided = share_out(
-        mass, old.extents, z, frame.reach, count, draws.offset, REACH
-    )
+    extents = np.concatenate([old.extents, frame.extents])
+    order = by_cells(extents)
+    teeth, place, phase, width = comb(mass, order, count, draws.offset)
+    start, divided = cut(extents, order, teeth, REACH)
     out = empty(6, count)
     factor, missed = weight.astype(np.float32), np.float32(1.0 - p_detect)
 
@@ -139,7 +141,7 @@ def _sweep_old(settings: Settings, parts: BoxModel, blocks: ParticleBlocks, fram
         ends = np.cumsum([0, *(len(part[1]) for part in found)])
         first = np.concatenate([[0], *(part[0][1:] + end for part, end in zip(found, ends[:-1], strict=True))])
         which = np.concatenate([part[1] for part in found])
-        sums = np.concatenate([part[2] for part in found], axis=1)
+        sums = np.concatenate([part[2][:, : len(part[1])] for part in found], axis=1)
     return _Old(moved, extents, alive, first, which, sums, blocks.unit * parts.motion.survival**dt)
 
 

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.box_blocks import BLOCK, GSCALE
-from phdtrack.kernels.comb import by_cells, comb, cut
+from phdtrack.kernels.fast32 import ENTRY
 from phdtrack.kernels.newborn import PEAK
 
 F4 = NDArray[np.float32]
@@ -18,7 +18,7 @@ I8 = NDArray[np.int64]
 FAINT = 1e-30
 
 
-@njit(cache=True, nogil=True)
+@njit(**ENTRY)
 def births(which: I8, sums: F4, unit: float, most: int, kept: float, touching: I8, table: F4) -> tuple[I8, I8, I8]:
     """J_j = ⌈Jmax·max(0, 1 − M_j)⌉ newborn a detection [M07 §2], and the proposals' peaks J_j p_j(z_j) into ``table``.
 
@@ -27,12 +27,17 @@ def births(which: I8, sums: F4, unit: float, most: int, kept: float, touching: I
     many : (N,) J_j.  batch_start, gain_start : (N + 1,) where each one's batches and its sums by neighbour and batch begin.
     """
     n = touching.size
-    covered = np.zeros(n)
+    covered = np.empty(n)
+    for j in range(n):
+        covered[j] = 0.0
     for e in range(which.size):
         covered[which[e]] += sums[1, e]
-    many, batch_start, gain_start = np.empty(n, np.int64), np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)
+    many, batch_start, gain_start = np.empty(n, np.int64), np.empty(n + 1, np.int64), np.empty(n + 1, np.int64)
+    batch_start[0], gain_start[0] = 0, 0
     for j in range(n):
-        many[j] = int(np.ceil(most * min(max(1.0 - unit * covered[j], 0.0), 1.0)))
+        missing = 1.0 - unit * covered[j]
+        missing = missing if missing > 0.0 else 0.0
+        many[j] = int(np.ceil(most * (missing if missing < 1.0 else 1.0)))
         batches = (many[j] + BLOCK - 1) // BLOCK
         batch_start[j + 1] = batch_start[j] + batches
         gain_start[j + 1] = gain_start[j] + batches * touching[j]
@@ -40,7 +45,7 @@ def births(which: I8, sums: F4, unit: float, most: int, kept: float, touching: I
     return many, batch_start, gain_start
 
 
-@njit(cache=True, nogil=True)
+@njit(**ENTRY)
 def account(
     first: I8,
     which: I8,
@@ -72,10 +77,13 @@ def account(
     vanished : how many detections have κ + C = 0 (below `FAINT`), and no weight.
     """
     n, blocks = touching.size, alive.size
-    evidence, weight = np.zeros(n), np.zeros(n)
+    evidence, weight = np.empty(n), np.empty(n)
+    for j in range(n):
+        evidence[j], weight[j] = 0.0, 0.0
     for e in range(which.size):
         evidence[which[e]] += sums[0, e]
-    evidence *= unit
+    for j in range(n):
+        evidence[j] *= unit
     for j in range(n):
         batches = batch_start[j + 1] - batch_start[j]
         for m in range(touching[j]):
@@ -91,13 +99,14 @@ def account(
         else:
             evidence[j] = 0.0
             vanished += 1
-    mass, batch_mass = np.zeros(blocks + n), np.empty(base.size, np.float32)
+    mass, batch_mass = np.empty(blocks + n), np.empty(base.size, np.float32)
     for b in range(blocks):
         total = (1.0 - p_detect) * alive[b]
         for e in range(first[b], first[b + 1]):
             total += weight[which[e]] * sums[0, e]
         mass[b] = unit * total
     for j in range(n):
+        mass[blocks + j] = 0.0
         batches = batch_start[j + 1] - batch_start[j]
         for g in range(batches):
             total = (1.0 - p_detect) * base[batch_start[j] + g]
@@ -106,25 +115,3 @@ def account(
             batch_mass[batch_start[j] + g] = total
             mass[blocks + j] += batch_mass[batch_start[j] + g]
     return evidence, weight, mass, batch_mass, vanished
-
-
-@njit(cache=True, nogil=True)
-def share_out(
-    mass: F8, extents: F4, z: F8, reach: F8, count: int, offset: float, compact: float
-) -> tuple[I8, I8, I8, F8, F8, I8, I8]:
-    """The order of the sources, the teeth of the comb on each, and how the offspring are cut into blocks.
-
-    ``extents`` (B, 6) are the blocks'; ``z`` (4, N) and ``reach`` (2, N) say where the newborn lie. See `comb` for the rest.
-    """
-    blocks, n = extents.shape[0], z.shape[1]
-    everything = np.empty((blocks + n, 6), np.float32)
-    everything[:blocks] = extents
-    for j in range(n):
-        for axis in range(2):
-            everything[blocks + j, axis] = z[axis, j] - reach[axis, j]
-            everything[blocks + j, 2 + axis] = z[axis, j] + reach[axis, j]
-            everything[blocks + j, 4 + axis] = z[2 + axis, j]
-    order = by_cells(everything)
-    teeth, place, phase, width = comb(mass, order, count, offset)
-    start, divided = cut(everything, order, teeth, compact)
-    return order, teeth, place, phase, width, start, divided

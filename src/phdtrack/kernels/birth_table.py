@@ -7,7 +7,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.box_blocks import GSCALE, IX, ZX
-from phdtrack.kernels.newborn import BX, COLUMNS, DENSITY, SX
+from phdtrack.kernels.fast32 import ENTRY
+from phdtrack.kernels.newborn import BX, COLUMNS, DENSITY, PEAK, SX
 from phdtrack.kernels.overlaps import overlapping, rectangle_grid
 
 F4 = NDArray[np.float32]
@@ -17,8 +18,8 @@ I8 = NDArray[np.int64]
 OBSERVED = (0, 1, 4, 5)
 
 
-@njit(cache=True, nogil=True)
-def detection_table(z: F8, noise: F8, rate: float, volume: F8, limit: float) -> tuple[F4, F4, F8]:
+@njit(**ENTRY)
+def detection_table(z: F8, noise: F8, rate: float, volume: F8, limit: float) -> tuple[F4, F4, F8, F4]:
     """The detections' rows that `box_blocks` and `newborn` read, the proposals' peaks left out.
 
     Parameters
@@ -31,9 +32,11 @@ def detection_table(z: F8, noise: F8, rate: float, volume: F8, limit: float) -> 
     -------
     table : (rows, N).  speed : (N,) deviation of a new velocity's amplitude, √2 that of a component.
     reach : (2, N) half the extent in which newborn are drawn.
+    extents : (N, 6) left, top, right and bottom of it, width and height of the box.
     """
     n = z.shape[1]
-    table, speed, reach = np.zeros((COLUMNS, n), np.float32), np.empty(n, np.float32), np.empty((2, n))
+    table, extents = np.empty((COLUMNS, n), np.float32), np.empty((n, 6), np.float32)
+    speed, reach = np.empty(n, np.float32), np.empty((2, n))
     for j in range(n):
         product = (2.0 * np.pi) ** 2
         for k in range(4):
@@ -47,10 +50,14 @@ def detection_table(z: F8, noise: F8, rate: float, volume: F8, limit: float) -> 
         speed[j] = np.sqrt(2.0) * noise[2, j]
         for axis in range(2):
             reach[axis, j] = np.sqrt(limit) * noise[axis, j]
-    return table, speed, reach
+            extents[j, axis] = z[axis, j] - reach[axis, j]
+            extents[j, 2 + axis] = z[axis, j] + reach[axis, j]
+            extents[j, 4 + axis] = z[2 + axis, j]
+        table[PEAK, j] = 0.0
+    return table, speed, reach, extents
 
 
-@njit(cache=True, nogil=True)
+@njit(**ENTRY)
 def neighbours(z: F8, reach: F8, lower: F8, upper: F8, local: bool) -> tuple[I8, I8, I8]:
     """For each detection those that matter to its newborn; first those in whose gates the newborn can lie.
 
@@ -68,11 +75,15 @@ def neighbours(z: F8, reach: F8, lower: F8, upper: F8, local: bool) -> tuple[I8,
     low, high = np.empty((2, n)), np.empty((2, n))
     for axis in range(2):
         for j in range(n):
-            half = max(reach[axis, j], z[2 + axis, j]) if local else reach[axis, j]
-            low[axis, j] = min(z[axis, j] - half, lower[axis, j])
-            high[axis, j] = max(z[axis, j] + half, upper[axis, j])
+            half, size = reach[axis, j], z[2 + axis, j]
+            if local and size > half:
+                half = size
+            least, most = z[axis, j] - half, z[axis, j] + half
+            low[axis, j] = least if least < lower[axis, j] else lower[axis, j]
+            high[axis, j] = most if most > upper[axis, j] else upper[axis, j]
     frame, cell_start, cell_item, corner = rectangle_grid(low, high)
-    start, touching = np.zeros(n + 1, np.int64), np.zeros(n, np.int64)
+    start, touching = np.empty(n + 1, np.int64), np.empty(n, np.int64)
+    start[0] = 0
     near = np.empty(8 * n + 64, np.int64)
     found = np.empty(n + 1, np.int64)
     used = 0
@@ -82,7 +93,8 @@ def neighbours(z: F8, reach: F8, lower: F8, upper: F8, local: bool) -> tuple[I8,
         count = overlapping(left, top, right, bottom, low, high, frame, cell_start, cell_item, corner, found)
         if used + count > near.size:
             longer = np.empty(2 * (used + count), np.int64)
-            longer[:used] = near[:used]
+            for k in range(used):
+                longer[k] = near[k]
             near = longer
         inside = used
         for m in range(count):

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import FAST, FOUR, HALF, ONE, cos_sin_turn, exp32, log32
+from phdtrack.kernels.fast32 import FAST, FOUR, HALF, LEAN, ONE, VECTOR, cos_sin_turn, exp32, log32
 from phdtrack.kernels.philox import ROUNDS, philox, unit
 
 F4 = NDArray[np.float32]
@@ -29,25 +29,26 @@ MINUS_TWO, MINUS_HALF, ZERO = F(-2.0), F(-0.5), F(0.0)
 NORM = F(4.0 / (2.0 * np.pi) ** 2)
 
 
-@njit
+@njit(**LEAN)
 def load(s: F4, n: int, state: F4, at: int) -> None:
     """Copy the columns ``at`` … at + n − 1 of ``state`` (6, L) into the block."""
-    for row in range(6):
+    # As many rows as there are and not 6: the compiler would write the loop out six times.
+    for row in range(state.shape[0]):
         source, target = state[row, at : at + n], s[row * BLOCK : row * BLOCK + n]
         for i in range(n):
             target[i] = source[i]
 
 
-@njit
+@njit(**LEAN)
 def store(s: F4, n: int, state: F4, at: int) -> None:
     """Copy the block into the columns ``at`` … at + n − 1 of ``state`` (6, L)."""
-    for row in range(6):
+    for row in range(state.shape[0]):
         source, target = s[row * BLOCK : row * BLOCK + n], state[row, at : at + n]
         for i in range(n):
             target[i] = source[i]
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(**VECTOR)
 def fill_normals(s: F4, n: int, c1: np.uint32, c2: np.uint32, k0: np.uint32, k1: np.uint32) -> None:
     """Standard normals into the rows N0 … N3, four for each counter (i, c1, c2, 0) [Box and Muller 1958]."""
     for i in range(n):
@@ -64,7 +65,7 @@ def fill_normals(s: F4, n: int, c1: np.uint32, c2: np.uint32, k0: np.uint32, k1:
         s[N2 + i], s[N3 + i] = radius * cosine, radius * sine
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(**VECTOR)
 def move(s: F4, n: int, motion: F4) -> None:
     """One draw of f(·|ξ) for each particle of the block, from the normals in N0 … N3 [M09 (11)].
 
@@ -89,7 +90,8 @@ def move(s: F4, n: int, motion: F4) -> None:
             s[ALIVE + i] = ONE if inside_x & inside_y else ZERO
     for i in range(n):
         w, h = s[W + i], s[H + i]
-        unit_x, unit_y = ONE + scaled * (max(w, smallest) - ONE), ONE + scaled * (max(h, smallest) - ONE)
+        unit_x = ONE + scaled * ((w if w > smallest else smallest) - ONE)
+        unit_y = ONE + scaled * ((h if h > smallest else smallest) - ONE)
         push_x, push_y = kick * unit_x * s[N0 + i], kick * unit_y * s[N1 + i]
         vx, vy = s[VX + i], s[VY + i]
         s[X + i] += dt * (vx + HALF * push_x)
@@ -100,7 +102,7 @@ def move(s: F4, n: int, motion: F4) -> None:
         s[IW + i], s[IH + i] = unit_x, unit_y
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(**VECTOR)
 def drift(s: F4, n: int, rest: np.float32) -> None:
     """For dt > 1 what the position's variance is beside the part that the velocity's noise explains [M09 (11)].
 
@@ -112,9 +114,9 @@ def drift(s: F4, n: int, rest: np.float32) -> None:
 
 
 # Minima vectorise only where the compiler may assume that nothing is NaN; positions that are would be found by the grid.
-@njit(fastmath=FAST | {"nnan"})
-def extent(s: F4, n: int, out: F4) -> np.float32:
-    """Into ``out`` (6,): left, top, right, bottom of the block's positions, its mean width and height; gives Σ ALIVE."""
+@njit(**LEAN, fastmath=FAST | {"nnan"})
+def extent(s: F4, n: int, out: F4, b: int) -> np.float32:
+    """Into row b of ``out``: left, top, right, bottom of the block's positions, its mean width and height; gives Σ ALIVE."""
     left, top, right, bottom = s[X], s[Y], s[X], s[Y]
     width, height, alive = ZERO, ZERO, ZERO
     for i in range(n):
@@ -127,22 +129,23 @@ def extent(s: F4, n: int, out: F4) -> np.float32:
         width += s[W + i]
         height += s[H + i]
         alive += s[ALIVE + i]
-    out[0], out[1], out[2], out[3] = left, top, right, bottom
-    out[4], out[5] = width / F(n), height / F(n)
+    out[b, 0], out[b, 1], out[b, 2], out[b, 3] = left, top, right, bottom
+    out[b, 4], out[b, 5] = width / F(n), height / F(n)
     return alive
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(**VECTOR)
 def own_precisions(s: F4, n: int, spread: np.float32, floor: np.float32) -> None:
     """1/σ_w and 1/σ_h of each particle into IW and IH, and the likelihood's normaliser into SCALE [M09 §III]."""
     for i in range(n):
-        iw = ONE / max(spread * s[W + i], floor)
-        ih = ONE / max(spread * s[H + i], floor)
+        deviation_w, deviation_h = spread * s[W + i], spread * s[H + i]
+        iw = ONE / (deviation_w if deviation_w > floor else floor)
+        ih = ONE / (deviation_h if deviation_h > floor else floor)
         s[IW + i], s[IH + i] = iw, ih
         s[SCALE + i] = NORM * (iw * ih) * (iw * ih)
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(**VECTOR)
 def likelihood_own(s: F4, n: int, d: F4, j: int, region: np.float32) -> tuple[np.float32, np.float32]:
     """g(z_j|x)·ALIVE into G, where σ follows the particle; gives its sum and how many lie in the ``region`` around z_j.
 
@@ -162,7 +165,7 @@ def likelihood_own(s: F4, n: int, d: F4, j: int, region: np.float32) -> tuple[np
     return total, near
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(**VECTOR)
 def likelihood_given(s: F4, n: int, d: F4, j: int, region: np.float32) -> tuple[np.float32, np.float32]:
     """The same where σ is the detection's."""
     zx, zy, zw, zh = d[ZX, j], d[ZY, j], d[ZW, j], d[ZH, j]
@@ -180,7 +183,7 @@ def likelihood_given(s: F4, n: int, d: F4, j: int, region: np.float32) -> tuple[
     return total, near
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(**VECTOR, inline="always")
 def likelihood(s: F4, n: int, d: F4, j: int, region: np.float32, own: bool) -> tuple[np.float32, np.float32]:
     """g(z_j|x)·ALIVE into G; its sum, and how many particles lie in the ``region`` around z_j."""
     total, near = ZERO, ZERO

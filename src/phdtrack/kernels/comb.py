@@ -11,15 +11,19 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.box_blocks import BLOCK
+from phdtrack.kernels.fast32 import ENTRY
 from phdtrack.kernels.overlaps import cell_of
 
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 FIXED = 2.0**32
+# An extent that is no extent, and the most cells along an axis.
+SMALL, MOST = 1e-9, 2048.0
+NOTHING = np.float32(0.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(**ENTRY)
 def by_cells(extents: F4) -> I8:
     """(S,) the sources in the order of the cells that their centres lie in; cells are as large as boxes are on average."""
     n = extents.shape[0]
@@ -29,29 +33,33 @@ def by_cells(extents: F4) -> I8:
         x[i], y[i] = 0.5 * (extents[i, 0] + extents[i, 2]), 0.5 * (extents[i, 1] + extents[i, 3])
         width += extents[i, 4]
         height += extents[i, 5]
-    if n == 0:
-        return np.zeros(0, np.int64)
-    x0, y0 = x.min(), y.min()
-    nx = min(int((x.max() - x0) * n / max(width, 1e-9)), 2048) + 1
-    ny = min(int((y.max() - y0) * n / max(height, 1e-9)), 2048) + 1
+    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
+    for i in range(n):
+        x0, x1 = x[i] if x[i] < x0 else x0, x[i] if x[i] > x1 else x1
+        y0, y1 = y[i] if y[i] < y0 else y0, y[i] if y[i] > y1 else y1
+    wide, high = x1 - x0 if n else 0.0, y1 - y0 if n else 0.0
+    columns, rows = wide * n / (width if width > SMALL else SMALL), high * n / (height if height > SMALL else SMALL)
+    nx, ny = int(columns if columns < MOST else MOST) + 1, int(rows if rows < MOST else MOST) + 1
     if nx * ny > 4 * n + 16:
         shrink = np.sqrt((4 * n + 16) / (nx * ny))
-        nx, ny = max(1, int(nx * shrink)), max(1, int(ny * shrink))
-    per_x, per_y = nx / max(x.max() - x0, 1e-9), ny / max(y.max() - y0, 1e-9)
-    start, cell = np.zeros(nx * ny + 1, np.int64), np.empty(n, np.int64)
+        nx, ny = int(nx * shrink), int(ny * shrink)
+        nx, ny = nx if nx > 1 else 1, ny if ny > 1 else 1
+    per_x, per_y = nx / (wide if wide > SMALL else SMALL), ny / (high if high > SMALL else SMALL)
+    start, cell, order = np.empty(nx * ny + 1, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    for c in range(nx * ny + 1):
+        start[c] = 0
     for i in range(n):
         cell[i] = cell_of(y[i], y0, per_y, ny) * nx + cell_of(x[i], x0, per_x, nx)
         start[cell[i] + 1] += 1
     for c in range(nx * ny):
         start[c + 1] += start[c]
-    order = np.empty(n, np.int64)
     for i in range(n):
         order[start[cell[i]]] = i
         start[cell[i]] += 1
     return order
 
 
-@njit(cache=True, nogil=True)
+@njit(**ENTRY)
 def comb(mass: F8, order: I8, count: int, offset: float) -> tuple[I8, I8, F8, F8]:
     """The teeth of a comb of ``count`` teeth over the sources in ``order``, their masses in steps of 2⁻³².
 
@@ -63,10 +71,10 @@ def comb(mass: F8, order: I8, count: int, offset: float) -> tuple[I8, I8, F8, F8
     phase, width : (S,) in steps of the comb: where the first tooth stands from the source's beginning, and how wide it is.
     """
     n = mass.size
-    teeth, place = np.zeros(n, np.int64), np.zeros(n, np.int64)
-    phase, width = np.zeros(n), np.zeros(n)
+    teeth, place, phase, width = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n), np.empty(n)
     total = 0
     for i in range(n):
+        teeth[i], place[i], phase[i], width[i] = 0, 0, 0.0, 0.0
         total += int(mass[i] * FIXED)
     if total == 0:
         return teeth, place, phase, width
@@ -77,15 +85,17 @@ def comb(mass: F8, order: I8, count: int, offset: float) -> tuple[I8, I8, F8, F8
         size = int(mass[i] * FIXED)
         begin = reached * per
         reached += size
-        upto = min(int(np.ceil(reached * per - offset)), count) if reached < total else count
-        upto = max(upto, done)
+        upto = int(np.ceil(reached * per - offset))
+        if reached >= total or upto > count:
+            upto = count
+        upto = upto if upto > done else done
         teeth[i], place[i] = upto - done, done
         phase[i], width[i] = done + offset - begin, size * per
         done = upto
     return teeth, place, phase, width
 
 
-@njit(cache=True, nogil=True)
+@njit(**ENTRY)
 def cut(extents: F4, order: I8, teeth: I8, reach: float) -> tuple[I8, I8]:
     """Where the offspring of the sources in ``order`` are cut into blocks of at most ``BLOCK`` neighbours.
 
@@ -97,37 +107,46 @@ def cut(extents: F4, order: I8, teeth: I8, reach: float) -> tuple[I8, I8]:
     start : (B + 1,) of the new blocks.  divided : (S,) 1 or 2 where a source is to be parted along x or y, else 0.
     """
     n = order.size
-    divided = np.zeros(n, np.int64)
-    start = np.zeros(2 * n + teeth.sum() // BLOCK + 2, np.int64)
+    divided = np.empty(n, np.int64)
+    total = 0
+    for i in range(n):
+        divided[i] = 0
+        total += teeth[i]
+    start = np.empty(2 * n + total // BLOCK + 2, np.int64)
+    start[0] = 0
     blocks, filled, done = 0, 0, 0
-    box = np.empty(4, np.float32)
+    left, top, right, bottom = NOTHING, NOTHING, NOTHING, NOTHING
     for o in range(n):
         i = order[o]
         if teeth[i] == 0:
             continue
-        e = extents[i]
-        wide, high = e[2] - e[0], e[3] - e[1]
-        if wide > reach * e[4] or high > reach * e[5]:
+        x0, y0, x1, y1, w, h = (
+            extents[i, 0],
+            extents[i, 1],
+            extents[i, 2],
+            extents[i, 3],
+            extents[i, 4],
+            extents[i, 5],
+        )
+        wide, high = x1 - x0, y1 - y0
+        if wide > reach * w or high > reach * h:
             # In boxes, without a division: a state that somebody gives may have no size.
-            divided[i] = 1 if wide * e[5] >= high * e[4] else 2
-        fits = filled > 0 and divided[i] == 0
-        if fits:
-            left, top, right, bottom = min(box[0], e[0]), min(box[1], e[1]), max(box[2], e[2]), max(box[3], e[3])
-            fits = right - left <= reach * e[4] and bottom - top <= reach * e[5]
-        if filled > 0 and not fits:
-            blocks += 1
-            start[blocks] = done
-            filled = 0
-        if fits:
-            box[0], box[1], box[2], box[3] = left, top, right, bottom
-        else:
-            box[:] = e[:4]
+            divided[i] = 1 if wide * h >= high * w else 2
+        if filled > 0:
+            left, top = left if left < x0 else x0, top if top < y0 else y0
+            right, bottom = right if right > x1 else x1, bottom if bottom > y1 else y1
+            if divided[i] or not (right - left <= reach * w and bottom - top <= reach * h):
+                blocks += 1
+                start[blocks] = done
+                filled = 0
+        if filled == 0:
+            left, top, right, bottom = x0, y0, x1, y1
         left_over = teeth[i]
         most = BLOCK
-        if divided[i]:
-            most = min(BLOCK, max(1, (left_over + 1) // 2))
+        if divided[i] and left_over < 2 * BLOCK:
+            most = (left_over + 1) // 2
         while left_over > 0:
-            take = min(left_over, most - filled)
+            take = left_over if left_over < most - filled else most - filled
             filled += take
             done += take
             left_over -= take

@@ -6,12 +6,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.fast32 import ENTRY
 from phdtrack.kernels.overlaps import overlapping, rectangle_grid
 
 F8 = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@njit(**ENTRY)
 def summed_densities(z: F8, density: F8, reach: float, smallest: float, largest: float) -> F8:
     """(N,) Σ_j density_j over the detections z_j = (px, py, w, h) in whose neighbourhood each detection lies.
 

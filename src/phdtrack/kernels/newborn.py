@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.box_blocks import ALIVE, IH, IW, MINUS_TWO, ZERO, ZH, ZW, ZX, ZY, H, W, X, Y
-from phdtrack.kernels.fast32 import FAST, HALF, ONE, cos_sin_turn, exp32, log32
+from phdtrack.kernels.fast32 import ENTRY, FAST, HALF, LEAN, ONE, VECTOR, cos_sin_turn, exp32, log32
 from phdtrack.kernels.philox import ROUNDS, philox, unit
 
 F4 = NDArray[np.float32]
@@ -31,7 +31,7 @@ ALL = np.uint32(0xFFFFFFFF)
 GOLDEN = 0.6180339887498949
 
 
-@njit(fastmath=FAST, error_model="numpy", cache=True, nogil=True)
+@njit(**ENTRY, fastmath=FAST)
 def standard_points(count: int, radius: F4, key: I8) -> F4:
     """(7, count) points of a standard Gaussian in four dimensions inside its kept part, exp(−r²/2) of each, and velocities.
 
@@ -51,7 +51,8 @@ def standard_points(count: int, radius: F4, key: I8) -> F4:
         turn = start + GOLDEN * i
         h[i] = F((turn - np.floor(turn)) * cells)
     for i in range(count):
-        below = min(np.int32(h[i]), last)
+        below = np.int32(h[i])
+        below = below if below < last else last
         density[i] = radius[below] + (radius[below + np.int32(1)] - radius[below]) * (h[i] - F(below))
     for i in range(count):
         first = density[i] * np.sqrt(x[i])
@@ -72,14 +73,14 @@ def standard_points(count: int, radius: F4, key: I8) -> F4:
     return out
 
 
-@njit
-def stretch(j: int, room: int, k0: np.uint32, k1: np.uint32) -> int:
+@njit(**LEAN)
+def stretch(j: int, room: int, k0: np.uint32, k1: np.uint32) -> np.int64:
     """Where in the standard points those of detection j begin, 0 ≤ … ≤ ``room``."""
     a, _, _, _ = philox(np.uint32(j), ALL, STAGE_POINT, np.uint32(0), k0, k1, ROUNDS)
-    return int(a) % (room + 1)
+    return np.int64(a) % (room + 1)
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(**VECTOR)
 def place_newborn(s: F4, n: int, points: F4, first: int, d: F4, j: int) -> None:
     """The points ``first`` … first + n − 1 around detection j into X, Y, W, H, their own proposal's density into IW."""
     x, y = points[0, first : first + n], points[1, first : first + n]
@@ -93,7 +94,7 @@ def place_newborn(s: F4, n: int, points: F4, first: int, d: F4, j: int) -> None:
         s[W + i], s[H + i] = zw + sw * w[i], zh + sh * h[i]
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(**VECTOR)
 def weigh_newborn(
     s: F4, n: int, d: F4, j: int, neighbour: I8, count: int, limit: np.float32, local: bool, flat: np.float32
 ) -> np.float32:
@@ -130,5 +131,5 @@ def weigh_newborn(
         s[ALIVE + i] = weight
         total += weight
         # A size that cannot be still needs a deviation above zero in the likelihood.
-        s[W + i], s[H + i] = max(w, SMALLEST), max(h, SMALLEST)
+        s[W + i], s[H + i] = w if w > SMALLEST else SMALLEST, h if h > SMALLEST else SMALLEST
     return total

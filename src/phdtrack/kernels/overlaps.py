@@ -9,12 +9,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.fast32 import ENTRY, LEAN
+
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 F4 = NDArray[np.float32]
 
 
-@njit(cache=True, nogil=True)
+@njit(**LEAN)
 def cell_of(value: float, origin: float, per_cell: float, count: int) -> int:
     """Index of the cell that holds ``value``, clamped to the grid; ``per_cell`` is one over the cell's size."""
     position = (value - origin) * per_cell
@@ -25,7 +27,7 @@ def cell_of(value: float, origin: float, per_cell: float, count: int) -> int:
     return int(position)
 
 
-@njit(cache=True, nogil=True)
+@njit(**ENTRY)
 def rectangle_grid(lower: F8, upper: F8) -> tuple[F8, I8, I8, I8]:
     """A grid over the rectangles ``lower``, ``upper`` (2, N), its cells about as large as they are.
 
@@ -36,36 +38,46 @@ def rectangle_grid(lower: F8, upper: F8) -> tuple[F8, I8, I8, I8]:
     corner : (2, N) the first cell of each rectangle in x and y.
     """
     n = lower.shape[1]
-    frame = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
-    corner = np.zeros((2, n), np.int64)
-    if n == 0:
-        return frame, np.zeros(2, np.int64), np.zeros(0, np.int64), corner
+    frame, corner, last = np.empty(6), np.empty((2, n), np.int64), np.empty((2, n), np.int64)
     cells = 1.0
     for axis in range(2):
-        low, high = lower[axis].min(), upper[axis].max()
-        size = max((upper[axis] - lower[axis]).sum() / n, (high - low) * 1e-3, 1e-9)
+        low, high, total = np.inf, -np.inf, 0.0
+        for j in range(n):
+            low = lower[axis, j] if lower[axis, j] < low else low
+            high = upper[axis, j] if upper[axis, j] > high else high
+            total += upper[axis, j] - lower[axis, j]
+        if n == 0:
+            low, high = 0.0, 0.0
+        size, least = total / (n if n else 1), (high - low) * 1e-3
+        size = size if size > least else least
+        size = size if size > 1e-9 else 1e-9
         frame[axis], frame[2 + axis] = low, 1.0 / size
         frame[4 + axis] = 1.0 + np.floor((high - low) / size)
         cells *= frame[4 + axis]
     if cells > 4 * n + 16:
         shrink = np.sqrt((4 * n + 16) / cells)
         for axis in range(2):
-            count = max(1.0, np.floor(frame[4 + axis] * shrink))
+            count = np.floor(frame[4 + axis] * shrink)
+            count = count if count > 1.0 else 1.0
             frame[2 + axis] *= count / frame[4 + axis]
             frame[4 + axis] = count
     nx, ny = int(frame[4]), int(frame[5])
-    last = np.empty((2, n), np.int64)
-    start = np.zeros(nx * ny + 1, np.int64)
+    start = np.empty(nx * ny + 1, np.int64)
+    for c in range(nx * ny + 1):
+        start[c] = 0
     for j in range(n):
-        corner[0, j], last[0, j] = _span(lower[0, j], upper[0, j], frame[0], frame[2], nx)
-        corner[1, j], last[1, j] = _span(lower[1, j], upper[1, j], frame[1], frame[3], ny)
+        for axis in range(2):
+            count = nx if axis == 0 else ny
+            corner[axis, j] = cell_of(lower[axis, j], frame[axis], frame[2 + axis], count)
+            last[axis, j] = cell_of(upper[axis, j], frame[axis], frame[2 + axis], count)
         for row in range(corner[1, j], last[1, j] + 1):
             for column in range(corner[0, j], last[0, j] + 1):
                 start[row * nx + column + 1] += 1
     for c in range(nx * ny):
         start[c + 1] += start[c]
-    place = start[:-1].copy()
-    item = np.empty(start[nx * ny], np.int64)
+    place, item = np.empty(nx * ny, np.int64), np.empty(start[nx * ny], np.int64)
+    for c in range(nx * ny):
+        place[c] = start[c]
     for j in range(n):
         for row in range(corner[1, j], last[1, j] + 1):
             for column in range(corner[0, j], last[0, j] + 1):
@@ -74,13 +86,7 @@ def rectangle_grid(lower: F8, upper: F8) -> tuple[F8, I8, I8, I8]:
     return frame, start, item, corner
 
 
-@njit(cache=True, nogil=True)
-def _span(low: float, high: float, origin: float, per_cell: float, count: int) -> tuple[int, int]:
-    """First and last cell of an interval."""
-    return cell_of(low, origin, per_cell, count), cell_of(high, origin, per_cell, count)
-
-
-@njit(cache=True, nogil=True)
+@njit(**ENTRY)
 def overlapping(
     left: float,
     top: float,
@@ -96,15 +102,16 @@ def overlapping(
 ) -> int:
     """Write into ``found`` (N,) the rectangles that the closed box overlaps, each once; returns how many."""
     nx, ny = int(frame[4]), int(frame[5])
-    x0, x1 = _span(left, right, frame[0], frame[2], nx)
-    y0, y1 = _span(top, bottom, frame[1], frame[3], ny)
+    x0, x1 = cell_of(left, frame[0], frame[2], nx), cell_of(right, frame[0], frame[2], nx)
+    y0, y1 = cell_of(top, frame[1], frame[3], ny), cell_of(bottom, frame[1], frame[3], ny)
     count = 0
     for row in range(y0, y1 + 1):
         for column in range(x0, x1 + 1):
             for k in range(start[row * nx + column], start[row * nx + column + 1]):
                 j = item[k]
                 # A rectangle in several cells counts in the first that it shares with the box.
-                if column != max(x0, corner[0, j]) or row != max(y0, corner[1, j]):
+                first_x, first_y = corner[0, j] if corner[0, j] > x0 else x0, corner[1, j] if corner[1, j] > y0 else y0
+                if column != first_x or row != first_y:
                     continue
                 if lower[0, j] <= right and upper[0, j] >= left and lower[1, j] <= bottom and upper[1, j] >= top:
                     found[count] = j

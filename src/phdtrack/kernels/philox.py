@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from phdtrack.kernels.fast32 import FAST
+from phdtrack.kernels.fast32 import LEAN, VECTOR
 
 W = np.uint32
 D = np.uint64
@@ -22,7 +22,7 @@ STEP = np.float32(2.0**-23)
 HALF_STEP = np.float32(2.0**-24)
 
 
-@njit
+@njit(**LEAN)
 def philox(
     c0: np.uint32, c1: np.uint32, c2: np.uint32, c3: np.uint32, k0: np.uint32, k1: np.uint32, rounds: int
 ) -> tuple[np.uint32, np.uint32, np.uint32, np.uint32]:
@@ -34,7 +34,7 @@ def philox(
     return c0, c1, c2, c3
 
 
-@njit(fastmath=FAST)
+@njit(**VECTOR)
 def unit(word: np.uint32) -> np.float32:
     """A uniform number in (0, 1): the middle of one of 2²³ equal cells (of 2²⁴ the last would round to 1)."""
     return np.float32(np.int32(word >> TO_23_BITS)) * STEP + HALF_STEP

@@ -38,7 +38,7 @@ from phdtrack.kernels.box_blocks import (
     own_precisions,
     store,
 )
-from phdtrack.kernels.fast32 import FAST, HALF
+from phdtrack.kernels.fast32 import ENTRY, HALF, LEAN, VECTOR
 from phdtrack.kernels.newborn import place_newborn, stretch, weigh_newborn
 from phdtrack.kernels.overlaps import overlapping
 
@@ -56,7 +56,7 @@ ZEROTH = np.uint32(0)
 STAGE_MOVE, STAGE_DRIFT = np.uint32(0), np.uint32(1)
 
 
-@njit(cache=True, nogil=True)
+@njit(**ENTRY)
 def sweep_old(
     lo: int,
     hi: int,
@@ -91,12 +91,13 @@ def sweep_old(
     Returns
     -------
     first : (hi − lo + 1,) where each block's sums begin.  which : the detection.
-    sums : (2, E) Σg, and how many particles are explained.
+    sums : (2, E) Σg, and how many particles are explained; or more columns, of any content.
     """
     k0, k1 = np.uint32(key[0]), np.uint32(key[1])
     s = np.empty(ROWS * BLOCK, np.float32)
     found = np.empty(lower.shape[1] + 1, np.int64)
-    first = np.zeros(hi - lo + 1, np.int64)
+    first = np.empty(hi - lo + 1, np.int64)
+    first[0] = 0
     which, sums = np.empty(4 * (hi - lo) + 64, np.int64), np.empty((2, 4 * (hi - lo) + 64), np.float32)
     used = 0
     for b in range(lo, hi):
@@ -107,16 +108,16 @@ def sweep_old(
         if motion[7] > ZERO:
             fill_normals(s, n, np.uint32(b), STAGE_DRIFT, k0, k1)
             drift(s, n, motion[7])
-        alive[b] = extent(s, n, extents[b])
+        alive[b] = extent(s, n, extents, b)
         store(s, n, moved, at)
         if alive[b] < n:
             for i in range(n):
                 moved[4, at + i] = s[W + i] if s[ALIVE + i] > ZERO else -s[W + i]
         near = overlapping(
-            extents[b, 0],
-            extents[b, 1],
-            extents[b, 2],
-            extents[b, 3],
+            np.float64(extents[b, 0]),
+            np.float64(extents[b, 1]),
+            np.float64(extents[b, 2]),
+            np.float64(extents[b, 3]),
             lower,
             upper,
             frame,
@@ -126,7 +127,7 @@ def sweep_old(
             found,
         )
         if used + near > which.size:
-            which, sums = _longer(which, sums, used, near)
+            which, sums = _longer(which, sums, 2 * (used + near))
         if own and near:
             own_precisions(s, n, sensor[0], sensor[1])
         for m in range(near):
@@ -134,20 +135,19 @@ def sweep_old(
             sums[0, used], sums[1, used] = likelihood(s, n, detections, found[m], sensor[2], own)
             used += 1
         first[b - lo + 1] = used
-    return first, which[:used], sums[:, :used]
+    return first, which[:used], sums
 
 
-@njit(cache=True, nogil=True)
-def _longer(which: I8, sums: F4, used: int, more: int) -> tuple[I8, F4]:
-    """The same lists with room for ``more`` and as much again."""
-    size = 2 * (used + more)
-    longer, wider = np.empty(size, np.int64), np.empty((sums.shape[0], size), np.float32)
-    longer[:used] = which[:used]
-    wider[:, :used] = sums[:, :used]
+@njit(**LEAN)
+def _longer(which: I8, sums: F4, size: int) -> tuple[I8, F4]:
+    """The same lists with room for ``size``."""
+    longer, wider = np.empty(size, np.int64), np.empty((2, size), np.float32)
+    for e in range(which.size):
+        longer[e], wider[0, e], wider[1, e] = which[e], sums[0, e], sums[1, e]
     return longer, wider
 
 
-@njit(cache=True, nogil=True)
+@njit(**ENTRY)
 def sweep_born(
     lo: int,
     hi: int,
@@ -185,7 +185,8 @@ def sweep_born(
         batches = batch_start[j + 1] - batch_start[j]
         at = stretch(j, room, k0, k1)
         for rank in range(0, many[j], BLOCK):
-            n = min(BLOCK, many[j] - rank)
+            n = many[j] - rank
+            n = n if n < BLOCK else BLOCK
             place_newborn(s, n, points, at + rank, detections, j)
             base[batch_start[j] + rank // BLOCK] = weigh_newborn(
                 s, n, detections, j, neighbour, neighbour.size, sensor[3], local, flat
@@ -197,7 +198,7 @@ def sweep_born(
                 gains[gain_start[j] + m * batches + rank // BLOCK] = total
 
 
-@njit(cache=True, nogil=True)
+@njit(**ENTRY)
 def sweep_offspring(
     lo: int,
     hi: int,
@@ -244,54 +245,60 @@ def sweep_offspring(
     """
     k0, k1 = np.uint32(key[0]), np.uint32(key[1])
     blocks = start.size - 1
+    most = 0
+    for source in range(many_offspring.size):
+        most = many_offspring[source] if many_offspring[source] > most else most
     s = np.empty(ROWS * BLOCK, np.float32)
-    upto, owner = np.empty(BLOCK, np.int32), np.empty(many_offspring.max() + 2, np.uint32)
+    upto, owner = np.empty(BLOCK, np.int32), np.empty(most + 2, np.uint32)
     for o in range(lo, hi):
         source = order[o]
-        teeth = many_offspring[source]
+        teeth, at = many_offspring[source], place[source]
         if teeth == 0:
             continue
-        at = place[source]
-        if source >= blocks:
-            j = source - blocks
-            _born_offspring(
-                s,
-                j,
-                teeth,
-                at,
-                phase[source],
-                width[source],
-                many[j],
-                batch_mass[batch_start[j] : batch_start[j + 1]],
-                points,
-                room,
-                weight,
-                missed,
-                detections,
-                own,
-                sensor,
-                local,
-                flat,
-                near[near_start[j] : near_start[j + 1]],
-                touching[j],
-                speed[j],
-                k0,
-                k1,
-                upto,
-                owner,
-                out,
-            )
-            continue
-        begin, n = start[source], start[source + 1] - start[source]
-        load(s, n, moved, begin)
-        _survivors(s, n)
-        _posterior(s, n, which[first[source] : first[source + 1]], weight, missed, detections, own, sensor)
-        if divided[source]:
-            _part(s, n, X if divided[source] == 1 else Y)
-        _pick(s, n, teeth, at, phase[source], width[source], upto, owner, out)
+        old, j = source < blocks, source - blocks
+        batches, total, begin = 1, width[source], 0
+        if not old:
+            batches, total = batch_start[j + 1] - batch_start[j], 0.0
+            for g in range(batch_start[j], batch_start[j + 1]):
+                total += batch_mass[g]
+            begin = stretch(j, room, k0, k1)
+        scale = width[source] / total
+        reached, done = 0.0, 0
+        # Of a detection's newborn only batches on which a tooth falls are drawn again.
+        for g in range(batches):
+            share, end = width[source], teeth
+            if not old:
+                share = batch_mass[batch_start[j] + g] * scale
+                upto_here = int(reached + share - phase[source] + 1.0)
+                if g < batches - 1 and upto_here < teeth:
+                    end = upto_here
+            if end > done:
+                if old:
+                    n = start[source + 1] - start[source]
+                    load(s, n, moved, start[source])
+                    _survivors(s, n)
+                    near_here = which[first[source] : first[source + 1]]
+                else:
+                    n = many[j] - g * BLOCK
+                    n = n if n < BLOCK else BLOCK
+                    place_newborn(s, n, points, begin + g * BLOCK, detections, j)
+                    neighbour = near[near_start[j] : near_start[j + 1]]
+                    weigh_newborn(s, n, detections, j, neighbour, neighbour.size, sensor[3], local, flat)
+                    near_here = neighbour[: touching[j]]
+                _posterior(s, n, near_here, weight, missed, detections, own, sensor)
+                if old and divided[source]:
+                    _part(s, n, X if divided[source] == 1 else Y, upto)
+                _pick(s, n, end - done, at + done, phase[source] + done - reached, share, upto, owner, out)
+                done = end
+            reached += share
+        if not old:
+            # Each offspring has a velocity of its own, also where a newborn particle has several.
+            for t in range(teeth):
+                i = (begin + t) % points.shape[1]
+                out[2, at + t], out[3, at + t] = speed[j] * points[5, i], speed[j] * points[6, i]
 
 
-@njit
+@njit(**LEAN)
 def _survivors(s: F4, n: int) -> None:
     """ALIVE from the sign of the width, which becomes positive again."""
     for i in range(n):
@@ -299,7 +306,7 @@ def _survivors(s: F4, n: int) -> None:
         s[W + i] = abs(s[W + i])
 
 
-@njit
+@njit(**LEAN)
 def _posterior(s: F4, n: int, which: I8, weight: F4, missed: np.float32, d: F4, own: bool, sensor: F4) -> None:
     """The particles' weights after the update into SUM: [1 − p_D + Σ_z p_D g(z|x)/(κ + C)]·ALIVE [M07 (6), M09 (6)]."""
     for i in range(n):
@@ -313,31 +320,31 @@ def _posterior(s: F4, n: int, which: I8, weight: F4, missed: np.float32, d: F4, 
             s[SUM + i] += factor * s[G + i]
 
 
-@njit
-def _part(s: F4, n: int, row: int) -> None:
+@njit(**LEAN)
+def _part(s: F4, n: int, row: int, target: I4) -> None:
     """Put the block's particles that lie before the middle of its extent along a row before the others."""
-    at = s[row : row + n].copy()
-    middle = HALF * (at.min() + at.max())
-    target = np.empty(n, np.int64)
-    before = 0
+    least, most = s[row], s[row]
     for i in range(n):
-        before += at[i] < middle
-    left, right = 0, before
+        least = s[row + i] if s[row + i] < least else least
+        most = s[row + i] if s[row + i] > most else most
+    middle = HALF * (least + most)
+    right = 0
     for i in range(n):
-        if at[i] < middle:
-            target[i] = left
-            left += 1
-        else:
-            target[i] = right
-            right += 1
+        right += 1 if s[row + i] < middle else 0
+    left = 0
+    for i in range(n):
+        before = s[row + i] < middle
+        target[i] = left if before else right
+        left, right = left + (1 if before else 0), right + (0 if before else 1)
     for r in range(7):
-        part = s[SUM : SUM + n] if r == 6 else s[r * BLOCK : r * BLOCK + n]
-        held = part.copy()
+        part = SUM if r == 6 else r * BLOCK
         for i in range(n):
-            part[target[i]] = held[i]
+            s[N0 + i] = s[part + i]
+        for i in range(n):
+            s[part + target[i]] = s[N0 + i]
 
 
-@njit
+@njit(**LEAN)
 def _pick(s: F4, n: int, teeth: int, at: int, phase: float, width: float, upto: I4, owner: U4, out: F4) -> None:
     """Write the offspring of a block: the particles on whose stretch of the weights a tooth of the comb falls.
 
@@ -348,7 +355,8 @@ def _pick(s: F4, n: int, teeth: int, at: int, phase: float, width: float, upto: 
         total += s[SUM + i]
         s[N0 + i] = total
     # Below 1, or a tooth at the very beginning would fall on particles without weight there.
-    shift = min(F(1.0 - phase), BELOW_ONE)
+    shift = F(1.0 - phase)
+    shift = shift if shift < BELOW_ONE else BELOW_ONE
     _teeth_before(s, n, F(width) / total if total > ZERO else ZERO, shift, teeth, upto)
     # Where its teeth begin each particle puts its number; a later one overwrites those without any. The running maximum then
     # is the owner of each tooth: no branch to miss. Rounding can leave the last tooth beyond the last sum: it belongs to the
@@ -364,66 +372,15 @@ def _pick(s: F4, n: int, teeth: int, at: int, phase: float, width: float, upto: 
     w, h = out[4, at : at + teeth], out[5, at : at + teeth]
     mine = ZEROTH
     for t in range(teeth):
-        mine = max(mine, owner[t])
+        mine = owner[t] if owner[t] > mine else mine
         x[t], y[t], vx[t] = s[mine + AT_X], s[mine + AT_Y], s[mine + AT_VX]
         vy[t], w[t], h[t] = s[mine + AT_VY], s[mine + AT_W], s[mine + AT_H]
 
 
-@njit(fastmath=FAST)
+@njit(**VECTOR)
 def _teeth_before(s: F4, n: int, scale: np.float32, shift: np.float32, teeth: int, upto: I4) -> None:
     """How many teeth stand before the end of each particle's stretch, from the running sum in N0."""
     most = np.int32(teeth)
     for i in range(n):
-        upto[i] = min(np.int32(s[N0 + i] * scale + shift), most)
-
-
-@njit
-def _born_offspring(
-    s: F4,
-    j: int,
-    teeth: int,
-    at: int,
-    phase: float,
-    width: float,
-    many: int,
-    batch_mass: F4,
-    points: F4,
-    room: int,
-    weight: F4,
-    missed: np.float32,
-    d: F4,
-    own: bool,
-    sensor: F4,
-    local: bool,
-    flat: np.float32,
-    neighbour: I8,
-    touching: int,
-    amplitude: np.float32,
-    k0: np.uint32,
-    k1: np.uint32,
-    upto: I4,
-    owner: U4,
-    out: F4,
-) -> None:
-    """The offspring of a detection's newborn: only batches on which a tooth falls are drawn again."""
-    total = 0.0
-    for g in range(batch_mass.size):
-        total += batch_mass[g]
-    scale = width / total
-    begin = stretch(j, room, k0, k1)
-    reached, done = 0.0, 0
-    for g in range(batch_mass.size):
-        share = batch_mass[g] * scale
-        end = teeth if g == batch_mass.size - 1 else min(int(reached + share - phase + 1.0), teeth)
-        if end > done:
-            n = min(BLOCK, many - g * BLOCK)
-            place_newborn(s, n, points, begin + g * BLOCK, d, j)
-            weigh_newborn(s, n, d, j, neighbour, neighbour.size, sensor[3], local, flat)
-            _posterior(s, n, neighbour[:touching], weight, missed, d, own, sensor)
-            _pick(s, n, end - done, at + done, phase + done - reached, share, upto, owner, out)
-            done = end
-        reached += share
-    for t in range(teeth):
-        # Each offspring has a velocity of its own, also where a newborn particle has several.
-        i = (begin + t) % points.shape[1]
-        out[2, at + t], out[3, at + t] = amplitude * points[5, i], amplitude * points[6, i]
+        here = np.int32(s[N0 + i] * scale + shift)
+        upto[i] = here if here < most else most
