@@ -393,6 +393,11 @@ def test_the_state_before_the_first_frame_can_be_saved(scene):
     assert all(equal(a, b) for a, b in zip(feed(tracker, scene[:5]), feed(tracker_of(), scene[:5]), strict=True))
 
 
+def test_the_state_of_an_earlier_version_is_told():
+    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 2"):
+        tracker_of().load_state_dict(tracker_of().state_dict() | {"format": 1})
+
+
 def damaged(saved) -> dict[str, object]:
     fields = saved["state"]["fields"]
     return {

@@ -23,7 +23,8 @@ from phdtrack.protocols import AnyStages
 from phdtrack.statedict import pack, unpack
 from phdtrack.types import Detections, ParticleBlocks, Particles, SequenceInfo, Step, Tracks
 
-FORMAT = 1
+# Of a saved state: it changes when a record of the state does.
+FORMAT = 2
 
 
 class Tracker:
@@ -138,9 +139,13 @@ class Tracker:
 
         Raises `InputError` where it is none.
         """
+        if isinstance(saved, dict) and saved.get("format", FORMAT) != FORMAT:
+            raise InputError(
+                f"this state is of format {saved['format']!r}, and this version of phdtrack reads format {FORMAT}",
+                where="load_state_dict",
+                cure="Load it with the version that saved it, or begin anew",
+            )
         try:
-            if saved["format"] != FORMAT:
-                raise ValueError(f"expected format {FORMAT}, got {saved['format']!r}")
             state = unpack(saved["state"])
             rng = np.random.default_rng(self.seed)
             rng.bit_generator.state = saved["random"]

@@ -29,6 +29,16 @@ def part(edges: Edges, low: int, high: int, base: int):
     return start, np.array([c + base for _, c in order], np.int64), np.array([edges[e] for e in order])
 
 
+def inserted(first: int, base: tuple[int, int], older, recent, *matching):
+    """The matching with the rows from ``first`` on: column_of, row_of, worth, u, v."""
+    result = tuple(a.copy() for a in matching)
+    size = len(result[1])
+    work = np.zeros(size, np.uint8), np.empty(size), np.empty(size, np.int64), np.empty(size), np.empty(size, np.int64)
+    insert_rows(first, *base, *older, *recent, *result, *work)
+    assert not work[0].any()
+    return result
+
+
 def solve(rows: int, columns: int, edges: Edges, batches: list[int], base: tuple[int, int] = (0, 0)):
     """Insert the rows in batches that end before the given rows; each call sees the rows inserted so far.
 
@@ -40,10 +50,9 @@ def solve(rows: int, columns: int, edges: Edges, batches: list[int], base: tuple
         column_of = np.append(column_of, np.full(last - first, -1, np.int64))
         worth, u = np.append(worth, np.zeros(last - first)), np.append(u, np.zeros(last - first))
         older, recent = part(edges, 0, first, base[1]), part(edges, first, last, base[1])
-        given_arrays = (*older, *recent, column_of, row_of, worth, u, v)
-        before = [a.copy() for a in given_arrays]
-        column_of, row_of, worth, u, v = insert_rows(first, base, older, recent, column_of, row_of, worth, u, v)
-        for was, now in zip(before, given_arrays, strict=True):
+        before = [a.copy() for a in (*older, *recent)]
+        column_of, row_of, worth, u, v = inserted(first, base, older, recent, column_of, row_of, worth, u, v)
+        for was, now in zip(before, (*older, *recent), strict=True):
             np.testing.assert_array_equal(was, now)
         first = last
         plain_column, plain_row = column_of - base[1] * (column_of >= 0), row_of - base[0] * (row_of >= 0)
@@ -119,8 +128,8 @@ def test_columns_may_be_added_between_calls():
     edges = {(0, 0): 1.0, (1, 0): 2.0, (1, 1): 4.0}
     none = part({}, 0, 0, 0)
     nobody, zero = np.array([-1]), np.zeros(1)
-    column_of, row_of, worth, u, v = insert_rows(0, (0, 0), none, part(edges, 0, 1, 0), nobody, nobody, zero, zero, zero)
-    column_of, row_of, worth, u, v = insert_rows(
+    column_of, row_of, worth, u, v = inserted(0, (0, 0), none, part(edges, 0, 1, 0), nobody, nobody, zero, zero, zero)
+    column_of, row_of, worth, u, v = inserted(
         1,
         (0, 0),
         part(edges, 0, 2, 0),
@@ -140,7 +149,7 @@ def test_closed_columns_and_those_before_the_first_are_no_ends():
     """Columns are numbered from 10; the row's edges lead to 8 (gone), 10 (closed), 11 and 12."""
     edges = (np.array([0, 4]), np.array([8, 10, 11, 12]), np.array([9.0, 8.0, 1.0, 2.0]))
     one = np.zeros(1)
-    column_of, row_of, worth, _, _ = insert_rows(
+    column_of, row_of, worth, _, _ = inserted(
         0, (20, 10), part({}, 0, 0, 0), edges, np.array([-1]), np.array([-2, -1, -1]), one, one, np.zeros(3)
     )
     assert list(column_of) == [12]

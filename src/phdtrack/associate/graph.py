@@ -18,18 +18,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from phdtrack.associate import offline, online
+from phdtrack.associate.edges import Candidates, Ends, edges_between
 from phdtrack.associate.history import History, moment_of
-from phdtrack.associate.window import Edges, Window, close, empty_window, insert
+from phdtrack.associate.predict import predicted
+from phdtrack.associate.window import Window, close, empty_window, insert
 from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, Share, check
-from phdtrack.kernels.association import find_edges, predict_covariances
-from phdtrack.protocols import Model, Motion
+from phdtrack.protocols import Model
 from phdtrack.types import F8, Estimates, Tracks
-
-# States predicted at once: what the model answers then stays in the cache, and its memory is used again.
-BLOCK = 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,37 +134,7 @@ class GraphMatching:
 
     def _linked(self, window: Window, estimates: Estimates, dt: float, model: Model) -> Window:
         """The window predicted for now, with the new states in it, linked where that gains most [M07 §3]."""
-        mean, cov, noise = _predicted(window, estimates, dt, model.motion)
-        start, target, gain = find_edges(
-            mean,
-            cov,
-            noise,
-            model.sensor.noise(estimates.state),
-            window.rows.since,
-            np.array(model.sensor.observed),
-            dt,
-            self.gate,
-            math.log(self.miss),
-            self.consistent,
-        )
-        return insert(window, estimates, Edges(start, target + window.rows.first, gain), mean, cov)
-
-
-def _predicted(window: Window, estimates: Estimates, dt: float, motion: Motion) -> tuple[F8, F8, F8]:
-    """Means (d, R + n) and covariances (R + n, d, d) of the window's states predicted for now and of the new ones behind
-    them; the noise (n, d, d) of one step from the new ones."""
-    n, count, d = len(estimates), len(window.rows.since), len(estimates.state)
-    states = np.concatenate((window.mean, estimates.state), axis=1)
-    mean, cov, noise = states.copy(), np.empty((count + n, d, d)), np.zeros((0, d, d))
-    for begin in range(0, max(count, 1), BLOCK):
-        last = begin + BLOCK >= count
-        end = count if last else begin + BLOCK
-        moved, jacobian, noise = motion.transition(states[:, begin : count + n if last else end], dt)
-        noise = np.ascontiguousarray(noise)
-        # One Jacobian for all is a view that repeats itself; the copy is the kernel's kind of array.
-        shared = len(jacobian) > 0 and jacobian.strides[0] == 0
-        one = np.array(jacobian[:1] if shared else jacobian, order="C")
-        mean[:, begin:end] = moved[:, : end - begin]
-        predict_covariances(window.cov[begin:end], one, noise, cov[begin:end])
-    cov[count:] = estimates.covariance
-    return mean, cov, noise[len(noise) - n :]
+        mean, cov, noise = predicted(window, estimates, dt, model.motion)
+        ends = Ends(self.gate, math.log(self.miss), self.consistent)
+        edges = edges_between(window.rows, estimates, Candidates(mean, cov, noise), ends, dt, model.sensor)
+        return insert(window, len(estimates), edges, mean, cov)

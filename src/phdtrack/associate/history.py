@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phdtrack.associate.triangle import lower, whole
 from phdtrack.associate.window import Links
 from phdtrack.types import F8, I8, Estimates
 
@@ -33,10 +34,11 @@ class Moment:
 
 def moment_of(number: int, time: float, first: int, estimates: Estimates, final: Links, z: F8) -> Moment:
     """A moment of the frame with the measurements ``z`` (m, N)."""
-    free = np.ones(z.shape[1], np.bool_)
-    used = estimates.detection
-    free[used[(used >= 0) & (used < len(free))]] = False
-    spare = free.nonzero()[0]
+    n = z.shape[1]
+    # The last place stands for no detection.
+    free = np.ones(n + 1, np.bool_)
+    free[np.minimum(estimates.detection, n)] = False
+    spare = free[:n].nonzero()[0]
     return Moment(number, time, first, estimates, final, z[:, spare], spare)
 
 
@@ -66,7 +68,7 @@ class Chunk:
         # Frames without states may come in any dimension: that of a tracker that has not seen any.
         full = [e for e in estimates if len(e)] or estimates[:1]
         shown = [m.spare for m in moments if m.spare.shape[1]] or [moments[0].spare]
-        lower = np.tril_indices(len(full[0].state))
+        triangle = lower(len(full[0].state))
         return cls(
             np.array([m.number for m in moments], np.int64),
             np.array([m.time for m in moments]),
@@ -75,7 +77,7 @@ class Chunk:
             _ends([len(m.spare_index) for m in moments]),
             Estimates(
                 np.hstack([e.state for e in full]),
-                np.concatenate([e.covariance for e in full])[:, lower[0], lower[1]],
+                np.concatenate([e.covariance for e in full])[:, triangle.row, triangle.column],
                 np.concatenate([e.weight for e in full]),
                 np.concatenate([e.xyxy for e in full]),
                 np.concatenate([e.detection for e in full]),
@@ -96,7 +98,7 @@ class Chunk:
         states = slice(*(self.vertex[place : place + 2] - self.vertex[0]).tolist())
         links, spare = slice(*self.link[place : place + 2].tolist()), slice(*self.other[place : place + 2].tolist())
         x, f = self.estimates, self.final
-        covariance = _whole(x.covariance[states], len(x.state))
+        covariance = whole(x.covariance[states], len(x.state))
         return Moment(
             int(self.number[place]),
             float(self.time[place]),
@@ -111,15 +113,6 @@ class Chunk:
 def _ends(counts: list[int]) -> I8:
     """(K + 1,) where each of K stretches of these lengths begins, and the last ends."""
     return np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
-
-
-def _whole(lower: F8, dim: int) -> F8:
-    """(n, d, d) symmetric matrices from their lower triangles."""
-    out = np.empty((len(lower), dim, dim))
-    row, column = np.tril_indices(dim)
-    out[:, row, column] = lower
-    out[:, column, row] = lower
-    return out
 
 
 @dataclass(frozen=True, slots=True)

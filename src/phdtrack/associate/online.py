@@ -7,6 +7,7 @@ to its last holder keeps it.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,14 +66,33 @@ def give(given: Given, due: int, present: Present, output: Output, model: Model)
     moment = present.history[due]
     estimates, n = moment.estimates, len(moment.estimates)
     held = [present.history[k] for k in range(due + 1, len(present.history))]
-    first = given.first
+    first, old = given.first, len(given.identity)
     onward, worth = _onward(first, present.window, held)
-    record = (given.identity, given.length, given.gain, given.confirmed, given.holds)
-    record, absent, used = claim(first, n, given.used, record, onward, worth, output.shortest, output.least)
-    identity, length, gain, confirmed, holds = record
-    new = slice(len(given.identity), None)
-    rows = Rows(identity[new], estimates.xyxy, estimates.weight, estimates.detection, confirmed[new])
-    if len(absent) and output.coast > 0:
+    zero, never = np.zeros(n, np.int64), np.zeros(n, np.bool_)
+    identity, length = np.concatenate((given.identity, zero)), np.concatenate((given.length, zero))
+    gain = np.concatenate((given.gain, np.zeros(n)))
+    confirmed, holds = np.concatenate((given.confirmed, never)), np.concatenate((given.holds, never))
+    absent = np.empty(old, np.int64)
+    used, missing = claim(
+        first,
+        given.used,
+        given.identity,
+        given.holds,
+        onward,
+        worth,
+        output.shortest,
+        output.least,
+        identity,
+        length,
+        gain,
+        confirmed,
+        holds,
+        zero,
+        absent,
+    )
+    rows = Rows(identity[old:], estimates.xyxy, estimates.weight, estimates.detection, confirmed[old:])
+    if missing and output.coast > 0:
+        absent = absent[:missing]
         absences = Absences(first + absent, identity[absent], onward[absent], due)
         rows = _with(rows, _fill(absences, held, present, output.coast, model), model)
     gone = _oldest(present.window, moment, held) - first
@@ -83,7 +103,9 @@ def give(given: Given, due: int, present: Present, output: Output, model: Model)
 def _onward(first: int, window: Window, held: list[Moment]) -> tuple[I8, F8]:
     """Where each vertex from ``first`` on goes on to, −1 where nowhere; and what the link gains."""
     rows = window.rows
-    onward, worth = follow(first, rows.first, rows.previous, rows.gain)
+    size = rows.first + len(rows.previous) - first
+    onward, worth = np.empty(size, np.int64), np.empty(size)
+    follow(first, rows.first, rows.previous, rows.gain, onward, worth)
     for moment in held:
         final = moment.final
         onward[final.earlier - first] = final.later
@@ -94,7 +116,9 @@ def _onward(first: int, window: Window, held: list[Moment]) -> tuple[I8, F8]:
 def _oldest(window: Window, moment: Moment, held: list[Moment]) -> int:
     """The first vertex whose identity a row still to be given may ask for."""
     oldest = min(window.columns.first, moment.first)
-    return min([oldest, *(int(later.final.earlier.min(initial=oldest)) for later in held)])
+    for later in held:
+        oldest = int(later.final.earlier.min(initial=oldest))
+    return oldest
 
 
 # Identities (a,), states (d, a) and confidences (a,).
@@ -130,21 +154,25 @@ def _fill(absences: Absences, held: list[Moment], present: Present, coast: float
     model while, at the present, it has not been missing for longer than ``coast``.
     """
     moment = present.history[absences.due]
-    left = int(absences.vertex[absences.after >= 0].min(initial=moment.first))
-    parts = []
+    vertices = absences.vertex.tolist()
+    bridged = absences.after >= 0
+    left = int(absences.vertex[bridged].min(initial=moment.first))
+    parts: list[Predicted] = []
+    end = len(vertices)
     for k in range(absences.due - 1, present.history.forgotten - 1, -1):
         last = present.history[k]
         fresh = present.time - last.time <= coast
-        if not fresh and last.first + len(last.estimates) <= left:
+        if end == 0 or (not fresh and last.first + len(last.estimates) <= left):
             break
-        begin, end = absences.vertex.searchsorted((last.first, last.first + len(last.estimates)))
+        begin = bisect_left(vertices, last.first, hi=end)
         if begin == end:
             continue
-        vertex, after, name = absences.vertex[begin:end], absences.after[begin:end], absences.identity[begin:end]
-        for i in (after >= 0).nonzero()[0]:
+        here, end = slice(begin, end), begin
+        vertex, after, name = absences.vertex[here], absences.after[here], absences.identity[here]
+        for i in bridged[here].nonzero()[0]:
             found = _find(int(after[i]), held)
             parts.append(_bridged(last, int(vertex[i]) - last.first, moment, found, int(name[i]), model))
-        alone = after < 0
+        alone = ~bridged[here]
         if fresh and alone.any():
             parts.append(_coasted(last, vertex[alone] - last.first, moment, name[alone], model))
     return parts
@@ -171,8 +199,8 @@ def _with(rows: Rows, parts: list[Predicted], model: Model) -> Rows:
     if not parts:
         return rows
     identity, state, confidence = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
-    alive = confidence > 0
-    n = int(alive.sum())
+    alive = (confidence > 0).nonzero()[0]
+    n = len(alive)
     return Rows(
         np.concatenate((rows.identity, identity[alive])),
         np.concatenate((rows.xyxy, model.sensor.boxes(state[:, alive]))),

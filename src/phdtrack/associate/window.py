@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.kernels.matching import insert_rows
-from phdtrack.types import F8, I8, Estimates
+from phdtrack.types import F8, I8
 
 # An out-side that can no longer be linked.
 CLOSED = -2
@@ -62,7 +62,11 @@ class Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Window:
-    """Columns and rows of the recent past; ``mean`` (d, R) and ``cov`` (R, d, d) predict the rows' vertices for now."""
+    """Columns and rows of the recent past; ``mean`` (d, G + R) and ``cov`` (k, G + R) predict the rows' vertices for now.
+
+    Of covariances the lower triangle is held, its k = d·(d + 1)/2 elements by row (`lower`). The first G states are of
+    vertices that have been closed: they are left behind with the next prediction.
+    """
 
     columns: Columns
     rows: Rows
@@ -87,7 +91,7 @@ NO_LINKS = Links(_NONE, _NONE, _ZERO)
 def empty_window(dim: int) -> Window:
     """No vertices."""
     rows = Rows(0, _ZERO, _NONE, _ZERO, _ZERO, _NO_EDGES, _NO_EDGES)
-    return Window(Columns(0, _NONE, _ZERO), rows, np.zeros((dim, 0)), np.zeros((0, dim, dim)))
+    return Window(Columns(0, _NONE, _ZERO), rows, np.zeros((dim, 0)), np.zeros((dim * (dim + 1) // 2, 0)))
 
 
 def links(window: Window, most: int | None = None) -> Links:
@@ -108,7 +112,7 @@ def close(window: Window, dt: float, span: float) -> tuple[Window, Links]:
     """
     rows, columns = window.rows, window.columns
     since = rows.since + dt
-    count = len(since) - int(since[::-1].searchsorted(span, side="right"))
+    count = 0 if len(since) == 0 or since[0] <= span else len(since) - int(since[::-1].searchsorted(span, side="right"))
     if count == 0:
         aged = Rows(rows.first, since, rows.previous, rows.gain, rows.price, rows.older, rows.recent)
         return Window(columns, aged, window.mean, window.cov), NO_LINKS
@@ -118,8 +122,9 @@ def close(window: Window, dt: float, span: float) -> tuple[Window, Links]:
     onward[final.earlier - columns.first] = CLOSED
     expired = onward[begin : begin + count]
     expired[expired < 0] = CLOSED
-    still = (onward[: begin + count] != CLOSED).nonzero()[0]
-    gone = int(still[0]) if len(still) else begin + count
+    still = onward[: begin + count] != CLOSED
+    first = int(still.argmax())
+    gone = first if still[first] else begin + count
     older, recent = _without(count, rows.older, rows.recent)
     left = Rows(
         rows.first + count,
@@ -131,7 +136,7 @@ def close(window: Window, dt: float, span: float) -> tuple[Window, Links]:
         recent,
     )
     open_columns = Columns(columns.first + gone, onward[gone:], columns.price[gone:])
-    return Window(open_columns, left, window.mean[:, count:], window.cov[count:]), final
+    return Window(open_columns, left, window.mean, window.cov), final
 
 
 def _without(count: int, older: Edges, recent: Edges) -> tuple[Edges, Edges]:
@@ -152,28 +157,37 @@ def _joined(a: Edges, b: Edges) -> Edges:
     )
 
 
-def insert(window: Window, estimates: Estimates, edges: Edges, mean: F8, cov: F8) -> Window:
-    """Add the vertices of the present frame, with ``edges`` from them back to those in the window.
+def insert(window: Window, n: int, edges: Edges, mean: F8, cov: F8) -> Window:
+    """Add the ``n`` vertices of the present frame, with ``edges`` from them back to those in the window.
 
     ``mean`` and ``cov`` are the predicted states with the new ones behind them. The matching is extended by one augmenting
     path per new vertex, which may undo earlier links: the correction of false hypotheses [M07 §3].
     """
     rows, columns = window.rows, window.columns
-    n, first = len(estimates), len(rows.since)
     nobody, zero = np.full(n, -1), np.zeros(n)
     older, recent = rows.older, _joined(rows.recent, edges)
     if 4 * len(recent.start) > len(older.start):
         older, recent = _joined(older, recent), _NO_EDGES
-    previous, onward, gain, u, v = insert_rows(
-        first,
-        (rows.first, columns.first),
-        older.arrays(),
-        recent.arrays(),
-        np.concatenate((rows.previous, nobody)),
-        np.concatenate((columns.next, nobody)),
-        np.concatenate((rows.gain, zero)),
-        np.concatenate((rows.price, zero)),
-        np.concatenate((columns.price, zero)),
+    previous, onward = np.concatenate((rows.previous, nobody)), np.concatenate((columns.next, nobody))
+    gain, u = np.concatenate((rows.gain, zero)), np.concatenate((rows.price, zero))
+    v = np.concatenate((columns.price, zero))
+    size = len(v)
+    insert_rows(
+        len(rows.since),
+        rows.first,
+        columns.first,
+        *older.arrays(),
+        *recent.arrays(),
+        previous,
+        onward,
+        gain,
+        u,
+        v,
+        np.zeros(size, np.uint8),
+        np.empty(size),
+        np.empty(size, np.int64),
+        np.empty(size),
+        np.empty(size, np.int64),
     )
     since = np.concatenate((rows.since, zero))
     return Window(Columns(columns.first, onward, v), Rows(rows.first, since, previous, gain, u, older, recent), mean, cov)

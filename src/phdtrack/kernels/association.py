@@ -1,4 +1,8 @@
-"""The association's work on every open vertex in every frame: predict it, and find who could follow it."""
+"""The association's work on every open vertex in every frame: predict it, and find who could follow it.
+
+Covariances are planes: of (d, d) the lower triangle, row by row, each element for all states in one stretch (k, C),
+k = d (d + 1)/2. So the compiler makes vectors of the loops over states, and a symmetric matrix takes half the room.
+"""
 
 from __future__ import annotations
 
@@ -6,212 +10,247 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.gating import gated_pairs
-from phdtrack.kernels.gaussian import factor, norm2
-
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 
-
-@njit(cache=True)
-def _off_identity(jacobian: F8, row: I8, column: I8, value: F8) -> int:
-    """The non-zero elements of F − I, of which motion models have few; gives how many there are."""
-    count = 0
-    for r in range(jacobian.shape[0]):
-        for c in range(jacobian.shape[0]):
-            here = jacobian[r, c] - (1.0 if r == c else 0.0)
-            if here != 0.0:
-                row[count], column[count], value[count] = r, c, here
-                count += 1
-    return count
+# Matrices that are factored side by side.
+LANES = 64
 
 
 @njit(cache=True)
-def predict_covariances(cov: F8, jacobian: F8, noise: F8, out: F8) -> None:
-    """F P Fᵀ + Q for each P of ``cov`` (C, d, d), written to ``out`` (C, d, d).
+def predict_covariances(
+    old: F8, skip: int, noise: F8, row: I8, column: I8, value: F8, place: I8, out: F8, begin: int
+) -> None:
+    """F P Fᵀ + Q for ``w`` states from ``begin`` on, written into the planes ``out``.
 
     Parameters
     ----------
-    jacobian : F, (C, d, d) or more; or (1, d, d), one for all.
-    noise : Q, (C, d, d) or more; what lies beyond C is not read, in both. All arrays are C-contiguous.
+    old : (k, skip + C) planes of P; the state at ``begin`` + i of ``out`` is that at ``skip`` + ``begin`` + i here.
+    noise : (d, d, w or more) planes of Q.
+    row, column, value : (e,), (e,), (e, w) the elements of F − I that are not 0, of which motion models have few.
+    place : (d, d) the plane of each element.
+    out : (k, C or more).
     """
-    count, d = cov.shape[0], cov.shape[1]
-    flat, old, added = out.ravel(), cov.ravel(), noise.ravel()
-    for k in range(old.size):
-        flat[k] = old[k] + added[k]
-    row, column, value = np.empty(d * d, np.int64), np.empty(d * d, np.int64), np.empty(d * d)
-    shared, off = jacobian.shape[0] == 1, 0
-    for i in range(count):
-        if i == 0 or not shared:
-            off = _off_identity(jacobian[i], row, column, value)
-        # With F = I + E: P + E P + P Eᵀ + E P Eᵀ.
-        for k in range(off):
-            r, c, here = row[k], column[k], value[k]
-            for s in range(d):
-                out[i, r, s] += here * cov[i, c, s]
-                out[i, s, r] += here * cov[i, s, c]
-            for j in range(off):
-                out[i, r, row[j]] += here * value[j] * cov[i, c, column[j]]
-
-
-@njit(cache=True)
-def _observed(cov: F8, rows: I8, out: F8) -> None:
-    """The block of ``cov`` that a measurement shows."""
-    for a in range(rows.size):
-        for b in range(rows.size):
-            out[a, b] = cov[rows[a], rows[b]]
-
-
-@njit(cache=True)
-def _loose_ends(cov: F8, noise: F8, sigma: F8, rows: I8, gate: float) -> tuple[F8, F8]:
-    """(n,) minus the log-density of two loose ends, less the Gaussian's constant; and log |covariance| of each state."""
-    n, m = cov.shape[0], rows.size
-    open_end, log_det = np.empty(n), np.empty(n)
-    block, root = np.empty((m, m)), np.empty((m, m))
-    for i in range(n):
-        _observed(cov[i], rows, block)
-        log_det[i] = factor(block, root)
-        _observed(noise[i], rows, block)
-        for a in range(m):
-            block[a, a] += 2.0 * sigma[rows[a], i] ** 2
-        open_end[i] = 0.5 * (gate**2 + factor(block, root))
-    return open_end, log_det
+    # Unsigned places: a signed one may count from the end, and the question keeps the compiler from making vectors.
+    d, width = noise.shape[0], np.uint64(value.shape[1])
+    source, target = np.uint64(skip + begin), np.uint64(begin)
+    for r in range(d):
+        for s in range(r + 1):
+            k = place[r, s]
+            for i in range(width):
+                out[k, target + i] = old[k, source + i] + noise[r, s, i]
+    # With F = I + E: P + E P + P Eᵀ + E P Eᵀ.
+    for e in range(row.size):
+        r, c = row[e], column[e]
+        for s in range(d):
+            k, p = place[r, s], place[c, s]
+            times = 2.0 if r == s else 1.0
+            for i in range(width):
+                out[k, target + i] += times * value[e, i] * old[p, source + i]
+        for f in range(row.size):
+            if row[f] <= r:
+                k, p = place[r, row[f]], place[c, column[f]]
+                for i in range(width):
+                    out[k, target + i] += value[e, i] * value[f, i] * old[p, source + i]
 
 
 @njit(cache=True, error_model="numpy")
-def _determinants(cov: F8, count: int, rows: I8) -> F8:
-    """(count,) determinants of the observed blocks, by elimination side by side: the compiler makes vectors of them."""
-    m, lanes = rows.size, 16
-    out, block, share = np.ones(count), np.empty((m, m, lanes)), np.empty(lanes)
-    for begin in range(0, count, lanes):
-        width = min(lanes, count - begin)
-        for k in range(width):
-            for a in range(m):
-                for b in range(a + 1):
-                    block[a, b, k] = cov[begin + k, rows[a], rows[b]]
-        for t in range(m):
-            for k in range(width):
-                out[begin + k] *= block[t, t, k]
-            for a in range(t + 1, m):
-                for k in range(width):
-                    share[k] = block[a, t, k] / block[t, t, k]
-                for b in range(t + 1, a + 1):
-                    for k in range(width):
-                        block[a, b, k] -= share[k] * block[b, t, k]
-    return out
+def _eliminate(block: F8, step: F8, width: int, det: F8, norm2: F8) -> None:
+    """Determinants of the matrices ``block`` (m, m, lanes) and the squared Mahalanobis norms of ``step`` (m, lanes).
 
-
-@njit(cache=True)
-def _reach(
-    mean: F8, cov: F8, price: F8, rows: I8, new: F8, best: float, least: float, consistent: float
-) -> tuple[I8, F8, F8, F8]:
-    """The columns to which an edge can be worth taking, the rectangles in which it ends, and log |observed block|.
-
-    gain > 0 needs distance² < 2·(open_end + price) − log|S|, and |S| is at least that of either state's covariance.
+    Gauss's elimination on lower triangles, in place, for the first ``width`` lanes. NaN where a matrix is not positive
+    definite.
     """
-    px, py = rows[0], rows[1]
-    wide, high = new[:, px, px].max(), new[:, py, py].max()
-    index, log_det = np.empty(price.size, np.int64), np.empty(price.size)
-    lower, upper = np.empty((2, price.size)), np.empty((2, price.size))
-    determinant = _determinants(cov, price.size, rows)
-    found = 0
-    for c in range(price.size):
-        limit = 2.0 * (best + price[c])
-        if not limit - least > 0.0:
-            continue
-        log_det[found] = np.log(determinant[c])
-        limit = min(limit - max(least, log_det[found]), consistent**2)
-        if not limit > 0.0:
-            continue
-        x, y = np.sqrt(limit * (cov[c, px, px] + wide)), np.sqrt(limit * (cov[c, py, py] + high))
-        lower[0, found], upper[0, found] = mean[px, c] - x, mean[px, c] + x
-        lower[1, found], upper[1, found] = mean[py, c] - y, mean[py, c] + y
-        index[found] = c
-        found += 1
-    return index[:found], lower[:, :found].copy(), upper[:, :found].copy(), log_det[:found]
+    m = step.shape[0]
+    for i in range(width):
+        det[i], norm2[i] = 1.0, 0.0
+    for t in range(m):
+        for i in range(width):
+            pivot = block[t, t, i]
+            det[i] *= pivot if pivot > 0.0 else np.nan
+            block[t, t, i] = 1.0 / pivot
+            norm2[i] += step[t, i] * step[t, i] * block[t, t, i]
+        for a in range(t + 1, m):
+            for i in range(width):
+                step[a, i] -= block[a, t, i] * block[t, t, i] * step[t, i]
+            for b in range(t + 1, a + 1):
+                for i in range(width):
+                    block[a, b, i] -= block[a, t, i] * block[t, t, i] * block[b, t, i]
 
 
-@njit(cache=True)
-def find_edges(
-    mean: F8,
-    cov: F8,
-    noise: F8,
-    sigma: F8,
-    since: F8,
-    rows: I8,
-    dt: float,
-    gate: float,
-    log_miss: float,
-    consistent: float,
-) -> tuple[I8, I8, F8]:
-    """Edges of positive gain from each new state back to the columns, as compressed rows [M07 §3].
-
-    gain = log N(step; 0, S) − log-density of two loose ends + (since − dt)·log miss, S = predicted + own covariance, on the
-    rows that a measurement shows. The loose ends' is the density at ``gate`` deviations from a typical one-step prediction:
-    two measurements' noise and one step of the motion's.
+@njit(cache=True, error_model="numpy")
+def log_determinants(cov: F8, plane: I8, block: F8, out: F8) -> None:
+    """log |P| of the rows that a measurement shows, written to ``out``; NaN where P is not positive definite.
 
     Parameters
     ----------
-    mean, cov : (d, C + n), (C + n, d, d) the C columns predicted for now, then the n new states.
-    noise : (n, d, d) the motion's noise of one step from the new states.
-    sigma : (d, n) measurement noise of the new states.
-    since : (C,) time since each column's frame.
-    rows : the state's components that a measurement shows; the first two are the position.
-    dt, gate, log_miss, consistent : as in `GraphMatching`.
+    cov : (k, C) planes.
+    plane : (m, m) the planes of those rows.
+    block : (m + 3, m, LANES) working space.
+    out : (C or less,) for the first states.
+    """
+    m, count = plane.shape[0], out.size
+    step, det, norm2 = block[m], block[m + 1, 0], block[m + 2, 0]
+    for begin in range(0, count, LANES):
+        width = LANES if begin + LANES <= count else count - begin
+        offset = np.uint64(begin)
+        for a in range(m):
+            for i in range(np.uint64(width)):
+                step[a, i] = 0.0
+            for b in range(a + 1):
+                for i in range(np.uint64(width)):
+                    block[a, b, i] = cov[plane[a, b], offset + i]
+        _eliminate(block, step, width, det, norm2)
+        for i in range(np.uint64(width)):
+            out[offset + i] = np.log(det[i])
+
+
+@njit(cache=True, error_model="numpy")
+def near_pairs(
+    mean: F8,
+    cov: F8,
+    log_det: F8,
+    open_end: F8,
+    price: F8,
+    rows: I8,
+    plane: I8,
+    consistent: float,
+    start: I8,
+    order: I8,
+    state: I8,
+    column: I8,
+) -> int:
+    """Pairs of a new state and a column between which an edge can be worth taking; a column's stand together.
+
+    gain > 0 needs distance² < 2·(open_end + price) − log|S|, and |S| is at least that of either covariance.
+
+    Parameters
+    ----------
+    mean, cov : (d, C + n), (k, C + n) planes: the C columns predicted for now, then the n new states; ``log_det`` likewise.
+    open_end : (n,) what two loose ends are worth.
+    price : (C,) log-probability of the gap.
+    rows, plane : (m,), (m, m) as for `log_determinants`; the first two rows are the position, which is finite.
+    start, order : (g² + 1,) zeros and (n,), working space: a grid of g × g cells over the new states.
+    state, column : (K,) outputs.
 
     Returns
     -------
-    start, target, gain : row r has the edges start[r] … start[r + 1] − 1 to columns ``target``, ascending.
-
-    Raises
-    ------
-    ValueError : a position is not finite.
+    How many pairs there are. Those beyond K are not written.
     """
-    n, count, m = sigma.shape[1], since.size, rows.size
-    start = np.zeros(n + 1, np.int64)
-    if n == 0 or count == 0:
-        return start, np.empty(0, np.int64), np.empty(0)
-    new, new_cov = mean[:, count:], cov[count:]
-    open_end, log_new = _loose_ends(new_cov, noise, sigma, rows, gate)
-    price = (since - dt) * log_miss
-    index, lower, upper, log_old = _reach(mean, cov, price, rows, new_cov, open_end.max(), log_new.min(), consistent)
-    row, place = gated_pairs(new[rows[0]].copy(), new[rows[1]].copy(), lower, upper)
-    gain = np.empty(row.size)
-    step, y, block, root = np.empty(m), np.empty(m), np.empty((m, m)), np.empty((m, m))
-    kept = 0
-    for p in range(row.size):
-        i, c = row[p], index[place[p]]
-        # What the gain cannot exceed, seen from one component at a time, spares most of the factors.
-        most = 0.0
-        for a in range(m):
-            step[a] = new[rows[a], i] - mean[rows[a], c]
-            most = max(most, step[a] ** 2 / (cov[c, rows[a], rows[a]] + new_cov[i, rows[a], rows[a]]))
-        worth = open_end[i] + price[c]
-        if most > consistent**2 or not worth > 0.5 * (most + max(log_new[i], log_old[place[p]])):
+    count, n, side = price.size, open_end.size, int(np.sqrt(start.size - 1))
+    px, py, vx, vy = rows[0], rows[1], plane[0, 0], plane[1, 1]
+    left, top = mean[px, count], mean[py, count]
+    right, bottom = left, top
+    best, least, wide, high, farthest = -np.inf, np.inf, 0.0, 0.0, consistent * consistent
+    # Conditionals and not min and max, here and below: they compile faster.
+    for i in range(n):
+        x, y = mean[px, count + i], mean[py, count + i]
+        left = x if x < left else left
+        right = x if x > right else right
+        top = y if y < top else top
+        bottom = y if y > bottom else bottom
+        best = open_end[i] if open_end[i] > best else best
+        least = log_det[count + i] if log_det[count + i] < least else least
+        wide = cov[vx, count + i] if cov[vx, count + i] > wide else wide
+        high = cov[vy, count + i] if cov[vy, count + i] > high else high
+    # Cells per pixel; a little less, so that the last point is in the last cell.
+    fx, fy = side * 0.999999 / (right - left + 1e-9), side * 0.999999 / (bottom - top + 1e-9)
+    for i in range(n):
+        start[int((mean[py, count + i] - top) * fy) * side + int((mean[px, count + i] - left) * fx) + 1] += 1
+    for k in range(1, start.size):
+        start[k] += start[k - 1]
+    for i in range(n - 1, -1, -1):
+        # Counted down from its end to its beginning: afterwards cell k begins at start[k + 1].
+        k = int((mean[py, count + i] - top) * fy) * side + int((mean[px, count + i] - left) * fx) + 1
+        start[k] -= 1
+        order[start[k]] = i
+    found = 0
+    for c in range(count):
+        limit = 2.0 * (best + price[c]) - (least if least > log_det[c] else log_det[c])
+        if not limit > 0.0:
             continue
+        limit = farthest if farthest < limit else limit
+        x, y = mean[px, c], mean[py, c]
+        reach_x, reach_y = np.sqrt(limit * (cov[vx, c] + wide)), np.sqrt(limit * (cov[vy, c] + high))
+        x0, x1, y0, y1 = x - reach_x, x + reach_x, y - reach_y, y + reach_y
+        if not (x1 >= left and x0 <= right and y1 >= top and y0 <= bottom):
+            continue
+        first, last = int((x0 - left) * fx) if x0 > left else 0, int((x1 - left) * fx) if x1 < right else side - 1
+        upper, lower = int((y0 - top) * fy) if y0 > top else 0, int((y1 - top) * fy) if y1 < bottom else side - 1
+        for line in range(upper, lower + 1):
+            end = line * side + last + 2
+            for p in range(start[line * side + first + 1], start[end] if end < start.size else n):
+                i = order[p]
+                j = count + i
+                most = 2.0 * (open_end[i] + price[c]) - (log_det[j] if log_det[j] > log_det[c] else log_det[c])
+                most = farthest if farthest < most else most
+                dx, dy = mean[px, j] - x, mean[py, j] - y
+                if dx * dx <= most * (cov[vx, c] + cov[vx, j]) and dy * dy <= most * (cov[vy, c] + cov[vy, j]):
+                    if found < state.size:
+                        state[found], column[found] = i, c
+                    found += 1
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def find_edges(
+    mean: F8,
+    cov: F8,
+    open_end: F8,
+    price: F8,
+    rows: I8,
+    plane: I8,
+    consistent: float,
+    state: I8,
+    column: I8,
+    first: int,
+    block: F8,
+    start: I8,
+    target: I8,
+    gain: F8,
+    value: F8,
+) -> None:
+    """Edges of positive gain from new states back to columns, as compressed rows, written to the outputs [M07 §3].
+
+    gain = log N(step; 0, S) − log-density of two loose ends + price of the gap, S = predicted + own covariance, on the rows
+    that a measurement shows.
+
+    Parameters
+    ----------
+    mean, cov, open_end, price, rows, plane, consistent : as for `near_pairs`.
+    state, column : (P,) the pairs to look at, by column; used up.
+    first : number of the first column.
+    block : (m + 3, m, LANES) working space.
+    start, target, gain : (n + 1,) zeros, (P,), (P,) outputs: row r has the edges start[r] … start[r + 1] − 1 to columns
+        ``target``, ascending.
+    value : (P,) working space.
+    """
+    m, n, count, kept = rows.size, open_end.size, price.size, 0
+    step, det, norm2 = block[m], block[m + 1, 0], block[m + 2, 0]
+    for begin in range(0, state.size, LANES):
+        width = LANES if begin + LANES <= state.size else state.size - begin
         for a in range(m):
-            for b in range(m):
-                block[a, b] = cov[c, rows[a], rows[b]] + new_cov[i, rows[a], rows[b]]
-        log_det = factor(block, root)
-        distance2 = norm2(step, root, y)
-        worth -= 0.5 * (distance2 + log_det)
-        if worth > 0.0 and distance2 <= consistent**2:
-            row[kept], place[kept], gain[kept] = i, c, worth
-            kept += 1
-            start[i + 1] += 1
-    edges: tuple[I8, I8, F8] = _by_row(start, row[:kept], place[:kept], gain[:kept])
-    return edges
-
-
-@njit(cache=True)
-def _by_row(start: I8, row: I8, column: I8, gain: F8) -> tuple[I8, I8, F8]:
-    """Counting sort of edges, stable; ``start`` holds the counts, one place on, and becomes the starts."""
-    for r in range(start.size - 1):
+            for i in range(width):
+                step[a, i] = mean[rows[a], count + state[begin + i]] - mean[rows[a], column[begin + i]]
+            for b in range(a + 1):
+                p = plane[a, b]
+                for i in range(width):
+                    block[a, b, i] = cov[p, column[begin + i]] + cov[p, count + state[begin + i]]
+        _eliminate(block, step, width, det, norm2)
+        for i in range(width):
+            r, c = state[begin + i], column[begin + i]
+            worth = open_end[r] + price[c] - 0.5 * (norm2[i] + np.log(det[i]))
+            if worth > 0.0 and norm2[i] <= consistent * consistent:
+                state[kept], column[kept], value[kept] = r, c, worth
+                start[r + 1] += 1
+                kept += 1
+    # Sorted by row by counting; stable.
+    for r in range(n):
         start[r + 1] += start[r]
-    place = start[:-1].copy()
-    target, out = np.empty(row.size, np.int64), np.empty(row.size)
-    for e in range(row.size):
-        k = place[row[e]]
-        target[k], out[k] = column[e], gain[e]
-        place[row[e]] = k + 1
-    return start, target, out
+    for e in range(kept - 1, -1, -1):
+        r = state[e] + 1
+        start[r] -= 1
+        target[start[r]], gain[start[r]] = first + column[e], value[e]
+    for r in range(1, n):
+        start[r] = start[r + 1]
+    start[n] = kept

@@ -12,61 +12,42 @@ Bool = NDArray[np.bool_]
 
 
 @njit(cache=True)
-def follow(first: int, row: int, previous: I8, gain: F8) -> tuple[I8, F8]:
-    """Links seen from their other end: for each vertex from ``first`` on the one that goes on from it, −1 where none does.
+def follow(first: int, row: int, previous: I8, gain: F8, onward: I8, worth: F8) -> None:
+    """Links seen from their other end: for each vertex from ``first`` on the one that goes on from it.
 
     Parameters
     ----------
     row : number of the first of the R vertices that ``previous`` and ``gain`` are of; they are the last there are.
     previous, gain : (R,) the vertex that each goes on from, −1 where none, and the link's gain.
-
-    Returns
-    -------
-    onward, worth : for the vertices from ``first`` to the last; gains are 0 where there is no link.
+    onward, worth : outputs for the vertices from ``first`` to the last: −1 and 0 where there is no link.
     """
-    size = row + previous.size - first
-    onward, worth = np.full(size, -1), np.zeros(size)
+    for place in range(onward.size):
+        onward[place], worth[place] = -1, 0.0
     for r in range(previous.size):
-        if previous[r] >= first:
-            onward[previous[r] - first], worth[previous[r] - first] = row + r, gain[r]
-    return onward, worth
-
-
-@njit(cache=True)
-def _holder(name: int, identity: I8, holds: Bool) -> int:
-    """The place of the last state under an identity, which there is."""
-    place = identity.size - 1
-    while identity[place] != name or not holds[place]:
-        place -= 1
-    return place
-
-
-@njit(cache=True)
-def _suffices(length: int, gain: float, shortest: int, least: float) -> bool:
-    """Whether so many states, whose links gained so much, make a track."""
-    return length >= shortest and gain >= least * (length - 1)
-
-
-@njit(cache=True)
-def _confirm(
-    first: int, after: int, given: tuple[I8, I8, F8, Bool, Bool], onward: I8, worth: F8, shortest: int, least: float
-) -> None:
-    """Mark the holders whose states, with those from vertex ``after`` on that they go on to, suffice."""
-    _, length, gain, confirmed, holds = given
-    for place in range(holds.size):
-        if not holds[place] or confirmed[place]:
-            continue
-        count, total, here = length[place], gain[place], place
-        while not _suffices(count, total, shortest, least) and onward[here] >= after:
-            count, total, here = count + 1, total + worth[here], onward[here] - first
-        confirmed[place] = _suffices(count, total, shortest, least)
+        place = previous[r] - first
+        if place >= 0:
+            onward[place], worth[place] = row + r, gain[r]
 
 
 @njit(cache=True)
 def claim(
-    first: int, n: int, used: int, given: tuple[I8, I8, F8, Bool, Bool], onward: I8, worth: F8, shortest: int, least: float
-) -> tuple[tuple[I8, I8, F8, Bool, Bool], I8, int]:
-    """Identities for the ``n`` vertices behind the V that have one.
+    first: int,
+    used: int,
+    names: I8,
+    holding: Bool,
+    onward: I8,
+    worth: F8,
+    shortest: int,
+    least: float,
+    identity: I8,
+    length: I8,
+    gain: F8,
+    confirmed: Bool,
+    holds: Bool,
+    before: I8,
+    absent: I8,
+) -> tuple[int, int]:
+    """Identities for the n vertices behind the V that have one.
 
     A vertex takes the identity of the one that goes on to it. Where two claim one, the one that follows its holder (its
     last vertex) has it; after those it is first come, first served, and the others get new ones.
@@ -75,51 +56,59 @@ def claim(
     ----------
     first : number of the first vertex; the V + n vertices and those still to come are numbered through from it.
     used : how many identities there were.
-    given : (V,) identity, states under it so far, what their links gained, whether confirmed, whether it is the holder.
+    names, holding : (V,) identity, and whether the vertex is its holder.
     onward, worth : (V + n or more,) the vertex that each goes on to, below 0 where there is none, and the link's gain.
     shortest, least : states and mean gain of the links that confirm an identity.
+    identity, length, gain, confirmed, holds : (V + n,) of each vertex: identity, states under it so far, what their links
+        gained, whether confirmed, whether it is the holder. Those of the first V are given, the others written; of the
+        first, ``confirmed`` and ``holds`` may change.
+    before : (n,) working space.
+    absent : (V,) output: the places of confirmed holders that do not go on to a vertex up to now.
 
     Returns
     -------
-    given : the same with the new vertices behind.
-    absent : the places of confirmed holders that do not go on to a vertex up to now.
-    used : how many identities there are.
+    How many identities there are, and how many are absent.
     """
-    old = given[0].size
-    identity, length = np.zeros(old + n, np.int64), np.ones(old + n, np.int64)
-    gain = np.zeros(old + n)
-    confirmed, holds = np.zeros(old + n, np.bool_), np.zeros(old + n, np.bool_)
-    identity[:old], length[:old], gain[:old], confirmed[:old], holds[:old] = given
-    before = np.full(n, -1, np.int64)
+    old, n = names.size, before.size
+    for i in range(n):
+        before[i] = -1
     for place in range(old):
-        later = onward[place] - first - old
-        if 0 <= later < n:
-            before[later] = place
-    for others in (False, True):
+        i = onward[place] - first - old
+        if 0 <= i < n:
+            before[i] = place
+    for turn in range(2):
         for i in range(n):
             source = before[i]
-            if (source < 0 or not given[4][source]) != others:
+            follows = source >= 0 and holding[source]
+            if follows != (turn == 0):
                 continue
-            if others and source >= 0:
-                source = _holder(identity[source], identity, holds)
-                if source >= old:
-                    source = -1
+            if turn == 1 and source >= 0:
+                # The last state under the identity, which there is: nobody else may have taken it in this frame.
+                name, source = names[source], old + n - 1
+                while identity[source] != name or not holds[source]:
+                    source -= 1
+                source = source if source < old else -1
             here = old + i
             holds[here] = True
             if source < 0:
                 used += 1
-                identity[here] = used
+                identity[here], length[here], gain[here], confirmed[here] = used, 1, 0.0, False
                 continue
             holds[source] = False
             identity[here], length[here] = identity[source], length[source] + 1
             gain[here], confirmed[here] = gain[source] + worth[before[i]], confirmed[source]
-    result = identity, length, gain, confirmed, holds
-    now = first + old + n
-    _confirm(first, now, result, onward, worth, shortest, least)
-    absent = np.empty(old, np.int64)
-    count = 0
-    for place in range(old):
-        if holds[place] and confirmed[place] and not 0 <= onward[place] < now:
+    now, count = first + old + n, 0
+    for place in range(old + n):
+        if not holds[place]:
+            continue
+        # With the states that it goes on to later an identity may suffice already.
+        states, total, here = length[place], gain[place], place
+        while not confirmed[place]:
+            confirmed[place] = states >= shortest and total >= least * (states - 1)
+            if onward[here] < now:
+                break
+            states, total, here = states + 1, total + worth[here], onward[here] - first
+        if place < old and confirmed[place] and not 0 <= onward[place] < now:
             absent[count] = place
             count += 1
-    return result, absent[:count], used
+    return used, count

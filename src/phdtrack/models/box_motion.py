@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack.checks import NonNegative, Positive, Probability, check
-from phdtrack.kernels.constant_velocity import move_boxes
+from phdtrack.kernels.constant_velocity import box_motion_noise
 from phdtrack.models.spawning import NoSpawn, Spawn
 from phdtrack.types import F8, Particles
 
@@ -97,10 +97,18 @@ class BoxMotion:
 
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean, Jacobian and noise covariance of f(·|x) over the interval ``dt`` [M09 (11)]."""
-        mean, f, noise = move_boxes(
-            np.ascontiguousarray(x), float(dt), self.acceleration, self.resize, self.smallest, self.scaled
-        )
-        return mean, np.broadcast_to(f, noise.shape), noise
+        d, n = x.shape
+        f = np.eye(d)
+        f[0, 2] = f[1, 3] = dt
+        mean = x.copy()
+        mean[0:2] += dt * x[2:4]
+        if d == 8:
+            f[6:8] = np.eye(2, 8, 4)
+            mean[6:8] = x[4:6]
+        # By planes, which is how whoever predicts many states goes through it.
+        noise = np.zeros((d, d, n))
+        box_motion_noise(mean[4:6], float(dt), self.acceleration, self.resize, self.smallest, self.scaled, noise)
+        return mean, np.broadcast_to(f, (n, d, d)), noise.transpose(2, 0, 1)
 
     def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of the spawning term."""
