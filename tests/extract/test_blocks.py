@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from phdtrack.extract import KMeans
 from phdtrack.extract.cloud import Cloud
-from phdtrack.extract.clusters import REACH, Labels, label, moments, seeds
+from phdtrack.extract.clusters import REACH, Labels, cluster, moments, seeds
 from phdtrack.kernels.blocks import cut
 from phdtrack.kernels.em import em_step
+from phdtrack.kernels.kmeans import MIXED, PATIENCE
 from phdtrack.types import ParticleBlocks, Particles
 from reference import clustering_twin as twin
 
@@ -107,31 +108,41 @@ def test_the_size_of_blocks_does_not_matter(most: int, rng):
     assert b.weight.sum() == pytest.approx(a.weight.sum(), rel=1e-5)
 
 
-@given(random_seeds, st.integers(1, 6))
-@settings(max_examples=20, deadline=None)
-def test_moving_some_centres_labels_as_starting_anew(seed: int, targets: int):
-    """Only blocks near a changed centre are looked at again; centres that appear, move, and die are such changes."""
+def of_particles(labels: Labels, part: Cloud) -> np.ndarray:
+    """(L,) the cluster of each particle, −1 for none."""
+    block = np.repeat(labels.block, np.diff(part.start))
+    return np.where(block == MIXED, labels.own, block)
+
+
+@given(
+    random_seeds, st.integers(1, 7), st.sampled_from([200.0, 500.0]), st.integers(0, 6), st.sampled_from([0.4, 1.5, np.inf])
+)
+@settings(max_examples=40, deadline=None)
+def test_every_particle_belongs_to_the_twins_cluster(seed: int, targets: int, width: float, iterations: int, split: float):
+    """Only blocks near a centre that moves are looked at again: centres that appear, move on, stand still and die."""
     rng = np.random.default_rng(seed)
-    state, z = scene(rng, targets, 5, 500.0)
+    state, z = scene(rng, targets, 5, width, 100)
     part, sensor = Cloud.of(state), MODEL.sensor
-    centres, _ = sensor.states(z)
-    labels, _ = label(part, centres, sensor, np.ones(centres.shape[1]), Labels.none(part))
-    for _ in range(4):
-        k = centres.shape[1]
-        alive = labels.mass * (rng.random(k) < 0.9)
-        centres = labels.centre + 20 * rng.normal(size=(6, k)) * (rng.random(k) < 0.4) * [[1], [1], [0], [0], [0], [0]]
-        born = part.take(rng.integers(0, len(state), 2)).state
-        centres, alive = np.hstack([centres, born]), np.append(alive, np.ones(2))
-        labels, _ = label(part, centres, sensor, alive, labels)
-        anew, _ = label(part, centres, sensor, alive, Labels.none(part))
-        np.testing.assert_array_equal(labels.block, anew.block)
-        np.testing.assert_array_equal(labels.count, anew.count)
-        np.testing.assert_allclose(labels.mass, anew.mass, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(labels.mean, anew.mean, rtol=1e-9, atol=1e-9)
-        x, _, _ = cut(state.state, state.weight, 256)
-        reached = np.where(alive > 0, sensor.noise(centres), 1e-12)
-        want, _ = twin.label(x, np.where(alive > 0, centres, 1e9), reached)
-        np.testing.assert_array_equal(labels.count, np.bincount(want[want >= 0], minlength=k + 2))
+    # Centres beside the targets have a long way to go, and some lose all they have.
+    centres, _ = sensor.states(z + rng.normal(0, 15, z.shape) * [[1], [1], [0], [0]])
+    labels = cluster(part, centres, sensor, split, iterations)
+    rounds = int(np.ceil(2 * state.mass / split)) if split < np.inf else 0
+    want, mass, mean = twin.cluster(part.state, part.weight, centres, sensor.noise(centres), split, iterations, rounds)
+    np.testing.assert_array_equal(of_particles(labels, part), want)
+    np.testing.assert_allclose(labels.mass, mass, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(labels.mean, mean, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("most", [1, 7, 256])
+def test_strays_are_not_peeled_off_without_end(most: int, rng):
+    """Far too heavy, all on one point but for twelve particles each by itself, of which every division parts one."""
+    pile = np.repeat(HERE[:, None], 4000, axis=1)
+    pile[:, :12] += 6 * MODEL.sensor.noise(pile[:, :12]) * np.hstack([np.eye(6), -np.eye(6)])
+    part = Cloud.of(blocks(Particles(pile, np.full(4000, 0.02)), rng, most))
+    labels = cluster(part, MODEL.sensor.states(seen(HERE))[0], MODEL.sensor, 1.5, 5)
+    assert len(labels.mass) == 1 + PATIENCE
+    assert labels.mass.sum() == pytest.approx(80.0)
+    assert labels.mass.max() == pytest.approx(80.0 - 0.02 * PATIENCE)
 
 
 @given(random_seeds, st.integers(1, 5))
@@ -162,7 +173,7 @@ def test_moments_of_joined_clusters(rng):
     state = together(cloud(rng, HERE, 1.0), cloud(rng, moved(40), 1.0), cloud(rng, THERE, 1.0))
     part = Cloud.of(state)
     centres = np.array([HERE, moved(40)]).T.copy()
-    labels, _ = label(part, centres, MODEL.sensor, np.ones(2), Labels.none(part))
+    labels = cluster(part, centres, MODEL.sensor, np.inf, 0)
     mass, mean, cov = moments(part, labels, np.zeros(2, np.int64), centres[:, :1])
     mine = state.state[:, :800]
     np.testing.assert_allclose(mass, [2.0])

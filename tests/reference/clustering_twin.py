@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from phdtrack.kernels.kmeans import PATIENCE, STILL, STRAY
+
 REACH = 8.0
 
 
@@ -42,17 +44,47 @@ def members(labels, weight, k):
     return np.where(labels[:, None] == np.arange(k), weight[:, None], 0.0)
 
 
-def settle(x, weight, centres, noise, iterations):
-    """Centres (d, k) and labels after assignment and means in turn; empty clusters are left out."""
-    labels, _ = label(x, centres, noise(centres))
-    for _ in range(iterations):
-        mass, mean, _ = moments(x, members(labels, weight, centres.shape[1]), centres.shape[1])
-        centres = np.ascontiguousarray(mean[:, mass > 0])
-        before, (labels, _) = labels, label(x, centres, noise(centres))
-        renumber = np.append(np.cumsum(mass > 0) - 1, -1)
-        if np.array_equal(labels, renumber[before]):
+def settle(x, weight, centre, mean, moved, alive, scale, labels, iterations):
+    """Assignment and means in turn until no particle changes: what is needed to go on. A centre follows its mean where
+    that has moved by more than STILL deviations, or where its cluster has come to life or died."""
+    k = centre.shape[1]
+    for _ in range(iterations + 1):
+        centre = np.where(moved, mean, centre)
+        before, (labels, _) = labels, label(x, np.where(alive, centre, np.inf), scale)
+        mass, mean, _ = moments(x, members(labels, weight, k), k)
+        held = np.bincount(labels[labels >= 0], minlength=k) > 0
+        mean = np.where(held, mean, centre)
+        moved = (held != alive) | (np.abs(mean - centre) > STILL * scale).any(0)
+        alive = held
+        if np.array_equal(labels, before):
             break
-    return centres, labels
+    return centre, mean, mass, alive, labels
+
+
+def cluster(x, weight, centre, scale, split, iterations, rounds):
+    """Labels (L,), masses and means after K-means in which clusters heavier than ``split`` are divided."""
+    labels, mean, began = np.full(len(weight), -1), centre, 0
+    alive, moved = (np.ones(centre.shape[1], bool) for _ in range(2))
+    parent, strays = (np.zeros(centre.shape[1], int) for _ in range(2))
+    for turn in range(rounds + 1):
+        centre, mean, mass, alive, labels = settle(x, weight, centre, mean, moved, alive, scale, labels, iterations)
+        for j in range(began, len(mass)) if began else ():
+            i = parent[j]
+            if max(mass[i], mass[j]) > split and min(mass[i], mass[j]) < STRAY * split:
+                strays[i] += 1
+                strays[j] = strays[i]
+        began = len(mass)
+        _, distance2 = label(x, np.where(alive, centre, np.inf), scale)
+        heavy = np.flatnonzero((mass > split) & (strays < PATIENCE))
+        far = {j: int(np.argmax(np.where(labels == j, distance2, -1.0))) for j in heavy}
+        far = {j: i for j, i in far.items() if distance2[i] > 0}
+        if turn == rounds or not far:
+            break
+        divided, stray = list(far), x[:, list(far.values())]
+        centre, mean, scale = np.hstack([centre, stray]), np.hstack([centre, stray]), np.hstack([scale, scale[:, divided]])
+        moved, alive = np.arange(centre.shape[1]) >= began, np.append(alive, np.ones(len(far), bool))
+        parent, strays = np.append(parent, divided), np.append(strays, np.zeros(len(far), int))
+    return labels, mass, mean
 
 
 def join_light(mass, mean, noise, lightest, split):
@@ -76,19 +108,11 @@ def join_light(mass, mean, noise, lightest, split):
 
 def kmeans(x, weight, centres, noise, lightest, split, iterations=5):
     """Masses, means and covariances of the clusters heavy enough, from the centres (d, k) on."""
-    centres, labels = settle(x, weight, centres, noise, iterations)
-    while True:
-        k = centres.shape[1]
-        mass, mean, _ = moments(x, members(labels, weight, k), k)
-        _, distance2 = label(x, centres, noise(centres))
-        far = [int(np.argmax(np.where(labels == j, distance2, -1.0))) for j in np.flatnonzero(mass > split)]
-        far = [i for i in far if distance2[i] > 0]
-        if not far:
-            break
-        centres, labels = settle(x, weight, np.hstack([centres, x[:, far]]), noise, iterations)
+    rounds = int(np.ceil(2 * weight.sum() / split))
+    labels, mass, mean = cluster(x, weight, centres, noise(centres), split, iterations, rounds)
     root = join_light(mass, mean, noise, lightest, split)
     labels = np.where(labels >= 0, np.append(root, -1)[labels], -1)
-    mass, mean, cov = moments(x, members(labels, weight, k), k)
+    mass, mean, cov = moments(x, members(labels, weight, len(root)), len(root))
     kept = mass >= lightest
     return mass[kept], mean[:, kept], cov[kept]
 
