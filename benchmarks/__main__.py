@@ -72,6 +72,7 @@ def _rows(outcome: Outcome) -> list[dict[str, Any]]:
         {
             "what": row.what,
             "value": row.value,
+            "cpu": row.cpu,
             "unit": row.unit,
             "spread": row.spread.as_dict() if row.spread else None,
             "most": row.most,

@@ -37,12 +37,15 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
         for name, lap in zip(names, twins, strict=True):
             ratio = float(np.median(lap.total) / np.median(ours.total))
             ratios[name][str(targets)] = ratio
-            details.append({"targets": targets, "twin": name, "ratio": ratio, **_scores(lap)})
+            of_cpu = lap.cpu_median() / ours.cpu_median()
+            details.append({"targets": targets, "twin": name, "ratio": ratio, "ratio_cpu": of_cpu, **_scores(lap)})
             spread = Spread.of(lap.total, 1e3)
             mine = Spread.of(ours.total, 1e3)
             note = f"OSPA {np.nanmean(lap.ospa):.1f} px, ours {np.nanmean(ours.ospa):.1f} px in {mine.median:.3g} ms"
-            rows.append(Row(f"{name} NumPy, {targets} targets", spread.median, "ms", spread, note=note))
-            rows.append(Row(f"phdtrack against {name} NumPy, {targets} targets", ratio, "×", least=LEAST[name]))
+            rows.append(
+                Row(f"{name} NumPy, {targets} targets", spread.median, "ms", spread, note=note, cpu=lap.cpu_median(1e3))
+            )
+            rows.append(Row(f"phdtrack against {name} NumPy, {targets} targets", ratio, "×", least=LEAST[name], cpu=of_cpu))
     entries = {
         "ratio_gated_numpy": min(ratios["gated"].values(), default=None),
         "ratio_dense_numpy": min(ratios["dense"].values(), default=None),
@@ -53,4 +56,9 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
 
 def _scores(lap: Lap) -> dict[str, Any]:
     spread = Spread.of(lap.total, 1e3).as_dict()
-    return {"ms": spread, "count_error": float(np.mean(lap.count)), "ospa": float(np.nanmean(lap.ospa))}
+    return {
+        "ms": spread,
+        "cpu_ms": lap.cpu_median(1e3),
+        "count_error": float(np.mean(lap.count)),
+        "ospa": float(np.nanmean(lap.ospa)),
+    }

@@ -30,7 +30,15 @@ def gm_phd(scale: Scale, say: Callable[[str], None]) -> Outcome:
         us[str(targets)] = found["us"]
         details[str(targets)] = found
         rows.append(
-            Row(f"GM-PHD, {targets} targets", found["us"], "µs", most=GM_LIMIT_US.get(targets), note=_rest(found, "us"))
+            Row(
+                f"GM-PHD, {targets} targets",
+                found["us"],
+                "µs",
+                Spread(**found["spread"]),
+                GM_LIMIT_US.get(targets),
+                note=_rest(found, "us", "cpu"),
+                cpu=found["cpu"],
+            )
         )
     growth = exponent([float(n) for n in us], list(us.values()))
     rows.append(Row(f"GM-PHD, growth exponent, {scale.sizes[0]} … {scale.sizes[-1]} targets", growth, ""))
@@ -113,7 +121,7 @@ def first_use(scale: Scale, say: Callable[[str], None]) -> Outcome:
     return Outcome(rows, {"first_use": found})
 
 
-def _rest(found: dict[str, Any], but: str) -> str:
+def _rest(found: dict[str, Any], *but: str) -> str:
     """The other numbers of a measurement in a few words."""
-    words = [f"{key} {value:.3g}" for key, value in found.items() if isinstance(value, (int, float)) and key != but]
+    words = [f"{key} {value:.3g}" for key, value in found.items() if isinstance(value, (int, float)) and key not in but]
     return ", ".join(words)

@@ -28,7 +28,7 @@ LIMIT_MS = {10: 0.4, 100: 4.0, 1000: 45.0}
 
 def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
     """All sizes, forms and thread numbers."""
-    rows, details, worst = [], [], {}
+    rows, details, worst, of_cpu = [], [], {}, {}
     per_target = pairs_per_target(Crowd(min(100, max(scale.sizes)), 12))
     for targets in scale.sizes:
         say(f"{targets} targets")
@@ -44,8 +44,12 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
             rows.append(_row(targets, form, mine))
         mine = [d["total_ms"] for d in details if d["targets"] == targets and d["form"] == "worst"]
         worst[str(targets)] = float(np.median(mine))
+        mine = [d["cpu"]["median"] for d in details if d["targets"] == targets and d["form"] == "worst"]
+        of_cpu[str(targets)] = float(np.median(mine))
     growth = exponent([float(n) for n in worst], list(worst.values()))
-    rows.append(Row(f"growth exponent, {scale.sizes[0]} … {scale.sizes[-1]} targets, worst case", growth, "", most=1.1))
+    cpu_growth = exponent([float(n) for n in of_cpu], list(of_cpu.values()))
+    span = f"{scale.sizes[0]} … {scale.sizes[-1]} targets, worst case"
+    rows.append(Row(f"growth exponent, {span}", growth, "", most=1.1, cpu=cpu_growth))
     threads, more = _threads(scale, say)
     largest = [d for d in details if d["targets"] == scale.sizes[-1] and d["form"] == "worst"]
     ns = float(np.median([d["ns_per_pair"] for d in largest]))
@@ -79,7 +83,7 @@ def pairs_per_target(crowd: Crowd) -> dict[str, float]:
     covered = np.bincount(which[near], moved.weight[point[near]], z.shape[1])
     out = {}
     for form, mass in (("worst", np.zeros_like(covered)), ("specified", covered)):
-        born = built.model.birth.sample(z, mass, built.model.sensor, 1.0, rng)
+        born = built.model.birth.sample(z, np.asarray(mass, np.float64), built.model.sensor, 1.0, rng)
         out[form] = (len(point) + len(gated_pairs(born.state[0], born.state[1], lower, upper)[0])) / crowd.targets
     return out
 
@@ -93,6 +97,7 @@ def _detail(targets: int, form: str, seed: int, lap: Lap, particles: int, pairs:
     """What one run gave; the total is filter and extraction, M09's workload, without the association."""
     filtering, extraction, association = (Spread.of(column, 1e3) for column in lap.seconds.T)
     total = Spread.of(lap.seconds[:, :2].sum(axis=1), 1e3)
+    cpu = Spread.of(lap.cpu[:, :2].sum(axis=1), 1e3)
     return {
         "targets": targets,
         "form": form,
@@ -101,6 +106,7 @@ def _detail(targets: int, form: str, seed: int, lap: Lap, particles: int, pairs:
         "pairs": round(pairs),
         "total_ms": total.median,
         "total": total.as_dict(),
+        "cpu": cpu.as_dict(),
         "filter": filtering.as_dict(),
         "extract": extraction.as_dict(),
         "associate": association.as_dict(),
@@ -116,7 +122,15 @@ def _row(targets: int, form: str, mine: list[dict[str, Any]]) -> Row:
     note = " + ".join(f"{name} {middle[name]['median']:.3g}" for name in ("filter", "extract"))
     note += f"; association {middle['associate']['median']:.3g}; OSPA {middle['ospa']:.1f} px"
     most = LIMIT_MS.get(targets) if form == "worst" else None
-    return Row(f"{targets} targets, {form} births", middle["total_ms"], "ms", Spread(**middle["total"]), most, note=note)
+    return Row(
+        f"{targets} targets, {form} births",
+        middle["total_ms"],
+        "ms",
+        Spread(**middle["total"]),
+        most,
+        note=note,
+        cpu=middle["cpu"]["median"],
+    )
 
 
 def has_threads() -> bool:

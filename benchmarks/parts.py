@@ -107,7 +107,10 @@ SCALES: Mapping[str, Scale] = {scale.name: scale for scale in (QUICK, FULL, SMOK
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A line of the table: a value with its quartiles, and the limit it is held to (``most`` or ``least``)."""
+    """A line of the table: a value with its quartiles, and the limit it is held to (``most`` or ``least``).
+
+    ``cpu`` is the same of the thread's processor time, which a busy machine does not lengthen; no limit is for it.
+    """
 
     what: str
     value: float
@@ -116,6 +119,7 @@ class Row:
     most: float | None = None
     least: float | None = None
     note: str = ""
+    cpu: float | None = None
 
     @property
     def kept(self) -> bool | None:

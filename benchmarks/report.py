@@ -69,7 +69,7 @@ class Paper:
         self.console = console or Console(width=None if Console().is_terminal else 160)
         self.table = Table(expand=False)
         self.table.add_column("what")
-        for name in ("value", "quartiles", "limit"):
+        for name in ("value", "cpu", "quartiles", "limit"):
             self.table.add_column(name, justify="right", no_wrap=True)
         self.table.add_column("kept", no_wrap=True)
         self.table.add_column("note")
@@ -77,7 +77,7 @@ class Paper:
     def part(self, title: str, rows: tuple[Row, ...], remark: str = "") -> None:
         """The lines of a part, or why there are none."""
         self.table.add_section()
-        self.table.add_row(f"[bold]{title}[/bold]", "", "", "", "", escape(remark))
+        self.table.add_row(f"[bold]{title}[/bold]", "", "", "", "", "", escape(remark))
         for row in rows:
             self.table.add_row(*(escape(cell) for cell in _cells(row)))
 
@@ -90,7 +90,8 @@ def _cells(row: Row) -> tuple[str, ...]:
     spread = f"{_number(row.spread.low)} … {_number(row.spread.high)}" if row.spread else ""
     limit = f"≤ {row.most:g}" if row.most is not None else f"≥ {row.least:g}" if row.least is not None else ""
     kept = {True: "yes", False: "NO", None: ""}[row.kept]
-    return row.what, f"{_number(row.value)} {row.unit}".rstrip(), spread, limit, kept, row.note
+    cpu = "" if row.cpu is None else _number(row.cpu)
+    return row.what, f"{_number(row.value)} {row.unit}".rstrip(), cpu, spread, limit, kept, row.note
 
 
 def _number(value: float) -> str:

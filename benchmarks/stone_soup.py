@@ -3,7 +3,8 @@
 The scene is the workload's with errors of √3 pixels in position and √6 in size, and the model describes it in terms that
 both have: a linear-Gaussian motion and sensor of boxes (six components, four of them measured) with these errors,
 p_D = 0.95, clutter and births uniform over the area and the sizes that occur, births around the detections of the frame
-where little mass is predicted. (With κ over all sizes of the image, as M09 has it, two false alarms in a row were a target to both.)
+where little mass is predicted. (With κ over all sizes of the image, as M09 has it, two false alarms in a row were a target
+to both.)
 
 Both GM-PHD filters prune at 1e-5 and merge at distance 2. `SETTINGS` are what Stone Soup offers to be fast, k-d trees for
 the hypotheses and for the merging; the fastest at the smallest size counts. Its SMC-PHD filter has 15 000 particles, as ours
@@ -18,7 +19,7 @@ from __future__ import annotations
 import importlib.util
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -73,7 +74,7 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
     built = described(crowd)
     ours, theirs = _over_seeds(crowd, scale, lambda seed: (Ours(built, seed), Sampled(built, scale.stone_particles, seed)))
     # Of ours the filter's step alone, as of theirs.
-    step = Lap(ours.seconds[:, :1], ours.count, ours.ospa)
+    step = replace(ours, seconds=ours.seconds[:, :1], cpu=ours.cpu[:, :1])
     lines, detail = _compared(f"SMC-PHD, {scale.stone_particles} particles", few, step, theirs, LEAST_SMC)
     entries = {
         "ratio_stonesoup_gm": min(gm.values()),
@@ -149,8 +150,7 @@ def _over_seeds(crowd: Crowd, scale: Scale, both: Both) -> tuple[Lap, Lap]:
 
 
 def _joined(laps: list[Lap]) -> Lap:
-    seconds, count, ospa = (np.concatenate([getattr(lap, name) for lap in laps]) for name in ("seconds", "count", "ospa"))
-    return Lap(seconds, count, ospa)
+    return Lap(*(np.concatenate([getattr(lap, field.name) for lap in laps]) for field in fields(Lap)))
 
 
 def batch_error(values: np.ndarray[Any, Any], size: int = BATCH) -> float:
@@ -164,14 +164,15 @@ def _compared(name: str, targets: int, ours: Lap, theirs: Lap, least: float) -> 
     """Rows of the time, the ratio and the OSPA distances."""
     mine, other = Spread.of(ours.total, 1e3), Spread.of(theirs.total, 1e3)
     ratio = other.median / mine.median
+    of_cpu = theirs.cpu_median() / ours.cpu_median()
     ospa = {"phdtrack": float(np.mean(ours.ospa)), "stonesoup": float(np.mean(theirs.ospa))}
     above, error = ospa["phdtrack"] - ospa["stonesoup"], batch_error(ours.ospa - theirs.ospa)
     note = f"OSPA {ospa['stonesoup']:.2f} px, ours {ospa['phdtrack']:.2f} px in {mine.median:.3g} ms"
     note += f"; targets too many {np.mean(theirs.count):+.2f}, ours {np.mean(ours.count):+.2f}; {len(theirs.total)} frames"
     most = 0.0 if math.isnan(error) else 2 * error
     rows = [
-        Row(f"Stone Soup {name}, {targets} targets", other.median, "ms", other, note=note),
-        Row(f"phdtrack against Stone Soup's {name}, {targets} targets", ratio, "×", least=least),
+        Row(f"Stone Soup {name}, {targets} targets", other.median, "ms", other, cpu=theirs.cpu_median(1e3), note=note),
+        Row(f"phdtrack against Stone Soup's {name}, {targets} targets", ratio, "×", cpu=of_cpu, least=least),
         Row(
             f"OSPA above Stone Soup's, {name}, {targets} targets",
             above,
@@ -184,6 +185,7 @@ def _compared(name: str, targets: int, ours: Lap, theirs: Lap, least: float) -> 
         "filter": name,
         "targets": targets,
         "ratio": ratio,
+        "ratio_cpu": of_cpu,
         "ospa": ospa,
         "ospa_above": above,
         "ospa_above_error": error,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Mapping
 from datetime import datetime, timedelta
 from typing import Any
@@ -27,6 +26,7 @@ from stonesoup.updater.kalman import KalmanUpdater
 from stonesoup.updater.particle import SMCPHDUpdater
 from stonesoup.updater.pointprocess import PHDUpdater
 
+from benchmarks.timing import Took, clock, took
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import F8, Detections, Particles
 
@@ -87,16 +87,16 @@ class Mixture:
         )
         self.components: list[TaggedWeightedGaussianState] = []
 
-    def frame(self, number: int, detections: Detections) -> tuple[tuple[float, ...], F8]:
+    def frame(self, number: int, detections: Detections) -> tuple[tuple[Took, ...], F8]:
         """Seconds of a step, and the means of the components of weight ≥ 0.5. Births are made before the clock starts."""
         when = START + timedelta(seconds=number)
         z = self.model.sensor.measure(detections)
         found = detected(z, when, self.sensor)
         births = self._births(z, when - timedelta(seconds=1))
-        began = time.perf_counter()
+        began = clock()
         hypotheses = self.hypothesiser.hypothesise([*self.components, *births], found, when)
         self.components = self.reducer.reduce(list(self.updater.update(hypotheses).components))
-        spent = time.perf_counter() - began
+        spent = took(began, clock())
         heavy = [np.asarray(c.state_vector[:2], float).ravel() for c in self.components if float(c.weight) >= 0.5]
         return (spent,), np.array(heavy).reshape(-1, 2).T
 
@@ -170,7 +170,7 @@ class Sampled:
         born = self.model.birth.sample(z, covered, sensor, 1.0, self.rng)
         return born if len(born) else self.model.birth.sample(z, np.zeros_like(covered), sensor, 1.0, self.rng)
 
-    def frame(self, number: int, detections: Detections) -> tuple[tuple[float, ...], F8]:
+    def frame(self, number: int, detections: Detections) -> tuple[tuple[Took, ...], F8]:
         """Seconds of a step, and the centres of phdtrack's K-means of the particles."""
         when = START + timedelta(seconds=number)
         z = self.model.sensor.measure(detections)
@@ -183,7 +183,7 @@ class Sampled:
             first = self._draw(self.count).T
             weight = np.full(self.count, np.log(self.born.mass / self.count))
             self.state = ParticleState(StateVectors(first), log_weight=weight, timestamp=when - timedelta(seconds=1))
-        began = time.perf_counter()
+        began = clock()
         prediction = self.predictor.predict(self.state, timestamp=when)
         hypotheses = MultipleHypothesis(
             [
@@ -192,7 +192,7 @@ class Sampled:
             ]
         )
         self.state = self.updater.update(hypotheses)
-        spent = time.perf_counter() - began
+        spent = took(began, clock())
         cloud = Particles(_plain(self.state.state_vector), np.exp(np.asarray(self.state.log_weight, float)))
         return (spent,), self.stages.extractor.extract(cloud, z, self.model).state[:2]
 

@@ -39,6 +39,21 @@ class Spread:
         return asdict(self)
 
 
+# Seconds by the clock on the wall, and of processor time that this thread was given: others on the machine lengthen only
+# the first. Of several threads the second knows only one.
+Took = tuple[float, float]
+
+
+def clock() -> Took:
+    """The two clocks."""
+    return time.perf_counter(), time.thread_time()
+
+
+def took(began: Took, ended: Took) -> Took:
+    """Seconds between two readings."""
+    return ended[0] - began[0], ended[1] - began[1]
+
+
 def seconds(call: Callable[[], Any], repeats: int, warm_up: int = 1) -> F8:
     """(repeats,) seconds of each call, after ``warm_up`` calls that do not count."""
     for _ in range(warm_up):

@@ -9,13 +9,13 @@ every particle with every detection; the gated one only those within 5 σ, throu
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from benchmarks.timing import Took, clock, took
 from benchmarks.workload import Crowd
 from phdtrack.boxes import to_cxcywh
 from phdtrack.types import F8, Detections
@@ -54,18 +54,18 @@ class Twin:
         self.state: F8 = np.zeros((6, 0))
         self.unit = 0.0
 
-    def frame(self, number: int, detections: Detections) -> tuple[tuple[float, ...], F8]:
+    def frame(self, number: int, detections: Detections) -> tuple[tuple[Took, ...], F8]:
         """Seconds of filter and extraction, and the centres found."""
-        began = time.perf_counter()
+        began = clock()
         z = to_cxcywh(detections.xyxy)
         moved, weight = self._predict()
         born, born_weight = self._births(z)
         x, weight = np.hstack([moved, born]), np.concatenate([weight, born_weight])
         weight = self._update_gated(x, weight, z) if self.gated else self._update_dense(x, weight, z)
         self._resample(x, weight)
-        filtered = time.perf_counter()
+        filtered = clock()
         centres = extract(self.state, self.unit, z, gated=self.gated)
-        return (filtered - began, time.perf_counter() - filtered), centres[:2]
+        return (took(began, filtered), took(filtered, clock())), centres[:2]
 
     def _predict(self) -> tuple[F8, F8]:
         x = self.state
