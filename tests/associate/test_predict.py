@@ -77,11 +77,11 @@ def test_triangles():
     triangle = lower(3)
     packed = full[triangle.row, triangle.column]
     np.testing.assert_array_equal(packed[triangle.place], full)
-    np.testing.assert_array_equal(packed[triangle.diagonal], np.diag(full))
     np.testing.assert_array_equal(whole(packed[None], 3), full[None])
-    rows, places = block(3, (2, 0))
-    np.testing.assert_array_equal(rows, [2, 0])
-    np.testing.assert_array_equal(packed[places], full[np.ix_([2, 0], [2, 0])])
+    part = block(3, (2, 0))
+    np.testing.assert_array_equal(part.rows, [2, 0])
+    np.testing.assert_array_equal(packed[part.triangle], full[np.ix_([2, 0], [2, 0])])
+    np.testing.assert_array_equal(full.ravel()[part.square], full[np.ix_([2, 0], [2, 0])])
 
 
 def test_positions_that_are_none_are_refused():

@@ -91,8 +91,7 @@ def test_log_determinants(seed: int, count: int, m: int):
 def test_what_is_no_covariance_has_no_determinant():
     out = np.empty(2)
     log_determinants(planes(np.array([-np.eye(2), np.eye(2)])), places(2), np.empty((5, 2, LANES)), out)
-    assert np.isnan(out[0])
-    assert out[1] == 0.0
+    assert out.tolist() == [-np.inf, 0.0]
 
 
 def case(seed: int, count: int, n: int, side: float):
@@ -167,6 +166,21 @@ def test_one_new_state_and_states_in_one_place():
         expected = twin.edges(*arrays, 1.0, 4.0, np.log(0.8), 3.0)
         assert ours == pytest.approx(expected, abs=1e-8)
         assert expected
+
+
+@pytest.mark.parametrize("known", [slice(0, 30), slice(30, 35), slice(28, 31)], ids=["old", "new", "some of both"])
+def test_states_known_exactly_are_linked_too(known):
+    """The sum of the two covariances decides; that of one of them may be none."""
+    arrays = case(4, 30, 5, 60.0)
+    # Those of both kinds lie far from one another.
+    arrays[1][known], arrays[0][0, 28:30] = 0.0, 1e4
+    start, target, gain = edges(*arrays, 1.0, 4.0, np.log(0.8), 3.0)
+    row = np.repeat(np.arange(5), np.diff(start))
+    ours = dict(zip(zip(row.tolist(), target[: start[-1]].tolist(), strict=True), gain[: start[-1]], strict=True))
+    arrays[1][28:30] += np.eye(6)
+    expected = twin.edges(*arrays, 1.0, 4.0, np.log(0.8), 3.0)
+    assert ours == pytest.approx(expected, abs=1e-8)
+    assert len(expected) > 5
 
 
 def test_the_cases_have_edges_and_others():

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from phdtrack.associate.triangle import block, lower
+from phdtrack.associate.triangle import block
 from phdtrack.associate.window import Edges, Rows
 from phdtrack.errors import InputError
 from phdtrack.kernels.association import LANES, find_edges, log_determinants, near_pairs
@@ -47,11 +47,12 @@ def edges_between(rows: Rows, estimates: Estimates, states: Candidates, ends: En
     mean, cov = states.mean, states.cov
     if not np.isfinite(estimates.state[:2]).all():
         raise InputError("expected positions that are finite", where="the extracted states")
-    seen, plane = block(len(mean), sensor.observed)
+    shown = block(len(mean), sensor.observed)
+    seen, plane = shown.rows, shown.triangle
     work = np.empty((len(seen) + 3, len(seen), LANES))
     log_det, open_end = np.empty(count + n), np.empty(n)
     log_determinants(cov, plane, work, log_det)
-    log_determinants(_typical(estimates, states.noise, sensor), plane, work, open_end)
+    log_determinants(_typical(estimates, states.noise, sensor), shown.square, work, open_end)
     open_end = 0.5 * (ends.gate**2 + open_end)
     price = (rows.since - dt) * ends.log_miss
     given = mean, cov, open_end, price, seen, plane, ends.consistent
@@ -64,10 +65,10 @@ def edges_between(rows: Rows, estimates: Estimates, states: Candidates, ends: En
 
 
 def _typical(estimates: Estimates, noise: F8, sensor: Sensor) -> F8:
-    """(k, n) triangles: two measurements' noise and one step of the motion's, whose planes are ``noise``."""
-    n, triangle = len(estimates), lower(len(estimates.state))
-    typical = noise[triangle.row, triangle.column, noise.shape[2] - n :]
-    typical[triangle.diagonal] += 2.0 * np.square(sensor.noise(estimates.state))
+    """(d·d, n) planes: two measurements' noise and one step of the motion's ``noise`` (d, d, n or more)."""
+    n, d = len(estimates), len(estimates.state)
+    typical = noise.reshape(d * d, -1)[:, noise.shape[2] - n :].copy()
+    typical[:: d + 1] += 2.0 * np.square(sensor.noise(estimates.state))
     return typical
 
 
@@ -75,7 +76,8 @@ def _pairs(log_det: F8, mean: F8, cov: F8, open_end: F8, price: F8, *others: Any
     """The pairs of `near_pairs`: new states and columns."""
     n = len(open_end)
     side = int(n**0.5) + 1
-    room = 2 * len(price) + 64
+    # Most often enough; memory that is not written to costs nothing.
+    room = 8 * len(price) + 64
     while True:
         start, order = np.zeros(side * side + 1, np.int64), np.empty(n, np.int64)
         state, column = np.empty(room, np.int64), np.empty(room, np.int64)

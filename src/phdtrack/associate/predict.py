@@ -11,7 +11,7 @@ from phdtrack.protocols import Motion
 from phdtrack.types import F8, I8, Estimates
 
 # States predicted at once: what the model answers then stays in the cache, and its memory is used again.
-BLOCK = 1536
+BLOCK = 1200
 
 
 def predicted(window: Window, estimates: Estimates, dt: float, motion: Motion) -> tuple[F8, F8, F8]:
@@ -42,10 +42,15 @@ def predicted(window: Window, estimates: Estimates, dt: float, motion: Motion) -
 
 def _off_identity(jacobian: F8, width: int) -> tuple[I8, I8, F8]:
     """Rows, columns (e,) and values (e, width) of the elements of F − I (n, d, d) that are not 0, for the first states."""
-    # One Jacobian for all is a view that repeats itself.
-    different = jacobian[:1] if jacobian.strides[0] == 0 else jacobian
-    off = different - np.eye(jacobian.shape[1])
-    row, column = np.nonzero(off.any(axis=0))
-    value = np.empty((len(row), width))
-    value[:] = off[:width, row, column].T
+    identity = np.eye(jacobian.shape[1])
+    if jacobian.strides[0] == 0 and len(jacobian):
+        # One Jacobian for all: a view that repeats itself.
+        off = jacobian[0] - identity
+        row, column = off.nonzero()
+        value = np.empty((len(row), width))
+        value[:] = off[row, column, None]
+        return row, column, value
+    each = jacobian[:width] - identity
+    row, column = np.nonzero(each.any(axis=0))
+    value = np.ascontiguousarray(each[:, row, column].T)
     return row, column, value

@@ -12,13 +12,11 @@ from phdtrack.types import F8, I8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangle:
-    """Where the elements of a (d, d) matrix stand: ``row``, ``column`` (k,) of each place; ``place`` (d, d) of each element,
-    and ``diagonal`` (d,) of those on the diagonal."""
+    """Where the elements of a (d, d) matrix stand: ``row``, ``column`` (k,) of each place; ``place`` (d, d) of each."""
 
     row: I8
     column: I8
     place: I8
-    diagonal: I8
 
 
 @cache
@@ -27,14 +25,26 @@ def lower(dim: int) -> Triangle:
     row, column = np.tril_indices(dim)
     place = np.empty((dim, dim), np.int64)
     place[row, column] = place[column, row] = np.arange(len(row))
-    return Triangle(row, column, place, place.diagonal().copy())
+    return Triangle(row, column, place)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """The elements (m, m) of a (d, d) matrix in some ``rows`` (m,) and the same columns.
+
+    Where they stand among its lower ``triangle``'s, and in the whole ``square``, row by row.
+    """
+
+    rows: I8
+    triangle: I8
+    square: I8
 
 
 @cache
-def block(dim: int, rows: tuple[int, ...]) -> tuple[I8, I8]:
-    """The rows (m,), and the places (m, m) of the elements that they and the same columns share."""
+def block(dim: int, rows: tuple[int, ...]) -> Block:
+    """The block of (dim, dim) in these rows."""
     index = np.array(rows)
-    return index, lower(dim).place[np.ix_(index, index)]
+    return Block(index, lower(dim).place[np.ix_(index, index)], dim * index[:, None] + index)
 
 
 def whole(packed: F8, dim: int) -> F8:

@@ -66,8 +66,8 @@ def _eliminate(block: F8, step: F8, width: int, det: F8, norm2: F8) -> None:
         det[i], norm2[i] = 1.0, 0.0
     for t in range(m):
         for i in range(width):
-            pivot = block[t, t, i]
-            det[i] *= pivot if pivot > 0.0 else np.nan
+            pivot = block[t, t, i] if block[t, t, i] > 0.0 else np.nan
+            det[i] *= pivot
             block[t, t, i] = 1.0 / pivot
             norm2[i] += step[t, i] * step[t, i] * block[t, t, i]
         for a in range(t + 1, m):
@@ -80,7 +80,7 @@ def _eliminate(block: F8, step: F8, width: int, det: F8, norm2: F8) -> None:
 
 @njit(cache=True, error_model="numpy")
 def log_determinants(cov: F8, plane: I8, block: F8, out: F8) -> None:
-    """log |P| of the rows that a measurement shows, written to ``out``; NaN where P is not positive definite.
+    """log |P| of the rows that a measurement shows, written to ``out``; −∞ where P is not positive definite.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def log_determinants(cov: F8, plane: I8, block: F8, out: F8) -> None:
                     block[a, b, i] = cov[plane[a, b], offset + i]
         _eliminate(block, step, width, det, norm2)
         for i in range(np.uint64(width)):
-            out[offset + i] = np.log(det[i])
+            out[offset + i] = np.log(det[i]) if det[i] > 0.0 else -np.inf
 
 
 @njit(cache=True, error_model="numpy")
