@@ -60,8 +60,9 @@ class Twin:
         z = to_cxcywh(detections.xyxy)
         moved, weight = self._predict()
         born, born_weight = self._births(z)
+        old = len(weight)
         x, weight = np.hstack([moved, born]), np.concatenate([weight, born_weight])
-        weight = self._update_gated(x, weight, z) if self.gated else self._update_dense(x, weight, z)
+        weight = self._update_gated(x, weight, z, old) if self.gated else self._update_dense(x, weight, z)
         self._resample(x, weight)
         filtered = clock()
         centres = extract(self.state, self.unit, z, gated=self.gated)
@@ -80,25 +81,46 @@ class Twin:
         n = z.shape[1]
         parent = np.repeat(np.arange(n), NEWBORN)
         sigma = sigmas(z[2:4])
-        direction = self.rng.standard_normal((4, len(parent)))
-        # Radii of a Gaussian inside the region, by the inverse of their distribution.
-        quantile = np.linspace(0, 0.99, 1025)
-        radius = np.interp(0.99 * self.rng.random(len(parent)), quantile, np.sqrt(chdtri(4, 1 - quantile)))
-        drawn = z[:, parent] + sigma[:, parent] * direction * (radius / np.sqrt((direction**2).sum(0)))
+        step = self._inside(len(parent))
+        drawn = z[:, parent] + sigma[:, parent] * step
         amplitude = SPEED * np.sqrt(z[2] * z[3])[parent] * self.rng.standard_normal(len(parent))
         angle = self.rng.uniform(0, 2 * math.pi, len(parent))
         born = np.concatenate([drawn[:2], [amplitude * np.cos(angle), amplitude * np.sin(angle)], drawn[2:]])
         norm = 1 / (0.99 * (2 * math.pi) ** 2 * sigma.prod(0))
         if self.gated:
             half = math.sqrt(REGION) * sigma[:2]
-            point, which = in_rectangles(born[0], born[1], z[:2] - half, z[:2] + half)
+            proposal = norm[parent] * np.exp(-0.5 * (step**2).sum(0))
+            point, which = self._of_newborn(z, half, half, itself=False)
             d2 = (((drawn[:, point] - z[:, which]) / sigma[:, which]) ** 2).sum(0)
-            share = np.where(d2 <= REGION * (1 + 1e-9), norm[which] * np.exp(-0.5 * d2), 0.0)
-            proposal = np.bincount(point, share, len(parent))
+            share = np.where(d2 <= REGION, norm[which] * np.exp(-0.5 * d2), 0.0)
+            proposal += np.bincount(point, share, len(parent))
         else:
             d2 = (((drawn[:, None, :] - z[:, :, None]) / sigma[:, :, None]) ** 2).sum(0)
             proposal = np.where(d2 <= REGION * (1 + 1e-9), norm[:, None] * np.exp(-0.5 * d2), 0.0).sum(0)
         return born, self.world.gamma / (NEWBORN * proposal)
+
+    def _inside(self, count: int) -> F8:
+        """(4, count) standard normals inside the 99 % region: what is outside is drawn again."""
+        out = self.rng.standard_normal((4, count))
+        outside = np.flatnonzero((out**2).sum(0) > REGION)
+        while len(outside):
+            out[:, outside] = self.rng.standard_normal((4, len(outside)))
+            outside = outside[(out[:, outside] ** 2).sum(0) > REGION]
+        return out
+
+    def _of_newborn(self, z: F8, around: F8, reach: F8, *, itself: bool) -> tuple[I8, I8]:
+        """Pairs (newborn, detection) that may matter, from the pairs of detections alone.
+
+        Newborn lie within ``around`` (2, N) of theirs and matter to what is within ``reach`` (2, N); with their own
+        detection only where ``itself``.
+        """
+        half = reach + around.max(1, initial=0.0)[:, None]
+        born, which = in_rectangles(z[0], z[1], z[:2] - half, z[:2] + half)
+        if not itself:
+            other = born != which
+            born, which = born[other], which[other]
+        point = born[:, None] * NEWBORN + np.arange(NEWBORN)
+        return point.ravel(), np.repeat(which, NEWBORN)
 
     def _update_dense(self, x: F8, weight: F8, z: F8) -> F8:
         sigma = sigmas(x[4:6])
@@ -110,10 +132,12 @@ class Twin:
         out: F8 = (1 - self.world.detection) * weight + (share / total[:, None]).sum(0)
         return out
 
-    def _update_gated(self, x: F8, weight: F8, z: F8) -> F8:
+    def _update_gated(self, x: F8, weight: F8, z: F8, old: int) -> F8:
         g = GATE * SPREAD
         half = g / 2 / math.sqrt(1 - g**2) * z[2:4]
-        point, which = in_rectangles(x[0], x[1], z[:2] - half, z[:2] + half)
+        near, of_old = in_rectangles(x[0, :old], x[1, :old], z[:2] - half, z[:2] + half)
+        born, of_born = self._of_newborn(z, math.sqrt(REGION) * sigmas(z[2:4])[:2], half, itself=True)
+        point, which = np.concatenate([near, old + born]), np.concatenate([of_old, of_born])
         sigma = sigmas(x[4:6])
         d2 = np.zeros(len(point))
         for row, s, value in zip(OBSERVED, sigma, z, strict=True):
@@ -171,22 +195,29 @@ def extract(x: F8, unit: float, z: F8, *, gated: bool) -> F8:
     if not x.size:
         return np.zeros((6, 0))
     centres = np.concatenate([z[:2], np.zeros_like(z[:2]), z[2:]])
-    labels = _labels(x, centres, gated)
+    choice: Dense | Gated = Gated(x, centres) if gated else Dense(x)
+    labels = choice.labels(centres)
     lonely = np.flatnonzero(labels < 0)
     if len(lonely) * unit >= LIGHTEST:
         centres = np.hstack([centres, _lonely(x[:, lonely])])
-        labels = _labels(x, centres, gated)
-    centres, labels = _settle(x, centres, labels, gated)
-    mass = unit * np.bincount(labels[labels >= 0], minlength=centres.shape[1])
+        choice = Gated(x, centres) if gated else choice
+        labels = choice.labels(centres)
+    centres, labels = _settle(x, centres, labels, choice)
+    mass: F8 = (unit * np.bincount(labels[labels >= 0], minlength=centres.shape[1])).astype(np.float64)
     heavy = np.flatnonzero(mass > HEAVIEST)
     if len(heavy):
         inside = np.flatnonzero(np.isin(labels, heavy))
         distance2 = (((x[:, inside] - centres[:, labels[inside]]) / _scale(centres)[:, labels[inside]]) ** 2).sum(0)
         order = np.lexsort((distance2, labels[inside]))
         farthest = inside[order[np.searchsorted(labels[inside][order], heavy, side="right") - 1]]
-        centres = np.hstack([centres, x[:, farthest]])
-        centres, labels = _settle(x, centres, _labels(x, centres, gated), gated)
-        mass = unit * np.bincount(labels[labels >= 0], minlength=centres.shape[1])
+        # Only the particles of the heavy clusters choose again.
+        halves = np.hstack([centres[:, heavy], x[:, farthest]])
+        mine = np.ascontiguousarray(x[:, inside])
+        choice = Gated(mine, halves) if gated else Dense(mine)
+        halves, labels = _settle(mine, halves, choice.labels(halves), choice)
+        mass[heavy] = 0.0
+        mass = np.append(mass, unit * np.bincount(labels[labels >= 0], minlength=halves.shape[1]))
+        centres = np.hstack([centres, halves])
     return _join_light(centres, mass)
 
 
@@ -199,16 +230,15 @@ def _lonely(x: F8) -> F8:
     return np.stack([np.bincount(group, row) for row in x]) / count
 
 
-def _settle(x: F8, centres: F8, labels: I8, gated: bool) -> tuple[F8, I8]:
-    """K-means until no label changes."""
+def _settle(x: F8, centres: F8, labels: I8, choice: Dense | Gated) -> tuple[F8, I8]:
+    """K-means until no label changes; a centre of nothing stays where it is."""
     for _ in range(ROUNDS):
-        inside = np.flatnonzero(labels >= 0)
-        mine = labels[inside]
+        inside = labels >= 0
+        points, mine = (x, labels) if inside.all() else (x[:, inside], labels[inside])
         count = np.bincount(mine, minlength=centres.shape[1])
-        kept = count > 0
-        centres = np.stack([np.bincount(mine, row[inside], len(count)) for row in x])[:, kept] / count[kept]
-        before = np.append(np.cumsum(kept) - 1, -1)[labels]
-        labels = _labels(x, centres, gated)
+        sums = np.stack([np.bincount(mine, row, len(count)) for row in points])
+        centres = np.where(count > 0, sums / np.maximum(count, 1), centres)
+        before, labels = labels, choice.labels(centres)
         if np.array_equal(labels, before):
             break
     return centres, labels
@@ -221,34 +251,49 @@ def _scale(centres: F8) -> F8:
     return np.concatenate([SPREAD / 2 * size, speed, SPREAD * size])
 
 
-def _labels(x: F8, centres: F8, gated: bool) -> I8:
-    """The nearest centre of each particle within reach, −1 for none."""
-    scale = _scale(centres)
-    labels = np.full(x.shape[1], -1)
-    if not centres.shape[1]:
-        return labels
-    if not gated:
+class Dense:
+    """Every particle may choose any centre."""
+
+    def __init__(self, x: F8) -> None:
+        self.x = x
+
+    def labels(self, centres: F8) -> I8:
+        """The nearest centre of each particle within reach, −1 for none."""
+        x, scale = self.x, _scale(centres)
+        if not centres.shape[1]:
+            return np.full(x.shape[1], -1)
         d2 = np.zeros((centres.shape[1], x.shape[1]))
         for value, centre, s in zip(x, centres, scale, strict=True):
             d2 += ((value - centre[:, None]) / s[:, None]) ** 2
         d2[(np.abs(x[:2, None] - centres[:2, :, None]) > REACH * scale[:2, :, None]).any(0)] = np.inf
         nearest = d2.argmin(0)
         return np.where(np.isfinite(d2[nearest, np.arange(x.shape[1])]), nearest, -1)
-    point, which = in_rectangles(x[0], x[1], centres[:2] - REACH * scale[:2], centres[:2] + REACH * scale[:2])
-    # Where there is no choice, no distance is needed.
-    labels[point] = which
-    choice = np.bincount(point, minlength=len(labels))[point] > 1
-    if choice.any():
-        point, which = point[choice], which[choice]
-        d2 = np.zeros(len(point))
-        for value, centre, s in zip(x, centres, scale, strict=True):
-            d2 += ((value[point] - centre[which]) / s[which]) ** 2
+
+
+class Gated:
+    """Every particle may choose among the centres within whose reach it was at the start: they move little afterwards."""
+
+    def __init__(self, x: F8, centres: F8) -> None:
+        half = REACH * _scale(centres)[:2]
+        point, which = in_rectangles(x[0], x[1], centres[:2] - half, centres[:2] + half)
+        # Where there is no choice, no distance is needed.
+        self.alone = np.full(x.shape[1], -1)
+        self.alone[point] = which
+        several = np.bincount(point, minlength=x.shape[1])[point] > 1
+        self.point, self.which = point[several], which[several]
+        self.x = x[:, self.point]
         # The pairs come in the order of their particles.
-        first = np.flatnonzero(np.diff(point, prepend=-1))
-        least = np.repeat(np.minimum.reduceat(d2, first), np.diff(np.append(first, len(point))))
-        won = d2 == least
-        labels[point[won]] = which[won]
-    return labels
+        self.first = np.flatnonzero(np.diff(self.point, prepend=-1))
+        self.counts = np.diff(np.append(self.first, len(self.point)))
+
+    def labels(self, centres: F8) -> I8:
+        """The nearest of the centres that a particle may choose, −1 where there is none."""
+        labels = self.alone.copy()
+        if len(self.point):
+            d2 = (((self.x - centres[:, self.which]) / _scale(centres)[:, self.which]) ** 2).sum(0)
+            won = d2 == np.repeat(np.minimum.reduceat(d2, self.first), self.counts)
+            labels[self.point[won]] = self.which[won]
+        return labels
 
 
 def _join_light(centres: F8, mass: F8) -> F8:
