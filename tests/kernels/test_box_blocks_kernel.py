@@ -123,7 +123,7 @@ def test_likelihood(scaling: str, floor: float):
     at_rest = np.zeros((6, 4))
     at_rest[[0, 1, 4, 5]] = z
     noise = sensor.noise(at_rest)
-    table, speed, reach, extents = detection_table(z, noise, 0.1, np.ones(4), 13.28)
+    table, speed, reach, extents, *_ = detection_table(z, noise, 0.1, np.ones(4), 13.28, z[:2], z[:2], False)
     np.testing.assert_allclose(speed, np.sqrt(2) * noise[2], rtol=1e-6)
     np.testing.assert_allclose(reach, np.sqrt(13.28) * noise[:2])
     around = [*(z[:2] - reach), *(z[:2] + reach), *z[2:]]
@@ -152,6 +152,7 @@ def test_far_away_nothing_is_explained():
     own_precisions(s, 20, F(0.15), F(1.0))
     z = np.array([[1e7], [-1e7], [5], [5]])
     noise = np.ones((6, 1))
-    total, near = likelihood(s, 20, detection_table(z, noise, 0.0, np.ones(1), 13.28)[0], 0, F(13.28), True)
+    table = detection_table(z, noise, 0.0, np.ones(1), 13.28, z[:2], z[:2], False)[0]
+    total, near = likelihood(s, 20, table, 0, F(13.28), True)
     assert near == 0
     assert 0 <= total < 1e-36

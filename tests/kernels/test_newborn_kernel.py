@@ -116,7 +116,7 @@ def test_weights_are_gamma_over_the_proposal(n: int, size: float, local: bool):
     noise = np.zeros((6, n))
     noise[[0, 1, 4, 5]] = sigma
     volume = 4 * (z[2] * z[3]) ** 2
-    table, *_ = detection_table(z, noise, 0.02 if local else 0.0, volume, LIMIT)
+    table, *_ = detection_table(z, noise, 0.02 if local else 0.0, volume, LIMIT, z[:2], z[:2], local)
     table[PEAK] = many / ((2 * np.pi) ** 2 * sigma.prod(0)) / KEPT
     drawn = standard_points(90, RADIUS, np.array([1, 2]))
     everybody, count = np.arange(n), 60
@@ -147,7 +147,7 @@ def test_the_mass_of_a_flat_density_is_that_of_the_region():
     z = np.array([[100.0], [50], [40], [80]])
     noise = np.zeros((6, 1))
     noise[[0, 1, 4, 5], 0] = [3, 6, 6, 12]
-    table, *_ = detection_table(z, noise, 0.0, np.ones(1), LIMIT)
+    table, *_ = detection_table(z, noise, 0.0, np.ones(1), LIMIT, z[:2], z[:2], False)
     count, masses = 250, []
     table[PEAK] = count / ((2 * np.pi) ** 2 * 3 * 6 * 6 * 12) / KEPT
     for key in range(3 if config.DISABLE_JIT else 200):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.kernels.birth_table import neighbours
+from phdtrack.kernels.birth_table import detection_table, neighbours
 from phdtrack.kernels.overlaps import cell_of, overlapping, rectangle_grid
 from reference import fused_twin as twins
 
@@ -80,10 +80,14 @@ def test_neighbours_are_all_that_matter(local: bool, boxes, seed: int):
     rng = np.random.default_rng(seed)
     z = np.array(boxes, np.float64).reshape(-1, 4).T + np.array([0, 0, 1, 1])[:, None]
     z = np.ascontiguousarray(z)
-    reach = z[2:] * rng.uniform(0.1, 0.5, (2, z.shape[1]))
+    noise = np.ones((6, z.shape[1]))
+    noise[:2] = z[2:] * rng.uniform(0.1, 0.5, (2, z.shape[1]))
     half = z[2:] * rng.uniform(0.3, 0.7, (2, z.shape[1]))
     lower, upper = z[:2] - half, z[:2] + half
-    start, near, touching = neighbours(z, reach, lower, upper, local)
+    volume = np.ones(z.shape[1])
+    _, _, reach, _, low, high = detection_table(z, noise, 0.1, volume, 1.0, lower, upper, local)
+    np.testing.assert_array_equal(reach, noise[:2])
+    start, near, touching = neighbours(z, reach, lower, upper, low, high, *rectangle_grid(low, high))
     assert (start[0], start[-1]) == (0, len(near))
     for j, (gates, everything) in enumerate(twins.neighbours(z, reach, lower, upper, local)):
         mine = near[start[j] : start[j + 1]].tolist()

@@ -93,10 +93,12 @@ def seen(model: BoxModel, z: F8, explained: float, dt: float) -> Seen:
     lower, upper = model.sensor.gate(z)
     limit, _ = region()
     rate = model.birth.rate * dt if model.local else 0.0
-    table, speed, reach, extents = detection_table(z, noise, rate, local_volume(z), limit)
+    table, speed, reach, extents, low, high = detection_table(
+        z, noise, rate, local_volume(z), limit, lower, upper, model.local
+    )
     # A floor of zero would let the deviation of a vanishing box vanish.
     numbers = np.array([model.sensor.spread, max(model.sensor.floor, 1e-3), explained, limit], np.float32)
-    near = neighbours(z, reach, lower, upper, model.local)
+    near = neighbours(z, reach, lower, upper, low, high, *rectangle_grid(low, high))
     return Seen(table, numbers, speed, extents, lower, upper, rectangle_grid(lower, upper), *near)
 
 
