@@ -18,6 +18,7 @@ from phdtrack.filters.box_tables import BoxModel, Seen, flat_density, motion_num
 from phdtrack.filters.memory import empty
 from phdtrack.filters.threads import in_ranges
 from phdtrack.kernels.account import account, births
+from phdtrack.kernels.box_blocks import LANES
 from phdtrack.kernels.comb import by_cells, comb, cut
 from phdtrack.kernels.newborn import standard_points
 from phdtrack.kernels.sweeps import EXTENTS, sweep_born, sweep_offspring, sweep_old
@@ -149,7 +150,7 @@ def _sweep_born(settings: Settings, parts: BoxModel, old: _Old, frame: Seen, dt:
     """Draw J_j = ⌈Jmax·max(0, 1 − M_j)⌉ newborn around each detection and sum what the detections near them say [M07 §2]."""
     most = parts.birth.most
     # Twice as many points as one detection needs, so that detections have different ones.
-    points = standard_points(2 * most, region()[1], draws.key)
+    points = standard_points(2 * most + LANES, region()[1], draws.key)
     many, batch_start, gain_start = births(old.which, old.sums, old.unit, most, KEPT, frame.touching, frame.table)
     flat = np.float32(flat_density(parts.birth, dt))
     base, gains = np.empty(batch_start[-1], np.float32), np.empty(gain_start[-1], np.float32)

@@ -22,6 +22,8 @@ X, Y, VX, VY, W, H = (BLOCK * row for row in range(6))
 N0, N1, N2, N3 = (BLOCK * row for row in range(6, 10))
 IW, IH, ALIVE, SCALE, G, SUM = (BLOCK * row for row in range(10, 16))
 ROWS = 16
+# Numbers in the widest vector register; narrower ones divide it.
+LANES = 16
 # Rows of the table of detections: z, one over the deviations, the likelihood's normaliser; then what births need.
 ZX, ZY, ZW, ZH, IX, IY, IZW, IZH, GSCALE = range(9)
 MINUS_TWO, MINUS_HALF, ZERO = F(-2.0), F(-0.5), F(0.0)
@@ -37,6 +39,37 @@ def load(s: F4, n: int, state: F4, at: int) -> None:
         source, target = state[row, at : at + n], s[row * BLOCK : row * BLOCK + n]
         for i in range(n):
             target[i] = source[i]
+
+
+@njit(**LEAN)
+def pad(s: F4, n: int, rows: int) -> int:
+    """Fill the block up to whole vector registers with copies of its last particle; how many there are then.
+
+    What is left over at the end of a vectorised loop runs one by one, at the price of several registers. Copies have ALIVE 0
+    once `bury` is called, and count for nothing.
+    """
+    full = (n + LANES - 1) // LANES * LANES
+    for row in range(rows):
+        last = s[row * BLOCK + n - 1]
+        for i in range(row * BLOCK + n, row * BLOCK + full):
+            s[i] = last
+    return full
+
+
+@njit(**LEAN)
+def bury(s: F4, n: int, full: int) -> None:
+    """ALIVE becomes 0 for the particles from number n on, which are there to fill registers."""
+    for i in range(ALIVE + n, ALIVE + full):
+        s[i] = ZERO
+
+
+@njit(**VECTOR)
+def summed(s: F4, n: int) -> np.float32:
+    """Σ ALIVE over the block."""
+    total = ZERO
+    for i in range(n):
+        total += s[ALIVE + i]
+    return total
 
 
 @njit(**LEAN)

@@ -100,11 +100,11 @@ def weigh_newborn(
 ) -> np.float32:
     """Importance weights γ(x) / Σ_i J_i p_i(x) into ALIVE, with the proposals and γ of all neighbours [M07 §2]; their sum.
 
-    ``flat``: γ where it is the same everywhere; with ``local`` it is the sum of the neighbourhoods that hold x. IW holds the
-    particles' own proposal already.
+    ``flat``: γ where it is the same everywhere, else 0: with ``local`` it is the sum of the neighbourhoods that hold x. IW
+    holds the particles' own proposal already.
     """
     for i in range(n):
-        s[IH + i] = ZERO if local else flat
+        s[IH + i] = flat
     for m in range(count):
         k = neighbour[m]
         zx, zy, zw, zh = d[ZX, k], d[ZY, k], d[ZW, k], d[ZH, k]

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from phdtrack.kernels.box_blocks import (
     ALIVE,
     BLOCK,
+    LANES,
     N0,
     ROWS,
     SUM,
@@ -29,6 +30,7 @@ from phdtrack.kernels.box_blocks import (
     W,
     X,
     Y,
+    bury,
     drift,
     extent,
     fill_normals,
@@ -36,7 +38,9 @@ from phdtrack.kernels.box_blocks import (
     load,
     move,
     own_precisions,
+    pad,
     store,
+    summed,
 )
 from phdtrack.kernels.fast32 import ENTRY, HALF, LEAN, VECTOR
 from phdtrack.kernels.newborn import place_newborn, stretch, weigh_newborn
@@ -103,12 +107,14 @@ def sweep_old(
     for b in range(lo, hi):
         at, n = start[b], start[b + 1] - start[b]
         load(s, n, state, at)
-        fill_normals(s, n, np.uint32(b), STAGE_MOVE, k0, k1)
-        move(s, n, motion)
+        full = pad(s, n, state.shape[0])
+        fill_normals(s, full, np.uint32(b), STAGE_MOVE, k0, k1)
+        move(s, full, motion)
+        bury(s, n, full)
         if motion[7] > ZERO:
-            fill_normals(s, n, np.uint32(b), STAGE_DRIFT, k0, k1)
-            drift(s, n, motion[7])
-        alive[b] = extent(s, n, extents, b)
+            fill_normals(s, full, np.uint32(b), STAGE_DRIFT, k0, k1)
+            drift(s, full, motion[7])
+        alive[b] = extent(s, full, extents, b)
         store(s, n, moved, at)
         if alive[b] < n:
             for i in range(n):
@@ -129,10 +135,10 @@ def sweep_old(
         if used + near > which.size:
             which, sums = _longer(which, sums, 2 * (used + near))
         if own and near:
-            own_precisions(s, n, sensor[0], sensor[1])
+            own_precisions(s, full, sensor[0], sensor[1])
         for m in range(near):
             which[used] = found[m]
-            sums[0, used], sums[1, used] = likelihood(s, n, detections, found[m], sensor[2], own)
+            sums[0, used], sums[1, used] = likelihood(s, full, detections, found[m], sensor[2], own)
             used += 1
         first[b - lo + 1] = used
     return first, which[:used], sums
@@ -187,14 +193,15 @@ def sweep_born(
         for rank in range(0, many[j], BLOCK):
             n = many[j] - rank
             n = n if n < BLOCK else BLOCK
-            place_newborn(s, n, points, at + rank, detections, j)
-            base[batch_start[j] + rank // BLOCK] = weigh_newborn(
-                s, n, detections, j, neighbour, neighbour.size, sensor[3], local, flat
-            )
+            full = (n + LANES - 1) // LANES * LANES
+            place_newborn(s, full, points, at + rank, detections, j)
+            weigh_newborn(s, full, detections, j, neighbour, neighbour.size, sensor[3], local, flat)
+            bury(s, n, full)
+            base[batch_start[j] + rank // BLOCK] = summed(s, full)
             if own:
-                own_precisions(s, n, sensor[0], sensor[1])
+                own_precisions(s, full, sensor[0], sensor[1])
             for m in range(touching[j]):
-                total, _ = likelihood(s, n, detections, neighbour[m], sensor[2], own)
+                total, _ = likelihood(s, full, detections, neighbour[m], sensor[2], own)
                 gains[gain_start[j] + m * batches + rank // BLOCK] = total
 
 
@@ -276,18 +283,22 @@ def sweep_offspring(
                 if old:
                     n = start[source + 1] - start[source]
                     load(s, n, moved, start[source])
-                    _survivors(s, n)
+                    if divided[source]:
+                        _part(s, n, moved.shape[0], X if divided[source] == 1 else Y, upto)
+                    full = pad(s, n, moved.shape[0])
+                    _survivors(s, full)
+                    bury(s, n, full)
                     near_here = which[first[source] : first[source + 1]]
                 else:
                     n = many[j] - g * BLOCK
                     n = n if n < BLOCK else BLOCK
-                    place_newborn(s, n, points, begin + g * BLOCK, detections, j)
+                    full = (n + LANES - 1) // LANES * LANES
+                    place_newborn(s, full, points, begin + g * BLOCK, detections, j)
                     neighbour = near[near_start[j] : near_start[j + 1]]
-                    weigh_newborn(s, n, detections, j, neighbour, neighbour.size, sensor[3], local, flat)
+                    weigh_newborn(s, full, detections, j, neighbour, neighbour.size, sensor[3], local, flat)
+                    bury(s, n, full)
                     near_here = neighbour[: touching[j]]
-                _posterior(s, n, near_here, weight, missed, detections, own, sensor)
-                if old and divided[source]:
-                    _part(s, n, X if divided[source] == 1 else Y, upto)
+                _posterior(s, full, near_here, weight, missed, detections, own, sensor)
                 _pick(s, n, end - done, at + done, phase[source] + done - reached, share, upto, owner, out)
                 done = end
             reached += share
@@ -321,8 +332,11 @@ def _posterior(s: F4, n: int, which: I8, weight: F4, missed: np.float32, d: F4, 
 
 
 @njit(**LEAN)
-def _part(s: F4, n: int, row: int, target: I4) -> None:
-    """Put the block's particles that lie before the middle of its extent along a row before the others."""
+def _part(s: F4, n: int, rows: int, row: int, target: I4) -> None:
+    """Put the block's particles that lie before the middle of its extent along a row before the others.
+
+    ``rows`` of the state are put in order; ``target`` (n,) is for scratch.
+    """
     least, most = s[row], s[row]
     for i in range(n):
         least = s[row + i] if s[row + i] < least else least
@@ -336,12 +350,12 @@ def _part(s: F4, n: int, row: int, target: I4) -> None:
         before = s[row + i] < middle
         target[i] = left if before else right
         left, right = left + (1 if before else 0), right + (0 if before else 1)
-    for r in range(7):
-        part = SUM if r == 6 else r * BLOCK
+    for r in range(rows):
+        part = s[r * BLOCK : r * BLOCK + n]
         for i in range(n):
-            s[N0 + i] = s[part + i]
+            s[N0 + i] = part[i]
         for i in range(n):
-            s[part + target[i]] = s[N0 + i]
+            part[target[i]] = s[N0 + i]
 
 
 @njit(**LEAN)
@@ -363,10 +377,11 @@ def _pick(s: F4, n: int, teeth: int, at: int, phase: float, width: float, upto: 
     # last particle that has a weight.
     for t in range(teeth):
         owner[t] = ZEROTH
-    begin = 0
-    for i in range(n):
-        if s[SUM + i] > ZERO:
-            owner[begin] = i
+    begin, last = 0, n
+    while last > 1 and not s[SUM + last - 1] > ZERO:
+        last -= 1
+    for i in range(last):
+        owner[begin] = i
         begin = upto[i]
     x, y, vx, vy = out[0, at : at + teeth], out[1, at : at + teeth], out[2, at : at + teeth], out[3, at : at + teeth]
     w, h = out[4, at : at + teeth], out[5, at : at + teeth]
