@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from reproduce import count, detections, videos
+from reproduce import count, detections, particles, videos
 
 
 def main() -> None:
@@ -10,6 +10,7 @@ def main() -> None:
     count.main()
     videos.main()
     detections.main()
+    particles.main()
 
 
 if __name__ == "__main__":
