@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from benchmarks.loops import Ours, race
+from benchmarks.stone_soup import batch_error
 from benchmarks.twins import Twin, World, in_rectangles
 from benchmarks.workload import Crowd, draw, stages
 
+from phdtrack.boxes import to_cxcywh
 from phdtrack.models.volume import image_volume
 
 
@@ -48,6 +50,27 @@ def test_detections_are_those_of_the_crowd() -> None:
     assert len(stream.table) / len(stream.truth) == pytest.approx(0.8, abs=0.01)
     heights = [np.mean(boxes[:, 3] - boxes[:, 1]) for boxes in (stream.table.detections.xyxy, stream.truth.xyxy)]
     assert heights[0] == pytest.approx(heights[1], rel=0.01)
+
+
+def test_errors_may_be_in_pixels() -> None:
+    stream = draw(Crowd(50, 200, clutter=0.0, p_detect=1.0, noise=(1.5, 2.5)), 1)
+    found, true = (to_cxcywh(boxes) for boxes in (stream.table.detections.xyxy, stream.truth.xyxy))
+    # The detections of a frame come in any order: the nearest centre is the true one, but for few.
+    errors = np.concatenate(
+        [
+            f[:, np.abs(f[:2, :, None] - t[:2, None, :]).sum(0).argmin(0)] - t
+            for f, t in zip(np.split(found, 200, 1), np.split(true, 200, 1), strict=True)
+        ],
+        axis=1,
+    )
+    deviation = 1.4826 * np.median(np.abs(errors), axis=1)
+    assert deviation == pytest.approx([1.5, 1.5, 2.5, 2.5], rel=0.1)
+
+
+def test_the_standard_error_sees_that_neighbours_depend_on_each_other(rng: np.random.Generator) -> None:
+    alone = rng.standard_normal(2000)
+    assert batch_error(alone, 10) == pytest.approx(1 / np.sqrt(2000), rel=0.25)
+    assert batch_error(np.repeat(alone[:200], 10), 10) == pytest.approx(1 / np.sqrt(200), rel=0.25)
 
 
 def test_rectangles_by_grid_are_all_rectangles(rng: np.random.Generator) -> None:
