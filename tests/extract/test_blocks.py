@@ -13,9 +13,11 @@ from hypothesis import strategies as st
 from phdtrack.extract import KMeans
 from phdtrack.extract.cloud import Cloud
 from phdtrack.extract.clusters import REACH, Labels, cluster, moments, seeds
+from phdtrack.extract.mixture import _parts
 from phdtrack.kernels.blocks import cut
 from phdtrack.kernels.em import em_step
-from phdtrack.kernels.kmeans import MIXED, PATIENCE
+from phdtrack.kernels.kmeans import PATIENCE
+from phdtrack.kernels.nearest import MIXED
 from phdtrack.types import ParticleBlocks, Particles
 from reference import clustering_twin as twin
 
@@ -158,7 +160,7 @@ def test_an_iteration_of_em_is_the_twins(seed: int, targets: int):
     cov = cov + np.sqrt(np.einsum("jrr,jss->jrs", cov, cov)) * (root @ root.transpose(0, 2, 1))
     amount, scale = rng.uniform(0.1, 1.5, z.shape[1]), sensor.noise(mean)
     mass, to, spread = em_step(
-        part.state, part.weight, part.start, part.low, part.high, part.origin, part.mass, part.first, part.second,
+        part.state, part.weight, part.start, part.known, part.most, *_parts(part),
         amount, mean, cov, scale, REACH,
     )  # fmt: skip
     want = twin.em(state.state, state.weight, amount, mean, cov, scale)

@@ -9,11 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.boxes import iou
 from phdtrack.kernels.blocks import cut, summarise
 from phdtrack.kernels.box import box_corners, box_gate, box_noise, resting
-from phdtrack.kernels.em import whitening
-from phdtrack.kernels.joining import claim, join_pairs, near_pairs, overlapping_boxes, overlaps_with, serve
+from phdtrack.kernels.clustering import cluster_moments, outside
+from phdtrack.kernels.em import block_moments, whitening
+from phdtrack.kernels.joining import claim, meeting
+from phdtrack.kernels.kmeans import kmeans
+from phdtrack.kernels.nearest import CENTRE, MASS, MIXED
+from phdtrack.kernels.overlaps import rectangle_grid
+from reference import clustering_twin as twin
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -33,88 +37,130 @@ def test_cut_keeps_every_particle_in_small_blocks(seed: int, count: int, most: i
     np.testing.assert_array_equal(before[:, np.lexsort(before)], after[:, np.lexsort(after)])
 
 
+def known_of(state, weight, start):
+    """(B, 1 + 4d) what is known of the blocks, and the particles in the largest."""
+    known, box = np.full((len(start) - 1, 1 + 4 * len(state)), np.nan), np.empty(2, state.dtype)
+    integer = np.int32 if state.itemsize == 4 else np.int64
+    most = summarise(state, state.view(integer), weight, start, known, box, box.view(integer))
+    return known, most
+
+
 @given(seeds, st.integers(1, 8), st.sampled_from([np.float32, np.float64]), st.booleans())
 @settings(max_examples=40, deadline=None)
 def test_summaries_of_blocks(seed: int, d: int, kind: type, equal: bool):
     rng = np.random.default_rng(seed)
-    start = np.cumsum([0, *rng.integers(0, 20, 4)])
+    sizes = rng.integers(0, 20, 4)
+    start = np.cumsum([0, *sizes])
     state = rng.normal(rng.choice([0.0, 500.0]), 10, (d, start[-1])).astype(kind)
     weight = np.full(1, 0.25, kind) if equal else rng.exponential(size=start[-1]).astype(kind)
-    low, high, origin, mass, first, second = summarise(
-        state, state.view(np.int32 if kind == np.float32 else np.int64), weight, start
-    )
-    low, high = low.view(kind), high.view(kind)
+    known, most = known_of(state, weight, start)
+    assert most == sizes.max()
+    even = d + d % 2
+    first, second = np.empty((4, d)), np.empty((4, even, even))
+    block_moments(state, weight, start, known, np.zeros((2 * even + 1, 20), kind), first, second)
     exact = 1e-4 if kind == np.float32 else 1e-10
     for b in range(4):
         x = state[:, start[b] : start[b + 1]]
         w = np.full(x.shape[1], 0.25) if equal else weight[start[b] : start[b + 1]].astype(float)
-        assert mass[b] == pytest.approx(w.sum(), rel=1e-5)
+        mass, (low, high, origin, total) = known[b, 0], known[b, 1:].reshape(4, d)
+        assert mass == pytest.approx(w.sum(), rel=1e-5)
+        np.testing.assert_allclose(total, x.astype(float) @ w, rtol=exact, atol=exact)
         if x.shape[1] == 0:
+            np.testing.assert_array_equal(known[b], 0)
             continue
-        np.testing.assert_array_equal(low[b], x.min(1))
-        np.testing.assert_array_equal(high[b], x.max(1))
-        step = x.astype(float) - origin[b][:, None]
-        np.testing.assert_allclose(origin[b], x.mean(1), rtol=1e-5, atol=1e-3)
+        np.testing.assert_array_equal(low, x.min(1))
+        np.testing.assert_array_equal(high, x.max(1))
+        step = x.astype(float) - origin[:, None]
+        np.testing.assert_allclose(origin, x.mean(1), rtol=1e-5, atol=1e-3)
+        np.testing.assert_array_equal(origin, origin.astype(kind))
         np.testing.assert_allclose(first[b], (w * step).sum(1), rtol=exact, atol=100 * exact)
         np.testing.assert_allclose(np.tril(second[b, :d, :d]), np.tril((w * step) @ step.T), rtol=exact, atol=100 * exact)
 
 
 def test_summaries_need_numbers():
-    state = np.array([[1.0, np.nan], [0.0, 0.0]])
-    with pytest.raises(ValueError, match="finite"):
-        summarise(state, state.view(np.int64), np.ones(1), np.array([0, 2]))
+    for wrong in (np.nan, np.inf, -np.inf):
+        state = np.array([[1.0, wrong], [0.0, 0.0]])
+        assert known_of(state, np.ones(1), np.array([0, 2]))[1] == -1
 
 
-@given(seeds, st.integers(0, 14))
-@settings(max_examples=40, deadline=None)
-def test_near_pairs_and_joining(seed: int, count: int):
+@given(seeds, st.integers(1, 12), st.sampled_from([np.float32, np.float64]), st.booleans())
+@settings(max_examples=25, deadline=None)
+def test_kmeans_and_moments(seed: int, most: int, kind: type, equal: bool):
+    """In blocks of neighbours: whole, mixed, of nobody; every particle's cluster, the masses, means and covariances."""
     rng = np.random.default_rng(seed)
-    x, scale, mass = rng.normal(0, 4, (3, count)), rng.uniform(0.3, 1.5, (3, count)), rng.uniform(0, 1, count)
-    among = np.flatnonzero(rng.random(count) < 0.8)
-    first, second, apart = near_pairs(x, scale, 4.0, among)
-    want = {(i, j): float((((x[:, i] - x[:, j]) / scale[:, i]) ** 2).sum()) for i in among for j in among if i < j}
-    want = {pair: d for pair, d in want.items() if d <= 16}
-    assert {(int(i), int(j)): pytest.approx(d) for i, j, d in zip(first, second, apart, strict=True)} == want
-    root = join_pairs(np.lexsort((second, first, apart)), first, second, mass, 0.5, 1.2)
-    expected, total = np.arange(count), mass.copy()
-    for a, b in sorted(want, key=want.get):
-        i, j = expected[a], expected[b]
-        if i != j and min(total[i], total[j]) < 0.5 and total[i] + total[j] <= 1.2:
-            expected[expected == j] = i
-            total[i] += total[j]
-    np.testing.assert_array_equal(root, expected)
+    centres, d = rng.uniform(0, 60, (3, 3)), 3
+    state = np.hstack([c[:, None] + rng.normal(0, 3, (d, 15)) for c in centres.T] + [rng.uniform(-50, 120, (d, 5))])
+    x, w, start = cut(state, np.full(50, 0.0497) if equal else rng.exponential(0.05, 50), most)
+    x, w = x.astype(kind), w.astype(kind)
+    known, widest = known_of(x, w, start)
+    scales, blocks, room = rng.uniform(1, 4, (d, 3)), len(known), 60
+    lower, upper = known[:, 1:3].T.copy(), known[:, 1 + d : 3 + d].T.copy()
+    table, flags = np.empty((room, CENTRE + 4 * d)), np.empty((room, 6), np.int64)
+    label, own = np.empty(blocks, np.int32), np.empty(50, np.int32)
+    k = kmeans(
+        x, w, start, known, lower, upper, *rectangle_grid(lower, upper), centres, scales, 8.0, 0.6, 4, 9,
+        table, flags, label, own, np.empty(blocks, np.int64), np.empty((2, 1), np.int64),
+        np.empty(max(room, blocks), np.int64), np.empty((d + 2, widest), kind), np.empty(widest, np.int32),
+    )  # fmt: skip
+    exact, wide = x.astype(float), w.astype(float)
+    want, mass, mean = twin.cluster(exact, wide, centres, scales, 0.6, 4, 9)
+    each = np.repeat(label, np.diff(start))
+    labels = np.where(each == MIXED, own, each)
+    if kind == np.float64:
+        np.testing.assert_array_equal(labels, want)
+        np.testing.assert_allclose(table[:k, MASS], mass, atol=1e-12)
+        np.testing.assert_allclose(table[:k, CENTRE + 2 * d : CENTRE + 3 * d], mean.T, rtol=1e-9)
+    place = rng.integers(-1, 2, k)
+    total, first, cov = np.zeros(2), np.zeros((d, 2)), np.zeros((2, d, d))
+    cluster_moments(
+        x, w, start, label, own, place, np.full((d, 2), 30.0), np.zeros((2 * 4 + 2, widest), kind),
+        np.empty(widest, np.int32), np.empty(d), np.empty((4, 4)), total, first, cov,
+    )  # fmt: skip
+    joined = np.where(labels >= 0, place[labels], -1)
+    want_moments = twin.moments(exact, twin.members(joined, wide, 2), 2)
+    close = {"rtol": 1e-3, "atol": 0.05} if kind == np.float32 else {"rtol": 1e-9, "atol": 1e-9}
+    np.testing.assert_allclose(total, want_moments[0], rtol=1e-5, atol=1e-9)
+    heavy = want_moments[0] > 0
+    np.testing.assert_allclose(first[:, heavy], want_moments[1][:, heavy], **close)
+    np.testing.assert_allclose(cov[heavy], want_moments[2][heavy], **close)
 
 
-@given(seeds, st.integers(0, 12), st.sampled_from([0.0, 0.3]))
+@given(seeds, st.integers(0, 8), st.integers(1, 9))
 @settings(max_examples=40, deadline=None)
-def test_boxes_that_overlap(seed: int, count: int, above: float):
+def test_who_lies_outside_and_what_meets(seed: int, count: int, most: int):
     rng = np.random.default_rng(seed)
-    corner = rng.uniform(0, 100, (count, 2))
-    boxes = np.hstack([corner, corner + rng.choice([0.0, 20.0, 60.0], (count, 2))])
-    first, second, shared = overlapping_boxes(boxes, above)
-    table = iou(boxes, boxes)
-    want = {(i, j): table[i, j] for i in range(count) for j in range(i + 1, count) if table[i, j] > above}
-    assert {(int(i), int(j)): pytest.approx(s) for i, j, s in zip(first, second, shared, strict=True)} == want
-    alive = rng.random(count) < 0.7
-    for i in range(count):
-        other, overlap = overlaps_with(boxes, i, alive, above)
-        mine = [j for j in range(count) if j != i and alive[j] and table[i, j] > above]
-        np.testing.assert_array_equal(other, mine)
-        np.testing.assert_allclose(overlap, table[i, mine])
-
-
-def test_first_come_first_served():
-    taker, thing = np.array([0, 1, 1, 2]), np.array([0, 0, 1, 1])
-    np.testing.assert_array_equal(serve(np.array([1, 0, 2, 3]), taker, thing, 3, 2), [-1, 0, 1])
-    np.testing.assert_array_equal(serve(np.array([0, 2]), taker, thing, 4, 2), [0, 1, -1, -1])
+    state, weight, start = cut(rng.uniform(0, 100, (2, 60)), np.ones(60), most)
+    known, _ = known_of(state, weight, start)
+    at, half = rng.uniform(0, 100, (2, count)), rng.uniform(0, 40, (2, count))
+    low, high = at - half, at + half
+    lower, upper = known[:, 1:3].T.copy(), known[:, 3:5].T.copy()
+    blocks, pairs = len(known), np.empty((2, count * len(known)), np.int64)
+    grid = rectangle_grid(lower, upper)
+    number = meeting(low, high, lower, upper, *grid, np.empty(blocks, np.int64), pairs)
+    want = [
+        (i, j)
+        for i in range(count)
+        for j in range(blocks)
+        if (low[:, i] <= upper[:, j]).all() and (high[:, i] >= lower[:, j]).all()
+    ]
+    which, block = pairs[:, :number]
+    assert sorted(zip(which, block, strict=True)) == want
+    assert (np.diff(which) >= 0).all()
+    small = np.empty((2, number // 2), np.int64)
+    assert meeting(low, high, lower, upper, *grid, np.empty(blocks, np.int64), small) == number
+    out = np.empty(60, np.int64)
+    found = outside(state, start, known, low, high, which, block, np.empty(blocks, bool), np.empty(60, bool), out)
+    inside = ((state[:, :, None] >= low[:, None]) & (state[:, :, None] <= high[:, None])).all(0).any(1)
+    np.testing.assert_array_equal(out[:found], np.flatnonzero(~inside))
 
 
 def test_claims():
     x, weight = np.array([[0.0, 1, 2, 10, 11]]), np.array([1.0, 1, 2, 1, 0])
     # The second asks for what the first has; the third for the rest.
     point, which = np.array([0, 1, 1, 2, 2, 3, 4]), np.array([0, 0, 1, 1, 2, 2, 2])
-    centre, claimed = claim(x, weight, np.array([0, 1, 3]), point, which)
-    np.testing.assert_allclose(centre, [[0.5, (2 * 2 + 10) / 3]])
+    claimed, centre = np.zeros(5, bool), np.empty((1, 3))
+    assert claim(x, weight, np.array([0, 1, 3]), which, point, claimed, centre) == 2
+    np.testing.assert_allclose(centre[:, :2], [[0.5, (2 * 2 + 10) / 3]])
     np.testing.assert_array_equal(claimed, True)
 
 

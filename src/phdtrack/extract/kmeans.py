@@ -19,9 +19,9 @@ from phdtrack.checks import Positive, PositiveCount, Share, check
 from phdtrack.extract import clusters
 from phdtrack.extract.cloud import Cloud
 from phdtrack.extract.clusters import Labels
+from phdtrack.extract.joining import join_light
 from phdtrack.extract.resolution import join_unresolved
-from phdtrack.kernels.joining import join_pairs, near_pairs
-from phdtrack.protocols import Model, Sensor
+from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Estimates, ParticleBlocks, Particles
 
 
@@ -54,26 +54,10 @@ class KMeans:
         sensor, cloud = model.sensor, Cloud.of(state)
         centres = clusters.seeds(cloud, z, sensor, self.lightest)
         labels = clusters.cluster(cloud, centres, sensor, self.split, self.iterations)
-        mass, mean, cov = self._heavy_enough(cloud, labels, self._join_light(labels, sensor))
+        root = join_light(labels.mass, labels.mean, sensor, clusters.REACH, self.lightest, self.split)
+        mass, mean, cov = self._heavy_enough(cloud, labels, root)
         found = join_unresolved(mass, mean, cov, sensor, self.overlap)
         return clusters.finish(*found, z, model, self.region)
-
-    def _join_light(self, labels: Labels, sensor: Sensor) -> I8:
-        """(k,) the cluster that each belongs to once light clusters near each other are joined.
-
-        Clusters start on every detection, so one target beside a false alarm, or detected twice, may lie in two halves
-        that are each too light. Two light neighbours are joined, nearest first, while the union is not too heavy.
-        """
-        light = ((labels.mass > 0) & (labels.mass < self.lightest)).nonzero()[0]
-        alone = np.arange(len(labels.mass))
-        if len(light) < 2:
-            return alone
-        first, second, distance2 = near_pairs(labels.mean, sensor.noise(labels.mean), clusters.REACH, light)
-        if len(first) == 0:
-            return alone
-        order = np.lexsort((second, first, distance2))
-        root: I8 = join_pairs(order, first, second, labels.mass, self.lightest, self.split)
-        return root
 
     def _heavy_enough(self, cloud: Cloud, labels: Labels, root: I8) -> tuple[F8, F8, F8]:
         """Mass, mean and covariance of the clusters heavy enough, each with what has joined it."""

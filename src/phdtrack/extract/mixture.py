@@ -14,9 +14,9 @@ import numpy as np
 
 from phdtrack.checks import Positive, PositiveCount, Share, check
 from phdtrack.extract import clusters
-from phdtrack.extract.cloud import Cloud
+from phdtrack.extract.cloud import Cloud, even
 from phdtrack.extract.resolution import join_unresolved
-from phdtrack.kernels.em import em_step
+from phdtrack.kernels.em import block_moments, em_step
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, Estimates, GaussianMixture, ParticleBlocks, Particles
 
@@ -49,30 +49,40 @@ class Mixture:
             return Estimates.empty(model.motion.dim)
         sensor, cloud = model.sensor, Cloud.of(state)
         centres = clusters.seeds(cloud, z, sensor, self.lightest)
-        mixture, scale = self._fit(cloud, *_start(cloud, centres, sensor), sensor)
+        parts = _parts(cloud)
+        mixture, scale = self._fit(cloud, parts, *_start(cloud, centres, sensor), sensor)
         for _ in range(math.ceil(2 * state.mass / self.split)):
             if not (mixture.weight > self.split).any():
                 break
             divided = _divide(mixture, scale, self.split)
-            mixture, scale = self._fit(cloud, divided, sensor.noise(divided.mean), sensor)
+            mixture, scale = self._fit(cloud, parts, divided, sensor.noise(divided.mean), sensor)
         kept = mixture.weight >= self.lightest
         found = join_unresolved(
             mixture.weight[kept], mixture.mean.compress(kept, axis=1), mixture.covariance[kept], sensor, self.overlap
         )
         return clusters.finish(*found, z, model, self.region)
 
-    def _fit(self, cloud: Cloud, mixture: GaussianMixture, scale: F8, sensor: Sensor) -> tuple[GaussianMixture, F8]:
+    def _fit(
+        self, cloud: Cloud, parts: tuple[F8, F8], mixture: GaussianMixture, scale: F8, sensor: Sensor
+    ) -> tuple[GaussianMixture, F8]:
         """EM iterations [M09 §III-B]: the mixture, and the noise (d, k) at its means as in ``scale``."""
         for _ in range(self.iterations):
             if len(mixture) == 0:
                 break
             mass, mean, cov = em_step(
-                cloud.state, cloud.weight, cloud.start, cloud.low, cloud.high, cloud.origin,
-                cloud.mass, cloud.first, cloud.second,
+                cloud.state, cloud.weight, cloud.start, cloud.known, cloud.most, *parts,
                 mixture.weight, mixture.mean, mixture.covariance, scale, clusters.REACH,
             )  # fmt: skip
             mixture, scale = _floored(mass, mean, cov, sensor)
         return mixture, scale
+
+
+def _parts(cloud: Cloud) -> tuple[F8, F8]:
+    """First and second moments of the blocks, as `kernels.em.block_moments` writes them."""
+    d, blocks = len(cloud.state), len(cloud.known)
+    first, second = np.empty((blocks, d)), np.empty((blocks, even(d), even(d)))
+    block_moments(cloud.state, cloud.weight, cloud.start, cloud.known, cloud.scratch(), first, second)
+    return first, second
 
 
 def _start(cloud: Cloud, centres: F8, sensor: Sensor) -> tuple[GaussianMixture, F8]:

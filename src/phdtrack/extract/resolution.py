@@ -12,9 +12,9 @@ import heapq
 
 import numpy as np
 
-from phdtrack.kernels.joining import overlapping_boxes, overlaps_with
+from phdtrack.extract.rectangles import Rectangles
 from phdtrack.protocols import Sensor
-from phdtrack.types import F8
+from phdtrack.types import F8, I8
 
 
 def join_unresolved(mass: F8, mean: F8, cov: F8, sensor: Sensor, overlap: float) -> tuple[F8, F8, F8]:
@@ -25,7 +25,7 @@ def join_unresolved(mass: F8, mean: F8, cov: F8, sensor: Sensor, overlap: float)
     if len(mass) < 2 or overlap >= 1:
         return mass, mean, cov
     boxes = sensor.boxes(mean)
-    first, second, shared = overlapping_boxes(boxes, overlap)
+    first, second, shared = _overlapping(boxes, overlap)
     if len(first) == 0:
         return mass, mean, cov
     mass, mean, cov, boxes = mass.copy(), mean.copy(), cov.copy(), boxes.copy()
@@ -43,11 +43,34 @@ def join_unresolved(mass: F8, mean: F8, cov: F8, sensor: Sensor, overlap: float)
         version[i] += 1
         version[j] = -1
         boxes[i] = sensor.boxes(mean.take([i], axis=1))[0]
-        others, overlaps = overlaps_with(boxes, i, alive, overlap)
-        for other, s in zip(others.tolist(), overlaps.tolist(), strict=True):
+        shared = _iou(boxes, boxes[i])
+        alive[i] = False
+        others = (alive & (shared > overlap)).nonzero()[0]
+        alive[i] = True
+        for other, s in zip(others.tolist(), shared[others].tolist(), strict=True):
             a, b = min(i, other), max(i, other)
             heapq.heappush(waiting, (-s, a, b, int(version[a]), int(version[b])))
     return mass[alive], mean.compress(alive, axis=1), cov[alive]
+
+
+def _overlapping(boxes: F8, overlap: float) -> tuple[I8, I8, F8]:
+    """Pairs i < j of (n, 4) boxes whose overlap (IoU) is above the bound, and their overlaps."""
+    lower, upper = boxes[:, :2].T.copy(), boxes[:, 2:].T.copy()
+    first, second = Rectangles.of(lower, upper).meeting(lower, upper)
+    later = second > first
+    first, second = first[later], second[later]
+    shared = _iou(boxes[first], boxes[second])
+    above = shared > overlap
+    return first[above], second[above], shared[above]
+
+
+def _iou(a: F8, b: F8) -> F8:
+    """(n,) intersection over union of boxes (n, 4), row by row; 0 where both have no area."""
+    side = np.minimum(a[:, 2:], b[..., 2:]) - np.maximum(a[:, :2], b[..., :2])
+    shared = side.clip(0.0).prod(axis=-1)
+    union = (a[:, 2:] - a[:, :2]).prod(axis=-1) + (b[..., 2:] - b[..., :2]).prod(axis=-1) - shared
+    out: F8 = np.divide(shared, union, out=np.zeros_like(shared), where=union > 0.0)
+    return out
 
 
 def _merge(mass: F8, mean: F8, cov: F8, i: int, j: int) -> None:

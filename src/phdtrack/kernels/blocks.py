@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import FAST
+from phdtrack.kernels.fast32 import ENTRY, FAST, VECTOR
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -22,84 +22,71 @@ Real = NDArray[np.floating[Any]]
 Bits = NDArray[np.signedinteger[Any]]
 
 
-@njit(nogil=True, fastmath=FAST)
-def widest(start: I8) -> int:
-    """Particles in the largest block, at least 1."""
-    most = 1
-    for b in range(start.size - 1):
-        most = max(most, start[b + 1] - start[b])
-    return most
-
-
-@njit(nogil=True, fastmath=FAST)
-def even(d: int) -> int:
-    """Rows of scratch for ``d`` components: sums are taken two rows at a time."""
-    return d + d % 2
-
-
-@njit(nogil=True, fastmath=FAST)
-def load_steps(state: Real, begin: int, n: int, origin: Real, step: Real) -> None:
-    """Write the block's states, relative to ``origin`` (d,), into ``step`` (≥ d, ≥ n)."""
-    for r in range(state.shape[0]):
-        row, out, zero = state[r, begin : begin + n], step[r], origin[r]
+@njit(**VECTOR)
+def load_steps(state: Real, begin: int, n: int, known: F8, b: int, scratch: Real) -> None:
+    """Write the states of block b, relative to the point in its middle, into the first d rows of ``scratch``."""
+    d = state.shape[0]
+    for r in range(d):
+        # Slices: an index that is a sum might be negative, and the check would keep the loop from being vectorised.
+        row, out, zero = state[r, begin : begin + n], scratch[r], state.dtype.type(known[b, 1 + 2 * d + r])
         for i in range(n):
             out[i] = row[i] - zero
 
 
-@njit(nogil=True, fastmath=FAST)
+@njit(**VECTOR)
 def load_weight(weight: Real, begin: int, n: int, out: Real) -> None:
-    """Write the block's weights into ``out``; a single weight is that of every particle."""
-    # A slice assignment would cost two seconds of compilation.
-    if weight.size == 1:
-        for i in range(n):
-            out[i] = weight[0]
-    else:
-        part = weight[begin : begin + n]
+    """Write the weights of n particles into ``out``."""
+    part = weight[begin : begin + n] if weight.size > 1 else weight
+    if weight.size > 1:
         for i in range(n):
             out[i] = part[i]
+    else:
+        for i in range(n):
+            out[i] = part[0]
 
 
-@njit(nogil=True, fastmath=FAST)
-def weigh(weight: Real, step: Real, n: int, d: int, weighted: Real) -> float:
-    """Σw of n particles; their w·s go into the first ``d`` rows of ``weighted``."""
-    mass = step.dtype.type(0)
+@njit(**VECTOR)
+def weigh(scratch: Real, n: int, d: int) -> float:
+    """Σw of n particles: from rows s (d) and, behind an even number of them, w·s (d) and w; writes w·s."""
+    even = d + d % 2
+    mass, weight = scratch.dtype.type(0), scratch[2 * even]
     for i in range(n):
         mass += weight[i]
     for r in range(d):
-        source, out = step[r], weighted[r]
+        row, out = scratch[r], scratch[even + r]
         for i in range(n):
-            out[i] = weight[i] * source[i]
+            out[i] = weight[i] * row[i]
     return float(mass)
 
 
-@njit(nogil=True, fastmath=FAST)
-def gather(weighted: Real, step: Real, n: int, unit: float, first: F8, second: F8) -> None:
-    """Write ``unit`` times Σw·s into ``first`` (d,) and the lower triangle of Σw·s·sᵀ into ``second`` (even d, even d).
+@njit(**VECTOR)
+def gather(scratch: Real, n: int, first: F8, second: F8) -> None:
+    """Write Σw·s into ``first`` (d,) and the lower triangle of Σw·s·sᵀ into ``second`` (even d, even d).
 
-    ``step`` and ``weighted`` have an even number of rows, the last of them 0 where d is odd.
+    Rows of ``scratch``: s, then w·s, an even number of each, the last of them 0 where d is odd.
     """
-    zero = step.dtype.type(0)
+    zero, even = scratch.dtype.type(0), second.shape[0]
     for r in range(first.size):
-        a, total = weighted[r], zero
+        a, total = scratch[even + r], zero
         for i in range(n):
             total += a[i]
-        first[r] = unit * total
+        first[r] = total
     # Two rows by two: each number that is read serves two products.
-    for r in range(0, step.shape[0], 2):
-        a, b = weighted[r], weighted[r + 1]
+    for r in range(0, even, 2):
+        a, b = scratch[even + r], scratch[even + r + 1]
         for s in range(0, r + 1, 2):
-            e, f = step[s], step[s + 1]
+            e, f = scratch[s], scratch[s + 1]
             ae, af, be, bf = zero, zero, zero, zero
             for i in range(n):
                 ae += a[i] * e[i]
                 af += a[i] * f[i]
                 be += b[i] * e[i]
                 bf += b[i] * f[i]
-            second[r, s], second[r, s + 1] = unit * ae, unit * af
-            second[r + 1, s], second[r + 1, s + 1] = unit * be, unit * bf
+            second[r, s], second[r, s + 1] = ae, af
+            second[r + 1, s], second[r + 1, s + 1] = be, bf
 
 
-@njit(nogil=True, fastmath=FAST)
+@njit(**VECTOR)
 def extent(row: Bits) -> tuple[np.signedinteger[Any], np.signedinteger[Any]]:
     """The smallest and the largest of the numbers whose bits are given, as integers in the same order.
 
@@ -116,59 +103,55 @@ def extent(row: Bits) -> tuple[np.signedinteger[Any], np.signedinteger[Any]]:
     return integer(low ^ ((low >> sign) & turn)), integer(high ^ ((high >> sign) & turn))
 
 
-@njit(nogil=True, cache=True, fastmath=FAST)
-def summarise(state: Real, bits: Bits, weight: Real, start: I8) -> tuple[Bits, Bits, Real, F8, F8, F8]:
-    """What is known of each block.
+@njit(**(ENTRY | {"fastmath": FAST}))
+def summarise(state: Real, bits: Bits, weight: Real, start: I8, known: F8, box: Real, box_bits: Bits) -> int:
+    """What is known of each block; returns the number of particles in the largest, or −1 if a state is not finite.
 
     Parameters
     ----------
     state : (d, L) particles, ``bits`` the same memory seen as integers.
     weight : (L,) or (1,), of each or of all.
     start : (B + 1,) where blocks begin.
-
-    Returns
-    -------
-    lower, upper : (B, d) the box that holds the block's particles, as bits.
-    origin : (B, d) a point in their middle.
-    mass, first, second : (B,) Σw, (B, d) Σw·s and (B, even d, even d) the lower triangle of Σw·s·sᵀ, for s = x − origin.
-
-    Raises
-    ------
-    ValueError : a state is NaN or infinite.
+    known : (B, 1 + 4d) written: Σw; the low and the high corner of the box that holds the particles; a point in their
+        middle, exact in the states' precision; Σw·x. Zeros for an empty block.
+    box : (2,) working memory, ``box_bits`` the same seen as integers.
     """
-    d, blocks, most = state.shape[0], start.size - 1, widest(start)
-    lower, upper = np.zeros((blocks, d), bits.dtype), np.zeros((blocks, d), bits.dtype)
-    origin = np.zeros((blocks, d), state.dtype)
-    mass, first, second = np.zeros(blocks), np.zeros((blocks, d)), np.zeros((blocks, even(d), even(d)))
-    step, weighted = np.zeros((even(d), most), state.dtype), np.zeros((even(d), most), state.dtype)
-    w = np.empty(most, state.dtype)
-    check = 0.0
-    for b in range(blocks):
+    d, most, check = state.shape[0], 0, 0.0
+    zero = state.dtype.type(0)
+    for b in range(start.size - 1):
         begin, n = start[b], start[b + 1] - start[b]
+        most = n if n > most else most
         if n == 0:
+            for c in range(known.shape[1]):
+                known[b, c] = 0.0
             continue
-        for r in range(d):
-            lower[b, r], upper[b, r] = extent(bits[r, begin : begin + n])
-            row = state[r, begin : begin + n]
-            middle = state.dtype.type(0)
-            for i in range(n):
-                middle += row[i] - row[0]
-            origin[b, r] = row[0] + middle / state.dtype.type(n)
-            check += origin[b, r]
-        load_steps(state, begin, n, origin[b], step)
+        mass = zero
+        w = weight[begin : begin + n] if weight.size > 1 else weight
         if weight.size == 1:
-            mass[b] = n * float(weight[0])
-            gather(step, step, n, float(weight[0]), first[b], second[b])
+            known[b, 0] = n * float(weight[0])
         else:
-            load_weight(weight, begin, n, w)
-            mass[b] = weigh(w, step, n, d, weighted)
-            gather(weighted, step, n, 1.0, first[b], second[b])
-    if not np.isfinite(check):
-        raise ValueError("states must be finite")
-    return lower, upper, origin, mass, first, second
+            for i in range(n):
+                mass += w[i]
+            known[b, 0] = mass
+        for r in range(d):
+            box_bits[0], box_bits[1] = extent(bits[r, begin : begin + n])
+            known[b, 1 + r], known[b, 1 + d + r] = box[0], box[1]
+            row, middle, total = state[r, begin : begin + n], zero, zero
+            one = row[0]
+            for i in range(n):
+                middle += row[i] - one
+            known[b, 1 + 2 * d + r] = one + middle / state.dtype.type(n)
+            if weight.size == 1:
+                total = middle * weight[0]
+            else:
+                for i in range(n):
+                    total += w[i] * (row[i] - one)
+            known[b, 1 + 3 * d + r] = float(total) + known[b, 0] * float(one)
+            check += known[b, 1 + 2 * d + r]
+    return most if np.isfinite(check) else -1
 
 
-@njit(nogil=True, cache=True)
+@njit(**ENTRY)
 def cut(state: F8, weight: F8, most: int) -> tuple[F8, F8, I8]:
     """Any particles as blocks: the particles (d, L) and weights (L,) in the order of a grid's cells, and ``start`` (B + 1,).
 

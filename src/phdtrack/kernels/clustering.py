@@ -1,13 +1,4 @@
-"""K-means over blocks of particles: which centre each particle belongs to, and what the centres' clusters are.
-
-Most blocks lie near one centre only, or nearer to it than to any other by all of their bounding box. What such a block adds
-to its cluster is known from its sums, and none of its particles is looked at again. A block with particles of several
-clusters, or of none, is mixed: its particles have labels of their own.
-
-Centres are (d, k), ``scale`` the deviations by which distances are measured, (d, k); a centre reaches ``reach`` deviations
-in position, and one with ``alive`` not above 0 reaches nowhere. ``label`` (B,) is a block's cluster, −1 for none, −2 for a
-mixed block, whose particles' clusters stand in ``own`` (L,).
-"""
+"""What is done with clusters of particles in blocks: which particles no centre reaches, and the moments of the clusters."""
 
 from __future__ import annotations
 
@@ -15,105 +6,54 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.blocks import Real, even, gather, load_steps, load_weight, weigh, widest
-from phdtrack.kernels.fast32 import FAST
-from phdtrack.kernels.overlaps import overlapping, rectangle_grid
+from phdtrack.kernels.blocks import Real, gather, load_weight, weigh
+from phdtrack.kernels.fast32 import ENTRY, FAST, VECTOR
+from phdtrack.kernels.nearest import MIXED
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 I4 = NDArray[np.int32]
 Bool = NDArray[np.bool_]
-MIXED = -2
 
 
-@njit(nogil=True, fastmath=FAST)
-def reaches(centre: F8, scale: F8, reach: float, alive: F8) -> tuple[F8, F8]:
-    """Corners (2, k) of the rectangles that the centres reach."""
-    k = centre.shape[1]
-    lower, upper = np.empty((2, k)), np.empty((2, k))
-    for j in range(k):
-        for r in range(2):
-            half = reach * scale[r, j] if alive[j] > 0.0 else 0.0
-            lower[r, j], upper[r, j] = centre[r, j] - half, centre[r, j] + half
-    if not np.isfinite(lower.sum() + upper.sum()):
-        raise ValueError("centres and their deviations must be finite")
-    return lower, upper
-
-
-@njit(nogil=True, fastmath=FAST)
-def reaching(
-    low: Real, high: Real, lower: F8, upper: F8, frame: F8, cells: I8, item: I8, corner: I8, alive: F8, near: I8
+@njit(**(ENTRY | {"fastmath": FAST}))
+def outside(
+    state: Real, start: I8, known: F8, lower: F8, upper: F8, which: I8, block: I8, covered: Bool, free: Bool, out: I8
 ) -> int:
-    """Write into ``near`` (k,) the living centres that reach into a block's box, ascending; how many."""
-    found = overlapping(low[0], low[1], high[0], high[1], lower, upper, frame, cells, item, corner, near)
-    count = 0
-    for c in range(found):
-        j = near[c]
-        if alive[j] > 0.0:
-            at = count
-            while at > 0 and near[at - 1] > j:
-                near[at] = near[at - 1]
-                at -= 1
-            near[at] = j
-            count += 1
-    return count
+    """Write into ``out`` (L,) the particles that lie in none of k rectangles, in their order; how many.
 
-
-@njit(nogil=True, fastmath=FAST)
-def holds(lower: F8, upper: F8, j: int, low: Real, high: Real) -> bool:
-    """Whether rectangle j holds all of a block's box."""
-    inside: bool = lower[0, j] <= low[0] and high[0] <= upper[0, j] and lower[1, j] <= low[1] and high[1] <= upper[1, j]
-    return inside
-
-
-@njit(nogil=True, cache=True, fastmath=FAST)
-def block_grid(low: Real, high: Real) -> tuple[F8, F8, F8, I8, I8, I8]:
-    """A grid over the blocks' boxes in position, as `overlaps.overlapping` asks it: their corners (2, B), and the grid."""
-    blocks = low.shape[0]
-    lower, upper = np.empty((2, blocks)), np.empty((2, blocks))
-    for b in range(blocks):
-        for r in range(2):
-            lower[r, b], upper[r, b] = low[b, r], high[b, r]
-    frame, cells, item, corner = rectangle_grid(lower, upper)
-    return lower, upper, frame, cells, item, corner
-
-
-@njit(nogil=True, cache=True, fastmath=FAST)
-def outside(state: Real, start: I8, low: Real, high: Real, centre: F8, scale: F8, reach: float) -> I8:
-    """The particles that no centre reaches, in their order."""
-    alive = np.ones(centre.shape[1])
-    lower, upper = reaches(centre, scale, reach, alive)
-    frame, cells, item, corner = rectangle_grid(lower, upper)
-    near = np.empty(centre.shape[1], np.int64)
-    free = np.empty(widest(start), np.bool_)
-    found, out = 0, np.empty(state.shape[1], np.int64)
-    for b in range(start.size - 1):
-        begin, n = start[b], start[b + 1] - start[b]
-        if n == 0:
-            continue
-        count = reaching(low[b], high[b], lower, upper, frame, cells, item, corner, alive, near)
-        held = False
-        for c in range(count):
-            held |= holds(lower, upper, near[c], low[b], high[b])
-        if held:
-            continue
-        x, y = state[0, begin : begin + n], state[1, begin : begin + n]
-        for i in range(n):
+    The pairs (which, block) name at least all blocks that each rectangle, with corners ``lower`` and ``upper`` (2, k),
+    overlaps. ``known`` as in `blocks.summarise`; ``covered`` (B,) and ``free`` (L,) are working memory.
+    """
+    d = state.shape[0]
+    for b in range(covered.size):
+        covered[b] = False
+    for p in range(which.size):
+        j, b = which[p], block[p]
+        held = lower[0, j] <= known[b, 1] and known[b, 1 + d] <= upper[0, j]
+        if held and lower[1, j] <= known[b, 2] and known[b, 2 + d] <= upper[1, j]:
+            covered[b] = True
+    for b in range(covered.size):
+        for i in range(start[b], start[b + 1] if not covered[b] else 0):
             free[i] = True
-        for c in range(count):
-            j = near[c]
-            for i in range(n):
-                free[i] &= not (
-                    (x[i] >= lower[0, j]) & (x[i] <= upper[0, j]) & (y[i] >= lower[1, j]) & (y[i] <= upper[1, j])
-                )
-        for i in range(n):
+    for p in range(which.size):
+        j, b = which[p], block[p]
+        if covered[b]:
+            continue
+        left, top, right, bottom = lower[0, j], lower[1, j], upper[0, j], upper[1, j]
+        for i in range(start[b], start[b + 1]):
+            x, y = state[0, i], state[1, i]
+            free[i] &= not ((x >= left) & (x <= right) & (y >= top) & (y <= bottom))
+    found = 0
+    for b in range(covered.size):
+        for i in range(start[b], start[b + 1] if not covered[b] else 0):
             if free[i]:
-                out[found] = begin + i
+                out[found] = i
                 found += 1
-    return out[:found].copy()
+    return found
 
 
-@njit(nogil=True, fastmath=FAST)
+@njit(**VECTOR)
 def add_part(mass: float, first: F8, second: F8, shift: F8, j: int, total: F8, mean: F8, cov: F8) -> None:
     """Add to cluster j's raw moments those of a part, given about a point that lies ``shift`` (d,) from the reference."""
     total[j] += mass
@@ -123,7 +63,7 @@ def add_part(mass: float, first: F8, second: F8, shift: F8, j: int, total: F8, m
             cov[j, r, s] += second[r, s] + first[r] * shift[s] + shift[r] * first[s] + mass * shift[r] * shift[s]
 
 
-@njit(nogil=True, fastmath=FAST)
+@njit(**VECTOR)
 def centred(total: F8, mean: F8, cov: F8, reference: F8) -> None:
     """Turn raw moments about ``reference`` (d, k) into masses, means (d, k) and covariances (k, d, d), in place."""
     for j in range(total.size):
@@ -139,51 +79,59 @@ def centred(total: F8, mean: F8, cov: F8, reference: F8) -> None:
             mean[r, j] += reference[r, j]
 
 
-@njit(nogil=True, cache=True, fastmath=FAST)
+@njit(**VECTOR)
+def add_members(
+    state: Real, begin: int, n: int, j: int, scratch: Real, one: F8, two: F8, reference: F8, total: F8, mean: F8, cov: F8
+) -> None:
+    """Add particles, whose weights stand in ``scratch``, to the moments of cluster j about ``reference``."""
+    d = state.shape[0]
+    for r in range(d):
+        row, out, zero = state[r, begin : begin + n], scratch[r], state.dtype.type(reference[r, j])
+        for i in range(n):
+            out[i] = row[i] - zero
+    total[j] += weigh(scratch, n, d)
+    gather(scratch, n, one, two)
+    for r in range(d):
+        mean[r, j] += one[r]
+        for s in range(r + 1):
+            cov[j, r, s] += two[r, s]
+
+
+@njit(**(ENTRY | {"fastmath": FAST}))
 def cluster_moments(
-    state: Real, weight: Real, start: I8, origin: Real, mass: F8, first: F8, second: F8,
-    label: I4, own: I4, cluster: I8, reference: F8,
-) -> tuple[F8, F8, F8]:  # fmt: skip
-    """Masses (k,), means (d, k) and covariances (k, d, d) of the clusters.
+    state: Real, weight: Real, start: I8, label: I4, own: I4, cluster: I8, reference: F8,
+    scratch: Real, which: I4, one: F8, two: F8, total: F8, mean: F8, cov: F8,
+) -> None:  # fmt: skip
+    """Write masses (k,), means (d, k) and covariances (k, d, d) of the clusters into zeros.
 
     Label j counts for cluster ``cluster[j]``, or for none where that is −1. Moments are taken about ``reference`` (d, k), a
-    point in the middle of each cluster, because the difference of moments about a far point loses all digits.
+    point in the middle of each cluster, exact in the states' precision, because the difference of moments about a far point
+    loses all digits. Working memory: ``scratch`` (2·even d + 2, ≥ n) zeros, ``which`` (≥ n,), ``one`` (d,), ``two``
+    (even d, even d).
     """
-    d, k = reference.shape
-    most = widest(start)
-    total, mean, cov = np.zeros(k), np.zeros((d, k)), np.zeros((k, d, d))
-    step, weighted = np.zeros((even(d), most), state.dtype), np.zeros((even(d), most), state.dtype)
-    w, mine = np.empty(most, state.dtype), np.empty(most, state.dtype)
-    shift, one, two = np.empty(d), np.empty(d), np.empty((even(d), even(d)))
-    done = np.empty(most, np.int64)
+    w, of_each, zero = scratch[scratch.shape[0] - 2], scratch[scratch.shape[0] - 1], scratch.dtype.type(0)
+    nobody = np.int32(reference.shape[1])
     for b in range(label.size):
         begin, n = start[b], start[b + 1] - start[b]
-        if label[b] >= 0:
-            j = cluster[label[b]]
-            if j >= 0:
-                for r in range(d):
-                    shift[r] = origin[b, r] - reference[r, j]
-                add_part(mass[b], first[b], second[b], shift, j, total, mean, cov)
-        elif label[b] == MIXED:
-            load_steps(state, begin, n, origin[b], step)
+        mine = own[begin : begin + n]
+        if label[b] >= 0 and cluster[label[b]] >= 0:
             load_weight(weight, begin, n, w)
-            served = 0
+            add_members(state, begin, n, cluster[label[b]], scratch, one, two, reference, total, mean, cov)
+        if label[b] != MIXED:
+            continue
+        load_weight(weight, begin, n, of_each)
+        for i in range(n):
+            which[i] = cluster[mine[i]] if mine[i] >= 0 else -1
+        # The clusters of a mixed block in ascending order.
+        last = np.int32(-1)
+        while True:
+            j = nobody
             for i in range(n):
-                j = cluster[own[begin + i]] if own[begin + i] >= 0 else -1
-                known = j < 0
-                for q in range(served):
-                    known |= done[q] == j
-                if known:
-                    continue
-                done[served] = j
-                served += 1
-                for q in range(n):
-                    member = own[begin + q] >= 0 and cluster[own[begin + q]] == j
-                    mine[q] = w[q] if member else state.dtype.type(0)
-                m = weigh(mine, step, n, d, weighted)
-                gather(weighted, step, n, 1.0, one, two)
-                for r in range(d):
-                    shift[r] = origin[b, r] - reference[r, j]
-                add_part(m, one, two, shift, j, total, mean, cov)
+                j = which[i] if (which[i] > last) & (which[i] < j) else j
+            if j == nobody:
+                break
+            for i in range(n):
+                w[i] = of_each[i] if which[i] == j else zero
+            add_members(state, begin, n, j, scratch, one, two, reference, total, mean, cov)
+            last = j
     centred(total, mean, cov, reference)
-    return total, mean, cov

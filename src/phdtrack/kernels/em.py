@@ -12,16 +12,57 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.blocks import Real, even, gather, load_steps, load_weight, weigh, widest
-from phdtrack.kernels.clustering import add_part, centred, holds, reaches, reaching
-from phdtrack.kernels.fast32 import FAST, exp32
-from phdtrack.kernels.overlaps import rectangle_grid
+from phdtrack.kernels.blocks import Real, gather, load_steps, load_weight, weigh
+from phdtrack.kernels.clustering import add_part, centred
+from phdtrack.kernels.fast32 import ENTRY, FAST, VECTOR, exp32
+from phdtrack.kernels.overlaps import overlapping, rectangle_grid
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 
 
-@njit(nogil=True, fastmath=FAST)
+@njit(**VECTOR)
+def reaches(centre: F8, scale: F8, reach: float, alive: F8) -> tuple[F8, F8]:
+    """Corners (2, k) of the rectangles that the centres reach."""
+    k = centre.shape[1]
+    lower, upper = np.empty((2, k)), np.empty((2, k))
+    for j in range(k):
+        for r in range(2):
+            half = reach * scale[r, j] if alive[j] > 0.0 else 0.0
+            lower[r, j], upper[r, j] = centre[r, j] - half, centre[r, j] + half
+    if not np.isfinite(lower.sum() + upper.sum()):
+        raise ValueError("centres and their deviations must be finite")
+    return lower, upper
+
+
+@njit(**VECTOR)
+def reaching(
+    known: F8, b: int, d: int, lower: F8, upper: F8, frame: F8, cells: I8, item: I8, corner: I8, alive: F8, near: I8
+) -> int:
+    """Write into ``near`` (k,) the living components that reach into block b's box, ascending; how many."""
+    left, top, right, bottom = known[b, 1], known[b, 2], known[b, 1 + d], known[b, 2 + d]
+    found = overlapping(left, top, right, bottom, lower, upper, frame, cells, item, corner, near)
+    count = 0
+    for c in range(found):
+        j = near[c]
+        if alive[j] > 0.0:
+            at = count
+            while at > 0 and near[at - 1] > j:
+                near[at] = near[at - 1]
+                at -= 1
+            near[at] = j
+            count += 1
+    return count
+
+
+@njit(**VECTOR)
+def holds(lower: F8, upper: F8, j: int, known: F8, b: int, d: int) -> bool:
+    """Whether rectangle j holds all of block b's box."""
+    inside: bool = lower[0, j] <= known[b, 1] and known[b, 1 + d] <= upper[0, j]
+    return inside and lower[1, j] <= known[b, 2] and known[b, 2 + d] <= upper[1, j]
+
+
+@njit(**VECTOR)
 def whitening(cov: F8) -> tuple[F8, F8]:
     """A = L⁻¹ (k, d, d) with Σ = L·Lᵀ, so that |A(x − m)|² = (x − m)ᵀ Σ⁻¹ (x − m), and −½ log|Σ| (k,)."""
     k, d = cov.shape[0], cov.shape[1]
@@ -45,10 +86,10 @@ def whitening(cov: F8) -> tuple[F8, F8]:
     return inverse, log_scale
 
 
-@njit(nogil=True, fastmath=FAST)
+@njit(**VECTOR)
 def log_density(
-    step: Real, n: int, centre: F8, origin: Real, inverse: F8, constant: float, half: F8, j: int, shifted: Real, part: Real,
-    out: Real,
+    step: Real, n: int, centre: F8, known: F8, b: int, inverse: F8, constant: float, half: F8, j: int, shifted: Real,
+    part: Real, out: Real,
 ) -> None:  # fmt: skip
     """log(wⱼ·N(x; mⱼ, Σⱼ)) up to a common constant for n particles; −∞ where they are out of reach."""
     real = step.dtype.type
@@ -56,7 +97,7 @@ def log_density(
     for i in range(n):
         out[i] = real(0)
     for r in range(d):
-        row, to, at = step[r], shifted[r], real(centre[r, j] - origin[r])
+        row, to, at = step[r], shifted[r], real(centre[r, j] - known[b, 1 + 2 * d + r])
         for i in range(n):
             to[i] = row[i] - at
         for i in range(n):
@@ -73,7 +114,7 @@ def log_density(
         out[i] = top + minus * out[i] if (abs(x[i]) <= rx) & (abs(y[i]) <= ry) else nothing
 
 
-@njit(nogil=True, fastmath=FAST)
+@njit(**VECTOR)
 def responsibilities(table: Real, count: int, n: int, weight: Real, top: Real, total: Real) -> None:
     """Turn the log densities in ``table`` (≥ count, ≥ n) into the weight of each particle that each component has."""
     real = table.dtype.type
@@ -99,50 +140,68 @@ def responsibilities(table: Real, count: int, n: int, weight: Real, top: Real, t
             row[i] *= total[i]
 
 
-@njit(nogil=True, cache=True, fastmath=FAST)
+@njit(**(ENTRY | {"fastmath": FAST}))
+def block_moments(state: Real, weight: Real, start: I8, known: F8, scratch: Real, first: F8, second: F8) -> None:
+    """Write each block's Σw·s into ``first`` (B, d) and the lower triangle of Σw·s·sᵀ into ``second`` (B, even d, even d).
+
+    s = x − the point in the block's middle; ``scratch`` as in `blocks.weigh`, (≥ 2·even d + 1, ≥ n), zeros.
+    """
+    d = state.shape[0]
+    for b in range(start.size - 1):
+        begin, n = start[b], start[b + 1] - start[b]
+        load_steps(state, begin, n, known, b, scratch)
+        load_weight(weight, begin, n, scratch[2 * second.shape[1]])
+        weigh(scratch, n, d)
+        gather(scratch, n, first[b], second[b])
+
+
+@njit(**(ENTRY | {"fastmath": FAST}))
 def em_step(
-    state: Real, weight: Real, start: I8, low: Real, high: Real, origin: Real, mass: F8, first: F8, second: F8,
+    state: Real, weight: Real, start: I8, known: F8, most: int, first: F8, second: F8,
     amount: F8, centre: F8, cov: F8, scale: F8, reach: float,
 ) -> tuple[F8, F8, F8]:  # fmt: skip
     """Masses (k,), means (d, k) and covariances (k, d, d) after one iteration from ``amount``, ``centre`` and ``cov``.
 
-    ``scale`` (d, k): a component reaches ``reach`` of these deviations in position. The blocks as in `clustering.assign`.
+    ``scale`` (d, k): a component reaches ``reach`` of these deviations in position. The blocks: ``known`` of
+    `blocks.summarise`, at most ``most`` particles in each, and `block_moments`.
     """
     d, k = centre.shape
-    most = widest(start)
     lower, upper = reaches(centre, scale, reach, amount)
     half = 0.5 * (upper - lower)
     frame, cells, item, corner = rectangle_grid(lower, upper)
     inverse, log_scale = whitening(cov)
+    even = second.shape[1]
     near, table = np.empty(k, np.int64), np.empty((k, most), state.dtype)
-    step, weighted = np.zeros((even(d), most), state.dtype), np.zeros((even(d), most), state.dtype)
+    scratch, shifted = np.zeros((2 * even + 1, most), state.dtype), np.zeros((even, most), state.dtype)
     w, part = np.empty(most, state.dtype), np.empty(most, state.dtype)
     total, mean, out = np.zeros(k), np.zeros((d, k)), np.zeros((k, d, d))
-    shift, one, two = np.empty(d), np.empty(d), np.empty((even(d), even(d)))
-    for b in range(mass.size):
+    shift, one, two = np.empty(d), np.empty(d), np.empty((even, even))
+    for b in range(start.size - 1):
         begin, n = start[b], start[b + 1] - start[b]
         if n == 0:
             continue
-        count = reaching(low[b], high[b], lower, upper, frame, cells, item, corner, amount, near)
-        if count == 1 and holds(lower, upper, near[0], low[b], high[b]):
+        count = reaching(known, b, d, lower, upper, frame, cells, item, corner, amount, near)
+        if count == 1 and holds(lower, upper, near[0], known, b, d):
             j = near[0]
             for r in range(d):
-                shift[r] = origin[b, r] - centre[r, j]
-            add_part(mass[b], first[b], second[b], shift, j, total, mean, out)
+                shift[r] = known[b, 1 + 2 * d + r] - centre[r, j]
+            add_part(known[b, 0], first[b], second[b], shift, j, total, mean, out)
         elif count > 0:
-            load_steps(state, begin, n, origin[b], step)
+            load_steps(state, begin, n, known, b, scratch)
             load_weight(weight, begin, n, w)
             for c in range(count):
                 j = near[c]
                 constant = math.log(amount[j]) + log_scale[j]
-                log_density(step, n, centre, origin[b], inverse, constant, half, j, weighted, part, table[c])
-            responsibilities(table, count, n, w, weighted[0], weighted[1])
+                log_density(scratch, n, centre, known, b, inverse, constant, half, j, shifted, part, table[c])
+            responsibilities(table, count, n, w, shifted[0], shifted[1])
             for c in range(count):
                 j = near[c]
-                m = weigh(table[c], step, n, d, weighted)
-                gather(weighted, step, n, 1.0, one, two)
+                for i in range(n):
+                    scratch[2 * even, i] = table[c, i]
+                m = weigh(scratch, n, d)
+                gather(scratch, n, one, two)
                 for r in range(d):
-                    shift[r] = origin[b, r] - centre[r, j]
+                    shift[r] = known[b, 1 + 2 * d + r] - centre[r, j]
                 add_part(m, one, two, shift, j, total, mean, out)
     centred(total, mean, out, centre)
     return total, mean, out

@@ -1,0 +1,144 @@
+"""To which centres the particles of a block are nearest: by its box where that decides, by each particle where not.
+
+Tables, one row each, so that what is known of one block or cluster lies together in memory:
+
+* ``known`` (B, 1 + 4d) of `blocks.summarise`: mass, then the box's low and high corner, a point in the middle, Σw·x.
+* ``table`` (room, 4 + 4d) of clusters: mass, the position where the centre was filed (2), the distance² of its farthest
+  particle, then centre, scale, mean, Σw·x.
+* ``flags`` (room, 6) of clusters: see the names below.
+* ``link`` (2, E), ``head`` (B,): lists of the centres near each block: entry e stands for centre link[0, e] and is followed
+  by entry link[1, e]; block b's list begins with head[b], and ends with −1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from phdtrack.kernels.blocks import Real
+from phdtrack.kernels.fast32 import VECTOR
+
+F8 = NDArray[np.float64]
+I8 = NDArray[np.int64]
+I4 = NDArray[np.int32]
+MIXED, NOBODY = -2, -1
+# Columns of ``table``, and those of ``flags``: particles; whether the centre has moved; whether the cluster has particles;
+# from which it was divided; how often a stray was parted from it; its farthest particle.
+MASS, X, Y, APART, CENTRE = 0, 1, 2, 3, 4
+COUNT, MOVED, ALIVE, PARENT, STRAYS, FARTHEST = 0, 1, 2, 3, 4, 5
+
+
+@njit(**VECTOR)
+def least_excess(d: int, table: F8, a: int, b: int, known: F8, block: int) -> float:
+    """The least of |x − c_b|² − |x − c_a|², each in its own deviations, over a block's box: above 0 nothing is nearer to b.
+
+    A sum over components of parabolas, each of which is least at an end of its side or at its vertex.
+    """
+    total = 0.0
+    for r in range(d):
+        sa, sb = table[a, CENTRE + d + r], table[b, CENTRE + d + r]
+        pa, pb = 1.0 / (sa * sa), 1.0 / (sb * sb)
+        ca, cb = table[a, CENTRE + r], table[b, CENTRE + r]
+        left, right = known[block, 1 + r], known[block, 1 + d + r]
+        least = pb * (left - cb) * (left - cb) - pa * (left - ca) * (left - ca)
+        at_right = pb * (right - cb) * (right - cb) - pa * (right - ca) * (right - ca)
+        least = at_right if at_right < least else least
+        if pb > pa:
+            vertex = (pb * cb - pa * ca) / (pb - pa)
+            if left < vertex < right:
+                at_vertex = pb * (vertex - cb) * (vertex - cb) - pa * (vertex - ca) * (vertex - ca)
+                least = at_vertex if at_vertex < least else least
+        total += least
+    return total
+
+
+@njit(**VECTOR)
+def contenders(
+    d: int, table: F8, flags: I8, reach: float, known: F8, b: int, head: I8, link: I8, near: I8
+) -> tuple[int, bool, int]:
+    """Write into ``near`` the living centres that may own a particle of block b, ascending.
+
+    How many; whether the first owns all of it; and the one nearest to the middle of the block (−1: none).
+    """
+    left, top, right, bottom = known[b, 1], known[b, 2], known[b, 1 + d], known[b, 2 + d]
+    count, e = 0, head[b]
+    while e >= 0:
+        j = link[0, e]
+        e = link[1, e]
+        x, y, rx, ry = table[j, CENTRE], table[j, CENTRE + 1], reach * table[j, CENTRE + d], reach * table[j, CENTRE + d + 1]
+        if flags[j, ALIVE] == 0 or left > x + rx or right < x - rx or top > y + ry or bottom < y - ry:
+            continue
+        at = count
+        while at > 0 and near[at - 1] > j:
+            at -= 1
+        # A centre that has been filed again stands in the list twice.
+        if at > 0 and near[at - 1] == j:
+            continue
+        for q in range(count, at, -1):
+            near[q] = near[q - 1]
+        near[at] = j
+        count += 1
+    best, first = np.inf, NOBODY
+    for c in range(count):
+        j, distance2 = near[c], 0.0
+        for r in range(d):
+            step = (known[b, 1 + 2 * d + r] - table[j, CENTRE + r]) / table[j, CENTRE + d + r]
+            distance2 += step * step
+        if distance2 < best or first < 0:
+            best, first = distance2, j
+    if first < 0:
+        return 0, False, first
+    x, y = table[first, CENTRE], table[first, CENTRE + 1]
+    rx, ry = reach * table[first, CENTRE + d], reach * table[first, CENTRE + d + 1]
+    if left < x - rx or right > x + rx or top < y - ry or bottom > y + ry:
+        return count, False, first
+    kept = 0
+    for c in range(count):
+        j = near[c]
+        if j == first or not least_excess(d, table, first, j, known, b) > 0.0:
+            near[kept] = j
+            kept += 1
+    return kept, kept == 1, first
+
+
+@njit(**VECTOR)
+def squares(scratch: Real, n: int, d: int, table: F8, j: int, known: F8, b: int) -> None:
+    """Write into row d of ``scratch`` the scaled distance² of n particles from centre j; rows below are x − origin."""
+    real, out = scratch.dtype.type, scratch[d]
+    for i in range(n):
+        out[i] = real(0)
+    for r in range(d):
+        at = real(table[j, CENTRE + r] - known[b, 1 + 2 * d + r])
+        row, inverse = scratch[r], real(1.0 / table[j, CENTRE + d + r])
+        for i in range(n):
+            part = (row[i] - at) * inverse
+            out[i] += part * part
+
+
+@njit(**VECTOR)
+def nearest_in_block(
+    scratch: Real, n: int, d: int, table: F8, reach: float, known: F8, b: int, near: I8, count: int, which: I4
+) -> None:
+    """For each of n particles the nearest of the centres ``near`` that reach it (−1: none); the lower index wins a tie."""
+    real = scratch.dtype.type
+    to_x, to_y, distance2, best = scratch[0], scratch[1], scratch[d], scratch[d + 1]
+    beyond = real(np.inf)
+    for i in range(n):
+        best[i] = beyond
+        which[i] = np.int32(NOBODY)
+    for c in range(count):
+        j = near[c]
+        squares(scratch, n, d, table, j, known, b)
+        x, y, rx, ry = table[j, CENTRE], table[j, CENTRE + 1], reach * table[j, CENTRE + d], reach * table[j, CENTRE + d + 1]
+        inside = known[b, 1] >= x - rx and known[b, 1 + d] <= x + rx
+        if not (inside and known[b, 2] >= y - ry and known[b, 2 + d] <= y + ry):
+            at_x, at_y = real(x - known[b, 1 + 2 * d]), real(y - known[b, 2 + 2 * d])
+            to_rx, to_ry = real(rx), real(ry)
+            for i in range(n):
+                reached = (abs(to_x[i] - at_x) <= to_rx) & (abs(to_y[i] - at_y) <= to_ry)
+                distance2[i] = distance2[i] if reached else beyond
+        name = np.int32(j)
+        for i in range(n):
+            which[i] = name if distance2[i] < best[i] else which[i]
+            best[i] = distance2[i] if distance2[i] < best[i] else best[i]
