@@ -15,7 +15,8 @@ from phdtrack.kernels.account import account, births
 from phdtrack.kernels.box_blocks import BLOCK, ROWS, SUM
 from phdtrack.kernels.comb import by_cells, comb, cut
 from phdtrack.kernels.newborn import PEAK, standard_points, stretch
-from phdtrack.kernels.sweeps import EXTENTS, _pick, sweep_born, sweep_offspring, sweep_old
+from phdtrack.kernels.offspring import _pick, sweep_offspring
+from phdtrack.kernels.sweeps import EXTENTS, sweep_born, sweep_old
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth
 from phdtrack.models.births import KEPT, region
 from phdtrack.protocols import Model

@@ -21,7 +21,8 @@ from phdtrack.kernels.account import account, births
 from phdtrack.kernels.box_blocks import LANES
 from phdtrack.kernels.comb import by_cells, comb, cut
 from phdtrack.kernels.newborn import standard_points
-from phdtrack.kernels.sweeps import EXTENTS, sweep_born, sweep_offspring, sweep_old
+from phdtrack.kernels.offspring import sweep_offspring
+from phdtrack.kernels.sweeps import EXTENTS, sweep_born, sweep_old
 from phdtrack.models.births import KEPT, region
 from phdtrack.protocols import Model
 from phdtrack.types import F4, F8, I8, ParticleBlocks, Particles, UpdateInfo
