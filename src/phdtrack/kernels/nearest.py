@@ -140,5 +140,7 @@ def nearest_in_block(
                 distance2[i] = distance2[i] if reached else beyond
         name = np.int32(j)
         for i in range(n):
-            which[i] = name if distance2[i] < best[i] else which[i]
-            best[i] = distance2[i] if distance2[i] < best[i] else best[i]
+            now, held, before = distance2[i], best[i], which[i]
+            closer = now < held
+            best[i] = now if closer else held
+            which[i] = name if closer else before
