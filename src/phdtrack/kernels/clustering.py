@@ -132,6 +132,6 @@ def cluster_moments(
                 break
             for i in range(n):
                 w[i] = of_each[i] if which[i] == j else zero
-            add_members(state, begin, n, j, scratch, one, two, reference, total, mean, cov)
+            add_members(state, begin, n, np.int64(j), scratch, one, two, reference, total, mean, cov)
             last = j
     centred(total, mean, cov, reference)
