@@ -1,8 +1,8 @@
 """The likelihood kernel against C: the same block of particles and the same detections, calls by turns.
 
 The C side is the best of what the compiler makes of `kernel.c` with -O3 -march=native and the freedoms of -ffast-math:
-polynomial exp or the library's, at the compiler's own vector width or at 512 bits. Both sides write each likelihood, sum them and count those
-in the region.
+polynomial exp or the library's, at the compiler's own vector width or at 512 bits. Both sides write each likelihood, sum
+them and count those in the region.
 """
 
 from __future__ import annotations
