@@ -170,8 +170,7 @@ def run(
     for k in range(frames):
         now = model if k else first
         z = model.sensor.measure(found.at(k + 1))
-        state, info = recursion.update(recursion.predict(state, now, 1.0, rng), z, now, 1.0, rng)
-        state = recursion.reduce(state, rng)
+        state, info = recursion.step(state, z, now, 1.0, rng)
         out[1, k], out[2, k] = info.mass, len(extractor.extract(state, z, now))
     return out
 

@@ -13,8 +13,8 @@ from phdtrack import config
 from phdtrack.checks import bounds
 from phdtrack.config import SECTIONS
 from phdtrack.errors import InputError
-from phdtrack.extract import Components, KMeans, Mixture, Raw
-from phdtrack.filters import GMPHD, NoFilter, ParticlePHD
+from phdtrack.extract import KMeans, Mixture
+from phdtrack.filters import ParticlePHD
 from phdtrack.models import (
     FixedBirth,
     LocalClutter,
@@ -210,44 +210,6 @@ def test_another_kind_does_not_inherit_settings():
 ])  # fmt: skip
 def test_a_kind_may_stand_behind_its_settings(sets: list[str]):
     assert config.build(config.load(sets=sets), INFO).model.birth.count == 7
-
-
-@pytest.mark.parametrize(("configured", "named", "kind"), [
-    ("none", "", NoFilter), ("particle-phd", "", ParticlePHD),
-    ("none", "particle-phd", ParticlePHD), ("particle-phd", "none", NoFilter),
-    ("gm-phd", "", GMPHD), ("none", "gm-phd", GMPHD), ("particle-phd", "gm-phd", GMPHD), ("gm-phd", "none", NoFilter),
-    ("gm-phd", "particle-phd", ParticlePHD),
-])  # fmt: skip
-def test_a_named_filter_wins(configured: str, named: str, kind: type):
-    stages = config.build(config.load(sets=[f"filter.kind={configured}"]), INFO, named)
-    assert isinstance(stages.filter, kind)
-    assert isinstance(stages.extractor, {NoFilter: Raw, ParticlePHD: KMeans, GMPHD: Components}[kind])
-
-
-@pytest.mark.parametrize("preset", PRESETS)
-def test_a_filter_brings_an_extraction_that_fits_it(preset: str, tmp_path):
-    """By option, by a file and by name; what both kinds of extraction have stays."""
-    path = tmp_path / "mine.toml"
-    path.write_text("[extract]\noverlap = 0.7\n[filter]\nkind = 'gm-phd'\n", encoding="utf-8")
-    for settings, overlap in (
-        (config.load(sets=["extract.overlap=0.3", "filter.kind=gm-phd"], preset=preset), 0.3),
-        (config.load(path, preset=preset), 0.7),
-        (config.overlay(config.load(preset=preset), {"extract": {"overlap": 0.6}, "filter": {"kind": "gm-phd"}}), 0.6),
-    ):
-        assert settings.as_dict()["extract"] == {**settings.as_dict()["extract"], "kind": "components", "overlap": overlap}
-    assert isinstance(config.build(config.load(preset=preset), INFO, "gm-phd").extractor, Components)
-
-
-@pytest.mark.parametrize(("sets", "says"), [
-    (["filter.kind=gm-phd", "extract.kind=kmeans"], "use components"),
-    (["extract.kind=mixture", "filter.kind=gm-phd"], "use components"),
-    (["extract.kind=components"], "kmeans or mixture"),
-    (["filter.kind=gm-phd", "birth.kind=uniform"], "birth.kind=measurement"),
-    (["filter.kind=gm-phd", "spawn.kind=split"], "spawn.kind=none"),
-])  # fmt: skip
-def test_kinds_that_do_not_go_together(sets: list[str], says: str):
-    with pytest.raises(InputError, match=says):
-        config.load(sets=sets)
 
 
 # What depends on the sequence, and boxes

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import time
 from dataclasses import replace
 from types import SimpleNamespace
@@ -17,40 +16,14 @@ from phdtrack.errors import InputError
 from phdtrack.extract import Raw
 from phdtrack.filters import NoFilter
 from phdtrack.presets import PRESETS
-from phdtrack.simulate import DetectorModel, make_scene
-from phdtrack.types import Detections, SequenceInfo, Tracks
-
-SIZE = (640, 480)
-FEW = {"filter": {"per_target": 200}, "birth": {"most": 200}}
-FIELDS = ("frame", "identity", "xyxy", "confidence", "detection", "confirmed")
-
-
-def tracker_of(*, seed: int = 0, fps: float = 25.0, **sections) -> Tracker:
-    """A tracker with few particles, and other settings by section."""
-    merged = {name: FEW.get(name, {}) | sections.get(name, {}) for name in {*FEW, *sections}}
-    if merged["filter"].get("kind") == "none":
-        merged["filter"] = {"kind": "none"}
-    return Tracker(SIZE, seed=seed, fps=fps, **merged)
-
-
-def boxes(k: int) -> np.ndarray:
-    """Two people who walk towards each other, at frame k from 0."""
-    return np.array([[100.0 + 3 * k, 100, 140 + 3 * k, 200], [400.0 - 3 * k, 250, 440 - 3 * k, 350]])
-
-
-def equal(a: Tracks, b: Tracks) -> bool:
-    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in FIELDS)
-
-
-def feed(tracker: Tracker, frames) -> list[Tracks]:
-    return [tracker.update(found) for found in frames]
+from phdtrack.types import Detections, SequenceInfo
+from tracker_cases import SIZE, boxes, equal, feed, street, tracker_of
 
 
 @pytest.fixture(scope="module")
 def scene():
     """Frames of detections with clutter."""
-    made = make_scene("street", 3, DetectorModel(clutter_rate=3), frames=60, lead_in=-4.0)
-    return [made.detections.at(k) for k in range(1, 61)]
+    return street()
 
 
 # What it takes
@@ -323,119 +296,6 @@ def test_what_is_done_to_rows_and_boxes_afterwards_has_no_effect(scene):
     assert equal(plain.tracks(), abused.tracks())
 
 
-# Checkpoints
-
-
-@pytest.mark.parametrize("section", [
-    {},
-    {"associate": {"delay": 3}},
-    {"sensor": {"scaling": "previous"}},
-    {"filter": {"kind": "none"}},
-], ids=["default", "delay", "previous size", "none"])  # fmt: skip
-@pytest.mark.parametrize("carry", [lambda d: d, lambda d: pickle.loads(pickle.dumps(d))], ids=["dict", "pickled"])
-def test_a_resumed_run_is_bit_identical(section, carry, scene):
-    whole, first, second = (tracker_of(**section) for _ in range(3))
-    wanted = feed(whole, scene)
-    feed(first, scene[:35])
-    saved = first.state_dict()
-    feed(first, scene[5:30])
-    second.update(boxes(0))
-    second.load_state_dict(carry(saved))
-    rest = feed(second, scene[35:])
-    assert all(equal(x, y) for x, y in zip(rest, wanted[35:], strict=True))
-    assert equal(second.tracks(), whole.tracks())
-    assert equal(second.flush(), whole.flush())
-
-
-def test_a_saved_state_may_be_used_twice_and_written_into(scene):
-    tracker = tracker_of()
-    feed(tracker, scene[:20])
-    saved = tracker.state_dict()
-    results = []
-    for _ in range(2):
-        other = tracker_of()
-        other.load_state_dict(saved)
-        results.append(feed(other, scene[20:30]))
-    assert all(equal(a, b) for a, b in zip(*results, strict=True))
-    overwrite(saved)
-    assert all(equal(a, b) for a, b in zip(feed(tracker, scene[20:30]), results[0], strict=True))
-
-
-def overwrite(value) -> None:
-    """Every array within set to 0."""
-    if isinstance(value, np.ndarray):
-        value[...] = 0
-    for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
-        overwrite(item)
-
-
-def test_a_saved_state_holds_plain_values_only(scene):
-    tracker = tracker_of()
-    feed(tracker, scene[:10])
-
-    def check(value):
-        if isinstance(value, dict):
-            for key, item in value.items():
-                assert isinstance(key, str)
-                check(item)
-        elif isinstance(value, list):
-            for item in value:
-                check(item)
-        else:
-            assert value is None or type(value) in (bool, int, float, str, np.ndarray, np.float64), type(value)
-
-    check(tracker.state_dict())
-
-
-def test_the_state_before_the_first_frame_can_be_saved(scene):
-    tracker = tracker_of()
-    tracker.load_state_dict(tracker_of().state_dict())
-    assert all(equal(a, b) for a, b in zip(feed(tracker, scene[:5]), feed(tracker_of(), scene[:5]), strict=True))
-
-
-def test_the_state_of_an_earlier_version_is_told():
-    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 2"):
-        tracker_of().load_state_dict(tracker_of().state_dict() | {"format": 1})
-
-
-def damaged(saved) -> dict[str, object]:
-    fields = saved["state"]["fields"]
-    return {
-        "nothing": None,
-        "a list": [],
-        "empty": {},
-        "another format": saved | {"format": 99},
-        "no state": {k: v for k, v in saved.items() if k != "state"},
-        "no randomness": saved | {"random": {}},
-        "a number": saved | {"state": 3},
-        "another record": saved | {"state": {"record": "History", "fields": {}}},
-        "an unknown record": saved | {"state": {"record": "os.system", "fields": {}}},
-        "no fields": saved | {"state": {"record": "TrackingState", "fields": []}},
-        "a missing field": saved | {"state": {"record": "TrackingState", "fields": {"number": 3}}},
-        "an unknown record inside": saved | {
-            "state": {"record": "TrackingState", "fields": fields | {"intensity": {"record": "Mystery", "fields": {}}}}
-        },
-    }  # fmt: skip
-
-
-@pytest.mark.parametrize("how", damaged(Tracker(SIZE).state_dict()))
-def test_what_is_no_saved_state_is_told_and_changes_nothing(how: str):
-    tracker, plain = tracker_of(), tracker_of()
-    for k in range(10):
-        tracker.update(boxes(k))
-        plain.update(boxes(k))
-    with pytest.raises(InputError, match="load_state_dict"):
-        tracker.load_state_dict(damaged(tracker.state_dict())[how])
-    assert equal(tracker.update(boxes(10)), plain.update(boxes(10)))
-
-
-def test_a_state_of_other_settings_is_told():
-    saved = tracker_of(sensor={"scaling": "previous"})
-    saved.update(boxes(0))
-    with pytest.raises(InputError, match="8"):
-        tracker_of().load_state_dict(saved.state_dict())
-
-
 # Which stages
 
 
@@ -478,18 +338,3 @@ def test_stages_of_ones_own():
     for beside in ({"filter": "none"}, {"preset": "m07"}, {"sensor": {}}, {"settings": "a.toml"}):
         with pytest.raises(InputError, match="stages"):
             Tracker(stages=own, **beside)
-
-
-def test_a_state_of_ones_own_that_cannot_be_saved_is_told():
-    class Odd:
-        """A state that no checkpoint knows."""
-
-        mass = 0.0
-
-    class OddFilter(NoFilter):
-        def start(self, model, rng):
-            return Odd()
-
-    made = config.build(config.load(), SequenceInfo(*SIZE, 25.0))
-    with pytest.raises(InputError, match="Odd"):
-        Tracker(stages=replace(made, filter=OddFilter())).state_dict()

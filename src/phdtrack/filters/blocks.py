@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.kernels.box_blocks import BLOCK
 from phdtrack.kernels.comb import by_cells, cut
 from phdtrack.kernels.resample import systematic
 from phdtrack.types import ParticleBlocks, Particles
@@ -33,6 +32,3 @@ def blocked(state: Particles | ParticleBlocks, per_target: int, rng: np.random.G
     order = by_cells(points)
     start, _ = cut(points, order, np.ones(x.shape[1], np.int64), REACH)
     return ParticleBlocks(np.ascontiguousarray(x[:, order], np.float32), start, unit)
-
-
-__all__ = ["BLOCK", "REACH", "blocked", "plain"]

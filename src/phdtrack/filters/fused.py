@@ -9,7 +9,7 @@ that newborn particles can be drawn twice instead of being stored, and threads c
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,20 +27,8 @@ from phdtrack.models.births import KEPT, region
 from phdtrack.protocols import Model
 from phdtrack.types import F4, F8, I8, ParticleBlocks, Particles, UpdateInfo
 
-
-class Settings(Protocol):
-    """What the two forms of the filter share; see `ParticlePHD`."""
-
-    @property
-    def per_target(self) -> int: ...  # noqa: D102
-    @property
-    def most(self) -> int: ...  # noqa: D102
-    @property
-    def region(self) -> float: ...  # noqa: D102
-    @property
-    def skip_empty(self) -> bool: ...  # noqa: D102
-    @property
-    def threads(self) -> int: ...  # noqa: D102
+if TYPE_CHECKING:
+    from phdtrack.filters.particle_phd import ParticlePHD
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +66,7 @@ class _Born:
 
 
 def fused_step(
-    settings: Settings,
+    settings: ParticlePHD,
     parts: BoxModel,
     state: Particles | ParticleBlocks,
     z: F8,
@@ -124,7 +112,7 @@ def fused_step(
     return ParticleBlocks(out, start, after / count), info
 
 
-def _sweep_old(settings: Settings, parts: BoxModel, blocks: ParticleBlocks, frame: Seen, dt: float, draws: Draws) -> _Old:
+def _sweep_old(settings: ParticlePHD, parts: BoxModel, blocks: ParticleBlocks, frame: Seen, dt: float, draws: Draws) -> _Old:
     """Move the particles and sum what the detections near them say."""
     count = len(blocks.start) - 1
     moved, extents, alive = empty(*blocks.state.shape), np.empty((count, EXTENTS), np.float32), np.empty(count)
@@ -147,7 +135,7 @@ def _sweep_old(settings: Settings, parts: BoxModel, blocks: ParticleBlocks, fram
     return _Old(moved, extents, alive, first, which, sums, blocks.unit * parts.motion.survival**dt)
 
 
-def _sweep_born(settings: Settings, parts: BoxModel, old: _Old, frame: Seen, dt: float, draws: Draws) -> _Born:
+def _sweep_born(settings: ParticlePHD, parts: BoxModel, old: _Old, frame: Seen, dt: float, draws: Draws) -> _Born:
     """Draw J_j = ⌈Jmax·max(0, 1 − M_j)⌉ newborn around each detection and sum what the detections near them say [M07 §2]."""
     most = parts.birth.most
     # Twice as many points as one detection needs, so that detections have different ones.

@@ -1,8 +1,8 @@
 """Large arrays whose memory is used again once nobody refers to them any more.
 
-The operating system hands out fresh pages one fault at a time (about a microsecond for 4 kB), which for a million particles
-costs as much as filtering them. `empty` gives out memory that an earlier array has left; an array that is still referred to,
-be it through a view, keeps its memory, so that states remain values that nobody writes into.
+The operating system hands out fresh pages one fault at a time, which for a million particles is thousands of faults a frame.
+`empty` gives out memory that an earlier array has left; an array that is still referred to, be it through a view, keeps its
+memory, so that states remain values that nobody writes into.
 """
 
 from __future__ import annotations

@@ -16,13 +16,13 @@ ENTRY = LEAN | {"cache": True, "nogil": True}
 VECTOR = LEAN | {"fastmath": FAST}
 
 F = np.float32
-I = np.int32  # noqa: E741
+INT = np.int32
 ONE, HALF = F(1.0), F(0.5)
 LOWEST = F(-87.0)  # below, exp is no normal float32 any more
 LOG2E, LN2_HIGH, LN2_LOW = F(1.44269504), F(0.693359375), F(-2.12194440e-4)
 LN2 = F(0.693147181)
-BIAS, MANTISSA = I(127), I(23)
-ROOT_HALF = I(0x3F3504F3)  # the bits of √½
+BIAS, MANTISSA = INT(127), INT(23)
+ROOT_HALF = INT(0x3F3504F3)  # the bits of √½
 E0, E1, E2 = F(1.00000007), F(0.999999692), F(0.499988945)
 E3, E4, E5 = F(0.166675751), F(0.0419154212), F(0.00829764667)
 L0, L1, L2 = F(0.999999975), F(-0.499999777), F(0.333341605)
@@ -41,7 +41,7 @@ def exp32(x: np.float32) -> np.float32:
     x = x if x > LOWEST else LOWEST
     whole = np.floor(x * LOG2E + HALF)
     r = x - whole * LN2_HIGH - whole * LN2_LOW
-    power = F(I((I(whole) + BIAS) << MANTISSA).view(np.float32))
+    power = F(INT((INT(whole) + BIAS) << MANTISSA).view(np.float32))
     out: np.float32 = (E0 + r * (E1 + r * (E2 + r * (E3 + r * (E4 + r * E5))))) * power
     return out
 
@@ -50,8 +50,8 @@ def exp32(x: np.float32) -> np.float32:
 def log32(x: np.float32) -> np.float32:
     """log x for positive normal x, absolute error below 2e-7·(1 + |log x|)."""
     bits = F(x).view(np.int32)
-    e = I((bits - ROOT_HALF) >> MANTISSA)
-    f = I(bits - (e << MANTISSA)).view(np.float32) - ONE
+    e = INT((bits - ROOT_HALF) >> MANTISSA)
+    f = INT(bits - (e << MANTISSA)).view(np.float32) - ONE
     series = L0 + f * (L1 + f * (L2 + f * (L3 + f * (L4 + f * (L5 + f * (L6 + f * (L7 + f * L8)))))))
     return f * series + F(e) * LN2
 

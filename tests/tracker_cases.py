@@ -1,0 +1,40 @@
+"""Trackers, boxes and a scene for the tests of the tracker."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from phdtrack import Tracker
+from phdtrack.simulate import DetectorModel, make_scene
+from phdtrack.types import Detections, Tracks
+
+SIZE = (640, 480)
+FEW = {"filter": {"per_target": 200}, "birth": {"most": 200}}
+FIELDS = ("frame", "identity", "xyxy", "confidence", "detection", "confirmed")
+
+
+def tracker_of(*, seed: int = 0, fps: float = 25.0, **sections) -> Tracker:
+    """A tracker with few particles, and other settings by section."""
+    merged = {name: FEW.get(name, {}) | sections.get(name, {}) for name in {*FEW, *sections}}
+    if merged["filter"].get("kind") == "none":
+        merged["filter"] = {"kind": "none"}
+    return Tracker(SIZE, seed=seed, fps=fps, **merged)
+
+
+def boxes(k: int) -> np.ndarray:
+    """Two people who walk towards each other, at frame k from 0."""
+    return np.array([[100.0 + 3 * k, 100, 140 + 3 * k, 200], [400.0 - 3 * k, 250, 440 - 3 * k, 350]])
+
+
+def equal(a: Tracks, b: Tracks) -> bool:
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in FIELDS)
+
+
+def feed(tracker: Tracker, frames) -> list[Tracks]:
+    return [tracker.update(found) for found in frames]
+
+
+def street() -> list[Detections]:
+    """Frames of detections with clutter."""
+    made = make_scene("street", 3, DetectorModel(clutter_rate=3), frames=60, lead_in=-4.0)
+    return [made.detections.at(k) for k in range(1, 61)]
