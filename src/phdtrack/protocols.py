@@ -175,6 +175,23 @@ class Associator(Protocol[A]):
         """The corrected, bridged and cleaned tracks of everything taken in so far."""
 
 
+class Camera(Protocol):
+    """Between the pixels of one camera and the ground, metres in a world of its own.
+
+    A ray that does not meet the ground in front of the camera, and a point that no pixel shows, give columns of NaN: they
+    are faults of single points and never errors of the call.
+    """
+
+    def ground(self, pixel: F8) -> F8:
+        """(2, N) points of the ground, metres, that the pixels (2, N) show."""
+
+    def pixels(self, world: F8) -> F8:
+        """(2, N) pixels that show the world points (3, N), or points (2, N) of the ground, metres."""
+
+    def depth(self, world: F8) -> F8:
+        """(N,) distance along the viewing direction, metres, of points (3, N), or (2, N) of the ground; negative behind."""
+
+
 class Detector(Protocol):
     """From a frame to detections. Background models keep what they have learned of the scene inside: `reset` forgets it."""
 
