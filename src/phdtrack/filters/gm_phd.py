@@ -27,6 +27,7 @@ from phdtrack.checks import Count, NonNegative, Positive, check
 from phdtrack.errors import InputError
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.gm_box import box_model, fused_update
+from phdtrack.filters.meeting import Meeting, explained
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.kernels.gm_reduce import reduced, triangles
@@ -100,30 +101,38 @@ class GMPHD:
         The mass that explains a detection, which decides where targets are born, is that of the Gaussians within
         ``region`` of it. Where κ(z) + C(z) = 0 the detection's term is 0 and counted in ``info.vanished``.
         """
+        meeting = self.meet(state, z, model, dt)
+        if z.shape[1] == 0 and self.skip_empty:
+            return meeting.intensity, meeting.info(meeting.intensity.mass)
+        factor, vanished = explained(meeting.evidence, meeting.clutter)
+        result = self.weighed(meeting, 1.0, factor, z, model)
+        return result, meeting.info(result.mass, vanished)
+
+    def meet(self, state: GaussianMixture, z: F8, model: Model, dt: float) -> Meeting[GaussianMixture]:
+        """Add the newborn, and find what they and ``state`` say about the measurements."""
         sensor = model.sensor
         point, which, distance2, _ = self._pairs(state, z, sensor)
         near = distance2 <= self.region
         covered = sum_by(which[near], state.weight[point[near]], z.shape[1])
         born = model.birth.components(z, covered, sensor, dt)
         everything = join(state, born)
-        kappa = model.clutter.intensity(z)
-        if z.shape[1] == 0 and self.skip_empty:
-            return everything, UpdateInfo(everything.mass, born.mass, everything.mass, np.zeros(0), kappa)
         point, which, distance2, log_norm = self._pairs(everything, z, sensor)
         seen = everything.weight * sensor.p_detect(everything.mean)
         share = seen[point] * np.exp(log_norm - 0.5 * distance2)
         evidence = sum_by(which, share, z.shape[1])
-        total = kappa + evidence
-        # The reciprocal of a denormal number overflows.
-        known = total >= np.finfo(np.float64).tiny
-        explained = np.divide(1.0, total, out=np.zeros_like(total), where=known)
-        noise = sensor.covariance(z[:, which], everything.mean[:, point])
-        rows = np.array(sensor.observed)
-        mean, cov = updated(everything.mean, everything.covariance, z, noise, rows, point, which)
-        weight = np.concatenate([everything.weight - seen, share * explained[which]])
-        result = GaussianMixture(weight, np.hstack([everything.mean, mean]), np.concatenate([everything.covariance, cov]))
-        info = UpdateInfo(everything.mass, born.mass, result.mass, evidence, kappa, int(np.count_nonzero(~known)))
-        return result, info
+        missed = everything.weight - seen
+        return Meeting(everything, born.mass, missed, point, which, share, evidence, model.clutter.intensity(z))
+
+    def weighed(
+        self, meeting: Meeting[GaussianMixture], missed: float, detected: F8, z: F8, model: Model
+    ) -> GaussianMixture:
+        """The updated mixture: missed terms weighed with ``missed``, those of each measurement with ``detected`` (N,)."""
+        before, point, which = meeting.intensity, meeting.point, meeting.which
+        noise = model.sensor.covariance(z[:, which], before.mean[:, point])
+        rows = np.array(model.sensor.observed)
+        mean, cov = updated(before.mean, before.covariance, z, noise, rows, point, which)
+        weight = np.concatenate([missed * meeting.missed, meeting.share * detected[which]])
+        return GaussianMixture(weight, np.hstack([before.mean, mean]), np.concatenate([before.covariance, cov]))
 
     def reduce(self, state: GaussianMixture, rng: np.random.Generator) -> GaussianMixture:
         """Prune, merge, cap: the strongest first, with all that are near it, moment-matched [V06 Table II, E13 §4]."""

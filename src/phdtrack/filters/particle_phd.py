@@ -22,6 +22,7 @@ from phdtrack.filters.blocks import plain
 from phdtrack.filters.box_tables import box_model
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.fused import fused_step
+from phdtrack.filters.meeting import Meeting, explained
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.resample import systematic
 from phdtrack.protocols import Model
@@ -89,26 +90,26 @@ class ParticlePHD:
         Where κ(z) + C(z) = 0 (no clutter and nothing to explain the detection, to the smallest normal number), the
         detection's term is 0 and counted in ``info.vanished``.
         """
+        meeting = self.meet(state, z, model, dt, rng)
+        if z.shape[1] == 0 and self.skip_empty:
+            return meeting.intensity, meeting.info(meeting.intensity.mass)
+        factor, vanished = explained(meeting.evidence, meeting.clutter)
+        result = weighed(meeting, 1.0, factor)
+        return result, meeting.info(result.mass, vanished)
+
+    def meet(self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator) -> Meeting[Particles]:
+        """Draw the newborn, and find what they and ``state`` say about the measurements."""
         state = plain(state)
         covered = self._covered(state, z, model)
         born = model.birth.sample(z, covered, model.sensor, dt, rng)
         everything = join(state, born)
-        kappa = model.clutter.intensity(z)
-        if z.shape[1] == 0 and self.skip_empty:
-            info = UpdateInfo(everything.mass, born.mass, everything.mass, np.zeros(0), kappa)
-            return everything, info
         point, which = self._gated(everything, z, model)
         seen = everything.weight * model.sensor.p_detect(everything.state)
         likelihood = np.exp(model.sensor.log_likelihood(z[:, which], everything.state[:, point]))
         share = seen[point] * likelihood
         evidence = sum_by(which, share, z.shape[1])
-        total = kappa + evidence
-        # A likelihood far out in its tail is a denormal number, whose reciprocal overflows.
-        known = total >= np.finfo(np.float64).tiny
-        explained = np.divide(1.0, total, out=np.zeros_like(total), where=known)
-        weight = everything.weight - seen + sum_by(point, share * explained[which], len(everything))
-        info = UpdateInfo(everything.mass, born.mass, float(weight.sum()), evidence, kappa, int(np.count_nonzero(~known)))
-        return Particles(everything.state, weight), info
+        missed = everything.weight - seen
+        return Meeting(everything, born.mass, missed, point, which, share, evidence, model.clutter.intensity(z))
 
     def reduce(self, state: Intensity, rng: np.random.Generator) -> Particles:
         """Systematic resampling to ρ particles per expected target, which keeps the mass exactly [M07 §2]."""
@@ -141,6 +142,13 @@ class ParticlePHD:
         point, which = self._gated(state, z, model)
         near = model.sensor.distance2(z[:, which], state.state[:, point]) <= self.region
         return sum_by(which[near], state.weight[point[near]], z.shape[1])
+
+
+def weighed(meeting: Meeting[Particles], missed: float, detected: F8) -> Particles:
+    """The updated particles: missed terms weighed with ``missed``, those of each measurement with ``detected`` (N,)."""
+    before = meeting.intensity
+    seen = sum_by(meeting.point, meeting.share * detected[meeting.which], len(before))
+    return Particles(before.state, missed * meeting.missed + seen)
 
 
 def join(a: Particles, b: Particles) -> Particles:
