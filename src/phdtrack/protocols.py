@@ -188,6 +188,9 @@ class Camera(Protocol):
     def pixels(self, world: F8) -> F8:
         """(2, N) pixels that show the world points (3, N), or points (2, N) of the ground, metres."""
 
+    def jacobian(self, pixel: F8) -> F8:
+        """(N, 2, 2) derivatives of `ground` at the pixels (2, N), metres per pixel; rows X, Y."""
+
     def depth(self, world: F8) -> F8:
         """(N,) distance along the viewing direction, metres, of points (3, N), or (2, N) of the ground; negative behind."""
 
