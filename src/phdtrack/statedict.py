@@ -13,7 +13,7 @@ from phdtrack.associate.online import Given
 from phdtrack.associate.window import Columns, Edges, Links, Rows, Window
 from phdtrack.errors import InputError
 from phdtrack.pipeline import TrackingState
-from phdtrack.types import Estimates, GaussianMixture, ParticleBlocks, Particles
+from phdtrack.types import Cardinalised, Estimates, GaussianMixture, ParticleBlocks, Particles
 
 _RECORDS: dict[str, type[Any]] = {
     kind.__name__: kind
@@ -22,6 +22,7 @@ _RECORDS: dict[str, type[Any]] = {
         Particles,
         ParticleBlocks,
         GaussianMixture,
+        Cardinalised,
         Estimates,
         GraphState,
         History,

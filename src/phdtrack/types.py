@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +26,7 @@ F4 = NDArray[np.float32]
 I8 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 Image = NDArray[np.uint8]
+Points = TypeVar("Points", "Particles", "GaussianMixture")
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,6 +200,25 @@ class GaussianMixture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Cardinalised(Generic[Points]):
+    """An intensity with the distribution of the number of targets: what the cardinalised PHD filters carry.
+
+    ``cardinality`` (n,) holds the probabilities of 0, 1, 2, … targets; its mean is the mass of ``intensity``.
+    """
+
+    intensity: Points
+    cardinality: F8
+
+    def __len__(self) -> int:
+        return len(self.intensity)
+
+    @property
+    def mass(self) -> float:
+        """The integral of the intensity: the expected number of targets."""
+        return self.intensity.mass
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class UpdateInfo:
     """What an update learned beside the new state.
 
@@ -209,6 +230,7 @@ class UpdateInfo:
     evidence : (N,) C(z_j) = ∫ p_D g(z_j|x) D⁺(x) dx, per unit of measurement volume.
     clutter : (N,) κ(z_j), in the same unit.
     vanished : number of detections with κ + C = 0, whose term is 0 by definition.
+    cardinality : probabilities of 0, 1, 2, … targets after the update; (0,) from filters that carry none.
     """
 
     mass_predicted: float
@@ -217,6 +239,7 @@ class UpdateInfo:
     evidence: F8
     clutter: F8
     vanished: int = 0
+    cardinality: F8 = field(default_factory=lambda: np.zeros(0))
 
     @property
     def clutter_probability(self) -> F8:
@@ -251,6 +274,16 @@ class Estimates:
 
     def __len__(self) -> int:
         return len(self.weight)
+
+    def take(self, index: I8 | Bool) -> Estimates:
+        """The states at ``index`` (integers or a mask), in that order."""
+        return Estimates(
+            np.ascontiguousarray(self.state[:, index]),
+            self.covariance[index],
+            self.weight[index],
+            self.xyxy[index],
+            self.detection[index],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

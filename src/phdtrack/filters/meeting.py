@@ -10,17 +10,15 @@ For the PHD filter a = 1 and b_z = 1/(κ(z) + C(z)); for the cardinalised one se
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic
 
 import numpy as np
 
-from phdtrack.types import F8, I8, GaussianMixture, Particles, UpdateInfo
-
-S = TypeVar("S", Particles, GaussianMixture)
+from phdtrack.types import F8, I8, Points, UpdateInfo
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Meeting(Generic[S]):
+class Meeting(Generic[Points]):
     """The terms of an update, not weighed yet.
 
     Attributes
@@ -33,7 +31,7 @@ class Meeting(Generic[S]):
     evidence, clutter : (N,) C(z) and κ(z), per unit of measurement volume.
     """
 
-    intensity: S
+    intensity: Points
     born: float
     missed: F8
     point: I8
