@@ -1,18 +1,14 @@
-"""Opening a file that a user named, and saying where in it something is wrong."""
+"""Saying where in a file that a user named something is wrong."""
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from phdtrack.errors import InputError
+from phdtrack.files import AnyPath, load
 from phdtrack.types import I8
 
-AnyPath = str | os.PathLike[str]
-
-# Where benchmarks put the file that somebody who names the folder of a sequence has in mind.
-_USUAL = ("gt/gt.txt", "det/det.txt", "gt.txt", "det.txt", "tracks.csv", "detections.csv")
+__all__ = ["AnyPath", "Origin", "load"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,32 +22,3 @@ class Origin:
     def at(self, row: int) -> str:
         """The place of row ``row`` in words: "det.txt, line 12"."""
         return f"{self.path}, {self.unit} {self.number[row]}"
-
-
-def load(path: AnyPath) -> bytes:
-    """The bytes of the file.
-
-    Raises
-    ------
-    InputError : there is no such file, it is a folder, or it may not be read.
-    """
-    path = Path(path)
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise InputError("there is no such file", where=path, cure=_nearest(path)) from None
-    except IsADirectoryError:
-        raise InputError("expected a file, came a folder", where=path, cure=_inside(path)) from None
-    except OSError as error:
-        raise InputError(f"the file cannot be read: {error.strerror or error}", where=path) from None
-
-
-def _nearest(path: Path) -> str:
-    """The deepest folder of ``path`` that does exist: it shows which part of the name is wrong."""
-    folder = next((p for p in path.absolute().parents if p.is_dir()), Path("/"))
-    return "" if folder == path.absolute().parent else f"The last folder on the way that exists is {folder}."
-
-
-def _inside(path: Path) -> str:
-    found = [str(path / name) for name in _USUAL if (path / name).is_file()]
-    return f"Perhaps {' or '.join(found)} is meant." if found else "Name the file in it."

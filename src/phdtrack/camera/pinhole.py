@@ -1,0 +1,160 @@
+"""OpenCV's lens: a pinhole with radial, tangential and thin-prism distortion.
+
+With the slopes (x, y) of a ray and r² = x² + y²,
+
+    x' = x q(r²) + 2 p1 x y + p2 (r² + 2x²) + s1 r² + s2 r⁴        u = fx x' + cx
+    y' = y q(r²) + p1 (r² + 2y²) + 2 p2 x y + s3 r² + s4 r⁴        v = fy y' + cy
+    q(t) = (1 + k1 t + k2 t² + k3 t³)/(1 + k4 t + k5 t² + k6 t³)
+
+The way back has no closed form: Newton's method, from the root of the radial part. That part grows with r up to a fold,
+where its slope is 0, and rays from there on are outside of the lens: the formula would show them a second time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from phdtrack.errors import InputError
+from phdtrack.types import F8
+
+_SIZES = (0, 4, 5, 8, 12)
+# Halvings that bring an interval down to the spacing of float64, steps of Newton that are plenty after them.
+_HALVINGS, _STEPS = 40, 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenCVLens:
+    """A lens as `cv2.calibrateCamera` gives it.
+
+    Attributes
+    ----------
+    matrix : (3, 3) the camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], pixels.
+    distortion : none, or 4, 5, 8 or 12 coefficients in OpenCV's order (k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4).
+
+    Raises
+    ------
+    InputError : a matrix of another form, another number of coefficients, or something is not finite.
+    """
+
+    matrix: F8
+    distortion: F8 = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        k, d = np.asarray(self.matrix), np.asarray(self.distortion)
+        if k.shape != (3, 3) or not np.isfinite(k).all() or min(k[0, 0], k[1, 1]) <= 0:
+            raise InputError("expected a camera matrix (3, 3) with focal lengths above 0", where="lens of the camera")
+        if np.any(k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or k[2, 2] != 1:
+            raise InputError(
+                "expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], came other entries than 0 and 1",
+                where="lens of the camera",
+            )
+        if d.ndim != 1 or len(d) not in _SIZES or not np.isfinite(d).all():
+            raise InputError(
+                f"expected 0, 4, 5, 8 or 12 finite distortion coefficients, came {d.size}",
+                where="lens of the camera",
+                cure="The two of a tilted sensor (14 coefficients) are not understood; leave them out where they are 0.",
+            )
+
+    def rays(self, pixel: F8) -> F8:
+        """(2, N) slopes of the rays of the pixels (2, N); NaN where the lens reaches no such pixel."""
+        target = self._scaled(pixel)
+        if not self.distortion.any():
+            return target
+        ray = self._radial_root(target)
+        for _ in range(_STEPS):
+            step = self._distort(ray) - target
+            ray = ray - np.einsum("nij,jn->in", _inverse(self._derivative(ray)), step)
+        missed = np.abs(self._distort(ray) - target).max(axis=0, initial=0)
+        kept = (missed <= 1e-12 * (1 + np.abs(target).max(axis=0, initial=0))) & self._inside(ray)
+        return np.where(kept, ray, np.nan)
+
+    def project(self, ray: F8) -> F8:
+        """(2, N) pixels of rays with slopes (2, N); NaN for rays outside of the lens."""
+        ray = np.asarray(ray, dtype=np.float64)
+        bent = self._distort(np.where(self._inside(ray), ray, np.nan))
+        return np.stack([self.matrix[0, 0] * bent[0] + self.matrix[0, 2], self.matrix[1, 1] * bent[1] + self.matrix[1, 2]])
+
+    def slope(self, pixel: F8) -> F8:
+        """(N, 2, 2) derivatives of `rays` at the pixels (2, N)."""
+        scale = np.array([1 / self.matrix[0, 0], 1 / self.matrix[1, 1]])
+        return np.asarray(_inverse(self._derivative(self.rays(pixel))) * scale)
+
+    @property
+    def fold(self) -> float:
+        """Slope r of the rays at which the radial part of the distortion stops to grow; infinite where it never does."""
+        k1, k2, _, _, k3, k4, k5, k6, *_ = self._coefficients
+        above, below = np.polynomial.Polynomial([1, k1, k2, k3]), np.polynomial.Polynomial([1, k4, k5, k6])
+        squared = np.polynomial.Polynomial([0, 2])
+        # d(r q)/dr is this over the square of the lower polynomial, in t = r².
+        growth = (above + squared * above.deriv()) * below - squared * above * below.deriv()
+        roots = np.concatenate([growth.trim().roots(), below.trim().roots()])
+        real = roots[np.abs(roots.imag) <= 1e-12 * np.abs(roots)].real
+        return float(np.sqrt(np.min(real[real > 0], initial=np.inf)))
+
+    @property
+    def _coefficients(self) -> F8:
+        return np.concatenate([self.distortion, np.zeros(12 - len(self.distortion))])
+
+    def _scaled(self, pixel: F8) -> F8:
+        k = self.matrix
+        return np.stack([(pixel[0] - k[0, 2]) / k[0, 0], (pixel[1] - k[1, 2]) / k[1, 1]])
+
+    def _inside(self, ray: F8) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+        return np.asarray(np.hypot(ray[0], ray[1]) < self.fold)
+
+    def _radial(self, t: F8) -> tuple[F8, F8]:
+        """q and dq/dt at the squared radii t."""
+        k1, k2, _, _, k3, k4, k5, k6, *_ = self._coefficients
+        above, below = 1 + t * (k1 + t * (k2 + t * k3)), 1 + t * (k4 + t * (k5 + t * k6))
+        rise, fall = k1 + t * (2 * k2 + t * 3 * k3), k4 + t * (2 * k5 + t * 3 * k6)
+        return above / below, (rise - above / below * fall) / below
+
+    def _distort(self, ray: F8) -> F8:
+        """(2, N) the slopes as the pinhole behind the lens sees them."""
+        _, _, p1, p2, _, _, _, _, s1, s2, s3, s4 = self._coefficients
+        x, y = ray
+        t = x**2 + y**2
+        q, _ = self._radial(t)
+        return np.stack(
+            [
+                x * q + 2 * p1 * x * y + p2 * (t + 2 * x**2) + t * (s1 + t * s2),
+                y * q + p1 * (t + 2 * y**2) + 2 * p2 * x * y + t * (s3 + t * s4),
+            ]
+        )
+
+    def _derivative(self, ray: F8) -> F8:
+        """(N, 2, 2) derivatives of `_distort`."""
+        _, _, p1, p2, _, _, _, _, s1, s2, s3, s4 = self._coefficients
+        x, y = ray
+        t = x**2 + y**2
+        q, grows = self._radial(t)
+        prism_x, prism_y = 2 * (s1 + 2 * t * s2), 2 * (s3 + 2 * t * s4)
+        xx = q + 2 * x**2 * grows + 2 * p1 * y + 6 * p2 * x + prism_x * x
+        xy = 2 * x * y * grows + 2 * p1 * x + 2 * p2 * y
+        yy = q + 2 * y**2 * grows + 6 * p1 * y + 2 * p2 * x + prism_y * y
+        return np.moveaxis(np.array([[xx, xy + prism_x * y], [xy + prism_y * x, yy]]), 2, 0)
+
+    def _radial_root(self, target: F8) -> F8:
+        """(2, N) the rays that the radial part alone would bend into ``target`` (2, N), by halving."""
+        radius = np.hypot(target[0], target[1])
+        low, high = np.zeros_like(radius), np.minimum(2 * radius, self.fold)
+        for _ in range(_HALVINGS):  # grows until the root lies below, or the fold is reached
+            short = (high * self._radial(high**2)[0] < radius) & (high < self.fold)
+            if not short.any():
+                break
+            high = np.where(short, np.minimum(2 * high, self.fold), high)
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            short = middle * self._radial(middle**2)[0] < radius
+            low, high = np.where(short, middle, low), np.where(short, high, middle)
+        return np.asarray(target * np.divide(low + high, 2 * radius, out=np.ones_like(radius), where=radius != 0))
+
+
+def _inverse(matrix: F8) -> F8:
+    """(N, 2, 2) inverses; NaN where there is none."""
+    (a, b), (c, d) = np.moveaxis(matrix, 0, 2)
+    determinant = a * d - b * c
+    adjugate = np.moveaxis(np.array([[d, -b], [-c, a]]), 2, 0)
+    return np.asarray(adjugate / np.where(determinant != 0, determinant, np.nan)[:, None, None])
