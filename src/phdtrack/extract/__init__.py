@@ -1,8 +1,12 @@
-"""From an intensity to states: modified K-means, EM, the components of a mixture, or the detections themselves."""
+"""From an intensity to states: modified K-means, EM, the components of a mixture, or the detections themselves.
+
+Where the filter knows the distribution of the number of targets, as many peaks as it says.
+"""
 
 from phdtrack.extract.components import Components
+from phdtrack.extract.counted import CountedComponents, CountedKMeans
 from phdtrack.extract.kmeans import KMeans
 from phdtrack.extract.mixture import Mixture
 from phdtrack.extract.raw import Raw
 
-__all__ = ["Components", "KMeans", "Mixture", "Raw"]
+__all__ = ["Components", "CountedComponents", "CountedKMeans", "KMeans", "Mixture", "Raw"]

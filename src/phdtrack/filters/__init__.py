@@ -1,7 +1,9 @@
 """The filters: one recursion a file, its equations in the docstrings."""
 
+from phdtrack.filters.gm_cphd import GMCPHD
 from phdtrack.filters.gm_phd import GMPHD
 from phdtrack.filters.none import NoFilter
+from phdtrack.filters.particle_cphd import ParticleCPHD
 from phdtrack.filters.particle_phd import ParticlePHD
 
-__all__ = ["GMPHD", "NoFilter", "ParticlePHD"]
+__all__ = ["GMCPHD", "GMPHD", "NoFilter", "ParticleCPHD", "ParticlePHD"]

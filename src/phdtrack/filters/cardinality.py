@@ -1,0 +1,169 @@
+"""The number of targets in the cardinalised PHD recursion [V07].
+
+Beside the intensity D goes the distribution p(n) of the number of targets. With M = ∫D and s = D/M:
+
+    survive   p⁻(j) = Σ_n C(n, j) rʲ (1 − r)ⁿ⁻ʲ p(n),  r = ∫ p_S s
+    births    p⁺ = p⁻ ∗ Poisson(∫γ)
+    update    p(n) ∝ p⁺(n) Υ⁰[Z](n)
+              D(x) = [⟨Υ¹[Z], p⁺⟩ (1 − p_D(x)) + Σ_z ⟨Υ¹[Z∖z], p⁺⟩ p_D(x) g(z|x)] D⁺(x) / (M ⟨Υ⁰[Z], p⁺⟩)
+              Υᵘ[Z](n) = Σ_j n!/(n − j − u)! φⁿ⁻ʲ⁻ᵘ E_j(Z),  φ = ∫ (1 − p_D) s,  E_j(Z) = [tʲ] Π_z (κ(z) + t C(z)/M)
+
+Here p⁺, D⁺, M and s are those with the newborn, and C(z) = ∫ p_D g D⁺. This is the recursion of V07 for clutter whose
+number is Poisson distributed, where everything but κ(z) drops out of the clutter's distribution; E_j(Z) is e_j of C/(Mκ),
+multiplied with Πκ, so that κ = 0 needs no rule of its own. The mean of p stays the mass of D.
+
+Everything is summed in logarithms of positive terms (`kernels.esf`). Detections that nothing in the intensity explains
+(C = 0: outside of every gate) change no ratio and are left out: the cost is O(m² + m n), m the number of the others.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from phdtrack.filters.meeting import Meeting
+from phdtrack.kernels.esf import log_products, log_sums_without, thinned
+from phdtrack.types import F8, Points
+
+# Of the distribution's upper end, as much is cut as it adds to the mean.
+CUT = 1e-14
+_TINY = float(np.finfo(np.float64).tiny)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighing:
+    """Factors of the update of the intensity, and the distribution of the number of targets after it.
+
+    Attributes
+    ----------
+    missed : what weighs (1 − p_D) D⁺.
+    detected : (N,) what weighs p_D g(z|·) D⁺ of each detection.
+    cardinality : (n,) probabilities of 0, 1, 2, … targets.
+    """
+
+    missed: float
+    detected: F8
+    cardinality: F8
+
+
+def nobody() -> F8:
+    """(1,) no target, for certain."""
+    return np.ones(1)
+
+
+def log_poisson(mean: float, count: int) -> F8:
+    """(count,) logarithms of the Poisson probabilities of 0 … count − 1."""
+    if mean <= 0:
+        return np.where(np.arange(count) == 0, 0.0, -np.inf)
+    out: F8 = np.arange(count) * math.log(mean) - mean - log_factorials(count)
+    return out
+
+
+def poisson(mean: float) -> F8:
+    """Poisson probabilities of 0, 1, 2, … as far as they count."""
+    return trimmed(np.exp(log_poisson(mean, _enough(mean))))
+
+
+def survived(cardinality: F8, share: float) -> F8:
+    """The number that is left where each target stays with probability ``share`` [V07]."""
+    out: F8 = thinned(cardinality, min(max(share, 0.0), 1.0))
+    return out
+
+
+def with_births(cardinality: F8, mass: float, detections: int) -> F8:
+    """The number with Poisson births of mean ``mass`` [V07].
+
+    The births reach ``detections`` beyond what is likely: what a scan shows may be very unlikely before it is seen.
+    """
+    if mass <= 0:
+        return cardinality
+    return np.convolve(cardinality, np.exp(log_poisson(mass, _enough(mass) + detections)))
+
+
+def weigh(cardinality: F8, meeting: Meeting[Points]) -> Weighing:
+    """The number with the newborn and after the scan, from that before both."""
+    grown = with_births(cardinality, meeting.born, len(meeting.evidence))
+    return factors(grown, meeting.intensity.mass, float(meeting.missed.sum()), meeting.evidence, meeting.clutter)
+
+
+def factors(cardinality: F8, mass: float, missed: float, evidence: F8, clutter: F8) -> Weighing:
+    """The update of the number, and the factors of the intensity's [V07].
+
+    Parameters
+    ----------
+    cardinality : (n,) p⁺.
+    mass, missed : M = ∫D⁺ and ∫(1 − p_D) D⁺.
+    evidence, clutter : (N,) C(z) and κ(z), per unit of measurement volume.
+
+    Where p⁺ makes the scan impossible (more detections than targets can be, no births and no clutter), it is taken for
+    Poisson: the factors are those of the PHD filter then.
+    """
+    if mass < _TINY:
+        return Weighing(1.0, np.zeros(len(evidence)), nobody())
+    with np.errstate(divide="ignore"):
+        prior = np.log(cardinality)
+        phi = float(np.log(min(max(missed / mass, 0.0), 1.0)))
+    # The reciprocal of a denormal number overflows.
+    live = evidence >= _TINY
+    log_clutter, log_evidence = _shares(evidence[live] / mass, clutter[live])
+    products = log_products(log_clutter, log_evidence, len(prior) - 1)
+    scan = products[-1]
+    likelihood = _log_sum(scan[:, None] + _terms(len(scan), len(prior), 0, phi), axis=0)
+    total = float(_log_sum(prior + likelihood, axis=0))
+    if total == -math.inf:
+        return factors(np.exp(log_poisson(mass, _enough(mass) + len(scan))), mass, missed, evidence, clutter)
+    after = _log_sum(prior + _terms(len(scan), len(prior), 1, phi), axis=1)
+    factor = math.exp(float(_log_sum(after + scan, axis=0)) - total) / mass
+    without = log_sums_without(log_clutter, log_evidence, products, after)
+    detected = np.zeros(len(evidence))
+    detected[live] = np.exp(without - total) / (clutter[live] * mass + evidence[live])
+    return Weighing(factor, detected, trimmed(np.exp(prior + likelihood - total)))
+
+
+def trimmed(cardinality: F8) -> F8:
+    """Without the upper end that adds nothing to the mean; the sum is 1."""
+    tail = np.cumsum((np.arange(len(cardinality)) * cardinality)[::-1])[::-1]
+    kept = cardinality[: max(1, int(np.count_nonzero(tail > CUT * tail[0])))]
+    out: F8 = kept / kept.sum()
+    return out
+
+
+def log_factorials(count: int) -> F8:
+    """(count,) log 0! … log (count − 1)!"""
+    out = np.zeros(count)
+    out[1:] = np.cumsum(np.log(np.arange(1, count)))
+    return out
+
+
+def _enough(mean: float) -> int:
+    """How many entries of a Poisson distribution hold all of it but less than 1e-17."""
+    return math.ceil(mean + 10 * math.sqrt(mean) + 20)
+
+
+def _shares(evidence: F8, clutter: F8) -> tuple[F8, F8]:
+    """(m,) each: log of κ/(κ + c) and of c/(κ + c), exact however small the one is beside the other."""
+    with np.errstate(divide="ignore"):
+        low, high = np.log(clutter), np.log(evidence)
+    both = np.logaddexp(low, high)
+    return low - both, high - both
+
+
+def _terms(rows: int, columns: int, more: int, phi: float) -> F8:
+    """(j, n) log of n!/(n − j − u)! φⁿ⁻ʲ⁻ᵘ; ``more`` is u, ``phi`` log φ. −∞ where n < j + u."""
+    factorials = log_factorials(columns)
+    left = np.arange(columns) - np.arange(more, rows + more)[:, None]
+    some = np.maximum(left, 0)
+    # φ⁰ = 1, also where φ = 0.
+    powers = np.multiply(some, phi, out=np.zeros(left.shape), where=some > 0)
+    return np.where(left >= 0, factorials - factorials[some] + powers, -np.inf)
+
+
+def _log_sum(values: F8, axis: int) -> F8:
+    """log Σ exp along ``axis``; −∞ where all are."""
+    largest = values.max(axis=axis, keepdims=True)
+    base = np.where(np.isfinite(largest), largest, 0.0)
+    with np.errstate(divide="ignore"):
+        out: F8 = np.log(np.exp(values - base).sum(axis=axis)) + base.squeeze(axis)
+    return out

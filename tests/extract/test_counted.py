@@ -1,0 +1,60 @@
+"""As many peaks as the distribution of the number of targets says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from extract_cases import HERE, MODEL, THERE, cloud, moved, seen, together
+
+from phdtrack.errors import InputError
+from phdtrack.extract import CountedComponents, CountedKMeans
+from phdtrack.extract.counted import expected
+from phdtrack.types import Cardinalised, GaussianMixture, Particles
+
+# The most probable number is 2, the mean 2.6.
+NUMBER = np.array([0.0, 0.1, 0.5, 0.2, 0.1, 0.1])
+MEAN = np.stack([HERE, THERE, moved(900)], axis=1)
+WEIGHT = np.array([0.3, 1.0, 0.9])
+
+
+def held(kind: str, rng, number: np.ndarray = NUMBER) -> Cardinalised:
+    if kind == "components":
+        return Cardinalised(GaussianMixture(WEIGHT, MEAN, np.tile(np.eye(6), (3, 1, 1))), number)
+    clouds: Particles = together(*(cloud(rng, x, w) for x, w in zip(MEAN.T, WEIGHT, strict=True)))
+    return Cardinalised(clouds, number)
+
+
+@pytest.mark.parametrize("kind", ["components", "kmeans"])
+def test_the_heaviest_as_many_as_there_are(kind: str, rng):
+    extractor = {"components": CountedComponents, "kmeans": CountedKMeans}[kind]
+    state, z = held(kind, rng), seen(HERE, THERE, moved(900))
+    two = extractor().extract(state, z, MODEL)
+    np.testing.assert_allclose(np.sort(two.state[0]), np.sort(MEAN[0, 1:]), atol=3)
+    assert sorted(two.detection.tolist()) == [1, 2]
+    three = extractor(count="eap").extract(state, z, MODEL)
+    assert len(three) == 3
+    assert np.sort(three.weight)[0] == pytest.approx(0.3, abs=1e-6)
+    alone = held(kind, rng, np.array([1.0]))
+    assert len(extractor().extract(alone, z, MODEL)) == 0
+    # There are no more states than peaks.
+    assert len(extractor().extract(held(kind, rng, np.eye(9)[8]), z, MODEL)) == 3
+
+
+def test_a_component_may_count_more_than_once():
+    state = Cardinalised(GaussianMixture(np.array([1.9, 0.1]), MEAN[:, :2], np.tile(np.eye(6), (2, 1, 1))), NUMBER)
+    found = CountedComponents(repeat=True).extract(state, seen(HERE), MODEL)
+    np.testing.assert_array_equal(found.state[0], MEAN[0, [0, 0]])
+    np.testing.assert_allclose(found.weight, 0.95)
+
+
+def test_ties_and_rounding():
+    assert expected(np.array([0.4, 0.2, 0.4]), "map") == 0
+    assert expected(np.array([0.4, 0.2, 0.4]), "eap") == 1
+    assert expected(np.ones(1), "map") == expected(np.ones(1), "eap") == 0
+
+
+@pytest.mark.parametrize("kind", [CountedComponents, CountedKMeans])
+def test_settings_out_of_bounds(kind):
+    for wrong in ({"lightest": 0.0}, {"overlap": 2.0}):
+        with pytest.raises(InputError, match=next(iter(wrong))):
+            kind(**wrong)
