@@ -8,14 +8,17 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.protocols import AnyStages
-from phdtrack.types import Detections, Step, Tracks, UpdateInfo
+from phdtrack.types import F8, I8, Detections, Estimates, Step, Tracks, UpdateInfo
+
+# Where measurements are put that tell nothing of any state: no state is near.
+NOWHERE = 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,23 +60,48 @@ def advance(
             cure="Sort the frames, or reset the tracker before a new sequence",
         )
     model = stages.model
-    # The first frame has nothing before it; its births are those of one time unit.
-    dt = (time - state.time) * model.rate if state.number else 1.0
+    dt = (time - state.time) * model.rate if state.number else model.first
     began = clock.perf_counter()
-    z = model.sensor.measure(detections if detections.observed else Detections.empty(observed=False))
+    everything = model.sensor.measure(detections if detections.observed else Detections.empty(observed=False))
+    usable = np.flatnonzero(np.isfinite(everything).all(axis=0))
+    complete = len(usable) == everything.shape[1]
+    z = everything if complete else np.ascontiguousarray(everything[:, usable])
     if detections.observed:
-        intensity, info = stages.filter.step(state.intensity, z, model, dt, rng)
+        watching = replace(model, sensor=model.sensor.watching(detections))
+        intensity, info = stages.filter.step(state.intensity, z, watching, dt, rng)
     else:
         intensity = stages.filter.predict(state.intensity, model, dt, rng)
         info = UpdateInfo(intensity.mass, 0.0, intensity.mass, np.zeros(0), np.zeros(0))
     filtered = clock.perf_counter()
     estimates = stages.extractor.extract(intensity, z, model)
+    if not complete:
+        everything, info, estimates = _renumbered(everything, info, estimates, usable)
     extracted = clock.perf_counter()
-    association, tracks = stages.associator.extend(state.association, estimates, z, number, dt, model)
+    association, tracks = stages.associator.extend(state.association, estimates, everything, number, dt, model)
     ended = clock.perf_counter()
     seconds = (filtered - began, extracted - filtered, ended - extracted)
-    step = Step(number, time, detections, info, estimates, tracks, seconds)
+    unusable = everything.shape[1] - len(usable)
+    step = Step(number, time, detections, info, estimates, tracks, seconds, unusable)
     return TrackingState(intensity, association, number, time), step
+
+
+def _renumbered(z: F8, info: UpdateInfo, estimates: Estimates, usable: I8) -> tuple[F8, UpdateInfo, Estimates]:
+    """What was found with the ``usable`` columns of ``z`` (m, N) alone, in terms of all N.
+
+    The others are taken for false alarms and lie where no state is.
+    """
+    count = z.shape[1]
+    if len(info.evidence) == len(usable):
+        evidence, clutter = np.zeros(count), np.zeros(count)
+        evidence[usable], clutter[usable] = info.evidence, info.clutter
+        info = replace(info, evidence=evidence, clutter=clutter)
+    # The last place stands for no detection.
+    number = np.append(usable, -1)
+    return (
+        np.where(np.isfinite(z).all(axis=0), z, NOWHERE),
+        info,
+        replace(estimates, detection=number[estimates.detection]),
+    )
 
 
 def run(

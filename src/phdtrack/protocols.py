@@ -59,7 +59,7 @@ class Sensor(Protocol):
         """The rows of the state that a measurement shows, in the order of its first components."""
 
     def measure(self, detections: Detections) -> F8:
-        """(m, N) the measurement vectors of the detections."""
+        """(m, N) the measurement vectors of the detections; a column of NaN for one that tells nothing of any state."""
 
     def log_likelihood(self, z: F8, x: F8) -> F8:
         """log g(z|x), elementwise with broadcasting behind the first axis."""
@@ -75,6 +75,9 @@ class Sensor(Protocol):
 
     def p_detect(self, x: F8) -> F8:
         """(L,) detection probability of targets at ``x`` (d, L)."""
+
+    def watching(self, detections: Detections) -> Sensor:
+        """The sensor as it is in the frame of these detections: what they show may hide targets, which p_D then knows."""
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles in the position plane outside which g(z|·) is negligible: lower and upper corners, each (2, N)."""
@@ -111,7 +114,8 @@ class Model:
     """The four parts of a model of the world, and ``rate``: its time units per second.
 
     The papers state their noises per frame at 25 Hz; with ``rate`` 25 a frame of such a video has dt = 1, one of a
-    7 Hz video dt = 25/7, and a gap of three frames three times as much.
+    7 Hz video dt = 25/7, and a gap of three frames three times as much. ``first`` is the interval before the first frame,
+    in time units: what happens in it is predicted and born then.
     """
 
     motion: Motion
@@ -119,6 +123,7 @@ class Model:
     birth: Birth
     clutter: Clutter
     rate: float = 25.0
+    first: float = 1.0
 
 
 S = TypeVar("S")

@@ -29,6 +29,11 @@ Image = NDArray[np.uint8]
 Points = TypeVar("Points", "Particles", "GaussianMixture")
 
 
+def _none() -> I8:
+    """(0,) for columns that a record need not have."""
+    return np.zeros(0, np.int64)
+
+
 @dataclass(frozen=True, slots=True)
 class SequenceInfo:
     """What is known about a sequence before its frames are read.
@@ -184,11 +189,21 @@ class ParticleBlocks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussianMixture:
-    """A weighted sum of Gaussians: ``weight`` (J,), ``mean`` (d, J), ``covariance`` (J, d, d)."""
+    """A weighted sum of Gaussians.
+
+    Attributes
+    ----------
+    weight : (J,) float64 ≥ 0.      mean : (d, J) float64.      covariance : (J, d, d) float64.
+    tag : (J,) int64 from 0, by which a Gaussian's history can be read, see `filters.gm_phd`; (0,) in a mixture that is no
+        filter's state.
+    fresh : the tag that the next new Gaussian is given: none that was ever given is as large.
+    """
 
     weight: F8
     mean: F8
     covariance: F8
+    tag: I8 = field(default_factory=_none)
+    fresh: int = 0
 
     def __len__(self) -> int:
         return len(self.weight)
@@ -357,7 +372,8 @@ class Step:
     """Everything that one frame brought: what a pipeline yields and what sinks and reports read.
 
     ``tracks`` are the online rows that became final with this frame: with an output delay they belong to an earlier one.
-    ``seconds`` (filter, extract, associate) is the time each stage took.
+    ``seconds`` (filter, extract, associate) is the time each stage took. ``unusable`` counts the detections that tell
+    nothing of any state, as one whose foot is above the horizon: they are left out, and no row rests on them.
     """
 
     number: int
@@ -367,3 +383,4 @@ class Step:
     estimates: Estimates
     tracks: Tracks
     seconds: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))
+    unusable: int = 0

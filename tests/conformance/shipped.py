@@ -16,12 +16,16 @@ from phdtrack.models import (
     FixedBirth,
     LocalClutter,
     MeasurementBirth,
+    PlaneBirth,
+    PlaneMotion,
+    PlaneSensor,
     SplitSpawn,
     UniformBirth,
     UniformClutter,
 )
 from phdtrack.protocols import Model
 from phdtrack.types import Detections, Estimates, GaussianMixture, Particles
+from plane_cases import FRAME, LevelCamera
 
 SIZE = (640.0, 480.0)
 
@@ -32,9 +36,16 @@ MOTIONS = {
     "splitting": BoxMotion(births=SplitSpawn(rate=0.1), frame_size=SIZE),
     "borderless": BoxMotion(),
     "still": BoxMotion(acceleration=0.0, resize=0.0),
+    "plane": PlaneMotion(region=(0.0, 0.0, 500.0, 400.0)),
+    "plane, piecewise": PlaneMotion(form="piecewise", nominal=1.0),
+    "plane, still": PlaneMotion(acceleration=0.0),
 }
 SENSORS = {scaling: BoxSensor(scaling=scaling) for scaling in ("particle", "detection", "previous", "fixed", "given")}
 SENSORS["no floor"] = BoxSensor(floor=0.0)
+SENSORS["occlusion"] = BoxSensor(occlusion=True)
+SENSORS["plane"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), frame_size=FRAME)
+SENSORS["plane, fixed"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), scaling="fixed")
+SENSORS["plan"] = PlaneSensor(scaling="given")
 
 
 def mixture(dim: int) -> GaussianMixture:
@@ -49,6 +60,16 @@ BIRTHS = {
     "measurement, local": MeasurementBirth(rate=0.02, most=200, volume="local"),
     "uniform": UniformBirth(SIZE, count=40),
     "fixed": FixedBirth(mixture(6), count=100),
+}
+GROUND = SENSORS["plane"]
+PLANE_BIRTHS = {
+    "plane, region": PlaneBirth(rate=0.02, most=200, volume="region", region=(-40.0, 0.0, 40.0, 60.0)),
+    "plane, local": PlaneBirth(rate=0.02, most=200, radius=3.0),
+    "plane, fixed": FixedBirth(
+        GaussianMixture(
+            np.array([0.02, 0.01]), np.array([[0.0, 1], [10, 20], [0, 0], [0, 1]]), np.tile(np.eye(4), (2, 1, 1))
+        )
+    ),
 }
 CLUTTERS = {"uniform": UniformClutter(2.0, (640.0 * 480) ** 2), "local": LocalClutter(2.0), "none": UniformClutter(0.0, 1.0)}
 FILTERS = {

@@ -4,27 +4,32 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from shipped import BIRTHS, CLUTTERS, SENSORS, detections, fixed, keeps
+from shipped import BIRTHS, CLUTTERS, GROUND, PLANE_BIRTHS, SENSORS, detections, fixed, keeps
 
 from phdtrack.errors import InputError
 from phdtrack.models import UniformBirth
 from phdtrack.protocols import Birth, Clutter
 
 SENSOR = SENSORS["particle"]
-births = pytest.mark.parametrize("birth", BIRTHS.values(), ids=BIRTHS)
+WORLDS = [(birth, SENSOR) for birth in BIRTHS.values()] + [(birth, GROUND) for birth in PLANE_BIRTHS.values()]
+births = pytest.mark.parametrize(("birth", "sensor"), WORLDS, ids=[*BIRTHS, *PLANE_BIRTHS])
 clutters = pytest.mark.parametrize("clutter", CLUTTERS.values(), ids=CLUTTERS)
 
 
-def measured(rng: np.random.Generator, n: int) -> np.ndarray:
-    return fixed(SENSOR.measure(detections(rng, n)))
+def measured(rng: np.random.Generator, n: int, sensor=SENSOR) -> np.ndarray:
+    return fixed(sensor.measure(detections(rng, n)))
+
+
+def dim(sensor) -> int:
+    return 4 if sensor is GROUND else 6
 
 
 @births
-def test_newborn_are_particles_and_repeat(birth, rng):
+def test_newborn_are_particles_and_repeat(birth, sensor, rng):
     keeps(Birth, birth)
-    z, covered = measured(rng, 5), fixed(np.array([0.0, 0.3, 1.0, 2.0, 0.9]))
-    a, b = (birth.sample(z, covered, SENSOR, 1.0, np.random.default_rng(3)) for _ in range(2))
-    assert a.state.shape == (6, len(a))
+    z, covered = measured(rng, 5, sensor), fixed(np.array([0.0, 0.3, 1.0, 2.0, 0.9]))
+    a, b = (birth.sample(z, covered, sensor, 1.0, np.random.default_rng(3)) for _ in range(2))
+    assert a.state.shape == (dim(sensor), len(a))
     assert len(a) > 0
     assert np.isfinite(a.state).all()
     assert np.isfinite(a.weight).all()
@@ -35,9 +40,9 @@ def test_newborn_are_particles_and_repeat(birth, rng):
 
 
 @births
-def test_their_mass_follows_the_interval(birth, rng):
-    z, covered = measured(rng, 5), np.zeros(5)
-    one, three = (birth.sample(z, covered, SENSOR, dt, np.random.default_rng(3)).mass for dt in (1.0, 3.0))
+def test_their_mass_follows_the_interval(birth, sensor, rng):
+    z, covered = measured(rng, 5, sensor), np.zeros(5)
+    one, three = (birth.sample(z, covered, sensor, dt, np.random.default_rng(3)).mass for dt in (1.0, 3.0))
     assert three == pytest.approx(3 * one)
     assert 0 < one < 1
 
@@ -84,14 +89,39 @@ def test_uniform_births_have_no_mixture_and_say_what_has():
 
 
 @births
-def test_no_measurements(birth, rng):
-    born = birth.sample(np.zeros((4, 0)), np.zeros(0), SENSOR, 1.0, rng)
-    assert born.state.shape == (6, len(born))
+def test_no_measurements(birth, sensor, rng):
+    d, none = dim(sensor), sensor.measure(detections(rng, 0))
+    born = birth.sample(none, np.zeros(0), sensor, 1.0, rng)
+    assert born.state.shape == (d, len(born))
     assert (born.weight >= 0).all()
     if not isinstance(birth, UniformBirth):
-        mixture = birth.components(np.zeros((4, 0)), np.zeros(0), SENSOR, 1.0)
-        assert mixture.mean.shape == (6, len(mixture))
-        assert mixture.covariance.shape == (len(mixture), 6, 6)
+        mixture = birth.components(none, np.zeros(0), sensor, 1.0)
+        assert mixture.mean.shape == (d, len(mixture))
+        assert mixture.covariance.shape == (len(mixture), d, d)
+
+
+@pytest.mark.parametrize("name", PLANE_BIRTHS)
+def test_on_the_plane_gaussians_have_the_mass_of_particles(name: str):
+    """Averaged over draws; people far apart, whose regions of γ lie inside its border."""
+    birth = PLANE_BIRTHS[name]
+    z = fixed(np.array([[-10.0, 3, 12], [20, 30, 25], [0.2, 0.4, 0.3], [0.1, 0, -0.1], [0.3, 0.6, 0.2]]))
+    covered = fixed(np.array([0.0, 0.5, 1.3]))
+    mixture = birth.components(z, covered, GROUND, 1.5)
+    assert np.linalg.eigvalsh(mixture.covariance).min() > 0
+    drawn = [birth.sample(z, covered, GROUND, 1.5, np.random.default_rng(k)).mass for k in range(40)]
+    assert mixture.mass == pytest.approx(np.mean(drawn), rel=0.03)
+
+
+def test_on_the_plane_gaussians_have_the_density_of_gamma_at_their_detection():
+    """Seen through the noise; the second and third detections share what lies between them."""
+    z = np.array([[-10.0, 3, 3.5], [20, 30, 30.5], [0.2, 0.4, 0.4], [0.1, 0, 0], [0.3, 0.6, 0.6]])
+    for name, each in (("plane, region", 0.02 / 4800), ("plane, local", 0.02 / (np.pi * 9))):
+        mixture = PLANE_BIRTHS[name].components(z, np.zeros(3), GROUND, 1.0)
+        seen = mixture.covariance[:, :2, :2] + GROUND.covariance(z, mixture.mean)
+        step = z[:2, :, None] - mixture.mean[:2, None, :]
+        distance2 = np.einsum("rji,irs,sji->ji", step, np.linalg.inv(seen), step)
+        density = (mixture.weight / np.sqrt(np.linalg.det(2 * np.pi * seen)) * np.exp(-0.5 * distance2)).sum(1)
+        np.testing.assert_allclose(density, each * np.array([1, 1, 1] if "region" in name else [1, 2, 2]), rtol=0.01)
 
 
 @clutters

@@ -13,8 +13,18 @@ pytestmark = pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
 
 
 @pytest.fixture
-def z(sensor, rng):
-    return fixed(sensor.measure(frozen(detections(rng, 30))))
+def found(rng):
+    return frozen(detections(rng, 30))
+
+
+@pytest.fixture
+def z(sensor, found):
+    return fixed(sensor.measure(found))
+
+
+def root(sensor, z, x) -> np.ndarray:
+    """(n, r, r) Cholesky factors of the noise."""
+    return np.linalg.cholesky(sensor.covariance(z, x))
 
 
 def test_signatures(sensor):
@@ -28,7 +38,7 @@ def test_measurements_are_columns(sensor, z):
     assert sensor.measure(Detections.empty()).shape == (len(z), 0)
 
 
-def test_a_state_made_of_a_measurement_predicts_it(sensor, z, rng):
+def test_a_state_made_of_a_measurement_predicts_it(sensor, z, found, rng):
     x, cov = sensor.states(z)
     d = len(x)
     assert x.shape == (d, 30)
@@ -39,7 +49,9 @@ def test_a_state_made_of_a_measurement_predicts_it(sensor, z, rng):
     np.testing.assert_allclose(sensor.measure(detections(rng, 0)), np.zeros((len(z), 0)))
     boxes = sensor.boxes(x)
     assert boxes.shape == (30, 4)
-    np.testing.assert_allclose(sensor.measure(Detections.of(boxes))[:4] if len(z) == 4 else z[:4], z[:4])
+    again = Detections(boxes, found.confidence, found.class_id, found.covariance)
+    rows = len(sensor.observed)
+    np.testing.assert_allclose(sensor.measure(again)[:rows], z[:rows], rtol=1e-9, atol=1e-9)
 
 
 def test_likelihoods_are_elementwise_with_broadcasting(sensor, z):
@@ -58,12 +70,11 @@ def test_the_likelihood_is_a_density(sensor, z, rng):
     """Its integral over measurements about one state is 1, by importance sampling with twice the noise."""
     x, _ = sensor.states(z[:, :1])
     rows, n = list(sensor.observed), 40000
-    wide = 2 * sensor.noise(x)[rows] if len(z) == 4 else 2 * np.sqrt(z[4:8, :1])
-    step = rng.standard_normal((4, n))
-    drawn = x[rows] + wide * step
-    if len(z) == 8:
-        drawn = np.vstack([drawn, np.repeat(z[4:8, :1], n, axis=1)])
-    proposal = -0.5 * (step**2).sum(0) - np.log(wide).sum() - 2 * np.log(2 * np.pi)
+    r = len(rows)
+    wide = 2 * root(sensor, z[:, :1], x)[0]
+    step = rng.standard_normal((r, n))
+    drawn = np.vstack([x[rows] + wide @ step, np.repeat(z[r:, :1], n, axis=1)])
+    proposal = -0.5 * (step**2).sum(0) - np.linalg.slogdet(wide)[1] - 0.5 * r * np.log(2 * np.pi)
     weight = np.exp(sensor.log_likelihood(drawn, np.repeat(x, n, axis=1)) - proposal)
     # The detection's own size scales the noise of one sensor: as a function of z it is no density then.
     if sensor.scaling != "detection":
@@ -71,14 +82,15 @@ def test_the_likelihood_is_a_density(sensor, z, rng):
 
 
 def test_the_gate_holds_what_is_likely(sensor, z, rng):
-    """No state within three deviations in every component is outside of the gate."""
+    """No state within a deviation in every component is outside of the gate."""
     lower, upper = sensor.gate(z)
     assert lower.shape == upper.shape == (2, 30)
     x, _ = sensor.states(z)
     rows = list(sensor.observed)
+    deviation = np.sqrt(np.einsum("jrr->rj", sensor.covariance(z, x)))
     for _ in range(200):
         near = x.copy()
-        near[rows] += rng.uniform(-1, 1, (4, 30)) * sensor.noise(x)[rows]
+        near[rows] += rng.uniform(-1, 1, (len(rows), 30)) * deviation
         assert ((near[:2] >= lower) & (near[:2] <= upper)).all()
 
 
@@ -105,6 +117,19 @@ def test_detection_probability_and_noise(sensor, z):
     noise = sensor.noise(x)
     assert noise.shape == x.shape
     assert (noise > 0).all()
+
+
+def test_watching_lowers_the_detection_probability_and_nothing_else(sensor, z, found):
+    x, _ = sensor.states(z)
+    watching = sensor.watching(found)
+    keeps(Sensor, watching)
+    fewer = watching.p_detect(x)
+    assert ((fewer >= 0) & (fewer <= sensor.p_detect(x) + 1e-15)).all()
+    np.testing.assert_array_equal(watching.measure(found), z)
+    np.testing.assert_array_equal(watching.log_likelihood(z, x), sensor.log_likelihood(z, x))
+    np.testing.assert_array_equal(sensor.watching(Detections.empty()).p_detect(x), sensor.p_detect(x))
+    order = np.random.default_rng(1).permutation(30)
+    np.testing.assert_array_equal(sensor.watching(found.take(order)).p_detect(x), fewer)
 
 
 def test_nothing_is_measured_of_nothing(sensor, z):

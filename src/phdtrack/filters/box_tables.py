@@ -44,6 +44,9 @@ def box_model(model: Model) -> BoxModel | None:
         return None
     if motion.remember_size or type(motion.births) is not NoSpawn or sensor.scaling in ("previous", "given"):
         return None
+    # The kernels know one detection probability for all.
+    if len(sensor.hiders):
+        return None
     return BoxModel(motion, sensor, birth)
 
 

@@ -4,6 +4,9 @@ from phdtrack.models.births import FixedBirth, MeasurementBirth, UniformBirth
 from phdtrack.models.box_motion import BoxMotion
 from phdtrack.models.box_sensor import BoxSensor
 from phdtrack.models.clutter import LocalClutter, UniformClutter
+from phdtrack.models.plane_birth import PlaneBirth
+from phdtrack.models.plane_motion import PlaneMotion
+from phdtrack.models.plane_sensor import PlaneSensor
 from phdtrack.models.spawning import NoSpawn, SplitSpawn
 
 __all__ = [
@@ -13,6 +16,9 @@ __all__ = [
     "LocalClutter",
     "MeasurementBirth",
     "NoSpawn",
+    "PlaneBirth",
+    "PlaneMotion",
+    "PlaneSensor",
     "SplitSpawn",
     "UniformBirth",
     "UniformClutter",

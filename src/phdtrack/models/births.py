@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -48,60 +49,12 @@ class MeasurementBirth:
         check(self)
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
-        """J_j = ⌈Jmax·max(0, 1 − M_j)⌉ particles around z_j with importance weights γ(x) / Σ_i J_i p_i(x) [M07 §2].
-
-        Position and size are drawn from the observation noise inside its 99 % region (the mass of γ outside all these
-        regions is dropped), the velocity with uniform direction and Gaussian amplitude. γ uses the same law of
-        velocities, which therefore cancels in the weight.
-        """
-        mean, cov = sensor.states(z)
-        rows = list(sensor.observed)
-        counts = np.ceil(self.most * np.clip(1.0 - covered, 0.0, 1.0)).astype(np.int64)
-        parent = np.repeat(np.arange(z.shape[1]), counts)
-        if len(parent) == 0:
-            return Particles(np.zeros((len(mean), 0)), np.zeros(0))
-        observed_cov = cov[:, rows][:, :, rows]
-        limit = _chi2_quantile(len(rows))
-        state = mean[:, parent]
-        root = np.linalg.cholesky(observed_cov)
-        state[rows] += np.einsum("jrs,sj->rj", root[parent], _truncated_normal(len(rows), counts, rng))
-        _draw_velocity(state, cov, parent, rng)
-        gamma = self._intensity(state[rows], z[: len(rows)]) * dt
-        # Of a small box the noise's region reaches sizes below 0, where nothing is born.
-        possible = gamma > 0
-        state, gamma = state[:, possible], gamma[possible]
-        log_proposal = _log_mixture(state[rows], mean[rows], observed_cov, counts, limit)
-        return Particles(state, gamma * np.exp(-log_proposal))
+        """Particles around the detections that weigh what γ is there [M07 §2], see `particles_about`."""
+        return particles_about(z, covered, sensor, self.most, lambda x: self._intensity(x, z[: len(x)]) * dt, rng)
 
     def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
-        """A Gaussian about each detection with M_j < 1, at rest; two conditions choose its mass m and covariance aR.
-
-        Seen through the noise R it has the density of the flat γ at the detection, and its mass is that of γ in the 99 %
-        region {r² ≤ r₀²}, as of the particles. In n dimensions, V_n the volume of the unit ball,
-
-            m = γ V_n r₀ⁿ √|R|,     m N(0; 0, (1 + a) R) = γ     ⇒     1 + a = (V_n r₀ⁿ)^(2/n) / 2π
-
-        (a = 3.70 for boxes). Where regions overlap the Gaussians share γ: each is divided by Σ_i γ_i exp(−d²_ij/2) / γ_j
-        over those whose region reaches its detection, d in (1 + a) R_i.
-        """
-        mean, cov = sensor.states(z)
-        rows = list(sensor.observed)
-        gamma = self._intensity(z[: len(rows)], z[: len(rows)]) * dt
-        fresh = np.flatnonzero((covered < 1.0) & (gamma > 0))
-        mean, cov, gamma = np.ascontiguousarray(mean[:, fresh]), cov[fresh], gamma[fresh]
-        noise = cov[:, rows][:, :, rows]
-        volume, stretch = newborn_shape(len(rows))
-        wide = stretch * noise
-        limit = _chi2_quantile(len(rows))
-        reach = np.sqrt(limit * np.stack([wide[:, 0, 0], wide[:, 1, 1]]))
-        seen = np.ascontiguousarray(mean[rows])
-        point, which = gated_pairs(seen[0], seen[1], seen[:2] - reach, seen[:2] + reach)
-        distance2 = quadratic_form(seen, seen, np.linalg.inv(wide), point, which)
-        inside = distance2 <= limit
-        shared = sum_by(point[inside], (gamma[which] * np.exp(-0.5 * distance2))[inside], len(fresh))
-        mass = gamma * volume * np.sqrt(np.linalg.det(noise)) * gamma / shared
-        cov[np.ix_(range(len(fresh)), rows, rows)] = wide - noise
-        return GaussianMixture(mass, mean, cov)
+        """Gaussians about the detections that have the density of γ there, see `gaussians_about`."""
+        return gaussians_about(z, covered, sensor, lambda x: self._intensity(x, z[: len(x)]) * dt)
 
     def _intensity(self, observed: F8, z: F8) -> F8:
         """γ per time unit at positions and sizes (m, L); 0 where a size is not positive."""
@@ -177,6 +130,66 @@ class FixedBirth:
         return GaussianMixture(self.mixture.weight * dt, self.mixture.mean, self.mixture.covariance)
 
 
+def particles_about(
+    z: F8, covered: F8, sensor: Sensor, most: int, gamma: Callable[[F8], F8], rng: np.random.Generator
+) -> Particles:
+    """J_j = ⌈Jmax·max(0, 1 − M_j)⌉ particles around z_j with importance weights γ(x) / Σ_i J_i p_i(x) [M07 §2].
+
+    What a measurement shows is drawn from the observation noise inside its 99 % region (the mass of γ outside all these
+    regions is dropped), the velocity with uniform direction and Gaussian amplitude. γ uses the same law of velocities, which
+    therefore cancels in the weight: ``gamma`` gives its density at what measurements show (r, L). ``most`` is Jmax.
+    """
+    mean, cov = sensor.states(z)
+    rows = list(sensor.observed)
+    counts = np.ceil(most * np.clip(1.0 - covered, 0.0, 1.0)).astype(np.int64)
+    parent = np.repeat(np.arange(z.shape[1]), counts)
+    if len(parent) == 0:
+        return Particles(np.zeros((len(mean), 0)), np.zeros(0))
+    observed_cov = cov[:, rows][:, :, rows]
+    limit = _chi2_quantile(len(rows))
+    state = mean[:, parent]
+    root = np.linalg.cholesky(observed_cov)
+    state[rows] += np.einsum("jrs,sj->rj", root[parent], _truncated_normal(len(rows), counts, rng))
+    _draw_velocity(state, cov, parent, rng)
+    density = gamma(state[rows])
+    # Of a small box the noise's region reaches sizes below 0, where nothing is born.
+    possible = density > 0
+    state, density = state[:, possible], density[possible]
+    log_proposal = _log_mixture(state[rows], mean[rows], observed_cov, counts, limit)
+    return Particles(state, density * np.exp(-log_proposal))
+
+
+def gaussians_about(z: F8, covered: F8, sensor: Sensor, gamma: Callable[[F8], F8]) -> GaussianMixture:
+    """A Gaussian about each detection with M_j < 1, at rest; two conditions choose its mass m and covariance aR.
+
+    Seen through the noise R it has the density of the flat γ at the detection, and its mass is that of γ in the 99 %
+    region {r² ≤ r₀²}, as of the particles. In n dimensions, V_n the volume of the unit ball,
+
+        m = γ V_n r₀ⁿ √|R|,     m N(0; 0, (1 + a) R) = γ     ⇒     1 + a = (V_n r₀ⁿ)^(2/n) / 2π
+
+    (a = 3.70 for boxes, 3.61 for points). Where regions overlap the Gaussians share γ: each is divided by
+    Σ_i γ_i exp(−d²_ij/2) / γ_j over those whose region reaches its detection, d in (1 + a) R_i.
+    """
+    mean, cov = sensor.states(z)
+    rows = list(sensor.observed)
+    density = gamma(z[: len(rows)])
+    fresh = np.flatnonzero((covered < 1.0) & (density > 0))
+    mean, cov, density = np.ascontiguousarray(mean[:, fresh]), cov[fresh], density[fresh]
+    noise = cov[:, rows][:, :, rows]
+    volume, stretch = newborn_shape(len(rows))
+    wide = stretch * noise
+    limit = _chi2_quantile(len(rows))
+    reach = np.sqrt(limit * np.stack([wide[:, 0, 0], wide[:, 1, 1]]))
+    seen = np.ascontiguousarray(mean[rows])
+    point, which = gated_pairs(seen[0], seen[1], seen[:2] - reach, seen[:2] + reach)
+    distance2 = quadratic_form(seen, seen, np.linalg.inv(wide), point, which)
+    inside = distance2 <= limit
+    shared = sum_by(point[inside], (density[which] * np.exp(-0.5 * distance2))[inside], len(fresh))
+    mass = density * volume * np.sqrt(np.linalg.det(noise)) * density / shared
+    cov[np.ix_(range(len(fresh)), rows, rows)] = wide - noise
+    return GaussianMixture(mass, mean, cov)
+
+
 def _chi2_quantile(dof: int) -> float:
     """The squared radius that holds the kept part of a standard Gaussian in ``dof`` dimensions (13.28 in four)."""
     from scipy.special import chdtri
@@ -186,7 +199,7 @@ def _chi2_quantile(dof: int) -> float:
 
 @lru_cache(maxsize=8)
 def newborn_shape(dof: int) -> tuple[float, float]:
-    """Volume of the kept region of a unit Gaussian, and 1 + a of `MeasurementBirth.components`, in ``dof`` dimensions."""
+    """Volume of the kept region of a unit Gaussian, and 1 + a of `gaussians_about`, in ``dof`` dimensions."""
     ball = math.pi ** (dof / 2) / math.gamma(dof / 2 + 1)
     volume = ball * _chi2_quantile(dof) ** (dof / 2)
     return volume, volume ** (2 / dof) / (2 * math.pi)

@@ -8,12 +8,18 @@ Measurement z = (px, py, w, h): centre and size of the detected box. The likelih
 ``particle``: the size of the state itself [M09]; ``detection``: the size of the detection [M07 §2]; ``previous``: the size
 of the state before the last prediction [M07 §4]; ``fixed``: constants (M09's fair comparison, FV); ``given``: the covariance
 that each detection brings. The normaliser 1/∏σ differs per particle and is kept.
+
+p_D is a constant, as in the papers, or, with ``occlusion``, falls with what the frame's nearer boxes cover of a target:
+
+    p_D(x) = p_D · max(1 − covered(x), least)
+
+Of two boxes the one whose lower edge is lower is nearer: true of whatever stands on one ground, seen from above it.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -22,6 +28,7 @@ from phdtrack.boxes import to_cxcywh
 from phdtrack.checks import NonNegative, Positive, Probability, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.box import box_corners, box_gate, box_noise, resting
+from phdtrack.models.occlusion import NOBODY, Hiders, greatest
 from phdtrack.types import F8, Detections
 
 Scaling = Literal["particle", "detection", "previous", "fixed", "given"]
@@ -29,6 +36,8 @@ Scaling = Literal["particle", "detection", "previous", "fixed", "given"]
 OBSERVED = (0, 1, 4, 5)
 # Smallest variance of the linear-Gaussian view, pixels².
 TINY = 1e-12
+# Squared Mahalanobis radius of the 99 % region in four dimensions.
+OWN = 13.28
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +57,9 @@ class BoxSensor:
         as the amplitude's, which is 100 along each axis.
     gate_sigmas : G, detections touch only particles within this many deviations; at 5, at most 5.1e-5 of a Gaussian is
         cut, as long as G·spread < 1 where σ follows the state's own size (at a spread of 0.3 it is about 1e-3).
+    occlusion : let p_D fall where nearer boxes of the frame cover the target.
+    least : share of p_D that is left of a target that is covered altogether.
+    hiders : the boxes of the frame that is looked at, as `watching` finds them.
     """
 
     detection: Probability = 0.95
@@ -58,6 +70,9 @@ class BoxSensor:
     speed: NonNegative = 0.06
     fixed_speed: NonNegative = 200.0**0.5
     gate_sigmas: Positive = 5.0
+    occlusion: bool = False
+    least: Probability = 0.1
+    hiders: Hiders = NOBODY
 
     def __post_init__(self) -> None:
         check(self)
@@ -128,8 +143,19 @@ class BoxSensor:
         return out
 
     def p_detect(self, x: F8) -> F8:
-        """p_D, the same everywhere."""
-        return np.full(x.shape[1], self.detection)
+        """p_D · max(1 − covered, least), covered the largest part of x's box that one of ``hiders`` covers."""
+        if not len(self.hiders):
+            return np.full(x.shape[1], self.detection)
+        boxes = self.boxes(x)
+        which, hider, part = self.hiders.over(boxes, -boxes[:, 3])
+        own = self.distance2(self.hiders.z[:, hider], x[:, which]) <= OWN
+        return self.detection * np.maximum(1 - greatest(which, part, own, x.shape[1]), self.least)
+
+    def watching(self, detections: Detections) -> BoxSensor:
+        """The sensor in the frame of these boxes; itself where they hide nothing, or occlusion is not asked for."""
+        if not self.occlusion or not len(detections):
+            return self
+        return replace(self, hiders=Hiders(detections.xyxy, -detections.xyxy[:, 3], self.measure(detections)))
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles in the image that hold all states of which z is within the gate.

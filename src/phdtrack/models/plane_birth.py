@@ -1,0 +1,62 @@
+"""γ on the ground plane: new people around the detections that nothing predicted accounts for [M07 §2, E13 §4]."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from phdtrack.arrays import sum_by
+from phdtrack.checks import NonNegative, Positive, PositiveCount, check
+from phdtrack.kernels.gating import gated_pairs
+from phdtrack.models.births import gaussians_about, particles_about
+from phdtrack.models.region import EVERYWHERE, Region, area, check_region, inside
+from phdtrack.protocols import Sensor
+from phdtrack.types import F8, GaussianMixture, Particles
+
+PlaneVolume = Literal["region", "local"]
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneBirth:
+    """γ uniform over a region of the ground or over discs around the detections, drawn around the detections.
+
+    Parameters
+    ----------
+    rate : expected births per second: in all where spread over the ``region``, around each detection where ``local``.
+    most : Jmax, particles drawn around a detection of which nothing is predicted.
+    volume : ``region`` or ``local``: what γ is spread over.
+    radius : of the discs, metres.
+    region : left, low, right and high border in metres, needed for ``region``.
+    """
+
+    rate: NonNegative = 0.25
+    most: PositiveCount = 500
+    volume: PlaneVolume = "local"
+    radius: Positive = 2.0
+    region: Region = EVERYWHERE
+
+    def __post_init__(self) -> None:
+        check(self)
+        check_region(self.region, "PlaneBirth.region")
+
+    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
+        """Particles around the detections that weigh what γ is there [M07 §2], see `births.particles_about`."""
+        return particles_about(z, covered, sensor, self.most, lambda x: self._intensity(x, z) * dt, rng)
+
+    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+        """Gaussians about the detections that have the density of γ there, see `births.gaussians_about`."""
+        return gaussians_about(z, covered, sensor, lambda x: self._intensity(x, z) * dt)
+
+    def _intensity(self, place: F8, z: F8) -> F8:
+        """γ per second and m² at positions (2, L)."""
+        if self.volume == "region":
+            return np.where(inside(place, self.region), self.rate / area(self.region, "PlaneBirth.region"), 0.0)
+        point, which = gated_pairs(
+            np.ascontiguousarray(place[0]), np.ascontiguousarray(place[1]), z[:2] - self.radius, z[:2] + self.radius
+        )
+        near = np.square(place[:2, point] - z[:2, which]).sum(axis=0) <= self.radius**2
+        density = self.rate / (math.pi * self.radius**2)
+        return sum_by(point[near], np.full(np.count_nonzero(near), density), place.shape[1])

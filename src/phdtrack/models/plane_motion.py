@@ -1,0 +1,106 @@
+"""How people move on the ground: constant velocity, pushed by a white-noise acceleration.
+
+State x = (px, py, vx, vy): metres and metres per second in the world's axes; the time unit is the second. One noise n of
+deviation a drives position and velocity of an axis. Two forms of the covariance Q of an interval T [E13 §4]:
+
+    piecewise     a² (T⁴/4, T³/2, T²): n is constant over the interval, as the papers print it
+    continuous    a² (T₀⁴ (τ³/3 − min(τ, τ³)/12), T₀³ τ²/2, T₀² τ),  τ = T/T₀
+
+for position, position and velocity, velocity. Under the first a gap of two frames is not two steps of one. The second
+equals it at the ``nominal`` interval T₀ and, for whole τ, τ of its steps; the subtracted term keeps it positive semidefinite
+with one noise an axis below T₀. Survival is stated for T₀ too: p_S^τ.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from phdtrack.checks import NonNegative, Positive, Probability, check
+from phdtrack.models.region import EVERYWHERE, Region, check_region, inside
+from phdtrack.models.spawning import NoSpawn, Spawn
+from phdtrack.types import F8, Particles
+
+Form = Literal["piecewise", "continuous"]
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneMotion:
+    """f and p_S on the ground plane [E13 §4].
+
+    Parameters
+    ----------
+    acceleration : a, standard deviation of the acceleration over one nominal interval, m/s²; E13's is 1.
+    survival : probability p_S that a target survives one nominal interval.
+    nominal : T₀, the interval in seconds for which ``survival`` and the continuous noise are stated; E13's is 1/7.
+    form : ``continuous`` or ``piecewise``, see above.
+    region : left, low, right and high border in metres; a target that has left it does not survive. All 0: no border.
+    births : the spawning part β.
+    """
+
+    acceleration: NonNegative = 1.0
+    survival: Probability = 0.99
+    nominal: Positive = 1 / 7
+    form: Form = "continuous"
+    region: Region = EVERYWHERE
+    births: Spawn = field(default_factory=NoSpawn)
+
+    def __post_init__(self) -> None:
+        check(self)
+        check_region(self.region, "PlaneMotion.region")
+
+    @property
+    def dim(self) -> int:
+        """Number of state components, 4."""
+        return 4
+
+    def _variances(self, dt: float) -> tuple[float, float, float]:
+        """Of position, of position and velocity, of velocity, over ``dt`` seconds."""
+        a2 = self.acceleration**2
+        if self.form == "piecewise":
+            return a2 * dt**4 / 4, a2 * dt**3 / 2, a2 * dt**2
+        unit, tau = self.nominal, dt / self.nominal
+        return (
+            a2 * unit**4 * (tau**3 / 3 - min(tau, tau**3) / 12),
+            a2 * unit**3 * tau**2 / 2,
+            a2 * unit**2 * tau,
+        )
+
+    def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
+        """One draw of f(·|ξ) for each column ξ of ``x`` [E13 §4]."""
+        place, both, speed = self._variances(dt)
+        moved = x.copy()
+        kick = math.sqrt(speed) * rng.standard_normal((2, x.shape[1]))
+        moved[0:2] += dt * x[2:4]
+        moved[2:4] += kick
+        if speed > 0:
+            moved[0:2] += both / speed * kick
+            # What is left of the position's variance beside the part that the velocity's noise explains.
+            rest = place - both**2 / speed
+            if rest > 1e-12 * place:
+                moved[0:2] += math.sqrt(rest) * rng.standard_normal((2, x.shape[1]))
+        return moved
+
+    def p_survive(self, x: F8, dt: float) -> F8:
+        """p_S^(T/T₀) inside the region, 0 outside."""
+        return np.where(inside(x, self.region), self.survival ** (dt / self.nominal), 0.0)
+
+    def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
+        """Mean, Jacobian and noise covariance of f(·|x) over ``dt`` seconds [E13 §4]."""
+        n = x.shape[1]
+        mean = x.copy()
+        mean[0:2] += dt * x[2:4]
+        f, q = np.eye(4), np.zeros((4, 4, n))
+        f[0, 2] = f[1, 3] = dt
+        place, both, speed = self._variances(dt)
+        for axis in range(2):
+            q[axis, axis], q[axis, axis + 2], q[axis + 2, axis], q[axis + 2, axis + 2] = place, both, both, speed
+        # Laid out in memory as `BoxMotion` does, for which the kernels are compiled.
+        return mean, np.ndarray((n, 4, 4), np.float64, f, 0, (0, *f.strides)), q.transpose(2, 0, 1)
+
+    def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
+        """Draws of the spawning term."""
+        return self.births.sample(parents, dt, rng)

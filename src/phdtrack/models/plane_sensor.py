@@ -1,0 +1,235 @@
+"""What a person on the ground looks like to a detector: the foot of his box, led to the ground by the camera [E13 §3].
+
+Measurement z = (X, Y, c_xx, c_xy, c_yy): the ground point that the middle of the box's lower edge shows, metres, and its own
+covariance, m². g(z|x) = N((X, Y); (px, py), R), with R by name:
+
+``given``: the covariance that each detection brings, P_W = J C Jᵀ: C of the foot point in pixels, J the camera's metres per
+pixel there. Far away a pixel is metres, and the filter then knows. ``fixed``: the same for all; E13's R = 0.5 I m².
+
+The detection probability is a constant or falls with what is to be seen of the person's box, at the nominal size:
+
+    p_D(x) = p_D · visible(x) · max(1 − covered(x), least)
+
+``visible`` is the part of the box inside the image (``view``), ``covered`` the largest part that one nearer box of the frame
+covers (``occlusion``, see `models.occlusion`).
+
+Without a camera the image is a plan in metres: a box's middle is the position, and nobody hides anybody.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from phdtrack.boxes import to_cxcywh
+from phdtrack.checks import Positive, Probability, check
+from phdtrack.errors import InputError
+from phdtrack.kernels.hidden import parts_inside
+from phdtrack.models.occlusion import NOBODY, Hiders, greatest
+from phdtrack.models.region import EVERYWHERE, Region, check_region, inside
+from phdtrack.protocols import Camera
+from phdtrack.types import F8, Detections
+
+Scatter = Literal["given", "fixed"]
+# Squared Mahalanobis radius of the 99 % region in two dimensions.
+OWN = 9.21
+# Where a state is drawn that no pixel shows: a box of one pixel, far outside of any image.
+OUTSIDE = np.array([-1e4, -1e4, -1e4 + 1, -1e4 + 1])
+# From centre and size of a box to the middle of its lower edge.
+_FOOT = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0.5]])
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneSensor:
+    """g and p_D on the ground plane [E13 §4].
+
+    Parameters
+    ----------
+    detection : probability p_D that a target that is wholly visible is detected in a frame; E13's is 0.7.
+    scaling : where R comes from, ``given`` or ``fixed``, see above.
+    fixed : standard deviation of each coordinate in metres, for ``fixed``, and where nothing better is known; E13's is √0.5.
+    spread : deviations of the foot point, as fractions of the box's width and height, of detections without a covariance.
+    floor : the smallest of them, pixels.
+    speed : standard deviation of an unknown velocity's amplitude, m/s; E13's variance of 1 on each axis is √2.
+    size : width and height of a person, metres, for the boxes of states.
+    gate_sigmas : G, detections touch only states within this many deviations of R.
+    view : let p_D fall with the part of the person's box that is outside of the image, or be 0 outside of ``region`` where
+        there is no camera.
+    occlusion : let p_D fall where nearer boxes of the frame cover the person.
+    least : share of p_D that is left of a person who is covered altogether.
+    region : what is watched, left, low, right and high border in metres, where there is no camera. All 0: everything.
+    frame_size : width and height of the image, pixels; (0, 0): no border.
+    camera : between pixels and ground; None for detections in metres.
+    hiders : the boxes of the frame that is looked at, as `watching` finds them.
+    """
+
+    detection: Probability = 0.9
+    scaling: Scatter = "given"
+    fixed: Positive = 0.5**0.5
+    spread: tuple[Positive, Positive] = (0.1, 0.05)
+    floor: Positive = 1.0
+    speed: Positive = 2**0.5
+    size: tuple[Positive, Positive] = (0.6, 1.75)
+    gate_sigmas: Positive = 5.0
+    view: bool = True
+    occlusion: bool = True
+    least: Probability = 0.1
+    region: Region = EVERYWHERE
+    frame_size: tuple[float, float] = (0.0, 0.0)
+    camera: Camera | None = None
+    hiders: Hiders = NOBODY
+
+    def __post_init__(self) -> None:
+        check(self)
+        check_region(self.region, "PlaneSensor.region")
+        if not all(value > 0 for value in (*self.spread, *self.size)):
+            raise InputError(
+                f"expected lengths above 0, got {self.spread} and {self.size}", where="PlaneSensor.spread, size"
+            )
+
+    @property
+    def observed(self) -> tuple[int, ...]:
+        """Rows of the state that a measurement shows: the position."""
+        return (0, 1)
+
+    def measure(self, detections: Detections) -> F8:
+        """(5, N) ground points and their covariances; columns of NaN for feet that do not stand on the ground."""
+        if len(detections) == 0:
+            return np.zeros((5, 0))
+        box = to_cxcywh(detections.xyxy)
+        if self.camera is None:
+            return _packed(box[:2], self._plan_covariance(detections))
+        foot = _FOOT @ box
+        point = self.camera.ground(foot)
+        if self.scaling == "fixed":
+            return _packed(point, np.tile(self.fixed**2 * np.eye(2), (len(detections), 1, 1)))
+        if detections.covariance is not None:
+            pixel = _FOOT @ detections.covariance @ _FOOT.T
+        else:
+            pixel = self._pixel_covariance(box[2:])
+        return _packed(point, _led(self.camera, foot, pixel))
+
+    def _plan_covariance(self, detections: Detections) -> F8:
+        """(N, 2, 2) of detections that come in metres."""
+        if self.scaling == "fixed":
+            return np.tile(self.fixed**2 * np.eye(2), (len(detections), 1, 1))
+        if detections.covariance is None:
+            raise InputError(
+                "the sensor's scaling is 'given' and it has no camera, but the detections bring no covariance",
+                cure="Use sensor.scaling=fixed, or give a camera",
+            )
+        return detections.covariance[:, :2, :2]
+
+    def _pixel_covariance(self, size: F8) -> F8:
+        """(N, 2, 2) of the foot points of boxes of ``size`` (2, N), pixels²."""
+        variance = np.maximum(np.array(self.spread)[:, None] * size, self.floor) ** 2
+        out: F8 = variance.T[:, :, None] * np.eye(2)
+        return out
+
+    def distance2(self, z: F8, x: F8) -> F8:
+        """Squared Mahalanobis distance of (X, Y) from (px, py) in the measurement's covariance."""
+        dx, dy = z[0] - x[0], z[1] - x[1]
+        determinant = z[2] * z[4] - z[3] * z[3]
+        out: F8 = (z[4] * dx * dx - 2 * z[3] * dx * dy + z[2] * dy * dy) / determinant
+        return out
+
+    def log_likelihood(self, z: F8, x: F8) -> F8:
+        """log g(z|x), density per m² [E13 §4]."""
+        determinant = z[2] * z[4] - z[3] * z[3]
+        out: F8 = -0.5 * (self.distance2(z, x) + np.log(determinant)) - math.log(2 * math.pi)
+        return out
+
+    def covariance(self, z: F8, x: F8) -> F8:
+        """(P, 2, 2) noise covariance of (px, py), that of the measurement."""
+        return np.ascontiguousarray(z[[2, 3, 3, 4]].T).reshape(-1, 2, 2)
+
+    def p_detect(self, x: F8) -> F8:
+        """p_D · visible · max(1 − covered, least)."""
+        if self.camera is None:
+            watched = inside(x, self.region) if self.view else np.ones(x.shape[1], np.bool_)
+            return np.where(watched, self.detection, 0.0)
+        out = np.full(x.shape[1], self.detection)
+        width, height = self.frame_size
+        framed = self.view and width > 0 and height > 0
+        if not framed and not len(self.hiders):
+            return out
+        boxes = self.boxes(x)
+        if framed:
+            out *= parts_inside(boxes, width, height)
+        if len(self.hiders):
+            which, hider, part = self.hiders.over(boxes, self.camera.depth(x[:2]))
+            own = self.distance2(self.hiders.z[:, hider], x[:, which]) <= OWN
+            out *= np.maximum(1 - greatest(which, part, own, x.shape[1]), self.least)
+        return out
+
+    def watching(self, detections: Detections) -> PlaneSensor:
+        """The sensor in the frame of these boxes; itself where they hide nothing, or occlusion is not asked for."""
+        if not self.occlusion or self.camera is None or not len(detections):
+            return self
+        z = self.measure(detections)
+        return replace(self, hiders=Hiders(detections.xyxy, self.camera.depth(z[:2]), z))
+
+    def gate(self, z: F8) -> tuple[F8, F8]:
+        """Rectangles that reach G deviations along each axis from the ground point; they hold the ellipse d ≤ G."""
+        half = self.gate_sigmas * np.sqrt(z[[2, 4]])
+        return z[:2] - half, z[:2] + half
+
+    def states(self, z: F8) -> tuple[F8, F8]:
+        """People at rest that would give z, with the covariance of what z alone tells."""
+        n = z.shape[1]
+        x, cov = np.zeros((4, n)), np.zeros((n, 4, 4))
+        x[:2] = z[:2]
+        cov[:, :2, :2] = self.covariance(z, x)
+        cov[:, 2, 2] = cov[:, 3, 3] = self.speed**2 / 2
+        return x, cov
+
+    def noise(self, x: F8) -> F8:
+        """(4, n) deviations by which components at ``x`` are resolved: of a person's foot there, of an unknown velocity."""
+        out = np.empty((4, x.shape[1]))
+        out[:2], out[2:] = self.fixed, self.speed / math.sqrt(2)
+        if self.camera is None or self.scaling == "fixed":
+            return out
+        foot = self.camera.pixels(np.ascontiguousarray(x[:2]))
+        box = to_cxcywh(self.boxes(x))
+        variance = np.diagonal(_led(self.camera, foot, self._pixel_covariance(box[2:])), axis1=1, axis2=2).T
+        known = np.isfinite(variance).all(axis=0)
+        out[:2, known] = np.sqrt(variance[:, known])
+        return out
+
+    def boxes(self, x: F8) -> F8:
+        """(n, 4) boxes of people of the nominal size standing there, as wide as the camera sees metres across at the foot.
+
+        A camera that knows no heights (a homography) gives the height by the same scale. A person whom no pixel shows has a
+        box of one pixel far outside of the image.
+        """
+        wide, tall = self.size
+        place = np.ascontiguousarray(x[:2])
+        if self.camera is None:
+            return np.concatenate([place - wide / 2, place + wide / 2]).T.copy()
+        foot = self.camera.pixels(place)
+        head = self.camera.pixels(np.vstack([place, np.full(x.shape[1], tall)]))
+        scale = 1 / np.hypot(*self.camera.jacobian(foot)[:, :, 0].T)
+        height = foot[1] - head[1]
+        height = np.maximum(np.where(np.isfinite(height), height, tall * scale), 1.0)
+        half = np.maximum(wide * scale, 1.0) / 2
+        out = np.stack([foot[0] - half, foot[1] - height, foot[0] + half, foot[1]], axis=1)
+        shown: F8 = np.where(np.isfinite(out).all(axis=1)[:, None], out, OUTSIDE)
+        return shown
+
+
+def _led(camera: Camera, foot: F8, pixel: F8) -> F8:
+    """(N, 2, 2) covariances on the ground of foot points (2, N) with covariances ``pixel`` (N, 2, 2): J C Jᵀ."""
+    jacobian = camera.jacobian(foot)
+    out: F8 = jacobian @ pixel @ jacobian.transpose(0, 2, 1)
+    return out
+
+
+def _packed(point: F8, cov: F8) -> F8:
+    """(5, N) measurement vectors; columns of NaN where anything in them is none."""
+    z = np.stack([*point, cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]])
+    usable = np.isfinite(z).all(axis=0) & (z[2] * z[4] > z[3] ** 2)
+    packed: F8 = np.where(usable, z, np.nan)
+    return packed
