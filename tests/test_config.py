@@ -33,6 +33,8 @@ BOX = (10.0, 20.0, 30.0, 60.0)
 NEEDED = {
     ("birth", "fixed"): ["birth.boxes=[[10, 20, 30, 60]]"],
     ("extract", "components"): ["filter.kind='gm-phd'"],
+    ("extract", "counted-components"): ["filter.kind='gm-cphd'"],
+    ("extract", "counted-kmeans"): ["filter.kind='particle-cphd'"],
 }
 
 # Section, kind and name of every setting there is.
@@ -92,6 +94,8 @@ def another(value):
             return "image"
         case "particle":
             return "detection"
+        case "map":
+            return "eap"
     raise AssertionError(f"no other value is known for {value!r}")
 
 

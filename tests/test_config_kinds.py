@@ -6,8 +6,8 @@ import pytest
 
 from phdtrack import config
 from phdtrack.errors import InputError
-from phdtrack.extract import Components, KMeans, Raw
-from phdtrack.filters import GMPHD, NoFilter, ParticlePHD
+from phdtrack.extract import Components, CountedComponents, CountedKMeans, KMeans, Raw
+from phdtrack.filters import GMCPHD, GMPHD, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.presets import PRESETS
 from phdtrack.types import SequenceInfo
 
@@ -19,11 +19,16 @@ INFO = SequenceInfo(640, 480, 25.0)
     ("none", "particle-phd", ParticlePHD), ("particle-phd", "none", NoFilter),
     ("gm-phd", "", GMPHD), ("none", "gm-phd", GMPHD), ("particle-phd", "gm-phd", GMPHD), ("gm-phd", "none", NoFilter),
     ("gm-phd", "particle-phd", ParticlePHD),
+    ("gm-cphd", "", GMCPHD), ("particle-phd", "gm-cphd", GMCPHD), ("gm-cphd", "gm-phd", GMPHD),
+    ("particle-cphd", "", ParticleCPHD), ("gm-cphd", "particle-cphd", ParticleCPHD), ("particle-cphd", "none", NoFilter),
 ])  # fmt: skip
 def test_a_named_filter_wins(configured: str, named: str, kind: type):
     stages = config.build(config.load(sets=[f"filter.kind={configured}"]), INFO, named)
     assert isinstance(stages.filter, kind)
-    assert isinstance(stages.extractor, {NoFilter: Raw, ParticlePHD: KMeans, GMPHD: Components}[kind])
+    extractors = {
+        NoFilter: Raw, ParticlePHD: KMeans, GMPHD: Components, ParticleCPHD: CountedKMeans, GMCPHD: CountedComponents
+    }  # fmt: skip
+    assert isinstance(stages.extractor, extractors[kind])
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -46,6 +51,9 @@ def test_a_filter_brings_an_extraction_that_fits_it(preset: str, tmp_path):
     (["extract.kind=components"], "kmeans or mixture"),
     (["filter.kind=gm-phd", "birth.kind=uniform"], "birth.kind=measurement"),
     (["filter.kind=gm-phd", "spawn.kind=split"], "spawn.kind=none"),
+    (["filter.kind=gm-cphd", "birth.kind=uniform"], "birth.kind=measurement"),
+    (["filter.kind=particle-cphd", "spawn.kind=split"], "spawn.kind=none"),
+    (["filter.kind=particle-cphd", "extract.kind=kmeans"], "use counted-kmeans"),
 ])  # fmt: skip
 def test_kinds_that_do_not_go_together(sets: list[str], says: str):
     with pytest.raises(InputError, match=says):

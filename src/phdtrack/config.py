@@ -22,43 +22,39 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any, get_type_hints
 
-import numpy as np
-
 from phdtrack.associate import GraphMatching
-from phdtrack.boxes import to_cxcywh
-from phdtrack.checks import NonNegative, Positive, PositiveCount, check
+from phdtrack.checks import Positive, check
 from phdtrack.errors import InputError
-from phdtrack.extract import Components, KMeans, Mixture, Raw
-from phdtrack.filters import GMPHD, NoFilter, ParticlePHD
+from phdtrack.extract import Components, CountedComponents, CountedKMeans, KMeans, Mixture, Raw
+from phdtrack.filters import GMCPHD, GMPHD, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.models import (
     BoxMotion,
     BoxSensor,
-    FixedBirth,
-    LocalClutter,
     MeasurementBirth,
     NoSpawn,
+    PlaneBirth,
+    PlaneMotion,
+    PlaneSensor,
     SplitSpawn,
     UniformBirth,
-    UniformClutter,
 )
-from phdtrack.models.volume import Volume, image_volume
-from phdtrack.presets import PRESETS
-from phdtrack.protocols import AnyStages, Birth, Clutter, Model, Stages
-from phdtrack.types import F8, GaussianMixture, SequenceInfo
+from phdtrack.presets import PLANE, PRESETS
+from phdtrack.protocols import AnyStages, Stages
+from phdtrack.types import SequenceInfo
+from phdtrack.worlds import (
+    Boxes,
+    CameraSettings,
+    ClutterSettings,
+    FixedBirthSettings,
+    GroundClutterSettings,
+    LearnedBirthSettings,
+    Places,
+    PlacesBirthSettings,
+    build_model,
+    initial_mixture,
+)
 
 Values = dict[str, Any]
-Boxes = list[tuple[float, float, float, float]]
-
-
-@dataclass(frozen=True, slots=True)
-class ClutterSettings:
-    """``rate``: expected false alarms per frame; ``volume``: spread over the image, or around each detection (local)."""
-
-    rate: NonNegative = 1.0
-    volume: Volume = "image"
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,18 +68,6 @@ class TimeSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class FixedBirthSettings:
-    """``boxes``: where objects appear, as left, top, right, bottom; ``rate``: births per time unit at each."""
-
-    boxes: Boxes
-    rate: NonNegative = 0.01
-    count: PositiveCount = 300
-
-    def __post_init__(self) -> None:
-        check(self)
-
-
-@dataclass(frozen=True, slots=True)
 class DetectorSettings:
     """Settings of a detector, checked by the detector itself."""
 
@@ -91,23 +75,65 @@ class DetectorSettings:
 # section → kind → record; the first kind is the default. Fields that depend on the sequence are not settings.
 SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
     "time": {"": TimeSettings},
-    "motion": {"": BoxMotion},
+    "camera": {"": CameraSettings},
+    "motion": {"box": BoxMotion, "plane": PlaneMotion},
     "spawn": {"none": NoSpawn, "split": SplitSpawn},
-    "sensor": {"": BoxSensor},
-    "birth": {"measurement": MeasurementBirth, "uniform": UniformBirth, "fixed": FixedBirthSettings},
-    "clutter": {"": ClutterSettings},
-    "filter": {"particle-phd": ParticlePHD, "gm-phd": GMPHD, "none": NoFilter},
-    "extract": {"kmeans": KMeans, "mixture": Mixture, "components": Components},
+    "sensor": {"box": BoxSensor, "plane": PlaneSensor},
+    "birth": {
+        "measurement": MeasurementBirth,
+        "uniform": UniformBirth,
+        "fixed": FixedBirthSettings,
+        "learned": LearnedBirthSettings,
+        "ground": PlaneBirth,
+        "places": PlacesBirthSettings,
+    },
+    "clutter": {"image": ClutterSettings, "ground": GroundClutterSettings},
+    "filter": {
+        "particle-phd": ParticlePHD,
+        "gm-phd": GMPHD,
+        "particle-cphd": ParticleCPHD,
+        "gm-cphd": GMCPHD,
+        "none": NoFilter,
+    },
+    "extract": {
+        "kmeans": KMeans,
+        "mixture": Mixture,
+        "components": Components,
+        "counted-kmeans": CountedKMeans,
+        "counted-components": CountedComponents,
+    },
     "associate": {"": GraphMatching},
     "detector": {"": DetectorSettings},
 }
-# What can be extracted from each filter's intensity, the default first; without a filter nothing is extracted.
-EXTRACTORS: Mapping[str, tuple[str, ...]] = {"particle-phd": ("kmeans", "mixture"), "gm-phd": ("components",)}
-# Kinds that a filter cannot do, with what to use instead.
-_MISFITS: Mapping[str, Mapping[tuple[str, str], str]] = {
-    "gm-phd": {("birth", "uniform"): "birth.kind=measurement, or fixed", ("spawn", "split"): "spawn.kind=none"},
+# Kinds of other sections that a kind goes together with, the default first. Without a filter nothing is extracted.
+_FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
+    ("motion", "box"): {
+        "sensor": ("box",),
+        "birth": ("measurement", "uniform", "fixed", "learned"),
+        "clutter": ("image",),
+    },
+    ("motion", "plane"): {
+        "sensor": ("plane",),
+        "birth": ("ground", "places", "learned"),
+        "clutter": ("ground",),
+        "spawn": ("none",),
+    },
+    ("filter", "particle-phd"): {"extract": ("kmeans", "mixture")},
+    ("filter", "gm-phd"): {"extract": ("components",)},
+    ("filter", "particle-cphd"): {"extract": ("counted-kmeans",)},
+    ("filter", "gm-cphd"): {"extract": ("counted-components",)},
 }
-_FROM_SEQUENCE = {"frame_size", "births", "initial", "remember_size"}
+# The sections whose kinds decide others', in the order to lay them over.
+_DECIDING = ("motion", "filter")
+# Kinds that a filter cannot do, with what to use instead.
+_NO_GAUSSIANS = {("birth", "uniform"): "birth.kind=measurement, or fixed"}
+_NO_SPAWNING = {("spawn", "split"): "spawn.kind=none"}
+_MISFITS: Mapping[str, Mapping[tuple[str, str], str]] = {
+    "gm-phd": _NO_GAUSSIANS | _NO_SPAWNING,
+    "gm-cphd": _NO_GAUSSIANS | _NO_SPAWNING,
+    "particle-cphd": _NO_SPAWNING,
+}
+_FROM_SEQUENCE = {"frame_size", "births", "initial", "remember_size", "camera", "hiders", "region"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +218,7 @@ def _fits(settings: Settings, where: str) -> None:
     for (section, kind), instead in _MISFITS.get(kinds["filter"], {}).items():
         if kinds[section] == kind:
             raise InputError(
-                f"{section}.kind={kind} has no form as a Gaussian mixture, which filter.kind={kinds['filter']} needs",
+                f"{section}.kind={kind} has no form that filter.kind={kinds['filter']} can carry",
                 where=where,
                 cure=f"Use {instead}, or filter.kind=particle-phd",
             )
@@ -225,31 +251,6 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "") -> AnyS
     initial = _mixture(sensor, boxes, 1.0) if boxes else None
     recursion = _record(Settings(settings.preset, {"filter": given}), "filter", initial=initial)
     return Stages(model, recursion, _record(settings, "extract"), associator)
-
-
-def _birth(settings: Settings, sensor: BoxSensor, size: tuple[float, float]) -> Birth:
-    kind = settings.sections.get("birth", {}).get("kind", "measurement")
-    if kind == "fixed":
-        fixed: FixedBirthSettings = _record(settings, "birth")
-        return FixedBirth(_mixture(sensor, fixed.boxes, fixed.rate), fixed.count)
-    birth: Birth = _record(settings, "birth", frame_size=size)
-    return birth
-
-
-def _clutter(settings: Settings, size: tuple[float, float]) -> Clutter:
-    clutter: ClutterSettings = _record(settings, "clutter")
-    if clutter.volume == "local":
-        return LocalClutter(clutter.rate)
-    return UniformClutter(clutter.rate, image_volume(size))
-
-
-def _mixture(sensor: BoxSensor, boxes: Boxes, weight: float) -> GaussianMixture:
-    """Gaussians about given boxes, as uncertain as one detection of each."""
-    xyxy: F8 = np.array(boxes, dtype=np.float64).reshape(-1, 4)
-    if not np.isfinite(xyxy).all() or (xyxy[:, 2:] <= xyxy[:, :2]).any():
-        raise InputError("expected boxes as left, top, right, bottom with left < right and top < bottom", where="boxes")
-    mean, cov = sensor.states(to_cxcywh(xyxy))
-    return GaussianMixture(np.full(len(xyxy), weight), mean, cov)
 
 
 def _record(settings: Settings, section: str, where: str = "configuration", dry: bool = False, **more: Any) -> Any:

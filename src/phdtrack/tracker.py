@@ -21,7 +21,7 @@ from phdtrack.detections import as_detections
 from phdtrack.errors import InputError
 from phdtrack.protocols import AnyStages
 from phdtrack.statedict import pack, unpack
-from phdtrack.types import Detections, ParticleBlocks, Particles, SequenceInfo, Step, Tracks
+from phdtrack.types import Cardinalised, Detections, ParticleBlocks, Particles, SequenceInfo, Step, Tracks
 
 # Of a saved state: it changes when a record of the state does.
 FORMAT = 2
@@ -35,7 +35,8 @@ class Tracker:
     frame_size : width and height of the images in pixels.
     fps : frames per second, used where `update` is given no timestamp.
     seed : seed of the particle filter's randomness; the same seed and detections give the same tracks.
-    filter : ``particle-phd``, ``gm-phd``, or ``none`` for the association alone; or the settings of that section.
+    filter : ``particle-phd``, ``gm-phd``, ``particle-cphd``, ``gm-cphd``, or ``none`` for the association alone; or the
+        settings of that section.
     preset : ``default``, ``m07``, ``m09`` or ``fv``.
     settings : a TOML file with settings.
     stages : one's own model, filter, extractor and associator, instead of all of the above but fps and seed.
@@ -154,6 +155,7 @@ class Tracker:
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"this is no state of a tracker ({error})", where="load_state_dict") from error
         dim, held = self.stages.model.motion.dim, state.intensity
+        held = held.intensity if isinstance(held, Cardinalised) else held
         if isinstance(held, (Particles, ParticleBlocks)) and len(held.state) != dim:
             raise InputError(
                 f"expected states of {dim} components, got {len(held.state)}",

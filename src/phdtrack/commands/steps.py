@@ -7,7 +7,7 @@ import numpy as np
 from phdtrack import pipeline
 from phdtrack.filters import NoFilter
 from phdtrack.protocols import AnyStages
-from phdtrack.types import Detections, ParticleBlocks, Particles, Step, Tracks
+from phdtrack.types import Cardinalised, Detections, ParticleBlocks, Particles, Step, Tracks
 
 
 class Steps:
@@ -26,6 +26,8 @@ class Steps:
     def particles(self) -> Particles | None:
         """The filter's particles after the last frame; None where there is no filter, or one without particles."""
         intensity = self._state.intensity
+        if isinstance(intensity, Cardinalised):
+            intensity = intensity.intensity
         if isinstance(intensity, ParticleBlocks):
             return intensity.particles()
         if isinstance(self._stages.filter, NoFilter) or not isinstance(intensity, Particles):

@@ -47,7 +47,7 @@ def track(
         typer.Option(
             "--filter",
             metavar="NAME",
-            help="particle-phd (default), gm-phd, or none: the same association on raw detections.",
+            help="particle-phd (default), gm-phd, particle-cphd, gm-cphd, or none: the same association on raw detections.",
         ),
     ] = "",
     out: Annotated[

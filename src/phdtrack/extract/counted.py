@@ -28,14 +28,14 @@ class CountedComponents:
     Parameters
     ----------
     count : ``map``, the most probable number of targets, or ``eap``, the mean, rounded.
-    lightest : components of less weight are no candidates.
+    candidate : components of less weight are no candidates.
     repeat : a component is a candidate as often as its weight says, rounded (see `Components`). Joining is off then.
     region : squared Mahalanobis radius within which a state counts as resting on a detection.
     overlap : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
     """
 
     count: Count = "map"
-    lightest: Positive = 0.05
+    candidate: Positive = 0.05
     repeat: bool = False
     region: Positive = 13.28
     overlap: Share = 0.4
@@ -45,7 +45,7 @@ class CountedComponents:
 
     def extract(self, state: Cardinalised[GaussianMixture], z: F8, model: Model) -> Estimates:
         """The means of the heaviest components, as many as there are targets [V07]."""
-        peaks = Components(self.lightest, self.repeat, self.region, self.overlap)
+        peaks = Components(self.candidate, self.repeat, self.region, self.overlap)
         return heaviest(peaks.extract(state.intensity, z, model), expected(state.cardinality, self.count))
 
 
@@ -56,12 +56,12 @@ class CountedKMeans:
     Parameters
     ----------
     count : ``map``, the most probable number of targets, or ``eap``, the mean, rounded.
-    lightest : clusters of less mass are no candidates.
+    candidate : clusters of less mass are no candidates.
     split, iterations, region, overlap : as in `KMeans`.
     """
 
     count: Count = "map"
-    lightest: Positive = 0.1
+    candidate: Positive = 0.1
     split: Positive = 1.5
     iterations: PositiveCount = 5
     region: Positive = 13.28
@@ -72,7 +72,7 @@ class CountedKMeans:
 
     def extract(self, state: Cardinalised[Particles], z: F8, model: Model) -> Estimates:
         """The centres of the heaviest clusters, as many as there are targets [V07]."""
-        peaks = KMeans(self.lightest, self.split, self.iterations, self.region, self.overlap)
+        peaks = KMeans(self.candidate, self.split, self.iterations, self.region, self.overlap)
         return heaviest(peaks.extract(state.intensity, z, model), expected(state.cardinality, self.count))
 
 
