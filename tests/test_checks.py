@@ -70,7 +70,7 @@ def test_bounds_are_those_of_the_annotations():
 )
 def test_every_record_of_settings_keeps_its_bounds(record, name: str):
     """Also where it is made by hand, without configuration: NaN is refused in every field that has bounds."""
-    needed = {"frame_size": (640.0, 480.0), "boxes": [(0.0, 0.0, 1.0, 1.0)]}
+    needed = {"frame_size": (640.0, 480.0), "boxes": [(0.0, 0.0, 1.0, 1.0)], "places": [], "file": "births.json"}
     given_ = {key: value for key, value in needed.items() if key in record.__dataclass_fields__}
     record(**given_)
     with pytest.raises(InputError, match=f"{name}: expected a number"):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from phdtrack import config
 from phdtrack.errors import InputError
 from phdtrack.extract import Components, CountedComponents, CountedKMeans, KMeans, Raw
 from phdtrack.filters import GMCPHD, GMPHD, NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.models import PlaneBirth, PlaneMotion, PlaneSensor
+from phdtrack.models.learned_births import write_births
 from phdtrack.presets import PRESETS
-from phdtrack.types import SequenceInfo
+from phdtrack.types import GaussianMixture, SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0)
 
@@ -58,3 +61,80 @@ def test_a_filter_brings_an_extraction_that_fits_it(preset: str, tmp_path):
 def test_kinds_that_do_not_go_together(sets: list[str], says: str):
     with pytest.raises(InputError, match=says):
         config.load(sets=sets)
+
+
+@pytest.mark.parametrize("filter_", ["particle-phd", "gm-phd", "particle-cphd", "gm-cphd", "none"])
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_ground_plane_brings_what_fits_it(filter_: str, order: int):
+    """Its parts, seconds and two-dimensional regions, in whatever order it is asked for."""
+    sets = ["motion.kind=plane", "camera.region=[-10, 0, 10, 40]", f"filter.kind={filter_}"][::order]
+    settings = config.load(sets=sets)
+    stages = config.build(settings, SequenceInfo(640, 480, 10.0))
+    model = stages.model
+    assert (type(model.motion), type(model.sensor), type(model.birth)) == (PlaneMotion, PlaneSensor, PlaneBirth)
+    assert (model.rate, model.first) == (1.0, 0.1)
+    assert model.motion.borders == model.sensor.borders == model.birth.borders == (-10.0, 0.0, 10.0, 40.0)
+    np.testing.assert_allclose(model.clutter.intensity(np.zeros((5, 1))), 0.3 / 800)
+    assert settings.as_dict()["associate"]["miss"] == 0.2
+    if filter_ != "none":
+        assert settings.as_dict()["filter"]["region"] == settings.as_dict()["extract"]["region"] == 9.21
+    # What was asked for stays, also over a filter named later.
+    mine = config.overlay(config.load(sets=[*sets, "time.rate=2", "associate.miss=0.3"]), {"filter": {"kind": "gm-phd"}})
+    assert (mine.as_dict()["time"]["rate"], mine.as_dict()["associate"]["miss"]) == (2.0, 0.3)
+    assert mine.as_dict()["filter"]["region"] == 9.21
+
+
+@pytest.mark.parametrize(("sets", "says"), [
+    (["sensor.kind=plane"], "motion.kind=plane"),
+    (["motion.kind=plane", "sensor.kind=box"], "motion.kind=box"),
+    (["motion.kind=plane", "birth.kind=measurement"], "ground or places or learned"),
+    (["motion.kind=plane", "spawn.kind=split"], "spawn.kind"),
+    (["birth.kind=ground"], "motion.kind=plane"),
+    (["clutter.kind=ground"], "motion.kind=plane"),
+])  # fmt: skip
+def test_worlds_that_are_mixed_up(sets: list[str], says: str):
+    with pytest.raises(InputError, match=says):
+        config.load(sets=sets)
+
+
+def test_on_the_ground_a_rate_of_clutter_needs_a_region():
+    with pytest.raises(InputError, match="region"):
+        config.build(config.load(sets=["motion.kind=plane"]), INFO)
+    density = config.build(config.load(sets=["motion.kind=plane", "clutter.density=1e-4"]), INFO).model.clutter
+    np.testing.assert_array_equal(density.intensity(np.zeros((5, 3))), 1e-4)
+
+
+@pytest.mark.parametrize("world", [[], ["motion.kind=plane", "camera.region=[-10, 0, 10, 40]"]], ids=["box", "plane"])
+def test_births_are_learned_from_a_file(world: list[str], tmp_path):
+    d = 4 if world else 6
+    births = GaussianMixture(np.array([0.3]), np.arange(1.0, d + 1)[:, None], np.eye(d)[None])
+    write_births(tmp_path / "births.json", births)
+    sets = [*world, "birth.kind=learned", f"birth.file='{tmp_path / 'births.json'}'"]
+    birth = config.build(config.load(sets=sets), INFO).model.birth
+    np.testing.assert_array_equal(birth.mixture.mean, births.mean)
+    other = [] if world else ["motion.kind=plane", "camera.region=[-10, 0, 10, 40]"]
+    with pytest.raises(InputError, match="components"):
+        config.build(config.load(sets=[*other, *sets[len(world) :]]), INFO)
+    with pytest.raises(InputError, match="needs a value for file"):
+        config.load(sets=[*world, "birth.kind=learned"])
+
+
+@pytest.mark.parametrize("place", ["[1, 2, -1, 1, 1]", "[1, 2, 1, 0, 1]", "[1, 2, 1, 1, nan]"])
+def test_places_that_are_none_are_told(place: str):
+    for where in ("birth.kind=places", f"birth.places=[{place}]"), (f"filter.initial=[{place}]",):
+        with pytest.raises(InputError, match="places"):
+            config.build(config.load(sets=["motion.kind=plane", "clutter.density=0.1", *where]), INFO)
+
+
+def test_the_region_is_what_the_camera_shows(data):
+    """PETS 2009, view 1: the walkway lies within; beyond ``far`` nothing counts."""
+    sets = [f"camera.file='{data / 'pets2009' / 'View_001.xml'}'"]
+    stages = config.build(config.load(sets=sets, preset="e13"), SequenceInfo(768, 576, 7.0))
+    assert stages.model.motion.borders == (0.0, 0.0, 0.0, 0.0), "E13's targets survive everywhere alike"
+    left, low, right, high = stages.model.sensor.borders
+    assert left < -15 < 10 < right
+    assert low < -15 < 5 < high
+    near = config.build(config.load(sets=[*sets, "camera.far=25"], preset="e13"), SequenceInfo(768, 576, 7.0)).model.sensor
+    assert near.borders[3] < high
+    seen = config.build(config.load(sets=[*sets, "sensor.view=true"], preset="e13"), SequenceInfo(768, 576, 7.0)).model
+    assert seen.motion.borders == (left, low, right, high)

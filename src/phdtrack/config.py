@@ -3,11 +3,11 @@
 A configuration has sections, one for each part of the model and of the tracker. A section has the fields of the record
 that it makes (its docstring explains them) and, where there is a choice, ``kind``:
 
-    preset = "m09"                 # default, m07, m09, fv
+    preset = "m09"                 # default, m07, m09, fv, e13
     [sensor]
     detection = 0.9
     [birth]
-    kind = "measurement"           # measurement, uniform, fixed
+    kind = "measurement"           # measurement, uniform, fixed, learned
     rate = 0.02
 
 On the command line the same is ``--set sensor.detection=0.9``. An unknown name is an error that says the nearest one.
@@ -19,6 +19,7 @@ import difflib
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -133,7 +134,7 @@ _MISFITS: Mapping[str, Mapping[tuple[str, str], str]] = {
     "gm-cphd": _NO_GAUSSIANS | _NO_SPAWNING,
     "particle-cphd": _NO_SPAWNING,
 }
-_FROM_SEQUENCE = {"frame_size", "births", "initial", "remember_size", "camera", "hiders", "region"}
+_FROM_SEQUENCE = {"frame_size", "births", "initial", "remember_size", "camera", "hiders", "borders"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,11 +175,11 @@ def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "") -
     if not isinstance(named, str) or named not in PRESETS:
         raise _unknown("preset", str(named), list(PRESETS), "preset" if preset else where)
     sections: dict[str, Values] = {name: dict(values) for name, values in PRESETS[named].items()}
-    for name, values in _filter_first(document):
+    for name, values in _deciding_first(document):
         _overlay(sections, name, values, where)
-    # A kind decides which other names there are, wherever it stands among the options, and the filter's which kinds fit.
+    # A kind decides which other names there are, wherever it stands among the options, and some which other kinds fit.
     for assignment, (name, key, value) in sorted(
-        ((text, _assignment(text)) for text in sets), key=lambda parsed: (parsed[1][1] != "kind", parsed[1][0] != "filter")
+        ((text, _assignment(text)) for text in sets), key=lambda parsed: (parsed[1][1] != "kind", _rank(parsed[1][0]))
     ):
         _overlay(sections, name, {key: value}, f"--set {assignment}")
     return _checked(Settings(named, sections), where)
@@ -187,7 +188,7 @@ def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "") -
 def overlay(settings: Settings, sections: Mapping[str, Mapping[str, Any]], where: str = "settings") -> Settings:
     """``settings`` with the values of ``sections`` over them."""
     merged = {name: dict(values) for name, values in settings.sections.items()}
-    for name, values in _filter_first(sections):
+    for name, values in _deciding_first(sections):
         _overlay(merged, name, values, where)
     return _checked(Settings(settings.preset, merged), where)
 
@@ -200,21 +201,32 @@ def _checked(settings: Settings, where: str) -> Settings:
     return settings
 
 
-def _filter_first(sections: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """Sections in the order to lay them over others: the filter's kind decides the default kind of extraction."""
-    return sorted(sections.items(), key=lambda section: section[0] != "filter")
+def _rank(section: str) -> int:
+    """The order to lay sections over others: those whose kind decides others' first."""
+    return _DECIDING.index(section) if section in _DECIDING else len(_DECIDING)
+
+
+def _deciding_first(sections: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    return sorted(sections.items(), key=lambda section: _rank(section[0]))
+
+
+def _kind(sections: Mapping[str, Values], name: str) -> str:
+    kind: str = sections.get(name, {}).get("kind", next(iter(SECTIONS[name])))
+    return kind
 
 
 def _fits(settings: Settings, where: str) -> None:
-    """Raise `InputError` where the filter cannot do with another section's kind."""
-    kinds = {name: settings.sections.get(name, {}).get("kind", next(iter(SECTIONS[name]))) for name in SECTIONS}
-    fitting = EXTRACTORS.get(kinds["filter"])
-    if fitting and kinds["extract"] not in fitting:
-        raise InputError(
-            f"extract.kind={kinds['extract']} does not fit filter.kind={kinds['filter']}",
-            where=where,
-            cure=f"Leave extract.kind out, or use {' or '.join(fitting)}",
-        )
+    """Raise `InputError` where a section's kind cannot do with another's."""
+    kinds = {name: _kind(settings.sections, name) for name in SECTIONS}
+    for deciding in _DECIDING:
+        for section, fitting in _FITTING.get((deciding, kinds[deciding]), {}).items():
+            if kinds[section] not in fitting:
+                raise InputError(
+                    f"{section}.kind={kinds[section]} does not fit {deciding}.kind={kinds[deciding]}",
+                    where=where,
+                    cure=f"Leave {section}.kind out, or use {' or '.join(fitting)}"
+                    f"{_elsewhere(section, kinds[section], deciding)}",
+                )
     for (section, kind), instead in _MISFITS.get(kinds["filter"], {}).items():
         if kinds[section] == kind:
             raise InputError(
@@ -224,6 +236,12 @@ def _fits(settings: Settings, where: str) -> None:
             )
 
 
+def _elsewhere(section: str, kind: str, deciding: str) -> str:
+    """The kinds of the deciding section that this kind fits."""
+    others = [k for (d, k), fitting in _FITTING.items() if d == deciding and kind in fitting.get(section, ())]
+    return f"; it goes with {deciding}.kind={' or '.join(others)}" if others else ""
+
+
 def build(settings: Settings, info: SequenceInfo, filter_name: str = "") -> AnyStages:
     """The stages that the settings name, for a sequence of this size; ``filter_name`` overrides ``filter.kind``.
 
@@ -231,26 +249,14 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "") -> AnyS
     """
     if filter_name:
         settings = overlay(settings, {"filter": {"kind": filter_name}}, "--filter")
-    size = (float(info.width), float(info.height))
-    kind = settings.sections.get("filter", {}).get("kind", "particle-phd")
-    sensor = _record(settings, "sensor")
-    motion = _record(
-        settings,
-        "motion",
-        frame_size=size,
-        births=_record(settings, "spawn"),
-        remember_size=sensor.scaling == "previous",
-    )
-    rate = _record(settings, "time").rate
-    model = Model(motion, sensor, _birth(settings, sensor, size), _clutter(settings, size), rate)
-    associator = _record(settings, "associate")
-    if kind == "none":
+    kinds = {name: _kind(settings.sections, name) for name in SECTIONS}
+    record = partial(_record, settings)
+    model, associator = build_model(record, kinds, info), record("associate")
+    if kinds["filter"] == "none":
         return Stages(model, NoFilter(), Raw(), associator)
-    given = dict(settings.sections.get("filter", {}))
-    boxes = given.pop("initial", [])
-    initial = _mixture(sensor, boxes, 1.0) if boxes else None
-    recursion = _record(Settings(settings.preset, {"filter": given}), "filter", initial=initial)
-    return Stages(model, recursion, _record(settings, "extract"), associator)
+    values = settings.sections.get("filter", {}).get("initial", [])
+    initial = initial_mixture(kinds, record, values) if values else None
+    return Stages(model, record("filter", initial=initial), record("extract"), associator)
 
 
 def _record(settings: Settings, section: str, where: str = "configuration", dry: bool = False, **more: Any) -> Any:
@@ -290,14 +296,14 @@ def _overlay(sections: dict[str, Values], name: str, values: Mapping[str, Any], 
             # Another kind has other fields; those of the preset's kind do not belong to it.
             section.clear()
         section["kind"] = values["kind"]
-        if name == "filter":
-            _fit_extraction(sections, values["kind"])
+        if name in _DECIDING:
+            _follow(sections, name, values["kind"])
     record = kinds[section.get("kind", next(iter(kinds)))]
     hints = get_type_hints(record, include_extras=True)
     known = [f.name for f in fields(record) if f.name not in _FROM_SEQUENCE]
     if name == "filter" and record is not NoFilter:
         known.append("initial")
-        hints = hints | {"initial": Boxes}
+        hints = hints | {"initial": Places if _kind(sections, "motion") == "plane" else Boxes}
     for key, value in values.items():
         if key == "kind":
             continue
@@ -306,14 +312,23 @@ def _overlay(sections: dict[str, Values], name: str, values: Mapping[str, Any], 
         section[key] = _typed(f"{name}.{key}", value, hints[key], where)
 
 
-def _fit_extraction(sections: dict[str, Values], filter_kind: str) -> None:
-    """Give the extraction a kind that fits the filter, and those of its values that this kind has too."""
-    given = sections.get("extract", {})
-    fitting = EXTRACTORS.get(filter_kind, ())
-    if not fitting or given.get("kind", next(iter(SECTIONS["extract"]))) in fitting:
+def _follow(sections: dict[str, Values], deciding: str, kind: str) -> None:
+    """Give the sections that a kind decides kinds that fit, with those of their values that these have too.
+
+    On the ground plane other values are usual too, which a change of kind may have dropped.
+    """
+    for section, fitting in _FITTING.get((deciding, kind), {}).items():
+        if _kind(sections, section) not in fitting:
+            known = {f.name for f in fields(SECTIONS[section][fitting[0]])} if deciding == "filter" else set()
+            given = sections.get(section, {})
+            sections[section] = {key: value for key, value in given.items() if key in known} | {"kind": fitting[0]}
+    if _kind(sections, "motion") != "plane":
         return
-    known = {f.name for f in fields(SECTIONS["extract"][fitting[0]])}
-    sections["extract"] = {key: value for key, value in given.items() if key in known} | {"kind": fitting[0]}
+    for section, values in PLANE.items():
+        known = {f.name for f in fields(SECTIONS[section][_kind(sections, section)])}
+        for key, value in values.items():
+            if key in known:
+                sections.setdefault(section, {}).setdefault(key, value)
 
 
 def _typed(key: str, value: Any, hint: Any, where: str) -> Any:

@@ -36,7 +36,7 @@ MOTIONS = {
     "splitting": BoxMotion(births=SplitSpawn(rate=0.1), frame_size=SIZE),
     "borderless": BoxMotion(),
     "still": BoxMotion(acceleration=0.0, resize=0.0),
-    "plane": PlaneMotion(region=(0.0, 0.0, 500.0, 400.0)),
+    "plane": PlaneMotion(borders=(0.0, 0.0, 500.0, 400.0)),
     "plane, piecewise": PlaneMotion(form="piecewise", nominal=1.0),
     "plane, still": PlaneMotion(acceleration=0.0),
 }
@@ -63,7 +63,7 @@ BIRTHS = {
 }
 GROUND = SENSORS["plane"]
 PLANE_BIRTHS = {
-    "plane, region": PlaneBirth(rate=0.02, most=200, volume="region", region=(-40.0, 0.0, 40.0, 60.0)),
+    "plane, region": PlaneBirth(rate=0.02, most=200, volume="region", borders=(-40.0, 0.0, 40.0, 60.0)),
     "plane, local": PlaneBirth(rate=0.02, most=200, radius=3.0),
     "plane, fixed": FixedBirth(
         GaussianMixture(

@@ -58,7 +58,7 @@ def test_covariances_are_positive_semidefinite(form: str, dt: float):
 
 
 def test_survival_is_a_power_of_the_interval_inside_and_zero_outside():
-    motion = PlaneMotion(survival=0.9, nominal=0.5, region=(-5.0, 0.0, 5.0, 10.0))
+    motion = PlaneMotion(survival=0.9, nominal=0.5, borders=(-5.0, 0.0, 5.0, 10.0))
     x = np.zeros((4, 4))
     x[:2] = [[-5.0, 5.1, 0, 0], [0.0, 3, 10.1, 10]]
     np.testing.assert_allclose(motion.p_survive(x, 1.5), [0.9**3, 0, 0, 0.9**3])
@@ -67,7 +67,7 @@ def test_survival_is_a_power_of_the_interval_inside_and_zero_outside():
 
 @pytest.mark.parametrize(
     ("wrong", "says"),
-    [({"survival": 1.5}, "survival"), ({"nominal": 0.0}, "nominal"), ({"region": (1.0, 0, 0, 2)}, "left, low, right, high")],
+    [({"survival": 1.5}, "survival"), ({"nominal": 0.0}, "nominal"), ({"borders": (1.0, 0, 0, 2)}, "left, low, right, high")],
 )
 def test_settings_out_of_bounds(wrong, says: str):
     with pytest.raises(InputError, match=says):

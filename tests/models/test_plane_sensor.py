@@ -123,7 +123,7 @@ def test_the_field_of_view_falls_with_the_visible_part():
 
 def test_a_plan_in_metres(rng):
     """Without a camera a box's middle is the position, and what is outside of the region is not seen."""
-    sensor = PlaneSensor(scaling="fixed", fixed=0.3, region=(-4.0, 0.0, 4.0, 40.0))
+    sensor = PlaneSensor(scaling="fixed", fixed=0.3, borders=(-4.0, 0.0, 4.0, 40.0))
     x = people(rng, 7)
     z = sensor.measure(Detections.of(sensor.boxes(x)))
     np.testing.assert_allclose(z[:2], x[:2])
@@ -134,7 +134,7 @@ def test_a_plan_in_metres(rng):
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"size": (0.0, 1.0)}, {"spread": (0.1, -1.0)}, {"region": (0.0, 0, 0, 1)}, {"least": 2.0}]
+    "wrong", [{"size": (0.0, 1.0)}, {"spread": (0.1, -1.0)}, {"borders": (0.0, 0, 0, 1)}, {"least": 2.0}]
 )
 def test_settings_out_of_bounds(wrong):
     with pytest.raises(InputError, match="PlaneSensor"):

@@ -51,5 +51,5 @@ Sets = Annotated[
     ),
 ]
 Preset = Annotated[
-    str, typer.Option("--preset", metavar="NAME", help="Settings to start from: default, or a paper's: m07, m09, fv.")
+    str, typer.Option("--preset", metavar="NAME", help="Settings to start from: default, or a paper's: m07, m09, fv, e13.")
 ]

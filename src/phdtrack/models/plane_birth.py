@@ -29,18 +29,18 @@ class PlaneBirth:
     most : Jmax, particles drawn around a detection of which nothing is predicted.
     volume : ``region`` or ``local``: what γ is spread over.
     radius : of the discs, metres.
-    region : left, low, right and high border in metres, needed for ``region``.
+    borders : left, low, right and high border in metres, needed for ``region``.
     """
 
     rate: NonNegative = 0.25
     most: PositiveCount = 500
     volume: PlaneVolume = "local"
     radius: Positive = 2.0
-    region: Region = EVERYWHERE
+    borders: Region = EVERYWHERE
 
     def __post_init__(self) -> None:
         check(self)
-        check_region(self.region, "PlaneBirth.region")
+        check_region(self.borders, "PlaneBirth.borders")
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
         """Particles around the detections that weigh what γ is there [M07 §2], see `births.particles_about`."""
@@ -53,7 +53,7 @@ class PlaneBirth:
     def _intensity(self, place: F8, z: F8) -> F8:
         """γ per second and m² at positions (2, L)."""
         if self.volume == "region":
-            return np.where(inside(place, self.region), self.rate / area(self.region, "PlaneBirth.region"), 0.0)
+            return np.where(inside(place, self.borders), self.rate / area(self.borders, "PlaneBirth.borders"), 0.0)
         point, which = gated_pairs(
             np.ascontiguousarray(place[0]), np.ascontiguousarray(place[1]), z[:2] - self.radius, z[:2] + self.radius
         )

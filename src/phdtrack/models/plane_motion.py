@@ -37,7 +37,7 @@ class PlaneMotion:
     survival : probability p_S that a target survives one nominal interval.
     nominal : T₀, the interval in seconds for which ``survival`` and the continuous noise are stated; E13's is 1/7.
     form : ``continuous`` or ``piecewise``, see above.
-    region : left, low, right and high border in metres; a target that has left it does not survive. All 0: no border.
+    borders : left, low, right and high border in metres; a target that has left it does not survive. All 0: no border.
     births : the spawning part β.
     """
 
@@ -45,12 +45,12 @@ class PlaneMotion:
     survival: Probability = 0.99
     nominal: Positive = 1 / 7
     form: Form = "continuous"
-    region: Region = EVERYWHERE
+    borders: Region = EVERYWHERE
     births: Spawn = field(default_factory=NoSpawn)
 
     def __post_init__(self) -> None:
         check(self)
-        check_region(self.region, "PlaneMotion.region")
+        check_region(self.borders, "PlaneMotion.borders")
 
     @property
     def dim(self) -> int:
@@ -86,7 +86,7 @@ class PlaneMotion:
 
     def p_survive(self, x: F8, dt: float) -> F8:
         """p_S^(T/T₀) inside the region, 0 outside."""
-        return np.where(inside(x, self.region), self.survival ** (dt / self.nominal), 0.0)
+        return np.where(inside(x, self.borders), self.survival ** (dt / self.nominal), 0.0)
 
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean, Jacobian and noise covariance of f(·|x) over ``dt`` seconds [E13 §4]."""

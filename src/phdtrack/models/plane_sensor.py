@@ -56,11 +56,11 @@ class PlaneSensor:
     speed : standard deviation of an unknown velocity's amplitude, m/s; E13's variance of 1 on each axis is √2.
     size : width and height of a person, metres, for the boxes of states.
     gate_sigmas : G, detections touch only states within this many deviations of R.
-    view : let p_D fall with the part of the person's box that is outside of the image, or be 0 outside of ``region`` where
+    view : let p_D fall with the part of the person's box that is outside of the image, or be 0 outside of ``borders`` where
         there is no camera.
     occlusion : let p_D fall where nearer boxes of the frame cover the person.
     least : share of p_D that is left of a person who is covered altogether.
-    region : what is watched, left, low, right and high border in metres, where there is no camera. All 0: everything.
+    borders : what is watched, left, low, right and high border in metres, where there is no camera. All 0: everything.
     frame_size : width and height of the image, pixels; (0, 0): no border.
     camera : between pixels and ground; None for detections in metres.
     hiders : the boxes of the frame that is looked at, as `watching` finds them.
@@ -77,14 +77,14 @@ class PlaneSensor:
     view: bool = True
     occlusion: bool = True
     least: Probability = 0.1
-    region: Region = EVERYWHERE
+    borders: Region = EVERYWHERE
     frame_size: tuple[float, float] = (0.0, 0.0)
     camera: Camera | None = None
     hiders: Hiders = NOBODY
 
     def __post_init__(self) -> None:
         check(self)
-        check_region(self.region, "PlaneSensor.region")
+        check_region(self.borders, "PlaneSensor.borders")
         if not all(value > 0 for value in (*self.spread, *self.size)):
             raise InputError(
                 f"expected lengths above 0, got {self.spread} and {self.size}", where="PlaneSensor.spread, size"
@@ -149,7 +149,7 @@ class PlaneSensor:
     def p_detect(self, x: F8) -> F8:
         """p_D · visible · max(1 − covered, least)."""
         if self.camera is None:
-            watched = inside(x, self.region) if self.view else np.ones(x.shape[1], np.bool_)
+            watched = inside(x, self.borders) if self.view else np.ones(x.shape[1], np.bool_)
             return np.where(watched, self.detection, 0.0)
         out = np.full(x.shape[1], self.detection)
         width, height = self.frame_size

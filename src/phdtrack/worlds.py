@@ -1,0 +1,217 @@
+"""From settings to a model of the world: boxes in an image, or people on a ground plane.
+
+A world is chosen by ``motion.kind``; the other parts follow. What depends on the sequence (the frame's size and rate) and on
+files (a camera, learned births) is put in here, when the model is built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from phdtrack.boxes import to_cxcywh
+from phdtrack.camera import footprint, read_camera
+from phdtrack.checks import NonNegative, Positive, PositiveCount, check
+from phdtrack.errors import InputError
+from phdtrack.models import BoxSensor, FixedBirth, LocalClutter, PlaneSensor, UniformClutter
+from phdtrack.models.learned_births import read_births
+from phdtrack.models.region import EVERYWHERE, Region, area, check_region
+from phdtrack.models.volume import Volume, image_volume
+from phdtrack.protocols import Birth, Camera, Clutter, Model
+from phdtrack.types import F8, GaussianMixture, SequenceInfo
+
+Boxes = list[tuple[float, float, float, float]]
+Places = list[tuple[float, float, float, float, float]]
+"""Of each: x, y in metres, weight, standard deviations of position (m) and of velocity (m/s)."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSettings:
+    """Between pixels and ground, for ``motion.kind=plane``.
+
+    ``file``: a camera (see `camera.read`); empty for detections that are in metres already. ``region``: the ground that
+    counts, left, low, right, high in metres; all 0: what the image shows up to ``far`` metres, no border without a camera.
+    """
+
+    file: str = ""
+    region: Region = EVERYWHERE
+    far: Positive = 60.0
+
+    def __post_init__(self) -> None:
+        check(self)
+        check_region(self.region, "camera.region")
+
+
+@dataclass(frozen=True, slots=True)
+class ClutterSettings:
+    """``rate``: expected false alarms per frame; ``volume``: spread over the image, or around each detection (local)."""
+
+    rate: NonNegative = 1.0
+    volume: Volume = "image"
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class GroundClutterSettings:
+    """False alarms on the ground: ``density`` a frame and m², or where that is 0, ``rate`` a frame over the whole region."""
+
+    rate: NonNegative = 0.3
+    density: NonNegative = 0.0
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class FixedBirthSettings:
+    """``boxes``: where objects appear, as left, top, right, bottom; ``rate``: births per time unit at each."""
+
+    boxes: Boxes
+    rate: NonNegative = 0.01
+    count: PositiveCount = 300
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class PlacesBirthSettings:
+    """``places``: where people appear: x, y (m), births per second, deviations of position (m) and velocity (m/s)."""
+
+    places: Places
+    count: PositiveCount = 300
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedBirthSettings:
+    """``file``: births as a Gaussian mixture, as `models.learned_births` writes it; ``count``: particles of each."""
+
+    file: str
+    count: PositiveCount = 300
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+class Record(Protocol):
+    """What makes the record of a section from its settings and from values that are none."""
+
+    def __call__(self, section: str, **more: Any) -> Any:
+        """The record of ``section``."""
+
+
+def build_model(record: Record, kinds: Mapping[str, str], info: SequenceInfo) -> Model:
+    """The model that the settings name, for a sequence of this size. Raises `InputError` where they do not go together."""
+    size, rate = (float(info.width), float(info.height)), record("time").rate
+    if kinds["motion"] == "box":
+        sensor: BoxSensor = record("sensor")
+        remember = sensor.scaling == "previous"
+        motion = record("motion", frame_size=size, births=record("spawn"), remember_size=remember)
+        birth = _box_birth(record, kinds["birth"], sensor, size, motion.dim)
+        return Model(motion, sensor, birth, _box_clutter(record, size), rate)
+    ground: CameraSettings = record("camera")
+    camera = read_camera(ground.file) if ground.file else None
+    region = _region(ground, camera, size)
+    person: PlaneSensor = record("sensor", camera=camera, borders=region, frame_size=size)
+    # Who has left what can be seen would else live on, as nobody misses him there.
+    motion = record("motion", births=record("spawn"), borders=region if person.view else EVERYWHERE)
+    birth = _ground_birth(record, kinds["birth"], region)
+    return Model(motion, person, birth, _ground_clutter(record, region), rate, first=rate / info.fps)
+
+
+def initial_mixture(kinds: Mapping[str, str], record: Record, values: Boxes | Places) -> GaussianMixture:
+    """The intensity before the first frame: boxes of weight 1, or places with their weights."""
+    if kinds["motion"] == "plane":
+        return _places([place for place in values if len(place) == 5])
+    return _boxes(record("sensor"), [box for box in values if len(box) == 4], 1.0)
+
+
+def _region(ground: CameraSettings, camera: Camera | None, size: tuple[float, float]) -> Region:
+    """The ground that counts: as given, or around what the image shows."""
+    if ground.region != EVERYWHERE or camera is None:
+        return ground.region
+    corners = footprint(camera, size, ground.far)
+    if corners.shape[1] == 0:
+        raise InputError(
+            f"the camera shows no ground nearer than {ground.far:g} m in an image of {size[0]:g}x{size[1]:g}",
+            where=ground.file,
+            cure="Check that the camera is this video's, raise camera.far, or give camera.region",
+        )
+    (left, low), (right, high) = corners.min(axis=1), corners.max(axis=1)
+    return float(left), float(low), float(right), float(high)
+
+
+def _box_birth(record: Record, kind: str, sensor: BoxSensor, size: tuple[float, float], dim: int) -> Birth:
+    if kind == "fixed":
+        fixed: FixedBirthSettings = record("birth")
+        return FixedBirth(_boxes(sensor, fixed.boxes, fixed.rate), fixed.count)
+    if kind == "learned":
+        return _learned(record("birth"), dim)
+    birth: Birth = record("birth", frame_size=size)
+    return birth
+
+
+def _ground_birth(record: Record, kind: str, region: Region) -> Birth:
+    if kind == "places":
+        fixed: PlacesBirthSettings = record("birth")
+        return FixedBirth(_places(fixed.places), fixed.count)
+    if kind == "learned":
+        return _learned(record("birth"), 4)
+    birth: Birth = record("birth", borders=region)
+    return birth
+
+
+def _learned(settings: LearnedBirthSettings, dim: int) -> FixedBirth:
+    mixture = read_births(Path(settings.file))
+    if len(mixture.mean) != dim:
+        raise InputError(
+            f"expected births of {dim} components, got {len(mixture.mean)}",
+            where=settings.file,
+            cure="Learn them with the motion that they are used with",
+        )
+    return FixedBirth(mixture, settings.count)
+
+
+def _box_clutter(record: Record, size: tuple[float, float]) -> Clutter:
+    clutter: ClutterSettings = record("clutter")
+    if clutter.volume == "local":
+        return LocalClutter(clutter.rate)
+    return UniformClutter(clutter.rate, image_volume(size))
+
+
+def _ground_clutter(record: Record, region: Region) -> Clutter:
+    clutter: GroundClutterSettings = record("clutter")
+    if clutter.density > 0:
+        return UniformClutter(clutter.density, 1.0)
+    return UniformClutter(clutter.rate, area(region, "clutter.rate on the ground"))
+
+
+def _boxes(sensor: BoxSensor, boxes: Boxes, weight: float) -> GaussianMixture:
+    """Gaussians about given boxes, as uncertain as one detection of each."""
+    xyxy: F8 = np.array(boxes, dtype=np.float64).reshape(-1, 4)
+    if not np.isfinite(xyxy).all() or (xyxy[:, 2:] <= xyxy[:, :2]).any():
+        raise InputError("expected boxes as left, top, right, bottom with left < right and top < bottom", where="boxes")
+    mean, cov = sensor.states(to_cxcywh(xyxy))
+    return GaussianMixture(np.full(len(xyxy), weight), mean, cov)
+
+
+def _places(places: Places) -> GaussianMixture:
+    """Gaussians at rest at given places of the ground."""
+    x, y, weight, position, velocity = np.array(places, dtype=np.float64).reshape(-1, 5).T
+    whole = np.isfinite(x + y + weight + position + velocity) & (weight >= 0) & (position > 0) & (velocity > 0)
+    if not whole.all():
+        raise InputError(
+            "expected places as x, y, a weight from 0, deviations of position and of velocity above 0", where="places"
+        )
+    nothing = np.zeros(len(x))
+    cov = np.square(np.stack([position, position, velocity, velocity], axis=1))[:, :, None] * np.eye(4)
+    return GaussianMixture(weight.copy(), np.stack([x, y, nothing, nothing]), cov)
