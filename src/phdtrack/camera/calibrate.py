@@ -61,10 +61,11 @@ def fit_homography(pixel: F8, world: F8) -> Calibration:
             cure="Are two pairs mixed up, or x and y, or the signs of X and Y?",
         )
     matrix = np.linalg.inv(to_ground) @ np.linalg.inv(forward) @ to_image
+    matrix /= np.abs(matrix).max()
     inside = (float(pixel[0].mean()), float(pixel[1].mean()))
     camera = HomographyCamera(matrix, inside)
     missed, off = camera.pixels(world) - pixel, camera.ground(pixel) - world
-    return Calibration(camera, matrix / np.abs(matrix).max(), inside, np.hypot(*missed), np.hypot(*off))
+    return Calibration(camera, matrix, inside, np.hypot(*missed), np.hypot(*off))
 
 
 def _check(pixel: F8, world: F8) -> None:

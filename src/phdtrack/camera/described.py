@@ -12,15 +12,16 @@ and ``terrain = "hill.npz"``, an elevation map, beside the latter two.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from phdtrack.camera.calibrate import Calibration
 from phdtrack.camera.homography import HomographyCamera
+from phdtrack.camera.located import located
 from phdtrack.camera.matrices import METRES, MatrixForm, homography
 from phdtrack.camera.pinhole import OpenCVLens
 from phdtrack.camera.posed import PosedCamera
@@ -40,7 +41,11 @@ _FORM = tuple(f.name for f in fields(MatrixForm))
 _KEYS = ("homography", "inside", *_FORM, "file", "terrain", *(name for names in _NAMES.values() for name in names))
 
 Description = Mapping[str, Any]
-T = TypeVar("T")
+
+
+def describes_opencv(said: Description) -> bool:
+    """Whether there is a camera matrix, by any of its names."""
+    return any(name in said for name in _NAMES["camera_matrix"])
 
 
 def check_keys(path: Path, said: Description) -> None:
@@ -61,7 +66,7 @@ def form_of(path: Path, said: Description) -> MatrixForm:
     for name, value in values.items():
         if not isinstance(value, str):
             raise InputError(f"expected a text for {name}, came {value!r}", where=path)
-    return _at(path, lambda: MatrixForm(**values))
+    return located(path, lambda: MatrixForm(**values))
 
 
 def homography_camera(path: Path, said: Description) -> HomographyCamera:
@@ -76,7 +81,7 @@ def homography_camera(path: Path, said: Description) -> HomographyCamera:
     matrix, form = _array(path, said, "homography", (3, 3)), form_of(path, said)
     inside = _array(path, said, "inside", (2,)) if "inside" in said else None
     pair = None if inside is None else (float(inside[0]), float(inside[1]))
-    return _at(path, lambda: HomographyCamera(homography(matrix, form), pair))
+    return located(path, lambda: HomographyCamera(homography(matrix, form), pair))
 
 
 def opencv_camera(path: Path, said: Description, surface: Surface | None) -> PosedCamera:
@@ -111,8 +116,8 @@ def opencv_camera(path: Path, said: Description, surface: Surface | None) -> Pos
         rotation = _rodrigues(_array(path, said, str(named["rvec"]), (3,)))
     if len(distortion) == 14 and not distortion[12:].any():
         distortion = distortion[:12]
-    lens = _at(path, lambda: OpenCVLens(lens_matrix, distortion))
-    return _at(path, lambda: PosedCamera(lens, rotation, METRES[unit] * translation, surface or Flat()))
+    lens = located(path, lambda: OpenCVLens(lens_matrix, distortion))
+    return located(path, lambda: PosedCamera(lens, rotation, METRES[unit] * translation, surface or Flat()))
 
 
 def no_terrain(path: Path) -> InputError:
@@ -166,14 +171,6 @@ def _rodrigues(vector: F8) -> F8:
     x, y, z = vector / angle
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
-
-
-def _at(path: Path, make: Callable[[], T]) -> T:
-    """What ``make`` gives; its errors say the file."""
-    try:
-        return make()
-    except InputError as error:
-        raise InputError(error.problem, where=f"{path}, {error.where}", cure=error.cure) from None
 
 
 def usual(form: MatrixForm, **values: str) -> MatrixForm:

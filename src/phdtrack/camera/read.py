@@ -18,6 +18,7 @@ from typing import Any
 from phdtrack.camera.described import (
     Description,
     check_keys,
+    describes_opencv,
     form_of,
     homography_camera,
     no_terrain,
@@ -25,6 +26,7 @@ from phdtrack.camera.described import (
     usual,
 )
 from phdtrack.camera.homography import HomographyCamera
+from phdtrack.camera.located import located
 from phdtrack.camera.matrices import MatrixForm, described, homography, matlab_matrix, text_matrix
 from phdtrack.camera.terrain import Flat, Surface
 from phdtrack.camera.terrain_files import read_terrain
@@ -74,7 +76,8 @@ def _read(path: Path, form: MatrixForm, surface: Surface | None, *, nested: bool
     if _starts_with_number(text):
         beside = (path.parent / "obsmat.txt").is_file()
         form = usual(form, pixel="row-column" if beside else "xy")
-        return _bare(path, surface, HomographyCamera(homography(text_matrix(path, text), form)))
+        matrix = text_matrix(path, text)
+        return _bare(path, surface, located(path, lambda: HomographyCamera(homography(matrix, form))))
     said = _toml(path, text)
     check_keys(path, said)
     return _described(path, said, surface, nested)
@@ -94,13 +97,15 @@ def _matlab(path: Path, content: bytes, form: MatrixForm) -> HomographyCamera:
             where=path,
             cure=described(path, form.variable or "NAME"),
         )
-    return HomographyCamera(homography(matrix, usual(form, vectors="row")))
+    return located(path, lambda: HomographyCamera(homography(matrix, usual(form, vectors="row"))))
 
 
 def _described(path: Path, said: Description, surface: Surface | None, nested: bool) -> Camera:
-    kinds = [kind for kind in ("file", "homography") if kind in said] or ["camera_matrix"]
-    if len(kinds) > 1:
-        raise InputError("expected either file or homography, came both", where=path)
+    kinds = [kind for kind in ("file", "homography") if kind in said]
+    kinds += ["camera_matrix"] * describes_opencv(said)
+    if len(kinds) != 1:
+        came = " and ".join(kinds) or "none of them"
+        raise InputError(f"expected one of file, homography and camera_matrix, came {came}", where=path)
     if kinds == ["file"] and nested:
         raise InputError("expected a camera, came a description of yet another file", where=path)
     if surface is None and "terrain" in said and kinds != ["homography"]:

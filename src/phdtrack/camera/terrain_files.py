@@ -66,6 +66,9 @@ def _grid(path: Path, content: bytes) -> Terrain:
                 f"expected an elevation map, an .npz file or an ASCII grid that states {' or '.join(names)}, came neither",
                 where=path,
             )
+    for name in ("ncols", "nrows"):
+        if not (head[name] >= 0 and head[name].is_integer()):
+            raise InputError(f"expected a whole number for {name}, came {head[name]:g}", where=path)
     columns, rows, cell = int(head["ncols"]), int(head["nrows"]), head["cellsize"]
     table = [_numbers(path, first + i, line.split(), columns) for i, line in enumerate(lines[first:]) if line.strip()]
     if len(table) != rows:

@@ -12,6 +12,7 @@ from xml.parsers import expat
 
 import numpy as np
 
+from phdtrack.camera.located import located
 from phdtrack.camera.posed import PosedCamera
 from phdtrack.camera.terrain import Surface
 from phdtrack.camera.tsai import TsaiLens, rotation_zyx
@@ -79,21 +80,19 @@ def tsai_camera(path: Path, found: Elements, surface: Surface) -> PosedCamera:
     if "dpx" in geometry:
         dx = number("Geometry", "dpx")
     elif "ncx" in geometry and "nfx" in geometry:
-        dx = number("Geometry", "dx") * number("Geometry", "ncx") / number("Geometry", "nfx")
+        dx = number("Geometry", "dx") * number("Geometry", "ncx") / (number("Geometry", "nfx") or np.inf)
     else:
         dx = number("Geometry", "dx")
-    try:
-        lens = TsaiLens(
-            focal=1e-3 * number("Intrinsic", "focal"),
-            dx=1e-3 * dx,
-            dy=1e-3 * number("Geometry", "dpy", "dy"),
-            kappa=1e6 * number("Intrinsic", "kappa1"),
-            cx=number("Intrinsic", "cx"),
-            cy=number("Intrinsic", "cy"),
-            sx=number("Intrinsic", "sx"),
-        )
-    except ZeroDivisionError:
-        raise InputError("expected nfx above 0, came 0", where=f"{path}, line {found['Geometry'][0]}") from None
+    values = {
+        "focal": 1e-3 * number("Intrinsic", "focal"),
+        "dx": 1e-3 * dx,
+        "dy": 1e-3 * number("Geometry", "dpy", "dy"),
+        "kappa": 1e6 * number("Intrinsic", "kappa1"),
+        "cx": number("Intrinsic", "cx"),
+        "cy": number("Intrinsic", "cy"),
+        "sx": number("Intrinsic", "sx"),
+    }
+    lens = located(path, lambda: TsaiLens(**values))
     rotation = rotation_zyx(*(number("Extrinsic", name) for name in ("rx", "ry", "rz")))
     translation = 1e-3 * np.array([number("Extrinsic", name) for name in ("tx", "ty", "tz")])
     return PosedCamera(lens, rotation, translation, surface)
