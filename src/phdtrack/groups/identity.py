@@ -1,0 +1,179 @@
+"""Groups over time: identities, and the events of their lives.
+
+Groups flicker: two people at two metres are one group in one frame and two in the next. So a group's identity hangs on its
+members. Every frame each cluster proposes an identity to its members, that of the group from which most of them come, or a
+new one; a member accepts once the same has been proposed for ``hold`` seconds. What members have accepted are the groups,
+and how it changes are the events:
+
+    appear   members who were in no group have one that is new
+    split    some members leave for a new group while others stay
+    merge    the last members leave for a group that was there before
+    vanish   the last members have not been seen for ``hold`` seconds
+
+An event carries the time at which it began, ``hold`` earlier than it was certain. With hold 0 the groups are the clusters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from phdtrack.checks import NonNegative, check
+from phdtrack.types import F8, I8
+
+Kind = Literal["appear", "vanish", "merge", "split"]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What happened to group ``group``, from the frame and time at which it began.
+
+    ``other`` is the group that it merged into or split from; 0 for appear and vanish.
+    """
+
+    frame: int
+    time: float
+    kind: Kind
+    group: int
+    other: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """One person's membership: the ``group`` accepted, the one ``proposed`` and since when, and when he was last seen."""
+
+    group: int
+    proposed: int
+    since: tuple[int, float]
+    seen: tuple[int, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """The state between frames: members by identity, groups announced, groups to be announced, and the next number."""
+
+    members: Mapping[int, Member] = field(default_factory=lambda: MappingProxyType({}))
+    announced: frozenset[int] = frozenset()
+    born: Mapping[int, tuple[int, float]] = field(default_factory=lambda: MappingProxyType({}))
+    following: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Living:
+    """``hold``: seconds for which something must last to be believed."""
+
+    hold: NonNegative = 0.5
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def extend(
+        self, state: Observed, member: I8, label: I8, weight: F8, frame: int, time: float
+    ) -> tuple[Observed, I8, tuple[Event, ...]]:
+        """Take in one frame's clusters.
+
+        Parameters
+        ----------
+        member : (n,) identities of people (tracks, or tags of components), each at most once.
+        label : (n,) the cluster of each.
+        weight : (n,) how much each counts when identities are handed on.
+
+        Returns
+        -------
+        The new state, the group (n,) of each member, and the events that became certain with this frame.
+        """
+        proposed, following = _proposals(state, member, label, weight)
+        now = (frame, time)
+        members = dict(state.members)
+        moves: list[tuple[int, int, tuple[int, float]]] = []
+        for who, group in zip(member.tolist(), proposed.tolist(), strict=True):
+            members[who], moved = self._considered(members.get(who), group, now)
+            if moved is not None:
+                moves.append(moved)
+        lost = {who: m for who, m in members.items() if time - m.seen[1] > self.hold}
+        for who in lost:
+            del members[who]
+        living: dict[int, float] = {}
+        for m in members.values():
+            living[m.group] = max(m.seen[1], living.get(m.group, 0.0))
+        born = {g: at for g, at in state.born.items() if g in living}
+        for group in living.keys() - state.announced:
+            born.setdefault(group, now)
+        announced, born, events = self._told(state, moves, lost, living, born, now)
+        after = Observed(MappingProxyType(members), announced, MappingProxyType(born), following)
+        accepted = np.array([members[who].group for who in member.tolist()], np.int64)
+        return after, accepted, events
+
+    def _considered(
+        self, old: Member | None, group: int, now: tuple[int, float]
+    ) -> tuple[Member, tuple[int, int, tuple[int, float]] | None]:
+        """A member after a proposal, and (from, to, since) where he has moved."""
+        if old is None:
+            return Member(group, group, now, now), None
+        since = old.since if group == old.proposed else now
+        if group != old.group and now[1] - since[1] >= self.hold:
+            return Member(group, group, since, now), (old.group, group, since)
+        return Member(old.group, group, since, now), None
+
+    def _told(
+        self,
+        state: Observed,
+        moves: list[tuple[int, int, tuple[int, float]]],
+        lost: Mapping[int, Member],
+        living: Mapping[int, float],
+        born: dict[int, tuple[int, float]],
+        now: tuple[int, float],
+    ) -> tuple[frozenset[int], dict[int, tuple[int, float]], tuple[Event, ...]]:
+        """The groups announced by now, those still to be, and the events; ``living``: when each group was last seen."""
+        announced, told = set(state.announced), list[Event]()
+        for source, target, since in dict.fromkeys(sorted(moves, key=lambda move: move[2][0])):
+            if source in living and source in announced and target not in announced:
+                told.append(Event(*since, "split", target, source))
+                announced.add(target)
+            elif source not in living and source in announced and target in announced:
+                told.append(Event(*since, "merge", source, target))
+                announced.discard(source)
+        for group, at in sorted(born.items()):
+            if group not in announced and living[group] - at[1] >= self.hold:
+                told.append(Event(*at, "appear", group))
+                announced.add(group)
+        last: dict[int, tuple[int, float]] = {}
+        for gone in lost.values():
+            last[gone.group] = max(gone.seen, last.get(gone.group, gone.seen))
+        for group in sorted(announced - living.keys()):
+            # Nobody has moved on: whoever was left has not been seen. (Or all left for groups that are not certain yet.)
+            told.append(Event(*last.get(group, now), "vanish", group))
+            announced.discard(group)
+        return frozenset(announced), {g: at for g, at in born.items() if g not in announced}, tuple(told)
+
+
+def _proposals(state: Observed, member: I8, label: I8, weight: F8) -> tuple[I8, int]:
+    """The identity that each member's cluster proposes to him, and the next number that is free.
+
+    Clusters and groups are matched one to one with the largest total weight in common. A member speaks for the group last
+    proposed to him and, at half his weight, for the one that he has accepted: two groups that touch for a moment part again
+    as who they were. A cluster without a match takes a new number.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    if len(member) == 0:
+        return np.zeros(0, np.int64), state.following
+    clusters, cluster = np.unique(label, return_inverse=True)
+    nobody = Member(0, 0, (0, 0.0), (0, 0.0))
+    before = [state.members.get(who, nobody) for who in member.tolist()]
+    spoken_for = np.array([[m.proposed for m in before], [m.group for m in before]], np.int64)
+    groups, group = np.unique(spoken_for, return_inverse=True)
+    common = np.zeros((len(clusters), len(groups)))
+    np.add.at(common, (np.tile(cluster, 2), group.ravel()), np.concatenate([weight, 0.5 * weight]))
+    common[:, groups == 0] = 0.0
+    rows, columns = linear_sum_assignment(-common)
+    identity = np.zeros(len(clusters), np.int64)
+    known = common[rows, columns] > 0
+    identity[rows[known]] = groups[columns[known]]
+    fresh = identity == 0
+    identity[fresh] = state.following + np.arange(np.count_nonzero(fresh))
+    return identity[cluster], state.following + int(np.count_nonzero(fresh))

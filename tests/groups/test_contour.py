@@ -1,0 +1,68 @@
+"""Level curves of the position intensity: circles of known radius, the area against counting points, what has none."""
+
+import numpy as np
+import pytest
+from group_cases import people
+
+from phdtrack.groups import Contours, polygon_area
+
+
+def test_a_lone_person_has_a_circle_whose_radius_is_known():
+    sd = 0.5
+    (circle,) = Contours(fineness=8).of(people([(3, -2, 1, 0)], sd=sd), np.zeros(1, np.int64), 0)
+    radius = sd * np.sqrt(2 * np.log(1 / (2 * np.pi * sd**2 * 0.1)))
+    assert np.hypot(circle[0] - 3, circle[1] + 2) == pytest.approx(np.full(circle.shape[1], radius), rel=0.01)
+    assert (circle[:, 0] == circle[:, -1]).all()
+    assert polygon_area(circle) == pytest.approx(np.pi * radius**2, rel=0.02)
+
+
+def test_an_uncertain_person_has_none():
+    # The peak is below the level where 2π sd² > 10.
+    sd = np.sqrt(10 / (2 * np.pi))
+    assert Contours().of(people([(0, 0, 0, 0)], sd=1.01 * sd), np.zeros(1, np.int64), 0) == ()
+    assert len(Contours().of(people([(0, 0, 0, 0)], sd=0.97 * sd), np.zeros(1, np.int64), 0)) == 1
+
+
+def test_a_loose_group_has_several():
+    mixture = people([(0, 0, 0, 0), (1.9, 0, 0, 0)], sd=0.2)
+    assert len(Contours().of(mixture, np.zeros(2, np.int64), 0)) == 2
+
+
+def test_a_ring_of_people_has_a_hole_that_runs_the_other_way():
+    angle = np.arange(12) * np.pi / 6
+    mixture = people([(3 * np.cos(a), 3 * np.sin(a), 0, 0) for a in angle], sd=0.45)
+    areas = sorted(polygon_area(p) for p in Contours().of(mixture, np.zeros(12, np.int64), 0))
+    assert len(areas) == 2
+    assert areas[0] < 0 < areas[1]
+
+
+def test_the_area_is_that_of_the_points_above_the_level():
+    rng = np.random.default_rng(3)
+    mixture = people([(0, 0, 0, 0), (1, 0.5, 0, 0), (0.3, 1.4, 0, 0)], [1.0, 0.6, 1.4], sd=0.5)
+    area = sum(polygon_area(p) for p in Contours(fineness=8).of(mixture, np.zeros(3, np.int64), 0))
+    points = rng.uniform(-3, 5, (2, 400_000))
+    density = sum(
+        w * np.exp(-((points - m[:2, None]) ** 2).sum(0) / 0.5) / (np.pi * 0.5)
+        for w, m in zip(mixture.weight, mixture.mean.T, strict=True)
+    )
+    inside = (density > 0.1).mean()
+    error = 64 * np.sqrt(inside * (1 - inside) / points.shape[1])
+    assert area == pytest.approx(64 * inside, abs=5 * error + 0.01 * area)
+
+
+def test_only_the_members_of_the_group_count():
+    mixture = people([(0, 0, 0, 0), (0.5, 0, 0, 0)])
+    alone = Contours().of(people([(0, 0, 0, 0)]), np.zeros(1, np.int64), 0)
+    (one,) = Contours().of(mixture, np.array([0, 1]), 0)
+    assert one == pytest.approx(alone[0])
+
+
+@pytest.mark.parametrize("fineness", [2.0, 6.0])
+def test_every_curve_is_closed_whatever_the_grid(fineness):
+    rng = np.random.default_rng(8)
+    for _ in range(20):
+        n = int(rng.integers(1, 8))
+        states = [tuple(s) for s in rng.normal(0, 2, (n, 4))]
+        mixture = people(states, rng.uniform(0.3, 2, n).tolist(), sd=float(rng.uniform(0.1, 1.2)))
+        for curve in Contours(fineness=fineness).of(mixture, np.zeros(n, np.int64), 0):
+            assert (curve[:, 0] == curve[:, -1]).all()

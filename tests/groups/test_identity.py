@@ -1,0 +1,102 @@
+"""The lives of groups: what is told, when it began, and what flickers by unnoticed."""
+
+import numpy as np
+import pytest
+
+from phdtrack.groups import Event, Living, Observed
+
+T = 0.1
+
+
+def play(frames, hold=0.5):
+    """Groups by frame, {member: group}, and all events, of frames [{member: cluster}, …] that are T seconds apart."""
+    living, state, groups, told = Living(hold), Observed(), [], []
+    for number, clusters in enumerate(frames, 1):
+        who, label = np.array(list(clusters), np.int64), np.array(list(clusters.values()), np.int64)
+        state, accepted, events = living.extend(state, who, label, np.ones(len(who)), number, number * T)
+        groups.append(dict(zip(who.tolist(), accepted.tolist(), strict=True)))
+        told += events
+    return groups, told
+
+
+TOGETHER, APART = {1: 0, 2: 0, 3: 0}, {1: 0, 2: 0, 3: 1}
+
+
+def test_a_group_appears_once_and_keeps_its_number():
+    groups, told = play([TOGETHER] * 12)
+    assert told == [Event(1, pytest.approx(T), "appear", 1)]
+    assert all(set(g.values()) == {1} for g in groups)
+
+
+def test_a_split_is_told_once_with_the_frame_at_which_it_began():
+    groups, told = play([TOGETHER] * 10 + [APART] * 10)
+    assert told[1:] == [Event(11, pytest.approx(1.1), "split", 2, 1)]
+    # The larger part keeps the number.
+    assert groups[-1] == {1: 1, 2: 1, 3: 2}
+
+
+def test_a_merge_is_told_of_the_smaller_group():
+    groups, told = play([APART] * 10 + [TOGETHER] * 10)
+    assert [e.kind for e in told] == ["appear", "appear", "merge"]
+    assert told[2] == Event(11, pytest.approx(1.1), "merge", 2, 1)
+    assert set(groups[-1].values()) == {1}
+
+
+def test_a_flicker_is_no_event_and_changes_no_group():
+    groups, told = play([TOGETHER] * 10 + [APART] * 3 + [TOGETHER] * 10)
+    assert [e.kind for e in told] == ["appear"]
+    assert all(set(g.values()) == {1} for g in groups)
+
+
+def test_groups_that_touch_for_a_moment_part_as_who_they_were():
+    groups, told = play([APART] * 10 + [TOGETHER] * 3 + [APART] * 10)
+    assert [e.kind for e in told] == ["appear", "appear"]
+    assert groups[-1] == {1: 1, 2: 1, 3: 2}
+
+
+def test_a_group_that_is_not_seen_for_long_vanishes_with_the_frame_in_which_it_was_last_seen():
+    _, told = play([TOGETHER] * 10 + [{}] * 10)
+    assert told[-1] == Event(10, pytest.approx(1.0), "vanish", 1)
+
+
+def test_a_member_that_is_missed_for_a_moment_returns_to_his_group():
+    groups, told = play([APART] * 10 + [{1: 0, 2: 0}] * 3 + [APART] * 5)
+    assert groups[-1][3] == 2
+    assert "vanish" not in [e.kind for e in told]
+
+
+def test_who_joins_a_group_for_the_first_time_is_of_it_at_once():
+    groups, told = play([{1: 0, 2: 0}] * 10 + [TOGETHER] * 5)
+    assert groups[10] == {1: 1, 2: 1, 3: 1}
+    assert len(told) == 1
+
+
+def test_a_cluster_of_a_moment_is_never_told():
+    _, told = play([{1: 0}] * 10 + [{1: 0, 9: 1}] * 2 + [{1: 0}] * 20)
+    assert told == [Event(1, pytest.approx(T), "appear", 1)]
+
+
+def test_without_hold_the_groups_are_the_clusters():
+    rng = np.random.default_rng(4)
+    frames = [dict(zip(range(1, 7), rng.integers(0, 3, 6).tolist(), strict=True)) for _ in range(40)]
+    groups, _ = play(frames, hold=0.0)
+    for clusters, group in zip(frames, groups, strict=True):
+        pairs = {(clusters[m], group[m]) for m in clusters}
+        assert len(pairs) == len(set(clusters.values())) == len(set(group.values()))
+
+
+def test_every_life_has_one_beginning_and_at_most_one_end():
+    rng = np.random.default_rng(7)
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        frames, clusters = [], dict.fromkeys(range(1, 9), 0)
+        for _ in range(120):
+            if rng.random() < 0.15:
+                clusters = {m: int(rng.integers(0, 3)) for m in range(1, 9) if rng.random() < 0.8}
+            frames.append(clusters)
+        _, told = play(frames, hold=0.3)
+        began = [e.group for e in told if e.kind in ("appear", "split")]
+        ended = [e.group for e in told if e.kind in ("vanish", "merge")]
+        assert len(began) == len(set(began))
+        assert len(ended) == len(set(ended))
+        assert set(ended) <= set(began)
