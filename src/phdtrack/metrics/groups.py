@@ -1,0 +1,109 @@
+"""How well groups are found: pairwise F1 of membership, and switches of groups' identities.
+
+Two people who are in a frame together are a pair; the pair is positive where both are of one group.
+
+    F1 = 2 TP / (2 TP + FP + FN)    over the pairs of all frames
+
+A person of the output is the person of the truth that he is mapped to one to one, nearest first in sum, within a distance.
+Pairs of annotated people of whom one was not found are missed (FN), and pairs of one output group of whom one is nobody are
+false (FP). A group of the truth switches where the output identity that most of its members carry is not the last one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from phdtrack.metrics.assignment import assign
+from phdtrack.metrics.sums import ratio
+from phdtrack.types import F8, I8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroupFrame:
+    """One frame: groups (n,) and positions (2, n) of the truth, and of the output (m,), (2, m), metres.
+
+    Groups are identities from 1; 0 is somebody alone.
+    """
+
+    truth_group: I8
+    truth_position: F8
+    output_group: I8
+    output_position: F8
+
+
+@dataclass(frozen=True, slots=True)
+class GroupScores:
+    """Pairs of people rightly together, wrongly together and wrongly apart; and identity switches of annotated groups."""
+
+    true_positives: int = 0
+    false_positives: int = 0
+    false_negatives: int = 0
+    switches: int = 0
+
+    def precision(self) -> float:
+        """Share of the output's pairs that are right; NaN without any."""
+        return ratio(self.true_positives, self.true_positives + self.false_positives)
+
+    def recall(self) -> float:
+        """Share of the annotated pairs that are found; NaN without any."""
+        return ratio(self.true_positives, self.true_positives + self.false_negatives)
+
+    def f1(self) -> float:
+        """F1 of the pairs; NaN where there are none on either side."""
+        return ratio(2 * self.true_positives, 2 * self.true_positives + self.false_positives + self.false_negatives)
+
+
+def score_groups(frames: Iterable[GroupFrame], within: float = 1.0) -> GroupScores:
+    """The scores of a sequence; people are mapped where they are closer than ``within`` metres."""
+    sums = np.zeros(3, np.int64)
+    switches, last = 0, dict[int, int]()
+    for frame in frames:
+        output_of = np.full(len(frame.truth_group), -1)
+        rows, columns = nearest(frame.truth_position, frame.output_position, within)
+        output_of[rows] = columns
+        sums += _pairs(frame, output_of)
+        for group in np.unique(frame.truth_group[frame.truth_group > 0]).tolist():
+            found = output_of[(frame.truth_group == group) & (output_of >= 0)]
+            carried = frame.output_group[found]
+            carried = carried[carried > 0]
+            if len(carried) == 0:
+                continue
+            name = _commonest(carried, last.get(group, 0))
+            switches += group in last and last[group] != name
+            last[group] = name
+    return GroupScores(int(sums[0]), int(sums[1]), int(sums[2]), switches)
+
+
+def nearest(a: F8, b: F8, within: float) -> tuple[I8, I8]:
+    """Columns of ``a`` (2, n) and ``b`` (2, m) mapped one to one: as many and as near as can be, closer than ``within``."""
+    apart = np.hypot(a[0][:, None] - b[0], a[1][:, None] - b[1])
+    # Every mapped pair outweighs any gain in distance.
+    most = min(apart.shape) + 1 if apart.size else 1
+    return assign(np.where(apart < within, most - apart / within, 0.0))
+
+
+def _pairs(frame: GroupFrame, output_of: I8) -> I8:
+    """Numbers of pairs that are rightly together, wrongly together, and wrongly apart."""
+    truth = _together(frame.truth_group)
+    output = _together(frame.output_group)
+    found = output_of >= 0
+    both = output[np.ix_(output_of[found], output_of[found])] & truth[np.ix_(found, found)]
+    right = int(both.sum()) // 2
+    return np.array([right, int(output.sum()) // 2 - right, int(truth.sum()) // 2 - right], np.int64)
+
+
+def _together(group: I8) -> np.typing.NDArray[np.bool_]:
+    """(n, n) whether two different people are of one group."""
+    same: np.typing.NDArray[np.bool_] = (group[:, None] == group) & (group > 0)
+    np.fill_diagonal(same, False)
+    return same
+
+
+def _commonest(carried: I8, last: int) -> int:
+    """The identity that most carry; of several such the last one if it is among them, otherwise the smallest."""
+    names, times = np.unique(carried, return_counts=True)
+    best = names[times == times.max()]
+    return last if last in best else int(best[0])

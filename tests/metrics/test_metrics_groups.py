@@ -1,0 +1,83 @@
+"""Pairwise F1 and identity switches of groups, on cases that can be counted by hand and against a loop over pairs."""
+
+import math
+
+import numpy as np
+import pytest
+
+from phdtrack.metrics.groups import GroupFrame, nearest, score_groups
+
+
+def frame(truth, output, off=0.0, found=None):
+    """People a hundred metres apart, each where the truth has him, ``off`` metres aside; ``found``: those in the output."""
+    place = np.stack([100.0 * np.arange(len(truth)), np.zeros(len(truth))])
+    kept = np.arange(len(truth)) if found is None else np.array(found, np.int64)
+    return GroupFrame(np.array(truth), place, np.array(output, np.int64), place[:, kept] + off)
+
+
+def test_the_right_groups_score_one_whatever_their_names():
+    scores = score_groups([frame([1, 1, 2, 2, 0], [7, 7, 3, 3, 9])])
+    assert (scores.true_positives, scores.f1(), scores.switches) == (2, 1.0, 0)
+
+
+def test_pairs_are_counted_as_by_hand():
+    # Truth: 0-1, 0-2, 1-2, 3-4. Output: 0-1, 2-3.
+    scores = score_groups([frame([1, 1, 1, 2, 2], [1, 1, 2, 2, 3])])
+    assert (scores.true_positives, scores.false_positives, scores.false_negatives) == (1, 1, 3)
+    assert scores.precision() == 0.5
+    assert scores.recall() == 0.25
+    assert scores.f1() == pytest.approx(1 / 3)
+
+
+def test_people_who_are_not_found_are_missing_from_their_groups():
+    scores = score_groups([frame([1, 1], [1], found=[0])])
+    assert (scores.true_positives, scores.false_positives, scores.false_negatives) == (0, 0, 1)
+
+
+def test_pairs_with_nobody_are_false():
+    seen = GroupFrame(np.array([0]), np.zeros((2, 1)), np.array([4, 4]), np.array([[0.0, 50.0], [0.0, 0.0]]))
+    scores = score_groups([seen])
+    assert (scores.true_positives, scores.false_positives, scores.false_negatives) == (0, 1, 0)
+
+
+def test_who_is_too_far_off_is_somebody_else():
+    assert score_groups([frame([1, 1], [1, 1], off=0.6)]).f1() == 1.0
+    assert score_groups([frame([1, 1], [1, 1], off=0.8)]).f1() == 0.0
+
+
+def test_a_switch_is_a_change_of_the_name_that_most_carry():
+    frames = [frame([1, 1, 1], o) for o in ([5, 5, 5], [5, 5, 6], [6, 6, 5], [6, 6, 6], [5, 6, 8])]
+    assert score_groups(frames).switches == 1
+
+
+def test_people_alone_make_no_pairs():
+    scores = score_groups([frame([0, 0], [0, 0])])
+    assert math.isnan(scores.f1())
+
+
+def test_nothing_scores_nothing():
+    none = GroupFrame(np.zeros(0, np.int64), np.zeros((2, 0)), np.zeros(0, np.int64), np.zeros((2, 0)))
+    assert math.isnan(score_groups([none]).f1())
+
+
+def test_as_many_as_can_be_are_mapped():
+    # Greedy would take the nearest pair and leave the other two alone.
+    a, b = np.array([[0.0, 0.9], [0, 0]]), np.array([[0.5, 1.6], [0, 0]])
+    rows, columns = nearest(a, b, 1.0)
+    assert list(zip(rows, columns, strict=True)) == [(0, 0), (1, 1)]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_sums_agree_with_a_loop_over_pairs(seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 12))
+    truth, output = rng.integers(0, 4, n), rng.integers(0, 4, n)
+    counts = [0, 0, 0]
+    for i in range(n):
+        for j in range(i):
+            t, o = truth[i] == truth[j] > 0, output[i] == output[j] > 0
+            counts[0] += t and o
+            counts[1] += o and not t
+            counts[2] += t and not o
+    scores = score_groups([frame(truth, output)])
+    assert [scores.true_positives, scores.false_positives, scores.false_negatives] == counts
