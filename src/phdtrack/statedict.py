@@ -9,7 +9,7 @@ import numpy as np
 
 from phdtrack.associate.graph import GraphState
 from phdtrack.associate.history import Chunk, History, Moment
-from phdtrack.associate.online import Given
+from phdtrack.associate.online import Carried, Given
 from phdtrack.associate.window import Columns, Edges, Links, Rows, Window
 from phdtrack.errors import InputError
 from phdtrack.pipeline import TrackingState
@@ -29,6 +29,7 @@ _RECORDS: dict[str, type[Any]] = {
         Chunk,
         Moment,
         Given,
+        Carried,
         Window,
         Columns,
         Rows,

@@ -12,6 +12,8 @@ from phdtrack.metrics import evaluate
 from phdtrack.types import Estimates, Tracks, Truth
 
 seeds = st.integers(0, 2**32 - 1)
+# Hardly ever seen and hardly ever gone: a missing target is waited for as long as is allowed.
+PATIENT = model_of(survival=0.999, detection=0.3)
 
 
 def moving(frames: int, *, start=(100.0, 200.0), velocity=(3.0, 0.0)) -> list[Estimates]:
@@ -87,7 +89,7 @@ def test_confirmed_from_the_fifth_state_on():
 
 
 def test_a_missed_target_is_continued_for_as_long_as_coast():
-    online = run(matching_of(coast=0.3), [*moving(10), *[states([])] * 20]).online
+    online = run(matching_of(coast=0.3), [*moving(10), *[states([])] * 20], PATIENT).online
     coasted = online.take(online.detection < 0)
     assert coasted.frame.tolist() == list(range(11, 18)), "0.3 s at 25 Hz are 7 frames"
     assert set(coasted.identity) == {1}
@@ -99,27 +101,27 @@ def test_a_missed_target_is_continued_for_as_long_as_coast():
 
 def test_coast_is_time_and_not_frames():
     frames = [*moving(10), *[states([])] * 20]
-    online = run(matching_of(coast=0.3), frames, intervals=[1.0] * 10 + [3.5] * 20).online
+    online = run(matching_of(coast=0.3), frames, PATIENT, intervals=[1.0] * 10 + [3.5] * 20).online
     assert online.frame[online.detection < 0].tolist() == [11, 12]
 
 
 @pytest.mark.parametrize("settings", [{"coast": 0.0}, {"bridge": False}])
 def test_nothing_is_continued_when_told_not_to(settings):
-    online = run(matching_of(**settings), [*moving(10), *[states([])] * 5]).online
+    online = run(matching_of(**settings), [*moving(10), *[states([])] * 5], PATIENT).online
     assert (online.detection >= 0).all()
 
 
 def test_a_target_that_leaves_the_frame_is_not_continued():
-    leaving = moving(10, start=(WIDTH - 40.0, HEIGHT / 2), velocity=(6.0, 0.0))
-    online = run(matching_of(coast=2.0), [*leaving, *[states([])] * 20]).online
+    leaving = moving(10, start=(WIDTH - 70.0, HEIGHT / 2), velocity=(6.0, 0.0))
+    online = run(matching_of(coast=2.0), [*leaving, *[states([])] * 20], PATIENT).online
     last = online.xyxy[online.detection < 0]
     assert (last[:, 0] < WIDTH).all()
-    assert len(last) == 0 or online.frame.max() < 14
+    assert online.frame.max() == 15, "in the sixteenth its left edge would be at the border"
 
 
 def test_a_target_seen_again_keeps_its_identity():
     frames = [*moving(10), *[states([])] * 4, *moving(10, start=(142.0, 200.0))]
-    online = run(matching_of(miss=0.9, gate=6.0), frames).online
+    online = run(matching_of(miss=0.9, gate=6.0), frames, PATIENT).online
     assert online.frame.tolist() == list(range(1, 25))
     assert set(online.identity) == {1}
     assert online.predicted.tolist() == [False] * 10 + [True] * 4 + [False] * 10
@@ -178,5 +180,34 @@ def test_a_delay_bridges_the_gap_that_it_sees_the_end_of():
 
 @pytest.mark.parametrize(("delay", "ghosts"), [(0, 7), (3, 4), (7, 0), (12, 0)])
 def test_a_delay_ends_what_it_knows_to_have_ended(delay: int, ghosts: int):
-    online = run(matching_of(delay=delay, coast=0.3), [*moving(10), *[states([])] * 20]).online
+    online = run(matching_of(delay=delay, coast=0.3), [*moving(10), *[states([])] * 20], PATIENT).online
     assert online.predicted.sum() == ghosts
+
+
+def flickering(gap: int, times: int) -> list[Estimates]:
+    """A target that is seen ten times, then missed ``gap`` times, and so on; after the last gap it is gone."""
+    seen = [(k % (10 + gap)) < 10 for k in range(times * (10 + gap))]
+    frames = moving(len(seen), velocity=(1.0, 0.0))
+    return [*(f if s else states([]) for f, s in zip(frames, seen, strict=True)), *[states([])] * 20]
+
+
+def test_the_missing_are_waited_for_as_long_as_the_missing_came_back():
+    """By the model's p_D of 0.95 a target missed twice has gone; where gaps of four frames are filled, it has not."""
+    online = run(matching_of(coast=1.0, miss=0.95, gate=6.0), flickering(4, 6)).online
+    assert set(online.identity) == {1}
+    filled = [int(np.isin(np.arange(11, 15) + 14 * k, online.frame).sum()) for k in range(6)]
+    assert filled[0] == 1
+    assert filled[2:] == [4, 4, 4, 4]
+    assert online.frame.max() == 6 * 14, "nobody ever came back after five"
+
+
+def test_who_does_not_come_back_is_soon_not_waited_for():
+    """One target after the other ends for good; the model thinks that they are only missed."""
+    frames: list[Estimates] = []
+    for k in range(8):
+        frames += [*moving(10, start=(60.0 * k + 60.0, 200.0)), *[states([])] * 10]
+    online = run(matching_of(coast=0.4), frames, model_of(survival=0.99, detection=0.5)).online
+    ghosts = [int((online.predicted & (online.frame > 20 * k) & (online.frame <= 20 * k + 20)).sum()) for k in range(8)]
+    assert ghosts[0] >= 4
+    assert ghosts[-1] < ghosts[0]
+    assert (np.diff(ghosts) <= 0).all()

@@ -7,10 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.kernels.association import LANES, find_edges, log_determinants, near_pairs, predict_covariances
-from phdtrack.kernels.constant_velocity import box_motion_noise
-from phdtrack.kernels.identities import claim, follow
+from phdtrack.kernels.association import (
+    LANES,
+    find_edges,
+    link_states,
+    log_determinants,
+    near_pairs,
+    predict_covariances,
+)
+from phdtrack.kernels.constant_velocity import box_motion_noise, predict_boxes
+from phdtrack.kernels.identities import come_back, hand_on
 from reference import association_twin as twin
+from reference import kernel_twins
 
 seeds = st.integers(0, 2**32 - 1)
 ROWS = np.array([0, 1, 4, 5])
@@ -38,6 +46,26 @@ def test_boxes_are_pushed_as_the_matrices_say(seed: int, n: int, dt: float, scal
     unchanged(lambda size: box_motion_noise(size, dt, 0.05, 0.1, 1.0, scaled, out), x[4:6])
     _, _, noise = twin.moved_boxes(x, dt, 0.05, 0.1, 1.0, scaled)
     np.testing.assert_allclose(out.transpose(2, 0, 1), noise, rtol=1e-12, atol=1e-12)
+
+
+@given(seeds, st.integers(0, 300), st.integers(0, 4), st.sampled_from([0.3, 1.0, 3.5]), st.booleans())
+@settings(max_examples=30, deadline=None)
+def test_boxes_are_moved_as_the_matrices_say(seed: int, count: int, n: int, dt: float, scaled: bool):
+    """Two states in front are gone, and the new ones behind stay where they are."""
+    rng = np.random.default_rng(seed)
+    x, p = rng.normal(20, 15, (6, 2 + count + n)), spreads(rng, 2 + count + n, 6, 4.0)
+    mean, cov, noise = x[:, 2:].copy(), np.empty((21, count + n)), np.zeros((21, n))
+    unchanged(
+        lambda old, new, place: predict_boxes(old, 2, new, dt, 0.05, 0.1, 1.0, scaled, place, mean, cov, noise),
+        *(planes(p[: 2 + count]), p[2 + count :], places(6)),
+    )
+    moved, f, q = twin.moved_boxes(x[:, 2:], dt, 0.05, 0.1, 1.0, scaled)
+    np.testing.assert_allclose(mean[:, :count], moved[:, :count], rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(mean[:, count:], x[:, 2 + count :])
+    expected = np.concatenate((twin.predicted(p[2 : 2 + count], f[None], q[:count]), p[2 + count :]))
+    np.testing.assert_allclose(cov, planes(expected), rtol=1e-10, atol=1e-10)
+    seen = places(6)[np.ix_(ROWS, ROWS)]
+    np.testing.assert_allclose(noise[seen], q[count:][:, ROWS[:, None], ROWS].transpose(1, 2, 0), rtol=1e-12)
 
 
 def places(d: int) -> np.ndarray:
@@ -119,8 +147,8 @@ def edges(mean, cov, noise, sigma, since, rows, dt, gate, log_miss, consistent):
         side = int(n**0.5) + 1
         grid = np.zeros(side * side + 1, np.int64), np.empty(n, np.int64)
         found = unchanged(
-            lambda *given: near_pairs(*given, consistent, *grid, state, column),
-            *(mean, packed, log_det, open_end, price, rows, plane),
+            lambda *given: near_pairs(*given[:-1], consistent, 0, given[-1], *grid, state, column),
+            *(mean, packed, open_end, price, rows, plane, log_det),
         )
         return found, state, column
 
@@ -188,14 +216,58 @@ def test_the_cases_have_edges_and_others():
     assert all(5 < k < 175 for k in kept), kept
 
 
+@given(seeds, st.integers(0, 40), st.integers(0, 12), st.sampled_from([6.0, 40.0]), st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_a_frame_is_linked_as_by_plain_edges_and_the_best_matching(
+    seed: int, count: int, n: int, span: float, infinite: bool
+):
+    """One frame from a window without links: what is too old is closed, the others find their best ends."""
+    mean, cov, noise, sigma, since, rows = case(seed, count, n, 60.0)
+    packed, plane = planes(cov), places(6)[np.ix_(rows, rows)]
+    if infinite and n:
+        mean[0, count] = np.nan
+    older, begins = np.zeros(count, np.int64), np.zeros(n + 2, np.int64)
+    empty, room = np.empty(0, np.int64), 12 * 40
+    age, previous = np.append(since - 1.0, np.zeros(n)), np.full(count + n, -1)
+    worth, u, v = np.zeros(count + n), np.zeros(count + n), np.zeros(count + n + 3)
+    onward, target, gain = np.full(count + n + 3, -1), np.empty(room, np.int64), np.empty(room)
+    onward[:3] = -2, 55, -2
+    side, log_miss = int(n**0.5) + 1, float(np.log(0.8))
+    found, closed, gone = link_states(
+        *(1.0, span, 4.0, log_miss, 3.0, 53, 50, older, empty, np.empty(0), mean, packed, planes(noise), sigma, rows, plane),
+        *(np.empty((7, 4, LANES)), age, previous, worth, u, onward, v, begins, target, gain),
+        *(np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room), np.empty((3, count + n + 3))),
+        *(np.empty((2, count + n + 3), np.int64), np.zeros(side * side + 1, np.int64), np.zeros(count + n + 3, np.uint8)),
+    )
+    np.testing.assert_allclose(age[:count], since)
+    assert closed == (since > span).sum()
+    assert gone == 1, "the second column still has a row"
+    assert (onward[3 : 3 + closed] == -2).all()
+    if infinite and n:
+        assert found == -1
+        return
+    links = twin.edges(mean, cov, noise, sigma, since, rows, 1.0, 4.0, log_miss, 3.0) if n else {}
+    links = {(i, c): g for (i, c), g in links.items() if c >= closed}
+    row = np.repeat(np.arange(n), np.diff(begins[1:]))
+    ends = target[: begins[-1]] - 53
+    ours = dict(zip(zip(row.tolist(), ends.tolist(), strict=True), gain[: begins[-1]].tolist(), strict=True))
+    assert ours == pytest.approx(links, abs=1e-8)
+    best = kernel_twins.best_matching(n, count, links)
+    assert worth.sum() == pytest.approx(best, abs=1e-8)
+    taken = {(r, int(c) - 53) for r, c in enumerate(previous[count:]) if c >= 0}
+    assert sum(links[pair] for pair in taken) == pytest.approx(best, abs=1e-8)
+    assert {(int(o) - 53 - count, c) for c, o in enumerate(onward[3:]) if o >= 0} == taken
+
+
 @given(seeds, st.integers(0, 6), st.integers(1, 14), st.integers(1, 4), st.sampled_from([0.0, 2.0]))
 @settings(max_examples=80, deadline=None)
 def test_identities_are_claimed_as_by_dictionaries(seed: int, ahead: int, frames: int, shortest: int, least: float):
     """Frame after frame under links that change meanwhile, with ``ahead`` vertices known that are not given yet."""
-    rng = np.random.default_rng(seed)
-    first, used = 5, 0
+    rng, ages = np.random.default_rng(seed), 4
+    first, used, fresh = 5, 0, 5
     none, never = np.zeros(0, np.int64), np.zeros(0, np.bool_)
-    record = (none, none, np.zeros(0), never, never)
+    record = (none, none, np.zeros(0), never, never, none)
+    waits, known, asked = np.zeros((2, ages), np.int64), none, np.zeros((2, ages), np.int64)
     for _ in range(frames):
         n = int(rng.integers(0, 4))
         old = len(record[0])
@@ -212,26 +284,67 @@ def test_identities_are_claimed_as_by_dictionaries(seed: int, ahead: int, frames
                 if not old <= u < old + n or v >= old + n:
                     previous[v] = first + u
         gain = np.where(previous >= 0, rng.uniform(0, 6, total), 0.0)
-        onward, worth = np.empty(total, np.int64), np.empty(total)
-        follow(first, first, previous, gain, onward, worth)
-        for v, u in enumerate(previous):
-            assert u < 0 or (onward[u - first] == first + v and worth[u - first] == gain[v])
-        assert (onward >= 0).sum() == (previous >= 0).sum()
+        # What is settled comes apart from what is open.
+        open_from = int(rng.integers(0, total + 1))
+        final = np.flatnonzero(previous[:open_from] >= 0)
+        settled = first + final, previous[final], gain[final]
+        onward, worth = np.full(total, -1), np.zeros(total)
+        for v in np.flatnonzero(previous >= 0):
+            onward[previous[v] - first], worth[previous[v] - first] = first + v, gain[v]
         names, holder, absent, names_used = twin.claimed(first, n, used, record, onward, worth, shortest, least)
-        before = [a.copy() for a in record]
-        new = (np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n, np.bool_), np.zeros(n, np.bool_))
-        after = tuple(np.concatenate(pair) for pair in zip(record, new, strict=True))
-        space, absences = np.empty(n, np.int64), np.empty(old, np.int64)
-        used, missing = claim(first, used, record[0], record[4], onward, worth, shortest, least, *after, space, absences)
-        gone = absences[:missing]
-        for was, now in zip(before, record, strict=True):
+        twin.asked(first, record, holder, asked)
+        before = [a.copy() for a in (*record, *settled, known)]
+        after = [np.full(old + n, 7, part.dtype) for part in record]
+        absences, source, space = np.empty(old, np.int64), np.empty(old, np.int64), np.empty(n, np.int64)
+        ends = np.empty(total, np.int64), np.empty(total)
+        open_links = first + open_from, previous[open_from:], gain[open_from:]
+        used, missing = hand_on(
+            first,
+            *open_links,
+            *settled,
+            used,
+            shortest,
+            least,
+            *record,
+            known,
+            fresh,
+            *ends,
+            *after,
+            waits,
+            absences,
+            source,
+            space,
+        )
+        np.testing.assert_array_equal(ends[0], onward)
+        np.testing.assert_array_equal(ends[1], worth)
+        for was, now in zip(before, (*record, *settled, known), strict=True):
             np.testing.assert_array_equal(was, now)
-        record = after
+        missed = np.append(record[5] + 1, np.zeros(n, np.int64))
+        record = tuple(after)
+        np.testing.assert_array_equal(record[5], missed)
+        np.testing.assert_array_equal(waits, asked)
         assert used == names_used
         assert record[0].tolist() == [names[first + k] for k in range(old + n)]
-        assert (first + gone).tolist() == absent
+        gone = first + absences[:missing]
+        assert gone.tolist() == [v for v in absent if onward[v - first] >= 0 or missed[v - first] < ages]
+        there = [*known.tolist(), *range(fresh, first + old)]
+        assert source[:missing].tolist() == [there.index(v) if v in there else -1 for v in gone.tolist()]
+        known, fresh = gone[rng.random(missing) < 0.9], first + old
         held = {int(record[0][k]): k for k in np.flatnonzero(record[4])}
         assert {name: first + k for name, k in held.items()} == {name: h[0] for name, h in holder.items()}
         for name, k in held.items():
             assert [record[1][k], record[3][k]] == [holder[name][1], holder[name][3]]
             assert record[2][k] == pytest.approx(holder[name][2], abs=1e-12)
+
+
+@pytest.mark.parametrize(("survive", "detect"), [(0.99, 0.95), (0.9, 0.5), (1.0, 1.0), (0.0, 0.3)])
+def test_how_likely_the_missing_come_back(survive: float, detect: float):
+    rng = np.random.default_rng(5)
+    asked = rng.integers(0, 20, 12)
+    waits = np.array([asked, rng.binomial(asked, 0.4)])
+    for counts in (np.zeros_like(waits), waits):
+        out = np.empty(12)
+        # Of those that have left nothing is learned.
+        unchanged(lambda s, d, w: come_back(s, d, w, out), np.array([survive, 0.0]), np.array([detect, 0.7]), counts)  # noqa: B023
+        np.testing.assert_allclose(out, twin.returning(survive, detect, counts), atol=1e-12)
+        assert (np.diff(out) <= 1e-12).all()

@@ -85,3 +85,25 @@ def claimed(first, n, used, given, onward, worth, shortest, least):
         v for v, _, _, sure in holder.values() if v < now and sure and not 0 <= goes_on.get(v, (-1, 0))[0] < now + n
     )
     return names, holder, absent, used
+
+
+def asked(first, given, holder, counts):
+    """Adds to ``counts`` (2, A) who of the missing of the last frame was asked for, and who has come back since."""
+    for k, name in enumerate(given[0].tolist()):
+        age = int(given[5][k])
+        if given[4][k] and given[3][k] and 0 < age < counts.shape[1]:
+            counts[0, age] += 1
+            counts[1, age] += holder[name][0] != first + k
+
+
+def returning(survive, detect, counts):
+    """The probability of at least one return from each age on, with one of the model's among those counted."""
+    ages = counts.shape[1]
+    # Of one target: there from age to age, as by Bayes' rule over its two ways of being missed.
+    there, hazard = 1.0, []
+    for age in range(ages):
+        stays = there * survive
+        hazard.append((counts[1, age] + stays * detect) / (counts[0, age] + 1))
+        missed, gone = stays * (1 - detect), 1 - stays
+        there = missed / (missed + gone) if missed + gone > 0 else 0.0
+    return np.array([1 - np.prod([1 - h for h in hazard[age:]]) for age in range(ages)])

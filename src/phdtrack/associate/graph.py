@@ -19,10 +19,10 @@ import math
 from dataclasses import dataclass
 
 from phdtrack.associate import offline, online
-from phdtrack.associate.edges import Candidates, Ends, edges_between
 from phdtrack.associate.history import History, moment_of
 from phdtrack.associate.predict import predicted
-from phdtrack.associate.window import Window, close, empty_window, insert
+from phdtrack.associate.triangle import block
+from phdtrack.associate.window import Terms, Window, empty_window, extend
 from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, Share, check
 from phdtrack.protocols import Model
 from phdtrack.types import F8, Estimates, Tracks
@@ -88,8 +88,10 @@ class GraphMatching:
     ) -> tuple[GraphState, Tracks]:
         """Link the states of frame ``number`` to the past; give the online rows that are now due [M07 §3]."""
         window = state.window if state.vertices else empty_window(len(estimates.state))
-        window, final = close(window, dt, self._span(model))
-        window = self._linked(window, estimates, dt, model)
+        moved = predicted(window, estimates, dt, model.motion)
+        shown, sigma = block(len(estimates.state), model.sensor.observed), model.sensor.noise(estimates.state)
+        terms = Terms(self._span(model), self.gate, math.log(self.miss), self.consistent)
+        window, final = extend(window, moved, sigma, shown, terms, dt)
         time, vertices = state.time + dt, state.vertices + len(estimates)
         history = state.history.append(moment_of(number, time, state.vertices, estimates, final, z))
         extended = GraphState(window, history, state.online, vertices, time)
@@ -131,10 +133,3 @@ class GraphMatching:
         """The rows of the frame at place ``due`` of the history, under the present links."""
         output = online.Output(self.shortest, self._least(), self.coast * model.rate + 1e-9 if self.bridge else 0.0)
         return online.give(given, due, online.Present(state.window, state.time, state.history), output, model)
-
-    def _linked(self, window: Window, estimates: Estimates, dt: float, model: Model) -> Window:
-        """The window predicted for now, with the new states in it, linked where that gains most [M07 §3]."""
-        mean, cov, noise = predicted(window, estimates, dt, model.motion)
-        ends = Ends(self.gate, math.log(self.miss), self.consistent)
-        edges = edges_between(window.rows, estimates, Candidates(mean, cov, noise), ends, dt, model.sensor)
-        return insert(window, len(estimates), edges, mean, cov)

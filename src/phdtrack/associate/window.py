@@ -12,11 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.kernels.matching import insert_rows
+from phdtrack.associate.triangle import Block
+from phdtrack.errors import InputError
+from phdtrack.kernels.association import LANES, link_states
 from phdtrack.types import F8, I8
-
-# An out-side that can no longer be linked.
-CLOSED = -2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +74,29 @@ class Window:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Moved:
+    """The R states of the window predicted for now, and the n new ones behind them.
+
+    ``mean``, ``cov`` (d, R + n), (k, R + n); ``noise`` (k, n) the motion's in this interval from the new states, as far as
+    a measurement shows it. Of covariances the lower triangles, as in `Window`.
+    """
+
+    mean: F8
+    cov: F8
+    noise: F8
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """What links are made under: ``span`` in model time, ``gate``, log of ``miss``, ``consistent`` of `GraphMatching`."""
+
+    span: float
+    gate: float
+    log_miss: float
+    consistent: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Links:
     """Links (L,) from vertex ``later`` back to vertex ``earlier``, with their gains."""
 
@@ -103,40 +125,99 @@ def links(window: Window, most: int | None = None) -> Links:
     return Links(rows.first + linked, rows.previous[linked], rows.gain[linked])
 
 
-def close(window: Window, dt: float, span: float) -> tuple[Window, Links]:
-    """Let ``dt`` pass and close what is older than ``span``; states are left as they are.
+def extend(window: Window, moved: Moved, sigma: F8, shown: Block, terms: Terms, dt: float) -> tuple[Window, Links]:
+    """Let ``dt`` pass, close what is older than the span, and add the n vertices of the present frame [M07 §3].
 
-    Returns the window and the links that can no longer change. A closed row takes its
-    matched column with it; a closed column without a row ends its track. The rest stays optimally matched, because the
-    dual variables of what is left still certify it.
+    ``sigma`` (d, n) are the deviations with which the new states are measured, in the rows ``shown``. Edges lead from them
+    back to vertices of the window where that gains more than two loose ends:
+
+    gain = log N(step; 0, S) − log-density of two loose ends + (since − dt)·log miss, S = predicted + own covariance, on the
+    rows that a measurement shows. The loose ends' is the density at ``gate`` deviations from a typical one-step prediction:
+    two measurements' noise and one step of the motion's. The matching is extended by one augmenting path per new vertex,
+    which may undo earlier links: the correction of false hypotheses.
+
+    Returns the window and the links that can no longer change. A closed row takes its matched column with it; a closed
+    column without a row ends its track. The rest stays optimally matched, because the dual variables of what is left still
+    certify it. Raises `InputError` where a position is not finite.
     """
-    rows, columns = window.rows, window.columns
-    since = rows.since + dt
-    count = 0 if len(since) == 0 or since[0] <= span else len(since) - int(since[::-1].searchsorted(span, side="right"))
-    if count == 0:
-        aged = Rows(rows.first, since, rows.previous, rows.gain, rows.price, rows.older, rows.recent)
-        return Window(columns, aged, window.mean, window.cov), NO_LINKS
-    final = links(window, count)
-    begin = rows.first - columns.first
-    onward = columns.next.copy()
-    onward[final.earlier - columns.first] = CLOSED
-    expired = onward[begin : begin + count]
-    expired[expired < 0] = CLOSED
-    still = onward[: begin + count] != CLOSED
-    first = int(still.argmax())
-    gone = first if still[first] else begin + count
-    older, recent = _without(count, rows.older, rows.recent)
-    left = Rows(
-        rows.first + count,
-        since[count:],
-        rows.previous[count:],
-        rows.gain[count:],
-        rows.price[count:],
-        older,
-        recent,
+    # Most often enough; memory that is not written to costs nothing.
+    room = 8 * len(window.rows.since) + 64
+    while True:
+        found, extended, final = _extended(window, moved, sigma, shown, terms, dt, room)
+        if found < 0:
+            raise InputError("expected positions that are finite", where="the extracted states")
+        if found <= room:
+            return extended, final
+        room = found
+
+
+def _extended(
+    window: Window, moved: Moved, sigma: F8, shown: Block, terms: Terms, dt: float, room: int
+) -> tuple[int, Window, Links]:
+    """`extend` with room for so many pairs: how many there are, and, where that is not more, the result."""
+    rows, columns, older, recent = window.rows, window.columns, window.rows.older, window.rows.recent
+    n, m = sigma.shape[1], len(shown.rows)
+    nobody, zero = np.full(n, -1), np.zeros(n)
+    since, gain = np.concatenate((rows.since, zero)), np.concatenate((rows.gain, zero))
+    previous, u = np.concatenate((rows.previous, nobody)), np.concatenate((rows.price, zero))
+    onward, v = np.concatenate((columns.next, nobody)), np.concatenate((columns.price, zero))
+    edges = _with_room(recent, n, room)
+    size, side = len(v), int(n**0.5) + 1
+    pairs = np.empty((2, room), np.int64)
+    found, closed, gone = link_states(
+        dt,
+        terms.span,
+        terms.gate,
+        terms.log_miss,
+        terms.consistent,
+        rows.first,
+        columns.first,
+        *older.arrays(),
+        moved.mean,
+        moved.cov,
+        moved.noise,
+        sigma,
+        shown.rows,
+        shown.triangle,
+        np.empty((m + 3, m, LANES)),
+        since,
+        previous,
+        gain,
+        u,
+        onward,
+        v,
+        *edges.arrays(),
+        pairs[0],
+        pairs[1],
+        np.empty(room),
+        np.empty((3, size)),
+        np.empty((2, size), np.int64),
+        np.zeros(side * side + 1, np.int64),
+        np.zeros(size, np.uint8),
     )
-    open_columns = Columns(columns.first + gone, onward[gone:], columns.price[gone:])
-    return Window(open_columns, left, window.mean, window.cov), final
+    final = links(window, closed) if closed else NO_LINKS
+    end = int(edges.start[-1])
+    older, recent = _settled(closed, older, Edges(edges.start, edges.target[:end], edges.gain[:end]))
+    left = Rows(rows.first + closed, since[closed:], previous[closed:], gain[closed:], u[closed:], older, recent)
+    open_columns = Columns(columns.first + gone, onward[gone:], v[gone:])
+    return found, Window(open_columns, left, moved.mean, moved.cov), final
+
+
+def _with_room(edges: Edges, n: int, room: int) -> Edges:
+    """A copy of the edges with room for those of ``n`` more rows, ``room`` of them."""
+    rows, held = len(edges.start), int(edges.start[-1])
+    start, target, gain = np.empty(rows + n, np.int64), np.empty(held + room, np.int64), np.empty(held + room)
+    start[:rows], target[:held], gain[:held] = edges.start, edges.target[:held], edges.gain[:held]
+    return Edges(start, target, gain)
+
+
+def _settled(closed: int, older: Edges, recent: Edges) -> tuple[Edges, Edges]:
+    """The edges of all rows but the first ``closed``; joined where the recent ones have become many."""
+    if closed:
+        older, recent = _without(closed, older, recent)
+    if 4 * len(recent.start) > len(older.start):
+        return _joined(older, recent), _NO_EDGES
+    return older, recent
 
 
 def _without(count: int, older: Edges, recent: Edges) -> tuple[Edges, Edges]:
@@ -155,39 +236,3 @@ def _joined(a: Edges, b: Edges) -> Edges:
         np.concatenate((a.target[low:high], b.target[begin:end])),
         np.concatenate((a.gain[low:high], b.gain[begin:end])),
     )
-
-
-def insert(window: Window, n: int, edges: Edges, mean: F8, cov: F8) -> Window:
-    """Add the ``n`` vertices of the present frame, with ``edges`` from them back to those in the window.
-
-    ``mean`` and ``cov`` are the predicted states with the new ones behind them. The matching is extended by one augmenting
-    path per new vertex, which may undo earlier links: the correction of false hypotheses [M07 §3].
-    """
-    rows, columns = window.rows, window.columns
-    nobody, zero = np.full(n, -1), np.zeros(n)
-    older, recent = rows.older, _joined(rows.recent, edges)
-    if 4 * len(recent.start) > len(older.start):
-        older, recent = _joined(older, recent), _NO_EDGES
-    previous, onward = np.concatenate((rows.previous, nobody)), np.concatenate((columns.next, nobody))
-    gain, u = np.concatenate((rows.gain, zero)), np.concatenate((rows.price, zero))
-    v = np.concatenate((columns.price, zero))
-    size = len(v)
-    insert_rows(
-        len(rows.since),
-        rows.first,
-        columns.first,
-        *older.arrays(),
-        *recent.arrays(),
-        previous,
-        onward,
-        gain,
-        u,
-        v,
-        np.zeros(size, np.uint8),
-        np.empty(size),
-        np.empty(size, np.int64),
-        np.empty(size),
-        np.empty(size, np.int64),
-    )
-    since = np.concatenate((rows.since, zero))
-    return Window(Columns(columns.first, onward, v), Rows(rows.first, since, previous, gain, u, older, recent), mean, cov)

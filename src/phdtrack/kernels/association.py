@@ -10,14 +10,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.fast32 import ENTRY, LEAN
+from phdtrack.kernels.matching import CLOSED, insert_rows
+
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
+U1 = NDArray[np.uint8]
 
 # Matrices that are factored side by side.
 LANES = 64
 
 
-@njit(cache=True)
+@njit(**ENTRY)
 def predict_covariances(
     old: F8, skip: int, noise: F8, row: I8, column: I8, value: F8, place: I8, out: F8, begin: int
 ) -> None:
@@ -54,7 +58,7 @@ def predict_covariances(
                     out[k, target + i] += value[e, i] * value[f, i] * old[p, source + i]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**LEAN)
 def _eliminate(block: F8, step: F8, width: int, det: F8, norm2: F8) -> None:
     """Determinants of the matrices ``block`` (m, m, lanes) and the squared Mahalanobis norms of ``step`` (m, lanes).
 
@@ -78,7 +82,7 @@ def _eliminate(block: F8, step: F8, width: int, det: F8, norm2: F8) -> None:
                     block[a, b, i] -= block[a, t, i] * block[t, t, i] * block[b, t, i]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**LEAN)
 def log_determinants(cov: F8, plane: I8, block: F8, out: F8) -> None:
     """log |P| of the rows that a measurement shows, written to ``out``; −∞ where P is not positive definite.
 
@@ -105,16 +109,17 @@ def log_determinants(cov: F8, plane: I8, block: F8, out: F8) -> None:
             out[offset + i] = np.log(det[i]) if det[i] > 0.0 else -np.inf
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**LEAN)
 def near_pairs(
     mean: F8,
     cov: F8,
-    log_det: F8,
     open_end: F8,
     price: F8,
     rows: I8,
     plane: I8,
     consistent: float,
+    closed: int,
+    log_det: F8,
     start: I8,
     order: I8,
     state: I8,
@@ -126,11 +131,14 @@ def near_pairs(
 
     Parameters
     ----------
-    mean, cov : (d, C + n), (k, C + n) planes: the C columns predicted for now, then the n new states; ``log_det`` likewise.
+    mean, cov : (d, C + n), (k, C + n) planes: the C columns predicted for now, then the n new states.
     open_end : (n,) what two loose ends are worth.
     price : (C,) log-probability of the gap.
     rows, plane : (m,), (m, m) as for `log_determinants`; the first two rows are the position, which is finite.
-    start, order : (g² + 1,) zeros and (n,), working space: a grid of g × g cells over the new states.
+    consistent : the most deviations that two states may be apart.
+    closed : the first columns, which are left out.
+    log_det : (C + n,) of all covariances.
+    start, order : (g² + 1,) zeros and (n or more,), working space: a grid of g × g cells over the new states.
     state, column : (K,) outputs.
 
     Returns
@@ -165,7 +173,7 @@ def near_pairs(
         start[k] -= 1
         order[start[k]] = i
     found = 0
-    for c in range(count):
+    for c in range(closed, count):
         limit = 2.0 * (best + price[c]) - (least if least > log_det[c] else log_det[c])
         if not limit > 0.0:
             continue
@@ -192,7 +200,7 @@ def near_pairs(
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**LEAN)
 def find_edges(
     mean: F8,
     cov: F8,
@@ -210,7 +218,7 @@ def find_edges(
     gain: F8,
     value: F8,
 ) -> None:
-    """Edges of positive gain from new states back to columns, as compressed rows, written to the outputs [M07 §3].
+    """Edges of positive gain from new states back to columns, as compressed rows behind those held [M07 §3].
 
     gain = log N(step; 0, S) − log-density of two loose ends + price of the gap, S = predicted + own covariance, on the rows
     that a measurement shows.
@@ -221,11 +229,13 @@ def find_edges(
     state, column : (P,) the pairs to look at, by column; used up.
     first : number of the first column.
     block : (m + 3, m, LANES) working space.
-    start, target, gain : (n + 1,) zeros, (P,), (P,) outputs: row r has the edges start[r] … start[r + 1] − 1 to columns
-        ``target``, ascending.
+    start, target, gain : (n + 1,), (start[0] + P or more,) outputs: row r has the edges start[r] … start[r + 1] − 1 to
+        columns ``target``, ascending. start[0] is given.
     value : (P,) working space.
     """
     m, n, count, kept = rows.size, open_end.size, price.size, 0
+    for r in range(n):
+        start[r + 1] = 0
     step, det, norm2 = block[m], block[m + 1, 0], block[m + 2, 0]
     for begin in range(0, state.size, LANES):
         width = LANES if begin + LANES <= state.size else state.size - begin
@@ -245,6 +255,7 @@ def find_edges(
                 start[r + 1] += 1
                 kept += 1
     # Sorted by row by counting; stable.
+    end = start[0] + kept
     for r in range(n):
         start[r + 1] += start[r]
     for e in range(kept - 1, -1, -1):
@@ -253,4 +264,137 @@ def find_edges(
         target[start[r]], gain[start[r]] = first + column[e], value[e]
     for r in range(1, n):
         start[r] = start[r + 1]
-    start[n] = kept
+    start[n] = end
+
+
+@njit(**LEAN)
+def _close(dt: float, span: float, row_base: int, column_base: int, since: F8, previous: I8, onward: I8) -> tuple[int, int]:
+    """Let ``dt`` pass: ``since`` in place, and close the columns of ``onward`` that go with rows older than ``span``.
+
+    Returns how many rows are closed, and before which place all columns are.
+    """
+    closed = 0
+    for r in range(since.size):
+        since[r] += dt
+        closed += 1 if since[r] > span else 0
+    for r in range(closed):
+        if previous[r] >= 0:
+            onward[previous[r] - column_base] = CLOSED
+    begin = row_base - column_base
+    for c in range(begin, begin + closed):
+        if onward[c] < 0:
+            onward[c] = CLOSED
+    gone = 0
+    while gone < begin + closed and onward[gone] == CLOSED:
+        gone += 1
+    return closed, gone
+
+
+@njit(**ENTRY)
+def link_states(
+    dt: float,
+    span: float,
+    gate: float,
+    log_miss: float,
+    consistent: float,
+    row_base: int,
+    column_base: int,
+    older_start: I8,
+    older_target: I8,
+    older_gain: F8,
+    mean: F8,
+    cov: F8,
+    typical: F8,
+    sigma: F8,
+    rows: I8,
+    plane: I8,
+    block: F8,
+    since: F8,
+    previous: I8,
+    worth: F8,
+    u: F8,
+    onward: I8,
+    v: F8,
+    start: I8,
+    target: I8,
+    gain: F8,
+    state: I8,
+    column: I8,
+    value: F8,
+    reals: F8,
+    whole: I8,
+    cells: I8,
+    seen: U1,
+) -> tuple[int, int, int]:
+    """One frame of the open matching: time passes, old vertices are closed, n new ones find who they go on from [M07 §3].
+
+    Parameters
+    ----------
+    dt, span, gate, log_miss, consistent : interval, and the settings of `GraphMatching`.
+    row_base, column_base, older_start, older_target, older_gain : as for `insert_rows`.
+    mean, cov : (d, R + n), (k, R + n) planes: the R states of the window predicted for now, and the new ones behind them.
+    typical : (k, n) the motion's noise of this interval from the new states; used up.
+    sigma : (d, n) their measurement's deviations.
+    rows, plane : (m,), (m, m) the rows of a state that a measurement shows, and where their covariances stand.
+    block : (m + 3, m, LANES) working space.
+    since, previous, worth, u : (R + n,) of rows: model time since their frame, the vertex matched, the link's gain, the dual
+        variable; in place, as are the columns'. Of the new ones 0, −1, 0, 0.
+    onward, v : (C + n,) of columns.
+    start, target, gain : (S + n + 1,), (start[S] + K or more,) the edges of the rows that are not among the older; those of
+        the new rows are written behind those of the first S.
+    state, column, value : (K,) working space for pairs.
+    reals, whole : (3, C + n), (2, C + n) working space. cells, seen : (g² + 1,), (C + n,) zeros, working space.
+
+    Returns
+    -------
+    How many pairs had to be looked at (where that is more than K nothing is right: once more, with more room; −1 where a
+    position is not finite), how many rows are closed, and how many columns in front.
+    """
+    n = sigma.shape[1]
+    count = since.size - n
+    closed, gone = _close(dt, span, row_base, column_base, since[:count], previous, onward)
+    for i in range(n):
+        if not (np.isfinite(mean[rows[0], count + i]) and np.isfinite(mean[rows[1], count + i])):
+            return -1, closed, gone
+    found, last = 0, start.size - 1 - n
+    if count > closed and n > 0:
+        for a in range(rows.size):
+            for i in range(n):
+                typical[plane[a, a], i] += 2.0 * sigma[rows[a], i] * sigma[rows[a], i]
+        log_det, open_end, price = reals[0, : count + n], reals[1, :n], reals[2, :count]
+        log_determinants(cov, plane, block, log_det)
+        log_determinants(typical, plane, block, open_end)
+        for i in range(n):
+            open_end[i] = 0.5 * (gate * gate + open_end[i])
+        for c in range(count):
+            price[c] = (since[c] - dt) * log_miss
+        given = mean, cov, open_end, price, rows, plane, consistent
+        found = near_pairs(*given, closed, log_det, cells, whole[0], state, column)
+        if found > state.size:
+            return found, closed, gone
+        find_edges(*given, state[:found], column[:found], row_base, block, start[last:], target, gain, value)
+    else:
+        for i in range(n):
+            start[last + 1 + i] = start[last]
+    insert_rows(
+        count,
+        row_base,
+        column_base,
+        older_start,
+        older_target,
+        older_gain,
+        start,
+        target,
+        gain,
+        previous,
+        onward,
+        worth,
+        u,
+        v,
+        seen,
+        reals[0],
+        whole[0],
+        reals[1],
+        whole[1],
+    )
+    return found, closed, gone

@@ -1,4 +1,4 @@
-"""Identities handed on from state to state, once and for all."""
+"""Identities handed on from state to state, once and for all; and how long the missing are waited for."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.fast32 import ENTRY, LEAN
+
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
 
-@njit(cache=True)
+@njit(**LEAN)
 def follow(first: int, row: int, previous: I8, gain: F8, onward: I8, worth: F8) -> None:
     """Links seen from their other end: for each vertex from ``first`` on the one that goes on from it.
 
@@ -29,7 +31,7 @@ def follow(first: int, row: int, previous: I8, gain: F8, onward: I8, worth: F8) 
             onward[place], worth[place] = row + r, gain[r]
 
 
-@njit(cache=True)
+@njit(**LEAN)
 def claim(
     first: int,
     used: int,
@@ -45,9 +47,8 @@ def claim(
     confirmed: Bool,
     holds: Bool,
     before: I8,
-    absent: I8,
-) -> tuple[int, int]:
-    """Identities for the n vertices behind the V that have one.
+) -> int:
+    """Identities for the n vertices behind the V that have one; returns how many identities there are.
 
     A vertex takes the identity of the one that goes on to it. Where two claim one, the one that follows its holder (its
     last vertex) has it; after those it is first come, first served, and the others get new ones.
@@ -63,11 +64,6 @@ def claim(
         gained, whether confirmed, whether it is the holder. Those of the first V are given, the others written; of the
         first, ``confirmed`` and ``holds`` may change.
     before : (n,) working space.
-    absent : (V,) output: the places of confirmed holders that do not go on to a vertex up to now.
-
-    Returns
-    -------
-    How many identities there are, and how many are absent.
     """
     old, n = names.size, before.size
     for i in range(n):
@@ -97,7 +93,7 @@ def claim(
             holds[source] = False
             identity[here], length[here] = identity[source], length[source] + 1
             gain[here], confirmed[here] = gain[source] + worth[before[i]], confirmed[source]
-    now, count = first + old + n, 0
+    now = first + old + n
     for place in range(old + n):
         if not holds[place]:
             continue
@@ -108,7 +104,120 @@ def claim(
             if onward[here] < now:
                 break
             states, total, here = states + 1, total + worth[here], onward[here] - first
-        if place < old and confirmed[place] and not 0 <= onward[place] < now:
-            absent[count] = place
-            count += 1
+    return used
+
+
+@njit(**ENTRY)
+def hand_on(
+    first: int,
+    row: int,
+    previous: I8,
+    link_gain: F8,
+    later: I8,
+    earlier: I8,
+    final_gain: F8,
+    used: int,
+    shortest: int,
+    least: float,
+    names: I8,
+    lengths: I8,
+    gains: F8,
+    sure: Bool,
+    holding: Bool,
+    missing: I8,
+    known: I8,
+    fresh: int,
+    onward: I8,
+    worth: F8,
+    identity: I8,
+    length: I8,
+    gain: F8,
+    confirmed: Bool,
+    holds: Bool,
+    missed: I8,
+    waits: I8,
+    absent: I8,
+    source: I8,
+    space: I8,
+) -> tuple[int, int]:
+    """One frame of identities: who has them (`claim`), who is missing, and what became of those that were.
+
+    Parameters
+    ----------
+    first, used, shortest, least : as for `claim`.
+    row, previous, link_gain : as for `follow`, the links still open.
+    later, earlier, final_gain : (L,) links of other vertices, which are settled.
+    names, lengths, gains, sure, holding, missing : (V,) what is known of each vertex: identity and so on as for `claim`, and
+        for how many frames in a row its identity has had no state by now.
+    known : (a,) ascending, the vertices whose states are carried on; behind them stand those from ``fresh`` on.
+    onward, worth : outputs for all vertices, as for `follow`.
+    identity, length, gain, confirmed, holds, missed : (V + n,) outputs, the same with the n vertices of this frame.
+    waits : (2, A) in place: of how many confirmed identities it was asked, after so many frames without a state, whether
+        they come back in the next, and how many did.
+    absent : (V,) output, the places of confirmed holders that go on to no vertex up to now, ascending; of those that go on
+        to none at all only where they have been missing for less than A frames.
+    source : (V,) output, where their states are: place among those carried on and the fresh behind them; −1 where lost.
+    space : (n,) working space.
+
+    Returns
+    -------
+    How many identities there are, and how many are absent.
+    """
+    old, n, ages = names.size, space.size, waits.shape[1]
+    follow(first, row, previous, link_gain, onward, worth)
+    for e in range(later.size):
+        onward[earlier[e] - first], worth[earlier[e] - first] = later[e], final_gain[e]
+    for place in range(old):
+        identity[place], length[place], gain[place] = names[place], lengths[place], gains[place]
+        confirmed[place], holds[place], missed[place] = sure[place], holding[place], missing[place] + 1
+    for i in range(n):
+        # Not anybody's yet.
+        identity[old + i], holds[old + i], missed[old + i] = 0, False, 0
+    used = claim(
+        first, used, names, holding, onward, worth, shortest, least, identity, length, gain, confirmed, holds, space
+    )
+    now, count, k = first + old + n, 0, 0
+    for place in range(old):
+        if sure[place] and holding[place] and 0 < missing[place] < ages:
+            waits[0, missing[place]] += 1
+            waits[1, missing[place]] += 0 if holds[place] else 1
+        if not (holds[place] and confirmed[place]) or 0 <= onward[place] < now:
+            continue
+        if onward[place] < 0 and missed[place] >= ages:
+            continue
+        vertex = first + place
+        while k < known.size and known[k] < vertex:
+            k += 1
+        absent[count], source[count] = place, -1
+        if vertex >= fresh:
+            source[count] = known.size + vertex - fresh
+        elif k < known.size and known[k] == vertex:
+            source[count] = k
+        count += 1
     return used, count
+
+
+@njit(**ENTRY)
+def come_back(survive: F8, detect: F8, waits: I8, out: F8) -> None:
+    """(A,) probabilities that an identity that has had no state for so many frames will have one again, into ``out``.
+
+    By how many did so far, age by age (Kaplan and Meier's product of hazards). Beside them each age counts one that
+    behaves as the model says: it exists with r, survives with p_S, is missed with 1 − p_D, and then exists with
+    r p_S (1 − p_D)/(1 − r p_S p_D), as a Bernoulli filter has it. ``survive``, ``detect`` (a,) are p_S and p_D at states
+    of the missing, of which those that survive are averaged; ``waits`` as for `hand_on`.
+    """
+    count, stays, seen = 0, 0.0, 0.0
+    for i in range(survive.size):
+        if survive[i] > 0.0:
+            count, stays, seen = count + 1, stays + survive[i], seen + detect[i]
+    if count > 0:
+        stays, seen = stays / count, seen / count
+    exists, never = 1.0, 1.0
+    for age in range(out.size):
+        there = exists * stays
+        out[age] = (waits[1, age] + there * seen) / (waits[0, age] + 1.0)
+        exists = there * (1.0 - seen) / (1.0 - there * seen) if there * seen < 1.0 else 0.0
+    for k in range(out.size):
+        age = out.size - 1 - k
+        never *= 1.0 - out[age]
+        out[age] = 1.0 - never

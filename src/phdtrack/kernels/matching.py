@@ -10,15 +10,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.fast32 import LEAN
+
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 U1 = NDArray[np.uint8]
 
+# Whose a column is: no row's yet, and none's ever again.
+FREE, CLOSED = -1, -2
 # What a search has seen of a column: nothing, that an edge leads to it, the shortest way to it.
 UNSEEN, TOUCHED, DONE = 0, 1, 2
 
 
-@njit(cache=True)
+@njit(**LEAN)
 def insert_rows(
     first: int,
     row_base: int,
@@ -71,14 +75,14 @@ def insert_rows(
             if here == row:
                 for e in range(begin, end):
                     c = (older_column[e] if old else column[e]) - column_base
-                    if c >= 0 and row_of[c] > -2:
+                    if c >= 0 and row_of[c] != CLOSED:
                         bound = -(older_gain[e] if old else gain[e]) - v[c]
                         u[row] = bound if bound < u[row] else u[row]
             if reached - u[here] < shortest:
                 shortest, loser = reached - u[here], here
             for e in range(begin, end):
                 c = (older_column[e] if old else column[e]) - column_base
-                if c < 0 or seen[c] == DONE or row_of[c] == -2:
+                if c < 0 or seen[c] == DONE or row_of[c] == CLOSED:
                     continue
                 value = older_gain[e] if old else gain[e]
                 along = reached - value - u[here] - v[c]
