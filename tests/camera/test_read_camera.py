@@ -61,6 +61,7 @@ def test_tsai_in_millimetres(tmp_path: Path) -> None:
         ("  <Extrinsic", "  <Outside", 0, "an element <Extrinsic>"),
         ("</Camera>", "", 7, "XML, which breaks here"),
         ('focal="5.5"', 'focal="-5.5"', 0, "TsaiLens.focal: expected a value above 0"),
+        ('encoding="UTF-8"', 'encoding="UTF-88"', 1, "XML in UTF-8"),
         ("<Camera", "<dataset", 2, "XML with <dataset>|breaks"),
         ("<Camera name", '<!DOCTYPE Camera [<!ENTITY a "b">]><Camera name', 2, "document type"),
     ],

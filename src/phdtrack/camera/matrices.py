@@ -17,7 +17,6 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.types import F8
 
-Unit = Literal["m", "cm", "mm"]
 METRES: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 
@@ -126,12 +125,12 @@ def matlab_matrix(path: Path, content: bytes, variable: str) -> F8:
         raise InputError(
             f"expected one homography, came {', '.join(found) or 'none'}",
             where=path,
-            cure=described(path, next(iter(found), "NAME")),
+            cure=what_to_say(path, next(iter(found), "NAME")),
         )
     return found[variable or next(iter(found))]
 
 
-def described(path: Path, variable: str) -> str:
+def what_to_say(path: Path, variable: str) -> str:
     """How to say what a MATLAB file means, in a sentence."""
     return (
         f"Say what is meant in a file camera.toml, in three lines, and name that one: "

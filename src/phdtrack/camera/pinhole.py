@@ -6,8 +6,8 @@ With the slopes (x, y) of a ray and r² = x² + y²,
     y' = y q(r²) + p1 (r² + 2y²) + 2 p2 x y + s3 r² + s4 r⁴        v = fy y' + cy
     q(t) = (1 + k1 t + k2 t² + k3 t³)/(1 + k4 t + k5 t² + k6 t³)
 
-The way back has no closed form: Newton's method, from the root of the radial part. That part grows with r up to a fold,
-where its slope is 0, and rays from there on are outside of the lens: the formula would show them a second time.
+The way back has no closed form: Newton's method, if need be from the root of the radial part. That part grows with r up to a
+fold, where its slope is 0, and rays from there on are outside of the lens: the formula would show them a second time.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.types import F8
+
+Mask = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
 _SIZES = (0, 4, 5, 8, 12)
 # Halvings that bring an interval down to the spacing of float64, steps of Newton that are plenty after them.
@@ -33,6 +35,8 @@ class OpenCVLens:
     matrix : (3, 3) the camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], pixels.
     distortion : none, or 4, 5, 8 or 12 coefficients in OpenCV's order (k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4).
 
+    fold : slope r of the rays at which the radial part of the distortion stops to grow; infinite where it never does.
+
     Raises
     ------
     InputError : a matrix of another form, another number of coefficients, or something is not finite.
@@ -40,6 +44,7 @@ class OpenCVLens:
 
     matrix: F8
     distortion: F8 = field(default_factory=lambda: np.zeros(0))
+    fold: float = field(init=False)
 
     def __post_init__(self) -> None:
         k, d = np.asarray(self.matrix), np.asarray(self.distortion)
@@ -56,18 +61,18 @@ class OpenCVLens:
                 where="lens of the camera",
                 cure="The two of a tilted sensor (14 coefficients) are not understood; leave them out where they are 0.",
             )
+        object.__setattr__(self, "fold", _fold(self._coefficients))
 
     def rays(self, pixel: F8) -> F8:
         """(2, N) slopes of the rays of the pixels (2, N); NaN where the lens reaches no such pixel."""
         target = self._scaled(pixel)
         if not self.distortion.any():
             return target
-        ray = self._radial_root(target)
-        for _ in range(_STEPS):
-            step = self._distort(ray) - target
-            ray = ray - np.einsum("nij,jn->in", _inverse(self._derivative(ray)), step)
-        missed = np.abs(self._distort(ray) - target).max(axis=0, initial=0)
-        kept = (missed <= 1e-12 * (1 + np.abs(target).max(axis=0, initial=0))) & self._inside(ray)
+        # From the pixel itself a few steps do, mostly; where they lead nowhere, the radial root is a better start.
+        ray, kept = self._newton(target, target)
+        lost = ~kept & np.isfinite(target).all(axis=0)
+        if lost.any():
+            ray[:, lost], kept[lost] = self._newton(self._radial_root(target[:, lost]), target[:, lost])
         return np.where(kept, ray, np.nan)
 
     def project(self, ray: F8) -> F8:
@@ -82,18 +87,6 @@ class OpenCVLens:
         return np.asarray(_inverse(self._derivative(self.rays(pixel))) * scale)
 
     @property
-    def fold(self) -> float:
-        """Slope r of the rays at which the radial part of the distortion stops to grow; infinite where it never does."""
-        k1, k2, _, _, k3, k4, k5, k6, *_ = self._coefficients
-        above, below = np.polynomial.Polynomial([1, k1, k2, k3]), np.polynomial.Polynomial([1, k4, k5, k6])
-        squared = np.polynomial.Polynomial([0, 2])
-        # d(r q)/dr is this over the square of the lower polynomial, in t = r².
-        growth = (above + squared * above.deriv()) * below - squared * above * below.deriv()
-        roots = np.concatenate([growth.trim().roots(), below.trim().roots()])
-        real = roots[np.abs(roots.imag) <= 1e-12 * np.abs(roots)].real
-        return float(np.sqrt(np.min(real[real > 0], initial=np.inf)))
-
-    @property
     def _coefficients(self) -> F8:
         return np.concatenate([self.distortion, np.zeros(12 - len(self.distortion))])
 
@@ -101,7 +94,7 @@ class OpenCVLens:
         k = self.matrix
         return np.stack([(pixel[0] - k[0, 2]) / k[0, 0], (pixel[1] - k[1, 2]) / k[1, 1]])
 
-    def _inside(self, ray: F8) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    def _inside(self, ray: F8) -> Mask:
         return np.asarray(np.hypot(ray[0], ray[1]) < self.fold)
 
     def _radial(self, t: F8) -> tuple[F8, F8]:
@@ -136,6 +129,19 @@ class OpenCVLens:
         yy = q + 2 * y**2 * grows + 6 * p1 * y + 2 * p2 * x + prism_y * y
         return np.moveaxis(np.array([[xx, xy + prism_x * y], [xy + prism_y * x, yy]]), 2, 0)
 
+    def _newton(self, ray: F8, target: F8) -> tuple[F8, Mask]:
+        """(2, N) rays that bend into ``target`` (2, N), from those near by; and whether (N,) they do, inside of the lens."""
+        enough = 1e-14 * (1 + np.abs(target).max(axis=0, initial=0))
+        for _ in range(_STEPS):
+            step = self._distort(ray) - target
+            # Each stops on its own, so that none depends on its neighbours; NaN is never far.
+            far = np.abs(step).max(axis=0, initial=0) > enough
+            if not far.any():
+                break
+            ray = np.where(far, ray - np.einsum("nij,jn->in", _inverse(self._derivative(ray)), step), ray)
+        missed = np.abs(self._distort(ray) - target).max(axis=0, initial=0)
+        return np.array(ray), (missed <= 100 * enough) & self._inside(ray)
+
     def _radial_root(self, target: F8) -> F8:
         """(2, N) the rays that the radial part alone would bend into ``target`` (2, N), by halving."""
         radius = np.hypot(target[0], target[1])
@@ -150,6 +156,18 @@ class OpenCVLens:
             short = middle * self._radial(middle**2)[0] < radius
             low, high = np.where(short, middle, low), np.where(short, high, middle)
         return np.asarray(target * np.divide(low + high, 2 * radius, out=np.ones_like(radius), where=radius != 0))
+
+
+def _fold(coefficients: F8) -> float:
+    """The least slope at which r q(r²) stops to grow, or has a pole; infinite where there is none."""
+    k1, k2, _, _, k3, k4, k5, k6, *_ = coefficients
+    above, below = np.polynomial.Polynomial([1, k1, k2, k3]), np.polynomial.Polynomial([1, k4, k5, k6])
+    squared = np.polynomial.Polynomial([0, 2])
+    # d(r q)/dr is this over the square of the lower polynomial, in t = r².
+    growth = (above + squared * above.deriv()) * below - squared * above * below.deriv()
+    roots = np.concatenate([growth.trim().roots(), below.trim().roots()])
+    real = roots[np.abs(roots.imag) <= 1e-12 * np.abs(roots)].real
+    return float(np.sqrt(np.min(real[real > 0], initial=np.inf)))
 
 
 def _inverse(matrix: F8) -> F8:

@@ -75,7 +75,7 @@ class PosedCamera:
 
     def ground(self, pixel: F8) -> F8:
         """(2, N) points of the ground, metres, that the pixels (2, N) show; NaN where there are none [E13 (6)]."""
-        _, direction, depth = self._meet(pixel)
+        direction, depth = self._meet(pixel)
         return np.asarray(self.position[:2, None] + depth * direction[:2])
 
     def pixels(self, world: F8) -> F8:
@@ -90,18 +90,18 @@ class PosedCamera:
 
     def jacobian(self, pixel: F8) -> F8:
         """(N, 2, 2) derivatives of `ground` at the pixels (2, N), metres per pixel; rows X, Y."""
-        _, direction, depth = self._meet(pixel)
+        direction, depth = self._meet(pixel)
         normal = self.surface.normal(self.position[:2, None] + depth * direction[:2])
         axes = self.rotation[:2].T  # (3, 2): how the direction moves with the slopes of the ray
         along = (normal.T @ axes) / (normal * direction).sum(axis=0)[:, None]
         moved = depth[:, None, None] * (axes[:2] - direction[:2].T[:, :, None] * along[:, None, :])
         return np.asarray(moved @ self.lens.slope(pixel))
 
-    def _meet(self, pixel: F8) -> tuple[F8, F8, F8]:
-        """Rays (2, N), their directions (3, N) in the world, and the depths (N,) at which they meet the ground."""
+    def _meet(self, pixel: F8) -> tuple[F8, F8]:
+        """Directions (3, N) of the pixels' rays in the world, and the depths (N,) at which they meet the ground."""
         ray = self.lens.rays(np.asarray(pixel, dtype=np.float64))
         direction = self.rotation[:2].T @ ray + self.rotation[2][:, None]
-        return ray, direction, self.surface.meet(self.position, direction)
+        return direction, self.surface.meet(self.position, direction)
 
     def _in_camera(self, world: F8) -> F8:
         world = np.asarray(world, dtype=np.float64)

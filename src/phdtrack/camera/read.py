@@ -27,7 +27,7 @@ from phdtrack.camera.described import (
 )
 from phdtrack.camera.homography import HomographyCamera
 from phdtrack.camera.located import located
-from phdtrack.camera.matrices import MatrixForm, described, homography, matlab_matrix, text_matrix
+from phdtrack.camera.matrices import MatrixForm, homography, matlab_matrix, text_matrix, what_to_say
 from phdtrack.camera.terrain import Flat, Surface
 from phdtrack.camera.terrain_files import read_terrain
 from phdtrack.camera.tsai_files import elements, tsai_camera
@@ -95,7 +95,7 @@ def _matlab(path: Path, content: bytes, form: MatrixForm) -> HomographyCamera:
         raise InputError(
             "expected the unit of its lengths, which a MATLAB file does not tell",
             where=path,
-            cure=described(path, form.variable or "NAME"),
+            cure=what_to_say(path, form.variable or "NAME"),
         )
     return located(path, lambda: HomographyCamera(homography(matrix, usual(form, vectors="row"))))
 

@@ -151,8 +151,12 @@ class Terrain:
         for _ in range(_STEPS):
             x, y, z = origin[:, None] + s * direction
             ground, slope_x, slope_y = self._patch(x, y)
+            # Each stops on its own, so that none depends on its neighbours; NaN is never far.
+            far = np.abs(z - ground) > 1e-13 * (1 + np.abs(z))
+            if not far.any():
+                break
             fall = direction[2] - slope_x * direction[0] - slope_y * direction[1]
-            s = s - (z - ground) / np.where(fall != 0, fall, np.nan)
+            s = np.where(far, s - (z - ground) / np.where(fall != 0, fall, np.nan), s)
         rising = self._above(origin, direction, s * (1 + 1e-7)) - self._above(origin, direction, s * (1 - 1e-7))
         point = origin[:, None] + s * direction
         exact = np.abs(point[2] - self.height(point[:2])) <= 1e-9 * (1 + np.abs(point[2]))

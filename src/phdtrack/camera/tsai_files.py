@@ -49,6 +49,8 @@ def elements(path: Path, content: bytes) -> Elements:
         reason = expat.ErrorString(error.code)
         where = f"{path}, line {error.lineno}"
         raise InputError(f"expected XML, which breaks here: {reason}", where=where, cure="Is it complete?") from None
+    except LookupError as error:
+        raise InputError(f"expected XML in UTF-8, came {error}", where=f"{path}, line 1") from None
     return found
 
 
