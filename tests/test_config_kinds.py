@@ -9,7 +9,7 @@ from phdtrack import config
 from phdtrack.errors import InputError
 from phdtrack.extract import Components, CountedComponents, CountedKMeans, KMeans, Raw
 from phdtrack.filters import GMCPHD, GMPHD, NoFilter, ParticleCPHD, ParticlePHD
-from phdtrack.models import PlaneBirth, PlaneMotion, PlaneSensor
+from phdtrack.models import LocalPlaneClutter, PlaneBirth, PlaneMotion, PlaneSensor
 from phdtrack.models.learned_births import write_births
 from phdtrack.presets import PRESETS
 from phdtrack.types import GaussianMixture, SequenceInfo
@@ -74,7 +74,7 @@ def test_the_ground_plane_brings_what_fits_it(filter_: str, order: int):
     assert (type(model.motion), type(model.sensor), type(model.birth)) == (PlaneMotion, PlaneSensor, PlaneBirth)
     assert (model.rate, model.first) == (1.0, 0.1)
     assert model.motion.borders == model.sensor.borders == model.birth.borders == (-10.0, 0.0, 10.0, 40.0)
-    np.testing.assert_allclose(model.clutter.intensity(np.zeros((5, 1))), 0.3 / 800)
+    assert type(model.clutter) is LocalPlaneClutter
     assert settings.as_dict()["associate"]["miss"] == 0.2
     if filter_ != "none":
         assert settings.as_dict()["filter"]["region"] == settings.as_dict()["extract"]["region"] == 9.21
@@ -97,9 +97,16 @@ def test_worlds_that_are_mixed_up(sets: list[str], says: str):
         config.load(sets=sets)
 
 
-def test_on_the_ground_a_rate_of_clutter_needs_a_region():
+def test_on_the_ground_a_uniform_density_needs_a_region():
     with pytest.raises(InputError, match="region"):
-        config.build(config.load(sets=["motion.kind=plane"]), INFO)
+        config.build(config.load(sets=["motion.kind=plane", "clutter.volume=region"]), INFO)
+    model = config.build(config.load(sets=["motion.kind=plane", "birth.volume=region"]), INFO).model
+    with pytest.raises(InputError, match="region"):
+        model.birth.components(np.ones((5, 1)), np.zeros(1), model.sensor, 1.0)
+    region = ["motion.kind=plane", "camera.region=[-10, 0, 10, 40]", "clutter.volume=region"]
+    np.testing.assert_allclose(
+        config.build(config.load(sets=region), INFO).model.clutter.intensity(np.zeros((5, 1))), 0.3 / 800
+    )
     density = config.build(config.load(sets=["motion.kind=plane", "clutter.density=1e-4"]), INFO).model.clutter
     np.testing.assert_array_equal(density.intensity(np.zeros((5, 3))), 1e-4)
 

@@ -17,9 +17,9 @@ from phdtrack.boxes import to_cxcywh
 from phdtrack.camera import footprint, read_camera
 from phdtrack.checks import NonNegative, Positive, PositiveCount, check
 from phdtrack.errors import InputError
-from phdtrack.models import BoxSensor, FixedBirth, LocalClutter, PlaneSensor, UniformClutter
+from phdtrack.models import BoxSensor, FixedBirth, LocalClutter, LocalPlaneClutter, PlaneSensor, UniformClutter
 from phdtrack.models.learned_births import read_births
-from phdtrack.models.region import EVERYWHERE, Region, area, check_region
+from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, area, check_region
 from phdtrack.models.volume import Volume, image_volume
 from phdtrack.protocols import Birth, Camera, Clutter, Model
 from phdtrack.types import F8, GaussianMixture, SequenceInfo
@@ -59,9 +59,14 @@ class ClutterSettings:
 
 @dataclass(frozen=True, slots=True)
 class GroundClutterSettings:
-    """False alarms on the ground: ``density`` a frame and m², or where that is 0, ``rate`` a frame over the whole region."""
+    """False alarms on the ground.
+
+    ``rate`` a frame, spread over the ``region`` or around each detection (``local``), or ``density`` a frame and m², which
+    is taken instead where it is not 0.
+    """
 
     rate: NonNegative = 0.3
+    volume: PlaneVolume = "local"
     density: NonNegative = 0.0
 
     def __post_init__(self) -> None:
@@ -192,6 +197,8 @@ def _ground_clutter(record: Record, region: Region) -> Clutter:
     clutter: GroundClutterSettings = record("clutter")
     if clutter.density > 0:
         return UniformClutter(clutter.density, 1.0)
+    if clutter.volume == "local":
+        return LocalPlaneClutter(clutter.rate)
     return UniformClutter(clutter.rate, area(region, "clutter.rate on the ground"))
 
 

@@ -15,6 +15,7 @@ from phdtrack.models import (
     BoxSensor,
     FixedBirth,
     LocalClutter,
+    LocalPlaneClutter,
     MeasurementBirth,
     PlaneBirth,
     PlaneMotion,
@@ -64,7 +65,7 @@ BIRTHS = {
 GROUND = SENSORS["plane"]
 PLANE_BIRTHS = {
     "plane, region": PlaneBirth(rate=0.02, most=200, volume="region", borders=(-40.0, 0.0, 40.0, 60.0)),
-    "plane, local": PlaneBirth(rate=0.02, most=200, radius=3.0),
+    "plane, local": PlaneBirth(rate=0.02, most=200),
     "plane, fixed": FixedBirth(
         GaussianMixture(
             np.array([0.02, 0.01]), np.array([[0.0, 1], [10, 20], [0, 0], [0, 1]]), np.tile(np.eye(4), (2, 1, 1))
@@ -72,6 +73,7 @@ PLANE_BIRTHS = {
     ),
 }
 CLUTTERS = {"uniform": UniformClutter(2.0, (640.0 * 480) ** 2), "local": LocalClutter(2.0), "none": UniformClutter(0.0, 1.0)}
+PLANE_CLUTTERS = {"plane, region": UniformClutter(2.0, 800.0), "plane, local": LocalPlaneClutter(2.0)}
 FILTERS = {
     "particle-phd": ParticlePHD(per_target=200),
     "bounded": ParticlePHD(per_target=200, most=150),

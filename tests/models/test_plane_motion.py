@@ -67,7 +67,7 @@ def test_survival_is_a_power_of_the_interval_inside_and_zero_outside():
 
 @pytest.mark.parametrize(
     ("wrong", "says"),
-    [({"survival": 1.5}, "survival"), ({"nominal": 0.0}, "nominal"), ({"borders": (1.0, 0, 0, 2)}, "left, low, right, high")],
+    [({"survival": 1.5}, "survival"), ({"nominal": 0.0}, "nominal"), ({"borders": (1.0, 0, 0, 2)}, "left, low")],
 )
 def test_settings_out_of_bounds(wrong, says: str):
     with pytest.raises(InputError, match=says):

@@ -3,7 +3,7 @@
 from phdtrack.models.births import FixedBirth, MeasurementBirth, UniformBirth
 from phdtrack.models.box_motion import BoxMotion
 from phdtrack.models.box_sensor import BoxSensor
-from phdtrack.models.clutter import LocalClutter, UniformClutter
+from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, UniformClutter
 from phdtrack.models.plane_birth import PlaneBirth
 from phdtrack.models.plane_motion import PlaneMotion
 from phdtrack.models.plane_sensor import PlaneSensor
@@ -14,6 +14,7 @@ __all__ = [
     "BoxSensor",
     "FixedBirth",
     "LocalClutter",
+    "LocalPlaneClutter",
     "MeasurementBirth",
     "NoSpawn",
     "PlaneBirth",

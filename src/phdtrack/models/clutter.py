@@ -8,6 +8,7 @@ import numpy as np
 
 from phdtrack.checks import NonNegative, Positive, check
 from phdtrack.kernels.neighbourhoods import summed_densities
+from phdtrack.models.region import local_density
 from phdtrack.models.volume import REACH, SIZES, local_volume
 from phdtrack.types import F8
 
@@ -46,3 +47,17 @@ class LocalClutter:
             return np.zeros(0)
         out: F8 = summed_densities(np.ascontiguousarray(z[:4]), self.rate / local_volume(z), REACH, *SIZES)
         return out
+
+
+@dataclass(frozen=True, slots=True)
+class LocalPlaneClutter:
+    """``rate`` expected clutter points per frame around each detection on the ground plane (see `models.region`)."""
+
+    rate: NonNegative
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def intensity(self, z: F8) -> F8:
+        """κ(z), per m²: the sum of what all detections near z bring, its own included."""
+        return local_density(z, z, self.rate)

@@ -2,40 +2,32 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from phdtrack.arrays import sum_by
-from phdtrack.checks import NonNegative, Positive, PositiveCount, check
-from phdtrack.kernels.gating import gated_pairs
+from phdtrack.checks import NonNegative, PositiveCount, check
 from phdtrack.models.births import gaussians_about, particles_about
-from phdtrack.models.region import EVERYWHERE, Region, area, check_region, inside
+from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, area, check_region, inside, local_density
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, GaussianMixture, Particles
-
-PlaneVolume = Literal["region", "local"]
 
 
 @dataclass(frozen=True, slots=True)
 class PlaneBirth:
-    """γ uniform over a region of the ground or over discs around the detections, drawn around the detections.
+    """γ uniform over a region of the ground or around the detections, drawn around the detections.
 
     Parameters
     ----------
     rate : expected births per second: in all where spread over the ``region``, around each detection where ``local``.
     most : Jmax, particles drawn around a detection of which nothing is predicted.
-    volume : ``region`` or ``local``: what γ is spread over.
-    radius : of the discs, metres.
+    volume : ``region`` or ``local``: what γ is spread over (see `models.region`).
     borders : left, low, right and high border in metres, needed for ``region``.
     """
 
     rate: NonNegative = 0.25
     most: PositiveCount = 500
     volume: PlaneVolume = "local"
-    radius: Positive = 2.0
     borders: Region = EVERYWHERE
 
     def __post_init__(self) -> None:
@@ -54,9 +46,4 @@ class PlaneBirth:
         """γ per second and m² at positions (2, L)."""
         if self.volume == "region":
             return np.where(inside(place, self.borders), self.rate / area(self.borders, "PlaneBirth.borders"), 0.0)
-        point, which = gated_pairs(
-            np.ascontiguousarray(place[0]), np.ascontiguousarray(place[1]), z[:2] - self.radius, z[:2] + self.radius
-        )
-        near = np.square(place[:2, point] - z[:2, which]).sum(axis=0) <= self.radius**2
-        density = self.rate / (math.pi * self.radius**2)
-        return sum_by(point[near], np.full(np.count_nonzero(near), density), place.shape[1])
+        return local_density(place, z, self.rate)

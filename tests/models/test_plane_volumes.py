@@ -1,0 +1,52 @@
+"""Births and clutter around the detections on the ground: as dense as their rates say, and as quickly believed anywhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phdtrack import pipeline
+from phdtrack.associate import GraphMatching
+from phdtrack.extract import Components
+from phdtrack.filters import GMPHD
+from phdtrack.models import LocalPlaneClutter, PlaneBirth, PlaneMotion, PlaneSensor
+from phdtrack.models.region import local_density
+from phdtrack.protocols import Model, Stages
+from phdtrack.types import Detections
+from plane_cases import FRAME, LevelCamera
+
+
+def test_the_density_adds_up_to_the_rate(rng):
+    """Over a lattice around one detection whose covariance is slanted; two on one spot bring twice as much."""
+    z = np.array([[3.0], [20.0], [0.4], [-0.15], [0.9]])
+    step = 0.05
+    lattice = np.stack(np.meshgrid(np.arange(-10, 16, step), np.arange(7, 33, step))).reshape(2, -1)
+    assert local_density(lattice, z, 0.3).sum() * step**2 == pytest.approx(0.3, rel=0.01)
+    np.testing.assert_allclose(local_density(lattice, z[:, [0, 0]], 0.3), 2 * local_density(lattice, z, 0.3))
+
+
+def test_a_detection_gives_itself_the_clutter_of_its_own_ellipse():
+    z = np.array([[0.0, 50], [0, 0], [0.25, 4], [0, 1], [1, 4]])
+    want = 0.3 / (np.pi * 36 * np.sqrt([0.25, 15]))
+    np.testing.assert_allclose(LocalPlaneClutter(0.3).intensity(z), want)
+
+
+def believed_after(depth: float) -> int:
+    """Coherent detections of somebody standing there up to his first state."""
+    sensor = PlaneSensor(camera=LevelCamera(), frame_size=FRAME)
+    world = Stages(
+        Model(PlaneMotion(), sensor, PlaneBirth(), LocalPlaneClutter(0.3), rate=1.0, first=0.1),
+        GMPHD(region=9.21), Components(), GraphMatching(miss=0.2),
+    )  # fmt: skip
+    box = Detections.of(sensor.boxes(np.array([[0.0], [depth], [0], [0]])))
+    rng = np.random.default_rng(0)
+    state = pipeline.start(world, rng)
+    for number in range(1, 12):
+        state, step = pipeline.advance(world, state, box, number, number / 10, rng)
+        if len(step.estimates):
+            return number
+    return 99
+
+
+def test_how_fast_somebody_is_believed_does_not_depend_on_how_far_away_he_is():
+    assert {believed_after(depth) for depth in (9.0, 20.0, 40.0)} <= {2, 3}
