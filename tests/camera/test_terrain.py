@@ -73,6 +73,17 @@ def test_a_wall_hides_what_the_flat_solution_would_show() -> None:
     np.testing.assert_allclose(walled.pixels(world), pixel, atol=1e-7)
 
 
+def test_what_comes_onto_the_map_below_its_ground_shows_nothing_known() -> None:
+    """A plateau at the map's edge, higher than the camera: it bars the view of the valley behind it, from outside."""
+    y, x = np.mgrid[-10:191:2.0, -10:191:2.0]
+    plateau = np.where(x + y < 10, 9.0, 0.0)
+    camera = posed(tsai(5e-3), Terrain(np.array([-10.0, -10]), STEP, plateau))
+    assert camera.position[2] < 9
+    pixel = posed(tsai(5e-3)).pixels(np.array([[20.0, 30], [25, 25]]))
+    assert np.isfinite(pixel).all()
+    assert np.isnan(camera.ground(pixel)).all()
+
+
 def test_beside_unknown_heights_nothing_is_known() -> None:
     heights = np.zeros((101, 101))
     heights[50, 50] = np.nan  # at (0, 0)

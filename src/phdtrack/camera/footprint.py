@@ -39,7 +39,6 @@ def footprint(camera: Camera, frame_size: tuple[float, float], limit: float = 10
     # Of the visible pixels the one nearest to their middle: the middle itself need not be visible.
     middle = shown[:, np.argmin(((shown - shown.mean(axis=1, keepdims=True)) ** 2).sum(axis=0))][:, None]
     seen, unseen = np.zeros(edge.shape[1]), np.ones(edge.shape[1])
-    seen[_visible(camera, edge, limit)] = 1.0
     for _ in range(_HALVINGS):
         share = (seen + unseen) / 2
         good = _visible(camera, middle + share * (edge - middle), limit)

@@ -27,6 +27,9 @@ _BLOCK = 1 << 20
 _LEVEL = 1e-12
 
 
+Mask = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+
+
 class Surface(Protocol):
     """The ground as a height over the plane."""
 
@@ -117,14 +120,11 @@ class Terrain:
         """(N,) the least s > 0 at which the ray goes below the ground, by Gauss–Newton from the flat solution [E13 §2]."""
         start = Flat(self._levels[1]).meet(origin, direction)
         found = self._newton(origin, direction, start)
-        low, high = self._first_crossing(origin, direction)
+        low, high, buried = self._first_crossing(origin, direction)
+        found[buried] = np.nan
         hidden = np.isfinite(low) & ~((found >= low) & (found <= high))
         if hidden.any():
-            rays = direction[:, hidden]
-            halved = self._halve(origin, rays, low[hidden], high[hidden])
-            polished = self._newton(origin, rays, halved)
-            near = np.abs(polished - halved) <= 1e-6 * halved
-            found[hidden] = np.where(near, polished, halved)
+            found[hidden] = self._halve(origin, direction[:, hidden], low[hidden], high[hidden])
         return found
 
     def _patch(self, x: F8, y: F8) -> tuple[F8, F8, F8]:
@@ -162,13 +162,16 @@ class Terrain:
         exact = np.abs(point[2] - self.height(point[:2])) <= 1e-9 * (1 + np.abs(point[2]))
         return np.where(exact & (s > 0) & (rising < 0), s, np.nan)
 
-    def _first_crossing(self, origin: F8, direction: F8) -> tuple[F8, F8]:
-        """Intervals of s (N,), (N,) in which rays first go below the ground; NaN for those that never do."""
+    def _first_crossing(self, origin: F8, direction: F8) -> tuple[F8, F8, Mask]:
+        """Intervals of s (N,), (N,) in which rays first go below the ground, NaN for those that never do.
+
+        And which (N,) come onto the map below its ground: what they show lies outside, where nothing is known.
+        """
         enter, leave = self._over_map(origin, direction)
         across = np.hypot(direction[0], direction[1]) * (leave - enter)
         most = np.max(np.nan_to_num(across), initial=0.0)
         count = int(np.ceil(2 * most / self.step.min())) + 2
-        low, high = np.full(len(enter), np.nan), np.full(len(enter), np.nan)
+        low, high, buried = np.full(len(enter), np.nan), np.full(len(enter), np.nan), np.zeros(len(enter), dtype=bool)
         share = np.linspace(0, 1, count)
         for first in range(0, len(enter), max(1, _BLOCK // count)):
             rows = slice(first, first + max(1, _BLOCK // count))
@@ -177,9 +180,10 @@ class Terrain:
             falls = (above[:, :-1] > 0) & (above[:, 1:] <= 0)
             at = np.argmax(falls, axis=1)
             each = np.arange(len(at))
-            seen = falls[each, at] & ~(above[each, 0] < 0)
+            buried[rows] = above[each, 0] < 0
+            seen = falls[each, at] & ~buried[rows]
             low[rows], high[rows] = np.where(seen, s[each, at], np.nan), np.where(seen, s[each, at + 1], np.nan)
-        return low, high
+        return low, high, buried
 
     def _over_map(self, origin: F8, direction: F8) -> tuple[F8, F8]:
         """(N,), (N,) the interval of s ≥ 0 in which a ray is over the map and not yet below its lowest point; NaN: none."""
