@@ -25,6 +25,7 @@ PAPERS = {
     "E13": "Edman, Andersson, Jamrog, Gustafsson: Pedestrian group tracking using the GM-PHD filter. EUSIPCO 2013",
     "D14": "Daniyan: Performance analysis of sequential Monte Carlo MCMC and PHD filters on multi-target tracking in video",
     "S05": "Shafique, Shah: A noniterative greedy algorithm for multiframe point correspondence. IEEE Trans. PAMI, 2005",
+    "P09": "Panta, Clark, Vo: Data association and track management for the GM-PHD filter. IEEE Trans. AES, 2009",
     "V06": "Vo, Ma: The Gaussian mixture probability hypothesis density filter. IEEE Trans. Signal Processing, 2006",
     "V05": "Vo, Singh, Doucet: Sequential Monte Carlo methods for multi-target filtering with random finite sets. 2005",
     "V07": "Vo, Vo, Cantoni: Analytic implementations of the cardinalized PHD filter. IEEE Trans. Signal Processing, 2007",

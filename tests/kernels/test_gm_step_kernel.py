@@ -73,13 +73,15 @@ def scans(seed: int, count: int) -> list[np.ndarray]:
 
 def ordered(mixture: GaussianMixture) -> GaussianMixture:
     order = np.lexsort((mixture.weight, mixture.mean[0].round(6)))
-    return GaussianMixture(mixture.weight[order], mixture.mean[:, order], mixture.covariance[order])
+    tag = mixture.tag[order]
+    return GaussianMixture(mixture.weight[order], mixture.mean[:, order], mixture.covariance[order], tag, mixture.fresh)
 
 
 def heavier(mixture: GaussianMixture) -> GaussianMixture:
     """Without the lightest: newborn of equal weight, of which a cap keeps those that rounding favours."""
     kept = mixture.weight > mixture.weight.min() * (1 + 1e-9)
-    return GaussianMixture(mixture.weight[kept], mixture.mean[:, kept], mixture.covariance[kept])
+    tag = mixture.tag[kept]
+    return GaussianMixture(mixture.weight[kept], mixture.mean[:, kept], mixture.covariance[kept], tag, mixture.fresh)
 
 
 def agree(a: GaussianMixture, b: GaussianMixture, most: int = 0) -> None:
@@ -91,6 +93,12 @@ def agree(a: GaussianMixture, b: GaussianMixture, most: int = 0) -> None:
     np.testing.assert_allclose(a.weight, b.weight, rtol=1e-9)
     np.testing.assert_allclose(a.mean, b.mean, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(a.covariance, b.covariance, rtol=1e-8, atol=1e-8)
+    # Of Gaussians that share a tag and weigh the same, rounding says which keeps it.
+    for i in np.flatnonzero(a.tag != b.tag):
+        alike = np.isclose(a.weight, a.weight[i], rtol=1e-9, atol=0)
+        assert sorted(a.tag[alike]) == sorted(b.tag[alike])
+        assert np.count_nonzero(alike) > 1
+    assert a.fresh == b.fresh
 
 
 @pytest.mark.parametrize("settings", FILTERS.values(), ids=FILTERS)

@@ -24,15 +24,18 @@ _SCALINGS = {
     "fixed": gm_model.FIXED,
     "given": gm_model.GIVEN,
 }
-_NOBODY = np.zeros(0), np.zeros((gm_model.D, 0)), np.zeros((0, gm_model.ENTRIES))
+_NOBODY = np.zeros((0, 1 + gm_model.D + gm_model.ENTRIES))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxModel:
-    """The model over one interval: its ``numbers``, and the births that are given: (B,), (d, B), (B, 21) triangles."""
+    """The model over one interval: ``numbers`` (27,), see `gm_model.BoxNumbers`, and the births that are given.
 
-    numbers: BoxNumbers
-    births: tuple[F8, F8, F8]
+    Those are ``births`` (B, 1 + d + 21): weight, mean and triangle of the covariance of each.
+    """
+
+    numbers: F8
+    births: F8
 
 
 def box_model(model: Model, dt: float) -> BoxModel | None:
@@ -43,6 +46,9 @@ def box_model(model: Model, dt: float) -> BoxModel | None:
     motion, sensor = model.motion, model.sensor
     # The kinds themselves and nothing derived from them.
     if type(motion) is not BoxMotion or type(sensor) is not BoxSensor or type(motion.births) is not NoSpawn:
+        return None
+    # The kernel knows one detection probability for all.
+    if len(sensor.hiders):
         return None
     birth, clutter = model.birth, model.clutter
     if type(birth) is not MeasurementBirth and type(birth) is not FixedBirth:
@@ -94,14 +100,15 @@ def _in_numbers(
         size_low=SIZES[0],
         size_high=SIZES[1],
     )
-    return BoxModel(numbers, birth[2])
+    return BoxModel(np.array(numbers), birth[2])
 
 
-def _birth(birth: Birth, dt: float) -> tuple[float, float, tuple[F8, F8, F8]] | None:
+def _birth(birth: Birth, dt: float) -> tuple[float, float, F8] | None:
     """What γ is spread over, its density or rate, and its Gaussians where it is a mixture."""
     if type(birth) is FixedBirth and len(birth.mixture.mean) == gm_model.D:
         given = birth.mixture
-        return gm_model.NOWHERE, 0.0, (given.weight * dt, np.ascontiguousarray(given.mean), triangles(given.covariance))
+        table = np.hstack([given.weight[:, None] * dt, given.mean.T, triangles(given.covariance)])
+        return gm_model.NOWHERE, 0.0, table
     if type(birth) is not MeasurementBirth:
         return None
     if birth.volume == "local":
@@ -118,9 +125,17 @@ def _clutter(clutter: Clutter) -> tuple[float, float] | None:
     return None
 
 
-def fused_update(state: GaussianMixture, z: F8, box: BoxModel, limits: Limits) -> tuple[tuple[F8, F8, F8], UpdateInfo]:
-    """Predict and update of the box model [V06 (24)–(38)]: weights (J,), means (J, d), covariance triangles (J, 21)."""
-    weight, mean, cov, evidence, kappa, predicted, newborn, mass, vanished = box_step(
-        state.weight, state.mean, state.covariance, z, *box.births, tuple(box.numbers), tuple(limits)
-    )
-    return (weight, mean, cov), UpdateInfo(predicted, newborn, mass, evidence, kappa, vanished)
+@lru_cache(maxsize=64)
+def limits(*settings: float) -> F8:
+    """The settings of the filter as the kernel reads them, in the order of `Limits`."""
+    return np.array(Limits(*settings), dtype=np.float64)
+
+
+def fused_step(state: GaussianMixture, z: F8, box: BoxModel, settings: F8) -> tuple[GaussianMixture, UpdateInfo]:
+    """A frame of the box model [V06 (24)–(38), Table II]; ``settings`` as `limits` gives them."""
+    weight, mean, cov, tag, table, predicted, newborn, mass, vanished, fresh = box_step(
+        state.weight, state.mean, state.covariance, state.tag, np.ascontiguousarray(z), box.births, box.numbers, settings,
+        state.fresh,
+    )  # fmt: skip
+    evidence, kappa = table
+    return GaussianMixture(weight, mean, cov, tag, fresh), UpdateInfo(predicted, newborn, mass, evidence, kappa, vanished)

@@ -10,6 +10,12 @@ recursion is a Kalman filter for every Gaussian:
 A mixture grows with every measurement; `GMPHD.reduce` prunes, merges and caps it. What depends on the state (p_D, p_S, F, Q
 and the sensor's noise R) is taken at the means; H is a choice of rows, `Sensor.observed`.
 
+Every Gaussian carries a tag, by which its history can be read [P09 §III]: a newborn's is new; prediction and update keep
+it, so that the Gaussians that a measurement and a missed one make of one have the same; a union has that of its strongest.
+Of those that share a tag and weigh `GMPHD.split` or more after reduction the heaviest keeps it, and the others, targets
+of their own now, are given new ones. Lighter ones may share theirs with a target and take it over when it fades. Tags
+count from 0 and none is given twice; `GaussianMixture.fresh` is the next.
+
 This file is the definition, for any model that keeps the protocols. A measurement touches only the Gaussians in whose gate
 it is, d² = (z − H m)ᵀ S⁻¹ (z − H m) ≤ G², found through a grid: the cost grows linearly with the number of targets. For the
 shipped box model `GMPHD.step` is the same in one kernel (`kernels.gm_step`).
@@ -26,12 +32,11 @@ from phdtrack.arrays import sum_by
 from phdtrack.checks import Count, NonNegative, Positive, check
 from phdtrack.errors import InputError
 from phdtrack.filters.composed import composed_step
-from phdtrack.filters.gm_box import box_model, fused_update
+from phdtrack.filters.gm_box import box_model, fused_step, limits
 from phdtrack.filters.meeting import Meeting, explained
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.kernels.gm_reduce import reduced, triangles
-from phdtrack.kernels.gm_step import Limits
 from phdtrack.kernels.kalman import predicted_covariance, updated
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8, GaussianMixture, Particles, UpdateInfo
@@ -39,17 +44,20 @@ from phdtrack.types import F8, I8, GaussianMixture, Particles, UpdateInfo
 
 @dataclass(frozen=True, slots=True)
 class GMPHD:
-    """Settings of the GM-PHD filter; the defaults are E13's.
+    """Settings of the GM-PHD filter; the defaults are E13's, without its cap.
 
     Parameters
     ----------
     prune : Gaussians that weigh less are dropped.
     merge : Mahalanobis distance (not squared) up to which a Gaussian is united with a stronger one, in its own covariance.
-    most : J_max, Gaussians kept, the heaviest; 0 for all. It must be some times the number of targets.
+    most : J_max, Gaussians kept, the heaviest; 0 for all, of which there are at most the mass divided by ``prune``. In
+        practice there are some for each target, and for each false alarm as long as one that was not seen again takes to
+        fade, log(weight / prune) / −log(1 − p_D) frames. E13's is 100.
     redistribute : what pruning and capping drop is given to the rest, so that the expected number stays; False is as
         Vo and Ma print it.
     gate : G, measurements further than this many deviations of the innovation from a Gaussian do not touch it; at 5, at
         most 5.1e-5 of a Gaussian in four dimensions is cut.
+    split : what shares its tag with a heavier Gaussian keeps it below this weight, see above; 0: no two share one.
     region : squared Mahalanobis distance within which a Gaussian's mass counts as explaining a detection, M(z); 13.28 is the
         99 % region in four dimensions.
     skip_empty : leave the intensity as predicted when a frame brings no detection, as D14 does.
@@ -58,8 +66,9 @@ class GMPHD:
 
     prune: NonNegative = 1e-5
     merge: NonNegative = 2.0
-    most: Count = 100
+    most: Count = 0
     redistribute: bool = True
+    split: NonNegative = 0.5
     gate: Positive = 5.0
     region: Positive = 13.28
     skip_empty: bool = False
@@ -69,11 +78,12 @@ class GMPHD:
         check(self)
 
     def start(self, model: Model, rng: np.random.Generator) -> GaussianMixture:
-        """The initial intensity; empty where none was given."""
+        """The initial intensity, each Gaussian with a tag; empty where none was given."""
         given = self.initial
         if given is not None:
             # Arrays that lie otherwise in memory would have the kernels compiled once more.
-            return GaussianMixture(*(np.ascontiguousarray(part) for part in (given.weight, given.mean, given.covariance)))
+            weight, mean, cov = (np.ascontiguousarray(part) for part in (given.weight, given.mean, given.covariance))
+            return tagged(GaussianMixture(weight, mean, cov, np.ascontiguousarray(given.tag), given.fresh))
         d = model.motion.dim
         return GaussianMixture(np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d)))
 
@@ -84,6 +94,7 @@ class GMPHD:
         """
         if len(state) == 0:
             return state
+        state = tagged(state)
         if len(model.motion.spawn(Particles(state.mean, state.weight), dt, rng)):
             raise InputError(
                 "the GM-PHD filter has no spawning", where="motion.births", cure="Use NoSpawn, or the particle filter"
@@ -91,7 +102,8 @@ class GMPHD:
         weight = state.weight * model.motion.p_survive(state.mean, dt)
         alive = weight > 0
         mean, f, q = model.motion.transition(np.ascontiguousarray(state.mean[:, alive]), dt)
-        return GaussianMixture(weight[alive], mean, predicted_covariance(state.covariance[alive], f, q))
+        cov = predicted_covariance(state.covariance[alive], f, q)
+        return GaussianMixture(weight[alive], mean, cov, state.tag[alive], state.fresh)
 
     def update(
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
@@ -115,7 +127,7 @@ class GMPHD:
         near = distance2 <= self.region
         covered = sum_by(which[near], state.weight[point[near]], z.shape[1])
         born = model.birth.components(z, covered, sensor, dt)
-        everything = join(state, born)
+        everything = joined(state, born)
         point, which, distance2, log_norm = self._pairs(everything, z, sensor)
         seen = everything.weight * sensor.p_detect(everything.mean)
         share = seen[point] * np.exp(log_norm - 0.5 * distance2)
@@ -132,11 +144,22 @@ class GMPHD:
         rows = np.array(model.sensor.observed)
         mean, cov = updated(before.mean, before.covariance, z, noise, rows, point, which)
         weight = np.concatenate([missed * meeting.missed, meeting.share * detected[which]])
-        return GaussianMixture(weight, np.hstack([before.mean, mean]), np.concatenate([before.covariance, cov]))
+        mean, cov = np.hstack([before.mean, mean]), np.concatenate([before.covariance, cov])
+        return GaussianMixture(weight, mean, cov, np.concatenate([before.tag, before.tag[point]]), before.fresh)
 
     def reduce(self, state: GaussianMixture, rng: np.random.Generator) -> GaussianMixture:
-        """Prune, merge, cap: the strongest first, with all that are near it, moment-matched [V06 Table II, E13 §4]."""
-        return self._reduced(state.weight, np.ascontiguousarray(state.mean.T), triangles(state.covariance), state.mass)
+        """Prune, merge, cap: the strongest first, with all that are near it, moment-matched [V06 Table II, E13 §4].
+
+        Tags as above [P09 §III].
+        """
+        state = tagged(state)
+        axes, mass = tuple(range(len(state.mean))), state.mass if self.redistribute else -1.0
+        return GaussianMixture(
+            *reduced(
+                state.weight, np.ascontiguousarray(state.mean.T), triangles(state.covariance), state.tag, axes,
+                float(self.prune), float(self.merge), self.most, mass, float(self.split), state.fresh,
+            )
+        )  # fmt: skip
 
     def step(
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
@@ -145,15 +168,10 @@ class GMPHD:
         box = box_model(model, dt)
         if box is None:
             return composed_step(self, state, z, model, dt, rng)
-        limits = Limits(self.gate, self.region, self.prune, float(self.skip_empty))
-        (weight, x, cov), info = fused_update(state, z, box, limits)
-        return self._reduced(weight, x, cov, info.mass), info
-
-    def _reduced(self, weight: F8, x: F8, cov: F8, mass: float) -> GaussianMixture:
-        """Prune, merge, cap, in the kernels' layout; ``mass`` is that before anything was dropped."""
-        wanted = mass if self.redistribute else -1.0
-        axes = tuple(range(x.shape[1]))
-        return GaussianMixture(*reduced(weight, x, cov, axes, self.prune, self.merge, self.most, wanted))
+        settings = limits(
+            self.gate, self.region, self.prune, self.merge, self.most, self.redistribute, self.split, self.skip_empty
+        )
+        return fused_step(tagged(state), z, box, settings)
 
     def _pairs(self, state: GaussianMixture, z: F8, sensor: Sensor) -> tuple[I8, I8, F8, F8]:
         """Pairs (Gaussian, measurement) within the gate, their d², and log 1/√det(2πS).
@@ -179,12 +197,23 @@ class GMPHD:
         return point[inside], z_of[inside], distance2[inside], log_norm[inside]
 
 
-def join(a: GaussianMixture, b: GaussianMixture) -> GaussianMixture:
-    """The sum of two mixtures."""
-    if len(b) == 0:
-        return a
-    if len(a) == 0:
-        return b
+def tagged(mixture: GaussianMixture) -> GaussianMixture:
+    """The mixture, with new tags where it has none."""
+    if len(mixture.tag) == len(mixture):
+        return mixture
+    tag = mixture.fresh + np.arange(len(mixture))
+    return GaussianMixture(mixture.weight, mixture.mean, mixture.covariance, tag, mixture.fresh + len(mixture))
+
+
+def joined(state: GaussianMixture, born: GaussianMixture) -> GaussianMixture:
+    """The sum of a filter's state and of newborn, who are given new tags in their order."""
+    if len(born) == 0:
+        return tagged(state)
+    state = tagged(state)
     return GaussianMixture(
-        np.concatenate([a.weight, b.weight]), np.hstack([a.mean, b.mean]), np.concatenate([a.covariance, b.covariance])
+        np.concatenate([state.weight, born.weight]),
+        np.hstack([state.mean, born.mean]),
+        np.concatenate([state.covariance, born.covariance]),
+        np.concatenate([state.tag, state.fresh + np.arange(len(born))]),
+        state.fresh + len(born),
     )

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.gating import _cell, _sort_into_cells
+from phdtrack.kernels.fast32 import LEAN
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -20,7 +20,7 @@ I8 = NDArray[np.int64]
 # Covariances are kept as their lower triangles, row by row: that is 42 % less to move.
 D, M, ENTRIES = 6, 4, 21
 ROWS = (0, 1, 4, 5)
-# Names are floats too: a plain tuple of one type is handed over in a quarter of the time of a named one.
+# Names are floats too, because all numbers are handed over in one array.
 PARTICLE, DETECTION, FIXED, GIVEN = 0.0, 1.0, 2.0, 3.0
 NOWHERE, IMAGE, LOCAL = 0.0, 1.0, 2.0
 TINY_VARIANCE = 1e-12
@@ -30,7 +30,7 @@ class Scene(NamedTuple):
     """The measurements of a frame, sorted into the cells of a grid.
 
     ``boxes`` (N, m), of which the k-th was measurement ``order[k]``; ``start`` (cells + 1,) where each cell's begin;
-    ``x0``, ``y0`` the grid's origin, ``width``, ``height`` of a cell, ``nx``, ``ny`` how many there are.
+    ``x0``, ``y0`` the grid's origin, ``sx``, ``sy`` cells per pixel, ``nx``, ``ny`` how many there are.
     """
 
     boxes: F8
@@ -38,8 +38,8 @@ class Scene(NamedTuple):
     start: I8
     x0: float
     y0: float
-    width: float
-    height: float
+    sx: float
+    sy: float
     nx: int
     ny: int
 
@@ -81,20 +81,29 @@ class BoxNumbers(NamedTuple):
     size_high: float
 
 
-@njit(cache=True)
+@njit(**LEAN)
+def box_numbers(t: F8) -> BoxNumbers:
+    """The numbers from an array (27,), which costs less to hand over than a tuple."""
+    return BoxNumbers(
+        t[0], t[1], t[2], t[3], t[4], t[5], t[6], t[7], t[8], t[9], t[10], t[11], t[12], t[13],
+        t[14], t[15], t[16], t[17], t[18], t[19], t[20], t[21], t[22], t[23], t[24], t[25], t[26],
+    )  # fmt: skip
+
+
+@njit(**LEAN)
 def entry(r: int, s: int) -> int:
     """Where the element in row r, column s ≤ r of a covariance is kept."""
     return r * (r + 1) // 2 + s
 
 
-@njit(cache=True)
-def predicted(weight: F8, mean: F8, cov: F8, b: BoxNumbers, w: F8, x: F8, p: F8) -> int:
-    """Predict a mixture into ``w``, ``x``, ``p`` (triangles); how many survive.
+@njit(**LEAN)
+def predicted(weight: F8, mean: F8, cov: F8, tag: I8, b: BoxNumbers, w: F8, x: F8, p: F8, t: I8) -> int:
+    """Predict a mixture into ``w``, ``x``, ``p`` (triangles), ``t`` (tags); how many survive.
 
-    ``mean`` (d, J), ``cov`` (J, d, d); room of at least (J,), (J, d), (J, 21).
+    ``mean`` (d, J), ``cov`` (J, d, d); room of at least (J,), (J, d), (J, 21), (J,).
     """
-    t = b.dt
-    position, mixed = t * t * t / 3.0 - min(t, t * t * t) / 12.0, t * t / 2.0
+    dt = b.dt
+    position, mixed = dt * dt * dt / 3.0 - min(dt, dt * dt * dt) / 12.0, dt * dt / 2.0
     bordered = b.frame_width > 0.0 and b.frame_height > 0.0
     k = 0
     for i in range(weight.size):
@@ -106,53 +115,62 @@ def predicted(weight: F8, mean: F8, cov: F8, b: BoxNumbers, w: F8, x: F8, p: F8)
         w[k] = weight[i] * b.survival
         if not w[k] > 0.0:
             continue
+        t[k] = tag[i]
         for r in range(D):
             x[k, r] = mean[r, i]
         for a in range(2):
-            x[k, a] = mean[a, i] + t * mean[a + 2, i]
-        out = p[k]
+            x[k, a] = mean[a, i] + dt * mean[a + 2, i]
         for r in range(D):
             for s in range(r + 1):
-                out[entry(r, s)] = cov[i, r, s]
+                p[k, entry(r, s)] = cov[i, r, s]
         # F P Fᵀ, lower triangle: first the columns of the velocities onto those of the positions, then the rows.
         for a in range(2):
             for r in range(2, D):
-                out[entry(r, a)] += t * cov[i, r, a + 2]
-        out[entry(0, 0)] += t * (2.0 * cov[i, 2, 0] + t * cov[i, 2, 2])
-        out[entry(1, 1)] += t * (2.0 * cov[i, 3, 1] + t * cov[i, 3, 3])
-        out[entry(1, 0)] += t * (cov[i, 3, 0] + cov[i, 2, 1] + t * cov[i, 3, 2])
+                p[k, entry(r, a)] += dt * cov[i, r, a + 2]
+        p[k, entry(0, 0)] += dt * (2.0 * cov[i, 2, 0] + dt * cov[i, 2, 2])
+        p[k, entry(1, 1)] += dt * (2.0 * cov[i, 3, 1] + dt * cov[i, 3, 3])
+        p[k, entry(1, 0)] += dt * (cov[i, 3, 0] + cov[i, 2, 1] + dt * cov[i, 3, 2])
         for a in range(2):
             unit = max(mean[a + 4, i], b.smallest) if b.scaled > 0.0 else 1.0
             a2, b2 = (b.acceleration * unit) ** 2, (b.resize * unit) ** 2
-            out[entry(a, a)] += a2 * position
-            out[entry(a + 2, a)] += a2 * mixed
-            out[entry(a + 2, a + 2)] += a2 * t
-            out[entry(a + 4, a + 4)] += b2 * t
+            p[k, entry(a, a)] += a2 * position
+            p[k, entry(a + 2, a)] += a2 * mixed
+            p[k, entry(a + 2, a + 2)] += a2 * dt
+            p[k, entry(a + 4, a + 4)] += b2 * dt
         k += 1
     return k
 
 
-@njit(cache=True)
-def noise(b: BoxNumbers, w: float, h: float, z: F8) -> tuple[float, float, float, float]:
-    """Variances of (px, py, w, h) of the measurement ``z`` (m,) of a box of size ``w``, ``h``."""
+@njit(**LEAN)
+def noise(b: BoxNumbers, w: float, h: float, z: F8, j: int) -> tuple[float, float, float, float]:
+    """Variances of (px, py, w, h) of the measurement ``j`` of ``z`` (N, m), of a box of size ``w``, ``h``."""
     if b.scaling == FIXED:
         return b.fixed_position, b.fixed_position, b.fixed_size, b.fixed_size
     if b.scaling == GIVEN:
-        return z[4], z[5], z[6], z[7]
+        return z[j, 4], z[j, 5], z[j, 6], z[j, 7]
     if b.scaling == DETECTION:
-        w, h = z[2], z[3]
+        w, h = z[j, 2], z[j, 3]
     sw, sh = max(b.spread * w, b.floor), max(b.spread * h, b.floor)
     vw, vh = max(sw * sw, TINY_VARIANCE), max(sh * sh, TINY_VARIANCE)
     return max(0.25 * vw, TINY_VARIANCE), max(0.25 * vh, TINY_VARIANCE), vw, vh
 
 
-@njit(cache=True)
+@njit(**LEAN)
+def cell(value: float, origin: float, scale: float, count: int) -> int:
+    """Index of the cell that holds ``value``, clamped to the grid; ``scale`` is the inverse of a cell's size."""
+    position = (value - origin) * scale
+    if not position > 0.0:  # also NaN
+        return 0
+    return count - 1 if position >= count else int(position)
+
+
+@njit(**LEAN)
 def sorted_boxes(z: F8) -> Scene:
     """The measurements ``z`` (m, N), N > 0, in a grid with about one of them a cell.
 
     Raises ValueError where a position is NaN or infinite.
     """
-    n = z.shape[1]
+    m, n = z.shape
     x0, x1, y0, y1, total = z[0, 0], z[0, 0], z[1, 0], z[1, 0], 0.0
     for j in range(n):
         x0, x1 = min(x0, z[0, j]), max(x1, z[0, j])
@@ -163,27 +181,41 @@ def sorted_boxes(z: F8) -> Scene:
     wide, high = x1 - x0 + 1e-9, y1 - y0 + 1e-9
     nx = int(min(max(np.sqrt(n * (wide / high)), 1.0), n))
     ny = max(1, n // nx)
-    start, order = _sort_into_cells(z[0], z[1], x0, y0, wide / nx, high / ny, nx, ny)
-    boxes = np.empty((n, z.shape[0]))
-    for k in range(n):
-        for r in range(z.shape[0]):
-            boxes[k, r] = z[r, order[k]]
-    return Scene(boxes, order, start, x0, y0, wide / nx, high / ny, nx, ny)
+    sx, sy = nx / wide, ny / high
+    # A counting sort. ``start`` is shifted by one while it is filled.
+    start, home = np.empty(nx * ny + 2, np.int64), np.empty(n, np.int64)
+    order, boxes = np.empty(n, np.int64), np.empty((n, m))
+    for c in range(start.size):
+        start[c] = 0
+    for j in range(n):
+        home[j] = cell(z[1, j], y0, sy, ny) * nx + cell(z[0, j], x0, sx, nx)
+        start[home[j] + 2] += 1
+    for c in range(2, start.size):
+        start[c] += start[c - 1]
+    for j in range(n):
+        k = start[home[j] + 1]
+        start[home[j] + 1] = k + 1
+        order[k] = j
+        for r in range(m):
+            boxes[k, r] = z[r, j]
+    return Scene(boxes, order, start, x0, y0, sx, sy, nx, ny)
 
 
-@njit(cache=True)
+@njit(**LEAN)
 def cells(x: float, y: float, half_x: float, half_y: float, scene: Scene) -> tuple[int, int, int, int]:
     """First and last column, first and last line of the cells that a rectangle about (x, y) touches."""
-    left, right = _cell(x - half_x, scene.x0, scene.width, scene.nx), _cell(x + half_x, scene.x0, scene.width, scene.nx)
-    top, bottom = _cell(y - half_y, scene.y0, scene.height, scene.ny), _cell(y + half_y, scene.y0, scene.height, scene.ny)
+    left, right = cell(x - half_x, scene.x0, scene.sx, scene.nx), cell(x + half_x, scene.x0, scene.sx, scene.nx)
+    top, bottom = cell(y - half_y, scene.y0, scene.sy, scene.ny), cell(y + half_y, scene.y0, scene.sy, scene.ny)
     return left, right, top, bottom
 
 
-@njit(cache=True)
+@njit(**LEAN)
 def crowding(scene: Scene, b: BoxNumbers) -> F8:
     """(N,) Σ_i 1/V_i over the neighbourhoods in which each measurement lies: a local density per rate of one."""
     boxes, start, nx = scene.boxes, scene.start, scene.nx
-    out = np.zeros(len(boxes))
+    out = np.empty(len(boxes))
+    for i in range(len(boxes)):
+        out[i] = 0.0
     for i in range(len(boxes)):
         x, y, w, h = boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3]
         density = 1.0 / (b.local_volume * (w * h) ** 2)
@@ -197,20 +229,22 @@ def crowding(scene: Scene, b: BoxNumbers) -> F8:
     return out
 
 
-@njit(cache=True)
-def newborn(scene: Scene, b: BoxNumbers, gamma: F8, covered: F8, w: F8, x: F8, p: F8, k: int) -> int:
-    """Put Gaussians about what nothing covers behind the first ``k`` of ``w``, ``x``, ``p``; how many there are then.
+@njit(**LEAN)
+def newborn(scene: Scene, b: BoxNumbers, gamma: F8, covered: F8, w: F8, x: F8, p: F8, t: I8, k: int, fresh: int) -> int:
+    """Put Gaussians about what nothing covers behind the first ``k`` of ``w``, ``x``, ``p``, ``t``; how many there are then.
 
-    ``gamma`` (N,) is the density of births at each, per interval.
+    ``gamma`` (N,) is the density of births at each, per interval. Tags from ``fresh`` on, in the order of the measurements.
     """
     boxes, start, nx = scene.boxes, scene.start, scene.nx
     n, first = len(boxes), k
     parent, deviation2 = np.empty(n, np.int64), np.empty((n, M))
-    shared = np.zeros(n)
+    shared = np.empty(n)
+    for j in range(n):
+        shared[j] = 0.0
     for j in range(n):
         if not (covered[j] < 1.0 and gamma[j] > 0.0):
             continue
-        here = noise(b, boxes[j, 2], boxes[j, 3], boxes[j])
+        here = noise(b, boxes[j, 2], boxes[j, 3], boxes, j)
         for a in range(M):
             deviation2[j, a] = b.newborn_stretch * here[a]
         half_x, half_y = np.sqrt(b.newborn_limit * deviation2[j, 0]), np.sqrt(b.newborn_limit * deviation2[j, 1])
@@ -225,6 +259,13 @@ def newborn(scene: Scene, b: BoxNumbers, gamma: F8, covered: F8, w: F8, x: F8, p
                     shared[i] += gamma[j] * np.exp(-0.5 * distance2)
         parent[k - first] = j
         k += 1
+    number = np.empty(n, np.int64)
+    for j in range(n):
+        number[j] = 0
+    for i in range(first, k):
+        number[scene.order[parent[i - first]]] = 1
+    for j in range(1, n):
+        number[j] += number[j - 1]
     for i in range(first, k):
         j = parent[i - first]
         size = np.sqrt(boxes[j, 2] * boxes[j, 3])
@@ -241,5 +282,6 @@ def newborn(scene: Scene, b: BoxNumbers, gamma: F8, covered: F8, w: F8, x: F8, p
             volume *= np.sqrt(here2)
         for a in range(2):
             p[i, entry(a + 2, a + 2)] = max(speed, 1e-6) ** 2
+        t[i] = fresh + number[scene.order[j]] - 1
         w[i] = gamma[j] * volume * gamma[j] / shared[j]
     return k

@@ -6,15 +6,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.fast32 import LEAN
+
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 
+# Up to this many, insertion is faster than counting.
+FEW = 48
 BITS = 8
 SIZE = 1 << BITS
 DIGITS = 8
 
 
-@njit(cache=True)
+@njit(**LEAN)
 def descending(weight: F8) -> I8:
     """(J,) indices by descending weight (each ≥ 0, no NaN), the lower index first where equal.
 
@@ -22,26 +26,37 @@ def descending(weight: F8) -> I8:
     exponents of most mixtures, is skipped.
     """
     n = weight.size
-    key = np.empty(n, np.int64)
+    order = np.empty(n, np.int64)
+    if n <= FEW:
+        for i in range(n):
+            k = i
+            while k > 0 and weight[order[k - 1]] < weight[i]:
+                order[k] = order[k - 1]
+                k -= 1
+            order[k] = i
+        return order
     bits = weight.view(np.int64)
-    count = np.zeros((DIGITS, SIZE), np.int64)
+    key, spare_key, spare = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    count = np.empty(DIGITS * SIZE, np.int64)
+    for b in range(DIGITS * SIZE):
+        count[b] = 0
     for i in range(n):
         key[i] = 0x7FFFFFFFFFFFFFFF - bits[i]
+        order[i] = i
         for digit in range(DIGITS):
-            count[digit, (key[i] >> (BITS * digit)) & (SIZE - 1)] += 1
-    order, spare = np.arange(n), np.empty(n, np.int64)
+            count[digit * SIZE + ((key[i] >> (BITS * digit)) & (SIZE - 1))] += 1
     for digit in range(DIGITS):
-        shift = BITS * digit
-        if n == 0 or count[digit, (key[0] >> shift) & (SIZE - 1)] == n:
+        shift, first = BITS * digit, digit * SIZE
+        if count[first + ((key[0] >> shift) & (SIZE - 1))] == n:
             continue
         place = 0
-        for b in range(SIZE):
-            here = count[digit, b]
-            count[digit, b] = place
+        for b in range(first, first + SIZE):
+            here = count[b]
+            count[b] = place
             place += here
         for k in range(n):
-            b = (key[order[k]] >> shift) & (SIZE - 1)
-            spare[count[digit, b]] = order[k]
-            count[digit, b] += 1
-        order, spare = spare, order
+            b = first + ((key[k] >> shift) & (SIZE - 1))
+            spare[count[b]], spare_key[count[b]] = order[k], key[k]
+            count[b] += 1
+        order, spare, key, spare_key = spare, order, spare_key, key
     return order

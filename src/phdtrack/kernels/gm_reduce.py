@@ -1,9 +1,11 @@
-"""Fewer Gaussians for the same intensity: prune, merge, cap, in time linear in their number.
+"""Fewer Gaussians for the same intensity: prune, merge, cap, in time linear in their number; and whose tag is whose.
 
 Merging as printed takes the strongest remaining Gaussian j and unites with it all i of small (m_i − m_j)ᵀ P_i⁻¹ (m_i − m_j),
 then the strongest of the rest, and so on. Asked the other way round: each Gaussian, by descending weight, joins the
 strongest head that it is near, or becomes a head itself. The groups are the same, and because the distance is in its own
 covariance, the heads that can be near lie in a rectangle about its mean: a grid of heads answers at once.
+
+A union has the tag of its strongest [P09 §III].
 """
 
 from __future__ import annotations
@@ -12,13 +14,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.fast32 import ENTRY, LEAN
 from phdtrack.kernels.gm_order import descending
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 
 
-@njit(cache=True)
+@njit(**ENTRY)
 def triangles(cov: F8) -> F8:
     """(J, d(d + 1)/2) the lower triangles of ``cov`` (J, d, d), row by row."""
     n, d, _ = cov.shape
@@ -35,25 +38,25 @@ def triangles(cov: F8) -> F8:
 Axes = tuple[int, ...]
 
 
-@njit(cache=True)
-def _apart(step: F8, cov: F8, limit: float, axes: Axes) -> bool:
-    """Whether one component alone says that stepᵀ cov⁻¹ step is above ``limit``: step_r² / cov_rr is never more than it."""
+@njit(**LEAN)
+def _apart(step: F8, cov: F8, i: int, limit: float, axes: Axes) -> bool:
+    """Whether one component alone says that stepᵀ cov_i⁻¹ step is above ``limit``: it is at least step_r² / cov_rr."""
     far = False
     for r in range(len(axes)):
-        far |= step[r] * step[r] > limit * cov[r * (r + 1) // 2 + r]
+        far |= step[r] * step[r] > limit * cov[i, r * (r + 1) // 2 + r]
     return far
 
 
-@njit(cache=True)
-def _factor(cov: F8, work: F8, inverse: F8, axes: Axes) -> None:
-    """cov = L D Lᵀ without roots: L below the diagonal of ``work`` (d, d), (L D)ᵀ above it, and 1/D in ``inverse`` (d,).
+@njit(**LEAN)
+def _factor(cov: F8, i: int, work: F8, inverse: F8, axes: Axes) -> None:
+    """cov_i = L D Lᵀ without roots: L below the diagonal of ``work`` (d, d), (L D)ᵀ above it, and 1/D in ``inverse`` (d,).
 
-    NaN where ``cov`` is not positive definite.
+    NaN where it is not positive definite.
     """
     for r in range(len(axes)):
-        pivot = cov[r * (r + 1) // 2 + r]
+        pivot = cov[i, r * (r + 1) // 2 + r]
         for c in range(r):
-            value = cov[r * (r + 1) // 2 + c]
+            value = cov[i, r * (r + 1) // 2 + c]
             for t in range(c):
                 value -= work[t, r] * work[c, t]
             work[c, r] = value
@@ -62,7 +65,7 @@ def _factor(cov: F8, work: F8, inverse: F8, axes: Axes) -> None:
         inverse[r] = 1.0 / pivot if pivot > 0.0 else np.nan
 
 
-@njit(cache=True)
+@njit(**LEAN)
 def _distance2(step: F8, work: F8, inverse: F8, axes: Axes) -> float:
     """stepᵀ cov⁻¹ step from the factors of `_factor`; overwrites ``step`` with L⁻¹ step."""
     total = 0.0
@@ -73,7 +76,7 @@ def _distance2(step: F8, work: F8, inverse: F8, axes: Axes) -> float:
     return total
 
 
-@njit(cache=True)
+@njit(**LEAN)
 def _cells(x: F8, cov: F8, alive: I8) -> tuple[float, float, float, float, int, int]:
     """Origin, inverse cell size and number of cells of the heads' grid: about four deviations, at most 2 a Gaussian."""
     n = alive.size
@@ -98,7 +101,7 @@ def _cells(x: F8, cov: F8, alive: I8) -> tuple[float, float, float, float, int, 
     return x0, y0, nx / max(x1 - x0, 1e-9), ny / max(y1 - y0, 1e-9), nx, ny
 
 
-@njit(cache=True)
+@njit(**LEAN)
 def _cell(value: float, origin: float, scale: float, count: int) -> int:
     """Index of the cell that holds ``value``, clamped to the grid."""
     position = (value - origin) * scale
@@ -107,7 +110,7 @@ def _cell(value: float, origin: float, scale: float, count: int) -> int:
     return count - 1 if position >= count else int(position)
 
 
-@njit(cache=True)
+@njit(**LEAN)
 def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) -> tuple[I8, I8, I8]:
     """Indices by descending weight (n,), the number of the group of each of these (n,), the head of each group (k,)."""
     n, d = alive.size, len(axes)
@@ -119,7 +122,9 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
         order[k] = alive[order[k]]
     limit = distance * distance
     x0, y0, sx, sy, nx, ny = _cells(x, cov, alive)
-    first, after = np.full(nx * ny, -1), np.empty(n, np.int64)
+    first, after = np.empty(nx * ny, np.int64), np.empty(n, np.int64)
+    for c in range(nx * ny):
+        first[c] = -1
     work, inverse, step = np.empty((d, d)), np.empty(d), np.empty(d)
     count = 0
     for k in range(n):
@@ -136,9 +141,9 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
                     if g < best and abs(x[head[g], 0] - px) <= reach_x and abs(x[head[g], 1] - py) <= reach_y:
                         for r in range(d):
                             step[r] = x[head[g], r] - x[i, r]
-                        if not _apart(step, cov[i], limit, axes):
+                        if not _apart(step, cov, i, limit, axes):
                             if not known:
-                                _factor(cov[i], work, inverse, axes)
+                                _factor(cov, i, work, inverse, axes)
                                 known = True
                             if _distance2(step, work, inverse, axes) <= limit:
                                 best = g
@@ -146,23 +151,27 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
         if best == n:
             best = count
             head[count] = i
-            cell = _cell(py, y0, sy, ny) * nx + _cell(px, x0, sx, nx)
-            after[count], first[cell] = first[cell], count
+            home = _cell(py, y0, sy, ny) * nx + _cell(px, x0, sx, nx)
+            after[count], first[home] = first[home], count
             count += 1
         group[k] = best
     return order, group, head[:count]
 
 
-@njit(cache=True)
-def _united(weight: F8, x: F8, cov: F8, order: I8, group: I8, head: I8, axes: Axes) -> tuple[F8, F8, F8]:
-    """Mass (k,), mean (d, k) and covariance (k, d, d) of the groups."""
-    d = len(axes)
-    count, entries = head.size, d * (d + 1) // 2
-    mass, mean, out = np.zeros(count), np.empty((d, count)), np.empty((count, d, d))
-    members, spread, step = np.zeros(count, np.int64), np.empty((count, entries)), np.empty(d)
+@njit(**LEAN)
+def _united(
+    weight: F8, x: F8, cov: F8, tag: I8, order: I8, group: I8, head: I8, axes: Axes, most: int, wanted: float
+) -> tuple[F8, F8, F8, I8]:
+    """Mass (k,), mean (d, k), covariance (k, d, d) and tag (k,) of the groups, the ``most`` heaviest; see `reduced`."""
+    d, count = len(axes), head.size
+    entries = d * (d + 1) // 2
+    mass, step, members = np.empty(count), np.empty(d), np.empty(count, np.int64)
+    about, spread = np.empty((count, d)), np.empty((count, entries))
+    for g in range(count):
+        mass[g], members[g] = 0.0, 0
     for k in range(order.size):
         i, g = order[k], group[k]
-        w = weight[i]
+        w, h = weight[i], head[g]
         mass[g] += w
         members[g] += 1
         if members[g] == 1:
@@ -170,32 +179,77 @@ def _united(weight: F8, x: F8, cov: F8, order: I8, group: I8, head: I8, axes: Ax
         if members[g] == 2:
             # Sums about the head, the strongest, so that no digits are lost far from the origin.
             for r in range(d):
-                mean[r, g] = 0.0
+                about[g, r] = 0.0
             for e in range(entries):
-                spread[g, e] = weight[head[g]] * cov[head[g], e]
+                spread[g, e] = weight[h] * cov[h, e]
         for r in range(d):
-            step[r] = x[i, r] - x[head[g], r]
-            mean[r, g] += w * step[r]
+            step[r] = x[i, r] - x[h, r]
+            about[g, r] += w * step[r]
             for s in range(r + 1):
                 e = r * (r + 1) // 2 + s
                 spread[g, e] += w * (cov[i, e] + step[r] * step[s])
-    for g in range(count):
+    capped = 0 < most < count
+    size = most if capped else count
+    kept = descending(mass) if capped else order
+    total = 0.0
+    for k in range(size):
+        total += mass[kept[k] if capped else k]
+    scale = wanted / total if wanted >= 0.0 and total > 0.0 else 1.0
+    out_mass, out_mean, out_cov, out_tag = (
+        np.empty(size),
+        np.empty((d, size)),
+        np.empty((size, d, d)),
+        np.empty(size, np.int64),
+    )
+    for k in range(size):
+        g = kept[k] if capped else k
         i = head[g]
+        out_mass[k], out_tag[k] = scale * mass[g], tag[i]
         # A head without weight has members without weight: it stands for them.
         alone = members[g] == 1 or not mass[g] > 0.0
         share = 0.0 if alone else 1.0 / mass[g]
         for r in range(d):
-            step[r] = 0.0 if alone else mean[r, g] * share
-            mean[r, g] = x[i, r] + step[r]
+            step[r] = 0.0 if alone else about[g, r] * share
+            out_mean[r, k] = x[i, r] + step[r]
             for s in range(r + 1):
                 e = r * (r + 1) // 2 + s
                 value = cov[i, e] if alone else spread[g, e] * share - step[r] * step[s]
-                out[g, r, s] = value
-                out[g, s, r] = value
-    return mass, mean, out
+                out_cov[k, r, s] = value
+                out_cov[k, s, r] = value
+    return out_mass, out_mean, out_cov, out_tag
 
 
-@njit(cache=True)
+@njit(**LEAN)
+def parted(weight: F8, tag: I8, split: float, fresh: int) -> int:
+    """Give new tags, from ``fresh`` on, to those of ``split`` or more that share theirs with a heavier one; the next tag.
+
+    ``weight`` (J,), ``tag`` (J,), which is written into. The tags that have been seen stand in a table by their last bits,
+    each with the heaviest that has it; what finds its place taken goes to the next.
+    """
+    heavy, size = 0, 2
+    for i in range(weight.size):
+        heavy += weight[i] >= split
+    while size < 2 * heavy:
+        size *= 2
+    table = np.empty(size, np.int64)
+    for c in range(size):
+        table[c] = -1
+    for i in range(weight.size):
+        if not weight[i] >= split:
+            continue
+        c = tag[i] & (size - 1)
+        while table[c] >= 0 and tag[table[c]] != tag[i]:
+            c = (c + 1) & (size - 1)
+        held, loser = table[c], i
+        if held < 0 or weight[i] > weight[held]:
+            table[c], loser = i, held
+        if loser >= 0:
+            tag[loser] = fresh
+            fresh += 1
+    return fresh
+
+
+@njit(**LEAN)
 def _alive(weight: F8, prune: float) -> I8:
     """Indices of what is no lighter than ``prune``."""
     out, count = np.empty(weight.size, np.int64), 0
@@ -206,52 +260,33 @@ def _alive(weight: F8, prune: float) -> I8:
     return out[:count]
 
 
-@njit(cache=True)
-def _heaviest(weight: F8, mean: F8, cov: F8, most: int) -> tuple[F8, F8, F8]:
-    """The ``most`` heaviest of a mixture, (J,), (d, J), (J, d, d), in descending order."""
-    order, d = descending(weight), len(mean)
-    w, m, c = np.empty(most), np.empty((d, most)), np.empty((most, d, d))
-    for k in range(most):
-        i = order[k]
-        w[k] = weight[i]
-        for r in range(d):
-            m[r, k] = mean[r, i]
-            for s in range(d):
-                c[k, r, s] = cov[i, r, s]
-    return w, m, c
-
-
-@njit(cache=True)
+@njit(**ENTRY)
 def reduced(
-    weight: F8, x: F8, cov: F8, axes: Axes, prune: float, distance: float, most: int, mass: float
-) -> tuple[F8, F8, F8]:
-    """Prune, merge and cap: weight (k,), mean (d, k), covariance (k, d, d), each group by its strongest, moment-matched.
+    weight: F8, x: F8, cov: F8, tag: I8, axes: Axes,
+    prune: float, distance: float, most: int, mass: float, split: float, fresh: int,
+) -> tuple[F8, F8, F8, I8, int]:  # fmt: skip
+    """Prune, merge and cap: weight (k,), mean (d, k), covariance (k, d, d), tag (k,); the next tag.
+
+    Each group has mass, mean and covariance of its members and the tag of its strongest, by whose weights they are ordered.
 
     Parameters
     ----------
-    weight, x, cov : (J,), (J, d) means, (J, d(d + 1)/2) `triangles` of the covariances.
+    weight, x, cov, tag : (J,), (J, d) means, (J, d(d + 1)/2) `triangles` of the covariances, (J,); all but the first may
+        be longer.
     axes : (0, 1, …, d − 1).
     prune : what is lighter is left out.
     distance : Mahalanobis distance (not squared) up to which two are one.
     most : as many of what merging leaves, the heaviest, are kept; 0: all.
     mass : the weights are scaled to this sum; where it is negative they stay.
+    split, fresh : see `parted`.
 
     Raises
     ------
     ValueError : a mean or a variance is NaN or infinite, or a variance negative.
     """
     alive = _alive(weight, prune)
-    d = len(axes)
     if alive.size == 0:
-        return np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d))
+        return np.empty(0), np.empty((len(axes), 0)), np.empty((0, len(axes), len(axes))), alive, fresh
     order, group, head = _groups(weight, x, cov, alive, distance, axes)
-    w, mean, covs = _united(weight, x, cov, order, group, head, axes)
-    if 0 < most < w.size:
-        w, mean, covs = _heaviest(w, mean, covs, most)
-    total = 0.0
-    for i in range(w.size):
-        total += w[i]
-    if mass >= 0.0 and total > 0.0:
-        for i in range(w.size):
-            w[i] *= mass / total
-    return w, mean, covs
+    w, mean, covs, tags = _united(weight, x, cov, tag, order, group, head, axes, most, mass)
+    return w, mean, covs, tags, parted(w, tags, split, fresh)
