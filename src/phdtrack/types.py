@@ -274,6 +274,9 @@ class Estimates:
     weight : (n,) mass of the intensity behind each state.
     xyxy : (n, 4) the box that each state predicts in the image, pixels.
     detection : (n,) index of the detection that each state rests on in this frame, −1 where it is predicted only.
+    tag : (n,) `GaussianMixture.tag` of the Gaussian that each state is, of the heaviest where several were joined; (0,) if
+        the filter has none. Two states have the same where a Gaussian is reported more than once, or where they are lighter
+        than `GMPHD.split`.
     """
 
     state: F8
@@ -281,6 +284,7 @@ class Estimates:
     weight: F8
     xyxy: F8
     detection: I8
+    tag: I8 = field(default_factory=_none)
 
     @classmethod
     def empty(cls, dim: int) -> Estimates:
@@ -298,6 +302,7 @@ class Estimates:
             self.weight[index],
             self.xyxy[index],
             self.detection[index],
+            self.tag[index] if len(self.tag) else self.tag,
         )
 
 

@@ -253,6 +253,62 @@ def test_the_count_is_right_on_average(rng):
     assert np.mean(masses[30:]) == pytest.approx(5, abs=0.35)
 
 
+def walking(k: int) -> np.ndarray:
+    """(4, 2) two people who pass each other at some distance."""
+    return np.array([[100 + 6.0 * k, 150, 40, 100], [520 - 6.0 * k, 330, 44, 110]]).T
+
+
+@pytest.mark.parametrize("general", [False, True])
+def test_a_target_keeps_its_tag(general: bool, rng):
+    """Through misses and false alarms, in both forms; every target has one of its own, and none is given twice."""
+    model = Model(BoxMotion(frame_size=FRAME), BoxSensor(detection=0.9), MeasurementBirth(volume="local"), LocalClutter(0.3))
+    recursion, known = GMPHD(), []
+    state = recursion.start(model, rng)
+    for k in range(60):
+        z = walking(k) + rng.normal(0, 1, (4, 2))
+        false = rng.uniform([0, 0, 25, 60], [*FRAME, 60, 130], (2, 4)).T
+        z = np.hstack([z[:, rng.random(2) < 0.92], false])
+        before = state
+        state, _ = (
+            composed_step(recursion, state, z, model, 1.0, rng) if general else recursion.step(state, z, model, 1.0, rng)
+        )
+        given = np.setdiff1d(state.tag, before.tag)
+        assert (given >= before.fresh).all()
+        assert (state.tag < state.fresh).all()
+        heavy = state.tag[state.weight >= 0.5]
+        assert len(set(heavy.tolist())) == len(heavy)
+        near = [np.abs(state.mean[:2] - x[:2, None]).max(0) < 20 for x in walking(k).T]
+        known.append([set(state.tag[n & (state.weight >= 0.5)].tolist()) for n in near])
+    for target in range(2):
+        later = [tags[target] for tags in known[8:] if tags[target]]
+        assert len(later) > 45
+        assert set.intersection(*later), "one tag all along"
+    assert not known[-1][0] & known[-1][1]
+
+
+def test_two_targets_out_of_one_gaussian_are_told_apart(rng):
+    """A Gaussian of weight two that two measurements part: the heavier keeps the tag, the other is given a new one."""
+    state = GaussianMixture(np.array([2.0]), MEAN[:, None], COV[None] * 16, np.array([4]), 9)
+    model = with_no_births(replace(LINEAR, clutter=UniformClutter(1.0, 1e12)))
+    z = np.array([[-8.0, 9.0], [0, 0], [0, 0], [0, 0]]) + MEAN[ROWS, None]
+    for after, _ in (GMPHD().step(state, z, model, 0.5, rng), composed_step(GMPHD(), state, z, model, 0.5, rng)):
+        assert after.fresh == 10
+        np.testing.assert_array_equal(after.tag[np.argsort(-after.weight)], [4, 9])
+    light, _ = GMPHD(split=1.5).step(state, z, model, 0.5, rng)
+    np.testing.assert_array_equal(light.tag, [4, 4])
+
+
+def test_what_comes_without_tags_is_given_some(rng):
+    recursion, model = GMPHD(initial=nearby(rng, 5), prune=0.0, merge=0.0), world()
+    np.testing.assert_array_equal(recursion.start(model, rng).tag, range(5))
+    again = replace(recursion, initial=recursion.start(model, rng)).start(model, rng)
+    assert (again.tag.tolist(), again.fresh) == (list(range(5)), 5)
+    bare = nearby(rng, 5)
+    for state in (recursion.predict(bare, model, 1.0, rng), recursion.update(bare, NOTHING, model, 1.0, rng)[0]):
+        np.testing.assert_array_equal(np.sort(state.tag), range(5))
+    assert recursion.reduce(bare, rng).fresh == 5
+
+
 def test_what_has_no_gaussian_form_is_an_error_with_its_cure(rng):
     state, z = nearby(rng, 2), MEAN[ROWS, None]
     splitting = replace(LINEAR, motion=BoxMotion(births=SplitSpawn(rate=0.1)))

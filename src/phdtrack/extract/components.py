@@ -7,13 +7,13 @@ reported once unless ``repeat`` says otherwise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from phdtrack.checks import Positive, Share, check
 from phdtrack.extract import clusters
-from phdtrack.extract.resolution import join_unresolved
+from phdtrack.extract.resolution import joined
 from phdtrack.protocols import Model
 from phdtrack.types import F8, Estimates, GaussianMixture
 
@@ -39,7 +39,7 @@ class Components:
         check(self)
 
     def extract(self, state: GaussianMixture, z: F8, model: Model) -> Estimates:
-        """The means of the components heavy enough to be targets [V06 Table III]."""
+        """The means of the components heavy enough to be targets [V06 Table III], and their tags [P09 §III]."""
         heavy = np.flatnonzero(state.weight >= self.lightest)
         if self.repeat:
             times = np.maximum(np.rint(state.weight[heavy]).astype(np.int64), 1)
@@ -47,8 +47,11 @@ class Components:
             heavy = np.repeat(heavy, times)
             mean, cov = np.ascontiguousarray(state.mean[:, heavy]), state.covariance[heavy]
         else:
-            weight, mean, cov = join_unresolved(
+            weight, mean, cov, part = joined(
                 state.weight[heavy], np.ascontiguousarray(state.mean[:, heavy]), state.covariance[heavy],
                 model.sensor, self.overlap,
             )  # fmt: skip
-        return clusters.finish(weight, mean, cov, z, model, self.region)
+            heavy = heavy[part]
+        found = clusters.finish(weight, mean, cov, z, model, self.region)
+        # A mixture that no filter has touched has no tags.
+        return replace(found, tag=state.tag[heavy]) if len(state.tag) else found

@@ -22,12 +22,19 @@ def join_unresolved(mass: F8, mean: F8, cov: F8, sensor: Sensor, overlap: float)
 
     A union keeps mass, mean and covariance of its parts (moment matching).
     """
+    return joined(mass, mean, cov, sensor, overlap)[:3]
+
+
+def joined(mass: F8, mean: F8, cov: F8, sensor: Sensor, overlap: float) -> tuple[F8, F8, F8, I8]:
+    """The same, and (k,) which of the clusters is the heaviest part of each."""
+    part = np.arange(len(mass))
     if len(mass) < 2 or overlap >= 1:
-        return mass, mean, cov
+        return mass, mean, cov, part
     boxes = sensor.boxes(mean)
     first, second, shared = _overlapping(boxes, overlap)
     if len(first) == 0:
-        return mass, mean, cov
+        return mass, mean, cov, part
+    single = mass
     mass, mean, cov, boxes = mass.copy(), mean.copy(), cov.copy(), boxes.copy()
     # The pair that overlaps most comes first; ``version`` tells the boxes that have been joined since.
     version = np.zeros(len(mass), np.int64)
@@ -39,6 +46,7 @@ def join_unresolved(mass: F8, mean: F8, cov: F8, sensor: Sensor, overlap: float)
         if version[i] != known_i or version[j] != known_j:
             continue
         _merge(mass, mean, cov, i, j)
+        part[i] = max(part[i], part[j], key=single.__getitem__)
         alive[j] = False
         version[i] += 1
         version[j] = -1
@@ -50,7 +58,7 @@ def join_unresolved(mass: F8, mean: F8, cov: F8, sensor: Sensor, overlap: float)
         for other, s in zip(others.tolist(), shared[others].tolist(), strict=True):
             a, b = min(i, other), max(i, other)
             heapq.heappush(waiting, (-s, a, b, int(version[a]), int(version[b])))
-    return mass[alive], mean.compress(alive, axis=1), cov[alive]
+    return mass[alive], mean.compress(alive, axis=1), cov[alive], part[alive]
 
 
 def _overlapping(boxes: F8, overlap: float) -> tuple[I8, I8, F8]:
