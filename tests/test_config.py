@@ -41,6 +41,7 @@ NEEDED = {
     ("extract", "components"): ["filter.kind='gm-phd'"],
     ("extract", "counted-components"): ["filter.kind='gm-cphd'"],
     ("extract", "counted-kmeans"): ["filter.kind='particle-cphd'"],
+    ("extract", "counted-mixture"): ["filter.kind='particle-cphd'"],
 }
 
 IN_THE_IMAGE = sorted({*PRESETS} - {"e13"})

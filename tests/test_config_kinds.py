@@ -7,7 +7,7 @@ import pytest
 
 from phdtrack import config
 from phdtrack.errors import InputError
-from phdtrack.extract import Components, CountedComponents, CountedKMeans, KMeans, Raw
+from phdtrack.extract import Components, CountedComponents, CountedMixture, KMeans, Raw
 from phdtrack.filters import GMCPHD, GMPHD, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.models import LocalPlaneClutter, PlaneBirth, PlaneMotion, PlaneSensor
 from phdtrack.models.learned_births import write_births
@@ -29,7 +29,7 @@ def test_a_named_filter_wins(configured: str, named: str, kind: type):
     stages = config.build(config.load(sets=[f"filter.kind={configured}"]), INFO, named)
     assert isinstance(stages.filter, kind)
     extractors = {
-        NoFilter: Raw, ParticlePHD: KMeans, GMPHD: Components, ParticleCPHD: CountedKMeans, GMCPHD: CountedComponents
+        NoFilter: Raw, ParticlePHD: KMeans, GMPHD: Components, ParticleCPHD: CountedMixture, GMCPHD: CountedComponents
     }  # fmt: skip
     assert isinstance(stages.extractor, extractors[kind])
 
@@ -56,7 +56,7 @@ def test_a_filter_brings_an_extraction_that_fits_it(preset: str, tmp_path):
     (["filter.kind=gm-phd", "spawn.kind=split"], "spawn.kind=none"),
     (["filter.kind=gm-cphd", "birth.kind=uniform"], "birth.kind=measurement"),
     (["filter.kind=particle-cphd", "spawn.kind=split"], "spawn.kind=none"),
-    (["filter.kind=particle-cphd", "extract.kind=kmeans"], "use counted-kmeans"),
+    (["filter.kind=particle-cphd", "extract.kind=kmeans"], "use counted-mixture or counted-kmeans"),
 ])  # fmt: skip
 def test_kinds_that_do_not_go_together(sets: list[str], says: str):
     with pytest.raises(InputError, match=says):

@@ -26,7 +26,7 @@ from typing import Any, get_type_hints
 from phdtrack.associate import GraphMatching
 from phdtrack.checks import Positive, check
 from phdtrack.errors import InputError
-from phdtrack.extract import Components, CountedComponents, CountedKMeans, KMeans, Mixture, Raw
+from phdtrack.extract import Components, CountedComponents, CountedKMeans, CountedMixture, KMeans, Mixture, Raw
 from phdtrack.filters import GMCPHD, GMPHD, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.models import (
     BoxMotion,
@@ -101,6 +101,7 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
         "mixture": Mixture,
         "components": Components,
         "counted-kmeans": CountedKMeans,
+        "counted-mixture": CountedMixture,
         "counted-components": CountedComponents,
     },
     "associate": {"": GraphMatching},
@@ -121,7 +122,7 @@ _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
     },
     ("filter", "particle-phd"): {"extract": ("kmeans", "mixture")},
     ("filter", "gm-phd"): {"extract": ("components",)},
-    ("filter", "particle-cphd"): {"extract": ("counted-kmeans",)},
+    ("filter", "particle-cphd"): {"extract": ("counted-mixture", "counted-kmeans")},
     ("filter", "gm-cphd"): {"extract": ("counted-components",)},
 }
 # The sections whose kinds decide others', in the order to lay them over.

@@ -4,9 +4,9 @@ Where the filter knows the distribution of the number of targets, as many peaks 
 """
 
 from phdtrack.extract.components import Components
-from phdtrack.extract.counted import CountedComponents, CountedKMeans
+from phdtrack.extract.counted import CountedComponents, CountedKMeans, CountedMixture
 from phdtrack.extract.kmeans import KMeans
 from phdtrack.extract.mixture import Mixture
 from phdtrack.extract.raw import Raw
 
-__all__ = ["Components", "CountedComponents", "CountedKMeans", "KMeans", "Mixture", "Raw"]
+__all__ = ["Components", "CountedComponents", "CountedKMeans", "CountedMixture", "KMeans", "Mixture", "Raw"]
