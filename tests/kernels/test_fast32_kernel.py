@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numba import config, njit
 
-from phdtrack.kernels.fast32 import cos_sin_turn, exp32, log32
+from phdtrack.kernels.fast32 import cos_sin_turn, exp32, log32, sortable, sorted_number
 
 POINTS = 3_000 if config.DISABLE_JIT else 2_000_000
 
@@ -81,3 +83,13 @@ def test_the_quarters_are_exact(u: float, cosine: float, sine: float):
     assert (s == 0) == (sine == 0)
     assert abs(c - cosine) < 3e-7
     assert abs(s - sine) < 3e-7
+
+
+@given(st.floats(width=32, allow_nan=False), st.floats(width=32, allow_nan=False))
+@settings(max_examples=200, deadline=None)
+def test_sortable_integers_are_in_the_order_of_the_numbers(a: float, b: float):
+    x, y = np.float32(a), np.float32(b)
+    assert (sortable(x) < sortable(y)) == (x < y) or x == y == 0
+    back = sorted_number(sortable(x))
+    assert back == x
+    assert np.signbit(back) == np.signbit(x)

@@ -1,4 +1,4 @@
-"""The counter-based generator: published answers, a twin in integers, and the normals made of it."""
+"""The random generators: published answers, twins in integers, and the normals made of them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from numba import config, njit
 from scipy import stats
 
-from phdtrack.kernels.box_blocks import BLOCK, N0, ROWS, fill_normals
+from phdtrack.kernels.box_blocks import BLOCK, LANES, N0, ROWS, fill_normals
 from phdtrack.kernels.philox import ROUNDS, philox, unit
+from phdtrack.kernels.xoroshiro import xoroshiro
 from reference import fused_twin as twins
 
 # The known answers that come with Random123: rounds, counter, key, words.
@@ -41,6 +42,22 @@ def test_published_answers(rounds: int, counter, key, answer):
 @settings(max_examples=100, deadline=None)
 def test_words_are_those_of_the_twin(counter, key, rounds: int):
     assert words_of(counter, key, rounds) == twins.philox(counter, key, rounds)
+
+
+def test_published_words_of_a_stream():
+    """Those that the Rust crate rand_xoshiro tests with, made with the authors' program from the state (1, 2)."""
+    state, found = (np.uint32(1), np.uint32(2)), []
+    for _ in range(10):
+        word, *state = xoroshiro(*state)
+        found.append(int(word))
+    assert found[:5] == [2654435771, 327208753, 4063491769, 4259754937, 261922412]
+    assert found[5:] == [168123673, 552743735, 1672597395, 1031040050, 2755315674]
+
+
+@given(words, words)
+@settings(max_examples=100, deadline=None)
+def test_a_streams_words_and_states_are_those_of_the_twin(a: int, b: int):
+    assert tuple(int(w) for w in xoroshiro(np.uint32(a), np.uint32(b))) == twins.xoroshiro(a, b)
 
 
 @given(words)
@@ -83,7 +100,8 @@ def test_few_normals_are_the_first_of_many_and_no_more_is_written():
     fill_normals(s, 5, np.uint32(0), np.uint32(0), np.uint32(3), np.uint32(4))
     rows = s.reshape(ROWS, BLOCK)
     np.testing.assert_array_equal(rows[6:10, :5], normals(blocks=1)[:, 0, :5].astype(np.float32))
-    assert (np.delete(rows, range(6, 10), axis=0) == 7).all()
+    # The rows behind ALIVE are the streams'.
+    assert (np.delete(rows, [*range(6, 10), *range(13, 18)], axis=0) == 7).all()
     assert (rows[6:10, 5:] == 7).all()
 
 
@@ -95,6 +113,10 @@ def test_moments_and_law_of_the_normals():
             assert abs((x**power).mean() - mean) < 4 * np.sqrt(variance / n), power
         assert stats.kstest(x, "norm").pvalue > 1e-3
         assert np.abs(x).max() < np.sqrt(2 * 24 * np.log(2)) + 1e-3
+        # The tails, each count within 4.5 deviations of its Poisson law's.
+        for far in (2.0, 3.0, 4.0):
+            wanted = n * 2 * stats.norm.sf(far)
+            assert abs(np.count_nonzero(np.abs(x) > far) - wanted) < 4.5 * np.sqrt(wanted) + 3, far
 
 
 def test_normals_of_rows_blocks_stages_frames_and_keys_do_not_correlate():
@@ -104,6 +126,7 @@ def test_normals_of_rows_blocks_stages_frames_and_keys_do_not_correlate():
         "rows": (a[:-1].ravel(), a[1:].ravel()),
         "blocks": (a[:, :-1].ravel(), a[:, 1:].ravel()),
         "particles": (a[:, :, :-1].ravel(), a[:, :, 1:].ravel()),
+        "words of a stream": (a[:, :, :-LANES].ravel(), a[:, :, LANES:].ravel()),
         "stages": (x, normals(stage=1).ravel()),
         "next key": (x, normals((4, 4)).ravel()),
         "next second key": (x, normals((3, 5)).ravel()),

@@ -24,13 +24,28 @@ def unit(word):
     return ((word >> 9) + 0.5) / 2**23
 
 
+def xoroshiro(a, b):
+    """A word of xoroshiro64* and the state after it, as its authors write it [Blackman and Vigna 2021]."""
+    word = (a * 0x9E3779BB) & WORD
+    b ^= a
+    return word, (turned(a, 26) ^ b ^ (b << 9)) & WORD, turned(b, 13)
+
+
+def turned(word, by):
+    return ((word << by) | (word >> (32 - by))) & WORD
+
+
 def normals(i, block, stage, key):
     """The four normals of particle i of a block [Box and Muller 1958]."""
-    a, b, c, d = (unit(word) for word in philox((i, block, stage, 0), key, 7))
+    words = philox((i % 16, block, stage, 0), key, 7)
     out = []
-    for first, second in ((a, b), (c, d)):
-        radius = math.sqrt(-2 * math.log(first))
-        out += [radius * math.cos(2 * math.pi * second), radius * math.sin(2 * math.pi * second)]
+    for state in (words[:2], words[2:]):
+        for _ in range(2 * (i // 16)):
+            _, *state = xoroshiro(*state)
+        first, *state = xoroshiro(*state)
+        second, *_ = xoroshiro(*state)
+        radius, angle = math.sqrt(-2 * math.log(unit(first))), 2 * math.pi * unit(second)
+        out += [radius * math.cos(angle), radius * math.sin(angle)]
     return out
 
 

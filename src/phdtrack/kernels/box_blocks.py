@@ -10,18 +10,22 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import FAST, FOUR, HALF, LEAN, ONE, VECTOR, cos_sin_turn, exp32, log32
+from phdtrack.kernels.fast32 import FOUR, HALF, LEAN, ONE, VECTOR, cos_sin_turn, exp32, log32, sortable, sorted_number
 from phdtrack.kernels.philox import ROUNDS, philox, unit
+from phdtrack.kernels.xoroshiro import xoroshiro
 
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
 F = np.float32
 BLOCK = 256
-# Rows of the scratch array: the state, four normals, what a detection is compared with, and the weight.
+# Rows of the scratch array: the state, four normals, what a detection is compared with, and the weight. While the normals
+# are drawn, four rows hold the states of the random streams, and the row behind them what runs over.
 X, Y, VX, VY, W, H = (BLOCK * row for row in range(6))
 N0, N1, N2, N3 = (BLOCK * row for row in range(6, 10))
-IW, IH, ALIVE, SCALE, G, SUM = (BLOCK * row for row in range(10, 16))
-ROWS = 16
+IW, IH, ALIVE, SCALE, G = (BLOCK * row for row in range(10, 15))
+SUM = BLOCK * 17
+STREAM_0, STREAM_1, STREAM_2, STREAM_3 = (BLOCK * row for row in range(13, 17))
+ROWS = 18
 # Numbers in the widest vector register; narrower ones divide it.
 LANES = 16
 # Rows of the table of detections: z, one over the deviations, the likelihood's normaliser; then what births need.
@@ -83,10 +87,23 @@ def store(s: F4, n: int, state: F4, at: int) -> None:
 
 @njit(**VECTOR)
 def fill_normals(s: F4, n: int, c1: np.uint32, c2: np.uint32, k0: np.uint32, k1: np.uint32) -> None:
-    """Standard normals into the rows N0 … N3, four for each counter (i, c1, c2, 0) [Box and Muller 1958]."""
-    for i in range(n):
+    """Standard normals into the rows N0 … N3, four a particle [Box and Muller 1958].
+
+    Particle i takes the words of the two streams of lane i mod ``LANES`` whose states are the words of the counter
+    (lane, c1, c2, 0). Leaves something in the rows from SCALE to SUM.
+    """
+    for i in range(LANES):
         a, b, c, d = philox(np.uint32(i), c1, c2, np.uint32(0), k0, k1, ROUNDS)
-        s[N0 + i], s[N1 + i], s[N2 + i], s[N3 + i] = unit(a), unit(b), unit(c), unit(d)
+        s[STREAM_0 + i], s[STREAM_1 + i], s[STREAM_2 + i], s[STREAM_3 + i] = _number(a), _number(b), _number(c), _number(d)
+    for i in range(n):
+        a, b, c, d = _bits(s[STREAM_0 + i]), _bits(s[STREAM_1 + i]), _bits(s[STREAM_2 + i]), _bits(s[STREAM_3 + i])
+        first, a, b = xoroshiro(a, b)
+        second, a, b = xoroshiro(a, b)
+        third, c, d = xoroshiro(c, d)
+        fourth, c, d = xoroshiro(c, d)
+        s[STREAM_0 + LANES + i], s[STREAM_1 + LANES + i] = _number(a), _number(b)
+        s[STREAM_2 + LANES + i], s[STREAM_3 + LANES + i] = _number(c), _number(d)
+        s[N0 + i], s[N1 + i], s[N2 + i], s[N3 + i] = unit(first), unit(second), unit(third), unit(fourth)
     # Two loops and not one over the rows: a row's place must be a constant for the compiler to vectorise.
     for i in range(n):
         radius = np.sqrt(MINUS_TWO * log32(s[N0 + i]))
@@ -96,6 +113,20 @@ def fill_normals(s: F4, n: int, c1: np.uint32, c2: np.uint32, k0: np.uint32, k1:
         radius = np.sqrt(MINUS_TWO * log32(s[N2 + i]))
         cosine, sine = cos_sin_turn(s[N3 + i])
         s[N2 + i], s[N3 + i] = radius * cosine, radius * sine
+
+
+@njit(**LEAN)
+def _number(bits: np.uint32) -> np.float32:
+    """The number that has these bits."""
+    out: np.float32 = np.uint32(bits).view(np.float32)
+    return out
+
+
+@njit(**LEAN)
+def _bits(number: np.float32) -> np.uint32:
+    """The bits of a number."""
+    out: np.uint32 = F(number).view(np.uint32)
+    return out
 
 
 @njit(**VECTOR)
@@ -146,14 +177,14 @@ def drift(s: F4, n: int, rest: np.float32) -> None:
         s[Y + i] += rest * s[IH + i] * s[N1 + i]
 
 
-# Minima vectorise only where the compiler may assume that nothing is NaN; positions that are would be found by the grid.
-@njit(**LEAN, fastmath=FAST | {"nnan"})
+@njit(**VECTOR)
 def extent(s: F4, n: int, out: F4, b: int) -> np.float32:
     """Into row b of ``out``: left, top, right, bottom of the block's positions, its mean width and height; gives Σ ALIVE."""
-    left, top, right, bottom = s[X], s[Y], s[X], s[Y]
+    left, top = sortable(s[X]), sortable(s[Y])
+    right, bottom = left, top
     width, height, alive = ZERO, ZERO, ZERO
     for i in range(n):
-        x, y = s[X + i], s[Y + i]
+        x, y = sortable(s[X + i]), sortable(s[Y + i])
         left = x if x < left else left
         right = x if x > right else right
         top = y if y < top else top
@@ -162,7 +193,8 @@ def extent(s: F4, n: int, out: F4, b: int) -> np.float32:
         width += s[W + i]
         height += s[H + i]
         alive += s[ALIVE + i]
-    out[b, 0], out[b, 1], out[b, 2], out[b, 3] = left, top, right, bottom
+    out[b, 0], out[b, 1] = sorted_number(left), sorted_number(top)
+    out[b, 2], out[b, 3] = sorted_number(right), sorted_number(bottom)
     out[b, 4], out[b, 5] = width / F(n), height / F(n)
     return alive
 

@@ -23,6 +23,7 @@ LOG2E, LN2_HIGH, LN2_LOW = F(1.44269504), F(0.693359375), F(-2.12194440e-4)
 LN2 = F(0.693147181)
 BIAS, MANTISSA = INT(127), INT(23)
 ROOT_HALF = INT(0x3F3504F3)  # the bits of √½
+SIGN, REST = INT(31), INT(0x7FFFFFFF)
 E0, E1, E2 = F(1.00000007), F(0.999999692), F(0.499988945)
 E3, E4, E5 = F(0.166675751), F(0.0419154212), F(0.00829764667)
 L0, L1, L2 = F(0.999999975), F(-0.499999777), F(0.333341605)
@@ -50,8 +51,9 @@ def exp32(x: np.float32) -> np.float32:
 def log32(x: np.float32) -> np.float32:
     """log x for positive normal x, absolute error below 2e-7·(1 + |log x|)."""
     bits = F(x).view(np.int32)
-    e = INT((bits - ROOT_HALF) >> MANTISSA)
-    f = INT(bits - (e << MANTISSA)).view(np.float32) - ONE
+    # Every step back to 32 bits: Numba's sums of integers have 64, and half as many fit into a register.
+    e = INT(INT(bits - ROOT_HALF) >> MANTISSA)
+    f = INT(bits - INT(e << MANTISSA)).view(np.float32) - ONE
     series = L0 + f * (L1 + f * (L2 + f * (L3 + f * (L4 + f * (L5 + f * (L6 + f * (L7 + f * L8)))))))
     return f * series + F(e) * LN2
 
@@ -64,3 +66,17 @@ def cos_sin_turn(u: np.float32) -> tuple[np.float32, np.float32]:
     sine = w * (ONE - FOUR * q) * (S0 + q * (S1 + q * (S2 + q * (S3 + q * (S4 + q * S5)))))
     cosine = (ONE - SIXTEEN * q) * (C0 + q * (C1 + q * (C2 + q * (C3 + q * (C4 + q * C5)))))
     return -cosine, -sine
+
+
+@njit(**VECTOR)
+def sortable(x: np.float32) -> np.int32:
+    """An integer that is greater where x is: minima of integers vectorise, those of numbers that may be NaN do not."""
+    bits = F(x).view(np.int32)
+    return INT(bits ^ INT(INT(bits >> SIGN) & REST))
+
+
+@njit(**VECTOR)
+def sorted_number(key: np.int32) -> np.float32:
+    """The number that `sortable` made ``key`` of."""
+    out: np.float32 = INT(key ^ INT(INT(key >> SIGN) & REST)).view(np.float32)
+    return out
