@@ -10,10 +10,11 @@ from phdtrack.types import Detections, Estimates, Particles, SequenceInfo, Step,
 WIDE, HIGH = 160, 120
 
 
-def step(number: int, boxes: np.ndarray, clutter: float = 0.25) -> Step:
+def step(number: int, boxes: np.ndarray, clutter: float = 0.25, cardinality: tuple[float, ...] = ()) -> Step:
     """A step with a detection and an estimate at each of the boxes (n, 4), each detection clutter with this probability."""
     n = len(boxes)
-    info = UpdateInfo(float(n), 0.1, n * (1 - clutter), np.full(n, 1 - clutter), np.full(n, clutter))
+    held = np.array(cardinality, dtype=np.float64)
+    info = UpdateInfo(float(n), 0.1, n * (1 - clutter), np.full(n, 1 - clutter), np.full(n, clutter), cardinality=held)
     estimates = Estimates(np.zeros((6, n)), np.zeros((n, 6, 6)), np.ones(n), boxes, np.arange(n))
     return Step(number, number / 10, Detections.of(boxes), info, estimates, Tracks.empty(), (0.004, 0.002, 0.001))
 
@@ -54,6 +55,7 @@ def run_record(
     info: SequenceInfo | None = None,
     video: bool = True,
     truth: bool = True,
+    cardinality: tuple[float, ...] = (),
 ) -> RunRecord:
     """A run of ``objects`` walkers over a noisy picture."""
     info = info or SequenceInfo(WIDE, HIGH, 10.0, frames, "walk")
@@ -65,7 +67,7 @@ def run_record(
         centre = np.repeat((here[:, :2] + here[:, 2:]).T / 2, 50, axis=1)
         state = np.concatenate([centre + rng.normal(0, 2, centre.shape), np.zeros((4, centre.shape[1]))])
         particles = Particles(state, np.full(state.shape[1], 1 / 50))
-        recorder.add(picture if video else None, step(number, here), particles, 0.003)
+        recorder.add(picture if video else None, step(number, here, cardinality=cardinality), particles, 0.003)
     tracks = tracks_of(boxes)
     annotated = Truth(tracks.frame, tracks.identity, tracks.xyxy, np.zeros(len(tracks), np.bool_)) if truth else None
     return recorder.record(tracks, about or About(title="Walk", command="phdtrack track walk.mp4", seed=4), annotated)

@@ -37,6 +37,12 @@ def test_the_count_chart_draws_truth_only_where_there_is_one() -> None:
         assert colour in without
 
 
+def test_the_count_chart_has_a_band_where_the_filter_has_a_distribution_of_the_number() -> None:
+    banded, plain = (drawn(count_chart(run_record(cardinality=held))) for held in ((0.1, 0.2, 0.6, 0.1), ()))
+    assert banded.count("fill-opacity: 0.18") == plain.count("fill-opacity: 0.18") + 2  # the band and its legend
+    assert drawn(count_chart(run_record(1, cardinality=(1.0,))))
+
+
 def test_a_lifetime_has_a_bar_for_each_stretch() -> None:
     record = run_record(12, 1, truth=False)  # every third frame predicted: 4 stretches seen, 4 predicted
     svg = drawn(lifetime_chart(record))

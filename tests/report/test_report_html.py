@@ -156,6 +156,11 @@ def test_reports_of_any_size_are_well_formed(wide: int, high: int, frames: int, 
     Page(report_html(run_record(frames, objects, info=SequenceInfo(wide, high, 3.0)), {"a": None}))
 
 
+def test_the_band_of_the_number_is_explained_where_there_is_one() -> None:
+    assert "Blue band" in report_html(run_record(5, cardinality=(0.1, 0.9)), {})
+    assert "Blue band" not in report_html(run_record(5), {})
+
+
 def test_a_filter_without_mass_or_judgement_has_a_report() -> None:
     record = run_record(4, 1)
     record.series.mass[:] = np.nan

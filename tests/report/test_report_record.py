@@ -46,6 +46,15 @@ def test_speed_is_that_of_the_overlapping_stages_where_it_was_measured() -> None
     assert record.frames_per_second == pytest.approx(200)
 
 
+def test_the_range_of_the_number_is_kept_where_the_filter_has_a_distribution() -> None:
+    recorder = Recorder(INFO)
+    for number, held in enumerate([(0.04, 0.02, 0.5, 0.4, 0.03, 0.01), (), (1.0,), (0.0, 0.0, 1.0)], start=1):
+        recorder.add(None, step(number, NOTHING, cardinality=held), None, 0.0)
+    found = recorder.record(Tracks.empty(), About()).series.count_range
+    np.testing.assert_array_equal(found, [[1, 3], [np.nan, np.nan], [0, 0], [2, 2]])
+    assert run_record(3).series.count_range.shape == (0, 2)
+
+
 def test_nothing_at_all() -> None:
     record = Recorder(INFO).record(Tracks.empty(), About())
     assert len(record.series) == 0

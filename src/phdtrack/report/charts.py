@@ -29,7 +29,10 @@ STAGE_COLOURS = ("#9aa5b8", "#3b6fd4", "#e08a1e", "#2a9d74", "#a45cc0", "#c0504d
 
 
 def count_chart(record: RunRecord) -> Picture:
-    """Objects over time: annotated (where there is truth), detected, expected by the filter, tracked."""
+    """Objects over time: annotated (where there is truth), detected, expected by the filter, tracked.
+
+    Where the filter carries the distribution of the number, a band shows between which numbers it lies with 90 %.
+    """
     series = record.series
     figure = new_figure(8.2, 3.1)
     axes = chart_axes(figure, _time_label(len(series), _POINTS), "objects in the frame")
@@ -38,6 +41,12 @@ def count_chart(record: RunRecord) -> Picture:
     def thin(values: F8 | I8) -> F8:
         return thinned(values.astype(np.float64), _POINTS)
 
+    if len(series.count_range):
+        # Halves to either side: a number that is certain has a band too.
+        low, high = thin(series.count_range[:, 0]) - 0.5, thin(series.count_range[:, 1]) + 0.5
+        axes.fill_between(
+            time, np.maximum(low, 0), high, step="mid", color="#3b6fd4", alpha=0.18, linewidth=0, label="number, 90 %"
+        )
     axes.plot(time, thin(series.n_detections), ".", color="#9aa5b8", markersize=3, alpha=0.7, label="detections")
     if len(series.truth_count):
         truth = thin(series.truth_count)

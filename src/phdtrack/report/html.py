@@ -157,7 +157,10 @@ def _count(record: RunRecord) -> Html:
         f"{record.track_count.mean():.1f} tracks and {series.n_detections.mean():.1f} detections in a frame on average."
     )
     truth = " Broad green: annotated objects." if len(series.truth_count) else ""
-    caption = f"Grey dots: what the detector reported. Blue: how many objects the filter expects. Orange: tracks.{truth}"
+    band = " Blue band: where their number lies with 90 % probability." if len(series.count_range) else ""
+    caption = (
+        f"Grey dots: what the detector reported. Blue: how many objects the filter expects.{band} Orange: tracks.{truth}"
+    )
     return section("Count over time", figure(count_chart(record), alt, caption, "chart"))
 
 

@@ -10,6 +10,7 @@ posterior probabilities κ/(κ+C) that a frame's detections are false alarms.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -57,6 +58,8 @@ class Series:
     seconds : (F, S) time that each stage took, in the order of ``stages``.
     stages : the S names.
     truth_count : (F,) annotated objects, or (0,) where there is no truth.
+    count_range : (F, 2) between which numbers the filter's number of objects lies with 90 % probability; NaN in frames
+        without a distribution, (0, 2) where no frame has one.
     """
 
     numbers: I8
@@ -68,10 +71,11 @@ class Series:
     seconds: F8
     stages: tuple[str, ...] = STAGES
     truth_count: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    count_range: F8 = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
         per_frame = (self.times, self.n_detections, self.n_estimates, self.mass, self.clutter_mass, self.seconds)
-        lengths = {len(self.numbers), *map(len, per_frame)} | ({len(self.truth_count)} - {0})
+        lengths = {len(self.numbers), *map(len, per_frame)} | ({len(self.truth_count), len(self.count_range)} - {0})
         if len(lengths) != 1 or self.seconds.shape[1:] != (len(self.stages),):
             raise InputError(
                 f"expected the same number of frames in every series and a column for each of {self.stages}, "
@@ -176,6 +180,7 @@ class Recorder:
         self._wanted, self._picture_width = heat_maps, picture_width
         self._cell = cell if cell > 0 else default_cell(info)
         self._rows: list[tuple[float, ...]] = []
+        self._ranges: list[tuple[float, float]] = []
         self._snapshots: Spread[_Snapshot] = Spread(3 * heat_maps)
 
     def add(self, image: Image | None, step: Step, particles: Particles | None, detect_seconds: float) -> None:
@@ -184,6 +189,7 @@ class Recorder:
         info = step.info
         row = (step.number, step.time, len(step.detections), len(step.estimates), info.mass, info.clutter_probability.sum())
         self._rows.append((*row, detect_seconds, *step.seconds))
+        self._ranges.append(_likely(info.cardinality))
         index = len(self._rows)
         if self._snapshots.wants(index) and self._info.width > 0 and self._info.height > 0:
             self._snapshots.put(index, self._snapshot(image, step, particles))
@@ -209,7 +215,13 @@ class Recorder:
             clutter_mass=table[:, 5],
             seconds=table[:, 6:],
             truth_count=expected,
+            count_range=self._count_range(),
         )
+
+    def _count_range(self) -> F8:
+        """(F, 2), or (0, 2) where the filter never had a distribution of the number."""
+        ranges = np.array(self._ranges).reshape(-1, 2)
+        return ranges if np.isfinite(ranges).any() else ranges[:0]
 
     def _snapshot(self, image: Image | None, step: Step, particles: Particles | None) -> _Snapshot:
         small = NO_IMAGE if image is None else _shrunk(image, self._picture_width)
@@ -218,6 +230,14 @@ class Recorder:
         density = density_map(particles, self._info, self._cell)
         heat = HeatMap(step.number, small, density, self._cell, step.detections.xyxy, step.estimates.xyxy)
         return _Snapshot(small, heat)
+
+
+def _likely(cardinality: F8) -> tuple[float, float]:
+    """The 5 % and 95 % quantiles of a distribution over 0, 1, 2, …; NaN where there is none."""
+    if not len(cardinality):
+        return math.nan, math.nan
+    low, high = np.searchsorted(np.cumsum(cardinality), (0.05, 0.95))
+    return float(low), float(min(high, len(cardinality) - 1))
 
 
 def _shrunk(image: Image, width: int) -> Image:
