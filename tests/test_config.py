@@ -89,6 +89,7 @@ def chosen(section: str, kind: str) -> list[str]:
 WORDS = {
     "image": "local", "local": "image", "particle": "detection", "given": "fixed", "fixed": "given",
     "continuous": "piecewise", "piecewise": "continuous", "map": "eap", "box": "plane",
+    "linear": "unscented",
 }  # fmt: skip
 
 

@@ -61,6 +61,12 @@ class Sensor(Protocol):
     def measure(self, detections: Detections) -> F8:
         """(m, N) the measurement vectors of the detections; a column of NaN for one that tells nothing of any state."""
 
+    def expected(self, x: F8) -> F8:
+        """(r, L) the first components of z that targets at ``x`` (d, L) give, noise aside; of a linear sensor rows of x.
+
+        The first two are a position in the plane of the state's. `observed` are the rows that it shows, to first order.
+        """
+
     def log_likelihood(self, z: F8, x: F8) -> F8:
         """log g(z|x), elementwise with broadcasting behind the first axis."""
 

@@ -54,6 +54,12 @@ def test_a_state_made_of_a_measurement_predicts_it(sensor, z, found, rng):
     np.testing.assert_allclose(sensor.measure(again)[:rows], z[:rows], rtol=1e-9, atol=1e-9)
 
 
+def test_what_is_expected_of_a_state_made_of_a_measurement_is_the_measurement(sensor, z):
+    x, _ = sensor.states(z)
+    np.testing.assert_allclose(sensor.expected(x), z[: len(sensor.observed)], rtol=1e-12)
+    np.testing.assert_array_equal(sensor.expected(x), x[list(sensor.observed)])
+
+
 def test_likelihoods_are_elementwise_with_broadcasting(sensor, z):
     x, _ = sensor.states(z)
     x = fixed(x + 0.5)

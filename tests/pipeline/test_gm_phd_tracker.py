@@ -47,6 +47,8 @@ def test_a_checkpoint_goes_on_as_if_nothing_had_been():
     for found in boxes[15:]:
         np.testing.assert_array_equal(whole.update(found).xyxy, resumed.update(found).xyxy)
     np.testing.assert_array_equal(whole.state.intensity.covariance, resumed.state.intensity.covariance)
+    np.testing.assert_array_equal(whole.state.intensity.tag, resumed.state.intensity.tag)
+    assert whole.state.intensity.fresh == resumed.state.intensity.fresh > 2
 
 
 def test_a_frame_that_nobody_looked_at_is_predicted():

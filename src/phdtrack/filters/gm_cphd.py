@@ -40,7 +40,7 @@ class GMCPHD:
 
     prune: NonNegative = 1e-5
     merge: NonNegative = 2.0
-    most: Count = 100
+    most: Count = 0
     gate: Positive = 5.0
     region: Positive = 13.28
     initial: GaussianMixture | None = None

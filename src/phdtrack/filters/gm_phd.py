@@ -7,6 +7,8 @@ recursion is a Kalman filter for every Gaussian:
     update    D(x) = (1 − p_D) D⁺(x) + Σ_z Σ_i p_D w_i q_i(z) / (κ(z) + C(z)) N(x; m_i + K(z − H m_i), (I − K H) P_i)
               q_i(z) = N(z; H m_i, S_i),  S_i = H P_i Hᵀ + R,  K = P_i Hᵀ S_i⁻¹,  C(z) = Σ_i p_D w_i q_i(z)
 
+Where f or h is not linear, `GMPHD.transform` says how Gaussians go through it (`filters.transforms`).
+
 A mixture grows with every measurement; `GMPHD.reduce` prunes, merges and caps it. What depends on the state (p_D, p_S, F, Q
 and the sensor's noise R) is taken at the means; H is a choice of rows, `Sensor.observed`.
 
@@ -34,10 +36,10 @@ from phdtrack.errors import InputError
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.gm_box import box_model, fused_step, limits
 from phdtrack.filters.meeting import Meeting, explained
+from phdtrack.filters.transforms import Transform, expected, moved, posteriors
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.kernels.gm_reduce import reduced, triangles
-from phdtrack.kernels.kalman import predicted_covariance, updated
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8, GaussianMixture, Particles, UpdateInfo
 
@@ -60,6 +62,7 @@ class GMPHD:
     split : what shares its tag with a heavier Gaussian keeps it below this weight, see above; 0: no two share one.
     region : squared Mahalanobis distance within which a Gaussian's mass counts as explaining a detection, M(z); 13.28 is the
         99 % region in four dimensions.
+    transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
     skip_empty : leave the intensity as predicted when a frame brings no detection, as D14 does.
     initial : the intensity before the first frame.
     """
@@ -71,6 +74,7 @@ class GMPHD:
     split: NonNegative = 0.5
     gate: Positive = 5.0
     region: Positive = 13.28
+    transform: Transform = "linear"
     skip_empty: bool = False
     initial: GaussianMixture | None = None
 
@@ -101,8 +105,8 @@ class GMPHD:
             )
         weight = state.weight * model.motion.p_survive(state.mean, dt)
         alive = weight > 0
-        mean, f, q = model.motion.transition(np.ascontiguousarray(state.mean[:, alive]), dt)
-        cov = predicted_covariance(state.covariance[alive], f, q)
+        before = np.ascontiguousarray(state.mean[:, alive])
+        mean, cov = moved(before, state.covariance[alive], model.motion, dt, self.transform)
         return GaussianMixture(weight[alive], mean, cov, state.tag[alive], state.fresh)
 
     def update(
@@ -140,9 +144,7 @@ class GMPHD:
     ) -> GaussianMixture:
         """The updated mixture: missed terms weighed with ``missed``, those of each measurement with ``detected`` (N,)."""
         before, point, which = meeting.intensity, meeting.point, meeting.which
-        noise = model.sensor.covariance(z[:, which], before.mean[:, point])
-        rows = np.array(model.sensor.observed)
-        mean, cov = updated(before.mean, before.covariance, z, noise, rows, point, which)
+        mean, cov = posteriors(before, z, point, which, model.sensor, self.transform)
         weight = np.concatenate([missed * meeting.missed, meeting.share * detected[which]])
         mean, cov = np.hstack([before.mean, mean]), np.concatenate([before.covariance, cov])
         return GaussianMixture(weight, mean, cov, np.concatenate([before.tag, before.tag[point]]), before.fresh)
@@ -165,7 +167,8 @@ class GMPHD:
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[GaussianMixture, UpdateInfo]:
         """Predict, update and reduce; in one kernel where the model is the shipped box model."""
-        box = box_model(model, dt)
+        # Sigma points are for what is not linear; boxes are.
+        box = box_model(model, dt) if self.transform == "linear" else None
         if box is None:
             return composed_step(self, state, z, model, dt, rng)
         settings = limits(
@@ -179,21 +182,21 @@ class GMPHD:
         The grid is asked for what lies within G deviations of position; the sensor's noise is bounded there by the larger
         of what it is for the Gaussian's own state and for any of the measurements.
         """
-        rows = list(sensor.observed)
         if len(state) == 0 or z.shape[1] == 0:
             none = np.zeros(0, np.int64)
             return none, none, np.zeros(0), np.zeros(0)
         _, noise = sensor.states(z)
-        position = state.mean[:2]
-        variance = state.covariance[:, (0, 1), (0, 1)].T
+        seen = expected(state, sensor, self.transform)
+        position, r = seen.mean[:2], len(seen.mean)
+        variance = seen.spread[:, (0, 1), (0, 1)].T
         widest = np.maximum(sensor.noise(state.mean)[:2] ** 2, noise[:, (0, 1), (0, 1)].max(0)[:, None])
         half = self.gate * np.sqrt(variance + widest)
         z_of, point = gated_pairs(z[0], z[1], position - half, position + half)
-        innovation = state.covariance[point][:, rows][:, :, rows] + sensor.covariance(z[:, z_of], state.mean[:, point])
-        step = z[: len(rows), z_of] - state.mean[rows][:, point]
+        innovation = seen.spread[point] + sensor.covariance(z[:, z_of], state.mean[:, point])
+        step = z[:r, z_of] - seen.mean[:, point]
         distance2, log_det = gaussian_parts(step, innovation)
         inside = distance2 <= self.gate**2
-        log_norm = -0.5 * (log_det + len(rows) * math.log(2 * math.pi))
+        log_norm = -0.5 * (log_det + r * math.log(2 * math.pi))
         return point[inside], z_of[inside], distance2[inside], log_norm[inside]
 
 

@@ -84,6 +84,10 @@ class BoxSensor:
         """Rows of the state that a measurement shows."""
         return OBSERVED
 
+    def expected(self, x: F8) -> F8:
+        """(4, L) centre and size of the boxes."""
+        return x[list(OBSERVED)]
+
     def measure(self, detections: Detections) -> F8:
         """(4, N) centres and sizes; (8, N) with the variances below them where the scaling is ``given``.
 

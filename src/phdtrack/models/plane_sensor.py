@@ -95,6 +95,10 @@ class PlaneSensor:
         """Rows of the state that a measurement shows: the position."""
         return (0, 1)
 
+    def expected(self, x: F8) -> F8:
+        """(2, L) the positions."""
+        return x[:2]
+
     def measure(self, detections: Detections) -> F8:
         """(5, N) ground points and their covariances; columns of NaN for feet that do not stand on the ground."""
         if len(detections) == 0:
