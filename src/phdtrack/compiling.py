@@ -16,12 +16,14 @@ from numba.core import event
 
 @dataclass(slots=True)
 class Compiled:
-    """What was compiled so far: each kernel with its own seconds, without those of kernels that it calls.
+    """What was compiled so far by this process, in order: seconds of processor time of each kernel.
 
-    Parts of Numba itself that a kernel uses count as its own: they are what it costs.
+    ``kernels``: its own, without those of kernels that it calls; ``whole``: with them, of those not compiled on behalf of
+    another, by ``module.function``. Parts of Numba itself that a kernel uses count as its own: they are what it costs.
     """
 
     kernels: dict[str, float] = field(default_factory=dict)
+    whole: dict[str, float] = field(default_factory=dict)
 
     @property
     def seconds(self) -> float:
@@ -34,8 +36,9 @@ class _Begun:
     """A function that is being compiled; ``within``: seconds of the kernels compiled on its behalf."""
 
     name: str
+    path: str
     ours: bool
-    clock: float = field(default_factory=time.perf_counter)
+    clock: float = field(default_factory=time.thread_time)
     within: float = 0.0
 
 
@@ -52,16 +55,20 @@ class _Listener(event.Listener):  # type: ignore[misc]
         ours = function.__module__.startswith("phdtrack.")
         if ours and not self._into.kernels and not self._stack:
             self._begun()
-        self._stack.append(_Begun(function.__name__, ours))
+        path = f"{function.__module__.rpartition('.')[2]}.{function.__name__}"
+        self._stack.append(_Begun(function.__name__, path, ours))
 
     def on_end(self, event: event.Event) -> None:
         """It has been compiled."""
         ended = self._stack.pop()
-        passed = time.perf_counter() - ended.clock
+        passed = time.thread_time() - ended.clock
         if ended.ours:
             kernels = self._into.kernels
             kernels[ended.name] = kernels.get(ended.name, 0.0) + passed - ended.within
-        if self._stack:
+        if not self._stack:
+            whole = self._into.whole
+            whole[ended.path] = whole.get(ended.path, 0.0) + passed
+        else:
             self._stack[-1].within += passed if ended.ours else ended.within
 
 

@@ -31,7 +31,7 @@ from phdtrack.commands.output import Output
 from phdtrack.kernels import CACHE
 from phdtrack.kernels.caller import caller
 sys.stderr.isatty = lambda: {terminal}
-with announced(Output(json=True)) as compiled:
+with announced(Output(json=True), "") as compiled:
     value = caller(1)
 again = caller(2)
 found = {{"value": value, "compiled": sorted(compiled.kernels), "seconds": compiled.seconds, "folder": str(CACHE.folder)}}

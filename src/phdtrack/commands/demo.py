@@ -58,7 +58,7 @@ def demo(
     for filter_name, place in (("particle-phd", directory), ("none", rundir.claim(out / WITHOUT, overwrite))):
         choice = Choice(filter_name, seed=seed, truth=directory.file(TRUTH))
         job = prepare(Wanted(str(directory.file(VIDEO))), choice, command_line(), video=True)
-        with announced(result):
+        with announced(result, filter_name):
             outcome = run(job, place)
         for warning in outcome.warnings:
             result.warn(warning)

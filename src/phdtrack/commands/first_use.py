@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from phdtrack.commands.output import Output
+from phdtrack.commands.precompile import precompile
 from phdtrack.compiling import Compiled, watched
 from phdtrack.kernels import CACHE
 
@@ -18,8 +19,10 @@ ALWAYS = (
 
 
 @contextmanager
-def announced(out: Output) -> Iterator[Compiled]:
+def announced(out: Output, filter_name: str) -> Iterator[Compiled]:
     """While this lasts, say so when the first kernel is compiled, and nothing where all come from disk.
+
+    What a run with this filter will need is compiled first, by all cores.
 
     On a terminal only, as a progress bar is; what a user can mend is said in any case.
     """
@@ -31,4 +34,5 @@ def announced(out: Output) -> Iterator[Compiled]:
             out.note(FIRST)
 
     with watched(begun) as compiled:
+        precompile(filter_name)
         yield compiled

@@ -4,24 +4,26 @@ While the loop runs, every frame's detections, states and online track rows go t
 the end of the video, a frame that cannot be used, a full disk or Ctrl-C, the frames done so far are finished like a whole
 run: corrected tracks, scores, annotated video, report, ``run.json``. The outcome then carries what stopped it.
 
-Decoding, detecting and tracking overlap (see `overlap`), and so do decoding, drawing and encoding. XX
+Decoding, detecting and tracking overlap (see `overlap`), and so do decoding, drawing and encoding.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from itertools import repeat
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from phdtrack import rundir
 from phdtrack.commands import belief
-from phdtrack.commands.inputs import Inputs, detected
+from phdtrack.commands.ground import places
+from phdtrack.commands.inputs import NO_PICTURE, Inputs, detected
 from phdtrack.commands.output import progress
 from phdtrack.commands.spool import rereadable
 from phdtrack.commands.steps import Steps
@@ -30,6 +32,7 @@ from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter, write
 from phdtrack.overlap import ahead
 from phdtrack.protocols import AnyStages
 from phdtrack.report import About, Annotator, Recorder, RunRecord, run_document, sentences, write_report, write_run
+from phdtrack.report.markup import NOTHING, Html
 from phdtrack.rundir import RunDirectory
 from phdtrack.types import F8, Detections, Frame, Image, Step, Tracks, Truth
 from phdtrack.video import VideoSource, VideoWriter
@@ -43,6 +46,34 @@ WHICH = (
     f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they were given "
     "frame by frame, which did not change afterwards."
 )
+
+
+Draw = Callable[[int, Image], None]
+
+
+class Companion(Protocol):
+    """Something that goes along with a run and has files of its own, as the groups on the ground."""
+
+    def open(self, directory: RunDirectory) -> AbstractContextManager[object]:
+        """Its files, open while the run lasts."""
+
+    def take(self, step: Step, intensity: object) -> None:
+        """Take in one frame's step and the filter's state after it."""
+
+    def flush(self, rows: Tracks) -> None:
+        """The online rows that the output delay held back; no step follows."""
+
+    def drawing(self, directory: RunDirectory, *, pictures: bool) -> AbstractContextManager[Draw]:
+        """Its video: what to call with the number of each frame and the annotated picture, an empty one without."""
+
+    def section(self) -> Html:
+        """What it tells in the report."""
+
+    def sentences(self) -> tuple[str, ...]:
+        """The same in a few words, for the terminal."""
+
+    def document(self) -> dict[str, object]:
+        """The same for programs; goes into run.json."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +94,13 @@ class Job:
     versions: tuple[tuple[str, str], ...]
     truth: Truth | None = None
     video: bool = True
+    companion: Companion | None = None
+
+    @property
+    def filter_name(self) -> str:
+        """``filter.kind``, as configured."""
+        section = self.configuration["filter"]
+        return str(section["kind"]) if isinstance(section, dict) else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +158,7 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
             raise done.stop
         tracks = _finish(job, directory)
         scores = None if job.truth is None else _scores(job.truth, tracks, done.last)
-        if job.video and job.inputs.pictures:
+        if job.video and (job.inputs.pictures or job.companion is not None):
             done.cut = _draw(job, source, directory, done, tracks)
     stop = done.stop or done.cut
     notes, doubts = _belief(job, done)
@@ -139,18 +177,21 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
     )
     record = done.recorder.record(tracks, about, job.truth)
     document = _written(job, directory, record, complete=stop is None)
-    return Outcome(document, sentences(record), len(done.seen), scores, warnings, stop)
+    said = sentences(record) if job.companion is None else (*sentences(record), *job.companion.sentences())
+    return Outcome(document, said, len(done.seen), scores, warnings, stop)
 
 
 def _loop(job: Job, source: VideoSource, directory: RunDirectory) -> _Progress:
     """Every frame through detector and steps, into files and record, until the source ends or something stops it."""
-    inputs, place = job.inputs, directory.file
+    inputs, place, companion = job.inputs, directory.file, job.companion
     done = _Progress(Recorder(inputs.info))
     with ExitStack() as files:
         detections = files.enter_context(DetectionsWriter(place(rundir.DETECTIONS)))
         states = files.enter_context(StatesWriter(place(rundir.STATES)))
         online = files.enter_context(TracksWriter(place(rundir.ONLINE)))
         advance = files.enter_context(progress("tracking", inputs.info.frames))
+        if companion is not None:
+            files.enter_context(companion.open(directory))
         clock = time.perf_counter()
         try:
             with ahead(source) as frames, ahead(detected(inputs.detector, frames)) as looked:
@@ -158,11 +199,16 @@ def _loop(job: Job, source: VideoSource, directory: RunDirectory) -> _Progress:
                     step = job.steps.advance(frame.number, frame.time, found)
                     detections.append(frame.number, found)
                     states.append(frame.number, frame.time, step.estimates)
-                    online.append(step.tracks)
+                    online.append(step.tracks, places(job.stages.model.sensor, step.tracks.xyxy))
+                    if companion is not None:
+                        companion.take(step, job.steps.intensity)
                     done.recorder.add(frame.image if inputs.pictures else None, step, job.steps.particles, seconds)
                     done.seen.append(_seen(step))
                     advance(len(done.seen))
-            online.append(job.steps.flush())
+            held = job.steps.flush()
+            online.append(held, places(job.stages.model.sensor, held.xyxy))
+            if companion is not None:
+                companion.flush(held)
         except (Exception, KeyboardInterrupt) as stop:
             done.stop = stop
         done.seconds = time.perf_counter() - clock
@@ -177,7 +223,7 @@ def _seen(step: Step) -> _Seen:
 def _finish(job: Job, directory: RunDirectory) -> Tracks:
     """The corrected tracks of all frames, written."""
     tracks = job.steps.finish()
-    write_tracks(directory.file(rundir.TRACKS), tracks)
+    write_tracks(directory.file(rundir.TRACKS), tracks, places(job.stages.model.sensor, tracks.xyxy))
     return tracks
 
 
@@ -188,21 +234,34 @@ def _scores(truth: Truth, tracks: Tracks, last: int) -> Scores:
 
 
 def _draw(job: Job, source: VideoSource, directory: RunDirectory, done: _Progress, tracks: Tracks) -> Stop | None:
-    """The annotated video of the frames that were tracked; what stopped it, if anything did."""
-    info = job.inputs.info
+    """The videos of the frames that were tracked; what stopped it, if anything did."""
     try:
-        with (
-            VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps) as video,
-            progress("drawing", len(done.seen)) as advance,
-            ahead(source) as frames,
-            ahead(_pictures(Annotator(info), done.seen, frames, tracks)) as pictures,
-        ):
-            for picture in pictures:
-                video.write(picture)
-                advance(video.frames)
+        with ExitStack() as files:
+            draw = _videos(job, directory, files)
+            advance = files.enter_context(progress("drawing", len(done.seen)))
+            pictures: Iterable[Image] = repeat(NO_PICTURE)
+            if job.inputs.pictures:
+                frames = files.enter_context(ahead(source))
+                drawn = _pictures(Annotator(job.inputs.info), done.seen, frames, tracks)
+                pictures = files.enter_context(ahead(drawn))
+            for count, (seen, picture) in enumerate(zip(done.seen, pictures, strict=False), start=1):
+                for one in draw:
+                    one(seen.number, picture)
+                advance(count)
     except (Exception, KeyboardInterrupt) as stop:
         return stop
     return None
+
+
+def _videos(job: Job, directory: RunDirectory, files: ExitStack) -> list[Draw]:
+    """What to call with every annotated picture: the video of these, and the companion's."""
+    info, draw = job.inputs.info, list[Draw]()
+    if job.inputs.pictures:
+        video = files.enter_context(VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps))
+        draw.append(lambda number, picture: video.write(picture))
+    if job.companion is not None:
+        draw.append(files.enter_context(job.companion.drawing(directory, pictures=job.inputs.pictures)))
+    return draw
 
 
 def _pictures(annotate: Annotator, seen: Sequence[_Seen], frames: Iterable[Frame], tracks: Tracks) -> Iterator[Image]:
@@ -252,10 +311,12 @@ def _plain(value: float | None) -> float:
 
 def _written(job: Job, directory: RunDirectory, record: RunRecord, *, complete: bool) -> dict[str, object]:
     """Report and run.json; the latter's content."""
-    write_report(directory.file(rundir.REPORT), record, job.configuration | {"input": job.read})
+    more = NOTHING if job.companion is None else job.companion.section()
+    write_report(directory.file(rundir.REPORT), record, job.configuration | {"input": job.read}, more)
     document = run_document(record, job.configuration)
     own = {"complete": complete, "input": job.read, "directory": str(directory.path)}
     files = {file.name: str(file) for file in directory.written()} | {rundir.RUN: str(directory.file(rundir.RUN))}
-    document = document | own | {"files": files}
+    told = {} if job.companion is None else job.companion.document()
+    document = document | own | {"files": files} | told
     write_run(directory.file(rundir.RUN), document)
     return document

@@ -91,7 +91,7 @@ def track(
     choice = Choice(filter_name, preset, config, tuple(sets or ()), seed, truth, threads)
     job = prepare(wanted, choice, command_line(), video=video)
     directory = rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite)
-    with announced(result):
+    with announced(result, job.filter_name):
         outcome = run(job, directory)
     tell(result, outcome, directory)
     if outcome.stop is not None:

@@ -1,0 +1,123 @@
+"""Compiling by several processes: all is shared out, nothing is compiled twice, and what goes wrong only costs time."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from benchmarks.compile import detections
+
+import phdtrack
+from phdtrack.commands.precompile import shares, table
+
+SOURCES = Path(phdtrack.__file__).parent
+KERNEL = "from numba import njit\n\n\n@njit(cache=True)\ndef {0}(x):\n    return x.sum() + {1}\n"
+ROWS = [
+    {"name": "one.one", "types": "(float64[::1],)", "seconds": 5.0, "filters": ["none"]},
+    {"name": "gone.gone", "types": "(float64,)", "seconds": 0.1, "filters": ["none"]},
+    {"name": "two.two", "types": "(int64[::1,:],)", "seconds": 5.0, "filters": ["none"]},
+    {"name": "other.other", "types": "(float64,)", "seconds": 50.0, "filters": ["gm-phd"]},
+]
+PROGRAM = """
+import json, sys
+import numpy as np
+from phdtrack.commands import precompile
+from phdtrack.compiling import watched
+from phdtrack.kernels.one import one
+from phdtrack.kernels.two import two
+precompile._cores = lambda: {cores}
+sys.executable = {executable!r}
+with watched(lambda: None) as before:
+    precompile.precompile("none")
+own = [len(one.signatures), len(two.signatures)]
+with watched(lambda: None) as after:
+    values = [one(np.ones(3)), int(two(np.ones((2, 2), np.int64, order="F")))]
+ours = lambda compiled: sorted(set(compiled.kernels))
+print(json.dumps({{"own": own, "before": ours(before), "after": ours(after), "values": values}}))
+"""
+
+
+@pytest.fixture
+def installed(tmp_path: Path) -> Path:
+    """A folder to put on the path: phdtrack with two kernels more, and a table of these."""
+    folder = tmp_path / "site"
+    shutil.copytree(SOURCES, folder / "phdtrack", ignore=shutil.ignore_patterns("__pycache__"))
+    for number, name in enumerate(("one", "two")):
+        (folder / "phdtrack" / "kernels" / f"{name}.py").write_text(KERNEL.format(name, number + 1))
+    (folder / "phdtrack" / "commands" / "kernels.json").write_text(json.dumps(ROWS))
+    return folder
+
+
+def run(installed: Path, cores: int = 2, executable: str = sys.executable, **environment: str) -> dict[str, object]:
+    """The program in a fresh process."""
+    kept = {key: value for key, value in os.environ.items() if key not in ("NUMBA_CACHE_DIR", "NUMBA_DISABLE_JIT")}
+    environment = kept | {"PYTHONPATH": str(installed), "PYTHONDONTWRITEBYTECODE": "1"} | environment
+    command = [sys.executable, "-c", PROGRAM.format(cores=cores, executable=executable)]
+    done = subprocess.run(command, env=environment, cwd=installed, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    found: dict[str, object] = json.loads(done.stdout)
+    assert found["values"] == [4.0, 6]
+    return found
+
+
+def test_two_processes_compile_half_each_and_nothing_is_left_to_do(installed: Path) -> None:
+    found = run(installed)
+    assert (found["own"], found["before"], found["after"]) == ([1, 0], ["one"], [])
+    assert run(installed) == found | {"own": [0, 0], "before": []}
+
+
+def test_one_core_compiles_where_kernels_are_called(installed: Path) -> None:
+    found = run(installed, cores=1)
+    assert (found["own"], found["before"], found["after"]) == ([0, 0], [], ["one", "two"])
+
+
+def test_a_process_that_fails_leaves_its_share_to_the_run(installed: Path) -> None:
+    found = run(installed, executable=shutil.which("false") or "false")
+    assert (found["own"], found["before"], found["after"]) == ([1, 0], ["one"], ["two"])
+
+
+@pytest.mark.skipif(os.name == "nt", reason="homes of POSIX systems")
+def test_processes_share_a_folder_that_lives_as_long_as_the_run(installed: Path, tmp_path: Path) -> None:
+    (installed / "phdtrack" / "kernels" / "__pycache__").write_text("not a folder")
+    (tmp_path / "nothing").write_text("a file, under which no folder can be made")
+    nowhere = str(tmp_path / "nothing" / "home")
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    found = run(installed, HOME=nowhere, XDG_CACHE_HOME=nowhere, TMPDIR=str(temporary))
+    assert (found["own"], found["before"], found["after"]) == ([1, 0], ["one"], [])
+    assert list(temporary.iterdir()) == []
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 8])
+def test_shares_are_stretches_of_about_equal_cost(count: int) -> None:
+    cost = [float(1 + number % 5) for number in range(40)]
+    stretches = shares(range(40), cost, count)
+    assert len(stretches) == count
+    assert [item for stretch in stretches for item in stretch] == list(range(40))
+    assert max(abs(sum(cost[item] for item in stretch) - sum(cost) / count) for stretch in stretches) <= max(cost)
+
+
+def test_the_table_has_what_a_run_calls(tmp_path: Path) -> None:
+    detections(tmp_path / "det.txt")
+    program = (
+        "import json, sys\nfrom phdtrack.cli import main\nfrom phdtrack.commands import first_use, precompile\n"
+        "first_use.precompile = lambda filter_name: None\n"
+        "try:\n    main()\nfinally:\n    print(json.dumps(list(precompile.called())))\n"
+    )
+    options = ["track", "--detections", str(tmp_path / "det.txt"), "--frame-size", "640x480", "--fps", "25"]
+    options += ["--no-video", "--out", str(tmp_path / "run"), "--overwrite"]
+    environment = {key: value for key, value in os.environ.items() if key != "NUMBA_DISABLE_JIT"}
+    # The first run compiles what is not on disk yet, with all that kernels call; the second loads what Python calls.
+    for _ in range(2):
+        command = [sys.executable, "-c", program, *options]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600, check=True)
+    called = {(name, types) for name, types in json.loads(done.stdout.splitlines()[-1])}
+    listed = {(row.name, row.types) for row in table() if "particle-phd" in row.filters}
+    assert called - listed == set(), "python scripts/called_kernels.py writes the table anew"
+    assert listed - called == set(), "python scripts/called_kernels.py writes the table anew"
