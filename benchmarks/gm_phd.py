@@ -20,8 +20,6 @@ from phdtrack.metrics import ospa
 from phdtrack.protocols import Model
 from phdtrack.types import F8, GaussianMixture
 
-# Gaussians per target that are kept at most: twice what clutter's newborn need.
-MOST = 10
 REPEATS = 10
 
 
@@ -33,7 +31,7 @@ def measure(targets: int, seed: int = 1, frames: int = 60) -> dict[str, Any]:
     crowd = Crowd(targets, frames)
     stream = draw(crowd, seed)
     model = stages(crowd).model
-    recursion = GMPHD(most=MOST * targets)
+    recursion = GMPHD()
     measured = [model.sensor.measure(found) for found in stream.detections()]
     spent = [_run(recursion, model, measured, None)[0] for _ in range(REPEATS)]
     wall, cpu = np.moveaxis(np.array(spent)[:, frames // 2 :], 2, 0)
