@@ -8,8 +8,8 @@ import numpy as np
 
 from phdtrack.associate import GraphMatching
 from phdtrack.boxes import to_cxcywh
-from phdtrack.extract import Components, KMeans, Mixture, Raw
-from phdtrack.filters import GMPHD, NoFilter, ParticlePHD
+from phdtrack.extract import Components, CountedComponents, CountedKMeans, CountedMixture, KMeans, Mixture, Raw
+from phdtrack.filters import GMCPHD, GMPHD, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.models import (
     BoxMotion,
     BoxSensor,
@@ -25,7 +25,7 @@ from phdtrack.models import (
     UniformClutter,
 )
 from phdtrack.protocols import Model
-from phdtrack.types import Detections, Estimates, GaussianMixture, Particles
+from phdtrack.types import Cardinalised, Detections, Estimates, GaussianMixture, Particles
 from plane_cases import FRAME, LevelCamera
 
 SIZE = (640.0, 480.0)
@@ -81,9 +81,21 @@ FILTERS = {
     "started": ParticlePHD(per_target=200, initial=mixture(6)),
     "gm-phd": GMPHD(),
     "gm-phd, started": GMPHD(initial=mixture(6), most=20, skip_empty=True),
+    "gm-cphd": GMCPHD(),
+    "gm-cphd, started": GMCPHD(initial=mixture(6), most=20),
+    "particle-cphd": ParticleCPHD(per_target=200),
+    "particle-cphd, started": ParticleCPHD(per_target=200, initial=mixture(6)),
     "none": NoFilter(),
 }
-EXTRACTORS = {"kmeans": KMeans(), "mixture": Mixture(), "components": Components(), "raw": Raw()}
+EXTRACTORS = {
+    "kmeans": KMeans(),
+    "mixture": Mixture(),
+    "components": Components(),
+    "counted-kmeans": CountedKMeans(),
+    "counted-mixture": CountedMixture(),
+    "counted-components": CountedComponents(),
+    "raw": Raw(),
+}
 ASSOCIATORS = {"graph": GraphMatching(), "delayed": GraphMatching(delay=3), "plain": GraphMatching(bridge=False, backfill=0)}
 
 
@@ -116,8 +128,11 @@ def gaussians(x: np.ndarray, mass: float = 1.0) -> GaussianMixture:
 
 
 def intensity_for(extractor: object, x: np.ndarray, each: int, rng: np.random.Generator, mass: float = 1.0):
-    """An intensity about every column of ``x`` that the extractor can read: Gaussians, or ``each`` particles."""
-    return gaussians(x, mass) if isinstance(extractor, Components) else about(x, each, rng, mass)
+    """What the extractor can read about every column of ``x``: Gaussians or ``each`` particles, and their number."""
+    wants_gaussians = isinstance(extractor, Components | CountedComponents)
+    intensity = gaussians(x, mass) if wants_gaussians else about(x, each, rng, mass)
+    counted = isinstance(extractor, CountedComponents | CountedKMeans | CountedMixture)
+    return Cardinalised(intensity, np.eye(100)[round(intensity.mass)]) if counted else intensity
 
 
 def about(x: np.ndarray, each: int, rng: np.random.Generator, mass: float = 1.0) -> Particles:
@@ -127,11 +142,13 @@ def about(x: np.ndarray, each: int, rng: np.random.Generator, mass: float = 1.0)
 
 
 def frozen(record):
-    """The record, its arrays made read-only."""
+    """The record, its arrays and those of the records in it made read-only."""
     for name in record.__dataclass_fields__:
         value = getattr(record, name)
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
+        elif isinstance(value, Particles | GaussianMixture):
+            frozen(value)
     return record
 
 
