@@ -28,7 +28,7 @@ from phdtrack.boxes import to_cxcywh
 from phdtrack.checks import NonNegative, Positive, Probability, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.box import box_corners, box_gate, box_noise, resting
-from phdtrack.models.occlusion import NOBODY, Hiders, greatest
+from phdtrack.models.occlusion import NOBODY, Hiders, covered
 from phdtrack.types import F8, Detections
 
 Scaling = Literal["particle", "detection", "previous", "fixed", "given"]
@@ -147,13 +147,12 @@ class BoxSensor:
         return out
 
     def p_detect(self, x: F8) -> F8:
-        """p_D · max(1 − covered, least), covered the largest part of x's box that one of ``hiders`` covers."""
+        """p_D · max(1 − covered, least), covered the largest part of x's box that a hider covers; 0 if x is seen."""
         if not len(self.hiders):
             return np.full(x.shape[1], self.detection)
         boxes = self.boxes(x)
-        which, hider, part = self.hiders.over(boxes, -boxes[:, 3])
-        own = self.distance2(self.hiders.z[:, hider], x[:, which]) <= OWN
-        return self.detection * np.maximum(1 - greatest(which, part, own, x.shape[1]), self.least)
+        hidden = covered(self.hiders, self, x, boxes, -boxes[:, 3], OWN)
+        return self.detection * np.maximum(1 - hidden, self.least)
 
     def watching(self, detections: Detections) -> BoxSensor:
         """The sensor in the frame of these boxes; itself where they hide nothing, or occlusion is not asked for."""

@@ -5,7 +5,10 @@ is lower in the image, or whose foot point is nearer to the camera. The covered 
 one single box covers. The union of several would be more exact by what two nearer people hide of a third beside each
 other, would cost a sweep over their edges for every particle, and differs only where three stand in line.
 
-The box that a target might itself have given, z within the 99 % region of the sensor's noise, hides nothing of it.
+What a target might itself have given, a z within the 99 % region of the sensor's noise, says that it is seen: nothing hides
+it then. That is a choice: were p_D low all the same, the part (1 − p_D) of its weight that no detection explains would stay
+beside the part that its own detection explains, and be counted twice wherever a detector sees more than half of a covered
+person. (Measured on six cases of given detections: a mean MOTA lower by 0.07 instead of by 0.02, see docs/results.)
 """
 
 from __future__ import annotations
@@ -14,8 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.hidden import hiding
 from phdtrack.kernels.overlaps import rectangle_grid
+from phdtrack.protocols import Sensor
 from phdtrack.types import F8, I8, Bool
 
 
@@ -27,7 +32,7 @@ class Hiders:
     ----------
     xyxy : (N, 4) boxes, pixels.
     depth : (N,) how far away each stands, in any unit that grows with distance.
-    z : (m, N) the measurement vectors that they gave.
+    z : (m, K) the measurement vectors that they gave; of some there may be none.
     """
 
     xyxy: F8
@@ -54,8 +59,23 @@ NOBODY = Hiders(np.zeros((0, 4)), np.zeros(0), np.zeros((0, 0)))
 """Nothing that could hide."""
 
 
-def greatest(which: I8, part: F8, own: Bool, count: int) -> F8:
-    """(count,) the largest of the shares ``part`` (P,) of each box ``which`` (P,); those of its ``own`` (P,) left out."""
-    covered = np.zeros(count)
-    np.maximum.at(covered, which[~own], part[~own])
-    return covered
+def covered(hiders: Hiders, sensor: Sensor, x: F8, xyxy: F8, depth: F8, region: float) -> F8:
+    """(L,) the largest part of each target's box that one of the ``hiders`` covers; 0 for a target that is seen.
+
+    Targets at ``x`` (d, L) have the boxes ``xyxy`` (L, 4) and stand at ``depth`` (L,). Seen is who lies within the squared
+    Mahalanobis distance ``region`` of one of the frame's measurements.
+    """
+    out = np.zeros(x.shape[1])
+    unseen = np.flatnonzero(~_seen(hiders.z, sensor, x, region))
+    which, _, part = hiders.over(xyxy[unseen], depth[unseen])
+    np.maximum.at(out, unseen[which], part)
+    return out
+
+
+def _seen(z: F8, sensor: Sensor, x: F8, region: float) -> Bool:
+    """(L,) whether one of the measurements may be of the target."""
+    point, which = gated_pairs(np.ascontiguousarray(x[0]), np.ascontiguousarray(x[1]), *sensor.gate(z))
+    near = sensor.distance2(z[:, which], x[:, point]) <= region
+    seen = np.zeros(x.shape[1], np.bool_)
+    seen[point[near]] = True
+    return seen

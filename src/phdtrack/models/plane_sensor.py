@@ -28,7 +28,7 @@ from phdtrack.boxes import to_cxcywh
 from phdtrack.checks import Positive, Probability, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.hidden import parts_inside
-from phdtrack.models.occlusion import NOBODY, Hiders, greatest
+from phdtrack.models.occlusion import NOBODY, Hiders, covered
 from phdtrack.models.region import EVERYWHERE, Region, check_region, inside
 from phdtrack.protocols import Camera
 from phdtrack.types import F8, Detections
@@ -103,18 +103,23 @@ class PlaneSensor:
         """(5, N) ground points and their covariances; columns of NaN for feet that do not stand on the ground."""
         if len(detections) == 0:
             return np.zeros((5, 0))
-        box = to_cxcywh(detections.xyxy)
         if self.camera is None:
-            return _packed(box[:2], self._plan_covariance(detections))
+            return _packed(to_cxcywh(detections.xyxy)[:2], self._plan_covariance(detections))
+        if self.scaling == "given":
+            return self._feet(self.camera, detections)
+        point = self.camera.ground(_FOOT @ to_cxcywh(detections.xyxy))
+        return _packed(point, np.tile(self.fixed**2 * np.eye(2), (len(detections), 1, 1)))
+
+    def _feet(self, camera: Camera, detections: Detections) -> F8:
+        """(5, N) ground points with the covariances of the foot points in the image."""
+        box = to_cxcywh(detections.xyxy)
         foot = _FOOT @ box
-        point = self.camera.ground(foot)
-        if self.scaling == "fixed":
-            return _packed(point, np.tile(self.fixed**2 * np.eye(2), (len(detections), 1, 1)))
+        point = camera.ground(foot)
         if detections.covariance is not None:
             pixel = _FOOT @ detections.covariance @ _FOOT.T
         else:
             pixel = self._pixel_covariance(box[2:])
-        return _packed(point, _led(self.camera, foot, pixel))
+        return _packed(point, _led(camera, foot, pixel))
 
     def _plan_covariance(self, detections: Detections) -> F8:
         """(N, 2, 2) of detections that come in metres."""
@@ -164,9 +169,8 @@ class PlaneSensor:
         if framed:
             out *= parts_inside(boxes, width, height)
         if len(self.hiders):
-            which, hider, part = self.hiders.over(boxes, self.camera.depth(x[:2]))
-            own = self.distance2(self.hiders.z[:, hider], x[:, which]) <= OWN
-            out *= np.maximum(1 - greatest(which, part, own, x.shape[1]), self.least)
+            hidden = covered(self.hiders, self, x, boxes, self.camera.depth(np.ascontiguousarray(x[:2])), OWN)
+            out *= np.maximum(1 - hidden, self.least)
         return out
 
     def watching(self, detections: Detections) -> PlaneSensor:
@@ -174,7 +178,8 @@ class PlaneSensor:
         if not self.occlusion or self.camera is None or not len(detections):
             return self
         z = self.measure(detections)
-        return replace(self, hiders=Hiders(detections.xyxy, self.camera.depth(z[:2]), z))
+        usable = np.isfinite(z[0])
+        return replace(self, hiders=Hiders(detections.xyxy, self.camera.depth(z[:2]), np.ascontiguousarray(z[:, usable])))
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles that reach G deviations along each axis from the ground point; they hold the ellipse d ≤ G."""
