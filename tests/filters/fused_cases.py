@@ -28,12 +28,10 @@ class Fixed:
     offset: float
     key: tuple[int, int] = (11, 12)
 
-    def integers(self, low, high, size):
-        assert (low, high, size) == (0, 2**32, 2)
-        return np.array(self.key)
-
-    def random(self):
-        return self.offset
+    def random(self, size):
+        """The key's words as shares of 2³², then the offset."""
+        assert size == 3
+        return np.array([*np.array(self.key) / 2.0**32, self.offset])
 
 
 @dataclass(frozen=True)

@@ -171,7 +171,7 @@ def test_newborn_and_account(scaling: str, local: bool):
             gains[j, int(k)] = np.bincount(batch, [a * g(model, z, k, p) for a, p in zip(w, x, strict=True)])
     np.testing.assert_allclose(new.base, np.concatenate(base), rtol=5e-3)
     kappa = model.clutter.intensity(z)
-    evidence, weight, mass, batch_mass, vanished = account(
+    evidence, weight, mass, batch_mass, vanished, masses = account(
         old.first, old.which, old.sums, old.alive, 0.02 * 0.99, new.start, old.frame.near_start, old.frame.near,
         old.frame.touching, new.gain_start, new.base, new.gains, kappa, P_D,
     )  # fmt: skip
@@ -184,6 +184,7 @@ def test_newborn_and_account(scaling: str, local: bool):
     np.testing.assert_allclose(mass[6:], [part.sum() for part in newborn], rtol=5e-3)
     np.testing.assert_allclose(batch_mass, np.concatenate(newborn), rtol=5e-3)
     assert vanished == 0
+    np.testing.assert_allclose(masses, [old.alive.sum() * 0.02 * 0.99, new.base.sum(), mass.sum()], rtol=1e-6)
 
 
 @pytest.mark.parametrize("scaling", SCALINGS)
@@ -194,7 +195,7 @@ def test_second_sweep(scaling: str, offset: float):
     old = swept(model, state, z)
     new, frame, unit = born(model, old, 0.0), old.frame, 0.02 * 0.99
     kappa = model.clutter.intensity(z)
-    _, weight, mass, batch_mass, _ = account(
+    _, weight, mass, batch_mass, _, _ = account(
         old.first, old.which, old.sums, old.alive, unit, new.start, frame.near_start, frame.near, frame.touching,
         new.gain_start, new.base, new.gains, kappa, P_D,
     )  # fmt: skip

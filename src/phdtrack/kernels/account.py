@@ -61,7 +61,7 @@ def account(
     gains: F4,
     kappa: F8,
     p_detect: float,
-) -> tuple[F8, F8, F8, F4, int]:
+) -> tuple[F8, F8, F8, F4, int, tuple[float, float, float]]:
     """The evidence of every detection, and the masses after the update [M07 (6), M09 (6)].
 
     Parameters
@@ -75,6 +75,7 @@ def account(
     evidence : (N,) C.  weight : (N,) p_D/(κ + C).
     mass : (B + N,) of each block, then of each detection's newborn.  batch_mass : of each batch of newborn.
     vanished : how many detections have κ + C = 0 (below `FAINT`), and no weight.
+    masses : before the update, without the newborn; the newborn's; all after the update.
     """
     n, blocks = touching.size, alive.size
     evidence, weight = np.empty(n), np.empty(n)
@@ -100,18 +101,23 @@ def account(
             evidence[j] = 0.0
             vanished += 1
     mass, batch_mass = np.empty(blocks + n), np.empty(base.size, np.float32)
+    before, newborn, after = 0.0, 0.0, 0.0
     for b in range(blocks):
+        before += alive[b]
         total = (1.0 - p_detect) * alive[b]
         for e in range(first[b], first[b + 1]):
             total += weight[which[e]] * sums[0, e]
         mass[b] = unit * total
+        after += mass[b]
     for j in range(n):
         mass[blocks + j] = 0.0
         batches = batch_start[j + 1] - batch_start[j]
         for g in range(batches):
+            newborn += base[batch_start[j] + g]
             total = (1.0 - p_detect) * base[batch_start[j] + g]
             for m in range(touching[j]):
                 total += weight[near[near_start[j] + m]] * gains[gain_start[j] + m * batches + g]
             batch_mass[batch_start[j] + g] = total
             mass[blocks + j] += batch_mass[batch_start[j] + g]
-    return evidence, weight, mass, batch_mass, vanished
+        after += mass[blocks + j]
+    return evidence, weight, mass, batch_mass, vanished, (unit * before, newborn, after)
