@@ -16,7 +16,6 @@ import numpy as np
 from phdtrack.filters.blocks import REACH, blocked
 from phdtrack.filters.box_tables import BoxModel, Seen, flat_density, motion_numbers, seen
 from phdtrack.filters.memory import empty
-from phdtrack.filters.memory import empty
 from phdtrack.filters.threads import in_ranges
 from phdtrack.kernels.account import account, births
 from phdtrack.kernels.box_blocks import LANES
