@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 
 from phdtrack.kernels.association import (
     LANES,
+    determinants,
     find_edges,
-    link_states,
-    log_determinants,
     near_pairs,
     predict_covariances,
 )
 from phdtrack.kernels.constant_velocity import box_motion_noise, predict_boxes
 from phdtrack.kernels.identities import come_back, hand_on
+from phdtrack.kernels.linking import link_states
 from reference import association_twin as twin
 from reference import kernel_twins
 
@@ -107,19 +107,18 @@ def test_covariances_are_predicted(seed: int, d: int, count: int, more: int, kin
 
 @given(seeds, st.integers(0, 150), st.integers(1, 4))
 @settings(max_examples=30, deadline=None)
-def test_log_determinants(seed: int, count: int, m: int):
+def test_determinants(seed: int, count: int, m: int):
     rng = np.random.default_rng(seed)
     cov, rows = spreads(rng, count, 5, 3.0), rng.permutation(5)[:m]
     out, work = np.empty(count), np.empty((m + 3, m, LANES))
-    unchanged(lambda c, p: log_determinants(c, p, work, out), planes(cov), places(5)[np.ix_(rows, rows)])
-    expected = [np.linalg.slogdet(c[np.ix_(rows, rows)])[1] for c in cov]
-    np.testing.assert_allclose(out, expected, atol=1e-9)
+    unchanged(lambda c, p: determinants(c, p, work, out), planes(cov), places(5)[np.ix_(rows, rows)])
+    np.testing.assert_allclose(out, [np.linalg.det(c[np.ix_(rows, rows)]) for c in cov], rtol=1e-9)
 
 
 def test_what_is_no_covariance_has_no_determinant():
     out = np.empty(2)
-    log_determinants(planes(np.array([-np.eye(2), np.eye(2)])), places(2), np.empty((5, 2, LANES)), out)
-    assert out.tolist() == [-np.inf, 0.0]
+    determinants(planes(np.array([-np.eye(2), np.eye(2)])), places(2), np.empty((5, 2, LANES)), out)
+    np.testing.assert_array_equal(out, [np.nan, 1.0])
 
 
 def case(seed: int, count: int, n: int, side: float):
@@ -135,10 +134,10 @@ def edges(mean, cov, noise, sigma, since, rows, dt, gate, log_miss, consistent):
     """As compressed rows: the kernels one after the other, which write into nothing but their outputs."""
     d, n, count = len(mean), sigma.shape[1], len(since)
     packed, plane = planes(cov), places(d)[np.ix_(rows, rows)]
-    work, log_det, open_end = np.empty((len(rows) + 3, len(rows), LANES)), np.empty(count + n), np.empty(n)
-    log_determinants(packed, plane, work, log_det)
-    log_determinants(planes(noise + 2 * np.array([np.diag(s**2) for s in sigma.T])), plane, work, open_end)
-    open_end = 0.5 * (gate**2 + open_end)
+    work, det, open_end = np.empty((len(rows) + 3, len(rows), LANES)), np.empty(count + n), np.empty(n)
+    determinants(packed, plane, work, det)
+    determinants(planes(noise + 2 * np.array([np.diag(s**2) for s in sigma.T])), plane, work, open_end)
+    open_end = 0.5 * (gate**2 + np.log(open_end))
     price = (since - dt) * log_miss
     pairs = 0
 
@@ -147,8 +146,8 @@ def edges(mean, cov, noise, sigma, since, rows, dt, gate, log_miss, consistent):
         side = int(n**0.5) + 1
         grid = np.zeros(side * side + 1, np.int64), np.empty(n, np.int64)
         found = unchanged(
-            lambda *given: near_pairs(*given[:-1], consistent, 0, given[-1], *grid, state, column),
-            *(mean, packed, open_end, price, rows, plane, log_det),
+            lambda *given: near_pairs(*given, consistent, 0, det.copy(), *grid, state, column),
+            *(mean, packed, open_end, price, rows, plane),
         )
         return found, state, column
 
@@ -226,18 +225,20 @@ def test_a_frame_is_linked_as_by_plain_edges_and_the_best_matching(
     packed, plane = planes(cov), places(6)[np.ix_(rows, rows)]
     if infinite and n:
         mean[0, count] = np.nan
-    older, begins = np.zeros(count, np.int64), np.zeros(n + 2, np.int64)
-    empty, room = np.empty(0, np.int64), 12 * 40
-    age, previous = np.append(since - 1.0, np.zeros(n)), np.full(count + n, -1)
-    worth, u, v = np.zeros(count + n), np.zeros(count + n), np.zeros(count + n + 3)
-    onward, target, gain = np.full(count + n + 3, -1), np.empty(room, np.int64), np.empty(room)
-    onward[:3] = -2, 55, -2
+    size, room = count + 3, 12 * 40
+    older, empty, zero = np.zeros(count, np.int64), np.empty(0, np.int64), np.zeros(count)
+    columns = np.append([-2, 55, -2], np.full(count, -1))
+    # The first of the rows with edges of their own is there already, without any.
+    was = (since - 1.0, np.full(count, -1), zero, zero, columns, np.zeros(size), np.zeros(2, np.int64), empty, np.empty(0))
+    age, worth, u = np.empty((3, count + n))
+    previous, onward, v = np.empty(count + n, np.int64), np.empty(size + n, np.int64), np.empty(size + n)
+    begins, target, gain = np.empty(n + 2, np.int64), np.empty(room, np.int64), np.empty(room)
     side, log_miss = int(n**0.5) + 1, float(np.log(0.8))
     found, closed, gone = link_states(
         *(1.0, span, 4.0, log_miss, 3.0, 53, 50, older, empty, np.empty(0), mean, packed, planes(noise), sigma, rows, plane),
-        *(np.empty((7, 4, LANES)), age, previous, worth, u, onward, v, begins, target, gain),
-        *(np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room), np.empty((3, count + n + 3))),
-        *(np.empty((2, count + n + 3), np.int64), np.zeros(side * side + 1, np.int64), np.zeros(count + n + 3, np.uint8)),
+        *(np.empty((7, 4, LANES)), was, age, previous, worth, u, onward, v, begins, target, gain),
+        *(np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room), np.empty((3, size + n))),
+        *(np.empty((2, size + n), np.int64), np.zeros(side * side + 1, np.int64), np.zeros(size + n, np.uint8)),
     )
     np.testing.assert_allclose(age[:count], since)
     assert closed == (since > span).sum()

@@ -56,8 +56,9 @@ class GraphMatching:
     consistent : no edge joins states that are more than this many deviations apart, however little it would cost.
     delay : frames by which the online output lags, so that links can still be corrected and tracks be confirmed by what
         follows; 0 allowed.
-    coast : seconds for which a confirmed track without a state is continued online by the motion model; a gap whose end the
-        delay already shows is bridged instead. 0: neither.
+    coast : seconds for which, at most, a confirmed track without a state is continued online by the motion model: it is
+        while of those that were missing as long more came back than did not. A gap whose end the delay already shows is
+        bridged instead. 0: neither.
     bridge : fill the gaps of tracks with predicted, flagged boxes.
     backfill : offline, a track is led back through at most this many earlier detections that the filter did not yet believe.
     remember : seconds after which the past is forgotten, for cameras that run for days: the corrected tracks then go no

@@ -14,7 +14,8 @@ import numpy as np
 
 from phdtrack.associate.triangle import Block
 from phdtrack.errors import InputError
-from phdtrack.kernels.association import LANES, link_states
+from phdtrack.kernels.association import LANES
+from phdtrack.kernels.linking import link_states
 from phdtrack.types import F8, I8
 
 
@@ -157,12 +158,11 @@ def _extended(
     """`extend` with room for so many pairs: how many there are, and, where that is not more, the result."""
     rows, columns, older, recent = window.rows, window.columns, window.rows.older, window.rows.recent
     n, m = sigma.shape[1], len(shown.rows)
-    nobody, zero = np.full(n, -1), np.zeros(n)
-    since, gain = np.concatenate((rows.since, zero)), np.concatenate((rows.gain, zero))
-    previous, u = np.concatenate((rows.previous, nobody)), np.concatenate((rows.price, zero))
-    onward, v = np.concatenate((columns.next, nobody)), np.concatenate((columns.price, zero))
-    edges = _with_room(recent, n, room)
-    size, side = len(v), int(n**0.5) + 1
+    count, size, side = len(rows.since) + n, len(columns.next) + n, int(n**0.5) + 1
+    since, gain, u = np.empty((3, count))
+    previous, onward, v = np.empty(count, np.int64), np.empty(size, np.int64), np.empty(size)
+    most = int(recent.start[-1]) + room
+    edges = Edges(np.empty(len(recent.start) + n, np.int64), np.empty(most, np.int64), np.empty(most))
     pairs = np.empty((2, room), np.int64)
     found, closed, gone = link_states(
         dt,
@@ -175,11 +175,12 @@ def _extended(
         *older.arrays(),
         moved.mean,
         moved.cov,
-        moved.noise,
+        moved.noise.copy(),
         sigma,
         shown.rows,
         shown.triangle,
         np.empty((m + 3, m, LANES)),
+        (rows.since, rows.previous, rows.gain, rows.price, columns.next, columns.price, *recent.arrays()),
         since,
         previous,
         gain,
@@ -201,14 +202,6 @@ def _extended(
     left = Rows(rows.first + closed, since[closed:], previous[closed:], gain[closed:], u[closed:], older, recent)
     open_columns = Columns(columns.first + gone, onward[gone:], v[gone:])
     return found, Window(open_columns, left, moved.mean, moved.cov), final
-
-
-def _with_room(edges: Edges, n: int, room: int) -> Edges:
-    """A copy of the edges with room for those of ``n`` more rows, ``room`` of them."""
-    rows, held = len(edges.start), int(edges.start[-1])
-    start, target, gain = np.empty(rows + n, np.int64), np.empty(held + room, np.int64), np.empty(held + room)
-    start[:rows], target[:held], gain[:held] = edges.start, edges.target[:held], edges.gain[:held]
-    return Edges(start, target, gain)
 
 
 def _settled(closed: int, older: Edges, recent: Edges) -> tuple[Edges, Edges]:

@@ -11,11 +11,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import ENTRY, LEAN
-from phdtrack.kernels.matching import CLOSED, insert_rows
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
-U1 = NDArray[np.uint8]
 
 # Matrices that are factored side by side.
 LANES = 64
@@ -59,32 +57,29 @@ def predict_covariances(
 
 
 @njit(**LEAN)
-def _eliminate(block: F8, step: F8, width: int, det: F8, norm2: F8) -> None:
-    """Determinants of the matrices ``block`` (m, m, lanes) and the squared Mahalanobis norms of ``step`` (m, lanes).
+def _eliminate(block: F8, width: int, det: F8, begin: int) -> None:
+    """Determinants of the matrices ``block`` (m, m, lanes), to ``det`` from ``begin`` on.
 
-    Gauss's elimination on lower triangles, in place, for the first ``width`` lanes. NaN where a matrix is not positive
-    definite.
+    Gauss's elimination on lower triangles, in place, for the first ``width`` lanes; on the diagonal 1/pivot is left. NaN
+    where a matrix is not positive definite.
     """
-    m = step.shape[0]
-    for i in range(width):
-        det[i], norm2[i] = 1.0, 0.0
+    m, lanes, first = block.shape[1], np.uint64(width), np.uint64(begin)
+    for i in range(lanes):
+        det[first + i] = 1.0
     for t in range(m):
-        for i in range(width):
+        for i in range(lanes):
             pivot = block[t, t, i] if block[t, t, i] > 0.0 else np.nan
-            det[i] *= pivot
+            det[first + i] *= pivot
             block[t, t, i] = 1.0 / pivot
-            norm2[i] += step[t, i] * step[t, i] * block[t, t, i]
         for a in range(t + 1, m):
-            for i in range(width):
-                step[a, i] -= block[a, t, i] * block[t, t, i] * step[t, i]
             for b in range(t + 1, a + 1):
-                for i in range(width):
+                for i in range(lanes):
                     block[a, b, i] -= block[a, t, i] * block[t, t, i] * block[b, t, i]
 
 
 @njit(**LEAN)
-def log_determinants(cov: F8, plane: I8, block: F8, out: F8) -> None:
-    """log |P| of the rows that a measurement shows, written to ``out``; −∞ where P is not positive definite.
+def determinants(cov: F8, plane: I8, block: F8, out: F8) -> None:
+    """|P| of the rows that a measurement shows, written to ``out``; NaN where P is not positive definite.
 
     Parameters
     ----------
@@ -93,20 +88,14 @@ def log_determinants(cov: F8, plane: I8, block: F8, out: F8) -> None:
     block : (m + 3, m, LANES) working space.
     out : (C or less,) for the first states.
     """
-    m, count = plane.shape[0], out.size
-    step, det, norm2 = block[m], block[m + 1, 0], block[m + 2, 0]
-    for begin in range(0, count, LANES):
-        width = LANES if begin + LANES <= count else count - begin
+    for begin in range(0, out.size, LANES):
+        width = LANES if begin + LANES <= out.size else out.size - begin
         offset = np.uint64(begin)
-        for a in range(m):
-            for i in range(np.uint64(width)):
-                step[a, i] = 0.0
+        for a in range(plane.shape[0]):
             for b in range(a + 1):
                 for i in range(np.uint64(width)):
                     block[a, b, i] = cov[plane[a, b], offset + i]
-        _eliminate(block, step, width, det, norm2)
-        for i in range(np.uint64(width)):
-            out[offset + i] = np.log(det[i]) if det[i] > 0.0 else -np.inf
+        _eliminate(block, width, out, begin)
 
 
 @njit(**LEAN)
@@ -119,7 +108,7 @@ def near_pairs(
     plane: I8,
     consistent: float,
     closed: int,
-    log_det: F8,
+    det: F8,
     start: I8,
     order: I8,
     state: I8,
@@ -134,10 +123,10 @@ def near_pairs(
     mean, cov : (d, C + n), (k, C + n) planes: the C columns predicted for now, then the n new states.
     open_end : (n,) what two loose ends are worth.
     price : (C,) log-probability of the gap.
-    rows, plane : (m,), (m, m) as for `log_determinants`; the first two rows are the position, which is finite.
+    rows, plane : (m,), (m, m) as for `determinants`; the first two rows are the position, which is finite.
     consistent : the most deviations that two states may be apart.
     closed : the first columns, which are left out.
-    log_det : (C + n,) of all covariances.
+    det : (C + n,) determinants of all covariances as `determinants` gives them; used up.
     start, order : (g² + 1,) zeros and (n or more,), working space: a grid of g × g cells over the new states.
     state, column : (K,) outputs.
 
@@ -158,7 +147,8 @@ def near_pairs(
         top = y if y < top else top
         bottom = y if y > bottom else bottom
         best = open_end[i] if open_end[i] > best else best
-        least = log_det[count + i] if log_det[count + i] < least else least
+        det[count + i] = np.log(det[count + i]) if det[count + i] > 0.0 else -np.inf
+        least = det[count + i] if det[count + i] < least else least
         wide = cov[vx, count + i] if cov[vx, count + i] > wide else wide
         high = cov[vy, count + i] if cov[vy, count + i] > high else high
     # Cells per pixel; a little less, so that the last point is in the last cell.
@@ -172,9 +162,16 @@ def near_pairs(
         k = int((mean[py, count + i] - top) * fy) * side + int((mean[px, count + i] - left) * fx) + 1
         start[k] -= 1
         order[start[k]] = i
-    found = 0
+    found, most_det, paid = 0, np.inf, np.nan
     for c in range(closed, count):
-        limit = 2.0 * (best + price[c]) - (least if least > log_det[c] else log_det[c])
+        if price[c] != paid:
+            # All columns of a frame pay the same.
+            paid = price[c]
+            most_det = np.exp(2.0 * (best + paid))
+        if det[c] >= most_det:
+            continue
+        log_det = np.log(det[c]) if det[c] > 0.0 else -np.inf
+        limit = 2.0 * (best + price[c]) - (least if least > log_det else log_det)
         if not limit > 0.0:
             continue
         limit = farthest if farthest < limit else limit
@@ -190,7 +187,7 @@ def near_pairs(
             for p in range(start[line * side + first + 1], start[end] if end < start.size else n):
                 i = order[p]
                 j = count + i
-                most = 2.0 * (open_end[i] + price[c]) - (log_det[j] if log_det[j] > log_det[c] else log_det[c])
+                most = 2.0 * (open_end[i] + price[c]) - (det[j] if det[j] > log_det else log_det)
                 most = farthest if farthest < most else most
                 dx, dy = mean[px, j] - x, mean[py, j] - y
                 if dx * dx <= most * (cov[vx, c] + cov[vx, j]) and dy * dy <= most * (cov[vy, c] + cov[vy, j]):
@@ -246,7 +243,15 @@ def find_edges(
                 p = plane[a, b]
                 for i in range(width):
                     block[a, b, i] = cov[p, column[begin + i]] + cov[p, count + state[begin + i]]
-        _eliminate(block, step, width, det, norm2)
+        _eliminate(block, width, det, 0)
+        for i in range(width):
+            norm2[i] = 0.0
+        for t in range(m):
+            for i in range(width):
+                norm2[i] += step[t, i] * step[t, i] * block[t, t, i]
+            for a in range(t + 1, m):
+                for i in range(width):
+                    step[a, i] -= block[a, t, i] * block[t, t, i] * step[t, i]
         for i in range(width):
             r, c = state[begin + i], column[begin + i]
             worth = open_end[r] + price[c] - 0.5 * (norm2[i] + np.log(det[i]))
@@ -265,136 +270,3 @@ def find_edges(
     for r in range(1, n):
         start[r] = start[r + 1]
     start[n] = end
-
-
-@njit(**LEAN)
-def _close(dt: float, span: float, row_base: int, column_base: int, since: F8, previous: I8, onward: I8) -> tuple[int, int]:
-    """Let ``dt`` pass: ``since`` in place, and close the columns of ``onward`` that go with rows older than ``span``.
-
-    Returns how many rows are closed, and before which place all columns are.
-    """
-    closed = 0
-    for r in range(since.size):
-        since[r] += dt
-        closed += 1 if since[r] > span else 0
-    for r in range(closed):
-        if previous[r] >= 0:
-            onward[previous[r] - column_base] = CLOSED
-    begin = row_base - column_base
-    for c in range(begin, begin + closed):
-        if onward[c] < 0:
-            onward[c] = CLOSED
-    gone = 0
-    while gone < begin + closed and onward[gone] == CLOSED:
-        gone += 1
-    return closed, gone
-
-
-@njit(**ENTRY)
-def link_states(
-    dt: float,
-    span: float,
-    gate: float,
-    log_miss: float,
-    consistent: float,
-    row_base: int,
-    column_base: int,
-    older_start: I8,
-    older_target: I8,
-    older_gain: F8,
-    mean: F8,
-    cov: F8,
-    typical: F8,
-    sigma: F8,
-    rows: I8,
-    plane: I8,
-    block: F8,
-    since: F8,
-    previous: I8,
-    worth: F8,
-    u: F8,
-    onward: I8,
-    v: F8,
-    start: I8,
-    target: I8,
-    gain: F8,
-    state: I8,
-    column: I8,
-    value: F8,
-    reals: F8,
-    whole: I8,
-    cells: I8,
-    seen: U1,
-) -> tuple[int, int, int]:
-    """One frame of the open matching: time passes, old vertices are closed, n new ones find who they go on from [M07 §3].
-
-    Parameters
-    ----------
-    dt, span, gate, log_miss, consistent : interval, and the settings of `GraphMatching`.
-    row_base, column_base, older_start, older_target, older_gain : as for `insert_rows`.
-    mean, cov : (d, R + n), (k, R + n) planes: the R states of the window predicted for now, and the new ones behind them.
-    typical : (k, n) the motion's noise of this interval from the new states; used up.
-    sigma : (d, n) their measurement's deviations.
-    rows, plane : (m,), (m, m) the rows of a state that a measurement shows, and where their covariances stand.
-    block : (m + 3, m, LANES) working space.
-    since, previous, worth, u : (R + n,) of rows: model time since their frame, the vertex matched, the link's gain, the dual
-        variable; in place, as are the columns'. Of the new ones 0, −1, 0, 0.
-    onward, v : (C + n,) of columns.
-    start, target, gain : (S + n + 1,), (start[S] + K or more,) the edges of the rows that are not among the older; those of
-        the new rows are written behind those of the first S.
-    state, column, value : (K,) working space for pairs.
-    reals, whole : (3, C + n), (2, C + n) working space. cells, seen : (g² + 1,), (C + n,) zeros, working space.
-
-    Returns
-    -------
-    How many pairs had to be looked at (where that is more than K nothing is right: once more, with more room; −1 where a
-    position is not finite), how many rows are closed, and how many columns in front.
-    """
-    n = sigma.shape[1]
-    count = since.size - n
-    closed, gone = _close(dt, span, row_base, column_base, since[:count], previous, onward)
-    for i in range(n):
-        if not (np.isfinite(mean[rows[0], count + i]) and np.isfinite(mean[rows[1], count + i])):
-            return -1, closed, gone
-    found, last = 0, start.size - 1 - n
-    if count > closed and n > 0:
-        for a in range(rows.size):
-            for i in range(n):
-                typical[plane[a, a], i] += 2.0 * sigma[rows[a], i] * sigma[rows[a], i]
-        log_det, open_end, price = reals[0, : count + n], reals[1, :n], reals[2, :count]
-        log_determinants(cov, plane, block, log_det)
-        log_determinants(typical, plane, block, open_end)
-        for i in range(n):
-            open_end[i] = 0.5 * (gate * gate + open_end[i])
-        for c in range(count):
-            price[c] = (since[c] - dt) * log_miss
-        given = mean, cov, open_end, price, rows, plane, consistent
-        found = near_pairs(*given, closed, log_det, cells, whole[0], state, column)
-        if found > state.size:
-            return found, closed, gone
-        find_edges(*given, state[:found], column[:found], row_base, block, start[last:], target, gain, value)
-    else:
-        for i in range(n):
-            start[last + 1 + i] = start[last]
-    insert_rows(
-        count,
-        row_base,
-        column_base,
-        older_start,
-        older_target,
-        older_gain,
-        start,
-        target,
-        gain,
-        previous,
-        onward,
-        worth,
-        u,
-        v,
-        seen,
-        reals[0],
-        whole[0],
-        reals[1],
-        whole[1],
-    )
-    return found, closed, gone
