@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from reproduce import count, detections, particles, videos
+from reproduce import count, detections, particles, standard, videos
 
 
 def main() -> None:
     """Every experiment, the short ones first."""
     count.main()
+    standard.main()
     videos.main()
     detections.main()
     particles.main()

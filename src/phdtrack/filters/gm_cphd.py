@@ -16,6 +16,7 @@ from phdtrack.checks import Count, NonNegative, Positive, check
 from phdtrack.filters.cardinality import nobody, poisson, survived, weigh
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.gm_phd import GMPHD
+from phdtrack.filters.transforms import Transform
 from phdtrack.protocols import Model
 from phdtrack.types import F8, Cardinalised, GaussianMixture, UpdateInfo
 
@@ -33,7 +34,9 @@ class GMCPHD:
     prune : Gaussians that weigh less are dropped.
     merge : Mahalanobis distance (not squared) up to which a Gaussian is united with a stronger one, in its own covariance.
     most : J_max, Gaussians kept, the heaviest; 0 for all.
+    split : what shares its tag with a heavier Gaussian keeps it below this weight; 0: no two share one.
     gate : G, measurements further than this many deviations of the innovation from a Gaussian do not touch it.
+    transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
     region : squared Mahalanobis distance within which a Gaussian's mass counts as explaining a detection, M(z).
     initial : the intensity before the first frame; its number is Poisson distributed.
     """
@@ -41,7 +44,9 @@ class GMCPHD:
     prune: NonNegative = 1e-5
     merge: NonNegative = 2.0
     most: Count = 0
+    split: NonNegative = 0.5
     gate: Positive = 5.0
+    transform: Transform = "linear"
     region: Positive = 13.28
     initial: GaussianMixture | None = None
 
@@ -86,4 +91,13 @@ class GMCPHD:
 def _intensity(settings: GMCPHD) -> GMPHD:
     """The recursion of the mixture."""
     s = settings
-    return GMPHD(prune=s.prune, merge=s.merge, most=s.most, gate=s.gate, region=s.region, initial=s.initial)
+    return GMPHD(
+        prune=s.prune,
+        merge=s.merge,
+        most=s.most,
+        split=s.split,
+        gate=s.gate,
+        region=s.region,
+        transform=s.transform,
+        initial=s.initial,
+    )
