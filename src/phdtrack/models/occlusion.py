@@ -8,7 +8,8 @@ other, would cost a sweep over their edges for every particle, and differs only 
 What a target might itself have given, a z within the 99 % region of the sensor's noise, says that it is seen: nothing hides
 it then. That is a choice: were p_D low all the same, the part (1 − p_D) of its weight that no detection explains would stay
 beside the part that its own detection explains, and be counted twice wherever a detector sees more than half of a covered
-person. (Measured on six cases of given detections: a mean MOTA lower by 0.07 instead of by 0.02, see docs/results.)
+person. On six cases of given detections, GM-PHD, that cost 0.07 of MOTA, and 0.02 as it is. What it brings is the count: on
+PETS 2009 S1.L1 the number of states is half as wrong as with a constant p_D.
 """
 
 from __future__ import annotations
