@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.camera import Flat, HomographyCamera, OpenCVLens, PosedCamera, Surface, Terrain, TsaiLens
+from phdtrack.camera import CountedFrom, Flat, HomographyCamera, OpenCVLens, PosedCamera, Surface, Terrain, TsaiLens
 
 SIZE = (768.0, 576.0)
 MATRIX = np.array([[850.0, 0, 380], [0, 870, 290], [0, 0, 1]])
@@ -60,6 +60,7 @@ CAMERAS = {
     "opencv, rational": posed(OpenCVLens(MATRIX, RATIONAL)),
     "opencv, prism": posed(OpenCVLens(MATRIX, PRISM)),
     "homography": HomographyCamera(PLANE),
+    "homography, counted from 1": CountedFrom(HomographyCamera(PLANE)),
     "homography, other sign": HomographyCamera(-3 * PLANE, inside=(380.0, 500.0)),
     "terrain": posed(tsai(5e-3), hills()),
     "opencv on terrain": posed(OpenCVLens(MATRIX, BARREL), hills()),

@@ -15,7 +15,7 @@ from typing import Annotated, Any, ParamSpec
 import typer
 
 from phdtrack._version import __version__
-from phdtrack.commands import calibrate, demo, detect, doctor, evaluate, simulate, track
+from phdtrack.commands import calibrate, demo, detect, doctor, evaluate, groups, simulate, track
 from phdtrack.errors import InputError
 
 P = ParamSpec("P")
@@ -74,6 +74,7 @@ def common(
 
 app.command("demo")(guarded(demo.demo))
 app.command("track")(guarded(track.track))
+app.command("groups")(guarded(groups.groups))
 app.command("detect")(guarded(detect.detect))
 app.command("evaluate")(guarded(evaluate.evaluate))
 app.command("simulate")(guarded(simulate.simulate))

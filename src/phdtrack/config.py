@@ -28,6 +28,8 @@ from phdtrack.checks import Positive, check
 from phdtrack.errors import InputError
 from phdtrack.extract import Components, CountedComponents, CountedKMeans, CountedMixture, KMeans, Mixture, Raw
 from phdtrack.filters import GMCPHD, GMPHD, NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.grouped import GroupStages
+from phdtrack.groups import Contours, Grouping, Living, Meetings
 from phdtrack.models import (
     BoxMotion,
     BoxSensor,
@@ -105,6 +107,10 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
         "counted-components": CountedComponents,
     },
     "associate": {"": GraphMatching},
+    "groups": {"": Grouping},
+    "contours": {"": Contours},
+    "lives": {"": Living},
+    "meetings": {"": Meetings},
     "detector": {"": DetectorSettings},
 }
 # Kinds of other sections that a kind goes together with, the default first. Without a filter nothing is extracted.
@@ -135,6 +141,8 @@ _MISFITS: Mapping[str, Mapping[tuple[str, str], str]] = {
     "gm-cphd": _NO_GAUSSIANS | _NO_SPAWNING,
     "particle-cphd": _NO_SPAWNING,
 }
+# The share of the weight of a person just missed that a Gaussian must have to count as one: E13's 0.25 of 0.297.
+_MISSED = 0.84
 _FROM_SEQUENCE = {"frame_size", "births", "initial", "remember_size", "camera", "hiders", "borders"}
 
 
@@ -258,6 +266,19 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "") -> AnyS
     values = settings.sections.get("filter", {}).get("initial", [])
     initial = initial_mixture(kinds, record, values) if values else None
     return Stages(model, record("filter", initial=initial), record("extract"), associator)
+
+
+def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupStages:
+    """What makes groups, lives and warnings; ``stages`` where a filter comes before, None for known positions.
+
+    Behind a filter ``groups.lightest`` is, unless given, no more than 0.84 of the weight (1 − p_D) p_S of a person just
+    missed once, so that one miss drops nobody whatever the detection probability. With E13's values that is the default.
+    """
+    if stages is not None and "lightest" not in settings.sections.get("groups", {}):
+        missed = (1 - _record(settings, "sensor").detection) * _record(settings, "motion").survival
+        settings = overlay(settings, {"groups": {"lightest": min(Grouping().lightest, _MISSED * missed)}})
+    record = partial(_record, settings)
+    return GroupStages(record("groups"), record("contours"), record("lives"), record("meetings"))
 
 
 def _record(settings: Settings, section: str, where: str = "configuration", dry: bool = False, **more: Any) -> Any:

@@ -19,6 +19,11 @@ DETECTIONS = "detections.csv"
 VIDEO = "annotated.mp4"
 REPORT = "report.html"
 RUN = "run.json"
+GROUPS = "groups.csv"
+MEMBERS = "members.csv"
+EVENTS = "events.csv"
+WARNINGS = "warnings.csv"
+PLAN = "plan.mp4"
 FILES = (TRACKS, ONLINE, STATES, DETECTIONS, VIDEO, REPORT, RUN)
 
 

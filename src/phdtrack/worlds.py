@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from phdtrack.boxes import to_cxcywh
-from phdtrack.camera import footprint, read_camera
+from phdtrack.camera import CountedFrom, footprint, read_camera
 from phdtrack.checks import NonNegative, Positive, PositiveCount, check
 from phdtrack.errors import InputError
 from phdtrack.models import BoxSensor, FixedBirth, LocalClutter, LocalPlaneClutter, PlaneSensor, UniformClutter
@@ -35,11 +35,13 @@ class CameraSettings:
 
     ``file``: a camera (see `camera.read`); empty for detections that are in metres already. ``region``: the ground that
     counts, left, low, right, high in metres; all 0: what the image shows up to ``far`` metres, no border without a camera.
+    ``first_pixel``: the number of the first pixel in the detections; 1 in MOTChallenge's files.
     """
 
     file: str = ""
     region: Region = EVERYWHERE
     far: Positive = 60.0
+    first_pixel: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         check(self)
@@ -124,7 +126,9 @@ def build_model(record: Record, kinds: Mapping[str, str], info: SequenceInfo) ->
         birth = _box_birth(record, kinds["birth"], sensor, size, motion.dim)
         return Model(motion, sensor, birth, _box_clutter(record, size), rate)
     ground: CameraSettings = record("camera")
-    camera = read_camera(ground.file) if ground.file else None
+    camera: Camera | None = read_camera(ground.file) if ground.file else None
+    if camera is not None and ground.first_pixel:
+        camera = CountedFrom(camera, ground.first_pixel)
     region = _region(ground, camera, size)
     person: PlaneSensor = record("sensor", camera=camera, borders=region, frame_size=size)
     # Who has left what can be seen would else live on, as nobody misses him there.

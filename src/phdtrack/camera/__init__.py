@@ -1,6 +1,7 @@
 """Between pixels and the ground: Tsai, OpenCV and homography cameras, terrain, covariances, calibration from points."""
 
 from phdtrack.camera.calibrate import Calibration, fit_homography
+from phdtrack.camera.counted import CountedFrom
 from phdtrack.camera.covariance import ground_covariance, ground_gaussian
 from phdtrack.camera.footprint import footprint
 from phdtrack.camera.homography import HomographyCamera
@@ -14,6 +15,7 @@ from phdtrack.camera.tsai import TsaiLens
 
 __all__ = [
     "Calibration",
+    "CountedFrom",
     "Flat",
     "HomographyCamera",
     "Lens",

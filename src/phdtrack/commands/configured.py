@@ -30,18 +30,28 @@ class Choice:
     threads: int | None = None
 
 
-def prepare(wanted: Wanted, choice: Choice, command: str, *, video: bool) -> Job:
-    """Everything that a run needs.
+def chosen(choice: Choice) -> config.Settings:
+    """The settings: those of preset and file with the options over them.
 
     Raises
     ------
-    InputError : an input that cannot be read, an unknown name, options that do not go together.
+    InputError : a file that cannot be read, an unknown name, options that do not go together.
     """
     settings = config.load(choice.config, choice.sets, choice.preset)
     if choice.filter_name:
         settings = config.overlay(settings, {"filter": {"kind": choice.filter_name}}, "--filter")
     if choice.threads is not None:
         settings = config.overlay(settings, {"filter": {"threads": choice.threads}}, "--threads")
+    return settings
+
+
+def prepare(wanted: Wanted, choice: Choice, settings: config.Settings, command: str, *, video: bool) -> Job:
+    """Everything that a run needs; ``settings`` are those `chosen`, or made of them.
+
+    Raises
+    ------
+    InputError : an input that cannot be read, options that do not go together.
+    """
     truth = None if choice.truth is None else read_truth(choice.truth)
     inputs = open_inputs(_at_least(wanted, truth), settings.detector)
     stages = config.build(settings, inputs.info)
@@ -54,10 +64,15 @@ def prepare(wanted: Wanted, choice: Choice, command: str, *, video: bool) -> Job
         read=_described(wanted, inputs),
         command=command,
         title=inputs.name,
-        versions=tuple((name, version) for name, version in doctor.versions() if version),
+        versions=versions(),
         truth=truth,
         video=video,
     )
+
+
+def versions() -> tuple[tuple[str, str], ...]:
+    """Of everything installed that may matter."""
+    return tuple((name, version) for name, version in doctor.versions() if version)
 
 
 def detector_parameters(file: Path | None, sets: tuple[str, ...]) -> dict[str, Any]:

@@ -37,7 +37,7 @@ def demo(
     """
     import numpy as np
 
-    from phdtrack.commands.configured import Choice, prepare
+    from phdtrack.commands.configured import Choice, chosen, prepare
     from phdtrack.commands.first_use import announced
     from phdtrack.commands.job import run
     from phdtrack.commands.scene_files import render_video
@@ -57,7 +57,7 @@ def demo(
     outcomes = []
     for filter_name, place in (("particle-phd", directory), ("none", rundir.claim(out / WITHOUT, overwrite))):
         choice = Choice(filter_name, seed=seed, truth=directory.file(TRUTH))
-        job = prepare(Wanted(str(directory.file(VIDEO))), choice, command_line(), video=True)
+        job = prepare(Wanted(str(directory.file(VIDEO))), choice, chosen(choice), command_line(), video=True)
         with announced(result, filter_name):
             outcome = run(job, place)
         for warning in outcome.warnings:

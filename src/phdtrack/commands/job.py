@@ -99,8 +99,12 @@ class Job:
     @property
     def filter_name(self) -> str:
         """``filter.kind``, as configured."""
-        section = self.configuration["filter"]
-        return str(section["kind"]) if isinstance(section, dict) else ""
+        return str(self.configured("filter", "kind"))
+
+    def configured(self, section: str, name: str) -> object:
+        """The value of a setting."""
+        values = self.configuration[section]
+        return values[name] if isinstance(values, dict) else ""
 
 
 @dataclass(frozen=True, slots=True)

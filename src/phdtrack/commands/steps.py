@@ -23,6 +23,11 @@ class Steps:
         return step
 
     @property
+    def intensity(self) -> object:
+        """The filter's state after the last frame."""
+        return self._state.intensity
+
+    @property
     def particles(self) -> Particles | None:
         """The filter's particles after the last frame; None where there is no filter, or one without particles."""
         intensity = self._state.intensity

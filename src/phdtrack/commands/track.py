@@ -80,7 +80,7 @@ def track(
     The run's directory holds tracks.csv (MOTChallenge), detections.csv, states.csv, annotated.mp4, report.html and
     run.json. A video that is cut short is tracked as far as it goes, with a warning. Ctrl-C finishes what was done so far.
     """
-    from phdtrack.commands.configured import Choice, prepare
+    from phdtrack.commands.configured import Choice, chosen, prepare
     from phdtrack.commands.first_use import announced
     from phdtrack.commands.job import run
 
@@ -89,7 +89,7 @@ def track(
         rundir.check(out, overwrite)
     wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
     choice = Choice(filter_name, preset, config, tuple(sets or ()), seed, truth, threads)
-    job = prepare(wanted, choice, command_line(), video=video)
+    job = prepare(wanted, choice, chosen(choice), command_line(), video=video)
     directory = rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite)
     with announced(result, job.filter_name):
         outcome = run(job, directory)
@@ -127,7 +127,12 @@ MEANING = {
     rundir.ONLINE: "the same as they came, frame by frame",
     rundir.STATES: "the filter's states before they had identities",
     rundir.DETECTIONS: "what the detector saw",
+    rundir.GROUPS: "every group in every frame: count, place, contour",
+    rundir.MEMBERS: "who is in which group",
+    rundir.EVENTS: "groups that appear, vanish, merge, split",
+    rundir.WARNINGS: "groups about to meet",
     rundir.VIDEO: "to look at",
+    rundir.PLAN: "the ground from above",
     rundir.REPORT: "the run in pictures and numbers",
     rundir.RUN: "everything that decided it, for programs",
 }

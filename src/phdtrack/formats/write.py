@@ -4,7 +4,8 @@ A writer is open while a sequence runs and hands every frame to the operating sy
 when the program ends before its time. The functions `write_tracks`, `write_detections`, `write_states` and `write_truth`
 write a whole sequence. All but the states are MOTChallenge files without a header, which every tool of the field reads:
 
-* tracks: ``frame,id,left,top,width,height,confidence,-1,-1,-1,detection,confirmed``;
+* tracks: ``frame,id,left,top,width,height,confidence,x,y,z,detection,confirmed``; x and y metres on the ground and z 0,
+  or all three −1 where the place is not known;
 * detections: ``frame,-1,left,top,width,height,confidence,-1,-1,-1,class`` and the 10 values of the covariance where there is
   one (see `phdtrack.formats.columns`);
 * truth: ``frame,id,left,top,width,height,flag,class,visibility``, distractors with flag 0 and class 8, as in MOT16.
@@ -22,11 +23,11 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.formats.source import AnyPath
-from phdtrack.types import F8, I8, Detections, DetectionTable, Estimates, Tracks, Truth
+from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Estimates, Tracks, Truth
 
 # Seven digits: a thousandth of a pixel in the largest pictures, and boxes in other units do not collapse.
 _BOX = "%.7g,%.7g,%.7g,%.7g"
-_TRACK = f"%d,%d,{_BOX},%.7g,-1,-1,-1,%d,%d"
+_TRACK = f"%d,%d,{_BOX},%.7g,%.7g,%.7g,%d,%d,%d"
 # Detections go into filters again: what a detector gives as 32-bit floats comes back as the same floats.
 _DETECTION = "%d,-1,%.10g,%.10g,%.10g,%.10g,%.10g,-1,-1,-1,%d"
 _TRUTH = f"%d,%d,{_BOX},%d,%d,1"
@@ -80,10 +81,21 @@ class TracksWriter(Lines):
     InputError : the file cannot be written.
     """
 
-    def append(self, tracks: Tracks) -> None:
-        """Write the rows as they come, of one frame or many."""
-        confirmed = tracks.confirmed.astype(np.int64)
-        self.write(_TRACK, tracks.frame, tracks.identity, _ltwh(tracks.xyxy), tracks.confidence, tracks.detection, confirmed)
+    def append(self, tracks: Tracks, place: F8 | None = None) -> None:
+        """Write the rows as they come, of one frame or many; ``place`` (2, M) on the ground, NaN where not known."""
+        place = np.full((2, len(tracks)), np.nan) if place is None else place
+        known: Bool = np.isfinite(place[0]) & np.isfinite(place[1])
+        self.write(
+            _TRACK,
+            tracks.frame,
+            tracks.identity,
+            _ltwh(tracks.xyxy),
+            tracks.confidence,
+            np.where(known, place, -1.0).T,
+            np.where(known, 0, -1),
+            tracks.detection,
+            tracks.confirmed.astype(np.int64),
+        )
 
 
 class DetectionsWriter(Lines):
@@ -138,15 +150,15 @@ class StatesWriter(Lines):
         )
 
 
-def write_tracks(path: AnyPath, tracks: Tracks) -> None:
-    """Write the tracks of a sequence; an existing file is replaced.
+def write_tracks(path: AnyPath, tracks: Tracks, place: F8 | None = None) -> None:
+    """Write the tracks of a sequence and, where known, their places (2, M); an existing file is replaced.
 
     Raises
     ------
     InputError : the file cannot be written.
     """
     with TracksWriter(path) as writer:
-        writer.append(tracks)
+        writer.append(tracks, place)
 
 
 def write_detections(path: AnyPath, table: DetectionTable) -> None:

@@ -27,7 +27,7 @@ from phdtrack.report.markup import (
     table,
     text,
 )
-from phdtrack.report.record import RunRecord
+from phdtrack.report.record import About, RunRecord
 from phdtrack.report.run_json import flattened, write_text
 from phdtrack.report.scenes import heat_picture, trajectory_picture
 from phdtrack.report.summary import counted, duration, grouped, percent, sentences, stage_times
@@ -70,19 +70,19 @@ _MEANING = (
 )
 
 
-def write_report(path: Path, record: RunRecord, config: Mapping[str, object] | None = None) -> None:
+def write_report(path: Path, record: RunRecord, config: Mapping[str, object] | None = None, more: Html = NOTHING) -> None:
     """Write the report; ``config`` is listed in it. Raises `InputError` where the file cannot be written."""
-    write_text(path, report_html(record, config or {}))
+    write_text(path, report_html(record, config or {}, more))
 
 
-def report_html(record: RunRecord, config: Mapping[str, object]) -> str:
-    """The whole page as text."""
-    style = resources.files("phdtrack.report").joinpath("style.css").read_text(encoding="utf-8")
+def report_html(record: RunRecord, config: Mapping[str, object], more: Html = NOTHING) -> str:
+    """The whole page as text; ``more`` are sections of whoever has more to tell."""
     title = text(record.about.title or record.info.name or "Tracking run")
     body = join(
         [
             _header(record, title),
             _warnings(record),
+            more,
             _scores(record),
             _count(record),
             _trajectories(record),
@@ -90,9 +90,15 @@ def report_html(record: RunRecord, config: Mapping[str, object]) -> str:
             _heat_maps(record),
             _timings(record),
             section("Good to know", bullets(record.about.notes)),
-            _settings(record, config),
+            again(record.about, config),
         ]
     )
+    return page(title, body)
+
+
+def page(title: Html, body: Html) -> str:
+    """The whole page as text around what it holds."""
+    style = resources.files("phdtrack.report").joinpath("style.css").read_text(encoding="utf-8")
     return (
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -101,6 +107,11 @@ def report_html(record: RunRecord, config: Mapping[str, object]) -> str:
         f"<title>{title} – phdtrack report</title>\n<style>\n{style}</style>\n</head>\n"
         f"<body>\n<main>\n{body}\n</main>\n</body>\n</html>\n"
     )
+
+
+def bare_header(title: Html, source: str, lead: str) -> Html:
+    """Title, where it comes from, and what happened in words."""
+    return element("header", join([element("h1", title), paragraph(source, "source"), paragraph(lead, "lead")]))
 
 
 def _header(record: RunRecord, title: Html) -> Html:
@@ -240,8 +251,8 @@ def _rate(milliseconds: float) -> str:
     return f"{1000 / milliseconds:.1f}" if milliseconds > 0 else "–"
 
 
-def _settings(record: RunRecord, config: Mapping[str, object]) -> Html:
-    about = record.about
+def again(about: About, config: Mapping[str, object]) -> Html:
+    """Command, seed, versions and settings."""
     command = element("pre", element("code", text(about.command))) if about.command else NOTHING
     versions = ", ".join(f"{name} {version}" for name, version in about.versions)
     return section(

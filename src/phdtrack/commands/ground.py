@@ -1,0 +1,20 @@
+"""Where boxes stand on the ground, for what is written and drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from phdtrack.models import PlaneSensor
+from phdtrack.protocols import Sensor
+from phdtrack.types import F8
+
+
+def places(sensor: Sensor, xyxy: F8) -> F8:
+    """(2, M) metres: the ground under the middle of each box's (M, 4) lower edge; NaN where there is none, or where the
+    world of the sensor is the image. Without a camera the image is a plan, and the middles of the boxes are the places."""
+    if not isinstance(sensor, PlaneSensor) or len(xyxy) == 0:
+        return np.full((2, len(xyxy)), np.nan)
+    middle = (xyxy[:, 0] + xyxy[:, 2]) / 2
+    if sensor.camera is None:
+        return np.stack([middle, (xyxy[:, 1] + xyxy[:, 3]) / 2])
+    return sensor.camera.ground(np.stack([middle, xyxy[:, 3]]))

@@ -1,0 +1,232 @@
+"""`phdtrack groups`: from a video, from detections and from known positions; every file, and every way to ask wrongly."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runner import phdtrack, refused
+
+from phdtrack import rundir
+from phdtrack.commands.groups import names
+from phdtrack.formats import read_tracks
+from phdtrack.video import VideoWriter, open_source
+
+# Ten pixels are a metre, x to the right and y up, the origin in the lower left corner.
+CAMERA = 'homography = [[0.1, 0.0, 0.0], [0.0, -0.1, 24.0], [0.0, 0.0, 1.0]]\nmaps = "pixel-to-ground"\nunit = "m"\n'
+FRAMES, RATE = 40, 10.0
+
+
+def walking(k: int) -> np.ndarray:
+    """(3, 2) feet in metres at frame k: two side by side to the right, one who comes towards them."""
+    t = k / RATE
+    return np.array([[4 + 1.2 * t, 10], [4 + 1.2 * t, 11], [24 - 1.2 * t, 10.5]])
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """camera.toml, det.txt, edges.txt, and a video of grey with dark people."""
+    folder, rng = tmp_path_factory.mktemp("street"), np.random.default_rng(1)
+    (folder / "camera.toml").write_text(CAMERA)
+    (folder / "edges.txt").write_text("# road\n0 8\n30,8\n\n0 13\n30 13\n")
+    lines = []
+    with VideoWriter(folder / "street.mp4", 320, 240, RATE) as video:
+        for k in range(1, FRAMES + 1):
+            image = np.full((240, 320, 3), 150, np.uint8)
+            for x, y in walking(k):
+                u, v = 10 * x, 240 - 10 * y
+                image[int(v) - 18 : int(v), int(u) - 3 : int(u) + 3] = 30
+                du, dv = rng.normal(0, 0.5, 2)
+                if not (k == 20 and y == 10):
+                    lines.append(f"{k},-1,{u - 3 + du:.2f},{v - 18 + dv:.2f},6,18,1")
+            video.write(image)
+    (folder / "det.txt").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_video_with_detections(street: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    said = phdtrack(
+        "groups", street / "street.mp4", "--detections", street / "det.txt", "--camera", street / "camera.toml",
+        "--edges", street / "edges.txt", "--out", out, "--json",
+    )  # fmt: skip
+    assert said.status == 0, said.err
+    assert {path.name for path in out.iterdir()} == set(names())
+    document = said.object
+    assert document == json.loads((out / rundir.RUN).read_text())
+    assert document["groups"]["identities"] >= 2
+    assert document["groups"]["people_mean"] == pytest.approx(3, abs=0.3)
+    assert document["configuration"]["filter"]["kind"] == "gm-phd"
+    counts, groups = defaultdict(float), table(out / rundir.GROUPS)
+    for row in groups:
+        counts[int(row["frame"])] += float(row["count"])
+    # One who was missed once stays among the people.
+    assert counts[20] > 2.05
+    pair = [row for row in groups if row["frame"] == "15" and float(row["count"]) > 1.5]
+    assert len(pair) == 1
+    assert [float(pair[0][name]) for name in ("x", "y", "vx", "vy")] == pytest.approx([5.8, 10.5, 1.2, 0], abs=0.25)
+    assert pair[0]["contours"].startswith("MULTIPOLYGON (((")
+    corner = pair[0]["contours_image"].removeprefix("MULTIPOLYGON (((").split(",")[0].split()
+    assert abs(float(corner[0]) - 58) < 20
+    assert abs(float(corner[1]) - 135) < 25
+    members = [row for row in table(out / rundir.MEMBERS) if row["frame"] == "15"]
+    assert sorted(row["group"] for row in members) == sorted([pair[0]["group"]] * 2 + [_other(members, pair[0]["group"])])
+    assert {"appear"} <= {row["event"] for row in table(out / rundir.EVENTS)}
+    first = table(out / rundir.WARNINGS)[0]
+    assert float(first["seconds"]) <= 4
+    assert float(first["y"]) == pytest.approx(10.5, abs=1)
+    movie = open_source(out / rundir.PLAN)
+    assert movie.info.width > 320
+    assert sum(1 for _ in movie) == FRAMES
+    page = (out / rundir.REPORT).read_text()
+    assert "People and groups" in page
+    assert "The ground plane" in page
+
+
+def _other(members: list[dict[str, str]], group: str) -> str:
+    return next(row["group"] for row in members if row["group"] != group)
+
+
+def test_tracks_have_their_place(street: Path, tmp_path: Path) -> None:
+    out, given = tmp_path / "run", ["--detections", street / "det.txt", "--frame-size", "320x240", "--fps", RATE]
+    said = phdtrack("groups", *given, "--camera", street / "camera.toml", "--out", out, "--no-video")
+    assert said.status == 0, said.err
+    assert {path.name for path in out.iterdir()} == set(names()) - {rundir.PLAN, rundir.VIDEO}
+    rows = np.loadtxt(out / rundir.TRACKS, delimiter=",")
+    foot = np.stack([rows[:, 2] + rows[:, 4] / 2, rows[:, 3] + rows[:, 5]])
+    assert rows[:, 7] == pytest.approx(0.1 * foot[0], abs=1e-3)
+    assert rows[:, 8] == pytest.approx(24 - 0.1 * foot[1], abs=1e-3)
+    assert (rows[:, 9] == 0).all()
+    assert len(read_tracks(out / rundir.TRACKS)) == len(rows)
+
+
+def test_members_are_the_online_identities_with_any_delay(street: Path, tmp_path: Path) -> None:
+    given = [
+        "--detections",
+        street / "det.txt",
+        "--frame-size",
+        "320x240",
+        "--fps",
+        RATE,
+        "--camera",
+        street / "camera.toml",
+    ]
+    for delay in (0, 4):
+        out = tmp_path / str(delay)
+        assert phdtrack("groups", *given, "--out", out, "--no-video", "--set", f"associate.delay={delay}").status == 0
+        online = read_tracks(out / rundir.ONLINE)
+        sure = online.take(online.confirmed)
+        known = set(zip(sure.frame.tolist(), sure.identity.tolist(), strict=True))
+        members = {(int(row["frame"]), int(row["member"])) for row in table(out / rundir.MEMBERS)}
+        assert members <= known
+        assert len(members) > 0.9 * len(known)
+        told = {int(row["frame"]) for row in table(out / rundir.GROUPS)}
+        assert told >= set(range(3, FRAMES + 1))
+
+
+def test_the_first_pixel_may_be_one(street: Path, tmp_path: Path) -> None:
+    given = [
+        "--detections",
+        street / "det.txt",
+        "--frame-size",
+        "320x240",
+        "--fps",
+        RATE,
+        "--camera",
+        street / "camera.toml",
+    ]
+    places = []
+    for first in (0, 1):
+        out = tmp_path / str(first)
+        said = phdtrack("groups", *given, "--out", out, "--no-video", "--set", f"camera.first_pixel={first}")
+        assert said.status == 0, said.err
+        places.append(np.loadtxt(out / rundir.TRACKS, delimiter=",")[:5, 7:9])
+    assert places[1] - places[0] == pytest.approx(np.tile([-0.1, 0.1], (5, 1)), abs=1e-3)
+
+
+def obsmat(path: Path) -> Path:
+    """Two together, one alone, from frame 780 on, six frames of 15 a second apart."""
+    rows = []
+    for k in range(30):
+        t = 0.4 * k
+        for who, (x, y, vx) in ((5, (t, 0, 1)), (8, (t, 1, 1)), (9, (5 - t, 6, -1))):
+            rows.append(f"{780 + 6 * k} {who} {x} 0 {y} {vx} 0 0")
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def test_known_positions(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    said = phdtrack("groups", "--positions", obsmat(tmp_path / "obsmat.txt"), "--out", out, "--json")
+    assert said.status == 0, said.err
+    tracked = {rundir.TRACKS, rundir.ONLINE, rundir.STATES, rundir.DETECTIONS, rundir.VIDEO}
+    assert {path.name for path in out.iterdir()} == set(names()) - tracked
+    assert said.object == json.loads((out / rundir.RUN).read_text())
+    assert said.object["input"]["fps"] == pytest.approx(15)
+    assert {(row["group"], row["member"]) for row in table(out / rundir.MEMBERS)} == {("1", "5"), ("1", "8"), ("2", "9")}
+    assert [row["count"] for row in table(out / rundir.GROUPS)] == ["2", "1"] * 30
+    assert float(table(out / rundir.GROUPS)[-1]["time"]) == pytest.approx(29 * 0.4)
+    assert sum(1 for _ in open_source(out / rundir.PLAN)) == 30
+
+
+def test_the_rate_may_be_given_and_settings_too(tmp_path: Path) -> None:
+    path = obsmat(tmp_path / "obsmat.txt")
+    said = phdtrack(
+        "groups", "--positions", path, "--fps", 30, "--set", "groups.near=0.5", "--out", tmp_path / "a", "--no-video"
+    )
+    assert said.status == 0, said.err
+    assert len({row["group"] for row in table(tmp_path / "a" / rundir.GROUPS)}) == 3
+    assert float(table(tmp_path / "a" / rundir.GROUPS)[-1]["time"]) == pytest.approx(29 * 0.2)
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ([], "--camera"),
+        (["--camera", "CAMERA", "--filter", "none"], "velocities"),
+        (["--camera", "CAMERA", "--set", "motion.kind=box"], "on the ground"),
+        (["--camera", "CAMERA", "--set", "groups.nearer=1"], "near"),
+        (["--camera", "CAMERA", "--edges", "EDGES"], "expected a point of an edge"),
+        (["--camera", "det.txt"], "det.txt"),
+        (["--positions", "POSITIONS"], "--positions"),
+    ],
+)
+def test_what_cannot_be_done(street: Path, tmp_path: Path, more: list[str], says: str) -> None:
+    (tmp_path / "edges.txt").write_text("1 2\n3 x\n")
+    put = {"CAMERA": street / "camera.toml", "EDGES": tmp_path / "edges.txt", "det.txt": street / "det.txt"}
+    put["POSITIONS"] = obsmat(tmp_path / "obsmat.txt")
+    given = ["--detections", street / "det.txt", "--frame-size", "320x240", "--fps", RATE, "--out", tmp_path / "run"]
+    assert says in refused("groups", *given, *(put.get(word, word) for word in more))
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [("", "without any"), ("1 1 0 0 0 0 0 0\n2 1 0 0 0 0 0 0\n", "--fps"), ("1 1 0 0 0 1 0 0\n", "--fps"), ("1 2 3\n", "8")],
+)
+def test_positions_that_do_not_do(tmp_path: Path, text: str, says: str) -> None:
+    (tmp_path / "obsmat.txt").write_text(text)
+    assert says in refused("groups", "--positions", tmp_path / "obsmat.txt", "--out", tmp_path / "run")
+
+
+def test_ways_and_velocities_that_do_not_fit_tell_no_rate(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    rows = [f"{k} 1 {x:.3f} 0 0 {v:.3f} 0 0" for k, (x, v) in enumerate(rng.uniform(0.5, 20, (40, 2)))]
+    (tmp_path / "obsmat.txt").write_text("\n".join(rows))
+    assert "anything from" in refused("groups", "--positions", tmp_path / "obsmat.txt", "--out", tmp_path / "run")
+
+
+def test_an_earlier_run_is_kept(tmp_path: Path) -> None:
+    path, out = obsmat(tmp_path / "obsmat.txt"), tmp_path / "run"
+    assert phdtrack("groups", "--positions", path, "--out", out, "--no-video").status == 0
+    assert "--overwrite" in refused("groups", "--positions", path, "--out", out, "--no-video")
+    assert phdtrack("groups", "--positions", path, "--out", out, "--no-video", "--overwrite").status == 0

@@ -1,0 +1,114 @@
+"""The plan: what is where in the picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phdtrack.report.group_report import GroupSeries, count_picture, group_sections
+from phdtrack.report.palette import identity_colour
+from phdtrack.report.plan import Plan, PlanGroup, PlanScene, draw_contours, extent_of, plan_size
+
+PLAN = Plan((-10.0, 0.0, 10.0, 10.0), 400, 200)
+NOWHERE = np.zeros((2, 0))
+SQUARE = np.array([[0.0, 4, 4, 0, 0], [2, 2, 6, 6, 2]])
+
+
+def scene(*, groups: tuple[PlanGroup, ...] = (), detections: np.ndarray = NOWHERE, **more: object) -> PlanScene:
+    people, identity = NOWHERE, np.zeros(0, np.int64)
+    return PlanScene(3, 0.5, detections, people, identity, groups, **more)  # type: ignore[arg-type]
+
+
+def group(identity: int = 1, contours: tuple[np.ndarray, ...] = (SQUARE,)) -> PlanGroup:
+    return PlanGroup(identity, 2.0, 0.4, np.array([-6.0, 8.0]), np.zeros(2), contours)
+
+
+def colour_at(image: np.ndarray, x: float, y: float) -> np.ndarray:
+    u, v = PLAN.pixels(np.array([[x], [y]]))[:, 0].round().astype(int)
+    return image[v, u].astype(int)
+
+
+def test_metres_are_square_and_y_goes_up() -> None:
+    assert PLAN.scale == pytest.approx(20)
+    corners = PLAN.pixels(np.array([[-10.0, 10, 0], [0, 10, 5]]))
+    assert corners == pytest.approx(np.array([[0.0, 400, 200], [200, 0, 100]]))
+    wide = Plan((-10.0, 0.0, 10.0, 10.0), 800, 200)
+    assert wide.scale == pytest.approx(20)
+    assert wide.pixels(np.array([[0.0], [5.0]])) == pytest.approx(np.array([[400.0], [100.0]]))
+
+
+def test_a_group_is_filled_with_its_colour_but_for_its_holes() -> None:
+    hole = np.array([[1.0, 1, 3, 3, 1], [3, 5, 5, 3, 3]])
+    empty = PLAN.draw(scene())
+    drawn = PLAN.draw(scene(groups=(group(contours=(SQUARE, hole)),)))
+    wanted = 0.3 * np.array(identity_colour(1)[::-1]) + 0.7 * 255
+    assert colour_at(drawn, 0.5, 2.5) == pytest.approx(wanted, abs=2)
+    assert (colour_at(drawn, 2.2, 4.2) == colour_at(empty, 2.2, 4.2)).all()
+    assert (colour_at(drawn, 8.3, 4.2) == colour_at(empty, 8.3, 4.2)).all()
+
+
+def test_the_field_of_view_and_edges_lie_behind() -> None:
+    field = np.array([[-10.0, 10, 0], [0, 0, 9.5]])
+    plan = Plan(PLAN.extent, 400, 200, field, (np.array([[-9.0, np.nan, 9.0, 9.0], [9, 9, 9, 4]]),))
+    image = plan.draw(scene())
+    assert colour_at(image, 0.3, 2.3) == pytest.approx([246, 228, 216], abs=1)
+    assert (colour_at(image, -8.3, 8.3) == 255).all()
+    assert colour_at(image, 9.0, 6.3) == pytest.approx([80, 120, 150], abs=30)
+
+
+def test_detections_are_crosses_and_those_without_a_place_are_left_out() -> None:
+    image = PLAN.draw(scene(detections=np.array([[5.3, np.nan, 1e6], [3.3, 2.0, 0.0]])))
+    assert colour_at(image, 5.3, 3.3).max() < 120
+    assert (PLAN.draw(scene(detections=np.array([[np.nan], [1.0]])))[20:] == PLAN.draw(scene())[20:]).all()
+
+
+def test_a_warning_is_a_line_between_the_groups() -> None:
+    two = (group(1, ()), PlanGroup(2, 1.0, 0.0, np.array([6.0, 1.0]), np.zeros(2), ()))
+    image = PLAN.draw(scene(groups=two, meetings=((1, 2, 1.5), (1, 7, 2.0))))
+    quarter = np.array([-6.0, 8.0]) + 0.25 * np.array([12.0, -7.0])
+    assert colour_at(image, *quarter) == pytest.approx([60, 60, 208], abs=40)
+
+
+def test_a_frame_is_not_written_into() -> None:
+    frame = np.full((100, 200, 3), 90, np.uint8)
+    pixels = np.array([[20.0, 80, 80, 20, 20], [20, 20, 60, 60, 20]])
+    drawn = draw_contours(frame, (group(contours=(pixels,)),))
+    assert (frame == 90).all()
+    assert (drawn[20, 40] != 90).any()
+    assert (drawn[40, 50] == 90).all()
+
+
+def test_the_extent_leaves_out_what_is_far_from_everything() -> None:
+    rng = np.random.default_rng(0)
+    places = np.hstack([rng.uniform(-20, 20, (2, 500)), [[900.0, np.nan], [900.0, 1.0]]])
+    left, low, right, high = extent_of(places)
+    assert -22 < left < -20
+    assert 20 < high < 22
+    assert extent_of(NOWHERE) == (-4, -4, 4, 4)
+    assert right - left > 40
+    assert low < -20
+    assert plan_size((0, 0, 100, 1), 400) == (720, 400)
+    assert plan_size((0, 0, 10, 10), 401) == (400, 400)
+
+
+def series(frames: int, *, raw: bool = True) -> GroupSeries:
+    k = np.arange(frames)
+    events = [(float(i), "split", i, 1) for i in range(50)]
+    return GroupSeries(
+        k / 7, 3.0 + k % 2, np.full(frames, 0.5), k % 3, (k % 4)[: frames * raw], events, [(1.0, 1, 2, 0.5, 0.9)]
+    )
+
+
+def test_the_report_tells_counts_events_and_warnings() -> None:
+    told = group_sections(series(100))
+    assert "People and groups" in told
+    assert "10 more rows in events.csv" in told
+    assert "1 and 2" in told
+    assert "raw detections" in told
+    assert "raw detections" not in group_sections(series(100, raw=False))
+    assert "No frame" in group_sections(series(0))
+
+
+@pytest.mark.parametrize("frames", [1, 2, 5000])
+def test_the_chart_of_any_length(frames: int) -> None:
+    assert count_picture(series(frames)).data.startswith(b"<svg")
