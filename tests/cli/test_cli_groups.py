@@ -14,6 +14,7 @@ from cli_runner import phdtrack, refused
 from phdtrack import rundir
 from phdtrack.commands.groups import names
 from phdtrack.formats import read_tracks
+from phdtrack.types import Step
 from phdtrack.video import VideoWriter, open_source
 
 # Ten pixels are a metre, x to the right and y up, the origin in the lower left corner.
@@ -230,3 +231,53 @@ def test_an_earlier_run_is_kept(tmp_path: Path) -> None:
     assert phdtrack("groups", "--positions", path, "--out", out, "--no-video").status == 0
     assert "--overwrite" in refused("groups", "--positions", path, "--out", out, "--no-video")
     assert phdtrack("groups", "--positions", path, "--out", out, "--no-video", "--overwrite").status == 0
+
+
+def test_ctrl_c_leaves_the_groups_up_to_there(street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from phdtrack.commands.group_companion import GroupCompanion
+
+    whole = GroupCompanion.take
+
+    def stopped(self: GroupCompanion, step: Step, intensity: object) -> None:
+        if step.number == 15:
+            raise KeyboardInterrupt
+        whole(self, step, intensity)
+
+    monkeypatch.setattr(GroupCompanion, "take", stopped)
+    given = [
+        "--detections",
+        street / "det.txt",
+        "--frame-size",
+        "320x240",
+        "--fps",
+        RATE,
+        "--camera",
+        street / "camera.toml",
+    ]
+    said = phdtrack("groups", *given, "--out", tmp_path / "run", "--json")
+    assert said.status == 130
+    assert said.object["complete"] is False
+    assert max(int(row["frame"]) for row in table(tmp_path / "run" / rundir.GROUPS)) == 14
+    assert sum(1 for _ in open_source(tmp_path / "run" / rundir.PLAN)) == 14
+
+
+@pytest.mark.parametrize("name", ["gm-cphd", "particle-phd", "particle-cphd"])
+def test_any_filter_finds_the_pair(street: Path, tmp_path: Path, name: str) -> None:
+    given = [
+        "--detections",
+        street / "det.txt",
+        "--frame-size",
+        "320x240",
+        "--fps",
+        RATE,
+        "--camera",
+        street / "camera.toml",
+    ]
+    said = phdtrack("groups", *given, "--filter", name, "--out", tmp_path / "run", "--no-video", "--json")
+    assert said.status == 0, said.err
+    together = defaultdict(list)
+    for row in table(tmp_path / "run" / rundir.MEMBERS):
+        together[row["frame"], row["group"]].append(row["member"])
+    assert sum(len(members) == 2 for members in together.values()) > 0.6 * FRAMES
+    assert max(len(members) for (frame, _), members in together.items() if int(frame) < 25) == 2
+    assert said.object["groups"]["people_mean"] == pytest.approx(3, abs=0.4)

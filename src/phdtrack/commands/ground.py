@@ -6,7 +6,7 @@ import numpy as np
 
 from phdtrack.models import PlaneSensor
 from phdtrack.protocols import Sensor
-from phdtrack.types import F8
+from phdtrack.types import F8, Particles
 
 
 def places(sensor: Sensor, xyxy: F8) -> F8:
@@ -18,3 +18,14 @@ def places(sensor: Sensor, xyxy: F8) -> F8:
     if sensor.camera is None:
         return np.stack([middle, (xyxy[:, 1] + xyxy[:, 3]) / 2])
     return sensor.camera.ground(np.stack([middle, xyxy[:, 3]]))
+
+
+def shown(particles: Particles, sensor: Sensor) -> Particles | None:
+    """The particles where the image shows them: rows 0 and 1 in pixels. None where the world is a plan without an image."""
+    if not isinstance(sensor, PlaneSensor):
+        return particles
+    if sensor.camera is None:
+        return None
+    pixel = sensor.camera.pixels(particles.state[:2])
+    seen = np.isfinite(pixel).all(axis=0)
+    return Particles(np.vstack([pixel, particles.state[2:]])[:, seen], particles.weight[seen])

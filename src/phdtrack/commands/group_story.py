@@ -89,7 +89,7 @@ class Story:
         pairs = len({(warned.first, warned.second) for _, warned in self._warnings})
         return (
             f"{series.people.mean():.1f} people in {series.groups.mean():.1f} groups on average; {told}, "
-            f"{counted(pairs, 'pair')} warned of before they met.",
+            f"{counted(pairs, 'pair')} of groups warned of.",
         )
 
     def document(self) -> dict[str, object]:

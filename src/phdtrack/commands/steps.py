@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from phdtrack import pipeline
+from phdtrack.commands.ground import shown
 from phdtrack.filters import NoFilter
 from phdtrack.protocols import AnyStages
 from phdtrack.types import Cardinalised, Detections, ParticleBlocks, Particles, Step, Tracks
@@ -29,15 +30,16 @@ class Steps:
 
     @property
     def particles(self) -> Particles | None:
-        """The filter's particles after the last frame; None where there is no filter, or one without particles."""
+        """The filter's particles after the last frame where the image shows them (`ground.shown`); None where there is no
+        filter, one without particles, or no image."""
         intensity = self._state.intensity
         if isinstance(intensity, Cardinalised):
             intensity = intensity.intensity
         if isinstance(intensity, ParticleBlocks):
-            return intensity.particles()
+            intensity = intensity.particles()
         if isinstance(self._stages.filter, NoFilter) or not isinstance(intensity, Particles):
             return None
-        return intensity
+        return shown(intensity, self._stages.model.sensor)
 
     def flush(self) -> Tracks:
         """The online rows that the output delay held back."""

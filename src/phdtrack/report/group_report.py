@@ -88,7 +88,8 @@ def count_picture(series: GroupSeries) -> Picture:
     if len(series.detections):
         raw = thinned(series.detections.astype(np.float64), _POINTS)
         axes.plot(time, raw, ".", color="#9aa5b8", markersize=3, alpha=0.7, label="detections")
-    axes.fill_between(time, np.maximum(people - deviation, 0), people + deviation, color="#3b6fd4", alpha=0.25, linewidth=0)
+    low, high = np.maximum(people - deviation, 0), people + deviation
+    axes.fill_between(time, low, high, color="#3b6fd4", alpha=0.25, linewidth=0, label="one deviation")
     axes.plot(time, people, color="#3b6fd4", linewidth=1.3, label="people estimated")
     groups = thinned(series.groups.astype(np.float64), _POINTS)
     axes.plot(time, groups, color="#e08a1e", linewidth=1.5, drawstyle="steps-mid", label="groups")

@@ -175,7 +175,9 @@ class Plan:
                 strokes.plate(out, f"meet in {seconds:.1f} s", int(x), int(y), _WARNING, pen, opacity=0.9)
 
     def _label(self, out: Image, group: PlanGroup, pen: Pen) -> None:
-        """Identity and head count beside the group."""
+        """Identity and head count beside the group; nothing beside one that is likelier not there."""
+        if not group.identity and group.count < 0.5:
+            return
         name = f"{group.identity}: " if group.identity else ""
         band = f" +-{group.deviation:.1f}" if group.deviation >= 0.05 else ""
         for x, y in _shown(self.pixels(group.centre[:, None]), self.width, self.height):
