@@ -107,6 +107,9 @@ class Birth(Protocol):
     def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
         """γT as a Gaussian mixture, for the filters that carry one; `InputError` where γ has no such form."""
 
+    def expected(self, z: F8, dt: float) -> float:
+        """∫γT over everything: the expected number of births, those that no measurement of ``z`` (m, N) shows included."""
+
 
 class Clutter(Protocol):
     """κ(z): where and how often the detector reports what is not a target."""

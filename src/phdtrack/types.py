@@ -218,7 +218,8 @@ class GaussianMixture:
 class Cardinalised(Generic[Points]):
     """An intensity with the distribution of the number of targets: what the cardinalised PHD filters carry.
 
-    ``cardinality`` (n,) holds the probabilities of 0, 1, 2, … targets; its mean is the mass of ``intensity``.
+    ``cardinality`` (n,) holds the probabilities of 0, 1, 2, … targets; its mean is the mass of ``intensity`` and of what may
+    have been born where nothing was detected.
     """
 
     intensity: Points

@@ -22,6 +22,9 @@ class NoBirth:
         x, _ = sensor.states(z[:, :0])
         return Particles(x, np.zeros(0))
 
+    def expected(self, z, dt) -> float:
+        return 0.0
+
     def components(self, z, covered, sensor, dt) -> GaussianMixture:
         x, cov = sensor.states(z[:, :0])
         return GaussianMixture(np.zeros(0), x, cov)

@@ -3,14 +3,19 @@
 Beside the intensity D goes the distribution p(n) of the number of targets. With M = ∫D and s = D/M:
 
     survive   p⁻(j) = Σ_n C(n, j) rʲ (1 − r)ⁿ⁻ʲ p(n),  r = ∫ p_S s
-    births    p⁺ = p⁻ ∗ Poisson(∫γ)
+    births    p⁺ = p⁻ ∗ Poisson(∫γT)
     update    p(n) ∝ p⁺(n) Υ⁰[Z](n)
               D(x) = [⟨Υ¹[Z], p⁺⟩ (1 − p_D(x)) + Σ_z ⟨Υ¹[Z∖z], p⁺⟩ p_D(x) g(z|x)] D⁺(x) / (M ⟨Υ⁰[Z], p⁺⟩)
               Υᵘ[Z](n) = Σ_j n!/(n − j − u)! φⁿ⁻ʲ⁻ᵘ E_j(Z),  φ = ∫ (1 − p_D) s,  E_j(Z) = [tʲ] Π_z (κ(z) + t C(z)/M)
 
 Here p⁺, D⁺, M and s are those with the newborn, and C(z) = ∫ p_D g D⁺. This is the recursion of V07 for clutter whose
 number is Poisson distributed, where everything but κ(z) drops out of the clutter's distribution; E_j(Z) is e_j of C/(Mκ),
-multiplied with Πκ, so that κ = 0 needs no rule of its own. The mean of p stays the mass of D.
+multiplied with Πκ, so that κ = 0 needs no rule of its own. The mean of p is the mass of D after every update.
+
+Births that are driven by measurements are drawn around the detections only: D⁺ lacks the part of γT that is born where
+nothing was detected. It counts all the same, in p⁺ and in M, as seen by no detection and missed like the others: a number
+that knows of no births takes what a newborn target shows for views of those who were there, and lags behind a scene that
+people enter. The mean of p is larger than the mass of D then, by what was born unseen.
 
 Everything is summed in logarithms of positive terms (`kernels.esf`). Detections that nothing in the intensity explains
 (C = 0: outside of every gate) change no ratio and are left out: the cost is O(m² + m n), m the number of the others.
@@ -82,10 +87,12 @@ def with_births(cardinality: F8, mass: float, detections: int) -> F8:
     return np.convolve(cardinality, np.exp(log_poisson(mass, _enough(mass) + detections)))
 
 
-def weigh(cardinality: F8, meeting: Meeting[Points]) -> Weighing:
-    """The number with the newborn and after the scan, from that before both."""
-    grown = with_births(cardinality, meeting.born, len(meeting.evidence))
-    return factors(grown, meeting.intensity.mass, float(meeting.missed.sum()), meeting.evidence, meeting.clutter)
+def weigh(cardinality: F8, meeting: Meeting[Points], births: float) -> Weighing:
+    """The number with ``births`` expected and after the scan, from that before both."""
+    grown = with_births(cardinality, births, len(meeting.evidence))
+    known, missed = meeting.intensity.mass, float(meeting.missed.sum())
+    whole = known + max(births - meeting.born, 0.0)
+    return factors(grown, whole, missed * whole / known if known > 0 else whole, meeting.evidence, meeting.clutter)
 
 
 def factors(cardinality: F8, mass: float, missed: float, evidence: F8, clutter: F8) -> Weighing:

@@ -72,7 +72,7 @@ class GMCPHD:
         """Add the newborn, then update the number and every Gaussian [V07]."""
         recursion = _intensity(self)
         meeting = recursion.meet(state.intensity, z, model, dt)
-        weighing = weigh(state.cardinality, meeting)
+        weighing = weigh(state.cardinality, meeting, model.birth.expected(z, dt))
         mixture = recursion.weighed(meeting, weighing.missed, weighing.detected, z, model)
         info = replace(meeting.info(mixture.mass), cardinality=weighing.cardinality)
         return Cardinalised(mixture, weighing.cardinality), info

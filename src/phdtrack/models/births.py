@@ -56,6 +56,10 @@ class MeasurementBirth:
         """Gaussians about the detections that have the density of γ there, see `gaussians_about`."""
         return gaussians_about(z, covered, sensor, lambda x: self._intensity(x, z[: len(x)]) * dt)
 
+    def expected(self, z: F8, dt: float) -> float:
+        """rate·dt, of each detection where ``local``."""
+        return self.rate * dt * (z.shape[1] if self.volume == "local" else 1)
+
     def _intensity(self, observed: F8, z: F8) -> F8:
         """γ per time unit at positions and sizes (m, L); 0 where a size is not positive."""
         if self.volume == "image":
@@ -110,6 +114,10 @@ class UniformBirth:
             cure="Use births around the detections (birth.kind=measurement), at given places (fixed), or particles",
         )
 
+    def expected(self, z: F8, dt: float) -> float:
+        """rate·dt."""
+        return self.rate * dt
+
 
 @dataclass(frozen=True, slots=True)
 class FixedBirth:
@@ -128,6 +136,10 @@ class FixedBirth:
     def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
         """The given Gaussians, of total mass weight·dt, whatever was measured [V06 (22)]."""
         return GaussianMixture(self.mixture.weight * dt, self.mixture.mean, self.mixture.covariance)
+
+    def expected(self, z: F8, dt: float) -> float:
+        """The mixture's mass, over dt."""
+        return self.mixture.mass * dt
 
 
 def particles_about(

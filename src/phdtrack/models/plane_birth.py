@@ -42,6 +42,10 @@ class PlaneBirth:
         """Gaussians about the detections that have the density of γ there, see `births.gaussians_about`."""
         return gaussians_about(z, covered, sensor, lambda x: self._intensity(x, z) * dt)
 
+    def expected(self, z: F8, dt: float) -> float:
+        """rate·dt, of each detection where ``local``."""
+        return self.rate * dt * (z.shape[1] if self.volume == "local" else 1)
+
     def _intensity(self, place: F8, z: F8) -> F8:
         """γ per second and m² at positions (2, L)."""
         if self.volume == "region":
