@@ -25,6 +25,8 @@ EVENTS = "events.csv"
 WARNINGS = "warnings.csv"
 PLAN = "plan.mp4"
 FILES = (TRACKS, ONLINE, STATES, DETECTIONS, VIDEO, REPORT, RUN)
+# What `phdtrack groups` writes besides.
+GROUP_FILES = (GROUPS, MEMBERS, EVENTS, WARNINGS, PLAN)
 
 
 @dataclass(frozen=True, slots=True)

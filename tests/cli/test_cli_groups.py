@@ -12,7 +12,7 @@ import pytest
 from cli_runner import phdtrack, refused
 
 from phdtrack import rundir
-from phdtrack.commands.groups import names
+from phdtrack.commands.groups import NAMES
 from phdtrack.formats import read_tracks
 from phdtrack.types import Step
 from phdtrack.video import VideoWriter, open_source
@@ -61,7 +61,7 @@ def test_a_video_with_detections(street: Path, tmp_path: Path) -> None:
         "--edges", street / "edges.txt", "--out", out, "--json",
     )  # fmt: skip
     assert said.status == 0, said.err
-    assert {path.name for path in out.iterdir()} == set(names())
+    assert {path.name for path in out.iterdir()} == set(NAMES)
     document = said.object
     assert document == json.loads((out / rundir.RUN).read_text())
     assert document["groups"]["identities"] >= 2
@@ -101,7 +101,7 @@ def test_tracks_have_their_place(street: Path, tmp_path: Path) -> None:
     out, given = tmp_path / "run", ["--detections", street / "det.txt", "--frame-size", "320x240", "--fps", RATE]
     said = phdtrack("groups", *given, "--camera", street / "camera.toml", "--out", out, "--no-video")
     assert said.status == 0, said.err
-    assert {path.name for path in out.iterdir()} == set(names()) - {rundir.PLAN, rundir.VIDEO}
+    assert {path.name for path in out.iterdir()} == set(NAMES) - {rundir.PLAN, rundir.VIDEO}
     rows = np.loadtxt(out / rundir.TRACKS, delimiter=",")
     foot = np.stack([rows[:, 2] + rows[:, 4] / 2, rows[:, 3] + rows[:, 5]])
     assert rows[:, 7] == pytest.approx(0.1 * foot[0], abs=1e-3)
@@ -170,7 +170,7 @@ def test_known_positions(tmp_path: Path) -> None:
     said = phdtrack("groups", "--positions", obsmat(tmp_path / "obsmat.txt"), "--out", out, "--json")
     assert said.status == 0, said.err
     tracked = {rundir.TRACKS, rundir.ONLINE, rundir.STATES, rundir.DETECTIONS, rundir.VIDEO}
-    assert {path.name for path in out.iterdir()} == set(names()) - tracked
+    assert {path.name for path in out.iterdir()} == set(NAMES) - tracked
     assert said.object == json.loads((out / rundir.RUN).read_text())
     assert said.object["input"]["fps"] == pytest.approx(15)
     assert {(row["group"], row["member"]) for row in table(out / rundir.MEMBERS)} == {("1", "5"), ("1", "8"), ("2", "9")}

@@ -27,12 +27,16 @@ def test_boxes_in_the_sky_and_in_an_image_without_a_ground_stand_nowhere() -> No
     assert places(PlaneSensor(camera=CAMERA), np.zeros((0, 4))).shape == (2, 0)
 
 
-def test_particles_are_shown_at_their_pixels_and_those_behind_the_camera_nowhere() -> None:
+def test_particles_are_shown_in_the_middle_of_their_boxes_and_those_behind_the_camera_far_outside() -> None:
     state = np.array([[0.0, 1, 0], [10, 20, -5], [0, 0, 0], [0, 0, 0]])
     particles = Particles(state, np.array([0.2, 0.3, 0.4]))
-    seen = shown(particles, PlaneSensor(camera=CAMERA))
+    sensor = PlaneSensor(camera=CAMERA, size=(0.6, 1.8))
+    seen = shown(particles, sensor)
     assert seen is not None
-    assert seen.state[:2] == pytest.approx(CAMERA.pixels(state[:2, :2]))
-    assert seen.weight.tolist() == [0.2, 0.3]
+    assert seen.state[0, :2] == pytest.approx(CAMERA.pixels(state[:2, :2])[0])
+    middle = CAMERA.pixels(np.vstack([state[:2, :2], [0.9, 0.9]]))
+    assert seen.state[1, :2] == pytest.approx(middle[1])
+    assert (seen.state[:2, 2] < -1000).all()
+    assert seen.weight is particles.weight
     assert shown(particles, PlaneSensor()) is None
     assert shown(particles, BoxSensor()) is particles

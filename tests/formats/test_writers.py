@@ -76,6 +76,21 @@ def test_tracks_come_back(tmp_path_factory: pytest.TempPathFactory, original: Tr
     np.testing.assert_array_equal(again.confirmed, original.confirmed)
 
 
+@given(tracks())
+def test_tracks_with_places_come_back(tmp_path_factory: pytest.TempPathFactory, original: Tracks) -> None:
+    path, n = tmp_path_factory.getbasetemp() / "placed.csv", len(original)
+    place = np.arange(2.0 * n).reshape(2, n) - 3
+    place[1, ::3] = np.nan
+    write_tracks(path, original, place)
+    again = read_tracks(path)
+    np.testing.assert_array_equal(again.identity, original.identity)
+    np.testing.assert_allclose(again.xyxy, original.xyxy, rtol=0, atol=2e-3)
+    columns = np.array([line.split(",")[7:10] for line in path.read_text().splitlines()], np.float64).reshape(-1, 3).T
+    known = np.isfinite(place[1])
+    np.testing.assert_array_equal(columns[:, known], np.vstack([place, np.zeros(n)])[:, known])
+    np.testing.assert_array_equal(columns[:, ~known], -1)
+
+
 @given(detection_tables())
 def test_detections_come_back(tmp_path_factory: pytest.TempPathFactory, original: DetectionTable) -> None:
     path = tmp_path_factory.getbasetemp() / "detections.csv"

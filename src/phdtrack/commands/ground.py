@@ -21,11 +21,11 @@ def places(sensor: Sensor, xyxy: F8) -> F8:
 
 
 def shown(particles: Particles, sensor: Sensor) -> Particles | None:
-    """The particles where the image shows them: rows 0 and 1 in pixels. None where the world is a plan without an image."""
+    """The particles where the image shows them: rows 0 and 1 the middle of their boxes in pixels, as detections are drawn.
+    None where the world is a plan without an image."""
     if not isinstance(sensor, PlaneSensor):
         return particles
     if sensor.camera is None:
         return None
-    pixel = sensor.camera.pixels(particles.state[:2])
-    seen = np.isfinite(pixel).all(axis=0)
-    return Particles(np.vstack([pixel, particles.state[2:]])[:, seen], particles.weight[seen])
+    boxes = sensor.boxes(particles.state)
+    return Particles(np.vstack([(boxes[:, :2] + boxes[:, 2:]).T / 2, particles.state[2:]]), particles.weight)

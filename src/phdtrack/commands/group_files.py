@@ -21,7 +21,6 @@ from phdtrack.protocols import Camera
 from phdtrack.rundir import RunDirectory
 from phdtrack.types import F8
 
-NAMES = (rundir.GROUPS, rundir.MEMBERS, rundir.EVENTS, rundir.WARNINGS, rundir.PLAN)
 _EMPTY = "MULTIPOLYGON EMPTY"
 
 
@@ -32,7 +31,8 @@ class GroupFiles:
         self._camera = camera
         with ExitStack() as files:
             self._groups, self._members, self._events, self._warnings = (
-                files.enter_context(Lines(directory.file(name))) for name in NAMES[:4]
+                files.enter_context(Lines(directory.file(name)))
+                for name in (rundir.GROUPS, rundir.MEMBERS, rundir.EVENTS, rundir.WARNINGS)
             )
             self._groups.write("frame,time,group,count,deviation,x,y,vx,vy,contours,contours_image")
             self._members.write("frame,group,member")

@@ -77,7 +77,7 @@ class Story:
 
     def section(self) -> Html:
         """The sections of the report."""
-        return group_sections(self._series())
+        return group_sections(replace(self._series(), stills=self._stills()))
 
     def sentences(self) -> tuple[str, ...]:
         """What happened, in words."""
@@ -117,7 +117,6 @@ class Story:
             detections=np.array(self._detected if self._raw else [], np.int64),
             events=[(e.time, e.kind, e.group, e.other) for e in sorted(self._events, key=lambda e: e.time)],
             warnings=[(time, w.first, w.second, w.seconds, w.probability) for time, w in self._warnings],
-            stills=self._stills(),
         )
 
     def _stills(self) -> list[tuple[int, Image]]:

@@ -11,16 +11,19 @@ import typer
 from phdtrack import rundir
 from phdtrack.commands.options import (
     Config,
+    DetectionsFile,
     Detector,
     Fps,
     FrameSize,
     Json,
     Mask,
     MaxWidth,
+    Out,
     Overwrite,
     Preset,
     Seed,
     Sets,
+    Threads,
     TruthFile,
 )
 from phdtrack.commands.output import Output
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
     from phdtrack.types import F8
 
 USUAL_FILTER = "gm-phd"
+NAMES = (*rundir.FILES, *rundir.GROUP_FILES)
 
 
 def groups(
@@ -45,9 +49,7 @@ def groups(
             help="Video, folder or pattern of images, camera number; not needed with --detections or --positions.",
         ),
     ] = "",
-    detections: Annotated[
-        Path | None, typer.Option("--detections", metavar="FILE", help="Detections instead of a detector.")
-    ] = None,
+    detections: DetectionsFile = None,
     camera: Annotated[
         Path | None,
         typer.Option("--camera", metavar="FILE", help="Between pixels and the ground: Tsai XML, OpenCV, homography, TOML."),
@@ -68,10 +70,9 @@ def groups(
     filter_name: Annotated[
         str, typer.Option("--filter", metavar="NAME", help="gm-phd (default), gm-cphd, particle-phd or particle-cphd.")
     ] = "",
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="The run's directory; default: runs/ and the source's name.")
-    ] = None,
+    out: Out = None,
     overwrite: Overwrite = False,
+    threads: Threads = None,
     seed: Seed = 0,
     preset: Preset = "",
     config: Config = None,
@@ -93,19 +94,14 @@ def groups(
 
     result = Output(json)
     if out is not None:
-        rundir.check(out, overwrite, names())
+        rundir.check(out, overwrite, NAMES)
     wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
-    choice = Choice(filter_name, preset, config, tuple(sets or ()), seed, truth)
+    choice = Choice(filter_name, preset, config, tuple(sets or ()), seed, truth, threads)
     if positions is not None:
         _alone(wanted, choice, camera)
         _known(result, positions, choice, edges, fps, out, overwrite, video=video)
     else:
         _tracked(result, wanted, choice, camera, edges, out, overwrite, video=video)
-
-
-def names() -> tuple[str, ...]:
-    """The files of a run."""
-    return (*rundir.FILES, rundir.GROUPS, rundir.MEMBERS, rundir.EVENTS, rundir.WARNINGS, rundir.PLAN)
 
 
 def _tracked(
@@ -119,7 +115,7 @@ def _tracked(
 
     settings = ground_settings(choice, camera)
     job = accompanied(prepare(wanted, choice, settings, command_line(), video=video), settings, _lines(edges))
-    directory = rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite, names())
+    directory = rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite, NAMES)
     with announced(result, job.filter_name):
         outcome = run(job, directory)
     tell(result, outcome, directory)
@@ -136,7 +132,7 @@ def _known(
     from phdtrack.commands.group_positions import prepare_positions, run_positions
 
     job = prepare_positions(path, fps, chosen(choice), _lines(edges), command_line(), video=video)
-    directory = rundir.claim(out or Path("runs") / (path.resolve().parent.name or path.stem), overwrite, names())
+    directory = rundir.claim(out or Path("runs") / (path.resolve().parent.name or path.stem), overwrite, NAMES)
     document, said = run_positions(job, directory)
     for sentence in said:
         result.say(sentence)
@@ -219,6 +215,7 @@ def _alone(wanted: Wanted, choice: Choice, camera: Path | None) -> None:
         "--max-width": wanted.max_width,
         "--mask": wanted.mask,
         "--truth": choice.truth,
+        "--threads": choice.threads is not None,
     }
     for option, used in given.items():
         if used:

@@ -53,3 +53,18 @@ Sets = Annotated[
 Preset = Annotated[
     str, typer.Option("--preset", metavar="NAME", help="Settings to start from: default, or a paper's: m07, m09, fv, e13.")
 ]
+DetectionsFile = Annotated[
+    Path | None, typer.Option("--detections", metavar="FILE", help="Detections instead of a detector.")
+]
+Out = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="The run's directory; default: runs/ and the source's name.")
+]
+Threads = Annotated[
+    int | None,
+    typer.Option(
+        "--threads",
+        metavar="N",
+        min=0,
+        help="Threads of the filter, 0 for one per core (default: filter.threads, 1); any number gives the same result.",
+    ),
+]

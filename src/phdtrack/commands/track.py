@@ -12,16 +12,19 @@ import typer
 from phdtrack import rundir
 from phdtrack.commands.options import (
     Config,
+    DetectionsFile,
     Detector,
     Fps,
     FrameSize,
     Json,
     Mask,
     MaxWidth,
+    Out,
     Overwrite,
     Preset,
     Seed,
     Sets,
+    Threads,
     TruthFile,
 )
 from phdtrack.commands.output import Output
@@ -38,9 +41,7 @@ def track(
             metavar="SOURCE", help="Video, folder or pattern of images, camera number; not needed with --detections."
         ),
     ] = "",
-    detections: Annotated[
-        Path | None, typer.Option("--detections", metavar="FILE", help="Detections instead of a detector.")
-    ] = None,
+    detections: DetectionsFile = None,
     detector: Detector = "",
     filter_name: Annotated[
         str,
@@ -50,19 +51,9 @@ def track(
             help="particle-phd (default), gm-phd, particle-cphd, gm-cphd, or none: the same association on raw detections.",
         ),
     ] = "",
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="The run's directory; default: runs/ and the source's name.")
-    ] = None,
+    out: Out = None,
     overwrite: Overwrite = False,
-    threads: Annotated[
-        int | None,
-        typer.Option(
-            "--threads",
-            metavar="N",
-            min=0,
-            help="Threads of the filter, 0 for one per core (default: filter.threads, 1); any number gives the same result.",
-        ),
-    ] = None,
+    threads: Threads = None,
     seed: Seed = 0,
     preset: Preset = "",
     config: Config = None,
