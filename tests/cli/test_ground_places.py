@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from phdtrack.commands.ground import places, shown
+from phdtrack.commands.group_companion import nearest
 from phdtrack.models import BoxSensor, PlaneSensor
 from phdtrack.types import Particles
 from plane_cases import LevelCamera, people
@@ -40,3 +41,11 @@ def test_particles_are_shown_in_the_middle_of_their_boxes_and_those_behind_the_c
     assert seen.weight is particles.weight
     assert shown(particles, PlaneSensor()) is None
     assert shown(particles, BoxSensor()) is particles
+
+
+def test_people_take_the_identity_of_the_nearest_corrected_row() -> None:
+    people = np.array([[0.0, 3, 9, np.nan], [0, 0, 0, 0]])
+    place = np.array([[3.1, 0.4, np.nan], [0.1, 0, 0]])
+    assert nearest(people, place, np.array([7, 8, 9])).tolist() == [8, 7, 0, 0]
+    assert nearest(people, np.zeros((2, 0)), np.zeros(0, np.int64)).tolist() == [0] * 4
+    assert nearest(np.zeros((2, 0)), place, np.array([7, 8, 9])).tolist() == []

@@ -17,8 +17,12 @@ from phdtrack.grouped import GroupStages, carriers, mixture_of
 from phdtrack.groups import Observed
 from phdtrack.protocols import AnyStages
 from phdtrack.report.markup import Html
+from phdtrack.report.plan import PlanScene
 from phdtrack.rundir import RunDirectory
-from phdtrack.types import F8, GaussianMixture, SequenceInfo, Step, Tracks
+from phdtrack.types import F8, I8, GaussianMixture, SequenceInfo, Step, Tracks
+
+# Metres between a row given online and the corrected one of the same person.
+_SAME = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +71,16 @@ class GroupCompanion:
         while self._waiting:
             self._tell(self._waiting.popleft(), rows)
 
+    def finish(self, tracks: Tracks) -> None:
+        """On the plan people carry the identities of the corrected tracks, as in the annotated video beside it."""
+        place = places(self._stages.model.sensor, tracks.xyxy)
+
+        def corrected(scene: PlanScene) -> I8:
+            lo, hi = np.searchsorted(tracks.frame, [scene.number, scene.number + 1])
+            return nearest(scene.people, place[:, lo:hi], tracks.identity[lo:hi])
+
+        self._story.rename(corrected)
+
     def drawing(self, directory: RunDirectory, *, pictures: bool) -> AbstractContextManager[Draw]:
         """plan.mp4, with the annotated pictures on its left where there are any."""
         size = (self._info.width, self._info.height) if pictures else None
@@ -95,3 +109,14 @@ class GroupCompanion:
             self._files.write(frame)
         at = np.searchsorted(rows.identity, frame.member)
         self._story.take(frame, place[:, at], waiting.detections)
+
+
+def nearest(people: F8, place: F8, identity: I8) -> I8:
+    """(n,) the identity (M,) of the row at the nearest ``place`` (2, M) to each of the ``people`` (2, n); 0 where none is
+    near."""
+    apart = np.hypot(*(people[:, :, None] - place[:, None]))
+    apart = np.where(np.isfinite(apart), apart, np.inf)
+    if apart.size == 0:
+        return np.zeros(people.shape[1], np.int64)
+    closest = apart.argmin(axis=1)
+    return np.where(apart.min(axis=1) < _SAME, identity[closest], 0)

@@ -6,7 +6,7 @@ Of every frame the plan's scene is kept, with contours as coarse as they can be 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -23,7 +23,7 @@ from phdtrack.report.group_report import GroupSeries, group_sections
 from phdtrack.report.markup import Html
 from phdtrack.report.plan import Plan, PlanGroup, PlanScene, draw_contours, extent_of, plan_size
 from phdtrack.rundir import RunDirectory
-from phdtrack.types import F8, Image
+from phdtrack.types import F8, I8, Image
 from phdtrack.video import VideoWriter
 
 # Metres that a drawn contour may be off; pictures of the report; least height of a plan in pixels.
@@ -64,6 +64,10 @@ class Story:
         self._detected.append(detections.shape[1])
         self._events.extend(frame.events)
         self._warnings.extend((frame.time, warned) for warned in frame.warnings)
+
+    def rename(self, name: Callable[[PlanScene], I8]) -> None:
+        """Let the people of each scene carry other identities (n,), 0 for none; files are not touched."""
+        self._scenes = [replace(scene, identity=name(scene)) for scene in self._scenes]
 
     @contextmanager
     def video(self, directory: RunDirectory, fps: float, *, picture: tuple[int, int] | None) -> Iterator[_Film]:

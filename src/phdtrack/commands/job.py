@@ -63,6 +63,9 @@ class Companion(Protocol):
     def flush(self, rows: Tracks) -> None:
         """The online rows that the output delay held back; no step follows."""
 
+    def finish(self, tracks: Tracks) -> None:
+        """The corrected tracks of the whole run, before anything is drawn or told."""
+
     def drawing(self, directory: RunDirectory, *, pictures: bool) -> AbstractContextManager[Draw]:
         """Its video: what to call with the number of each frame and the annotated picture, an empty one without."""
 
@@ -161,6 +164,8 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
             directory.clear()
             raise done.stop
         tracks = _finish(job, directory)
+        if job.companion is not None:
+            job.companion.finish(tracks)
         scores = None if job.truth is None else _scores(job.truth, tracks, done.last)
         if job.video and (job.inputs.pictures or job.companion is not None):
             done.cut = _draw(job, source, directory, done, tracks)

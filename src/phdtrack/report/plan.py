@@ -42,7 +42,8 @@ class PlanGroup:
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanScene:
     """One frame: detections (2, N) and people (2, n) on the ground, metres, NaN where they have no place there; the
-    people's ``identity`` (n,); groups; who is warned of: pairs of group identities and seconds until they meet."""
+    people's ``identity`` (n,), 0 for none; groups; who is warned of: pairs of group identities and seconds until they
+    meet."""
 
     number: int
     time: float
@@ -156,7 +157,8 @@ class Plan:
         for k in range(place.shape[1]):
             for spot in _shown(place[:, k : k + 1], self.width, self.height):
                 cv2.circle(out, spot, max(2, pen.line + 1), _INK[::-1], -1, cv2.LINE_AA)
-                _text(out, str(scene.identity[k]), (spot[0] + 4, spot[1] - 4), _INK, 0.8 * pen.font)
+                if scene.identity[k]:
+                    _text(out, str(scene.identity[k]), (spot[0] + 4, spot[1] - 4), _INK, 0.8 * pen.font)
 
     def _arrow(self, out: Image, group: PlanGroup, pen: Pen) -> None:
         """The way of the next second."""
