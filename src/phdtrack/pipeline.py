@@ -8,27 +8,32 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.protocols import AnyStages
+from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import F8, I8, Detections, Estimates, Step, Tracks, UpdateInfo
 
+NOBODY: F8 = np.zeros((0, 0))
 # Where measurements are put that tell nothing of any state: no state is near.
 NOWHERE = 1e9
 
 
 @dataclass(frozen=True, slots=True)
 class TrackingState:
-    """Everything that is carried from frame to frame: the filter's and the associator's state, frame number and time."""
+    """Everything that is carried from frame to frame: the filter's and the associator's state, frame number and time.
+
+    ``targets`` (d, n) are the states that the last frame showed, where the sensor asks who may hide whom; empty otherwise.
+    """
 
     intensity: Any
     association: Any
     number: int = 0
     time: float = 0.0
+    targets: F8 = field(default_factory=lambda: NOBODY)
 
 
 def start(stages: AnyStages, rng: np.random.Generator) -> TrackingState:
@@ -67,8 +72,7 @@ def advance(
     complete = len(usable) == everything.shape[1]
     z = everything if complete else np.ascontiguousarray(everything[:, usable])
     if detections.observed:
-        watching = replace(model, sensor=model.sensor.watching(detections))
-        intensity, info = stages.filter.step(state.intensity, z, watching, dt, rng)
+        intensity, info = stages.filter.step(state.intensity, z, _watching(model, state.targets, dt), dt, rng)
     else:
         intensity = stages.filter.predict(state.intensity, model, dt, rng)
         info = UpdateInfo(intensity.mass, 0.0, intensity.mass, np.zeros(0), np.zeros(0))
@@ -82,7 +86,8 @@ def advance(
     seconds = (filtered - began, extracted - filtered, ended - extracted)
     unusable = everything.shape[1] - len(usable)
     step = Step(number, time, detections, info, estimates, tracks, seconds, unusable)
-    return TrackingState(intensity, association, number, time), step
+    targets = estimates.state if model.sensor.occlusion else NOBODY
+    return TrackingState(intensity, association, number, time, targets), step
 
 
 def _renumbered(z: F8, info: UpdateInfo, estimates: Estimates, usable: I8) -> tuple[F8, UpdateInfo, Estimates]:
@@ -102,6 +107,14 @@ def _renumbered(z: F8, info: UpdateInfo, estimates: Estimates, usable: I8) -> tu
         info,
         replace(estimates, detection=number[estimates.detection]),
     )
+
+
+def _watching(model: Model, targets: F8, dt: float) -> Model:
+    """The model whose sensor knows whom the targets of the last frame may hide by now."""
+    if targets.shape[1] == 0:
+        return model
+    expected, _, _ = model.motion.transition(np.ascontiguousarray(targets), dt)
+    return replace(model, sensor=model.sensor.watching(expected))
 
 
 def run(

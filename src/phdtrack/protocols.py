@@ -82,8 +82,12 @@ class Sensor(Protocol):
     def p_detect(self, x: F8) -> F8:
         """(L,) detection probability of targets at ``x`` (d, L)."""
 
-    def watching(self, detections: Detections) -> Sensor:
-        """The sensor as it is in the frame of these detections: what they show may hide targets, which p_D then knows."""
+    @property
+    def occlusion(self) -> bool:
+        """Whether p_D falls where targets hide each other: what `watching` is for."""
+
+    def watching(self, targets: F8) -> Sensor:
+        """The sensor where targets are expected at these states (d, n): the nearer hide what is behind them."""
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles in the position plane outside which g(z|·) is negligible: lower and upper corners, each (2, N)."""

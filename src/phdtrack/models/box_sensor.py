@@ -9,7 +9,7 @@ Measurement z = (px, py, w, h): centre and size of the detected box. The likelih
 of the state before the last prediction [M07 §4]; ``fixed``: constants (M09's fair comparison, FV); ``given``: the covariance
 that each detection brings. The normaliser 1/∏σ differs per particle and is kept.
 
-p_D is a constant, as in the papers, or, with ``occlusion``, falls with what the frame's nearer boxes cover of a target:
+p_D is a constant, as in the papers, or, with ``occlusion``, falls with what nearer targets cover of one:
 
     p_D(x) = p_D · max(1 − covered(x), least)
 
@@ -28,7 +28,7 @@ from phdtrack.boxes import to_cxcywh
 from phdtrack.checks import NonNegative, Positive, Probability, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.box import box_corners, box_gate, box_noise, resting
-from phdtrack.models.occlusion import NOBODY, Hiders, covered
+from phdtrack.models.occlusion import NOBODY, Hiders, seen_part
 from phdtrack.types import F8, Detections
 
 Scaling = Literal["particle", "detection", "previous", "fixed", "given"]
@@ -57,9 +57,9 @@ class BoxSensor:
         as the amplitude's, which is 100 along each axis.
     gate_sigmas : G, detections touch only particles within this many deviations; at 5, at most 5.1e-5 of a Gaussian is
         cut, as long as G·spread < 1 where σ follows the state's own size (at a spread of 0.3 it is about 1e-3).
-    occlusion : let p_D fall where nearer boxes of the frame cover the target.
+    occlusion : let p_D fall where nearer targets cover the target.
     least : share of p_D that is left of a target that is covered altogether.
-    hiders : the boxes of the frame that is looked at, as `watching` finds them.
+    hiders : the targets expected in the frame that is looked at, as `watching` finds them.
     """
 
     detection: Probability = 0.95
@@ -147,18 +147,18 @@ class BoxSensor:
         return out
 
     def p_detect(self, x: F8) -> F8:
-        """p_D · max(1 − covered, least), covered the largest part of x's box that a hider covers; 0 if x is seen."""
+        """p_D, less where nearer targets cover x, see `models.occlusion`."""
         if not len(self.hiders):
             return np.full(x.shape[1], self.detection)
         boxes = self.boxes(x)
-        hidden = covered(self.hiders, self, x, boxes, -boxes[:, 3], OWN)
-        return self.detection * np.maximum(1 - hidden, self.least)
+        return self.detection * seen_part(self.hiders, x[list(OBSERVED)], boxes, -boxes[:, 3], OWN, self.least)
 
-    def watching(self, detections: Detections) -> BoxSensor:
-        """The sensor in the frame of these boxes; itself where they hide nothing, or occlusion is not asked for."""
-        if not self.occlusion or not len(detections):
+    def watching(self, targets: F8) -> BoxSensor:
+        """The sensor where targets are expected at these states; itself without them, or without ``occlusion``."""
+        if not self.occlusion or targets.shape[1] == 0:
             return self
-        return replace(self, hiders=Hiders(detections.xyxy, -detections.xyxy[:, 3], self.measure(detections)))
+        rows, boxes = list(OBSERVED), self.boxes(targets)
+        return replace(self, hiders=Hiders(boxes, -boxes[:, 3], targets[rows], self.noise(targets)[rows]))
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles in the image that hold all states of which z is within the gate.

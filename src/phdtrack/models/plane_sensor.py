@@ -8,10 +8,10 @@ pixel there. Far away a pixel is metres, and the filter then knows. ``fixed``: t
 
 The detection probability is a constant or falls with what is to be seen of the person's box, at the nominal size:
 
-    p_D(x) = p_D · visible(x) · max(1 − covered(x), least)
+    p_D(x) = p_D · visible(x) · max(1 − c(x)^1.5, least)
 
-``visible`` is the part of the box inside the image (``view``), ``covered`` the largest part that one nearer box of the frame
-covers (``occlusion``, see `models.occlusion`).
+``visible`` is the part of the box inside the image (``view``), c the largest part that one nearer target covers
+(``occlusion``, see `models.occlusion`).
 
 Without a camera the image is a plan in metres: a box's middle is the position, and nobody hides anybody.
 """
@@ -28,7 +28,7 @@ from phdtrack.boxes import to_cxcywh
 from phdtrack.checks import Positive, Probability, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.hidden import parts_inside
-from phdtrack.models.occlusion import NOBODY, Hiders, covered
+from phdtrack.models.occlusion import NOBODY, Hiders, seen_part
 from phdtrack.models.region import EVERYWHERE, Region, check_region, inside
 from phdtrack.protocols import Camera
 from phdtrack.types import F8, Detections
@@ -58,12 +58,12 @@ class PlaneSensor:
     gate_sigmas : G, detections touch only states within this many deviations of R.
     view : let p_D fall with the part of the person's box that is outside of the image, or be 0 outside of ``borders`` where
         there is no camera.
-    occlusion : let p_D fall where nearer boxes of the frame cover the person.
+    occlusion : let p_D fall where nearer people cover the person.
     least : share of p_D that is left of a person who is covered altogether.
     borders : what is watched, left, low, right and high border in metres, where there is no camera. All 0: everything.
     frame_size : width and height of the image, pixels; (0, 0): no border.
     camera : between pixels and ground; None for detections in metres.
-    hiders : the boxes of the frame that is looked at, as `watching` finds them.
+    hiders : the targets expected in the frame that is looked at, as `watching` finds them.
     """
 
     detection: Probability = 0.9
@@ -156,7 +156,7 @@ class PlaneSensor:
         return np.ascontiguousarray(z[[2, 3, 3, 4]].T).reshape(-1, 2, 2)
 
     def p_detect(self, x: F8) -> F8:
-        """p_D · visible · max(1 − covered, least)."""
+        """p_D · visible · max(1 − c^1.5, least)."""
         if self.camera is None:
             watched = inside(x, self.borders) if self.view else np.ones(x.shape[1], np.bool_)
             return np.where(watched, self.detection, 0.0)
@@ -169,17 +169,16 @@ class PlaneSensor:
         if framed:
             out *= parts_inside(boxes, width, height)
         if len(self.hiders):
-            hidden = covered(self.hiders, self, x, boxes, self.camera.depth(np.ascontiguousarray(x[:2])), OWN)
-            out *= np.maximum(1 - hidden, self.least)
+            depth = self.camera.depth(np.ascontiguousarray(x[:2]))
+            out *= seen_part(self.hiders, x[:2], boxes, depth, OWN, self.least)
         return out
 
-    def watching(self, detections: Detections) -> PlaneSensor:
-        """The sensor in the frame of these boxes; itself where they hide nothing, or occlusion is not asked for."""
-        if not self.occlusion or self.camera is None or not len(detections):
+    def watching(self, targets: F8) -> PlaneSensor:
+        """The sensor where people are expected at these states; itself without them, or where occlusion is not asked for."""
+        if not self.occlusion or self.camera is None or targets.shape[1] == 0:
             return self
-        z = self.measure(detections)
-        usable = np.isfinite(z[0])
-        return replace(self, hiders=Hiders(detections.xyxy, self.camera.depth(z[:2]), np.ascontiguousarray(z[:, usable])))
+        place = np.ascontiguousarray(targets[:2])
+        return replace(self, hiders=Hiders(self.boxes(targets), self.camera.depth(place), place, self.noise(targets)[:2]))
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles that reach G deviations along each axis from the ground point; they hold the ellipse d ≤ G."""
