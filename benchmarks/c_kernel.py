@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from benchmarks.parts import Outcome, Row, Scale, Skipped
 from benchmarks.timing import Spread, in_turns
-from phdtrack.kernels import box_blocks
-from phdtrack.kernels.box_blocks import ALIVE, BLOCK, IH, IW, ROWS, SCALE, H, W, X, Y, likelihood_own
+from phdtrack.kernels.box_blocks import ALIVE, BLOCK, IH, IW, ROWS, SCALE, H, W, X, Y, likelihood_own, own_precisions
 
 KEYS = ("c_kernel",)
 SOURCE = Path(__file__).resolve().parent / "kernel.c"
@@ -55,13 +54,19 @@ def numba_calls(s: F4, n: int, d: F4, region: np.float32, calls: int, out: F4) -
             out[j, 0], out[j, 1] = likelihood_own(s, n, d, j, region)
 
 
+@njit
+def numba_precisions(s: F4, n: int, spread: np.float32, floor: np.float32) -> None:
+    """`own_precisions`, which only kernels may call."""
+    own_precisions(s, n, spread, floor)
+
+
 def block(rng: np.random.Generator) -> tuple[F4, F4]:
     """A block of particles about one target in the scratch layout, and a table of detections near it."""
     s = np.zeros(ROWS * BLOCK, np.float32)
     for row, mean, sd in ((X, 300, 3), (Y, 200, 5), (W, 35, 4), (H, 70, 8)):
         s[row : row + BLOCK] = rng.normal(mean, sd, BLOCK)
     s[ALIVE : ALIVE + BLOCK] = 1
-    box_blocks.own_precisions(s, BLOCK, np.float32(0.15), np.float32(1.0))
+    numba_precisions(s, BLOCK, np.float32(0.15), np.float32(1.0))
     d = np.zeros((16, DETECTIONS), np.float32)
     d[:4] = np.array([[300], [200], [35], [70]]) + np.array([[4], [7], [5], [10]]) * rng.standard_normal((4, DETECTIONS))
     return s, d

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from inner_kernels import from_python
 from phdtrack.kernels.association import (
     LANES,
     determinants,
@@ -19,6 +20,8 @@ from phdtrack.kernels.identities import come_back, hand_on
 from phdtrack.kernels.linking import link_states
 from reference import association_twin as twin
 from reference import kernel_twins
+
+determinants, find_edges, near_pairs = from_python(determinants, find_edges, near_pairs)
 
 seeds = st.integers(0, 2**32 - 1)
 ROWS = np.array([0, 1, 4, 5])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from inner_kernels import from_python
 from phdtrack.filters.box_tables import motion_numbers
 from phdtrack.kernels.birth_table import detection_table
 from phdtrack.kernels.box_blocks import (
@@ -20,6 +21,10 @@ from phdtrack.kernels.box_blocks import (
 )
 from phdtrack.models import BoxMotion, BoxSensor
 from reference import fused_twin as twins
+
+drift, extent, likelihood, load, move, own_precisions, store = from_python(
+    drift, extent, likelihood, load, move, own_precisions, store
+)
 
 F = np.float32
 

@@ -7,9 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from inner_kernels import from_python
 from phdtrack.kernels.gm_order import descending
 from phdtrack.kernels.gm_reduce import parted, reduced, triangles
 from reference import gm_twin as twin
+
+descending, parted = from_python(descending, parted)
 
 weights = st.lists(st.one_of(st.floats(0, 3), st.sampled_from([0.0, 0.5, 1.0, 1e-300, 5e-324, 1e300])), max_size=60)
 

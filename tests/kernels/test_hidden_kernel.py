@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from inner_kernels import from_python
 from phdtrack.kernels.hidden import covered_part, hiding, parts_inside
 from phdtrack.kernels.overlaps import rectangle_grid
 from reference import hidden_twin as twin
+
+[covered_part] = from_python(covered_part)
 
 
 def boxes(rng: np.random.Generator, n: int) -> np.ndarray:

@@ -7,8 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from inner_kernels import from_python
 from phdtrack.kernels.matching import insert_rows
 from reference import kernel_twins as twins
+
+[insert_rows] = from_python(insert_rows)
 
 Edges = dict[tuple[int, int], float]
 

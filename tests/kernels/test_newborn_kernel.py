@@ -7,11 +7,14 @@ import pytest
 from numba import config
 from scipy import stats
 
+from inner_kernels import from_python
 from phdtrack.kernels.birth_table import detection_table
 from phdtrack.kernels.box_blocks import BLOCK, ROWS
 from phdtrack.kernels.newborn import PEAK, place_newborn, standard_points, stretch, weigh_newborn
 from phdtrack.models.births import KEPT, region
 from reference import fused_twin as twins
+
+place_newborn, stretch, weigh_newborn = from_python(place_newborn, stretch, weigh_newborn)
 
 LIMIT, RADIUS = region()
 FRAMES, EACH = (6, 40) if config.DISABLE_JIT else (400, 250)

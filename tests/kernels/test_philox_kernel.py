@@ -9,10 +9,13 @@ from hypothesis import strategies as st
 from numba import config, njit
 from scipy import stats
 
+from inner_kernels import from_python
 from phdtrack.kernels.box_blocks import BLOCK, LANES, N0, ROWS, fill_normals
 from phdtrack.kernels.philox import ROUNDS, philox, unit
 from phdtrack.kernels.xoroshiro import xoroshiro
 from reference import fused_twin as twins
+
+fill_normals, philox, unit, xoroshiro = from_python(fill_normals, philox, unit, xoroshiro)
 
 # The known answers that come with Random123: rounds, counter, key, words.
 PI = (0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344)

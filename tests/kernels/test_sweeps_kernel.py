@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from inner_kernels import from_python
 from phdtrack.filters import ParticlePHD
 from phdtrack.filters.box_tables import BoxModel, motion_numbers, seen
 from phdtrack.filters.fused import fused_step
@@ -22,6 +23,8 @@ from phdtrack.models.births import KEPT, region
 from phdtrack.protocols import Model
 from phdtrack.types import ParticleBlocks
 from reference import fused_twin as twins
+
+_pick, stretch = from_python(_pick, stretch)
 
 F = np.float32
 KEY = (17, 2**32 - 5)

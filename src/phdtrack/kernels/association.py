@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import ENTRY, LEAN
+from phdtrack.kernels.fast32 import ENTRY, INNER
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -56,7 +56,7 @@ def predict_covariances(
                     out[k, target + i] += value[e, i] * value[f, i] * old[p, source + i]
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _eliminate(block: F8, width: int, det: F8, begin: int) -> None:
     """Determinants of the matrices ``block`` (m, m, lanes), to ``det`` from ``begin`` on.
 
@@ -77,7 +77,7 @@ def _eliminate(block: F8, width: int, det: F8, begin: int) -> None:
                     block[a, b, i] -= block[a, t, i] * block[t, t, i] * block[b, t, i]
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def determinants(cov: F8, plane: I8, block: F8, out: F8) -> None:
     """|P| of the rows that a measurement shows, written to ``out``; NaN where P is not positive definite.
 
@@ -98,7 +98,7 @@ def determinants(cov: F8, plane: I8, block: F8, out: F8) -> None:
         _eliminate(block, width, out, begin)
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def near_pairs(
     mean: F8,
     cov: F8,
@@ -197,7 +197,7 @@ def near_pairs(
     return found
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def find_edges(
     mean: F8,
     cov: F8,

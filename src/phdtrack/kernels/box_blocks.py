@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import FOUR, HALF, LEAN, ONE, VECTOR, cos_sin_turn, exp32, log32, sortable, sorted_number
+from phdtrack.kernels.fast32 import FOUR, HALF, INNER, ONE, VECTOR, cos_sin_turn, exp32, log32, sortable, sorted_number
 from phdtrack.kernels.philox import ROUNDS, philox, unit
 from phdtrack.kernels.xoroshiro import xoroshiro
 
@@ -35,7 +35,7 @@ MINUS_TWO, MINUS_HALF, ZERO = F(-2.0), F(-0.5), F(0.0)
 NORM = F(4.0 / (2.0 * np.pi) ** 2)
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def load(s: F4, n: int, state: F4, at: int) -> None:
     """Copy the columns ``at`` … at + n − 1 of ``state`` (6, L) into the block."""
     # As many rows as there are and not 6: the compiler would write the loop out six times.
@@ -45,7 +45,7 @@ def load(s: F4, n: int, state: F4, at: int) -> None:
             target[i] = source[i]
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def pad(s: F4, n: int, rows: int) -> int:
     """Fill the block up to whole vector registers with copies of its last particle; how many there are then.
 
@@ -60,7 +60,7 @@ def pad(s: F4, n: int, rows: int) -> int:
     return full
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def bury(s: F4, n: int, full: int) -> None:
     """ALIVE becomes 0 for the particles from number n on, which are there to fill registers."""
     for i in range(ALIVE + n, ALIVE + full):
@@ -76,7 +76,7 @@ def summed(s: F4, n: int) -> np.float32:
     return total
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def store(s: F4, n: int, state: F4, at: int) -> None:
     """Copy the block into the columns ``at`` … at + n − 1 of ``state`` (6, L)."""
     for row in range(state.shape[0]):
@@ -115,14 +115,14 @@ def fill_normals(s: F4, n: int, c1: np.uint32, c2: np.uint32, k0: np.uint32, k1:
         s[N2 + i], s[N3 + i] = radius * cosine, radius * sine
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _number(bits: np.uint32) -> np.float32:
     """The number that has these bits."""
     out: np.float32 = np.uint32(bits).view(np.float32)
     return out
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _bits(number: np.float32) -> np.uint32:
     """The bits of a number."""
     out: np.uint32 = F(number).view(np.uint32)

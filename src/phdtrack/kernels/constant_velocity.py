@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import ENTRY, LEAN
+from phdtrack.kernels.fast32 import ENTRY, INNER
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -15,7 +15,7 @@ I8 = NDArray[np.int64]
 BLOCK = 256
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _noises(
     size: float, dt: float, acceleration: float, resize: float, smallest: float, scaled: bool
 ) -> tuple[float, float, float, float]:

@@ -13,7 +13,9 @@ FAST = {"contract", "nsz", "arcp", "reassoc", "afn"}
 # How kernels are compiled. No wrapper for callers in C: there are none, and each would take a tenth of a kernel's time.
 LEAN = {"no_cfunc_wrapper": True, "error_model": "numpy"}
 ENTRY = LEAN | {"cache": True, "nogil": True}
-VECTOR = LEAN | {"fastmath": FAST}
+# For kernels that only kernels call: no wrapper for callers in Python either. A call from Python ends the process.
+INNER = LEAN | {"no_cpython_wrapper": True}
+VECTOR = INNER | {"fastmath": FAST}
 
 F = np.float32
 INT = np.int32

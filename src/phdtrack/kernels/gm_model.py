@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import LEAN
+from phdtrack.kernels.fast32 import INNER
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -81,7 +81,7 @@ class BoxNumbers(NamedTuple):
     size_high: float
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def box_numbers(t: F8) -> BoxNumbers:
     """The numbers from an array (27,), which costs less to hand over than a tuple."""
     return BoxNumbers(
@@ -90,13 +90,13 @@ def box_numbers(t: F8) -> BoxNumbers:
     )  # fmt: skip
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def entry(r: int, s: int) -> int:
     """Where the element in row r, column s ≤ r of a covariance is kept."""
     return r * (r + 1) // 2 + s
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def predicted(weight: F8, mean: F8, cov: F8, tag: I8, b: BoxNumbers, w: F8, x: F8, p: F8, t: I8) -> int:
     """Predict a mixture into ``w``, ``x``, ``p`` (triangles), ``t`` (tags); how many survive.
 
@@ -141,7 +141,7 @@ def predicted(weight: F8, mean: F8, cov: F8, tag: I8, b: BoxNumbers, w: F8, x: F
     return k
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def noise(b: BoxNumbers, w: float, h: float, z: F8, j: int) -> tuple[float, float, float, float]:
     """Variances of (px, py, w, h) of the measurement ``j`` of ``z`` (N, m), of a box of size ``w``, ``h``."""
     if b.scaling == FIXED:
@@ -155,7 +155,7 @@ def noise(b: BoxNumbers, w: float, h: float, z: F8, j: int) -> tuple[float, floa
     return max(0.25 * vw, TINY_VARIANCE), max(0.25 * vh, TINY_VARIANCE), vw, vh
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def cell(value: float, origin: float, scale: float, count: int) -> int:
     """Index of the cell that holds ``value``, clamped to the grid; ``scale`` is the inverse of a cell's size."""
     position = (value - origin) * scale
@@ -164,7 +164,7 @@ def cell(value: float, origin: float, scale: float, count: int) -> int:
     return count - 1 if position >= count else int(position)
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def sorted_boxes(z: F8) -> Scene:
     """The measurements ``z`` (m, N), N > 0, in a grid with about one of them a cell.
 
@@ -201,7 +201,7 @@ def sorted_boxes(z: F8) -> Scene:
     return Scene(boxes, order, start, x0, y0, sx, sy, nx, ny)
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def cells(x: float, y: float, half_x: float, half_y: float, scene: Scene) -> tuple[int, int, int, int]:
     """First and last column, first and last line of the cells that a rectangle about (x, y) touches."""
     left, right = cell(x - half_x, scene.x0, scene.sx, scene.nx), cell(x + half_x, scene.x0, scene.sx, scene.nx)
@@ -209,7 +209,7 @@ def cells(x: float, y: float, half_x: float, half_y: float, scene: Scene) -> tup
     return left, right, top, bottom
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def crowding(scene: Scene, b: BoxNumbers) -> F8:
     """(N,) Σ_i 1/V_i over the neighbourhoods in which each measurement lies: a local density per rate of one."""
     boxes, start, nx = scene.boxes, scene.start, scene.nx
@@ -229,7 +229,7 @@ def crowding(scene: Scene, b: BoxNumbers) -> F8:
     return out
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def newborn(scene: Scene, b: BoxNumbers, gamma: F8, covered: F8, w: F8, x: F8, p: F8, t: I8, k: int, fresh: int) -> int:
     """Put Gaussians about what nothing covers behind the first ``k`` of ``w``, ``x``, ``p``, ``t``; how many there are then.
 

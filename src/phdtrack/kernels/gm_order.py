@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import LEAN
+from phdtrack.kernels.fast32 import INNER
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -18,7 +18,7 @@ SIZE = 1 << BITS
 DIGITS = 8
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def descending(weight: F8) -> I8:
     """(J,) indices by descending weight (each ≥ 0, no NaN), the lower index first where equal.
 

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import ENTRY, LEAN
+from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gm_order import descending
 
 F8 = NDArray[np.float64]
@@ -38,7 +38,7 @@ def triangles(cov: F8) -> F8:
 Axes = tuple[int, ...]
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _apart(step: F8, cov: F8, i: int, limit: float, axes: Axes) -> bool:
     """Whether one component alone says that stepᵀ cov_i⁻¹ step is above ``limit``: it is at least step_r² / cov_rr."""
     far = False
@@ -47,7 +47,7 @@ def _apart(step: F8, cov: F8, i: int, limit: float, axes: Axes) -> bool:
     return far
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _factor(cov: F8, i: int, work: F8, inverse: F8, axes: Axes) -> None:
     """cov_i = L D Lᵀ without roots: L below the diagonal of ``work`` (d, d), (L D)ᵀ above it, and 1/D in ``inverse`` (d,).
 
@@ -65,7 +65,7 @@ def _factor(cov: F8, i: int, work: F8, inverse: F8, axes: Axes) -> None:
         inverse[r] = 1.0 / pivot if pivot > 0.0 else np.nan
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _distance2(step: F8, work: F8, inverse: F8, axes: Axes) -> float:
     """stepᵀ cov⁻¹ step from the factors of `_factor`; overwrites ``step`` with L⁻¹ step."""
     total = 0.0
@@ -76,7 +76,7 @@ def _distance2(step: F8, work: F8, inverse: F8, axes: Axes) -> float:
     return total
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _cells(x: F8, cov: F8, alive: I8) -> tuple[float, float, float, float, int, int]:
     """Origin, inverse cell size and number of cells of the heads' grid: about four deviations, at most 2 a Gaussian."""
     n = alive.size
@@ -101,7 +101,7 @@ def _cells(x: F8, cov: F8, alive: I8) -> tuple[float, float, float, float, int, 
     return x0, y0, nx / max(x1 - x0, 1e-9), ny / max(y1 - y0, 1e-9), nx, ny
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _cell(value: float, origin: float, scale: float, count: int) -> int:
     """Index of the cell that holds ``value``, clamped to the grid."""
     position = (value - origin) * scale
@@ -110,7 +110,7 @@ def _cell(value: float, origin: float, scale: float, count: int) -> int:
     return count - 1 if position >= count else int(position)
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) -> tuple[I8, I8, I8]:
     """Indices by descending weight (n,), the number of the group of each of these (n,), the head of each group (k,)."""
     n, d = alive.size, len(axes)
@@ -158,7 +158,7 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
     return order, group, head[:count]
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _united(
     weight: F8, x: F8, cov: F8, tag: I8, order: I8, group: I8, head: I8, axes: Axes, most: int, wanted: float
 ) -> tuple[F8, F8, F8, I8]:
@@ -219,7 +219,7 @@ def _united(
     return out_mass, out_mean, out_cov, out_tag
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def parted(weight: F8, tag: I8, split: float, fresh: int) -> int:
     """Give new tags, from ``fresh`` on, to those of ``split`` or more that share theirs with a heavier one; the next tag.
 
@@ -249,7 +249,7 @@ def parted(weight: F8, tag: I8, split: float, fresh: int) -> int:
     return fresh
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _alive(weight: F8, prune: float) -> I8:
     """Indices of what is no lighter than ``prune``."""
     out, count = np.empty(weight.size, np.int64), 0

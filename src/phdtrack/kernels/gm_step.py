@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import ENTRY, LEAN
+from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gm_model import (
     DETECTION,
     ENTRIES,
@@ -63,13 +63,13 @@ class Limits(NamedTuple):
     skip_empty: float
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _limits(t: F8) -> Limits:
     """The settings from an array, which costs less to hand over than a tuple."""
     return Limits(t[0], t[1], t[2], t[3], t[4], t[5], t[6], t[7])
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _factor(p: F8, i: int, variance: tuple[float, float, float, float], u: F8, root: F8) -> float:
     """H P Hᵀ + R = L D Lᵀ of a Gaussian in ``root`` (PAIR,), L D in ``u`` (M, M); 1/√det, NaN if not positive definite."""
     scale = 1.0
@@ -88,7 +88,7 @@ def _factor(p: F8, i: int, variance: tuple[float, float, float, float], u: F8, r
     return root_of_inverse
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _widest(boxes: F8, b: BoxNumbers) -> tuple[float, float]:
     """The largest variances of position that a measurement brings; 0 where they follow the state."""
     vx, vy = 0.0, 0.0
@@ -99,7 +99,7 @@ def _widest(boxes: F8, b: BoxNumbers) -> tuple[float, float]:
     return vx, vy
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _longer(index: I8, value: F8, used: int, more: int) -> tuple[I8, F8]:
     """The tables, of which so many rows are used, copied into ones that have room for ``more`` and for as many again."""
     longer, wider = np.empty((2 * used + more, 2), np.int64), np.empty((2 * used + more, PAIR))
@@ -110,7 +110,7 @@ def _longer(index: I8, value: F8, used: int, more: int) -> tuple[I8, F8]:
     return longer, wider
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def paired(
     x: F8, p: F8, first: int, last: int, scene: Scene, b: BoxNumbers, gate: float, index: I8, value: F8, found: int
 ) -> tuple[I8, F8, int]:
@@ -165,7 +165,7 @@ def paired(
     return index, value, found
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _posterior(x: F8, p: F8, i: int, value: F8, q: int, w: F8, k: int) -> None:
     """m + Wᵀ D⁻¹ y and P − Wᵀ D⁻¹ W, W = L⁻¹ H P, of Gaussian i and pair q, in the k-th place.
 
@@ -190,7 +190,7 @@ def _posterior(x: F8, p: F8, i: int, value: F8, q: int, w: F8, k: int) -> None:
             p[k, entry(r, c)] = total
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _given(births: F8, w: F8, x: F8, p: F8, t: I8, used: int, fresh: int) -> int:
     """Put a mixture (B, 1 + d + 21) behind the first ``used`` Gaussians, with tags from ``fresh`` on; how many there are."""
     for k in range(len(births)):
@@ -203,7 +203,7 @@ def _given(births: F8, w: F8, x: F8, p: F8, t: I8, used: int, fresh: int) -> int
     return used
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _births(
     index: I8, value: F8, found: int, scene: Scene, b: BoxNumbers, region: float, crowded: F8,
     w: F8, x: F8, p: F8, t: I8, used: int, fresh: int,
@@ -222,7 +222,7 @@ def _births(
     return count
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _weighed(index: I8, value: F8, found: int, order: I8, b: BoxNumbers, crowded: F8, w: F8, table: F8) -> tuple[float, int]:
     """The weight of each pair's posterior in the place of its density; their sum, and measurements with κ + C = 0.
 
@@ -247,7 +247,7 @@ def _weighed(index: I8, value: F8, found: int, order: I8, b: BoxNumbers, crowded
     return after, vanished
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _posteriors(
     index: I8, value: F8, found: int, w: F8, x: F8, p: F8, t: I8, used: int, prune: float
 ) -> tuple[F8, F8, F8, I8, int]:
@@ -266,7 +266,7 @@ def _posteriors(
     return w, x, p, t, used
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _larger(w: F8, x: F8, p: F8, t: I8, used: int, size: int) -> tuple[F8, F8, F8, I8]:
     """The same Gaussians in larger arrays."""
     wider, longer, larger, further = np.empty(size), np.empty((size, D)), np.empty((size, ENTRIES)), np.empty(size, np.int64)
@@ -279,7 +279,7 @@ def _larger(w: F8, x: F8, p: F8, t: I8, used: int, size: int) -> tuple[F8, F8, F
     return wider, longer, larger, further
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _sum(w: F8, first: int, last: int) -> float:
     """The sum of ``w`` from ``first`` to before ``last``."""
     total = 0.0

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import ENTRY, LEAN
+from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.overlaps import overlapping
 
 F8 = NDArray[np.float64]
@@ -16,7 +16,7 @@ I8 = NDArray[np.int64]
 Real = TypeVar("Real", np.float32, np.float64)
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def covered_part(
     left: Real, top: Real, right: Real, bottom: Real, by_left: Real, by_top: Real, by_right: Real, by_bottom: Real
 ) -> Real:

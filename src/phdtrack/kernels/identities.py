@@ -6,14 +6,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import ENTRY, LEAN
+from phdtrack.kernels.fast32 import ENTRY, INNER
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def follow(first: int, row: int, previous: I8, gain: F8, onward: I8, worth: F8) -> None:
     """Links seen from their other end: for each vertex from ``first`` on the one that goes on from it.
 
@@ -31,7 +31,7 @@ def follow(first: int, row: int, previous: I8, gain: F8, onward: I8, worth: F8) 
             onward[place], worth[place] = row + r, gain[r]
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def claim(
     first: int,
     used: int,

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.association import determinants, find_edges, near_pairs
-from phdtrack.kernels.fast32 import ENTRY, LEAN
+from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.matching import CLOSED, insert_rows
 
 F8 = NDArray[np.float64]
@@ -15,7 +15,7 @@ I8 = NDArray[np.int64]
 U1 = NDArray[np.uint8]
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _close(dt: float, span: float, row_base: int, column_base: int, since: F8, previous: I8, onward: I8) -> tuple[int, int]:
     """Let ``dt`` pass: ``since`` in place, and close the columns of ``onward`` that go with rows older than ``span``.
 
@@ -38,7 +38,7 @@ def _close(dt: float, span: float, row_base: int, column_base: int, since: F8, p
     return closed, gone
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _take_over(
     was: tuple[F8, I8, F8, F8, I8, F8, I8, I8, F8],
     since: F8,

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import LEAN
+from phdtrack.kernels.fast32 import INNER
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -22,7 +22,7 @@ FREE, CLOSED = -1, -2
 UNSEEN, TOUCHED, DONE = 0, 1, 2
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def insert_rows(
     first: int,
     row_base: int,

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.box_blocks import ALIVE, IH, IW, MINUS_TWO, ZERO, ZH, ZW, ZX, ZY, H, W, X, Y
-from phdtrack.kernels.fast32 import ENTRY, FAST, HALF, LEAN, ONE, VECTOR, cos_sin_turn, exp32, log32
+from phdtrack.kernels.fast32 import ENTRY, FAST, HALF, INNER, ONE, VECTOR, cos_sin_turn, exp32, log32
 from phdtrack.kernels.philox import ROUNDS, philox, unit
 
 F4 = NDArray[np.float32]
@@ -73,7 +73,7 @@ def standard_points(count: int, radius: F4, key: I8) -> F4:
     return out
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def stretch(j: int, room: int, k0: np.uint32, k1: np.uint32) -> np.int64:
     """Where in the standard points those of detection j begin, 0 ≤ … ≤ ``room``."""
     a, _, _, _ = philox(np.uint32(j), ALL, STAGE_POINT, np.uint32(0), k0, k1, ROUNDS)

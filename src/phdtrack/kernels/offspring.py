@@ -31,7 +31,7 @@ from phdtrack.kernels.box_blocks import (
     own_precisions,
     pad,
 )
-from phdtrack.kernels.fast32 import ENTRY, HALF, LEAN, VECTOR
+from phdtrack.kernels.fast32 import ENTRY, HALF, INNER, VECTOR
 from phdtrack.kernels.newborn import place_newborn, stretch, weigh_newborn
 
 F4 = NDArray[np.float32]
@@ -151,7 +151,7 @@ def sweep_offspring(
                 out[2, at + t], out[3, at + t] = speed[j] * points[5, i], speed[j] * points[6, i]
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _survivors(s: F4, n: int) -> None:
     """ALIVE from the sign of the width, which becomes positive again."""
     for i in range(n):
@@ -159,7 +159,7 @@ def _survivors(s: F4, n: int) -> None:
         s[W + i] = abs(s[W + i])
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _posterior(s: F4, n: int, which: I8, weight: F4, missed: np.float32, d: F4, own: bool, sensor: F4) -> None:
     """The particles' weights after the update into SUM: [1 − p_D + Σ_z p_D g(z|x)/(κ + C)]·ALIVE [M07 (6), M09 (6)]."""
     for i in range(n):
@@ -173,7 +173,7 @@ def _posterior(s: F4, n: int, which: I8, weight: F4, missed: np.float32, d: F4, 
             s[SUM + i] += factor * s[G + i]
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _part(s: F4, n: int, rows: int, row: int, target: I4) -> None:
     """Put the block's particles that lie before the middle of its extent along a row before the others.
 
@@ -200,7 +200,7 @@ def _part(s: F4, n: int, rows: int, row: int, target: I4) -> None:
             part[target[i]] = s[N0 + i]
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _pick(s: F4, n: int, teeth: int, at: int, phase: float, width: float, upto: I4, owner: U4, out: F4) -> None:
     """Write the offspring of a block: the particles on whose stretch of the weights a tooth of the comb falls.
 
@@ -231,7 +231,7 @@ def _pick(s: F4, n: int, teeth: int, at: int, phase: float, width: float, upto: 
         vy[t], w[t], h[t] = s[mine + AT_VY], s[mine + AT_W], s[mine + AT_H]
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _running(s: F4, n: int) -> np.float32:
     """The running sum of SUM into N0, of four quarters at once so that none waits for another's; gives the whole."""
     for i in range(n, BLOCK):

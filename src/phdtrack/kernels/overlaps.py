@@ -9,14 +9,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import ENTRY, LEAN
+from phdtrack.kernels.fast32 import ENTRY, INNER
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 F4 = NDArray[np.float32]
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def cell_of(value: float, origin: float, per_cell: float, count: int) -> int:
     """Index of the cell that holds ``value``, clamped to the grid; ``per_cell`` is one over the cell's size."""
     position = (value - origin) * per_cell

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from phdtrack.kernels.fast32 import LEAN, VECTOR
+from phdtrack.kernels.fast32 import INNER, VECTOR
 
 W = np.uint32
 D = np.uint64
@@ -22,7 +22,7 @@ STEP = np.float32(2.0**-23)
 HALF_STEP = np.float32(2.0**-24)
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def philox(
     c0: np.uint32, c1: np.uint32, c2: np.uint32, c3: np.uint32, k0: np.uint32, k1: np.uint32, rounds: int
 ) -> tuple[np.uint32, np.uint32, np.uint32, np.uint32]:

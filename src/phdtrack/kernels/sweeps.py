@@ -34,7 +34,7 @@ from phdtrack.kernels.box_blocks import (
     store,
     summed,
 )
-from phdtrack.kernels.fast32 import ENTRY, LEAN
+from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.newborn import place_newborn, stretch, weigh_newborn
 from phdtrack.kernels.overlaps import overlapping
 
@@ -130,7 +130,7 @@ def sweep_old(
     return first, which[:used], sums
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def _longer(which: I8, sums: F4, size: int) -> tuple[I8, F4]:
     """The same lists with room for ``size``."""
     longer, wider = np.empty(size, np.int64), np.empty((2, size), np.float32)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from phdtrack.kernels.fast32 import LEAN
+from phdtrack.kernels.fast32 import INNER
 
 W = np.uint32
 D = np.uint64
@@ -17,7 +17,7 @@ STAR, LOW = D(0x9E3779BB), D(0xFFFFFFFF)
 TURN_A, BACK_A, SHIFT, TURN_B, BACK_B = W(26), W(6), W(9), W(13), W(19)
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def xoroshiro(a: np.uint32, b: np.uint32) -> tuple[np.uint32, np.uint32, np.uint32]:
     """A word of 32 bits, of which the upper are the better ones, and the state after it; (0, 0) is no state."""
     word = W((D(a) * STAR) & LOW)
