@@ -5,9 +5,13 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from benchmarks.compile import detections
@@ -42,6 +46,14 @@ print(json.dumps({{"own": own, "before": ours(before), "after": ours(after), "va
 """
 
 
+def within(seconds: float, condition: Callable[[], bool]) -> bool:
+    """Whether the condition comes true in time."""
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.05)
+    return condition()
+
+
 @pytest.fixture
 def installed(tmp_path: Path) -> Path:
     """A folder to put on the path: phdtrack with two kernels more, and a table of these."""
@@ -53,15 +65,21 @@ def installed(tmp_path: Path) -> Path:
     return folder
 
 
-def run(installed: Path, cores: int = 2, executable: str = sys.executable, **environment: str) -> dict[str, object]:
-    """The program in a fresh process."""
+def command(installed: Path, cores: int = 2, executable: str = sys.executable, **environment: str) -> dict[str, Any]:
+    """The program in a fresh process, as `subprocess.Popen` is told."""
     kept = {key: value for key, value in os.environ.items() if key not in ("NUMBA_CACHE_DIR", "NUMBA_DISABLE_JIT")}
     environment = kept | {"PYTHONPATH": str(installed), "PYTHONDONTWRITEBYTECODE": "1"} | environment
-    command = [sys.executable, "-c", PROGRAM.format(cores=cores, executable=executable)]
-    done = subprocess.run(command, env=environment, cwd=installed, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    found: dict[str, object] = json.loads(done.stdout)
+    arguments = [sys.executable, "-c", PROGRAM.format(cores=cores, executable=executable)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return {"args": arguments, "env": environment, "cwd": installed} | pipes
+
+
+def run(installed: Path, cores: int = 2, executable: str = sys.executable, **environment: str) -> dict[str, object]:
+    """The program in a fresh process, to its end."""
+    with subprocess.Popen(**command(installed, cores, executable, **environment)) as running:
+        out, said = running.communicate(timeout=300)
+    assert (running.returncode, said) == (0, "")
+    found: dict[str, object] = json.loads(out)
     assert found["values"] == [4.0, 6]
     return found
 
@@ -72,9 +90,27 @@ def test_two_processes_compile_half_each_and_nothing_is_left_to_do(installed: Pa
     assert run(installed) == found | {"own": [0, 0], "before": []}
 
 
-def test_one_core_compiles_where_kernels_are_called(installed: Path) -> None:
-    found = run(installed, cores=1)
-    assert (found["own"], found["before"], found["after"]) == ([0, 0], [], ["one", "two"])
+@pytest.mark.parametrize(("cores", "executable"), [(1, sys.executable), (2, "")])
+def test_where_no_process_can_help_one_compiles_all(installed: Path, cores: int, executable: str) -> None:
+    found = run(installed, cores=cores, executable=executable)
+    assert (found["own"], found["before"], found["after"]) == ([1, 1], ["one", "two"], [])
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX systems")
+def test_an_interrupted_run_leaves_no_process_behind(installed: Path, tmp_path: Path) -> None:
+    helper, number = tmp_path / "helper", tmp_path / "number"
+    helper.write_text(f"#!/bin/sh\necho $$ > {number}.part\nmv {number}.part {number}\nexec sleep 300\n")
+    helper.chmod(0o755)
+    running = subprocess.Popen(**command(installed, executable=str(helper)))
+    assert within(120, number.exists), "the helping process has started"
+    pid = int(number.read_text())
+    os.kill(pid, 0)
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate(timeout=60)
+    assert running.returncode != 0
+    assert "KeyboardInterrupt" in said
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
 
 
 def test_a_process_that_fails_leaves_its_share_to_the_run(installed: Path) -> None:
@@ -115,8 +151,8 @@ def test_the_table_has_what_a_run_calls(tmp_path: Path) -> None:
     environment = {key: value for key, value in os.environ.items() if key != "NUMBA_DISABLE_JIT"}
     # The first run compiles what is not on disk yet, with all that kernels call; the second loads what Python calls.
     for _ in range(2):
-        command = [sys.executable, "-c", program, *options]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600, check=True)
+        arguments = [sys.executable, "-c", program, *options]
+        done = subprocess.run(arguments, env=environment, capture_output=True, text=True, timeout=600, check=True)
     called = {(name, types) for name, types in json.loads(done.stdout.splitlines()[-1])}
     listed = {(row.name, row.types) for row in table() if "particle-phd" in row.filters}
     assert called - listed == set(), "python scripts/called_kernels.py writes the table anew"

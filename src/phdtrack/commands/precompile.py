@@ -7,11 +7,15 @@ it is called, and so is what a process could not do.
 
 from __future__ import annotations
 
+import gc
 import json
 import os
+import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -57,17 +61,18 @@ def table() -> tuple[Called, ...]:
 
 
 def precompile(filter_name: str) -> None:
-    """Compile what a run with this filter will call, unless it is on disk, in as many processes as there are cores."""
+    """Compile what a run with this filter will call, unless it is on disk, in as many processes as there are cores.
+
+    Whatever ends this call ends the processes too.
+    """
     if numba.config.DISABLE_JIT:
         return
     known = table()
     kept = {index.name.rpartition("-")[0] for index in CACHE.folder.glob("*.nbi")}
     wanted = [number for number, row in enumerate(known) if filter_name in row.filters and row.name not in kept]
-    total = sum(known[number].seconds for number in wanted)
-    processes = min(_cores(), MOST, int(total / WORTH))
-    if processes < 2 or not _can_start():
-        return
-    own, *others = shares(wanted, [known[number].seconds for number in wanted], processes)
+    cost = [known[number].seconds for number in wanted]
+    processes = min(_cores(), MOST, int(sum(cost) / WORTH)) if _can_start() else 1
+    own, *others = shares(wanted, cost, max(processes, 1))
     children: list[subprocess.Popen[bytes]] = []
     try:
         children.extend(_started(share) for share in others)
@@ -114,16 +119,46 @@ def called() -> Iterator[tuple[str, str]]:
 
 def _compile(known: Sequence[Called], numbers: Sequence[int]) -> None:
     """These rows of the table, into the cache on disk."""
-    for number in numbers:
-        module, _, function = known[number].name.rpartition(".")
-        try:
-            kernel: Any = getattr(import_module(KERNELS + module), function)
-            arguments, _ = sigutils.normalize_signature(known[number].types)
-            # The tuple is what Numba's index is asked for when the kernel is called; a text would be another key.
-            kernel.compile(arguments)
-        except Exception:
-            # An older table, a full disk: the run compiles it where it is called, and says there what is wrong.
-            continue
+    with _no_collecting():
+        for number in numbers:
+            module, _, function = known[number].name.rpartition(".")
+            try:
+                kernel: Any = getattr(import_module(KERNELS + module), function)
+                arguments, _ = sigutils.normalize_signature(known[number].types)
+                # The tuple is what Numba's index is asked for when the kernel is called; a text would be another key.
+                with _interrupted_afterwards():
+                    kernel.compile(arguments)
+            except Exception:
+                # An older table, a full disk: the run compiles it where it is called, and says there what is wrong.
+                continue
+
+
+@contextmanager
+def _no_collecting() -> Iterator[None]:
+    """While this lasts, nobody looks for garbage: compiling makes millions of objects, and the looks take a tenth of it."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()
+
+
+@contextmanager
+def _interrupted_afterwards() -> Iterator[None]:
+    """Ctrl-C while this lasts comes at its end: LLVM calls Python back now and then, and what is raised there is lost."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    noted: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: noted.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
+    if noted:
+        signal.raise_signal(signal.SIGINT)
 
 
 def _started(share: Sequence[int]) -> subprocess.Popen[bytes]:
