@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from phdtrack.extract import KMeans
 from phdtrack.extract.cloud import Cloud
-from phdtrack.extract.clusters import REACH, Labels, cluster, moments, seeds
+from phdtrack.extract.clusters import REACH, Labels, cluster, moments, seeds, starting
 from phdtrack.extract.mixture import _parts
 from phdtrack.kernels.blocks import cut
 from phdtrack.kernels.em import em_step
@@ -64,7 +64,7 @@ def test_clusters_are_the_twins(seed: int, targets: int, alarms: int, width: flo
     extractor, sensor = KMeans(overlap=1.0), MODEL.sensor
     if state.mass < extractor.lightest:
         return
-    centres = seeds(Cloud.of(state), z, sensor, extractor.lightest)
+    centres = seeds(Cloud.of(state), z, sensor, extractor.lightest).centre
     x, weight, _ = cut(state.state, state.weight, 256)
     mass, mean, cov = twin.kmeans(x, weight, centres, sensor.noise, extractor.lightest, extractor.split)
     found = extractor.extract(state, z, MODEL)
@@ -127,7 +127,7 @@ def test_every_particle_belongs_to_the_twins_cluster(seed: int, targets: int, wi
     part, sensor = Cloud.of(state), MODEL.sensor
     # Centres beside the targets have a long way to go, and some lose all they have.
     centres, _ = sensor.states(z + rng.normal(0, 15, z.shape) * [[1], [1], [0], [0]])
-    labels = cluster(part, centres, sensor, split, iterations)
+    labels = cluster(part, starting(part, centres, sensor)[0], split, iterations)
     rounds = int(np.ceil(2 * state.mass / split)) if split < np.inf else 0
     want, mass, mean = twin.cluster(part.state, part.weight, centres, sensor.noise(centres), split, iterations, rounds)
     np.testing.assert_array_equal(of_particles(labels, part), want)
@@ -141,7 +141,7 @@ def test_strays_are_not_peeled_off_without_end(most: int, rng):
     pile = np.repeat(HERE[:, None], 4000, axis=1)
     pile[:, :12] += 6 * MODEL.sensor.noise(pile[:, :12]) * np.hstack([np.eye(6), -np.eye(6)])
     part = Cloud.of(blocks(Particles(pile, np.full(4000, 0.02)), rng, most))
-    labels = cluster(part, MODEL.sensor.states(seen(HERE))[0], MODEL.sensor, 1.5, 5)
+    labels = cluster(part, starting(part, MODEL.sensor.states(seen(HERE))[0], MODEL.sensor)[0], 1.5, 5)
     assert len(labels.mass) == 1 + PATIENCE
     assert labels.mass.sum() == pytest.approx(80.0)
     assert labels.mass.max() == pytest.approx(80.0 - 0.02 * PATIENCE)
@@ -175,7 +175,7 @@ def test_moments_of_joined_clusters(rng):
     state = together(cloud(rng, HERE, 1.0), cloud(rng, moved(40), 1.0), cloud(rng, THERE, 1.0))
     part = Cloud.of(state)
     centres = np.array([HERE, moved(40)]).T.copy()
-    labels = cluster(part, centres, MODEL.sensor, np.inf, 0)
+    labels = cluster(part, starting(part, centres, MODEL.sensor)[0], np.inf, 0)
     mass, mean, cov = moments(part, labels, np.zeros(2, np.int64), centres[:, :1])
     mine = state.state[:, :800]
     np.testing.assert_allclose(mass, [2.0])

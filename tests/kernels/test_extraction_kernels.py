@@ -9,18 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inner_kernels import from_python
+from phdtrack.boxes import iou
 from phdtrack.kernels.blocks import cut, summarise
 from phdtrack.kernels.box import box_corners, box_gate, box_noise, resting
 from phdtrack.kernels.clustering import cluster_moments, outside
 from phdtrack.kernels.em import block_moments, whitening
-from phdtrack.kernels.joining import claim, meeting
+from phdtrack.kernels.joining import claim, heavy_enough, likeness, meeting, nearest_first, serve
 from phdtrack.kernels.kmeans import kmeans
-from phdtrack.kernels.nearest import CENTRE, MASS, MIXED
+from phdtrack.kernels.nearest import CENTRE, MASS, MIXED, ROOM
 from phdtrack.kernels.overlaps import rectangle_grid
 from reference import clustering_twin as twin
-
-[whitening] = from_python(whitening)
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -100,10 +98,13 @@ def test_kmeans_and_moments(seed: int, most: int, kind: type, equal: bool):
     lower, upper = known[:, 1:3].T.copy(), known[:, 1 + d : 3 + d].T.copy()
     table, flags = np.empty((room, CENTRE + 4 * d)), np.empty((room, 6), np.int64)
     label, own = np.empty(blocks, np.int32), np.empty(50, np.int32)
+    grid = (lower, upper, *rectangle_grid(lower, upper))
+    # Some centres are filed already, the rest by the kernel.
+    filed = int(rng.integers(0, 4))
+    _, head, link = outside(x, start, known, widest, *grid, centres[:, :filed].copy(), scales[:, :filed].copy(), 8.0)
     k = kmeans(
-        x, w, start, known, lower, upper, *rectangle_grid(lower, upper), centres, scales, 8.0, 0.6, 4, 9,
-        table, flags, label, own, np.empty(blocks, np.int64), np.empty((2, 1), np.int64),
-        np.empty(max(room, blocks), np.int64), np.empty((d + 2, widest), kind), np.empty(widest, np.int32),
+        x, w, start, known, *grid, centres, scales, 8.0, 0.6, 4, 9, head, link, filed, table, flags, label, own,
+        np.zeros((d + d % 2 + 2, widest), kind), np.empty(widest, np.int32),
     )  # fmt: skip
     exact, wide = x.astype(float), w.astype(float)
     want, mass, mean = twin.cluster(exact, wide, centres, scales, 0.6, 4, 9)
@@ -135,26 +136,82 @@ def test_who_lies_outside_and_what_meets(seed: int, count: int, most: int):
     state, weight, start = cut(rng.uniform(0, 100, (2, 60)), np.ones(60), most)
     known, _ = known_of(state, weight, start)
     at, half = rng.uniform(0, 100, (2, count)), rng.uniform(0, 40, (2, count))
-    low, high = at - half, at + half
     lower, upper = known[:, 1:3].T.copy(), known[:, 3:5].T.copy()
-    blocks, pairs = len(known), np.empty((2, count * len(known)), np.int64)
-    grid = rectangle_grid(lower, upper)
-    number = meeting(low, high, lower, upper, *grid, np.empty(blocks, np.int64), pairs)
-    want = [
-        (i, j)
-        for i in range(count)
-        for j in range(blocks)
-        if (low[:, i] <= upper[:, j]).all() and (high[:, i] >= lower[:, j]).all()
-    ]
-    which, block = pairs[:, :number]
-    assert sorted(zip(which, block, strict=True)) == want
-    assert (np.diff(which) >= 0).all()
-    small = np.empty((2, number // 2), np.int64)
-    assert meeting(low, high, lower, upper, *grid, np.empty(blocks, np.int64), small) == number
-    out = np.empty(60, np.int64)
-    found = outside(state, start, known, low, high, which, block, np.empty(blocks, bool), np.empty(60, bool), out)
-    inside = ((state[:, :, None] >= low[:, None]) & (state[:, :, None] <= high[:, None])).all(0).any(1)
-    np.testing.assert_array_equal(out[:found], np.flatnonzero(~inside))
+
+    def met(times: float) -> list[tuple[int, int]]:
+        low, high = at - times * half, at + times * half
+        apart = (low[:, :, None] > upper[:, None]) | (high[:, :, None] < lower[:, None])
+        return [(int(i), int(j)) for i, j in np.argwhere(~apart.any(0))]
+
+    assert list(zip(*meeting(at - half, at + half, lower, upper), strict=True)) == met(1.0)
+    grid = (lower, upper, *rectangle_grid(lower, upper))
+    out, head, link = outside(state, start, known, most, *grid, at, 0.5 * half, 2.0)
+    inside = (np.abs(state[:, :, None] - at[:, None]) <= half[:, None]).all(0).any(1)
+    np.testing.assert_array_equal(out, np.flatnonzero(~inside))
+    filed = []
+    for b, first in enumerate(head):
+        while first >= 0:
+            filed.append((link[0, first], b))
+            first = link[1, first]
+    assert sorted(filed) == met(ROOM)
+
+
+@given(seeds, st.integers(0, 70), st.sampled_from([1, 10, 10**9]))
+@settings(max_examples=40, deadline=None)
+def test_nearest_first(seed: int, count: int, kinds: int):
+    """As a stable sort has it, few and many, with and without equal ones."""
+    distance2 = np.random.default_rng(seed).integers(0, kinds, count) / 7.0
+    order = np.empty(count, np.int64)
+    nearest_first(np.append(distance2, 0.0), order)
+    np.testing.assert_array_equal(order, distance2.argsort(kind="stable"))
+
+
+@given(seeds, st.integers(0, 9), st.integers(0, 9))
+@settings(max_examples=40, deadline=None)
+def test_a_detection_serves_one_cluster_the_closest_first(seed: int, k: int, detections: int):
+    rng = np.random.default_rng(seed)
+    which, point = (i.ravel() for i in np.indices((detections, k)))
+    distance2 = rng.integers(0, 12, which.size) / 3.0
+    floor, cov = rng.uniform(0, 3, (2, k)), rng.normal(size=(k, 2, 2))
+    seen, taken, floored = np.full(k, -1), np.full(detections, -1), cov.copy()
+    serve(which, point, distance2, 2.5, floor, taken, seen, floored)
+    want: dict[int, int] = {}
+    for d2, z, j in sorted(zip(distance2, which.tolist(), point.tolist(), strict=True)):
+        if d2 <= 2.5 and j not in want and z not in want.values():
+            want[j] = z
+    np.testing.assert_array_equal(seen, [want.get(j, -1) for j in range(k)])
+    assert {(j, z) for z, j in enumerate(taken) if j >= 0} == set(want.items())
+    diagonal = np.array([np.diag((0.1 * f) ** 2) for f in floor.T]).reshape(k, 2, 2)
+    np.testing.assert_allclose(floored - cov, diagonal, atol=1e-12)
+
+
+@given(seeds, st.integers(0, 14))
+@settings(max_examples=60, deadline=None)
+def test_light_clusters_are_joined_and_the_heavy_enough_kept(seed: int, k: int):
+    rng = np.random.default_rng(seed)
+    mass, mean, scale = rng.uniform(0, 1, k), rng.uniform(0, 120, (3, k)), rng.uniform(2, 6, (3, k))
+    pairs, centre = [i.ravel() for i in np.indices((k, k))], np.empty((3, k))
+    place, count = heavy_enough(*pairs, mass, mean, scale, twin.REACH, 0.6, 1.5, centre)
+    root = twin.join_light(mass, mean, lambda _: scale, 0.6, 1.5)
+    kept = [j for j in range(k) if root[j] == j and mass[root == j].sum() >= 0.6]
+    np.testing.assert_array_equal(place, [kept.index(i) if i in kept else -1 for i in root])
+    np.testing.assert_array_equal(centre[:, :count], mean[:, kept])
+
+
+@given(seeds, st.integers(0, 12), st.sampled_from([0.0, 0.3]))
+@settings(max_examples=40, deadline=None)
+def test_boxes_that_are_alike(seed: int, count: int, above: float):
+    rng = np.random.default_rng(seed)
+    corner = rng.uniform(0, 100, (count, 2))
+    boxes = np.hstack([corner, corner + rng.choice([0.0, 20.0, 60.0], (count, 2))])
+    table = iou(boxes, boxes)
+    want = {(i, j): pytest.approx(table[i, j]) for i in range(count) for j in range(i + 1, count) if table[i, j] > above}
+    first, second = (i.ravel().copy() for i in np.indices((count, count)))
+    shared = np.empty(count * count)
+    found = likeness(boxes, first, second, above, shared)
+    assert (
+        dict(zip(zip(first[:found].tolist(), second[:found].tolist(), strict=True), shared.tolist(), strict=False)) == want
+    )
 
 
 def test_claims():

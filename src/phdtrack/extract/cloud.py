@@ -59,6 +59,10 @@ class Cloud:
         grid = Rectangles.of(known[:, 1:3].T.copy(), known[:, 1 + d : 3 + d].T.copy())
         return cls(state, weight, start, known, most, grid)
 
+    def mass_of(self, index: I8) -> float:
+        """Σw of the particles at ``index``."""
+        return float(self.weight[0]) * len(index) if self.weight.size == 1 else float(self.weight[index].sum())
+
     def take(self, index: I8) -> Particles:
         """The particles at ``index``."""
         weight = np.full(len(index), self.weight[0]) if self.weight.size == 1 else self.weight[index]

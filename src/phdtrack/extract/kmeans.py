@@ -13,16 +13,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from phdtrack.checks import Positive, PositiveCount, Share, check
 from phdtrack.extract import clusters
 from phdtrack.extract.cloud import Cloud
-from phdtrack.extract.clusters import Labels
-from phdtrack.extract.joining import join_light
 from phdtrack.extract.resolution import join_unresolved
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, Estimates, ParticleBlocks, Particles
+from phdtrack.types import F8, Estimates, ParticleBlocks, Particles
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,15 +48,10 @@ class KMeans:
         if state.mass < self.lightest:
             return Estimates.empty(model.motion.dim)
         sensor, cloud = model.sensor, Cloud.of(state)
-        centres = clusters.seeds(cloud, z, sensor, self.lightest)
-        labels = clusters.cluster(cloud, centres, sensor, self.split, self.iterations)
-        root = join_light(labels.mass, labels.mean, sensor, clusters.REACH, self.lightest, self.split)
-        mass, mean, cov = self._heavy_enough(cloud, labels, root)
-        found = join_unresolved(mass, mean, cov, sensor, self.overlap)
+        start = clusters.seeds(cloud, z, sensor, self.lightest)
+        labels = clusters.cluster(cloud, start, self.split, self.iterations)
+        # Clusters start on every detection, so one target beside a false alarm, or detected twice, may lie in two halves
+        # that are each too light.
+        place, centre = clusters.heavy_enough(labels, sensor, self.lightest, self.split)
+        found = join_unresolved(*clusters.moments(cloud, labels, place, centre), sensor, self.overlap)
         return clusters.finish(*found, z, model, self.region)
-
-    def _heavy_enough(self, cloud: Cloud, labels: Labels, root: I8) -> tuple[F8, F8, F8]:
-        """Mass, mean and covariance of the clusters heavy enough, each with what has joined it."""
-        kept = np.bincount(root, labels.mass, len(root)) >= self.lightest
-        place = np.where(kept, kept.cumsum() - 1, -1)
-        return clusters.moments(cloud, labels, place[root], labels.mean.compress(kept, axis=1))

@@ -48,9 +48,9 @@ class Mixture:
         if state.mass < self.lightest:
             return Estimates.empty(model.motion.dim)
         sensor, cloud = model.sensor, Cloud.of(state)
-        centres = clusters.seeds(cloud, z, sensor, self.lightest)
+        start = clusters.seeds(cloud, z, sensor, self.lightest)
         parts = _parts(cloud)
-        mixture, scale = self._fit(cloud, parts, *_start(cloud, centres, sensor), sensor)
+        mixture, scale = self._fit(cloud, parts, *_start(cloud, start, sensor), sensor)
         for _ in range(math.ceil(2 * state.mass / self.split)):
             if not (mixture.weight > self.split).any():
                 break
@@ -85,11 +85,10 @@ def _parts(cloud: Cloud) -> tuple[F8, F8]:
     return first, second
 
 
-def _start(cloud: Cloud, centres: F8, sensor: Sensor) -> tuple[GaussianMixture, F8]:
+def _start(cloud: Cloud, start: clusters.Start, sensor: Sensor) -> tuple[GaussianMixture, F8]:
     """Components from the nearest-centre clusters, and the noise at their means."""
-    k = centres.shape[1]
-    labels = clusters.cluster(cloud, centres, sensor, math.inf, 0)
-    mass, mean, cov = clusters.moments(cloud, labels, np.arange(k), labels.mean)
+    labels = clusters.cluster(cloud, start, math.inf, 0)
+    mass, mean, cov = clusters.moments(cloud, labels, np.arange(len(labels.mass)), labels.mean)
     return _floored(mass, mean, cov, sensor)
 
 

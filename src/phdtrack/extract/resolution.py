@@ -12,7 +12,7 @@ import heapq
 
 import numpy as np
 
-from phdtrack.extract.rectangles import Rectangles
+from phdtrack.kernels.joining import likeness, meeting
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, I8
 
@@ -64,12 +64,10 @@ def joined(mass: F8, mean: F8, cov: F8, sensor: Sensor, overlap: float) -> tuple
 def _overlapping(boxes: F8, overlap: float) -> tuple[I8, I8, F8]:
     """Pairs i < j of (n, 4) boxes whose overlap (IoU) is above the bound, and their overlaps."""
     lower, upper = boxes[:, :2].T.copy(), boxes[:, 2:].T.copy()
-    first, second = Rectangles.of(lower, upper).meeting(lower, upper)
-    later = second > first
-    first, second = first[later], second[later]
-    shared = _iou(boxes[first], boxes[second])
-    above = shared > overlap
-    return first[above], second[above], shared[above]
+    first, second = meeting(lower, upper, lower, upper)
+    shared = np.empty(len(first))
+    count = likeness(boxes, first, second, overlap, shared)
+    return first[:count], second[:count], shared[:count]
 
 
 def _iou(a: F8, b: F8) -> F8:

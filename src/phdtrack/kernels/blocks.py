@@ -20,42 +20,43 @@ I8 = NDArray[np.int64]
 # float32 from the fused filter, float64 from any other.
 Real = NDArray[np.floating[Any]]
 Bits = NDArray[np.signedinteger[Any]]
+# Places in a row are counted without a sign: one that might be negative is checked, and the check would keep the loop from
+# being vectorised. Cutting the row out instead costs more than what is done with its few hundred numbers.
+U = np.uint64
 
 
 @njit(**VECTOR)
 def load_steps(state: Real, begin: int, n: int, known: F8, b: int, scratch: Real) -> None:
     """Write the states of block b, relative to the point in its middle, into the first d rows of ``scratch``."""
-    d = state.shape[0]
+    d, at = state.shape[0], U(begin)
     for r in range(d):
-        # Slices: an index that is a sum might be negative, and the check would keep the loop from being vectorised.
-        row, out, zero = state[r, begin : begin + n], scratch[r], state.dtype.type(known[b, 1 + 2 * d + r])
-        for i in range(n):
-            out[i] = row[i] - zero
+        zero = state.dtype.type(known[b, 1 + 2 * d + r])
+        for i in range(U(n)):
+            scratch[r, i] = state[r, at + i] - zero
 
 
 @njit(**VECTOR)
-def load_weight(weight: Real, begin: int, n: int, out: Real) -> None:
-    """Write the weights of n particles into ``out``."""
-    part = weight[begin : begin + n] if weight.size > 1 else weight
+def load_weight(weight: Real, begin: int, n: int, scratch: Real, row: int) -> None:
+    """Write the weights of n particles into a row of ``scratch``."""
+    at, one = U(begin), weight[0]
     if weight.size > 1:
-        for i in range(n):
-            out[i] = part[i]
+        for i in range(U(n)):
+            scratch[row, i] = weight[at + i]
     else:
-        for i in range(n):
-            out[i] = part[0]
+        for i in range(U(n)):
+            scratch[row, i] = one
 
 
 @njit(**VECTOR)
 def weigh(scratch: Real, n: int, d: int) -> float:
     """Σw of n particles: from rows s (d) and, behind an even number of them, w·s (d) and w; writes w·s."""
     even = d + d % 2
-    mass, weight = scratch.dtype.type(0), scratch[2 * even]
-    for i in range(n):
-        mass += weight[i]
+    mass = scratch.dtype.type(0)
+    for i in range(U(n)):
+        mass += scratch[2 * even, i]
     for r in range(d):
-        row, out = scratch[r], scratch[even + r]
-        for i in range(n):
-            out[i] = weight[i] * row[i]
+        for i in range(U(n)):
+            scratch[even + r, i] = scratch[2 * even, i] * scratch[r, i]
     return float(mass)
 
 
@@ -67,38 +68,38 @@ def gather(scratch: Real, n: int, first: F8, second: F8) -> None:
     """
     zero, even = scratch.dtype.type(0), second.shape[0]
     for r in range(first.size):
-        a, total = scratch[even + r], zero
-        for i in range(n):
-            total += a[i]
+        total = zero
+        for i in range(U(n)):
+            total += scratch[even + r, i]
         first[r] = total
     # Two rows by two: each number that is read serves two products.
     for r in range(0, even, 2):
-        a, b = scratch[even + r], scratch[even + r + 1]
         for s in range(0, r + 1, 2):
-            e, f = scratch[s], scratch[s + 1]
             ae, af, be, bf = zero, zero, zero, zero
-            for i in range(n):
-                ae += a[i] * e[i]
-                af += a[i] * f[i]
-                be += b[i] * e[i]
-                bf += b[i] * f[i]
+            for i in range(U(n)):
+                a, b, e, f = scratch[even + r, i], scratch[even + r + 1, i], scratch[s, i], scratch[s + 1, i]
+                ae += a * e
+                af += a * f
+                be += b * e
+                bf += b * f
             second[r, s], second[r, s + 1] = ae, af
             second[r + 1, s], second[r + 1, s + 1] = be, bf
 
 
 @njit(**VECTOR)
-def extent(row: Bits) -> tuple[np.signedinteger[Any], np.signedinteger[Any]]:
-    """The smallest and the largest of the numbers whose bits are given, as integers in the same order.
+def extent(bits: Bits, r: int, begin: int, n: int) -> tuple[np.signedinteger[Any], np.signedinteger[Any]]:
+    """The smallest and the largest of n numbers in row r whose bits are given, as integers in the same order.
 
     Minima of floats do not vectorise as long as NaN counts. The bits of floats compare like integers once those of
     negative numbers are turned over; turning twice gives the bits back.
     """
-    integer = row.dtype.type
-    sign = integer(8 * row.itemsize - 1)
+    integer, at = bits.dtype.type, U(begin)
+    sign = integer(8 * bits.itemsize - 1)
     turn = integer(~(integer(1) << sign))
     low, high = turn, integer(~turn)
-    for i in range(row.size):
-        value = integer(row[i] ^ ((row[i] >> sign) & turn))
+    for i in range(U(n)):
+        value = bits[r, at + i]
+        value = integer(value ^ ((value >> sign) & turn))
         low, high = min(low, value), max(high, value)
     return integer(low ^ ((low >> sign) & turn)), integer(high ^ ((high >> sign) & turn))
 
@@ -125,27 +126,25 @@ def summarise(state: Real, bits: Bits, weight: Real, start: I8, known: F8, box: 
             for c in range(known.shape[1]):
                 known[b, c] = 0.0
             continue
-        mass = zero
-        w = weight[begin : begin + n] if weight.size > 1 else weight
+        mass, at = zero, U(begin)
         if weight.size == 1:
             known[b, 0] = n * float(weight[0])
         else:
-            for i in range(n):
-                mass += w[i]
+            for i in range(U(n)):
+                mass += weight[at + i]
             known[b, 0] = mass
         for r in range(d):
-            box_bits[0], box_bits[1] = extent(bits[r, begin : begin + n])
+            box_bits[0], box_bits[1] = extent(bits, r, begin, n)
             known[b, 1 + r], known[b, 1 + d + r] = box[0], box[1]
-            row, middle, total = state[r, begin : begin + n], zero, zero
-            one = row[0]
-            for i in range(n):
-                middle += row[i] - one
+            middle, total, one = zero, zero, state[r, at]
+            for i in range(U(n)):
+                middle += state[r, at + i] - one
             known[b, 1 + 2 * d + r] = one + middle / state.dtype.type(n)
             if weight.size == 1:
                 total = middle * weight[0]
             else:
-                for i in range(n):
-                    total += w[i] * (row[i] - one)
+                for i in range(U(n)):
+                    total += weight[at + i] * (state[r, at + i] - one)
             known[b, 1 + 3 * d + r] = float(total) + known[b, 0] * float(one)
             check += known[b, 1 + 2 * d + r]
     return most if np.isfinite(check) else -1

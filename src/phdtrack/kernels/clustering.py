@@ -6,51 +6,62 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.blocks import Real, gather, load_weight, weigh
+from phdtrack.kernels.blocks import Real, U, gather, load_weight, weigh
 from phdtrack.kernels.fast32 import ENTRY, FAST, VECTOR
-from phdtrack.kernels.nearest import MIXED
+from phdtrack.kernels.nearest import MIXED, file_centre
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 I4 = NDArray[np.int32]
-Bool = NDArray[np.bool_]
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
 def outside(
-    state: Real, start: I8, known: F8, lower: F8, upper: F8, which: I8, block: I8, covered: Bool, free: Bool, out: I8
-) -> int:
-    """Write into ``out`` (L,) the particles that lie in none of k rectangles, in their order; how many.
+    state: Real, start: I8, known: F8, most: int, lower: F8, upper: F8, frame: F8, cells: I8, item: I8, corner: I8,
+    centres: F8, scales: F8, reach: float,
+) -> tuple[I8, I8, I8]:  # fmt: skip
+    """The particles that none of k centres (d, k) reaches, in their order; and which centres are near each block.
 
-    The pairs (which, block) name at least all blocks that each rectangle, with corners ``lower`` and ``upper`` (2, k),
-    overlaps. ``known`` as in `blocks.summarise`; ``covered`` (B,) and ``free`` (L,) are working memory.
+    A centre reaches ``reach`` of its deviations ``scales`` (d, k) in position. ``known`` as in `blocks.summarise`; at most
+    ``most`` particles in a block; ``lower`` … ``corner``: the grid over the blocks' boxes. The lists of the centres near
+    the blocks, ``head`` (B,) and ``link`` (2, E), are those of `nearest`.
     """
-    d = state.shape[0]
-    for b in range(covered.size):
-        covered[b] = False
-    for p in range(which.size):
-        j, b = which[p], block[p]
-        held = lower[0, j] <= known[b, 1] and known[b, 1 + d] <= upper[0, j]
-        if held and lower[1, j] <= known[b, 2] and known[b, 2 + d] <= upper[1, j]:
-            covered[b] = True
-    for b in range(covered.size):
-        for i in range(start[b], start[b + 1] if not covered[b] else 0):
-            free[i] = True
-    for p in range(which.size):
-        j, b = which[p], block[p]
-        if covered[b]:
+    d, blocks, used, count = state.shape[0], start.size - 1, 0, 0
+    head, link, found = np.empty(blocks, np.int64), np.empty((2, 2 * blocks + 64), np.int64), np.empty(blocks, np.int64)
+    for b in range(blocks):
+        head[b] = -1
+    for j in range(centres.shape[1]):
+        rx, ry = reach * scales[0, j], reach * scales[1, j]
+        link, used = file_centre(
+            j, centres[0, j], centres[1, j], rx, ry, lower, upper, frame, cells, item, corner, head, link, used, found
+        )  # fmt: skip
+    out, free = np.empty(state.shape[1], np.int64), np.empty(most, np.bool_)
+    for b in range(blocks):
+        begin, n, covered, e = start[b], start[b + 1] - start[b], False, head[b]
+        while e >= 0 and not covered:
+            j = link[0, e]
+            e = link[1, e]
+            rx, ry = reach * scales[0, j], reach * scales[1, j]
+            covered = centres[0, j] - rx <= known[b, 1] and known[b, 1 + d] <= centres[0, j] + rx
+            covered &= centres[1, j] - ry <= known[b, 2] and known[b, 2 + d] <= centres[1, j] + ry
+        if covered:
             continue
-        left, top, right, bottom = lower[0, j], lower[1, j], upper[0, j], upper[1, j]
-        for i in range(start[b], start[b + 1]):
-            x, y = state[0, i], state[1, i]
-            free[i] &= not ((x >= left) & (x <= right) & (y >= top) & (y <= bottom))
-    found = 0
-    for b in range(covered.size):
-        for i in range(start[b], start[b + 1] if not covered[b] else 0):
+        for i in range(n):
+            free[i] = True
+        e = head[b]
+        while e >= 0:
+            j = link[0, e]
+            e = link[1, e]
+            rx, ry = reach * scales[0, j], reach * scales[1, j]
+            left, top, right, bottom = centres[0, j] - rx, centres[1, j] - ry, centres[0, j] + rx, centres[1, j] + ry
+            for i in range(n):
+                x, y = state[0, begin + i], state[1, begin + i]
+                free[i] &= not ((x >= left) & (x <= right) & (y >= top) & (y <= bottom))
+        for i in range(n):
             if free[i]:
-                out[found] = i
-                found += 1
-    return found
+                out[count] = begin + i
+                count += 1
+    return out[:count], head, link[:, :used]
 
 
 @njit(**VECTOR)
@@ -84,11 +95,11 @@ def add_members(
     state: Real, begin: int, n: int, j: int, scratch: Real, one: F8, two: F8, reference: F8, total: F8, mean: F8, cov: F8
 ) -> None:
     """Add particles, whose weights stand in ``scratch``, to the moments of cluster j about ``reference``."""
-    d = state.shape[0]
+    d, at = state.shape[0], U(begin)
     for r in range(d):
-        row, out, zero = state[r, begin : begin + n], scratch[r], state.dtype.type(reference[r, j])
-        for i in range(n):
-            out[i] = row[i] - zero
+        zero = state.dtype.type(reference[r, j])
+        for i in range(U(n)):
+            scratch[r, i] = state[r, at + i] - zero
     total[j] += weigh(scratch, n, d)
     gather(scratch, n, one, two)
     for r in range(d):
@@ -109,29 +120,28 @@ def cluster_moments(
     loses all digits. Working memory: ``scratch`` (2·even d + 2, ≥ n) zeros, ``which`` (≥ n,), ``one`` (d,), ``two``
     (even d, even d).
     """
-    w, of_each, zero = scratch[scratch.shape[0] - 2], scratch[scratch.shape[0] - 1], scratch.dtype.type(0)
-    nobody = np.int32(reference.shape[1])
+    nobody, zero = np.int32(reference.shape[1]), state.dtype.type(0)
+    w, of_each = scratch.shape[0] - 2, scratch.shape[0] - 1
     for b in range(label.size):
         begin, n = start[b], start[b + 1] - start[b]
-        mine = own[begin : begin + n]
         if label[b] >= 0 and cluster[label[b]] >= 0:
-            load_weight(weight, begin, n, w)
+            load_weight(weight, begin, n, scratch, w)
             add_members(state, begin, n, cluster[label[b]], scratch, one, two, reference, total, mean, cov)
         if label[b] != MIXED:
             continue
-        load_weight(weight, begin, n, of_each)
+        load_weight(weight, begin, n, scratch, of_each)
         for i in range(n):
-            which[i] = cluster[mine[i]] if mine[i] >= 0 else -1
+            which[i] = cluster[own[begin + i]] if own[begin + i] >= 0 else -1
         # The clusters of a mixed block in ascending order.
         last = np.int32(-1)
         while True:
             j = nobody
-            for i in range(n):
+            for i in range(U(n)):
                 j = which[i] if (which[i] > last) & (which[i] < j) else j
             if j == nobody:
                 break
-            for i in range(n):
-                w[i] = of_each[i] if which[i] == j else zero
+            for i in range(U(n)):
+                scratch[w, i] = scratch[of_each, i] if which[i] == j else zero
             add_members(state, begin, n, np.int64(j), scratch, one, two, reference, total, mean, cov)
             last = j
     centred(total, mean, cov, reference)

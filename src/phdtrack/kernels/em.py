@@ -150,7 +150,7 @@ def block_moments(state: Real, weight: Real, start: I8, known: F8, scratch: Real
     for b in range(start.size - 1):
         begin, n = start[b], start[b + 1] - start[b]
         load_steps(state, begin, n, known, b, scratch)
-        load_weight(weight, begin, n, scratch[2 * second.shape[1]])
+        load_weight(weight, begin, n, scratch, 2 * second.shape[1])
         weigh(scratch, n, d)
         gather(scratch, n, first[b], second[b])
 
@@ -173,7 +173,7 @@ def em_step(
     even = second.shape[1]
     near, table = np.empty(k, np.int64), np.empty((k, most), state.dtype)
     scratch, shifted = np.zeros((2 * even + 1, most), state.dtype), np.zeros((even, most), state.dtype)
-    w, part = np.empty(most, state.dtype), np.empty(most, state.dtype)
+    w, part = np.empty((1, most), state.dtype), np.empty(most, state.dtype)
     total, mean, out = np.zeros(k), np.zeros((d, k)), np.zeros((k, d, d))
     shift, one, two = np.empty(d), np.empty(d), np.empty((even, even))
     for b in range(start.size - 1):
@@ -188,12 +188,12 @@ def em_step(
             add_part(known[b, 0], first[b], second[b], shift, j, total, mean, out)
         elif count > 0:
             load_steps(state, begin, n, known, b, scratch)
-            load_weight(weight, begin, n, w)
+            load_weight(weight, begin, n, w, 0)
             for c in range(count):
                 j = near[c]
                 constant = math.log(amount[j]) + log_scale[j]
                 log_density(scratch, n, centre, known, b, inverse, constant, half, j, shifted, part, table[c])
-            responsibilities(table, count, n, w, shifted[0], shifted[1])
+            responsibilities(table, count, n, w[0], shifted[0], shifted[1])
             for c in range(count):
                 j = near[c]
                 for i in range(n):

@@ -1,4 +1,4 @@
-"""Which rectangles meet, and who claims which points: what is done with the clusters found."""
+"""Which rectangles meet, who claims which points, which clusters are one: what is done with the clusters found."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import ENTRY
-from phdtrack.kernels.overlaps import overlapping
+from phdtrack.kernels.fast32 import ENTRY, LEAN
+from phdtrack.kernels.overlaps import overlapping, rectangle_grid
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -15,21 +15,169 @@ Bool = NDArray[np.bool_]
 
 
 @njit(**ENTRY)
-def meeting(
-    low: F8, high: F8, lower: F8, upper: F8, frame: F8, cells: I8, item: I8, corner: I8, found: I8, pairs: I8
-) -> int:
-    """Write into ``pairs`` (2, P) the pairs (i, j) of closed rectangles that overlap, ordered by i; how many there are.
+def meeting(low: F8, high: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
+    """Pairs (i, j) (P,) of closed rectangles that overlap, ordered by i and then j.
 
-    Those with corners ``low`` and ``high`` (2, M) against those with ``lower`` and ``upper`` (2, N), of which the rest is
-    the grid (`overlaps.rectangle_grid`); ``found`` (N,) is working memory. What has no room is counted but not written.
+    Those with corners ``low`` and ``high`` (2, M) against those with ``lower`` and ``upper`` (2, N).
+    """
+    frame, cells, item, corner = rectangle_grid(lower, upper)
+    m, count = low.shape[1], 0
+    found = np.empty(lower.shape[1], np.int64)
+    first, second = np.empty(4 * m + 16, np.int64), np.empty(4 * m + 16, np.int64)
+    for i in range(m):
+        some = overlapping(low[0, i], low[1, i], high[0, i], high[1, i], lower, upper, frame, cells, item, corner, found)
+        if count + some > first.size:
+            longer_first, longer_second = np.empty(2 * (count + some), np.int64), np.empty(2 * (count + some), np.int64)
+            for p in range(count):
+                longer_first[p], longer_second[p] = first[p], second[p]
+            first, second = longer_first, longer_second
+        for c in range(some):
+            at = count + c
+            while at > count and second[at - 1] > found[c]:
+                second[at] = second[at - 1]
+                at -= 1
+            second[at], first[count + c] = found[c], i
+        count += some
+    return first[:count], second[:count]
+
+
+@njit(**LEAN)
+def nearest_first(distance2: F8, order: I8) -> None:
+    """Write into ``order`` (P,) the places of the first P numbers, ascending, the lower place first where equal: a heap."""
+    n = order.size
+    for p in range(n):
+        order[p] = p
+    for turn in range(n // 2 + n):
+        at, end = n // 2 - 1 - turn, n
+        if at < 0:
+            # The heap stands; the farthest of what is left goes to its end.
+            at, end = 0, n - 1 - (turn - n // 2)
+            order[0], order[end] = order[end], order[0]
+        while 2 * at + 1 < end:
+            below = 2 * at + 1
+            if below + 1 < end and precedes(distance2, order[below], order[below + 1]):
+                below += 1
+            if precedes(distance2, order[below], order[at]):
+                break
+            order[at], order[below] = order[below], order[at]
+            at = below
+
+
+@njit(**LEAN)
+def precedes(distance2: F8, p: int, q: int) -> bool:
+    """Whether place p comes before place q."""
+    earlier: bool = distance2[p] < distance2[q] or (distance2[p] == distance2[q] and p < q)
+    return earlier
+
+
+@njit(**LEAN)
+def join_light(first: I8, second: I8, mass: F8, mean: F8, scale: F8, reach: float, lightest: float, split: float) -> I8:
+    """(k,) the cluster that each has become part of: itself, or another.
+
+    Pairs of clusters lighter than ``lightest`` whose means (d, k) are at most ``reach`` deviations ``scale`` (d, k) of the
+    first apart are joined, nearest first, while one of the two, with what it was joined to, is too light and the union not
+    above ``split``. They are among the pairs (first, second), which are in order.
+    """
+    k, count = mass.size, 0
+    root, near = np.empty(k, np.int64), np.empty(first.size, np.int64)
+    total, distance2 = np.empty(k), np.empty(first.size)
+    for j in range(k):
+        root[j], total[j] = j, mass[j]
+    for p in range(first.size):
+        i, j, apart = first[p], second[p], 0.0
+        if i < j and 0.0 < mass[i] < lightest and 0.0 < mass[j] < lightest:
+            for r in range(mean.shape[0]):
+                step = (mean[r, i] - mean[r, j]) / scale[r, i]
+                apart += step * step
+            if apart <= reach * reach:
+                near[count], distance2[count] = p, apart
+                count += 1
+    order = np.empty(count, np.int64)
+    nearest_first(distance2, order)
+    for q in range(count):
+        a, b = first[near[order[q]]], second[near[order[q]]]
+        while root[a] != a:
+            a = root[a]
+        while root[b] != b:
+            b = root[b]
+        low = total[a] if total[a] < total[b] else total[b]
+        if a != b and low < lightest and total[a] + total[b] <= split:
+            root[b] = a
+            total[a] += total[b]
+    for j in range(k):
+        while root[root[j]] != root[j]:
+            root[j] = root[root[j]]
+    return root
+
+
+@njit(**ENTRY)
+def heavy_enough(
+    first: I8, second: I8, mass: F8, mean: F8, scale: F8, reach: float, lightest: float, split: float, centre: F8
+) -> tuple[I8, int]:
+    """Which of those that weigh ``lightest``, light ones joined, each is part of (k,), −1: none; and how many there are.
+
+    Arguments as in `join_light`. Written: the first of ``centre`` (d, k), those of the clusters that others have joined.
+    """
+    root = join_light(first, second, mass, mean, scale, reach, lightest, split)
+    k, kept = mass.size, 0
+    total, place = np.empty(k), np.empty(k, np.int64)
+    for j in range(k):
+        total[j] = 0.0
+    for j in range(k):
+        total[root[j]] += mass[j]
+    for j in range(k):
+        place[j] = -1
+        if root[j] == j and total[j] >= lightest:
+            for r in range(mean.shape[0]):
+                centre[r, kept] = mean[r, j]
+            place[j] = kept
+            kept += 1
+    for j in range(k):
+        place[j] = place[root[j]]
+    return place, kept
+
+
+@njit(**ENTRY)
+def likeness(boxes: F8, first: I8, second: I8, least: float, shared: F8) -> int:
+    """Keep of the pairs (P,) of boxes (n, 4) those i < j whose overlap (IoU) is above ``least``; how many.
+
+    Written: ``first`` and ``second``, which name the pairs, and their overlaps into ``shared`` (P,).
     """
     count = 0
-    for i in range(low.shape[1]):
-        some = overlapping(low[0, i], low[1, i], high[0, i], high[1, i], lower, upper, frame, cells, item, corner, found)
-        for c in range(some if count + some <= pairs.shape[1] else 0):
-            pairs[0, count + c], pairs[1, count + c] = i, found[c]
-        count += some
+    for p in range(first.size):
+        i, j = first[p], second[p]
+        inter, own, other = 1.0, 1.0, 1.0
+        for r in range(2):
+            left = boxes[i, r] if boxes[i, r] > boxes[j, r] else boxes[j, r]
+            right = boxes[i, 2 + r] if boxes[i, 2 + r] < boxes[j, 2 + r] else boxes[j, 2 + r]
+            inter *= right - left if right > left else 0.0
+            own *= boxes[i, 2 + r] - boxes[i, r]
+            other *= boxes[j, 2 + r] - boxes[j, r]
+        union = own + other - inter
+        share = inter / union if union > 0.0 else 0.0
+        if i < j and share > least:
+            first[count], second[count], shared[count] = i, j, share
+            count += 1
     return count
+
+
+@njit(**ENTRY)
+def serve(which: I8, point: I8, distance2: F8, limit: float, floor: F8, taken: I8, seen: I8, cov: F8) -> None:
+    """Pairs (detection, cluster) (P,) are served nearest first up to ``limit``; each has one of the other kind at most.
+
+    Written: into ``seen`` (k,) the detection that each cluster rests on, into ``taken`` (N,) the cluster that each detection
+    serves, both −1 at first; to the diagonals of ``cov`` (k, d, d) a tenth of the deviations ``floor`` (d, k) is added,
+    squared.
+    """
+    for j in range(floor.shape[1]):
+        for r in range(floor.shape[0]):
+            cov[j, r, r] += 0.1 * floor[r, j] * (0.1 * floor[r, j])
+    order = np.empty(which.size, np.int64)
+    nearest_first(distance2, order)
+    for q in range(which.size):
+        z, j = which[order[q]], point[order[q]]
+        if distance2[order[q]] <= limit and seen[j] < 0 and taken[z] < 0:
+            seen[j], taken[z] = z, j
 
 
 @njit(**ENTRY)

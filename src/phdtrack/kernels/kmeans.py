@@ -30,20 +30,19 @@ from phdtrack.kernels.nearest import (
     MOVED,
     NOBODY,
     PARENT,
+    ROOM,
     STRAYS,
     X,
     Y,
     contenders,
+    file_centre,
     nearest_in_block,
     squares,
 )  # fmt: skip
-from phdtrack.kernels.overlaps import overlapping
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 I4 = NDArray[np.int32]
-# A centre is filed with every block in this many times its reach, so that it may move that much before it is filed again.
-ROOM = 1.5
 # A cluster is not divided any more after this many divisions in which one part got less than this share of the split
 # mass: its farthest particles were strays, and peeling them off one by one would not end.
 PATIENCE, STRAY = 4, 0.05
@@ -131,28 +130,6 @@ def assign(
             changed = True
             regroup(state, weight, begin, n, which, mine, table, flags)
     return changed
-
-
-@njit(**VECTOR)
-def file_centre(
-    j: int, d: int, reach: float, table: F8, lower: F8, upper: F8, frame: F8, cells: I8, item: I8, corner: I8,
-    head: I8, link: I8, used: int, found: I8,
-) -> tuple[I8, int]:  # fmt: skip
-    """Put centre j on the lists of the blocks near it; the lists, which may have grown, and how much of them is used."""
-    x, y = table[j, CENTRE], table[j, CENTRE + 1]
-    rx, ry = ROOM * reach * table[j, CENTRE + d], ROOM * reach * table[j, CENTRE + d + 1]
-    table[j, X], table[j, Y] = x, y
-    count = overlapping(x - rx, y - ry, x + rx, y + ry, lower, upper, frame, cells, item, corner, found)
-    if used + count > link.shape[1]:
-        longer = np.empty((2, 2 * (used + count)), np.int64)
-        for e in range(used):
-            longer[0, e], longer[1, e] = link[0, e], link[1, e]
-        link = longer
-    for p in range(count):
-        link[0, used], link[1, used] = j, head[found[p]]
-        head[found[p]] = used
-        used += 1
-    return link, used
 
 
 @njit(**VECTOR)
@@ -251,7 +228,7 @@ def divide(state: Real, k: int, table: F8, flags: I8) -> int:
 def kmeans(
     state: Real, weight: Real, start: I8, known: F8, lower: F8, upper: F8, frame: F8, cells: I8, item: I8, corner: I8,
     centres: F8, scales: F8, reach: float, split: float, iterations: int, rounds: int,
-    table: F8, flags: I8, label: I4, own: I4, head: I8, link: I8, near: I8, scratch: Real, which: I4,
+    listed: I8, entries: I8, filed: int, table: F8, flags: I8, label: I4, own: I4, scratch: Real, which: I4,
 ) -> int:  # fmt: skip
     """Cluster the particles of B blocks, starting from the centres given; the number of clusters.
 
@@ -264,31 +241,34 @@ def kmeans(
     iterations : bound on the iterations after each division.
     table, flags : written: the clusters, of which `MASS` and the mean are of use; one without particles keeps its centre.
     label, own : written: (B,) a block's cluster, −1 for none, −2 for a mixed block, whose particles' are in own (L,).
-    head, link, near, scratch, which : working memory (B,), (2, any), (max(room, B),), (d + 2, n), (n,) for n particles in
-        the largest block.
+    listed, entries : lists of the first ``filed`` centres near each block, as `clustering.outside` gives them.
+    scratch, which : working memory, (≥ even d + 2, n) zeros and (n,) for n particles in the largest block.
     """
     d, k = centres.shape[0], int(centres.shape[1])
-    used, began, total = 0, k, 0.0
+    used, began, total = entries.shape[1], k, 0.0
+    head, link = np.empty(listed.size, np.int64), np.empty((2, 2 * (used + listed.size) + 64), np.int64)
+    near = np.empty(max(table.shape[0], listed.size), np.int64)
     for b in range(head.size):
-        head[b], label[b] = -1, NOBODY
+        head[b], label[b] = listed[b], NOBODY
         total += known[b, 0]
+    for e in range(used):
+        link[0, e], link[1, e] = entries[0, e], entries[1, e]
     for j in range(k):
         for c in range(table.shape[1]):
             table[j, c] = 0.0
         for r in range(d):
-            table[j, CENTRE + r], table[j, CENTRE + d + r], table[j, CENTRE + 2 * d + r] = (
-                centres[r, j],
-                scales[r, j],
-                centres[r, j],
-            )
+            table[j, CENTRE + r], table[j, CENTRE + 2 * d + r] = centres[r, j], centres[r, j]
+            table[j, CENTRE + d + r] = scales[r, j]
+        table[j, X], table[j, Y] = centres[0, j], centres[1, j]
         flags[j, COUNT], flags[j, MOVED], flags[j, ALIVE], flags[j, PARENT], flags[j, STRAYS] = 0, 1, 1, j, 0
-    filed = 0
     for turn in range(rounds + 1):
         for _ in range(iterations + 1):
             for j in range(k):
                 if follow(d, j, reach, table, flags) or j >= filed:
+                    table[j, X], table[j, Y] = table[j, CENTRE], table[j, CENTRE + 1]
                     link, used = file_centre(
-                        j, d, reach, table, lower, upper, frame, cells, item, corner, head, link, used, near
+                        j, table[j, X], table[j, Y], reach * table[j, CENTRE + d], reach * table[j, CENTRE + d + 1],
+                        lower, upper, frame, cells, item, corner, head, link, used, near,
                     )  # fmt: skip
             filed = k
             changed = assign(state, weight, start, known, table, flags, reach, label, own, head, link, near, scratch, which)

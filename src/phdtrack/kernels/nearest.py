@@ -18,11 +18,14 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.blocks import Real
 from phdtrack.kernels.fast32 import VECTOR
+from phdtrack.kernels.overlaps import overlapping
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 I4 = NDArray[np.int32]
 MIXED, NOBODY = -2, -1
+# A centre is filed with every block in this many times its reach, so that it may move that much before it is filed again.
+ROOM = 1.5
 # Columns of ``table``, and those of ``flags``: particles; whether the centre has moved; whether the cluster has particles;
 # from which it was divided; how often a stray was parted from it; its farthest particle.
 MASS, X, Y, APART, CENTRE = 0, 1, 2, 3, 4
@@ -51,6 +54,29 @@ def least_excess(d: int, table: F8, a: int, b: int, known: F8, block: int) -> fl
                 least = at_vertex if at_vertex < least else least
         total += least
     return total
+
+
+@njit(**VECTOR)
+def file_centre(
+    j: int, x: float, y: float, rx: float, ry: float, lower: F8, upper: F8, frame: F8, cells: I8, item: I8, corner: I8,
+    head: I8, link: I8, used: int, found: I8,
+) -> tuple[I8, int]:  # fmt: skip
+    """Put centre j at (x, y), with its reach, on the lists of the blocks near it.
+
+    Gives the lists, which may have grown, and how much of them is used.
+    """
+    wide, high = ROOM * rx, ROOM * ry
+    count = overlapping(x - wide, y - high, x + wide, y + high, lower, upper, frame, cells, item, corner, found)
+    if used + count > link.shape[1]:
+        longer = np.empty((2, 2 * (used + count)), np.int64)
+        for e in range(used):
+            longer[0, e], longer[1, e] = link[0, e], link[1, e]
+        link = longer
+    for p in range(count):
+        link[0, used], link[1, used] = j, head[found[p]]
+        head[found[p]] = used
+        used += 1
+    return link, used
 
 
 @njit(**VECTOR)
