@@ -360,9 +360,9 @@ raw number of detections; bias: signed.
 * **A detector that fires twice on one person makes two people on the ground**, as it is shipped. The public detections have
   1.9 unmatched boxes a frame, 58 % of which overlap another by more than 0.4; in the middle they stand 0.45 m from a person.
   MOTA on the ground falls to 0.47. Joining states as in the image lifts it to 0.85 and costs nothing on the others.
-* **Occlusion** changes little here, MOTA on the ground by less than 0.01 but for the cardinalised filter (+0.025, −0.016). The
-  mass comes nearer to the truth on the Faster R-CNN detections, by 0.01 to 0.04 people, and mostly goes farther off on the public ones,
-  where there was too much of it already.
+* **Occlusion** changes little here, MOTA on the ground by less than 0.01 but for the cardinalised filter (+0.025, −0.016).
+  The mass comes nearer to the truth on the Faster R-CNN detections, by 0.01 to 0.04 people, and mostly goes farther off on
+  the public ones, where there was too much of it already.
 * **The cardinalised filter** counts better on the Faster R-CNN detections (states 0.71 against 1.02), at 0.04 to 0.06 less
   MOTA, and is worse in both on the public ones, of whose double boxes it counts more.
 * **Counts.** The raw number of Faster R-CNN detections is nearer to the truth (0.68) than any filter's on the ground: misses
