@@ -32,12 +32,11 @@ _M09: Mapping[str, Mapping[str, Any]] = {
 }
 
 # What is usual where the world is a ground plane in metres and seconds: a target goes on without a state for one more
-# second as probably as elsewhere for seven frames of a 1/25 s video; 99 % regions in two dimensions; two people who
-# stand behind each other in the image are two places on the ground.
+# second as probably as elsewhere for seven frames of a 1/25 s video; 99 % regions in two dimensions.
 PLANE: Mapping[str, Mapping[str, Any]] = {
     "time": {"rate": 1.0},
     "filter": {"region": 9.21},
-    "extract": {"region": 9.21, "overlap": 1.0},
+    "extract": {"region": 9.21},
     "associate": {"miss": 0.2},
 }
 
