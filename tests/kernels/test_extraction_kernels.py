@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from inner_kernels import from_python
 from phdtrack.boxes import iou
 from phdtrack.kernels.blocks import cut, summarise
 from phdtrack.kernels.box import box_corners, box_gate, box_noise, resting
@@ -19,6 +20,8 @@ from phdtrack.kernels.kmeans import kmeans
 from phdtrack.kernels.nearest import CENTRE, MASS, MIXED, ROOM
 from phdtrack.kernels.overlaps import rectangle_grid
 from reference import clustering_twin as twin
+
+[whitening] = from_python(whitening)
 
 seeds = st.integers(0, 2**32 - 1)
 
