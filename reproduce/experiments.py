@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from reproduce import count, detections, particles, standard, videos
+from reproduce import count, detections, groups, particles, plane, standard, videos
 
 
 def main() -> None:
     """Every experiment, the short ones first."""
     count.main()
     standard.main()
+    groups.main()
+    plane.main()
     videos.main()
     detections.main()
     particles.main()
