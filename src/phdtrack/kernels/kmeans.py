@@ -97,7 +97,7 @@ def assign(
         if e < 0 or n == 0:
             continue
         some, whole, first = contenders(d, table, flags, reach, known, b, head, link, near)
-        before, now = label[b], near[0] if whole else NOBODY if some == 0 else MIXED
+        before, now = np.int64(label[b]), near[0] if whole else NOBODY if some == 0 else MIXED
         if now == before and now != MIXED:
             continue
         if now != MIXED and before != MIXED:

@@ -105,7 +105,8 @@ def contenders(
             near[q] = near[q - 1]
         near[at] = j
         count += 1
-    best, first = np.inf, NOBODY
+    # An integer, not a literal: `least_excess` would be compiled for both.
+    best, first = np.inf, int(NOBODY)
     for c in range(count):
         j, distance2 = near[c], 0.0
         for r in range(d):

@@ -186,7 +186,8 @@ class BoxSensor:
         The velocity of uniform direction and Gaussian amplitude a has variance a²/2 per axis.
         """
         n, d = z.shape[1], 8 if self.scaling == "previous" else 6
-        x = resting(z, d)
+        # As rows: one kind of array, one kernel.
+        x = resting(np.ascontiguousarray(z), d)
         cov = np.zeros((n, d, d))
         np.einsum("nrr->nr", cov)[...] = np.square(self.noise(x, z)).T
         return x, cov
