@@ -21,7 +21,7 @@ from phdtrack.kernels.nearest import CENTRE, MASS, MIXED, ROOM
 from phdtrack.kernels.overlaps import rectangle_grid
 from reference import clustering_twin as twin
 
-[whitening] = from_python(whitening)
+nearest_first, whitening = from_python(nearest_first, whitening)
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import ENTRY, LEAN
+from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.overlaps import overlapping, rectangle_grid
 
 F8 = NDArray[np.float64]
@@ -41,7 +41,7 @@ def meeting(low: F8, high: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
     return first[:count], second[:count]
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def nearest_first(distance2: F8, order: I8) -> None:
     """Write into ``order`` (P,) the places of the first P numbers, ascending, the lower place first where equal: a heap."""
     n = order.size
@@ -63,14 +63,14 @@ def nearest_first(distance2: F8, order: I8) -> None:
             at = below
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def precedes(distance2: F8, p: int, q: int) -> bool:
     """Whether place p comes before place q."""
     earlier: bool = distance2[p] < distance2[q] or (distance2[p] == distance2[q] and p < q)
     return earlier
 
 
-@njit(**LEAN)
+@njit(**INNER)
 def join_light(first: I8, second: I8, mass: F8, mean: F8, scale: F8, reach: float, lightest: float, split: float) -> I8:
     """(k,) the cluster that each has become part of: itself, or another.
 
