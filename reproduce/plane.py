@@ -326,9 +326,9 @@ PETS09-S2L1 (795 frames, 19 people) with its public and its Faster R-CNN detecti
 counted from 1. Shipped settings with `motion.kind=plane` and the camera; *world* image: the shipped tracker without a
 camera. The settings for the image were chosen on seven cases, of which these are two; those for the ground were not, but
 that states are joined there as in the image was decided by this page. *occlusion*: whether p_D falls where nearer people
-cover a person; shipped is on for the ground, off for the image. States whose boxes overlap by more than {joined:g} are taken for
-one; *not joined*: none are. Particle filters: mean of {seeds} seeds ± its standard error; what Gaussians do is not random.
-Corrected tracks. Written by `python -m reproduce.plane`.
+cover a person; shipped is on for the ground, off for the image. States whose boxes overlap by more than {joined:g} are taken
+for one; *not joined*: none are. Particle filters: mean of {seeds} seeds ± its standard error; what Gaussians do is not
+random. Corrected tracks. Written by `python -m reproduce.plane`.
 
 ## On the ground
 
