@@ -61,23 +61,24 @@ def weigh(scratch: Real, n: int, d: int) -> float:
 
 
 @njit(**VECTOR)
-def gather(scratch: Real, n: int, first: F8, second: F8) -> None:
+def gather(scratch: Real, n: int, left: int, first: F8, second: F8) -> None:
     """Write Σw·s into ``first`` (d,) and the lower triangle of Σw·s·sᵀ into ``second`` (even d, even d).
 
-    Rows of ``scratch``: s, then w·s, an even number of each, the last of them 0 where d is odd.
+    Rows of ``scratch``: s, and from row ``left`` on w·s, an even number of each, the last of them 0 where d is odd; with
+    ``left`` 0 all w are 1.
     """
     zero, even = scratch.dtype.type(0), second.shape[0]
     for r in range(first.size):
         total = zero
         for i in range(U(n)):
-            total += scratch[even + r, i]
+            total += scratch[left + r, i]
         first[r] = total
     # Two rows by two: each number that is read serves two products.
     for r in range(0, even, 2):
         for s in range(0, r + 1, 2):
             ae, af, be, bf = zero, zero, zero, zero
             for i in range(U(n)):
-                a, b, e, f = scratch[even + r, i], scratch[even + r + 1, i], scratch[s, i], scratch[s + 1, i]
+                a, b, e, f = scratch[left + r, i], scratch[left + r + 1, i], scratch[s, i], scratch[s + 1, i]
                 ae += a * e
                 af += a * f
                 be += b * e

@@ -92,20 +92,29 @@ def centred(total: F8, mean: F8, cov: F8, reference: F8) -> None:
 
 @njit(**VECTOR)
 def add_members(
-    state: Real, begin: int, n: int, j: int, scratch: Real, one: F8, two: F8, reference: F8, total: F8, mean: F8, cov: F8
-) -> None:
-    """Add particles, whose weights stand in ``scratch``, to the moments of cluster j about ``reference``."""
+    state: Real, begin: int, n: int, each: float, j: int, scratch: Real, one: F8, two: F8, reference: F8,
+    total: F8, mean: F8, cov: F8,
+) -> None:  # fmt: skip
+    """Add n particles to the moments of cluster j about ``reference``.
+
+    Their weights are ``each``, or, where that is 0, stand in ``scratch``.
+    """
     d, at = state.shape[0], U(begin)
     for r in range(d):
         zero = state.dtype.type(reference[r, j])
         for i in range(U(n)):
             scratch[r, i] = state[r, at + i] - zero
-    total[j] += weigh(scratch, n, d)
-    gather(scratch, n, one, two)
+    unit, left = each, 0
+    if each > 0.0:
+        total[j] += n * each
+    else:
+        total[j] += weigh(scratch, n, d)
+        unit, left = 1.0, d + d % 2
+    gather(scratch, n, left, one, two)
     for r in range(d):
-        mean[r, j] += one[r]
+        mean[r, j] += unit * one[r]
         for s in range(r + 1):
-            cov[j, r, s] += two[r, s]
+            cov[j, r, s] += unit * two[r, s]
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
@@ -122,11 +131,14 @@ def cluster_moments(
     """
     nobody, zero = np.int32(reference.shape[1]), state.dtype.type(0)
     w, of_each = scratch.shape[0] - 2, scratch.shape[0] - 1
+    # Where all weigh the same, what is added up need not be weighed one by one.
+    each = float(weight[0]) if weight.size == 1 else 0.0
     for b in range(label.size):
         begin, n = start[b], start[b + 1] - start[b]
         if label[b] >= 0 and cluster[label[b]] >= 0:
-            load_weight(weight, begin, n, scratch, w)
-            add_members(state, begin, n, cluster[label[b]], scratch, one, two, reference, total, mean, cov)
+            if each == 0.0:
+                load_weight(weight, begin, n, scratch, w)
+            add_members(state, begin, n, each, cluster[label[b]], scratch, one, two, reference, total, mean, cov)
         if label[b] != MIXED:
             continue
         load_weight(weight, begin, n, scratch, of_each)
@@ -142,6 +154,6 @@ def cluster_moments(
                 break
             for i in range(U(n)):
                 scratch[w, i] = scratch[of_each, i] if which[i] == j else zero
-            add_members(state, begin, n, np.int64(j), scratch, one, two, reference, total, mean, cov)
+            add_members(state, begin, n, 0.0, np.int64(j), scratch, one, two, reference, total, mean, cov)
             last = j
     centred(total, mean, cov, reference)

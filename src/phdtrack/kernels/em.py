@@ -152,7 +152,7 @@ def block_moments(state: Real, weight: Real, start: I8, known: F8, scratch: Real
         load_steps(state, begin, n, known, b, scratch)
         load_weight(weight, begin, n, scratch, 2 * second.shape[1])
         weigh(scratch, n, d)
-        gather(scratch, n, first[b], second[b])
+        gather(scratch, n, second.shape[1], first[b], second[b])
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
@@ -199,7 +199,7 @@ def em_step(
                 for i in range(n):
                     scratch[2 * even, i] = table[c, i]
                 m = weigh(scratch, n, d)
-                gather(scratch, n, one, two)
+                gather(scratch, n, even, one, two)
                 for r in range(d):
                     shift[r] = known[b, 1 + 2 * d + r] - centre[r, j]
                 add_part(m, one, two, shift, j, total, mean, out)

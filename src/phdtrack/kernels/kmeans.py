@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.blocks import Real, load_steps
+from phdtrack.kernels.blocks import Real, U, load_steps
 from phdtrack.kernels.fast32 import ENTRY, VECTOR
 from phdtrack.kernels.nearest import (
     ALIVE,
@@ -63,23 +63,24 @@ def add_block(sign: float, j: int, n: int, d: int, b: int, known: F8, table: F8,
 
 @njit(**VECTOR)
 def regroup(
-    state: Real, weight: Real, begin: int, n: int, which: I4, mine: I4, table: F8, flags: I8
+    state: Real, weight: Real, begin: int, n: int, which: I4, own: I4, table: F8, flags: I8
 ) -> None:  # fmt: skip
-    """Give the particles of a block whose cluster has changed from ``mine`` to ``which`` to the new one."""
+    """Give the particles of a block whose cluster has changed from ``own`` to ``which`` to the new one."""
     d = state.shape[0]
-    for i in range(n):
-        old, new = mine[i], which[i]
+    at = U(begin)
+    for i in range(U(n)):
+        old, new = own[at + i], which[i]
         if old == new:
             continue
-        mine[i] = new
-        w = float(weight[begin + i if weight.size > 1 else 0])
+        own[at + i] = new
+        w = float(weight[at + i if weight.size > 1 else U(0)])
         for turn in range(2):
             j, sign = (old, -1.0) if turn == 0 else (new, 1.0)
             if j >= 0:
                 flags[j, COUNT] += 1 if turn == 1 else -1
                 table[j, MASS] += sign * w
                 for r in range(d):
-                    table[j, CENTRE + 3 * d + r] += sign * w * state[r, begin + i]
+                    table[j, CENTRE + 3 * d + r] += sign * w * state[r, at + i]
 
 
 @njit(**VECTOR)
@@ -107,14 +108,14 @@ def assign(
                 add_block(1.0, now, n, d, b, known, table, flags)
             label[b], changed = now, True
             continue
-        mine = own[begin : begin + n]
+        at = U(begin)
         if before != MIXED:
             # As if all of it belonged to the nearest: few particles have to be told otherwise one by one.
             if before < 0:
                 before = first
                 add_block(1.0, before, n, d, b, known, table, flags)
-            for i in range(n):
-                mine[i] = before
+            for i in range(U(n)):
+                own[at + i] = before
             label[b], changed = MIXED, True
         if now == MIXED:
             load_steps(state, begin, n, known, b, scratch)
@@ -124,11 +125,11 @@ def assign(
                 which[i] = now
             label[b] = now
         differs = np.int32(0)
-        for i in range(n):
-            differs |= which[i] ^ mine[i]
+        for i in range(U(n)):
+            differs |= which[i] ^ own[at + i]
         if differs != 0:
             changed = True
-            regroup(state, weight, begin, n, which, mine, table, flags)
+            regroup(state, weight, begin, n, which, own, table, flags)
     return changed
 
 
@@ -170,6 +171,7 @@ def find_farthest(
 ) -> None:  # fmt: skip
     """Of each cluster to divide the particle farthest from its centre: −1 where there is nothing to divide."""
     d, heavy = state.shape[0], False
+    out = d + d % 2
     for j in range(k):
         table[j, APART] = 0.0 if table[j, MASS] > split and flags[j, STRAYS] < PATIENCE else np.inf
         flags[j, FARTHEST] = -1
@@ -190,8 +192,8 @@ def find_farthest(
                 loaded = True
             squares(scratch, n, d, table, j, known, b)
             for i in range(n):
-                if scratch[d, i] > table[j, APART] and (whole or own[begin + i] == j):
-                    table[j, APART], flags[j, FARTHEST] = float(scratch[d, i]), begin + i
+                if scratch[out, i] > table[j, APART] and (whole or own[begin + i] == j):
+                    table[j, APART], flags[j, FARTHEST] = float(scratch[out, i]), begin + i
 
 
 @njit(**VECTOR)

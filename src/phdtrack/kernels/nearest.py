@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.blocks import Real
+from phdtrack.kernels.blocks import Real, U
 from phdtrack.kernels.fast32 import VECTOR
 from phdtrack.kernels.overlaps import overlapping
 
@@ -131,16 +131,24 @@ def contenders(
 
 @njit(**VECTOR)
 def squares(scratch: Real, n: int, d: int, table: F8, j: int, known: F8, b: int) -> None:
-    """Write into row d of ``scratch`` the scaled distance² of n particles from centre j; rows below are x − origin."""
-    real, out = scratch.dtype.type, scratch[d]
-    for i in range(n):
-        out[i] = real(0)
-    for r in range(d):
-        at = real(table[j, CENTRE + r] - known[b, 1 + 2 * d + r])
-        row, inverse = scratch[r], real(1.0 / table[j, CENTRE + d + r])
-        for i in range(n):
-            part = (row[i] - at) * inverse
-            out[i] += part * part
+    """Write into the row of ``scratch`` behind an even number of them the scaled distance² of n particles from centre j.
+
+    The d rows before are x − origin; where d is odd, one of zeros follows them.
+    """
+    real, out = scratch.dtype.type, d + d % 2
+    for r in range(0, d, 2):
+        # Two components at a time: what is summed is read and written half as often.
+        s = r + 1 if r + 1 < d else r
+        x, y = real(table[j, CENTRE + r] - known[b, 1 + 2 * d + r]), real(table[j, CENTRE + s] - known[b, 1 + 2 * d + s])
+        per_x, per_y = real(1.0 / table[j, CENTRE + d + r]), real(1.0 / table[j, CENTRE + d + s] if s > r else 0.0)
+        if r == 0:
+            for i in range(U(n)):
+                p, q = (scratch[r, i] - x) * per_x, (scratch[r + 1, i] - y) * per_y
+                scratch[out, i] = p * p + q * q
+        else:
+            for i in range(U(n)):
+                p, q = (scratch[r, i] - x) * per_x, (scratch[r + 1, i] - y) * per_y
+                scratch[out, i] += p * p + q * q
 
 
 @njit(**VECTOR)
@@ -149,10 +157,9 @@ def nearest_in_block(
 ) -> None:
     """For each of n particles the nearest of the centres ``near`` that reach it (−1: none); the lower index wins a tie."""
     real = scratch.dtype.type
-    to_x, to_y, distance2, best = scratch[0], scratch[1], scratch[d], scratch[d + 1]
-    beyond = real(np.inf)
-    for i in range(n):
-        best[i] = beyond
+    distance2, best, beyond = d + d % 2, d + d % 2 + 1, real(np.inf)
+    for i in range(U(n)):
+        scratch[best, i] = beyond
         which[i] = np.int32(NOBODY)
     for c in range(count):
         j = near[c]
@@ -162,12 +169,13 @@ def nearest_in_block(
         if not (inside and known[b, 2] >= y - ry and known[b, 2 + d] <= y + ry):
             at_x, at_y = real(x - known[b, 1 + 2 * d]), real(y - known[b, 2 + 2 * d])
             to_rx, to_ry = real(rx), real(ry)
-            for i in range(n):
-                reached = (abs(to_x[i] - at_x) <= to_rx) & (abs(to_y[i] - at_y) <= to_ry)
-                distance2[i] = distance2[i] if reached else beyond
+            for i in range(U(n)):
+                # Read before it is asked for: a reading that depends on a condition becomes a branch.
+                now, far_x, far_y = scratch[distance2, i], abs(scratch[0, i] - at_x), abs(scratch[1, i] - at_y)
+                scratch[distance2, i] = now if (far_x <= to_rx) & (far_y <= to_ry) else beyond
         name = np.int32(j)
-        for i in range(n):
-            now, held, before = distance2[i], best[i], which[i]
+        for i in range(U(n)):
+            now, held, before = scratch[distance2, i], scratch[best, i], which[i]
             closer = now < held
-            best[i] = now if closer else held
+            scratch[best, i] = now if closer else held
             which[i] = name if closer else before
