@@ -9,7 +9,7 @@ from phdtrack.groups import Contours, polygon_area
 
 def test_a_lone_person_has_a_circle_whose_radius_is_known():
     sd = 0.5
-    (circle,) = Contours(fineness=8).of(people([(3, -2, 1, 0)], sd=sd), np.zeros(1, np.int64), 0)
+    (circle,) = Contours(fineness=8, tolerance=0).of(people([(3, -2, 1, 0)], sd=sd), np.zeros(1, np.int64), 0)
     radius = sd * np.sqrt(2 * np.log(1 / (2 * np.pi * sd**2 * 0.1)))
     assert np.hypot(circle[0] - 3, circle[1] + 2) == pytest.approx(np.full(circle.shape[1], radius), rel=0.01)
     assert (circle[:, 0] == circle[:, -1]).all()
@@ -55,6 +55,15 @@ def test_only_the_members_of_the_group_count():
     alone = Contours().of(people([(0, 0, 0, 0)]), np.zeros(1, np.int64), 0)
     (one,) = Contours().of(mixture, np.array([0, 1]), 0)
     assert one == pytest.approx(alone[0])
+
+
+def test_a_simpler_polygon_stays_within_the_tolerance():
+    mixture = people([(0, 0, 0, 0), (1, 0.5, 0, 0)], sd=0.5)
+    (exact,), (simple,) = (Contours(tolerance=t).of(mixture, np.zeros(2, np.int64), 0) for t in (0.0, 0.05))
+    assert simple.shape[1] < exact.shape[1] / 3
+    a, b = simple[:, :-1, None], simple[:, 1:, None]
+    along = np.clip(((exact[:, None] - a) * (b - a)).sum(0) / ((b - a) ** 2).sum(0), 0, 1)
+    assert np.hypot(*(exact[:, None] - a - along * (b - a))).min(0).max() < 0.05 + 1e-6
 
 
 @pytest.mark.parametrize("fineness", [2.0, 6.0])

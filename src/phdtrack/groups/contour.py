@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.checks import Positive, PositiveCount, check
+from phdtrack.checks import NonNegative, Positive, PositiveCount, check
 from phdtrack.types import F8, I8, GaussianMixture
 
 
@@ -26,11 +26,13 @@ class Contours:
     level : people per square metre on the curve.
     fineness : grid points per standard deviation of the narrowest component of a group.
     most : grid points along each side at most; a group that is wider than it is sharp gets a coarser grid.
+    tolerance : metres by which a polygon may stray from the curve on the grid, to have fewer corners (Douglas and Peucker).
     """
 
     level: Positive = 0.1
     fineness: Positive = 4.0
     most: PositiveCount = 160
+    tolerance: NonNegative = 0.02
 
     def __post_init__(self) -> None:
         check(self)
@@ -48,7 +50,16 @@ class Contours:
         from contourpy import contour_generator
 
         found = contour_generator(x, y, position_intensity(weight, mean, cov, x, y)).lines(self.level)
-        return tuple(np.ascontiguousarray(np.asarray(line, np.float64).T) for line in found)
+        return tuple(self._simpler(np.asarray(line, np.float64)) for line in found)
+
+    def _simpler(self, line: F8) -> F8:
+        """The closed polygon (2, K) of a closed line (L, 2) with as few corners as the tolerance permits."""
+        import cv2
+
+        # Single precision about the line's own place keeps micrometres.
+        first = line[0]
+        kept = cv2.approxPolyDP((line[:-1] - first).astype(np.float32)[:, None], self.tolerance, True)[:, 0] + first
+        return np.ascontiguousarray(np.vstack([kept, kept[:1]]).T, dtype=np.float64)
 
     def _may_reach(self, weight: F8, cov: F8) -> bool:
         """Whether the sum of the components' peaks comes up to the level."""
