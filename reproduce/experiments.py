@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from reproduce import count, detections, groups, particles, plane, standard, videos
+from reproduce import count, detections, e13, groups, particles, plane, standard, videos
 
 
 def main() -> None:
@@ -11,6 +11,7 @@ def main() -> None:
     standard.main()
     groups.main()
     plane.main()
+    e13.main()
     videos.main()
     detections.main()
     particles.main()
