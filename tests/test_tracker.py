@@ -308,7 +308,8 @@ def test_without_filter_detections_are_the_states():
     assert len(tracker.tracks()) == 16
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+# That of the ground plane is tested where there is a camera.
+@pytest.mark.parametrize("preset", sorted({*PRESETS} - {"e13"}))
 def test_every_preset_finds_two_people(preset: str):
     tracker = Tracker(SIZE, preset=preset, filter={"per_target": 500}, birth={"most": 500})
     feed(tracker, [boxes(k) for k in range(25)])
