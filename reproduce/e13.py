@@ -28,6 +28,7 @@ from pathlib import Path
 import numpy as np
 
 from phdtrack import config, pipeline
+from phdtrack.boxes import area, intersection
 from phdtrack.camera import read_camera
 from phdtrack.formats import read_truth
 from phdtrack.groups import Contours, Grouping, Groups
@@ -96,9 +97,8 @@ def feet(xyxy: F8) -> F8:
 
 def covered(xyxy: F8) -> F8:
     """(n,) the largest part of each box that one nearer box of the frame covers; nearer is whose foot is lower."""
-    low, high = np.maximum(xyxy[:, None, :2], xyxy[:, :2]), np.minimum(xyxy[:, None, 2:], xyxy[:, 2:])
-    shared = np.prod(np.maximum(high - low, 0), axis=2) * (xyxy[:, 3] > xyxy[:, None, 3])
-    part: F8 = (shared / np.prod(xyxy[:, 2:] - xyxy[:, :2], axis=1)[:, None]).max(axis=1, initial=0.0)
+    shared = intersection(xyxy, xyxy) * (xyxy[:, 3] > xyxy[:, None, 3])
+    part: F8 = (shared / area(xyxy)[:, None]).max(axis=1, initial=0.0)
     return part
 
 

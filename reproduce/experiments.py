@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from reproduce import count, detections, e13, groups, particles, plane, standard, videos
+from reproduce import count, detections, e13, groups, occlusion, particles, plane, standard, videos
 
 
 def main() -> None:
@@ -12,6 +12,7 @@ def main() -> None:
     groups.main()
     plane.main()
     e13.main()
+    occlusion.main()
     videos.main()
     detections.main()
     particles.main()

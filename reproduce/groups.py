@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from phdtrack.config import build_groups
 from phdtrack.formats.positions import Positions, read_groups, read_positions
 from phdtrack.grouped import carriers, known_people
 from phdtrack.groups import Grouping, Living, Observed
-from phdtrack.metrics.groups import GroupFrame, GroupScores, nearest, score_groups
+from phdtrack.metrics.groups import GroupScores, LabelledFrame, nearest, score_groups
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, Detections, GaussianMixture, SequenceInfo, Step, Tracks
 from reproduce.common import in_parallel, need_data, table, write
@@ -196,10 +197,10 @@ def by_frame(where: Scene, frames: Sequence[Seen], grouping: Grouping) -> GroupS
     return score_groups(_clusters(where, frames, grouping), WITHIN)
 
 
-def _clusters(where: Scene, frames: Sequence[Seen], grouping: Grouping) -> Iterator[GroupFrame]:
+def _clusters(where: Scene, frames: Sequence[Seen], grouping: Grouping) -> Iterator[LabelledFrame]:
     for k, seen in enumerate(frames):
         people = next(iter(seen.people.values()))
-        yield GroupFrame(*_truth(where, k), _group(grouping.groups(seen.mixture).label, people.carrier), people.place)
+        yield LabelledFrame(*_truth(where, k), _group(grouping.groups(seen.mixture).label, people.carrier), people.place)
 
 
 def over_time(where: Scene, frames: Sequence[Seen], name: str, grouping: Grouping, hold: float) -> GroupScores:
@@ -207,7 +208,7 @@ def over_time(where: Scene, frames: Sequence[Seen], name: str, grouping: Groupin
     return score_groups(_lives(where, frames, name, grouping, Living(hold)), WITHIN)
 
 
-def _lives(where: Scene, frames: Sequence[Seen], name: str, grouping: Grouping, living: Living) -> Iterator[GroupFrame]:
+def _lives(where: Scene, frames: Sequence[Seen], name: str, grouping: Grouping, living: Living) -> Iterator[LabelledFrame]:
     state = Observed()
     for k, seen in enumerate(frames):
         people, label = seen.people[name], grouping.groups(seen.mixture).label
@@ -215,7 +216,7 @@ def _lives(where: Scene, frames: Sequence[Seen], name: str, grouping: Grouping, 
         member, carrier = people.member[used], people.carrier[used]
         weight, time = seen.mixture.weight[carrier], float(where.time[k])
         state, accepted, _ = living.extend(state, member, label[carrier], weight, k + 1, time)
-        yield GroupFrame(*_truth(where, k), accepted, people.place[:, used])
+        yield LabelledFrame(*_truth(where, k), accepted, people.place[:, used])
 
 
 def found_of(where: Scene, frames: Sequence[Seen], name: str) -> Found:
@@ -278,7 +279,8 @@ def main() -> None:
 def page(outcomes: dict[Job, Outcome]) -> str:
     """The page of results."""
     sources = _sources(outcomes)
-    return _PAGE.format(
+    text = (Path(__file__).parent / "groups.md").read_text(encoding="utf-8")
+    return text.format(
         seeds=SEEDS,
         noise=NOISE,
         detection=DETECTION,
@@ -357,60 +359,6 @@ def _pairs(group: I8) -> int:
     """Number of pairs of one frame that are of one group."""
     size = np.bincount(group[group > 0])
     return int((size * (size - 1)).sum()) // 2
-
-
-_PAGE = """# Annotated groups
-
-Who walks with whom on seq_eth and zara01, where people are seen from above every 0.4 s and groups are annotated. *True
-positions*: positions and velocities are known, only the grouping is estimated. *Filtered*: a detector is made of the
-positions (noise of {noise:g} m on each axis, p_D = {detection:g}, {clutter:g} false alarms a frame over the ground that is
-walked on and {margin:g} m around), and the GM-PHD filter on the plane is given p_D, the noise and the clutter's rate, with
-shipped settings else. Mean of {seeds} seeds ± its standard error. Frames without anybody are left out. Written by
-`python -m reproduce.groups`.
-
-{scenes}
-Two people of one frame are a pair, positive where both are of one group; precision, recall and F1 are over the pairs of all
-frames. People are mapped to the annotated ones one to one within {within:g} m; who is not found is in no pair.
-
-## How well people are known
-
-*states*: what the filter extracts in each frame; *online rows*: confirmed tracks, which need five states; *corrected
-tracks*: with gaps bridged and their first detections. *found*: share of the annotated people; *place*, *velocity*: roots
-of the mean squared errors, both axes together.
-
-{people}
-False states are about as many as false alarms: births are spread around the detections, as shipped, and clutter over the
-ground, so that whatever is detected is believed at once. Online rows leave nearly all of them out, corrected tracks a third.
-
-## Both thresholds
-
-F1, and precision and recall behind it. Each frame for itself; filtered people are the states. E13's own thresholds, which
-are shipped, in bold.
-
-{grids}
-## Groups over time
-
-E13's thresholds; people with an identity accept a new group once it has been proposed for *hold* seconds. Switches are
-those of annotated groups: the identity that most of a group's members carry is another than before.
-
-{lives}
-## What is better, and what is worse
-
-* **T_p = 2 m is wide for these pavements.** At 1 m/s 1.5 m has the better F1 in all four grids, by 0.08 and 0.05 where
-  positions are known, by 0.03 and 0.02 behind the filter: it costs 0.03 to 0.08 of recall and brings 0.09 to 0.14 of
-  precision. 1 m tears groups apart, 3 m joins strangers. Both sequences agree on the best to within a cell.
-* **T_v = 1 m/s is what a filter needs.** With known velocities 0.5 to 0.75 m/s are better; a filter's are wrong by half a
-  metre per second and more, and below 0.75 m/s its pairs are lost.
-* **E13's thresholds** lose 0.02 to 0.09 of F1 to the best cell of each grid. They remain the shipped ones: nothing was
-  chosen here.
-* **What is lost to the filter is recall, and most of it people, not groups**: who is missed in a frame has no state in it,
-  and one of two missed is a pair lost. Corrected tracks, which bridge these gaps, have a recall of 0.79 and 0.85 where
-  online rows, which wait for five states, two seconds here, have 0.39 and 0.50.
-* **Holding on** for half a second halves the switches of groups behind the filter and changes F1 by 0.01 or less; a whole
-  second adds little.
-* **Precision has a ceiling.** Annotated groups are social: where everything is known, 0.33 to 0.43 of the pairs that E13's
-  rule joins are strangers who walk alike.
-"""
 
 
 if __name__ == "__main__":

@@ -17,6 +17,8 @@ from phdtrack.groups.cluster import summarised
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, Cardinalised, GaussianMixture, Step
 
+# Heads from which on a cluster without anybody known is a group: Vo and Ma's weight of a target.
+UNNAMED = 0.5
 # Squared Mahalanobis radius of the 99 % region in two dimensions: within it a Gaussian carries a track.
 REACH = 9.21
 # Deviations of a person whose position and velocity are known, metres and metres per second: his own width, his gait.
@@ -83,7 +85,7 @@ class GroupStages:
 
         People with an identity are in the group that they have accepted (see `groups.identity`). A Gaussian without any
         goes with the heaviest person of its cluster; a cluster of such alone is a group without identity, so that no head
-        is lost.
+        is lost, from half a head on: what weighs less there is rather a false alarm.
         """
         clusters = self.grouping.groups(mixture)
         counted = carrier >= 0
@@ -118,6 +120,8 @@ def _groups(label: I8, weight: F8, carrier: I8, membership: I8) -> tuple[I8, I8]
     orphans = np.flatnonzero((label >= 0) & (identity == 0))
     identity[orphans] = [leader.get(int(cluster), -1 - int(cluster)) for cluster in label[orphans]]
     heavy = label >= 0
+    heads = np.bincount(label[heavy], weight[heavy])
+    heavy[heavy] = (identity[heavy] > 0) | (heads[label[heavy]] >= UNNAMED)
     names, group = np.unique(identity[heavy], return_inverse=True)
     out = np.full(len(label), -1, np.int64)
     out[heavy] = group

@@ -97,9 +97,17 @@ def _other(members: list[dict[str, str]], group: str) -> str:
     return next(row["group"] for row in members if row["group"] != group)
 
 
+def detected(street: Path) -> list[object]:
+    """Options for the street's detections and camera, without its video."""
+    return [
+        *("--detections", street / "det.txt", "--frame-size", "320x240", "--fps", RATE),
+        *("--camera", street / "camera.toml"),
+    ]
+
+
 def test_tracks_have_their_place(street: Path, tmp_path: Path) -> None:
-    out, given = tmp_path / "run", ["--detections", street / "det.txt", "--frame-size", "320x240", "--fps", RATE]
-    said = phdtrack("groups", *given, "--camera", street / "camera.toml", "--out", out, "--no-video")
+    out = tmp_path / "run"
+    said = phdtrack("groups", *detected(street), "--out", out, "--no-video")
     assert said.status == 0, said.err
     assert {path.name for path in out.iterdir()} == set(NAMES) - {rundir.PLAN, rundir.VIDEO}
     rows = np.loadtxt(out / rundir.TRACKS, delimiter=",")
@@ -111,19 +119,12 @@ def test_tracks_have_their_place(street: Path, tmp_path: Path) -> None:
 
 
 def test_members_are_the_online_identities_with_any_delay(street: Path, tmp_path: Path) -> None:
-    given = [
-        "--detections",
-        street / "det.txt",
-        "--frame-size",
-        "320x240",
-        "--fps",
-        RATE,
-        "--camera",
-        street / "camera.toml",
-    ]
     for delay in (0, 4):
         out = tmp_path / str(delay)
-        assert phdtrack("groups", *given, "--out", out, "--no-video", "--set", f"associate.delay={delay}").status == 0
+        assert (
+            phdtrack("groups", *detected(street), "--out", out, "--no-video", "--set", f"associate.delay={delay}").status
+            == 0
+        )
         online = read_tracks(out / rundir.ONLINE)
         sure = online.take(online.confirmed)
         known = set(zip(sure.frame.tolist(), sure.identity.tolist(), strict=True))
@@ -135,20 +136,10 @@ def test_members_are_the_online_identities_with_any_delay(street: Path, tmp_path
 
 
 def test_the_first_pixel_may_be_one(street: Path, tmp_path: Path) -> None:
-    given = [
-        "--detections",
-        street / "det.txt",
-        "--frame-size",
-        "320x240",
-        "--fps",
-        RATE,
-        "--camera",
-        street / "camera.toml",
-    ]
     places = []
     for first in (0, 1):
         out = tmp_path / str(first)
-        said = phdtrack("groups", *given, "--out", out, "--no-video", "--set", f"camera.first_pixel={first}")
+        said = phdtrack("groups", *detected(street), "--out", out, "--no-video", "--set", f"camera.first_pixel={first}")
         assert said.status == 0, said.err
         places.append(np.loadtxt(out / rundir.TRACKS, delimiter=",")[:5, 7:9])
     assert places[1] - places[0] == pytest.approx(np.tile([-0.1, 0.1], (5, 1)), abs=1e-3)
@@ -244,17 +235,7 @@ def test_ctrl_c_leaves_the_groups_up_to_there(street: Path, tmp_path: Path, monk
         whole(self, step, intensity)
 
     monkeypatch.setattr(GroupCompanion, "take", stopped)
-    given = [
-        "--detections",
-        street / "det.txt",
-        "--frame-size",
-        "320x240",
-        "--fps",
-        RATE,
-        "--camera",
-        street / "camera.toml",
-    ]
-    said = phdtrack("groups", *given, "--out", tmp_path / "run", "--json")
+    said = phdtrack("groups", *detected(street), "--out", tmp_path / "run", "--json")
     assert said.status == 130
     assert said.object["complete"] is False
     assert max(int(row["frame"]) for row in table(tmp_path / "run" / rundir.GROUPS)) == 14
@@ -263,17 +244,7 @@ def test_ctrl_c_leaves_the_groups_up_to_there(street: Path, tmp_path: Path, monk
 
 @pytest.mark.parametrize("name", ["gm-cphd", "particle-phd", "particle-cphd"])
 def test_any_filter_finds_the_pair(street: Path, tmp_path: Path, name: str) -> None:
-    given = [
-        "--detections",
-        street / "det.txt",
-        "--frame-size",
-        "320x240",
-        "--fps",
-        RATE,
-        "--camera",
-        street / "camera.toml",
-    ]
-    said = phdtrack("groups", *given, "--filter", name, "--out", tmp_path / "run", "--no-video", "--json")
+    said = phdtrack("groups", *detected(street), "--filter", name, "--out", tmp_path / "run", "--no-video", "--json")
     assert said.status == 0, said.err
     together = defaultdict(list)
     for row in table(tmp_path / "run" / rundir.MEMBERS):

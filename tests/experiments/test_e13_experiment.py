@@ -34,6 +34,12 @@ def test_seven_of_ten_are_detected_as_e13_says(sequence):
     assert found == pytest.approx(expected + e13.INFO.frames, abs=4 * expected**0.5)
 
 
+def test_the_truth_changes_by_a_third_of_a_person_a_frame(sequence):
+    """What the page sets the filters' jumps against."""
+    people = np.bincount(sequence.frame, minlength=e13.INFO.frames + 1)[1:]
+    assert np.abs(np.diff(people)).mean() == pytest.approx(0.31, abs=0.01)
+
+
 def test_every_filter_of_the_table_runs(sequence, monkeypatch):
     monkeypatch.setattr(e13, "INFO", e13.SequenceInfo(768, 576, 7.0, 5, e13.INFO.name))
     for name in e13.FILTERS:

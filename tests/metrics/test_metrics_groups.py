@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from phdtrack.metrics.groups import GroupFrame, nearest, score_groups
+from phdtrack.metrics.groups import LabelledFrame, nearest, score_groups
 
 
 def frame(truth, output, off=0.0, found=None):
     """People a hundred metres apart, each where the truth has him, ``off`` metres aside; ``found``: those in the output."""
     place = np.stack([100.0 * np.arange(len(truth)), np.zeros(len(truth))])
     kept = np.arange(len(truth)) if found is None else np.array(found, np.int64)
-    return GroupFrame(np.array(truth), place, np.array(output, np.int64), place[:, kept] + off)
+    return LabelledFrame(np.array(truth), place, np.array(output, np.int64), place[:, kept] + off)
 
 
 def test_the_right_groups_score_one_whatever_their_names():
@@ -35,7 +35,7 @@ def test_people_who_are_not_found_are_missing_from_their_groups():
 
 
 def test_pairs_with_nobody_are_false():
-    seen = GroupFrame(np.array([0]), np.zeros((2, 1)), np.array([4, 4]), np.array([[0.0, 50.0], [0.0, 0.0]]))
+    seen = LabelledFrame(np.array([0]), np.zeros((2, 1)), np.array([4, 4]), np.array([[0.0, 50.0], [0.0, 0.0]]))
     scores = score_groups([seen])
     assert (scores.true_positives, scores.false_positives, scores.false_negatives) == (0, 1, 0)
 
@@ -56,7 +56,7 @@ def test_people_alone_make_no_pairs():
 
 
 def test_nothing_scores_nothing():
-    none = GroupFrame(np.zeros(0, np.int64), np.zeros((2, 0)), np.zeros(0, np.int64), np.zeros((2, 0)))
+    none = LabelledFrame(np.zeros(0, np.int64), np.zeros((2, 0)), np.zeros(0, np.int64), np.zeros((2, 0)))
     assert math.isnan(score_groups([none]).f1())
 
 

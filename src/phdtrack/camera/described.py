@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -175,4 +175,4 @@ def _rodrigues(vector: F8) -> F8:
 
 def usual(form: MatrixForm, **values: str) -> MatrixForm:
     """The form with what is left open filled in."""
-    return replace(form, **{name: value for name, value in values.items() if not getattr(form, name)})  # type: ignore[arg-type]
+    return type(form)(**(asdict(form) | {name: value for name, value in values.items() if not getattr(form, name)}))

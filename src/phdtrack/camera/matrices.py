@@ -110,8 +110,9 @@ def matlab_matrix(path: Path, content: bytes, variable: str) -> F8:
     """
     from scipy.io import loadmat  # takes long to import
 
+    source: Any = io.BytesIO(content)  # SciPy takes an open file, its types know of names only
     try:
-        held = loadmat(io.BytesIO(content), simplify_cells=True)  # type: ignore[arg-type]
+        held = loadmat(source, simplify_cells=True)
     except Exception as error:  # a file cut short makes SciPy fail in a dozen ways
         raise InputError(f"the MATLAB file cannot be read: {error}", where=path, cure="Save it with -v7.") from None
     found = {name: matrix for name, value in held.items() if (matrix := _transform(value)) is not None}

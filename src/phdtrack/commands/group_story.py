@@ -1,6 +1,6 @@
 """What is kept of the groups of a run, to be drawn and told when it is over.
 
-Of every frame the plan's scene is kept, with contours as coarse as they can be drawn: some hundred bytes a person.
+Of every frame the plan's scene is kept, contours included: some hundred bytes a person.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from phdtrack.rundir import RunDirectory
 from phdtrack.types import F8, I8, Image
 from phdtrack.video import VideoWriter
 
-# Metres that a drawn contour may be off; pictures of the report; least height of a plan in pixels.
-_COARSE, _STILLS, _LEAST, _USUAL = 0.02, 4, 480, 720
+# Pictures of the report; least and usual height of a plan in pixels.
+_STILLS, _LEAST, _USUAL = 4, 480, 720
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,16 +167,9 @@ def _named(scene: PlanScene) -> int:
 
 def _plan_group(frame: GroupFrame, g: int) -> PlanGroup:
     groups, mean = frame.groups, frame.groups.mean[:, g]
-    contours = tuple(_coarse(ring) for ring in frame.contours[g])
     return PlanGroup(
-        int(frame.identity[g]), float(groups.count[g]), float(groups.deviation[g]), mean[:2], mean[2:4], contours
+        int(frame.identity[g]), float(groups.count[g]), float(groups.deviation[g]), mean[:2], mean[2:4], frame.contours[g]
     )
-
-
-def _coarse(ring: F8) -> F8:
-    """The ring (2, K) with as few points as it takes to draw it."""
-    points = cv2.approxPolyDP(np.ascontiguousarray(ring.T.astype(np.float32))[:, None], _COARSE, True)
-    return np.ascontiguousarray(points[:, 0].T.astype(np.float64))
 
 
 def _seen(camera: Camera, groups: tuple[PlanGroup, ...]) -> tuple[PlanGroup, ...]:

@@ -22,7 +22,7 @@ from phdtrack.types import F8, I8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GroupFrame:
+class LabelledFrame:
     """One frame: groups (n,) and positions (2, n) of the truth, and of the output (m,), (2, m), metres.
 
     Groups are identities from 1; 0 is somebody alone.
@@ -56,7 +56,7 @@ class GroupScores:
         return ratio(2 * self.true_positives, 2 * self.true_positives + self.false_positives + self.false_negatives)
 
 
-def score_groups(frames: Iterable[GroupFrame], within: float = 1.0) -> GroupScores:
+def score_groups(frames: Iterable[LabelledFrame], within: float = 1.0) -> GroupScores:
     """The scores of a sequence; people are mapped where they are closer than ``within`` metres."""
     sums = np.zeros(3, np.int64)
     switches, last = 0, dict[int, int]()
@@ -85,7 +85,7 @@ def nearest(a: F8, b: F8, within: float) -> tuple[I8, I8]:
     return assign(np.where(apart < within, most - apart / within, 0.0))
 
 
-def _pairs(frame: GroupFrame, output_of: I8) -> I8:
+def _pairs(frame: LabelledFrame, output_of: I8) -> I8:
     """Numbers of pairs that are rightly together, wrongly together, and wrongly apart."""
     truth = _together(frame.truth_group)
     output = _together(frame.output_group)

@@ -25,6 +25,7 @@ from typing import Literal
 import numpy as np
 
 from phdtrack.boxes import to_cxcywh
+from phdtrack.camera import ground_covariance
 from phdtrack.checks import Positive, Probability, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.hidden import parts_inside
@@ -119,7 +120,7 @@ class PlaneSensor:
             pixel = _FOOT @ detections.covariance @ _FOOT.T
         else:
             pixel = self._pixel_covariance(box[2:])
-        return _packed(point, _led(camera, foot, pixel))
+        return _packed(point, ground_covariance(camera, foot, pixel))
 
     def _plan_covariance(self, detections: Detections) -> F8:
         """(N, 2, 2) of detections that come in metres."""
@@ -202,7 +203,7 @@ class PlaneSensor:
             return out
         foot = self.camera.pixels(np.ascontiguousarray(x[:2]))
         box = to_cxcywh(self.boxes(x))
-        variance = np.diagonal(_led(self.camera, foot, self._pixel_covariance(box[2:])), axis1=1, axis2=2).T
+        variance = np.diagonal(ground_covariance(self.camera, foot, self._pixel_covariance(box[2:])), axis1=1, axis2=2).T
         known = np.isfinite(variance).all(axis=0)
         out[:2, known] = np.sqrt(variance[:, known])
         return out
@@ -226,13 +227,6 @@ class PlaneSensor:
         out = np.stack([foot[0] - half, foot[1] - height, foot[0] + half, foot[1]], axis=1)
         shown: F8 = np.where(np.isfinite(out).all(axis=1)[:, None], out, OUTSIDE)
         return shown
-
-
-def _led(camera: Camera, foot: F8, pixel: F8) -> F8:
-    """(N, 2, 2) covariances on the ground of foot points (2, N) with covariances ``pixel`` (N, 2, 2): J C Jᵀ."""
-    jacobian = camera.jacobian(foot)
-    out: F8 = jacobian @ pixel @ jacobian.transpose(0, 2, 1)
-    return out
 
 
 def _packed(point: F8, cov: F8) -> F8:

@@ -1,0 +1,139 @@
+"""Mistakes in settings: each names its place and the nearest name."""
+
+from __future__ import annotations
+
+import tomllib
+
+import pytest
+
+from config_cases import toml, written
+from phdtrack import config
+from phdtrack.checks import bounds
+from phdtrack.config import SECTIONS
+from phdtrack.errors import InputError
+from phdtrack.types import SequenceInfo
+
+INFO = SequenceInfo(640, 480, 25.0)
+
+
+MISTAKES = [
+    ("sensor.detecton=0.9", "Did you mean detection?"),
+    ("sensr.detection=0.9", "Did you mean sensor?"),
+    ("birth.kind=unifrom", "Did you mean uniform?"),
+    ("filter.kind=particle", "particle-phd"),
+    ("time.kind=box", "one kind only"),
+    ("motion.frame_size=[1, 2]", "unknown setting"),
+    ("sensor.detection=1.5", "less than or equal to 1"),
+    ("sensor.detection=-0.1", "greater than or equal to 0"),
+    ("sensor.detection=nan", "sensor.detection"),
+    ("sensor.detection=true", "valid number"),
+    ("sensor.detection='0.9'", "valid number"),
+    ("sensor.detection=high", "valid number"),
+    ("sensor.detection=", "valid number"),
+    ("sensor.scaling=partical", "'particle'"),
+    ("sensor.fixed=[1, 2, 3]", "at most 2"),
+    ("motion.acceleration=-1", "greater than or equal to 0"),
+    ("motion.scaled=maybe", "valid boolean"),
+    ("associate.span=0", "greater than 0"),
+    ("associate.shortest=2.5", "valid integer"),
+    ("associate.shortest=0", "greater than or equal to 1"),
+    ("associate.miss=0", "greater than 0"),
+    ("filter.per_target=0", "greater than or equal to 1"),
+    ("clutter.rate=-1", "greater than or equal to 0"),
+    ("clutter.volume=frame", "'image'"),
+    ("time.rate=0", "greater than 0"),
+    ("birth.boxes=[[1, 2, 3, 4]]", "unknown setting"),
+    ("filter.initial=[[1, 2, 3]]", "filter.initial"),
+]
+
+
+@pytest.mark.parametrize(("option", "says"), MISTAKES)
+def test_mistakes_in_options(option: str, says: str):
+    with pytest.raises(InputError) as error:
+        config.load(sets=["motion.survival=0.98", option])
+    assert says in str(error.value)
+    assert str(error.value).startswith(f"--set {option}: ")
+
+
+@pytest.mark.parametrize(("option", "says"), [m for m in MISTAKES if m[0].count("=") == 1 and not m[0].endswith("=")])
+def test_the_same_mistakes_in_a_file(option: str, says: str, tmp_path):
+    path, _, value = option.partition("=")
+    section, _, key = path.partition(".")
+    bare = value.isalpha() and value not in ("true", "nan")
+    file = tmp_path / "settings.toml"
+    file.write_text(f"[{section}]\n{key} = {toml(value) if bare else value}\n", encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        config.load(file)
+    assert says in str(error.value)
+    assert str(error.value).startswith(f"{file}: ")
+
+
+@pytest.mark.parametrize(("section", "name"), [
+    (section, name) for section, kinds in SECTIONS.items() for name, _ in bounds(next(iter(kinds.values())))
+])  # fmt: skip
+def test_no_bounded_setting_may_be_negative(section: str, name: str):
+    with pytest.raises(InputError, match=f"{section}.{name}: .* got -1"):
+        config.load(sets=[f"{section}.{name}=-1"])
+
+
+@pytest.mark.parametrize("option", ["sensor.detection", "sensor=3", "detection=0.9", "sensor.=1", "", "=", "preset=m09"])
+def test_options_have_a_section_a_name_and_a_value(option: str):
+    with pytest.raises(InputError, match=r"section\.name=value"):
+        config.load(sets=[option])
+
+
+@pytest.mark.parametrize(("text", "says"), [
+    ("[sensor\ndetection = 0.9", "line 1"),
+    ("[sensor]\ndetection = 0.9\n\nspread = = 2", "line 4"),
+    ("[sensor]\ndetection = .9", "line 2"),
+    ("[sensor]\ndetection = 0.9\ndetection = 0.8\nspread = 1\n", "line 3"),
+    ("sensor = 3", "section [sensor]"),
+    ("[[sensor]]\ndetection = 0.9", "section [sensor]"),
+    ('preset = "m08"', "preset"),
+    ("preset = 9", "preset"),
+    ('preset = ["m09"]', "preset"),
+    ('[birth]\nkind = ["uniform"]', "kind of birth"),
+    ("[birth]\nkind = 3", "kind of birth"),
+    ('[birth]\nkind = "fixed"', "boxes"),
+    ("[tracker]\nx = 1", "section"),
+    ("x = 1", "section"),
+])  # fmt: skip
+def test_files_that_are_no_settings(text: str, says: str, tmp_path):
+    path = tmp_path / "settings.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        config.load(path)
+    assert says in str(error.value)
+    assert str(path) in str(error.value)
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    (tmp_path / "latin.toml").write_bytes(b"# caf\xe9\n[sensor]\n")
+    for path in (tmp_path / "nowhere.toml", tmp_path, tmp_path / "latin.toml"):
+        with pytest.raises(InputError) as error:
+            config.load(path)
+        assert str(path) in str(error.value)
+
+
+def test_an_unknown_preset_is_told():
+    with pytest.raises(InputError, match="Did you mean m09"):
+        config.load(preset="m9")
+
+
+@pytest.mark.parametrize("values", [0.9, "detection", [("detection", 0.9)], None])
+def test_sections_laid_over_must_be_sections(values):
+    with pytest.raises(InputError, match="section"):
+        config.overlay(config.load(), {"sensor": values})
+
+
+def test_settings_of_the_detector_go_through_unchecked(tmp_path):
+    """They depend on the detector, which checks them itself."""
+    path = tmp_path / "settings.toml"
+    path.write_text("[detector]\nthreshold = 12\n", encoding="utf-8")
+    assert config.load(path, ["detector.mask=a.png"]).detector == {"threshold": 12, "mask": "a.png"}
+    assert config.load().detector == {}
+
+
+def test_a_settings_file_is_valid_toml(tmp_path):
+    path = written(tmp_path / "all.toml", config.load(preset="fv").as_dict())
+    assert set(tomllib.loads(path.read_text(encoding="utf-8"))) == {"preset", *SECTIONS}
