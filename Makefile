@@ -17,7 +17,7 @@ PY := $(VENV)/bin/python
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PEERS := .venv-peers
-CODE := src tests scripts $(wildcard reproduce benchmarks)
+CODE := src tests scripts $(wildcard benchmarks)
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
@@ -61,7 +61,7 @@ demo: env
 	$(BIN)/phdtrack demo --out demo-run --overwrite
 
 experiments: env
-	$(PY) -m reproduce.experiments
+	$(PY) -m phdtrack.reproduce
 
 bench: env peers
 	$(PY) -m benchmarks

@@ -2,7 +2,7 @@
 
 ``default``: what `phdtrack track` uses: M09's model with a lower p_D, a steadier size and less clutter, as today's detectors
 have, births and clutter around the detections, states joined that no sensor could tell apart, and half of M07's particles,
-which costs less than half a hundredth of any score and takes a quarter off the tracker's time (`reproduce.particles`).
+which costs less than half a hundredth of any score and takes a quarter off the tracker's time (docs/results/particles.md).
 ``m07``: Maggio et al. 2007: likelihood scaled by the detection, births and clutter around the detections, K-means.
 ``m09``: Maggio and Cavallaro 2009: M07's numbers (M09 prints none of its own) with the likelihood scaled by the particle, no
 floor, births and clutter uniform over the image, and extraction by a Gaussian mixture at 0.5.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from reproduce import e13
+
+from phdtrack.reproduce import e13
 
 
 def test_the_nearer_box_covers_and_the_farther_does_not():

@@ -1,7 +1,10 @@
 """The detector that is made of annotated positions, and who is counted as together."""
 
 import numpy as np
-from reproduce.groups import (
+
+from phdtrack.formats.positions import Positions
+from phdtrack.groups import Grouping
+from phdtrack.reproduce.groups import (
     CLUTTER,
     DETECTION,
     KNOWN,
@@ -17,9 +20,6 @@ from reproduce.groups import (
     middles,
     over_time,
 )
-
-from phdtrack.formats.positions import Positions
-from phdtrack.groups import Grouping
 from phdtrack.types import Tracks
 
 

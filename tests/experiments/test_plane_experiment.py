@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from reproduce.plane import Places, errors, ground_scene, numbers, spread, with_detections
 
 from phdtrack.metrics.clear import count_tracking
 from phdtrack.metrics.matching import tracking_mapping
+from phdtrack.reproduce.plane import Places, errors, ground_scene, numbers, spread, with_detections
 from phdtrack.types import Detections, DetectionTable, Tracks
 
 

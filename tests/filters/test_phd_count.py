@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from reproduce import count
 from scipy.integrate import quad
 
 from phdtrack.boxes import to_cxcywh
 from phdtrack.models import BoxSensor
+from phdtrack.reproduce import count
 from phdtrack.simulate import constant
 from phdtrack.simulate.clutter import poisson_boxes
 

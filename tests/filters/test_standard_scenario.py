@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from reproduce import standard
+
+from phdtrack.reproduce import standard
 
 # Mean OSPA over three runs may be this far above what is claimed of a hundred: 4 standard errors of one run's mean, which
 # scatters by 1.2, over √3.

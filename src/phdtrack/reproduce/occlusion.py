@@ -1,10 +1,10 @@
 """What hides costs a detector: recall by the covered part of a box, and what a filter makes of it in the image.
 
-    python -m reproduce.occlusion
+    python -m phdtrack.reproduce.occlusion
 
-The annotated boxes of the seven cases of `reproduce.detections`, by the largest part that one nearer box of the frame covers
-(nearer is whose lower edge is lower). A box is detected where a detection is mapped to it at IoU ≥ 0.5, one to one. Then
-the GM-PHD filter on the same cases, with `sensor.occlusion` and without.
+The annotated boxes of the seven cases of `detections`, by the largest part that one nearer box of the frame covers (nearer
+is whose lower edge is lower). A box is detected where a detection is mapped to it at IoU ≥ 0.5, one to one. Then the
+GM-PHD filter on the same cases, with `sensor.occlusion` and without.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ import numpy as np
 from phdtrack.boxes import iou
 from phdtrack.metrics.assignment import above, assign
 from phdtrack.models.occlusion import SHAPE
+from phdtrack.reproduce.common import Case, Result, in_parallel, measure, mot15, table, write
+from phdtrack.reproduce.detections import CASES
+from phdtrack.reproduce.e13 import covered
 from phdtrack.types import F8
-from reproduce.common import Case, Result, in_parallel, measure, mot15, table, write
-from reproduce.detections import CASES
-from reproduce.e13 import covered
 
 # Borders of the covered parts; the first class are those who are free.
 PARTS = (0.0, 0.01, 0.1, 0.35, 0.55, 0.75, 1.0)

@@ -1,6 +1,6 @@
 """E13 on its own sequence: people counted on the ground plane behind a detector that misses three of ten.
 
-    python -m reproduce.e13
+    python -m phdtrack.reproduce.e13
 
 PETS 2009 S1L1, time 13-57, view 1: the truth is known, E13's detections are not, so they are made from the truth. The drop
 model was fixed before any filter was run, and no parameter was chosen by the outcome:
@@ -33,8 +33,8 @@ from phdtrack.camera import read_camera
 from phdtrack.formats import read_truth
 from phdtrack.groups import Contours, Grouping, Groups
 from phdtrack.protocols import AnyStages
+from phdtrack.reproduce.common import RESULTS, in_parallel, need_data, table, write
 from phdtrack.types import F8, Cardinalised, Detections, GaussianMixture, SequenceInfo, Step, Truth
-from reproduce.common import RESULTS, in_parallel, need_data, table, write
 
 INFO = SequenceInfo(768, 576, 7.0, 221, "PETS2009-S1L1-1")
 SEEDS = 20
@@ -161,7 +161,7 @@ def true_groups() -> tuple[F8, dict[int, Groups], dict[int, GaussianMixture]]:
     counts, groups, people = np.zeros(INFO.frames), dict[int, Groups](), dict[int, GaussianMixture]()
     for number in range(1, INFO.frames + 1):
         now = np.flatnonzero(annotated.frame == number)
-        state = np.vstack([place[:, now], np.column_stack([_velocity(annotated, place, i) for i in now])])
+        state = np.vstack([place[:, now], np.column_stack([_velocity(annotated, place, int(i)) for i in now])])
         mixture = GaussianMixture(np.ones(len(now)), state, np.tile(0.09 * np.eye(4), (len(now), 1, 1)))
         found = Grouping().groups(mixture)
         counts[number - 1] = len(found)

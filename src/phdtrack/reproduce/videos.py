@@ -1,6 +1,6 @@
 """From a video to tracks: `phdtrack track` on real video, with and without the filter.
 
-    python -m reproduce.videos
+    python -m phdtrack.reproduce.videos
 
 PETS09-S2L1 with three detectors, TUD-Campus and CAVIAR's shop corridor with two; shipped defaults for all. The run
 directories are kept under runs/videos/, to be looked at.
@@ -13,7 +13,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 
-from reproduce.common import ROOT, in_parallel, need_data, table, write
+from phdtrack.reproduce.common import ROOT, in_parallel, need_data, table, write
 
 RUNS = ROOT / "runs" / "videos"
 FILTERS = ("none", "particle-phd")
@@ -76,8 +76,8 @@ def main() -> None:
     write(
         "videos.md",
         "# From a video to tracks\n\n"
-        "Written by `python -m reproduce.videos` (part of `make experiments`): `phdtrack track VIDEO --truth …`, with "
-        "shipped defaults, seed 0. Scores of the corrected tracks at IoU 0.5. *delay*: frames from an object's first "
+        "Written by `python -m phdtrack.reproduce.videos` (part of `make experiments`): `phdtrack track VIDEO --truth …`, "
+        "with shipped defaults, seed 0. Scores of the corrected tracks at IoU 0.5. *delay*: frames from an object's first "
         "annotated frame to its first output row, over the objects that were found. *false tracks*: identities that never "
         "match an object. Each detector runs once and both filters take its boxes (`phdtrack detect`, then `--detections`), "
         "which gives what `phdtrack track VIDEO --detector …` gives. The runs are kept under `runs/videos/`. The background "

@@ -1,8 +1,8 @@
 """How many particles do real detections need? The shipped defaults beside M07's numbers, and less.
 
-    python -m reproduce.particles
+    python -m phdtrack.reproduce.particles
 
-The same seven cases as `reproduce.detections`, natural and with clutter added, several seeds each. Differences are paired by
+The same seven cases as `detections`, natural and with clutter added, several seeds each. Differences are paired by
 case, clutter and seed; the error is the standard error of their mean.
 """
 
@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from reproduce.common import Result, in_parallel, measure, table, write
-from reproduce.detections import CASES, _case, cluttered
+from phdtrack.reproduce.common import Result, in_parallel, measure, table, write
+from phdtrack.reproduce.detections import CASES, _case, cluttered
 
 # Particles per target ρ and newborn per detection Jmax; M07's numbers are the reference.
 SIZES = ((1500, 1000), (750, 500), (300, 200))
@@ -41,7 +41,7 @@ def page(results: dict[Job, Result]) -> str:
     """The page: means, and differences from M07's numbers."""
     parts = [
         "# How many particles\n",
-        "Written by `python -m reproduce.particles` (part of `make experiments`). Means over the seven cases of "
+        "Written by `python -m phdtrack.reproduce.particles` (part of `make experiments`). Means over the seven cases of "
         f"detections.md and seeds {SEEDS[0]} to {SEEDS[-1]}; in brackets the paired difference from M07's numbers "
         f"({SIZES[0][0]} particles per target, {SIZES[0][1]} newborn per detection) ± its standard error. The shipped "
         f"default is {SIZES[1][0]} and {SIZES[1][1]}; `--preset m07` and `m09` keep M07's. *ms* per frame, of the whole "

@@ -1,6 +1,6 @@
 """The standard linear-Gaussian scenario: OSPA of the PHD and the cardinalised PHD filters, by Gaussians and by particles.
 
-    python -m reproduce.standard [runs [folder]]
+    python -m phdtrack.reproduce.standard [runs [folder]]
 
 The scenario is `phdtrack.simulate.linear_gaussian`: twelve targets over 100 scans, clutter uniform over the region. Every
 filter is given its true parameters, prunes at 1e-5, merges at squared distance 4 and keeps 100 Gaussians, or 1500 particles
@@ -25,9 +25,9 @@ from phdtrack.filters import GMCPHD, GMPHD, ParticleCPHD, ParticlePHD
 from phdtrack.metrics import ospa
 from phdtrack.models import FixedBirth, PlaneMotion, PlaneSensor, UniformClutter
 from phdtrack.protocols import Extractor, Filter, Model
+from phdtrack.reproduce.common import in_parallel, table, write
 from phdtrack.simulate.points import LinearGaussian, linear_gaussian
 from phdtrack.types import F8, GaussianMixture
-from reproduce.common import in_parallel, table, write
 
 RUNS = 100
 # Clutter points per scan, and p_D.
@@ -55,7 +55,7 @@ PAGE = """# The standard linear-Gaussian scenario
 
 Twelve targets over 100 scans, clutter uniform over 4 km²; OSPA in metres with c = 100 and p = 1, mean over scans and
 {runs} runs ± its standard error. Every filter is given the scenario's true parameters and the same scans; {particles}
-particles per target. Written by `python -m reproduce.standard`.
+particles per target. Written by `python -m phdtrack.reproduce.standard`.
 
 {rows}
 *elsewhere*: what other implementations of the same filter reach. *mean count error*: of the number of states, absolute;
@@ -202,8 +202,8 @@ def page(found: dict[Case, list[Outcome]]) -> str:
         for ours, theirs in COMPARED:
             difference, error = apart(outcomes[ours], outcomes[theirs])
             share = difference / np.mean([o.ospa.mean() for o in outcomes[theirs]])
-            cells = (f"{difference:+.2f} ± {error:.2f}", f"{100 * share:+.1f} %")
-            claims.append((f"{clutter:g}", f"{p_detect:g}", f"{ours} beside {theirs}", *cells))
+            apart_by = (f"{difference:+.2f} ± {error:.2f}", f"{100 * share:+.1f} %")
+            claims.append((f"{clutter:g}", f"{p_detect:g}", f"{ours} beside {theirs}", *apart_by))
     runs = len(next(iter(found.values())))
     header = ("λ", "p_D", "filter", "OSPA", "elsewhere", "mean count error", "bias", "ms per scan")
     return PAGE.format(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from reproduce import count, detections, e13, groups, occlusion, particles, plane, standard, videos
+from phdtrack.reproduce import count, detections, e13, groups, occlusion, particles, plane, standard, videos
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 """Annotated groups of pedestrians, found among true positions and behind a filter, with a grid over both thresholds.
 
-    python -m reproduce.groups
+    python -m phdtrack.reproduce.groups
 
 seq_eth and zara01, people seen from above every 0.4 s. A detector is made of the annotated positions: noise of 0.2 m, one
 of ten missed, clutter Poisson over the ground that is walked on. The GM-PHD filter on the plane is given these rates and
@@ -24,9 +24,9 @@ from phdtrack.grouped import carriers, known_people
 from phdtrack.groups import Grouping, Living, Observed
 from phdtrack.metrics.groups import GroupScores, LabelledFrame, nearest, score_groups
 from phdtrack.protocols import AnyStages
+from phdtrack.reproduce.common import in_parallel, need_data, table, write
+from phdtrack.reproduce.plane import spread
 from phdtrack.types import F8, I8, Detections, GaussianMixture, SequenceInfo, Step, Tracks
-from reproduce.common import in_parallel, need_data, table, write
-from reproduce.plane import spread
 
 # Frames per second of the annotated video; every sixth and every tenth is annotated.
 SEQUENCES = {"seq_eth": 15.0, "zara01": 25.0}

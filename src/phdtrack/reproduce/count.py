@@ -1,6 +1,6 @@
 """Does the filter count right? The mass of its intensity against the true number of targets, with known parameters.
 
-    python -m reproduce.count
+    python -m phdtrack.reproduce.count
 
 Truth by the filter's own model, `phdtrack.simulate.constant`: ten targets at the start, p_S = 0.99, births that keep the
 number. ``known``: the filter is given all of it, also the laws that births and clutter are drawn from. ``shipped``: it is
@@ -17,16 +17,18 @@ from typing import Literal
 
 import numpy as np
 
+from phdtrack.errors import InputError
 from phdtrack.extract import KMeans
 from phdtrack.filters import ParticlePHD
+from phdtrack.filters.particle_phd import Intensity
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.models.volume import image_volume
 from phdtrack.protocols import Birth, Clutter, Model, Sensor
+from phdtrack.reproduce.common import in_parallel, table, write
 from phdtrack.simulate import Counting, DetectorModel, constant, detect
 from phdtrack.simulate.clutter import ASPECTS, HEIGHTS
 from phdtrack.simulate.counting import PAPER_DETECTOR, counts
-from phdtrack.types import F8, I8, Particles
-from reproduce.common import in_parallel, table, write
+from phdtrack.types import F8, I8, GaussianMixture, Particles
 
 Laws = Literal["known", "shipped"]
 P_DETECT = (0.7, 0.9, 0.98)
@@ -74,6 +76,14 @@ class SceneBirth:
         return Particles(
             x, gamma / self._proposal(x, z[:, counts > 0], low[counts > 0], high[counts > 0], counts[counts > 0])
         )
+
+    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+        """Raises `InputError`: heights that are uniform in their logarithm are no Gaussians."""
+        raise InputError("the births of the counting scene have no Gaussian form", cure="Use a particle filter")
+
+    def expected(self, z: F8, dt: float) -> float:
+        """Births in ``dt``."""
+        return self.rate * dt
 
     def _heights(self, z: F8) -> tuple[F8, F8]:
         """(N,) each: the shortest and the tallest newborn that could have given each detection, by its width and height."""
@@ -140,16 +150,17 @@ def _model(scene: Counting, p_detect: float, clutter: float, laws: Laws) -> tupl
     # A newborn's speed is in widths, the sensor's in √(wh).
     speed = scene.birth_speed * math.sqrt(scene.aspect)
     sensor = BoxSensor(p_detect, PAPER_DETECTOR.jitter_size, floor=0.0, speed=speed)
-    births: tuple[Birth, Birth]
+    first: Birth
+    later: Birth
     alarms: Clutter
     if laws == "known":
-        births = SceneBirth(scene, float(scene.n)), SceneBirth(scene, scene.births)
+        first, later = SceneBirth(scene, float(scene.n)), SceneBirth(scene, scene.births)
         alarms = SceneClutter(scene, clutter)
     else:
-        births = MeasurementBirth(float(scene.n), MOST, "image", size), MeasurementBirth(scene.births, MOST, "image", size)
+        first, later = (MeasurementBirth(rate, MOST, "image", size) for rate in (float(scene.n), scene.births))
         alarms = UniformClutter(clutter, image_volume(size))
-    model = Model(motion, sensor, births[1], alarms)
-    return replace(model, birth=births[0]), model
+    model = Model(motion, sensor, later, alarms)
+    return replace(model, birth=first), model
 
 
 def run(
@@ -164,7 +175,7 @@ def run(
     found = detect(truth, scene.info, rng, seen).table
     first, model = _model(scene, p_detect, clutter, laws)
     recursion, extractor = ParticlePHD(per_target), KMeans()
-    state = recursion.start(model, rng)
+    state: Intensity = recursion.start(model, rng)
     out = np.zeros((3, frames))
     out[0] = counts(truth, frames)
     for k in range(frames):
@@ -225,7 +236,7 @@ def main() -> None:
         f"""# Counting
 
 The mass of the intensity against the true number of targets, {len(SEEDS)} seeds of {FRAMES} frames each, with the parameters
-known to the filter: p_D, p_S, λ, the birth rate and all noises. `python -m reproduce.count` writes this page.
+known to the filter: p_D, p_S, λ, the birth rate and all noises. `python -m phdtrack.reproduce.count` writes this page.
 
 {_cells(found)}
 The largest relative bias is {worst:.3f}; 0.10 is asked. *known*: births and clutter by the laws of the scene. *shipped*:

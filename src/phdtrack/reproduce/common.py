@@ -19,8 +19,10 @@ from phdtrack.formats import read_detections, read_seqinfo, read_truth
 from phdtrack.metrics import Scores, evaluate, first_output_delays
 from phdtrack.types import DetectionTable, SequenceInfo, Tracks, Truth
 
-ROOT = Path(__file__).resolve().parent.parent
-RESULTS = ROOT / "docs" / "results"
+# In a checkout the pages of results are the committed ones; an installed package writes where it is run.
+_CHECKOUT = Path(__file__).resolve().parents[3]
+ROOT = _CHECKOUT if (_CHECKOUT / "pyproject.toml").is_file() else Path.cwd()
+RESULTS = ROOT / "docs" / "results" if ROOT == _CHECKOUT else ROOT / "phdtrack-results"
 DATA = Path(os.environ.get("PHDTRACK_DATA", ROOT.parent / "shared" / "data"))
 
 A = TypeVar("A")

@@ -1,6 +1,6 @@
 """Tracks on the ground plane: PETS09-S2L1 with its real detections and its camera.
 
-    python -m reproduce.plane
+    python -m phdtrack.reproduce.plane
 
 World-plane tracks of the Gaussian-mixture filters and of the particle filter, with and without occlusion in p_D, beside the
 tracker in the image as shipped. Foot points are led to the ground by the camera and compared with the truth's own columns
@@ -24,8 +24,8 @@ from phdtrack.metrics.groups import nearest
 from phdtrack.metrics.identity import count_identities
 from phdtrack.metrics.matching import tracking_mapping
 from phdtrack.metrics.scene import FramePair, Scene
+from phdtrack.reproduce.common import Case, in_parallel, mot15, need_data, table, write
 from phdtrack.types import F8, I8, DetectionTable, Tracks
-from reproduce.common import Case, in_parallel, mot15, need_data, table, write
 
 SEQUENCE, KINDS = "PETS09-S2L1", ("public", "frcnn")
 SEEDS = 3
@@ -328,7 +328,7 @@ camera. The settings for the image were chosen on seven cases, of which these ar
 that states are joined there as in the image was decided by this page. *occlusion*: whether p_D falls where nearer people
 cover a person; shipped is on for the ground, off for the image. States whose boxes overlap by more than {joined:g} are taken
 for one; *not joined*: none are. Particle filters: mean of {seeds} seeds ± its standard error; what Gaussians do is not
-random. Corrected tracks. Written by `python -m reproduce.plane`.
+random. Corrected tracks. Written by `python -m phdtrack.reproduce.plane`.
 
 ## On the ground
 

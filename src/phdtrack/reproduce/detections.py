@@ -1,6 +1,6 @@
 """M07 Table 1 on given detections: the particle PHD filter against the same association on raw detections.
 
-    python -m reproduce.detections
+    python -m phdtrack.reproduce.detections
 
 Seven cases of real detections, natural and with Poisson clutter added; the same parameters for all of them. M07's sequences
 are not public; its finding is that the filter is ahead in every score on every sequence, most where clutter is heavy.
@@ -14,8 +14,8 @@ from functools import lru_cache
 import numpy as np
 
 from phdtrack.metrics import pool
+from phdtrack.reproduce.common import Case, Result, in_parallel, measure, mot15, table, write
 from phdtrack.simulate import add_clutter
-from reproduce.common import Case, Result, in_parallel, measure, mot15, table, write
 
 CASES = (
     ("PETS09-S2L1", "public"),
@@ -88,8 +88,9 @@ def page(results: dict[Job, Result]) -> str:
     )
     parts = [
         "# Given detections: the filter against none\n",
-        "Written by `python -m reproduce.detections` (part of `make experiments`). Corrected tracks, IoU 0.5, no score "
-        "threshold, shipped defaults for every sequence, mean over seeds 1, 2 (with added clutter, seed 1). `none` is the "
+        "Written by `python -m phdtrack.reproduce.detections` (part of `make experiments`). Corrected tracks, IoU 0.5, "
+        "no score threshold, "
+        "shipped defaults for every sequence, mean over seeds 1, 2 (with added clutter, seed 1). `none` is the "
         "same association on the raw detections (M07's MT). *delay*: frames from an object's first detection to its first "
         "output row. *false tracks*: identities that never match an object. *ms* is taken while other runs share the "
         "machine.\n",
