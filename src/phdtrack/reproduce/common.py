@@ -1,15 +1,21 @@
-"""What the experiments share: sequences, one run of the tracker, parallel work, tables in Markdown."""
+"""What the experiments share: how they are asked for, sequences, one run of the tracker, parallel work, tables in Markdown.
+
+An experiment is a module with ``main(options: Options = Options()) -> Path``: it measures, writes its page (and pictures)
+to ``options.out`` and returns the page. `in_parallel` keeps outcomes in ``options.folder``.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
+import pickle
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -23,10 +29,33 @@ from phdtrack.types import DetectionTable, SequenceInfo, Tracks, Truth
 _CHECKOUT = Path(__file__).resolve().parents[3]
 ROOT = _CHECKOUT if (_CHECKOUT / "pyproject.toml").is_file() else Path.cwd()
 RESULTS = ROOT / "docs" / "results" if ROOT == _CHECKOUT else ROOT / "phdtrack-results"
-DATA = Path(os.environ.get("PHDTRACK_DATA", ROOT.parent / "shared" / "data"))
 
 A = TypeVar("A")
 B = TypeVar("B")
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How an experiment is run.
+
+    Attributes
+    ----------
+    runs : Monte Carlo runs (seeds) of each case; 0: the experiment's own number. One that draws nothing does not ask.
+    quick : a short form: that everything works is seen in a minute or two, and its figures are no results.
+    out : where pages and pictures are written.
+    folder : where outcomes are kept, so that a run that was broken off goes on; None: nowhere.
+
+    The real sequences are where the environment says (`need_data`), because worker processes need them too.
+    """
+
+    runs: int = 0
+    quick: bool = False
+    out: Path = RESULTS
+    folder: Path | None = None
+
+    def number(self, usual: int, quick: int) -> int:
+        """Number of runs: as asked for, else ``quick`` in the short form and ``usual`` in the full one."""
+        return self.runs or (quick if self.quick else usual)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,12 +78,13 @@ class Result:
 
 
 def need_data() -> Path:
-    """The folder of real sequences; `InputError` where it is missing."""
-    if not (DATA / "mot15").is_dir():
+    """The folder of real sequences, $PHDTRACK_DATA or shared/data beside the checkout; `InputError` where it is missing."""
+    data = Path(os.environ.get("PHDTRACK_DATA", ROOT.parent / "shared" / "data"))
+    if not (data / "mot15").is_dir():
         raise InputError(
-            "the real sequences are missing", where=DATA, cure="Set PHDTRACK_DATA to the folder that holds mot15/"
+            "the real sequences are missing", where=data, cure="Set PHDTRACK_DATA to the folder that holds mot15/"
         )
-    return DATA
+    return data
 
 
 def mot15(sequence: str, kind: str) -> Case:
@@ -84,12 +114,39 @@ def measure(case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), p
     return Result(evaluate(case.truth, tracks, frames=case.info.frames), delay, seconds)
 
 
-def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str) -> list[B]:
-    """``work`` over ``jobs`` in as many processes as there are cores, with progress on stderr."""
+@dataclass(frozen=True, slots=True)
+class Kept(Generic[A, B]):
+    """``work``, with the outcomes of jobs that were done before read from ``folder``.
+
+    A job is known by the name of the work and its own representation: a record, or a tuple of numbers and words. Throw the
+    folder away when the code has changed.
+    """
+
+    work: Callable[[A], B]
+    folder: Path
+
+    def __call__(self, job: A) -> B:
+        """The outcome of a job, from its file where there is one."""
+        name = f"{self.work.__module__}.{self.work.__qualname__}"
+        path = self.folder / f"{name}-{hashlib.sha256(repr(job).encode()).hexdigest()[:16]}.pickle"
+        if path.exists():
+            outcome: B = pickle.loads(path.read_bytes())
+            return outcome
+        outcome = self.work(job)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # Whole or not at all: a run that is broken off leaves no half of a file.
+        part = path.with_suffix(f".{os.getpid()}.part")
+        part.write_bytes(pickle.dumps(outcome))
+        part.replace(path)
+        return outcome
+
+
+def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, folder: Path | None = None) -> list[B]:
+    """``work`` over ``jobs``, a process for each core; progress on stderr; outcomes are kept in ``folder`` if there is one."""
     began = time.perf_counter()
     out = []
     with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
-        for done, result in enumerate(pool.map(work, jobs), start=1):
+        for done, result in enumerate(pool.map(Kept(work, folder) if folder else work, jobs), start=1):
             out.append(result)
             print(f"\r{label}: {done} of {len(jobs)}, {time.perf_counter() - began:.0f} s", end="", file=sys.stderr)
     print(file=sys.stderr)
@@ -103,10 +160,10 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join(f"| {line} |" for line in lines) + "\n"
 
 
-def write(name: str, text: str) -> Path:
-    """Write a page of results."""
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    path = RESULTS / name
+def write(name: str, text: str, out: Path = RESULTS) -> Path:
+    """Write a page of results to the folder ``out``."""
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / name
     path.write_text(text, encoding="utf-8")
     print(path, file=sys.stderr)
     return path
