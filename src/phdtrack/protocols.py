@@ -56,15 +56,22 @@ class Sensor(Protocol):
 
     @property
     def observed(self) -> tuple[int, ...]:
-        """The rows of the state that a measurement shows, in the order of its first components."""
+        """The rows of the state that a measurement shows; of a linear sensor in the order of its first components."""
+
+    @property
+    def linear(self) -> bool:
+        """Whether `expected` is the ``observed`` rows of the state. Of others Gaussians need sigma points."""
 
     def measure(self, detections: Detections) -> F8:
         """(m, N) the measurement vectors of the detections; a column of NaN for one that tells nothing of any state."""
 
     def expected(self, x: F8) -> F8:
-        """(r, L) the first components of z that targets at ``x`` (d, L) give, noise aside; of a linear sensor rows of x.
+        """(r, L) the first components of z that targets at ``x`` (d, L) give, noise aside; of a linear sensor rows of x."""
 
-        The first two are a position in the plane of the state's. `observed` are the rows that it shows, to first order.
+    def innovation(self, z: F8, seen: F8) -> F8:
+        """(r, …) differences of measurements from what was expected, z − ``seen``, elementwise; angles the short way round.
+
+        Of the rows of ``z`` the first r count: it may be something expected, too.
         """
 
     def log_likelihood(self, z: F8, x: F8) -> F8:
@@ -74,9 +81,9 @@ class Sensor(Protocol):
         """Squared Mahalanobis distance between z and its prediction from x, elementwise like `log_likelihood`."""
 
     def covariance(self, z: F8, x: F8) -> F8:
-        """(P, r, r) noise covariance R of the ``observed`` rows, for pairs of columns of ``z`` (m, P) and ``x`` (d, P).
+        """(P, r, r) noise covariance R of what `expected` gives, for pairs of columns of ``z`` (m, P) and ``x`` (d, P).
 
-        With the rows as H it is the linear-Gaussian view of g that the Gaussian-mixture filters take.
+        With `innovation` it is the Gaussian view of g that the Gaussian-mixture filters take.
         """
 
     def p_detect(self, x: F8) -> F8:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from phd_cases import FRAME, NoBirth
 
+from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.transforms import sigma_points
@@ -115,10 +116,14 @@ class Turning:
 class Distant:
     """Shows the position and the distance from a point: z = (px, py, r)."""
 
-    observed: tuple[int, ...] = (0, 1, 2)
+    observed: tuple[int, ...] = (0, 1)
+    linear: bool = False
 
     def expected(self, x):
         return np.vstack([x[:2], np.hypot(x[0] - 40.0, x[1])])
+
+    def innovation(self, z, seen):
+        return z[:3] - seen
 
     def covariance(self, z, x):
         return np.tile(np.diag([4.0, 4.0, 0.01]), (z.shape[1], 1, 1))
@@ -154,6 +159,12 @@ def test_a_bent_prediction_has_the_moments_of_draws(rng):
         )
     assert errors["unscented"][0] < 0.1 < errors["linear"][0] / 5
     assert errors["unscented"][1] < 0.35 * errors["linear"][1]
+
+
+def test_the_linear_transform_refuses_what_is_not_linear(rng):
+    z = MODEL.sensor.expected(START.mean)
+    with pytest.raises(InputError, match="unscented"):
+        GMPHD().update(START, z, MODEL, 1.0, rng)
 
 
 def test_a_bent_update_sees_the_truth_within_what_it_says(rng):

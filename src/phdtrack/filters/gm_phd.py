@@ -179,21 +179,21 @@ class GMPHD:
     def _pairs(self, state: GaussianMixture, z: F8, sensor: Sensor) -> tuple[I8, I8, F8, F8]:
         """Pairs (Gaussian, measurement) within the gate, their d², and log 1/√det(2πS).
 
-        The grid is asked for what lies within G deviations of position; the sensor's noise is bounded there by the larger
-        of what it is for the Gaussian's own state and for any of the measurements.
+        The grid is asked for what lies within G deviations of position, in the state's plane; the sensor's noise is bounded
+        there by the larger of what it is for the Gaussian's own state and for any of the measurements.
         """
         if len(state) == 0 or z.shape[1] == 0:
             none = np.zeros(0, np.int64)
             return none, none, np.zeros(0), np.zeros(0)
-        _, noise = sensor.states(z)
+        at, noise = sensor.states(z)
         seen = expected(state, sensor, self.transform)
-        position, r = seen.mean[:2], len(seen.mean)
-        variance = seen.spread[:, (0, 1), (0, 1)].T
+        position, r = state.mean[:2], len(seen.mean)
+        variance = state.covariance[:, (0, 1), (0, 1)].T
         widest = np.maximum(sensor.noise(state.mean)[:2] ** 2, noise[:, (0, 1), (0, 1)].max(0)[:, None])
         half = self.gate * np.sqrt(variance + widest)
-        z_of, point = gated_pairs(z[0], z[1], position - half, position + half)
+        z_of, point = gated_pairs(at[0], at[1], position - half, position + half)
         innovation = seen.spread[point] + sensor.covariance(z[:, z_of], state.mean[:, point])
-        step = z[:r, z_of] - seen.mean[:, point]
+        step = sensor.innovation(z[:, z_of], seen.mean[:, point])
         distance2, log_det = gaussian_parts(step, innovation)
         inside = distance2 <= self.gate**2
         log_norm = -0.5 * (log_det + r * math.log(2 * math.pi))

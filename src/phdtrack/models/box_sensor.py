@@ -84,9 +84,18 @@ class BoxSensor:
         """Rows of the state that a measurement shows."""
         return OBSERVED
 
+    @property
+    def linear(self) -> bool:
+        """Rows of the state are all that is compared."""
+        return True
+
     def expected(self, x: F8) -> F8:
         """(4, L) centre and size of the boxes."""
         return x[list(OBSERVED)]
+
+    def innovation(self, z: F8, seen: F8) -> F8:
+        """Their difference, row by row."""
+        return z[: len(seen)] - seen
 
     def measure(self, detections: Detections) -> F8:
         """(4, N) centres and sizes; (8, N) with the variances below them where the scaling is ``given``.

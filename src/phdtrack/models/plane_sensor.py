@@ -96,9 +96,18 @@ class PlaneSensor:
         """Rows of the state that a measurement shows: the position."""
         return (0, 1)
 
+    @property
+    def linear(self) -> bool:
+        """Rows of the state are all that is compared."""
+        return True
+
     def expected(self, x: F8) -> F8:
         """(2, L) the positions."""
         return x[:2]
+
+    def innovation(self, z: F8, seen: F8) -> F8:
+        """Their difference, row by row."""
+        return z[: len(seen)] - seen
 
     def measure(self, detections: Detections) -> F8:
         """(5, N) ground points and their covariances; columns of NaN for feet that do not stand on the ground."""
