@@ -36,6 +36,7 @@ NEEDED = {
     ("motion", "plane"): PLANE[1:],
     ("sensor", "plane"): PLANE,
     ("clutter", "ground"): PLANE,
+    ("associate", "labelled"): ["filter.kind='gm-phd'"],
     ("extract", "components"): ["filter.kind='gm-phd'"],
     ("extract", "counted-components"): ["filter.kind='gm-cphd'"],
     ("extract", "counted-kmeans"): ["filter.kind='particle-cphd'"],

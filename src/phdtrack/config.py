@@ -23,7 +23,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from phdtrack.associate import GraphMatching
+from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.checks import Positive, check
 from phdtrack.errors import InputError
 from phdtrack.extract import Components, CountedComponents, CountedKMeans, CountedMixture, KMeans, Mixture, Raw
@@ -106,7 +106,7 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
         "counted-mixture": CountedMixture,
         "counted-components": CountedComponents,
     },
-    "associate": {"": GraphMatching},
+    "associate": {"graph": GraphMatching, "labelled": Labelled},
     "groups": {"": Grouping},
     "contours": {"": Contours},
     "lives": {"": Living},
@@ -126,10 +126,11 @@ _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
         "clutter": ("ground",),
         "spawn": ("none",),
     },
-    ("filter", "particle-phd"): {"extract": ("kmeans", "mixture")},
-    ("filter", "gm-phd"): {"extract": ("components",)},
-    ("filter", "particle-cphd"): {"extract": ("counted-mixture", "counted-kmeans")},
-    ("filter", "gm-cphd"): {"extract": ("counted-components",)},
+    ("filter", "particle-phd"): {"extract": ("kmeans", "mixture"), "associate": ("graph",)},
+    ("filter", "gm-phd"): {"extract": ("components",), "associate": ("graph", "labelled")},
+    ("filter", "particle-cphd"): {"extract": ("counted-mixture", "counted-kmeans"), "associate": ("graph",)},
+    ("filter", "gm-cphd"): {"extract": ("counted-components",), "associate": ("graph", "labelled")},
+    ("filter", "none"): {"associate": ("graph",)},
 }
 # The sections whose kinds decide others', in the order to lay them over.
 _DECIDING = ("motion", "filter")

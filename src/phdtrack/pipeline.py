@@ -20,6 +20,7 @@ from phdtrack.types import F8, I8, Detections, Estimates, Step, Tracks, UpdateIn
 NOBODY: F8 = np.zeros((0, 0))
 # Where measurements are put that tell nothing of any state: no state is near.
 NOWHERE = 1e9
+ALL: I8 = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +28,8 @@ class TrackingState:
     """Everything that is carried from frame to frame: the filter's and the associator's state, frame number and time.
 
     ``targets`` (d, n) are the states that the last frame showed, where the sensor asks who may hide whom; empty otherwise.
+    ``usable`` are the numbers of the detections that the filter was given, of the frames that it may still revise; (0,) for
+    one in which it was given all.
     """
 
     intensity: Any
@@ -34,6 +37,7 @@ class TrackingState:
     number: int = 0
     time: float = 0.0
     targets: F8 = field(default_factory=lambda: NOBODY)
+    usable: tuple[I8, ...] = ()
 
 
 def start(stages: AnyStages, rng: np.random.Generator) -> TrackingState:
@@ -80,6 +84,9 @@ def advance(
     estimates = stages.extractor.extract(intensity, z, model)
     if not complete:
         everything, info, estimates = _renumbered(everything, info, estimates, usable)
+    given = (*state.usable, ALL if complete else usable)[-1 - len(estimates.past) :]
+    if any(len(numbers) for numbers in given[:-1]):
+        estimates = replace(estimates, past=_renumbered_past(estimates.past, given[:-1]))
     extracted = clock.perf_counter()
     association, tracks = stages.associator.extend(state.association, estimates, everything, number, dt, model)
     ended = clock.perf_counter()
@@ -87,7 +94,7 @@ def advance(
     unusable = everything.shape[1] - len(usable)
     step = Step(number, time, detections, info, estimates, tracks, seconds, unusable)
     targets = estimates.state if model.sensor.occlusion else NOBODY
-    return TrackingState(intensity, association, number, time, targets), step
+    return TrackingState(intensity, association, number, time, targets, given), step
 
 
 def _renumbered(z: F8, info: UpdateInfo, estimates: Estimates, usable: I8) -> tuple[F8, UpdateInfo, Estimates]:
@@ -100,13 +107,21 @@ def _renumbered(z: F8, info: UpdateInfo, estimates: Estimates, usable: I8) -> tu
         evidence, clutter = np.zeros(count), np.zeros(count)
         evidence[usable], clutter[usable] = info.evidence, info.clutter
         info = replace(info, evidence=evidence, clutter=clutter)
-    # The last place stands for no detection.
-    number = np.append(usable, -1)
-    return (
-        np.where(np.isfinite(z).all(axis=0), z, NOWHERE),
-        info,
-        replace(estimates, detection=number[estimates.detection]),
+    return np.where(np.isfinite(z).all(axis=0), z, NOWHERE), info, _numbered(estimates, usable)
+
+
+def _renumbered_past(past: tuple[Estimates, ...], given: tuple[I8, ...]) -> tuple[Estimates, ...]:
+    """The revised states of frames in terms of all their detections, of which the filter was ``given`` these."""
+    return tuple(
+        _numbered(estimates, usable) if len(usable) else estimates
+        for estimates, usable in zip(past[len(past) - len(given) :], given, strict=True)
     )
+
+
+def _numbered(estimates: Estimates, usable: I8) -> Estimates:
+    """The states with their detections in terms of all, of which the filter was given the ``usable`` ones."""
+    # The last place stands for no detection.
+    return replace(estimates, detection=np.append(usable, -1)[estimates.detection])
 
 
 def _watching(model: Model, targets: F8, dt: float) -> Model:

@@ -9,6 +9,7 @@ import numpy as np
 
 from phdtrack.associate.graph import GraphState
 from phdtrack.associate.history import Chunk, History, Moment
+from phdtrack.associate.labelled import LabelledState, Lives
 from phdtrack.associate.online import Carried, Given
 from phdtrack.associate.window import Columns, Edges, Links, Rows, Window
 from phdtrack.errors import InputError
@@ -25,6 +26,8 @@ _RECORDS: dict[str, type[Any]] = {
         Cardinalised,
         Estimates,
         GraphState,
+        LabelledState,
+        Lives,
         History,
         Chunk,
         Moment,

@@ -24,7 +24,7 @@ from phdtrack.statedict import pack, unpack
 from phdtrack.types import Cardinalised, Detections, ParticleBlocks, Particles, SequenceInfo, Step, Tracks
 
 # Of a saved state: it changes when a record of the state does.
-FORMAT = 3
+FORMAT = 4
 
 
 class Tracker:

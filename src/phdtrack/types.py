@@ -277,7 +277,10 @@ class Estimates:
     detection : (n,) index of the detection that each state rests on in this frame, −1 where it is predicted only.
     tag : (n,) `GaussianMixture.tag` of the Gaussian that each state is, of the heaviest where several were joined; (0,) if
         the filter has none. Two states have the same where a Gaussian is reported more than once, or where they are lighter
-        than `GMPHD.split`.
+        than `GMPHD.split`. Filters that follow targets one by one give a target's label, its own for life.
+    past : the states of the frames before this one, oldest first, ending with the frame just before, as this frame sees
+        them: for filters that revise the past. Empty: the past stands. One frame's reaches no further back than the last
+        one's did.
     """
 
     state: F8
@@ -286,6 +289,7 @@ class Estimates:
     xyxy: F8
     detection: I8
     tag: I8 = field(default_factory=_none)
+    past: tuple[Estimates, ...] = ()
 
     @classmethod
     def empty(cls, dim: int) -> Estimates:
@@ -304,6 +308,7 @@ class Estimates:
             self.xyxy[index],
             self.detection[index],
             self.tag[index] if len(self.tag) else self.tag,
+            self.past,
         )
 
 

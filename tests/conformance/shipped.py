@@ -6,7 +6,7 @@ import inspect
 
 import numpy as np
 
-from phdtrack.associate import GraphMatching
+from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.boxes import to_cxcywh
 from phdtrack.extract import Components, CountedComponents, CountedKMeans, CountedMixture, KMeans, Mixture, Raw
 from phdtrack.filters import GMCPHD, GMPHD, NoFilter, ParticleCPHD, ParticlePHD
@@ -96,7 +96,14 @@ EXTRACTORS = {
     "counted-components": CountedComponents(),
     "raw": Raw(),
 }
-ASSOCIATORS = {"graph": GraphMatching(), "delayed": GraphMatching(delay=3), "plain": GraphMatching(bridge=False, backfill=0)}
+ASSOCIATORS = {
+    "graph": GraphMatching(),
+    "delayed": GraphMatching(delay=3),
+    "plain": GraphMatching(bridge=False, backfill=0),
+    "labelled": Labelled(),
+    "labelled, delayed": Labelled(delay=3, remember=0.4),
+    "labelled, plain": Labelled(bridge=False, shortest=1),
+}
 
 
 def model_of(sensor: BoxSensor | None = None) -> Model:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from shipped import (
@@ -62,16 +64,17 @@ def test_next_to_no_mass_is_no_state(name: str, rng):
 
 
 def sequence(rng: np.random.Generator, count: int):
-    """States and measurements of two targets that walk, with misses, and of clutter."""
+    """States and measurements of two targets that walk, with labels and misses, and of clutter, a new label each."""
     model = model_of()
     begin, velocity = states(rng, 2), rng.normal(0, 2, (2, 2))
     for k in range(count):
         here = begin.copy()
         here[:2] += k * velocity
-        found = detections(rng, int(rng.integers(0, 2)))
-        boxes = np.vstack([model.sensor.boxes(here[:, rng.random(2) < 0.9]), found.xyxy])
+        found, seen = detections(rng, int(rng.integers(0, 2))), np.flatnonzero(rng.random(2) < 0.9)
+        boxes = np.vstack([model.sensor.boxes(here[:, seen]), found.xyxy])
         z = model.sensor.measure(type(found).of(boxes))
-        yield Raw().extract(Particles(np.zeros((6, 0)), np.zeros(0)), z, model), fixed(z)
+        raw = Raw().extract(Particles(np.zeros((6, 0)), np.zeros(0)), z, model)
+        yield replace(raw, tag=np.concatenate([seen, 2 + k + np.arange(len(found))])), fixed(z)
 
 
 def check_rows(tracks: Tracks) -> None:

@@ -1,5 +1,6 @@
-"""From states to identities: multi-frame graph matching, online and corrected offline."""
+"""From states to identities, online and corrected offline: multi-frame graph matching, or the filter's own labels."""
 
 from phdtrack.associate.graph import GraphMatching, GraphState
+from phdtrack.associate.labelled import Labelled, LabelledState
 
-__all__ = ["GraphMatching", "GraphState"]
+__all__ = ["GraphMatching", "GraphState", "Labelled", "LabelledState"]

@@ -81,6 +81,7 @@ class Chunk:
                 np.concatenate([e.weight for e in full]),
                 np.concatenate([e.xyxy for e in full]),
                 np.concatenate([e.detection for e in full]),
+                np.concatenate([e.tag for e in full]),
             ),
             Links(
                 np.concatenate([f.later for f in final]),
@@ -103,7 +104,7 @@ class Chunk:
             int(self.number[place]),
             float(self.time[place]),
             int(self.vertex[place]),
-            Estimates(x.state[:, states], covariance, x.weight[states], x.xyxy[states], x.detection[states]),
+            Estimates(x.state[:, states], covariance, x.weight[states], x.xyxy[states], x.detection[states], x.tag[states]),
             Links(f.later[links], f.earlier[links], f.gain[links]),
             self.spare[:, spare],
             self.spare_index[spare],

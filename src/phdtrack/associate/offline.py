@@ -42,9 +42,9 @@ def tracks(history: History, window: Window, wanted: Wanted, model: Model) -> Tr
         name += 1
         taken.update((row.place, row.detection) for row in before)
         parts.append(_beginning(moments, before, float(first.weight[i]), name, model))
-        parts.append(_states(moments, path, name))
+        parts.append(rows_of(moments, path, name))
         if wanted.bridge:
-            parts.extend(_gaps(moments, path, name, model))
+            parts.extend(gaps(moments, path, name, model))
     return Tracks.concatenate(parts)
 
 
@@ -85,7 +85,7 @@ def _beginning(moments: list[Moment], rows: list[Earlier], weight: float, name: 
     )
 
 
-def _states(moments: list[Moment], path: list[tuple[int, int]], name: int) -> Tracks:
+def rows_of(moments: list[Moment], path: list[tuple[int, int]], name: int) -> Tracks:
     """The rows of a track that rest on extracted states."""
     n = len(path)
     parts = [(moments[k], i) for k, i in path]
@@ -99,7 +99,7 @@ def _states(moments: list[Moment], path: list[tuple[int, int]], name: int) -> Tr
     )
 
 
-def _gaps(moments: list[Moment], path: list[tuple[int, int]], name: int, model: Model) -> list[Tracks]:
+def gaps(moments: list[Moment], path: list[tuple[int, int]], name: int, model: Model) -> list[Tracks]:
     """Predicted rows between the states of a track that are more than one frame apart."""
     parts = []
     for (k, i), (m, j) in itertools.pairwise(path):

@@ -180,7 +180,7 @@ def ground_settings(choice: Choice, camera: Path | None) -> Settings:
 
 def accompanied(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
     """The job with the groups beside it."""
-    from phdtrack.associate import GraphMatching
+    from phdtrack.associate import GraphMatching, Labelled
     from phdtrack.camera import footprint
     from phdtrack.commands.group_companion import GroupCompanion
     from phdtrack.commands.group_story import Around
@@ -193,7 +193,7 @@ def accompanied(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
     if isinstance(sensor, PlaneSensor) and sensor.camera is not None:
         far = float(str(job.configured("camera", "far")))
         around = Around(sensor.camera, footprint(sensor.camera, (info.width, info.height), far), edges)
-    delay = associator.delay if isinstance(associator, GraphMatching) else 0
+    delay = associator.delay if isinstance(associator, GraphMatching | Labelled) else 0
     return replace(job, companion=GroupCompanion(build_groups(settings, stages), stages, info, around, delay))
 
 

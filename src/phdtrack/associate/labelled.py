@@ -1,0 +1,209 @@
+"""Identities that the filter itself gives: a target's label is its identity.
+
+For filters that follow targets one by one (`Estimates.tag`), instead of linking states afterwards. Where a filter revises
+the past (`Estimates.past`: the best explanation of the last frames may be another one by now), the corrected tracks and the
+online rows that are held back by ``delay`` show it as it is seen at last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from phdtrack.associate.history import History, Moment, moment_of
+from phdtrack.associate.offline import gaps, rows_of
+from phdtrack.associate.window import NO_LINKS
+from phdtrack.checks import Count, NonNegative, PositiveCount, check
+from phdtrack.errors import InputError
+from phdtrack.protocols import Model
+from phdtrack.types import F8, I8, Bool, Estimates, Tracks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lives:
+    """What is known of each label (a,), ascending: its ``identity``, 0 before its first row is given, the ``count`` of its
+    states that rest on detections, the model time of the ``last`` of them, whether it was ``confirmed``."""
+
+    label: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    identity: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    count: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    last: F8 = field(default_factory=lambda: np.zeros(0))
+    confirmed: Bool = field(default_factory=lambda: np.zeros(0, np.bool_))
+
+    def including(self, moments: Iterable[Moment]) -> Lives:
+        """With a place for every label of the moments."""
+        fresh = np.setdiff1d(np.concatenate([m.estimates.tag for m in moments]), self.label)
+        at = np.searchsorted(self.label, fresh)
+        return Lives(
+            np.insert(self.label, at, fresh),
+            np.insert(self.identity, at, 0),
+            np.insert(self.count, at, 0),
+            np.insert(self.last, at, -np.inf),
+            np.insert(self.confirmed, at, False),
+        )
+
+    def counting(self, moments: Iterable[Moment]) -> Lives:
+        """With the states of the moments counted, whose labels all have a place."""
+        count, last = self.count.copy(), self.last.copy()
+        for moment in moments:
+            place = self.places(moment.estimates.tag[moment.estimates.detection >= 0])
+            count[place] += 1
+            last[place] = np.maximum(last[place], moment.time)
+        return replace(self, count=count, last=last)
+
+    def places(self, labels: I8) -> I8:
+        """Where the labels are."""
+        return np.searchsorted(self.label, labels).astype(np.int64)
+
+    def take(self, kept: Bool) -> Lives:
+        """Those that are kept."""
+        return Lives(self.label[kept], self.identity[kept], self.count[kept], self.last[kept], self.confirmed[kept])
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledState:
+    """Frames that no revision reaches any more, those that one may reach, and what is known of the labels in the first.
+
+    ``used`` counts the identities given online.
+    """
+
+    history: History = field(default_factory=History)
+    recent: tuple[Moment, ...] = ()
+    lives: Lives = field(default_factory=Lives)
+    time: float = 0.0
+    used: int = 0
+
+    def __len__(self) -> int:
+        return len(self.history) + len(self.recent)
+
+    def __getitem__(self, place: int) -> Moment:
+        settled = len(self.history)
+        return self.history[place] if place < settled else self.recent[place - settled]
+
+
+@dataclass(frozen=True, slots=True)
+class Labelled:
+    """Settings of identities by label.
+
+    Parameters
+    ----------
+    shortest : tracks of fewer states that rest on detections are discarded (offline) or not yet confirmed (online).
+    delay : frames by which the online output lags, so that states are reported as later frames have revised them and tracks
+        are confirmed by what follows; 0 allowed.
+    coast : seconds for which, at most, a confirmed track is continued online past its last detection. Corrected tracks end
+        with their last one.
+    bridge : fill the gaps of tracks with predicted, flagged boxes, smoothed in corrected tracks. Without, no row is given
+        that rests on no detection.
+    remember : seconds after which the past is forgotten, for cameras that run for days: the corrected tracks then go no
+        further back (a little more is kept than this), and a label that is seen again after that is a new identity. 0:
+        nothing is.
+    """
+
+    shortest: PositiveCount = 5
+    delay: Count = 0
+    coast: NonNegative = 0.2
+    bridge: bool = True
+    remember: NonNegative = 0.0
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def start(self) -> LabelledState:
+        """Nothing seen."""
+        return LabelledState()
+
+    def extend(
+        self, state: LabelledState, estimates: Estimates, z: F8, number: int, dt: float, model: Model
+    ) -> tuple[LabelledState, Tracks]:
+        """Take in the states of frame ``number`` and what they revise; give the online rows that are now due.
+
+        Raises `InputError` where states have no label.
+        """
+        time = state.time + dt
+        reach = min(len(estimates.past), len(state.recent))
+        settled, revised = state.recent[: len(state.recent) - reach], state.recent[len(state.recent) - reach :]
+        seen = estimates.past[len(estimates.past) - reach :]
+        now = moment_of(number, time, 0, _one_each(estimates), NO_LINKS, z[:, :0])
+        recent = (*(replace(m, estimates=_one_each(e)) for m, e in zip(revised, seen, strict=True)), now)
+        history = state.history
+        for moment in settled:
+            history = history.append(moment)
+        lives = state.lives.including((*settled, *recent)).counting(settled)
+        extended = LabelledState(history, recent, lives, time, state.used)
+        due = len(extended) - 1 - self.delay
+        if due < 0:
+            return extended, Tracks.empty()
+        given, tracks = self._give(extended, due, model)
+        return self._recent(given, due, model), tracks
+
+    def flush(self, state: LabelledState, model: Model) -> Tracks:
+        """The online rows of the last ``delay`` frames."""
+        parts = []
+        for due in range(max(0, len(state) - self.delay), len(state)):
+            state, tracks = self._give(state, due, model)
+            parts.append(tracks)
+        return Tracks.concatenate(parts)
+
+    def finish(self, state: LabelledState, model: Model) -> Tracks:
+        """The corrected tracks, identities from 1 in order of appearance, from first to last detection."""
+        moments = [*state.history, *state.recent]
+        paths: dict[int, list[tuple[int, int]]] = {}
+        for k, moment in enumerate(moments):
+            for i in np.flatnonzero(moment.estimates.detection >= 0).tolist():
+                paths.setdefault(int(moment.estimates.tag[i]), []).append((k, i))
+        parts = []
+        for name, path in enumerate((p for p in paths.values() if len(p) >= self.shortest), start=1):
+            parts.append(rows_of(moments, path, name))
+            if self.bridge:
+                parts.extend(gaps(moments, path, name, model))
+        return Tracks.concatenate(parts)
+
+    def _give(self, state: LabelledState, due: int, model: Model) -> tuple[LabelledState, Tracks]:
+        """The rows of the frame at place ``due``, as it is seen now; the state then knows their identities."""
+        moment, known = state[due], state.lives
+        present = known.counting(state.recent)
+        estimates = moment.estimates
+        place = present.places(estimates.tag)
+        confirmed = present.confirmed[place] | (present.count[place] >= self.shortest)
+        coasting = self.bridge & confirmed & (moment.time - present.last[place] <= self.coast * model.rate + 1e-9)
+        shown = np.flatnonzero((estimates.detection >= 0) | coasting)
+        place, confirmed, estimates = place[shown], confirmed[shown], estimates.take(shown)
+        fresh = place[present.identity[place] == 0]
+        identity, believed = present.identity.copy(), present.confirmed.copy()
+        identity[fresh] = state.used + 1 + np.arange(len(fresh))
+        believed[place] = confirmed
+        lives = replace(known, identity=identity, confirmed=believed)
+        rows = Tracks(
+            np.full(len(shown), moment.number),
+            identity[place],
+            estimates.xyxy,
+            np.minimum(1.0, estimates.weight),
+            estimates.detection,
+            confirmed,
+        )
+        return replace(state, lives=lives, used=state.used + len(fresh)), rows.take(np.argsort(rows.identity))
+
+    def _recent(self, state: LabelledState, due: int, model: Model) -> LabelledState:
+        """The state without what is past remembering; rows still due stay."""
+        if self.remember == 0:
+            return state
+        since = min(state.time - self.remember * model.rate, state[due].time)
+        here = np.concatenate([state[k].estimates.tag for k in range(due, len(state))])
+        kept = (state.lives.last >= since) | np.isin(state.lives.label, here)
+        return replace(state, history=state.history.since(since), lives=state.lives.take(kept))
+
+
+def _one_each(estimates: Estimates) -> Estimates:
+    """The states alone, of those that share a label the heaviest."""
+    if len(estimates.tag) != len(estimates):
+        raise InputError(
+            f"{len(estimates)} states bring no labels to identify them by",
+            where="associate.kind=labelled",
+            cure="Use associate.kind=graph, or a filter that labels targets",
+        )
+    alone = replace(estimates, past=())
+    heaviest = np.argsort(-estimates.weight, kind="stable")
+    _, first = np.unique(estimates.tag[heaviest], return_index=True)
+    return alone if len(first) == len(estimates) else alone.take(np.sort(heaviest[first]))
