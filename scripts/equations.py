@@ -31,6 +31,7 @@ PAPERS = {
     "V07": "Vo, Vo, Cantoni: Analytic implementations of the cardinalized PHD filter. IEEE Trans. Signal Processing, 2007",
     "K05": "Khan, Balch, Dellaert: MCMC-based particle filtering for tracking interacting targets. IEEE Trans. PAMI, 2005",
     "C04": "Cavallaro, Ebrahimi: Interaction between high-level and low-level image analysis for video objects. 2004",
+    "Z04": "Zivkovic, van der Heijden: Recursive unsupervised learning of finite mixture models. IEEE Trans. PAMI, 2004",
     "B08": "Bernardin, Stiefelhagen: Evaluating multiple object tracking performance: the CLEAR MOT metrics. 2008",
     "L20": "Luiten et al.: HOTA: a higher order metric for evaluating multi-object tracking. IJCV, 2020",
     "R16": "Ristani et al.: Performance measures and a data set for multi-target, multi-camera tracking. ECCV, 2016",

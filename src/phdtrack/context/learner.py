@@ -1,0 +1,127 @@
+"""Learning where targets are born, or where a detector is wrong, one sample after the other [M09 §IV, (16)–(20)].
+
+Recursive MAP-EM [Z04]: for a sample x with responsibilities
+o_m = π_m N_m(x) / Σ_j π_j N_j(x), rate β, M components and τ = N/2, N their number of parameters,
+
+    π_m ← π_m + β [(o_m − τβ)/(1 − Mτβ) − π_m]
+    μ_m ← μ_m + β (o_m/π_m)(x − μ_m)
+    Σ_m ← Σ_m + β (o_m/π_m)((x − μ_m)(x − μ_m)ᵀ + F − Σ_m)
+
+A component whose weight turns negative is removed: one must explain more than τ of the last 1/β samples to stay. α_u follows
+the same rule with τ = 0, the Gaussians do not depend on it. Three things that the paper leaves open:
+
+* The rule asks for β < 1/(Mτ), which with the paper's grids is 6e-4: a few hundred samples in one pass would hardly move a
+  weight. Samples are taken again and again, each pass in another order, with β = min(1/n, ½/(Mτ)) for n samples: the rate
+  rises as components go, up to the one at which the prior counts against n samples. Then the estimate settles: without
+  the prior, with β that falls like 1/k, and a sample moves the Gaussians by the probability that it is not the uniform
+  part's. That is maximum likelihood with the components that the rule has left.
+* β o_m/π_m is kept below 1, and F, a small diagonal, keeps every covariance above itself.
+* α_u begins at 1 − 1e-3: from 1 nothing would ever be learned. It never leaves [1e-3, 1 − 1e-3].
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from phdtrack.checks import Count, Share, check
+from phdtrack.context.density import ContextDensity
+from phdtrack.errors import InputError
+from phdtrack.kernels.recursive_em import recursive_em
+from phdtrack.types import F8
+
+LEAST_UNIFORM = 1e-3
+# Samples taken at most while the rate is steady; passes while it falls.
+_MOST = 1_000_000
+_SETTLING = 20
+
+
+@dataclass(frozen=True, slots=True)
+class RecursiveEM:
+    """Settings of the learner.
+
+    Parameters
+    ----------
+    memory : samples 1/β that are remembered at most; 0 for as many as are given at once.
+    passes : how often the samples are gone through while the rate is steady; 0: until of two components that explain the
+        same one has gone, which takes a multiple of n/2τ passes, or a million samples have been taken.
+    floor : F, its standard deviations as parts of the samples' own.
+    seed : of the orders in which the samples are taken.
+    """
+
+    memory: Count = 0
+    passes: Count = 0
+    floor: Share = 0.02
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def learn(self, density: ContextDensity, samples: F8) -> ContextDensity:
+        """``density`` after the ``samples`` (d, n): the same for the same samples. Those outside the volume are left out.
+
+        Raises `InputError` where samples have another dimension or are not finite, or the density has no Gaussians to move.
+        """
+        _fit(density, samples)
+        inside = ((samples >= density.low[:, None]) & (samples <= density.high[:, None])).all(axis=0)
+        x = np.ascontiguousarray(samples[:, inside].T)
+        n, d = x.shape
+        if n == 0:
+            return density
+        tau = parameters(d) / 2
+        passes = self.passes or _passes(n, tau)
+        rng = np.random.default_rng(self.seed)
+        order = np.concatenate([rng.permutation(n) for _ in range(passes + min(passes, _SETTLING))])
+        weight, mean, cov = density.weight.copy(), np.ascontiguousarray(density.mean.T), density.covariance.copy()
+        settings = np.array([tau, self.memory or n, -math.log(density.volume), LEAST_UNIFORM])
+        alive, uniform = recursive_em(
+            weight, mean, cov, len(weight), min(density.uniform, 1 - LEAST_UNIFORM), x, order, settings,
+            self._floor(density, x), passes * n,
+        )  # fmt: skip
+        kept = weight[:alive] / weight[:alive].sum()
+        return ContextDensity(density.low, density.high, uniform, kept, mean[:alive].T.copy(), cov[:alive].copy())
+
+    def _floor(self, density: ContextDensity, x: F8) -> F8:
+        """(d,) F: a part of the samples' variance, and, where that is nothing, of the volume's extent."""
+        extent = density.high - density.low
+        out: F8 = np.maximum(self.floor**2 * x.var(axis=0), (1e-4 * extent) ** 2)
+        return out
+
+
+def parameters(dim: int) -> int:
+    """N, the parameters of a component: mean and covariance; 27 in six dimensions, 14 in four."""
+    return dim + dim * (dim + 1) // 2
+
+
+def grid(
+    low: F8, high: F8, counts: tuple[int, int], centre: F8, spread: F8, uniform: float = 1 - LEAST_UNIFORM
+) -> ContextDensity:
+    """Where learning begins: counts[0] × counts[1] Gaussians over the positions, rows 0 and 1 [M09 §V].
+
+    ``centre`` and ``spread`` (d,) are mean and standard deviation of the other components (mean size, zero speed); in
+    position a Gaussian is as wide as the grid's step. M09 takes 12 × 10 for births and 16 × 14 for false alarms.
+    """
+    extent = high - low
+    steps = np.array(counts)
+    across, down = (low[k] + extent[k] * (np.arange(steps[k]) + 0.5) / steps[k] for k in range(2))
+    place = np.stack([part.ravel() for part in np.meshgrid(across, down)])
+    mean = np.vstack([place, np.tile(centre[2:, None], place.shape[1])])
+    deviation = np.concatenate([extent[:2] / steps, spread[2:]])
+    m = place.shape[1]
+    return ContextDensity(low, high, uniform, np.full(m, 1 / m), mean, np.tile(np.diag(deviation**2), (m, 1, 1)))
+
+
+def _passes(n: int, tau: float) -> int:
+    """Passes over n samples after which of two equal components one has gone: their weights part like exp(2τk/n)."""
+    return min(max(20, math.ceil(1.5 * n / tau)), max(5, _MOST // n))
+
+
+def _fit(density: ContextDensity, samples: F8) -> None:
+    if samples.ndim != 2 or len(samples) != density.dim:
+        raise InputError(f"expected samples ({density.dim}, n), got shape {samples.shape}", where="samples")
+    if not np.isfinite(samples).all():
+        raise InputError("every sample must be finite", where="samples", cure="Leave the others out")
+    if len(density) == 0:
+        raise InputError("a density without Gaussians learns nothing", where="density", cure="Begin with context.grid(…)")
