@@ -7,12 +7,13 @@ Accepted: a `Detections`; anything with ``.xyxy`` and, where it has them, ``.con
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.types import F8, I8, Bool, Detections
+from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, SequenceInfo
 
 _COLUMNS = "boxes as (N, 4) left, top, right, bottom; (N, 5) with confidence; (N, 6) with confidence and class"
 
@@ -89,6 +90,25 @@ def overlaps_frame(xyxy: F8, width: int, height: int) -> Bool:
     left, top, right, bottom = xyxy.T
     inside: Bool = (left < width) & (top < height) & (right > 0) & (bottom > 0)
     return inside
+
+
+def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple[DetectionTable, tuple[str, ...]]:
+    """The detections of which any part is in the frame, and a sentence where some were left out.
+
+    Raises
+    ------
+    InputError : all of them are outside: the size or the units are wrong.
+    """
+    kept = overlaps_frame(table.detections.xyxy, info.width, info.height)
+    if kept.all():
+        return table, ()
+    outside = int((~kept).sum())
+    first = int(table.frame[~kept][0])
+    said = f"{outside} of {len(table)} boxes lie outside the frame of {info.width}x{info.height} pixels"
+    if outside == len(table):
+        raise InputError(said, where=path, cure="Boxes are in pixels of the original video: check them, or --frame-size.")
+    sentence = f"{path}: {said} and are left out, the first in frame {first}"
+    return DetectionTable(table.frame[kept], table.detections.take(kept)), (sentence,)
 
 
 def _numbers(values: object, where: str) -> F8:

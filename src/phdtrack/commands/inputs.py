@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from phdtrack.commands.parameters import typed
 from phdtrack.commands.wanted import DEFAULT_DETECTOR, Wanted
-from phdtrack.detections import overlaps_frame
+from phdtrack.detections import within_frame
 from phdtrack.errors import InputError
 from phdtrack.protocols import Detector
 from phdtrack.types import Detections, DetectionTable, Frame, Image, SequenceInfo
@@ -101,7 +100,7 @@ def frame_size(text: str) -> tuple[int, int]:
 
 
 def _from_video(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
-    from phdtrack.detect import make_detector
+    from phdtrack.detect import make_detector, typed
     from phdtrack.video import open_source
 
     if wanted.detector == "file":
@@ -153,10 +152,8 @@ def _with_video(wanted: Wanted, path: Path) -> Inputs:
     table = read_detections(path)
     source = open_source(wanted.source, fps=wanted.fps)
     _same_size(wanted, source.info)
-    inside, left_out = _inside(table, source.info, path)
-    return Inputs(
-        source.info, source, TableDetector(inside), wanted.source, str(path), True, _again(wanted.source), left_out
-    )
+    seen, left_out = within_frame(table, source.info, path)
+    return Inputs(source.info, source, TableDetector(seen), wanted.source, str(path), True, _again(wanted.source), left_out)
 
 
 def _from_file(wanted: Wanted, path: Path) -> Inputs:
@@ -165,8 +162,8 @@ def _from_file(wanted: Wanted, path: Path) -> Inputs:
 
     table = read_detections(path)
     info = _sequence(wanted, path, table)
-    inside, left_out = _inside(table, info, path)
-    return Inputs(info, Blank(info), TableDetector(inside), str(path), str(path), False, True, left_out)
+    seen, left_out = within_frame(table, info, path)
+    return Inputs(info, Blank(info), TableDetector(seen), str(path), str(path), False, True, left_out)
 
 
 def _sequence(wanted: Wanted, path: Path, table: DetectionTable) -> SequenceInfo:
@@ -184,25 +181,6 @@ def _sequence(wanted: Wanted, path: Path, table: DetectionTable) -> SequenceInfo
     if not found.fps:
         raise InputError("the rate of the frames is not known", where=path, cure=f"Say --fps F, {beside}")
     return found
-
-
-def _inside(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple[DetectionTable, tuple[str, ...]]:
-    """The detections of which any part is in the frame, and a sentence where some were left out.
-
-    Raises
-    ------
-    InputError : all of them are outside: the size or the units are wrong.
-    """
-    kept = overlaps_frame(table.detections.xyxy, info.width, info.height)
-    if kept.all():
-        return table, ()
-    outside = int((~kept).sum())
-    first = int(table.frame[~kept][0])
-    said = f"{outside} of {len(table)} boxes lie outside the frame of {info.width}x{info.height} pixels"
-    if outside == len(table):
-        raise InputError(said, where=path, cure="Boxes are in pixels of the original video: check them, or --frame-size.")
-    sentence = f"{path}: {said} and are left out, the first in frame {first}"
-    return DetectionTable(table.frame[kept], table.detections.take(kept)), (sentence,)
 
 
 def _same_size(wanted: Wanted, info: SequenceInfo) -> None:

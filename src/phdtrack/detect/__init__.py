@@ -8,6 +8,7 @@ from phdtrack.detect.cascade import FaceDetector, FaceSettings
 from phdtrack.detect.change import ChangeDetector, ChangeSettings
 from phdtrack.detect.given import CallableDetector, TableDetector
 from phdtrack.detect.mean_background import MeanBackgroundDetector, MeanBackgroundSettings
+from phdtrack.detect.parameters import typed
 from phdtrack.detect.person import PersonDetector, PersonSettings
 from phdtrack.detect.registry import DETECTORS, detector_names, detector_parameters, make_detector
 from phdtrack.detect.subtractors import SubtractorDetector, SubtractorSettings
@@ -33,4 +34,5 @@ __all__ = [
     "detector_names",
     "detector_parameters",
     "make_detector",
+    "typed",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from phdtrack.detect.registry import detector_parameters
 from phdtrack.errors import InputError
 
 _WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
@@ -17,8 +18,6 @@ def typed(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     ------
     InputError : a value of another type.
     """
-    from phdtrack.detect import detector_parameters
-
     defaults = {field.name: field.default for field in detector_parameters(name)}
     return {key: _as(type(defaults[key]), key, value) if key in defaults else value for key, value in parameters.items()}
 
