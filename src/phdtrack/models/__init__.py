@@ -1,5 +1,6 @@
 """The shipped models of the world: motions, sensors, births, clutters, and the papers' presets made of them."""
 
+from phdtrack.models.bearing_sensor import BearingSensor
 from phdtrack.models.births import FixedBirth, MeasurementBirth, UniformBirth
 from phdtrack.models.box_motion import BoxMotion
 from phdtrack.models.box_sensor import BoxSensor
@@ -8,8 +9,10 @@ from phdtrack.models.plane_birth import PlaneBirth
 from phdtrack.models.plane_motion import PlaneMotion
 from phdtrack.models.plane_sensor import PlaneSensor
 from phdtrack.models.spawning import NoSpawn, SplitSpawn
+from phdtrack.models.turning_motion import TurningMotion
 
 __all__ = [
+    "BearingSensor",
     "BoxMotion",
     "BoxSensor",
     "FixedBirth",
@@ -21,6 +24,7 @@ __all__ = [
     "PlaneMotion",
     "PlaneSensor",
     "SplitSpawn",
+    "TurningMotion",
     "UniformBirth",
     "UniformClutter",
 ]

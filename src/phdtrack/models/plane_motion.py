@@ -57,31 +57,11 @@ class PlaneMotion:
         """Number of state components, 4."""
         return 4
 
-    def _variances(self, dt: float) -> tuple[float, float, float]:
-        """Of position, of position and velocity, of velocity, over ``dt`` seconds."""
-        a2 = self.acceleration**2
-        if self.form == "piecewise":
-            return a2 * dt**4 / 4, a2 * dt**3 / 2, a2 * dt**2
-        unit, tau = self.nominal, dt / self.nominal
-        return (
-            a2 * unit**4 * (tau**3 / 3 - min(tau, tau**3) / 12),
-            a2 * unit**3 * tau**2 / 2,
-            a2 * unit**2 * tau,
-        )
-
     def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
         """One draw of f(·|ξ) for each column ξ of ``x`` [E13 §4]."""
-        place, both, speed = self._variances(dt)
         moved = x.copy()
-        kick = math.sqrt(speed) * rng.standard_normal((2, x.shape[1]))
         moved[0:2] += dt * x[2:4]
-        moved[2:4] += kick
-        if speed > 0:
-            moved[0:2] += both / speed * kick
-            # What is left of the position's variance beside the part that the velocity's noise explains.
-            rest = place - both**2 / speed
-            if rest > 1e-12 * place:
-                moved[0:2] += math.sqrt(rest) * rng.standard_normal((2, x.shape[1]))
+        push(moved, variances(self.acceleration, dt, self.nominal, self.form), rng)
         return moved
 
     def p_survive(self, x: F8, dt: float) -> F8:
@@ -95,12 +75,43 @@ class PlaneMotion:
         mean[0:2] += dt * x[2:4]
         f, q = np.eye(4), np.zeros((4, 4, n))
         f[0, 2] = f[1, 3] = dt
-        place, both, speed = self._variances(dt)
-        for axis in range(2):
-            q[axis, axis], q[axis, axis + 2], q[axis + 2, axis], q[axis + 2, axis + 2] = place, both, both, speed
+        fill(q, variances(self.acceleration, dt, self.nominal, self.form))
         # Laid out in memory as `BoxMotion` does, for which the kernels are compiled.
         return mean, np.ndarray((n, 4, 4), np.float64, f, 0, (0, *f.strides)), q.transpose(2, 0, 1)
 
     def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of the spawning term."""
         return self.births.sample(parents, dt, rng)
+
+
+def variances(acceleration: float, dt: float, nominal: float, form: Form) -> tuple[float, float, float]:
+    """Of position, of position and velocity, of velocity of an axis, over ``dt`` seconds; see the head of this module."""
+    a2 = acceleration**2
+    if form == "piecewise":
+        return a2 * dt**4 / 4, a2 * dt**3 / 2, a2 * dt**2
+    unit, tau = nominal, dt / nominal
+    return (
+        a2 * unit**4 * (tau**3 / 3 - min(tau, tau**3) / 12),
+        a2 * unit**3 * tau**2 / 2,
+        a2 * unit**2 * tau,
+    )
+
+
+def push(x: F8, of: tuple[float, float, float], rng: np.random.Generator) -> None:
+    """Add a draw of the noise ``of`` positions and velocities to the first four rows of ``x``, which the caller owns."""
+    place, both, speed = of
+    kick = math.sqrt(speed) * rng.standard_normal((2, x.shape[1]))
+    x[2:4] += kick
+    if speed > 0:
+        x[0:2] += both / speed * kick
+        # What is left of the position's variance beside the part that the velocity's noise explains.
+        rest = place - both**2 / speed
+        if rest > 1e-12 * place:
+            x[0:2] += math.sqrt(rest) * rng.standard_normal((2, x.shape[1]))
+
+
+def fill(q: F8, of: tuple[float, float, float]) -> None:
+    """Put the noise ``of`` positions and velocities into covariances ``q`` (d, d, n), which the caller owns."""
+    place, both, speed = of
+    for axis in range(2):
+        q[axis, axis], q[axis, axis + 2], q[axis + 2, axis], q[axis + 2, axis + 2] = place, both, both, speed

@@ -1,0 +1,167 @@
+"""What a radar or sonar sees of a target: its bearing and its range from where the sensor stands [V06 §IV-C].
+
+Measurement z = (θ, r): θ in radians, from the y axis towards the x axis, and r in metres, with independent Gaussian noises:
+
+    θ = atan2(px − ox, py − oy) + σ_θ n₁,    r = |p − o| + σ_r n₂
+
+Bearings are compared the short way round, so that none is far from another across ±π. g(z|x) is a density per radian and
+metre, and so must be κ(z): uniform clutter over a half disc of radius R that is uniform in bearing and range has the volume
+πR. The sensor is not linear: Gaussians go through it by sigma points (`filters.transforms`).
+
+    p_D(x) = p_D · exp(−|p − o|² / 2ℓ²)
+
+falls with the range where a ``fade`` ℓ is given.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from phdtrack.boxes import to_cxcywh
+from phdtrack.checks import NonNegative, Positive, Probability, check
+from phdtrack.types import F8, Bool, Detections
+
+TURN = 2 * math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class BearingSensor:
+    """g and p_D of bearings and ranges [V06 §IV-C].
+
+    Parameters
+    ----------
+    bearing : σ_θ, standard deviation of the bearing, radians.
+    reach : σ_r, standard deviation of the range, metres.
+    detection : p_D of a target at the sensor's place.
+    fade : ℓ, metres over which p_D falls; 0: it does not.
+    origin : where the sensor stands, metres.
+    speed : standard deviation of an unknown velocity's amplitude, m/s.
+    turn : standard deviation of an unknown turn rate, rad/s.
+    size : side of the square that is drawn about a position, metres.
+    gate_sigmas : G, measurements touch only states within this many deviations of bearing and of range.
+    """
+
+    bearing: Positive = math.pi / 90
+    reach: Positive = 10.0
+    detection: Probability = 0.98
+    fade: NonNegative = 0.0
+    origin: tuple[float, float] = (0.0, 0.0)
+    speed: Positive = 50 * 2**0.5
+    turn: Positive = math.pi / 30
+    size: Positive = 10.0
+    gate_sigmas: Positive = 5.0
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    @property
+    def observed(self) -> tuple[int, ...]:
+        """Rows of the state that a measurement shows: the position."""
+        return (0, 1)
+
+    @property
+    def linear(self) -> bool:
+        """It is not."""
+        return False
+
+    def measure(self, detections: Detections) -> F8:
+        """(2, N) bearings and ranges of the middles of boxes on the plane, metres."""
+        return self.expected(to_cxcywh(detections.xyxy))
+
+    def expected(self, x: F8) -> F8:
+        """(2, …) bearing and range of the positions, the first two rows of ``x`` [V06 §IV-C]."""
+        east, north = x[0] - self.origin[0], x[1] - self.origin[1]
+        return np.stack([np.arctan2(east, north), np.hypot(east, north)])
+
+    def innovation(self, z: F8, seen: F8) -> F8:
+        """Differences of bearings, from −π to π, and of ranges."""
+        turn = z[0] - seen[0]
+        return np.stack([turn - TURN * np.rint(turn / TURN), z[1] - seen[1]])
+
+    def distance2(self, z: F8, x: F8) -> F8:
+        """Squared deviations of the bearing and of the range, in those of the noise."""
+        turn, longer = self.innovation(z, self.expected(x))
+        out: F8 = (turn / self.bearing) ** 2 + (longer / self.reach) ** 2
+        return out
+
+    def log_likelihood(self, z: F8, x: F8) -> F8:
+        """log g(z|x), density per radian and metre [V06 §IV-C]."""
+        return -0.5 * self.distance2(z, x) - math.log(TURN * self.bearing * self.reach)
+
+    def covariance(self, z: F8, x: F8) -> F8:
+        """(P, 2, 2) noise covariance of bearing and range, the same for all."""
+        return np.tile(np.diag([self.bearing**2, self.reach**2]), (z.shape[1], 1, 1))
+
+    def p_detect(self, x: F8) -> F8:
+        """p_D, falling with the range where ``fade`` says so."""
+        if self.fade == 0:
+            return np.full(x.shape[1], self.detection)
+        out: F8 = self.detection * np.exp(-0.5 * (self.expected(x)[1] / self.fade) ** 2)
+        return out
+
+    @property
+    def occlusion(self) -> bool:
+        """Nobody hides anybody."""
+        return False
+
+    def watching(self, targets: F8) -> BearingSensor:
+        """The sensor itself."""
+        return self
+
+    def gate(self, z: F8) -> tuple[F8, F8]:
+        """Rectangles about the pieces of rings that reach G deviations of bearing and of range."""
+        wide, deep = self.gate_sigmas * self.bearing, self.gate_sigmas * self.reach
+        near, far = np.maximum(z[1] - deep, 0.0), np.maximum(z[1] + deep, 0.0)
+        # sin θ gives x, and y = sin(θ + π/2).
+        sides = [_between(z[0] + quarter, wide, near, far) for quarter in (0.0, math.pi / 2)]
+        place = np.array(self.origin)[:, None]
+        return place + np.stack([low for low, _ in sides]), place + np.stack([high for _, high in sides])
+
+    def states(self, z: F8) -> tuple[F8, F8]:
+        """Targets at rest that would give z, with the covariance of what z alone tells, to first order."""
+        n = z.shape[1]
+        x, cov = np.zeros((5, n)), np.zeros((n, 5, 5))
+        x[0], x[1] = self.origin[0] + z[1] * np.sin(z[0]), self.origin[1] + z[1] * np.cos(z[0])
+        cov[:, :2, :2] = self._plane_covariance(z)
+        cov[:, 2, 2] = cov[:, 3, 3] = self.speed**2 / 2
+        cov[:, 4, 4] = self.turn**2
+        return x, cov
+
+    def _plane_covariance(self, polar: F8) -> F8:
+        """(n, 2, 2) covariances of positions by the noise of bearing and range (2, n)."""
+        sin, cos = np.sin(polar[0]), np.cos(polar[0])
+        # At the sensor's place no bearing tells anything, and no position is better known than by its range.
+        across = np.maximum(np.abs(polar[1]) * self.bearing, self.reach * self.bearing)
+        root = np.stack([np.stack([across * cos, self.reach * sin]), np.stack([-across * sin, self.reach * cos])])
+        out: F8 = np.einsum("abn,cbn->nac", root, root)
+        return out
+
+    def noise(self, x: F8) -> F8:
+        """(5, n) deviations by which components at ``x`` are resolved: of the position there, of what is not measured."""
+        out = np.empty((5, x.shape[1]))
+        out[:2] = np.sqrt(np.diagonal(self._plane_covariance(self.expected(x)), axis1=1, axis2=2).T)
+        out[2:4], out[4] = self.speed / math.sqrt(2), self.turn
+        return out
+
+    def boxes(self, x: F8) -> F8:
+        """(n, 4) squares of ``size`` about the positions, metres."""
+        half = self.size / 2
+        return np.concatenate([x[:2] - half, x[:2] + half]).T.copy()
+
+
+def _between(angle: F8, wide: float, near: F8, far: F8) -> tuple[F8, F8]:
+    """(n,) least and largest ρ sin φ over φ within ``wide`` of ``angle`` and ρ from ``near`` to ``far``."""
+    first, last = angle - wide, angle + wide
+    ends = np.sort(np.stack([np.sin(first), np.sin(last)]), axis=0)
+    low = np.where(_holds(first, last, -math.pi / 2), -1.0, ends[0])
+    high = np.where(_holds(first, last, math.pi / 2), 1.0, ends[1])
+    return low * np.where(low < 0, far, near), high * np.where(high > 0, far, near)
+
+
+def _holds(first: F8, last: F8, angle: float) -> Bool:
+    """Whether ``angle`` lies, whole turns aside, between ``first`` and ``last``."""
+    out: Bool = np.floor((last - angle) / TURN) >= np.ceil((first - angle) / TURN)
+    return out

@@ -1,0 +1,177 @@
+"""Bearings and ranges: a density, angles the short way round, gates that hold, Gaussians by sigma points."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phdtrack.errors import InputError
+from phdtrack.filters import GMPHD
+from phdtrack.filters.transforms import expected, posteriors
+from phdtrack.models import BearingSensor, FixedBirth, TurningMotion, UniformClutter
+from phdtrack.protocols import Model
+from phdtrack.types import GaussianMixture
+
+SENSOR = BearingSensor(bearing=0.035, reach=10.0, origin=(100.0, -50.0))
+
+
+def at(*places: tuple[float, float]) -> np.ndarray:
+    """(5, n) states at rest."""
+    return np.vstack([np.array(places).T, np.zeros((3, len(places)))])
+
+
+def test_bearings_are_from_the_y_axis_towards_the_x_axis():
+    x = at((100, 50), (200, -50), (100, -150), (0, -50))
+    np.testing.assert_allclose(SENSOR.expected(x), [[0, math.pi / 2, math.pi, -math.pi / 2], [100, 100, 100, 100]])
+
+
+@pytest.mark.parametrize("place", [(150.0, 700.0), (100.0, -800.0), (-900.0, -50.0), (100.0, 20.0)])
+def test_the_likelihood_integrates_to_one(place: tuple[float, float]):
+    """By the midpoint rule over all bearings and 12 deviations of range; behind the sensor the mass lies across ±π."""
+    x = at(place)
+    theta = (np.arange(2000) + 0.5) / 2000 * 2 * math.pi - math.pi
+    centre = SENSOR.expected(x)[1, 0]
+    r = centre + 10 * np.linspace(-6, 6, 601)
+    z = np.stack([np.repeat(theta, 601), np.tile(r, 2000)])
+    density = np.exp(SENSOR.log_likelihood(z, x))
+    assert density.sum() * (2 * math.pi / 2000) * 0.2 == pytest.approx(1, abs=1e-5)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.floats(-math.pi, math.pi), st.integers(-2, 2), st.floats(50, 2000))
+def test_whole_turns_change_nothing(bearing: float, turns: int, r: float):
+    x = at((-300, -700), (400, 900))
+    z = np.array([[bearing], [r]])
+    round_ = z + np.array([[2 * math.pi * turns], [0]])
+    np.testing.assert_allclose(SENSOR.distance2(round_, x), SENSOR.distance2(z, x), rtol=1e-9, atol=1e-9)
+    assert (np.abs(SENSOR.innovation(round_, SENSOR.expected(x))[0]) <= math.pi + 1e-12).all()
+
+
+def test_neighbours_across_the_cut_are_neighbours():
+    """Two targets behind the sensor, a hundredth of a radian apart, one with bearing near π, one near −π."""
+    x = at((100 + 1000 * math.sin(0.005), -50 - 1000 * math.cos(0.005)))
+    z = np.array([[-math.pi + 0.005], [1000.0]])
+    assert SENSOR.expected(x)[0, 0] == pytest.approx(math.pi - 0.005)
+    assert SENSOR.distance2(z, x)[0] == pytest.approx((0.01 / 0.035) ** 2)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.floats(-7, 7),
+    st.floats(0, 3000),
+    st.floats(0, 1),
+    st.floats(0, 2 * math.pi),
+    st.sampled_from([0.01, 0.2, 0.7]),
+)
+def test_the_gate_holds_what_is_within_it(bearing: float, r: float, part: float, turn: float, sd: float):
+    """Every position whose distance is at most G lies in the rectangle, also of wide noises and near the sensor."""
+    sensor = BearingSensor(bearing=sd, reach=10.0, origin=(100.0, -50.0))
+    z = np.array([[bearing], [r]])
+    theta, far = bearing + 5 * sd * part * math.cos(turn), r + 50 * part * math.sin(turn)
+    if far < 0:
+        return
+    x = at((100 + far * math.sin(theta), -50 + far * math.cos(theta)))
+    lower, upper = sensor.gate(z)
+    assert (lower - 1e-9 <= x[:2]).all()
+    assert (x[:2] <= upper + 1e-9).all()
+
+
+def test_the_gate_is_no_wider_than_its_ring_piece():
+    """A grid over the piece of ring touches all four sides."""
+    z = np.array([[0.4, 1.5, -3.0], [500.0, 800, 30]])
+    lower, upper = SENSOR.gate(z)
+    for j in range(3):
+        theta = z[0, j] + 5 * 0.035 * np.linspace(-1, 1, 4001)
+        r = np.array([[max(z[1, j] - 50, 0)], [z[1, j] + 50]])
+        px, py = 100 + r * np.sin(theta), -50 + r * np.cos(theta)
+        np.testing.assert_allclose(lower[:, j], [px.min(), py.min()], atol=1e-3)
+        np.testing.assert_allclose(upper[:, j], [px.max(), py.max()], atol=1e-3)
+
+
+def test_the_covariance_of_a_place_is_that_of_draws(rng):
+    z = np.array([[2.5], [1500.0]])
+    x, (cov,) = SENSOR.states(z)
+    drawn = SENSOR.states(z + rng.normal(size=(2, 200_000)) * [[0.035], [10.0]])[0][:2]
+    np.testing.assert_allclose(np.cov(drawn), cov[:2, :2], rtol=0.02, atol=10)
+    np.testing.assert_allclose(SENSOR.noise(x)[:2, 0] ** 2, np.diag(cov)[:2])
+    assert SENSOR.noise(at((100, -50)))[:2].min() > 0, "nor is anything certain at the sensor's own place"
+
+
+def test_the_detection_probability_falls_with_the_range():
+    x = at((100, -50), (100, 1950))
+    np.testing.assert_array_equal(SENSOR.p_detect(x), [0.98, 0.98])
+    np.testing.assert_allclose(BearingSensor(fade=2000.0, origin=SENSOR.origin).p_detect(x), [0.98, 0.98 * math.exp(-0.5)])
+
+
+def gaussian(place: tuple[float, float], sd: float) -> GaussianMixture:
+    return GaussianMixture(np.ones(1), at(place), np.diag([sd**2, sd**2, 50.0, 50.0, 0.01])[None])
+
+
+@pytest.mark.parametrize("place", [(900.0, 700.0), (100.0, -800.0)])
+def test_sigma_points_have_the_moments_of_draws(place: tuple[float, float], rng):
+    """Of 400 000; the second Gaussian lies across the cut at ±π."""
+    state = gaussian(place, 50.0)
+    seen = expected(state, SENSOR, "unscented")
+    x = rng.multivariate_normal(state.mean[:, 0], state.covariance[0], 400_000).T
+    step = SENSOR.innovation(SENSOR.expected(x), seen.mean)
+    spread = np.cov(step)
+    assert (np.abs(step.mean(1)) < 5 * np.sqrt(np.diag(spread) / 400_000) + 0.002 * np.sqrt(np.diag(spread))).all()
+    scale = np.sqrt(np.outer(np.diag(spread), np.diag(spread)))
+    assert (np.abs(seen.spread[0] - spread) < 0.02 * scale).all()
+    cross = np.cov(np.vstack([x, step]))[:5, 5:]
+    wide = np.sqrt(np.outer(np.diag(state.covariance[0]), np.diag(spread)))
+    assert (np.abs(seen.cross[0] - cross) < 0.02 * wide).all()
+
+
+def test_errors_are_what_the_update_says(rng):
+    """Mean squared normalised error of 2000 unscented updates, 5 components, within four standard errors of 5.
+
+    Gaussians all around the sensor, 50 m wide, those across the cut at ±π included.
+    """
+    errors = []
+    for angle in np.linspace(-math.pi, math.pi, 2000):
+        state = gaussian((100 + 1000 * math.sin(angle), -50 + 1000 * math.cos(angle)), 50.0)
+        x = rng.multivariate_normal(state.mean[:, 0], state.covariance[0])[:, None]
+        z = SENSOR.expected(x) + rng.normal(size=(2, 1)) * [[0.035], [10.0]]
+        none = np.zeros(1, np.int64)
+        mean, cov = posteriors(state, z, none, none, SENSOR, "unscented")
+        step = x[:, 0] - mean[:, 0]
+        errors.append(step @ np.linalg.solve(cov[0], step))
+    assert np.mean(errors) == pytest.approx(5, abs=4 * math.sqrt(10 / 2000) + 0.05)
+
+
+def test_a_turning_target_is_followed_within_what_the_filter_says(rng):
+    """Normalised error over 40 runs of 40 scans, turning at the model's own noise: in the band of independent runs.
+
+    One target, always seen, no clutter: every posterior is one Gaussian.
+    """
+    motion = TurningMotion(acceleration=2.0, turning=0.01, survival=1.0)
+    sensor = BearingSensor(bearing=0.01, reach=5.0, detection=1.0)
+    model = Model(motion, sensor, FixedBirth(gaussian((0, 500), 1.0), 1), UniformClutter(0.0, 1.0), rate=1.0)
+    runs = []
+    for _ in range(40):
+        start = gaussian((-500 + 20 * len(runs), 900), 20.0)
+        x = rng.multivariate_normal(start.mean[:, 0], start.covariance[0])[:, None]
+        recursion, errors, state = GMPHD(transform="unscented", redistribute=False), [], start
+        for _ in range(40):
+            x = motion.sample(x, 1.0, rng)
+            z = sensor.expected(x) + rng.normal(size=(2, 1)) * [[0.01], [5.0]]
+            state = recursion.predict(state, model, 1.0, rng)
+            none = np.zeros(1, np.int64)
+            mean, cov = posteriors(state, z, none, none, sensor, "unscented")
+            state = GaussianMixture(np.ones(1), mean, cov)
+            step = x[:, 0] - mean[:, 0]
+            errors.append(step @ np.linalg.solve(cov[0], step))
+        runs.append(np.mean(errors))
+    assert np.mean(runs) == pytest.approx(5, abs=4 * np.std(runs, ddof=1) / math.sqrt(40) + 0.1)
+    assert np.std(runs, ddof=1) < 1.5
+
+
+@pytest.mark.parametrize(("wrong", "says"), [({"bearing": 0.0}, "bearing"), ({"fade": -1.0}, "fade")])
+def test_settings_out_of_bounds(wrong, says: str):
+    with pytest.raises(InputError, match=says):
+        BearingSensor(**wrong)

@@ -1,0 +1,118 @@
+"""Turning targets: circles, the straight limit, Jacobians against differences, draws against what `transition` states."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phdtrack.errors import InputError
+from phdtrack.models import PlaneMotion, TurningMotion
+from phdtrack.models.turning_motion import SMALL, slopes, turned
+
+START = np.array([[3.0], [20.0], [12.0], [-4.0], [0.05]])
+
+
+def states(rng: np.random.Generator, n: int) -> np.ndarray:
+    return np.vstack([rng.uniform(-500, 500, (2, n)), rng.normal(0, 20, (2, n)), rng.normal(0, 0.2, (1, n))])
+
+
+def test_targets_go_round_their_circle(rng):
+    """Speed and distance from the centre, v/ω to the left, stay; a whole turn leads back."""
+    x = states(rng, 30)
+    after = turned(x, 3.0)
+    np.testing.assert_allclose(np.hypot(*after[2:4]), np.hypot(*x[2:4]))
+    centre = [place[:2] + np.stack([-place[3], place[2]]) / place[4] for place in (x, after)]
+    np.testing.assert_allclose(centre[1], centre[0])
+    for one in x.T:
+        np.testing.assert_allclose(turned(one[:, None], 2 * math.pi / one[4])[:, 0], one, rtol=1e-9, atol=1e-9)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.floats(-3, 3), st.floats(0.1, 5), st.floats(0.1, 5))
+def test_two_intervals_are_one(turn: float, one: float, other: float):
+    x = np.array([[1.0], [2.0], [3.0], [-4.0], [turn]])
+    np.testing.assert_allclose(turned(turned(x, one), other), turned(x, one + other), rtol=1e-9, atol=1e-9)
+
+
+def test_without_a_turn_it_is_constant_velocity(rng):
+    """At ω = 0 exactly, and continuously on the way there: the bend shrinks with ω."""
+    x = states(rng, 20)
+    x[4] = 0
+    straight, plane, noise = PlaneMotion(acceleration=5.0, nominal=1.0).transition(x[:4], 2.0)
+    mean, jacobian, cov = TurningMotion(acceleration=5.0).transition(x, 2.0)
+    np.testing.assert_allclose(mean[:4], straight, rtol=1e-15)
+    np.testing.assert_array_equal(jacobian[:, :4, :4], plane)
+    np.testing.assert_array_equal(cov[:, :4, :4], noise)
+    for turn in (1e-3, 1e-6, 1e-9, 1e-300):
+        x[4] = turn
+        bend = np.abs(turned(x, 2.0)[:4] - straight)
+        assert (bend <= 1.01 * turn * 2.0**2 * np.hypot(*x[2:4]) + 1e-12).all()
+
+
+def test_jacobians_are_derivatives(rng):
+    """Central differences; turns on both sides of where the series begins, and none."""
+    x = states(rng, 60)
+    x[4, :20] = np.linspace(-2 * SMALL, 2 * SMALL, 20)
+    x[4, 20] = 0
+    for dt in (0.3, 1.0, 4.0):
+        jacobian = slopes(x, dt)
+        for row, step in enumerate((1e-3, 1e-3, 1e-3, 1e-3, 1e-5)):
+            ahead, behind = x.copy(), x.copy()
+            ahead[row] += step
+            behind[row] -= step
+            slope = (turned(ahead, dt) - turned(behind, dt)) / (2 * step)
+            np.testing.assert_allclose(slope.T, jacobian[:, :, row], atol=2e-6)
+
+
+def test_the_series_meets_the_closed_form():
+    """Column of the turn rate just below and above the switch: no jump."""
+    x = np.array([[0.0, 0], [0, 0], [50, 50], [20, 20], [SMALL * (1 - 1e-12), SMALL * (1 + 1e-12)]])
+    below, above = slopes(x, 1.0)
+    np.testing.assert_allclose(below, above, rtol=1e-9)
+
+
+@pytest.mark.parametrize("dt", [0.05, 1.0, 2.5])
+@pytest.mark.parametrize("form", ["piecewise", "continuous"])
+def test_draws_have_the_moments_of_the_transition(form: str, dt: float, rng):
+    """Means and covariances within four and a half standard errors."""
+    n = 40_000
+    motion = TurningMotion(acceleration=1.3, turning=0.1, form=form)
+    mean, _, (cov,) = motion.transition(START, dt)
+    x = motion.sample(np.repeat(START, n, axis=1), dt, rng)
+    spread = np.sqrt(np.diag(cov))
+    assert np.all(np.abs(x.mean(1) - mean[:, 0]) <= 4.5 * spread / math.sqrt(n))
+    error = np.sqrt((np.outer(spread, spread) ** 2 + cov**2) / n)
+    assert np.all(np.abs(np.cov(x) - cov) <= 4.5 * error + 1e-12)
+
+
+@pytest.mark.parametrize("form", ["piecewise", "continuous"])
+def test_the_printed_noise_at_one_second(form: str):
+    """Q = σ_w² B Bᵀ with B = (T²/2, T) along each axis, and σ_u² of the turn rate [V06 §IV-C]."""
+    _, _, (q,) = TurningMotion(acceleration=15.0, turning=0.02, form=form).transition(START, 1.0)
+    b = np.vstack([0.5 * np.eye(2), np.eye(2)])
+    np.testing.assert_allclose(q[:4, :4], 225 * b @ b.T)
+    np.testing.assert_allclose(q[4], [0, 0, 0, 0, 0.02**2])
+
+
+def test_whole_steps_of_the_turn_rate_compose():
+    motion = TurningMotion(turning=0.03, nominal=0.5)
+    one, three = (motion.transition(START, dt)[2][0, 4, 4] for dt in (0.5, 1.5))
+    assert three == pytest.approx(3 * one)
+    assert one == pytest.approx((0.03 * 0.5) ** 2)
+
+
+def test_survival_is_a_power_of_the_interval_inside_and_zero_outside():
+    motion = TurningMotion(survival=0.9, nominal=0.5, borders=(-5.0, 0.0, 5.0, 10.0))
+    x = np.zeros((5, 3))
+    x[:2] = [[-5.0, 5.1, 0], [0.0, 3, 10.1]]
+    np.testing.assert_allclose(motion.p_survive(x, 1.5), [0.9**3, 0, 0])
+
+
+@pytest.mark.parametrize(("wrong", "says"), [({"turning": -1.0}, "turning"), ({"borders": (1.0, 0, 0, 2)}, "left, low")])
+def test_settings_out_of_bounds(wrong, says: str):
+    with pytest.raises(InputError, match=says):
+        TurningMotion(**wrong)
