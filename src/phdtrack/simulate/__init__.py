@@ -1,8 +1,8 @@
 """Scenarios with truth, as detections and as video.
 
 `make_scene` gives a named scene (street, crossing, occlusion, crowd, corridor, empty, constant) with truth, simulated
-detections and where each came from; `detect` and `add_clutter` work on any truth or detections; `linear_gaussian` is the
-standard scenario of points; `render` turns a scene into a video that a change detector can work on.
+detections and where each came from; `detect` and `add_clutter` work on any truth or detections; `linear_gaussian` and
+`turning` are the standard scenarios of points; `render` turns a scene into a video that a change detector can work on.
 """
 
 from phdtrack.simulate.clutter import add_clutter
@@ -15,6 +15,7 @@ from phdtrack.simulate.points import LinearGaussian, PointScene, linear_gaussian
 from phdtrack.simulate.records import Detected, Scene, World
 from phdtrack.simulate.renderer import Rendered, render
 from phdtrack.simulate.scenario import Entrance, Scenario
+from phdtrack.simulate.turning import Turning, turning
 
 __all__ = [
     "NAMED",
@@ -28,6 +29,7 @@ __all__ = [
     "Rendered",
     "Scenario",
     "Scene",
+    "Turning",
     "Walk",
     "World",
     "add_clutter",
@@ -38,4 +40,5 @@ __all__ = [
     "linear_gaussian",
     "make_scene",
     "render",
+    "turning",
 ]

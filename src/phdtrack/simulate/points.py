@@ -8,12 +8,16 @@ x = (px, py, vx, vy) in m and m/s, measurement z = (px, py).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.types import F8, I8
+
+M = TypeVar("M")
 
 START = np.array(
     [
@@ -74,26 +78,26 @@ class LinearGaussian:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PointScene:
+class PointScene(Generic[M]):
     """One realisation; the entries of the tuples are the scans, of which the first is scan 1.
 
     Attributes
     ----------
     model : the settings it was made with.
-    state : per scan (4, n) the true states.
+    state : per scan (d, n) the true states.
     identity : per scan (n,) who they are, from 1, in the order of the table.
     measurement : per scan (2, N) in random order.
     source : per scan (N,) the identity that each measurement came from, 0 for clutter.
     """
 
-    model: LinearGaussian
+    model: M
     state: tuple[F8, ...]
     identity: tuple[I8, ...]
     measurement: tuple[F8, ...]
     source: tuple[I8, ...]
 
 
-def linear_gaussian(rng: np.random.Generator, clutter_rate: float = 30.0, p_d: float = 0.98) -> PointScene:
+def linear_gaussian(rng: np.random.Generator, clutter_rate: float = 30.0, p_d: float = 0.98) -> PointScene[LinearGaussian]:
     """One realisation of the scenario; the truth is the same in all.
 
     Detections, clutter and order draw from streams of their own, spawned from ``rng``: the targets' measurements do not
@@ -103,29 +107,60 @@ def linear_gaussian(rng: np.random.Generator, clutter_rate: float = 30.0, p_d: f
     ------
     InputError : ``p_d`` is no probability or ``clutter_rate`` is negative.
     """
-    if not 0 <= p_d <= 1 or not 0 <= clutter_rate < np.inf:
-        raise InputError(f"p_d = {p_d} and clutter_rate = {clutter_rate} are not a probability and a rate", cure="Mend them")
     model = LinearGaussian(p_detect=p_d, clutter_rate=clutter_rate)
+    half = model.half_width
+    return realised(
+        model,
+        [true_states(scan, model.interval) for scan in range(1, model.scans + 1)],
+        lambda state, draws: state[:2] + draws * model.sd_position,
+        lambda count, clutter: clutter.uniform(-half, half, (2, count)),
+        (p_d, clutter_rate),
+        rng,
+    )
+
+
+def realised(
+    model: M,
+    truth: list[tuple[F8, I8]],
+    measure: Callable[[F8, F8], F8],
+    clutter: Callable[[int, np.random.Generator], F8],
+    rates: tuple[float, float],
+    rng: np.random.Generator,
+) -> PointScene[M]:
+    """Scans of targets at (d, n) states with (n,) identities: what is seen of them, among what is not of them.
+
+    Parameters
+    ----------
+    measure : of states (d, n) and independent standard normal draws (2, n), the measurements (2, n).
+    clutter : that many false measurements, (2, count).
+    rates : p_D and clutter points per scan.
+    """
+    p_d, rate = rates
+    if not 0 <= p_d <= 1 or not 0 <= rate < np.inf:
+        raise InputError(f"p_d = {p_d} and clutter_rate = {rate} are not a probability and a rate", cure="Mend them")
     targets_rng, clutter_rng, order_rng = rng.spawn(3)
-    states, identities, measurements, sources = [], [], [], []
-    for scan in range(1, model.scans + 1):
-        state, identity = true_states(scan, model.interval)
+    measurements, sources = [], []
+    for state, identity in truth:
         seen = targets_rng.random(len(identity)) < p_d
-        noisy = state[:2] + targets_rng.normal(size=(2, len(identity))) * model.sd_position
-        clutter = clutter_rng.uniform(-model.half_width, model.half_width, (2, clutter_rng.poisson(clutter_rate)))
-        z = np.concatenate([noisy[:, seen], clutter], axis=1)
-        source = np.concatenate([identity[seen], np.zeros(clutter.shape[1], np.int64)])
+        noisy = measure(state, targets_rng.normal(size=(2, len(identity))))
+        false = clutter(clutter_rng.poisson(rate), clutter_rng)
+        z = np.concatenate([noisy[:, seen], false], axis=1)
+        source = np.concatenate([identity[seen], np.zeros(false.shape[1], np.int64)])
         order = order_rng.permutation(len(source))
-        states.append(state)
-        identities.append(identity)
         measurements.append(np.ascontiguousarray(z[:, order]))
         sources.append(source[order])
-    return PointScene(model, tuple(states), tuple(identities), tuple(measurements), tuple(sources))
+    states, identities = zip(*truth, strict=True)
+    return PointScene(model, states, identities, tuple(measurements), tuple(sources))
 
 
 def true_states(scan: int, interval: float = 1.0) -> tuple[F8, I8]:
     """States (4, n) and identities (n,) of the targets that are there in ``scan``, from 1."""
-    there = np.flatnonzero((scan >= FIRST) & (scan <= LAST))
+    there = present(scan, FIRST, LAST)
     state = START[there].T.copy()
     state[:2] += state[2:] * (scan - FIRST[there]) * interval
     return state, there + 1
+
+
+def present(scan: int, first: I8, last: I8) -> I8:
+    """(n,) which targets are there in ``scan``."""
+    return np.flatnonzero((scan >= first) & (scan <= last))
