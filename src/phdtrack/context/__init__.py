@@ -1,6 +1,17 @@
 """What is learned of a scene: where targets are born and where a detector is wrong [M09 §IV]."""
 
-from phdtrack.context.density import ContextDensity, uniform_density
+from phdtrack.context.density import ContextDensity, marginal, uniform_density
 from phdtrack.context.learner import RecursiveEM, grid
+from phdtrack.context.scene_file import Learned, Scene, read_scene, write_scene
 
-__all__ = ["ContextDensity", "RecursiveEM", "grid", "uniform_density"]
+__all__ = [
+    "ContextDensity",
+    "Learned",
+    "RecursiveEM",
+    "Scene",
+    "grid",
+    "marginal",
+    "read_scene",
+    "uniform_density",
+    "write_scene",
+]

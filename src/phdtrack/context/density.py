@@ -16,10 +16,10 @@ import numpy as np
 
 from phdtrack.context.inside import mass_inside
 from phdtrack.errors import InputError
-from phdtrack.types import F8
+from phdtrack.types import F8, Bool
 
 # A Gaussian of which less than this lies inside is as good as outside, and never divided by less.
-_LEAST_INSIDE = 1e-6
+LEAST_INSIDE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,21 +73,35 @@ class ContextDensity:
         """L⁻¹ (M, d, d), and log α_g π_m |2πΣ_m|^(−½) / Z_m (M,)."""
         root = np.linalg.cholesky(self.covariance)
         log_det = np.log(np.einsum("mrr->mr", root)).sum(axis=1)
-        share = (1 - self.uniform) * self.weight * (self.inside > _LEAST_INSIDE) / np.maximum(self.inside, _LEAST_INSIDE)
+        share = (1 - self.uniform) * self.weight * (self.inside > LEAST_INSIDE) / np.maximum(self.inside, LEAST_INSIDE)
         with np.errstate(divide="ignore"):
             log_norm = np.log(share) - log_det - 0.5 * self.dim * math.log(2 * math.pi)
         return np.linalg.inv(root), log_norm
 
+    def parts(self, x: F8) -> F8:
+        """(1 + M, L) logarithms of the uniform part and of each Gaussian's at ``x`` (d, L), as if there were no border."""
+        whiten, log_norm = self._whitening
+        out = np.empty((1 + len(self), x.shape[1]))
+        out[0] = math.log(self.uniform / self.volume)
+        for m in range(len(self)):
+            step = whiten[m] @ (x - self.mean[:, m, None])
+            out[1 + m] = log_norm[m] - 0.5 * np.einsum("rl,rl->l", step, step)
+        return out
+
+    def shares(self, x: F8) -> F8:
+        """(1 + M, L) the probability that a draw of p at ``x`` (d, L) came from the uniform part and from each Gaussian."""
+        parts = self.parts(x)
+        out: F8 = np.exp(parts - np.logaddexp.reduce(parts, axis=0))
+        return out
+
+    def contains(self, x: F8) -> Bool:
+        """(L,) whether the columns of ``x`` (d, L) lie in the volume."""
+        inside: Bool = np.logical_and.reduce((x >= self.low[:, None]) & (x <= self.high[:, None]), axis=0)
+        return inside
+
     def log(self, x: F8) -> F8:
         """(L,) log p at the columns of ``x`` (d, L); −inf outside the volume."""
-        flat = math.log(self.uniform / self.volume)
-        total = np.full(x.shape[1], flat)
-        whiten, log_norm = self._whitening
-        for m in np.flatnonzero(np.isfinite(log_norm)):
-            step = whiten[m] @ (x - self.mean[:, m, None])
-            total = np.logaddexp(total, log_norm[m] - 0.5 * np.einsum("rl,rl->l", step, step))
-        within = ((x >= self.low[:, None]) & (x <= self.high[:, None])).all(axis=0)
-        out: F8 = np.where(within, total, -math.inf)
+        out: F8 = np.where(self.contains(x), np.logaddexp.reduce(self.parts(x), axis=0), -math.inf)
         return out
 
     def __call__(self, x: F8) -> F8:
@@ -97,7 +111,7 @@ class ContextDensity:
 
     def sample(self, count: int, rng: np.random.Generator) -> F8:
         """(d, count) draws of p; those of a Gaussian that fall outside are drawn again."""
-        share = (1 - self.uniform) * self.weight * (self.inside > _LEAST_INSIDE)
+        share = (1 - self.uniform) * self.weight * (self.inside > LEAST_INSIDE)
         chances = np.append(self.uniform, share)
         part = rng.choice(len(chances), size=count, p=chances / chances.sum()) - 1
         x = rng.uniform(self.low[:, None], self.high[:, None], (self.dim, count))
@@ -106,7 +120,7 @@ class ContextDensity:
         while len(missing):
             which = part[missing]
             drawn = self.mean[:, which] + np.einsum("jrs,sj->rj", root[which], rng.standard_normal((self.dim, len(missing))))
-            fits = ((drawn >= self.low[:, None]) & (drawn <= self.high[:, None])).all(axis=0)
+            fits = self.contains(drawn)
             x[:, missing[fits]] = drawn[:, fits]
             missing = missing[~fits]
         return x
@@ -116,6 +130,12 @@ def uniform_density(low: F8, high: F8) -> ContextDensity:
     """The uniform density alone."""
     d = len(low)
     return ContextDensity(low, high, 1.0, np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d)))
+
+
+def marginal(p: ContextDensity, rows: tuple[int, ...]) -> ContextDensity:
+    """The density of the components ``rows`` alone. Gaussians are taken not to leak through the other borders."""
+    keep = list(rows)
+    return ContextDensity(p.low[keep], p.high[keep], p.uniform, p.weight, p.mean[keep], p.covariance[:, keep][:, :, keep])
 
 
 def _problem(p: ContextDensity) -> str:

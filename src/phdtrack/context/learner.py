@@ -65,8 +65,7 @@ class RecursiveEM:
         Raises `InputError` where samples have another dimension or are not finite, or the density has no Gaussians to move.
         """
         _fit(density, samples)
-        inside = ((samples >= density.low[:, None]) & (samples <= density.high[:, None])).all(axis=0)
-        x = np.ascontiguousarray(samples[:, inside].T)
+        x = np.ascontiguousarray(samples[:, density.contains(samples)].T)
         n, d = x.shape
         if n == 0:
             return density

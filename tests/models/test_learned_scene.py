@@ -1,0 +1,86 @@
+"""Births and false alarms with learned densities: their mass, their velocities, their limits."""
+
+import numpy as np
+import pytest
+
+from phdtrack.context import ContextDensity, marginal, uniform_density
+from phdtrack.models import BoxSensor, MeasurementBirth
+from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.models.volume import image_volume
+
+SIZE = (640.0, 480.0)
+LOW, HIGH = np.array([0.0, 0, -30, -30, 0, 0]), np.array([640.0, 480, 30, 30, 640, 480])
+SENSOR = BoxSensor()
+Z = np.array([[100.0, 400], [200, 300], [40, 30], [80, 70]])
+
+
+def entrance(uniform: float = 0.2) -> ContextDensity:
+    """One place with people who walk to the right, the faster the further down."""
+    cov = np.diag([400.0, 900, 0.5, 0.5, 25, 100])
+    cov[1, 2] = cov[2, 1] = 12.0
+    return ContextDensity(LOW, HIGH, uniform, np.ones(1), np.array([[110.0, 210, 4, 1, 42, 82]]).T, cov[None])
+
+
+def test_without_gaussians_it_is_uniform_birth_over_the_image():
+    learned = ContextBirth(0.02, uniform_density(LOW, HIGH))
+    plain = MeasurementBirth(0.02, 1000, "image", SIZE)
+    covered = np.array([0.0, 0.4])
+    a, b = (birth.sample(Z, covered, SENSOR, 1.5, np.random.default_rng(1)) for birth in (learned, plain))
+    assert image_volume(SIZE) == pytest.approx(marginal(learned.density, learned.observed).volume)
+    np.testing.assert_allclose(a.state, b.state)
+    np.testing.assert_allclose(a.weight, b.weight)
+
+
+def test_newborn_weigh_what_gamma_is_around_the_detection():
+    """Against drawing γ and counting what falls into the regions that newborn are drawn in."""
+    birth, rng = ContextBirth(1.0, entrance()), np.random.default_rng(2)
+    drawn = birth.density.sample(400_000, rng)
+    near = (SENSOR.distance2(Z[:, :1], drawn) <= 13.28).mean()
+    # The region about a detection is that of its own noise, the sensor's that of the state's: they agree nearby.
+    weighed = [birth.sample(Z[:, :1], np.zeros(1), SENSOR, 1.0, np.random.default_rng(k)) for k in range(20)]
+    assert np.mean([part.mass for part in weighed]) == pytest.approx(near, rel=0.15)
+
+
+def test_velocities_are_those_of_the_place():
+    birth = ContextBirth(1.0, entrance(uniform=1e-3))
+    drawn = [birth.sample(Z[:, :1], np.zeros(1), SENSOR, 1.0, np.random.default_rng(k)) for k in range(30)]
+    state, weight = np.hstack([part.state for part in drawn]), np.concatenate([part.weight for part in drawn])
+    mean = (state * weight).sum(axis=1) / weight.sum()
+    # 12/900 pixels a frame faster for every pixel further down.
+    slope = np.polyfit(state[1], state[2], 1, w=np.sqrt(weight))[0]
+    assert mean[2] == pytest.approx(4 + 12 / 900 * (mean[1] - 210), abs=0.06)
+    assert mean[3] == pytest.approx(1, abs=0.06)
+    assert slope == pytest.approx(12 / 900, abs=0.003)
+
+
+def test_gaussian_newborn_are_the_learned_ones_and_the_uniform_part_about_detections():
+    birth = ContextBirth(0.5, entrance(uniform=0.2))
+    mixture = birth.components(Z, np.zeros(2), SENSOR, 2.0)
+    flat = MeasurementBirth(0.5 * 0.2, 1000, "image", SIZE).components(Z, np.zeros(2), SENSOR, 2.0)
+    assert mixture.weight[0] * birth.density.inside[0] == pytest.approx(0.5 * 2.0 * 0.8)
+    np.testing.assert_array_equal(mixture.mean[:, 0], birth.density.mean[:, 0])
+    np.testing.assert_allclose(mixture.weight[1:], flat.weight)
+    np.testing.assert_allclose(mixture.covariance[1:], flat.covariance)
+
+
+def test_covered_detections_bring_nothing_and_rates_scale():
+    birth = ContextBirth(0.5, entrance())
+    assert len(birth.sample(Z, np.ones(2), SENSOR, 1.0, np.random.default_rng(5))) == 0
+    # The learned Gaussians are there whatever was measured.
+    assert len(birth.components(Z, np.ones(2), SENSOR, 1.0)) == 1
+    assert birth.expected(Z, 3.0) == 1.5
+    one, three = (birth.sample(Z, np.zeros(2), SENSOR, dt, np.random.default_rng(6)).mass for dt in (1.0, 3.0))
+    assert three == pytest.approx(3 * one)
+
+
+def test_clutter_integrates_to_its_rate_and_never_vanishes():
+    p = marginal(entrance(), (0, 1, 4, 5))
+    clutter = ContextClutter(3.0, p)
+    rng = np.random.default_rng(7)
+    points = np.concatenate([p.sample(50_000, rng), rng.uniform(p.low[:, None], p.high[:, None], (4, 50_000))], axis=1)
+    ratio = clutter.intensity(points) / (0.5 * p(points) + 0.5 / p.volume)
+    assert ratio.mean() == pytest.approx(3, abs=5 * ratio.std() / np.sqrt(ratio.size) + 0.01)
+    outside = np.array([[-50.0], [200], [40], [80]])
+    assert clutter.intensity(outside)[0] == pytest.approx(3.0 * p.uniform / p.volume)
+    # Further rows of a measurement, such as its own noise, are none of the density's business.
+    assert clutter.intensity(np.vstack([Z, np.ones((4, 2))])) == pytest.approx(clutter.intensity(Z))
