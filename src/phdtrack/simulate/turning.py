@@ -1,10 +1,10 @@
 """The standard nonlinear scenario of the random-finite-set literature: turning targets seen by bearing and range.
 
 After the example with nearly constant turns in Vo and Ma, *The Gaussian mixture probability hypothesis density filter*,
-IEEE Trans. Signal Processing 54 (2006), in the form with ten targets that came into use with later filters of its authors: 100
-scans of 1 s, a sensor at the origin that looks at the half disc y ≥ 0 of radius 2000 m, Poisson clutter uniform in bearing
-and range. State x = (px, py, vx, vy, ω) in m, m/s and rad/s, anticlockwise; measurement z = (θ, r), θ from the y axis
-towards the x axis. Targets turn at constant rate and speed: the truth has no process noise, the model that filters are given has.
+IEEE Trans. Signal Processing 54 (2006), in the form with ten targets that came into use with later filters of its authors:
+100 scans of 1 s, a sensor at the origin that looks at the half disc y ≥ 0 of radius 2000 m, Poisson clutter uniform in
+bearing and range. State x = (px, py, vx, vy, ω) in m, m/s and rad/s, anticlockwise; measurement z = (θ, r), θ from the y
+axis towards the x axis. Targets turn at constant rate and speed: the truth has no process noise, the filters' model has.
 
 The literature runs this scene with several noises. The defaults are those that go with the ten targets (σ_w = 5 m/s²,
 σ_θ = 2°, σ_r = 10 m, λ = 20); Vo and Ma's are σ_w = 15 m/s² and σ_r = 20 m, others have σ_θ = 1°, σ_r = 5 m and λ = 10. p_D
