@@ -11,6 +11,7 @@ from phdtrack.boxes import to_cxcywh
 from phdtrack.extract import Components, CountedComponents, CountedKMeans, CountedMixture, KMeans, Mixture, Raw
 from phdtrack.filters import GMCPHD, GMPHD, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.models import (
+    BearingSensor,
     BoxMotion,
     BoxSensor,
     FixedBirth,
@@ -21,6 +22,7 @@ from phdtrack.models import (
     PlaneMotion,
     PlaneSensor,
     SplitSpawn,
+    TurningMotion,
     UniformBirth,
     UniformClutter,
 )
@@ -40,6 +42,8 @@ MOTIONS = {
     "plane": PlaneMotion(borders=(0.0, 0.0, 500.0, 400.0)),
     "plane, piecewise": PlaneMotion(form="piecewise", nominal=1.0),
     "plane, still": PlaneMotion(acceleration=0.0),
+    "turning": TurningMotion(borders=(0.0, 0.0, 500.0, 400.0)),
+    "turning, piecewise": TurningMotion(form="piecewise", acceleration=0.0),
 }
 SENSORS = {scaling: BoxSensor(scaling=scaling) for scaling in ("particle", "detection", "previous", "fixed", "given")}
 SENSORS["no floor"] = BoxSensor(floor=0.0)
@@ -47,6 +51,7 @@ SENSORS["occlusion"] = BoxSensor(occlusion=True)
 SENSORS["plane"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), frame_size=FRAME)
 SENSORS["plane, fixed"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), scaling="fixed")
 SENSORS["plan"] = PlaneSensor(scaling="given")
+SENSORS["bearing"] = BearingSensor(bearing=0.02, origin=(320.0, -100.0), fade=2000.0)
 
 
 def mixture(dim: int) -> GaussianMixture:
@@ -122,9 +127,11 @@ def detections(rng: np.random.Generator, n: int) -> Detections:
 
 
 def states(rng: np.random.Generator, n: int, dim: int = 6) -> np.ndarray:
-    """(dim, n) states in the frame."""
+    """(dim, n) states in the frame: of boxes, points, or with five components of targets that turn."""
     z = to_cxcywh(detections(rng, n).xyxy) if n else np.zeros((4, 0))
     x = np.vstack([z[:2], rng.normal(0, 3, (2, n)), z[2:], z[2:]])
+    if dim == 5:
+        x[4] = rng.normal(0, 0.2, n)
     return np.ascontiguousarray(x[:dim])
 
 
