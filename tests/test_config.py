@@ -37,6 +37,9 @@ NEEDED = {
     ("sensor", "plane"): PLANE,
     ("clutter", "ground"): PLANE,
     ("associate", "labelled"): ["filter.kind='gm-phd'"],
+    ("sensor", "point"): ["motion.kind='point'"],
+    ("birth", "point"): ["motion.kind='point'"],
+    ("clutter", "point"): ["motion.kind='point'"],
     ("extract", "components"): ["filter.kind='gm-phd'"],
     ("extract", "counted-components"): ["filter.kind='gm-cphd'"],
     ("extract", "counted-kmeans"): ["filter.kind='particle-cphd'"],
@@ -173,6 +176,8 @@ def test_as_dict_written_as_toml_loads_to_the_same(preset: str, sets: list[str],
             "motion.acceleration=2",
             "filter.kind=particle-phd",
         ]
+    if preset == "d14" and any(name in option for option in sets for name in ("kind=uniform", "sensor", "gm-phd")):
+        sets = ["birth.kind=point", "filter.kind=gm-phd", "sensor.size=[10, 20]", "clutter.rate=2"]
     settings = config.load(sets=sets, preset=preset)
     again = config.load(written(tmp_path / "all.toml", settings.as_dict()))
     assert again.as_dict() == settings.as_dict()

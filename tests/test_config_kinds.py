@@ -34,7 +34,8 @@ def test_a_named_filter_wins(configured: str, named: str, kind: type):
     assert isinstance(stages.extractor, extractors[kind])
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+# D14's births, anywhere in the image, have no Gaussian form.
+@pytest.mark.parametrize("preset", sorted({*PRESETS} - {"d14"}))
 def test_a_filter_brings_an_extraction_that_fits_it(preset: str, tmp_path):
     """By option, by a file and by name; what both kinds of extraction have stays."""
     path = tmp_path / "mine.toml"

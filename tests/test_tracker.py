@@ -308,8 +308,8 @@ def test_without_filter_detections_are_the_states():
     assert len(tracker.tracks()) == 16
 
 
-# That of the ground plane is tested where there is a camera.
-@pytest.mark.parametrize("preset", sorted({*PRESETS} - {"e13"}))
+# That of the ground plane is tested where there is a camera, that of points below.
+@pytest.mark.parametrize("preset", sorted({*PRESETS} - {"e13", "d14"}))
 def test_every_preset_finds_two_people(preset: str):
     tracker = Tracker(SIZE, preset=preset, filter={"per_target": 500}, birth={"most": 500})
     feed(tracker, [boxes(k) for k in range(25)])
@@ -321,6 +321,20 @@ def test_every_preset_finds_two_people(preset: str):
         truth = np.array([boxes(f - 1)[which] for f in mine.frame])
         assert np.abs(mine.xyxy - truth).mean() < 8
         assert len(mine) >= 18
+
+
+def test_the_preset_of_points_finds_two_centroids():
+    """Its newborn are anywhere: it takes a while until one is near enough, and then it stays."""
+    tracker = Tracker(SIZE, preset="d14", filter={"per_target": 500, "most": 500}, sensor={"size": (40.0, 100.0)})
+    feed(tracker, [boxes(k) for k in range(60)])
+    tracks = tracker.tracks()
+    assert set(tracks.identity) == {1, 2}
+    for name in (1, 2):
+        mine = tracks.take(tracks.identity == name)
+        truth = np.array([boxes(f - 1)[mine.detection[-1]] for f in mine.frame])
+        late = mine.frame > mine.frame[0] + 10
+        assert np.abs(mine.xyxy - truth)[late].mean() < 2
+        assert mine.frame[-1] == 60
 
 
 def test_settings_come_from_file_preset_and_sections(tmp_path):

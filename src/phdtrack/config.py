@@ -3,7 +3,7 @@
 A configuration has sections, one for each part of the model and of the tracker. A section has the fields of the record
 that it makes (its docstring explains them) and, where there is a choice, ``kind``:
 
-    preset = "m09"                 # default, m07, m09, fv, e13
+    preset = "m09"                 # default, m07, m09, fv, e13, d14
     [sensor]
     detection = 0.9
     [birth]
@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from phdtrack.associate import GraphMatching, Labelled
-from phdtrack.checks import Positive, check
 from phdtrack.errors import InputError
 from phdtrack.extract import Components, CountedComponents, CountedKMeans, CountedMixture, KMeans, Mixture, Raw
+from phdtrack.files import read_toml
 from phdtrack.filters import GMCPHD, GMPHD, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.grouped import GroupStages
 from phdtrack.groups import Contours, Grouping, Living, Meetings
@@ -38,21 +38,27 @@ from phdtrack.models import (
     PlaneBirth,
     PlaneMotion,
     PlaneSensor,
+    PointBirth,
+    PointMotion,
+    PointSensor,
     SplitSpawn,
     UniformBirth,
 )
-from phdtrack.presets import PLANE, PRESETS
+from phdtrack.presets import PRESETS, USUAL
 from phdtrack.protocols import AnyStages, Stages
 from phdtrack.types import SequenceInfo
 from phdtrack.worlds import (
     Boxes,
     CameraSettings,
     ClutterSettings,
+    DetectorSettings,
     FixedBirthSettings,
     GroundClutterSettings,
     LearnedBirthSettings,
     Places,
     PlacesBirthSettings,
+    PointClutterSettings,
+    TimeSettings,
     build_model,
     initial_mixture,
 )
@@ -60,28 +66,13 @@ from phdtrack.worlds import (
 Values = dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
-class TimeSettings:
-    """``rate``: time units per second in which the noises and rates are stated; the papers' are per frame at 25 Hz."""
-
-    rate: Positive = 25.0
-
-    def __post_init__(self) -> None:
-        check(self)
-
-
-@dataclass(frozen=True, slots=True)
-class DetectorSettings:
-    """Settings of a detector, checked by the detector itself."""
-
-
 # section → kind → record; the first kind is the default. Fields that depend on the sequence are not settings.
 SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
     "time": {"": TimeSettings},
     "camera": {"": CameraSettings},
-    "motion": {"box": BoxMotion, "plane": PlaneMotion},
+    "motion": {"box": BoxMotion, "plane": PlaneMotion, "point": PointMotion},
     "spawn": {"none": NoSpawn, "split": SplitSpawn},
-    "sensor": {"box": BoxSensor, "plane": PlaneSensor},
+    "sensor": {"box": BoxSensor, "plane": PlaneSensor, "point": PointSensor},
     "birth": {
         "measurement": MeasurementBirth,
         "uniform": UniformBirth,
@@ -89,8 +80,9 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
         "learned": LearnedBirthSettings,
         "ground": PlaneBirth,
         "places": PlacesBirthSettings,
+        "point": PointBirth,
     },
-    "clutter": {"image": ClutterSettings, "ground": GroundClutterSettings},
+    "clutter": {"image": ClutterSettings, "ground": GroundClutterSettings, "point": PointClutterSettings},
     "filter": {
         "particle-phd": ParticlePHD,
         "gm-phd": GMPHD,
@@ -126,6 +118,12 @@ _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
         "clutter": ("ground",),
         "spawn": ("none",),
     },
+    ("motion", "point"): {
+        "sensor": ("point",),
+        "birth": ("point", "uniform", "fixed", "learned"),
+        "clutter": ("point",),
+        "spawn": ("none",),
+    },
     ("filter", "particle-phd"): {"extract": ("kmeans", "mixture"), "associate": ("graph",)},
     ("filter", "gm-phd"): {"extract": ("components",), "associate": ("graph", "labelled")},
     ("filter", "particle-cphd"): {"extract": ("counted-mixture", "counted-kmeans"), "associate": ("graph",)},
@@ -135,7 +133,7 @@ _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
 # The sections whose kinds decide others', in the order to lay them over.
 _DECIDING = ("motion", "filter")
 # Kinds that a filter cannot do, with what to use instead.
-_NO_GAUSSIANS = {("birth", "uniform"): "birth.kind=measurement, or fixed"}
+_NO_GAUSSIANS = {("birth", "uniform"): "birth.kind=measurement (of points: point), or fixed"}
 _NO_SPAWNING = {("spawn", "split"): "spawn.kind=none"}
 _MISFITS: Mapping[str, Mapping[tuple[str, str], str]] = {
     "gm-phd": _NO_GAUSSIANS | _NO_SPAWNING,
@@ -178,7 +176,7 @@ def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "") -
     ------
     InputError : the file cannot be read, a name is unknown, or a value is of the wrong type or out of bounds.
     """
-    document = _read(path) if path is not None else {}
+    document = read_toml(path) if path is not None else {}
     where = str(path) if path is not None else "configuration"
     named = preset or document.pop("preset", "default")
     document.pop("preset", None)
@@ -338,16 +336,14 @@ def _overlay(sections: dict[str, Values], name: str, values: Mapping[str, Any], 
 def _follow(sections: dict[str, Values], deciding: str, kind: str) -> None:
     """Give the sections that a kind decides kinds that fit, with those of their values that these have too.
 
-    On the ground plane other values are usual too, which a change of kind may have dropped.
+    On the ground plane and of points other values are usual too, which a change of kind may have dropped.
     """
     for section, fitting in _FITTING.get((deciding, kind), {}).items():
         if _kind(sections, section) not in fitting:
             known = {f.name for f in fields(SECTIONS[section][fitting[0]])} if deciding == "filter" else set()
             given = sections.get(section, {})
             sections[section] = {key: value for key, value in given.items() if key in known} | {"kind": fitting[0]}
-    if _kind(sections, "motion") != "plane":
-        return
-    for section, values in PLANE.items():
+    for section, values in USUAL.get(_kind(sections, "motion"), {}).items():
         known = {f.name for f in fields(SECTIONS[section][_kind(sections, section)])}
         for key, value in values.items():
             if key in known:
@@ -377,17 +373,6 @@ def _assignment(text: str) -> tuple[str, str, Any]:
         return section, key, tomllib.loads(f"value = {value.strip()}")["value"]
     except tomllib.TOMLDecodeError:
         return section, key, value.strip()
-
-
-def _read(path: Path) -> Values:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", where=path) from None
-    except UnicodeDecodeError:
-        raise InputError("expected a TOML file, got bytes that are no text", where=path) from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"not TOML: {error}", where=path) from None
 
 
 def _default(field: Any) -> Any:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import tomllib
 from pathlib import Path
+from typing import Any
 
 from phdtrack.errors import InputError
 
@@ -29,6 +31,18 @@ def load(path: AnyPath) -> bytes:
         raise InputError("expected a file, came a folder", where=path, cure=_inside(path)) from None
     except OSError as error:
         raise InputError(f"the file cannot be read: {error.strerror or error}", where=path) from None
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file; `InputError` where it cannot be read, or is none."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", where=path) from None
+    except UnicodeDecodeError:
+        raise InputError("expected a TOML file, got bytes that are no text", where=path) from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"not TOML: {error}", where=path) from None
 
 
 def _nearest(path: Path) -> str:

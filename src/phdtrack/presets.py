@@ -9,6 +9,11 @@ floor, births and clutter uniform over the image, and extraction by a Gaussian m
 ``fv``: M09's fixed variances: constant noises in pixels.
 ``e13``: Edman et al. 2013: people on the ground plane, GM-PHD, with the places of its sequence (PETS 2009 S1.L1, 7 Hz). Its
 births are per frame of 1/7 s and stand here per second. It needs ``camera.file``, or detections in metres.
+``d14``: D14's SMC PHD filter for point targets: p_D = p_S = 1, no clutter, ten newborn particles anywhere in each frame, no
+update where nothing is detected. Its N is the total number of particles, so ``per_target`` and ``most`` are both N: the mass
+is a whole number of targets, and never more than N particles are drawn. Without clutter whatever explains a detection best
+explains it, however far it is, as long as its density is a number: the gate is where double precision ends (37.5 deviations
+at D14's variances). Detections of which nothing is that near are counted as vanished.
 """
 
 from __future__ import annotations
@@ -39,6 +44,11 @@ PLANE: Mapping[str, Mapping[str, Any]] = {
     "extract": {"region": 9.21},
     "associate": {"miss": 0.2},
 }
+
+# Points in an image: 99 % regions in two dimensions.
+POINT: Mapping[str, Mapping[str, Any]] = {"filter": {"region": 9.21}, "extract": {"region": 9.21}}
+# What is usual in each world beside the defaults.
+USUAL: Mapping[str, Mapping[str, Mapping[str, Any]]] = {"plane": PLANE, "point": POINT}
 
 PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "default": {
@@ -92,5 +102,13 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
             ],
         },
         "extract": {"kind": "components", "lightest": 0.5, "region": 9.21, "overlap": 1.0},
+    },
+    "d14": {
+        "motion": {"kind": "point", "variance": 2.0, "survival": 1.0},
+        "sensor": {"kind": "point", "detection": 1.0, "variance": 1.0, "gate_sigmas": 37.5},
+        "birth": {"kind": "uniform", "rate": 0.1, "count": 10},
+        "clutter": {"kind": "point", "rate": 0.0},
+        "filter": {"kind": "particle-phd", "per_target": 4000, "most": 4000, "skip_empty": True, "region": 9.21},
+        "extract": {"kind": "kmeans", "lightest": 0.6, "region": 9.21, "overlap": 1.0},
     },
 }

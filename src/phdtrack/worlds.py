@@ -1,4 +1,4 @@
-"""From settings to a model of the world: boxes in an image, or people on a ground plane.
+"""From settings to a model of the world: boxes or points in an image, or people on a ground plane.
 
 A world is chosen by ``motion.kind``; the other parts follow. What depends on the sequence (the frame's size and rate) and on
 files (a camera, learned births) is put in here, when the model is built.
@@ -17,16 +17,39 @@ from phdtrack.boxes import to_cxcywh
 from phdtrack.camera import CountedFrom, footprint, read_camera
 from phdtrack.checks import NonNegative, Positive, PositiveCount, check
 from phdtrack.errors import InputError
-from phdtrack.models import BoxSensor, FixedBirth, LocalClutter, LocalPlaneClutter, PlaneSensor, UniformClutter
+from phdtrack.models import (
+    BoxSensor,
+    FixedBirth,
+    LocalClutter,
+    LocalPlaneClutter,
+    PlaneSensor,
+    PointSensor,
+    UniformClutter,
+)
 from phdtrack.models.learned_births import read_births
 from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, area, check_region
-from phdtrack.models.volume import Volume, image_volume
+from phdtrack.models.volume import Volume, image_area, image_volume
 from phdtrack.protocols import Birth, Camera, Clutter, Model
 from phdtrack.types import F8, GaussianMixture, SequenceInfo
 
 Boxes = list[tuple[float, float, float, float]]
 Places = list[tuple[float, float, float, float, float]]
 """Of each: x, y in metres, weight, standard deviations of position (m) and of velocity (m/s)."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSettings:
+    """``rate``: time units per second in which the noises and rates are stated; the papers' are per frame at 25 Hz."""
+
+    rate: Positive = 25.0
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class DetectorSettings:
+    """Settings of a detector, checked by the detector itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +77,16 @@ class ClutterSettings:
 
     rate: NonNegative = 1.0
     volume: Volume = "image"
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class PointClutterSettings:
+    """``rate``: expected false alarms per frame, points spread over the image."""
+
+    rate: NonNegative = 1.0
 
     def __post_init__(self) -> None:
         check(self)
@@ -119,11 +152,16 @@ class Record(Protocol):
 def build_model(record: Record, kinds: Mapping[str, str], info: SequenceInfo) -> Model:
     """The model that the settings name, for a sequence of this size. Raises `InputError` where they do not go together."""
     size, rate = (float(info.width), float(info.height)), record("time").rate
+    if kinds["motion"] == "point":
+        point: PointSensor = record("sensor")
+        motion = record("motion", births=record("spawn"))
+        clutter = UniformClutter(record("clutter").rate, image_area(size))
+        return Model(motion, point, _image_birth(record, kinds["birth"], point, size, motion.dim), clutter, rate)
     if kinds["motion"] == "box":
         sensor: BoxSensor = record("sensor")
         remember = sensor.scaling == "previous"
         motion = record("motion", frame_size=size, births=record("spawn"), remember_size=remember)
-        birth = _box_birth(record, kinds["birth"], sensor, size, motion.dim)
+        birth = _image_birth(record, kinds["birth"], sensor, size, motion.dim)
         return Model(motion, sensor, birth, _box_clutter(record, size), rate)
     ground: CameraSettings = record("camera")
     camera: Camera | None = read_camera(ground.file) if ground.file else None
@@ -159,7 +197,7 @@ def _region(ground: CameraSettings, camera: Camera | None, size: tuple[float, fl
     return float(left), float(low), float(right), float(high)
 
 
-def _box_birth(record: Record, kind: str, sensor: BoxSensor, size: tuple[float, float], dim: int) -> Birth:
+def _image_birth(record: Record, kind: str, sensor: BoxSensor | PointSensor, size: tuple[float, float], dim: int) -> Birth:
     if kind == "fixed":
         fixed: FixedBirthSettings = record("birth")
         return FixedBirth(_boxes(sensor, fixed.boxes, fixed.rate), fixed.count)
@@ -206,7 +244,7 @@ def _ground_clutter(record: Record, region: Region) -> Clutter:
     return UniformClutter(clutter.rate, area(region, "clutter.rate on the ground"))
 
 
-def _boxes(sensor: BoxSensor, boxes: Boxes, weight: float) -> GaussianMixture:
+def _boxes(sensor: BoxSensor | PointSensor, boxes: Boxes, weight: float) -> GaussianMixture:
     """Gaussians about given boxes, as uncertain as one detection of each."""
     xyxy: F8 = np.array(boxes, dtype=np.float64).reshape(-1, 4)
     if not np.isfinite(xyxy).all() or (xyxy[:, 2:] <= xyxy[:, :2]).any():

@@ -21,6 +21,9 @@ from phdtrack.models import (
     PlaneBirth,
     PlaneMotion,
     PlaneSensor,
+    PointBirth,
+    PointMotion,
+    PointSensor,
     SplitSpawn,
     TurningMotion,
     UniformBirth,
@@ -44,6 +47,7 @@ MOTIONS = {
     "plane, still": PlaneMotion(acceleration=0.0),
     "turning": TurningMotion(borders=(0.0, 0.0, 500.0, 400.0)),
     "turning, piecewise": TurningMotion(form="piecewise", acceleration=0.0),
+    "point": PointMotion(),
 }
 SENSORS = {scaling: BoxSensor(scaling=scaling) for scaling in ("particle", "detection", "previous", "fixed", "given")}
 SENSORS["no floor"] = BoxSensor(floor=0.0)
@@ -52,6 +56,7 @@ SENSORS["plane"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), frame_size=FR
 SENSORS["plane, fixed"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), scaling="fixed")
 SENSORS["plan"] = PlaneSensor(scaling="given")
 SENSORS["bearing"] = BearingSensor(bearing=0.02, origin=(320.0, -100.0), fade=2000.0)
+SENSORS["point"] = PointSensor(variance=2.0)
 
 
 def mixture(dim: int) -> GaussianMixture:
@@ -76,6 +81,10 @@ PLANE_BIRTHS = {
             np.array([0.02, 0.01]), np.array([[0.0, 1], [10, 20], [0, 0], [0, 1]]), np.tile(np.eye(4), (2, 1, 1))
         )
     ),
+}
+POINT_BIRTHS = {
+    "point": PointBirth(rate=0.02, most=200, frame_size=SIZE),
+    "point, uniform": UniformBirth(SIZE, count=40),
 }
 CLUTTERS = {"uniform": UniformClutter(2.0, (640.0 * 480) ** 2), "local": LocalClutter(2.0), "none": UniformClutter(0.0, 1.0)}
 PLANE_CLUTTERS = {"plane, region": UniformClutter(2.0, 800.0), "plane, local": LocalPlaneClutter(2.0)}

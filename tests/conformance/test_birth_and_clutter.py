@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from shipped import BIRTHS, CLUTTERS, GROUND, PLANE_BIRTHS, PLANE_CLUTTERS, SENSORS, detections, fixed, keeps
+from shipped import BIRTHS, CLUTTERS, GROUND, PLANE_BIRTHS, PLANE_CLUTTERS, POINT_BIRTHS, SENSORS, detections, fixed, keeps
 
 from phdtrack.errors import InputError
 from phdtrack.models import UniformBirth
 from phdtrack.protocols import Birth, Clutter
 
 SENSOR = SENSORS["particle"]
-WORLDS = [(birth, SENSOR) for birth in BIRTHS.values()] + [(birth, GROUND) for birth in PLANE_BIRTHS.values()]
-births = pytest.mark.parametrize(("birth", "sensor"), WORLDS, ids=[*BIRTHS, *PLANE_BIRTHS])
+IN_WORLDS = ((BIRTHS, SENSOR), (PLANE_BIRTHS, GROUND), (POINT_BIRTHS, SENSORS["point"]))
+WORLDS = [(birth, sensor) for births, sensor in IN_WORLDS for birth in births.values()]
+births = pytest.mark.parametrize(("birth", "sensor"), WORLDS, ids=[*BIRTHS, *PLANE_BIRTHS, *POINT_BIRTHS])
 PLACES = [(clutter, SENSOR) for clutter in CLUTTERS.values()] + [(clutter, GROUND) for clutter in PLANE_CLUTTERS.values()]
 clutters = pytest.mark.parametrize(("clutter", "sensor"), PLACES, ids=[*CLUTTERS, *PLANE_CLUTTERS])
 
@@ -22,7 +23,7 @@ def measured(rng: np.random.Generator, n: int, sensor=SENSOR) -> np.ndarray:
 
 
 def dim(sensor) -> int:
-    return 4 if sensor is GROUND else 6
+    return 6 if sensor is SENSOR else 4
 
 
 @births

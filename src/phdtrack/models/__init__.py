@@ -8,6 +8,9 @@ from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, UniformClut
 from phdtrack.models.plane_birth import PlaneBirth
 from phdtrack.models.plane_motion import PlaneMotion
 from phdtrack.models.plane_sensor import PlaneSensor
+from phdtrack.models.point_birth import PointBirth
+from phdtrack.models.point_motion import PointMotion
+from phdtrack.models.point_sensor import PointSensor
 from phdtrack.models.spawning import NoSpawn, SplitSpawn
 from phdtrack.models.turning_motion import TurningMotion
 
@@ -23,6 +26,9 @@ __all__ = [
     "PlaneBirth",
     "PlaneMotion",
     "PlaneSensor",
+    "PointBirth",
+    "PointMotion",
+    "PointSensor",
     "SplitSpawn",
     "TurningMotion",
     "UniformBirth",

@@ -72,7 +72,7 @@ class MeasurementBirth:
 
 @dataclass(frozen=True, slots=True)
 class UniformBirth:
-    """γ uniform over positions in the frame and a range of sizes, drawn anywhere [D14 Alg. 2].
+    """γ uniform over positions in the frame and, of targets with a size, a range of it; drawn anywhere [D14 Alg. 2].
 
     Parameters
     ----------
@@ -98,10 +98,10 @@ class UniformBirth:
     def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
         """``count`` particles of mass rate·dt / count each, whatever was measured."""
         size = np.array(self.frame_size)[:, None]
-        drawn = np.vstack(
-            [size * rng.random((2, self.count)), size * rng.uniform(self.smallest, self.largest, (2, self.count))]
-        )
-        mean, cov = sensor.states(np.vstack([drawn, np.ones((max(0, len(z) - 4), self.count))]))
+        drawn = size * rng.random((2, self.count))
+        if len(sensor.observed) > 2:
+            drawn = np.vstack([drawn, size * rng.uniform(self.smallest, self.largest, (2, self.count))])
+        mean, cov = sensor.states(np.vstack([drawn, np.ones((max(0, len(z) - len(drawn)), self.count))]))
         state = mean.copy()
         _draw_velocity(state, cov, np.arange(self.count), rng)
         return Particles(state, np.full(self.count, self.rate * dt / self.count))

@@ -22,15 +22,20 @@ REACH = 1.0
 SIZES = (0.5, 1.5)
 
 
-def image_volume(frame_size: tuple[float, float]) -> float:
-    """All positions and sizes of boxes in the frame, W²H² pixel⁴."""
+def image_area(frame_size: tuple[float, float]) -> float:
+    """All positions in the frame, WH pixel²; `InputError` where the frame has no size."""
     width, height = frame_size
     if width <= 0 or height <= 0:
         raise InputError(
             f"a uniform density over the image needs the frame's size, not {width:g}x{height:g}",
             cure="Give --frame-size WxH, or use the local volume",
         )
-    return float(width * height) ** 2
+    return float(width * height)
+
+
+def image_volume(frame_size: tuple[float, float]) -> float:
+    """All positions and sizes of boxes in the frame, W²H² pixel⁴."""
+    return image_area(frame_size) ** 2
 
 
 def local_volume(z: F8) -> F8:

@@ -1,0 +1,54 @@
+"""γ for point targets: anywhere in the image, drawn around the detections that nothing predicted accounts for [M07 §2].
+
+D14 draws newborn particles anywhere instead, whatever was detected: `births.UniformBirth`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from phdtrack.checks import NonNegative, PositiveCount, check
+from phdtrack.models.births import gaussians_about, particles_about
+from phdtrack.models.volume import image_area
+from phdtrack.protocols import Sensor
+from phdtrack.types import F8, GaussianMixture, Particles
+
+
+@dataclass(frozen=True, slots=True)
+class PointBirth:
+    """γ uniform over the image, drawn around the detections.
+
+    Parameters
+    ----------
+    rate : expected births per time unit.
+    most : Jmax, particles drawn around a detection of which nothing is predicted.
+    frame_size : the image's width and height in pixels.
+    """
+
+    rate: NonNegative = 0.01
+    most: PositiveCount = 500
+    frame_size: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
+        """Particles around the detections that weigh what γ is there [M07 §2], see `births.particles_about`."""
+        return particles_about(z, covered, sensor, self.most, lambda x: self._intensity(x) * dt, rng)
+
+    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+        """Gaussians about the detections that have the density of γ there, see `births.gaussians_about`."""
+        return gaussians_about(z, covered, sensor, lambda x: self._intensity(x) * dt)
+
+    def expected(self, z: F8, dt: float) -> float:
+        """rate·dt."""
+        return self.rate * dt
+
+    def _intensity(self, place: F8) -> F8:
+        """γ per time unit and pixel² at positions (2, L).
+
+        The image has no border here: a centroid measured with noise may lie a little outside, and so may its target.
+        """
+        return np.full(place.shape[1], self.rate / image_area(self.frame_size))

@@ -1,0 +1,157 @@
+"""Point targets: the motion's draws and covariances, D14's numbers, the sensor, births in the image."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from phdtrack import config
+from phdtrack.errors import InputError
+from phdtrack.models import PointBirth, PointMotion, PointSensor, UniformBirth
+from phdtrack.types import Detections, SequenceInfo
+
+START = np.array([[3.0], [20.0], [1.2], [-0.4]])
+INFO = SequenceInfo(384, 288, 25.0)
+
+
+@pytest.mark.parametrize("dt", [0.05, 0.4, 1.0, 2.5])
+def test_draws_have_the_moments_of_the_transition(dt: float, rng):
+    """Means and covariances within four and a half standard errors."""
+    n = 40_000
+    motion = PointMotion()
+    mean, _, (cov,) = motion.transition(START, dt)
+    x = motion.sample(np.repeat(START, n, axis=1), dt, rng)
+    spread = np.sqrt(np.diag(cov))
+    assert np.all(np.abs(x.mean(1) - mean[:, 0]) <= 4.5 * spread / math.sqrt(n))
+    error = np.sqrt((np.outer(spread, spread) ** 2 + cov**2) / n)
+    assert np.all(np.abs(np.cov(x) - cov) <= 4.5 * error + 1e-12)
+
+
+def test_one_step_is_the_printed_one():
+    """Constant velocity with T = 1, variance 2 on every component."""
+    _, (f,), (q,) = PointMotion().transition(START, 1.0)
+    np.testing.assert_array_equal(f, np.eye(4) + np.eye(4, k=2))
+    np.testing.assert_allclose(q, 2 * np.eye(4), atol=1e-15)
+
+
+@pytest.mark.parametrize("parts", [(1.0, 1.0, 1.0), (0.3, 0.7), (2.5, 0.1, 1.4)])
+def test_an_interval_cut_anywhere_gives_the_same(parts: tuple[float, ...]):
+    motion = PointMotion(variance=1.7)
+    x, cov = START, np.zeros((4, 4))
+    for dt in parts:
+        x, (f,), (q,) = motion.transition(x, dt)
+        cov = f @ cov @ f.T + q
+    mean, _, (noise,) = motion.transition(START, sum(parts))
+    np.testing.assert_allclose(mean, x)
+    np.testing.assert_allclose(noise, cov, rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 0.1, 1.0, 30.0])
+def test_covariances_are_positive_definite(dt: float):
+    _, _, (cov,) = PointMotion().transition(START, dt)
+    assert np.linalg.eigvalsh(cov).min() > 0
+
+
+def test_without_noise_points_go_straight(rng):
+    np.testing.assert_allclose(PointMotion(variance=0.0).sample(START, 2.0, rng)[:, 0], [5.4, 19.2, 1.2, -0.4])
+
+
+def test_survival_is_a_power_of_the_interval():
+    np.testing.assert_allclose(PointMotion(survival=0.9).p_survive(START, 2.5), [0.9**2.5])
+
+
+def test_the_measurement_is_the_centroid_and_further_rows_are_not_compared():
+    sensor = PointSensor(variance=2.0, size=(8.0, 12.0))
+    z = sensor.measure(Detections.of([[10.0, 20, 20, 60]]))
+    np.testing.assert_array_equal(z, [[15.0], [40.0]])
+    labelled = np.vstack([z, [[7.0]]])
+    x = np.array([[14.0], [42.0], [3.0], [1.0]])
+    np.testing.assert_allclose(sensor.distance2(labelled, x), [(1 + 4) / 2])
+    np.testing.assert_allclose(sensor.log_likelihood(labelled, x), [-1.25 - math.log(4 * math.pi)])
+    np.testing.assert_array_equal(sensor.innovation(labelled, x[:2]), [[1.0], [-2.0]])
+    np.testing.assert_array_equal(sensor.states(labelled)[0], [[15.0], [40.0], [0.0], [0.0]])
+    np.testing.assert_array_equal(sensor.boxes(x), [[10.0, 36, 18, 48]])
+
+
+@pytest.mark.parametrize("wrong", [{"detection": 1.5}, {"variance": 0.0}, {"size": (20.0, 0.0)}, {"size": (math.nan, 5.0)}])
+def test_settings_out_of_bounds(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        PointSensor(**wrong)
+
+
+def test_uniform_births_of_points_have_no_size(rng):
+    """D14's ten, anywhere in the image, of any direction; they fill it evenly."""
+    birth = UniformBirth((384.0, 288.0), rate=0.2, count=20_000)
+    born = birth.sample(np.zeros((3, 1)), np.zeros(1), PointSensor(speed=2.0), 0.5, rng)
+    assert born.state.shape == (4, 20_000)
+    assert born.mass == pytest.approx(0.1)
+    place = born.state[:2] / np.array([[384.0], [288.0]])
+    assert ((place >= 0) & (place < 1)).all()
+    assert np.histogramdd(place.T, 4, [(0, 1), (0, 1)])[0].min() > 20_000 / 16 * 0.85
+    np.testing.assert_allclose(born.state[2:].var(axis=1), 2.0, rtol=0.1)
+
+
+def test_births_around_detections_have_the_density_of_gamma():
+    """Ten regions of 99 % of the noise hold ten times γ times their area."""
+    birth, sensor = PointBirth(rate=0.3, most=4000, frame_size=(384.0, 288.0)), PointSensor(variance=2.0)
+    z = np.vstack([np.linspace(20, 360, 10), np.linspace(20, 260, 10)])
+    born = birth.sample(z, np.zeros(10), sensor, 2.0, np.random.default_rng(1))
+    assert born.mass == pytest.approx(0.3 * 2 / (384 * 288) * 10 * math.pi * 2.0 * 9.2103, rel=0.02)
+    np.testing.assert_allclose(birth.components(z, np.zeros(10), sensor, 2.0).mass, born.mass, rtol=0.02)
+
+
+def test_births_in_the_image_need_its_size():
+    with pytest.raises(InputError, match="frame"):
+        PointBirth().sample(np.zeros((2, 1)), np.zeros(1), PointSensor(), 1.0, np.random.default_rng(1))
+
+
+def test_the_preset_is_d14s():
+    """p_D = p_S = 1, no clutter, J = 10 newborn anywhere, N particles in all, no update without detections."""
+    stages = config.build(config.load(preset="d14", sets=["filter.most=500", "filter.per_target=500"]), INFO)
+    model, recursion, rng = stages.model, stages.filter, np.random.default_rng(3)
+    z = np.array([[100.0, 250], [100, 200]])
+    near = np.vstack([np.repeat(z, 50, axis=1), np.zeros((2, 100))])
+    state = type(recursion.start(model, rng))(near, np.full(100, 0.02))
+    after, info = recursion.step(state, z, model, 1.0, rng)
+    assert len(after) == 500
+    assert (info.mass, after.mass) == pytest.approx((2.0, 2.0))
+    assert info.mass_predicted == pytest.approx(2.1)
+    np.testing.assert_array_equal(info.clutter, 0.0)
+    # Nothing is updated where nothing is detected: ten more particles, and what was there.
+    predicted = recursion.predict(after, model, 1.0, rng)
+    assert predicted.mass == pytest.approx(2.0)
+    waiting, info = recursion.update(predicted, z[:, :0], model, 1.0, rng)
+    assert len(waiting) == 510
+    assert waiting.mass == pytest.approx(2.1)
+    assert len(recursion.reduce(waiting, rng)) == 500
+
+
+@pytest.mark.parametrize("filter_name", ["gm-phd", "gm-cphd", "particle-cphd", "particle-phd", "none"])
+def test_every_filter_can_do_with_points(filter_name: str, rng):
+    """Two points seen for fifteen frames among clutter are found; the world brings its own parts."""
+    stages = config.build(config.load(sets=["motion.kind=point"]), INFO, filter_name)
+    assert (type(stages.model.motion), type(stages.model.sensor), type(stages.model.birth)) == (
+        PointMotion, PointSensor, PointBirth,
+    )  # fmt: skip
+    np.testing.assert_allclose(stages.model.clutter.intensity(np.zeros((2, 1))), 1.0 / (384 * 288))
+    state = stages.filter.start(stages.model, rng)
+    for k in range(15):
+        z = np.array([[100.0, 200], [50, 150]]) + k * np.array([[1.0, -1], [0.5, 0]]) + rng.normal(0, 1, (2, 2))
+        z = np.hstack([z, rng.uniform([[0], [200]], [[384], [288]], (2, 1))])
+        state, _ = stages.filter.step(state, z, stages.model, 1.0, rng)
+        found = stages.extractor.extract(state, z, stages.model)
+    true = np.array([[114.0, 186], [57, 150]])
+    distance = np.hypot(*(found.state[:2, :, None] - true[:, None, :]))
+    assert (distance.min(axis=0) < 4).all()
+    assert len(found) == (3 if filter_name == "none" else 2)
+
+
+def test_kinds_of_points_and_of_boxes_are_not_mixed():
+    for sets in (["motion.kind=point", "birth.kind=measurement"], ["sensor.kind=point"], ["birth.kind=point"]):
+        with pytest.raises(InputError, match="does not fit"):
+            config.load(sets=sets)
+    with pytest.raises(InputError, match="of points: point"):
+        config.load(preset="d14", sets=["filter.kind=gm-phd"])
+    config.load(preset="d14", sets=["filter.kind=gm-phd", "birth.kind=point"])
