@@ -1,0 +1,49 @@
+"""What densities are learned from: first states of tracks, and detections that somebody marked as false [M09 §IV]."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from phdtrack.boxes import to_cxcywh
+from phdtrack.types import F8, I8, Tracks
+
+# Seconds of a track from which its first velocity is taken.
+LEAD = 0.4
+
+
+def first_states(tracks: Tracks, fps: float, rate: float, shortest: int = 5) -> F8:
+    """(6, n) states (px, py, vx, vy, w, h) in which the tracks of at least ``shortest`` rows began [M09 §IV].
+
+    Velocities are pixels per time unit, of which ``rate`` make a second: slopes of straight lines through the centres of
+    the first ``LEAD`` seconds, at least three rows. Tracks that are there in the first frame began before it: left out.
+    """
+    box = to_cxcywh(tracks.xyxy)
+    order = np.lexsort((tracks.frame, tracks.identity))
+    start = np.flatnonzero(np.diff(tracks.identity[order], prepend=-1))
+    opening = int(tracks.frame.min(initial=np.iinfo(np.int64).max))
+    states = []
+    for rows in np.split(order, start[1:]) if len(order) else []:
+        if len(rows) >= shortest and tracks.frame[rows[0]] > opening:
+            states.append(_first(box[:, rows], tracks.frame[rows], fps, rate))
+    return np.array(states).reshape(-1, 6).T.copy()
+
+
+def _first(box: F8, frame: I8, fps: float, rate: float) -> F8:
+    """The first state of one track: boxes (4, n) as centre and size, their frames (n,)."""
+    seconds = (frame - frame[0]) / fps
+    lead = max(3, int((seconds <= LEAD).sum()))
+    time = seconds[:lead] * rate
+    centred = time - time.mean()
+    velocity = (box[:2, :lead] * centred).sum(axis=1) / (centred**2).sum()
+    return np.concatenate([box[:2, 0], velocity, box[2:, 0]])
+
+
+def state_volume(width: float, height: float, fastest: float) -> tuple[F8, F8]:
+    """Bounds (6,) of the states that births may have: centre in the frame, any size in it, |v| up to ``fastest`` an axis."""
+    low = np.array([0.0, 0, -fastest, -fastest, 0, 0])
+    return low, np.array([width, height, fastest, fastest, width, height])
+
+
+def measurement_volume(width: float, height: float) -> tuple[F8, F8]:
+    """Bounds (4,) of the boxes that false alarms may be: centre in the frame, any size in it."""
+    return np.zeros(4), np.array([width, height, width, height], np.float64)

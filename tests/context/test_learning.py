@@ -1,0 +1,57 @@
+import numpy as np
+import pytest
+
+from phdtrack.context import RecursiveEM
+from phdtrack.context.learning import learn_births, learn_clutter
+from phdtrack.errors import InputError
+
+SIZE = (640.0, 480.0)
+
+
+def door(rng, n):
+    """First states at one door, walking out of it."""
+    mean, deviation = np.array([100.0, 300, 2, 0.5, 40, 90]), np.array([10.0, 15, 0.5, 0.5, 4, 8])
+    return mean[:, None] + deviation[:, None] * rng.standard_normal((6, n))
+
+
+def test_births_at_a_door():
+    rng = np.random.default_rng(0)
+    lesson = learn_births(door(rng, 200), time_units=5000, frame_size=SIZE, learner=RecursiveEM())
+    learned = lesson.learned
+    assert learned.rate == pytest.approx(200 / 5000)
+    assert learned.samples == 200
+    heaviest = np.argmax(learned.density.weight)
+    assert learned.density.mean[:, heaviest] == pytest.approx([100, 300, 2, 0.5, 40, 90], abs=4)
+    # The entropy of the uniform density less that of the door's Gaussian, less what 160 samples leave uncertain.
+    density = learned.density
+    entropy = 0.5 * 6 * np.log(2 * np.pi * np.e) + np.log([10, 15, 0.5, 0.5, 4, 8]).sum()
+    assert lesson.gain == pytest.approx(np.log(density.volume) - entropy, abs=0.5)
+
+
+def test_clutter_rate_is_per_labelled_frame():
+    rng = np.random.default_rng(1)
+    boxes = np.array([500.0, 100, 30, 30])[:, None] + 3 * rng.standard_normal((4, 60))
+    lesson = learn_clutter(boxes, frames=40, frame_size=SIZE, learner=RecursiveEM())
+    assert lesson.learned.rate == 1.5
+    assert lesson.gain > 5
+    assert lesson.learned.density(np.array([[500.0], [100], [30], [30]]))[0] > 1e4 / lesson.learned.density.volume
+
+
+def test_samples_spread_evenly_teach_nothing():
+    rng = np.random.default_rng(2)
+    boxes = rng.uniform(0, 1, (4, 400)) * np.array([640.0, 480, 640, 480])[:, None]
+    lesson = learn_clutter(boxes, frames=40, frame_size=SIZE, learner=RecursiveEM())
+    assert -0.5 < lesson.gain < 0.2
+
+
+@pytest.mark.parametrize(("n", "time", "words"), [(3, 100, "at least 10 tracks"), (50, 0, "some length")])
+def test_too_little_is_told(n, time, words):
+    with pytest.raises(InputError, match=words):
+        learn_births(door(np.random.default_rng(3), n), time, SIZE, RecursiveEM())
+
+
+def test_too_few_false_boxes_are_told():
+    with pytest.raises(InputError, match="at least 10 detections marked as false, got 2"):
+        learn_clutter(np.ones((4, 2)), 10, SIZE, RecursiveEM())
+    with pytest.raises(InputError, match="frames on which"):
+        learn_clutter(np.ones((4, 20)), 0, SIZE, RecursiveEM())
