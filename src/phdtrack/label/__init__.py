@@ -1,0 +1,5 @@
+"""What people say about detections: which are false, where somebody enters."""
+
+from phdtrack.label.store import Label, LabelStore, Mark, Progress
+
+__all__ = ["Label", "LabelStore", "Mark", "Progress"]

@@ -1,0 +1,178 @@
+"""Labels of detections in one SQLite file: every mark is kept the moment it is made, by however many people at once.
+
+A file is a list of actions, each of one or more marks; nothing is ever overwritten. What a box is, is said by the last
+mark on it whose action is not undone. So undoing is a flag, two people who mark the same box both keep their click, and the
+later one counts.
+"""
+
+from __future__ import annotations
+
+import csv
+import sqlite3
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+from phdtrack.errors import InputError
+
+Mark = Literal["false", "birth", "none"]
+"""``false``: the detector is wrong there. ``birth``: somebody enters there. ``none``: neither, after all."""
+MARKS: tuple[str, ...] = get_args(Mark)
+FORMAT = "1"
+_PATIENCE = 30.0
+
+_TABLES = """
+CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
+CREATE TABLE IF NOT EXISTS frame (
+    number INTEGER PRIMARY KEY, place INTEGER NOT NULL, done INTEGER NOT NULL DEFAULT 0
+) STRICT;
+CREATE TABLE IF NOT EXISTS action (
+    id INTEGER PRIMARY KEY AUTOINCREMENT, frame INTEGER NOT NULL, who TEXT NOT NULL, undone INTEGER NOT NULL DEFAULT 0,
+    made TEXT NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
+) STRICT;
+CREATE TABLE IF NOT EXISTS mark (
+    action INTEGER NOT NULL REFERENCES action (id), frame INTEGER NOT NULL, box INTEGER NOT NULL, mark TEXT NOT NULL,
+    PRIMARY KEY (action, frame, box)
+) STRICT;
+CREATE INDEX IF NOT EXISTS mark_by_box ON mark (frame, box, action);
+"""
+# SQLite takes the columns beside max(…) from the row that has the maximum.
+_CURRENT = """
+SELECT m.frame, m.box, m.mark, max(m.action) FROM mark m JOIN action a ON a.id = m.action
+WHERE a.undone = 0 {where} GROUP BY m.frame, m.box ORDER BY m.frame, m.box
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """What a box is: ``box`` counts from 0 among the detections of ``frame``."""
+
+    frame: int
+    box: int
+    mark: Mark
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Frames looked at, of how many, and boxes marked as false and as births on all of them."""
+
+    done: int
+    frames: int
+    false: int
+    births: int
+
+
+class LabelStore:
+    """The labels in one file. Every method opens it, does one thing wholly or not at all, and closes it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @classmethod
+    def open(cls, path: Path, source: str, digest: str, frames: Sequence[int]) -> LabelStore:
+        """The file for ``source`` whose detections have ``digest``; made where there is none, gone on with where there is.
+
+        ``frames`` are the numbers to label, in the order to show them; those that a file holds already stay, in front.
+        Raises `InputError` where the file is another's, or no file of labels.
+        """
+        store = cls(path)
+        try:
+            with store._connection() as db:
+                db.executescript("PRAGMA journal_mode = WAL;" + _TABLES)
+                with db:
+                    known = dict(db.execute("SELECT name, value FROM about"))
+                    if problem := _stranger(known, source, digest):
+                        raise InputError(problem, where=path, cure="Give another --labels file, or the detections of then")
+                    about = {"format": FORMAT, "source": source, "detections": digest}
+                    db.executemany("INSERT OR IGNORE INTO about VALUES (?, ?)", about.items())
+                    (after,) = db.execute("SELECT coalesce(max(place) + 1, 0) FROM frame").fetchone()
+                    rows = [(int(number), after + k) for k, number in enumerate(frames)]
+                    db.executemany("INSERT OR IGNORE INTO frame (number, place) VALUES (?, ?)", rows)
+        except sqlite3.DatabaseError as error:
+            raise InputError(f"cannot be used as a file of labels ({error})", where=path) from None
+        return store
+
+    def mark(self, frame: int, marks: Iterable[Label], who: str = "") -> int:
+        """Keep the ``marks`` that somebody made while looking at ``frame``, as one action; its number."""
+        rows = list(marks)
+        if not rows:
+            raise InputError("expected a mark or more", where=f"frame {frame}")
+        for row in rows:
+            if row.mark not in MARKS or row.box < 0:
+                raise InputError(f"expected one of {', '.join(MARKS)} on a box from 0, got {row.mark!r} on {row.box}")
+        with self._connection() as db, db:
+            number = db.execute("INSERT INTO action (frame, who) VALUES (?, ?)", (frame, who)).lastrowid
+            # What was undone before is gone for good once something new was done: redoing would mix the two.
+            db.execute("UPDATE action SET undone = 2 WHERE frame = ? AND undone = 1", (frame,))
+            db.executemany("INSERT INTO mark VALUES (?, ?, ?, ?)", [(number, m.frame, m.box, m.mark) for m in rows])
+        return int(number or 0)
+
+    def undo(self, frame: int) -> bool:
+        """Take back the last action made on ``frame``; whether there was one."""
+        return self._turn(frame, "SELECT max(id) FROM action WHERE frame = ? AND undone = 0", 1)
+
+    def redo(self, frame: int) -> bool:
+        """Make the last undone action on ``frame`` count again; whether there was one."""
+        return self._turn(frame, "SELECT min(id) FROM action WHERE frame = ? AND undone = 1", 0)
+
+    def finish(self, frame: int, done: bool = True) -> None:
+        """Say that ``frame`` has been looked at, or has not after all. A frame without false boxes is one too."""
+        with self._connection() as db, db:
+            db.execute("UPDATE frame SET done = ? WHERE number = ?", (int(done), frame))
+
+    def labels(self, frame: int | None = None) -> list[Label]:
+        """What every marked box is, or those of one ``frame``; boxes marked as ``none`` again are not listed."""
+        where, values = ("", ()) if frame is None else ("AND m.frame = ?", (frame,))
+        with self._connection() as db:
+            rows = db.execute(_CURRENT.format(where=where), values).fetchall()
+        return [Label(number, box, mark) for number, box, mark, _ in rows if mark != "none"]
+
+    def frames(self) -> list[tuple[int, bool]]:
+        """The frames to label in the order to show them, and which of them have been looked at."""
+        with self._connection() as db:
+            rows = db.execute("SELECT number, done FROM frame ORDER BY place").fetchall()
+        return [(number, bool(done)) for number, done in rows]
+
+    def progress(self) -> Progress:
+        """How far the work is."""
+        listed, labels = self.frames(), self.labels()
+        births = sum(label.mark == "birth" for label in labels)
+        return Progress(sum(done for _, done in listed), len(listed), len(labels) - births, births)
+
+    def export(self, path: Path) -> int:
+        """Write the labels as CSV: frame, box, mark; how many."""
+        labels = self.labels()
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(("frame", "box", "mark"))
+            writer.writerows((label.frame, label.box, label.mark) for label in labels)
+        return len(labels)
+
+    def _turn(self, frame: int, which: str, undone: int) -> bool:
+        with self._connection() as db, db:
+            (number,) = db.execute(which, (frame,)).fetchone()
+            db.execute("UPDATE action SET undone = ? WHERE id = ?", (undone, number))
+        return number is not None
+
+    @contextmanager
+    def _connection(self) -> Iterator[sqlite3.Connection]:
+        db = sqlite3.connect(self.path, timeout=_PATIENCE)
+        try:
+            # A click is on the disk when the page is told that it was kept.
+            db.execute("PRAGMA synchronous = FULL")
+            yield db
+        finally:
+            db.close()
+
+
+def _stranger(known: dict[str, str], source: str, digest: str) -> str:
+    """Why a file that says this of itself is not the one for ``source``; nothing if it is, or is new."""
+    if not known:
+        return ""
+    if known.get("format") != FORMAT:
+        return f"expected labels of format {FORMAT}, got {known.get('format')!r}"
+    if known.get("detections") != digest:
+        return f"the labels are those of other detections (of {known.get('source')}), not of these of {source}"
+    return ""

@@ -1,0 +1,126 @@
+import sqlite3
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from phdtrack.errors import InputError
+from phdtrack.label import Label, LabelStore
+
+
+@pytest.fixture
+def store(tmp_path):
+    return LabelStore.open(tmp_path / "labels.sqlite", "street.mp4", "abc", [30, 10, 20])
+
+
+def false(frame, *boxes):
+    return [Label(frame, box, "false") for box in boxes]
+
+
+def test_a_mark_is_there_and_can_be_taken_back(store):
+    store.mark(10, false(10, 0, 3))
+    store.mark(10, [Label(10, 3, "none"), Label(10, 5, "birth")])
+    assert store.labels() == [Label(10, 0, "false"), Label(10, 5, "birth")]
+    assert store.undo(10)
+    assert store.labels() == false(10, 0, 3)
+    assert store.undo(10)
+    assert store.labels() == []
+    assert not store.undo(10)
+    assert store.redo(10)
+    assert store.redo(10)
+    assert not store.redo(10)
+    assert store.labels(10) == [Label(10, 0, "false"), Label(10, 5, "birth")]
+
+
+def test_undoing_belongs_to_a_frame(store):
+    store.mark(10, false(10, 1))
+    store.mark(20, false(20, 2))
+    assert not store.undo(30)
+    assert store.undo(10)
+    assert store.labels() == false(20, 2)
+
+
+def test_one_action_may_reach_over_frames(store):
+    store.mark(10, false(10, 1) + false(20, 4) + false(30, 0))
+    assert len(store.labels()) == 3
+    assert store.undo(10)
+    assert store.labels() == []
+
+
+def test_what_was_undone_does_not_return_after_something_new(store):
+    store.mark(10, false(10, 1))
+    store.undo(10)
+    store.mark(10, false(10, 2))
+    assert not store.redo(10)
+    assert store.labels() == false(10, 2)
+    assert store.undo(10)
+    assert store.redo(10)
+    assert store.labels() == false(10, 2)
+
+
+def test_frames_come_in_their_order_and_progress_counts(store):
+    assert store.frames() == [(30, False), (10, False), (20, False)]
+    store.finish(10)
+    store.mark(10, [*false(10, 1, 2), Label(10, 3, "birth")])
+    progress = store.progress()
+    assert (progress.done, progress.frames, progress.false, progress.births) == (1, 3, 2, 1)
+    store.finish(10, done=False)
+    assert store.progress().done == 0
+
+
+def test_going_on_later_keeps_everything_and_adds_frames(store, tmp_path):
+    store.mark(10, false(10, 1))
+    store.finish(10)
+    again = LabelStore.open(tmp_path / "labels.sqlite", "street.mp4", "abc", [10, 40])
+    assert again.labels() == false(10, 1)
+    assert again.frames() == [(30, False), (10, True), (20, False), (40, False)]
+
+
+def test_other_detections_are_refused(store, tmp_path):
+    with pytest.raises(InputError, match="other detections"):
+        LabelStore.open(tmp_path / "labels.sqlite", "street.mp4", "xyz", [1])
+    (tmp_path / "text").write_text("no database, but long enough to be taken for one" * 30)
+    with pytest.raises(InputError, match="cannot be used as a file of labels"):
+        LabelStore.open(tmp_path / "text", "street.mp4", "abc", [1])
+    with pytest.raises(InputError, match="cannot be used as a file of labels"):
+        LabelStore.open(tmp_path / "nowhere" / "labels", "street.mp4", "abc", [1])
+
+
+def test_wrong_marks_change_nothing(store):
+    for wrong in ([Label(10, 0, "maybe")], [Label(10, -1, "false")], []):
+        with pytest.raises(InputError):
+            store.mark(10, wrong)
+    assert store.labels() == []
+    with sqlite3.connect(store.path) as db:
+        assert db.execute("SELECT count(*) FROM action").fetchone() == (0,)
+
+
+def test_many_people_at_once_lose_no_click(store):
+    def person(who):
+        own = LabelStore(store.path)
+        for k in range(40):
+            own.mark(10, false(10, 100 * who + k), who=str(who))
+
+    with ThreadPoolExecutor(6) as pool:
+        list(pool.map(person, range(6)))
+    assert {label.box for label in store.labels(10)} == {100 * who + k for who in range(6) for k in range(40)}
+
+
+def test_a_process_that_is_killed_loses_no_click_that_was_kept(store):
+    """It is killed right after it has said that the last one was kept."""
+    program = (
+        "import os, signal, sys; from pathlib import Path; from phdtrack.label import Label, LabelStore\n"
+        f"store = LabelStore(Path({str(store.path)!r}))\n"
+        "for k in range(25): store.mark(10, [Label(10, k, 'false')])\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], check=False)
+    assert done.returncode == -9
+    assert store.labels() == false(10, *range(25))
+
+
+def test_labels_are_exported(store, tmp_path):
+    store.mark(10, [*false(10, 3), Label(20, 1, "birth")])
+    assert store.export(tmp_path / "labels.csv") == 2
+    assert (tmp_path / "labels.csv").read_text().split() == ["frame,box,mark", "10,3,false", "20,1,birth"]
