@@ -73,6 +73,23 @@ def test_measurements_scatter_as_the_sensor_says():
     assert (np.abs(share.std(axis=1) - 1 / math.sqrt(12)) < 0.01).all()
 
 
+def test_far_targets_are_seen_less_where_the_detection_fades():
+    """Share of those that are seen beyond and below 1500 m, against the sensor's own p_D."""
+    model = replace(Turning(), fade=2000.0, clutter_rate=0.0)
+    sensor = BearingSensor(detection=model.p_detect, fade=2000.0)
+    seen, expected, far = [], [], []
+    for seed in range(20):
+        scene = turning(np.random.default_rng(seed), model)
+        for state, identity, source in zip(scene.state, scene.identity, scene.source, strict=True):
+            seen.append(np.isin(identity, source))
+            expected.append(sensor.p_detect(state))
+            far.append(np.hypot(*state[:2]) > 1500)
+    hit, p, away = (np.concatenate(part) for part in (seen, expected, far))
+    for part in (away, ~away):
+        assert abs(hit[part].mean() - p[part].mean()) < 4 * math.sqrt(0.25 / part.sum())
+    assert p[away].max() <= 0.98 * math.exp(-0.5 * 0.75**2) <= p[~away].min()
+
+
 def test_same_seed_same_measurements_whatever_the_clutter():
     one, again = (turning(np.random.default_rng(3)) for _ in range(2))
     clear = turning(np.random.default_rng(3), replace(Turning(), clutter_rate=0.0))

@@ -107,14 +107,16 @@ def linear_gaussian(rng: np.random.Generator, clutter_rate: float = 30.0, p_d: f
     ------
     InputError : ``p_d`` is no probability or ``clutter_rate`` is negative.
     """
+    check_rates(p_d, clutter_rate)
     model = LinearGaussian(p_detect=p_d, clutter_rate=clutter_rate)
     half = model.half_width
     return realised(
         model,
         [true_states(scan, model.interval) for scan in range(1, model.scans + 1)],
         lambda state, draws: state[:2] + draws * model.sd_position,
+        lambda state: np.full(state.shape[1], p_d),
         lambda count, clutter: clutter.uniform(-half, half, (2, count)),
-        (p_d, clutter_rate),
+        clutter_rate,
         rng,
     )
 
@@ -123,8 +125,9 @@ def realised(
     model: M,
     truth: list[tuple[F8, I8]],
     measure: Callable[[F8, F8], F8],
+    p_detect: Callable[[F8], F8],
     clutter: Callable[[int, np.random.Generator], F8],
-    rates: tuple[float, float],
+    rate: float,
     rng: np.random.Generator,
 ) -> PointScene[M]:
     """Scans of targets at (d, n) states with (n,) identities: what is seen of them, among what is not of them.
@@ -132,16 +135,13 @@ def realised(
     Parameters
     ----------
     measure : of states (d, n) and independent standard normal draws (2, n), the measurements (2, n).
-    clutter : that many false measurements, (2, count).
-    rates : p_D and clutter points per scan.
+    p_detect : (n,) probabilities that they are seen.
+    clutter : that many false measurements, (2, count); ``rate`` are expected in a scan.
     """
-    p_d, rate = rates
-    if not 0 <= p_d <= 1 or not 0 <= rate < np.inf:
-        raise InputError(f"p_d = {p_d} and clutter_rate = {rate} are not a probability and a rate", cure="Mend them")
     targets_rng, clutter_rng, order_rng = rng.spawn(3)
     measurements, sources = [], []
     for state, identity in truth:
-        seen = targets_rng.random(len(identity)) < p_d
+        seen = targets_rng.random(len(identity)) < p_detect(state)
         noisy = measure(state, targets_rng.normal(size=(2, len(identity))))
         false = clutter(clutter_rng.poisson(rate), clutter_rng)
         z = np.concatenate([noisy[:, seen], false], axis=1)
@@ -164,3 +164,9 @@ def true_states(scan: int, interval: float = 1.0) -> tuple[F8, I8]:
 def present(scan: int, first: I8, last: I8) -> I8:
     """(n,) which targets are there in ``scan``."""
     return np.flatnonzero((scan >= first) & (scan <= last))
+
+
+def check_rates(p_d: float, clutter_rate: float) -> None:
+    """Raise `InputError` where they are no probability and no rate."""
+    if not 0 <= p_d <= 1 or not 0 <= clutter_rate < np.inf:
+        raise InputError(f"p_d = {p_d} and clutter_rate = {clutter_rate} are not a probability and a rate", cure="Mend them")

@@ -8,8 +8,9 @@ axis towards the x axis. Targets turn at constant rate and speed: the truth has 
 
 The literature runs this scene with several noises. The defaults are those that go with the ten targets (σ_w = 5 m/s²,
 σ_θ = 2°, σ_r = 10 m, λ = 20); Vo and Ma's are σ_w = 15 m/s² and σ_r = 20 m, others have σ_θ = 1°, σ_r = 5 m and λ = 10. p_D
-is 0.98 everywhere, where some let it fall with the range. A target is at its start in its first scan; published scripts move
-it by one step before. One target is up to 82 m out of the half disc for a while, and seen there all the same.
+is 0.98 everywhere; some let it fall with the range, over 2000 m (`Turning.fade`). A target is at its start in its first scan;
+published scripts move it by one step before. One target is up to 82 m out of the half disc for a while, and seen there all
+the same.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.simulate.points import PointScene, present, realised
+from phdtrack.simulate.points import PointScene, check_rates, present, realised
 from phdtrack.types import F8, I8
 
 DEGREE = math.pi / 180
@@ -55,7 +56,8 @@ class Turning:
     sd_acceleration : σ_w in m/s²: Q = σ_w² B Bᵀ with B = (T²/2, T) per axis.
     sd_turn : σ_u in rad/s, of the change of the turn rate over a second.
     sd_bearing, sd_range : σ_θ in radians and σ_r in metres of the measurements.
-    p_survive, p_detect, clutter_rate : p_S, p_D and expected clutter points per scan.
+    p_survive, p_detect, clutter_rate : p_S, p_D at the sensor's place, and expected clutter points per scan.
+    fade : metres over which p_D falls, as exp(−r²/2 fade²); 0: it does not.
     birth_weight : of each birth Gaussian, at `birth_mean`.
     birth_sd : standard deviations of the components of each of them.
     ospa_cutoff, ospa_order : c in metres and p of the OSPA distance.
@@ -71,6 +73,7 @@ class Turning:
     p_survive: float = 0.99
     p_detect: float = 0.98
     clutter_rate: float = 20.0
+    fade: float = 0.0
     birth_weight: tuple[float, ...] = (0.02, 0.02, 0.03, 0.03)
     birth_sd: tuple[float, ...] = (50.0, 50.0, 50.0, 50.0, 6 * DEGREE)
     ospa_cutoff: float = 100.0
@@ -99,6 +102,7 @@ def turning(rng: np.random.Generator, model: Turning | None = None) -> PointScen
     InputError : p_D is no probability or the clutter's rate is negative.
     """
     model = model or Turning()
+    check_rates(model.p_detect, model.clutter_rate)
     spread = np.array([[model.sd_bearing], [model.sd_range]])
     corner = np.array([[-math.pi / 2], [0.0]])
     extent = np.array([[math.pi], [model.radius]])
@@ -106,10 +110,18 @@ def turning(rng: np.random.Generator, model: Turning | None = None) -> PointScen
         model,
         [turning_states(scan, model.interval) for scan in range(1, model.scans + 1)],
         lambda state, draws: np.stack([np.arctan2(state[0], state[1]), np.hypot(state[0], state[1])]) + draws * spread,
+        lambda state: _seen(state, model),
         lambda count, clutter: corner + extent * clutter.random((2, count)),
-        (model.p_detect, model.clutter_rate),
+        model.clutter_rate,
         rng,
     )
+
+
+def _seen(state: F8, model: Turning) -> F8:
+    """(n,) probabilities that targets are detected."""
+    weaker = 0.5 * (np.hypot(state[0], state[1]) / model.fade) ** 2 if model.fade else np.zeros(state.shape[1])
+    out: F8 = model.p_detect * np.exp(-weaker)
+    return out
 
 
 def turning_states(scan: int, interval: float = 1.0) -> tuple[F8, I8]:
