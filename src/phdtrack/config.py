@@ -25,9 +25,9 @@ from typing import Any, get_type_hints
 
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.errors import InputError
-from phdtrack.extract import Components, CountedComponents, CountedKMeans, CountedMixture, KMeans, Mixture, Raw
+from phdtrack.extract import Components, CountedComponents, CountedKMeans, CountedMixture, Joint, KMeans, Mixture, Raw
 from phdtrack.files import read_toml
-from phdtrack.filters import GMCPHD, GMPHD, NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.filters import GMCPHD, GMPHD, MCMC, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.grouped import GroupStages
 from phdtrack.groups import Contours, Grouping, Living, Meetings
 from phdtrack.models import (
@@ -88,6 +88,7 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
         "gm-phd": GMPHD,
         "particle-cphd": ParticleCPHD,
         "gm-cphd": GMCPHD,
+        "mcmc": MCMC,
         "none": NoFilter,
     },
     "extract": {
@@ -97,6 +98,7 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
         "counted-kmeans": CountedKMeans,
         "counted-mixture": CountedMixture,
         "counted-components": CountedComponents,
+        "joint": Joint,
     },
     "associate": {"graph": GraphMatching, "labelled": Labelled},
     "groups": {"": Grouping},
@@ -128,6 +130,7 @@ _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
     ("filter", "gm-phd"): {"extract": ("components",), "associate": ("graph", "labelled")},
     ("filter", "particle-cphd"): {"extract": ("counted-mixture", "counted-kmeans"), "associate": ("graph",)},
     ("filter", "gm-cphd"): {"extract": ("counted-components",), "associate": ("graph", "labelled")},
+    ("filter", "mcmc"): {"extract": ("joint",), "associate": ("labelled", "graph")},
     ("filter", "none"): {"associate": ("graph",)},
 }
 # The sections whose kinds decide others', in the order to lay them over.
@@ -139,6 +142,7 @@ _MISFITS: Mapping[str, Mapping[tuple[str, str], str]] = {
     "gm-phd": _NO_GAUSSIANS | _NO_SPAWNING,
     "gm-cphd": _NO_GAUSSIANS | _NO_SPAWNING,
     "particle-cphd": _NO_SPAWNING,
+    "mcmc": _NO_SPAWNING,
 }
 # The share of the weight of a person just missed that a Gaussian must have to count as one: E13's 0.25 of 0.297.
 _MISSED = 0.84

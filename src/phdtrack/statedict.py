@@ -14,7 +14,7 @@ from phdtrack.associate.online import Carried, Given
 from phdtrack.associate.window import Columns, Edges, Links, Rows, Window
 from phdtrack.errors import InputError
 from phdtrack.pipeline import TrackingState
-from phdtrack.types import Cardinalised, Estimates, GaussianMixture, ParticleBlocks, Particles
+from phdtrack.types import Cardinalised, Estimates, GaussianMixture, JointSamples, ParticleBlocks, Particles
 
 _RECORDS: dict[str, type[Any]] = {
     kind.__name__: kind
@@ -24,6 +24,7 @@ _RECORDS: dict[str, type[Any]] = {
         ParticleBlocks,
         GaussianMixture,
         Cardinalised,
+        JointSamples,
         Estimates,
         GraphState,
         LabelledState,

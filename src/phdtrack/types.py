@@ -235,6 +235,74 @@ class Cardinalised(Generic[Points]):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class JointSamples:
+    """Samples of the joint state of labelled targets: what the MCMC filter carries.
+
+    Sample s of the joint state is the s-th state of every target, of those that are there in it. The states of the others
+    are where they would be; ``chance`` weighs all of them.
+
+    Attributes
+    ----------
+    state : (d, n·N) the N states of each of n targets, those of a target beside each other.
+    chance : (n, N) the probability that the target is there, given its state and the others' in that sample.
+    label : (n,) int64 ascending, one for a target's life.
+    fresh : the next new target's label: none that was ever given is as large.
+    origin, interval : (d, n·N) the states that these were predicted from, and the time since; (d, 0) and 0 after an update.
+    """
+
+    state: F8
+    chance: F8
+    label: I8
+    fresh: int
+    origin: F8
+    interval: float = 0.0
+
+    @classmethod
+    def empty(cls, dim: int, samples: int) -> JointSamples:
+        """No targets of dimension ``dim``."""
+        none = np.zeros((dim, 0))
+        return cls(none, np.zeros((0, samples)), _none(), 0, none)
+
+    def __len__(self) -> int:
+        return self.chance.size
+
+    @property
+    def weight(self) -> F8:
+        """(n·N,) weights with which the states are the intensity."""
+        weight: F8 = self.chance.ravel() / self.chance.shape[1]
+        return weight
+
+    @property
+    def existence(self) -> F8:
+        """(n,) the probability that each target is there."""
+        mean: F8 = self.chance.mean(axis=1)
+        return mean
+
+    @property
+    def mass(self) -> float:
+        """The expected number of targets."""
+        return float(self.weight.sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChainInfo:
+    """How well a Markov chain moved in one frame.
+
+    Attributes
+    ----------
+    moves : names of the kinds of moves.
+    proposed, accepted : (k,) int64, how often each was proposed and accepted.
+    effective : how many independent samples would tell the targets' mean positions as well as the chain does: by the
+        variance of means over batches of it, the least over targets and coordinates. NaN where nobody is there.
+    """
+
+    moves: tuple[str, ...]
+    proposed: I8
+    accepted: I8
+    effective: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class UpdateInfo:
     """What an update learned beside the new state.
 
@@ -247,6 +315,7 @@ class UpdateInfo:
     clutter : (N,) κ(z_j), in the same unit.
     vanished : number of detections with κ + C = 0, whose term is 0 by definition.
     cardinality : probabilities of 0, 1, 2, … targets after the update; (0,) from filters that carry none.
+    chain : how well the chain of an MCMC filter moved; None from other filters.
     """
 
     mass_predicted: float
@@ -256,6 +325,7 @@ class UpdateInfo:
     clutter: F8
     vanished: int = 0
     cardinality: F8 = field(default_factory=lambda: np.zeros(0))
+    chain: ChainInfo | None = None
 
     @property
     def clutter_probability(self) -> F8:

@@ -1,0 +1,171 @@
+"""The MCMC update where every measurement's target is known [D14 Alg. 1, K05].
+
+The last row of z is a target's label. With the samples x^r of the frame before, what is predicted is the mixture
+(1/M) Σ_r Π_t f(x_t | x_t^r), and what is sampled, (r, x) jointly,
+
+    p(r, x | z) ∝ Π_t f(x_t | x_t^r) g(z_t | x_t) · Π ψ(x_s, x_t)
+
+whose marginal of x is the exact posterior of that mixture. Two kinds of moves leave it as it is:
+
+* redraw: for one target, x_t' ~ f(·|x_t^r). What is left of the Hastings ratio is g(z_t|x_t') / g(z_t|x_t) and the
+  interaction: f stands in target and proposal, and need have no density.
+* another ancestor: r' ~ q, and all targets anew from f(·|x^r'). The ratio is that of Π g / q(r). `mcmc_ancestors` has q.
+
+With ancestors of their own a target's r_t is redrawn along with it, which makes of the mixture the product of every target's
+own (1/M) Σ_r f(x_t|x_t^r) [K05]. All proposals can then be drawn at once.
+
+A target whose label is new has N draws about its measurement, with what the sensor knows from it alone: the posterior
+under a flat prior of its position. In its first frame it takes no part in the interaction.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from phdtrack.errors import InputError
+from phdtrack.filters.mcmc_ancestors import Proposal, choose, proposals
+from phdtrack.filters.mcmc_linear import linear_parts
+from phdtrack.filters.mcmc_settings import Ancestry, Chain, effective_samples
+from phdtrack.kernels.mcmc_apart import total_penalty
+from phdtrack.kernels.mcmc_given import independent_chain, linear_chain
+from phdtrack.protocols import Model
+from phdtrack.sampling import draw
+from phdtrack.types import F8, I8, Bool, ChainInfo, GaussianMixture, JointSamples, UpdateInfo
+
+MOVES = ("redraw", "ancestor")
+
+
+def given_update(
+    chain: Chain, ancestry: Ancestry, state: JointSamples, z: F8, model: Model, rng: np.random.Generator
+) -> tuple[JointSamples, UpdateInfo]:
+    """Samples of the targets that ``z`` (m, n), labelled in its last row, names, and of nobody else."""
+    label = _labels(z)
+    order = np.argsort(label, kind="stable")
+    known = np.isin(label[order], state.label)
+    old, new = order[known], order[~known]
+    n, dim, count = len(order), model.motion.dim, chain.samples
+    origin = _of(state, np.searchsorted(state.label, label[old]))
+    none = np.zeros(1, np.int64)
+    everybody, info = np.empty((dim, n, count)), ChainInfo(MOVES[:1], none, none, float("nan"))
+    if len(old):
+        seen = np.ascontiguousarray(z[:, old])
+        kept, info = _run(chain, ancestry, origin, state.interval, seen, model, rng)
+        everybody[:, known] = kept.reshape(dim, len(old), count)
+    mean, cov = model.sensor.states(z[:, new])
+    born = draw(GaussianMixture(np.ones(len(new)), mean, cov), count, 1.0, rng)
+    everybody[:, ~known] = born.state.reshape(dim, len(new), count)
+    fresh = max(state.fresh, int(label.max(initial=-1)) + 1)
+    samples = JointSamples(everybody.reshape(dim, -1), np.ones((n, count)), label[order], fresh, np.zeros((dim, 0)))
+    number = np.eye(1, n + 1, n)[0]
+    return samples, UpdateInfo(float(n), float(len(new)), float(n), np.ones(n), np.zeros(n), 0, number, info)
+
+
+def _labels(z: F8) -> I8:
+    """(n,) the labels in the last row of ``z``."""
+    label: I8 = z[-1].astype(np.int64)
+    if (label != z[-1]).any() or len(np.unique(label)) < len(label) or (label < 0).any():
+        raise InputError(
+            f"expected in the last row of z one target's label each, whole numbers from 0, got {z[-1].tolist()}",
+            where="MCMC.associations=given",
+            cure="Put the labels below each measurement's components, or use associations=none",
+        )
+    return label
+
+
+def _of(state: JointSamples, place: I8) -> F8:
+    """The states that the targets at ``place`` are predicted from."""
+    n, count = state.chance.shape
+    before = state.origin if state.interval else state.state
+    return np.ascontiguousarray(before.reshape(len(before), n, count)[:, place].reshape(len(before), -1))
+
+
+def _run(
+    chain: Chain, ancestry: Ancestry, origin: F8, dt: float, z: F8, model: Model, rng: np.random.Generator
+) -> tuple[F8, ChainInfo]:
+    """The kept samples (d, n·N) of targets with states ``origin`` (d, n·M) in the frame before."""
+    n = z.shape[1]
+    if ancestry.greedy or not ancestry.joint:
+        kept, counts = each_chain(chain, ancestry, origin, dt, z, model, rng)
+    else:
+        switches = rng.random(chain.steps) < ancestry.switch
+        parts = linear_parts(model, z, dt) if chain.interaction.strength == 0 and dt > 0 else None
+        proposal = proposals(ancestry.informed, True, origin, dt, z, model, rng)[0]
+        if parts is None:
+            kept, counts = joint_chain(chain, switches, proposal, origin, dt, z, model, rng)
+        else:
+            kept, keep = np.empty((len(origin), n * chain.samples)), np.array([chain.burn, chain.thin])
+            counts = linear_chain(
+                origin, parts.z, parts.inverse, parts.step, parts.root, proposal.running, proposal.log, switches, keep,
+                rng, kept,
+            )  # fmt: skip
+    effective = effective_samples(kept[:2].reshape(2 * n, chain.samples))
+    return kept, ChainInfo(MOVES[: len(counts)], counts[:, 0], counts[:, 1], effective)
+
+
+def _moved(x: F8, dt: float, model: Model, rng: np.random.Generator) -> F8:
+    """Draws of f(·|x); of no time at all ``x`` itself."""
+    return model.motion.sample(np.ascontiguousarray(x), dt, rng) if dt else x
+
+
+def each_chain(
+    chain: Chain, ancestry: Ancestry, origin: F8, dt: float, z: F8, model: Model, rng: np.random.Generator
+) -> tuple[F8, I8]:
+    """Every target with ancestors of its own; any model [K05, D14 Alg. 1]."""
+    n, steps = z.shape[1], chain.steps
+    many = origin.shape[1] // n
+    # The chain starts at one proposal for each target.
+    target = np.concatenate([np.arange(n), rng.integers(n, size=steps)])
+    ancestor, log_proposal = np.empty(len(target), np.int64), np.empty(len(target))
+    informed = ancestry.informed and not ancestry.greedy
+    for t, proposal in enumerate(proposals(informed, False, origin, dt, z, model, rng)):
+        own = np.flatnonzero(target == t)
+        ancestor[own] = choose(proposal, rng.random(len(own)))
+        log_proposal[own] = proposal.log[ancestor[own]]
+    x = _moved(origin[:, target * many + ancestor], dt, model, rng)
+    weight = model.sensor.log_likelihood(z[:, target], x) - log_proposal
+    place = chain.interaction.places(x, model.sensor)
+    kept, accepted = independent_chain(
+        target[n:], weight[n:], -rng.standard_exponential(steps), weight[:n], place, chain.interaction.strength,
+        chain.interaction.boxes, ancestry.greedy, np.array([chain.burn, chain.thin]),
+    )  # fmt: skip
+    return np.ascontiguousarray(x[:, kept.ravel()]), np.array([[steps, accepted]])
+
+
+def joint_chain(
+    chain: Chain, switches: Bool, proposal: Proposal, origin: F8, dt: float, z: F8, model: Model, rng: np.random.Generator
+) -> tuple[F8, I8]:
+    """One ancestor for all targets, for any model: what `kernels.mcmc_given.linear_chain` does, in the open.
+
+    Slow, because what the next proposals are drawn from is known only when an ancestor has been accepted or not.
+    """
+    n, dim = z.shape[1], len(origin)
+    columns = np.arange(n) * (origin.shape[1] // n)
+    counts = np.zeros((2, 2), np.int64)
+    ancestor = int(choose(proposal, rng.random(1))[0])
+    now = _moved(origin[:, columns + ancestor], dt, model, rng)
+    fit, crowd = model.sensor.log_likelihood(z, now), _crowded(chain, now, model)
+    kept = np.empty((dim, n, chain.samples))
+    for s, switching in enumerate(switches.tolist()):
+        changed, source = np.array([rng.integers(n)]), ancestor
+        if switching:
+            changed, source = np.arange(n), int(choose(proposal, rng.random(1))[0])
+        new, fits = now.copy(), fit.copy()
+        new[:, changed] = _moved(origin[:, columns[changed] + source], dt, model, rng)
+        fits[changed] = model.sensor.log_likelihood(z[:, changed], new[:, changed])
+        crowds = _crowded(chain, new, model)
+        gain = (fits - fit).sum() - (crowds - crowd) - (proposal.log[source] - proposal.log[ancestor])
+        counts[int(switching), 0] += 1
+        if gain >= -rng.standard_exponential():
+            now, fit, crowd, ancestor = new, fits, crowds, source
+            counts[int(switching), 1] += 1
+        if s >= chain.burn and (s - chain.burn + 1) % chain.thin == 0:
+            kept[:, :, (s - chain.burn) // chain.thin] = now
+    return kept.reshape(dim, -1), counts
+
+
+def _crowded(chain: Chain, x: F8, model: Model) -> float:
+    """−log Π ψ of the targets at ``x`` (d, n) [K05 (5)]."""
+    interaction = chain.interaction
+    if interaction.strength == 0:
+        return 0.0
+    return interaction.strength * float(total_penalty(interaction.places(x, model.sensor), interaction.boxes))
