@@ -36,6 +36,10 @@ PAPERS = {
     "L20": "Luiten et al.: HOTA: a higher order metric for evaluating multi-object tracking. IJCV, 2020",
     "R16": "Ristani et al.: Performance measures and a data set for multi-target, multi-camera tracking. ECCV, 2016",
     "S08": "Schuhmacher, Vo, Vo: A consistent metric for performance evaluation of multi-object filters. IEEE TSP, 2008",
+    "K09": "Kasturi et al.: Framework for performance evaluation of face, text, and vehicle detection. PAMI 2009",
+    "B17": "Beard, Vo, Vo: OSPA(2): Using the OSPA metric to evaluate multi-target tracking performance. ICCAIS 2017",
+    "B20": "Beard, Vo, Vo: A solution for large-scale multi-object tracking. IEEE Trans. Signal Processing, 2020",
+    "G20": "García-Fernández, Rahmathullah, Svensson: A metric on the space of finite sets of trajectories. IEEE TSP, 2020",
     "G17": "Rahmathullah, García-Fernández, Svensson: Generalized optimal sub-pattern assignment metric. FUSION 2017",
 }
 Documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef

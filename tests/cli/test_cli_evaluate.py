@@ -18,6 +18,9 @@ KEYS = [
     "HOTA",
     "OSPA",
     "GOSPA",
+    "OSPA2",
+    "SFDA",
+    "ATA",
     "id_switches",
     "misses",
     "false_positives",
@@ -60,6 +63,24 @@ def test_the_table_is_for_people(truth: Path) -> None:
     assert set(KEYS) <= set(lines)
     assert lines["MOTA"] == "1.000"
     assert lines["frames"] == "40"
+
+
+def test_t_gospa_is_asked_for(truth: Path, tmp_path: Path) -> None:
+    """Three walkers over 40 frames; one track is cut in two, which costs γ, and one is lost."""
+    rows = [line.split(",") for line in truth.read_text().split()]
+    names = sorted({row[1] for row in rows})
+    changed = [[f, "99" if i == names[0] and int(f) > 20 else i, *rest] for f, i, *rest in rows if i != names[1]]
+    tracks = tmp_path / "tracks.txt"
+    tracks.write_text("\n".join(",".join(row) for row in changed))
+    found = phdtrack("evaluate", "--truth", truth, "--tracks", tracks, "--t-gospa", "--json").object
+    assert found["TGOSPA_switching"] == pytest.approx(1 / 40)
+    assert found["TGOSPA_missed"] == pytest.approx(found["misses"] / 2 / 40)
+    assert (found["TGOSPA_localisation"], found["TGOSPA_false"]) == pytest.approx((0, 0), abs=1e-9)
+    assert found["TGOSPA"] == pytest.approx(found["GOSPA"] + 1 / 40)
+    said = phdtrack("evaluate", "--truth", truth, "--tracks", tracks, "--t-gospa")
+    lines = {line.split()[0]: line.split()[1] for line in said.out.splitlines() if line[:1].isalpha()}
+    assert lines["TGOSPA"] == f"{found['TGOSPA']:.3f}"
+    assert "TGOSPA" not in phdtrack("evaluate", "--truth", truth, "--tracks", tracks, "--json").object
 
 
 def test_frames_without_any_box_count_where_seqinfo_names_them(truth: Path) -> None:

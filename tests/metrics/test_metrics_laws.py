@@ -17,7 +17,7 @@ from phdtrack.types import Tracks, Truth
 
 NONE = Truth(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), np.zeros(0, np.bool_))
 SHARES = ["MODA", "N_MODA", "MODP", "MOTA", "MOTA_log", "MOTP", "IDF1", "HOTA"]
-NAMES = [*SHARES, "OSPA", "GOSPA", "id_switches", "misses", "false_positives", "fragments", "frames"]
+NAMES = [*SHARES, "OSPA", "GOSPA", "OSPA2", "SFDA", "ATA", "id_switches", "misses", "false_positives", "fragments", "frames"]
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -63,9 +63,9 @@ def test_perfect_output(seed: int, distractors: bool):
     # A person under a distractor of exactly her size would be taken out with it: keep them apart.
     truth = truth_of(truth.frame, truth.identity, truth.xyxy + 1000 * truth.distractor[:, None], truth.distractor)
     scores = evaluate(truth, perfect(truth))
-    for name in (*SHARES, "DetA", "AssA", "IDP", "IDR"):
+    for name in (*SHARES, "SFDA", "ATA", "ATA_matched", "DetA", "AssA", "IDP", "IDR"):
         close(getattr(scores, name), 1, 1e-12)
-    for name in ("OSPA", "GOSPA", "count_error_mean", "count_error_rms", "delay_mean"):
+    for name in ("OSPA", "GOSPA", "OSPA2", "count_error_mean", "count_error_rms", "delay_mean"):
         close(getattr(scores, name), 0, 1e-12)
     assert (scores.id_switches, scores.misses, scores.false_positives, scores.false_tracks) == (0, 0, 0, 0)
 

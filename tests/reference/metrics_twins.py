@@ -153,3 +153,66 @@ def tgospa_power(distance, there, given, c: float, p: float, gamma: float) -> fl
 
 def _mean(values: list[float]) -> float:
     return math.fsum(values) / len(values) if values else math.nan
+
+
+def track_distance(distance, there, given, c: float, q: float) -> float:
+    """OSPA(2)'s distance between two trajectories over the frames given: lists over the frames; c where one is absent."""
+    costs = []
+    for d, t, o in zip(distance, there, given, strict=True):
+        if t and o:
+            costs.append(min(d, c) ** q)
+        elif t or o:
+            costs.append(c**q)
+    return (math.fsum(costs) / len(costs)) ** (1 / q)
+
+
+def ospa2(distance, there, given, c: float, p: float, q: float) -> float:
+    """OSPA(2) over all frames: OSPA between the trajectories that are present, by `track_distance`."""
+    frames = range(len(distance))
+    t = [i for i in range(len(there[0])) if any(there[k][i] for k in frames)]
+    o = [j for j in range(len(given[0])) if any(given[k][j] for k in frames)]
+    base = [
+        [
+            track_distance(
+                [distance[k][i][j] for k in frames], [there[k][i] for k in frames], [given[k][j] for k in frames], c, q
+            )
+            for j in o
+        ]
+        for i in t
+    ]
+    return ospa(base, len(t), len(o), c, p)
+
+
+def sfda(truth, tracks) -> float:
+    """Mean FDA over the frames that hold a box on either side."""
+    gt, out = by_frame(truth), by_frame(tracks)
+    values = []
+    for k in sorted(set(gt) | set(out)):
+        t, o = [box for _, box in gt.get(k, [])], [box for _, box in out.get(k, [])]
+        best = max(math.fsum(overlap(t[i], o[j]) for i, j in pairs) for pairs in partial_mappings(len(t), len(o)))
+        values.append(best / ((len(t) + len(o)) / 2))
+    return _mean(values)
+
+
+def ata(truth, tracks, threshold: float | None = None) -> float:
+    """ATA; with a threshold the relaxed form, which counts a frame as 1 or 0."""
+    gt, out = _lives(truth), _lives(tracks)
+    share = []
+    for a in gt.values():
+        row = []
+        for b in out.values():
+            together = [overlap(a[k], b[k]) for k in set(a) & set(b)]
+            if threshold is not None:
+                together = [float(v >= threshold) for v in together]
+            row.append(math.fsum(together) / len(set(a) | set(b)))
+        share.append(row)
+    stda = max(math.fsum(share[i][j] for i, j in pairs) for pairs in partial_mappings(len(gt), len(out)))
+    return stda / ((len(gt) + len(out)) / 2)
+
+
+def _lives(rows) -> dict[int, dict[int, Box]]:
+    lives: dict[int, dict[int, Box]] = {}
+    for frame, found in by_frame(rows).items():
+        for name, box in found:
+            lives.setdefault(name, {})[frame] = box
+    return lives

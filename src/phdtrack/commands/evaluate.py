@@ -9,7 +9,7 @@ import typer
 
 from phdtrack.commands.options import Iou, Json
 from phdtrack.commands.output import Output
-from phdtrack.commands.scoring import check_iou, score_table
+from phdtrack.commands.scoring import check_iou, score_table, trajectory_scores, trajectory_table
 
 
 def evaluate(
@@ -27,6 +27,12 @@ def evaluate(
             help="Number of frames; 0: as seqinfo.ini by the truth says, or up to the last box.",
         ),
     ] = 0,
+    t_gospa: Annotated[
+        bool,
+        typer.Option(
+            "--t-gospa", help="T-GOSPA too: switches and breaks in one distance; takes seconds to minutes on long sequences."
+        ),
+    ] = False,
     json: Json = False,
 ) -> None:
     """Score tracks against annotated objects.
@@ -47,4 +53,7 @@ def evaluate(
     out.say(f"{tracks} against {truth}: {scores.frames} frames, {scores.truth_objects} objects, match from IoU {iou:g}")
     out.say()
     score_table(out, [("", scores)])
-    out.document(scores.as_dict())
+    whole = trajectory_scores(annotated, given, scores.frames) if t_gospa else {}
+    if whole:
+        trajectory_table(out, whole)
+    out.document({**scores.as_dict(), **whole})

@@ -10,6 +10,7 @@ from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
     from phdtrack.metrics import Scores
+    from phdtrack.types import Tracks, Truth
 
 # In the order of the table: the key of `Scores.as_dict`, and what it says.
 EXPLAINED = (
@@ -23,6 +24,9 @@ EXPLAINED = (
     ("HOTA", "detection and association in one"),
     ("OSPA", "distance on boxes 1 − IoU, c = 1, p = 1; lower is better"),
     ("GOSPA", "the same base, c = 1, p = 1, α = 2; lower is better"),
+    ("OSPA2", "the same base between whole tracks; lower is better"),
+    ("SFDA", "overlap of boxes, misses and false ones as 0, mean over frames"),
+    ("ATA", "overlap of whole tracks, misses and false ones as 0"),
     ("id_switches", "an object's identity changed"),
     ("misses", "annotated boxes without a track"),
     ("false_positives", "track boxes without an annotation"),
@@ -30,6 +34,13 @@ EXPLAINED = (
     ("false_tracks", "tracks that follow nobody"),
     ("delay_mean", "frames from an object's appearance to its first track box"),
     ("frames", "frames scored"),
+)
+BY_TRAJECTORY = (
+    ("TGOSPA", "GOSPA of whole tracks per frame, a switch costs γ = 1; lower is better"),
+    ("TGOSPA_localisation", "its part for how boxes lie"),
+    ("TGOSPA_missed", "its part for misses"),
+    ("TGOSPA_false", "its part for false boxes"),
+    ("TGOSPA_switching", "its part for switches, and for tracks that break off while their object goes on"),
 )
 
 
@@ -44,3 +55,17 @@ def score_table(out: Output, runs: Sequence[tuple[str, Scores]]) -> None:
     columns = [scores.as_dict() for _, scores in runs]
     rows = [[key, *(number(column[key]) for column in columns), meaning] for key, meaning in EXPLAINED]
     out.table(["", *(title for title, _ in runs), ""], rows, words=(0, len(runs) + 1))
+
+
+def trajectory_scores(truth: Truth, tracks: Tracks, frames: int) -> dict[str, float]:
+    """T-GOSPA and its parts by the keys of `BY_TRAJECTORY`, per frame of the sequence."""
+    from phdtrack.metrics import tgospa_boxes
+
+    parts = tgospa_boxes(truth, tracks, frames=frames)
+    values = (parts.distance, parts.localisation, parts.missed, parts.false, parts.switching)
+    return {key: value / max(frames, 1) for (key, _), value in zip(BY_TRAJECTORY, values, strict=True)}
+
+
+def trajectory_table(out: Output, found: dict[str, float]) -> None:
+    """The same as a table."""
+    out.table(["", "", ""], [[key, number(found[key]), meaning] for key, meaning in BY_TRAJECTORY], words=(0, 2))

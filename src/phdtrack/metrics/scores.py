@@ -2,7 +2,8 @@
 
 `evaluate` scores one sequence; `pool` adds the sums behind several such results and forms the scores again, which is not
 the mean of the scores: MODA is the mean over the frames of all sequences, N_MODA, MOTA, IDF1 and HOTA are pooled as in
-TrackEval's combined row, OSPA and GOSPA are means over all frames.
+TrackEval's combined row, OSPA and GOSPA are means over all frames, SFDA over those that hold a box; ATA and OSPA2 are those
+of the sequences one after the other, with new identities in each.
 
 A score whose denominator is empty is NaN, never 0 or 1 by convention: MOTA without truth, MOTP without a mapped pair.
 """
@@ -22,6 +23,7 @@ from phdtrack.metrics.matching import detection_mapping, tracking_mapping
 from phdtrack.metrics.scene import Scene, build
 from phdtrack.metrics.sets import SetCounts, count_sets
 from phdtrack.metrics.sums import total
+from phdtrack.metrics.vace import TrackCounts, count_whole_tracks
 from phdtrack.types import Tracks, Truth
 
 
@@ -44,6 +46,7 @@ class Counts:
     hota: HotaCounts
     sets: SetCounts
     lifetimes: LifetimeCounts
+    tracks: TrackCounts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +66,9 @@ class Scores:
     HOTA: float
     OSPA: float
     GOSPA: float
+    OSPA2: float
+    SFDA: float
+    ATA: float
     id_switches: int
     misses: int
     false_positives: int
@@ -73,6 +79,7 @@ class Scores:
     IDP: float
     IDR: float
     N_MODA_detection: float
+    ATA_matched: float
     truth_boxes: int
     output_boxes: int
     matches: int
@@ -133,6 +140,7 @@ def count(scene: Scene, iou: float) -> Counts:
         hota=count_hota(scene),
         sets=count_sets(scene),
         lifetimes=count_lifetimes(scene, tracking),
+        tracks=count_whole_tracks(scene, iou),
     )
 
 
@@ -170,6 +178,9 @@ def scores_of(counts: Counts, settings: Settings) -> Scores:
         HOTA=counts.hota.hota(),
         OSPA=sets.ospa(),
         GOSPA=sets.gospa(),
+        OSPA2=counts.tracks.ospa2(),
+        SFDA=sets.sfda(),
+        ATA=counts.tracks.ata(),
         id_switches=tracking.switches,
         misses=tracking.misses,
         false_positives=tracking.false_positives,
@@ -180,6 +191,7 @@ def scores_of(counts: Counts, settings: Settings) -> Scores:
         IDP=names.precision(),
         IDR=names.recall(),
         N_MODA_detection=boxes.n_moda(*costs),
+        ATA_matched=counts.tracks.ata_matched(),
         truth_boxes=tracking.truth_boxes,
         output_boxes=names.output_boxes,
         matches=tracking.matches,
