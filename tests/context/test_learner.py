@@ -117,6 +117,14 @@ def test_the_grids_of_the_paper_thin_out(case):
     assert found.uniform < 0.05
 
 
+def test_a_few_samples_in_one_place_leave_nothing_elsewhere():
+    p = known(4)
+    samples = p.mean[:, :1] + 2 * np.random.default_rng(3).standard_normal((4, 20))
+    found = RecursiveEM().learn(begin(p, (16, 14), samples), samples)
+    assert len(found) == 1
+    assert found.mean[:, 0] == pytest.approx(samples.mean(axis=1), abs=0.5)
+
+
 def test_is_the_same_for_the_same_samples_and_changes_nothing_given():
     dim, counts, n = CASES["births"]
     p = known(dim)

@@ -22,29 +22,32 @@ def test_a_mark_is_there_and_can_be_taken_back(store):
     store.mark(10, false(10, 0, 3))
     store.mark(10, [Label(10, 3, "none"), Label(10, 5, "birth")])
     assert store.labels() == [Label(10, 0, "false"), Label(10, 5, "birth")]
-    assert store.undo(10)
+    assert store.steps(10) == (2, 0)
+    store.undo(10)
     assert store.labels() == false(10, 0, 3)
-    assert store.undo(10)
+    store.undo(10)
     assert store.labels() == []
-    assert not store.undo(10)
-    assert store.redo(10)
-    assert store.redo(10)
-    assert not store.redo(10)
+    store.undo(10)
+    assert store.steps(10) == (0, 2)
+    store.redo(10)
+    store.redo(10)
+    store.redo(10)
+    assert store.steps(10) == (2, 0)
     assert store.labels(10) == [Label(10, 0, "false"), Label(10, 5, "birth")]
 
 
 def test_undoing_belongs_to_a_frame(store):
     store.mark(10, false(10, 1))
     store.mark(20, false(20, 2))
-    assert not store.undo(30)
-    assert store.undo(10)
+    store.undo(30)
+    store.undo(10)
     assert store.labels() == false(20, 2)
 
 
 def test_one_action_may_reach_over_frames(store):
     store.mark(10, false(10, 1) + false(20, 4) + false(30, 0))
     assert len(store.labels()) == 3
-    assert store.undo(10)
+    store.undo(10)
     assert store.labels() == []
 
 
@@ -52,10 +55,10 @@ def test_what_was_undone_does_not_return_after_something_new(store):
     store.mark(10, false(10, 1))
     store.undo(10)
     store.mark(10, false(10, 2))
-    assert not store.redo(10)
+    store.redo(10)
     assert store.labels() == false(10, 2)
-    assert store.undo(10)
-    assert store.redo(10)
+    store.undo(10)
+    store.redo(10)
     assert store.labels() == false(10, 2)
 
 
@@ -94,6 +97,27 @@ def test_wrong_marks_change_nothing(store):
     assert store.labels() == []
     with sqlite3.connect(store.path) as db:
         assert db.execute("SELECT count(*) FROM action").fetchone() == (0,)
+
+
+def test_what_is_sent_twice_counts_once(store):
+    for _ in range(2):
+        store.mark(10, false(10, 1), key="a")
+    store.mark(10, false(10, 2), key="b")
+    for _ in range(2):
+        store.undo(10, key="c")
+    assert store.labels() == false(10, 1)
+    store.mark(10, false(10, 7), key="c")
+    assert store.labels() == false(10, 1)
+    for done in (True, False):
+        store.finish(10, done, key="d")
+    assert store.progress().done == 1
+
+
+def test_a_key_of_what_failed_may_be_used_again(store):
+    with pytest.raises(InputError):
+        store.mark(10, [Label(10, 0, "maybe")], key="a")
+    store.mark(10, false(10, 0), key="a")
+    assert store.labels() == false(10, 0)
 
 
 def test_many_people_at_once_lose_no_click(store):

@@ -70,7 +70,7 @@ class RecursiveEM:
         if n == 0:
             return density
         tau = parameters(d) / 2
-        passes = self.passes or _passes(n, tau)
+        passes = self.passes or _passes(n, len(density), tau)
         rng = np.random.default_rng(self.seed)
         order = np.concatenate([rng.permutation(n) for _ in range(passes + min(passes, _SETTLING))])
         weight, mean, cov = density.weight.copy(), np.ascontiguousarray(density.mean.T), density.covariance.copy()
@@ -112,9 +112,12 @@ def grid(
     return ContextDensity(low, high, uniform, np.full(m, 1 / m), mean, np.tile(np.diag(deviation**2), (m, 1, 1)))
 
 
-def _passes(n: int, tau: float) -> int:
-    """Passes over n samples after which of two equal components one has gone: their weights part like exp(2τk/n)."""
-    return min(max(20, math.ceil(1.5 * n / tau)), max(5, _MOST // n))
+def _passes(n: int, components: int, tau: float) -> int:
+    """Passes over n samples after which what explains nothing has gone, and of two equal components one.
+
+    The first takes the memory of the slowest rate, 2Mτ samples; the weights of equal ones part like exp(2τk/n).
+    """
+    return min(max(20, math.ceil(6 * components * tau / n), math.ceil(1.5 * n / tau)), max(5, _MOST // n))
 
 
 def _fit(density: ContextDensity, samples: F8) -> None:

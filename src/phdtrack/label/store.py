@@ -3,6 +3,9 @@
 A file is a list of actions, each of one or more marks; nothing is ever overwritten. What a box is, is said by the last
 mark on it whose action is not undone. So undoing is a flag, two people who mark the same box both keep their click, and the
 later one counts.
+
+A page that does not know whether its click arrived sends it again. So everything that changes a file may carry a ``key``,
+and what carries one that the file has seen changes nothing.
 """
 
 from __future__ import annotations
@@ -36,6 +39,7 @@ CREATE TABLE IF NOT EXISTS mark (
     action INTEGER NOT NULL REFERENCES action (id), frame INTEGER NOT NULL, box INTEGER NOT NULL, mark TEXT NOT NULL,
     PRIMARY KEY (action, frame, box)
 ) STRICT;
+CREATE TABLE IF NOT EXISTS told (key TEXT PRIMARY KEY) STRICT;
 CREATE INDEX IF NOT EXISTS mark_by_box ON mark (frame, box, action);
 """
 # SQLite takes the columns beside max(…) from the row that has the maximum.
@@ -94,33 +98,39 @@ class LabelStore:
             raise InputError(f"cannot be used as a file of labels ({error})", where=path) from None
         return store
 
-    def mark(self, frame: int, marks: Iterable[Label], who: str = "") -> int:
-        """Keep the ``marks`` that somebody made while looking at ``frame``, as one action; its number."""
+    def mark(self, frame: int, marks: Iterable[Label], who: str = "", key: str = "") -> None:
+        """Keep the ``marks`` that somebody made while looking at ``frame``, as one action."""
         rows = list(marks)
         if not rows:
             raise InputError("expected a mark or more", where=f"frame {frame}")
         for row in rows:
             if row.mark not in MARKS or row.box < 0:
                 raise InputError(f"expected one of {', '.join(MARKS)} on a box from 0, got {row.mark!r} on {row.box}")
-        with self._connection() as db, db:
+        with self._change(key) as db:
             number = db.execute("INSERT INTO action (frame, who) VALUES (?, ?)", (frame, who)).lastrowid
             # What was undone before is gone for good once something new was done: redoing would mix the two.
             db.execute("UPDATE action SET undone = 2 WHERE frame = ? AND undone = 1", (frame,))
             db.executemany("INSERT INTO mark VALUES (?, ?, ?, ?)", [(number, m.frame, m.box, m.mark) for m in rows])
-        return int(number or 0)
 
-    def undo(self, frame: int) -> bool:
-        """Take back the last action made on ``frame``; whether there was one."""
-        return self._turn(frame, "SELECT max(id) FROM action WHERE frame = ? AND undone = 0", 1)
+    def undo(self, frame: int, key: str = "") -> None:
+        """Take back the last action made on ``frame``, if there is one."""
+        self._turn("SELECT max(id) FROM action WHERE frame = ? AND undone = 0", frame, 1, key)
 
-    def redo(self, frame: int) -> bool:
-        """Make the last undone action on ``frame`` count again; whether there was one."""
-        return self._turn(frame, "SELECT min(id) FROM action WHERE frame = ? AND undone = 1", 0)
+    def redo(self, frame: int, key: str = "") -> None:
+        """Make the action on ``frame`` that was undone last count again, if there is one."""
+        self._turn("SELECT min(id) FROM action WHERE frame = ? AND undone = 1", frame, 0, key)
 
-    def finish(self, frame: int, done: bool = True) -> None:
+    def finish(self, frame: int, done: bool = True, key: str = "") -> None:
         """Say that ``frame`` has been looked at, or has not after all. A frame without false boxes is one too."""
-        with self._connection() as db, db:
+        with self._change(key) as db:
             db.execute("UPDATE frame SET done = ? WHERE number = ?", (int(done), frame))
+
+    def steps(self, frame: int) -> tuple[int, int]:
+        """How many actions on ``frame`` can be undone and redone."""
+        question = "SELECT coalesce(sum(undone = 0), 0), coalesce(sum(undone = 1), 0) FROM action WHERE frame = ?"
+        with self._connection() as db:
+            undo, redo = db.execute(question, (frame,)).fetchone()
+        return int(undo), int(redo)
 
     def labels(self, frame: int | None = None) -> list[Label]:
         """What every marked box is, or those of one ``frame``; boxes marked as ``none`` again are not listed."""
@@ -150,11 +160,29 @@ class LabelStore:
             writer.writerows((label.frame, label.box, label.mark) for label in labels)
         return len(labels)
 
-    def _turn(self, frame: int, which: str, undone: int) -> bool:
-        with self._connection() as db, db:
+    def _turn(self, which: str, frame: int, undone: int, key: str) -> None:
+        with self._change(key) as db:
             (number,) = db.execute(which, (frame,)).fetchone()
             db.execute("UPDATE action SET undone = ? WHERE id = ?", (undone, number))
-        return number is not None
+
+    @contextmanager
+    def _change(self, key: str) -> Iterator[sqlite3.Connection]:
+        """A connection for one change, kept when the block ends; undone where ``key`` has been seen before."""
+        with self._connection() as db:
+            # From the start alone with the file: what is read first must still hold when it is written.
+            db.execute("BEGIN IMMEDIATE")
+            seen = key and db.execute("SELECT 1 FROM told WHERE key = ?", (key,)).fetchone()
+            try:
+                if key and not seen:
+                    db.execute("INSERT INTO told VALUES (?)", (key,))
+                yield db
+            except BaseException:
+                db.rollback()
+                raise
+            if seen:
+                db.rollback()
+            else:
+                db.commit()
 
     @contextmanager
     def _connection(self) -> Iterator[sqlite3.Connection]:

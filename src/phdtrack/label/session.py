@@ -1,0 +1,167 @@
+"""What a person who labels looks at: stills with their detections, boxes like the one at hand, what was learned so far."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from phdtrack.boxes import iou, to_cxcywh
+from phdtrack.context import ContextDensity, RecursiveEM, marginal
+from phdtrack.context.learning import learn_clutter
+from phdtrack.errors import InputError
+from phdtrack.label.store import Label, LabelStore
+from phdtrack.types import F8, DetectionTable, Image, SequenceInfo
+
+# Two boxes are in the same place and of the same size at this overlap (IoU).
+ALIKE = 0.5
+_FEWEST = 10
+_MAP_WIDTH = 320
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Session:
+    """One labelling: ``store`` keeps the marks, ``table`` has the detections, ``stills`` the frames as JPEG by number.
+
+    Frames without a picture are shown on grey.
+    """
+
+    store: LabelStore
+    table: DetectionTable
+    stills: Mapping[int, bytes]
+    info: SequenceInfo
+
+    def overview(self) -> dict[str, object]:
+        """Size, name, the frames with how far each is, and the progress."""
+        progress = self.store.progress()
+        return {
+            "name": self.info.name,
+            "width": self.info.width,
+            "height": self.info.height,
+            "frames": [{"number": number, "done": done} for number, done in self.store.frames()],
+            "progress": {
+                "done": progress.done,
+                "frames": progress.frames,
+                "false": progress.false,
+                "births": progress.births,
+            },
+        }
+
+    def frame(self, number: int) -> dict[str, object]:
+        """The boxes of a frame (left, top, right, bottom, score), their marks by index, and what can be undone."""
+        found = self.table.at(self._known(number))
+        undo, redo = self.store.steps(number)
+        return {
+            "number": number,
+            "boxes": np.column_stack([found.xyxy, found.confidence]).round(2).tolist(),
+            "marks": {str(label.box): label.mark for label in self.store.labels(number)},
+            "undo": undo,
+            "redo": redo,
+            "picture": number in self.stills,
+        }
+
+    def still(self, number: int) -> bytes:
+        """The picture of a frame as JPEG."""
+        return self.stills[number] if number in self.stills else _jpeg(self._grey())
+
+    def crop(self, number: int, box: int, side: int = 96) -> bytes:
+        """The picture of one detection with some of its surroundings as JPEG, at most ``side`` pixels on a side."""
+        left, top, right, bottom = self._box(number, box)
+        margin = 0.2 * max(right - left, bottom - top)
+        image = self._picture(number)
+        height, width = image.shape[:2]
+        rows = slice(max(0, int(top - margin)), min(height, int(bottom + margin) + 1))
+        columns = slice(max(0, int(left - margin)), min(width, int(right + margin) + 1))
+        part = image[rows, columns]
+        if part.size == 0:
+            part = self._grey()[:side, :side]
+        scale = side / max(part.shape[:2])
+        size = (max(1, round(part.shape[1] * scale)), max(1, round(part.shape[0] * scale)))
+        return _jpeg(cv2.resize(part, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR))
+
+    def alike(self, number: int, box: int) -> list[tuple[int, int]]:
+        """(frame, box) of the unmarked detections on all frames to label that lie where this one does, itself included."""
+        this = self._box(number, box)
+        marked = {(label.frame, label.box) for label in self.store.labels()}
+        found = []
+        for other, _ in self.store.frames():
+            near = np.flatnonzero(iou(this[None], self.table.at(other).xyxy)[0] >= ALIKE)
+            found += [(other, int(k)) for k in near if (other, int(k)) not in marked]
+        return found
+
+    def false_boxes(self) -> F8:
+        """(4, n) centres and sizes of all boxes marked as false."""
+        marked = [label for label in self.store.labels() if label.mark == "false"]
+        boxes = [self.table.at(label.frame).xyxy[label.box] for label in marked]
+        return to_cxcywh(np.array(boxes).reshape(-1, 4))
+
+    def clutter_map(self) -> bytes:
+        """What was learned of the false alarms' places so far, as PNG: red where they are likely, clear where not."""
+        scale = min(1.0, _MAP_WIDTH / self.info.width)
+        shape = (max(1, round(self.info.height * scale)), max(1, round(self.info.width * scale)))
+        picture = np.zeros((*shape, 4), np.uint8)
+        boxes, progress = self.false_boxes(), self.store.progress()
+        if boxes.shape[1] >= _FEWEST:
+            size = (float(self.info.width), float(self.info.height))
+            density = learn_clutter(boxes, max(1, progress.done), size, RecursiveEM()).learned.density
+            picture[..., :3] = (40, 40, 220)
+            picture[..., 3] = (200 * _places(density, shape, 1 / scale)).astype(np.uint8)
+        done, data = cv2.imencode(".png", picture)
+        assert done
+        return data.tobytes()
+
+    def checked(self, marks: Sequence[Label]) -> Sequence[Label]:
+        """The marks, if all are on detections that exist. Raises `InputError` where not."""
+        for label in marks:
+            self._box(label.frame, label.box)
+        return marks
+
+    def _known(self, number: int) -> int:
+        if number not in {known for known, _ in self.store.frames()}:
+            raise InputError(f"frame {number} is not one of those to label")
+        return number
+
+    def _box(self, number: int, box: int) -> F8:
+        found = self.table.at(self._known(number)).xyxy
+        if not 0 <= box < len(found):
+            raise InputError(f"frame {number} has {len(found)} detections, and no number {box}")
+        one: F8 = found[box]
+        return one
+
+    def _picture(self, number: int) -> Image:
+        if number not in self.stills:
+            return self._grey()
+        image = cv2.imdecode(np.frombuffer(self.stills[number], np.uint8), cv2.IMREAD_COLOR)
+        assert image is not None
+        return np.asarray(image, np.uint8)
+
+    def _grey(self) -> Image:
+        return np.full((self.info.height, self.info.width, 3), 96, np.uint8)
+
+
+def sampled(last: int, count: int, seed: int) -> list[int]:
+    """``count`` of the frames 1 … last, or all where there are fewer, drawn at random and in random order."""
+    rng = np.random.default_rng(seed)
+    return [int(number) for number in rng.permutation(last)[:count] + 1]
+
+
+def _places(p: ContextDensity, shape: tuple[int, int], step: float) -> F8:
+    """(H, W) how much of the learned Gaussians lies at each place, all sizes together; the most likely place has 1."""
+    down, across = np.meshgrid((np.arange(shape[0]) + 0.5) * step, (np.arange(shape[1]) + 0.5) * step, indexing="ij")
+    # A false alarm is seen as a box and not as its centre: a quarter of the size is added as deviation.
+    cov = p.covariance.copy()
+    for axis in range(2):
+        cov[:, axis, axis] += (0.25 * p.mean[2 + axis]) ** 2
+    place = marginal(replace(p, covariance=cov), (0, 1))
+    parts = np.exp(place.parts(np.stack([across.ravel(), down.ravel()]))[1:]).sum(axis=0)
+    # Square root: a place a quarter as likely as the worst is still plain to see.
+    relative: F8 = np.sqrt(parts / max(parts.max(initial=0.0), 1e-300)).reshape(shape)
+    return relative
+
+
+def _jpeg(image: Image) -> bytes:
+    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])
+    assert done
+    return data.tobytes()

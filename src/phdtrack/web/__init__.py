@@ -1,0 +1,1 @@
+"""Pages on which people work with phdtrack: server-rendered, ES modules, nothing from elsewhere."""

@@ -1,0 +1,151 @@
+// The picture with its boxes on a canvas: where it lies, what is under the cursor, what is drawn.
+
+const COLOUR = { none: "#ffd23e", false: "#ff3b30", birth: "#2fd573" };
+const LARGEST = 40;
+
+export class View {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.context = canvas.getContext("2d");
+    this.frame = null;
+    this.picture = null;
+    this.hidden = false;
+    this.chosen = -1;
+    this.lasso = [];
+    this.zoom = 1;
+    this.pan = [0, 0];
+    this.pending = false;
+    new ResizeObserver(() => this.draw()).observe(canvas);
+  }
+
+  show(frame, picture, size) {
+    this.frame = frame;
+    this.picture = picture;
+    this.size = size;
+    this.chosen = -1;
+    this.lasso = [];
+    // The smallest first: that is the one a click means.
+    const area = ([left, top, right, bottom]) => (right - left) * (bottom - top);
+    this.order = frame.boxes.map((_, k) => k).sort((a, b) => area(frame.boxes[a]) - area(frame.boxes[b]));
+    this.draw();
+  }
+
+  get scale() {
+    const { clientWidth, clientHeight } = this.canvas;
+    return Math.min(clientWidth / this.size.width, clientHeight / this.size.height) * this.zoom;
+  }
+
+  get origin() {
+    const { clientWidth, clientHeight } = this.canvas;
+    return [
+      (clientWidth - this.size.width * this.scale) / 2 + this.pan[0],
+      (clientHeight - this.size.height * this.scale) / 2 + this.pan[1],
+    ];
+  }
+
+  // From the canvas to the picture.
+  at(event) {
+    const { left, top } = this.canvas.getBoundingClientRect();
+    const [x, y] = this.origin;
+    return [(event.clientX - left - x) / this.scale, (event.clientY - top - y) / this.scale];
+  }
+
+  zoomBy(factor, event) {
+    const zoom = Math.min(LARGEST, Math.max(1, this.zoom * factor));
+    if (event) {
+      const [x, y] = this.at(event);
+      const before = [this.origin[0] + x * this.scale, this.origin[1] + y * this.scale];
+      this.zoom = zoom;
+      this.pan[0] += before[0] - (this.origin[0] + x * this.scale);
+      this.pan[1] += before[1] - (this.origin[1] + y * this.scale);
+    } else this.zoom = zoom;
+    if (zoom === 1) this.pan = [0, 0];
+    this.draw();
+  }
+
+  under([x, y]) {
+    return this.order.filter((k) => {
+      const [left, top, right, bottom] = this.frame.boxes[k];
+      return left <= x && x <= right && top <= y && y <= bottom;
+    });
+  }
+
+  // Boxes whose centre lies in the lasso.
+  caught() {
+    const path = this.lasso;
+    return this.frame.boxes.flatMap(([left, top, right, bottom], k) => {
+      const [x, y] = [(left + right) / 2, (top + bottom) / 2];
+      let inside = false;
+      for (let i = 0, j = path.length - 1; i < path.length; j = i++) {
+        const [[xi, yi], [xj, yj]] = [path[i], path[j]];
+        if (yi > y !== yj > y && x < ((xj - xi) * (y - yi)) / (yj - yi) + xi) inside = !inside;
+      }
+      return inside ? [k] : [];
+    });
+  }
+
+  draw() {
+    if (this.pending || !this.frame) return;
+    this.pending = true;
+    requestAnimationFrame(() => {
+      this.pending = false;
+      this.paint();
+    });
+  }
+
+  paint() {
+    const ratio = devicePixelRatio || 1;
+    const { clientWidth, clientHeight } = this.canvas;
+    const [width, height] = [Math.round(clientWidth * ratio), Math.round(clientHeight * ratio)];
+    if (this.canvas.width !== width || this.canvas.height !== height) [this.canvas.width, this.canvas.height] = [width, height];
+    const c = this.context;
+    const [x, y] = this.origin;
+    c.setTransform(1, 0, 0, 1, 0, 0);
+    c.clearRect(0, 0, width, height);
+    c.setTransform(ratio * this.scale, 0, 0, ratio * this.scale, ratio * x, ratio * y);
+    if (this.picture) c.drawImage(this.picture, 0, 0, this.size.width, this.size.height);
+    if (!this.hidden) this.boxes(c, 1 / this.scale);
+    if (this.lasso.length > 1) {
+      c.beginPath();
+      for (const [px, py] of this.lasso) c.lineTo(px, py);
+      c.closePath();
+      c.fillStyle = "#ffffff33";
+      c.fill();
+      c.lineWidth = 1 / this.scale;
+      c.strokeStyle = "#fff";
+      c.stroke();
+    }
+  }
+
+  // One path for all boxes of a colour: a thousand boxes are three strokes.
+  boxes(c, pixel) {
+    for (const [mark, colour] of Object.entries(COLOUR)) {
+      c.beginPath();
+      this.frame.boxes.forEach(([left, top, right, bottom], k) => {
+        if ((this.frame.marks[k] ?? "none") !== mark) return;
+        c.rect(left, top, right - left, bottom - top);
+        if (mark === "false") {
+          c.moveTo(left, top);
+          c.lineTo(right, bottom);
+          c.moveTo(right, top);
+          c.lineTo(left, bottom);
+        }
+      });
+      c.lineWidth = 3.5 * pixel;
+      c.strokeStyle = "#0009";
+      c.stroke();
+      c.lineWidth = 1.75 * pixel;
+      c.strokeStyle = colour;
+      c.stroke();
+    }
+    const chosen = this.frame.boxes[this.chosen];
+    if (chosen) {
+      const [left, top, right, bottom] = chosen;
+      c.fillStyle = "#ffffff40";
+      c.fillRect(left, top, right - left, bottom - top);
+      c.lineWidth = 3 * pixel;
+      c.strokeStyle = "#fff";
+      c.strokeRect(left, top, right - left, bottom - top);
+    }
+  }
+}
