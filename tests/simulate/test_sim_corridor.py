@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.simulate.corridor import PATHS, centroids, measured, paths
+from phdtrack.models import PointMotion
+from phdtrack.simulate.corridor import PATHS, centroids, measured, paths, wandering
 
 
 def test_four_people_three_at_a_time_in_475_frames():
@@ -54,3 +55,20 @@ def test_frames_without_anybody_are_empty_and_noise_has_a_variance():
     assert [z.shape for z in measured(paths(), 477, 1.0, np.random.default_rng(1))[475:]] == [(3, 0), (3, 0)]
     with pytest.raises(InputError, match="variance"):
         measured(paths(), 475, -1.0, np.random.default_rng(1))
+
+
+def test_wandering_points_live_as_long_and_move_as_the_model_says():
+    """With p' = p + v + n and v' = v + m a second difference of positions is n' − n + m: its variance is 3 q."""
+    truth, known = wandering(PointMotion(variance=2.0), 1.5, np.random.default_rng(4)), paths()
+    np.testing.assert_array_equal(truth.frame, known.frame)
+    np.testing.assert_array_equal(truth.identity, known.identity)
+    place = centroids(truth)
+    bends = []
+    for one in range(1, 5):
+        mine = truth.identity == one
+        np.testing.assert_allclose(place[:, mine][:, 0], centroids(known)[:, known.identity == one][:, 0])
+        bends.append(np.diff(place[:, mine], n=2))
+    bend = np.hstack(bends)
+    assert bend.var() == pytest.approx(3 * 2.0, rel=0.12)
+    again = wandering(PointMotion(variance=2.0), 1.5, np.random.default_rng(4))
+    np.testing.assert_array_equal(again.xyxy, truth.xyxy)

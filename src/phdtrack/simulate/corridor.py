@@ -4,6 +4,9 @@ D14 tracks people in a CAVIAR sequence of a shopping centre's corridor: four tar
 three of them at a time at most. `PATHS` is such a corridor, seen by a camera like that one's: one walks up it, one comes
 out of a shop's door, stops and leaves to the right, one comes from the far end and crosses both paths, one comes from the
 right and enters the shop. Its truth does not depend on the random stream.
+
+People walk more evenly than D14's model says, whose velocity changes by √2 pixels a frame on either axis in every frame. A
+filter's error where its model is true is seen on `wandering` points, which live as long and move as a model says.
 """
 
 from __future__ import annotations
@@ -12,12 +15,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from phdtrack.boxes import to_cxcywh
+from phdtrack.boxes import to_cxcywh, to_xyxy
 from phdtrack.errors import InputError
+from phdtrack.protocols import Motion
 from phdtrack.simulate.ground import Walk
 from phdtrack.simulate.named import CORRIDOR
+from phdtrack.simulate.records import rows
 from phdtrack.types import F8, Truth
 
+SIZE = (20.0, 50.0)
+"""Of wandering points' boxes, which say where they are and nothing else."""
 _DOOR, _FAR = (0.17, 0.52), (0.55, 0.32)
 PATHS = replace(
     CORRIDOR,
@@ -38,6 +45,27 @@ def paths() -> Truth:
     """The truth of `PATHS`: boxes clipped to the frame; the middle of such a box is the centroid."""
     # Nothing in it is drawn by chance, but a scene asks for a generator.
     return PATHS.truth(PATHS.figures(np.random.default_rng(0)))
+
+
+def wandering(motion: Motion, speed: float, rng: np.random.Generator) -> Truth:
+    """Four points that are there as long as the people of `PATHS`, start where they start, and move as ``motion`` draws.
+
+    ``motion`` has states (px, py, vx, vy); ``speed`` is the standard deviation of each component of the first velocity,
+    pixels a frame. Points wander out of the frame.
+    """
+    truth = paths()
+    place, found = centroids(truth), []
+    for one in np.unique(truth.identity):
+        mine = np.flatnonzero(truth.identity == one)
+        state = np.concatenate([place[:, mine[0]], speed * rng.standard_normal(2)])[:, None]
+        way = [state]
+        for _ in mine[1:]:
+            way.append(state := motion.sample(state, 1.0, rng))
+        found.append(np.hstack(way)[:2])
+    who = np.concatenate([np.flatnonzero(truth.identity == one) for one in np.unique(truth.identity)])
+    everybody = np.hstack(found)
+    boxes = to_xyxy(np.vstack([everybody, np.tile(np.array(SIZE)[:, None], len(who))]))
+    return rows(truth.frame[who], truth.identity[who], boxes)
 
 
 def centroids(truth: Truth) -> F8:
