@@ -79,10 +79,10 @@ def counted(count: int, noun: str) -> str:
 
 
 @contextmanager
-def progress(title: str, total: int) -> Iterator[Advance]:
+def progress(title: str, total: int, pace: float = 30.0) -> Iterator[Advance]:
     """A bar on stderr when that is a terminal, nothing otherwise; ``total`` 0 where the end is not known.
 
-    Gives the function to call with the number of frames done so far.
+    Gives the function to call with the number of frames done so far. The end is estimated from the last ``pace`` seconds.
     """
     if not sys.stderr.isatty():
         yield lambda done: None
@@ -91,6 +91,6 @@ def progress(title: str, total: int) -> Iterator[Advance]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=Console(stderr=True), transient=True, speed_estimate_period=pace) as bar:
         task = bar.add_task(title, total=total or None)
         yield lambda done: bar.update(task, completed=done)

@@ -18,8 +18,11 @@ from phdtrack.compare.records import Case, Detecting, Run
 from phdtrack.report.run_json import json_value
 from phdtrack.video.images import SUFFIXES
 
-_TRACKING = ("kernels", "models", "filters", "extract", "associate", "camera", "metrics", "simulate")
-_TRACKING_FILES = ("pipeline.py", "boxes.py", "detections.py", "sampling.py", "arrays.py", "types.py", "worlds.py")
+# Parts of phdtrack that no track and no score comes from.
+_ASIDE = (
+    *("commands", "report", "reproduce", "web", "compare", "detect", "video", "groups", "grouped.py", "tracker.py"),
+    *("statedict.py", "overlap.py", "rundir.py", "compiling.py", "doctor.py", "cli.py", "__main__.py"),
+)
 _DETECTING = ("detect", "video")
 # Sections of the settings that no track depends on; the detector's are in what was detected.
 _ELSEWHERE = ("detector", "groups", "contours", "lives", "meetings")
@@ -52,7 +55,7 @@ def decides_run(run: Run, detected: str, iou: float, contents: Contents) -> dict
     truth = case.footage.truth
     return {
         "phdtrack": __version__,
-        "sources": sources(_TRACKING, _TRACKING_FILES),
+        "sources": sources(_parts()),
         "sequence": asdict(case.info) | {"name": case.footage.name},
         "detections": detected,
         "truth": "" if truth is None else contents(truth),
@@ -71,7 +74,7 @@ def decides_detections(case: Case, contents: Contents) -> dict[str, object]:
         return {"file": contents(seen.file)}
     return {
         "phdtrack": __version__,
-        "sources": sources(_DETECTING, ()),
+        "sources": sources(_DETECTING),
         "video": contents(Path(case.footage.source)),
         "detector": seen.name,
         "parameters": dict(seen.parameters),
@@ -80,12 +83,19 @@ def decides_detections(case: Case, contents: Contents) -> dict[str, object]:
 
 
 @lru_cache(maxsize=4)
-def sources(folders: tuple[str, ...], files: tuple[str, ...]) -> str:
+def sources(parts: tuple[str, ...]) -> str:
     """The digest of these parts of phdtrack's own sources."""
     home = Path(phdtrack.__file__).parent
-    return _digest_of(
-        [*(file for folder in folders for file in sorted((home / folder).rglob("*.py"))), *map(home.joinpath, files)]
-    )
+    files = [
+        file for part in parts for file in sorted((home / part).rglob("*.py") if (home / part).is_dir() else [home / part])
+    ]
+    return _digest_of(files)
+
+
+def _parts() -> tuple[str, ...]:
+    home = Path(phdtrack.__file__).parent
+    found = (path.name for path in home.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file())
+    return tuple(sorted(name for name in found if name not in _ASIDE))
 
 
 def _digest_of(files: Iterable[Path]) -> str:

@@ -6,7 +6,6 @@ something else, because clutter was added or something was drawn at random, with
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from phdtrack.compare.store import DETECTIONS, Outcome, kept, read_about
 from phdtrack.compare.work import Look, Track
 from phdtrack.errors import InputError
 
-LOOKS, RUNS = "detections", "runs"
+LOOKS = "detections"
 Advance = Callable[[int], None]
 Found = dict[Path, Outcome | Failed]
 
@@ -71,10 +70,7 @@ def run(plan: Plan, folder: Path, jobs: int = 1, *, anew: bool = False, advance:
     InputError : the folder cannot be written into, or an input has gone since it was planned.
     """
     _writable(folder)
-    if anew:
-        for name in (LOOKS, RUNS):
-            shutil.rmtree(folder / name, ignore_errors=True)
-    work = _Work(plan, folder, jobs, Contents(), advance)
+    work = _Work(plan, folder, jobs, anew, advance)
     work.detect()
     first = [run for run in plan.runs if run.seed == plan.seeds[0]]
     work.track(first)
@@ -93,8 +89,9 @@ def steps(plan: Plan) -> int:
 class _Work:
     """What is done so far."""
 
-    def __init__(self, plan: Plan, folder: Path, jobs: int, contents: Contents, advance: Advance) -> None:
-        self._plan, self._folder, self._jobs, self._contents, self._advance = plan, folder, jobs, contents, advance
+    def __init__(self, plan: Plan, folder: Path, jobs: int, anew: bool, advance: Advance) -> None:
+        self._plan, self._folder, self._jobs, self._anew, self._advance = plan, folder, jobs, anew, advance
+        self._contents = Contents()
         self._digests: dict[Path, str] = {}
         self.found: Found = {}
         self.detected: dict[Path, Path | Failed] = {}
@@ -115,7 +112,8 @@ class _Work:
                 continue
             look = Look(case, self._folder / LOOKS / case.place, digest(decided_by), decided_by)
             self.detected[case.place] = look.place
-            if read_about(look.place).get("digest") == look.digest and (look.place / DETECTIONS).is_file():
+            there = read_about(look.place).get("digest") == look.digest and (look.place / DETECTIONS).is_file()
+            if there and not self._anew:
                 self.count()
             else:
                 looks.append(look)
@@ -135,7 +133,7 @@ class _Work:
                 continue
             decided_by = decides_run(run, self._digests[run.cell.case.place], self._plan.iou, self._contents)
             track = Track(run, self._plan.iou, self._folder / run.place, detected, digest(decided_by), decided_by)
-            before = kept(track.place, track.digest)
+            before = None if self._anew else kept(track.place, track.digest)
             if before is None:
                 tracks.append(track)
             else:

@@ -35,7 +35,7 @@ def methods(
     if said and filters:
         raise InputError("--filters says which filters there are", where=f"--set {said[0]}", cure="Leave one of them out.")
     sets = [text for text in sets if text not in said]
-    names = tuple(filters) or tuple(dict.fromkeys((_kind(config.load(file, [*_shared(sets), *said], preset)), "none")))
+    names = tuple(filters) or _usual(config.load(file, [*_shared(sets), *said], preset))
     chosen = [_chosen(name, preset, file, sets) for name in names]
     taken = {text for _, used in chosen for text in used}
     for text in sets:
@@ -78,9 +78,9 @@ def _variant(text: str, first: str, preset: str, file: Path | None, sets: Sequen
     return Method(name, settings)
 
 
-def _kind(settings: config.Settings) -> str:
-    section = settings.as_dict()["filter"]
-    return str(section["kind"]) if isinstance(section, dict) else ""
+def _usual(settings: config.Settings) -> tuple[str, ...]:
+    """The filter of the settings, and none to compare with."""
+    return tuple(dict.fromkeys((Method("", settings).filter_name, "none")))
 
 
 def _has(known: dict[str, object], text: str) -> bool:

@@ -14,6 +14,8 @@ from phdtrack.errors import InputError
 from phdtrack.metrics.lifetimes import check_threshold
 from phdtrack.types import SequenceInfo
 
+RUNS = "runs"
+
 
 @dataclass(frozen=True, slots=True)
 class Footage:
@@ -67,6 +69,12 @@ class Method:
     name: str
     settings: Settings
 
+    @property
+    def filter_name(self) -> str:
+        """``filter.kind``."""
+        section = self.settings.as_dict()["filter"]
+        return str(section["kind"]) if isinstance(section, dict) else ""
+
 
 @dataclass(frozen=True, slots=True)
 class Cell:
@@ -88,7 +96,7 @@ class Run:
     def place(self) -> Path:
         """Where in the folder of a comparison it is kept; no other run of a plan has the same."""
         method = _as_file(self.cell.method.name)
-        return Path("runs") / self.cell.case.place / f"clutter-{self.cell.rate:g}" / method / f"seed-{self.seed}"
+        return Path(RUNS) / self.cell.case.place / f"clutter-{self.cell.rate:g}" / method / f"seed-{self.seed}"
 
     def __str__(self) -> str:
         """For people."""

@@ -1,0 +1,149 @@
+"""``report.html`` of a comparison: pooled scores, scores over clutter and by sequence, every cell, the worst frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from phdtrack.compare.engine import Comparison
+from phdtrack.compare.records import Plan
+from phdtrack.compare.statistics import Interval
+from phdtrack.compare.summary import LOWER, Row, Summary
+from phdtrack.compare.tables import head, label, lines_of, sparse, written
+from phdtrack.compare.worst import WorstFrame
+from phdtrack.report.compare_charts import Series, bars, lines
+from phdtrack.report.compare_report import ComparePage, Shown, Table, encoded
+from phdtrack.report.record import About
+from phdtrack.report.summary import counted
+
+LEGEND = (
+    "The same frame for each method, at the first seed. Green: a track on an annotated object, with its identity. Magenta: "
+    "the object had another identity before. Red, dashed: an annotated object that was missed. Orange, crossed: a track box "
+    "on nobody. Thin white: what all of them were given, added clutter among it."
+)
+
+
+def content(
+    comparison: Comparison, found: Summary, names: Sequence[str], frames: Sequence[WorstFrame], about: About
+) -> ComparePage:
+    """What the page shows; ``names`` are the scores."""
+    plan = comparison.plan
+    pooled = [row for row in found.rows if row.pooled]
+    single = [row for row in found.rows if not row.pooled]
+    first = plan.methods[0].name
+    apart = [row for row in found.rows if row.ahead]
+    tables = [Table("Pooled over the sequences", _POOLING, head(names), sparse(lines_of(pooled, names)))]
+    differences = Table(f"Ahead of {first}", _AHEAD, head(names), sparse(lines_of(apart, names, ahead=True)))
+    each = Table("Every sequence", "", head(names), sparse(lines_of(single, names)))
+    return ComparePage(
+        about=about,
+        source=described(plan),
+        lead=" ".join(sentences(plan, found)),
+        pooled=tables,
+        charts=_charts(plan, found, single, names),
+        single=[each, differences],
+        frames=[Shown(encoded(frame.image), frame.caption) for frame in frames],
+        legend=LEGEND,
+        config=_config(plan),
+    )
+
+
+_POOLING = (
+    "The sums behind the scores are added up over the sequences, seed by seed: long sequences weigh more. ± is half of a "
+    "95 % confidence interval over the seeds (Student's t)."
+)
+_AHEAD = (
+    "Differences of the scores at the same sequence, detections, clutter and seed, with 95 % confidence intervals over the "
+    "seeds: an interval without 0 is more than chance between seeds. It says nothing of other sequences."
+)
+
+
+def described(plan: Plan) -> str:
+    """What was compared, in numbers."""
+    footages = len({case.footage.name for case in plan.cases})
+    parts = [
+        counted(len(plan.methods), "filter"),
+        counted(footages, "sequence"),
+        f"{len(plan.cases)} with detections" if len(plan.cases) != footages else "",
+        counted(len(plan.rates), "rate of added clutter", "rates of added clutter"),
+        counted(len(plan.seeds), "seed"),
+    ]
+    return ", ".join(part for part in parts if part)
+
+
+def sentences(plan: Plan, found: Summary) -> list[str]:
+    """Who is ahead in MOTA over everything, for each rate of clutter."""
+    said = []
+    for rate in plan.rates:
+        rows = [row for row in found.widest if row.rate == rate and "MOTA" in row.values]
+        if len(rows) < 2:
+            continue
+        best = max(rows, key=lambda row: row.values["MOTA"].mean)
+        others = ", ".join(f"{row.method} {written(row.values['MOTA'], 'MOTA')}" for row in rows if row is not best)
+        clutter = f"With {rate:g} added boxes per frame" if rate else "Without added clutter"
+        said.append(f"{clutter} {best.method} has the highest MOTA, {written(best.values['MOTA'], 'MOTA')}; {others}.")
+    return said
+
+
+def notes(found: Summary, seeds: Sequence[int]) -> tuple[str, ...]:
+    """What a reader should know of the numbers."""
+    still = list(dict.fromkeys(row.method for row in found.rows if not row.random and not row.failed))
+    out = [
+        "ms per frame is the median over a run's frames of filter, extraction and association, taken while other runs share "
+        "the machine: compare ratios, or say --jobs 1.",
+    ]
+    if still and len(seeds) > 1:
+        out.append(f"{', '.join(still)}: nothing is random without added clutter, so one run stands for all seeds.")
+    return tuple(out)
+
+
+def _charts(plan: Plan, found: Summary, single: Sequence[Row], names: Sequence[str]) -> list[tuple[str, list[Shown]]]:
+    methods = [method.name for method in plan.methods]
+    charts = []
+    if len(plan.rates) > 1:
+        over = [_over_clutter(plan, found, methods, name) for name in names]
+        charts.append(("By added clutter", over))
+    for rate in plan.rates:
+        rows = [row for row in single if row.rate == rate]
+        title = f"By sequence, {rate:g} added boxes per frame" if rate else "By sequence, as detected"
+        charts.append((title, [_by_case(rows, methods, name) for name in names]))
+    return charts
+
+
+def _over_clutter(plan: Plan, found: Summary, methods: Sequence[str], name: str) -> Shown:
+    rates = np.array(sorted(plan.rates))
+    rows = {(row.method, row.rate): row for row in found.widest}
+    series = [_series(method, [rows[method, rate].values.get(name) for rate in rates]) for method in methods]
+    over = "pooled over everything" if any(row.pooled for row in found.widest) else "of the sequence"
+    picture = lines(rates, "added clutter, boxes per frame", label(name), series)
+    return Shown(picture, f"{label(name)} {over}, mean over the seeds with 95 % confidence intervals{_sense(name)}.")
+
+
+def _by_case(rows: Sequence[Row], methods: Sequence[str], name: str) -> Shown:
+    places = list(dict.fromkeys((row.sequence, row.detections) for row in rows))
+    by = {(row.sequence, row.detections, row.method): row for row in rows}
+    series = [_series(method, [by[*place, method].values.get(name) for place in places]) for method in methods]
+    picture = bars([" ".join(place) for place in places], label(name), series)
+    return Shown(picture, f"{label(name)}, mean over the seeds with 95 % confidence intervals{_sense(name)}.")
+
+
+def _sense(name: str) -> str:
+    return "; lower is better" if name in (*LOWER, "ms") else ""
+
+
+def _series(method: str, values: Sequence[Interval | None]) -> Series:
+    none = Interval(np.nan, np.nan, 0)
+    each = [value or none for value in values]
+    mean, low, high = (np.array([getattr(one, part) for one in each], np.float64) for part in ("mean", "low", "high"))
+    return Series(method, mean, low, high)
+
+
+def _config(plan: Plan) -> Mapping[str, object]:
+    """Every method's settings, and what they were compared on."""
+    read = [
+        {"sequence": case.footage.name, "detections": case.seen.name, "truth": str(case.footage.truth)}
+        for case in plan.cases
+    ]
+    methods: dict[str, object] = {method.name: method.settings.as_dict() for method in plan.methods}
+    return {**methods, "input": read, "clutter": list(plan.rates), "seeds": list(plan.seeds), "iou": plan.iou}

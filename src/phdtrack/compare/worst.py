@@ -1,0 +1,195 @@
+"""The frames of each sequence that tell most: where the methods differ most in their mistakes, and where all make most."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from phdtrack.compare.engine import Comparison
+from phdtrack.compare.parallel import Failed
+from phdtrack.compare.records import Case, Cell, Footage, Run
+from phdtrack.compare.store import TRACKS
+from phdtrack.compare.work import Material, material
+from phdtrack.errors import InputError
+from phdtrack.formats import read_tracks
+from phdtrack.metrics.clear import switches
+from phdtrack.metrics.matching import Matches, tracking_mapping
+from phdtrack.metrics.scene import Scene, build
+from phdtrack.report.mistakes import Mistakes, side_by_side
+from phdtrack.types import F8, I8, Image, Tracks, Truth
+from phdtrack.video import open_source
+
+APART = 1.0
+"""Seconds between two frames that are shown of a sequence: neighbours show the same."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judged:
+    """A method's tracks of a condition beside the truth. ``errors`` (F + 1,) mistakes in each frame, by its number."""
+
+    method: str
+    tracks: Tracks
+    scene: Scene
+    mapping: Matches
+    errors: I8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Condition:
+    """A case at a rate of clutter, at the first seed, with every method's tracks."""
+
+    case: Case
+    rate: float
+    given: Material
+    truth: Truth
+    judged: Sequence[_Judged]
+
+    @property
+    def errors(self) -> I8:
+        """(methods, F + 1)."""
+        return np.vstack([one.errors for one in self.judged])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WorstFrame:
+    """A picture of a frame, what it shows in words, and a name for its file."""
+
+    name: str
+    caption: str
+    image: Image
+
+
+def worst_frames(comparison: Comparison, number: int) -> Iterator[WorstFrame]:
+    """Of each sequence with truth ``number`` frames in which the methods differ most, and as many with most mistakes."""
+    if number < 1:
+        return
+    footages = {case.footage.name: case.footage for case in comparison.plan.cases}
+    for footage in footages.values():
+        conditions = list(_conditions(comparison, footage))
+        chosen = _chosen(conditions, number)
+        pictures = _pictures(footage, {frame for _, frame, _ in chosen})
+        for condition, frame, why in chosen:
+            yield _drawn(condition, frame, why, pictures.get(frame), comparison.plan.seeds[0])
+
+
+def _conditions(comparison: Comparison, footage: Footage) -> Iterator[_Condition]:
+    plan, seed = comparison.plan, comparison.plan.seeds[0]
+    for case in plan.cases:
+        detected = comparison.detected.get(case.place)
+        if case.footage.name != footage.name or footage.truth is None or isinstance(detected, Failed):
+            continue
+        for rate in plan.rates:
+            cells = [Cell(case, rate, method) for method in plan.methods]
+            runs = [Run(cell, seed) for cell in cells if not isinstance(comparison.outcome(cell, seed), Failed)]
+            if not runs:
+                continue
+            given = material(runs[0], detected)
+            if given.truth is not None:
+                judged = [_judged(comparison, run, given, given.truth) for run in runs]
+                yield _Condition(case, rate, given, given.truth, judged)
+
+
+def _judged(comparison: Comparison, run: Run, given: Material, truth: Truth) -> _Judged:
+    tracks = read_tracks(comparison.folder / run.place / TRACKS)
+    scene = build(truth, tracks, given.info.frames)
+    mapping = tracking_mapping(scene, comparison.plan.iou)
+    matched = mapping.per_frame(scene)
+    switched = np.bincount(mapping.position[switches(mapping)], minlength=len(scene.pairs))
+    errors = np.zeros(given.info.frames + 1, np.int64)
+    for pair, count in zip(scene.pairs, scene.truth_boxes + scene.output_boxes - 2 * matched + switched, strict=True):
+        errors[pair.number] = count
+    return _Judged(run.cell.method.name, tracks, scene, mapping, errors)
+
+
+def _chosen(conditions: Sequence[_Condition], number: int) -> list[tuple[_Condition, int, str]]:
+    """Frames with the greatest difference, then those with most mistakes, none within a second of another."""
+    taken: list[tuple[_Condition, int, str]] = []
+    for why in ("differ most", "most mistakes"):
+        ranked = [
+            (-int(value), i, frame)
+            for i, condition in enumerate(conditions)
+            for frame, value in enumerate(_value(condition.errors, why))
+            if value > 0
+        ]
+        wanted = len(taken) + number
+        for _, i, frame in sorted(ranked):
+            if len(taken) == wanted:
+                break
+            apart = APART * conditions[i].given.info.fps
+            if all(abs(frame - other) >= apart for _, other, _ in taken):
+                taken.append((conditions[i], frame, why))
+    return taken
+
+
+def _value(errors: I8, why: str) -> I8:
+    value: I8 = errors.max(axis=0) - errors.min(axis=0) if why == "differ most" else errors.sum(axis=0)
+    return value
+
+
+def _pictures(footage: Footage, numbers: set[int]) -> dict[int, Image]:
+    """The frames of these numbers, as far as the source can be read."""
+    found: dict[int, Image] = {}
+    if not footage.source or not numbers:
+        return found
+    try:
+        for frame in open_source(footage.source):
+            if frame.number in numbers:
+                found[frame.number] = frame.image.copy()
+            if frame.number >= max(numbers):
+                break
+    except InputError:
+        # The boxes can be seen without the picture.
+        return found
+    return found
+
+
+def _drawn(condition: _Condition, frame: int, why: str, image: Image | None, seed: int) -> WorstFrame:
+    given, case = condition.given, condition.case
+    clutter = f", clutter {condition.rate:g}, seed {seed}" if condition.rate else ""
+    heading = f"{case.name}{clutter}, frame {frame}"
+    mistakes = [_mistakes(condition.truth, one, frame) for one in condition.judged]
+    size = (given.info.width, given.info.height)
+    picture = side_by_side(image, size, f"{heading}: {why}", given.table.at(frame).xyxy, mistakes)
+    told = "; ".join(one.title for one in mistakes)
+    name = f"{'-'.join(case.place.parts)}-clutter-{condition.rate:g}-frame-{frame}.png"
+    return WorstFrame(name, f"{heading} ({why}). {told}.", picture)
+
+
+def _mistakes(truth: Truth, one: _Judged, frame: int) -> Mistakes:
+    at = next((i for i, pair in enumerate(one.scene.pairs) if pair.number == frame), None)
+    if at is None:
+        none = np.zeros((0, 4))
+        return Mistakes(one.method, none, np.zeros(0, np.int64), np.zeros(0, np.bool_), none, none)
+    pair, here = one.scene.pairs[at], one.mapping.position == at
+    found = one.scene.output_identity[one.mapping.output[here]]
+    missed = one.scene.truth_identity[np.setdiff1d(pair.truth, one.mapping.truth[here])]
+    false = one.scene.output_identity[np.setdiff1d(pair.output, one.mapping.output[here])]
+    counted = ~truth.distractor
+    return Mistakes(
+        one.method,
+        _boxes(one.tracks.frame, one.tracks.identity, one.tracks.xyxy, frame, found),
+        found,
+        switches(one.mapping)[here],
+        _boxes(truth.frame[counted], truth.identity[counted], truth.xyxy[counted], frame, missed),
+        _boxes(one.tracks.frame, one.tracks.identity, one.tracks.xyxy, frame, false),
+    )
+
+
+def _boxes(frames: I8, identities: I8, xyxy: F8, frame: int, wanted: I8) -> F8:
+    """(n, 4) the boxes of these identities in a frame."""
+    rows = np.flatnonzero(frames == frame)
+    place = {int(identities[row]): int(row) for row in rows}
+    return xyxy[[place[int(identity)] for identity in wanted]].reshape(-1, 4)
+
+
+def write_frames(folder: Path, frames: Sequence[WorstFrame]) -> list[Path]:
+    """Write the pictures as PNG; where they lie."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for frame in frames:
+        _, data = cv2.imencode(".png", frame.image)
+        (folder / frame.name).write_bytes(data.tobytes())
+    return [folder / frame.name for frame in frames]
