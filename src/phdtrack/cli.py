@@ -15,7 +15,7 @@ from typing import Annotated, Any, ParamSpec
 import typer
 
 from phdtrack._version import __version__
-from phdtrack.commands import calibrate, compare, demo, detect, doctor, evaluate, groups, simulate, track
+from phdtrack.commands import calibrate, compare, demo, detect, doctor, evaluate, groups, label, reproduce, simulate, track
 from phdtrack.errors import InputError
 
 P = ParamSpec("P")
@@ -78,7 +78,9 @@ app.command("groups")(guarded(groups.groups))
 app.command("detect")(guarded(detect.detect))
 app.command("evaluate")(guarded(evaluate.evaluate))
 app.command("compare")(guarded(compare.compare))
+app.command("reproduce")(guarded(reproduce.reproduce))
 app.command("simulate")(guarded(simulate.simulate))
+app.command("label")(guarded(label.label))
 app.command("calibrate")(guarded(calibrate.calibrate))
 app.command("doctor")(guarded(doctor.doctor))
 

@@ -128,7 +128,7 @@ def _from_video(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
         raise _as_typed(error, parameters) from error
     source = open_source(wanted.source, fps=wanted.fps)
     _same_size(wanted, source.info)
-    return Inputs(source.info, source, detector, wanted.source, name, True, _again(wanted.source))
+    return Inputs(source.info, source, detector, wanted.source, name, True, comes_again(wanted.source))
 
 
 def _as_typed(error: InputError, parameters: dict[str, Any]) -> InputError:
@@ -153,7 +153,7 @@ def _with_video(wanted: Wanted, path: Path) -> Inputs:
     source = open_source(wanted.source, fps=wanted.fps)
     _same_size(wanted, source.info)
     seen, left_out = within_frame(table, source.info, path)
-    return Inputs(source.info, source, TableDetector(seen), wanted.source, str(path), True, _again(wanted.source), left_out)
+    return Inputs(source.info, source, TableDetector(seen), wanted.source, str(path), True, comes_again(wanted.source), left_out)
 
 
 def _from_file(wanted: Wanted, path: Path) -> Inputs:
@@ -193,6 +193,6 @@ def _same_size(wanted: Wanted, info: SequenceInfo) -> None:
         )
 
 
-def _again(source: str) -> bool:
+def comes_again(source: str) -> bool:
     """Whether the frames can be read a second time: not those of a camera or of a stream on the network."""
     return "://" not in source and not (source.isdecimal() and not Path(source).exists())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import secrets
 import socket
@@ -44,4 +45,6 @@ def serve(app: ASGIApp, address: Address) -> None:
     """Answer until Ctrl-C."""
     guarded = Guard(app, address.hosts, address.token)
     config = uvicorn.Config(guarded, log_level="warning", lifespan="off", server_header=False, timeout_graceful_shutdown=2)
-    uvicorn.Server(config).run(sockets=[address.listening])
+    # Uvicorn ends in order on Ctrl-C and then raises it again: here it is how one leaves.
+    with contextlib.suppress(KeyboardInterrupt):
+        uvicorn.Server(config).run(sockets=[address.listening])

@@ -153,9 +153,9 @@ function tell() {
   $("title").textContent = `${overview.name || "detections"}, frame ${number()}`;
   $("undo").disabled = !(frame()?.undo > 0);
   $("redo").disabled = !(frame()?.redo > 0);
-  $("alike").disabled = alike.length === 0;
-  $("alike").textContent = alike.length ? `all ${alike.length} like this (A)` : "all like this (A)";
-  const box = frame()?.boxes[view.chosen];
+  $("alike").disabled = alike.length < 2;
+  $("alike").textContent = alike.length > 1 ? `all ${alike.length} like this (A)` : "all like this (A)";
+  const box = $("wall").hidden ? frame()?.boxes[view.chosen] : null;
   $("tip").textContent = box
     ? `score ${box[4]} · ${Math.round(box[2] - box[0])}×${Math.round(box[3] - box[1])}` +
       (alike.length > 1 ? ` · ${alike.length} like this on all frames` : "")
@@ -199,6 +199,7 @@ function colours() {
 function toggleWall() {
   $("wall").hidden = !$("wall").hidden;
   if (!$("wall").hidden) wall();
+  tell();
 }
 
 function toggleBoxes() {

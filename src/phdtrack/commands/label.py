@@ -1,0 +1,83 @@
+"""``phdtrack label``: a page on which a person marks false detections, and births, on frames drawn at random."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from phdtrack.commands.options import Config, Detector, Fps, FrameSize, Mask, MaxWidth, Sets
+from phdtrack.commands.output import Output, counted
+from phdtrack.commands.wanted import DEFAULT_DETECTOR, Wanted
+from phdtrack.errors import InputError
+
+
+def label(
+    source: Annotated[
+        str, typer.Argument(metavar="SOURCE", help="Video or folder of images; left out with detections alone.")
+    ] = "",
+    detections: Annotated[
+        Path | None, typer.Option("--detections", metavar="FILE", help="Detections instead of a detector.")
+    ] = None,
+    detector: Detector = "",
+    labels: Annotated[
+        Path | None, typer.Option("--labels", metavar="FILE", help="Where the marks are kept; default: beside the video.")
+    ] = None,
+    frames: Annotated[int, typer.Option("--frames", metavar="N", min=1, help="Frames to look at.")] = 40,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the draw of frames.")] = 0,
+    port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="0: any that is free.")] = 0,
+    host: Annotated[
+        str, typer.Option("--host", metavar="NAME", help="Address to listen on; others than this machine need a token then.")
+    ] = "127.0.0.1",
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
+    config: Config = None,
+    sets: Sets = None,
+    frame_size: FrameSize = "",
+    fps: Fps = 0.0,
+    max_width: MaxWidth = 0,
+    mask: Mask = None,
+) -> None:
+    """Mark false detections on frames drawn at random: the page says how. Every click is kept at once; Ctrl-C ends."""
+    try:
+        from phdtrack.web.serve import listen, serve
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"the page needs the package {error.name}", where="phdtrack label", cure="pip install 'phdtrack[web]'"
+        ) from error
+    from phdtrack.commands.configured import detector_parameters
+    from phdtrack.commands.label_inputs import stills, to_label
+    from phdtrack.label import LabelStore
+    from phdtrack.label.session import Session, sampled
+    from phdtrack.web.label_app import label_app
+
+    result = Output()
+    name = detector if detections is not None else detector or DEFAULT_DETECTOR
+    wanted = Wanted(source, detections, name, frame_size, fps, max_width, mask)
+    file = labels or _beside(source, detections)
+    found = to_label(wanted, detector_parameters(config, tuple(sets or ())), file, result)
+    store = LabelStore.open(file, source or str(detections), found.digest, sampled(found.last, frames, seed))
+    numbers = {number for number, _ in store.frames()}
+    session = Session(store, found.table, stills(found.source, fps, numbers), found.info)
+    address = listen(host, port)
+    progress = store.progress()
+    result.say(f"{counted(progress.frames, 'frame')}, {progress.done} of them looked at; the marks are kept in {file}")
+    result.say(f"the page: {address.url}   (Ctrl-C ends)")
+    if browser:
+        import webbrowser
+
+        webbrowser.open(address.url)
+    serve(label_app(session), address)
+    progress = store.progress()
+    result.say(
+        f"{progress.done} of {counted(progress.frames, 'frame')} looked at, {progress.false} false, "
+        f"{counted(progress.births, 'birth')}: {file}"
+    )
+
+
+def _beside(source: str, detections: Path | None) -> Path:
+    """The file of labels that goes with a video, or with detections."""
+    path = Path(source) if source else detections
+    if path is None:
+        raise InputError("nothing to label", where="SOURCE", cure="Name a video, or say --detections FILE")
+    return path.with_name(f"{path.stem if path.is_file() else path.name}.labels.sqlite")

@@ -1,0 +1,119 @@
+"""``phdtrack label`` as a user starts and leaves it; the page itself is tested in tests/web."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+
+import cv2
+import numpy as np
+import pytest
+from cli_runner import phdtrack
+
+from phdtrack.label import LabelStore
+
+
+@pytest.fixture
+def sequence(tmp_path):
+    """A folder of 30 pictures with a bright square that moves, and detections of it."""
+    folder = tmp_path / "street"
+    folder.mkdir()
+    rows = []
+    for k in range(30):
+        image = np.full((120, 160, 3), 40, np.uint8)
+        image[50:80, 10 + 4 * k : 30 + 4 * k] = 220
+        cv2.imwrite(str(folder / f"{k + 1:06d}.png"), image)
+        rows.append(f"{k + 1},-1,{10 + 4 * k},50,20,30,0.9,-1,-1,-1")
+    (tmp_path / "det.txt").write_text("\n".join(rows) + "\n")
+    return tmp_path
+
+
+class Started:
+    """The command in a process of its own."""
+
+    def __init__(self, *arguments, cwd):
+        program = [sys.executable, "-m", "phdtrack", "label", *arguments, "--no-browser"]
+        self.process = subprocess.Popen(program, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.told = ""
+        while "the page: " not in self.told:
+            line = self.process.stdout.readline()
+            assert line, self.process.communicate()
+            self.told += line
+        self.url = re.search(r"http://\S+", self.told)[0]
+
+    def ask(self, path, sent=None):
+        data = None if sent is None else json.dumps(sent).encode()
+        request = urllib.request.Request(self.url + path, data, {"X-Phdtrack": "1"})
+        with urllib.request.urlopen(request, timeout=30) as answer:
+            return answer.read()
+
+    def leave(self):
+        self.process.send_signal(signal.SIGINT)
+        out, err = self.process.communicate(timeout=60)
+        return self.process.returncode, self.told + out, err
+
+
+def test_label_leave_and_go_on(sequence):
+    arguments = ("street", "--detections", "det.txt", "--frames", "8", "--seed", "3")
+    page = Started(*arguments, cwd=sequence)
+    assert "8 frames, 0 of them looked at; the marks are kept in street.labels.sqlite" in page.told
+    overview = json.loads(page.ask("api/overview"))
+    assert (overview["width"], overview["height"], len(overview["frames"])) == (160, 120, 8)
+    first = overview["frames"][0]["number"]
+    picture = cv2.imdecode(np.frombuffer(page.ask(f"still/{first}.jpg"), np.uint8), 1)
+    assert picture[65, 20 + 4 * (first - 1)].min() > 180
+    page.ask(f"api/frame/{first}/marks", {"marks": [{"frame": first, "box": 0, "mark": "false"}]})
+    page.ask(f"api/frame/{first}/done", {})
+    status, out, _ = page.leave()
+    assert status == 0
+    assert "1 of 8 frames looked at, 1 false, 0 births: street.labels.sqlite" in out
+
+    again = Started(*arguments, cwd=sequence)
+    assert "8 frames, 1 of them looked at" in again.told
+    overview_again = json.loads(again.ask("api/overview"))
+    again.leave()
+    assert [frame["number"] for frame in overview_again["frames"]] == [frame["number"] for frame in overview["frames"]]
+    assert [(label.frame, label.box) for label in LabelStore(sequence / "street.labels.sqlite").labels()] == [(first, 0)]
+
+
+def test_a_detector_runs_once(sequence):
+    page = Started("street", "--frames", "5", cwd=sequence)
+    page.leave()
+    kept = list(sequence.glob("street.labels.change-*.detections.csv"))
+    assert len(kept) == 1
+    again = Started("street", "--frames", "5", cwd=sequence)
+    _, _, err = again.leave()
+    assert f"the detections are those of {kept[0].name}" in err
+
+
+def test_detections_alone_are_shown_on_grey(sequence):
+    page = Started("--detections", "det.txt", "--frame-size", "160x120", "--fps", "25", cwd=sequence)
+    first = json.loads(page.ask("api/overview"))["frames"][0]["number"]
+    picture = cv2.imdecode(np.frombuffer(page.ask(f"still/{first}.jpg"), np.uint8), 1)
+    assert picture.shape == (120, 160, 3)
+    assert picture.std() < 3
+    with pytest.raises(urllib.error.HTTPError):
+        page.ask("still/../../det.txt")
+    page.leave()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "nothing to label"),
+        (("nowhere.mp4",), "nowhere.mp4"),
+        (("street", "--detections", "none.txt"), "none.txt"),
+        (("street", "--detections", "det.txt", "--labels", "nowhere/labels"), "cannot be used as a file of labels"),
+        (("street", "--detections", "det.txt", "--labels", "det.txt"), "cannot be used as a file of labels"),
+        (("0",), "a camera"),
+    ],
+)
+def test_mistakes_are_told(sequence, monkeypatch, arguments, words):
+    monkeypatch.chdir(sequence)
+    done = phdtrack("label", *arguments, "--no-browser")
+    assert done.status == 2
+    assert words in done.err
+    assert done.err.count("\n") == 1
