@@ -69,7 +69,7 @@ def test_label_leave_and_go_on(sequence):
     page.ask(f"api/frame/{first}/done", {})
     status, out, _ = page.leave()
     assert status == 0
-    assert "1 of 8 frames looked at, 1 false, 0 births: street.labels.sqlite" in out
+    assert "1 of 8 frames looked at, 1 false, no births: street.labels.sqlite" in out
 
     again = Started(*arguments, cwd=sequence)
     assert "8 frames, 1 of them looked at" in again.told

@@ -153,7 +153,8 @@ def _with_video(wanted: Wanted, path: Path) -> Inputs:
     source = open_source(wanted.source, fps=wanted.fps)
     _same_size(wanted, source.info)
     seen, left_out = within_frame(table, source.info, path)
-    return Inputs(source.info, source, TableDetector(seen), wanted.source, str(path), True, comes_again(wanted.source), left_out)
+    again = comes_again(wanted.source)
+    return Inputs(source.info, source, TableDetector(seen), wanted.source, str(path), True, again, left_out)
 
 
 def _from_file(wanted: Wanted, path: Path) -> Inputs:
