@@ -15,7 +15,7 @@ from phdtrack import __version__
 from phdtrack.cli import guarded
 from phdtrack.errors import InputError
 
-COMMANDS = ("demo", "track", "detect", "evaluate", "simulate", "calibrate", "doctor")
+COMMANDS = ("demo", "track", "detect", "evaluate", "simulate", "calibrate", "doctor", "reproduce")
 HEAVY = ("numba", "scipy", "cv2", "av", "matplotlib", "pydantic", "rich")
 
 

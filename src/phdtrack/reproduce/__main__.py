@@ -1,21 +1,15 @@
-"""All measured tables: `make experiments`. Each can be run alone; see the modules."""
+"""All measured tables: `make experiments`. One alone: `phdtrack reproduce NAME`."""
 
 from __future__ import annotations
 
-from phdtrack.reproduce import count, detections, e13, groups, occlusion, particles, plane, standard, videos
+from phdtrack.reproduce.common import Options
+from phdtrack.reproduce.experiments import EXPERIMENTS
 
 
 def main() -> None:
     """Every experiment, the short ones first."""
-    count.main()
-    standard.main()
-    groups.main()
-    plane.main()
-    e13.main()
-    occlusion.main()
-    videos.main()
-    detections.main()
-    particles.main()
+    for experiment in EXPERIMENTS.values():
+        experiment.run(Options())
 
 
 if __name__ == "__main__":

@@ -142,7 +142,7 @@ class Kept(Generic[A, B]):
 
 
 def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, folder: Path | None = None) -> list[B]:
-    """``work`` over ``jobs``, a process for each core; progress on stderr; outcomes are kept in ``folder`` if there is one."""
+    """``work`` over ``jobs``, a process for each core; progress on stderr; outcomes are kept in ``folder`` if given."""
     began = time.perf_counter()
     out = []
     with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:

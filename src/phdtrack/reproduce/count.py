@@ -1,6 +1,6 @@
 """Does the filter count right? The mass of its intensity against the true number of targets, with known parameters.
 
-    python -m phdtrack.reproduce.count
+    phdtrack reproduce count
 
 Truth by the filter's own model, `phdtrack.simulate.constant`: ten targets at the start, p_S = 0.99, births that keep the
 number. ``known``: the filter is given all of it, also the laws that births and clutter are drawn from. ``shipped``: it is
@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -24,7 +25,7 @@ from phdtrack.filters.particle_phd import Intensity
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.models.volume import image_volume
 from phdtrack.protocols import Birth, Clutter, Model, Sensor
-from phdtrack.reproduce.common import in_parallel, table, write
+from phdtrack.reproduce.common import Options, in_parallel, table, write
 from phdtrack.simulate import Counting, DetectorModel, constant, detect
 from phdtrack.simulate.clutter import ASPECTS, HEIGHTS
 from phdtrack.simulate.counting import PAPER_DETECTOR, counts
@@ -33,13 +34,13 @@ from phdtrack.types import F8, I8, GaussianMixture, Particles
 Laws = Literal["known", "shipped"]
 P_DETECT = (0.7, 0.9, 0.98)
 CLUTTER = (0.0, 5.0, 20.0)
-SEEDS = tuple(range(20))
+SEEDS, FEW_SEEDS = 20, 6
 FRAMES = 200
 # M07's numbers: particles per target, and around a detection of which nothing is predicted.
 PER_TARGET, MOST = 1500, 1000
 # What few particles cost is shown for one combination.
 FEW = (300, 1500, 6000)
-FEW_CASE, FEW_SEEDS = (0.7, 5.0), tuple(range(6))
+FEW_CASE = (0.7, 5.0)
 # The squared radius that holds 99 % of a Gaussian in the plane.
 _PLANE = -2 * math.log(0.01)
 
@@ -189,7 +190,7 @@ def run(
 def row(
     p_detect: float,
     clutter: float,
-    seeds: Sequence[int] = SEEDS,
+    seeds: Sequence[int] = range(SEEDS),
     frames: int = FRAMES,
     laws: Laws = "known",
     per_target: int = PER_TARGET,
@@ -201,18 +202,25 @@ def row(
     return Row(laws, p_detect, clutter, float(truth), float(count), float(states), rms, per_target)
 
 
-def _combination(job: tuple[Laws, float, float]) -> Row:
-    laws, p_detect, clutter = job
-    return row(p_detect, clutter, laws=laws)
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One combination: the laws given to the filter, p_D, clutter, number of seeds, particles per target."""
+
+    laws: Laws
+    p_detect: float
+    clutter: float
+    seeds: int
+    per_target: int = PER_TARGET
 
 
-def _particles(per_target: int) -> Row:
-    return row(*FEW_CASE, seeds=FEW_SEEDS, per_target=per_target)
+def work(job: Job) -> Row:
+    """One combination over its seeds."""
+    return row(job.p_detect, job.clutter, range(job.seeds), laws=job.laws, per_target=job.per_target)
 
 
-def rows(laws: Sequence[Laws] = ("known", "shipped")) -> list[Row]:
+def jobs_of(seeds: int, laws: Sequence[Laws] = ("known", "shipped")) -> list[Job]:
     """All combinations."""
-    return in_parallel(_combination, [(law, p, c) for law in laws for p in P_DETECT for c in CLUTTER], "count")
+    return [Job(law, p, c, seeds) for law in laws for p in P_DETECT for c in CLUTTER]
 
 
 def _cells(found: Sequence[Row]) -> str:
@@ -227,16 +235,20 @@ def _cells(found: Sequence[Row]) -> str:
     )
 
 
-def main() -> None:
-    """Measure, and write docs/results/count.md."""
-    found, few = rows(), in_parallel(_particles, FEW, "particles")
+def main(options: Options | None = None) -> Path:
+    """Measure, and write count.md."""
+    options = options or Options()
+    seeds, few_seeds = options.number(SEEDS, 1), options.number(FEW_SEEDS, 1)
+    found = in_parallel(work, jobs_of(seeds), "count", options.folder)
+    fewer = [Job("known", *FEW_CASE, few_seeds, per_target) for per_target in FEW]
+    few = in_parallel(work, fewer, "particles", options.folder)
     worst = max(abs(r.bias) for r in found)
-    write(
+    return write(
         "count.md",
         f"""# Counting
 
-The mass of the intensity against the true number of targets, {len(SEEDS)} seeds of {FRAMES} frames each, with the parameters
-known to the filter: p_D, p_S, λ, the birth rate and all noises. `python -m phdtrack.reproduce.count` writes this page.
+The mass of the intensity against the true number of targets, {seeds} seeds of {FRAMES} frames each, with the parameters
+known to the filter: p_D, p_S, λ, the birth rate and all noises. Written by `phdtrack reproduce count`.
 
 {_cells(found)}
 The largest relative bias is {worst:.3f}; 0.10 is asked. *known*: births and clutter by the laws of the scene. *shipped*:
@@ -248,9 +260,10 @@ missed weighs about 1 − p_D and is not one of them.
 
 Most of the bias comes from the particles. A target that is missed keeps 1 − p_D of its mass, and as many of its ρ particles;
 if none of them is where it is seen next, it is lost until it is born again. The rest is the mass of γ that births around
-detections leave out: newborn targets that are not seen at once. {len(FEW_SEEDS)} seeds:
+detections leave out: newborn targets that are not seen at once. {few_seeds} seeds:
 
 {_cells(few)}""",
+        options.out,
     )
 
 

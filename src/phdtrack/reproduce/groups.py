@@ -1,6 +1,6 @@
 """Annotated groups of pedestrians, found among true positions and behind a filter, with a grid over both thresholds.
 
-    python -m phdtrack.reproduce.groups
+    phdtrack reproduce groups
 
 seq_eth and zara01, people seen from above every 0.4 s. A detector is made of the annotated positions: noise of 0.2 m, one
 of ten missed, clutter Poisson over the ground that is walked on. The GM-PHD filter on the plane is given these rates and
@@ -24,7 +24,7 @@ from phdtrack.grouped import carriers, known_people
 from phdtrack.groups import Grouping, Living, Observed
 from phdtrack.metrics.groups import GroupScores, LabelledFrame, nearest, score_groups
 from phdtrack.protocols import AnyStages
-from phdtrack.reproduce.common import in_parallel, need_data, table, write
+from phdtrack.reproduce.common import Options, in_parallel, need_data, table, write
 from phdtrack.reproduce.plane import spread
 from phdtrack.types import F8, I8, Detections, GaussianMixture, SequenceInfo, Step, Tracks
 
@@ -270,18 +270,21 @@ def work(job: Job) -> Outcome:
     return Outcome({name: found_of(where, frames, name) for name in names}, grid, held)
 
 
-def main() -> None:
-    """Run everything and write docs/results/groups.md."""
-    jobs = [Job(name, seed) for name in SEQUENCES for seed in range(-1, SEEDS)]
-    write("groups.md", page(dict(zip(jobs, in_parallel(work, jobs, "groups"), strict=True))))
+def main(options: Options | None = None) -> Path:
+    """Run everything and write groups.md."""
+    options = options or Options()
+    seeds = options.number(SEEDS, 1)
+    jobs = [Job(name, seed) for name in SEQUENCES for seed in range(-1, seeds)]
+    outcomes = dict(zip(jobs, in_parallel(work, jobs, "groups", options.folder), strict=True))
+    return write("groups.md", page(outcomes, seeds), options.out)
 
 
-def page(outcomes: dict[Job, Outcome]) -> str:
+def page(outcomes: dict[Job, Outcome], seeds: int) -> str:
     """The page of results."""
-    sources = _sources(outcomes)
+    sources = _sources(outcomes, seeds)
     text = (Path(__file__).parent / "groups.md").read_text(encoding="utf-8")
     return text.format(
-        seeds=SEEDS,
+        seeds=seeds,
         noise=NOISE,
         detection=DETECTION,
         clutter=CLUTTER,
@@ -304,12 +307,12 @@ def page(outcomes: dict[Job, Outcome]) -> str:
     )
 
 
-def _sources(outcomes: dict[Job, Outcome]) -> list[tuple[str, str, list[Outcome]]]:
+def _sources(outcomes: dict[Job, Outcome], seeds: int) -> list[tuple[str, str, list[Outcome]]]:
     """Sequence, where people come from, and the outcomes of all seeds."""
     out = []
     for name in SEQUENCES:
         out.append((name, "true positions and velocities", [outcomes[Job(name, -1)]]))
-        out.append((name, "filtered", [outcomes[Job(name, seed)] for seed in range(SEEDS)]))
+        out.append((name, "filtered", [outcomes[Job(name, seed)] for seed in range(seeds)]))
     return out
 
 

@@ -1,8 +1,8 @@
 """What hides costs a detector: recall by the covered part of a box, and what a filter makes of it in the image.
 
-    python -m phdtrack.reproduce.occlusion
+    phdtrack reproduce occlusion
 
-The annotated boxes of the seven cases of `detections`, by the largest part that one nearer box of the frame covers (nearer
+The annotated boxes of the seven cases of `cases`, by the largest part that one nearer box of the frame covers (nearer
 is whose lower edge is lower). A box is detected where a detection is mapped to it at IoU ≥ 0.5, one to one. Then the
 GM-PHD filter on the same cases, with `sensor.occlusion` and without.
 """
@@ -17,8 +17,8 @@ import numpy as np
 from phdtrack.boxes import iou
 from phdtrack.metrics.assignment import above, assign
 from phdtrack.models.occlusion import SHAPE
-from phdtrack.reproduce.common import Case, Result, in_parallel, measure, mot15, table, write
-from phdtrack.reproduce.detections import CASES
+from phdtrack.reproduce.cases import CASES, short
+from phdtrack.reproduce.common import Case, Options, Result, in_parallel, measure, mot15, table, write
 from phdtrack.reproduce.e13 import covered
 from phdtrack.types import F8
 
@@ -54,9 +54,11 @@ def work(job: Work) -> Result:
     return measure(mot15(sequence, kind), "gm-phd", 1, (f"sensor.occlusion={occlusion}",))
 
 
-def main() -> None:
-    """Run everything and write docs/results/occlusion.md."""
-    cases = [mot15(*case) for case in CASES]
+def main(options: Options | None = None) -> Path:
+    """Run everything and write occlusion.md."""
+    options = options or Options()
+    chosen = short(CASES) if options.quick else CASES
+    cases = [mot15(*case) for case in chosen]
     seen = np.array([recalls(case) for case in cases])
     middle = [(low + high) / 2 for low, high in pairwise(PARTS[1:])]
     header = ("case", *(f"{low:g} to {high:g}" for low, high in pairwise(PARTS[1:])))
@@ -65,18 +67,19 @@ def main() -> None:
     ]
     rows.append(("mean", *(float(r) for r in np.nanmean(seen[:, 1:], axis=0))))
     rows.append(("1 − c^1.5 in the middle", *(1 - c**SHAPE for c in middle)))
-    jobs = [(*case, occlusion) for case in CASES for occlusion in ("false", "true")]
-    results = dict(zip(jobs, in_parallel(work, jobs, "occlusion"), strict=True))
+    jobs = [(*case, occlusion) for case in chosen for occlusion in ("false", "true")]
+    results = dict(zip(jobs, in_parallel(work, jobs, "occlusion", options.folder), strict=True))
     scores = ("MOTA", "IDF1", "id_switches")
     filtered: list[tuple[object, ...]] = []
-    for case in CASES:
+    for case in chosen:
         off, on = (results[(*case, occlusion)].scores for occlusion in ("false", "true"))
         filtered.append((" ".join(case), *(getattr(which, score) for score in scores for which in (off, on))))
     means = np.array([row[1:] for row in filtered], dtype=np.float64).mean(axis=0)
     filtered.append(("mean", *means.tolist()))
     columns = ("case", "MOTA off", "on", "IDF1 off", "on", "switches off", "on")
     page = (Path(__file__).parent / "occlusion.md").read_text(encoding="utf-8")
-    write("occlusion.md", page.format(recall=table(header, rows), filtered=table(columns, filtered)))
+    tables = {"recall": table(header, rows), "filtered": table(columns, filtered)}
+    return write("occlusion.md", page.format(cases=len(chosen), **tables), options.out)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Tracks on the ground plane: PETS09-S2L1 with its real detections and its camera.
 
-    python -m phdtrack.reproduce.plane
+    phdtrack reproduce plane
 
 World-plane tracks of the Gaussian-mixture filters and of the particle filter, with and without occlusion in p_D, beside the
 tracker in the image as shipped. Foot points are led to the ground by the camera and compared with the truth's own columns
@@ -13,6 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from phdtrack.metrics.groups import nearest
 from phdtrack.metrics.identity import count_identities
 from phdtrack.metrics.matching import tracking_mapping
 from phdtrack.metrics.scene import FramePair, Scene
-from phdtrack.reproduce.common import Case, in_parallel, mot15, need_data, table, write
+from phdtrack.reproduce.common import Case, Options, in_parallel, mot15, need_data, table, write
 from phdtrack.types import F8, I8, DetectionTable, Tracks
 
 SEQUENCE, KINDS = "PETS09-S2L1", ("public", "frcnn")
@@ -41,7 +42,7 @@ FIRST_PIXEL = 1.0
 class Variant:
     """A way to track: a filter, on the ground or in the image, with or without occlusion in p_D.
 
-    ``joined``: states whose boxes overlap by more than `JOINED` are one; without, no states are.
+    ``joined``: states whose boxes overlap by more than `JOINED` are one; without, no states are. ``random``: it has seeds.
     """
 
     name: str
@@ -49,7 +50,7 @@ class Variant:
     plane: bool
     occlusion: bool
     joined: bool = True
-    seeds: int = 1
+    random: bool = False
 
 
 VARIANTS = (
@@ -57,13 +58,13 @@ VARIANTS = (
     Variant("GM-PHD", "gm-phd", plane=True, occlusion=False),
     Variant("GM-CPHD", "gm-cphd", plane=True, occlusion=True),
     Variant("GM-CPHD", "gm-cphd", plane=True, occlusion=False),
-    Variant("particle PHD", "particle-phd", plane=True, occlusion=True, seeds=SEEDS),
-    Variant("particle PHD", "particle-phd", plane=True, occlusion=False, seeds=SEEDS),
+    Variant("particle PHD", "particle-phd", plane=True, occlusion=True, random=True),
+    Variant("particle PHD", "particle-phd", plane=True, occlusion=False, random=True),
     Variant("GM-PHD, not joined", "gm-phd", plane=True, occlusion=True, joined=False),
     Variant("GM-PHD, not joined", "gm-phd", plane=True, occlusion=False, joined=False),
     Variant("GM-PHD", "gm-phd", plane=False, occlusion=True),
     Variant("GM-PHD", "gm-phd", plane=False, occlusion=False),
-    Variant("particle PHD", "particle-phd", plane=False, occlusion=False, seeds=SEEDS),
+    Variant("particle PHD", "particle-phd", plane=False, occlusion=False, random=True),
 )
 
 
@@ -251,16 +252,19 @@ def spread(values: Sequence[float], digits: int = 3) -> str:
     return mean if len(values) < 2 else f"{mean} ± {np.std(values, ddof=1) / math.sqrt(len(values)):.{digits}f}"
 
 
-def main() -> None:
-    """Run everything and write docs/results/plane.md."""
-    jobs = [Job(kind, i, seed) for kind in KINDS for i, v in enumerate(VARIANTS) for seed in range(v.seeds)]
-    write("plane.md", page(dict(zip(jobs, in_parallel(work, jobs, "plane"), strict=True))))
+def main(options: Options | None = None) -> Path:
+    """Run everything and write plane.md."""
+    options = options or Options()
+    seeds = options.number(SEEDS, 1)
+    jobs = [Job(kind, i, seed) for kind in KINDS for i, v in enumerate(VARIANTS) for seed in range(seeds if v.random else 1)]
+    outcomes = dict(zip(jobs, in_parallel(work, jobs, "plane", options.folder), strict=True))
+    return write("plane.md", page(outcomes, seeds), options.out)
 
 
-def page(outcomes: dict[Job, Outcome]) -> str:
+def page(outcomes: dict[Job, Outcome], seeds: int) -> str:
     """The page of results."""
     rows = [
-        (_head(kind, v), _means([outcomes[Job(kind, i, seed)] for seed in range(v.seeds)]))
+        (_head(kind, v), _means([outcomes[Job(kind, i, seed)] for seed in range(seeds if v.random else 1)]))
         for kind in KINDS
         for i, v in enumerate(VARIANTS)
     ]
@@ -268,7 +272,7 @@ def page(outcomes: dict[Job, Outcome]) -> str:
     ground = [*_references(), *((*head, *cells[4:9]) for head, cells in rows)]
     counts = [*_raw(), *((*head, *cells[9:]) for head, cells in rows)]
     return _PAGE.format(
-        seeds=SEEDS,
+        seeds=seeds,
         joined=JOINED,
         near=NEAR,
         far=FAR,
@@ -328,7 +332,7 @@ camera. The settings for the image were chosen on seven cases, of which these ar
 that states are joined there as in the image was decided by this page. *occlusion*: whether p_D falls where nearer people
 cover a person; shipped is on for the ground, off for the image. States whose boxes overlap by more than {joined:g} are taken
 for one; *not joined*: none are. Particle filters: mean of {seeds} seeds ± its standard error; what Gaussians do is not
-random. Corrected tracks. Written by `python -m phdtrack.reproduce.plane`.
+random. Corrected tracks. Written by `phdtrack reproduce plane`.
 
 ## On the ground
 

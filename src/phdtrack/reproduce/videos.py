@@ -1,9 +1,10 @@
 """From a video to tracks: `phdtrack track` on real video, with and without the filter.
 
-    python -m phdtrack.reproduce.videos
+    phdtrack reproduce videos
 
 PETS09-S2L1 with three detectors, TUD-Campus and CAVIAR's shop corridor with two; shipped defaults for all. The run
-directories are kept under runs/videos/, to be looked at.
+directories are kept, under runs/videos/ if nothing else is said, to be looked at. They are made anew each time, but for
+what was detected.
 """
 
 from __future__ import annotations
@@ -12,11 +13,13 @@ import json
 import subprocess
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 
-from phdtrack.reproduce.common import ROOT, in_parallel, need_data, table, write
+from phdtrack.reproduce.common import ROOT, Options, in_parallel, need_data, table, write
 
-RUNS = ROOT / "runs" / "videos"
 FILTERS = ("none", "particle-phd")
+# The short form's.
+SHORT = "TUD-Campus"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,18 +43,31 @@ VIDEOS = (
 )
 
 
-def detect(video: Video) -> None:
+@dataclass(frozen=True, slots=True)
+class Job:
+    """A video, a filter, and the folder of the run directories."""
+
+    video: Video
+    filter: str
+    runs: Path
+
+    @property
+    def found(self) -> Path:
+        """What was detected on the video."""
+        return self.runs / f"{self.video.name}-{self.video.detector}"
+
+
+def detect(job: Job) -> None:
     """Detect once per video and detector; what is there already is used again."""
-    out = RUNS / f"{video.name}-{video.detector}"
+    video, out = job.video, job.found
     if not (out / "detections.csv").exists():
         _phdtrack("detect", str(need_data() / video.source), "--detector", video.detector, "--out", str(out))
 
 
-def work(job: tuple[Video, str]) -> dict[str, object]:
+def work(job: Job) -> dict[str, object]:
     """One run of the command line on the video and its detections; its JSON."""
-    video, filter_name = job
+    video, filter_name, found = job.video, job.filter, job.found
     data = need_data()
-    found = RUNS / f"{video.name}-{video.detector}"
     given = ("--detections", str(found / "detections.csv"), "--truth", str(data / video.truth), "--filter", filter_name)
     text = _phdtrack("track", str(data / video.source), *given, "--out", str(found / filter_name), "--overwrite", "--json")
     document: dict[str, object] = json.loads(text)
@@ -67,21 +83,24 @@ def _phdtrack(*arguments: str) -> str:
     return done.stdout
 
 
-def main() -> None:
-    """Run everything and write docs/results/videos.md."""
-    RUNS.mkdir(parents=True, exist_ok=True)
-    in_parallel(detect, VIDEOS, "detecting")
-    jobs = [(video, name) for video in VIDEOS for name in FILTERS]
+def main(options: Options | None = None) -> Path:
+    """Run everything and write videos.md."""
+    options = options or Options()
+    runs = options.folder or ROOT / "runs" / "videos"
+    runs.mkdir(parents=True, exist_ok=True)
+    videos = [video for video in VIDEOS if video.name == SHORT] if options.quick else VIDEOS
+    in_parallel(detect, [Job(video, FILTERS[0], runs) for video in videos], "detecting")
+    jobs = [Job(video, name, runs) for video in videos for name in FILTERS]
     rows = [_row(job, document) for job, document in zip(jobs, in_parallel(work, jobs, "videos"), strict=True)]
-    write(
+    return write(
         "videos.md",
         "# From a video to tracks\n\n"
-        "Written by `python -m phdtrack.reproduce.videos` (part of `make experiments`): `phdtrack track VIDEO --truth …`, "
-        "with shipped defaults, seed 0. Scores of the corrected tracks at IoU 0.5. *delay*: frames from an object's first "
-        "annotated frame to its first output row, over the objects that were found. *false tracks*: identities that never "
-        "match an object. Each detector runs once and both filters take its boxes (`phdtrack detect`, then `--detections`), "
-        "which gives what `phdtrack track VIDEO --detector …` gives. The runs are kept under `runs/videos/`. The background "
-        "detectors' settings were chosen on these videos, PETS09-S2L1 above all.\n\n"
+        "Written by `phdtrack reproduce videos`: `phdtrack track VIDEO --truth …`, shipped defaults, seed 0. Scores of the "
+        "corrected tracks at IoU 0.5. *delay*: frames from an object's first annotated frame to its first output row, over "
+        "the objects that were found. *false tracks*: identities that never match an object. Each detector runs once and "
+        "both filters take its boxes (`phdtrack detect`, then `--detections`), which gives what "
+        "`phdtrack track VIDEO --detector …` gives. The background detectors' settings were chosen on these videos, "
+        "PETS09-S2L1 above all.\n\n"
         + table(
             (
                 "video",
@@ -99,11 +118,12 @@ def main() -> None:
             ),
             rows,
         ),
+        options.out,
     )
 
 
-def _row(job: tuple[Video, str], document: dict[str, object]) -> list[object]:
-    video, name = job
+def _row(job: Job, document: dict[str, object]) -> list[object]:
+    video, name = job.video, job.filter
     scores = document["scores"]
     assert isinstance(scores, dict)
     numbers = [float(scores[key]) for key in ("MODA", "MODP", "MOTA", "MOTP", "IDF1", "HOTA")]

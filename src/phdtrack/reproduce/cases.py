@@ -1,0 +1,72 @@
+"""What the trackers are compared on: real detections, ones made of real truth, simulated scenes; added clutter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from phdtrack.formats import read_truth
+from phdtrack.reproduce import e13
+from phdtrack.reproduce.common import Case, mot15, need_data
+from phdtrack.simulate import DetectorModel, add_clutter, detect, make_scene
+from phdtrack.types import SequenceInfo
+
+# A sequence, and which detections of it: public or frcnn; made; a simulated scene.
+Named = tuple[str, str]
+# The shipped defaults were chosen by scores on these.
+CASES: tuple[Named, ...] = (
+    ("PETS09-S2L1", "public"),
+    ("PETS09-S2L1", "frcnn"),
+    ("TUD-Campus", "public"),
+    ("TUD-Campus", "frcnn"),
+    ("KITTI-17", "public"),
+    ("KITTI-17", "frcnn"),
+    ("ADL-Rundle-6", "frcnn"),
+)
+# No default was chosen by these scores; but they were seen between rounds, and their overlapping boxes were examined.
+HELD_OUT: tuple[Named, ...] = (("ETH-Sunnyday", "public"), ("ETH-Sunnyday", "frcnn"))
+MADE: tuple[Named, ...] = (("OneLeaveShop1cor", "made"), ("PETS2009-S1L1-1", "made"))
+SCENES: tuple[Named, ...] = tuple((name, "scene") for name in ("street", "crossing", "occlusion", "crowd", "corridor"))
+SCENE_FRAMES = 300
+# Annotated sequences without detections: file, size and rate.
+_ANNOTATED = {
+    "OneLeaveShop1cor": ("caviar/cols1gt.xml", SequenceInfo(384, 288, 25.0, 295, "OneLeaveShop1cor")),
+    "PETS2009-S1L1-1": ("pets2009/PETS2009-S1L1-1.xml", e13.INFO),
+}
+# Two false alarms a frame; who is hidden to the part c is detected with probability 0.9 (1 − c).
+_DETECTOR = DetectorModel(occlusion=1.0)
+
+
+def short(cases: Sequence[Named]) -> tuple[Named, ...]:
+    """The short sequences among them, for short forms."""
+    return tuple(case for case in cases if case[0] in ("TUD-Campus", "KITTI-17"))
+
+
+@lru_cache(maxsize=8)
+def given(sequence: str, kind: str) -> Case:
+    """A sequence with its ``public`` or ``frcnn`` detections, read once a process."""
+    return mot15(sequence, kind)
+
+
+def drawn(name: Named, seed: int) -> Case:
+    """A case by its name; ``seed`` draws what is made and what is simulated, and does nothing to real detections."""
+    sequence, kind = name
+    if kind == "scene":
+        scene = make_scene(sequence, seed, frames=SCENE_FRAMES)
+        return Case(sequence, scene.info, scene.truth, scene.detections)
+    if kind == "made":
+        file, info = _ANNOTATED[sequence]
+        truth = read_truth(need_data() / file)
+        return Case(sequence, info, truth, detect(truth, info, np.random.default_rng(seed), _DETECTOR).table)
+    return given(sequence, kind)
+
+
+def cluttered(case: Case, rate: float, seed: int) -> Case:
+    """The case with Poisson(``rate``) clutter boxes per frame added, of the truth's sizes."""
+    if rate == 0:
+        return case
+    sizes = case.truth.xyxy[:, 2:] - case.truth.xyxy[:, :2]
+    return replace(case, table=add_clutter(case.table, case.info, rate, np.random.default_rng(seed), sizes))

@@ -1,0 +1,286 @@
+"""M07 Table 1 and M09 Fig. 16: PHD against no filter and against multiple hypotheses, on the same detections.
+
+    phdtrack reproduce m07
+
+Real detections, detections made of real truth, and simulated scenes, natural and with Poisson clutter added; the same
+shipped settings for all. Every method is given the same detections at the same seed. `none` is M07's MT and M09's DA.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from phdtrack.compare.statistics import Interval, interval
+from phdtrack.metrics import Scores, pool
+from phdtrack.reproduce.cases import CASES, HELD_OUT, MADE, SCENES, Named, cluttered, drawn, short
+from phdtrack.reproduce.common import Options, Result, in_parallel, measure, table, write
+
+RATES = (0, 5, 20)
+SEEDS, FEW = 3, 2
+PHD = "particle-phd"
+RIVALS = ("none", "mht")
+# Name, filter and preset.
+METHODS = {
+    "none": ("none", ""),
+    "mht": ("mht", ""),
+    PHD: (PHD, ""),
+    "gm-phd": ("gm-phd", ""),
+}
+RANDOM = (PHD,)
+GROUPS: dict[str, tuple[Named, ...]] = {
+    "real detections": CASES,
+    "held out": HELD_OUT,
+    "made of real truth": MADE,
+    "simulated scenes": SCENES,
+}
+FOUR = ("MODA", "MODP", "MOTA", "MOTP")
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One run; ``seed`` draws detections, clutter and particles."""
+
+    case: Named
+    rate: int
+    method: str
+    seed: int
+
+
+def work(job: Job) -> Result:
+    """One run, scored."""
+    kind, preset = METHODS[job.method]
+    return measure(cluttered(drawn(job.case, job.seed), job.rate, job.seed), kind, job.seed, preset=preset)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """All runs; ``groups`` of cases, ``rates`` of clutter and number of ``seeds`` that there are."""
+
+    results: dict[Job, Result]
+    groups: dict[str, tuple[Named, ...]]
+    rates: tuple[int, ...]
+    seeds: int
+
+    @property
+    def cases(self) -> tuple[Named, ...]:
+        """The cases of all groups."""
+        return tuple(case for cases in self.groups.values() for case in cases)
+
+    def runs(self, case: Named, rate: int, method: str) -> list[Result]:
+        """One result for each seed; the same one where nothing is drawn."""
+        return [self.results[Job(case, rate, method, seed_of(case, rate, method, k))] for k in range(1, self.seeds + 1)]
+
+    def mean(self, case: Named, rate: int, method: str, score: str) -> float:
+        """A score's mean over the seeds."""
+        return float(np.mean([getattr(run.scores, score) for run in self.runs(case, rate, method)]))
+
+    def pooled(self, cases: Sequence[Named], rate: int, method: str) -> list[Scores]:
+        """The scores over all ``cases``, for each seed."""
+        runs = [self.runs(case, rate, method) for case in cases]
+        return [pool([each[k].scores for each in runs]) for k in range(self.seeds)]
+
+
+def seed_of(case: Named, rate: int, method: str, seed: int) -> int:
+    """The seed whose run stands for ``seed``: the first where neither detections, clutter nor the method draw anything."""
+    random = method in RANDOM or rate > 0 or case in MADE + SCENES
+    return seed if random else 1
+
+
+def jobs_of(groups: dict[str, tuple[Named, ...]], rates: Sequence[int], seeds: int) -> list[Job]:
+    """All runs, each once."""
+    wanted = (
+        Job(case, rate, method, seed_of(case, rate, method, seed))
+        for cases in groups.values()
+        for case in cases
+        for rate in rates
+        for method in METHODS
+        for seed in range(1, seeds + 1)
+    )
+    return list(dict.fromkeys(wanted))
+
+
+def main(options: Options | None = None) -> Path:
+    """Run everything and write m07.md."""
+    options = options or Options()
+    seeds = options.number(SEEDS, FEW)
+    groups = {"real detections": short(CASES), "simulated scenes": SCENES[1:2]} if options.quick else GROUPS
+    rates = RATES[::2] if options.quick else RATES
+    jobs = jobs_of(groups, rates, seeds)
+    results = dict(zip(jobs, in_parallel(work, jobs, "m07", options.folder), strict=True))
+    return write("m07.md", page(Found(results, groups, rates, seeds)), options.out)
+
+
+def page(found: Found) -> str:
+    """The page of results."""
+    text = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
+    heavy = found.rates[-1]
+    first = found.groups["real detections"]
+    none, phd = (_spread(found.pooled(first, heavy, method), "MOTA") for method in ("none", PHD))
+    return text.format(
+        seeds=found.seeds,
+        heavy=heavy,
+        none=none,
+        phd=phd,
+        verdict=verdict(found),
+        ahead=table(
+            ("cases", "clutter added", "of", *(f"ahead of {x}" for x in (*RIVALS, "both", "none in all four"))),
+            _ahead(found),
+        ),
+        pooled=table(
+            ("cases", "clutter added", "method", *FOUR, "IDF1", "HOTA", "switches", "false tracks"), _pooled(found)
+        ),
+        gaps=table(
+            ("cases", "clutter added", *(f"{score}, less {rival}" for rival in RIVALS for score in ("MODA", "MOTA"))),
+            _gaps(found),
+        ),
+        natural=table(("case", "method", *FOUR, "IDF1", "HOTA", "switches", "delay", "false tracks", "ms"), _natural(found)),
+        cluttered="\n".join(_with_clutter(found, rate) for rate in found.rates[1:]),
+        behind=_behind_text(found),
+    )
+
+
+def leads(found: Found, case: Named, rate: int, rival: str, scores: Sequence[str] = ("MODA", "MOTA")) -> bool:
+    """Whether the PHD filter is ahead of a rival in all of the ``scores``, by their means over the seeds."""
+    return all(found.mean(case, rate, PHD, score) > found.mean(case, rate, rival, score) for score in scores)
+
+
+def verdict(found: Found) -> str:
+    """How often the PHD filter is ahead of both, in a sentence."""
+    all_ = [(case, rate) for case in found.cases for rate in found.rates]
+    both = sum(all(leads(found, case, rate, rival) for rival in RIVALS) for case, rate in all_)
+    each = [f"of `{rival}` in {sum(leads(found, case, rate, rival) for case, rate in all_)}" for rival in RIVALS]
+    pooled = [
+        interval(
+            [getattr(a, score) - getattr(b, score) for a, b in zip(*_both(found, found.cases, rate, rival), strict=True)]
+        )
+        for rate in found.rates
+        for rival in RIVALS
+        for score in ("MODA", "MOTA")
+    ]
+    clear = sum(one.mean > 0 and (one.clear or one.count < 2) for one in pooled)
+    return (
+        f"The particle PHD filter is ahead of both rivals in MODA and MOTA in **{both} of {len(all_)}** combinations of "
+        f"case and clutter, {' and '.join(each)}. Pooled over all cases it is ahead of them in {clear} of the {len(pooled)} "
+        "comparisons of MODA and MOTA by more than the 95 % interval."
+    )
+
+
+def _both(found: Found, cases: Sequence[Named], rate: int, rival: str) -> tuple[list[Scores], list[Scores]]:
+    return found.pooled(cases, rate, PHD), found.pooled(cases, rate, rival)
+
+
+def _groups(found: Found) -> dict[str, tuple[Named, ...]]:
+    return {**found.groups, "all": found.cases}
+
+
+def _ahead(found: Found) -> list[tuple[object, ...]]:
+    """How many cases the PHD filter leads."""
+    rows: list[tuple[object, ...]] = []
+    for name, cases in _groups(found).items():
+        for rate in found.rates:
+            over = {rival: [leads(found, case, rate, rival) for case in cases] for rival in RIVALS}
+            four = sum(leads(found, case, rate, "none", FOUR) for case in cases)
+            both = sum(all(each) for each in zip(*over.values(), strict=True))
+            rows.append((name, rate, len(cases), *(sum(each) for each in over.values()), both, four))
+    return rows
+
+
+def _pooled(found: Found) -> list[tuple[object, ...]]:
+    rows: list[tuple[object, ...]] = []
+    for name, cases in _groups(found).items():
+        for rate in found.rates:
+            for method in METHODS:
+                scores = found.pooled(cases, rate, method)
+                counts = (f"{np.mean([getattr(one, key) for one in scores]):.0f}" for key in ("id_switches", "false_tracks"))
+                rows.append((name, rate, method, *(_spread(scores, key) for key in (*FOUR, "IDF1", "HOTA")), *counts))
+    return rows
+
+
+def _spread(scores: Sequence[Scores], key: str) -> str:
+    return _shown(interval([getattr(one, key) for one in scores]))
+
+
+def _shown(value: Interval, sign: str = "") -> str:
+    """A mean with half its interval, where there is one."""
+    mean = f"{value.mean:{sign}.3f}"
+    return mean if not np.isfinite(value.half) or value.half < 5e-4 else f"{mean} ± {value.half:.3f}"
+
+
+def _gaps(found: Found) -> list[tuple[object, ...]]:
+    """Pooled scores of the PHD filter less those of its rivals, seed by seed."""
+    rows: list[tuple[object, ...]] = []
+    for name, cases in _groups(found).items():
+        for rate in found.rates:
+            cells = []
+            for rival in RIVALS:
+                pairs = list(zip(*_both(found, cases, rate, rival), strict=True))
+                for score in ("MODA", "MOTA"):
+                    cells.append(_shown(interval([getattr(a, score) - getattr(b, score) for a, b in pairs]), "+"))
+            rows.append((name, rate, *cells))
+    return rows
+
+
+def _natural(found: Found) -> list[tuple[object, ...]]:
+    rows: list[tuple[object, ...]] = []
+    for case in found.cases:
+        for method in METHODS:
+            runs = found.runs(case, 0, method)
+            scores = [_spread([run.scores for run in runs], key) for key in (*FOUR, "IDF1", "HOTA")]
+            switches = round(found.mean(case, 0, method, "id_switches"))
+            late = [run.delay for run in runs if np.isfinite(run.delay)]
+            false = f"{found.mean(case, 0, method, 'false_tracks'):.1f}"
+            ms = f"{1e3 * np.median([run.seconds_per_frame for run in runs]):.1f}"
+            rows.append((" ".join(case), method, *scores, switches, f"{np.mean(late):.1f}" if late else "–", false, ms))
+    return rows
+
+
+def _with_clutter(found: Found, rate: int) -> str:
+    """MODA and MOTA of all cases at a rate of added clutter."""
+    header = ("case", *(f"{score} {method}" for score in ("MODA", "MOTA") for method in METHODS))
+    rows = [
+        (
+            " ".join(case),
+            *(
+                _spread([run.scores for run in found.runs(case, rate, method)], score)
+                for score in ("MODA", "MOTA")
+                for method in METHODS
+            ),
+        )
+        for case in found.cases
+    ]
+    return f"### {rate} false alarms per frame added\n\n{table(header, rows)}"
+
+
+def _behind_text(found: Found) -> str:
+    """Where a rival is ahead in MODA or MOTA, and by which kind of error."""
+    rows = [
+        (" ".join(case), rate, rival, *_errors(found, case, rate, rival))
+        for case in found.cases
+        for rate in found.rates
+        for rival in RIVALS
+        if not leads(found, case, rate, rival)
+    ]
+    if not rows:
+        return "Nowhere.\n"
+    header = ("case", "clutter added", "behind", "MODA", "MOTA", "misses", "false boxes", "switches", "most by")
+    return table(header, rows)
+
+
+def _errors(found: Found, case: Named, rate: int, rival: str) -> tuple[object, ...]:
+    """Differences in MODA and MOTA, and in errors per annotated box, whose sum is that in MOTA with the other sign."""
+    gap = [found.mean(case, rate, PHD, score) - found.mean(case, rate, rival, score) for score in ("MODA", "MOTA")]
+    boxes = found.mean(case, rate, PHD, "truth_boxes")
+    kinds = {"misses": "misses", "false boxes": "false_positives", "switches": "id_switches"}
+    more = {
+        name: (found.mean(case, rate, PHD, key) - found.mean(case, rate, rival, key)) / boxes for name, key in kinds.items()
+    }
+    worst = max(more, key=lambda name: more[name])
+    return (*(f"{value:+.3f}" for value in (*gap, *more.values())), worst if more[worst] > 0 else "–")
+
+
+if __name__ == "__main__":
+    main()

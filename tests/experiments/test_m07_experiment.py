@@ -1,0 +1,121 @@
+"""What the page of M07 Table 1 counts and says, from made-up scores; its cases; outcomes that are kept."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phdtrack.metrics import evaluate
+from phdtrack.reproduce import cases, m07
+from phdtrack.reproduce.common import Kept, Options, Result
+from phdtrack.types import Tracks, Truth
+
+BOXES = np.array([[0.0, 0, 10, 20], [100, 0, 110, 20]])
+FRAMES = 10
+
+
+def truth() -> Truth:
+    frame, identity = np.repeat(np.arange(1, FRAMES + 1), 2), np.tile([1, 2], FRAMES)
+    return Truth(frame, identity, np.tile(BOXES, (FRAMES, 1)), np.zeros(2 * FRAMES, np.bool_))
+
+
+def result(misses: int, false: int, switches: int) -> Result:
+    """Scores of tracks with so many misses (of the second object), false boxes, and switches of the first object."""
+    rows = truth()
+    kept = ~((rows.identity == 2) & (rows.frame <= misses))
+    name = np.where(rows.identity == 1, 10 + np.minimum(rows.frame - 1, switches), 2)
+    frame = np.concatenate([rows.frame[kept], np.arange(1, false + 1)])
+    identity = np.concatenate([name[kept], np.full(false, 99)])
+    xyxy = np.concatenate([rows.xyxy[kept], np.tile([500.0, 0, 510, 20], (false, 1))])
+    n = len(frame)
+    tracks = Tracks(frame, identity, xyxy, np.ones(n), np.full(n, -1), np.ones(n, np.bool_))
+    return Result(evaluate(rows, tracks, frames=FRAMES), 0.0, 1e-3)
+
+
+A, B = ("KITTI-17", "public"), ("street", "scene")
+ERRORS = {
+    "none": {A: (2, 4, 1), B: (1, 0, 0)},
+    "mht": {A: (3, 0, 2), B: (3, 1, 0)},
+    "particle-phd": {A: (0, 0, 0), B: (4, 0, 0)},
+    "gm-phd": {A: (1, 1, 1), B: (1, 1, 1)},
+}
+
+
+@pytest.fixture
+def found() -> m07.Found:
+    groups = {"real detections": (A,), "simulated scenes": (B,)}
+    jobs = m07.jobs_of(groups, (0, 5), 2)
+    return m07.Found({job: result(*ERRORS[job.method][job.case]) for job in jobs}, groups, (0, 5), 2)
+
+
+def test_nothing_is_run_twice_that_draws_nothing() -> None:
+    jobs = m07.jobs_of({"real detections": (A,), "simulated scenes": (B,)}, (0, 5), 3)
+    assert len(set(jobs)) == len(jobs)
+    natural = [job for job in jobs if job.case == A and job.rate == 0]
+    seeds = {method: [job.seed for job in natural if job.method == method] for method in m07.METHODS}
+    assert seeds == {method: [1, 2, 3] if method in m07.RANDOM else [1] for method in m07.METHODS}
+    assert sum(job.case == B and job.rate == 0 for job in jobs) == 3 * len(m07.METHODS)
+
+
+def test_who_is_ahead(found: m07.Found) -> None:
+    assert m07.leads(found, A, 0, "none")
+    assert m07.leads(found, A, 5, "mht")
+    assert not m07.leads(found, B, 0, "none")
+    said = m07.verdict(found)
+    assert "in **2 of 4** combinations" in said
+    assert "of `none` in 2 and of `mht` in 2" in said
+
+
+def test_the_page_counts_cases_and_tells_the_error_that_decides(found: m07.Found) -> None:
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in m07.page(found).splitlines()]
+    assert ["real detections", "0", "1", "1", "1", "1", "0"] in lines
+    assert ["simulated scenes", "5", "1", "0", "0", "0", "0"] in lines
+    assert ["all", "0", "2", "1", "1", "1", "0"] in lines
+    # Three more misses on twenty boxes; against mht one more miss and one false box less.
+    assert ["street scene", "0", "none", "-0.150", "-0.150", "+0.150", "+0.000", "+0.000", "misses"] in lines
+    assert ["street scene", "0", "mht", "+0.000", "+0.000", "+0.050", "-0.050", "+0.000", "misses"] in lines
+    assert not any(line[:1] == ["KITTI-17 public"] and line[2:3] == ["none"] for line in lines)
+
+
+def test_pooled_scores_are_those_of_all_boxes(found: m07.Found) -> None:
+    scores = found.pooled((A, B), 0, "none")
+    assert [one.MOTA for one in scores] == pytest.approx([1 - (2 + 4 + 1 + 1) / 40] * 2)
+
+
+def test_clutter_is_the_same_for_all_methods_and_another_for_another_seed() -> None:
+    one = cases.cluttered(cases.drawn(B, 1), 5, 1)
+    again, other = cases.cluttered(cases.drawn(B, 1), 5, 1), cases.cluttered(cases.drawn(B, 1), 5, 2)
+    np.testing.assert_array_equal(one.table.detections.xyxy, again.table.detections.xyxy)
+    assert len(one.table) > len(cases.drawn(B, 1).table)
+    assert not np.array_equal(one.table.detections.xyxy, other.table.detections.xyxy)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", cases.MADE)
+def test_detections_made_of_real_truth(data, monkeypatch, name) -> None:
+    monkeypatch.setattr(cases, "need_data", lambda: data)
+    case = cases.drawn(name, 1)
+    assert case.truth.frame.max() <= case.info.frames
+    # Nine of ten of those who are free, and two false alarms a frame.
+    assert 0.5 * len(case.truth) < len(case.table) - 2 * case.info.frames < 0.9 * len(case.truth)
+
+
+def _double(job: tuple[int, int]) -> int:
+    return 2 * job[0] if job[1] else 1 // job[1]
+
+
+def test_outcomes_are_kept_by_job(tmp_path) -> None:
+    kept = Kept(_double, tmp_path)
+    assert (kept((3, 1)), kept((4, 1))) == (6, 8)
+    file = next(iter(tmp_path.glob("*.pickle")))
+    assert len(list(tmp_path.iterdir())) == 2
+    before = file.stat().st_mtime_ns
+    assert kept((3, 1)) == 6
+    assert file.stat().st_mtime_ns == before
+    with pytest.raises(ZeroDivisionError):
+        kept((3, 0))
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_runs_are_as_asked_for_else_by_the_form() -> None:
+    assert [Options().number(20, 2), Options(quick=True).number(20, 2), Options(7, quick=True).number(20, 2)] == [20, 2, 7]
