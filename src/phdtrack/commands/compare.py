@@ -93,6 +93,7 @@ def compare(
     from phdtrack.commands.compare_results import Results, tell, write
     from phdtrack.compare import check_scores, plan, run, steps, summary
     from phdtrack.compare.worst import worst_frames
+    from phdtrack.report import write_run
 
     result = Output(json)
     ours = (out / DOCUMENT).is_file()
@@ -114,6 +115,8 @@ def compare(
         iou=iou,
     )
     directory = rundir.claim(out, True, FILES)
+    # Whatever ends this, the next one knows the folder for its own.
+    write_run(directory.file(DOCUMENT), {"complete": False})
     compile_for(result, made)
     began = time.perf_counter()
     with progress("comparing", steps(made), PACE) as advance:

@@ -59,6 +59,7 @@ class Results:
         """For programs."""
         comparison = self.comparison
         return {
+            "complete": True,
             "command": command_line(),
             "runs": len(comparison.found),
             "reused": comparison.reused,
@@ -101,7 +102,7 @@ def tell(out: Output, results: Results, directory: rundir.RunDirectory) -> None:
     apart = [row for row in found.widest if row.ahead]
     if apart:
         out.say()
-        out.say(f"Ahead of {plan.methods[0].name}, seed by seed:")
+        out.say(f"Difference to {plan.methods[0].name}, seed by seed:")
         out.table(head(names), sparse(lines_of(apart, names, ahead=True)), words=(0, 1, 3))
     out.say()
     for sentence in (results.sentence, *sentences(plan, found), *notes(found, plan.seeds)):

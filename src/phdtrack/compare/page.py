@@ -34,7 +34,7 @@ def content(
     first = plan.methods[0].name
     apart = [row for row in found.rows if row.ahead]
     tables = [Table("Pooled over the sequences", _POOLING, head(names), sparse(lines_of(pooled, names)))]
-    differences = Table(f"Ahead of {first}", _AHEAD, head(names), sparse(lines_of(apart, names, ahead=True)))
+    differences = Table(f"Difference to {first}", _AHEAD, head(names), sparse(lines_of(apart, names, ahead=True)))
     each = Table("Every sequence", "", head(names), sparse(lines_of(single, names)))
     return ComparePage(
         about=about,

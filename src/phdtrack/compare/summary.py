@@ -17,7 +17,7 @@ from phdtrack.metrics import Scores, pool
 SCORES = tuple(entry.name for entry in fields(Scores) if entry.name not in ("counts", "settings"))
 # What there is without truth too.
 OTHERS = ("tracks", "boxes_per_frame", "ms")
-SHOWN = ("MODA", "MOTA", "IDF1", "HOTA", "id_switches", "false_tracks")
+SHOWN = ("MODA", "MOTA", "IDF1", "HOTA", "id_switches")
 LOWER = (
     "OSPA",
     "GOSPA",

@@ -7,11 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.report.canvas import Picture, chart_axes, legend, new_figure, to_svg
+from phdtrack.report.canvas import INK, Picture, chart_axes, legend, new_figure, to_svg
 from phdtrack.types import F8
 
 COLOURS = ("#3b6fd4", "#e08a1e", "#2a9d74", "#a45cc0", "#c0504d", "#7a8599")
 _MARKERS = "osD^vP"
+_SIZE = (5.4, 3.0)
+_ASIDE = 0.012
+_ROOM = 45
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,16 +28,14 @@ class Series:
 
 
 def lines(x: F8, x_label: str, y_label: str, series: Sequence[Series]) -> Picture:
-    """A line for each of the series over ``x`` (n,), the interval as a band and as bars."""
-    figure = new_figure(8.2, 3.3)
+    """A line for each of the series over ``x`` (n,), with intervals; a little beside each other, so that all can be seen."""
+    figure = new_figure(*_SIZE)
     axes = chart_axes(figure, x_label, y_label)
+    aside = _ASIDE * float(np.ptp(x)) * (np.arange(len(series)) - (len(series) - 1) / 2)
     for i, one in enumerate(series):
-        colour, marker = COLOURS[i % len(COLOURS)], _MARKERS[i % len(_MARKERS)]
-        axes.fill_between(x, one.low, one.high, color=colour, alpha=0.15, linewidth=0)
-        error = np.abs(np.vstack([one.mean - one.low, one.high - one.mean]))
-        axes.errorbar(
-            x, one.mean, error, color=colour, marker=marker, markersize=5, capsize=3, linewidth=1.6, label=one.label
-        )
+        bars = axes.errorbar(x + aside[i], one.mean, _ends(one), color=COLOURS[i % len(COLOURS)], capsize=3, linewidth=1.6)
+        bars.set_label(one.label)
+        bars.lines[0].set_marker(_MARKERS[i % len(_MARKERS)])
     axes.set_xticks(x)
     axes.set_xticklabels([f"{value:g}" for value in x])
     legend(axes)
@@ -43,18 +44,22 @@ def lines(x: F8, x_label: str, y_label: str, series: Sequence[Series]) -> Pictur
 
 def bars(groups: Sequence[str], y_label: str, series: Sequence[Series]) -> Picture:
     """For each of the groups a bar of each of the series, which have a value for each group, with its interval."""
-    figure = new_figure(8.2, 3.3)
+    figure = new_figure(*_SIZE)
     axes = chart_axes(figure, "", y_label)
     axes.grid(False, axis="x")
     place, width = np.arange(len(groups), dtype=np.float64), 0.8 / max(len(series), 1)
     for i, one in enumerate(series):
-        error = np.abs(np.vstack([one.mean - one.low, one.high - one.mean]))
-        at = place + (i - (len(series) - 1) / 2) * width
-        axes.bar(at, one.mean, 0.92 * width, yerr=error, color=COLOURS[i % len(COLOURS)], ecolor="#3a4250", label=one.label)
-    axes.axhline(0, color="#3a4250", linewidth=0.8)
+        at, colour = place + (i - (len(series) - 1) / 2) * width, COLOURS[i % len(COLOURS)]
+        axes.bar(at, one.mean, 0.92 * width, yerr=_ends(one), color=colour, ecolor=INK, label=one.label)
+    axes.axhline(0, color=INK, linewidth=0.8)
     axes.set_xticks(place)
-    longest = max((len(group) for group in groups), default=0)
-    crowded = longest * len(groups) > 90
+    crowded = max(map(len, groups), default=0) * len(groups) > _ROOM
     axes.set_xticklabels(groups, rotation=25 if crowded else 0, ha="right" if crowded else "center")
     legend(axes)
     return to_svg(figure)
+
+
+def _ends(one: Series) -> F8:
+    """(2, n) how far the interval reaches below and above."""
+    ends: F8 = np.abs(np.vstack([one.mean - one.low, one.high - one.mean]))
+    return ends

@@ -59,7 +59,7 @@ def write_comparison(path: Path, content: ComparePage) -> None:
         bare_header(text(about.title), content.source, content.lead),
         element("section", join([element("h2", text("Warnings")), warnings]), "warnings") if warnings else NOTHING,
         *(_table(one) for one in content.pooled),
-        *(section(title, *(_figure(one, "chart") for one in shown)) for title, shown in content.charts),
+        *(section(title, element("div", join(map(_figure, shown)), "grid")) for title, shown in content.charts),
         *(_table(one) for one in content.single),
         _frames(content),
         section("Good to know", bullets(about.notes)),
@@ -80,14 +80,14 @@ def encoded(image: Image) -> Picture:
 
 def _table(one: Table) -> Html:
     intro = paragraph(one.intro) if one.intro else NOTHING
-    return section(one.title, intro, table(one.head, one.rows, "numbers")) if one.rows else NOTHING
+    return section(one.title, intro, table(one.head, one.rows, "cells")) if one.rows else NOTHING
 
 
-def _figure(one: Shown, css: str) -> Html:
-    return figure(one.picture, one.caption, one.caption, css)
+def _figure(one: Shown) -> Html:
+    return figure(one.picture, one.caption, one.caption, "photo")
 
 
 def _frames(content: ComparePage) -> Html:
     if not content.frames:
         return NOTHING
-    return section("The worst frames", paragraph(content.legend), *(_figure(one, "photo") for one in content.frames))
+    return section("The worst frames", paragraph(content.legend), *map(_figure, content.frames))

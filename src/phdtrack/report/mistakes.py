@@ -27,6 +27,7 @@ LEGEND = (
 _BOUNDS = 480, 720
 _GROUND = 46
 _GAP = 6
+_SHAPE = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,8 +73,13 @@ def side_by_side(
     if image is not None and image.size:
         ground = cv2.resize(image, (width, high), interpolation=cv2.INTER_AREA).astype(np.uint8)
     panels = [_panel(ground, np.tile(scale, 2), detections, one) for one in methods]
-    columns = 2 if len(panels) in (2, 4) else min(len(panels), 3)
-    return _framed(panels, columns, heading)
+    return _framed(panels, _columns(len(panels), width / high), heading)
+
+
+def _columns(count: int, aspect: float) -> int:
+    """How many panels of this width over height stand side by side, so that the whole is nearest to the shape of a page."""
+    shapes = [aspect * columns / -(-count // columns) for columns in range(1, count + 1)]
+    return 1 + int(np.argmin(np.abs(np.log(np.array(shapes) / _SHAPE))))
 
 
 def _panel(ground: Image, scale: F8, detections: F8, one: Mistakes) -> Image:
