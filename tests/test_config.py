@@ -44,6 +44,7 @@ NEEDED = {
     ("extract", "counted-components"): ["filter.kind='gm-cphd'"],
     ("extract", "counted-kmeans"): ["filter.kind='particle-cphd'"],
     ("extract", "counted-mixture"): ["filter.kind='particle-cphd'"],
+    ("extract", "hypotheses"): ["filter.kind='mht'"],
 }
 
 IN_THE_IMAGE = sorted({*PRESETS} - {"e13"})

@@ -23,11 +23,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from phdtrack import extract
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.errors import InputError
-from phdtrack.extract import Components, CountedComponents, CountedKMeans, CountedMixture, Joint, KMeans, Mixture, Raw
 from phdtrack.files import read_toml
-from phdtrack.filters import GMCPHD, GMPHD, MCMC, NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.grouped import GroupStages
 from phdtrack.groups import Contours, Grouping, Living, Meetings
 from phdtrack.models import (
@@ -89,16 +89,18 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
         "particle-cphd": ParticleCPHD,
         "gm-cphd": GMCPHD,
         "mcmc": MCMC,
+        "mht": MHT,
         "none": NoFilter,
     },
     "extract": {
-        "kmeans": KMeans,
-        "mixture": Mixture,
-        "components": Components,
-        "counted-kmeans": CountedKMeans,
-        "counted-mixture": CountedMixture,
-        "counted-components": CountedComponents,
-        "joint": Joint,
+        "kmeans": extract.KMeans,
+        "mixture": extract.Mixture,
+        "components": extract.Components,
+        "counted-kmeans": extract.CountedKMeans,
+        "counted-mixture": extract.CountedMixture,
+        "counted-components": extract.CountedComponents,
+        "joint": extract.Joint,
+        "hypotheses": extract.BestHypothesis,
     },
     "associate": {"graph": GraphMatching, "labelled": Labelled},
     "groups": {"": Grouping},
@@ -130,7 +132,8 @@ _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
     ("filter", "gm-phd"): {"extract": ("components",), "associate": ("graph", "labelled")},
     ("filter", "particle-cphd"): {"extract": ("counted-mixture", "counted-kmeans"), "associate": ("graph",)},
     ("filter", "gm-cphd"): {"extract": ("counted-components",), "associate": ("graph", "labelled")},
-    ("filter", "mcmc"): {"extract": ("joint",), "associate": ("labelled", "graph")},
+    ("filter", "mht"): {"extract": ("hypotheses",), "associate": ("labelled", "graph")},
+    ("filter", "mcmc"): {"extract": ("joint",), "associate": ("graph", "labelled")},
     ("filter", "none"): {"associate": ("graph",)},
 }
 # The sections whose kinds decide others', in the order to lay them over.
@@ -143,6 +146,7 @@ _MISFITS: Mapping[str, Mapping[tuple[str, str], str]] = {
     "gm-cphd": _NO_GAUSSIANS | _NO_SPAWNING,
     "particle-cphd": _NO_SPAWNING,
     "mcmc": _NO_SPAWNING,
+    "mht": _NO_GAUSSIANS | _NO_SPAWNING,
 }
 # The share of the weight of a person just missed that a Gaussian must have to count as one: E13's 0.25 of 0.297.
 _MISSED = 0.84
@@ -265,10 +269,11 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "") -> AnyS
     record = partial(_record, settings)
     model, associator = build_model(record, kinds, info), record("associate")
     if kinds["filter"] == "none":
-        return Stages(model, NoFilter(), Raw(), associator)
+        return Stages(model, NoFilter(), extract.Raw(), associator)
     values = settings.sections.get("filter", {}).get("initial", [])
     initial = initial_mixture(kinds, record, values) if values else None
-    return Stages(model, record("filter", initial=initial), record("extract"), associator)
+    size = (float(info.width), float(info.height))
+    return Stages(model, record("filter", initial=initial, frame_size=size), record("extract"), associator)
 
 
 def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupStages:

@@ -13,6 +13,7 @@ from phdtrack.associate.labelled import LabelledState, Lives
 from phdtrack.associate.online import Carried, Given
 from phdtrack.associate.window import Columns, Edges, Links, Rows, Window
 from phdtrack.errors import InputError
+from phdtrack.hypotheses import Cluster, Hypotheses, Nodes
 from phdtrack.pipeline import TrackingState
 from phdtrack.types import Cardinalised, Estimates, GaussianMixture, JointSamples, ParticleBlocks, Particles
 
@@ -25,6 +26,9 @@ _RECORDS: dict[str, type[Any]] = {
         GaussianMixture,
         Cardinalised,
         JointSamples,
+        Hypotheses,
+        Nodes,
+        Cluster,
         Estimates,
         GraphState,
         LabelledState,

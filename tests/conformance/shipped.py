@@ -8,8 +8,19 @@ import numpy as np
 
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.boxes import to_cxcywh
-from phdtrack.extract import Components, CountedComponents, CountedKMeans, CountedMixture, KMeans, Mixture, Raw
-from phdtrack.filters import GMCPHD, GMPHD, NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.extract import (
+    BestHypothesis,
+    Components,
+    CountedComponents,
+    CountedKMeans,
+    CountedMixture,
+    Joint,
+    KMeans,
+    Mixture,
+    Raw,
+)
+from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.hypotheses import Cluster, Hypotheses, Nodes
 from phdtrack.models import (
     BearingSensor,
     BoxMotion,
@@ -30,7 +41,7 @@ from phdtrack.models import (
     UniformClutter,
 )
 from phdtrack.protocols import Model
-from phdtrack.types import Cardinalised, Detections, Estimates, GaussianMixture, Particles
+from phdtrack.types import Cardinalised, Detections, Estimates, GaussianMixture, JointSamples, Particles
 from plane_cases import FRAME, LevelCamera
 
 SIZE = (640.0, 480.0)
@@ -99,6 +110,11 @@ FILTERS = {
     "gm-cphd, started": GMCPHD(initial=mixture(6), most=20),
     "particle-cphd": ParticleCPHD(per_target=200),
     "particle-cphd, started": ParticleCPHD(per_target=200, initial=mixture(6)),
+    "mht": MHT(),
+    "mht, started": MHT(initial=mixture(6), most=20, depth=3),
+    "mcmc": MCMC(samples=200),
+    "mcmc, apart": MCMC(samples=200, strength=3.0, thin=2),
+    "mcmc, started": MCMC(samples=200, initial=mixture(6)),
     "none": NoFilter(),
 }
 EXTRACTORS = {
@@ -108,6 +124,8 @@ EXTRACTORS = {
     "counted-kmeans": CountedKMeans(),
     "counted-mixture": CountedMixture(),
     "counted-components": CountedComponents(),
+    "joint": Joint(),
+    "hypotheses": BestHypothesis(),
     "raw": Raw(),
 }
 ASSOCIATORS = {
@@ -152,10 +170,23 @@ def gaussians(x: np.ndarray, mass: float = 1.0) -> GaussianMixture:
 
 def intensity_for(extractor: object, x: np.ndarray, each: int, rng: np.random.Generator, mass: float = 1.0):
     """What the extractor can read about every column of ``x``: Gaussians or ``each`` particles, and their number."""
+    if isinstance(extractor, BestHypothesis):
+        return certain(x, mass)
+    if isinstance(extractor, Joint):
+        n = x.shape[1]
+        return JointSamples(about(x, each, rng).state, np.full((n, each), mass), np.arange(n), n, x[:, :0])
     wants_gaussians = isinstance(extractor, Components | CountedComponents)
     intensity = gaussians(x, mass) if wants_gaussians else about(x, each, rng, mass)
     counted = isinstance(extractor, CountedComponents | CountedKMeans | CountedMixture)
     return Cardinalised(intensity, np.eye(100)[round(intensity.mass)]) if counted else intensity
+
+
+def certain(x: np.ndarray, mass: float = 1.0) -> Hypotheses:
+    """A track about every column of ``x``, of which there is no other form, with this probability that it is there."""
+    d, n = x.shape
+    none = np.full(n, -1)
+    nodes = Nodes(x, np.tile(np.eye(d), (n, 1, 1)), np.full(n, mass), none, none, np.arange(n), np.zeros(n, np.int64))
+    return Hypotheses((nodes,), np.arange(n), (), n)
 
 
 def about(x: np.ndarray, each: int, rng: np.random.Generator, mass: float = 1.0) -> Particles:
@@ -172,6 +203,10 @@ def frozen(record):
             value.flags.writeable = False
         elif isinstance(value, Particles | GaussianMixture):
             frozen(value)
+        elif isinstance(value, tuple):
+            for item in value:
+                if isinstance(item, Nodes | Cluster):
+                    frozen(item)
     return record
 
 

@@ -8,16 +8,19 @@ import numpy as np
 import pytest
 from shipped import FILTERS, SENSORS, detections, fixed, frozen, keeps, mixture, model_of
 
-from phdtrack.filters import GMCPHD, GMPHD, ParticleCPHD, ParticlePHD
+from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, ParticleCPHD, ParticlePHD
+from phdtrack.hypotheses import Hypotheses
 from phdtrack.protocols import Filter
 from phdtrack.types import Cardinalised, GaussianMixture
 
-STARTED = ParticlePHD | GMPHD | ParticleCPHD | GMCPHD
+STARTED = ParticlePHD | GMPHD | ParticleCPHD | GMCPHD | MCMC | MHT
 pytestmark = pytest.mark.parametrize("filter_", FILTERS.values(), ids=FILTERS)
 
 
 def intensity(state):
     """The intensity alone of what a filter carries."""
+    if isinstance(state, Hypotheses):
+        return state.mixture()
     return state.intensity if isinstance(state, Cardinalised) else state
 
 

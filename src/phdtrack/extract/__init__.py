@@ -5,9 +5,20 @@ Where the filter knows the distribution of the number of targets, as many peaks 
 
 from phdtrack.extract.components import Components
 from phdtrack.extract.counted import CountedComponents, CountedKMeans, CountedMixture
+from phdtrack.extract.hypotheses import BestHypothesis
 from phdtrack.extract.joint import Joint
 from phdtrack.extract.kmeans import KMeans
 from phdtrack.extract.mixture import Mixture
 from phdtrack.extract.raw import Raw
 
-__all__ = ["Components", "CountedComponents", "CountedKMeans", "CountedMixture", "Joint", "KMeans", "Mixture", "Raw"]
+__all__ = [
+    "BestHypothesis",
+    "Components",
+    "CountedComponents",
+    "CountedKMeans",
+    "CountedMixture",
+    "Joint",
+    "KMeans",
+    "Mixture",
+    "Raw",
+]

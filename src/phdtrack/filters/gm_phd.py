@@ -25,7 +25,6 @@ shipped box model `GMPHD.step` is the same in one kernel (`kernels.gm_step`).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,14 +33,13 @@ from phdtrack.arrays import sum_by
 from phdtrack.checks import Count, NonNegative, Positive, check
 from phdtrack.errors import InputError
 from phdtrack.filters.composed import composed_step
+from phdtrack.filters.gated import gated_gaussians
 from phdtrack.filters.gm_box import box_model, fused_step, limits
 from phdtrack.filters.meeting import Meeting, explained
-from phdtrack.filters.transforms import Transform, expected, moved, posteriors
-from phdtrack.kernels.gating import gated_pairs
-from phdtrack.kernels.gaussian import gaussian_parts
+from phdtrack.filters.transforms import Transform, moved, posteriors
 from phdtrack.kernels.gm_reduce import reduced, triangles
-from phdtrack.protocols import Model, Sensor
-from phdtrack.types import F8, I8, GaussianMixture, Particles, UpdateInfo
+from phdtrack.protocols import Model
+from phdtrack.types import F8, GaussianMixture, Particles, UpdateInfo
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,12 +125,12 @@ class GMPHD:
     def meet(self, state: GaussianMixture, z: F8, model: Model, dt: float) -> Meeting[GaussianMixture]:
         """Add the newborn, and find what they and ``state`` say about the measurements."""
         sensor = model.sensor
-        point, which, distance2, _ = self._pairs(state, z, sensor)
+        point, which, distance2, _ = gated_gaussians(state, z, sensor, self.gate, self.transform)
         near = distance2 <= self.region
         covered = sum_by(which[near], state.weight[point[near]], z.shape[1])
         born = model.birth.components(z, covered, sensor, dt)
         everything = joined(state, born)
-        point, which, distance2, log_norm = self._pairs(everything, z, sensor)
+        point, which, distance2, log_norm = gated_gaussians(everything, z, sensor, self.gate, self.transform)
         seen = everything.weight * sensor.p_detect(everything.mean)
         share = seen[point] * np.exp(log_norm - 0.5 * distance2)
         evidence = sum_by(which, share, z.shape[1])
@@ -175,29 +173,6 @@ class GMPHD:
             self.gate, self.region, self.prune, self.merge, self.most, self.redistribute, self.split, self.skip_empty
         )
         return fused_step(tagged(state), z, box, settings)
-
-    def _pairs(self, state: GaussianMixture, z: F8, sensor: Sensor) -> tuple[I8, I8, F8, F8]:
-        """Pairs (Gaussian, measurement) within the gate, their d², and log 1/√det(2πS).
-
-        The grid is asked for what lies within G deviations of position, in the state's plane; the sensor's noise is bounded
-        there by the larger of what it is for the Gaussian's own state and for any of the measurements.
-        """
-        if len(state) == 0 or z.shape[1] == 0:
-            none = np.zeros(0, np.int64)
-            return none, none, np.zeros(0), np.zeros(0)
-        at, noise = sensor.states(z)
-        seen = expected(state, sensor, self.transform)
-        position, r = state.mean[:2], len(seen.mean)
-        variance = state.covariance[:, (0, 1), (0, 1)].T
-        widest = np.maximum(sensor.noise(state.mean)[:2] ** 2, noise[:, (0, 1), (0, 1)].max(0)[:, None])
-        half = self.gate * np.sqrt(variance + widest)
-        z_of, point = gated_pairs(at[0], at[1], position - half, position + half)
-        innovation = seen.spread[point] + sensor.covariance(z[:, z_of], state.mean[:, point])
-        step = sensor.innovation(z[:, z_of], seen.mean[:, point])
-        distance2, log_det = gaussian_parts(step, innovation)
-        inside = distance2 <= self.gate**2
-        log_norm = -0.5 * (log_det + r * math.log(2 * math.pi))
-        return point[inside], z_of[inside], distance2[inside], log_norm[inside]
 
 
 def tagged(mixture: GaussianMixture) -> GaussianMixture:

@@ -1,0 +1,73 @@
+"""Worlds, scans and readings for the tests of multiple hypotheses."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from phdtrack.filters import MHT
+from phdtrack.hypotheses import Hypotheses, before
+from phdtrack.models import BoxMotion, BoxSensor, FixedBirth, UniformClutter
+from phdtrack.protocols import Model
+from phdtrack.types import F8, GaussianMixture, UpdateInfo
+
+FRAME = (640.0, 480.0)
+# Nothing is cut, pruned or decided.
+EVERYTHING = MHT(most=20000, ratio=1e-290, depth=30, least=1e-290, gate=60.0)
+
+
+def world(*, detection: float = 0.8, clutter: float = 1e-9, birth: float = 0.05, survival: float = 0.9) -> Model:
+    """Boxes with constant noises, born at one wide place."""
+    sensor = BoxSensor(detection=detection, scaling="fixed", fixed=(4.0, 4.0), fixed_speed=6.0)
+    place = GaussianMixture(
+        np.array([birth]),
+        np.array([[300.0], [200], [0], [0], [40], [80]]),
+        np.diag([4000.0, 4000, 18, 18, 60, 60])[None],
+    )
+    motion = BoxMotion(acceleration=1.0, resize=1.0, survival=survival, scaled=False)
+    return Model(motion, sensor, FixedBirth(place), UniformClutter(clutter, 1.0))
+
+
+def boxes(*points: tuple[float, float], size: tuple[float, float] = (40.0, 80.0)) -> F8:
+    """(4, N) measurements at these points."""
+    return np.array([[x, y, *size] for x, y in points], np.float64).reshape(-1, 4).T.copy()
+
+
+def run(filter_: MHT, scans: list[F8], model: Model, dt: float = 1.0) -> tuple[Hypotheses, UpdateInfo]:
+    rng = np.random.default_rng(0)
+    state, info = filter_.start(model, rng), None
+    for z in scans:
+        state, info = filter_.step(state, z, model, dt, rng)
+    return state, info
+
+
+def histories(state: Hypotheses) -> list[tuple]:
+    """Of each leaf the measurements it rests on, ((frame, index), …)."""
+    at, taken = np.arange(len(state)), [[] for _ in range(len(state))]
+    for back, nodes in enumerate(reversed(state.layers)):
+        for i, node in enumerate(at.tolist()):
+            if node >= 0 and nodes.detection[node] >= 0:
+                taken[i].insert(0, (len(state.layers) - 2 - back, int(nodes.detection[node])))
+        at = before(nodes, at)
+    return [tuple(t) for t in taken]
+
+
+def partitions(state: Hypotheses, scans: list[F8]) -> dict[frozenset, tuple[float, dict]]:
+    """Probability of each partition of the measurements, over all clusters, and the leaf of each of its sequences."""
+    told = histories(state)
+    everything = {(k, j) for k, z in enumerate(scans) for j in range(z.shape[1])}
+    choices = [[(1.0, tuple(state.alone.tolist()))]]
+    choices += [
+        [(float(w), tuple(leaf for leaf in row.tolist() if leaf >= 0)) for w, row in zip(c.weight, c.leaf, strict=True)]
+        for c in state.clusters
+    ]
+    out = {}
+    for picked in itertools.product(*choices):
+        leaves = [leaf for _, row in picked for leaf in row]
+        sequences = {told[leaf]: leaf for leaf in leaves}
+        rest = everything - {one for sequence in sequences for one in sequence}
+        key = frozenset([*sequences, *((one,) for one in rest)])
+        assert key not in out, "each partition once"
+        out[key] = (float(np.prod([w for w, _ in picked])), sequences)
+    return out

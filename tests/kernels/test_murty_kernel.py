@@ -1,0 +1,129 @@
+"""Murty's k best assignments: as enumeration has them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from inner_kernels import from_python
+from phdtrack.kernels.murty import assign, best_assignments
+from reference.hypotheses_twin import all_assignments
+
+[assign] = from_python(assign)
+
+
+def problem(seed: int, whole: bool = False):
+    """A cluster of a few measurements, tracks and hypotheses; whole numbers make ties."""
+    rng = np.random.default_rng(seed)
+    m, tracks, parents = int(rng.integers(1, 5)), int(rng.integers(0, 6)), int(rng.integers(1, 4))
+    draw = (lambda *size: rng.integers(-3, 4, size).astype(float)) if whole else (lambda *size: rng.normal(0, 2, size))
+    gain = np.where(rng.random((m, tracks)) < 0.7, draw(m, tracks), -np.inf)
+    held = np.full((parents, min(tracks, 3) + 1), -1)
+    for row in held:
+        size = int(rng.integers(0, len(row)))
+        row[rng.permutation(len(row))[:size]] = rng.permutation(tracks)[:size]
+    return np.ascontiguousarray(gain), draw(m), held.astype(np.int64), draw(parents)
+
+
+def check(seed: int, whole: bool, most: int, log_ratio: float) -> None:
+    world = problem(seed, whole)
+    wanted = all_assignments(*world)
+    best = wanted[0][0]
+    wanted = [item for item in wanted if item[0] >= best + log_ratio - 1e-9][:most]
+    parent, choice, weight = best_assignments(*world, most, log_ratio - 1e-9)
+    assert len(weight) == len(wanted)
+    np.testing.assert_allclose(weight, [item[0] for item in wanted], atol=1e-9)
+    found = {(int(p), tuple(c.tolist())) for p, c in zip(parent, choice, strict=True)}
+    assert len(found) == len(wanted), "each once"
+    if not whole:
+        assert [(int(p), tuple(c.tolist())) for p, c in zip(parent, choice, strict=True)] == [item[1:] for item in wanted]
+    everything = {item[1:]: item[0] for item in all_assignments(*world)}
+    for p, c, w in zip(parent, choice, weight, strict=True):
+        assert everything[int(p), tuple(c.tolist())] == pytest.approx(w)
+
+
+@given(st.integers(0, 2**32 - 1), st.booleans())
+@settings(max_examples=150, deadline=None)
+def test_all_of_them_in_order(seed: int, whole: bool):
+    check(seed, whole, 3000, -np.inf)
+
+
+@given(st.integers(0, 2**32 - 1), st.booleans(), st.integers(1, 12), st.sampled_from([-0.5, -3.0, -8.0]))
+@settings(max_examples=150, deadline=None)
+def test_the_best_alone(seed: int, whole: bool, most: int, log_ratio: float):
+    check(seed, whole, most, log_ratio)
+
+
+@given(st.integers(0, 2**32 - 1), st.booleans())
+@settings(max_examples=100, deadline=None)
+def test_the_dual_variables_certify_an_assignment(seed: int, whole: bool):
+    """Of the rows that are free: feasible everywhere, equal on what was chosen; so the sum is the maximum."""
+    rng = np.random.default_rng(seed)
+    gain, *_ = problem(seed, whole)
+    m, n = gain.shape
+    first = int(rng.integers(0, m))
+    choice, banned = np.full(m, -1), rng.random(n + 1) < 0.3
+    for row, column in enumerate(rng.permutation(n)[:first]):
+        choice[row] = column if gain[row, column] > -np.inf else -1
+    fixed = choice.copy()
+    u, v = np.zeros(m), np.zeros(n)
+    total = assign(
+        gain,
+        n,
+        first,
+        banned,
+        choice,
+        u,
+        v,
+        np.empty(n, np.int64),
+        np.empty(n),
+        np.empty(n, np.int64),
+        np.empty(n, np.bool_),
+    )
+    taken = set(fixed[fixed >= 0].tolist())
+    free = [c for c in range(n) if c not in taken]
+    options = gain[first:].copy()
+    alone = np.zeros(m - first)
+    options[0, banned[:n]] = -np.inf
+    alone[0] = -np.inf if banned[n] else 0.0
+    if total == -np.inf:
+        assert banned[n]
+        assert m == first + 1 or not np.isfinite(options[0, free]).any()
+        return
+    np.testing.assert_array_equal(choice[:first], fixed[:first])
+    for r in range(first, m):
+        assert u[r] <= -alone[r - first] + 1e-9
+        for c in free:
+            assert u[r] + v[c] <= -options[r - first, c] + 1e-9
+        gained = alone[r - first] if choice[r] < 0 else options[r - first, choice[r]]
+        assert u[r] + (v[choice[r]] if choice[r] >= 0 else 0.0) == pytest.approx(-gained, abs=1e-9)
+    assert (v[free] <= 1e-9).all()
+    assert all(v[c] == 0 for c in free if c not in choice)
+
+
+def test_many_measurements_and_tracks_in_one_place():
+    """12 measurements, 12 tracks, 10¹² assignments: the best hundred, each once, and no better neighbour is left out."""
+    rng = np.random.default_rng(4)
+    gain, alone = rng.normal(2, 1, (12, 12)), rng.normal(0, 1, 12)
+    held = np.tile(np.arange(12), (2, 1))
+    parent, choice, weight = best_assignments(gain, alone, held, np.array([0.0, -0.3]), 100, -20.0)
+    assert len(weight) == 100
+    assert (np.diff(weight) <= 1e-9).all()
+    assert len({(int(p), *c.tolist()) for p, c in zip(parent, choice, strict=True)}) == 100
+    for p, c, w in zip(parent, choice, weight, strict=True):
+        taken = c[c >= 0]
+        assert len(set(taken.tolist())) == len(taken)
+        assert w == pytest.approx(-0.3 * p + alone.sum() + sum(gain[j, k] for j, k in enumerate(c) if k >= 0))
+    # Neighbours of those given: exchange of two tracks, or one given up. What is better than the last is among them.
+    given_ = {(int(p), *c.tolist()) for p, c in zip(parent, choice, strict=True)}
+    for p, c, w in zip(parent[:30], choice[:30], weight[:30], strict=True):
+        for i in range(12):
+            for j in range(i):
+                other = c.copy()
+                other[[i, j]] = c[[j, i]]
+                value = w
+                for row in (i, j):
+                    value += (gain[row, other[row]] if other[row] >= 0 else 0) - (gain[row, c[row]] if c[row] >= 0 else 0)
+                assert value < weight[-1] + 1e-9 or (int(p), *other.tolist()) in given_
