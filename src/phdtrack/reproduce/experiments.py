@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from phdtrack.errors import InputError
-from phdtrack.reproduce import count, e13, groups, m07, occlusion, particles, plane, videos
+from phdtrack.reproduce import count, e13, groups, m07, occlusion, particles, plane, videos, vo
 from phdtrack.reproduce.common import Options, need_data
 
 
@@ -23,6 +23,7 @@ class Experiment:
 
 EXPERIMENTS = {
     "count": Experiment(count.main, "does the filter count right, with known parameters?", data=False),
+    "vo": Experiment(vo.main, "the standard scenarios of simulated points, straight and turning, by OSPA", data=False),
     "groups": Experiment(groups.main, "annotated groups of pedestrians, found among true positions and behind a filter"),
     "plane": Experiment(plane.main, "tracks on the ground plane, in metres, beside those in the image"),
     "e13": Experiment(e13.main, "E13 Figs. 1 and 2: people and groups on E13's own sequence"),

@@ -1,0 +1,20 @@
+"""The standard scenarios of Vo's papers, linear and not: every filter over 100 runs, `phdtrack reproduce vo`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from phdtrack.reproduce import nonlinear, standard
+from phdtrack.reproduce.common import Options, write
+from phdtrack.reproduce.scans import fill
+
+
+def main(options: Options | None = None) -> Path:
+    """Measure both, and write vo.md and its pictures."""
+    options = options or Options()
+    sections = {"linear": standard.section(options), "turning": nonlinear.section(options)}
+    return write("vo.md", fill("vo.md", particles=standard.PER_TARGET, **sections), options.out)
+
+
+if __name__ == "__main__":
+    main()
