@@ -44,7 +44,7 @@ class Joint:
 def _moments(state: JointSamples, targets: I8) -> tuple[F8, F8]:
     """(d, k) means and (k, d, d) covariances of the targets."""
     n, count = state.chance.shape
-    x = state.state.reshape(-1, n, count)[:, targets]
+    x = state.state.reshape(len(state.state), n, count)[:, targets]
     share = state.chance[targets] / state.chance[targets].sum(axis=1, keepdims=True)
     mean = np.ascontiguousarray((x * share).sum(axis=2))
     apart = (x - mean[:, :, None]) * np.sqrt(share)

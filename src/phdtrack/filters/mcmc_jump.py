@@ -32,7 +32,7 @@ import numpy as np
 from phdtrack.arrays import sum_by
 from phdtrack.filters.mcmc_settings import Chain, Jumps, effective_samples
 from phdtrack.kernels.gating import gated_pairs
-from phdtrack.kernels.mcmc_jump import jump_chain, option_tables
+from phdtrack.kernels.mcmc_jump import Options, jump_chain, option_tables
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, ChainInfo, JointSamples, Particles, UpdateInfo
 
@@ -76,19 +76,19 @@ def jump_update(
     candidate = np.where(entries.candidate < old, entries.candidate, old + np.searchsorted(seen, entries.candidate))
     label = np.concatenate([state.label, state.fresh + seen - old])
     absent = np.concatenate([np.maximum(1 - state.existence, SURELY), np.ones(len(seen))])
-    first, seen_by, total, start, running = option_tables(candidate, entries.which, entries.weight, absent)
-    pairs = _rivals(candidate, entries.which)
+    tables = option_tables(candidate, entries.which, entries.weight, absent)
     place = chain.interaction.places(entries.state, model.sensor)
-    states, chance, number, counts = jump_chain(
-        old, first, seen_by, total, start, running, entries.member, z.shape[1], pairs, jumps.exchange, place,
-        chain.interaction.strength, chain.interaction.boxes, np.array([chain.burn, chain.thin, chain.samples]), rng,
-    )  # fmt: skip
-    kept = np.flatnonzero(chance.mean(axis=1) >= jumps.faintest) if len(label) else np.zeros(0, np.int64)
+    can = Options(*tables, entries.member, place, chain.interaction.strength, chain.interaction.boxes)
+    keep = np.array([chain.burn, chain.thin, chain.samples])
+    pairs = _rivals(can.first, can.seen_by)
+    options, states, chance, counts = jump_chain(old, z.shape[1], can, pairs, jumps.exchange, keep, rng)
+    kept = np.flatnonzero(chance.mean(axis=1) >= jumps.faintest)
     x = np.ascontiguousarray(entries.state[:, states[kept].ravel()])
     fresh = state.fresh + z.shape[1]
     samples = JointSamples(x, chance[kept], label[kept], fresh, x[:, :0])
     mass = state.mass + born.mass
     vanished = int(np.count_nonzero(evidence + kappa == 0))
+    number = (options > can.first[:-1, None]).sum(axis=0)
     histogram = np.bincount(number) / len(number)
     return samples, UpdateInfo(mass, born.mass, samples.mass, evidence, kappa, vanished, histogram, _told(samples, counts))
 
@@ -128,11 +128,9 @@ def _entries(state: JointSamples, born: Particles, z: F8, kappa: F8, model: Mode
     return Entries(candidate[alive], which[alive], member[alive], entry[alive], x)
 
 
-def _rivals(candidate: I8, which: I8) -> I8:
-    """(K, 2) pairs of candidates that may have given the same measurement."""
-    pairs = set()
-    seen = np.unique(np.stack([which, candidate])[:, which >= 0], axis=1)
-    for j in np.unique(seen[0]):
-        rivals = seen[1, seen[0] == j].tolist()
-        pairs |= {(a, b) for place, a in enumerate(rivals) for b in rivals[place + 1 :]}
-    return np.array(sorted(pairs), np.int64).reshape(-1, 2)
+def _rivals(first: I8, seen_by: I8) -> I8:
+    """(K, 2) pairs of candidates that may have given the same measurement, a < b."""
+    candidate = np.repeat(np.arange(len(first) - 1), np.diff(first))
+    shared = (seen_by[:, None] == seen_by) & (seen_by >= 0)
+    one, two = np.nonzero(shared & (candidate[:, None] < candidate))
+    return np.unique(np.stack([candidate[one], candidate[two]], axis=1), axis=0)

@@ -8,6 +8,8 @@ is right and makes the tables.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -20,6 +22,24 @@ I8 = NDArray[np.int64]
 
 # Rows of the counts: what a step proposed.
 ADD, DELETE, LEAVE, COME_BACK, UPDATE, REASSIGN, EXCHANGE = range(7)
+
+
+class Options(NamedTuple):
+    """What candidates may be: `option_tables`, with ``member`` (T,) the state of each entry.
+
+    ``place`` (L, 4), ``strength`` and ``boxes`` are the interaction, see `mcmc_apart`; without it no place is read.
+    (Kernels that steps call take the arrays one by one: out of a tuple each would be counted as referred to at every use.)
+    """
+
+    first: I8
+    seen_by: I8
+    total: F8
+    start: I8
+    running: F8
+    member: I8
+    place: F8
+    strength: float
+    boxes: bool
 
 
 @njit(**ENTRY)
@@ -86,12 +106,12 @@ def _state(o: int, start: I8, running: F8, member: I8, rng: np.random.Generator)
 @njit(**INNER)
 def _choose(c: int, begin: int, first: I8, seen_by: I8, total: F8, taken: I8, rng: np.random.Generator) -> int:
     """One of the free options of ``c`` from ``begin`` on, by weight; −1 where all weigh nothing."""
-    reached = 0.0
-    for o in range(begin, first[c + 1]):
+    end, reached = first[c + 1], 0.0
+    for o in range(begin, end):
         reached += free_weight(o, c, c, seen_by, total, taken)
     aim = rng.random() * reached
     chosen = -1
-    for o in range(begin, first[c + 1]):
+    for o in range(begin, end):
         weight = free_weight(o, c, c, seen_by, total, taken)
         if weight > 0.0:
             chosen = o
@@ -102,26 +122,30 @@ def _choose(c: int, begin: int, first: I8, seen_by: I8, total: F8, taken: I8, rn
 
 
 @njit(**INNER)
+def _pair_weight(o: int, p: int, a: int, b: int, seen_by: I8, total: F8, taken: I8) -> float:
+    """Weight of options ``o`` of a and ``p`` of b together; 0 where they are not free, or the same measurement."""
+    if seen_by[o] >= 0 and seen_by[o] == seen_by[p]:
+        return 0.0
+    return free_weight(o, a, b, seen_by, total, taken) * free_weight(p, a, b, seen_by, total, taken)
+
+
+@njit(**INNER)
 def _choose_two(a: int, b: int, first: I8, seen_by: I8, total: F8, taken: I8, rng: np.random.Generator) -> tuple[int, int]:
-    """One of the free pairs of options of ``a`` and ``b`` that do not share a measurement, by the product of weights."""
+    """One of the free pairs of options of ``a`` and ``b``, by the product of weights."""
     reached = 0.0
     for o in range(first[a], first[a + 1]):
-        one = free_weight(o, a, b, seen_by, total, taken)
         for p in range(first[b], first[b + 1]):
-            if one > 0.0 and (seen_by[o] < 0 or seen_by[o] != seen_by[p]):
-                reached += one * free_weight(p, a, b, seen_by, total, taken)
+            reached += _pair_weight(o, p, a, b, seen_by, total, taken)
     aim = rng.random() * reached
     chosen, other = -1, -1
     for o in range(first[a], first[a + 1]):
-        one = free_weight(o, a, b, seen_by, total, taken)
         for p in range(first[b], first[b + 1]):
-            if one > 0.0 and (seen_by[o] < 0 or seen_by[o] != seen_by[p]):
-                weight = one * free_weight(p, a, b, seen_by, total, taken)
-                if weight > 0.0:
-                    chosen, other = o, p
-                    aim -= weight
-                    if aim < 0.0:
-                        return chosen, other
+            weight = _pair_weight(o, p, a, b, seen_by, total, taken)
+            if weight > 0.0:
+                chosen, other = o, p
+                aim -= weight
+                if aim < 0.0:
+                    return chosen, other
     return chosen, other
 
 
@@ -138,11 +162,15 @@ def _kind(was: int, becomes: int, absence: int, newborn: bool, seen_by: I8) -> i
 
 
 @njit(**INNER)
-def _move(c: int, o: int, i: int, option: I8, where: I8, seen_by: I8, taken: I8) -> None:
-    """Give candidate ``c`` option ``o`` and state ``i``; what he held before has been given back."""
-    option[c], where[c] = o, i
-    if seen_by[o] >= 0:
-        taken[seen_by[o]] = c
+def _crowd(c: int, besides: int, i: int, place: F8, boxes: bool, state: I8) -> float:
+    """Penalties of candidate ``c``, in state ``i`` or not there (−1), with all others but ``besides``."""
+    return crowding(place, i, state, c, besides, boxes) if i >= 0 else 0.0
+
+
+@njit(**INNER)
+def _refused(more: float, strength: float, rng: np.random.Generator) -> bool:
+    """Hastings: a proposal with so much more of a penalty is accepted with probability exp(−strength · more)."""
+    return more > 0.0 and rng.random() >= np.exp(-strength * more)
 
 
 @njit(**INNER)
@@ -153,88 +181,87 @@ def _give_back(c: int, option: I8, seen_by: I8, taken: I8) -> None:
 
 
 @njit(**INNER)
-def _one(
-    c: int, old: int, option: I8, where: I8, taken: I8, first: I8, seen_by: I8, total: F8, start: I8, running: F8,
-    member: I8, place: F8, strength: float, boxes: bool, rng: np.random.Generator, counts: I8,
+def _take(c: int, o: int, i: int, option: I8, state: I8, seen_by: I8, taken: I8) -> None:
+    option[c], state[c] = o, i
+    j = seen_by[o]
+    if j >= 0:
+        taken[j] = c
+
+
+@njit(**INNER)
+def redraw_one(
+    c: int, newborn: bool, first: I8, seen_by: I8, total: F8, start: I8, running: F8, member: I8, place: F8, strength: float,
+    boxes: bool, option: I8, state: I8, taken: I8, rng: np.random.Generator, counts: I8,
 ) -> None:  # fmt: skip
-    """Redraw one candidate given all others."""
+    """A step that moves one candidate, given all others."""
     o = _choose(c, first[c], first, seen_by, total, taken, rng)
     i = -1 if o == first[c] else _state(o, start, running, member, rng)
-    kind = _kind(option[c], o, first[c], c >= old, seen_by)
+    kind = _kind(option[c], o, first[c], newborn, seen_by)
     if kind < 0:
         return
     counts[kind, 0] += 1
-    if strength > 0.0:
-        more = crowding(place, i, where, c, c, boxes) if i >= 0 else 0.0
-        if where[c] >= 0:
-            more -= crowding(place, where[c], where, c, c, boxes)
-        if more > 0.0 and rng.random() >= np.exp(-strength * more):
-            return
+    if strength > 0.0 and _refused(
+        _crowd(c, c, i, place, boxes, state) - _crowd(c, c, state[c], place, boxes, state), strength, rng
+    ):
+        return
     counts[kind, 1] += 1
     _give_back(c, option, seen_by, taken)
-    _move(c, o, i, option, where, seen_by, taken)
+    _take(c, o, i, option, state, seen_by, taken)
 
 
 @njit(**INNER)
-def _both(place: F8, i: int, k: int, a: int, b: int, where: I8, boxes: bool) -> float:
-    """Penalties of candidates ``a`` at row ``i`` and ``b`` at row ``k`` with everybody and each other."""
-    total = 0.0
-    if i >= 0:
-        total += crowding(place, i, where, a, b, boxes)
-    if k >= 0:
-        total += crowding(place, k, where, a, b, boxes)
-    if i >= 0 and k >= 0:
-        total += penalty(place, i, k, boxes)
-    return total
+def _crowd_of_two(a: int, b: int, i: int, k: int, place: F8, boxes: bool, state: I8) -> float:
+    """Penalties of ``a`` in state ``i`` and ``b`` in state ``k`` with everybody and each other."""
+    total = _crowd(a, b, i, place, boxes, state) + _crowd(b, a, k, place, boxes, state)
+    return total + penalty(place, i, k, boxes) if i >= 0 and k >= 0 else total
 
 
 @njit(**INNER)
-def _two(
-    a: int, b: int, option: I8, where: I8, taken: I8, first: I8, seen_by: I8, total: F8, start: I8, running: F8,
-    member: I8, place: F8, strength: float, boxes: bool, rng: np.random.Generator, counts: I8,
+def redraw_two(
+    a: int, b: int, first: I8, seen_by: I8, total: F8, start: I8, running: F8, member: I8, place: F8, strength: float,
+    boxes: bool, option: I8, state: I8, taken: I8, rng: np.random.Generator, counts: I8,
 ) -> None:  # fmt: skip
-    """Redraw two candidates at once given all others."""
+    """A step that moves two candidates at once, given all others."""
     o, p = _choose_two(a, b, first, seen_by, total, taken, rng)
     i = -1 if o == first[a] else _state(o, start, running, member, rng)
     k = -1 if p == first[b] else _state(p, start, running, member, rng)
     counts[EXCHANGE, 0] += 1
-    if strength > 0.0:
-        more = _both(place, i, k, a, b, where, boxes) - _both(place, where[a], where[b], a, b, where, boxes)
-        if more > 0.0 and rng.random() >= np.exp(-strength * more):
-            return
+    if strength > 0.0 and _refused(
+        _crowd_of_two(a, b, i, k, place, boxes, state) - _crowd_of_two(a, b, state[a], state[b], place, boxes, state),
+        strength,
+        rng,
+    ):
+        return
     counts[EXCHANGE, 1] += 1
     _give_back(a, option, seen_by, taken)
     _give_back(b, option, seen_by, taken)
-    _move(a, o, i, option, where, seen_by, taken)
-    _move(b, p, k, option, where, seen_by, taken)
+    _take(a, o, i, option, state, seen_by, taken)
+    _take(b, p, k, option, state, seen_by, taken)
 
 
 @njit(**INNER)
 def _chance(
-    c: int, where: I8, taken: I8, first: I8, seen_by: I8, total: F8, start: I8, running: F8,
-    member: I8, place: F8, strength: float, boxes: bool, rng: np.random.Generator,
+    c: int, first: I8, seen_by: I8, total: F8, start: I8, running: F8, member: I8, place: F8, strength: float,
+    boxes: bool, option: I8, state: I8, taken: I8, rng: np.random.Generator,
 ) -> tuple[int, float]:  # fmt: skip
-    """The state of one who is there, or would be, and the probability that he is, given them and all others."""
+    """The state of one who is there, or would be, and the probability that he is, given it and all others."""
     there = 0.0
     for o in range(first[c] + 1, first[c + 1]):
         there += free_weight(o, c, c, seen_by, total, taken)
     if there <= 0.0:
-        o = first[c] + 1
-        return member[start[o]], 0.0
-    i = where[c]
+        return member[start[first[c] + 1]], 0.0
+    i = state[c]
     if i < 0:
-        o = _choose(c, first[c] + 1, first, seen_by, total, taken, rng)
-        i = _state(o, start, running, member, rng)
+        i = _state(_choose(c, first[c] + 1, first, seen_by, total, taken, rng), start, running, member, rng)
     if strength > 0.0:
-        there *= np.exp(-strength * crowding(place, i, where, c, c, boxes))
+        there *= np.exp(-strength * _crowd(c, c, i, place, boxes, state))
     return i, there / (there + total[first[c]])
 
 
 @njit(**ENTRY)
 def jump_chain(
-    old: int, first: I8, seen_by: I8, total: F8, start: I8, running: F8, member: I8, measurements: int, pairs: I8,
-    exchange: float, place: F8, strength: float, boxes: bool, keep: I8, rng: np.random.Generator,
-) -> tuple[I8, F8, I8, I8]:  # fmt: skip
+    old: int, measurements: int, can: Options, pairs: I8, exchange: float, keep: I8, rng: np.random.Generator
+) -> tuple[I8, I8, F8, I8]:
     """Samples of the options and states of all candidates.
 
     A step picks a candidate and draws one of his free options by weight, and of it a state; with probability ``exchange`` it
@@ -244,37 +271,42 @@ def jump_chain(
     Parameters
     ----------
     old : candidates before this one were there in the frame before; the others are newborn.
-    first, seen_by, total, start, running : `option_tables`.        member : (T,) the state of each entry.
     measurements : how many there are.        pairs : (K, 2) candidates that compete for a measurement.
-    place, strength, boxes : see `mcmc_apart`; ``place`` (L, 4) is read where ``strength`` is above 0.
     keep : (3,) sweeps before the first kept sample, sweeps for each one that is kept, and how many are kept. A sweep has as
         many steps as there are candidates.
 
     Returns
     -------
-    states : (C, N) each candidate's in each kept sample. Of one who is not there, a draw from where he would be.
+    options, states : (C, N) each candidate's in each kept sample. Of one who is not there, the state is a draw from where
+        he would be.
     chance : (C, N) the probability that he is there, given that state and all the others in the sample.
-    number : (N,) how many are there.
     counts : (7, 2) proposed and accepted, by kind.
     """
+    first, seen_by, total, start, running, member, place, strength, boxes = can
     many, kept = first.size - 1, keep[2]
-    option, where, taken = first[:-1].copy(), np.full(many, -1), np.full(measurements, -1)
-    states, chance = np.empty((many, kept), np.int64), np.empty((many, kept))
-    number, counts = np.zeros(kept, np.int64), np.zeros((7, 2), np.int64)
+    option, state, taken = first[:-1].copy(), np.full(many, -1), np.full(measurements, -1)
+    options, states = np.empty((many, kept), np.int64), np.empty((many, kept), np.int64)
+    chance, counts = np.empty((many, kept)), np.zeros((7, 2), np.int64)
     for sweep in range(keep[0] + keep[1] * kept):
         for _ in range(many):
             if pairs.shape[0] > 0 and rng.random() < exchange:
                 k = int(rng.random() * pairs.shape[0])
-                _two(pairs[k, 0], pairs[k, 1], option, where, taken, first, seen_by, total, start, running, member, place,
-                     strength, boxes, rng, counts)  # fmt: skip
+                redraw_two(
+                    pairs[k, 0], pairs[k, 1], first, seen_by, total, start, running, member, place, strength, boxes,
+                    option, state, taken, rng, counts,
+                )  # fmt: skip
             else:
-                _one(int(rng.random() * many), old, option, where, taken, first, seen_by, total, start, running, member,
-                     place, strength, boxes, rng, counts)  # fmt: skip
+                c = int(rng.random() * many)
+                redraw_one(
+                    c, c >= old, first, seen_by, total, start, running, member, place, strength, boxes,
+                    option, state, taken, rng, counts,
+                )  # fmt: skip
         if sweep >= keep[0] and (sweep - keep[0] + 1) % keep[1] == 0:
             n = (sweep - keep[0]) // keep[1]
             for c in range(many):
-                number[n] += where[c] >= 0
+                options[c, n] = option[c]
                 states[c, n], chance[c, n] = _chance(
-                    c, where, taken, first, seen_by, total, start, running, member, place, strength, boxes, rng
-                )
-    return states, chance, number, counts
+                    c, first, seen_by, total, start, running, member, place, strength, boxes,
+                    option, state, taken, rng,
+                )  # fmt: skip
+    return options, states, chance, counts
