@@ -83,6 +83,26 @@ def test_t_gospa_is_asked_for(truth: Path, tmp_path: Path) -> None:
     assert "TGOSPA" not in phdtrack("evaluate", "--truth", truth, "--tracks", tracks, "--json").object
 
 
+def test_rmse_per_object(truth: Path, tmp_path: Path) -> None:
+    """The first walker is 3 pixels to the right and 4 down, the second is not found."""
+    rows = [line.split(",") for line in truth.read_text().split()]
+    first, second = sorted({row[1] for row in rows})
+    tracks = tmp_path / "tracks.txt"
+    moved = [[f, i, str(float(x) + 3), str(float(y) + 4), *rest] for f, i, x, y, *rest in rows if i == first]
+    tracks.write_text("\n".join(",".join(row) for row in moved))
+    asked = ("evaluate", "--truth", truth, "--tracks", tracks, "--rmse", 20)
+    found = phdtrack(*asked, "--json").object["RMSE"]
+    assert found["overall"] == pytest.approx(5)
+    one, other = found["objects"]
+    assert (one["identity"], one["frames"], one["mapped"]) == (int(first), 40, 40)
+    assert one["rmse_axis"] == pytest.approx([3, 4])
+    assert (other["identity"], other["rmse"], other["rmse_axis"]) == (int(second), None, [None, None])
+    lines = [line.split() for line in phdtrack(*asked).out.splitlines()]
+    assert [first, "40", "40", "3.00", "4.00", "5.00"] in lines
+    assert ["all", "80", "40", "5.00"] in lines
+    assert "RMSE" not in phdtrack(*asked[:-2], "--json").object
+
+
 def test_frames_without_any_box_count_where_seqinfo_names_them(truth: Path) -> None:
     info = truth.parents[1] / "seqinfo.ini"
     info.write_text(info.read_text().replace("seqLength=40", "seqLength=50"))

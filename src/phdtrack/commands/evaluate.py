@@ -9,7 +9,7 @@ import typer
 
 from phdtrack.commands.options import Iou, Json
 from phdtrack.commands.output import Output
-from phdtrack.commands.scoring import check_iou, score_table, trajectory_scores, trajectory_table
+from phdtrack.commands.scoring import check_iou, error_table, located, score_table, trajectory_scores, trajectory_table
 
 
 def evaluate(
@@ -33,6 +33,15 @@ def evaluate(
             "--t-gospa", help="T-GOSPA too: switches and breaks in one distance; takes seconds to minutes on long sequences."
         ),
     ] = False,
+    rmse: Annotated[
+        float,
+        typer.Option(
+            "--rmse",
+            metavar="PX",
+            min=0.0,
+            help="RMSE of box centres per object, too; pairs from PX pixels on are misses and false ones. 0: without.",
+        ),
+    ] = 0.0,
     json: Json = False,
 ) -> None:
     """Score tracks against annotated objects.
@@ -56,4 +65,7 @@ def evaluate(
     whole = trajectory_scores(annotated, given, scores.frames) if t_gospa else {}
     if whole:
         trajectory_table(out, whole)
-    out.document({**scores.as_dict(), **whole})
+    errors = located(annotated, given, rmse) if rmse else None
+    if errors is not None:
+        error_table(out, errors, rmse)
+    out.document({**scores.as_dict(), **whole, **({"RMSE": errors.as_dict()} if errors is not None else {})})

@@ -9,7 +9,7 @@ from phdtrack.commands.output import Output, number
 from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from phdtrack.metrics import Scores
+    from phdtrack.metrics import Scores, TargetErrors
     from phdtrack.types import Tracks, Truth
 
 # In the order of the table: the key of `Scores.as_dict`, and what it says.
@@ -69,3 +69,26 @@ def trajectory_scores(truth: Truth, tracks: Tracks, frames: int) -> dict[str, fl
 def trajectory_table(out: Output, found: dict[str, float]) -> None:
     """The same as a table."""
     out.table(["", "", ""], [[key, number(found[key]), meaning] for key, meaning in BY_TRAJECTORY], words=(0, 2))
+
+
+def located(truth: Truth, tracks: Tracks, gate: float) -> TargetErrors:
+    """Errors of the boxes' centres in pixels, object by object; distractors are left out."""
+    from phdtrack.metrics import rmse_per_target
+
+    kept = ~truth.distractor
+    centre, found = ((xyxy[:, :2] + xyxy[:, 2:]).T / 2 for xyxy in (truth.xyxy[kept], tracks.xyxy))
+    return rmse_per_target(truth.frame[kept], truth.identity[kept], centre, tracks.frame, found, gate)
+
+
+def error_table(out: Output, errors: TargetErrors, gate: float) -> None:
+    """A row for each object, and one for all of them."""
+    rows = [
+        [str(who), str(frames), str(mapped), *(number(float(error), 2) for error in (*axes, whole))]
+        for who, frames, mapped, axes, whole in zip(
+            errors.identity, errors.frames, errors.mapped, errors.rmse_axis.T, errors.rmse, strict=True
+        )
+    ]
+    total = ["all", str(errors.frames.sum()), str(errors.mapped.sum()), "", "", number(errors.overall, 2)]
+    out.say()
+    out.say(f"RMSE of box centres in pixels, pairs nearer than {gate:g}:")
+    out.table(["object", "frames", "mapped", "x", "y", "RMSE"], [*rows, total])

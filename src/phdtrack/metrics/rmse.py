@@ -46,6 +46,22 @@ class TargetErrors:
             return float("nan")
         return float(np.sqrt(np.average(self.rmse[seen] ** 2, weights=self.mapped[seen])))
 
+    def as_dict(self) -> dict[str, object]:
+        """``overall``, and ``objects`` with identity, frames, mapped, rmse and rmse_axis each; NaN where never mapped."""
+        return {
+            "overall": self.overall,
+            "objects": [
+                {
+                    "identity": int(self.identity[i]),
+                    "frames": int(self.frames[i]),
+                    "mapped": int(self.mapped[i]),
+                    "rmse": float(self.rmse[i]),
+                    "rmse_axis": self.rmse_axis[:, i].tolist(),
+                }
+                for i in range(len(self.identity))
+            ],
+        }
+
 
 def rmse_per_target(truth_frame: I8, truth_identity: I8, truth_point: F8, frame: I8, point: F8, gate: float) -> TargetErrors:
     """Errors of estimates ``point`` (d, N) of frames ``frame`` (N,) against ``truth_point`` (d, M) [D14 Tables I–III].
