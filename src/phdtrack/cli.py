@@ -15,7 +15,20 @@ from typing import Annotated, Any, ParamSpec
 import typer
 
 from phdtrack._version import __version__
-from phdtrack.commands import calibrate, compare, demo, detect, doctor, evaluate, groups, label, reproduce, simulate, track
+from phdtrack.commands import (
+    calibrate,
+    compare,
+    demo,
+    detect,
+    doctor,
+    evaluate,
+    groups,
+    label,
+    learn,
+    reproduce,
+    simulate,
+    track,
+)
 from phdtrack.errors import InputError
 
 P = ParamSpec("P")
@@ -81,6 +94,7 @@ app.command("compare")(guarded(compare.compare))
 app.command("reproduce")(guarded(reproduce.reproduce))
 app.command("simulate")(guarded(simulate.simulate))
 app.command("label")(guarded(label.label))
+app.command("learn")(guarded(learn.learn))
 app.command("calibrate")(guarded(calibrate.calibrate))
 app.command("doctor")(guarded(doctor.doctor))
 

@@ -46,7 +46,7 @@ def label(
             f"the page needs the package {error.name}", where="phdtrack label", cure="pip install 'phdtrack[web]'"
         ) from error
     from phdtrack.commands.configured import detector_parameters
-    from phdtrack.commands.label_inputs import stills, to_label
+    from phdtrack.commands.label_inputs import beside, stills, to_label
     from phdtrack.label import LabelStore
     from phdtrack.label.session import Session, sampled
     from phdtrack.web.label_app import label_app
@@ -54,7 +54,7 @@ def label(
     result = Output()
     name = detector if detections is not None else detector or DEFAULT_DETECTOR
     wanted = Wanted(source, detections, name, frame_size, fps, max_width, mask)
-    file = labels or _beside(source, detections)
+    file = labels or beside(source, detections)
     found = to_label(wanted, detector_parameters(config, tuple(sets or ())), file, result)
     store = LabelStore.open(file, source or str(detections), found.digest, sampled(found.last, frames, seed))
     numbers = {number for number, _ in store.frames()}
@@ -73,11 +73,3 @@ def label(
         f"{progress.done} of {counted(progress.frames, 'frame')} looked at, {progress.false} false, "
         f"{counted(progress.births, 'birth')}: {file}"
     )
-
-
-def _beside(source: str, detections: Path | None) -> Path:
-    """The file of labels that goes with a video, or with detections."""
-    path = Path(source) if source else detections
-    if path is None:
-        raise InputError("nothing to label", where="SOURCE", cure="Name a video, or say --detections FILE")
-    return path.with_name(f"{path.stem if path.is_file() else path.name}.labels.sqlite")

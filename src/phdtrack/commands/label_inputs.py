@@ -44,7 +44,7 @@ def to_label(wanted: Wanted, parameters: dict[str, Any], labels: Path, result: O
         table, last = read_detections(wanted.detections), max(inputs.info.frames, 1)
         last = max(last, table.last) if not wanted.source or not inputs.info.frames else last
     else:
-        path = _beside(labels, wanted, parameters)
+        path = _kept_at(labels, wanted, parameters)
         if path.exists():
             result.note(f"the detections are those of {path}")
         else:
@@ -76,6 +76,14 @@ def stills(source: str, fps: float, numbers: Collection[int]) -> dict[int, bytes
     return kept
 
 
+def beside(source: str, detections: Path | None) -> Path:
+    """The file of labels that goes with a video, or with detections."""
+    path = Path(source) if source else detections
+    if path is None:
+        raise InputError("nothing to label", where="SOURCE", cure="Name a video, or say --detections FILE")
+    return path.with_name(f"{path.stem if path.is_file() else path.name}.labels.sqlite")
+
+
 def _until(frames: Iterator[Frame], last: int) -> Iterator[Frame]:
     for frame in frames:
         yield frame
@@ -101,7 +109,7 @@ def _detect(inputs: Inputs, path: Path) -> None:
         part.unlink(missing_ok=True)
 
 
-def _beside(labels: Path, wanted: Wanted, parameters: dict[str, Any]) -> Path:
+def _kept_at(labels: Path, wanted: Wanted, parameters: dict[str, Any]) -> Path:
     """Where the detections of this detector with these parameters are kept."""
     more = [parameters, wanted.max_width, str(wanted.mask or ""), wanted.fps]
     told = hashlib.sha256(json.dumps(more, sort_keys=True, default=str).encode()).hexdigest()[:8]

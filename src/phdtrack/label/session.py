@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from phdtrack.boxes import iou, to_cxcywh
-from phdtrack.context import ContextDensity, RecursiveEM, marginal
+from phdtrack.context import RecursiveEM
 from phdtrack.context.learning import learn_clutter
+from phdtrack.context.maps import place_map
 from phdtrack.errors import InputError
 from phdtrack.label.store import Label, LabelStore
 from phdtrack.types import F8, DetectionTable, Image, SequenceInfo
@@ -91,23 +92,18 @@ class Session:
             found += [(other, int(k)) for k in near if (other, int(k)) not in marked]
         return found
 
-    def false_boxes(self) -> F8:
-        """(4, n) centres and sizes of all boxes marked as false."""
-        marked = [label for label in self.store.labels() if label.mark == "false"]
-        boxes = [self.table.at(label.frame).xyxy[label.box] for label in marked]
-        return to_cxcywh(np.array(boxes).reshape(-1, 4))
-
     def clutter_map(self) -> bytes:
         """What was learned of the false alarms' places so far, as PNG: red where they are likely, clear where not."""
         scale = min(1.0, _MAP_WIDTH / self.info.width)
         shape = (max(1, round(self.info.height * scale)), max(1, round(self.info.width * scale)))
         picture = np.zeros((*shape, 4), np.uint8)
-        boxes, progress = self.false_boxes(), self.store.progress()
+        boxes, progress = false_boxes(self.store, self.table), self.store.progress()
         if boxes.shape[1] >= _FEWEST:
             size = (float(self.info.width), float(self.info.height))
             density = learn_clutter(boxes, max(1, progress.done), size, RecursiveEM()).learned.density
             picture[..., :3] = (40, 40, 220)
-            picture[..., 3] = (200 * _places(density, shape, 1 / scale)).astype(np.uint8)
+            # By the square root a place a quarter as likely as the worst is still plain to see.
+            picture[..., 3] = (200 * np.sqrt(place_map(density, shape, 1 / scale))).astype(np.uint8)
         done, data = cv2.imencode(".png", picture)
         assert done
         return data.tobytes()
@@ -147,18 +143,10 @@ def sampled(last: int, count: int, seed: int) -> list[int]:
     return [int(number) for number in rng.permutation(last)[:count] + 1]
 
 
-def _places(p: ContextDensity, shape: tuple[int, int], step: float) -> F8:
-    """(H, W) how much of the learned Gaussians lies at each place, all sizes together; the most likely place has 1."""
-    down, across = np.meshgrid((np.arange(shape[0]) + 0.5) * step, (np.arange(shape[1]) + 0.5) * step, indexing="ij")
-    # A false alarm is seen as a box and not as its centre: a quarter of the size is added as deviation.
-    cov = p.covariance.copy()
-    for axis in range(2):
-        cov[:, axis, axis] += (0.25 * p.mean[2 + axis]) ** 2
-    place = marginal(replace(p, covariance=cov), (0, 1))
-    parts = np.exp(place.parts(np.stack([across.ravel(), down.ravel()]))[1:]).sum(axis=0)
-    # Square root: a place a quarter as likely as the worst is still plain to see.
-    relative: F8 = np.sqrt(parts / max(parts.max(initial=0.0), 1e-300)).reshape(shape)
-    return relative
+def false_boxes(store: LabelStore, table: DetectionTable) -> F8:
+    """(4, n) centres and sizes of all boxes of ``table`` that are marked as false."""
+    boxes = [table.at(label.frame).xyxy[label.box] for label in store.labels() if label.mark == "false"]
+    return to_cxcywh(np.array(boxes).reshape(-1, 4))
 
 
 def _jpeg(image: Image) -> bytes:

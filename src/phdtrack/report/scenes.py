@@ -30,7 +30,7 @@ def trajectory_picture(record: RunRecord) -> Picture:
     missing; a ring where it appeared, its number where it was last seen."""
     from matplotlib.collections import LineCollection
 
-    figure, axes = _scene(_extent_of(record), record.background, _WIDTH, darkness=0.4)
+    figure, axes = over_scene(_extent_of(record), record.background, _WIDTH, darkness=0.4)
     tracks = record.by_identity()
     colours = [hexadecimal(identity_colour(int(rows.identity[0]))) for rows in tracks]
     ways = [_broken(rows, _feet(rows)) for rows in tracks]
@@ -48,12 +48,12 @@ def trajectory_picture(record: RunRecord) -> Picture:
 def heat_picture(heat: HeatMap, info: SequenceInfo) -> Picture:
     """The intensity over one frame in the manner of M07's Fig. 1: colour where objects are expected, a cross for every
     detection, a ring for every state extracted."""
-    figure, axes = _scene(info, heat.image, _HALF_WIDTH, darkness=0.5)
+    figure, axes = over_scene(info, heat.image, _HALF_WIDTH, darkness=0.5)
     high, wide = heat.density.shape
     edges = (0, wide * heat.cell, high * heat.cell, 0)
     top = max(float(heat.density.max(initial=0.0)), 1e-9)
     share = np.clip(heat.density / top, 0, 1)
-    axes.imshow(heat.density, cmap="inferno", extent=edges, alpha=_opacity(share), vmin=0, vmax=top, interpolation="nearest")
+    axes.imshow(heat.density, cmap="inferno", extent=edges, alpha=opacity(share), vmin=0, vmax=top, interpolation="nearest")
     for boxes, marker, size, colour in ((heat.detections, "+", 6.0, "#ffffff"), (heat.estimates, "o", 12.0, "#4cc9f0")):
         x, y = (boxes[:, 0] + boxes[:, 2]) / 2, (boxes[:, 1] + boxes[:, 3]) / 2
         axes.plot(x, y, marker, color=colour, markersize=size, markerfacecolor="none", linestyle="")
@@ -63,10 +63,10 @@ def heat_picture(heat: HeatMap, info: SequenceInfo) -> Picture:
     return to_jpeg(figure)
 
 
-def _opacity(share: F8) -> F8:
+def opacity(share: F8) -> F8:
     """Nothing where nothing is expected, quickly opaque above it: a weak mass is what one looks for."""
-    opacity: F8 = np.where(share > 0.004, 0.25 + 0.7 * share**0.5, 0.0)
-    return opacity
+    shown: F8 = np.where(share > 0.004, 0.25 + 0.7 * share**0.5, 0.0)
+    return shown
 
 
 def _colour_bar(figure: Figure, axes: Axes, top: float, cell: float) -> None:
@@ -87,7 +87,7 @@ def _extent_of(record: RunRecord) -> SequenceInfo:
     return SequenceInfo(int(max(reach[2], 1)), int(max(reach[3], 1)), info.fps, info.frames, info.name)
 
 
-def _scene(info: SequenceInfo, image: Image, width: float, *, darkness: float) -> tuple[Figure, Axes]:
+def over_scene(info: SequenceInfo, image: Image, width: float, *, darkness: float) -> tuple[Figure, Axes]:
     """A figure whose axes are the frame in pixels, with the darkened grey photograph or a dark ground."""
     height = float(np.clip((width - 1.2) * info.height / info.width + 0.7, 1.8, 9.0))
     figure = new_figure(width, height)

@@ -1,0 +1,84 @@
+"""The page of a learned scene: where births and false alarms are expected, over a frame, and what the learning is worth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from phdtrack.context import Learned, Scene
+from phdtrack.context.maps import place_map
+from phdtrack.report.canvas import Picture, to_jpeg
+from phdtrack.report.html import bare_header, page
+from phdtrack.report.markup import NOTHING, Html, figure, join, paragraph, section, table, text
+from phdtrack.report.scenes import opacity, over_scene
+from phdtrack.types import Image, SequenceInfo
+
+_WIDTH = 8.2
+_CELLS = 160
+# Gaussians lighter than this are not drawn with an arrow.
+_LIGHTEST = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lessons:
+    """A scene with what is told of it: a frame (H, W, 3), or (0, 0, 3), and the gains in nats per unseen sample."""
+
+    scene: Scene
+    image: Image
+    births_gain: float = math.nan
+    clutter_gain: float = math.nan
+
+
+def scene_page(lessons: Lessons, lead: str, command: str) -> str:
+    """The whole page as text."""
+    scene = lessons.scene
+    body = [
+        bare_header(text("What was learned of the scene"), scene.source, lead),
+        _part("Births", "expected births per second", scene.births, lessons.births_gain, lessons, scene.rate),
+        _part("False alarms", "expected false alarms per frame", scene.clutter, lessons.clutter_gain, lessons, 1.0),
+        section("How to use it", paragraph(command)),
+    ]
+    return page(text("Learned scene"), join(body))
+
+
+def map_picture(learned: Learned, scene: Scene, image: Image) -> Picture:
+    """Where it is expected, over the frame; for births the mean way of the next second as an arrow [M09 Figs. 7, 8]."""
+    info = SequenceInfo(scene.width, scene.height, 25.0)
+    p, drawn = learned.density, over_scene(info, image, _WIDTH, darkness=0.5)
+    step = max(scene.width, scene.height) / _CELLS
+    shape = (math.ceil(scene.height / step), math.ceil(scene.width / step))
+    share = place_map(p, shape, step)
+    edges = (0.0, shape[1] * step, shape[0] * step, 0.0)
+    axes = drawn[1]
+    axes.imshow(share, cmap="inferno", extent=edges, alpha=opacity(share), vmin=0, vmax=1, interpolation="bilinear")
+    if p.dim == 6:
+        for m in np.flatnonzero(p.weight >= _LIGHTEST):
+            x, y = p.mean[:2, m]
+            way = p.mean[2:4, m] * scene.rate
+            style = {"arrowstyle": "-|>", "color": "#4cc9f0", "linewidth": 1 + 4 * float(p.weight[m])}
+            axes.annotate("", xy=(x + way[0], y + way[1]), xytext=(x, y), arrowprops=style)
+    axes.set_xlim(0, scene.width)
+    axes.set_ylim(scene.height, 0)
+    return to_jpeg(drawn[0])
+
+
+def _part(title: str, rate: str, learned: Learned | None, gain: float, lessons: Lessons, per: float) -> Html:
+    if learned is None:
+        return section(title, paragraph("Not learned: uniform, as without a scene."))
+    p = learned.density
+    rows = [
+        ("samples", str(learned.samples)),
+        (rate, f"{learned.rate * per:.3g}"),
+        ("Gaussians that were left", str(len(p))),
+        ("share that may be anywhere", f"{100 * p.uniform:.1f} %"),
+        ("log-likelihood of samples not learned from, above uniform", _nats(gain)),
+    ]
+    caption = "Bright: expected here most. " + ("Arrows: the way of the first second." if p.dim == 6 else "")
+    picture = map_picture(learned, lessons.scene, lessons.image)
+    return section(title, table(("", ""), rows), figure(picture, f"Map of {title.lower()}", caption, "wide") or NOTHING)
+
+
+def _nats(gain: float) -> str:
+    return f"{gain:+.2f} nats each" if math.isfinite(gain) else "too few samples to leave any out"

@@ -1,0 +1,113 @@
+"""``phdtrack learn``: from detections and marks to scene.json and its page."""
+
+import numpy as np
+import pytest
+from cli_runner import phdtrack, refused
+
+from phdtrack.commands.label_inputs import to_label
+from phdtrack.commands.output import Output
+from phdtrack.commands.wanted import Wanted
+from phdtrack.context import read_scene
+from phdtrack.label import Label, LabelStore
+
+FRAMES = 900
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory):
+    """Detections of people who leave one door to the right, and of a flag in the corner; every flag is marked."""
+    folder, rng = tmp_path_factory.mktemp("street"), np.random.default_rng(0)
+    rows = []
+    for begin in range(5, FRAMES - 40, 12):
+        start = np.array([60.0, 200]) + rng.normal(0, 4, 2)
+        for k in range(35):
+            x, y = start + np.array([4.0 * k, 0]) + rng.normal(0, 0.5, 2)
+            rows.append((begin + k, x, y, 30 + rng.normal(0, 0.5), 80 + rng.normal(0, 0.5)))
+    people = len(rows)
+    for k in range(1, FRAMES + 1):
+        if rng.random() < 0.4:
+            x, y = np.array([600.0, 40]) + rng.normal(0, 3, 2)
+            rows.append((k, x, y, 24, 24))
+    false = [row >= people for row in range(len(rows))]
+    order = sorted(range(len(rows)), key=lambda row: rows[row][0])
+    lines = [
+        f"{rows[r][0]},-1,{rows[r][1]:.2f},{rows[r][2]:.2f},{rows[r][3]:.2f},{rows[r][4]:.2f},1,-1,-1,-1" for r in order
+    ]
+    (folder / "det.txt").write_text("\n".join(lines) + "\n")
+    found = to_label(Wanted("", folder / "det.txt", "", "720x480", 25.0), {}, folder / "labels", Output())
+    store = LabelStore.open(folder / "labels", str(folder / "det.txt"), found.digest, range(1, 101))
+    for number in range(1, 101):
+        flags = [k for k, box in enumerate(found.table.at(number).xyxy) if box[0] > 500]
+        if flags:
+            store.mark(number, [Label(number, k, "false") for k in flags])
+        store.finish(number)
+    assert any(false)
+    return folder
+
+
+def options(street):
+    return (
+        "learn",
+        "--detections",
+        street / "det.txt",
+        "--frame-size",
+        "720x480",
+        "--fps",
+        "25",
+        "--labels",
+        street / "labels",
+    )
+
+
+def test_a_door_and_a_flag_are_learned(street, tmp_path):
+    target = tmp_path / "scene.json"
+    said = phdtrack(*options(street), "--out", target, "--json")
+    assert said.status == 0, said.err
+    scene = read_scene(target)
+    births, clutter = scene.births, scene.clutter
+    # One every twelve frames.
+    assert births.rate == pytest.approx(1 / 12, rel=0.1)
+    door = births.density.mean[:, np.argmax(births.density.weight)]
+    # The detections' corner is (60, 200); people walk 4 pixels a frame.
+    assert door == pytest.approx([75, 240, 4, 0, 30, 80], abs=6)
+    assert clutter.rate == pytest.approx(0.4, abs=0.15)
+    flag = clutter.density.mean[:, np.argmax(clutter.density.weight)]
+    assert flag == pytest.approx([612, 52, 24, 24], abs=3)
+    assert said.object["gain"]["births"] > 8
+    assert said.object["gain"]["clutter"] > 5
+    assert "tracks began in" in said.err
+    page = (tmp_path / "scene.html").read_text()
+    assert page.count("data:image/jpeg") == 2
+    assert "Not learned" not in page
+
+
+def test_births_alone_where_nobody_marked(street, tmp_path):
+    said = phdtrack(*options(street)[:-2], "--out", tmp_path / "scene.json", "--last", "400")
+    assert said.status == 0, said.err
+    assert "false alarms stay uniform: nobody has marked any" in said.out
+    scene = read_scene(tmp_path / "scene.json")
+    assert scene.clutter is None
+    assert 25 < scene.births.samples < 50
+    assert "Not learned" in (tmp_path / "scene.html").read_text()
+
+
+def test_mistakes_are_told(street, tmp_path):
+    assert "no such file of labels" in refused(*options(street)[:-1], tmp_path / "none")
+    (tmp_path / "scene.json").write_text("mine")
+    assert "there already" in refused(*options(street), "--out", tmp_path / "scene.json")
+    assert (tmp_path / "scene.json").read_text() == "mine"
+    short = (*options(street)[:-2], "--out", tmp_path / "s.json", "--last", "8")
+    done = phdtrack(*short)
+    assert done.status == 2
+    assert "nothing could be learned" in done.err
+    assert not (tmp_path / "s.json").exists()
+
+
+def test_labels_of_other_detections_are_refused(street, tmp_path):
+    changed = (street / "det.txt").read_text().splitlines()[:-3]
+    (tmp_path / "det.txt").write_text("\n".join(changed) + "\n")
+    arguments = list(options(street))
+    arguments[2] = tmp_path / "det.txt"
+    done = phdtrack(*arguments, "--out", tmp_path / "s.json")
+    assert done.status == 2
+    assert "other detections" in done.err
