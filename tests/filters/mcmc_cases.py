@@ -1,0 +1,107 @@
+"""Small worlds in which everything that the MCMC filter samples can be enumerated."""
+
+from __future__ import annotations
+
+import itertools
+from collections import defaultdict
+from dataclasses import dataclass
+
+import numpy as np
+
+from phdtrack.models import UniformClutter
+from phdtrack.protocols import Model
+from phdtrack.types import Particles
+from reference.mcmc_twin import total_penalty
+
+CELLS = 4
+
+
+@dataclass(frozen=True)
+class RingMotion:
+    """Positions 0 … CELLS − 1 on a ring; a step stays or goes on by one."""
+
+    stays: float = 0.6
+    survival: float = 0.9
+    dim: int = 2
+
+    def sample(self, x, dt, rng):
+        moved = x.copy()
+        moved[0] = (x[0] + (rng.random(x.shape[1]) >= self.stays)) % CELLS
+        return moved
+
+    def law(self, cell: int) -> np.ndarray:
+        out = np.zeros(CELLS)
+        out[cell], out[(cell + 1) % CELLS] = self.stays, 1 - self.stays
+        return out
+
+    def p_survive(self, x, dt):
+        return np.full(x.shape[1], self.survival)
+
+
+@dataclass(frozen=True)
+class RingSensor:
+    """A measurement is a position, wrong by so many cells with these likelihoods; who is at 0 is seen less often."""
+
+    table: tuple[float, ...] = (0.6, 0.25, 0.15, 0.25)
+    linear: bool = False
+
+    def log_likelihood(self, z, x):
+        apart = np.abs(z[0] - x[0]).astype(int) % CELLS
+        return np.log(np.array(self.table)[apart])
+
+    def distance2(self, z, x):
+        return (z[0] - x[0]) ** 2
+
+    def p_detect(self, x):
+        return np.where(x[0] == 0, 0.5, 0.8)
+
+    def gate(self, z):
+        return z[:2] - CELLS, z[:2] + CELLS
+
+    def states(self, z):
+        return z[:2].copy(), np.tile(np.eye(2), (z.shape[1], 1, 1))
+
+
+@dataclass(frozen=True)
+class RingBirth:
+    """Everywhere alike."""
+
+    rate: float = 0.4
+
+    def sample(self, z, covered, sensor, dt, rng):
+        x = np.vstack([np.arange(CELLS, dtype=float), np.zeros(CELLS)])
+        return Particles(x, np.full(CELLS, self.rate / CELLS))
+
+
+def ring() -> Model:
+    return Model(RingMotion(), RingSensor(), RingBirth(), UniformClutter(0.5, CELLS))
+
+
+def joint_law(candidates, log_psi) -> dict[tuple, float]:
+    """The law over all that candidates may be together, from lists of (measurement or −1, state or −1, weight).
+
+    ``log_psi`` gives the interaction's logarithm for a tuple of states, −1 for who is not there.
+    """
+    law: dict[tuple, float] = {}
+    for choice in itertools.product(*candidates):
+        held = [j for j, _, _ in choice if j >= 0]
+        if len(set(held)) == len(held):
+            weight = np.prod([w for _, _, w in choice]) * np.exp(log_psi([i for _, i, _ in choice]))
+            if weight > 0:
+                law[tuple((j, i) for j, i, _ in choice)] = weight
+    total = sum(law.values())
+    return {key: weight / total for key, weight in law.items()}
+
+
+def apart(place: np.ndarray, strength: float, boxes: bool):
+    """``log_psi`` of states that are rows of ``place``."""
+    return lambda states: -strength * total_penalty(place[[i for i in states if i >= 0]], boxes)
+
+
+def variation(law: dict, samples) -> float:
+    """Total variation between a law and the frequencies of samples."""
+    share: dict = defaultdict(float)
+    for key, count in zip(*np.unique(np.array(samples), axis=0, return_counts=True), strict=True):
+        share[tuple(map(tuple, key)) if key.ndim > 1 else tuple(key)] = count / len(samples)
+    assert set(share) <= set(law), "the chain is where it cannot be"
+    return 0.5 * sum(abs(law[key] - share[key]) for key in law)

@@ -1,0 +1,203 @@
+"""The MCMC filter without given associations, where everything that it samples can be enumerated [K05]."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+
+import numpy as np
+import pytest
+from mcmc_cases import apart, joint_law, ring, variation
+
+from inner_kernels import from_python
+from phdtrack.filters.mcmc_jump import jump_update
+from phdtrack.filters.mcmc_settings import Chain, Interaction, Jumps
+from phdtrack.kernels.mcmc_jump import Options, jump_chain, option_tables, redraw_one, redraw_two
+from phdtrack.types import JointSamples
+
+PAIRS = [(0, 1), (0, 2), (1, 2)]
+# Two targets that were there, and a newborn one, at two measurements; each has two states of his own.
+CANDIDATE = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 2, 2])
+WHICH = np.array([-1, -1, 0, 0, 1, 1, -1, -1, 0, 0, 1, 1, 0, 0])
+MEMBER = np.array([0, 1, 0, 1, 0, 1, 2, 3, 2, 3, 2, 3, 4, 5])
+WEIGHT = np.array([0.1, 0.2, 1.5, 0.4, 0.3, 0.1, 0.2, 0.1, 0.9, 0.2, 0.5, 0.6, 0.7, 0.5])
+ABSENT = np.array([0.3, 0.5, 1.0])
+PLACE = np.array([[0.0, 0, 2, 2], [1, 0, 3, 2], [0.5, 0.5, 2.5, 2.5], [4, 4, 5, 5], [0.2, 0, 2, 2], [4, 4.5, 5, 5]])
+interactions = pytest.mark.parametrize("strength", [0.0, 2.0])
+
+
+def tables(strength: float) -> Options:
+    return Options(*option_tables(CANDIDATE, WHICH, WEIGHT, ABSENT), MEMBER, PLACE, strength, True)
+
+
+def law_of(strength: float) -> dict[tuple, float]:
+    """Enumerated from the entries themselves."""
+    candidates = [
+        [(-1, -1, ABSENT[c])]
+        + [(int(j), int(i), w) for d, j, i, w in zip(CANDIDATE, WHICH, MEMBER, WEIGHT, strict=True) if d == c]
+        for c in range(3)
+    ]
+    return joint_law(candidates, apart(PLACE, strength, True))
+
+
+@interactions
+@pytest.mark.parametrize("exchange", [0.0, 0.4])
+def test_the_chain_samples_the_posterior(strength: float, exchange: float, rng):
+    """Numbers 0 to 3, births, deaths, clutter and associations at once; total variation below 0.02."""
+    law, can = law_of(strength), tables(strength)
+    options, states, chance, _ = jump_chain(2, 2, can, np.array(PAIRS), exchange, np.array([50, 1, 100_000]), rng)
+    there = options > can.first[:-1, None]
+    now = np.stack([can.seen_by[options], np.where(there, states, -1)], axis=2).transpose(1, 0, 2)
+    assert len(law) > 60
+    assert variation(law, now) < 0.02
+    # The probabilities beside the samples tell the same of each, with less noise: existence, and where he is.
+    for c in range(3):
+        exact = defaultdict(float)
+        for key, p in law.items():
+            exact[key[c][1]] += p
+        assert chance[c].mean() == pytest.approx(1 - exact[-1], abs=0.006)
+        for i in np.unique(MEMBER[c == CANDIDATE]):
+            assert chance[c][states[c] == i].sum() / 100_000 == pytest.approx(exact[i], abs=0.008)
+
+
+def moves_of(config: tuple, who: tuple[int, ...], strength: float) -> dict[tuple, float]:
+    """Where a step that moves ``who`` goes from ``config``, and with what probability: proposal times acceptance."""
+    held = {j for c, (j, _) in enumerate(config) if c not in who} - {-1}
+    choices = [
+        [(-1, -1, ABSENT[c])]
+        + [
+            (int(j), int(i), w)
+            for d, j, i, w in zip(CANDIDATE, WHICH, MEMBER, WEIGHT, strict=True)
+            if d == c and j not in held
+        ]
+        for c in who
+    ]
+    out: dict[tuple, float] = defaultdict(float)
+    log_psi = apart(PLACE, strength, True)
+    # Without interaction the law of those alone, given everybody else, is what is proposed.
+    for key, proposed in joint_law(choices, lambda _: 0.0).items():
+        new = list(config)
+        for c, one in zip(who, key, strict=True):
+            new[c] = one
+        alpha = min(1.0, np.exp(log_psi([i for _, i in new]) - log_psi([i for _, i in config])))
+        out[tuple(new)] += proposed * alpha
+        out[config] += proposed * (1 - alpha)
+    return out
+
+
+@interactions
+@pytest.mark.parametrize("who", [(0,), (1,), (2,), *PAIRS])
+def test_detailed_balance(who: tuple[int, ...], strength: float):
+    """π(x) q(x→y) α(x→y) = π(y) q(y→x) α(y→x) for every pair of configurations; adding and deleting among them."""
+    law = law_of(strength)
+    steps = {x: moves_of(x, who, strength) for x in law}
+    reached = 0
+    for x in law:
+        for y, there in steps[x].items():
+            assert law[x] * there == pytest.approx(law[y] * steps[y][x], rel=1e-9)
+            reached += x != y
+    assert reached > 100
+
+
+@interactions
+@pytest.mark.parametrize("who", [(0,), (2,), (0, 2)])
+def test_the_kernel_makes_these_moves(who: tuple[int, ...], strength: float, rng):
+    """Frequencies of single steps from some configurations, against the probabilities whose balance is tested above."""
+    can = tables(strength)
+    one, two = from_python(redraw_one, redraw_two)
+    draws, counts = 20_000, np.zeros((7, 2), np.int64)
+    law = law_of(strength)
+    for x in [list(law)[k] for k in (0, 17, 41)]:
+        before = [
+            next(o for o in range(can.first[c] + (i >= 0), can.first[c + 1]) if can.seen_by[o] == j)
+            for c, (j, i) in enumerate(x)
+        ]
+        seen: Counter = Counter()
+        for _ in range(draws):
+            option, state, taken = np.array(before), np.array([i for _, i in x]), np.full(2, -1)
+            for c, (j, _) in enumerate(x):
+                if j >= 0:
+                    taken[j] = c
+            if len(who) == 1:
+                one(who[0], who[0] >= 2, *can, option, state, taken, rng, counts)
+            else:
+                two(*who, *can, option, state, taken, rng, counts)
+            seen[tuple(zip(can.seen_by[option].tolist(), state.tolist(), strict=True))] += 1
+        expected = moves_of(x, who, strength)
+        assert set(seen) <= set(expected)
+        for y, p in expected.items():
+            assert seen[y] / draws == pytest.approx(p, abs=5 * np.sqrt(p * (1 - p) / draws) + 1e-9)
+
+
+def predicted() -> JointSamples:
+    """Two targets, three states each."""
+    x = np.array([[0.0, 1, 1, 2, 3, 3], np.zeros(6)])
+    chance = np.array([[0.9, 0.7, 0.8], [0.2, 0.5, 0.4]])
+    return JointSamples(x, chance, np.array([4, 7]), 9, x[:, :0])
+
+
+def exact(z: np.ndarray, strength: float):
+    """Laws of the number of targets, of existence by label, and of each label's cell, by enumeration of the model."""
+    model, state = ring(), predicted()
+    born = model.birth.sample(z, np.zeros(0), model.sensor, 1.0, np.random.default_rng(0))
+    x = np.hstack([state.state, born.state])
+    kappa, shown = model.clutter.intensity(z), model.sensor.p_detect(x)
+
+    def seen(i: int, j: int, w: float) -> tuple[int, int, float]:
+        g = np.exp(model.sensor.log_likelihood(z[:, [j]], x[:, [i]]))[0]
+        return j, i, w * shown[i] * g / kappa[j]
+
+    candidates = []
+    for t in range(2):
+        own = [(3 * t + s, state.chance[t, s] / 3) for s in range(3)]
+        options = [(-1, -1, 1 - state.chance[t].mean())] + [(-1, i, w * (1 - shown[i])) for i, w in own]
+        candidates.append(options + [seen(i, j, w) for i, w in own for j in range(z.shape[1])])
+    for j in range(z.shape[1]):
+        candidates.append([(-1, -1, 1.0)] + [seen(6 + k, j, w) for k, w in enumerate(born.weight)])
+    place = np.vstack([x, np.zeros((2, x.shape[1]))]).T
+    return joint_law(candidates, apart(place, strength, False)), x
+
+
+@interactions
+@pytest.mark.parametrize("seen", [(), (1.0,), (1.0, 3.0)])
+def test_the_filter_samples_what_the_model_says(seen: tuple[float, ...], strength: float, rng):
+    """Tables, labels and information from the model's own functions: everything against enumeration."""
+    z = np.array([seen, np.zeros(len(seen))]).reshape(2, -1)
+    chain = Chain(40_000, 50, 1, Interaction(strength, False, 1.0))
+    state, info = jump_update(chain, Jumps(0.2, 0.0), predicted(), z, ring(), 1.0, rng)
+    law, x = exact(z, strength)
+    number = np.zeros(len(info.cardinality))
+    for key, p in law.items():
+        number[sum(i >= 0 for _, i in key)] += p
+    assert 0.5 * np.abs(number - info.cardinality).sum() < 0.02
+    assert info.mass == pytest.approx(number @ np.arange(len(number)), abs=0.02)
+    np.testing.assert_array_equal(state.label, [4, 7, *(9 + np.arange(len(seen)))])
+    assert state.fresh == 9 + len(seen)
+    for c, label in enumerate(state.label):
+        place = np.zeros(4)
+        for key, p in law.items():
+            if key[c][1] >= 0:
+                place[int(x[0, key[c][1]])] += p
+        mine = state.state[0].reshape(len(state.label), -1)[c].astype(int)
+        ours = np.bincount(mine, state.chance[c], 4) / chain.samples
+        np.testing.assert_allclose(ours, place, atol=0.01, err_msg=f"label {label}")
+
+
+def test_nobody_and_nothing(rng):
+    """An empty scan of an empty scene, and a scan that no model explains."""
+    nobody = JointSamples.empty(2, 3)
+    chain = Chain(100, 5, 1, Interaction(0.0, True, 1.0))
+    state, info = jump_update(chain, Jumps(0.2, 1e-3), nobody, np.zeros((2, 0)), ring(), 1.0, rng)
+    assert len(state.label) == 0
+    assert info.mass == 0
+    np.testing.assert_array_equal(info.cardinality, [1.0])
+    assert np.isnan(info.chain.effective)
+
+
+def test_faint_targets_are_dropped(rng):
+    chain = Chain(2000, 50, 1, Interaction(0.0, True, 1.0))
+    z = np.array([[1.0], [0.0]])
+    state, _ = jump_update(chain, Jumps(0.2, 0.0), predicted(), z, ring(), 1.0, rng)
+    bound = np.sort(state.existence)[1]
+    kept, _ = jump_update(chain, Jumps(0.2, bound), predicted(), z, ring(), 1.0, np.random.default_rng(1))
+    assert 0 < len(kept.label) < 3
+    assert (kept.existence >= bound).all()
