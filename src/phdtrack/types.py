@@ -281,7 +281,7 @@ class JointSamples:
     @property
     def mass(self) -> float:
         """The expected number of targets."""
-        return float(self.weight.sum())
+        return float(self.chance.sum()) / self.chance.shape[1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,223 @@
+"""The MCMC filter with given associations, against exact posteriors [D14 Alg. 1, K05]."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from mcmc_cases import CELLS, RingMotion, ring, variation
+
+from phdtrack.errors import InputError
+from phdtrack.filters import MCMC
+from phdtrack.filters.mcmc_ancestors import proposals
+from phdtrack.filters.mcmc_given import joint_chain
+from phdtrack.filters.mcmc_settings import Chain, Interaction
+from phdtrack.models import PlaneMotion, PlaneSensor, PointMotion, PointSensor
+from phdtrack.protocols import Model
+from phdtrack.types import JointSamples
+
+# Four samples of two targets that are anything but independent.
+BEFORE = np.array([[0, 0, 2, 1, 0, 1, 2, 3]], float)
+ORIGIN = np.vstack([BEFORE, np.zeros((1, 8))])
+SEEN = np.array([[1.0, 2.0], [0.0, 0.0], [5, 8]])
+
+
+def before() -> JointSamples:
+    return JointSamples(ORIGIN, np.ones((2, 4)), np.array([5, 8]), 9, ORIGIN[:, :0])
+
+
+def exact(ancestors: str, strength: float) -> dict[tuple, float]:
+    """The posterior over both cells: of the mixture of all samples, or of the product of each target's own."""
+    model, motion = ring(), RingMotion()
+    sources = [(r, r) for r in range(4)] if ancestors == "joint" else list(product(range(4), range(4)))
+    law = dict.fromkeys(product(range(CELLS), range(CELLS)), 0.0)
+    for r, s in sources:
+        first, second = motion.law(int(BEFORE[0, r])), motion.law(int(BEFORE[0, 4 + s]))
+        for a, b in law:
+            x = np.array([[a, b], [0, 0]], float)
+            psi = np.exp(-strength * np.exp(-0.5 * (a - b) ** 2))
+            law[a, b] += first[a] * second[b] * np.exp(model.sensor.log_likelihood(SEEN, x).sum()) * psi
+    total = sum(law.values())
+    return {key: p / total for key, p in law.items() if p > 0}
+
+
+def sampled(filter_: MCMC, rng: np.random.Generator) -> np.ndarray:
+    """(N, 2) cells after one scan."""
+    state, _ = filter_.step(before(), SEEN, ring(), 1.0, rng)
+    return state.state[0].reshape(2, -1).T.astype(int)
+
+
+@pytest.mark.parametrize("strength", [0.0, 1.5])
+@pytest.mark.parametrize("informed", [False, True])
+@pytest.mark.parametrize("ancestors", ["joint", "each"])
+def test_the_chain_samples_the_posterior(ancestors: str, informed: bool, strength: float, rng):
+    """Two targets on a grid, total variation below 0.02; the step-by-step chain of any model for a joint ancestor."""
+    count = 40_000 if ancestors == "joint" else 200_000
+    filter_ = MCMC(
+        samples=count, associations="given", ancestors=ancestors, informed=informed, switch=0.5,
+        strength=strength, apart="distance",
+    )  # fmt: skip
+    law = exact(ancestors, strength)
+    assert variation(law, sampled(filter_, rng)) < 0.02
+    other = exact("each" if ancestors == "joint" else "joint", strength)
+    assert 0.5 * sum(abs(other.get(key, 0) - p) for key, p in law.items()) > 0.1, "the two are different questions"
+
+
+def test_greedy_acceptance_does_not_sample(rng):
+    """As D14 prints it the chain has another law than the posterior, however long it runs."""
+    cells = sampled(MCMC(samples=200_000, associations="given", greedy=True), rng)
+    assert variation(exact("each", 0.0), cells) > 0.05
+
+
+def gaussian_worlds() -> dict[str, Model]:
+    return {
+        "point": replace(ring(), motion=PointMotion(), sensor=PointSensor(variance=1.0)),
+        # One noise drives position and velocity, and the measurement's noise is no multiple of the identity.
+        "plane": replace(ring(), motion=PlaneMotion(form="piecewise", nominal=1.0), sensor=PlaneSensor(scaling="given")),
+    }
+
+
+def gaussian_scan(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Five samples (4, 10) of two targets, and a scan (6, 2) with covariances and labels."""
+    centre = np.array([[0.0, 10], [0, 5], [1, -1], [0, 1]])
+    origin = np.repeat(centre, 5, axis=1) + rng.normal(0, 1, (4, 10))
+    return origin, np.array([[1.5, 9.0], [0.2, 6.5], [1, 1.2], [0.3, -0.2], [0.8, 1], [0, 1]])
+
+
+def exact_moments(origin: np.ndarray, z: np.ndarray, model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """(8,) mean and (8, 8) covariance of both targets under the posterior of the mixture, by Kalman updates."""
+    weights, means, covs = [], [], []
+    spread = model.sensor.covariance(z, origin[:, :2])
+    for r in range(5):
+        mean, cov, log_weight = np.zeros(8), np.zeros((8, 8)), 0.0
+        for t in range(2):
+            m, _, q = (part[..., 0] if k == 0 else part[0] for k, part in
+                       enumerate(model.motion.transition(origin[:, [5 * t + r]], 1.0)))  # fmt: skip
+            s = q[:2, :2] + spread[t]
+            gain = q[:, :2] @ np.linalg.inv(s)
+            apart = z[:2, t] - m[:2]
+            log_weight -= 0.5 * (apart @ np.linalg.solve(s, apart) + np.linalg.slogdet(s)[1])
+            mean[4 * t : 4 * t + 4] = m + gain @ apart
+            cov[4 * t : 4 * t + 4, 4 * t : 4 * t + 4] = q - gain @ q[:2]
+        weights.append(log_weight)
+        means.append(mean)
+        covs.append(cov)
+    w = np.exp(np.array(weights) - max(weights))
+    w /= w.sum()
+    mean = w @ np.array(means)
+    apart = np.array(means) - mean
+    return mean, np.einsum("r,rij->ij", w, np.array(covs)) + np.einsum("r,ri,rj->ij", w, apart, apart)
+
+
+@pytest.mark.parametrize("world", gaussian_worlds())
+@pytest.mark.parametrize("informed", [True, False])
+def test_ancestor_moves_sample_the_exact_mixture(world: str, informed: bool, rng):
+    """Mean and covariance of both targets together, correlation through the common ancestor included."""
+    model = gaussian_worlds()[world]
+    origin, z = gaussian_scan(rng)
+    mean, cov = exact_moments(origin, z, model)
+    assert np.abs(cov[:4, 4:]).max() > 0.02, "the targets are correlated"
+    count = 400_000
+    state = JointSamples(origin, np.ones((2, 5)), np.array([0, 1]), 2, origin[:, :0])
+    filter_ = MCMC(samples=count, associations="given", informed=informed)
+    after, info = filter_.step(state, z, model, 1.0, rng)
+    x = after.state.reshape(4, 2, count).transpose(1, 0, 2).reshape(8, count)
+    scale = np.sqrt(np.diag(cov)) + 1e-9
+    np.testing.assert_array_less(np.abs(x.mean(1) - mean) / scale, 0.04)
+    np.testing.assert_array_less(np.abs(np.cov(x) - cov) / np.outer(scale, scale), 0.06)
+    assert (info.chain.accepted > 0.02 * info.chain.proposed).all()
+    assert 1000 < info.chain.effective <= count
+
+
+def test_the_fused_chain_is_the_general_one(rng):
+    """What one kernel does for linear models, and the same step by step for any."""
+    model = gaussian_worlds()["point"]
+    origin, z = gaussian_scan(rng)
+    mean, cov = exact_moments(origin, z, model)
+    chain = Chain(30_000, 50, 1, Interaction(0.0, True, 1.0))
+    proposal = proposals(True, True, origin, 1.0, z, model, rng)[0]
+    kept, counts = joint_chain(chain, rng.random(chain.steps) < 0.25, proposal, origin, 1.0, z, model, rng)
+    x = kept.reshape(4, 2, -1).transpose(1, 0, 2).reshape(8, -1)
+    np.testing.assert_array_less(np.abs(x.mean(1) - mean) / np.sqrt(np.diag(cov)), 0.1)
+    filter_ = MCMC(samples=30_000, associations="given")
+    state = JointSamples(origin, np.ones((2, 5)), np.array([0, 1]), 2, origin[:, :0])
+    _, info = filter_.step(state, z, model, 1.0, rng)
+    np.testing.assert_allclose(counts[:, 1] / counts[:, 0], info.chain.accepted / info.chain.proposed, rtol=0.08)
+
+
+def test_interaction_keeps_apart(rng):
+    """Two targets measured in one place are farther from each other with an interaction than without."""
+    model = gaussian_worlds()["point"]
+    origin = np.zeros((4, 20))
+    z = np.array([[0.2, -0.2], [0, 0], [0, 1]])
+    state = JointSamples(origin, np.ones((2, 10)), np.array([0, 1]), 2, origin[:, :0])
+    for ancestors in ("joint", "each"):
+        distance = []
+        for strength in (0.0, 3.0):
+            filter_ = MCMC(
+                samples=3000, associations="given", ancestors=ancestors, strength=strength, apart="distance", reach=1.0
+            )
+            x = filter_.step(state, z, model, 1.0, rng)[0].state.reshape(4, 2, -1)
+            distance.append(np.hypot(*(x[:2, 0] - x[:2, 1])).mean())
+        assert distance[1] > 1.15 * distance[0]
+
+
+def test_targets_come_and_go_with_their_labels(rng):
+    model, filter_ = gaussian_worlds()["point"], MCMC(samples=300, associations="given")
+    state = filter_.start(model, rng)
+
+    def scan(**seen: float) -> np.ndarray:
+        return np.array([[x, 2 * x, int(label[1:])] for label, x in seen.items()]).reshape(-1, 3).T
+
+    for z, labels in (
+        (scan(t3=10, t1=50), [1, 3]), (scan(t1=50, t7=90, t3=11), [1, 3, 7]), (scan(t7=90), [7]),
+        (scan(), []), (scan(t1=20), [1]),
+    ):  # fmt: skip
+        state, info = filter_.step(state, z, model, 1.0, rng)
+        np.testing.assert_array_equal(state.label, labels)
+        means = state.state.reshape(4, -1, 300)[0].mean(1)
+        expected = z[0][np.argsort(z[2])]
+        np.testing.assert_allclose(means, expected, atol=1.5)
+        assert info.mass == state.mass == len(labels)
+        np.testing.assert_array_equal(np.flatnonzero(info.cardinality), [len(labels)])
+    # A frame that nobody observed: predicted, and two steps from the scan that comes then.
+    waited = filter_.predict(filter_.predict(state, model, 1.0, rng), model, 1.0, rng)
+    after, _ = filter_.update(waited, scan(t1=20), model, 1.0, rng)
+    assert after.label.tolist() == [1]
+
+
+@pytest.mark.parametrize("labels", [[0, 0], [0.5, 1], [-1, 2]])
+def test_what_is_no_label(labels, rng):
+    model, filter_ = gaussian_worlds()["point"], MCMC(associations="given")
+    z = np.array([[0.0, 1], [0, 1], labels])
+    with pytest.raises(InputError, match="one target's label each"):
+        filter_.step(filter_.start(model, rng), z, model, 1.0, rng)
+
+
+def test_settings_that_do_not_go_together():
+    with pytest.raises(InputError, match="given associations"):
+        MCMC(greedy=True)
+
+
+def test_a_filter_that_follows_as_well_as_kalman(rng):
+    """A target that moves as the model says: the error is within 5 % of the Kalman filter's at N = 2000."""
+    model, filter_ = gaussian_worlds()["point"], MCMC(samples=2000, associations="given", thin=3)
+    x, ours, theirs = np.array([[50.0, 40, 0.5, 0]]).T, [], []
+    f, h, q = np.eye(4) + np.eye(4, k=2), np.eye(2, 4), 2 * np.eye(4)
+    state, m, p = filter_.start(model, rng), None, np.zeros((4, 4))
+    for _ in range(150):
+        x = model.motion.sample(x, 1.0, rng)
+        z = np.vstack([x[:2] + rng.normal(0, 1, (2, 1)), [[0.0]]])
+        if m is None:
+            start, cov = model.sensor.states(z)
+            m, p = start[:, 0], cov[0]
+        else:
+            m, p = f @ m, f @ p @ f.T + q
+            gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + np.eye(2))
+            m, p = m + gain @ (z[:2, 0] - h @ m), p - gain @ h @ p
+        state, _ = filter_.step(state, z, model, 1.0, rng)
+        ours.append(((state.state[:2].mean(1) - x[:2, 0]) ** 2).sum())
+        theirs.append(((m[:2] - x[:2, 0]) ** 2).sum())
+    assert np.mean(ours) < 1.1 * np.mean(theirs)
