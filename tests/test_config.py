@@ -57,7 +57,7 @@ EVERY = [
     if field.name not in ("frame_size", "births", "initial", "remember_size", "camera", "hiders", "borders")
     # Files must be there.
     and field.name != "file"
-    and kind != "learned"
+    and kind not in ("learned", "scene")
 ]
 
 

@@ -3,11 +3,11 @@
 A configuration has sections, one for each part of the model and of the tracker. A section has the fields of the record
 that it makes (its docstring explains them) and, where there is a choice, ``kind``:
 
-    preset = "m09"                 # default, m07, m09, fv, e13, d14
+    preset = "m09"                 # default, m07, m09, fv, m09-mht, e13, d14
     [sensor]
     detection = 0.9
     [birth]
-    kind = "measurement"           # measurement, uniform, fixed, learned
+    kind = "measurement"           # measurement, uniform, fixed, learned, scene
     rate = 0.02
 
 On the command line the same is ``--set sensor.detection=0.9``. An unknown name is an error that says the nearest one.
@@ -23,7 +23,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from phdtrack import extract
+from phdtrack import extract, worlds
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.errors import InputError
 from phdtrack.files import read_toml
@@ -47,42 +47,33 @@ from phdtrack.models import (
 from phdtrack.presets import PRESETS, USUAL
 from phdtrack.protocols import AnyStages, Stages
 from phdtrack.types import SequenceInfo
-from phdtrack.worlds import (
-    Boxes,
-    CameraSettings,
-    ClutterSettings,
-    DetectorSettings,
-    FixedBirthSettings,
-    GroundClutterSettings,
-    LearnedBirthSettings,
-    Places,
-    PlacesBirthSettings,
-    PointClutterSettings,
-    TimeSettings,
-    build_model,
-    initial_mixture,
-)
 
 Values = dict[str, Any]
 
 
 # section → kind → record; the first kind is the default. Fields that depend on the sequence are not settings.
 SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
-    "time": {"": TimeSettings},
-    "camera": {"": CameraSettings},
+    "time": {"": worlds.TimeSettings},
+    "camera": {"": worlds.CameraSettings},
     "motion": {"box": BoxMotion, "plane": PlaneMotion, "point": PointMotion},
     "spawn": {"none": NoSpawn, "split": SplitSpawn},
     "sensor": {"box": BoxSensor, "plane": PlaneSensor, "point": PointSensor},
     "birth": {
         "measurement": MeasurementBirth,
         "uniform": UniformBirth,
-        "fixed": FixedBirthSettings,
-        "learned": LearnedBirthSettings,
+        "fixed": worlds.FixedBirthSettings,
+        "learned": worlds.LearnedBirthSettings,
+        "scene": worlds.SceneBirthSettings,
         "ground": PlaneBirth,
-        "places": PlacesBirthSettings,
+        "places": worlds.PlacesBirthSettings,
         "point": PointBirth,
     },
-    "clutter": {"image": ClutterSettings, "ground": GroundClutterSettings, "point": PointClutterSettings},
+    "clutter": {
+        "image": worlds.ClutterSettings,
+        "scene": worlds.SceneClutterSettings,
+        "ground": worlds.GroundClutterSettings,
+        "point": worlds.PointClutterSettings,
+    },
     "filter": {
         "particle-phd": ParticlePHD,
         "gm-phd": GMPHD,
@@ -107,14 +98,14 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
     "contours": {"": Contours},
     "lives": {"": Living},
     "meetings": {"": Meetings},
-    "detector": {"": DetectorSettings},
+    "detector": {"": worlds.DetectorSettings},
 }
 # Kinds of other sections that a kind goes together with, the default first. Without a filter nothing is extracted.
 _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
     ("motion", "box"): {
         "sensor": ("box",),
-        "birth": ("measurement", "uniform", "fixed", "learned"),
-        "clutter": ("image",),
+        "birth": ("measurement", "uniform", "fixed", "learned", "scene"),
+        "clutter": ("image", "scene"),
     },
     ("motion", "plane"): {
         "sensor": ("plane",),
@@ -267,11 +258,11 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "") -> AnyS
         settings = overlay(settings, {"filter": {"kind": filter_name}}, "--filter")
     kinds = {name: _kind(settings.sections, name) for name in SECTIONS}
     record = partial(_record, settings)
-    model, associator = build_model(record, kinds, info), record("associate")
+    model, associator = worlds.build_model(record, kinds, info), record("associate")
     if kinds["filter"] == "none":
         return Stages(model, NoFilter(), extract.Raw(), associator)
     values = settings.sections.get("filter", {}).get("initial", [])
-    initial = initial_mixture(kinds, record, values) if values else None
+    initial = worlds.initial_mixture(kinds, record, values) if values else None
     size = (float(info.width), float(info.height))
     return Stages(model, record("filter", initial=initial, frame_size=size), record("extract"), associator)
 
@@ -333,7 +324,7 @@ def _overlay(sections: dict[str, Values], name: str, values: Mapping[str, Any], 
     known = [f.name for f in fields(record) if f.name not in _FROM_SEQUENCE]
     if name == "filter" and record is not NoFilter:
         known.append("initial")
-        hints = hints | {"initial": Places if _kind(sections, "motion") == "plane" else Boxes}
+        hints = hints | {"initial": worlds.Places if _kind(sections, "motion") == "plane" else worlds.Boxes}
     for key, value in values.items():
         if key == "kind":
             continue
@@ -345,12 +336,13 @@ def _overlay(sections: dict[str, Values], name: str, values: Mapping[str, Any], 
 def _follow(sections: dict[str, Values], deciding: str, kind: str) -> None:
     """Give the sections that a kind decides kinds that fit, with those of their values that these have too.
 
-    On the ground plane and of points other values are usual too, which a change of kind may have dropped.
+    A kind that nobody chose is the first that fits. On the ground plane and of points other values are usual too, which a
+    change of kind may have dropped.
     """
     for section, fitting in _FITTING.get((deciding, kind), {}).items():
-        if _kind(sections, section) not in fitting:
+        given = sections.get(section, {})
+        if given.get("kind") not in fitting and _kind(sections, section) != fitting[0]:
             known = {f.name for f in fields(SECTIONS[section][fitting[0]])} if deciding == "filter" else set()
-            given = sections.get(section, {})
             sections[section] = {key: value for key, value in given.items() if key in known} | {"kind": fitting[0]}
     for section, values in USUAL.get(_kind(sections, "motion"), {}).items():
         known = {f.name for f in fields(SECTIONS[section][_kind(sections, section)])}

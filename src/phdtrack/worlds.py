@@ -16,6 +16,7 @@ import numpy as np
 from phdtrack.boxes import to_cxcywh
 from phdtrack.camera import CountedFrom, footprint, read_camera
 from phdtrack.checks import NonNegative, Positive, PositiveCount, check
+from phdtrack.context import Scene, read_scene
 from phdtrack.errors import InputError
 from phdtrack.models import (
     BoxSensor,
@@ -27,6 +28,7 @@ from phdtrack.models import (
     UniformClutter,
 )
 from phdtrack.models.learned_births import read_births
+from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, area, check_region
 from phdtrack.models.volume import Volume, image_area, image_volume
 from phdtrack.protocols import Birth, Camera, Clutter, Model
@@ -142,6 +144,27 @@ class LearnedBirthSettings:
         check(self)
 
 
+@dataclass(frozen=True, slots=True)
+class SceneBirthSettings:
+    """``file``: births as `phdtrack learn` has learned them in this scene; ``most``: Jmax, see MeasurementBirth."""
+
+    file: str
+    most: PositiveCount = 500
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneClutterSettings:
+    """``file``: false alarms as `phdtrack learn` has learned them in this scene."""
+
+    file: str
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
 class Record(Protocol):
     """What makes the record of a section from its settings and from values that are none."""
 
@@ -162,7 +185,7 @@ def build_model(record: Record, kinds: Mapping[str, str], info: SequenceInfo) ->
         remember = sensor.scaling == "previous"
         motion = record("motion", frame_size=size, births=record("spawn"), remember_size=remember)
         birth = _image_birth(record, kinds["birth"], sensor, size, motion.dim)
-        return Model(motion, sensor, birth, _box_clutter(record, size), rate)
+        return Model(motion, sensor, birth, _box_clutter(record, kinds["clutter"], size), rate)
     ground: CameraSettings = record("camera")
     camera: Camera | None = read_camera(ground.file) if ground.file else None
     if camera is not None and ground.first_pixel:
@@ -203,8 +226,35 @@ def _image_birth(record: Record, kind: str, sensor: BoxSensor | PointSensor, siz
         return FixedBirth(_boxes(sensor, fixed.boxes, fixed.rate), fixed.count)
     if kind == "learned":
         return _learned(record("birth"), dim)
+    if kind == "scene":
+        return _scene_birth(record("birth"), size, record("time").rate)
     birth: Birth = record("birth", frame_size=size)
     return birth
+
+
+def _scene_birth(settings: SceneBirthSettings, size: tuple[float, float], rate: float) -> ContextBirth:
+    scene = _scene(settings.file, size)
+    if scene.births is None:
+        raise InputError("births were not learned in this scene", where=settings.file, cure="Leave birth.kind out")
+    if scene.rate != rate:
+        raise InputError(
+            f"births were learned with {scene.rate:g} time units a second, and there are {rate:g}",
+            where=settings.file,
+            cure=f"Say --set time.rate={scene.rate:g}, or learn again",
+        )
+    return ContextBirth(scene.births.rate, scene.births.density, most=settings.most)
+
+
+def _scene(file: str, size: tuple[float, float]) -> Scene:
+    """What was learned of a scene whose frames have this size."""
+    scene = read_scene(Path(file))
+    if (float(scene.width), float(scene.height)) != size:
+        raise InputError(
+            f"the scene was learned on frames of {scene.width}x{scene.height}, and these are {size[0]:g}x{size[1]:g}",
+            where=file,
+            cure="Learn it on this video: phdtrack learn",
+        )
+    return scene
 
 
 def _ground_birth(record: Record, kind: str, region: Region) -> Birth:
@@ -228,7 +278,13 @@ def _learned(settings: LearnedBirthSettings, dim: int) -> FixedBirth:
     return FixedBirth(mixture, settings.count)
 
 
-def _box_clutter(record: Record, size: tuple[float, float]) -> Clutter:
+def _box_clutter(record: Record, kind: str, size: tuple[float, float]) -> Clutter:
+    if kind == "scene":
+        given: SceneClutterSettings = record("clutter")
+        scene = _scene(given.file, size)
+        if scene.clutter is None:
+            raise InputError("false alarms were not learned in this scene", where=given.file, cure="Leave clutter.kind out")
+        return ContextClutter(scene.clutter.rate, scene.clutter.density)
     clutter: ClutterSettings = record("clutter")
     if clutter.volume == "local":
         return LocalClutter(clutter.rate)

@@ -13,6 +13,7 @@ from phdtrack.commands.inputs import Inputs, open_inputs
 from phdtrack.commands.job import Job
 from phdtrack.commands.steps import Steps
 from phdtrack.commands.wanted import DEFAULT_DETECTOR, Wanted
+from phdtrack.context import read_scene
 from phdtrack.formats import read_truth
 from phdtrack.types import Truth
 
@@ -28,6 +29,7 @@ class Choice:
     seed: int = 0
     truth: Path | None = None
     threads: int | None = None
+    scene: Path | None = None
 
 
 def chosen(choice: Choice) -> config.Settings:
@@ -38,11 +40,21 @@ def chosen(choice: Choice) -> config.Settings:
     InputError : a file that cannot be read, an unknown name, options that do not go together.
     """
     settings = config.load(choice.config, choice.sets, choice.preset)
+    if choice.scene is not None:
+        settings = config.overlay(settings, _learned(choice.scene), "--scene")
     if choice.filter_name:
         settings = config.overlay(settings, {"filter": {"kind": choice.filter_name}}, "--filter")
     if choice.threads is not None:
         settings = config.overlay(settings, {"filter": {"threads": choice.threads}}, "--threads")
     return settings
+
+
+def _learned(file: Path) -> dict[str, dict[str, str]]:
+    """The sections that take what a scene has taught."""
+    scene = read_scene(file)
+    given = {"kind": "scene", "file": str(file)}
+    parts = {"birth": scene.births, "clutter": scene.clutter}
+    return {name: given for name, learned in parts.items() if learned is not None}
 
 
 def prepare(wanted: Wanted, choice: Choice, settings: config.Settings, command: str, *, video: bool) -> Job:

@@ -37,6 +37,9 @@ Fps = Annotated[
 Detector = Annotated[
     str, typer.Option("--detector", metavar="NAME", help="change (default), mean-background, mog2, knn, face or person.")
 ]
+SceneFile = Annotated[
+    Path | None, typer.Option("--scene", metavar="FILE", help="What `phdtrack learn` has learned of this scene.")
+]
 TruthFile = Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="Annotated objects to score against.")]
 Config = Annotated[
     Path | None,
@@ -51,7 +54,10 @@ Sets = Annotated[
     ),
 ]
 Preset = Annotated[
-    str, typer.Option("--preset", metavar="NAME", help="Settings to start from: default, or a paper's: m07, m09, fv, e13.")
+    str,
+    typer.Option(
+        "--preset", metavar="NAME", help="Settings to start from: default, or a paper's: m07, m09, fv, m09-mht, e13, d14."
+    ),
 ]
 DetectionsFile = Annotated[
     Path | None, typer.Option("--detections", metavar="FILE", help="Detections instead of a detector.")

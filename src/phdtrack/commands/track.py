@@ -22,6 +22,7 @@ from phdtrack.commands.options import (
     Out,
     Overwrite,
     Preset,
+    SceneFile,
     Seed,
     Sets,
     Threads,
@@ -63,6 +64,7 @@ def track(
     max_width: MaxWidth = 0,
     mask: Mask = None,
     video: Annotated[bool, typer.Option("--video/--no-video", help="Write annotated.mp4.")] = True,
+    scene: SceneFile = None,
     truth: TruthFile = None,
     json: Json = False,
 ) -> None:
@@ -79,7 +81,7 @@ def track(
     if out is not None:
         rundir.check(out, overwrite)
     wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
-    choice = Choice(filter_name, preset, config, tuple(sets or ()), seed, truth, threads)
+    choice = Choice(filter_name, preset, config, tuple(sets or ()), seed, truth, threads, scene)
     job = prepare(wanted, choice, chosen(choice), command_line(), video=video)
     directory = rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite)
     with announced(result, job.filter_name):
