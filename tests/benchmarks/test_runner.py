@@ -14,7 +14,7 @@ from benchmarks.report import Paper, write
 from benchmarks.timing import Spread, exponent, in_turns
 from rich.console import Console
 
-from benchmarks import c_kernel, particle_phd
+from benchmarks import c_kernel, d14, particle_phd
 
 REQUIRED = {
     "particle_phd_ms",
@@ -26,6 +26,7 @@ REQUIRED = {
     "ratio_stonesoup_smc",
     "tracker_ms",
     "bytes_per_particle",
+    "d14_seconds",
 }
 
 
@@ -97,6 +98,13 @@ def test_the_particle_part_measures_all_sizes_and_forms() -> None:
     }
     worst = {d["targets"]: d["pairs"] for d in entries["particle_phd"] if d["form"] == "worst"}
     assert worst[4] > worst[2] > 0
+
+
+def test_d14s_sequence_is_timed_with_its_filters() -> None:
+    outcome = d14.run(SMOKE, lambda text: None)
+    assert set(outcome.entries["d14_seconds"]) == {"mcmc", "mcmc_each", "particle-phd"}
+    assert [row.most for row in outcome.rows] == [2.0, 2.0, 2.0]
+    assert all(row.cpu is not None and row.cpu > 0 for row in outcome.rows)
 
 
 def test_c_and_numba_agree_on_the_kernel() -> None:

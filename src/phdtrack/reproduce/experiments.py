@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from phdtrack.errors import InputError
-from phdtrack.reproduce import count, e13, groups, m07, occlusion, particles, plane, videos, vo
+from phdtrack.reproduce import count, d14, e13, groups, m07, occlusion, particles, plane, videos, vo
 from phdtrack.reproduce.common import Options, need_data
 
 
@@ -27,6 +27,7 @@ EXPERIMENTS = {
     "groups": Experiment(groups.main, "annotated groups of pedestrians, found among true positions and behind a filter"),
     "plane": Experiment(plane.main, "tracks on the ground plane, in metres, beside those in the image"),
     "e13": Experiment(e13.main, "E13 Figs. 1 and 2: people and groups on E13's own sequence"),
+    "d14": Experiment(d14.main, "D14 Tables I-III: SMC PHD and MCMC filters on centroids, by particles and noise"),
     "occlusion": Experiment(occlusion.main, "what hiding costs a detector, and what a filter makes of it"),
     "videos": Experiment(videos.main, "from a video to tracks, with the package's detectors"),
     "m07": Experiment(m07.main, "M07 Table 1 and M09 Fig. 16: PHD against no filter and multiple hypotheses"),

@@ -1,0 +1,140 @@
+"""The D14 experiment: the bound that it claims, what its filters are given, and the page in short."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from phdtrack.reproduce import d14, d14_pictures, d14_runs
+from phdtrack.reproduce.common import Options
+from phdtrack.reproduce.d14_runs import (
+    CHANGES,
+    KALMAN,
+    VARIANCES,
+    Job,
+    Points,
+    errors,
+    kalman,
+    posterior_deviation,
+    scans_of,
+    scene,
+    settled,
+    stages_of,
+    track,
+    work,
+)
+from phdtrack.simulate.corridor import centroids
+
+
+def test_the_models_posterior_deviation_is_the_papers():
+    np.testing.assert_allclose([posterior_deviation(v) for v in VARIANCES], [0.68, 0.94, 1.28], atol=0.005)
+
+
+@pytest.mark.parametrize("variance", VARIANCES)
+def test_where_the_model_is_true_the_kalman_filters_error_is_its_posterior_deviation(variance: float):
+    """Four points over 1048 frames in all, five seeds: within 4 %."""
+    squares = [work(Job("model", KALMAN, 0, variance, seed)).overall ** 2 for seed in range(5)]
+    assert math.sqrt(np.mean(squares)) == pytest.approx(posterior_deviation(variance), rel=0.04)
+
+
+def test_the_kalman_filters_are_those_of_single_targets():
+    """Each target by itself, with textbook matrices."""
+    job = Job("corridor", KALMAN, 0, 2.0, 3)
+    scans = scans_of(job)
+    found = kalman(stages_of(job).model, scans)
+    f = np.eye(4) + np.eye(4, k=2)
+    for one in range(1, 5):
+        mean = None
+        for number in np.unique(found.frame[found.identity == one]):
+            z = scans[number - 1][:2, scans[number - 1][2] == one][:, 0]
+            if mean is None:
+                mean, cov = np.array([*z, 0, 0]), 2.0 * np.eye(4)
+            else:
+                mean, cov = f @ mean, f @ cov @ f.T + 2.0 * np.eye(4)
+                gain = cov[:, :2] @ np.linalg.inv(cov[:2, :2] + 2.0 * np.eye(2))
+                mean, cov = mean + gain @ (z - mean[:2]), cov - gain @ cov[:2]
+            mine = (found.frame == number) & (found.identity == one)
+            np.testing.assert_allclose(found.point[:, mine][:, 0], mean[:2], rtol=1e-9)
+
+
+def test_all_filters_are_given_the_same_measurements_and_only_some_the_names():
+    """N is the number of samples, or of all particles; the sensor's variance is that of the measurements."""
+    scans = [scans_of(Job("corridor", name, n, 0.5, 4)) for name in CHANGES for n in (100, 500)]
+    for other in scans[1:]:
+        for a, b in zip(scans[0], other, strict=True):
+            np.testing.assert_array_equal(a, b)
+    phd, true, greedy, joint = (stages_of(Job("corridor", name, 300, 0.5, 4)) for name in CHANGES)
+    assert (phd.filter.per_target, phd.filter.most, phd.filter.skip_empty) == (300, 300, True)
+    assert (true.filter.samples, true.filter.burn, true.filter.thin, true.filter.greedy) == (300, 50, 1, False)
+    assert greedy.filter.greedy
+    assert (true.filter.ancestors, joint.filter.ancestors) == ("each", "joint")
+    assert all(stages.model.sensor.variance == 0.5 for stages in (phd, true, greedy, joint))
+    found, _ = track(Job("corridor", "SMC PHD", 100, 0.5, 4))
+    assert set(found.identity) == {-1}
+    found, _ = track(Job("corridor", "MCMC", 100, 0.5, 4))
+    assert set(found.identity) == {1, 2, 3, 4}
+
+
+def test_settled_leaves_out_everybodys_first_second():
+    frame = np.concatenate([np.arange(1, 31), np.arange(10, 41)])
+    true = Points(frame, np.repeat([1, 2], [30, 31]), np.zeros((2, 61)))
+    late = settled(true)
+    np.testing.assert_array_equal(late.frame, [*range(26, 31), *range(35, 41)])
+
+
+def test_a_state_far_from_everybody_is_nobodys_error():
+    true = Points(np.array([1, 1]), np.array([1, 2]), np.array([[0.0, 100], [0, 0]]))
+    found = Points(np.array([1, 1]), np.array([-1, -1]), np.array([[3.0, 140], [4, 0]]))
+    outcome = errors(true, found)
+    np.testing.assert_array_equal(outcome.mapped, [1, 0])
+    assert outcome.overall == pytest.approx(5.0)
+
+
+def test_the_sampler_nears_the_posterior_mean_and_the_greedy_chain_does_not():
+    """Where the model is true: root mean squared distances per axis from the exact mean, two seeds."""
+    far = {
+        (name, n): np.mean([work(Job("model", name, n, 2.0, seed)).beside for seed in range(2)])
+        for name in d14.CHAINS for n in (500, 4000)
+    }  # fmt: skip
+    assert far["MCMC", 4000] < 0.45 * far["MCMC", 500]
+    assert far["MCMC joint", 4000] < 0.45 * far["MCMC joint", 500]
+    assert far["MCMC greedy", 4000] > 5 * far["MCMC", 4000]
+    assert far["MCMC greedy", 4000] > 0.6 * far["MCMC greedy", 500]
+
+
+def test_the_phd_filter_locates_who_is_there_and_is_near_the_bound():
+    phd, bound = (work(Job("corridor", name, n, 1.0, 0)) for name, n in (("SMC PHD", 1000), (KALMAN, 0)))
+    assert phd.located.min() > 0.9
+    assert bound.located.min() > 0.999
+    assert bound.settled <= phd.settled < 1.15 * bound.settled
+    assert phd.spare < 0.1
+
+
+@pytest.mark.data
+def test_the_annotated_people_are_there(data, monkeypatch):
+    monkeypatch.setenv("PHDTRACK_DATA", str(data))
+    scene.cache_clear()
+    people = scene("caviar")
+    assert (people.frame.max(), len(np.unique(people.identity))) == (295, 6)
+    assert np.isfinite(centroids(people)).all()
+
+
+@pytest.mark.data
+def test_the_page_in_short(data, monkeypatch, tmp_path):
+    """One seed, two N, one variance: every table and picture is made; those on footage only where outcomes are kept."""
+    monkeypatch.setenv("PHDTRACK_DATA", str(data))
+    for module in (d14, d14_runs, d14_pictures):
+        monkeypatch.setattr(module, "VARIANCES", (2.0,))
+    monkeypatch.setattr(d14, "BEYOND", 200)
+    monkeypatch.setattr(d14, "NUMBERS", (100, 120, 150, 200))
+    path = d14.main(Options(runs=1, quick=True, out=tmp_path / "pages", folder=tmp_path / "kept"))
+    text = path.read_text(encoding="utf-8")
+    assert "{" not in text
+    assert "nan" not in text.replace("± nan", "")
+    assert text.count("### ") == 3
+    for name in ("errors", "frames", "trajectories"):
+        assert (tmp_path / "pages" / f"d14-{name}.png").stat().st_size > 10_000
+    assert (tmp_path / "kept" / "d14-footage.png").stat().st_size > 10_000
+    assert not list((tmp_path / "pages").glob("*footage*"))
