@@ -64,13 +64,16 @@ def test_who_is_ahead(found: m07.Found) -> None:
     said = m07.verdict(found)
     assert "in **2 of 4** combinations" in said
     assert "of `none` in 2 and of `mht` in 2" in said
+    assert "of `none` in 2 and of `mht` in 4" in m07.verdict(found, "gm-phd")
 
 
 def test_the_page_counts_cases_and_tells_the_error_that_decides(found: m07.Found) -> None:
     lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in m07.page(found).splitlines()]
-    assert ["real detections", "0", "1", "1", "1", "1", "0"] in lines
-    assert ["simulated scenes", "5", "1", "0", "0", "0", "0"] in lines
-    assert ["all", "0", "2", "1", "1", "1", "0"] in lines
+    assert ["particle-phd", "real detections", "0", "1", "1", "1", "1", "0"] in lines
+    assert ["particle-phd", "simulated scenes", "5", "1", "0", "0", "0", "0"] in lines
+    assert ["particle-phd", "all", "0", "2", "1", "1", "1", "0"] in lines
+    # Ahead of mht in both, of none where that has two misses, four false boxes and a switch.
+    assert ["gm-phd", "all", "0", "2", "1", "2", "1", "0"] in lines
     # Three more misses on twenty boxes; against mht one more miss and one false box less.
     assert ["street scene", "0", "none", "-0.150", "-0.150", "+0.150", "+0.000", "+0.000", "misses"] in lines
     assert ["street scene", "0", "mht", "+0.000", "+0.000", "+0.050", "-0.050", "+0.000", "misses"] in lines

@@ -30,6 +30,7 @@ METHODS = {
     PHD: (PHD, ""),
     "gm-phd": ("gm-phd", ""),
 }
+PHDS = (PHD, "gm-phd")
 RANDOM = (PHD,)
 GROUPS: dict[str, tuple[Named, ...]] = {
     "real detections": CASES,
@@ -125,17 +126,22 @@ def page(found: Found) -> str:
         heavy=heavy,
         none=none,
         phd=phd,
-        verdict=verdict(found),
+        verdict="\n\n".join(verdict(found, phd) for phd in PHDS),
         ahead=table(
-            ("cases", "clutter added", "of", *(f"ahead of {x}" for x in (*RIVALS, "both", "none in all four"))),
-            _ahead(found),
+            ("filter", "cases", "clutter added", "of", *(f"ahead of {x}" for x in (*RIVALS, "both", "none in all four"))),
+            [row for phd in PHDS for row in _ahead(found, phd)],
         ),
         pooled=table(
             ("cases", "clutter added", "method", *FOUR, "IDF1", "HOTA", "switches", "false tracks"), _pooled(found)
         ),
         gaps=table(
-            ("cases", "clutter added", *(f"{score}, less {rival}" for rival in RIVALS for score in ("MODA", "MOTA"))),
-            _gaps(found),
+            (
+                "filter",
+                "cases",
+                "clutter added",
+                *(f"{score}, less {rival}" for rival in RIVALS for score in ("MODA", "MOTA")),
+            ),
+            [row for phd in PHDS for row in _gaps(found, phd)],
         ),
         natural=table(("case", "method", *FOUR, "IDF1", "HOTA", "switches", "delay", "false tracks", "ms"), _natural(found)),
         cluttered="\n".join(_with_clutter(found, rate) for rate in found.rates[1:]),
@@ -143,49 +149,51 @@ def page(found: Found) -> str:
     )
 
 
-def leads(found: Found, case: Named, rate: int, rival: str, scores: Sequence[str] = ("MODA", "MOTA")) -> bool:
-    """Whether the PHD filter is ahead of a rival in all of the ``scores``, by their means over the seeds."""
-    return all(found.mean(case, rate, PHD, score) > found.mean(case, rate, rival, score) for score in scores)
+def leads(
+    found: Found, case: Named, rate: int, rival: str, phd: str = PHD, scores: Sequence[str] = ("MODA", "MOTA")
+) -> bool:
+    """Whether a PHD filter is ahead of a rival in all of the ``scores``, by their means over the seeds."""
+    return all(found.mean(case, rate, phd, score) > found.mean(case, rate, rival, score) for score in scores)
 
 
-def verdict(found: Found) -> str:
-    """How often the PHD filter is ahead of both, in a sentence."""
+def verdict(found: Found, phd: str = PHD) -> str:
+    """How often a PHD filter is ahead of both rivals, in a sentence."""
     all_ = [(case, rate) for case in found.cases for rate in found.rates]
-    both = sum(all(leads(found, case, rate, rival) for rival in RIVALS) for case, rate in all_)
-    each = [f"of `{rival}` in {sum(leads(found, case, rate, rival) for case, rate in all_)}" for rival in RIVALS]
-    pooled = [
-        interval(
-            [getattr(a, score) - getattr(b, score) for a, b in zip(*_both(found, found.cases, rate, rival), strict=True)]
-        )
+    both = sum(all(leads(found, case, rate, rival, phd) for rival in RIVALS) for case, rate in all_)
+    each = [f"of `{rival}` in {sum(leads(found, case, rate, rival, phd) for case, rate in all_)}" for rival in RIVALS]
+    gaps = [
+        gap(found, found.cases, rate, phd, rival, score)
         for rate in found.rates
         for rival in RIVALS
         for score in ("MODA", "MOTA")
     ]
-    clear = sum(one.mean > 0 and (one.clear or one.count < 2) for one in pooled)
+    clear = sum(one.mean > 0 and (one.clear or one.count < 2) for one in gaps)
     return (
-        f"The particle PHD filter is ahead of both rivals in MODA and MOTA in **{both} of {len(all_)}** combinations of "
-        f"case and clutter, {' and '.join(each)}. Pooled over all cases it is ahead of them in {clear} of the {len(pooled)} "
-        "comparisons of MODA and MOTA by more than the 95 % interval."
+        f"`{phd}` is ahead of both rivals in MODA and MOTA in **{both} of {len(all_)}** combinations of case and clutter, "
+        f"{' and '.join(each)}. Pooled over all cases it is ahead in {sum(one.mean > 0 for one in gaps)} of {len(gaps)} "
+        f"comparisons (a rival, MODA or MOTA, a rate of clutter), in {clear} of them by more than the 95 % interval."
     )
 
 
-def _both(found: Found, cases: Sequence[Named], rate: int, rival: str) -> tuple[list[Scores], list[Scores]]:
-    return found.pooled(cases, rate, PHD), found.pooled(cases, rate, rival)
+def gap(found: Found, cases: Sequence[Named], rate: int, phd: str, rival: str, score: str) -> Interval:
+    """A pooled score of a PHD filter less that of a rival, seed by seed."""
+    ours, theirs = found.pooled(cases, rate, phd), found.pooled(cases, rate, rival)
+    return interval([getattr(a, score) - getattr(b, score) for a, b in zip(ours, theirs, strict=True)])
 
 
 def _groups(found: Found) -> dict[str, tuple[Named, ...]]:
     return {**found.groups, "all": found.cases}
 
 
-def _ahead(found: Found) -> list[tuple[object, ...]]:
-    """How many cases the PHD filter leads."""
+def _ahead(found: Found, phd: str) -> list[tuple[object, ...]]:
+    """How many cases a PHD filter leads."""
     rows: list[tuple[object, ...]] = []
     for name, cases in _groups(found).items():
         for rate in found.rates:
-            over = {rival: [leads(found, case, rate, rival) for case in cases] for rival in RIVALS}
-            four = sum(leads(found, case, rate, "none", FOUR) for case in cases)
+            over = {rival: [leads(found, case, rate, rival, phd) for case in cases] for rival in RIVALS}
+            four = sum(leads(found, case, rate, "none", phd, FOUR) for case in cases)
             both = sum(all(each) for each in zip(*over.values(), strict=True))
-            rows.append((name, rate, len(cases), *(sum(each) for each in over.values()), both, four))
+            rows.append((phd, name, rate, len(cases), *(sum(each) for each in over.values()), both, four))
     return rows
 
 
@@ -210,17 +218,13 @@ def _shown(value: Interval, sign: str = "") -> str:
     return mean if not np.isfinite(value.half) or value.half < 5e-4 else f"{mean} ± {value.half:.3f}"
 
 
-def _gaps(found: Found) -> list[tuple[object, ...]]:
-    """Pooled scores of the PHD filter less those of its rivals, seed by seed."""
+def _gaps(found: Found, phd: str) -> list[tuple[object, ...]]:
+    """Pooled scores of a PHD filter less those of its rivals."""
     rows: list[tuple[object, ...]] = []
     for name, cases in _groups(found).items():
         for rate in found.rates:
-            cells = []
-            for rival in RIVALS:
-                pairs = list(zip(*_both(found, cases, rate, rival), strict=True))
-                for score in ("MODA", "MOTA"):
-                    cells.append(_shown(interval([getattr(a, score) - getattr(b, score) for a, b in pairs]), "+"))
-            rows.append((name, rate, *cells))
+            gaps = (gap(found, cases, rate, phd, rival, score) for rival in RIVALS for score in ("MODA", "MOTA"))
+            rows.append((phd, name, rate, *(_shown(one, "+") for one in gaps)))
     return rows
 
 
