@@ -281,7 +281,8 @@ class JointSamples:
     @property
     def mass(self) -> float:
         """The expected number of targets."""
-        return float(self.chance.sum()) / self.chance.shape[1]
+        mass: float = self.chance.sum() / self.chance.shape[1]
+        return mass
 
 
 @dataclass(frozen=True, slots=True, eq=False)
