@@ -22,7 +22,7 @@ def serial(monkeypatch):
 
 @pytest.fixture(scope="module")
 def outcomes() -> dict[str, list[Outcome]]:
-    names = ("gm-phd", "gm-cphd")
+    names = ("gm-phd", "gm-cphd", "mht")
     return {name: [standard.run(Job(name, standard.EASY, seed)) for seed in range(3)] for name in names}
 
 
@@ -41,6 +41,12 @@ def test_the_number_helps(outcomes):
     assert difference < 0
     errors = {name: np.mean([np.abs(o.error).mean() for o in found]) for name, found in outcomes.items()}
     assert errors["gm-cphd"] < 0.8 * errors["gm-phd"]
+
+
+def test_hypotheses_that_look_back_help_more(outcomes):
+    """Multiple hypotheses take several scans to tell false alarms from targets, and are closer in every run."""
+    for ours, theirs in zip(outcomes["mht"], outcomes["gm-cphd"], strict=True):
+        assert ours.ospa.mean() < theirs.ospa.mean() - 1
 
 
 def test_the_parts_of_the_distance_are_where_and_how_many(outcomes):

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.extract import Components, CountedComponents, CountedMixture, KMeans
-from phdtrack.filters import GMCPHD, GMPHD, ParticleCPHD, ParticlePHD
+from phdtrack.extract import BestHypothesis, Components, CountedComponents, CountedMixture, KMeans
+from phdtrack.filters import GMCPHD, GMPHD, MHT, ParticleCPHD, ParticlePHD
 from phdtrack.models import FixedBirth, PlaneMotion, PlaneSensor, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.reproduce.common import Options, table
@@ -31,7 +31,7 @@ from phdtrack.simulate.points import LinearGaussian, linear_gaussian
 from phdtrack.types import GaussianMixture
 
 # Runs of the first case, of the others, and in the short form.
-RUNS, SIDE, FEW = 100, 50, 3
+RUNS, SIDE, FEW = 100, 25, 3
 # Clutter points per scan, and p_D.
 CASES = {"λ 30, p_D 0.98": (30.0, 0.98), "λ 60, p_D 0.98": (60.0, 0.98), "λ 30, p_D 0.7": (30.0, 0.7)}
 EASY, CLUTTERED, HIDDEN = CASES
@@ -42,10 +42,10 @@ ELSEWHERE = {
     (HIDDEN, "gm-phd"): "41.7",
     (EASY, "gm-cphd"): "about 16.2",
 }
-COMPARED = (("gm-cphd", "gm-phd"), ("particle-phd", "gm-phd"), ("particle-cphd", "gm-cphd"))
+COMPARED = (("gm-cphd", "gm-phd"), ("particle-phd", "gm-phd"), ("particle-cphd", "gm-cphd"), ("mht", "gm-cphd"))
 PER_TARGET, NEWBORN = 1500, 500
 # What more particles change where targets are missed.
-MORE, MORE_RUNS = 6000, 25
+MORE, MORE_RUNS = 6000, 15
 MANY_PHD, MANY_CPHD = f"particle-phd, {MORE}", f"particle-cphd, {MORE}"
 MANY = ((MANY_PHD, "particle-phd"), (MANY_PHD, "gm-phd"), (MANY_CPHD, "particle-cphd"), (MANY_CPHD, "gm-cphd"))
 
@@ -55,6 +55,7 @@ FILTERS: dict[str, Stages] = {
     "gm-cphd": (GMCPHD(1e-5, 2.0, 100), CountedComponents()),
     "particle-phd": (ParticlePHD(PER_TARGET), KMeans(lightest=0.5, overlap=1.0)),
     "particle-cphd": (ParticleCPHD(PER_TARGET), CountedMixture(overlap=1.0)),
+    "mht": (MHT(), BestHypothesis()),
 }
 WITH_MORE: dict[str, Stages] = {
     MANY_PHD: (ParticlePHD(MORE), FILTERS["particle-phd"][1]),

@@ -1,0 +1,72 @@
+"""Turning targets seen by bearing and range, through the whole loop: the models of points serve every stage."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phdtrack import pipeline
+from phdtrack.associate import GraphMatching, Labelled
+from phdtrack.boxes import to_cxcywh
+from phdtrack.extract import BestHypothesis, Components, KMeans
+from phdtrack.filters import GMPHD, MHT, ParticlePHD
+from phdtrack.models import BearingSensor, FixedBirth, TurningMotion, UniformClutter
+from phdtrack.protocols import Model, Stages
+from phdtrack.simulate import turning
+from phdtrack.simulate.turning import FIRST, LAST
+from phdtrack.types import Detections, GaussianMixture, Tracks
+
+SCENE = turning(np.random.default_rng(0))
+GIVEN = SCENE.model
+SENSOR = BearingSensor(GIVEN.sd_bearing, GIVEN.sd_range, GIVEN.p_detect)
+BIRTH = GaussianMixture(
+    np.array(GIVEN.birth_weight), GIVEN.birth_mean, np.tile(np.diag(np.array(GIVEN.birth_sd) ** 2), (4, 1, 1))
+)
+MODEL = Model(
+    TurningMotion(form="piecewise"),
+    SENSOR,
+    FixedBirth(BIRTH, 500),
+    UniformClutter(GIVEN.clutter_rate, GIVEN.clutter_volume),
+    rate=1.0,
+)
+
+
+def tracked(stages: Stages) -> Tracks:
+    """The corrected tracks of all scans, given as boxes about the places that bearings and ranges tell."""
+    rng = np.random.default_rng(1)
+    state = pipeline.start(stages, rng)
+    for number, z in enumerate(SCENE.measurement, 1):
+        boxes = SENSOR.boxes(SENSOR.states(z)[0])
+        state, _ = pipeline.advance(stages, state, Detections.of(boxes), number, float(number), rng)
+    return pipeline.finish(stages, state)
+
+
+def kept(tracks: Tracks) -> np.ndarray:
+    """(10,) the largest share of each target's scans that one identity spends within 150 m of it."""
+    place = to_cxcywh(tracks.xyxy)[:2]
+    near = np.zeros((len(FIRST), tracks.identity.max() + 1))
+    for scan, (state, identity) in enumerate(zip(SCENE.state, SCENE.identity, strict=True), 1):
+        rows = np.flatnonzero(tracks.frame == scan)
+        apart = np.hypot(*(place[:, rows][:, None, :] - state[:2, :, None]))
+        target, row = np.nonzero(apart < 150)
+        near[identity[target] - 1, tracks.identity[rows[row]]] += 1
+    return near.max(axis=1) / (LAST - FIRST + 1)
+
+
+def test_multiple_hypotheses_keep_the_identities_of_ten_targets():
+    tracks = tracked(Stages(MODEL, MHT(transform="unscented"), BestHypothesis(), Labelled()))
+    assert 9 <= len(np.unique(tracks.identity)) <= 12
+    assert (kept(tracks) > 0.9).sum() >= 8
+
+
+@pytest.mark.parametrize(
+    ("recursion", "extractor"),
+    [(GMPHD(transform="unscented", most=100), Components(overlap=1.0)), (ParticlePHD(per_target=500), KMeans(overlap=1.0))],
+    ids=["gm-phd", "particle-phd"],
+)
+def test_intensities_follow_them_too(recursion, extractor):
+    """Targets that cross lose their identities; every one is followed by somebody for a good part of its life."""
+    tracks = tracked(Stages(MODEL, recursion, extractor, GraphMatching()))
+    share = kept(tracks)
+    assert share.min() > 0.25
+    assert np.median(share) > 0.6
