@@ -41,7 +41,7 @@ def pictures(results: Mapping[Job, Outcome], numbers: Sequence[int], seeds: int,
     out.mkdir(parents=True, exist_ok=True)
     errors_by_number(results, numbers, seeds, out / "d14-errors.png")
     found = _tracked("corridor", numbers[-1])
-    rendered = render(build_scene(PATHS, 1, DetectorModel()), np.random.default_rng(1), Look(plants=0, flicker=0.0))
+    rendered = render(build_scene(PATHS, 1, DetectorModel()), np.random.default_rng(1), Look(noise=0.0, plants=0, flicker=0.0))
     ellipses("corridor", found, rendered, out / "d14-frames.png")
     trajectories("corridor", found, out / "d14-trajectories.png")
 
@@ -123,7 +123,7 @@ def trajectories(world: str, found: Mapping[str, Points], path: Path) -> None:
     """States of all frames over the true paths, a panel for each filter; colours are its labels."""
     plt = _pyplot()
     truth = scene(world)
-    figure, axes = plt.subplots(1, len(found), figsize=(13, 3.6), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(1, len(found), figsize=(13, 4.2), sharey=True, layout="constrained")
     for axis, (name, points) in zip(axes, found.items(), strict=True):
         for one in np.unique(truth.identity):
             axis.plot(*centroids(truth)[:, truth.identity == one], "k", lw=0.8)

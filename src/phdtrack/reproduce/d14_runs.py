@@ -43,7 +43,7 @@ FILTERS: dict[str, tuple[str, ...]] = {
 """What each filter of the grid changes of the preset; N is set beside it."""
 CHANGES = {**FILTERS, JOINT: (*_GIVEN, "filter.ancestors=joint")}
 """The same, with the chain in which all targets of a sample have one ancestor."""
-MODEL_SEEDS = 5
+MODEL_SEEDS = 3
 """At most so many seeds of the points drawn from the model, each of which draws paths too."""
 SETTLED = 25
 """Frames after a target's first from which it counts as settled: a second."""
