@@ -68,7 +68,7 @@ def test_who_is_ahead(found: m07.Found) -> None:
 
 
 def test_the_page_counts_cases_and_tells_the_error_that_decides(found: m07.Found) -> None:
-    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in m07.page(found).splitlines()]
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in m07.page(found, found).splitlines()]
     assert ["particle-phd", "real detections", "0", "1", "1", "1", "1", "0"] in lines
     assert ["particle-phd", "simulated scenes", "5", "1", "0", "0", "0", "0"] in lines
     assert ["particle-phd", "all", "0", "2", "1", "1", "1", "0"] in lines

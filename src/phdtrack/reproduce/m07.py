@@ -16,7 +16,7 @@ import numpy as np
 
 from phdtrack.compare.statistics import Interval, interval
 from phdtrack.metrics import Scores, pool
-from phdtrack.reproduce.cases import CASES, HELD_OUT, MADE, SCENES, Named, cluttered, drawn, short
+from phdtrack.reproduce.cases import CASES, HELD_OUT, MADE, PLACES, SCENES, Named, cluttered, drawn, short
 from phdtrack.reproduce.common import Options, Result, in_parallel, measure, table, write
 
 RATES = (0, 5, 20)
@@ -38,6 +38,9 @@ GROUPS: dict[str, tuple[Named, ...]] = {
     "made of real truth": MADE,
     "simulated scenes": SCENES,
 }
+# False alarms that are no Poisson clutter: a page of their own, as they are.
+FIRING: dict[str, tuple[Named, ...]] = {"places that fire": PLACES}
+ERRORS = {"misses": "misses", "false boxes": "false_positives", "switches": "id_switches"}
 FOUR = ("MODA", "MODP", "MOTA", "MOTP")
 
 
@@ -87,7 +90,7 @@ class Found:
 
 def seed_of(case: Named, rate: int, method: str, seed: int) -> int:
     """The seed whose run stands for ``seed``: the first where neither detections, clutter nor the method draw anything."""
-    random = method in RANDOM or rate > 0 or case in MADE + SCENES
+    random = method in RANDOM or rate > 0 or case in MADE + SCENES + PLACES
     return seed if random else 1
 
 
@@ -107,20 +110,22 @@ def jobs_of(groups: dict[str, tuple[Named, ...]], rates: Sequence[int], seeds: i
 def main(options: Options | None = None) -> Path:
     """Run everything and write m07.md."""
     options = options or Options()
-    seeds = options.number(SEEDS, FEW)
+    seeds, rates = options.number(SEEDS, FEW), RATES[::2] if options.quick else RATES
     groups = {"real detections": short(CASES), "simulated scenes": SCENES[1:2]} if options.quick else GROUPS
-    rates = RATES[::2] if options.quick else RATES
-    jobs = jobs_of(groups, rates, seeds)
+    firing = {"places that fire": PLACES[1:2]} if options.quick else FIRING
+    jobs = jobs_of(groups, rates, seeds) + jobs_of(firing, rates[:1], seeds)
     results = dict(zip(jobs, in_parallel(work, jobs, "m07", options.folder), strict=True))
-    return write("m07.md", page(Found(results, groups, rates, seeds)), options.out)
+    found, places = Found(results, groups, rates, seeds), Found(results, firing, rates[:1], seeds)
+    return write("m07.md", page(found, places), options.out)
 
 
-def page(found: Found) -> str:
-    """The page of results."""
+def page(found: Found, places: Found) -> str:
+    """The page of results; ``places``: those of the scenes with places that fire."""
     text = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
     heavy = found.rates[-1]
     first = found.groups["real detections"]
     none, phd = (_spread(found.pooled(first, heavy, method), "MOTA") for method in ("none", PHD))
+    pooled = ("cases", "clutter added", "method", *FOUR, "IDF1", "HOTA", "misses", "false boxes", "switches", "false tracks")
     return text.format(
         seeds=found.seeds,
         heavy=heavy,
@@ -131,9 +136,8 @@ def page(found: Found) -> str:
             ("filter", "cases", "clutter added", "of", *(f"ahead of {x}" for x in (*RIVALS, "both", "none in all four"))),
             [row for phd in PHDS for row in _ahead(found, phd)],
         ),
-        pooled=table(
-            ("cases", "clutter added", "method", *FOUR, "IDF1", "HOTA", "switches", "false tracks"), _pooled(found)
-        ),
+        pooled=table(pooled, _pooled(found)),
+        places=table(pooled, _pooled(places)),
         gaps=table(
             (
                 "filter",
@@ -182,7 +186,7 @@ def gap(found: Found, cases: Sequence[Named], rate: int, phd: str, rival: str, s
 
 
 def _groups(found: Found) -> dict[str, tuple[Named, ...]]:
-    return {**found.groups, "all": found.cases}
+    return found.groups if len(found.groups) == 1 else {**found.groups, "all": found.cases}
 
 
 def _ahead(found: Found, phd: str) -> list[tuple[object, ...]]:
@@ -203,8 +207,12 @@ def _pooled(found: Found) -> list[tuple[object, ...]]:
         for rate in found.rates:
             for method in METHODS:
                 scores = found.pooled(cases, rate, method)
-                counts = (f"{np.mean([getattr(one, key) for one in scores]):.0f}" for key in ("id_switches", "false_tracks"))
-                rows.append((name, rate, method, *(_spread(scores, key) for key in (*FOUR, "IDF1", "HOTA")), *counts))
+                boxes = np.mean([one.truth_boxes for one in scores])
+                per_box = (f"{np.mean([getattr(one, key) for one in scores]) / boxes:.3f}" for key in ERRORS.values())
+                false = f"{np.mean([one.false_tracks for one in scores]):.0f}"
+                rows.append(
+                    (name, rate, method, *(_spread(scores, key) for key in (*FOUR, "IDF1", "HOTA")), *per_box, false)
+                )
     return rows
 
 
@@ -278,9 +286,8 @@ def _errors(found: Found, case: Named, rate: int, rival: str) -> tuple[object, .
     """Differences in MODA and MOTA, and in errors per annotated box, whose sum is that in MOTA with the other sign."""
     gap = [found.mean(case, rate, PHD, score) - found.mean(case, rate, rival, score) for score in ("MODA", "MOTA")]
     boxes = found.mean(case, rate, PHD, "truth_boxes")
-    kinds = {"misses": "misses", "false boxes": "false_positives", "switches": "id_switches"}
     more = {
-        name: (found.mean(case, rate, PHD, key) - found.mean(case, rate, rival, key)) / boxes for name, key in kinds.items()
+        name: (found.mean(case, rate, PHD, key) - found.mean(case, rate, rival, key)) / boxes for name, key in ERRORS.items()
     }
     worst = max(more, key=lambda name: more[name])
     return (*(f"{value:+.3f}" for value in (*gap, *more.values())), worst if more[worst] > 0 else "–")
