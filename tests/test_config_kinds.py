@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from phdtrack import config
+from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.errors import InputError
-from phdtrack.extract import Components, CountedComponents, CountedMixture, KMeans, Raw
-from phdtrack.filters import GMCPHD, GMPHD, NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.extract import BestHypothesis, Components, CountedComponents, CountedMixture, KMeans, Raw
+from phdtrack.filters import GMCPHD, GMPHD, MHT, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.models import LocalPlaneClutter, PlaneBirth, PlaneMotion, PlaneSensor
 from phdtrack.models.learned_births import write_births
 from phdtrack.presets import PRESETS
@@ -24,14 +25,17 @@ INFO = SequenceInfo(640, 480, 25.0)
     ("gm-phd", "particle-phd", ParticlePHD),
     ("gm-cphd", "", GMCPHD), ("particle-phd", "gm-cphd", GMCPHD), ("gm-cphd", "gm-phd", GMPHD),
     ("particle-cphd", "", ParticleCPHD), ("gm-cphd", "particle-cphd", ParticleCPHD), ("particle-cphd", "none", NoFilter),
+    ("mht", "", MHT), ("none", "mht", MHT), ("mht", "gm-phd", GMPHD),
 ])  # fmt: skip
 def test_a_named_filter_wins(configured: str, named: str, kind: type):
     stages = config.build(config.load(sets=[f"filter.kind={configured}"]), INFO, named)
     assert isinstance(stages.filter, kind)
     extractors = {
-        NoFilter: Raw, ParticlePHD: KMeans, GMPHD: Components, ParticleCPHD: CountedMixture, GMCPHD: CountedComponents
+        NoFilter: Raw, ParticlePHD: KMeans, GMPHD: Components, ParticleCPHD: CountedMixture, GMCPHD: CountedComponents,
+        MHT: BestHypothesis,
     }  # fmt: skip
     assert isinstance(stages.extractor, extractors[kind])
+    assert isinstance(stages.associator, Labelled if kind is MHT else GraphMatching)
 
 
 # D14's births, anywhere in the image, have no Gaussian form.
@@ -146,3 +150,37 @@ def test_the_region_is_what_the_camera_shows(data):
     assert near.borders[3] < high
     seen = config.build(config.load(sets=[*sets, "sensor.view=true"], preset="e13"), SequenceInfo(768, 576, 7.0)).model
     assert seen.motion.borders == (left, low, right, high)
+
+
+@pytest.mark.parametrize("named", ["option", "file", "over"])
+def test_who_labels_targets_is_asked_for_their_identities(named: str, tmp_path):
+    """Unless somebody chose otherwise; what both kinds of association know is kept."""
+    path = tmp_path / "mine.toml"
+    path.write_text('[filter]\nkind = "mht"\n[associate]\ndelay = 3\n', encoding="utf-8")
+    settings = {
+        "option": lambda: config.load(sets=["associate.delay=3", "filter.kind=mht"]),
+        "file": lambda: config.load(path),
+        "over": lambda: config.overlay(config.load(sets=["associate.delay=3"]), {"filter": {"kind": "mht"}}),
+    }[named]()
+    stages = config.build(settings, INFO)
+    assert (type(stages.filter), type(stages.extractor)) == (MHT, BestHypothesis)
+    assert stages.associator == Labelled(delay=3)
+    graph = config.load(sets=["filter.kind=mht", "associate.kind=graph", "associate.span=1"])
+    assert config.build(graph, INFO).associator == GraphMatching(span=1.0)
+    back = config.build(settings, INFO, "particle-phd")
+    assert back.associator == GraphMatching(delay=3)
+
+
+def test_m09s_rival_has_its_printed_parameters():
+    stages = config.build(config.load(preset="m09-mht"), SequenceInfo(360, 288, 25.0))
+    model, z = stages.model, np.array([[100.0], [80], [20], [40]])
+    assert model.sensor.detection == 0.97
+    assert (stages.filter.most, stages.filter.ratio, stages.filter.depth, stages.filter.patience) == (300, 0.001, 10, 150)
+    np.testing.assert_allclose(np.diag(model.sensor.covariance(z, model.sensor.states(z)[0])[0]), [3, 3, 6, 6])
+    state, info = stages.filter.step(stages.filter.start(model, None), z, model, 1.0, None)
+    # Of 0.0025 new targets and 0.00007 false alarms.
+    assert info.clutter_probability[0] == pytest.approx(0.00007 / 0.00257)
+    assert state.mass == pytest.approx(0.0025 / 0.00257)
+    assert (info.clutter + info.evidence)[0] == pytest.approx(0.00257 / (360 * 288))
+    with pytest.raises(InputError, match=r"^filter\.new: .* frame's size, not 0x0"):
+        MHT(new=0.1).step(state, z, model, 1.0, None)

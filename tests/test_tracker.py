@@ -309,9 +309,14 @@ def test_without_filter_detections_are_the_states():
 
 
 # That of the ground plane is tested where there is a camera, that of points below.
-@pytest.mark.parametrize("preset", sorted({*PRESETS} - {"e13", "d14"}))
+@pytest.mark.parametrize("preset", [*sorted({*PRESETS} - {"e13", "d14"}), "mht"])
 def test_every_preset_finds_two_people(preset: str):
-    tracker = Tracker(SIZE, preset=preset, filter={"per_target": 500}, birth={"most": 500})
+    fewer = {"filter": {"per_target": 500}, "birth": {"most": 500}}
+    tracker = (
+        Tracker(SIZE, filter="mht")
+        if preset == "mht"
+        else Tracker(SIZE, preset=preset, **({} if preset == "m09-mht" else fewer))
+    )
     feed(tracker, [boxes(k) for k in range(25)])
     tracks = tracker.tracks()
     assert set(tracks.identity) == {1, 2}

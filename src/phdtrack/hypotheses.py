@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phdtrack.arrays import sum_by
 from phdtrack.types import F8, I8, Bool, GaussianMixture
 
 
@@ -95,12 +96,10 @@ class Hypotheses:
     @property
     def probability(self) -> F8:
         """(L,) probability that each leaf's history is true."""
-        out = np.zeros(len(self.leaves))
-        out[self.alone] = 1.0
-        for cluster in self.clusters:
-            rows, columns = np.nonzero(cluster.leaf >= 0)
-            np.add.at(out, cluster.leaf[rows, columns], cluster.weight[rows])
-        return out
+        held = np.concatenate([self.alone, *(c.leaf.ravel() for c in self.clusters)])
+        weight = np.concatenate([np.ones(len(self.alone)), *(np.repeat(c.weight, c.leaf.shape[1]) for c in self.clusters)])
+        # The first place is for what a hypothesis does not hold.
+        return sum_by(held + 1, weight, len(self) + 1)[1:]
 
     @property
     def mass(self) -> float:

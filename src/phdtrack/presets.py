@@ -7,6 +7,8 @@ which costs less than half a hundredth of any score and takes a quarter off the 
 ``m09``: Maggio and Cavallaro 2009: M07's numbers (M09 prints none of its own) with the likelihood scaled by the particle, no
 floor, births and clutter uniform over the image, and extraction by a Gaussian mixture at 0.5.
 ``fv``: M09's fixed variances: constant noises in pixels.
+``m09-mht``: the multiple hypothesis tracker that M09 compares with, on fixed variances. Its densities of new targets and of
+false alarms are read as per pixel² and frame, with any size up to the frame's, and its gate of 20 as a squared distance.
 ``e13``: Edman et al. 2013: people on the ground plane, GM-PHD, with the places of its sequence (PETS 2009 S1.L1, 7 Hz). Its
 births are per frame of 1/7 s and stand here per second. It needs ``camera.file``, or detections in metres.
 ``d14``: D14's SMC PHD filter for point targets: p_D = p_S = 1, no clutter, ten newborn particles anywhere in each frame, no
@@ -34,6 +36,11 @@ _M09: Mapping[str, Mapping[str, Any]] = {
     **_PAPER,
     "sensor": {**_PAPER["sensor"], "floor": 0.0, "scaling": "particle"},
     "extract": {"kind": "mixture", "lightest": 0.5, "overlap": 1.0},
+}
+_FV: Mapping[str, Mapping[str, Any]] = {
+    **_M09,
+    "motion": {"acceleration": 1.5**0.5, "resize": 2.0, "survival": 0.99, "scaled": False},
+    "sensor": {"detection": 0.95, "scaling": "fixed"},
 }
 
 # What is usual where the world is a ground plane in metres and seconds: a target goes on without a state for one more
@@ -66,10 +73,22 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
         "extract": {**_PAPER["extract"], "kind": "kmeans"},
     },
     "m09": _M09,
-    "fv": {
-        **_M09,
-        "motion": {"acceleration": 1.5**0.5, "resize": 2.0, "survival": 0.99, "scaled": False},
-        "sensor": {"detection": 0.95, "scaling": "fixed"},
+    "fv": _FV,
+    "m09-mht": {
+        **_FV,
+        "sensor": {"detection": 0.97, "scaling": "fixed"},
+        "filter": {
+            "kind": "mht",
+            "new": 0.0025,
+            "false": 0.00007,
+            "patience": 150.0,
+            "gate": 20**0.5,
+            "depth": 10,
+            "ratio": 0.001,
+            "most": 300,
+        },
+        "extract": {"kind": "hypotheses", "lightest": 0.5, "overlap": 1.0},
+        "associate": {"kind": "labelled"},
     },
     "e13": {
         **PLANE,

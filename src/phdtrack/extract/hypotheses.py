@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.checks import Share, check
+from phdtrack.extract.resolution import resolved
 from phdtrack.hypotheses import Hypotheses, before
 from phdtrack.protocols import Model
 from phdtrack.types import F8, Estimates
@@ -20,9 +21,11 @@ class BestHypothesis:
     ----------
     lightest : targets that are there with less probability, if the hypothesis is true, are not reported. A target that was
         measured again later was there.
+    overlap : of targets whose boxes overlap by more (IoU) the one that has been followed for longer is reported; 1: all.
     """
 
     lightest: Share = 0.5
+    overlap: Share = 0.4
 
     def __post_init__(self) -> None:
         check(self)
@@ -39,10 +42,9 @@ class BestHypothesis:
             weight[known] = np.maximum(weight[known], nodes.exist[at[known]])
             told = known[weight[known] >= self.lightest]
             here = nodes.take(at[told])
-            frames.append(
-                Estimates(
-                    here.mean, here.covariance, weight[told], model.sensor.boxes(here.mean), here.detection, here.label
-                )
-            )
+            boxes = model.sensor.boxes(here.mean)
+            found = Estimates(here.mean, here.covariance, weight[told], boxes, here.detection, here.label)
+            # Labels rise with the frame in which a track began.
+            frames.append(found.take(resolved(boxes, self.overlap)))
             at = before(nodes, at)
         return replace(frames[0], past=tuple(frames[:0:-1]))

@@ -61,6 +61,17 @@ def joined(mass: F8, mean: F8, cov: F8, sensor: Sensor, overlap: float) -> tuple
     return mass[alive], mean.compress(alive, axis=1), cov[alive], part[alive]
 
 
+def resolved(boxes: F8, overlap: float) -> I8:
+    """Which of the (n, 4) boxes are left if each goes that overlaps one before it by more than ``overlap`` (IoU)."""
+    left = np.ones(len(boxes), np.bool_)
+    if overlap < 1 and len(boxes) > 1:
+        first, second, _ = _overlapping(boxes, overlap)
+        order = np.lexsort((second, first))
+        for i, j in zip(first[order].tolist(), second[order].tolist(), strict=True):
+            left[j] &= not left[i]
+    return np.flatnonzero(left)
+
+
 def _overlapping(boxes: F8, overlap: float) -> tuple[I8, I8, F8]:
     """Pairs i < j of (n, 4) boxes whose overlap (IoU) is above the bound, and their overlaps."""
     lower, upper = boxes[:, :2].T.copy(), boxes[:, 2:].T.copy()

@@ -41,27 +41,31 @@ class Branches:
 def branched(state: Hypotheses, scores: Scores, limits: Limits) -> Branches:
     """The hypotheses that follow from ``state``, predicted, and the measurements."""
     lone, count = len(state.alone), len(scores.alone)
-    clusters = [Cluster(leaf[None, None], np.ones(1)) for leaf in state.alone]
-    clusters.extend(state.clusters)
+    many = lone + len(state.clusters)
     cluster_of = np.zeros(len(state), np.int64)
     cluster_of[state.alone] = np.arange(lone)
     for c, cluster in enumerate(state.clusters, start=lone):
         cluster_of[cluster.leaf[cluster.leaf >= 0]] = c
-    part = components(len(clusters) + count, cluster_of[scores.leaf], len(clusters) + scores.which)
+    part = components(many + count, cluster_of[scores.leaf], many + scores.which)
     meeting = np.unique(part[cluster_of[scores.leaf]])
-    untouched = ~np.isin(part, meeting)
-    apart, single = untouched[: len(clusters)], untouched[len(clusters) :]
-    free = np.flatnonzero(single & (scores.new >= limits.least))
-    alone = [_numbers(state.alone[apart[:lone]], np.full(int(apart[:lone].sum()), -1), count), free + 1]
-    out = [_missed(clusters[c], scores, limits, count) for c in np.flatnonzero(apart[lone:]) + lone]
+    apart = ~np.isin(part, meeting)
+    left = state.alone[apart[:lone]]
+    free = np.flatnonzero(apart[many:] & (scores.new >= limits.least))
+    alone = np.concatenate([_numbers(left, np.full(len(left), -1), count), free + 1])
+    out = [_missed(state.clusters[c], scores, limits, count) for c in np.flatnonzero(apart[lone:many])]
     own = np.ones(count)
-    members, of_pair = _lists(part[: len(clusters)], meeting), _lists(part[cluster_of[scores.leaf]], meeting)
-    measured = _lists(part[len(clusters) :], meeting)
-    for members_, pairs, columns in zip(members, of_pair, measured, strict=True):
-        joint = _product([clusters[c] for c in members_], limits)
+    members, measured = _lists(part[:many], meeting), _lists(part[many:], meeting)
+    of_pair = _lists(part[cluster_of[scores.leaf]], meeting)
+    for meet, pairs, columns in zip(members, of_pair, measured, strict=True):
+        joint = _product([_single(state.alone[c]) if c < lone else state.clusters[c - lone] for c in meet], limits)
         child, own[columns] = _assigned(joint, pairs, columns, scores, limits)
         out.append(child)
-    return Branches(np.concatenate(alone), tuple(out), own)
+    return Branches(alone, tuple(out), own)
+
+
+def _single(leaf: np.int64) -> Cluster:
+    """A track of which there is nothing else to believe."""
+    return Cluster(np.array([[leaf]]), np.ones(1))
 
 
 def _lists(part: I8, wanted: I8) -> list[I8]:

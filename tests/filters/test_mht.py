@@ -1,0 +1,281 @@
+"""Multiple hypothesis tracking: Kalman filters where nothing is in doubt, hypotheses where something is, and bounds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mht_cases import FRAME, boxes, histories, run, world
+
+from phdtrack import config
+from phdtrack.extract import BestHypothesis
+from phdtrack.filters import MHT
+from phdtrack.hypotheses import Hypotheses
+from phdtrack.models import BearingSensor, FixedBirth, LocalClutter, MeasurementBirth, TurningMotion, UniformClutter
+from phdtrack.types import Detections, GaussianMixture, SequenceInfo
+
+RNG = np.random.default_rng(0)
+
+
+def told(state: Hypotheses, model, overlap: float = 1.0):
+    return BestHypothesis(overlap=overlap).extract(state, np.zeros((4, 0)), model)
+
+
+def walk(start, velocity, count: int, rng=None, noise: float = 2.0) -> np.ndarray:
+    """(count, 2) positions, seen with noise."""
+    path = np.array(start, np.float64) + np.arange(count)[:, None] * np.array(velocity)
+    return path if rng is None else path + noise * rng.standard_normal(path.shape)
+
+
+@pytest.mark.parametrize("transform", ["linear", "unscented"])
+@pytest.mark.parametrize("dt", [1.0, 2.5])
+def test_on_clean_data_it_is_a_kalman_filter_for_each_target(transform: str, dt: float):
+    """Three targets far apart, always seen, nothing else; states and covariances of every frame, also as told later."""
+    model = world(detection=0.999, clutter=1e-14, survival=0.999, birth=0.5)
+    rng = np.random.default_rng(3)
+    paths = [walk(start, v, 25, rng) for start, v in (((150, 100), (3, 1)), ((450, 150), (-2, 2)), ((300, 400), (0, -3)))]
+    scans = [boxes(*(path[k] for path in paths)) for k in range(25)]
+    state, info = run(MHT(transform=transform), scans, model, dt)
+    found = told(state, model)
+    assert len(found) == 3
+    assert info.mass == pytest.approx(3, abs=1e-3)
+    assert found.detection.tolist() == [0, 1, 2]
+    h, births = np.eye(6)[[0, 1, 4, 5]], model.birth.mixture
+    for j in range(3):
+        mean, cov, means = births.mean[:, 0], births.covariance[0], []
+        for k, z in enumerate(scans):
+            if k:
+                moved, f, q = model.motion.transition(mean[:, None], dt)
+                mean, cov = moved[:, 0], f[0] @ cov @ f[0].T + q[0]
+            s = h @ cov @ h.T + 16 * np.eye(4)
+            gain = cov @ h.T @ np.linalg.inv(s)
+            mean, cov = mean + gain @ (z[:, j] - h @ mean), cov - gain @ h @ cov
+            means.append(mean)
+        np.testing.assert_allclose(found.state[:, j], mean, rtol=0, atol=1e-9 * 640)
+        np.testing.assert_allclose(found.covariance[j], cov, rtol=1e-9, atol=1e-9)
+        assert len(found.past) == 10
+        for past, mean in zip(found.past, means[-11:-1], strict=True):
+            np.testing.assert_allclose(past.state[:, j], mean, rtol=0, atol=1e-9 * 640)
+            assert past.tag.tolist() == found.tag.tolist()
+
+
+def scene(rng, frames: int, targets: int = 4, clutter: int = 3, detection: float = 0.85) -> list[np.ndarray]:
+    """Targets that walk among false alarms."""
+    start, velocity = rng.uniform([100, 80], [540, 400], (targets, 2)), rng.normal(0, 3, (targets, 2))
+    scans = []
+    for k in range(frames):
+        here = (start + k * velocity + 2 * rng.standard_normal((targets, 2)))[rng.random(targets) < detection]
+        scans.append(boxes(*here, *rng.uniform([0, 0], FRAME, (clutter, 2))))
+    return scans
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_order_of_the_detections_does_not_matter(seed: int):
+    rng = np.random.default_rng(seed)
+    model, scans = world(clutter=1e-8), scene(rng, 20)
+    mixed = [z[:, rng.permutation(z.shape[1])] for z in scans]
+    (one, first), (two, second) = run(MHT(), scans, model), run(MHT(), mixed, model)
+    assert first.mass == pytest.approx(second.mass, rel=1e-9)
+    a, b = told(one, model), told(two, model)
+    order, other = np.lexsort(a.state), np.lexsort(b.state)
+    np.testing.assert_allclose(a.state[:, order], b.state[:, other], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(np.sort(first.clutter_probability), np.sort(second.clutter_probability), atol=1e-9)
+
+
+def test_two_that_cross_keep_their_labels():
+    model, rng = world(detection=0.95), np.random.default_rng(1)
+    paths = walk((150, 180), (8, 1), 40, rng), walk((470, 200), (-8, 0.5), 40, rng)
+    state, labels = MHT().start(model, RNG), []
+    for k in range(40):
+        state, _ = MHT().step(state, boxes(paths[0][k], paths[1][k]), model, 1.0, RNG)
+        labels.append(told(state, model))
+    early, late = labels[10], labels[-1]
+    assert len(early) == len(late) == 2
+    for found, k in ((early, 10), (late, 39)):
+        right = found.tag[np.argmin(np.abs(found.state[0] - paths[0][k][0]))]
+        assert right == early.tag[np.argmin(np.abs(early.state[0] - paths[0][10][0]))]
+
+
+def test_one_that_is_hidden_for_some_frames_comes_back_as_itself():
+    model, path = world(detection=0.8, survival=0.99), walk((200, 200), (5, 2), 30, np.random.default_rng(2))
+    state, weights, tags = MHT().start(model, RNG), [], []
+    for k in range(30):
+        z = boxes() if 15 <= k < 20 else boxes(path[k])
+        state, info = MHT().step(state, z, model, 1.0, RNG)
+        assert info.evidence.shape == (z.shape[1],)
+        found = told(state, model)
+        weights.append(float(found.weight[0]) if len(found) else 0.0)
+        tags.extend(found.tag.tolist())
+    assert len(set(tags)) == 1
+    # Of it alone: r p_S (1 − p_D) / (1 − r p_S p_D).
+    kept = 1.0
+    for k in range(15, 18):
+        kept = 0.99 * kept * 0.2 / (1 - 0.99 * kept * 0.8)
+        assert weights[k] == pytest.approx(kept if kept >= 0.5 else 0.0, rel=1e-2)
+    assert weights[20] > 0.9
+
+
+def test_what_was_wrong_is_told_anew():
+    """A false alarm lies nearer to where the target is expected; the frames after it show who the target was."""
+    model = world(detection=0.9, clutter=1e-8, survival=0.99)
+    path = walk((200, 200), (0, 0), 16)
+    path[8:] += np.arange(1, 9)[:, None] * [9.0, 0.0]
+    scans = [boxes(here) for here in path]
+    scans[8] = boxes(path[8], path[7] + [-1.0, 0.0])
+    first, _ = run(MHT(), scans[:9], model)
+    last, _ = run(MHT(), scans[:13], model)
+    before, after = told(first, model), told(last, model)
+    assert before.detection.tolist() == [1]
+    assert [e.detection.tolist() for e in after.past[-5:]] == [[0]] * 5
+    assert set(after.tag) == set(before.tag)
+
+
+def test_an_ended_track_is_still_told_of_where_it_was():
+    """After three misses nobody is there any more; the frames before show him until they are no longer told of."""
+    model, path = world(detection=0.9, survival=0.9), walk((200, 200), (2, 2), 12)
+    scans = [boxes(here) for here in path] + [boxes()] * 12
+    for n in range(13, 25):
+        found = told(run(MHT(), scans[:n], model)[0], model)
+        seen = [e.detection.tolist() for e in found.past if len(e) and e.detection[0] >= 0]
+        assert len(seen) == max(0, 10 - (n - 13))
+    assert len(run(MHT(), scans, model)[0]) == 0, "and then forgotten"
+
+
+@pytest.mark.parametrize("depth", [1, 4])
+def test_what_is_older_than_the_depth_is_decided(depth: int):
+    model, rng = world(clutter=3e-8), np.random.default_rng(5)
+    filter_, state, doubted = MHT(depth=depth), MHT().start(world(), RNG), 0
+    for z in scene(rng, 25, targets=6):
+        state, _ = filter_.step(state, z, model, 1.0, RNG)
+        assert len(state.layers) <= depth + 1
+        doubted += len(state.clusters)
+        past = histories(state)
+        first = len(state.layers) == depth + 1
+        for cluster in state.clusters:
+            assert (np.diff(cluster.weight) <= 1e-12).all()
+            assert cluster.weight.sum() == pytest.approx(1)
+            assert cluster.weight[-1] >= 0.99e-3 * cluster.weight[0]
+            for row in cluster.leaf.T if first else ():
+                oldest = {tuple(one for one in past[leaf] if one[0] == -1) for leaf in row if leaf >= 0}
+                assert len(oldest) <= 1
+    assert doubted > 20
+
+
+def test_a_frame_that_nobody_observed_is_predicted_and_told_of():
+    model, path = world(detection=0.9, survival=0.95), walk((200, 200), (2, 2), 10)
+    state, _ = run(MHT(), [boxes(here) for here in path], model)
+    ahead = MHT().predict(state, model, 1.0, RNG)
+    found = told(ahead, model)
+    assert found.detection.tolist() == [-1]
+    np.testing.assert_allclose(found.weight, 0.95 * state.mass, rtol=1e-3)
+    assert [e.detection.tolist() for e in found.past] == [[0]] * 10
+
+
+def test_the_longer_a_target_is_missed_the_less_patience_there_is():
+    """λ_x: e^(−k/λ_x) of those missed k times in a row."""
+    model, filter_ = world(detection=0.5, survival=0.9), MHT(patience=4.0)
+    state, _ = run(filter_, [boxes((200 + 2 * k, 200)) for k in range(8)], model)
+    for k in (1, 2, 3):
+        before = state.mass
+        state = filter_.predict(state, model, 1.0, RNG)
+        assert state.mass == pytest.approx(before * np.exp(-k / 4), rel=1e-9)
+
+
+def test_unscented_with_bearings_and_range():
+    """The turning targets of the nonlinear scenario, each where it is."""
+    sensor, rng = BearingSensor(), np.random.default_rng(8)
+    motion = TurningMotion()
+    x = np.array([[400.0, -500], [700, 300], [5, -3], [-8, 6], [0.01, -0.02]])
+    place = GaussianMixture(np.full(2, 0.05), x.copy(), np.tile(np.diag([900.0, 900, 100, 100, 0.01]), (2, 1, 1)))
+    model = replace(world(detection=0.95), motion=motion, sensor=sensor, birth=FixedBirth(place),
+                    clutter=UniformClutter(5.0, np.pi * 2000))  # fmt: skip
+    state = (filter_ := MHT(transform="unscented")).start(model, rng)
+    for _ in range(20):
+        x = motion.transition(x, 1.0)[0]
+        noise = np.linalg.cholesky(sensor.covariance(sensor.expected(x), x)) @ rng.standard_normal((2, 2, 1))
+        alarms = np.vstack([rng.uniform(-np.pi / 2, np.pi / 2, 5), rng.uniform(0, 2000, 5)])
+        state, _ = filter_.step(state, np.hstack([sensor.expected(x) + noise[:, :, 0].T, alarms]), model, 1.0, rng)
+    at = state.leaves.mean[:2, state.best()[state.leaves.exist[state.best()] > 0.5]]
+    assert at.shape == (2, 2)
+    assert np.hypot(*(np.sort(at, axis=1) - np.sort(x[:2], axis=1))).max() < 40
+
+
+def test_initial_targets_are_tracks():
+    model = world()
+    place = GaussianMixture(np.array([1.0, 0.4]), np.tile(np.array([[200.0], [100], [0], [0], [40], [80]]), 2),
+                            np.tile(4 * np.eye(6), (2, 1, 1)))  # fmt: skip
+    place.mean[0, 1] = 400
+    state = MHT(initial=place).start(model, RNG)
+    assert state.mass == pytest.approx(1.4)
+    state, _ = MHT().step(state, boxes((201, 100), (399, 101)), model, 1.0, RNG)
+    assert told(state, model).tag.tolist() == [0, 1]
+
+
+def crowd(clutter: int, frames: int) -> tuple[object, list[Detections]]:
+    """Ten walkers and so many false alarms a frame, and the tracker of the default settings."""
+    rng = np.random.default_rng(1)
+    start, velocity, size = (
+        rng.uniform([200, 150], [1000, 550], (10, 2)),
+        rng.normal(0, 2, (10, 2)),
+        rng.uniform(40, 90, (10, 2)),
+    )
+    found = []
+    for k in range(frames):
+        seen = rng.random(10) < 0.9
+        centre = np.vstack(
+            [(start + k * velocity + rng.normal(0, 2, (10, 2)))[seen], rng.uniform(0, [1280, 720], (clutter, 2))]
+        )
+        sides = np.vstack([size[seen], rng.uniform(30, 100, (clutter, 2))])
+        found.append(Detections.of(np.hstack([centre - sides / 2, centre + sides / 2])))
+    stages = config.build(config.load(sets=["filter.kind=mht"]), SequenceInfo(1280, 720, 25.0))
+    return stages, found
+
+
+def test_fifty_false_alarms_a_frame_are_bounded():
+    """Nodes, hypotheses and clusters stop growing after as many frames as the past is long."""
+    stages, found = crowd(50, 60)
+    state, sizes = stages.filter.start(stages.model, RNG), []
+    for detections in found:
+        z = stages.model.sensor.measure(detections)
+        state, _ = stages.filter.step(state, z, stages.model, 1.0, RNG)
+        hypotheses = [len(c.weight) for c in state.clusters]
+        assert max(hypotheses, default=0) <= 300
+        sizes.append([len(state), sum(len(layer) for layer in state.layers), sum(hypotheses)])
+    sizes = np.array(sizes)
+    # About a leaf for each false alarm of the window; twice that as nodes of each layer.
+    assert sizes[:, 0].max() < 11 * 60 * 2
+    assert sizes[:, 1].max() < 11 * 11 * 60 * 3
+    assert (sizes[40:].max(0) < 1.3 * sizes[20:40].max(0)).all()
+    assert sizes[40:, 2].max() < 2000
+    assert len(told(state, stages.model)) == pytest.approx(10, abs=2)
+
+
+def test_limits_hold_where_everything_competes():
+    """Fifteen targets on one spot, each seen half of the time, among false alarms there: all one cluster."""
+    rng = np.random.default_rng(6)
+    model = replace(world(detection=0.5, survival=0.99), birth=MeasurementBirth(0.3, 100, "image", FRAME),
+                    clutter=UniformClutter(3.0, (640.0 * 480) ** 2))  # fmt: skip
+    filter_, state, largest = MHT(most=40, depth=4), MHT().start(model, RNG), 0
+    for _ in range(12):
+        z = boxes(*(np.array([300.0, 200]) + 6 * rng.standard_normal((int(rng.integers(6, 12)), 2))))
+        state, _ = filter_.step(state, z, model, 1.0, RNG)
+        largest = max(largest, *(len(c.weight) for c in state.clusters), 0)
+        assert len(state) <= 40 * 60
+        assert len(state.layers) <= 5
+        assert np.isfinite(state.mass)
+    assert largest == 40, "the limit was reached, and held"
+    assert state.mass > 5
+
+
+def test_overlapping_targets_are_told_of_once():
+    """A detector that fires twice on one object: the track that began first is its."""
+    model = replace(world(detection=0.95, survival=0.99), birth=MeasurementBirth(0.1, 100, "local", FRAME),
+                    clutter=LocalClutter(0.1))  # fmt: skip
+    scans = [boxes((200 + k, 200)) if k < 5 else boxes((206 + k, 203), (200 + k, 200)) for k in range(15)]
+    state, _ = run(MHT(), scans, model)
+    assert len(told(state, model)) == 2
+    once = told(state, model, 0.4)
+    assert len(once) == 1
+    assert once.tag[0] == told(run(MHT(), scans[:5], model)[0], model).tag[0]
+    assert all(len(e) == 1 for e in once.past)
