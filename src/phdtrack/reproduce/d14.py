@@ -101,11 +101,9 @@ def seconds(outcome: Outcome) -> float:
 
 
 def interval(values: F8) -> float:
-    """Half the width of the 95 % confidence interval of the mean of ``values`` (n,), by Student's t; NaN for one value."""
+    """Half the width of the 95 % confidence interval of the mean of ``values`` (n,), by Student's t."""
     from scipy.special import stdtrit
 
-    if len(values) < 2:
-        return float("nan")
     return float(stdtrit(len(values) - 1, 0.975) * values.std(ddof=1) / math.sqrt(len(values)))
 
 
@@ -118,20 +116,22 @@ def located_mean(values: F8) -> F8:
 
 
 def spread(values: F8, digits: int = 2) -> str:
-    """Mean and confidence interval as a cell."""
+    """Mean and confidence interval as a cell; a single value alone."""
+    if len(values) < 2:
+        return f"{values.mean():.{digits}f}"
     return f"{values.mean():.{digits}f} ± {interval(values):.{digits}f}"
 
 
-def whole(found: Found, of: Measure) -> str:
-    """A table for all worlds: a row for each variance and N, a column for each filter, and the bounds."""
+def whole(found: Found, of: Measure, digits: int = 2, bounds: bool = True) -> str:
+    """A table for all worlds: a row for each variance and N, a column for each filter, and with ``bounds`` the bounds."""
     rows: list[tuple[object, ...]] = []
     for world, title in WORLDS.items():
         for variance in VARIANCES:
-            bound = spread(found.values(world, KALMAN, 0, variance, of))
+            bound = (spread(found.values(world, KALMAN, 0, variance, of)), f"{posterior_deviation(variance):.2f}")
             for number in found.numbers:
-                cells = (spread(found.values(world, name, number, variance, of)) for name in FILTERS)
-                rows.append((title, f"{variance:g}", number, *cells, bound, f"{posterior_deviation(variance):.2f}"))
-    return table(("", "σ²", "N", *FILTERS, "Kalman", "posterior"), rows)
+                cells = (spread(found.values(world, name, number, variance, of), digits) for name in FILTERS)
+                rows.append((title, f"{variance:g}", number, *cells, *(bound if bounds else ())))
+    return table(("", "σ²", "N", *FILTERS, *(("Kalman", "posterior") if bounds else ())), rows)
 
 
 def per_target(found: Found) -> str:
@@ -193,7 +193,14 @@ def verdicts(found: Found) -> dict[str, object]:
     left = {name: each[-1] / each[-2] for name, each in far.items()}
     bound = found.mean(KALMAN, 0, overall, ["model"])
     late = {name: found.mean(name, high, settled, PEOPLE) for name in (PHD, KALMAN)}
+    repeated = [
+        np.nanmin(located_mean(found.values(world, name, high, variance, lambda o: o.measurement)))
+        for world in PEOPLE
+        for name in FILTERS
+        for variance in VARIANCES
+    ]
     known: dict[str, object] = {
+        "z_least": f"{min(repeated):.2f}",
         "low": low,
         "high": high,
         "beyond": BEYOND,
@@ -208,19 +215,19 @@ def verdicts(found: Found) -> dict[str, object]:
     }
     for key, name in (("phd", PHD), ("true", TRUE), ("greedy", GREEDY), ("kalman", KALMAN)):
         for place, worlds in (("model", ["model"]), ("people", PEOPLE)):
+            known[f"phd_before_{key}_{place}"] = ahead(found, name, worlds)
             known[f"{key}_{place}"] = f"{found.mean(name, high, overall, worlds):.3f}"
             known[f"{key}_{place}_low"] = f"{found.mean(name, low, overall, worlds):.3f}"
             known[f"{key}_{place}_located"] = f"{100 * found.mean(name, high, located, worlds):.1f}"
             known[f"{key}_{place}_located_low"] = f"{100 * found.mean(name, low, located, worlds):.1f}"
         known[f"{key}_above"] = f"{100 * (found.mean(name, high, overall, ['model']) / bound - 1):.0f}"
         known[f"{key}_left"] = f"{left[name]:.2f}" if name in left else ""
-        known[f"phd_ahead_{key}"] = ahead(found, name)
     return known
 
 
-def ahead(found: Found, rival: str) -> str:
+def ahead(found: Found, rival: str, worlds: Sequence[str]) -> str:
     """In how many settings the PHD filter's error to the truth is below a rival's."""
-    settings = [(world, n, variance) for world in WORLDS for n in found.numbers for variance in VARIANCES]
+    settings = [(world, n, variance) for world in worlds for n in found.numbers for variance in VARIANCES]
     wins = [
         found.values(w, PHD, n, v, overall).mean() < found.values(w, rival, n, v, overall).mean() for w, n, v in settings
     ]
@@ -235,7 +242,7 @@ def page(found: Found) -> str:
     return text.format(
         truth=whole(found, overall),
         seen=whole(found, detected),
-        share=whole(found, lambda outcome: 100 * located(outcome)),
+        share=whole(found, lambda outcome: 100 * located(outcome), digits=1, bounds=False),
         targets=per_target(found),
         ranges=ranges(found),
         times=times(found),
