@@ -12,6 +12,7 @@ import typer
 from phdtrack import rundir
 from phdtrack.commands.options import Config, Iou, Json, MaxWidth, Preset, Sets
 from phdtrack.commands.output import Output, progress
+from phdtrack.commands.scoring import check_iou
 from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
@@ -98,6 +99,7 @@ def compare(
     result = Output(json)
     ours = (out / DOCUMENT).is_file()
     rundir.check(out, overwrite or ours, FILES)
+    check_iou(iou)
     wanted = check_scores(listed(scores))
     made = plan(
         sequences,

@@ -188,8 +188,8 @@ def _boxes(frames: I8, identities: I8, xyxy: F8, frame: int, wanted: I8) -> F8:
 
 def write_frames(folder: Path, frames: Sequence[WorstFrame]) -> list[Path]:
     """Write the pictures as PNG; where they lie."""
-    folder.mkdir(parents=True, exist_ok=True)
     for frame in frames:
+        folder.mkdir(parents=True, exist_ok=True)
         _, data = cv2.imencode(".png", frame.image)
         (folder / frame.name).write_bytes(data.tobytes())
     return [folder / frame.name for frame in frames]

@@ -28,6 +28,7 @@ _BOUNDS = 480, 720
 _GROUND = 46
 _GAP = 6
 _SHAPE = 2.0
+_FULL = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,9 +78,13 @@ def side_by_side(
 
 
 def _columns(count: int, aspect: float) -> int:
-    """How many panels of this width over height stand side by side, so that the whole is nearest to the shape of a page."""
-    shapes = [aspect * columns / -(-count // columns) for columns in range(1, count + 1)]
-    return 1 + int(np.argmin(np.abs(np.log(np.array(shapes) / _SHAPE))))
+    """How many panels of this width over height stand side by side, so that the whole is nearest to the shape of a page.
+
+    Up to four panels fill their rows.
+    """
+    columns = [each for each in range(1, count + 1) if count > _FULL or count % each == 0]
+    shapes = np.array([aspect * each / -(-count // each) for each in columns])
+    return columns[int(np.argmin(np.abs(np.log(shapes / _SHAPE))))]
 
 
 def _panel(ground: Image, scale: F8, detections: F8, one: Mistakes) -> Image:

@@ -1,0 +1,211 @@
+"""A comparison in a folder: what is kept is taken up, what has changed runs again, and no number of jobs matters."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from compare_cases import FRAMES, sequence, small
+
+from phdtrack.compare import Failed, Outcome, Plan, Run, plan, run, steps, work
+from phdtrack.compare.store import kept, read_about, whole
+from phdtrack.formats import read_detections, read_tracks, read_truth
+from phdtrack.metrics import evaluate
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {str(path.parent.relative_to(folder)): read_about(path.parent)["digest"] for path in folder.rglob("run.json")}
+
+
+def tracks(folder: Path) -> dict[str, str]:
+    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("tracks.csv")}
+
+
+def plain(outcomes: Mapping[Path, Outcome | Failed]) -> dict[Path, object]:
+    """Everything but the times."""
+    return {
+        place: (one.detections, one.rows, one.drawn, scores(one))
+        for place, one in outcomes.items()
+        if isinstance(one, Outcome)
+    }
+
+
+def scores(one: Outcome | Failed) -> dict[str, float | int | None]:
+    assert isinstance(one, Outcome)
+    assert one.scores is not None
+    return one.scores.as_dict()
+
+
+def test_outcomes_are_those_of_the_tracks_that_are_kept(tmp_path: Path) -> None:
+    made = small(tmp_path, clutter=[3.0])
+    found = run(made, tmp_path / "out")
+    assert len(found.found) == len(made.runs) == 8
+    assert (found.reused, found.failed) == (0, [])
+    for one, outcome in found.runs:
+        truth = read_truth(tmp_path / one.cell.case.footage.name / "gt" / "gt.txt")
+        written = read_tracks(tmp_path / "out" / one.place / "tracks.csv")
+        again = evaluate(truth, written, frames=FRAMES).as_dict()
+        # Boxes are written with seven digits.
+        assert {name: -1 if value is None else value for name, value in scores(outcome).items()} == pytest.approx(
+            {name: -1 if value is None else value for name, value in again.items()}, rel=1e-5
+        )
+        assert isinstance(outcome, Outcome)
+        assert (outcome.frames, outcome.rows) == (FRAMES, len(written))
+
+
+def test_the_same_plan_again_runs_nothing_and_gives_the_same(tmp_path: Path) -> None:
+    made = small(tmp_path, clutter=[0.0, 3.0])
+    first = run(made, tmp_path / "out")
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    told: list[int] = []
+    second = run(small(tmp_path, clutter=[0.0, 3.0]), tmp_path / "out", advance=told.append)
+    assert (first.reused, second.reused) == (0, len(second.found))
+    assert plain(first.found) == plain(second.found)
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    assert told[-1] == steps(made) == len(made.runs)
+    assert told == sorted(told)
+    assert run(made, tmp_path / "out", anew=True).reused == 0
+
+
+def test_any_number_of_jobs_gives_the_same(tmp_path: Path) -> None:
+    made = small(tmp_path, filters=["particle-phd", "none"], clutter=[0.0, 3.0], sets=["filter.per_target=60"])
+    one, two = run(made, tmp_path / "one"), run(made, tmp_path / "two", 2)
+    assert tracks(tmp_path / "one") == tracks(tmp_path / "two")
+    assert digests(tmp_path / "one") == digests(tmp_path / "two")
+    assert plain(one.found) == plain(two.found)
+    assert list(one.found) != []
+
+
+def test_where_nothing_is_random_one_run_stands_for_all_seeds(tmp_path: Path) -> None:
+    made = small(tmp_path, filters=["particle-phd", "gm-phd", "none"], seeds=3, sets=["filter.per_target=60"])
+    found = run(made, tmp_path / "out")
+    drawn = {(one.cell.method.name, one.seed): outcome.drawn for one, outcome in found.runs if isinstance(outcome, Outcome)}
+    assert drawn == {**{("particle-phd", seed): True for seed in (1, 2, 3)}, ("gm-phd", 1): False, ("none", 1): False}
+    cell = made.cells[1]
+    assert found.outcome(cell, 3) is found.found[Run(cell, 1).place]
+
+
+@pytest.mark.parametrize("change", ["setting", "detections", "truth", "seqinfo", "iou"])
+def test_only_what_a_change_decides_runs_again(tmp_path: Path, change: str) -> None:
+    made = small(tmp_path)
+    run(made, tmp_path / "out")
+    before = digests(tmp_path / "out")
+    more: dict[str, object] = {}
+    if change in ("detections", "truth"):
+        file = tmp_path / "a" / ("det/det.txt" if change == "detections" else "gt/gt.txt")
+        file.write_text(file.read_text().replace(",24,60,", ",24,61,", 1))
+    elif change == "seqinfo":
+        file = tmp_path / "a" / "seqinfo.ini"
+        file.write_text(file.read_text().replace("=25", "=30"))
+    else:
+        more = {"sets": ["filter.most=9"]} if change == "setting" else {"iou": 0.4}
+    found = run(small(tmp_path, **more), tmp_path / "out")
+    after = digests(tmp_path / "out")
+    changed = {place for place, digest in after.items() if before[place] != digest}
+    expected = {
+        "setting": {place for place in before if "gm-phd" in place},
+        "iou": set(before),
+    }.get(change, {place for place in before if place.startswith("runs/a/")})
+    assert changed == expected != set()
+    assert found.reused == len(before) - len(expected)
+
+
+def test_settings_that_no_track_depends_on_change_nothing(tmp_path: Path) -> None:
+    run(small(tmp_path), tmp_path / "out")
+    assert run(small(tmp_path, sets=["groups.lightest=0.1"]), tmp_path / "out").reused == 4
+
+
+@pytest.mark.parametrize("damage", ["half", "no tracks", "other counts"])
+def test_a_damaged_folder_is_run_again(tmp_path: Path, damage: str) -> None:
+    made = small(tmp_path)
+    first = run(made, tmp_path / "out")
+    place = tmp_path / "out" / made.runs[0].place
+    if damage == "no tracks":
+        (place / "tracks.csv").unlink()
+    elif damage == "half":
+        (place / "run.json").write_text((place / "run.json").read_text()[:200])
+    else:
+        document = json.loads((place / "run.json").read_text())
+        del document["outcome"]["counts"]["hota"]
+        (place / "run.json").write_text(json.dumps(document))
+    second = run(made, tmp_path / "out")
+    assert second.reused == len(first.found) - 1
+    assert plain(second.found) == plain(first.found)
+
+
+def test_clutter_is_the_same_for_all_methods_and_another_for_every_seed(tmp_path: Path) -> None:
+    made = small(tmp_path, clutter=[3.0])
+    given = {(one.cell.case.name, one.cell.method.name, one.seed): work.material(one, None).table for one in made.runs}
+    for case in ("a det", "b det"):
+        for seed in (1, 2):
+            boxes = [given[case, method, seed].detections.xyxy for method in ("gm-phd", "none")]
+            np.testing.assert_array_equal(*boxes)
+    seeds = [given["a det", "none", seed].detections.xyxy for seed in (1, 2)]
+    assert not np.array_equal(*seeds)
+    own = read_detections(tmp_path / "a" / "det" / "det.txt")
+    added = len(given["a det", "none", 1]) - len(own)
+    # Four deviations of a Poisson number.
+    assert abs(added - 3 * FRAMES) < 4 * (3 * FRAMES) ** 0.5
+
+
+def test_without_truth_there_are_no_scores(tmp_path: Path) -> None:
+    folder = sequence(tmp_path / "a", truth=False)
+    found = run(plan([str(folder)], filters=["none"], seeds=1), tmp_path / "out")
+    (outcome,) = found.found.values()
+    assert isinstance(outcome, Outcome)
+    assert outcome.scores is None
+    assert outcome.tracks > 0
+    assert run(found.plan, tmp_path / "out").reused == 1
+
+
+def failing(made: Plan, monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
+    """Let the run of the filter none on the first sequence fail."""
+    tracked = work.tracked
+
+    def broken(one: Run, given: work.Material) -> object:
+        if one.cell.method.name == "none" and one.cell.case is made.cases[0]:
+            raise error
+        return tracked(one, given)
+
+    monkeypatch.setattr(work, "tracked", broken)
+
+
+def test_a_run_that_fails_is_told_and_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = small(tmp_path, seeds=1)
+    with monkeypatch.context() as patched:
+        failing(made, patched, RuntimeError("out of luck"))
+        found = run(made, tmp_path / "out")
+    assert [(str(one), reason) for one, reason in found.failed] == [("none on a det, seed 1", "RuntimeError: out of luck")]
+    assert len(tracks(tmp_path / "out")) == 3
+    again = run(made, tmp_path / "out")
+    assert (again.reused, again.failed) == (3, [])
+
+
+def test_whatever_stops_it_the_runs_before_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = small(tmp_path, seeds=1)
+    with monkeypatch.context() as patched:
+        failing(made, patched, KeyboardInterrupt())
+        with pytest.raises(KeyboardInterrupt):
+            run(made, tmp_path / "out")
+    assert len(tracks(tmp_path / "out")) == 1
+    assert list((tmp_path / "out").rglob(".*")) == []
+    assert run(made, tmp_path / "out").reused == 1
+
+
+def test_a_folder_is_whole_or_not_there(tmp_path: Path) -> None:
+    place = tmp_path / "deep" / "one"
+    with whole(place) as folder:
+        (folder / "old").write_text("1")
+
+    def fill() -> None:
+        with whole(place) as folder:
+            (folder / "new").write_text("2")
+            raise OSError("disk full")
+
+    with pytest.raises(OSError, match="full"):
+        fill()
+    assert [path.name for path in place.parent.rglob("*")] == ["one", "old"]
+    assert kept(place, "any") is None

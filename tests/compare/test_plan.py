@@ -1,0 +1,115 @@
+"""From words to a plan: which sets a sequence has, which settings stand for which filter, and every mistake beforehand."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from compare_cases import FRAMES, sequence, small
+
+from phdtrack.compare import Detecting, Given, plan
+from phdtrack.errors import InputError
+
+
+def test_every_combination_has_a_place_of_its_own(tmp_path: Path) -> None:
+    made = small(tmp_path, clutter=[0.0, 2.5], seeds=3, variants=["few=filter.most=20"])
+    assert [case.name for case in made.cases] == ["a det", "b det"]
+    assert [method.name for method in made.methods] == ["gm-phd", "none", "few"]
+    assert len(made.runs) == 2 * 2 * 3 * 3
+    assert len({run.place for run in made.runs}) == len(made.runs)
+    assert made.runs[-1].place == Path("runs/b/det/clutter-2.5/few/seed-3")
+
+
+def test_a_folder_has_all_its_sets_and_its_name_decides(tmp_path: Path) -> None:
+    folder = str(sequence(tmp_path / "yard", sets=("det_public", "det_frcnn", "detour")))
+    assert [case.name for case in plan([folder]).cases] == ["yard frcnn", "yard public"]
+    chosen = plan([folder], detections=["public", f"mine={folder}/detour/det.txt", f"{folder}/../{{}}/detour/det.txt"])
+    assert [case.seen.name for case in chosen.cases] == ["public", "mine", "det"]
+    files = [case.seen.file.resolve() for case in chosen.cases if isinstance(case.seen, Given)]
+    assert files[1] == files[2] == (tmp_path / "yard" / "detour" / "det.txt")
+    assert chosen.cases[0].info.frames == FRAMES
+
+
+def test_a_setting_stands_for_the_filters_that_have_it(tmp_path: Path) -> None:
+    made = small(tmp_path, filters=["particle-phd", "gm-phd", "none"], sets=["filter.per_target=77", "sensor.detection=0.7"])
+    settings = {method.name: method.settings.as_dict() for method in made.methods}
+    assert settings["particle-phd"]["filter"]["per_target"] == 77  # type: ignore[index]
+    assert "per_target" not in settings["gm-phd"]["filter"]  # type: ignore[operator]
+    assert all(values["sensor"]["detection"] == 0.7 for values in settings.values())  # type: ignore[index]
+
+
+def test_variants_start_from_the_first_filter_or_from_a_preset(tmp_path: Path) -> None:
+    made = small(
+        tmp_path,
+        sets=["filter.most=50"],
+        variants=["few=filter.most=20,sensor.detection=0.8", "paper=preset=m09", "other=filter.kind=gm-cphd"],
+    )
+    few, paper, other = (method.settings.as_dict() for method in made.methods[2:])
+    assert (few["filter"]["kind"], few["filter"]["most"]) == ("gm-phd", 20)  # type: ignore[index]
+    assert few["sensor"]["detection"] == 0.8  # type: ignore[index]
+    assert (paper["preset"], paper["filter"]["kind"]) == ("m09", "particle-phd")  # type: ignore[index]
+    assert other["filter"]["kind"] == "gm-cphd"  # type: ignore[index]
+
+
+def test_without_names_the_filter_of_the_settings_is_compared_to_none(tmp_path: Path) -> None:
+    assert [method.name for method in small(tmp_path, filters=[]).methods] == ["particle-phd", "none"]
+    assert [method.name for method in small(tmp_path, filters=[], sets=["filter.kind=gm-phd"]).methods] == ["gm-phd", "none"]
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"filters": ["gm"]}, "--filters: unknown kind of filter: gm"),
+        ({"filters": ["gm-phd", "gm-phd"]}, "twice"),
+        ({"sets": ["filter.per_target=5"]}, "unknown setting of [filter]: per_target"),
+        ({"sets": ["filter.kind=none"]}, "--filters says"),
+        ({"sets": ["sensor.detection=7"]}, "sensor.detection"),
+        ({"variants": ["few"]}, "--variant few"),
+        ({"variants": ["few=filter.per_target=5"]}, "--variant few"),
+        ({"variants": ["none=filter.most=5"]}, "twice"),
+        ({"detections": ["public"]}, "no detections called public. There are det"),
+        ({"detections": ["/nowhere/det.txt"]}, "cannot belong to 2 sequences"),
+        ({"detections": ["/nowhere/{}.txt"]}, "/nowhere/a.txt"),
+        ({"truth": "gt.txt"}, "cannot belong to 2 sequences"),
+        ({"truth": "/nowhere/{}.txt"}, "/nowhere/a.txt"),
+        ({"detectors": ["change"]}, "no pictures"),
+        ({"detectors": ["chang"]}, "Did you mean 'change'"),
+        ({"clutter": [-1.0]}, "--clutter"),
+        ({"clutter": [1.0, 1.0]}, "twice"),
+        ({"clutter": []}, "rate"),
+        ({"iou": 2.0}, "iou"),
+    ],
+)
+def test_mistakes_are_told_before_anything_runs(tmp_path: Path, more: dict[str, object], words: str) -> None:
+    with pytest.raises(InputError, match=re.escape(words)):
+        small(tmp_path, **more)
+
+
+def test_malformed_files_are_told_with_their_line(tmp_path: Path) -> None:
+    folder = sequence(tmp_path / "a")
+    for file in ("det/det.txt", "gt/gt.txt"):
+        whole = (folder / file).read_text()
+        (folder / file).write_text(whole + "31,1,x,1,1,1,1,-1,-1,-1\n")
+        with pytest.raises(InputError, match=rf"{file}, line \d+"):
+            plan([str(folder)])
+        (folder / file).write_text(whole)
+    (folder / "seqinfo.ini").unlink()
+    with pytest.raises(InputError, match="size and rate"):
+        plan([str(folder)])
+
+
+def test_two_folders_of_one_name_are_refused(tmp_path: Path) -> None:
+    folders = [str(sequence(tmp_path / parent / "a")) for parent in ("x", "y")]
+    with pytest.raises(InputError, match="twice"):
+        plan(folders)
+
+
+def test_a_detector_gets_those_settings_that_it_has(tmp_path: Path) -> None:
+    folder = sequence(tmp_path / "a")
+    (folder / "scene.mp4").write_bytes(b"")
+    with pytest.raises(InputError, match=r"scene\.mp4"):
+        plan([str(folder)], detectors=["change"])
+    # Not opened where nobody looks at it.
+    assert [type(case.seen) for case in plan([str(folder)]).cases] == [Given]
+    assert Detecting("change").parameters == {}

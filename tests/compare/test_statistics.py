@@ -1,0 +1,39 @@
+"""Intervals over seeds against numbers from a printed table of Student's t."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from phdtrack.compare import interval
+
+
+def test_two_values_have_the_widest_interval() -> None:
+    found = interval([1.0, 3.0])
+    # s = √2, s / √2 = 1, t(1 degree of freedom, 97.5 %) = 12.706.
+    assert found.mean == 2
+    assert found.half == pytest.approx(12.706, abs=1e-3)
+    assert (found.low, found.high) == (pytest.approx(-10.706, abs=1e-3), pytest.approx(14.706, abs=1e-3))
+    assert not found.clear
+
+
+def test_five_values() -> None:
+    found = interval([1.0, 2.0, 3.0, 4.0, 5.0])
+    assert found.half == pytest.approx(2.776 * math.sqrt(2.5 / 5), abs=1e-3)
+    assert found.clear
+
+
+def test_one_value_has_no_interval_and_none_no_mean() -> None:
+    assert (interval([0.7]).mean, interval([0.7]).low, interval([0.7]).high) == (0.7, 0.7, 0.7)
+    assert math.isnan(interval([0.7]).half)
+    assert not interval([0.7]).clear
+    assert math.isnan(interval([]).mean)
+
+
+def test_nineteen_of_twenty_intervals_hold_the_mean(rng: np.random.Generator) -> None:
+    samples = rng.normal(1.5, 2.0, (4000, 5))
+    held = np.mean([one.low <= 1.5 <= one.high for one in map(interval, samples.tolist())])
+    # Four deviations of a binomial share.
+    assert abs(held - 0.95) < 4 * math.sqrt(0.95 * 0.05 / 4000)

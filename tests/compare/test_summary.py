@@ -1,0 +1,79 @@
+"""The rows of a summary against the same numbers by hand."""
+
+from __future__ import annotations
+
+import pytest
+from compare_cases import small
+
+from phdtrack.compare import Comparison, Failed, Outcome, Row, Run, Summary, check_scores, interval, run, summary
+from phdtrack.compare.tables import lines_of, sparse, written
+from phdtrack.errors import InputError
+from phdtrack.metrics import Scores, pool
+
+
+@pytest.fixture(scope="module")
+def comparison(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
+    folder = tmp_path_factory.mktemp("summary")
+    made = small(folder, filters=["particle-phd", "none"], clutter=[0.0, 3.0], seeds=3, sets=["filter.per_target=60"])
+    return run(made, folder / "out")
+
+
+def row(found: Summary, sequence: str, rate: float, method: str) -> Row:
+    (one,) = [r for r in found.rows if (r.sequence, r.rate, r.method) == (sequence, rate, method)]
+    return one
+
+
+def scores(comparison: Comparison, rate: float, method: str, seed: int) -> list[Scores]:
+    cells = [cell for cell in comparison.plan.cells if (cell.rate, cell.method.name) == (rate, method)]
+    found = [comparison.outcome(cell, seed) for cell in cells]
+    return [one.scores for one in found if isinstance(one, Outcome) and one.scores is not None]
+
+
+def test_pooled_rows_add_up_the_sums_seed_by_seed(comparison: Comparison) -> None:
+    found = summary(comparison)
+    for method in ("particle-phd", "none"):
+        pools = [pool(scores(comparison, 3.0, method, seed)) for seed in (1, 2, 3)]
+        one = row(found, "all", 3.0, method)
+        assert (one.cases, one.detections, one.random) == (2, "det", True)
+        for name in ("MOTA", "IDF1", "HOTA", "id_switches"):
+            assert one.values[name] == interval([float(getattr(each, name)) for each in pools])
+
+
+def test_differences_are_paired_by_seed(comparison: Comparison) -> None:
+    found = summary(comparison)
+    mine, theirs = ([scores(comparison, 3.0, name, seed)[0].MOTA for seed in (1, 2, 3)] for name in ("none", "particle-phd"))
+    assert row(found, "a", 3.0, "none").ahead["MOTA"] == interval([a - b for a, b in zip(mine, theirs, strict=True)])
+    assert row(found, "a", 3.0, "particle-phd").ahead == {}
+    # One run of none beside three of the filter: the difference is random by one side alone.
+    still = row(found, "a", 0.0, "none")
+    assert (still.random, still.values["MOTA"].count, still.ahead["MOTA"].count) == (False, 1, 3)
+
+
+def test_a_failed_run_leaves_its_rows_empty(comparison: Comparison) -> None:
+    run_of_none = next(one for one in comparison.plan.runs if one.cell.method.name == "none" and one.cell.rate == 3.0)
+    broken = Comparison(
+        comparison.plan, comparison.folder, {**comparison.found, run_of_none.place: Failed("no luck")}, comparison.detected
+    )
+    found = summary(broken)
+    for sequence in ("a", "all"):
+        one = row(found, sequence, 3.0, "none")
+        assert (one.values, one.failed) == ({}, "no luck")
+    assert row(found, "b", 3.0, "none").values
+    assert lines_of([row(found, "a", 3.0, "none")], ("MOTA", "ms")) == [("a", "det", "3", "none", "failed", "")]
+    first = Run(comparison.plan.cells[0], 1)
+    assert first.place in broken.found
+
+
+def test_numbers_as_people_read_them() -> None:
+    assert written(interval([0.5, 0.6]), "MOTA") == "0.550 ± 0.635"
+    assert written(interval([3.0]), "id_switches") == "3.0"
+    assert written(interval([0.25]), "MOTA", signed=True) == "+0.250"
+    assert written(None, "MOTA") == written(interval([]), "MOTA") == "–"
+    lines = [("a", "x", "0", "f", "1"), ("a", "x", "0", "g", "2"), ("a", "y", "0", "f", "3")]
+    assert sparse(lines) == [("a", "x", "0", "f", "1"), ("", "", "", "g", "2"), ("", "y", "0", "f", "3")]
+
+
+def test_scores_by_name() -> None:
+    assert check_scores(["mota", "MS"]) == ("MOTA", "ms")
+    with pytest.raises(InputError, match="Did you mean MOTA"):
+        check_scores(["MOTTA"])
