@@ -113,7 +113,7 @@ FILTERS = {
     "mht": MHT(),
     "mht, started": MHT(initial=mixture(6), most=20, depth=3),
     "mcmc": MCMC(samples=200),
-    "mcmc, apart": MCMC(samples=200, strength=3.0, thin=2),
+    "mcmc, alone": MCMC(samples=200, strength=0.0, thin=2),
     "mcmc, started": MCMC(samples=200, initial=mixture(6)),
     "none": NoFilter(),
 }

@@ -4,7 +4,7 @@ A frame's posterior is that of everybody at once, given what the frame before le
 
     p(X | Z) ∝ g(Z | X) · Π ψ(x_s, x_t) · p(X | Z before)
 
-with ψ = exp(−strength · penalty) for every pair of targets, the interaction that keeps them apart [K05 (5)]. A Markov chain
+with ψ = exp(−strength · penalty) for every pair of targets, the interaction that keeps them apart [K05]. A Markov chain
 draws samples of it: the first ``burn`` steps are dropped, then one of every ``thin`` is kept, until there are N.
 
 Where it is known which target gave which measurement, as D14 has it, see `mcmc_given`; where it is not, and targets come and
@@ -51,7 +51,8 @@ class MCMC:
     greedy : for ``given``, D14's Alg. 1 as printed: only proposals of ratio 1 and above are accepted, and a rejected one's
         ratio takes the place of the target's likelihood. That does not sample; ancestors are ``each``, all alike.
     exchange : for ``none``, the share of steps that move two candidates that compete for a measurement.
-    strength : of the interaction; 0 for none.
+    strength : of the interaction; 0 for none, which is faster. Where the detector fires twice on one person it keeps the two
+        apart; where associations are given there is less need.
     apart : what targets keep apart by: ``overlap`` of their boxes (intersection over union), or ``distance``.
     reach : for ``distance``, the distance that counts as one, in units of the position.
     faintest : for ``none``, targets less probable than that are dropped.
@@ -67,7 +68,7 @@ class MCMC:
     informed: bool = True
     greedy: bool = False
     exchange: Probability = 0.2
-    strength: NonNegative = 0.0
+    strength: NonNegative = 4.0
     apart: Literal["overlap", "distance"] = "overlap"
     reach: Positive = 1.0
     faintest: NonNegative = 1e-3

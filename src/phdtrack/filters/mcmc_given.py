@@ -164,7 +164,7 @@ def joint_chain(
 
 
 def _crowded(chain: Chain, x: F8, model: Model) -> float:
-    """−log Π ψ of the targets at ``x`` (d, n) [K05 (5)]."""
+    """−log Π ψ of the targets at ``x`` (d, n) [K05]."""
     interaction = chain.interaction
     if interaction.strength == 0:
         return 0.0

@@ -15,7 +15,7 @@ So the law is discrete: every candidate has a table of states for each measureme
 it a total weight. That makes the moves of the reversible-jump form exact without any tuning: a step draws an option of a
 candidate from the free ones by weight, and then a state from its table (add, delete, leave, come back, update, reassign), or
 options of two candidates at once (exchange). This is their conditional law but for the interaction, whose ratio is what is
-left of Hastings' [K05 (7)]: α = min(1, Π ψ' / Π ψ). Adding and deleting need no Jacobian: each
+left of Hastings' [K05]: α = min(1, Π ψ' / Π ψ). Adding and deleting need no Jacobian: each
 draws what the other drops.
 
 Of each kept sample a target's state and ``chance`` are kept, the probability that it is there given the rest of the

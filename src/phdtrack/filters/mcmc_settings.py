@@ -12,7 +12,7 @@ from phdtrack.types import F8
 
 @dataclass(frozen=True, slots=True)
 class Interaction:
-    """``strength`` of the pairwise potential, 0 for none; of ``boxes``, or of points with a ``reach`` [K05 (5)]."""
+    """``strength`` of the pairwise potential, 0 for none; of ``boxes``, or of points with a ``reach`` [K05]."""
 
     strength: float
     boxes: bool

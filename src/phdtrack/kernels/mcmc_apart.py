@@ -1,4 +1,4 @@
-"""The pairwise potential that keeps targets apart [K05 (5)]: ψ(x, y) = exp(−strength · penalty(x, y)).
+"""The pairwise potential that keeps targets apart [K05]: ψ(x, y) = exp(−strength · penalty(x, y)).
 
 Where targets are boxes, the penalty is their overlap (intersection over union); where they are points, exp(−|x − y|²/2) with
 positions in units of its range. Both lie between 0 and 1.

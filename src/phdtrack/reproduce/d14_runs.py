@@ -34,7 +34,7 @@ BURN = 50
 INFOS = {"model": PATHS.info, "corridor": PATHS.info, "caviar": SequenceInfo(384, 288, 25.0, 295, "OneLeaveShop1cor")}
 KALMAN = "Kalman"
 JOINT = "MCMC joint"
-_GIVEN = ("filter.kind=mcmc", f"filter.burn={BURN}", "filter.associations=given")
+_GIVEN = ("filter.kind=mcmc", f"filter.burn={BURN}", "filter.associations=given", "filter.strength=0")
 FILTERS: dict[str, tuple[str, ...]] = {
     "SMC PHD": (),
     "MCMC": (*_GIVEN, "filter.ancestors=each"),
