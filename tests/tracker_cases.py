@@ -16,7 +16,9 @@ FIELDS = ("frame", "identity", "xyxy", "confidence", "detection", "confirmed")
 def tracker_of(*, seed: int = 0, fps: float = 25.0, **sections) -> Tracker:
     """A tracker with few particles, and other settings by section."""
     merged = {name: FEW.get(name, {}) | sections.get(name, {}) for name in {*FEW, *sections}}
-    if "kind" in merged["filter"]:
+    if merged["filter"].get("kind") == "none":
+        merged["filter"] = {"kind": "none"}
+    elif "kind" in merged["filter"]:
         merged["filter"] = sections["filter"]
     return Tracker(SIZE, seed=seed, fps=fps, **merged)
 

@@ -49,7 +49,8 @@ def track(
         typer.Option(
             "--filter",
             metavar="NAME",
-            help="particle-phd (default), gm-phd, particle-cphd, gm-cphd, or none: the same association on raw detections.",
+            help="particle-phd (default), gm-phd, particle-cphd, gm-cphd, mht, mcmc, or none: the same association on raw "
+            "detections.",
         ),
     ] = "",
     out: Out = None,
