@@ -26,6 +26,8 @@ from phdtrack.types import F4, F8, I8, GaussianMixture, Particles
 # The part of a Gaussian proposal that newborn particles are drawn from. Outside, the importance ratio of a flat γ to the
 # proposal grows like exp(r²/2) and its variance is infinite: that mass is dropped.
 KEPT = 0.99
+# A density of births at what measurements show (r, L), drawn about the measurements (L,).
+Gamma = Callable[[F8, I8], F8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +52,11 @@ class MeasurementBirth:
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
         """Particles around the detections that weigh what γ is there [M07 §2], see `particles_about`."""
-        return particles_about(z, covered, sensor, self.most, lambda x: self._intensity(x, z[: len(x)]) * dt, rng)
+
+        def gamma(x: F8, of: I8) -> F8:
+            return self._intensity(x, z[: len(x)]) * dt
+
+        return particles_about(covered, sensor.states(z), sensor.observed, self.most, gamma, rng)
 
     def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
         """Gaussians about the detections that have the density of γ there, see `gaussians_about`."""
@@ -143,31 +149,40 @@ class FixedBirth:
 
 
 def particles_about(
-    z: F8, covered: F8, sensor: Sensor, most: int, gamma: Callable[[F8], F8], rng: np.random.Generator
+    covered: F8,
+    seen: tuple[F8, F8],
+    rows: tuple[int, ...],
+    most: int,
+    gamma: Callable[[F8, I8], F8],
+    rng: np.random.Generator,
 ) -> Particles:
     """J_j = ⌈Jmax·max(0, 1 − M_j)⌉ particles around z_j with importance weights γ(x) / Σ_i J_i p_i(x) [M07 §2].
 
     What a measurement shows is drawn from the observation noise inside its 99 % region (the mass of γ outside all these
-    regions is dropped), the velocity with uniform direction and Gaussian amplitude. γ uses the same law of velocities, which
-    therefore cancels in the weight: ``gamma`` gives its density at what measurements show (r, L). ``most`` is Jmax.
+    regions is dropped), the velocity about its mean with uniform direction and Gaussian amplitude. γ uses the same law of
+    velocities, which therefore cancels in the weight: ``gamma`` gives its density at what measurements show (r, L), drawn
+    about the measurements (L,).
+
+    ``seen`` are the states and covariances that the measurements show, as `Sensor.states` gives them, ``rows`` are
+    `Sensor.observed`, ``most`` is Jmax.
     """
-    mean, cov = sensor.states(z)
-    rows = list(sensor.observed)
+    mean, cov = seen
+    observed = list(rows)
     counts = np.ceil(most * np.clip(1.0 - covered, 0.0, 1.0)).astype(np.int64)
-    parent = np.repeat(np.arange(z.shape[1]), counts)
+    parent = np.repeat(np.arange(mean.shape[1]), counts)
     if len(parent) == 0:
         return Particles(np.zeros((len(mean), 0)), np.zeros(0))
-    observed_cov = cov[:, rows][:, :, rows]
-    limit = _chi2_quantile(len(rows))
+    observed_cov = cov[:, observed][:, :, observed]
+    limit = _chi2_quantile(len(observed))
     state = mean[:, parent]
     root = np.linalg.cholesky(observed_cov)
-    state[rows] += np.einsum("jrs,sj->rj", root[parent], _truncated_normal(len(rows), counts, rng))
+    state[observed] += np.einsum("jrs,sj->rj", root[parent], _truncated_normal(len(observed), counts, rng))
     _draw_velocity(state, cov, parent, rng)
-    density = gamma(state[rows])
+    density = gamma(state[observed], parent)
     # Of a small box the noise's region reaches sizes below 0, where nothing is born.
     possible = density > 0
     state, density = state[:, possible], density[possible]
-    log_proposal = _log_mixture(state[rows], mean[rows], observed_cov, counts, limit)
+    log_proposal = _log_mixture(state[observed], mean[observed], observed_cov, counts, limit)
     return Particles(state, density * np.exp(-log_proposal))
 
 
@@ -247,11 +262,13 @@ def _truncated_normal(rows: int, counts: I8, rng: np.random.Generator) -> F8:
 
 
 def _draw_velocity(state: F8, cov: F8, parent: I8, rng: np.random.Generator) -> None:
-    """Fill rows 2 and 3 with velocities of uniform direction and Gaussian amplitude, whose variance per axis is half."""
+    """Add to rows 2 and 3 velocities of uniform direction and Gaussian amplitude, with the covariance that is there."""
     n = state.shape[1]
-    amplitude = np.sqrt(2 * cov[parent, 2, 2]) * rng.standard_normal(n)
-    angle = rng.uniform(0, 2 * math.pi, n)
-    state[2], state[3] = amplitude * np.cos(angle), amplitude * np.sin(angle)
+    root = math.sqrt(2) * np.linalg.cholesky(cov[:, 2:4, 2:4])[parent]
+    amplitude, angle = rng.standard_normal(n), rng.uniform(0, 2 * math.pi, n)
+    x, y = amplitude * np.cos(angle), amplitude * np.sin(angle)
+    state[2] += root[:, 0, 0] * x
+    state[3] += root[:, 1, 0] * x + root[:, 1, 1] * y
 
 
 def _log_mixture(points: F8, mean: F8, cov: F8, counts: I8, limit: float) -> F8:

@@ -1,9 +1,13 @@
 """γ and κ as a scene has taught them: γ(x) = s̄ p(x|b), κ(z) = r̄ p(z|c) [M09 (12)–(15)].
 
-Newborn are drawn around the detections that nothing predicted accounts for, as of `births.MeasurementBirth`, and weigh what
-γ is at their position and size. Their velocity is drawn from p(v | position, size), which leaves no velocity in the
-weight: that of a Gaussian's newborn from its own conditional law, that of the uniform part's from the sensor's, of uniform
-direction and Gaussian amplitude. So α_u = 1 is `MeasurementBirth` over the same volume.
+Newborn are drawn around the detections that nothing predicted accounts for, as of `births.MeasurementBirth`. Around each, γ
+is taken as flat, with the value that makes the evidence of what is born there exact:
+
+    ∫ g(z|x) γ(x) dx = s̄ [α_u/V + α_g Σ_m π_m N(z; μ_m, Σ_m + R) / Z_m]
+
+for a sensor that shows some components of the state with noise R. Velocities have the mean and covariance of the same
+mixture given z, with uniform direction and Gaussian amplitude; of the uniform part those of the sensor. So α_u = 1 is
+`MeasurementBirth` over the same volume. The Gaussian-mixture filters take the Gaussians themselves.
 """
 
 from __future__ import annotations
@@ -19,6 +23,25 @@ from phdtrack.context.density import LEAST_INSIDE
 from phdtrack.models.births import gaussians_about, particles_about
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, I8, GaussianMixture, Particles
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Around:
+    """γT around each of N detections.
+
+    Attributes
+    ----------
+    mean : (d, N) state about which newborn are drawn.     covariance : (N, d, d) with which they are.
+    density : (N,) γT there, per unit of what measurements show.
+    """
+
+    mean: F8
+    covariance: F8
+    density: F8
+
+    def flat(self, x: F8, of: I8) -> F8:
+        """(L,) γT at ``x`` (r, L), drawn about the detections ``of`` (L,); 0 where a size is not positive."""
+        return np.where((x[2:] > 0).all(axis=0), self.density[of], 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,34 +69,50 @@ class ContextBirth:
         """p of what measurements show, velocities integrated out."""
         return marginal(self.density, self.observed)
 
-    @cached_property
-    def _conditional(self) -> tuple[F8, F8]:
-        """Per Gaussian: gain B (M, v, r) and covariance (M, v, v) of velocities given what is shown."""
-        rows, rest = list(self.observed), self._hidden
-        cov = self.density.covariance
-        cross = cov[:, rest][:, :, rows]
-        gain: F8 = cross @ np.linalg.inv(cov[:, rows][:, :, rows])
-        return gain, cov[:, rest][:, :, rest] - gain @ cross.transpose(0, 2, 1)
-
     @property
     def _hidden(self) -> list[int]:
         return [r for r in range(self.density.dim) if r not in self.observed]
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
-        """Particles around the detections that weigh what γT is there [M07 §2, M09 (12)]."""
-        born = particles_about(z, covered, sensor, self.most, lambda x: self.rate * dt * self.shown(x), rng)
-        if len(born) == 0 or len(self.density) == 0:
-            return born
-        state = born.state.copy()
-        shown = state[list(self.observed)]
-        cumulated = np.cumsum(self.shown.shares(shown), axis=0)
-        part = (rng.random(len(born)) * cumulated[-1] >= cumulated).sum(axis=0) - 1
-        of = np.flatnonzero(part >= 0)
-        mean = self._velocity(part[of], shown[:, of])
-        root = np.linalg.cholesky(self._conditional[1])
-        noise = rng.standard_normal(mean.shape)
-        state[np.array(self._hidden)[:, None], of] = mean + np.einsum("jvw,wj->vj", root[part[of]], noise)
-        return Particles(state, born.weight)
+        """Particles around the detections with the evidence and the velocities of γT there [M07 §2, M09 (12)]."""
+        at = self.around(sensor.states(z), dt)
+        rows = self.observed
+        return particles_about(covered, (at.mean, at.covariance), rows, self.most, lambda x, of: at.flat(x, of), rng)
+
+    def around(self, seen: tuple[F8, F8], dt: float) -> Around:
+        """What γT is around detections whose states and covariances, as `Sensor.states` gives them, are ``seen``."""
+        state, cov = seen[0].copy(), seen[1].copy()
+        rows, hidden, p = list(self.observed), self._hidden, self.density
+        n, many = state.shape[1], len(p)
+        log = np.full((1 + many, n), np.log(p.uniform / self.shown.volume))
+        mean, spread = np.zeros((1 + many, n, len(hidden))), np.empty((1 + many, n, len(hidden), len(hidden)))
+        mean[0], spread[0] = state[hidden].T, cov[:, hidden][:, :, hidden]
+        for m in range(many):
+            log[1 + m], mean[1 + m], spread[1 + m] = self._given(m, state[rows], cov[:, rows][:, :, rows])
+        total = np.logaddexp.reduce(log, axis=0)
+        share = np.exp(log - total)
+        velocity = np.einsum("mn,mnv->nv", share, mean)
+        step = mean - velocity
+        state[hidden] = velocity.T
+        within = np.einsum("mn,mnvw->nvw", share, spread) + np.einsum("mn,mnv,mnw->nvw", share, step, step)
+        cov[np.ix_(range(n), hidden, hidden)] = within
+        inside = self.shown.contains(state[rows])
+        return Around(state, cov, np.where(inside, self.rate * dt * np.exp(total), 0.0))
+
+    def _given(self, m: int, shown: F8, noise: F8) -> tuple[F8, F8, F8]:
+        """Of Gaussian m: log of its part of ∫ g p (n,), mean (n, v) and covariance (n, v, v) of velocities given z."""
+        rows, hidden, p = list(self.observed), self._hidden, self.density
+        sigma = p.covariance[m]
+        cross = sigma[np.ix_(hidden, rows)]
+        total = sigma[np.ix_(rows, rows)] + noise
+        step = (shown - p.mean[rows, m, None]).T
+        gain = cross @ np.linalg.inv(total)
+        distance2 = np.einsum("nr,nr->n", step, np.linalg.solve(total, step[:, :, None])[:, :, 0])
+        share = (1 - p.uniform) * p.weight[m] / max(float(p.inside[m]), LEAST_INSIDE)
+        _, log_det = np.linalg.slogdet(2 * np.pi * total)
+        log = np.log(share) - 0.5 * (log_det + distance2) if share > 0 else np.full(len(step), -np.inf)
+        velocity = p.mean[hidden, m] + np.einsum("nvr,nr->nv", gain, step)
+        return log, velocity, sigma[np.ix_(hidden, hidden)] - gain @ cross.T
 
     def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
         """The learned Gaussians as they are, and the uniform part as Gaussians about the detections (`gaussians_about`).
@@ -93,14 +132,6 @@ class ContextBirth:
     def expected(self, z: F8, dt: float) -> float:
         """s̄T."""
         return self.rate * dt
-
-    def _velocity(self, part: I8, shown: F8) -> F8:
-        """(v, n) mean velocity of Gaussian ``part`` (n,) given what is shown (r, n)."""
-        gain, _ = self._conditional
-        mean = self.density.mean[:, part]
-        step = shown - mean[list(self.observed)]
-        out: F8 = mean[self._hidden] + np.einsum("jvr,rj->vj", gain[part], step)
-        return out
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,9 @@ class PointBirth:
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
         """Particles around the detections that weigh what γ is there [M07 §2], see `births.particles_about`."""
-        return particles_about(z, covered, sensor, self.most, lambda x: self._intensity(x) * dt, rng)
+        return particles_about(
+            covered, sensor.states(z), sensor.observed, self.most, lambda x, of: self._intensity(x) * dt, rng
+        )
 
     def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
         """Gaussians about the detections that have the density of γ there, see `births.gaussians_about`."""
