@@ -12,7 +12,7 @@ from phdtrack.kernels.birth_table import detection_table, neighbours
 from phdtrack.kernels.overlaps import cell_of, overlapping, rectangle_grid
 from reference import fused_twin as twins
 
-[cell_of] = from_python(cell_of)
+cell_of, overlapping = from_python(cell_of, overlapping)
 
 # Whole numbers too, so that edges meet.
 number = st.one_of(st.integers(-40, 40).map(float), st.floats(-1e3, 1e3), st.floats(-1e7, 1e7))

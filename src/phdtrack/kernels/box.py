@@ -8,10 +8,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.fast32 import ENTRY
+
 F8 = NDArray[np.float64]
+ROOT_2, LEAST_SPEED = math.sqrt(2.0), 1e-6
 
 
-@njit(nogil=True, cache=True)
+@njit(**ENTRY)
 def box_noise(x: F8, size_row: int, spread: float, floor: float, speed: float) -> F8:
     """(d, n) deviations of box states whose noise follows the size in rows ``size_row`` and the next.
 
@@ -20,39 +23,42 @@ def box_noise(x: F8, size_row: int, spread: float, floor: float, speed: float) -
     d, n = x.shape
     out = np.empty((d, n))
     for i in range(n):
-        sw, sh = max(spread * x[size_row, i], floor), max(spread * x[size_row + 1, i], floor)
-        velocity = max(speed * math.sqrt(x[4, i] * x[5, i]) / math.sqrt(2.0), 1e-6)
+        sw, sh = spread * x[size_row, i], spread * x[size_row + 1, i]
+        sw, sh = floor if sw < floor else sw, floor if sh < floor else sh
+        velocity = speed * np.sqrt(x[4, i] * x[5, i]) / ROOT_2
+        velocity = LEAST_SPEED if velocity < LEAST_SPEED else velocity
         out[0, i], out[1, i], out[2, i], out[3, i] = 0.5 * sw, 0.5 * sh, velocity, velocity
         for r in range(4, d, 2):
             out[r, i], out[r + 1, i] = sw, sh
     return out
 
 
-@njit(nogil=True, cache=True)
+@njit(**ENTRY)
 def resting(z: F8, d: int) -> F8:
     """(d, n) box states at rest that show z: centre, velocity 0, size, and the size once more where d is 8."""
     n = z.shape[1]
-    out = np.zeros((d, n))
+    out = np.empty((d, n))
     for i in range(n):
-        out[0, i], out[1, i] = z[0, i], z[1, i]
+        out[0, i], out[1, i], out[2, i], out[3, i] = z[0, i], z[1, i], 0.0, 0.0
         for r in range(4, d, 2):
             out[r, i], out[r + 1, i] = z[2, i], z[3, i]
     return out
 
 
-@njit(nogil=True, cache=True)
+@njit(**ENTRY)
 def box_gate(z: F8, factor: float, least: float) -> tuple[F8, F8]:
     """Corners (2, n) of the rectangles that reach ``factor`` sizes, but at least ``least``, from the centre of z."""
     n = z.shape[1]
     lower, upper = np.empty((2, n)), np.empty((2, n))
-    for r in range(2):
+    for r in range(lower.shape[0]):
         for i in range(n):
-            half = max(factor * z[2 + r, i], least)
+            half = factor * z[2 + r, i]
+            half = least if half < least else half
             lower[r, i], upper[r, i] = z[r, i] - half, z[r, i] + half
     return lower, upper
 
 
-@njit(nogil=True, cache=True)
+@njit(**ENTRY)
 def box_corners(x: F8) -> F8:
     """(n, 4) left, top, right, bottom of box states (d, n)."""
     out = np.empty((x.shape[1], 4))

@@ -17,6 +17,8 @@ from phdtrack.kernels.xoroshiro import xoroshiro
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
 F = np.float32
+# Columns are counted without a sign: one that might be negative is checked, and the check keeps loops from being vectorised.
+U = np.uint64
 BLOCK = 256
 # Rows of the scratch array: the state, four normals, what a detection is compared with, and the weight. While the normals
 # are drawn, four rows hold the states of the random streams, and the row behind them what runs over.
@@ -38,25 +40,25 @@ NORM = F(4.0 / (2.0 * np.pi) ** 2)
 @njit(**INNER)
 def load(s: F4, n: int, state: F4, at: int) -> None:
     """Copy the columns ``at`` … at + n − 1 of ``state`` (6, L) into the block."""
-    # As many rows as there are and not 6: the compiler would write the loop out six times.
-    for row in range(state.shape[0]):
-        source, target = state[row, at : at + n], s[row * BLOCK : row * BLOCK + n]
-        for i in range(n):
-            target[i] = source[i]
+    # One loop with all rows in it: of a loop over rows the compiler would make eight, each with a vectorised one inside.
+    for i in range(n):
+        p = U(at) + U(i)
+        s[X + i], s[Y + i], s[VX + i] = state[0, p], state[1, p], state[2, p]
+        s[VY + i], s[W + i], s[H + i] = state[3, p], state[4, p], state[5, p]
 
 
 @njit(**INNER)
-def pad(s: F4, n: int, rows: int) -> int:
+def pad(s: F4, n: int) -> int:
     """Fill the block up to whole vector registers with copies of its last particle; how many there are then.
 
     What is left over at the end of a vectorised loop runs one by one, at the price of several registers. Copies have ALIVE 0
     once `bury` is called, and count for nothing.
     """
     full = (n + LANES - 1) // LANES * LANES
-    for row in range(rows):
-        last = s[row * BLOCK + n - 1]
-        for i in range(row * BLOCK + n, row * BLOCK + full):
-            s[i] = last
+    last = n - 1
+    x, y, vx, vy, w, h = s[X + last], s[Y + last], s[VX + last], s[VY + last], s[W + last], s[H + last]
+    for i in range(n, full):
+        s[X + i], s[Y + i], s[VX + i], s[VY + i], s[W + i], s[H + i] = x, y, vx, vy, w, h
     return full
 
 
@@ -79,10 +81,10 @@ def summed(s: F4, n: int) -> np.float32:
 @njit(**INNER)
 def store(s: F4, n: int, state: F4, at: int) -> None:
     """Copy the block into the columns ``at`` … at + n − 1 of ``state`` (6, L)."""
-    for row in range(state.shape[0]):
-        source, target = s[row * BLOCK : row * BLOCK + n], state[row, at : at + n]
-        for i in range(n):
-            target[i] = source[i]
+    for i in range(n):
+        p = U(at) + U(i)
+        state[0, p], state[1, p], state[2, p] = s[X + i], s[Y + i], s[VX + i]
+        state[3, p], state[4, p], state[5, p] = s[VY + i], s[W + i], s[H + i]
 
 
 @njit(**VECTOR)

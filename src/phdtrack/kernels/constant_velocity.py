@@ -35,7 +35,8 @@ def box_motion_noise(
     States' first rows are centre, velocity and size. Noises are multiples of the size, at least ``smallest``, where
     ``scaled``; else of one pixel.
     """
-    for axis in range(2):
+    # As many axes as there are and not 2: the compiler would write the loop out.
+    for axis in range(size.shape[0]):
         for i in range(size.shape[1]):
             own, mixed, speed, extent = _noises(size[axis, i], dt, acceleration, resize, smallest, scaled)
             out[axis, axis, i] = own
@@ -72,9 +73,11 @@ def predict_boxes(
     cov : (21, R + n) output.
     noise : (21, n) zeros, output: the motion's variances in this interval of each new state.
     """
-    n = covariance.shape[0]
+    n, states = covariance.shape[0], mean.shape[0]
     count = mean.shape[1] - n
-    for r in range(6):
+    # Numbers that the compiler does not know: it would write the loops over rows out, and take four times as long.
+    axes = states // 3
+    for r in range(states):
         for s in range(r + 1):
             for i in range(n):
                 cov[place[r, s], count + i] = covariance[i, r, s]
@@ -84,7 +87,7 @@ def predict_boxes(
         for k in range(cov.shape[0]):
             for i in range(width):
                 cov[k, target + i] = old[k, source + i]
-        for axis in range(2):
+        for axis in range(axes):
             v = axis + 2
             a, b, c, d = place[axis, axis], place[v, axis], place[v, v], place[axis + 4, axis + 4]
             for i in range(width):
@@ -96,14 +99,14 @@ def predict_boxes(
                 cov[d, t] += extent
                 mean[axis, t] += dt * mean[v, t]
         # With F = I + E: P + E P + P Eᵀ + E P Eᵀ. What moves a position moves it with all others, and both together.
-        for axis in range(2):
-            for s in range(6 + axis + 1):
-                other = s if s < 6 else s - 6
-                k, p = place[axis, other], place[axis + 2, other if s < 6 else other + 2]
-                times = dt * dt if s >= 6 else 2.0 * dt if s == axis else dt
+        for axis in range(axes):
+            for s in range(states + axis + 1):
+                other = s if s < states else s - states
+                k, p = place[axis, other], place[axis + 2, other if s < states else other + 2]
+                times = dt * dt if s >= states else 2.0 * dt if s == axis else dt
                 for i in range(width):
                     cov[k, target + i] += times * old[p, source + i]
-    for axis in range(2):
+    for axis in range(axes):
         for i in range(n):
             own, _, _, extent = _noises(mean[axis + 4, count + i], dt, acceleration, resize, smallest, scaled)
             noise[place[axis, axis], i] = own

@@ -21,14 +21,15 @@ def summed_densities(z: F8, density: F8, reach: float, smallest: float, largest:
     """
     n = z.shape[1]
     lower, upper = np.empty((2, n)), np.empty((2, n))
-    for axis in range(2):
+    for axis in range(lower.shape[0]):
         for j in range(n):
             lower[axis, j] = z[axis, j] - reach * z[2 + axis, j]
             upper[axis, j] = z[axis, j] + reach * z[2 + axis, j]
     frame, start, item, corner = rectangle_grid(lower, upper)
     found = np.empty(n + 1, np.int64)
-    out = np.zeros(n)
+    out = np.empty(n)
     for i in range(n):
+        out[i] = 0.0
         x, y, w, h = z[0, i], z[1, i], z[2, i], z[3, i]
         for m in range(overlapping(x, y, x, y, lower, upper, frame, start, item, corner, found)):
             j = found[m]

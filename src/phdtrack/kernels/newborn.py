@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.box_blocks import ALIVE, IH, IW, MINUS_TWO, ZERO, ZH, ZW, ZX, ZY, H, W, X, Y
+from phdtrack.kernels.box_blocks import ALIVE, IH, IW, MINUS_TWO, ZERO, ZH, ZW, ZX, ZY, H, U, W, X, Y
 from phdtrack.kernels.fast32 import ENTRY, FAST, HALF, INNER, ONE, VECTOR, cos_sin_turn, exp32, log32
 from phdtrack.kernels.philox import ROUNDS, philox, unit
 
@@ -83,15 +83,12 @@ def stretch(j: int, room: int, k0: np.uint32, k1: np.uint32) -> np.int64:
 @njit(**VECTOR)
 def place_newborn(s: F4, n: int, points: F4, first: int, d: F4, j: int) -> None:
     """The points ``first`` … first + n − 1 around detection j into X, Y, W, H, their own proposal's density into IW."""
-    x, y = points[0, first : first + n], points[1, first : first + n]
-    w, h = points[2, first : first + n], points[3, first : first + n]
-    density = points[4, first : first + n]
     zx, zy, zw, zh = d[ZX, j], d[ZY, j], d[ZW, j], d[ZH, j]
     sx, sy, sw, sh, peak = d[SX, j], d[SY, j], d[SW, j], d[SH, j], d[PEAK, j]
     for i in range(n):
-        s[X + i], s[Y + i], s[IW + i] = zx + sx * x[i], zy + sy * y[i], peak * density[i]
-    for i in range(n):
-        s[W + i], s[H + i] = zw + sw * w[i], zh + sh * h[i]
+        p = U(first) + U(i)
+        s[X + i], s[Y + i], s[IW + i] = zx + sx * points[0, p], zy + sy * points[1, p], peak * points[4, p]
+        s[W + i], s[H + i] = zw + sw * points[2, p], zh + sh * points[3, p]
 
 
 @njit(**VECTOR)

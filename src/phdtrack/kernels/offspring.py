@@ -13,8 +13,13 @@ from numpy.typing import NDArray
 from phdtrack.kernels.box_blocks import (
     ALIVE,
     BLOCK,
+    IH,
+    IW,
     LANES,
     N0,
+    N1,
+    N2,
+    N3,
     ROWS,
     SUM,
     VX,
@@ -126,8 +131,8 @@ def sweep_offspring(
                     n = start[source + 1] - start[source]
                     load(s, n, moved, start[source])
                     if divided[source]:
-                        _part(s, n, moved.shape[0], X if divided[source] == 1 else Y, upto)
-                    full = pad(s, n, moved.shape[0])
+                        _part(s, n, X if divided[source] == 1 else Y, upto)
+                    full = pad(s, n)
                     _survivors(s, full)
                     bury(s, n, full)
                     near_here = which[first[source] : first[source + 1]]
@@ -174,10 +179,10 @@ def _posterior(s: F4, n: int, which: I8, weight: F4, missed: np.float32, d: F4, 
 
 
 @njit(**INNER)
-def _part(s: F4, n: int, rows: int, row: int, target: I4) -> None:
+def _part(s: F4, n: int, row: int, target: I4) -> None:
     """Put the block's particles that lie before the middle of its extent along a row before the others.
 
-    ``rows`` of the state are put in order; ``target`` (n,) is for scratch.
+    The rows N0 … N3, IW and IH and ``target`` (n,) are for scratch.
     """
     least, most = s[row], s[row]
     for i in range(n):
@@ -192,12 +197,13 @@ def _part(s: F4, n: int, rows: int, row: int, target: I4) -> None:
         before = s[row + i] < middle
         target[i] = left if before else right
         left, right = left + (1 if before else 0), right + (0 if before else 1)
-    for r in range(rows):
-        part = s[r * BLOCK : r * BLOCK + n]
-        for i in range(n):
-            s[N0 + i] = part[i]
-        for i in range(n):
-            part[target[i]] = s[N0 + i]
+    for i in range(n):
+        s[N0 + i], s[N1 + i], s[N2 + i] = s[X + i], s[Y + i], s[VX + i]
+        s[N3 + i], s[IW + i], s[IH + i] = s[VY + i], s[W + i], s[H + i]
+    for i in range(n):
+        to = np.uint32(target[i])
+        s[AT_X + to], s[AT_Y + to], s[AT_VX + to] = s[N0 + i], s[N1 + i], s[N2 + i]
+        s[AT_VY + to], s[AT_W + to], s[AT_H + to] = s[N3 + i], s[IW + i], s[IH + i]
 
 
 @njit(**INNER)

@@ -40,7 +40,8 @@ def rectangle_grid(lower: F8, upper: F8) -> tuple[F8, I8, I8, I8]:
     n = lower.shape[1]
     frame, corner, last = np.empty(6), np.empty((2, n), np.int64), np.empty((2, n), np.int64)
     cells = 1.0
-    for axis in range(2):
+    # As many axes as there are and not 2: the compiler would write the loops out.
+    for axis in range(lower.shape[0]):
         low, high, total = np.inf, -np.inf, 0.0
         for j in range(n):
             low = lower[axis, j] if lower[axis, j] < low else low
@@ -86,7 +87,7 @@ def rectangle_grid(lower: F8, upper: F8) -> tuple[F8, I8, I8, I8]:
     return frame, start, item, corner
 
 
-@njit(**ENTRY)
+@njit(**INNER)
 def overlapping(
     left: float,
     top: float,

@@ -93,7 +93,7 @@ def sweep_old(
     for b in range(lo, hi):
         at, n = start[b], start[b + 1] - start[b]
         load(s, n, state, at)
-        full = pad(s, n, state.shape[0])
+        full = pad(s, n)
         fill_normals(s, full, np.uint32(b), STAGE_MOVE, k0, k1)
         move(s, full, motion)
         bury(s, n, full)
