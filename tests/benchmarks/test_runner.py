@@ -14,7 +14,7 @@ from benchmarks.report import Paper, write
 from benchmarks.timing import Spread, exponent, in_turns
 from rich.console import Console
 
-from benchmarks import c_kernel, d14, particle_phd
+from benchmarks import c_kernel, d14, mht, particle_phd
 
 REQUIRED = {
     "particle_phd_ms",
@@ -27,6 +27,7 @@ REQUIRED = {
     "tracker_ms",
     "bytes_per_particle",
     "d14_seconds",
+    "mht_ms",
 }
 
 
@@ -105,6 +106,14 @@ def test_d14s_sequence_is_timed_with_its_filters() -> None:
     assert set(outcome.entries["d14_seconds"]) == {"mcmc", "mcmc_each", "particle-phd"}
     assert [row.most for row in outcome.rows] == [2.0, 2.0, 2.0]
     assert all(row.cpu is not None and row.cpu > 0 for row in outcome.rows)
+
+
+def test_multiple_hypotheses_are_timed_and_counted() -> None:
+    outcome = mht.run(SMOKE, lambda text: None)
+    assert [row.most for row in outcome.rows] == [None, 50.0]
+    assert all(row.cpu is not None and row.cpu > 0 for row in outcome.rows)
+    few, many = outcome.entries["mht"]["10"], outcome.entries["mht"]["50"]
+    assert all(0 < few[name] < many[name] for name in ("leaves", "nodes", "hypotheses"))
 
 
 def test_c_and_numba_agree_on_the_kernel() -> None:
