@@ -75,6 +75,7 @@ def test_without_names_the_filter_of_the_settings_is_compared_to_none(tmp_path: 
         ({"truth": "/nowhere/{}.txt"}, "/nowhere/a.txt"),
         ({"detectors": ["change"]}, "no pictures"),
         ({"detectors": ["chang"]}, "Did you mean 'change'"),
+        ({"detectors": ["file"]}, "say --detections"),
         ({"clutter": [-1.0]}, "--clutter"),
         ({"clutter": [1.0, 1.0]}, "twice"),
         ({"clutter": []}, "rate"),

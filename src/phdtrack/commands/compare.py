@@ -27,9 +27,7 @@ PACE = 24 * 3600.0
 def compare(
     sequences: Annotated[
         list[str],
-        typer.Argument(
-            metavar="SEQUENCE...", help="Folders as MOTChallenge lays them out (seqinfo.ini, gt, det), or videos."
-        ),
+        typer.Argument(metavar="SEQUENCE", help="Folders as MOTChallenge lays them out (seqinfo.ini, gt, det), or videos."),
     ],
     filters: Annotated[
         str,

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from phdtrack.compare.records import Case, Detecting, Footage, Given
-from phdtrack.detect import detector_parameters, make_detector, typed
+from phdtrack.detect import DETECTORS, detector_names, detector_parameters, make_detector, typed
 from phdtrack.detections import within_frame
 from phdtrack.errors import InputError
 from phdtrack.formats import find_seqinfo, read_detections, read_truth
@@ -136,6 +136,10 @@ def _sequence(word: str, seen: Given, known: SequenceInfo | None, last: int) -> 
 
 def _detectors(wanted: Wanted) -> tuple[Detecting, ...]:
     """The detectors, each with those of the settings that it has."""
+    for name in wanted.detectors:
+        if name in DETECTORS and name not in dict(detector_names()):
+            cure = "For detections in a file say --detections."
+            raise InputError(f"{name} does not look at a video", where="--detectors", cure=cure)
     known = {name: {entry.name for entry in detector_parameters(name)} for name in wanted.detectors}
     made = []
     for name in wanted.detectors:

@@ -117,7 +117,7 @@ def _serve(pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     while True:
         try:
-            piece = pipe.recv()
+            pipe.send(_tried(pipe.recv()))
         except (EOFError, OSError):
+            # Nobody is there any more to give work or to take results.
             return
-        pipe.send(_tried(piece))
