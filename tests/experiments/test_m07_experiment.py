@@ -36,6 +36,7 @@ A, B = ("KITTI-17", "public"), ("street", "scene")
 ERRORS = {
     "none": {A: (2, 4, 1), B: (1, 0, 0)},
     "mht": {A: (3, 0, 2), B: (3, 1, 0)},
+    "mht, M09": {A: (3, 3, 3), B: (3, 3, 3)},
     "particle-phd": {A: (0, 0, 0), B: (4, 0, 0)},
     "gm-phd": {A: (1, 1, 1), B: (1, 1, 1)},
 }
@@ -68,7 +69,9 @@ def test_who_is_ahead(found: m07.Found) -> None:
 
 
 def test_the_page_counts_cases_and_tells_the_error_that_decides(found: m07.Found) -> None:
-    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in m07.page(found, found).splitlines()]
+    trials = {trial: result(1, 0, 0) for trial in m07.trials_of([B], 2)}
+    text = m07.page(found, found, trials)
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
     assert ["particle-phd", "real detections", "0", "1", "1", "1", "1", "0"] in lines
     assert ["particle-phd", "simulated scenes", "5", "1", "0", "0", "0", "0"] in lines
     assert ["particle-phd", "all", "0", "2", "1", "1", "1", "0"] in lines
@@ -77,6 +80,10 @@ def test_the_page_counts_cases_and_tells_the_error_that_decides(found: m07.Found
     # Three more misses on twenty boxes; against mht one more miss and one false box less.
     assert ["street scene", "0", "none", "-0.150", "-0.150", "+0.150", "+0.000", "+0.000", "misses"] in lines
     assert ["street scene", "0", "mht", "+0.000", "+0.000", "+0.050", "-0.050", "+0.000", "misses"] in lines
+    # None misses one of twenty, the filter four; with other settings, as made up, one.
+    p_detect = m07.believed(B)[0].removeprefix("sensor.detection=")
+    assert ["street scene", "0.950 (0.050)", "0.800 (0.200)", *["0.950 (0.050)"] * 2, p_detect] in lines
+    assert 0.8 < float(p_detect) < 0.95
     assert not any(line[:1] == ["KITTI-17 public"] and line[2:3] == ["none"] for line in lines)
 
 
