@@ -7,7 +7,7 @@ import pytest
 
 from phdtrack.reproduce import nonlinear, scans, standard, vo
 from phdtrack.reproduce.common import Options
-from phdtrack.reproduce.scans import Job, Outcome, Summary, apart, interval, measure
+from phdtrack.reproduce.scans import Job, Outcome, Summary, apart, differences, interval, measure
 
 # Mean OSPA over three runs may be this far above what is claimed of a hundred: 4 standard errors of one run's mean, which
 # scatters by 1.2, over √3.
@@ -63,12 +63,23 @@ def test_the_parts_of_the_distance_are_where_and_how_many(outcomes):
 
 
 def test_intervals_hold_the_mean_of_normal_draws(rng):
-    """In 95 % of 1000 repetitions with 100 runs each."""
-    hits = 0
-    for _ in range(1000):
-        centre, within = interval((3 + 2 * rng.standard_normal(100)).tolist())
-        hits += abs(centre - 3) <= within
-    assert hits / 1000 == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 1000))
+    """In 95 % of 2000 repetitions, with 100 runs each and with 5."""
+    for runs in (100, 5):
+        hits = 0
+        for _ in range(2000):
+            centre, within = interval((3 + 2 * rng.standard_normal(runs)).tolist())
+            hits += abs(centre - 3) <= within
+        assert hits / 2000 == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 2000))
+    assert np.isnan(interval([3.0])[1])
+
+
+def test_filters_with_fewer_runs_are_compared_on_those():
+    """The mean of the longer list beyond them plays no part."""
+    ours, theirs = (
+        [Outcome(np.full(4, x), np.zeros(4), np.zeros(4), 0.0) for x in each] for each in ((1.0, 3.0), (3.0, 7.0, 99.0))
+    )
+    assert apart(ours, theirs)[0] == -3
+    assert next(differences({"a": ours, "b": theirs}, [("a", "b")]))[2] == "-60.0 %"
 
 
 def test_outcomes_are_given_by_case_and_filter(serial):

@@ -22,8 +22,6 @@ from phdtrack.reproduce.common import in_parallel
 from phdtrack.types import F8, I8
 
 Stages = tuple[Filter[Any], Extractor[Any]]
-# Of a normal distribution 95 % lie within so many standard errors.
-WIDE = 1.96
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,14 +138,18 @@ HEADER = ("runs", "OSPA", "place", "number", "mean count error", "bias", "ms per
 
 
 def interval(values: Sequence[float]) -> tuple[float, float]:
-    """Mean of independent runs, and half the width of its 95 % interval."""
+    """Mean of independent runs, and half the width of its 95 % interval by Student's distribution; NaN for one run."""
+    from scipy.special import stdtrit
+
     each = np.asarray(values, dtype=np.float64)
-    return float(each.mean()), WIDE * float(each.std(ddof=1) / math.sqrt(len(each)))
+    n = len(each)
+    within = float(stdtrit(n - 1, 0.975) * each.std(ddof=1) / math.sqrt(n)) if n > 1 else math.nan
+    return float(each.mean()), within
 
 
 def apart(ours: Sequence[Outcome], theirs: Sequence[Outcome]) -> tuple[float, float]:
-    """Mean difference of the OSPA, run by run on the same scans, and half the width of its 95 % interval."""
-    return interval([a.ospa.mean() - b.ospa.mean() for a, b in zip(ours, theirs, strict=True)])
+    """Mean difference of the OSPA, run by run where both have one on the same scans, and half its 95 % interval."""
+    return interval([a.ospa.mean() - b.ospa.mean() for a, b in zip(ours, theirs, strict=False)])
 
 
 def differences(outcomes: dict[str, list[Outcome]], pairs: Sequence[tuple[str, str]]) -> Iterator[tuple[str, str, str]]:
@@ -155,7 +157,7 @@ def differences(outcomes: dict[str, list[Outcome]], pairs: Sequence[tuple[str, s
     for ours, theirs in pairs:
         if ours in outcomes and theirs in outcomes:
             difference, within = apart(outcomes[ours], outcomes[theirs])
-            share = difference / np.mean([o.ospa.mean() for o in outcomes[theirs]])
+            share = difference / np.mean([o.ospa.mean() for o in outcomes[theirs][: len(outcomes[ours])]])
             yield f"{ours} beside {theirs}", f"{difference:+.2f} ± {within:.2f}", f"{100 * share:+.1f} %"
 
 
