@@ -125,11 +125,12 @@ def test_what_is_no_saved_state_is_told_and_changes_nothing(how: str):
     assert equal(tracker.update(boxes(10)), plain.update(boxes(10)))
 
 
-def test_a_state_of_other_settings_is_told():
-    saved = tracker_of(sensor={"scaling": "previous"})
+@pytest.mark.parametrize("filter_", ["particle-phd", "gm-phd", "gm-cphd", "mht", "mcmc"])
+def test_a_state_of_other_settings_is_told(filter_: str):
+    saved, other = (tracker_of(filter={"kind": filter_}, sensor={"scaling": s}) for s in ("previous", "particle"))
     saved.update(boxes(0))
-    with pytest.raises(InputError, match="8"):
-        tracker_of().load_state_dict(saved.state_dict())
+    with pytest.raises(InputError, match=r"expected states of 6 components, got 8"):
+        other.load_state_dict(saved.state_dict())
 
 
 def test_a_state_of_ones_own_that_cannot_be_saved_is_told():

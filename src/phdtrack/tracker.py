@@ -19,9 +19,20 @@ import numpy as np
 from phdtrack import config, pipeline
 from phdtrack.detections import as_detections
 from phdtrack.errors import InputError
+from phdtrack.hypotheses import Hypotheses
 from phdtrack.protocols import AnyStages
 from phdtrack.statedict import pack, unpack
-from phdtrack.types import Cardinalised, Detections, ParticleBlocks, Particles, SequenceInfo, Step, Tracks
+from phdtrack.types import (
+    Cardinalised,
+    Detections,
+    GaussianMixture,
+    JointSamples,
+    ParticleBlocks,
+    Particles,
+    SequenceInfo,
+    Step,
+    Tracks,
+)
 
 # Of a saved state: it changes when a record of the state does.
 FORMAT = 4
@@ -154,15 +165,25 @@ class Tracker:
                 raise TypeError(f"expected a TrackingState, got a {type(state).__name__}")
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"this is no state of a tracker ({error})", where="load_state_dict") from error
-        dim, held = self.stages.model.motion.dim, state.intensity
-        held = held.intensity if isinstance(held, Cardinalised) else held
-        if isinstance(held, (Particles, ParticleBlocks)) and len(held.state) != dim:
+        dim, held = self.stages.model.motion.dim, _components(state.intensity)
+        if held is not None and held != dim:
             raise InputError(
-                f"expected states of {dim} components, got {len(held.state)}",
+                f"expected states of {dim} components, got {held}",
                 where="load_state_dict",
                 cure="Load it into a tracker with the settings of the one that it is from",
             )
         self._state, self._rng, self._step = state, rng, None
+
+
+def _components(intensity: Any) -> int | None:
+    """Of the states that a filter carries; None where it is nobody's whom we know."""
+    if isinstance(intensity, Cardinalised):
+        return _components(intensity.intensity)
+    if isinstance(intensity, (Particles, ParticleBlocks, JointSamples)):
+        return len(intensity.state)
+    if isinstance(intensity, Hypotheses):
+        return len(intensity.leaves.mean)
+    return len(intensity.mean) if isinstance(intensity, GaussianMixture) else None
 
 
 def _number(value: Any, where: str) -> float:

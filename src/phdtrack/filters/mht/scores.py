@@ -88,11 +88,7 @@ def newborn(z: F8, model: Model, dt: float, gate: float, transform: Transform) -
     if len(which) == 0:
         return Newborn(density, state, cov)
     each, spread = posteriors(births, z, point, which, model.sensor, transform)
-    part = (
-        weight / density[which]
-        if (density[which] > 0).all()
-        else np.divide(weight, density[which], out=np.zeros_like(weight), where=density[which] > 0)
-    )
+    part = weight / np.maximum(density, _TINY)[which]
     born = density > 0
     mean = np.where(born, _sums(which, each * part, count), state)
     step = each - mean[:, which]
