@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,12 +11,14 @@ from extract_cases import EXTRACTORS, HERE, MODEL, NAMES, THERE, cloud, moved, s
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.extract import KMeans
+from phdtrack.extract import KMeans, settling
 from phdtrack.extract.cloud import Cloud
-from phdtrack.extract.clusters import REACH, Labels, cluster, moments, seeds, starting
+from phdtrack.extract.clusters import seeds, starting
 from phdtrack.extract.mixture import _parts
+from phdtrack.extract.settling import FEW, REACH, Clusters, cluster
 from phdtrack.kernels.blocks import cut
 from phdtrack.kernels.em import em_step
+from phdtrack.kernels.joining import heavy_enough
 from phdtrack.kernels.kmeans import PATIENCE
 from phdtrack.kernels.nearest import MIXED
 from phdtrack.types import ParticleBlocks, Particles
@@ -23,6 +26,12 @@ from reference import clustering_twin as twin
 
 both = pytest.mark.parametrize("extractor", EXTRACTORS, ids=NAMES)
 random_seeds = st.integers(0, 2**32 - 1)
+
+
+@pytest.fixture(autouse=True, params=[0, FEW], ids=["islands", "one island"])
+def few(request, monkeypatch):
+    """Small scenes as large ones are treated, and as they are."""
+    monkeypatch.setattr(settling, "FEW", request.param)
 
 
 def blocks(state: Particles, rng: np.random.Generator | None = None, most: int = 256) -> ParticleBlocks:
@@ -68,6 +77,8 @@ def test_clusters_are_the_twins(seed: int, targets: int, alarms: int, width: flo
     x, weight, _ = cut(state.state, state.weight, 256)
     mass, mean, cov = twin.kmeans(x, weight, centres, sensor.noise, extractor.lightest, extractor.split)
     found = extractor.extract(state, z, MODEL)
+    mine, other = np.lexsort(found.state), np.lexsort(mean)
+    found, mass, mean, cov = found.take(mine), mass[other], mean[:, other], cov[other]
     np.testing.assert_allclose(found.weight, mass, rtol=1e-9)
     np.testing.assert_allclose(found.state, mean, rtol=1e-9, atol=1e-9)
     floor = (0.1 * sensor.noise(mean)) ** 2
@@ -102,6 +113,18 @@ def test_the_same_blocks_give_the_same_states_bit_by_bit(extractor, rng):
     np.testing.assert_array_equal(first.covariance, second.covariance)
 
 
+@pytest.mark.parametrize("threads", [2, 3, 0])
+def test_threads_do_not_change_a_bit(threads: int, rng):
+    """Also where centres leave their islands: clusters that are divided beside others."""
+    for targets, width in ((12, 2500.0), (12, 500.0)):
+        state, z = scene(rng, targets, 8, width)
+        state = blocks(Particles(state.state, 1.7 * state.weight), rng, 64)
+        one, more = (replace(KMeans(), threads=n).extract(state, z, MODEL) for n in (1, threads))
+        assert len(one) >= targets // 2
+        for name in ("state", "covariance", "weight", "xyxy", "detection"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(more, name))
+
+
 @pytest.mark.parametrize("most", [1, 7, 256])
 def test_the_size_of_blocks_does_not_matter(most: int, rng):
     state, z = scene(rng, 6, 4, 500.0)
@@ -110,10 +133,11 @@ def test_the_size_of_blocks_does_not_matter(most: int, rng):
     assert b.weight.sum() == pytest.approx(a.weight.sum(), rel=1e-5)
 
 
-def of_particles(labels: Labels, part: Cloud) -> np.ndarray:
+def of_particles(found: Clusters, part: Cloud) -> np.ndarray:
     """(L,) the cluster of each particle, −1 for none."""
-    block = np.repeat(labels.block, np.diff(part.start))
-    return np.where(block == MIXED, labels.own, block)
+    block, island = np.repeat(found.block, np.diff(part.start)), np.repeat(found.island, np.diff(part.start))
+    on = np.where(block == MIXED, found.own, block)
+    return np.where((island < 0) | (on < 0), -1, found.first[island] + on)
 
 
 @given(
@@ -127,12 +151,20 @@ def test_every_particle_belongs_to_the_twins_cluster(seed: int, targets: int, wi
     part, sensor = Cloud.of(state), MODEL.sensor
     # Centres beside the targets have a long way to go, and some lose all they have.
     centres, _ = sensor.states(z + rng.normal(0, 15, z.shape) * [[1], [1], [0], [0]])
-    labels = cluster(part, starting(part, centres, sensor)[0], split, iterations)
+    found = cluster(part, starting(part, centres, sensor)[0], split, iterations)
     rounds = int(np.ceil(2 * state.mass / split)) if split < np.inf else 0
     want, mass, mean = twin.cluster(part.state, part.weight, centres, sensor.noise(centres), split, iterations, rounds)
-    np.testing.assert_array_equal(of_particles(labels, part), want)
-    np.testing.assert_allclose(labels.mass, mass, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(labels.mean, mean, rtol=1e-9, atol=1e-9)
+    labels = of_particles(found, part)
+    # Clusters are in the order of their islands; those that have lost all they had keep their centres.
+    names = twin.names(labels, want, len(mass))
+    np.testing.assert_array_equal(np.where(labels >= 0, names[labels], -1), want)
+    assert (names >= 0).sum() == len(np.unique(want[want >= 0]))
+    empty, held = mass == 0.0, names >= 0
+    np.testing.assert_allclose(found.mass[held], mass[names[held]], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.mean[:, held], mean[:, names[held]], rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(found.mass[~held], 0.0)
+    mine, other = found.mean[:, ~held], mean[:, empty]
+    np.testing.assert_allclose(mine[:, np.lexsort(mine)], other[:, np.lexsort(other)], rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("most", [1, 7, 256])
@@ -175,8 +207,9 @@ def test_moments_of_joined_clusters(rng):
     state = together(cloud(rng, HERE, 1.0), cloud(rng, moved(40), 1.0), cloud(rng, THERE, 1.0))
     part = Cloud.of(state)
     centres = np.array([HERE, moved(40)]).T.copy()
-    labels = cluster(part, starting(part, centres, MODEL.sensor)[0], np.inf, 0)
-    mass, mean, cov = moments(part, labels, np.zeros(2, np.int64), centres[:, :1])
+    found = cluster(part, starting(part, centres, MODEL.sensor)[0], np.inf, 0)
+    pairs = [i.ravel() for i in np.indices((2, 2))]
+    mass, mean, cov = heavy_enough(*pairs, found.mass, found.mean, found.covariance, np.ones((6, 2)), 1e3, 1.1, 3.0)
     mine = state.state[:, :800]
     np.testing.assert_allclose(mass, [2.0])
     np.testing.assert_allclose(mean[:, 0], mine.mean(1))

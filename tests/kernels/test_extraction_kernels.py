@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,13 +12,15 @@ from hypothesis import strategies as st
 
 from inner_kernels import from_python
 from phdtrack.boxes import iou
+from phdtrack.extract.cloud import working_memory
 from phdtrack.kernels.blocks import cut, summarise
 from phdtrack.kernels.box import box_corners, box_gate, box_noise, resting
-from phdtrack.kernels.clustering import cluster_moments, outside
-from phdtrack.kernels.em import block_moments, whitening
+from phdtrack.kernels.clustering import outside
+from phdtrack.kernels.em import whitening
+from phdtrack.kernels.islands import islands, united
 from phdtrack.kernels.joining import claim, heavy_enough, likeness, meeting, nearest_first, serve
 from phdtrack.kernels.kmeans import kmeans
-from phdtrack.kernels.nearest import CENTRE, MASS, MIXED, ROOM
+from phdtrack.kernels.nearest import MIXED, ROOM
 from phdtrack.kernels.overlaps import rectangle_grid
 from reference import clustering_twin as twin
 
@@ -42,11 +45,24 @@ def test_cut_keeps_every_particle_in_small_blocks(seed: int, count: int, most: i
 
 
 def known_of(state, weight, start):
-    """(B, 1 + 4d) what is known of the blocks, and the particles in the largest."""
-    known, box = np.full((len(start) - 1, 1 + 4 * len(state)), np.nan), np.empty(2, state.dtype)
-    integer = np.int32 if state.itemsize == 4 else np.int64
-    most = summarise(state, state.view(integer), weight, start, known, box, box.view(integer))
-    return known, most
+    """(B, 1 + 4d) what is known of the blocks, sums of products, and the particles in the largest."""
+    known, second, finite = summary(state, weight, start)
+    assert finite
+    return known, second, int(np.diff(start).max())
+
+
+def summary(state, weight, start):
+    """What `summarise` writes, and whether it says that all is finite; the blocks in two ranges."""
+    d, blocks = len(state), len(start) - 1
+    known, second = np.full((blocks, 1 + 4 * d), np.nan), np.full((blocks, d + d % 2, d + d % 2), np.nan)
+    integer, half = np.int32 if state.itemsize == 4 else np.int64, blocks // 2
+    finite = True
+    for lo, hi in ((0, half), (half, blocks)):
+        scratch, box = working_memory(state, int(np.diff(start).max())), np.empty(2, state.dtype)
+        finite &= summarise(
+            lo, hi, state, state.view(integer), weight, start, known, second, scratch, box, box.view(integer)
+        )
+    return known, second, finite
 
 
 @given(seeds, st.integers(1, 8), st.sampled_from([np.float32, np.float64]), st.booleans())
@@ -57,11 +73,7 @@ def test_summaries_of_blocks(seed: int, d: int, kind: type, equal: bool):
     start = np.cumsum([0, *sizes])
     state = rng.normal(rng.choice([0.0, 500.0]), 10, (d, start[-1])).astype(kind)
     weight = np.full(1, 0.25, kind) if equal else rng.exponential(size=start[-1]).astype(kind)
-    known, most = known_of(state, weight, start)
-    assert most == sizes.max()
-    even = d + d % 2
-    first, second = np.empty((4, d)), np.empty((4, even, even))
-    block_moments(state, weight, start, known, np.zeros((2 * even + 1, 20), kind), first, second)
+    known, second, _ = known_of(state, weight, start)
     exact = 1e-4 if kind == np.float32 else 1e-10
     for b in range(4):
         x = state[:, start[b] : start[b + 1]]
@@ -71,20 +83,20 @@ def test_summaries_of_blocks(seed: int, d: int, kind: type, equal: bool):
         np.testing.assert_allclose(total, x.astype(float) @ w, rtol=exact, atol=exact)
         if x.shape[1] == 0:
             np.testing.assert_array_equal(known[b], 0)
+            np.testing.assert_array_equal(second[b], 0)
             continue
         np.testing.assert_array_equal(low, x.min(1))
         np.testing.assert_array_equal(high, x.max(1))
         step = x.astype(float) - origin[:, None]
         np.testing.assert_allclose(origin, x.mean(1), rtol=1e-5, atol=1e-3)
         np.testing.assert_array_equal(origin, origin.astype(kind))
-        np.testing.assert_allclose(first[b], (w * step).sum(1), rtol=exact, atol=100 * exact)
         np.testing.assert_allclose(np.tril(second[b, :d, :d]), np.tril((w * step) @ step.T), rtol=exact, atol=100 * exact)
 
 
 def test_summaries_need_numbers():
     for wrong in (np.nan, np.inf, -np.inf):
         state = np.array([[1.0, wrong], [0.0, 0.0]])
-        assert known_of(state, np.ones(1), np.array([0, 2]))[1] == -1
+        assert not summary(state, np.ones(1), np.array([0, 2]))[2]
 
 
 @given(seeds, st.integers(1, 12), st.sampled_from([np.float32, np.float64]), st.booleans())
@@ -96,40 +108,89 @@ def test_kmeans_and_moments(seed: int, most: int, kind: type, equal: bool):
     state = np.hstack([c[:, None] + rng.normal(0, 3, (d, 15)) for c in centres.T] + [rng.uniform(-50, 120, (d, 5))])
     x, w, start = cut(state, np.full(50, 0.0497) if equal else rng.exponential(0.05, 50), most)
     x, w = x.astype(kind), w.astype(kind)
-    known, widest = known_of(x, w, start)
-    scales, blocks, room = rng.uniform(1, 4, (d, 3)), len(known), 60
+    known, second, widest = known_of(x, w, start)
+    scales = rng.uniform(1, 4, (d, 3))
     lower, upper = known[:, 1:3].T.copy(), known[:, 1 + d : 3 + d].T.copy()
-    table, flags = np.empty((room, CENTRE + 4 * d)), np.empty((room, 6), np.int64)
-    label, own = np.empty(blocks, np.int32), np.empty(50, np.int32)
     grid = (lower, upper, *rectangle_grid(lower, upper))
     # Some centres are filed already, the rest by the kernel.
     filed = int(rng.integers(0, 4))
-    _, head, link = outside(x, start, known, widest, *grid, centres[:, :filed].copy(), scales[:, :filed].copy(), 8.0)
-    k = kmeans(
-        x, w, start, known, *grid, centres, scales, 8.0, 0.6, 4, 9, head, link, filed, table, flags, label, own,
-        np.zeros((d + d % 2 + 2, widest), kind), np.empty(widest, np.int32),
-    )  # fmt: skip
+    _, head, link, used = outside(x, start, known, widest, *grid, centres[:, :filed].copy(), scales[:, :filed].copy(), 8.0)
+    head, link, *isles = islands(head, link, used, filed, centres, scales, 8.0, *grid, int(rng.choice([0, len(known)])))
+    label, own = np.empty(len(known), np.int32), np.empty(50, np.int32)
+
+    def settled(isles, many):
+        count = np.empty(many, np.int64)
+        rows, escaped = kmeans(
+            0, many, x, w, start, known, second, *grid, centres, scales, 8.0, 0.6, 4, w.sum() if len(w) > 1 else 50 * w[0],
+            head, link, *isles[:2], *isles[3:], label, own, count, working_memory(x, widest), np.empty(64, np.int32),
+        )  # fmt: skip
+        return rows, escaped, count
+
+    rows, escaped, count = settled(isles, len(isles[0]) - 1)
+    drop, more = np.zeros(len(count), bool), np.zeros(len(known), bool)
+    if escaped.shape[1]:
+        # All that there is as one island is left by nobody.
+        assert (count[escaped[0]] == 0).all()
+        escaped = np.array([np.repeat(np.arange(len(count)), len(known)), np.tile(np.arange(len(known)), len(count))])
+        isles = united(escaped, isles[2], isles[6], drop, more)
+        rows, escaped, count = settled(isles, 1)
+    assert escaped.shape == (2, 0)
+    assert len(rows) == count.sum()
     exact, wide = x.astype(float), w.astype(float)
-    want, mass, mean = twin.cluster(exact, wide, centres, scales, 0.6, 4, 9)
-    each = np.repeat(label, np.diff(start))
-    labels = np.where(each == MIXED, own, each)
+    wide = np.full(50, wide[0]) if len(wide) == 1 else wide
+    want, *_ = twin.cluster(exact, wide, centres, scales, 0.6, 4, 9)
+    island = np.repeat(isles[6], np.diff(start))
+    each = np.where(np.repeat(label, np.diff(start)) == MIXED, own, np.repeat(label, np.diff(start)))
+    labels = np.where((island < 0) | (each < 0), -1, (count.cumsum() - count)[island] + each)
     if kind == np.float64:
-        np.testing.assert_array_equal(labels, want)
-        np.testing.assert_allclose(table[:k, MASS], mass, atol=1e-12)
-        np.testing.assert_allclose(table[:k, CENTRE + 2 * d : CENTRE + 3 * d], mean.T, rtol=1e-9)
-    place = rng.integers(-1, 2, k)
-    total, first, cov = np.zeros(2), np.zeros((d, 2)), np.zeros((2, d, d))
-    cluster_moments(
-        x, w, start, label, own, place, np.full((d, 2), 30.0), np.zeros((2 * 4 + 2, widest), kind),
-        np.empty(widest, np.int32), np.empty(d), np.empty((4, 4)), total, first, cov,
-    )  # fmt: skip
-    joined = np.where(labels >= 0, place[labels], -1)
-    want_moments = twin.moments(exact, twin.members(joined, wide, 2), 2)
+        # Clusters are in the order of their islands.
+        names = twin.names(labels, want, len(rows))
+        np.testing.assert_array_equal(np.where(labels >= 0, names[labels], -1), want)
+    mine = twin.moments(exact, twin.members(labels, wide, len(rows)), len(rows))
     close = {"rtol": 1e-3, "atol": 0.05} if kind == np.float32 else {"rtol": 1e-9, "atol": 1e-9}
-    np.testing.assert_allclose(total, want_moments[0], rtol=1e-5, atol=1e-9)
-    heavy = want_moments[0] > 0
-    np.testing.assert_allclose(first[:, heavy], want_moments[1][:, heavy], **close)
-    np.testing.assert_allclose(cov[heavy], want_moments[2][heavy], **close)
+    np.testing.assert_allclose(rows[:, 0], mine[0], rtol=1e-5, atol=1e-9)
+    heavy = mine[0] > 0
+    np.testing.assert_allclose(rows[heavy, 1 : 1 + d], mine[1][:, heavy].T, **close)
+    np.testing.assert_allclose(rows[heavy, 1 + d :].reshape(-1, d, d), mine[2][heavy], **close)
+
+
+@given(seeds, st.integers(0, 12), st.integers(1, 9))
+@settings(max_examples=40, deadline=None)
+def test_islands(seed: int, k: int, most: int):
+    """Centres are on one island where a chain of blocks leads from one to the other."""
+    rng = np.random.default_rng(seed)
+    state, weight, start = cut(rng.uniform(0, 100, (2, 40)), np.ones(40), most)
+    known, _, widest = known_of(state, weight, start)
+    lower, upper = known[:, 1:3].T.copy(), known[:, 3:5].T.copy()
+    grid, at, half = (lower, upper, *rectangle_grid(lower, upper)), rng.uniform(-20, 120, (2, k)), rng.uniform(0, 12, (2, k))
+    _, head, link, used = outside(state, start, known, widest, *grid, at[:, : k // 2].copy(), half[:, : k // 2].copy(), 2.0)
+    few = int(rng.choice([0, 0, len(known)]))
+    isles = islands(head, link, used, k // 2, at, half, 2.0, *grid, few)[2:]
+    low, high = at - 2 * ROOM * half, at + 2 * ROOM * half
+    near = ~((low[:, :, None] > upper[:, None]) | (high[:, :, None] < lower[:, None])).any(0)
+    reach = np.full((k, k), few > 0) | np.eye(k, dtype=bool) | (near.astype(int) @ near.T.astype(int) > 0)
+    for _ in range(k):
+        reach |= reach.astype(int) @ reach.astype(int) > 0
+    _, _, of_centre, _, _, _, of_block, _ = isles
+    np.testing.assert_array_equal(of_centre[:, None] == of_centre, reach)
+    for b in range(len(known)):
+        assert set(of_centre[near[:, b]]) == ({of_block[b]} - {-1}) or (few and of_block[b] == 0)
+    for starts, item, of, place in (isles[:4], isles[4:]):
+        for i, (first, last) in enumerate(pairwise(starts)):
+            np.testing.assert_array_equal(item[first:last], np.flatnonzero(of == i))
+            np.testing.assert_array_equal(place[item[first:last]], np.arange(last - first))
+        np.testing.assert_array_equal(place[of < 0], -1)
+    if k == 0:
+        return
+    # One island of two, and a block that is on none.
+    drop, more = np.zeros(len(isles[0]) - 1, bool), np.zeros(len(known), bool)
+    escaped = np.array([[of_centre[0], of_centre[0]], rng.integers(0, len(known), 2)])
+    one = united(escaped, of_centre, of_block, drop, more)
+    members = {of_centre[0], *of_block[escaped[1]]} - {-1}
+    np.testing.assert_array_equal(one[2], np.where(np.isin(of_centre, list(members)), 0, -1))
+    on = np.isin(of_block, list(members))
+    on[escaped[1]] = True
+    np.testing.assert_array_equal(one[6], np.where(on, 0, -1))
 
 
 @given(seeds, st.integers(0, 8), st.integers(1, 9))
@@ -137,7 +198,7 @@ def test_kmeans_and_moments(seed: int, most: int, kind: type, equal: bool):
 def test_who_lies_outside_and_what_meets(seed: int, count: int, most: int):
     rng = np.random.default_rng(seed)
     state, weight, start = cut(rng.uniform(0, 100, (2, 60)), np.ones(60), most)
-    known, _ = known_of(state, weight, start)
+    known, *_ = known_of(state, weight, start)
     at, half = rng.uniform(0, 100, (2, count)), rng.uniform(0, 40, (2, count))
     lower, upper = known[:, 1:3].T.copy(), known[:, 3:5].T.copy()
 
@@ -148,7 +209,7 @@ def test_who_lies_outside_and_what_meets(seed: int, count: int, most: int):
 
     assert list(zip(*meeting(at - half, at + half, lower, upper), strict=True)) == met(1.0)
     grid = (lower, upper, *rectangle_grid(lower, upper))
-    out, head, link = outside(state, start, known, most, *grid, at, 0.5 * half, 2.0)
+    out, head, link, used = outside(state, start, known, most, *grid, at, 0.5 * half, 2.0)
     inside = (np.abs(state[:, :, None] - at[:, None]) <= half[:, None]).all(0).any(1)
     np.testing.assert_array_equal(out, np.flatnonzero(~inside))
     filed = []
@@ -157,6 +218,7 @@ def test_who_lies_outside_and_what_meets(seed: int, count: int, most: int):
             filed.append((link[0, first], b))
             first = link[1, first]
     assert sorted(filed) == met(ROOM)
+    assert used == len(filed)
 
 
 @given(seeds, st.integers(0, 70), st.sampled_from([1, 10, 10**9]))
@@ -192,13 +254,15 @@ def test_a_detection_serves_one_cluster_the_closest_first(seed: int, k: int, det
 @settings(max_examples=60, deadline=None)
 def test_light_clusters_are_joined_and_the_heavy_enough_kept(seed: int, k: int):
     rng = np.random.default_rng(seed)
-    mass, mean, scale = rng.uniform(0, 1, k), rng.uniform(0, 120, (3, k)), rng.uniform(2, 6, (3, k))
-    pairs, centre = [i.ravel() for i in np.indices((k, k))], np.empty((3, k))
-    place, count = heavy_enough(*pairs, mass, mean, scale, twin.REACH, 0.6, 1.5, centre)
+    x, k = rng.uniform(0, 120, (3, 60)), max(k, 1)
+    labels, weight = rng.integers(0, k, 60), rng.uniform(0, 1 / 15, 60)
+    (mass, mean, cov), scale = twin.moments(x, twin.members(labels, weight, k), k), rng.uniform(2, 6, (3, k))
+    pairs = [i.ravel() for i in np.indices((k, k))]
+    found = heavy_enough(*pairs, mass, mean, cov, scale, twin.REACH, 0.6, 1.5)
     root = twin.join_light(mass, mean, lambda _: scale, 0.6, 1.5)
-    kept = [j for j in range(k) if root[j] == j and mass[root == j].sum() >= 0.6]
-    np.testing.assert_array_equal(place, [kept.index(i) if i in kept else -1 for i in root])
-    np.testing.assert_array_equal(centre[:, :count], mean[:, kept])
+    want = twin.moments(x, twin.members(root[labels], weight, k), k)
+    for mine, exact in zip(found, want, strict=True):
+        np.testing.assert_allclose(mine.T, exact.T[want[0] >= 0.6] if exact.ndim < 3 else exact[want[0] >= 0.6].T, atol=1e-9)
 
 
 @given(seeds, st.integers(0, 12), st.sampled_from([0.0, 0.3]))

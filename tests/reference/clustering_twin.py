@@ -44,17 +44,26 @@ def members(labels, weight, k):
     return np.where(labels[:, None] == np.arange(k), weight[:, None], 0.0)
 
 
-def settle(x, weight, centre, mean, moved, alive, scale, labels, iterations):
+def names(labels, other, k):
+    """(k,) what another numbering of the same clusters calls each; −1 for one that is empty."""
+    out = np.full(k, -1)
+    out[labels[labels >= 0]] = other[labels >= 0]
+    return out
+
+
+def settle(x, weight, centre, mean, moved, alive, steps, scale, labels, iterations):
     """Assignment and means in turn until no particle changes: what is needed to go on. A centre follows its mean where
-    that has moved by more than STILL deviations, or where its cluster has come to life or died."""
+    that has moved by more than STILL deviations, or where its cluster has come to life or died, ``iterations`` times at
+    most; ``steps`` is counted up."""
     k = centre.shape[1]
-    for _ in range(iterations + 1):
+    while True:
         centre = np.where(moved, mean, centre)
+        steps += moved
         before, (labels, _) = labels, label(x, np.where(alive, centre, np.inf), scale)
         mass, mean, _ = moments(x, members(labels, weight, k), k)
         held = np.bincount(labels[labels >= 0], minlength=k) > 0
         mean = np.where(held, mean, centre)
-        moved = (held != alive) | (np.abs(mean - centre) > STILL * scale).any(0)
+        moved = ((held != alive) | (np.abs(mean - centre) > STILL * scale).any(0)) & (steps < iterations)
         alive = held
         if np.array_equal(labels, before):
             break
@@ -65,9 +74,10 @@ def cluster(x, weight, centre, scale, split, iterations, rounds):
     """Labels (L,), masses and means after K-means in which clusters heavier than ``split`` are divided."""
     labels, mean, began = np.full(len(weight), -1), centre, 0
     alive, moved = (np.ones(centre.shape[1], bool) for _ in range(2))
-    parent, strays = (np.zeros(centre.shape[1], int) for _ in range(2))
+    parent, strays, steps = (np.zeros(centre.shape[1], int) for _ in range(3))
+    steps -= 1
     for turn in range(rounds + 1):
-        centre, mean, mass, alive, labels = settle(x, weight, centre, mean, moved, alive, scale, labels, iterations)
+        centre, mean, mass, alive, labels = settle(x, weight, centre, mean, moved, alive, steps, scale, labels, iterations)
         for j in range(began, len(mass)) if began else ():
             i = parent[j]
             if max(mass[i], mass[j]) > split and min(mass[i], mass[j]) < STRAY * split:
@@ -83,6 +93,8 @@ def cluster(x, weight, centre, scale, split, iterations, rounds):
         divided, stray = list(far), x[:, list(far.values())]
         centre, mean, scale = np.hstack([centre, stray]), np.hstack([centre, stray]), np.hstack([scale, scale[:, divided]])
         moved, alive = np.arange(centre.shape[1]) >= began, np.append(alive, np.ones(len(far), bool))
+        steps[divided] = 0
+        steps = np.append(steps, np.full(len(far), -1))
         parent, strays = np.append(parent, divided), np.append(strays, np.zeros(len(far), int))
     return labels, mass, mean
 

@@ -45,7 +45,7 @@ def chosen(choice: Choice) -> config.Settings:
     if choice.filter_name:
         settings = config.overlay(settings, {"filter": {"kind": choice.filter_name}}, "--filter")
     if choice.threads is not None:
-        settings = config.overlay(settings, {"filter": {"threads": choice.threads}}, "--threads")
+        settings = config.overlay(settings, _sharing(settings, choice.threads), "--threads")
     return settings
 
 
@@ -55,6 +55,12 @@ def _learned(file: Path) -> dict[str, dict[str, str]]:
     given = {"kind": "scene", "file": str(file)}
     parts = {"birth": scene.births, "clutter": scene.clutter}
     return {name: given for name, learned in parts.items() if learned is not None}
+
+
+def _sharing(settings: config.Settings, threads: int) -> dict[str, dict[str, Any]]:
+    """Settings that give the filter so many threads, and the extraction where it can use them."""
+    extract: Any = settings.as_dict()["extract"]
+    return {name: {"threads": threads} for name in ("filter", "extract") if name == "filter" or "threads" in extract}
 
 
 def prepare(wanted: Wanted, choice: Choice, settings: config.Settings, command: str, *, video: bool) -> Job:

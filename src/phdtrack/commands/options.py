@@ -71,6 +71,6 @@ Threads = Annotated[
         "--threads",
         metavar="N",
         min=0,
-        help="Threads of the filter, 0 for one per core (default: filter.threads, 1); any number gives the same result.",
+        help="Threads of filter and K-means, 0: one per core (default: filter.threads, extract.threads, 1); same result.",
     ),
 ]

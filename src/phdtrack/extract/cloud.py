@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.extract.rectangles import Rectangles
-from phdtrack.kernels.blocks import cut, summarise
+from phdtrack.kernels.blocks import LANES, cut, summarise
+from phdtrack.threads import in_ranges
 from phdtrack.types import F8, I8, ParticleBlocks, Particles
 
 Real = NDArray[np.floating[Any]]
@@ -28,20 +29,24 @@ class Cloud:
     Attributes
     ----------
     state : (d, L), ``weight`` (L,) or (1,) of each or of all, ``start`` (B + 1,): the blocks.
-    known : (B, 1 + 4d) mass, box, middle and sum of states of each block, as `kernels.blocks.summarise` writes them.
+    known, second : (B, 1 + 4d) mass, box, middle and sum of states of each block, and (B, even d, even d) sums of their
+        products, as `kernels.blocks.summarise` writes them.
     most : particles in the largest block.
     grid : the blocks' boxes in position.
+    threads : that share the work on the blocks, 0 for one per core; results are the same to the bit.
     """
 
     state: Real
     weight: Real
     start: I8
     known: F8
+    second: F8
     most: int
     grid: Rectangles
+    threads: int
 
     @classmethod
-    def of(cls, intensity: Particles | ParticleBlocks) -> Cloud:
+    def of(cls, intensity: Particles | ParticleBlocks, threads: int = 1) -> Cloud:
         """The blocks of an intensity that is not empty. ValueError: a state is NaN or infinite."""
         state: Real
         weight: Real
@@ -49,15 +54,22 @@ class Cloud:
             state, start, weight = intensity.state, intensity.start, np.array([intensity.unit], intensity.state.dtype)
         else:
             state, weight, start = cut(intensity.state, intensity.weight, MOST)
-        d = len(state)
-        known, box = np.empty((len(start) - 1, 1 + 4 * d)), np.empty(2, state.dtype)
-        integer = np.int32 if state.itemsize == 4 else np.int64
-        most = summarise(state, state.view(integer), weight, start, known, box, box.view(integer))
-        if most < 0:
+        d, blocks = len(state), len(start) - 1
+        known, second = np.empty((blocks, 1 + 4 * d)), np.empty((blocks, even(d), even(d)))
+        most, integer = int((start[1:] - start[:-1]).max()), np.int32 if state.itemsize == 4 else np.int64
+
+        def summary(lo: int, hi: int) -> bool:
+            scratch, box = working_memory(state, most), np.empty(2, state.dtype)
+            finite: bool = summarise(
+                lo, hi, state, state.view(integer), weight, start, known, second, scratch, box, box.view(integer)
+            )
+            return finite
+
+        if not all(in_ranges(summary, blocks, threads)):
             raise ValueError("states must be finite")
         # An empty block has no box; it stands where the box of its zeros is, and nobody asks for its particles.
         grid = Rectangles.of(known[:, 1:3].T.copy(), known[:, 1 + d : 3 + d].T.copy())
-        return cls(state, weight, start, known, most, grid)
+        return cls(state, weight, start, known, second, most, grid, threads)
 
     def mass_of(self, index: I8) -> float:
         """Σw of the particles at ``index``."""
@@ -68,11 +80,12 @@ class Cloud:
         weight = np.full(len(index), self.weight[0]) if self.weight.size == 1 else self.weight[index]
         return Particles(self.state.take(index, axis=1).astype(np.float64), weight.astype(np.float64))
 
-    def scratch(self) -> Real:
-        """(2·even d + 2, most) zeros: working memory for moments of a block (see `kernels.blocks.weigh`)."""
-        return np.zeros((2 * even(len(self.state)) + 2, self.most), self.state.dtype)
-
 
 def even(d: int) -> int:
     """The rows in which ``d`` components are summed, two at a time."""
     return d + d % 2
+
+
+def working_memory(state: Real, most: int) -> Real:
+    """(2·even d + 2, ≥ most) zeros of the states' type, as `kernels.blocks.summarise` and K-means need them."""
+    return np.zeros((2 * even(len(state)) + 2, -(-most // LANES) * LANES), state.dtype)

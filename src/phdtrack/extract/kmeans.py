@@ -13,10 +13,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from phdtrack.checks import Positive, PositiveCount, Share, check
+from phdtrack.checks import Count, Positive, PositiveCount, Share, check
 from phdtrack.extract import clusters
 from phdtrack.extract.cloud import Cloud
 from phdtrack.extract.resolution import join_unresolved
+from phdtrack.extract.settling import cluster
 from phdtrack.protocols import Model
 from phdtrack.types import F8, Estimates, ParticleBlocks, Particles
 
@@ -29,9 +30,10 @@ class KMeans:
     ----------
     lightest : T, clusters of less mass are not targets; M07's 0.6.
     split : clusters of more mass are several targets.
-    iterations : bound on K-means iterations after each split.
+    iterations : how often a cluster's centre may move, and again after each split of it.
     region : squared Mahalanobis radius within which a state counts as resting on a detection (99 % in four dimensions).
     overlap : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
+    threads : threads that share a frame's work, 0 for one per core; the result is the same to the bit.
     """
 
     lightest: Positive = 0.6
@@ -39,6 +41,7 @@ class KMeans:
     iterations: PositiveCount = 5
     region: Positive = 13.28
     overlap: Share = 0.4
+    threads: Count = 1
 
     def __post_init__(self) -> None:
         check(self)
@@ -47,11 +50,8 @@ class KMeans:
         """The centres of the clusters heavy enough to be targets: weighted means of full states [M07 §3]."""
         if state.mass < self.lightest:
             return Estimates.empty(model.motion.dim)
-        sensor, cloud = model.sensor, Cloud.of(state)
+        sensor, cloud = model.sensor, Cloud.of(state, self.threads)
         start = clusters.seeds(cloud, z, sensor, self.lightest)
-        labels = clusters.cluster(cloud, start, self.split, self.iterations)
-        # Clusters start on every detection, so one target beside a false alarm, or detected twice, may lie in two halves
-        # that are each too light.
-        place, centre = clusters.heavy_enough(labels, sensor, self.lightest, self.split)
-        found = join_unresolved(*clusters.moments(cloud, labels, place, centre), sensor, self.overlap)
-        return clusters.finish(*found, z, model, self.region)
+        found = cluster(cloud, start, self.split, self.iterations)
+        heavy = clusters.heavy_enough(found, sensor, self.lightest, self.split)
+        return clusters.finish(*join_unresolved(*heavy, sensor, self.overlap), z, model, self.region)

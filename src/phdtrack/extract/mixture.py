@@ -14,9 +14,10 @@ import numpy as np
 
 from phdtrack.checks import Positive, PositiveCount, Share, check
 from phdtrack.extract import clusters
-from phdtrack.extract.cloud import Cloud, even
+from phdtrack.extract.cloud import Cloud
 from phdtrack.extract.resolution import join_unresolved
-from phdtrack.kernels.em import block_moments, em_step
+from phdtrack.extract.settling import REACH, Start, cluster
+from phdtrack.kernels.em import em_step
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, Estimates, GaussianMixture, ParticleBlocks, Particles
 
@@ -71,25 +72,22 @@ class Mixture:
                 break
             mass, mean, cov = em_step(
                 cloud.state, cloud.weight, cloud.start, cloud.known, cloud.most, *parts,
-                mixture.weight, mixture.mean, mixture.covariance, scale, clusters.REACH,
+                mixture.weight, mixture.mean, mixture.covariance, scale, REACH,
             )  # fmt: skip
             mixture, scale = _floored(mass, mean, cov, sensor)
         return mixture, scale
 
 
 def _parts(cloud: Cloud) -> tuple[F8, F8]:
-    """First and second moments of the blocks, as `kernels.em.block_moments` writes them."""
-    d, blocks = len(cloud.state), len(cloud.known)
-    first, second = np.empty((blocks, d)), np.empty((blocks, even(d), even(d)))
-    block_moments(cloud.state, cloud.weight, cloud.start, cloud.known, cloud.scratch(), first, second)
-    return first, second
+    """(B, d) Σw·s of each block, where s is x less the point in the block's middle; and the sums of their products."""
+    d = len(cloud.state)
+    return cloud.known[:, 1 + 3 * d :] - cloud.known[:, :1] * cloud.known[:, 1 + 2 * d : 1 + 3 * d], cloud.second
 
 
-def _start(cloud: Cloud, start: clusters.Start, sensor: Sensor) -> tuple[GaussianMixture, F8]:
+def _start(cloud: Cloud, start: Start, sensor: Sensor) -> tuple[GaussianMixture, F8]:
     """Components from the nearest-centre clusters, and the noise at their means."""
-    labels = clusters.cluster(cloud, start, math.inf, 0)
-    mass, mean, cov = clusters.moments(cloud, labels, np.arange(len(labels.mass)), labels.mean)
-    return _floored(mass, mean, cov, sensor)
+    found = cluster(cloud, start, math.inf, 0)
+    return _floored(found.mass, found.mean, found.covariance, sensor)
 
 
 def _floored(mass: F8, mean: F8, cov: F8, sensor: Sensor) -> tuple[GaussianMixture, F8]:

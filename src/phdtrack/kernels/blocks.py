@@ -25,26 +25,43 @@ Bits = NDArray[np.signedinteger[Any]]
 U = np.uint64
 
 
+# Inner loops run over whole registers of this many numbers: what is left over would run one by one.
+LANES = 16
+
+
+@njit(**VECTOR)
+def whole(n: int) -> int:
+    """The least multiple of ``LANES`` that is not below n."""
+    return (n + LANES - 1) // LANES * LANES
+
+
 @njit(**VECTOR)
 def load_steps(state: Real, begin: int, n: int, known: F8, b: int, scratch: Real) -> None:
-    """Write the states of block b, relative to the point in its middle, into the first d rows of ``scratch``."""
-    d, at = state.shape[0], U(begin)
+    """Write the states of block b, relative to the point in its middle, into the first d rows of ``scratch``.
+
+    Zeros follow up to the next multiple of ``LANES``.
+    """
+    d, at, full, nothing = state.shape[0], U(begin), whole(n), state.dtype.type(0)
     for r in range(d):
         zero = state.dtype.type(known[b, 1 + 2 * d + r])
         for i in range(U(n)):
             scratch[r, i] = state[r, at + i] - zero
+        for i in range(U(n), U(full)):
+            scratch[r, i] = nothing
 
 
 @njit(**VECTOR)
 def load_weight(weight: Real, begin: int, n: int, scratch: Real, row: int) -> None:
-    """Write the weights of n particles into a row of ``scratch``."""
-    at, one = U(begin), weight[0]
+    """Write the weights of n particles into a row of ``scratch``; zeros follow up to the next multiple of ``LANES``."""
+    at, one, full, nothing = U(begin), weight[0], whole(n), weight.dtype.type(0)
     if weight.size > 1:
         for i in range(U(n)):
             scratch[row, i] = weight[at + i]
     else:
         for i in range(U(n)):
             scratch[row, i] = one
+    for i in range(U(n), U(full)):
+        scratch[row, i] = nothing
 
 
 @njit(**VECTOR)
@@ -61,18 +78,23 @@ def weigh(scratch: Real, n: int, d: int) -> float:
 
 
 @njit(**VECTOR)
-def gather(scratch: Real, n: int, left: int, first: F8, second: F8) -> None:
-    """Write Σw·s into ``first`` (d,) and the lower triangle of Σw·s·sᵀ into ``second`` (even d, even d).
+def sums(scratch: Real, n: int, left: int, first: F8) -> None:
+    """Write the sums of the rows of ``scratch`` from ``left`` on into ``first`` (d,)."""
+    for r in range(first.size):
+        total = scratch.dtype.type(0)
+        for i in range(U(n)):
+            total += scratch[left + r, i]
+        first[r] = total
+
+
+@njit(**VECTOR)
+def products(scratch: Real, n: int, left: int, second: F8) -> None:
+    """Write the lower triangle of Σw·s·sᵀ into ``second`` (even d, even d).
 
     Rows of ``scratch``: s, and from row ``left`` on w·s, an even number of each, the last of them 0 where d is odd; with
     ``left`` 0 all w are 1.
     """
     zero, even = scratch.dtype.type(0), second.shape[0]
-    for r in range(first.size):
-        total = zero
-        for i in range(U(n)):
-            total += scratch[left + r, i]
-        first[r] = total
     # Two rows by two: each number that is read serves two products.
     for r in range(0, even, 2):
         for s in range(0, r + 1, 2):
@@ -106,8 +128,11 @@ def extent(bits: Bits, r: int, begin: int, n: int) -> tuple[np.signedinteger[Any
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
-def summarise(state: Real, bits: Bits, weight: Real, start: I8, known: F8, box: Real, box_bits: Bits) -> int:
-    """What is known of each block; returns the number of particles in the largest, or −1 if a state is not finite.
+def summarise(
+    lo: int, hi: int, state: Real, bits: Bits, weight: Real, start: I8, known: F8, second: F8, scratch: Real, box: Real,
+    box_bits: Bits,
+) -> bool:  # fmt: skip
+    """What is known of the blocks lo … hi − 1; whether all of their states are finite.
 
     Parameters
     ----------
@@ -116,39 +141,49 @@ def summarise(state: Real, bits: Bits, weight: Real, start: I8, known: F8, box: 
     start : (B + 1,) where blocks begin.
     known : (B, 1 + 4d) written: Σw; the low and the high corner of the box that holds the particles; a point in their
         middle, exact in the states' precision; Σw·x. Zeros for an empty block.
-    box : (2,) working memory, ``box_bits`` the same seen as integers.
+    second : (B, even d, even d) written: the lower triangle of Σw·s·sᵀ, where s is x less the point in the middle.
+    scratch, box : working memory, (2·even d + 1, n) zeros for n particles in the largest block, as `whole` has it, and (2,);
+        ``box_bits`` the same seen as integers.
     """
-    d, most, check = state.shape[0], 0, 0.0
-    zero = state.dtype.type(0)
-    for b in range(start.size - 1):
+    d, even, check = state.shape[0], second.shape[1], 0.0
+    first = np.empty(d)
+    for b in range(lo, hi):
         begin, n = start[b], start[b + 1] - start[b]
-        most = n if n > most else most
         if n == 0:
             for c in range(known.shape[1]):
                 known[b, c] = 0.0
+            for r in range(even):
+                for s in range(even):
+                    second[b, r, s] = 0.0
             continue
-        mass, at = zero, U(begin)
-        if weight.size == 1:
-            known[b, 0] = n * float(weight[0])
-        else:
-            for i in range(U(n)):
-                mass += weight[at + i]
-            known[b, 0] = mass
         for r in range(d):
             box_bits[0], box_bits[1] = extent(bits, r, begin, n)
             known[b, 1 + r], known[b, 1 + d + r] = box[0], box[1]
-            middle, total, one = zero, zero, state[r, at]
+            at, one, total = U(begin), state[r, begin], state.dtype.type(0)
             for i in range(U(n)):
-                middle += state[r, at + i] - one
-            known[b, 1 + 2 * d + r] = one + middle / state.dtype.type(n)
-            if weight.size == 1:
-                total = middle * weight[0]
-            else:
-                for i in range(U(n)):
-                    total += weight[at + i] * (state[r, at + i] - one)
-            known[b, 1 + 3 * d + r] = float(total) + known[b, 0] * float(one)
+                total += state[r, at + i] - one
+            known[b, 1 + 2 * d + r] = one + total / state.dtype.type(n)
+            known[b, 1 + 3 * d + r] = float(total) + n * float(one)
             check += known[b, 1 + 2 * d + r]
-    return most if np.isfinite(check) else -1
+        if not np.isfinite(check):
+            return False
+        load_steps(state, begin, n, known, b, scratch)
+        if weight.size == 1:
+            unit = float(weight[0])
+            known[b, 0] = n * unit
+            products(scratch, whole(n), 0, second[b])
+            for r in range(d):
+                known[b, 1 + 3 * d + r] *= unit
+                for s in range(r + 1):
+                    second[b, r, s] *= unit
+        else:
+            load_weight(weight, begin, n, scratch, 2 * even)
+            known[b, 0] = weigh(scratch, whole(n), d)
+            sums(scratch, whole(n), even, first)
+            products(scratch, whole(n), even, second[b])
+            for r in range(d):
+                known[b, 1 + 3 * d + r] = first[r] + known[b, 0] * known[b, 1 + 2 * d + r]
+    return True
 
 
 @njit(**ENTRY)

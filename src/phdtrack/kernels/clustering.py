@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.blocks import Real, U, gather, load_weight, weigh
+from phdtrack.kernels.blocks import Real, U, load_steps, load_weight, products, sums, weigh, whole
 from phdtrack.kernels.fast32 import ENTRY, FAST, VECTOR
-from phdtrack.kernels.nearest import MIXED, file_centre
+from phdtrack.kernels.nearest import MIXED, file_centre, reached
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -19,12 +19,12 @@ I4 = NDArray[np.int32]
 def outside(
     state: Real, start: I8, known: F8, most: int, lower: F8, upper: F8, frame: F8, cells: I8, item: I8, corner: I8,
     centres: F8, scales: F8, reach: float,
-) -> tuple[I8, I8, I8]:  # fmt: skip
+) -> tuple[I8, I8, I8, int]:  # fmt: skip
     """The particles that none of k centres (d, k) reaches, in their order; and which centres are near each block.
 
     A centre reaches ``reach`` of its deviations ``scales`` (d, k) in position. ``known`` as in `blocks.summarise`; at most
     ``most`` particles in a block; ``lower`` … ``corner``: the grid over the blocks' boxes. The lists of the centres near
-    the blocks, ``head`` (B,) and ``link`` (2, E), are those of `nearest`.
+    the blocks, ``head`` (B,) and ``link`` (2, ≥ E), are those of `nearest`; the last number is E.
     """
     d, blocks, used, count = state.shape[0], start.size - 1, 0, 0
     head, link, found = np.empty(blocks, np.int64), np.empty((2, 2 * blocks + 64), np.int64), np.empty(blocks, np.int64)
@@ -32,9 +32,8 @@ def outside(
         head[b] = -1
     for j in range(centres.shape[1]):
         rx, ry = reach * scales[0, j], reach * scales[1, j]
-        link, used = file_centre(
-            j, centres[0, j], centres[1, j], rx, ry, lower, upper, frame, cells, item, corner, head, link, used, found
-        )  # fmt: skip
+        some = reached(centres[0, j], centres[1, j], rx, ry, lower, upper, frame, cells, item, corner, found)
+        link, used = file_centre(j, some, found, head, link, used)
     out, free = np.empty(state.shape[1], np.int64), np.empty(most, np.bool_)
     for b in range(blocks):
         begin, n, covered, e = start[b], start[b + 1] - start[b], False, head[b]
@@ -61,7 +60,7 @@ def outside(
             if free[i]:
                 out[count] = begin + i
                 count += 1
-    return out[:count], head, link[:, :used]
+    return out[:count], head, link, used
 
 
 @njit(**VECTOR)
@@ -75,9 +74,9 @@ def add_part(mass: float, first: F8, second: F8, shift: F8, j: int, total: F8, m
 
 
 @njit(**VECTOR)
-def centred(total: F8, mean: F8, cov: F8, reference: F8) -> None:
-    """Turn raw moments about ``reference`` (d, k) into masses, means (d, k) and covariances (k, d, d), in place."""
-    for j in range(total.size):
+def centred(k: int, total: F8, mean: F8, cov: F8, reference: F8) -> None:
+    """Turn raw moments of k clusters about ``reference`` (d, k) into masses, means and covariances, in place."""
+    for j in range(k):
         m = total[j]
         for r in range(mean.shape[0]):
             if m > 0.0:
@@ -91,69 +90,67 @@ def centred(total: F8, mean: F8, cov: F8, reference: F8) -> None:
 
 
 @njit(**VECTOR)
-def add_members(
-    state: Real, begin: int, n: int, each: float, j: int, scratch: Real, one: F8, two: F8, reference: F8,
-    total: F8, mean: F8, cov: F8,
+def add_masked(
+    state: Real, weight: Real, begin: int, n: int, known: F8, b: int, own: I4, k: int, scratch: Real,
+    one: F8, two: F8, shift: F8, reference: F8, total: F8, mean: F8, cov: F8,
 ) -> None:  # fmt: skip
-    """Add n particles to the moments of cluster j about ``reference``.
-
-    Their weights are ``each``, or, where that is 0, stand in ``scratch``.
-    """
-    d, at = state.shape[0], U(begin)
-    for r in range(d):
-        zero = state.dtype.type(reference[r, j])
+    """Add a mixed block's particles to the raw moments of the k clusters that they are said to be in by ``own``."""
+    d, at, full, nobody = state.shape[0], U(begin), whole(n), np.int32(k)
+    even, zero = d + d % 2, state.dtype.type(0)
+    w, of_each = 2 * even, 2 * even + 1
+    load_steps(state, begin, n, known, b, scratch)
+    load_weight(weight, begin, n, scratch, of_each)
+    for i in range(U(n), U(full)):
+        scratch[w, i] = zero
+    # The clusters of the block in ascending order.
+    last = np.int32(-1)
+    while True:
+        j = nobody
         for i in range(U(n)):
-            scratch[r, i] = state[r, at + i] - zero
-    unit, left = each, 0
-    if each > 0.0:
-        total[j] += n * each
-    else:
-        total[j] += weigh(scratch, n, d)
-        unit, left = 1.0, d + d % 2
-    gather(scratch, n, left, one, two)
-    for r in range(d):
-        mean[r, j] += unit * one[r]
-        for s in range(r + 1):
-            cov[j, r, s] += unit * two[r, s]
+            now = own[at + i]
+            j = now if (now > last) & (now < j) else j
+        if j == nobody:
+            break
+        for i in range(U(n)):
+            now = scratch[of_each, i]
+            scratch[w, i] = now if own[at + i] == j else zero
+        m = weigh(scratch, full, d)
+        sums(scratch, full, even, one)
+        products(scratch, full, even, two)
+        for r in range(d):
+            shift[r] = known[b, 1 + 2 * d + r] - reference[r, j]
+        add_part(m, one, two, shift, np.int64(j), total, mean, cov)
+        last = j
 
 
-@njit(**(ENTRY | {"fastmath": FAST}))
+@njit(**VECTOR)
 def cluster_moments(
-    state: Real, weight: Real, start: I8, label: I4, own: I4, cluster: I8, reference: F8,
-    scratch: Real, which: I4, one: F8, two: F8, total: F8, mean: F8, cov: F8,
+    state: Real, weight: Real, start: I8, known: F8, second: F8, blocks: I8, label: I4, own: I4, k: int, scratch: Real,
+    one: F8, two: F8, shift: F8, reference: F8, total: F8, mean: F8, cov: F8,
 ) -> None:  # fmt: skip
-    """Write masses (k,), means (d, k) and covariances (k, d, d) of the clusters into zeros.
+    """Masses, means and covariances of k clusters, of which ``blocks`` consist: the first of (k,), (d, k) and (k, d, d).
 
-    Label j counts for cluster ``cluster[j]``, or for none where that is −1. Moments are taken about ``reference`` (d, k), a
-    point in the middle of each cluster, exact in the states' precision, because the difference of moments about a far point
-    loses all digits. Working memory: ``scratch`` (2·even d + 2, ≥ n) zeros, ``which`` (≥ n,), ``one`` (d,), ``two``
-    (even d, even d).
+    ``label``, ``own`` : a block's cluster, −1 for none, `MIXED` where the particles have their own. What is ``known`` of a
+    block, with ``second``, is enough where it is not mixed. ``reference`` (d, k): a point in the middle of each cluster.
+    Working memory: ``scratch`` as in `blocks.summarise`; ``one``, ``shift`` (d,), ``two`` (even d, even d).
     """
-    nobody, zero = np.int32(reference.shape[1]), state.dtype.type(0)
-    w, of_each = scratch.shape[0] - 2, scratch.shape[0] - 1
-    # Where all weigh the same, what is added up need not be weighed one by one.
-    each = float(weight[0]) if weight.size == 1 else 0.0
-    for b in range(label.size):
-        begin, n = start[b], start[b + 1] - start[b]
-        if label[b] >= 0 and cluster[label[b]] >= 0:
-            if each == 0.0:
-                load_weight(weight, begin, n, scratch, w)
-            add_members(state, begin, n, each, cluster[label[b]], scratch, one, two, reference, total, mean, cov)
-        if label[b] != MIXED:
-            continue
-        load_weight(weight, begin, n, scratch, of_each)
-        for i in range(n):
-            which[i] = cluster[own[begin + i]] if own[begin + i] >= 0 else -1
-        # The clusters of a mixed block in ascending order.
-        last = np.int32(-1)
-        while True:
-            j = nobody
-            for i in range(U(n)):
-                j = which[i] if (which[i] > last) & (which[i] < j) else j
-            if j == nobody:
-                break
-            for i in range(U(n)):
-                scratch[w, i] = scratch[of_each, i] if which[i] == j else zero
-            add_members(state, begin, n, 0.0, np.int64(j), scratch, one, two, reference, total, mean, cov)
-            last = j
-    centred(total, mean, cov, reference)
+    d = state.shape[0]
+    for j in range(k):
+        total[j] = 0.0
+        for r in range(d):
+            mean[r, j] = 0.0
+            for s in range(d):
+                cov[j, r, s] = 0.0
+    for q in range(blocks.size):
+        b = blocks[q]
+        begin, n, whose = start[b], start[b + 1] - start[b], np.int64(label[b])
+        if whose >= 0:
+            for r in range(d):
+                middle = known[b, 1 + 2 * d + r]
+                one[r], shift[r] = known[b, 1 + 3 * d + r] - known[b, 0] * middle, middle - reference[r, whose]
+            add_part(known[b, 0], one, second[b], shift, whose, total, mean, cov)
+        elif whose == MIXED:
+            add_masked(
+                state, weight, begin, n, known, b, own, k, scratch, one, two, shift, reference, total, mean, cov
+            )  # fmt: skip
+    centred(k, total, mean, cov, reference)

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.blocks import Real, gather, load_steps, load_weight, weigh
+from phdtrack.kernels.blocks import Real, load_steps, load_weight, products, sums, weigh, whole
 from phdtrack.kernels.clustering import add_part, centred
 from phdtrack.kernels.fast32 import ENTRY, FAST, VECTOR, exp32
 from phdtrack.kernels.overlaps import overlapping, rectangle_grid
@@ -141,29 +141,14 @@ def responsibilities(table: Real, count: int, n: int, weight: Real, top: Real, t
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
-def block_moments(state: Real, weight: Real, start: I8, known: F8, scratch: Real, first: F8, second: F8) -> None:
-    """Write each block's Σw·s into ``first`` (B, d) and the lower triangle of Σw·s·sᵀ into ``second`` (B, even d, even d).
-
-    s = x − the point in the block's middle; ``scratch`` as in `blocks.weigh`, (≥ 2·even d + 1, ≥ n), zeros.
-    """
-    d = state.shape[0]
-    for b in range(start.size - 1):
-        begin, n = start[b], start[b + 1] - start[b]
-        load_steps(state, begin, n, known, b, scratch)
-        load_weight(weight, begin, n, scratch, 2 * second.shape[1])
-        weigh(scratch, n, d)
-        gather(scratch, n, second.shape[1], first[b], second[b])
-
-
-@njit(**(ENTRY | {"fastmath": FAST}))
 def em_step(
     state: Real, weight: Real, start: I8, known: F8, most: int, first: F8, second: F8,
     amount: F8, centre: F8, cov: F8, scale: F8, reach: float,
 ) -> tuple[F8, F8, F8]:  # fmt: skip
     """Masses (k,), means (d, k) and covariances (k, d, d) after one iteration from ``amount``, ``centre`` and ``cov``.
 
-    ``scale`` (d, k): a component reaches ``reach`` of these deviations in position. The blocks: ``known`` of
-    `blocks.summarise`, at most ``most`` particles in each, and `block_moments`.
+    ``scale`` (d, k): a component reaches ``reach`` of these deviations in position. The blocks: ``known`` and ``second`` of
+    `blocks.summarise`, ``first`` (B, d) the sums of s that belong to ``second``, at most ``most`` particles in each.
     """
     d, k = centre.shape
     lower, upper = reaches(centre, scale, reach, amount)
@@ -171,11 +156,11 @@ def em_step(
     frame, cells, item, corner = rectangle_grid(lower, upper)
     inverse, log_scale = whitening(cov)
     even = second.shape[1]
-    near, table = np.empty(k, np.int64), np.empty((k, most), state.dtype)
-    scratch, shifted = np.zeros((2 * even + 1, most), state.dtype), np.zeros((even, most), state.dtype)
-    w, part = np.empty((1, most), state.dtype), np.empty(most, state.dtype)
+    near, table, width = np.empty(k, np.int64), np.empty((k, most), state.dtype), whole(most)
+    scratch, shifted = np.zeros((2 * even + 1, width), state.dtype), np.zeros((even, most), state.dtype)
+    w, part = np.empty((1, width), state.dtype), np.empty(most, state.dtype)
     total, mean, out = np.zeros(k), np.zeros((d, k)), np.zeros((k, d, d))
-    shift, one, two = np.empty(d), np.empty(d), np.empty((even, even))
+    shift, one, two, nothing = np.empty(d), np.empty(d), np.empty((even, even)), state.dtype.type(0)
     for b in range(start.size - 1):
         begin, n = start[b], start[b + 1] - start[b]
         if n == 0:
@@ -198,10 +183,13 @@ def em_step(
                 j = near[c]
                 for i in range(n):
                     scratch[2 * even, i] = table[c, i]
-                m = weigh(scratch, n, d)
-                gather(scratch, n, even, one, two)
+                for i in range(n, whole(n)):
+                    scratch[2 * even, i] = nothing
+                m = weigh(scratch, whole(n), d)
+                sums(scratch, whole(n), even, one)
+                products(scratch, whole(n), even, two)
                 for r in range(d):
                     shift[r] = known[b, 1 + 2 * d + r] - centre[r, j]
                 add_part(m, one, two, shift, j, total, mean, out)
-    centred(total, mean, out, centre)
+    centred(k, total, mean, out, centre)
     return total, mean, out

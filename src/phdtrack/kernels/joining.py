@@ -112,14 +112,14 @@ def join_light(first: I8, second: I8, mass: F8, mean: F8, scale: F8, reach: floa
 
 @njit(**ENTRY)
 def heavy_enough(
-    first: I8, second: I8, mass: F8, mean: F8, scale: F8, reach: float, lightest: float, split: float, centre: F8
-) -> tuple[I8, int]:
-    """Which of those that weigh ``lightest``, light ones joined, each is part of (k,), −1: none; and how many there are.
+    first: I8, second: I8, mass: F8, mean: F8, cov: F8, scale: F8, reach: float, lightest: float, split: float
+) -> tuple[F8, F8, F8]:
+    """Masses (m,), means (d, m) and covariances (m, d, d) of those that weigh ``lightest``, light ones joined.
 
-    Arguments as in `join_light`. Written: the first of ``centre`` (d, k), those of the clusters that others have joined.
+    Arguments as in `join_light`, ``cov`` (k, d, d). A union keeps mass, mean and covariance of its parts.
     """
     root = join_light(first, second, mass, mean, scale, reach, lightest, split)
-    k, kept = mass.size, 0
+    d, k, kept = mean.shape[0], mass.size, 0
     total, place = np.empty(k), np.empty(k, np.int64)
     for j in range(k):
         total[j] = 0.0
@@ -128,13 +128,33 @@ def heavy_enough(
     for j in range(k):
         place[j] = -1
         if root[j] == j and total[j] >= lightest:
-            for r in range(mean.shape[0]):
-                centre[r, kept] = mean[r, j]
             place[j] = kept
             kept += 1
+    weight, centre, spread = np.empty(kept), np.empty((d, kept)), np.empty((kept, d, d))
+    for i in range(kept):
+        weight[i] = 0.0
     for j in range(k):
-        place[j] = place[root[j]]
-    return place, kept
+        i = place[root[j]]
+        if i >= 0 and mass[j] > 0.0:
+            join(i, mass[j], mean, cov, j, weight, centre, spread)
+    return weight, centre, spread
+
+
+@njit(**INNER)
+def join(i: int, mass: float, mean: F8, cov: F8, j: int, weight: F8, centre: F8, spread: F8) -> None:
+    """Put the union of cluster i of ``weight`` (m,), ``centre`` (d, m), ``spread`` (m, d, d), and another, in its place."""
+    total, d = weight[i] + mass, mean.shape[0]
+    share = mass / total
+    for r in range(d):
+        for s in range(d):
+            if weight[i] > 0.0:
+                apart = (mean[r, j] - centre[r, i]) * (mean[s, j] - centre[s, i])
+                spread[i, r, s] += share * (cov[j, r, s] - spread[i, r, s]) + share * (1.0 - share) * apart
+            else:
+                spread[i, r, s] = cov[j, r, s]
+    for r in range(d):
+        centre[r, i] = centre[r, i] + share * (mean[r, j] - centre[r, i]) if weight[i] > 0.0 else mean[r, j]
+    weight[i] = total
 
 
 @njit(**ENTRY)

@@ -5,10 +5,13 @@ to its cluster is known from its sums, and none of its particles is looked at. A
 of none, is mixed: its particles have labels of their own. Which centres are near a block is found once, from the centres'
 side, with room for them to move; only blocks with a centre that has moved are looked at again.
 
+Every island (see `kernels.islands`) is settled by itself, from its first assignment to the moments of its clusters, while
+its particles are at hand. That is not an approximation: how often a centre may move is counted for each by itself.
+
 Distances are in units of the noise at the centre where a cluster began; a divided cluster's new centre takes it over. A
 centre reaches ``reach`` of its deviations in position.
 
-The tables of blocks and clusters are those of `kernels.nearest`.
+The tables of blocks and clusters are those of `kernels.nearest`; rows, labels and lists are those of one island.
 """
 
 from __future__ import annotations
@@ -17,7 +20,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.blocks import Real, U, load_steps
+from phdtrack.kernels.blocks import Real, U, load_steps, whole
+from phdtrack.kernels.clustering import cluster_moments
 from phdtrack.kernels.fast32 import ENTRY, VECTOR
 from phdtrack.kernels.nearest import (
     ALIVE,
@@ -31,12 +35,14 @@ from phdtrack.kernels.nearest import (
     NOBODY,
     PARENT,
     ROOM,
+    STEPS,
     STRAYS,
     X,
     Y,
     contenders,
     file_centre,
     nearest_in_block,
+    reached,
     squares,
 )  # fmt: skip
 
@@ -63,42 +69,70 @@ def add_block(sign: float, j: int, n: int, d: int, b: int, known: F8, table: F8,
 
 @njit(**VECTOR)
 def regroup(
-    state: Real, weight: Real, begin: int, n: int, which: I4, own: I4, table: F8, flags: I8
+    weight: Real, begin: int, n: int, d: int, known: F8, b: int, near: I8, count: int, which: I4, own: I4, scratch: Real,
+    table: F8, flags: I8,
 ) -> None:  # fmt: skip
-    """Give the particles of a block whose cluster has changed from ``own`` to ``which`` to the new one."""
-    d = state.shape[0]
-    at = U(begin)
+    """Count the particles of block b whose cluster has changed from ``own`` to ``which`` in the sums of those ``near``.
+
+    ``scratch`` holds their steps from the middle of the block. What joins a cluster and what leaves it is summed over the
+    whole block: to ask of each particle by itself whether it has changed is a guess that fails every second time.
+    """
+    real, at, factor = scratch.dtype.type, U(begin), d + d % 2
+    for c in range(count):
+        j, name = near[c], np.int32(near[c])
+        joined, left = np.int32(0), np.int32(0)
+        for i in range(U(n)):
+            comes, goes = np.int32(which[i] == name), np.int32(own[at + i] == name)
+            joined += comes
+            left += goes
+            scratch[factor, i] = real(comes) - real(goes)
+        unit, mass = float(weight[0]), real(joined) - real(left)
+        if weight.size > 1:
+            unit, mass = 1.0, real(0)
+            for i in range(U(n)):
+                scratch[factor, i] *= weight[at + i]
+                mass += scratch[factor, i]
+        flags[j, COUNT] += joined - left
+        table[j, MASS] += unit * mass
+        for r in range(d):
+            total = real(0)
+            for i in range(U(n)):
+                total += scratch[factor, i] * scratch[r, i]
+            table[j, CENTRE + 3 * d + r] += unit * (total + mass * known[b, 1 + 2 * d + r])
     for i in range(U(n)):
-        old, new = own[at + i], which[i]
-        if old == new:
-            continue
-        own[at + i] = new
-        w = float(weight[at + i if weight.size > 1 else U(0)])
-        for turn in range(2):
-            j, sign = (old, -1.0) if turn == 0 else (new, 1.0)
-            if j >= 0:
-                flags[j, COUNT] += 1 if turn == 1 else -1
-                table[j, MASS] += sign * w
-                for r in range(d):
-                    table[j, CENTRE + 3 * d + r] += sign * w * state[r, at + i]
+        own[at + i] = which[i]
+
+
+@njit(**VECTOR)
+def with_others(e: int, link: I8, near: I8, count: int) -> int:
+    """Put behind the first ``count`` centres of ``near`` the others on the list that begins with e; how many then."""
+    while e >= 0:
+        j, known = link[0, e], False
+        e = link[1, e]
+        for c in range(count):
+            known |= near[c] == j
+        if not known:
+            near[count] = j
+            count += 1
+    return count
 
 
 @njit(**VECTOR)
 def assign(
-    state: Real, weight: Real, start: I8, known: F8, table: F8, flags: I8, reach: float, label: I4, own: I4,
+    state: Real, weight: Real, start: I8, known: F8, table: F8, flags: I8, reach: float, blocks: I8, label: I4, own: I4,
     head: I8, link: I8, near: I8, scratch: Real, which: I4,
 ) -> bool:  # fmt: skip
     """Look at the blocks near centres that have moved, and give their particles to the nearest; whether any has changed."""
     d, changed = state.shape[0], False
-    for b in range(head.size):
+    for q in range(blocks.size):
+        b, e = blocks[q], head[q]
         begin, n = start[b], start[b + 1] - start[b]
-        e = head[b]
         while e >= 0 and flags[link[0, e], MOVED] == 0:
             e = link[1, e]
         if e < 0 or n == 0:
             continue
-        some, whole, first = contenders(d, table, flags, reach, known, b, head, link, near)
-        before, now = np.int64(label[b]), near[0] if whole else NOBODY if some == 0 else MIXED
+        some, all_of_it, first = contenders(d, table, flags, reach, known, b, head[q], link, near)
+        before, now = np.int64(label[b]), near[0] if all_of_it else NOBODY if some == 0 else MIXED
         if now == before and now != MIXED:
             continue
         if now != MIXED and before != MIXED:
@@ -117,9 +151,9 @@ def assign(
             for i in range(U(n)):
                 own[at + i] = before
             label[b], changed = MIXED, True
+        load_steps(state, begin, n, known, b, scratch)
         if now == MIXED:
-            load_steps(state, begin, n, known, b, scratch)
-            nearest_in_block(scratch, n, d, table, reach, known, b, near, some, which)
+            nearest_in_block(scratch, whole(n), d, table, reach, known, b, near, some, which)
         else:
             for i in range(n):
                 which[i] = now
@@ -129,13 +163,14 @@ def assign(
             differs |= which[i] ^ own[at + i]
         if differs != 0:
             changed = True
-            regroup(state, weight, begin, n, which, own, table, flags)
+            some = with_others(head[q], link, near, some)
+            regroup(weight, begin, n, d, known, b, near, some, which, own, scratch, table, flags)
     return changed
 
 
 @njit(**VECTOR)
-def move(d: int, k: int, least: float, table: F8, flags: I8) -> None:
-    """Means of the clusters, and which centres have to follow theirs."""
+def move(d: int, k: int, least: float, iterations: int, table: F8, flags: I8) -> None:
+    """Means of the clusters, and which centres have to follow theirs: not those that have moved so often already."""
     for j in range(k):
         held = 1 if flags[j, COUNT] > 0 else 0
         moved = held != flags[j, ALIVE]
@@ -148,7 +183,7 @@ def move(d: int, k: int, least: float, table: F8, flags: I8) -> None:
             mean = table[j, CENTRE + 3 * d + r] / m if held == 1 and m > least else centre
             table[j, CENTRE + 2 * d + r] = mean
             moved |= abs(mean - centre) > STILL * table[j, CENTRE + d + r]
-        flags[j, MOVED] = 1 if moved else 0
+        flags[j, MOVED] = 1 if moved and flags[j, STEPS] < iterations else 0
 
 
 @njit(**VECTOR)
@@ -156,6 +191,7 @@ def follow(d: int, j: int, reach: float, table: F8, flags: I8) -> bool:
     """Put a centre that has moved on its mean; whether it is so far from where it was filed that it must be filed again."""
     if flags[j, MOVED] == 0:
         return False
+    flags[j, STEPS] += 1
     for r in range(d):
         table[j, CENTRE + r] = table[j, CENTRE + 2 * d + r]
     far = abs(table[j, CENTRE] - table[j, X]) > (ROOM - 1.0) * reach * table[j, CENTRE + d]
@@ -166,7 +202,7 @@ def follow(d: int, j: int, reach: float, table: F8, flags: I8) -> bool:
 
 @njit(**VECTOR)
 def find_farthest(
-    state: Real, start: I8, known: F8, table: F8, flags: I8, k: int, split: float, label: I4, own: I4,
+    state: Real, start: I8, known: F8, table: F8, flags: I8, k: int, split: float, blocks: I8, label: I4, own: I4,
     head: I8, link: I8, scratch: Real,
 ) -> None:  # fmt: skip
     """Of each cluster to divide the particle farthest from its centre: −1 where there is nothing to divide."""
@@ -176,23 +212,23 @@ def find_farthest(
         table[j, APART] = 0.0 if table[j, MASS] > split and flags[j, STRAYS] < PATIENCE else np.inf
         flags[j, FARTHEST] = -1
         heavy |= table[j, APART] == 0.0
-    for b in range(head.size if heavy else 0):
+    for q in range(blocks.size if heavy else 0):
+        b, e = blocks[q], head[q]
         begin, n, loaded = start[b], start[b + 1] - start[b], False
-        whole = label[b] >= 0
-        if label[b] == NOBODY or n == 0 or (whole and table[label[b], APART] == np.inf):
+        all_of_it = label[b] >= 0
+        if label[b] == NOBODY or n == 0 or (all_of_it and table[label[b], APART] == np.inf):
             continue
-        e = head[b]
         while e >= 0:
             j = link[0, e]
             e = link[1, e]
-            if table[j, APART] == np.inf or (whole and label[b] != j):
+            if table[j, APART] == np.inf or (all_of_it and label[b] != j):
                 continue
             if not loaded:
                 load_steps(state, begin, n, known, b, scratch)
                 loaded = True
-            squares(scratch, n, d, table, j, known, b)
+            squares(scratch, whole(n), d, table, j, known, b)
             for i in range(n):
-                if scratch[out, i] > table[j, APART] and (whole or own[begin + i] == j):
+                if scratch[out, i] > table[j, APART] and (all_of_it or own[begin + i] == j):
                     table[j, APART], flags[j, FARTHEST] = float(scratch[out, i]), begin + i
 
 
@@ -208,81 +244,212 @@ def note_strays(began: int, k: int, split: float, table: F8, flags: I8) -> None:
 
 
 @njit(**VECTOR)
-def divide(state: Real, k: int, table: F8, flags: I8) -> int:
+def begin_cluster(j: int, parent: int, flags: I8) -> None:
+    """An empty cluster whose centre is yet to be looked at; that does not count as a step."""
+    flags[j, COUNT], flags[j, MOVED], flags[j, ALIVE], flags[j, PARENT], flags[j, STRAYS] = 0, 1, 1, parent, 0
+    flags[j, STEPS] = -1
+
+
+@njit(**VECTOR)
+def divide(state: Real, k: int, rows: int, table: F8, flags: I8) -> int:
     """Put a new centre on the farthest particle of each cluster to divide, while there is room; how many clusters then."""
     d, before = state.shape[0], k
     for j in range(before):
         # The others go on from the centres that they were assigned to.
         flags[j, MOVED] = 0
-        if flags[j, FARTHEST] < 0 or k == table.shape[0]:
+        if flags[j, FARTHEST] < 0 or k == rows:
             continue
         for c in range(table.shape[1]):
             table[k, c] = 0.0
         for r in range(d):
             table[k, CENTRE + 2 * d + r] = state[r, flags[j, FARTHEST]]
             table[k, CENTRE + r], table[k, CENTRE + d + r] = table[k, CENTRE + 2 * d + r], table[j, CENTRE + d + r]
-        flags[k, COUNT], flags[k, MOVED], flags[k, ALIVE], flags[k, PARENT], flags[k, STRAYS] = 0, 1, 1, j, 0
+        begin_cluster(k, j, flags)
+        flags[j, STEPS] = 0
         k += 1
     return k
 
 
-@njit(**ENTRY)
-def kmeans(
-    state: Real, weight: Real, start: I8, known: F8, lower: F8, upper: F8, frame: F8, cells: I8, item: I8, corner: I8,
-    centres: F8, scales: F8, reach: float, split: float, iterations: int, rounds: int,
-    listed: I8, entries: I8, filed: int, table: F8, flags: I8, label: I4, own: I4, scratch: Real, which: I4,
-) -> int:  # fmt: skip
-    """Cluster the particles of B blocks, starting from the centres given; the number of clusters.
-
-    Parameters
-    ----------
-    state, weight, start, known : the blocks, and what `blocks.summarise` knows of them; lower … corner : the grid over
-        their boxes.
-    centres, scales : (d, k) first centres, and the deviations by which distances from them are measured.
-    split : clusters heavier than this are divided; ``rounds`` bounds how often, and the rows of ``table`` how much.
-    iterations : bound on the iterations after each division.
-    table, flags : written: the clusters, of which `MASS` and the mean are of use; one without particles keeps its centre.
-    label, own : written: (B,) a block's cluster, −1 for none, −2 for a mixed block, whose particles' are in own (L,).
-    listed, entries : lists of the first ``filed`` centres near each block, as `clustering.outside` gives them.
-    scratch, which : working memory, (≥ even d + 2, n) zeros and (n,) for n particles in the largest block.
-    """
-    d, k = centres.shape[0], int(centres.shape[1])
-    used, began, total = entries.shape[1], k, 0.0
-    head, link = np.empty(listed.size, np.int64), np.empty((2, 2 * (used + listed.size) + 64), np.int64)
-    near = np.empty(max(table.shape[0], listed.size), np.int64)
-    for b in range(head.size):
-        head[b], label[b] = listed[b], NOBODY
-        total += known[b, 0]
-    for e in range(used):
-        link[0, e], link[1, e] = entries[0, e], entries[1, e]
-    for j in range(k):
+@njit(**VECTOR)
+def begin_island(
+    d: int, members: I8, blocks: I8, centres: F8, scales: F8, listed: I8, entries: I8, place: I8,
+    table: F8, flags: I8, label: I4, head: I8, link: I8,
+) -> tuple[I8, int]:  # fmt: skip
+    """Clusters without particles, and the lists of an island's blocks: these, which may have grown, and their length."""
+    for j in range(members.size):
+        at = members[j]
         for c in range(table.shape[1]):
             table[j, c] = 0.0
         for r in range(d):
-            table[j, CENTRE + r], table[j, CENTRE + 2 * d + r] = centres[r, j], centres[r, j]
-            table[j, CENTRE + d + r] = scales[r, j]
-        table[j, X], table[j, Y] = centres[0, j], centres[1, j]
-        flags[j, COUNT], flags[j, MOVED], flags[j, ALIVE], flags[j, PARENT], flags[j, STRAYS] = 0, 1, 1, j, 0
+            table[j, CENTRE + r], table[j, CENTRE + 2 * d + r] = centres[r, at], centres[r, at]
+            table[j, CENTRE + d + r] = scales[r, at]
+        table[j, X], table[j, Y] = centres[0, at], centres[1, at]
+        begin_cluster(j, j, flags)
+    used = 0
+    for q in range(blocks.size):
+        head[q], label[blocks[q]] = -1, NOBODY
+        e = listed[blocks[q]]
+        while e >= 0:
+            # By number of centres, not of entries: an island's list is short, and seldom grows.
+            if used == link.shape[1]:
+                longer = np.empty((2, 2 * used), np.int64)
+                for p in range(used):
+                    longer[0, p], longer[1, p] = link[0, p], link[1, p]
+                link = longer
+            link[0, used], link[1, used] = place[entries[0, e]], head[q]
+            head[q] = used
+            used += 1
+            e = entries[1, e]
+    return link, used
+
+
+@njit(**VECTOR)
+def strangers(i: int, count: int, found: I8, of_block: I8, place: I8, escaped: I8, gone: int) -> tuple[I8, int]:
+    """Note the blocks of ``found`` that are not on island i; the others get the numbers that they have on it.
+
+    Gives the list of those that have been noted, which may have grown, and its length.
+    """
+    if gone + count > escaped.shape[1]:
+        longer = np.empty((2, 2 * (gone + count)), np.int64)
+        for p in range(gone):
+            longer[0, p], longer[1, p] = escaped[0, p], escaped[1, p]
+        escaped = longer
+    for p in range(count):
+        if of_block[found[p]] == i:
+            found[p] = place[found[p]]
+        else:
+            escaped[0, gone], escaped[1, gone] = i, found[p]
+            gone += 1
+    return escaped, gone
+
+
+@njit(**VECTOR)
+def divisions(mass: float, split: float) -> int:
+    """How many divisions there may be: each adds a cluster, and a mass M holds at most M/split too heavy ones."""
+    return int(np.ceil(2.0 * mass / split))
+
+
+@njit(**VECTOR)
+def settle(
+    i: int, state: Real, weight: Real, start: I8, known: F8, lower: F8, upper: F8, frame: F8, cells: I8, item: I8,
+    corner: I8, reach: float, split: float, least: float, iterations: int, rounds: int, blocks: I8, of_block: I8,
+    place: I8, k: int, rows: int, table: F8, flags: I8, label: I4, own: I4, head: I8, link: I8, used: int, near: I8,
+    escaped: I8, gone: int, scratch: Real, which: I4,
+) -> tuple[int, I8, I8, int]:  # fmt: skip
+    """Cluster the particles of island i, whose k clusters have begun: how many there are then, in at most ``rows`` rows.
+
+    Ends as soon as a centre reaches a block that is not on the island. Gives also the lists, which may have grown, and what
+    `strangers` gives.
+    """
+    d, began, filed, before = state.shape[0], k, k, gone
     for turn in range(rounds + 1):
-        for _ in range(iterations + 1):
+        changed = True
+        while changed:
             for j in range(k):
                 if follow(d, j, reach, table, flags) or j >= filed:
                     table[j, X], table[j, Y] = table[j, CENTRE], table[j, CENTRE + 1]
-                    link, used = file_centre(
-                        j, table[j, X], table[j, Y], reach * table[j, CENTRE + d], reach * table[j, CENTRE + d + 1],
-                        lower, upper, frame, cells, item, corner, head, link, used, near,
+                    some = reached(
+                        table[j, X], table[j, Y], reach * table[j, CENTRE + d], reach * table[j, CENTRE + d + 1],
+                        lower, upper, frame, cells, item, corner, near,
                     )  # fmt: skip
+                    escaped, gone = strangers(i, some, near, of_block, place, escaped, gone)
+                    if gone > before:
+                        return k, link, escaped, gone
+                    link, used = file_centre(j, some, near, head, link, used)
             filed = k
-            changed = assign(state, weight, start, known, table, flags, reach, label, own, head, link, near, scratch, which)
-            move(d, k, DUST * total, table, flags)
-            if not changed:
-                break
+            changed = assign(
+                state, weight, start, known, table, flags, reach, blocks, label, own, head, link, near, scratch, which
+            )  # fmt: skip
+            move(d, k, least, iterations, table, flags)
         note_strays(began, k, split, table, flags)
         began = k
         if turn == rounds:
             break
-        find_farthest(state, start, known, table, flags, k, split, label, own, head, link, scratch)
-        k = divide(state, k, table, flags)
+        find_farthest(state, start, known, table, flags, k, split, blocks, label, own, head, link, scratch)
+        k = divide(state, k, rows, table, flags)
         if k == began:
             break
-    return k
+    return k, link, escaped, gone
+
+
+@njit(**ENTRY)
+def kmeans(
+    lo: int, hi: int, state: Real, weight: Real, start: I8, known: F8, second: F8, lower: F8, upper: F8, frame: F8,
+    cells: I8, item: I8, corner: I8, centres: F8, scales: F8, reach: float, split: float, iterations: int, total: float,
+    listed: I8, entries: I8, centre_start: I8, centre_item: I8, centre_place: I8, block_start: I8, block_item: I8,
+    of_block: I8, block_place: I8, label: I4, own: I4, count: I8, scratch: Real, which: I4,
+) -> tuple[F8, I8]:  # fmt: skip
+    """Cluster the particles on the islands lo … hi − 1, starting from the centres given.
+
+    Parameters
+    ----------
+    state, weight, start, known, second : the blocks, and what `blocks.summarise` knows of them; lower … corner : the grid
+        over their boxes.
+    centres, scales : (d, k) first centres, and the deviations by which distances from them are measured.
+    split : clusters heavier than this are divided; ``total``, the mass of all particles, bounds how often.
+    iterations : how often a centre may move, and again after a division of its cluster.
+    listed … block_place : what `islands.islands` gives, without ``centre_island``.
+    label, own : (B,), (L,) written: a block's cluster, by its number on the island, −1 for none, −2 for a mixed block,
+        whose particles' are in ``own``.
+    count : (I,) written: how many clusters there are on each island.
+    scratch, which : working memory, (2·even d + 2, n) zeros and (n,) for n particles in the largest block, as `blocks.whole`
+        has it.
+
+    Returns
+    -------
+    clusters : (c, 1 + d + d²) mass, mean and covariance of the islands' clusters; one without particles keeps its centre.
+        There are none of an island that a centre has left.
+    escaped : (2, P) islands, and blocks that are not on them but have been reached by one of their centres.
+    """
+    d, most, widest = state.shape[0], 0, 0
+    rounds, even = divisions(total, split), state.shape[0] + state.shape[0] % 2
+    rows = np.empty(hi - lo, np.int64)
+    for i in range(lo, hi):
+        mass, blocks = 0.0, block_start[i + 1] - block_start[i]
+        for q in range(block_start[i], block_start[i + 1]):
+            mass += known[block_item[q], 0]
+        # As many as there could be if every division parted as little as does not count as a stray.
+        rows[i - lo] = centre_start[i + 1] - centre_start[i] + 10 * divisions(mass, split)
+        most, widest = max(most, rows[i - lo]), max(widest, blocks)
+    table, flags = np.empty((most, CENTRE + 4 * d)), np.empty((most, 7), np.int64)
+    mass_of, mean, cov, reference = np.empty(most), np.empty((d, most)), np.empty((most, d, d)), np.empty((d, most))
+    one, two, shift = np.empty(d), np.empty((even, even)), np.empty(d)
+    near, head = np.empty(max(most, start.size), np.int64), np.empty(widest, np.int64)
+    link, escaped = np.empty((2, 4 * widest + 16), np.int64), np.empty((2, 16), np.int64)
+    out, done, gone = np.empty((2 * (centre_start[hi] - centre_start[lo]) + 16, 1 + d + d * d)), 0, 0
+    for i in range(lo, hi):
+        blocks = block_item[block_start[i] : block_start[i + 1]]
+        members = centre_item[centre_start[i] : centre_start[i + 1]]
+        link, used = begin_island(
+            d, members, blocks, centres, scales, listed, entries, centre_place, table, flags, label, head, link
+        )  # fmt: skip
+        before = gone
+        k, link, escaped, gone = settle(
+            i, state, weight, start, known, lower, upper, frame, cells, item, corner, reach, split, DUST * total,
+            iterations, rounds, blocks, of_block, block_place, members.size, rows[i - lo], table, flags, label, own,
+            head, link, used, near, escaped, gone, scratch, which,
+        )  # fmt: skip
+        count[i] = k if gone == before else 0
+        if gone > before:
+            continue
+        for j in range(k):
+            for r in range(d):
+                reference[r, j] = table[j, CENTRE + 2 * d + r]
+        cluster_moments(
+            state, weight, start, known, second, blocks, label, own, k, scratch, one, two, shift, reference,
+            mass_of, mean, cov,
+        )  # fmt: skip
+        if done + k > out.shape[0]:
+            longer = np.empty((2 * (done + k), out.shape[1]))
+            for j in range(done):
+                for c in range(out.shape[1]):
+                    longer[j, c] = out[j, c]
+            out = longer
+        for j in range(k):
+            out[done, 0] = mass_of[j]
+            for r in range(d):
+                out[done, 1 + r] = mean[r, j]
+                for s in range(d):
+                    out[done, 1 + d + r * d + s] = cov[j, r, s]
+            done += 1
+    return out[:done], escaped[:, :gone]

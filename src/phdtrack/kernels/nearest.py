@@ -5,7 +5,7 @@ Tables, one row each, so that what is known of one block or cluster lies togethe
 * ``known`` (B, 1 + 4d) of `blocks.summarise`: mass, then the box's low and high corner, a point in the middle, Σw·x.
 * ``table`` (room, 4 + 4d) of clusters: mass, the position where the centre was filed (2), the distance² of its farthest
   particle, then centre, scale, mean, Σw·x.
-* ``flags`` (room, 6) of clusters: see the names below.
+* ``flags`` (room, 7) of clusters: see the names below.
 * ``link`` (2, E), ``head`` (B,): lists of the centres near each block: entry e stands for centre link[0, e] and is followed
   by entry link[1, e]; block b's list begins with head[b], and ends with −1.
 """
@@ -27,9 +27,9 @@ MIXED, NOBODY = -2, -1
 # A centre is filed with every block in this many times its reach, so that it may move that much before it is filed again.
 ROOM = 1.5
 # Columns of ``table``, and those of ``flags``: particles; whether the centre has moved; whether the cluster has particles;
-# from which it was divided; how often a stray was parted from it; its farthest particle.
+# from which it was divided; how often a stray was parted from it; its farthest particle; how often the centre has moved.
 MASS, X, Y, APART, CENTRE = 0, 1, 2, 3, 4
-COUNT, MOVED, ALIVE, PARENT, STRAYS, FARTHEST = 0, 1, 2, 3, 4, 5
+COUNT, MOVED, ALIVE, PARENT, STRAYS, FARTHEST, STEPS = 0, 1, 2, 3, 4, 5, 6
 
 
 @njit(**VECTOR)
@@ -57,16 +57,21 @@ def least_excess(d: int, table: F8, a: int, b: int, known: F8, block: int) -> fl
 
 
 @njit(**VECTOR)
-def file_centre(
-    j: int, x: float, y: float, rx: float, ry: float, lower: F8, upper: F8, frame: F8, cells: I8, item: I8, corner: I8,
-    head: I8, link: I8, used: int, found: I8,
-) -> tuple[I8, int]:  # fmt: skip
-    """Put centre j at (x, y), with its reach, on the lists of the blocks near it.
+def reached(
+    x: float, y: float, rx: float, ry: float, lower: F8, upper: F8, frame: F8, cells: I8, item: I8, corner: I8, found: I8
+) -> int:  # fmt: skip
+    """Write the blocks near a centre at (x, y) that reaches this far into ``found`` (B,), with room to move; how many."""
+    wide, high = ROOM * rx, ROOM * ry
+    some: int = overlapping(x - wide, y - high, x + wide, y + high, lower, upper, frame, cells, item, corner, found)
+    return some
+
+
+@njit(**VECTOR)
+def file_centre(j: int, count: int, found: I8, head: I8, link: I8, used: int) -> tuple[I8, int]:
+    """Put centre j on the lists of the first ``count`` blocks in ``found``.
 
     Gives the lists, which may have grown, and how much of them is used.
     """
-    wide, high = ROOM * rx, ROOM * ry
-    count = overlapping(x - wide, y - high, x + wide, y + high, lower, upper, frame, cells, item, corner, found)
     if used + count > link.shape[1]:
         longer = np.empty((2, 2 * (used + count)), np.int64)
         for e in range(used):
@@ -81,14 +86,14 @@ def file_centre(
 
 @njit(**VECTOR)
 def contenders(
-    d: int, table: F8, flags: I8, reach: float, known: F8, b: int, head: I8, link: I8, near: I8
+    d: int, table: F8, flags: I8, reach: float, known: F8, b: int, e: int, link: I8, near: I8
 ) -> tuple[int, bool, int]:
-    """Write into ``near`` the living centres that may own a particle of block b, ascending.
+    """Write into ``near`` the living centres that may own a particle of block b, whose list begins with e, ascending.
 
     How many; whether the first owns all of it; and the one nearest to the middle of the block (−1: none).
     """
     left, top, right, bottom = known[b, 1], known[b, 2], known[b, 1 + d], known[b, 2 + d]
-    count, e = 0, head[b]
+    count = 0
     while e >= 0:
         j = link[0, e]
         e = link[1, e]
