@@ -67,7 +67,8 @@ def test_again_and_with_another_setting(folder: Path, tmp_path: Path) -> None:
     assert again.object["reused"] == 2
     assert again.object["rows"] == first.object["rows"]
     other = phdtrack("compare", folder, *QUICK, "--out", out, "--json", "--set", "filter.most=9")
-    assert (other.object["runs"], other.object["reused"]) == (2, 1)
+    assert (other.object["runs"], other.object["reused"], other.object["outdated"]) == (2, 1, ["settings"])
+    assert "1 of them kept from before, others run again because of other settings" in other.err
     anew = phdtrack("compare", folder, *QUICK, "--out", out, "--json", "--overwrite")
     assert anew.object["reused"] == 0
 

@@ -110,6 +110,7 @@ def test_only_what_a_change_decides_runs_again(tmp_path: Path, change: str) -> N
         "iou": set(before),
     }.get(change, {place for place in before if place.startswith("runs/a/")})
     assert changed == expected != set()
+    assert found.outdated == ({"setting": "settings", "seqinfo": "sequence"}.get(change, change),)
     assert found.reused == len(before) - len(expected)
 
 

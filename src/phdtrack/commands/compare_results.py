@@ -22,6 +22,12 @@ from phdtrack.report.run_json import json_value
 from phdtrack.report.summary import duration
 
 MOST_WARNINGS = 12
+# What decides a run, in words.
+MEANINGS = {
+    "phdtrack": "versions of phdtrack",
+    "sources": "sources of phdtrack",
+    "sequence": "size, rate or length of a sequence",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +58,9 @@ class Results:
         """What was run, and how much of it was there already."""
         comparison = self.comparison
         reused = f", {comparison.reused} of them kept from before" if comparison.reused else ""
+        if comparison.outdated:
+            said = " and ".join(MEANINGS.get(name, name) for name in comparison.outdated)
+            reused += f", others run again because of other {said}"
         return f"{counted(len(comparison.found), 'run')}{reused}, in {duration(self.seconds)}: {described(comparison.plan)}."
 
     @property
@@ -63,6 +72,7 @@ class Results:
             "command": command_line(),
             "runs": len(comparison.found),
             "reused": comparison.reused,
+            "outdated": comparison.outdated,
             "failed": [{"run": str(run), "reason": reason} for run, reason in comparison.failed],
             "seconds": self.seconds,
             "warnings": self.warnings,

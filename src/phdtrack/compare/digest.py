@@ -98,6 +98,11 @@ def _parts() -> tuple[str, ...]:
     return tuple(sorted(name for name in found if name not in _ASIDE))
 
 
+def changed(before: Mapping[str, object], now: Mapping[str, object]) -> list[str]:
+    """The names of what decides a run and is not as it was; ``before`` as JSON has it."""
+    return [name for name, value in json_value(now).items() if before.get(name) != value]
+
+
 def _digest_of(files: Iterable[Path]) -> str:
     total = hashlib.sha256()
     for file in files:

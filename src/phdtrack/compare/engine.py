@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from phdtrack.compare.digest import Contents, decides_detections, decides_run, digest
+from phdtrack.compare.digest import Contents, changed, decides_detections, decides_run, digest
 from phdtrack.compare.parallel import Failed, outcomes
 from phdtrack.compare.records import Cell, Detecting, Plan, Run
 from phdtrack.compare.store import DETECTIONS, Outcome, kept, read_about
@@ -33,7 +33,7 @@ class Comparison:
 
     ``found`` holds, by `Run.place`, what came of the runs that were needed: where nothing is random, the first seed stands
     for all (`outcome`). ``detected`` are, by `Case.place`, the folders of what detectors saw. ``reused``: runs that were
-    there already.
+    there already; ``outdated``: what had changed for runs that were there and ran again, by the names in ``decided_by``.
     """
 
     plan: Plan
@@ -41,6 +41,7 @@ class Comparison:
     found: Mapping[Path, Outcome | Failed]
     detected: Mapping[Path, Path | Failed]
     reused: int = 0
+    outdated: tuple[str, ...] = ()
 
     def outcome(self, cell: Cell, seed: int) -> Outcome | Failed:
         """Of a cell at a seed."""
@@ -78,7 +79,7 @@ def run(plan: Plan, folder: Path, jobs: int = 1, *, anew: bool = False, advance:
     needed = [run for run in others if run.cell.rate or work.random(run.cell)]
     work.count(len(others) - len(needed))
     work.track(needed)
-    return Comparison(plan, folder, work.found, work.detected, work.reused)
+    return Comparison(plan, folder, work.found, work.detected, work.reused, tuple(work.outdated))
 
 
 def steps(plan: Plan) -> int:
@@ -96,6 +97,8 @@ class _Work:
         self.found: Found = {}
         self.detected: dict[Path, Path | Failed] = {}
         self.reused = self._done = 0
+        # A dictionary keeps the order.
+        self.outdated: dict[str, None] = {}
 
     def count(self, number: int = 1) -> None:
         """So many steps more are done, or not needed."""
@@ -136,6 +139,9 @@ class _Work:
             before = None if self._anew else kept(track.place, track.digest)
             if before is None:
                 tracks.append(track)
+                earlier = read_about(track.place).get("decided_by", {})
+                if earlier and not self._anew:
+                    self.outdated |= dict.fromkeys(changed(earlier, decided_by))
             else:
                 self.found[run.place] = before
                 self.reused += 1

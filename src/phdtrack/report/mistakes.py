@@ -90,19 +90,19 @@ def _columns(count: int, aspect: float) -> int:
 def _panel(ground: Image, scale: F8, detections: F8, one: Mistakes) -> Image:
     out = ground.copy()
     pen = Pen.for_frame(*out.shape[:2])
-    bold = pen.line + 1
     for box in _corners(detections * scale, out):
         strokes.faint_rectangle(out, box, WHITE, pen.thin, 0.6)
-    for box in _corners(one.missed * scale, out):
-        strokes.dashed_rectangle(out, box, MISSED, bold, pen.dash)
     for box in _corners(one.false * scale, out):
-        strokes.faint_rectangle(out, box, FALSE, bold, 1.0, crossed=True)
+        strokes.faint_rectangle(out, box, FALSE, pen.line, 1.0, crossed=True)
     for raw, identity, switched in zip(one.found * scale, one.identity, one.switched, strict=True):
         placed = strokes.corners(raw, out)
         if placed is not None:
             colour = SWITCHED if switched else RIGHT
-            strokes.rectangle(out, placed, colour, bold if switched else pen.line)
+            strokes.rectangle(out, placed, colour, pen.line)
             strokes.plate(out, str(identity), placed[0], placed[1], colour, pen)
+    # On top: where a box is wrong, the one that it should have been is what one wants to see.
+    for box in _corners(one.missed * scale, out):
+        strokes.dashed_rectangle(out, box, MISSED, pen.line, pen.dash)
     strokes.plate(out, _ascii(one.title), 0, 0, BLACK, pen, opacity=0.75)
     return out
 
