@@ -41,7 +41,9 @@ def pictures(results: Mapping[Job, Outcome], numbers: Sequence[int], seeds: int,
     out.mkdir(parents=True, exist_ok=True)
     errors_by_number(results, numbers, seeds, out / "d14-errors.png")
     found = _tracked("corridor", numbers[-1])
-    rendered = render(build_scene(PATHS, 1, DetectorModel()), np.random.default_rng(1), Look(noise=0.0, plants=0, flicker=0.0))
+    rendered = render(
+        build_scene(PATHS, 1, DetectorModel()), np.random.default_rng(1), Look(noise=0.0, plants=0, flicker=0.0)
+    )
     ellipses("corridor", found, rendered, out / "d14-frames.png")
     trajectories("corridor", found, out / "d14-trajectories.png")
 
@@ -75,7 +77,7 @@ def errors_by_number(results: Mapping[Job, Outcome], numbers: Sequence[int], see
             axis.axhline(bound, color="k", lw=1, label=KALMAN)
             axis.axhline(posterior_deviation(variance), color="0.5", lw=1, ls=":", label="posterior")
             axis.set(xscale="log", title=f"{world}, σ² = {variance:g}")
-            axis.set_ylim(0, 4 * variance**0.5)
+            axis.set_ylim(0, 4)
             axis.grid(alpha=0.3)
     for axis in axes[-1]:
         axis.set_xlabel("N")
