@@ -100,17 +100,23 @@ def text(found: Found) -> str:
 
 
 def picture(path: Path, seed: int = 0) -> None:
-    """Draw what each filter makes of one realisation: its states over the scans, on the targets' ways."""
+    """Draw one realisation on the targets' ways: all that is measured, and the states that each filter makes of it."""
     plt = pyplot()
     given = realisation(FIRST_CASE, seed)
-    figure, axes = plt.subplots(
-        math.ceil(len(FILTERS) / 2), 2, figsize=(11, 3.1 * math.ceil(len(FILTERS) / 2)), layout="constrained"
-    )
-    for axis, (name, stages) in zip(axes.flat, FILTERS.items(), strict=False):
+    rows = math.ceil((1 + len(FILTERS)) / 2)
+    figure, grid = plt.subplots(rows, 2, figsize=(11, 3.1 * rows), layout="constrained", squeeze=False)
+    axes = grid.ravel()
+    places = {"measured": [given.model.sensor.states(z)[0][:2] for z in given.scans]}
+    for name, stages in FILTERS.items():
+        places[name] = [found[:2] for found, _ in followed(given, stages, seed)]
+    for axis, (name, each) in zip(axes, places.items(), strict=False):
         _ways(axis)
-        states = [found[:2] for found, _ in followed(given, stages, seed)]
-        axis.plot(*np.hstack(states), ".", ms=2.5, color="C3")
-        axis.set(title=f"{name}", aspect="equal", xlim=(-2050, 2050), ylim=(-50, 2100))
+        axis.plot(
+            *np.hstack(each), ".", ms=2.5, color="C3" if name in FILTERS else "0.6", zorder=3 if name in FILTERS else 1
+        )
+        axis.set(title=name, aspect="equal", xlim=(-2050, 2050), ylim=(-50, 2100))
+    for axis in axes[len(places) :]:
+        axis.set_axis_off()
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
