@@ -12,7 +12,7 @@ from scipy.stats import chi2, kstest
 
 from phdtrack.errors import InputError
 from phdtrack.models import BoxSensor, FixedBirth, MeasurementBirth, NoSpawn, SplitSpawn, UniformBirth
-from phdtrack.models.births import _truncated_normal
+from phdtrack.models.births import _squared_radius, _truncated_normal
 from phdtrack.types import GaussianMixture, Particles
 from reference import birth_twin as twin
 
@@ -185,3 +185,11 @@ def test_inputs_are_left_alone(birth, rng):
     state, weight = np.ones((6, 9)), np.full(9, 0.1)
     state.flags.writeable = weight.flags.writeable = False
     SplitSpawn(rate=1.0).sample(Particles(state, weight), 1.0, rng)
+
+
+@pytest.mark.parametrize("dof", [2, 4, 6])
+def test_the_radius_that_holds_a_part_is_that_of_the_chi_squared_law(dof: int):
+    part = np.linspace(0, 0.99, 500)
+    np.testing.assert_allclose(_squared_radius(dof, part), chi2.ppf(part, dof), rtol=1e-6, atol=1e-12)
+    with pytest.raises(ValueError, match="even number"):
+        _squared_radius(3, part)
