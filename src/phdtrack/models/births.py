@@ -223,12 +223,15 @@ def _chi2_quantile(dof: int) -> float:
 
 
 def _squared_radius(dof: int, part: F8) -> F8:
-    """The squared radii that hold these parts of a standard Gaussian in an even number of dimensions.
+    """The squared radii that hold these parts of a standard Gaussian in ``dof`` dimensions.
 
-    By halving, from 1 − F(r²) = e^(−r²/2) Σ_{k < dof/2} (r²/2)^k / k!: SciPy has it too, but takes long to import.
+    In an even number of them by halving, from 1 − F(r²) = e^(−r²/2) Σ_{k < dof/2} (r²/2)^k / k!: SciPy, which has them all,
+    takes long to import.
     """
     if dof % 2:
-        raise ValueError(f"expected an even number of dimensions, got {dof}")
+        from scipy.special import chdtri
+
+        return np.asarray(chdtri(dof, 1 - part), np.float64)
     low, high = np.zeros(len(part)), np.full(len(part), 400.0)
     for _ in range(64):
         half = (low + high) / 4
