@@ -220,6 +220,7 @@ def verdicts(found: Found) -> dict[str, object]:
             known[f"{key}_{place}_low"] = f"{found.mean(name, low, overall, worlds):.3f}"
             known[f"{key}_{place}_located"] = f"{100 * found.mean(name, high, located, worlds):.1f}"
             known[f"{key}_{place}_located_low"] = f"{100 * found.mean(name, low, located, worlds):.1f}"
+        known[f"{key}_seconds"] = f"{np.median(found.values('corridor', name, high, VARIANCES[0], seconds)):.2f}"
         known[f"{key}_above"] = f"{100 * (found.mean(name, high, overall, ['model']) / bound - 1):.0f}"
         known[f"{key}_left"] = f"{left[name]:.2f}" if name in left else ""
     return known
