@@ -45,6 +45,9 @@ NEEDED = {
     ("extract", "counted-kmeans"): ["filter.kind='particle-cphd'"],
     ("extract", "counted-mixture"): ["filter.kind='particle-cphd'"],
     ("extract", "hypotheses"): ["filter.kind='mht'"],
+    ("extract", "joint"): ["filter.kind='mcmc'"],
+    # Greedy acceptance is that of given associations.
+    ("filter", "mcmc"): ["filter.associations='given'"],
 }
 
 IN_THE_IMAGE = sorted({*PRESETS} - {"e13"})
@@ -69,7 +72,7 @@ def chosen(section: str, kind: str) -> list[str]:
 WORDS = {
     "image": "local", "local": "image", "particle": "detection", "given": "fixed", "fixed": "given",
     "continuous": "piecewise", "piecewise": "continuous", "map": "eap", "box": "plane",
-    "linear": "unscented",
+    "linear": "unscented", "joint": "each", "overlap": "distance",
 }  # fmt: skip
 
 
@@ -88,6 +91,8 @@ def another(value, kind: str = ""):
             return tuple(another(item) for item in value)
         case list():
             return [*value, tuple(item + 1 for item in value[0])]
+        case "given" if kind == "mcmc":
+            return "none"
         case "local" if kind == "ground":
             return "region"
         case str() if value in WORDS:

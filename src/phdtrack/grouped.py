@@ -14,8 +14,9 @@ import numpy as np
 from phdtrack.extract import KMeans, Mixture
 from phdtrack.groups import Contours, Event, Grouping, Groups, Living, Meetings, Observed, Warned
 from phdtrack.groups.cluster import summarised
+from phdtrack.intensities import Cardinalised
 from phdtrack.protocols import AnyStages
-from phdtrack.types import F8, I8, Cardinalised, GaussianMixture, Step
+from phdtrack.types import F8, I8, GaussianMixture, Step
 
 # Heads from which on a cluster without anybody known is a group: Vo and Ma's weight of a target.
 UNNAMED = 0.5

@@ -14,8 +14,9 @@ from phdtrack.associate.online import Carried, Given
 from phdtrack.associate.window import Columns, Edges, Links, Rows, Window
 from phdtrack.errors import InputError
 from phdtrack.hypotheses import Cluster, Hypotheses, Nodes
+from phdtrack.intensities import Cardinalised, JointSamples
 from phdtrack.pipeline import TrackingState
-from phdtrack.types import Cardinalised, Estimates, GaussianMixture, JointSamples, ParticleBlocks, Particles
+from phdtrack.types import Estimates, GaussianMixture, ParticleBlocks, Particles
 
 _RECORDS: dict[str, type[Any]] = {
     kind.__name__: kind

@@ -20,19 +20,10 @@ from phdtrack import config, pipeline
 from phdtrack.detections import as_detections
 from phdtrack.errors import InputError
 from phdtrack.hypotheses import Hypotheses
+from phdtrack.intensities import Cardinalised, JointSamples
 from phdtrack.protocols import AnyStages
 from phdtrack.statedict import pack, unpack
-from phdtrack.types import (
-    Cardinalised,
-    Detections,
-    GaussianMixture,
-    JointSamples,
-    ParticleBlocks,
-    Particles,
-    SequenceInfo,
-    Step,
-    Tracks,
-)
+from phdtrack.types import Detections, GaussianMixture, ParticleBlocks, Particles, SequenceInfo, Step, Tracks
 
 # Of a saved state: it changes when a record of the state does.
 FORMAT = 4

@@ -21,6 +21,7 @@ from phdtrack.extract import (
 )
 from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.hypotheses import Cluster, Hypotheses, Nodes
+from phdtrack.intensities import Cardinalised, JointSamples
 from phdtrack.models import (
     BearingSensor,
     BoxMotion,
@@ -41,7 +42,7 @@ from phdtrack.models import (
     UniformClutter,
 )
 from phdtrack.protocols import Model
-from phdtrack.types import Cardinalised, Detections, Estimates, GaussianMixture, JointSamples, Particles
+from phdtrack.types import Detections, Estimates, GaussianMixture, Particles
 from plane_cases import FRAME, LevelCamera
 
 SIZE = (640.0, 480.0)

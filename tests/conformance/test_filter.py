@@ -10,8 +10,9 @@ from shipped import FILTERS, SENSORS, detections, fixed, frozen, keeps, mixture,
 
 from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, ParticleCPHD, ParticlePHD
 from phdtrack.hypotheses import Hypotheses
+from phdtrack.intensities import Cardinalised
 from phdtrack.protocols import Filter
-from phdtrack.types import Cardinalised, GaussianMixture
+from phdtrack.types import GaussianMixture
 
 STARTED = ParticlePHD | GMPHD | ParticleCPHD | GMCPHD | MCMC | MHT
 pytestmark = pytest.mark.parametrize("filter_", FILTERS.values(), ids=FILTERS)

@@ -9,7 +9,8 @@ from extract_cases import HERE, MODEL, THERE, cloud, moved, seen, together
 from phdtrack.errors import InputError
 from phdtrack.extract import CountedComponents, CountedKMeans, CountedMixture
 from phdtrack.extract.counted import expected, united
-from phdtrack.types import Cardinalised, Estimates, GaussianMixture, Particles
+from phdtrack.intensities import Cardinalised
+from phdtrack.types import Estimates, GaussianMixture, Particles
 
 # The most probable number is 2, the mean 2.6.
 NUMBER = np.array([0.0, 0.1, 0.5, 0.2, 0.1, 0.1])

@@ -14,9 +14,9 @@ from phdtrack.filters import MCMC
 from phdtrack.filters.mcmc_ancestors import proposals
 from phdtrack.filters.mcmc_given import joint_chain
 from phdtrack.filters.mcmc_settings import Chain, Interaction
+from phdtrack.intensities import JointSamples
 from phdtrack.models import PlaneMotion, PlaneSensor, PointMotion, PointSensor
 from phdtrack.protocols import Model
-from phdtrack.types import JointSamples
 
 # Four samples of two targets that are anything but independent.
 BEFORE = np.array([[0, 0, 2, 1, 0, 1, 2, 3]], float)

@@ -11,7 +11,8 @@ from group_cases import people
 from phdtrack.config import build, build_groups, load, overlay
 from phdtrack.grouped import REACH, GroupStages, carriers, known_people, mixture_of
 from phdtrack.groups import Grouping, Living, Observed
-from phdtrack.types import Cardinalised, Detections, Estimates, GaussianMixture, SequenceInfo, Step, Tracks, UpdateInfo
+from phdtrack.intensities import Cardinalised
+from phdtrack.types import Detections, Estimates, GaussianMixture, SequenceInfo, Step, Tracks, UpdateInfo
 
 STAGES = GroupStages(living=Living(hold=0.0))
 EVERYBODY = np.arange(5)

@@ -9,7 +9,8 @@ import pytest
 
 from phdtrack import Tracker, evaluate
 from phdtrack.formats import read_detections, read_truth
-from phdtrack.types import Detections, JointSamples
+from phdtrack.intensities import JointSamples
+from phdtrack.types import Detections
 
 
 def frames(count: int) -> list[np.ndarray]:

@@ -7,8 +7,9 @@ import numpy as np
 from phdtrack import pipeline
 from phdtrack.commands.ground import shown
 from phdtrack.filters import NoFilter
+from phdtrack.intensities import Cardinalised
 from phdtrack.protocols import AnyStages
-from phdtrack.types import Cardinalised, Detections, ParticleBlocks, Particles, Step, Tracks
+from phdtrack.types import Detections, ParticleBlocks, Particles, Step, Tracks
 
 
 class Steps:

@@ -18,8 +18,9 @@ from phdtrack.checks import NonNegative, Positive, PositiveCount, Share, check
 from phdtrack.extract.components import Components
 from phdtrack.extract.kmeans import KMeans
 from phdtrack.extract.mixture import Mixture
+from phdtrack.intensities import Cardinalised
 from phdtrack.protocols import Model, Sensor
-from phdtrack.types import F8, Cardinalised, Estimates, GaussianMixture, Particles
+from phdtrack.types import F8, Estimates, GaussianMixture, Particles
 
 Count = Literal["map", "eap"]
 

@@ -9,8 +9,9 @@ import numpy as np
 from phdtrack.checks import Positive, Share, check
 from phdtrack.extract import clusters
 from phdtrack.extract.resolution import joined
+from phdtrack.intensities import JointSamples
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, Estimates, JointSamples
+from phdtrack.types import F8, I8, Estimates
 
 
 @dataclass(frozen=True, slots=True)

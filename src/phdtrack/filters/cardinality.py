@@ -29,8 +29,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.filters.meeting import Meeting
+from phdtrack.intensities import Points
 from phdtrack.kernels.esf import log_products, log_sums_without, thinned
-from phdtrack.types import F8, Points
+from phdtrack.types import F8
 
 # Of the distribution's upper end, as much is cut as it adds to the mean.
 CUT = 1e-14

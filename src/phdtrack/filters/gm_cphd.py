@@ -17,8 +17,9 @@ from phdtrack.filters.cardinality import nobody, poisson, survived, weigh
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.gm_phd import GMPHD
 from phdtrack.filters.transforms import Transform
+from phdtrack.intensities import Cardinalised
 from phdtrack.protocols import Model
-from phdtrack.types import F8, Cardinalised, GaussianMixture, UpdateInfo
+from phdtrack.types import F8, GaussianMixture, UpdateInfo
 
 State = Cardinalised[GaussianMixture]
 

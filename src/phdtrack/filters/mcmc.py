@@ -24,9 +24,10 @@ from phdtrack.errors import InputError
 from phdtrack.filters.mcmc_given import given_update
 from phdtrack.filters.mcmc_jump import jump_update
 from phdtrack.filters.mcmc_settings import Ancestry, Chain, Interaction, Jumps
+from phdtrack.intensities import JointSamples
 from phdtrack.protocols import Model
 from phdtrack.sampling import draw
-from phdtrack.types import F8, GaussianMixture, JointSamples, UpdateInfo
+from phdtrack.types import F8, GaussianMixture, UpdateInfo
 
 
 @dataclass(frozen=True, slots=True)

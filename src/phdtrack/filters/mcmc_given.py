@@ -26,11 +26,12 @@ from phdtrack.errors import InputError
 from phdtrack.filters.mcmc_ancestors import Proposal, choose, proposals
 from phdtrack.filters.mcmc_linear import linear_parts
 from phdtrack.filters.mcmc_settings import Ancestry, Chain, effective_samples
+from phdtrack.intensities import JointSamples
 from phdtrack.kernels.mcmc_apart import total_penalty
 from phdtrack.kernels.mcmc_given import independent_chain, linear_chain
 from phdtrack.protocols import Model
 from phdtrack.sampling import draw
-from phdtrack.types import F8, I8, Bool, ChainInfo, GaussianMixture, JointSamples, UpdateInfo
+from phdtrack.types import F8, I8, Bool, ChainInfo, GaussianMixture, UpdateInfo
 
 MOVES = ("redraw", "ancestor")
 

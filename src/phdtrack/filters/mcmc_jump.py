@@ -31,10 +31,11 @@ import numpy as np
 
 from phdtrack.arrays import sum_by
 from phdtrack.filters.mcmc_settings import Chain, Jumps, effective_samples
+from phdtrack.intensities import JointSamples
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.mcmc_jump import Options, jump_chain, option_tables
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, ChainInfo, JointSamples, Particles, UpdateInfo
+from phdtrack.types import F8, I8, ChainInfo, Particles, UpdateInfo
 
 MOVES = ("add", "delete", "leave", "come back", "update", "reassign", "exchange")
 # Density of clutter below which it is taken for this: where there is none, everything else that explains a measurement wins.
@@ -76,9 +77,10 @@ def jump_update(
     candidate = np.where(entries.candidate < old, entries.candidate, old + np.searchsorted(seen, entries.candidate))
     label = np.concatenate([state.label, state.fresh + seen - old])
     absent = np.concatenate([np.maximum(1 - state.existence, SURELY), np.ones(len(seen))])
-    tables = option_tables(candidate, entries.which, entries.weight, absent)
+    first, seen_by, total, start, running = option_tables(candidate, entries.which, entries.weight, absent)
     place = chain.interaction.places(entries.state, model.sensor)
-    can = Options(*tables, entries.member, place, chain.interaction.strength, chain.interaction.boxes)
+    apart = chain.interaction
+    can = Options(first, seen_by, total, start, running, entries.member, place, apart.strength, apart.boxes)
     keep = np.array([chain.burn, chain.thin, chain.samples])
     pairs = _rivals(can.first, can.seen_by)
     options, states, chance, counts = jump_chain(old, z.shape[1], can, pairs, jumps.exchange, keep, rng)

@@ -45,7 +45,9 @@ def linear_parts(model: Model, z: F8, dt: float) -> LinearParts | None:
     _, step, noise = model.motion.transition(np.zeros((model.motion.dim, 1)), dt)
     size, axes = np.linalg.eigh(noise[0])
     spread = model.sensor.covariance(z, np.zeros((model.motion.dim, z.shape[1])))
-    inverse, predictive = np.linalg.inv(spread), np.linalg.inv(spread + noise[0, :2, :2])
+    inverse = np.linalg.inv(spread)
+    total: F8 = spread + noise[0, :2, :2]
+    predictive = np.asarray(np.linalg.inv(total), np.float64)
     packed = np.stack([inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1]], axis=1)
     root = axes * np.sqrt(np.maximum(size, 0.0))
     return LinearParts(

@@ -14,7 +14,8 @@ from typing import Generic
 
 import numpy as np
 
-from phdtrack.types import F8, I8, Points, UpdateInfo
+from phdtrack.intensities import Points
+from phdtrack.types import F8, I8, UpdateInfo
 
 
 @dataclass(frozen=True, slots=True, eq=False)

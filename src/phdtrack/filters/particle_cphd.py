@@ -16,8 +16,9 @@ from phdtrack.errors import InputError
 from phdtrack.filters.cardinality import nobody, poisson, survived, weigh
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.particle_phd import ParticlePHD, weighed
+from phdtrack.intensities import Cardinalised
 from phdtrack.protocols import Model
-from phdtrack.types import F8, Cardinalised, GaussianMixture, Particles, UpdateInfo
+from phdtrack.types import F8, GaussianMixture, Particles, UpdateInfo
 
 State = Cardinalised[Particles]
 

@@ -21,7 +21,8 @@ def penalty(place: F8, a: int, b: int, boxes: bool) -> float:
     """Of rows a and b of ``place`` (L, 4): corners of boxes, or scaled positions in the first two columns."""
     if not boxes:
         dx, dy = place[a, 0] - place[b, 0], place[a, 1] - place[b, 1]
-        return np.exp(-0.5 * (dx * dx + dy * dy))
+        near: float = np.exp(-0.5 * (dx * dx + dy * dy))
+        return near
     wide = min(place[a, 2], place[b, 2]) - max(place[a, 0], place[b, 0])
     tall = min(place[a, 3], place[b, 3]) - max(place[a, 1], place[b, 1])
     if wide <= 0.0 or tall <= 0.0:
@@ -29,7 +30,8 @@ def penalty(place: F8, a: int, b: int, boxes: bool) -> float:
     shared = wide * tall
     own = (place[a, 2] - place[a, 0]) * (place[a, 3] - place[a, 1])
     other = (place[b, 2] - place[b, 0]) * (place[b, 3] - place[b, 1])
-    return shared / (own + other - shared)
+    overlap: float = shared / (own + other - shared)
+    return overlap
 
 
 @njit(**INNER)

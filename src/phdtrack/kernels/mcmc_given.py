@@ -75,7 +75,8 @@ def _moved(origin: F8, column: int, step: F8, root: F8, rng: np.random.Generator
 def _fit(z: F8, inverse: F8, t: int, x: F8) -> float:
     """log g(z_t|x) up to a constant: −½ dᵀ R⁻¹ d of the position; ``inverse`` (n, 3) holds xx, xy, yy."""
     dx, dy = z[0, t] - x[0], z[1, t] - x[1]
-    return -0.5 * (inverse[t, 0] * dx * dx + 2.0 * inverse[t, 1] * dx * dy + inverse[t, 2] * dy * dy)
+    out: float = -0.5 * (inverse[t, 0] * dx * dx + 2.0 * inverse[t, 1] * dx * dy + inverse[t, 2] * dy * dy)
+    return out
 
 
 @njit(**ENTRY)

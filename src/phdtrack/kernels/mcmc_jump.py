@@ -85,7 +85,8 @@ def free_weight(o: int, a: int, b: int, seen_by: I8, total: F8, taken: I8) -> fl
     """Weight of an option for candidates a or b; 0 where its measurement is somebody else's."""
     j = seen_by[o]
     if j < 0 or taken[j] < 0 or taken[j] == a or taken[j] == b:
-        return total[o]
+        weight: float = total[o]
+        return weight
     return 0.0
 
 
@@ -100,7 +101,8 @@ def _state(o: int, start: I8, running: F8, member: I8, rng: np.random.Generator)
             high = middle
         else:
             low = middle + 1
-    return member[low]
+    out: int = member[low]
+    return out
 
 
 @njit(**INNER)
@@ -126,7 +128,8 @@ def _pair_weight(o: int, p: int, a: int, b: int, seen_by: I8, total: F8, taken: 
     """Weight of options ``o`` of a and ``p`` of b together; 0 where they are not free, or the same measurement."""
     if seen_by[o] >= 0 and seen_by[o] == seen_by[p]:
         return 0.0
-    return free_weight(o, a, b, seen_by, total, taken) * free_weight(p, a, b, seen_by, total, taken)
+    weight: float = free_weight(o, a, b, seen_by, total, taken) * free_weight(p, a, b, seen_by, total, taken)
+    return weight
 
 
 @njit(**INNER)
@@ -212,7 +215,7 @@ def redraw_one(
 @njit(**INNER)
 def _crowd_of_two(a: int, b: int, i: int, k: int, place: F8, boxes: bool, state: I8) -> float:
     """Penalties of ``a`` in state ``i`` and ``b`` in state ``k`` with everybody and each other."""
-    total = _crowd(a, b, i, place, boxes, state) + _crowd(b, a, k, place, boxes, state)
+    total: float = _crowd(a, b, i, place, boxes, state) + _crowd(b, a, k, place, boxes, state)
     return total + penalty(place, i, k, boxes) if i >= 0 and k >= 0 else total
 
 

@@ -31,10 +31,11 @@ from phdtrack.boxes import area, intersection
 from phdtrack.camera import read_camera
 from phdtrack.formats import read_truth
 from phdtrack.groups import Contours, Grouping, Groups
+from phdtrack.intensities import Cardinalised
 from phdtrack.protocols import AnyStages
 from phdtrack.reproduce.common import Options, in_parallel, need_data, table, write
 from phdtrack.reproduce.plane import spread
-from phdtrack.types import F8, Cardinalised, Detections, GaussianMixture, SequenceInfo, Step, Truth
+from phdtrack.types import F8, Detections, GaussianMixture, SequenceInfo, Step, Truth
 
 INFO = SequenceInfo(768, 576, 7.0, 221, "PETS2009-S1L1-1")
 SEEDS = 20
