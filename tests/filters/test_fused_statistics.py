@@ -6,14 +6,18 @@ one comparison in 150 000 exceeds 4.5; a file of a few thousand comparisons shou
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fused_cases import NOTHING, Composed, check, level, preset, seen_by
 from phd_cases import FRAME
 
 from phdtrack import config, pipeline
+from phdtrack.context import ContextDensity, marginal
 from phdtrack.filters import ParticlePHD
 from phdtrack.filters.blocks import plain
+from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.types import Detections, ParticleBlocks, SequenceInfo
 
 SEEDS = 120
@@ -193,3 +197,21 @@ def test_estimates_of_a_scene(name: str):
     off = ours - theirs
     assert (np.abs(off.mean(0)) < 4.5 * off.std(0, ddof=1) / np.sqrt(len(off)) + 1e-3).all()
     assert (np.abs(off.mean(0)) < [0.1, 0.15, 1.0, 0.5]).all(), off.mean(0)
+
+
+@pytest.mark.parametrize("dt", [1.0, 3.0])
+def test_one_step_with_births_that_were_learned(dt: float):
+    """An entrance where people walk to the right reaches some of the newcomers, and false alarms were learned too."""
+    low, high = np.array([0.0, 0, -40, -40, 0, 0]), np.array([640.0, 480, 40, 40, 640, 480])
+    cov = np.diag([900.0, 1600, 1.0, 0.5, 16, 64])
+    cov[1, 2] = cov[2, 1] = 20.0
+    cov[2, 3] = cov[3, 2] = 0.3
+    entrance = ContextDensity(low, high, 0.3, np.ones(1), np.array([[70.0, 430, 5, -1, 24, 52]]).T, cov[None])
+    alarms = marginal(entrance, (0, 1, 4, 5))
+    model = preset("default", "birth.most=150")
+    model = replace(model, birth=ContextBirth(0.3, entrance, most=150), clutter=ContextClutter(1.0, alarms))
+    state, z, about = world(7)
+    ours = sample(PHD, state, z, model, dt, about, range(SEEDS))
+    theirs = sample(Composed(PHD), state, z, model, dt, about, range(1000, 1000 + SEEDS))
+    assert ours[:, 1].mean() > 0.01
+    agree(ours, theirs)

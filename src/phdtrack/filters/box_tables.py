@@ -12,6 +12,7 @@ from phdtrack.kernels.overlaps import rectangle_grid
 from phdtrack.models.births import MeasurementBirth, region
 from phdtrack.models.box_motion import BoxMotion
 from phdtrack.models.box_sensor import BoxSensor
+from phdtrack.models.learned_scene import ContextBirth
 from phdtrack.models.spawning import NoSpawn
 from phdtrack.models.volume import image_volume, local_volume
 from phdtrack.protocols import Model
@@ -24,7 +25,7 @@ class BoxModel:
 
     motion: BoxMotion
     sensor: BoxSensor
-    birth: MeasurementBirth
+    birth: MeasurementBirth | ContextBirth
 
     @property
     def own(self) -> bool:
@@ -34,13 +35,15 @@ class BoxModel:
     @property
     def local(self) -> bool:
         """Whether births are spread around the detections."""
-        return self.birth.volume == "local"
+        return isinstance(self.birth, MeasurementBirth) and self.birth.volume == "local"
 
 
 def box_model(model: Model) -> BoxModel | None:
     """The model's parts where the fused path knows all of them; None where it does not."""
     motion, sensor, birth = model.motion, model.sensor, model.birth
-    if type(motion) is not BoxMotion or type(sensor) is not BoxSensor or type(birth) is not MeasurementBirth:
+    if type(motion) is not BoxMotion or type(sensor) is not BoxSensor:
+        return None
+    if type(birth) is not MeasurementBirth and type(birth) is not ContextBirth:
         return None
     if motion.remember_size or type(motion.births) is not NoSpawn or sensor.scaling in ("previous", "given"):
         return None
@@ -70,7 +73,9 @@ class Seen:
     table : (rows, N) float32, see `kernels.box_blocks` and `kernels.newborn`; the proposals' peaks are still missing.
     numbers : (4,) float32 of the sensor: spread, floor, squared radii of the regions that count as explained and in which
         births are drawn.
-    speed : (N,) float32 deviation of a newborn velocity's amplitude.
+    flat : (N,) float32 density of births around each detection where it is flat there; 0 where births are local.
+    velocity : (5, N) float32 of each detection's newborn the mean, and the lower triangle that a velocity of uniform
+        direction and standard Gaussian amplitude is turned with.
     extents : (N, 6) of the regions in which each one's newborn are drawn, see `kernels.birth_table`.
     lower, upper : (2, N) gates.  grid : their grid, see `kernels.overlaps`.
     near_start, near, touching : the neighbours of each one's newborn, see `kernels.birth_table`.
@@ -78,7 +83,8 @@ class Seen:
 
     table: F4
     numbers: F4
-    speed: F4
+    flat: F4
+    velocity: F4
     extents: F4
     lower: F8
     upper: F8
@@ -102,9 +108,22 @@ def seen(model: BoxModel, z: F8, explained: float, dt: float) -> Seen:
     # A floor of zero would let the deviation of a vanishing box vanish.
     numbers = np.array([model.sensor.spread, max(model.sensor.floor, 1e-3), explained, limit], np.float32)
     near = neighbours(z, reach, lower, upper, low, high, *rectangle_grid(low, high))
-    return Seen(table, numbers, speed, extents, lower, upper, rectangle_grid(lower, upper), *near)
+    flat, velocity = _births(model.birth, model.sensor, z, speed, dt)
+    return Seen(table, numbers, flat, velocity, extents, lower, upper, rectangle_grid(lower, upper), *near)
 
 
-def flat_density(birth: MeasurementBirth, dt: float) -> float:
-    """γ during ``dt`` where it is the same all over the image; 0 where births lie around the detections."""
-    return birth.rate * dt / image_volume(birth.frame_size) if birth.volume == "image" else 0.0
+def _births(birth: MeasurementBirth | ContextBirth, sensor: BoxSensor, z: F8, speed: F4, dt: float) -> tuple[F4, F4]:
+    """`Seen.flat` and `Seen.velocity`; ``speed`` (N,) is the deviation of the velocity's amplitude at rest."""
+    flat, velocity = np.zeros(z.shape[1], np.float32), np.zeros((5, z.shape[1]), np.float32)
+    if isinstance(birth, ContextBirth):
+        at = birth.around(sensor.states(z), dt)
+        flat[:] = at.density
+        # Amplitude times direction has half the variance an axis.
+        root = np.sqrt(2.0) * np.linalg.cholesky(at.covariance[:, 2:4, 2:4])
+        velocity[:2] = at.mean[2:4]
+        velocity[2], velocity[3], velocity[4] = root[:, 0, 0], root[:, 1, 0], root[:, 1, 1]
+        return flat, velocity
+    if birth.volume == "image":
+        flat[:] = birth.rate * dt / image_volume(birth.frame_size)
+    velocity[2], velocity[4] = speed, speed
+    return flat, velocity

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from phdtrack.filters.blocks import REACH, blocked
-from phdtrack.filters.box_tables import BoxModel, Seen, flat_density, motion_numbers, seen
+from phdtrack.filters.box_tables import BoxModel, Seen, motion_numbers, seen
 from phdtrack.filters.memory import empty
 from phdtrack.kernels.account import account, births
 from phdtrack.kernels.box_blocks import LANES
@@ -62,7 +62,6 @@ class _Born:
     base: F4
     gains: F4
     points: F4
-    flat: np.float32
 
 
 def fused_step(
@@ -105,8 +104,8 @@ def fused_step(
         sweep_offspring(
             lo, hi, order, teeth, place, phase, width, divided, old.moved, blocks.start, old.first, old.which,
             factor, missed, frame.table, parts.own, frame.numbers, draws.key, born.many, born.batch_start, born.points,
-            parts.birth.most, parts.local, born.flat, frame.near_start, frame.near, frame.touching, batch_mass,
-            frame.speed, out,
+            parts.birth.most, parts.local, frame.flat, frame.near_start, frame.near, frame.touching, batch_mass,
+            frame.velocity, out,
         )  # fmt: skip
 
     in_ranges(offspring, len(order), settings.threads)
@@ -142,14 +141,13 @@ def _sweep_born(settings: ParticlePHD, parts: BoxModel, old: _Old, frame: Seen, 
     # Twice as many points as one detection needs, so that detections have different ones.
     points = standard_points(2 * most + LANES, region()[1], draws.key)
     many, batch_start, gain_start = births(old.which, old.sums, old.unit, most, KEPT, frame.touching, frame.table)
-    flat = np.float32(flat_density(parts.birth, dt))
     base, gains = np.empty(batch_start[-1], np.float32), np.empty(gain_start[-1], np.float32)
 
     def sweep(lo: int, hi: int) -> None:
         sweep_born(
-            lo, hi, many, batch_start, points, most, draws.key, frame.table, parts.own, frame.numbers, parts.local, flat,
-            frame.near_start, frame.near, frame.touching, gain_start, base, gains,
+            lo, hi, many, batch_start, points, most, draws.key, frame.table, parts.own, frame.numbers, parts.local,
+            frame.flat, frame.near_start, frame.near, frame.touching, gain_start, base, gains,
         )  # fmt: skip
 
     in_ranges(sweep, len(many), settings.threads)
-    return _Born(many, batch_start, gain_start, base, gains, points, flat)
+    return _Born(many, batch_start, gain_start, base, gains, points)

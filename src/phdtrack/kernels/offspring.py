@@ -77,12 +77,12 @@ def sweep_offspring(
     points: F4,
     room: int,
     local: bool,
-    flat: np.float32,
+    flat: F4,
     near_start: I8,
     near: I8,
     touching: I8,
     batch_mass: F4,
-    speed: F4,
+    velocity: F4,
     out: F4,
 ) -> None:
     """The offspring of the sources order[lo] … order[hi − 1], each into its own columns of ``out``.
@@ -95,7 +95,8 @@ def sweep_offspring(
     divided : (S,) 1 or 2 where the source's particles are to be parted along x or y, so that blocks become compact.
     phase, width : (S,) in steps of the comb: where a source's first tooth stands, and how wide the source is.
     first, which : the detections near each block.  weight : (N,) p_D/(κ + C).  missed : 1 − p_D.
-    batch_mass : mass of each batch of newborn after the update.  speed : (N,) deviation of the velocity's amplitude.
+    batch_mass : mass of each batch of newborn after the update.  flat : (N,), see `newborn.weigh_newborn`.
+    velocity : (5, N) of each detection's newborn the mean, and the lower triangle that a standard velocity is turned with.
     """
     k0, k1 = np.uint32(key[0]), np.uint32(key[1])
     blocks = start.size - 1
@@ -142,7 +143,7 @@ def sweep_offspring(
                     full = (n + LANES - 1) // LANES * LANES
                     place_newborn(s, full, points, begin + g * BLOCK, detections, j)
                     neighbour = near[near_start[j] : near_start[j + 1]]
-                    weigh_newborn(s, full, detections, j, neighbour, neighbour.size, sensor[3], local, flat)
+                    weigh_newborn(s, full, detections, j, neighbour, neighbour.size, sensor[3], local, flat[j])
                     bury(s, n, full)
                     near_here = neighbour[: touching[j]]
                 _posterior(s, full, near_here, weight, missed, detections, own, sensor)
@@ -153,7 +154,9 @@ def sweep_offspring(
             # Each offspring has a velocity of its own, also where a newborn particle has several.
             for t in range(teeth):
                 i = (begin + t) % points.shape[1]
-                out[2, at + t], out[3, at + t] = speed[j] * points[5, i], speed[j] * points[6, i]
+                x, y = points[5, i], points[6, i]
+                out[2, at + t] = velocity[0, j] + velocity[2, j] * x
+                out[3, at + t] = velocity[1, j] + velocity[3, j] * x + velocity[4, j] * y
 
 
 @njit(**INNER)

@@ -152,7 +152,7 @@ def sweep_born(
     own: bool,
     sensor: F4,
     local: bool,
-    flat: np.float32,
+    flat: F4,
     near_start: I8,
     near: I8,
     touching: I8,
@@ -165,6 +165,7 @@ def sweep_born(
     Parameters
     ----------
     points, room : standard points of the frame, and how far into them a detection's stretch may begin.
+    flat : (N,), see `newborn.weigh_newborn`.
     many : (N,) J_j.  batch_start : (N + 1,) where each detection's batches begin.
     near_start, near : the neighbours of each detection; first the ``touching`` (N,) in whose gates its newborn can lie.
     gain_start : (N + 1,) where each detection's sums begin; touching × batches of them.
@@ -181,7 +182,7 @@ def sweep_born(
             n = n if n < BLOCK else BLOCK
             full = (n + LANES - 1) // LANES * LANES
             place_newborn(s, full, points, at + rank, detections, j)
-            weigh_newborn(s, full, detections, j, neighbour, neighbour.size, sensor[3], local, flat)
+            weigh_newborn(s, full, detections, j, neighbour, neighbour.size, sensor[3], local, flat[j])
             bury(s, n, full)
             base[batch_start[j] + rank // BLOCK] = summed(s, full)
             if own:
