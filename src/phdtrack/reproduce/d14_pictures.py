@@ -83,7 +83,7 @@ def errors_by_number(results: Mapping[Job, Outcome], numbers: Sequence[int], see
         axis.set_xlabel("N")
     for axis in axes[:, 0]:
         axis.set_ylabel("RMSE to the truth, px per axis")
-    axes[0, 0].legend(fontsize=8)
+    axes[1, 0].legend(fontsize=8)
     figure.savefig(path, dpi=80)
     plt.close(figure)
 
