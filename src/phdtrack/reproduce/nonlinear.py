@@ -37,7 +37,7 @@ from phdtrack.simulate.turning import DEGREE, LAST, START, Turning, turning, tur
 from phdtrack.types import F8, GaussianMixture
 
 # Runs of the first case, of the others, and in the short form.
-RUNS, SIDE, FEW = 100, 25, 3
+RUNS, SIDE, FEW = 100, 50, 3
 # The noises that the literature gives this scene, see `simulate.turning`.
 CASES = {
     "σ_w 5, σ_θ 2°, σ_r 10, λ 20": Turning(),

@@ -30,8 +30,8 @@ from phdtrack.reproduce.scans import (
 from phdtrack.simulate.points import LinearGaussian, linear_gaussian
 from phdtrack.types import GaussianMixture
 
-# Runs of the first case by Gaussians and hypotheses, all others, and in the short form.
-RUNS, SIDE, FEW = 100, 25, 3
+# Runs of the first case, of the others, and in the short form.
+RUNS, SIDE, FEW = 100, 50, 3
 # Clutter points per scan, and p_D.
 CASES = {"λ 30, p_D 0.98": (30.0, 0.98), "λ 60, p_D 0.98": (60.0, 0.98), "λ 30, p_D 0.7": (30.0, 0.7)}
 EASY, CLUTTERED, HIDDEN = CASES
@@ -57,8 +57,6 @@ FILTERS: dict[str, Stages] = {
     "particle-cphd": (ParticleCPHD(PER_TARGET), CountedMixture(overlap=1.0)),
     "mht": (MHT(), BestHypothesis()),
 }
-# What takes most of the time.
-DEAR = ("particle-phd", "particle-cphd")
 WITH_MORE: dict[str, Stages] = {
     MANY_PHD: (ParticlePHD(MORE), FILTERS["particle-phd"][1]),
     MANY_CPHD: (ParticleCPHD(MORE), FILTERS["particle-cphd"][1]),
@@ -116,14 +114,11 @@ def text(found: Found, more: Found) -> str:
 
 def section(options: Options) -> str:
     """Measure and draw; the section of the page."""
-    runs = {
-        (case, name): options.number(SIDE if case != EASY or name in DEAR else RUNS, FEW)
-        for case in CASES
-        for name in FILTERS
-    }
+    number = {case: options.number(RUNS if case == EASY else SIDE, FEW) for case in CASES}
+    runs = {(case, name): number[case] for case in CASES for name in FILTERS}
     found = measure(run, runs, "linear", options.folder)
     many = {(HIDDEN, name): options.number(MORE_RUNS, FEW) for name in WITH_MORE}
     more = measure(run, many, "linear, more particles", options.folder)
-    number = np.array([truth.shape[1] for truth in realisation(EASY, 0).truth])
-    curves({name: found[EASY, name] for name in FILTERS}, number, options.out / "vo-linear-ospa.png")
+    targets = np.array([truth.shape[1] for truth in realisation(EASY, 0).truth])
+    curves({name: found[EASY, name] for name in FILTERS}, targets, options.out / "vo-linear-ospa.png")
     return text(found, more)
