@@ -8,9 +8,9 @@ axis towards the x axis. Targets turn at constant rate and speed: the truth has 
 
 The literature runs this scene with several noises. The defaults are those that go with the ten targets (σ_w = 5 m/s²,
 σ_θ = 2°, σ_r = 10 m, λ = 20); Vo and Ma's are σ_w = 15 m/s² and σ_r = 20 m, others have σ_θ = 1°, σ_r = 5 m and λ = 10. p_D
-is 0.98 everywhere; some let it fall with the range, over 2000 m (`Turning.fade`). A target is at its start in its first scan;
-published scripts move it by one step before. One target is up to 82 m out of the half disc for a while, and seen there all
-the same.
+is 0.98 everywhere; some let it fall with the range, over 2000 m (`Turning.fade`). A target is at its start in its first
+scan; published scripts move it by one step before. One target is up to 82 m out of the half disc for a while, and seen there
+all the same.
 """
 
 from __future__ import annotations
