@@ -137,7 +137,7 @@ def of_particles(found: Clusters, part: Cloud) -> np.ndarray:
     """(L,) the cluster of each particle, −1 for none."""
     block, island = np.repeat(found.block, np.diff(part.start)), np.repeat(found.island, np.diff(part.start))
     on = np.where(block == MIXED, found.own, block)
-    return np.where((island < 0) | (on < 0), -1, found.first[island] + on)
+    return np.where((island < 0) | (on < 0), -1, (found.count.cumsum() - found.count)[island] + on)
 
 
 @given(
@@ -208,8 +208,7 @@ def test_moments_of_joined_clusters(rng):
     part = Cloud.of(state)
     centres = np.array([HERE, moved(40)]).T.copy()
     found = cluster(part, starting(part, centres, MODEL.sensor)[0], np.inf, 0)
-    pairs = [i.ravel() for i in np.indices((2, 2))]
-    mass, mean, cov = heavy_enough(*pairs, found.mass, found.mean, found.covariance, np.ones((6, 2)), 1e3, 1.1, 3.0)
+    mass, mean, cov = heavy_enough(found.mass, found.mean, found.covariance, np.ones((6, 2)), 1e3, 1.1, 3.0)
     mine = state.state[:, :800]
     np.testing.assert_allclose(mass, [2.0])
     np.testing.assert_allclose(mean[:, 0], mine.mean(1))

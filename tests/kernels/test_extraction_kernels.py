@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from inner_kernels import from_python
 from phdtrack.boxes import iou
-from phdtrack.extract.cloud import working_memory
 from phdtrack.kernels.blocks import cut, summarise
 from phdtrack.kernels.box import box_corners, box_gate, box_noise, resting
 from phdtrack.kernels.clustering import outside
@@ -46,23 +45,20 @@ def test_cut_keeps_every_particle_in_small_blocks(seed: int, count: int, most: i
 
 def known_of(state, weight, start):
     """(B, 1 + 4d) what is known of the blocks, sums of products, and the particles in the largest."""
-    known, second, finite = summary(state, weight, start)
-    assert finite
-    return known, second, int(np.diff(start).max())
+    known, second, largest = summary(state, weight, start)
+    assert max(largest) == np.diff(start).max()
+    assert min(largest) >= 0
+    return known, second, max(largest)
 
 
-def summary(state, weight, start):
-    """What `summarise` writes, and whether it says that all is finite; the blocks in two ranges."""
+def summary(state, weight, start, products=True):
+    """What `summarise` writes, and what it returns; the blocks in two ranges. With or without sums of products."""
     d, blocks = len(state), len(start) - 1
-    known, second = np.full((blocks, 1 + 4 * d), np.nan), np.full((blocks, d + d % 2, d + d % 2), np.nan)
-    integer, half = np.int32 if state.itemsize == 4 else np.int64, blocks // 2
-    finite = True
-    for lo, hi in ((0, half), (half, blocks)):
-        scratch, box = working_memory(state, int(np.diff(start).max())), np.empty(2, state.dtype)
-        finite &= summarise(
-            lo, hi, state, state.view(integer), weight, start, known, second, scratch, box, box.view(integer)
-        )
-    return known, second, finite
+    known, second = np.full((blocks, 1 + 4 * d), np.nan), np.full((products * blocks, d + d % 2, d + d % 2), np.nan)
+    bits, half = state.view(np.int32 if state.itemsize == 4 else np.int64), blocks // 2
+    ranges = ((0, half), (half, blocks))
+    largest = [summarise(lo, hi, state, bits, weight, start, known, second) for lo, hi in ranges]
+    return known, second, largest
 
 
 @given(seeds, st.integers(1, 8), st.sampled_from([np.float32, np.float64]), st.booleans())
@@ -74,6 +70,7 @@ def test_summaries_of_blocks(seed: int, d: int, kind: type, equal: bool):
     state = rng.normal(rng.choice([0.0, 500.0]), 10, (d, start[-1])).astype(kind)
     weight = np.full(1, 0.25, kind) if equal else rng.exponential(size=start[-1]).astype(kind)
     known, second, _ = known_of(state, weight, start)
+    np.testing.assert_array_equal(summary(state, weight, start, products=False)[0], known)
     exact = 1e-4 if kind == np.float32 else 1e-10
     for b in range(4):
         x = state[:, start[b] : start[b + 1]]
@@ -96,7 +93,7 @@ def test_summaries_of_blocks(seed: int, d: int, kind: type, equal: bool):
 def test_summaries_need_numbers():
     for wrong in (np.nan, np.inf, -np.inf):
         state = np.array([[1.0, wrong], [0.0, 0.0]])
-        assert not summary(state, np.ones(1), np.array([0, 2]))[2]
+        assert summary(state, np.ones(1), np.array([0, 2]))[2] == [0, -1]
 
 
 @given(seeds, st.integers(1, 12), st.sampled_from([np.float32, np.float64]), st.booleans())
@@ -115,31 +112,33 @@ def test_kmeans_and_moments(seed: int, most: int, kind: type, equal: bool):
     # Some centres are filed already, the rest by the kernel.
     filed = int(rng.integers(0, 4))
     _, head, link, used = outside(x, start, known, widest, *grid, centres[:, :filed].copy(), scales[:, :filed].copy(), 8.0)
-    head, link, *isles = islands(head, link, used, filed, centres, scales, 8.0, *grid, int(rng.choice([0, len(known)])))
+    link, *isles = islands(head, link, used, filed, centres, scales, 8.0, *grid, int(rng.choice([0, len(known)])))
     label, own = np.empty(len(known), np.int32), np.empty(50, np.int32)
+    # Sums of products are taken beforehand or when they are asked for.
+    second = second[: len(known) * int(rng.integers(0, 2))]
 
     def settled(isles, many):
         count = np.empty(many, np.int64)
         rows, escaped = kmeans(
             0, many, x, w, start, known, second, *grid, centres, scales, 8.0, 0.6, 4, w.sum() if len(w) > 1 else 50 * w[0],
-            head, link, *isles[:2], *isles[3:], label, own, count, working_memory(x, widest), np.empty(64, np.int32),
+            link, *isles, label, own, count, widest,
         )  # fmt: skip
         return rows, escaped, count
 
-    rows, escaped, count = settled(isles, len(isles[0]) - 1)
+    rows, escaped, count = settled(isles, isles[0].shape[1] - 1)
     drop, more = np.zeros(len(count), bool), np.zeros(len(known), bool)
     if escaped.shape[1]:
         # All that there is as one island is left by nobody.
         assert (count[escaped[0]] == 0).all()
         escaped = np.array([np.repeat(np.arange(len(count)), len(known)), np.tile(np.arange(len(known)), len(count))])
-        isles = united(escaped, isles[2], isles[6], drop, more)
+        isles = united(escaped, *isles[1:], drop, more)
         rows, escaped, count = settled(isles, 1)
     assert escaped.shape == (2, 0)
     assert len(rows) == count.sum()
     exact, wide = x.astype(float), w.astype(float)
     wide = np.full(50, wide[0]) if len(wide) == 1 else wide
     want, *_ = twin.cluster(exact, wide, centres, scales, 0.6, 4, 9)
-    island = np.repeat(isles[6], np.diff(start))
+    island = np.repeat(isles[2][2], np.diff(start))
     each = np.where(np.repeat(label, np.diff(start)) == MIXED, own, np.repeat(label, np.diff(start)))
     labels = np.where((island < 0) | (each < 0), -1, (count.cumsum() - count)[island] + each)
     if kind == np.float64:
@@ -165,17 +164,17 @@ def test_islands(seed: int, k: int, most: int):
     grid, at, half = (lower, upper, *rectangle_grid(lower, upper)), rng.uniform(-20, 120, (2, k)), rng.uniform(0, 12, (2, k))
     _, head, link, used = outside(state, start, known, widest, *grid, at[:, : k // 2].copy(), half[:, : k // 2].copy(), 2.0)
     few = int(rng.choice([0, 0, len(known)]))
-    isles = islands(head, link, used, k // 2, at, half, 2.0, *grid, few)[2:]
+    isles = islands(head, link, used, k // 2, at, half, 2.0, *grid, few)[1:]
     low, high = at - 2 * ROOM * half, at + 2 * ROOM * half
     near = ~((low[:, :, None] > upper[:, None]) | (high[:, :, None] < lower[:, None])).any(0)
     reach = np.full((k, k), few > 0) | np.eye(k, dtype=bool) | (near.astype(int) @ near.T.astype(int) > 0)
     for _ in range(k):
         reach |= reach.astype(int) @ reach.astype(int) > 0
-    _, _, of_centre, _, _, _, of_block, _ = isles
+    begin, (_, of_centre, _), (_, _, of_block, _) = isles
     np.testing.assert_array_equal(of_centre[:, None] == of_centre, reach)
     for b in range(len(known)):
         assert set(of_centre[near[:, b]]) == ({of_block[b]} - {-1}) or (few and of_block[b] == 0)
-    for starts, item, of, place in (isles[:4], isles[4:]):
+    for starts, (item, of, place) in zip(begin, (isles[1], isles[2][1:]), strict=True):
         for i, (first, last) in enumerate(pairwise(starts)):
             np.testing.assert_array_equal(item[first:last], np.flatnonzero(of == i))
             np.testing.assert_array_equal(place[item[first:last]], np.arange(last - first))
@@ -183,14 +182,14 @@ def test_islands(seed: int, k: int, most: int):
     if k == 0:
         return
     # One island of two, and a block that is on none.
-    drop, more = np.zeros(len(isles[0]) - 1, bool), np.zeros(len(known), bool)
+    drop, more = np.zeros(begin.shape[1] - 1, bool), np.zeros(len(known), bool)
     escaped = np.array([[of_centre[0], of_centre[0]], rng.integers(0, len(known), 2)])
-    one = united(escaped, of_centre, of_block, drop, more)
+    one = united(escaped, *isles[1:], drop, more)
     members = {of_centre[0], *of_block[escaped[1]]} - {-1}
-    np.testing.assert_array_equal(one[2], np.where(np.isin(of_centre, list(members)), 0, -1))
+    np.testing.assert_array_equal(one[1][1], np.where(np.isin(of_centre, list(members)), 0, -1))
     on = np.isin(of_block, list(members))
     on[escaped[1]] = True
-    np.testing.assert_array_equal(one[6], np.where(on, 0, -1))
+    np.testing.assert_array_equal(one[2][2], np.where(on, 0, -1))
 
 
 @given(seeds, st.integers(0, 8), st.integers(1, 9))
@@ -238,14 +237,12 @@ def test_a_detection_serves_one_cluster_the_closest_first(seed: int, k: int, det
     which, point = (i.ravel() for i in np.indices((detections, k)))
     distance2 = rng.integers(0, 12, which.size) / 3.0
     floor, cov = rng.uniform(0, 3, (2, k)), rng.normal(size=(k, 2, 2))
-    seen, taken, floored = np.full(k, -1), np.full(detections, -1), cov.copy()
-    serve(which, point, distance2, 2.5, floor, taken, seen, floored)
+    seen, floored = serve(which, point, distance2, 2.5, floor, detections, cov)
     want: dict[int, int] = {}
     for d2, z, j in sorted(zip(distance2, which.tolist(), point.tolist(), strict=True)):
         if d2 <= 2.5 and j not in want and z not in want.values():
             want[j] = z
     np.testing.assert_array_equal(seen, [want.get(j, -1) for j in range(k)])
-    assert {(j, z) for z, j in enumerate(taken) if j >= 0} == set(want.items())
     diagonal = np.array([np.diag((0.1 * f) ** 2) for f in floor.T]).reshape(k, 2, 2)
     np.testing.assert_allclose(floored - cov, diagonal, atol=1e-12)
 
@@ -257,8 +254,7 @@ def test_light_clusters_are_joined_and_the_heavy_enough_kept(seed: int, k: int):
     x, k = rng.uniform(0, 120, (3, 60)), max(k, 1)
     labels, weight = rng.integers(0, k, 60), rng.uniform(0, 1 / 15, 60)
     (mass, mean, cov), scale = twin.moments(x, twin.members(labels, weight, k), k), rng.uniform(2, 6, (3, k))
-    pairs = [i.ravel() for i in np.indices((k, k))]
-    found = heavy_enough(*pairs, mass, mean, cov, scale, twin.REACH, 0.6, 1.5)
+    found = heavy_enough(mass, mean, cov, scale, twin.REACH, 0.6, 1.5)
     root = twin.join_light(mass, mean, lambda _: scale, 0.6, 1.5)
     want = twin.moments(x, twin.members(root[labels], weight, k), k)
     for mine, exact in zip(found, want, strict=True):
@@ -273,12 +269,8 @@ def test_boxes_that_are_alike(seed: int, count: int, above: float):
     boxes = np.hstack([corner, corner + rng.choice([0.0, 20.0, 60.0], (count, 2))])
     table = iou(boxes, boxes)
     want = {(i, j): pytest.approx(table[i, j]) for i in range(count) for j in range(i + 1, count) if table[i, j] > above}
-    first, second = (i.ravel().copy() for i in np.indices((count, count)))
-    shared = np.empty(count * count)
-    found = likeness(boxes, first, second, above, shared)
-    assert (
-        dict(zip(zip(first[:found].tolist(), second[:found].tolist(), strict=True), shared.tolist(), strict=False)) == want
-    )
+    first, second, shared = (found.tolist() for found in likeness(boxes, above))
+    assert dict(zip(zip(first, second, strict=True), shared, strict=True)) == want
 
 
 def test_claims():

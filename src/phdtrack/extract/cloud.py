@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.extract.rectangles import Rectangles
-from phdtrack.kernels.blocks import LANES, cut, summarise
+from phdtrack.kernels.blocks import cut, summarise
 from phdtrack.threads import in_ranges
 from phdtrack.types import F8, I8, ParticleBlocks, Particles
 
@@ -30,7 +30,8 @@ class Cloud:
     ----------
     state : (d, L), ``weight`` (L,) or (1,) of each or of all, ``start`` (B + 1,): the blocks.
     known, second : (B, 1 + 4d) mass, box, middle and sum of states of each block, and (B, even d, even d) sums of their
-        products, as `kernels.blocks.summarise` writes them.
+        products, as `kernels.blocks.summarise` writes them; (0, even d, even d) where they have not been taken.
+    mass : of all particles.
     most : particles in the largest block.
     grid : the blocks' boxes in position.
     threads : that share the work on the blocks, 0 for one per core; results are the same to the bit.
@@ -41,13 +42,17 @@ class Cloud:
     start: I8
     known: F8
     second: F8
+    mass: float
     most: int
     grid: Rectangles
     threads: int
 
     @classmethod
-    def of(cls, intensity: Particles | ParticleBlocks, threads: int = 1) -> Cloud:
-        """The blocks of an intensity that is not empty. ValueError: a state is NaN or infinite."""
+    def of(cls, intensity: Particles | ParticleBlocks, threads: int = 1, few: int = 0) -> Cloud:
+        """The blocks of an intensity that is not empty; sums of products are taken of more than ``few``.
+
+        ValueError: a state is NaN or infinite.
+        """
         state: Real
         weight: Real
         if isinstance(intensity, ParticleBlocks):
@@ -55,21 +60,19 @@ class Cloud:
         else:
             state, weight, start = cut(intensity.state, intensity.weight, MOST)
         d, blocks = len(state), len(start) - 1
-        known, second = np.empty((blocks, 1 + 4 * d)), np.empty((blocks, even(d), even(d)))
-        most, integer = int((start[1:] - start[:-1]).max()), np.int32 if state.itemsize == 4 else np.int64
+        known, second = np.empty((blocks, 1 + 4 * d)), np.empty((blocks if blocks > few else 0, even(d), even(d)))
+        bits = state.view(np.int32 if state.itemsize == 4 else np.int64)
 
-        def summary(lo: int, hi: int) -> bool:
-            scratch, box = working_memory(state, most), np.empty(2, state.dtype)
-            finite: bool = summarise(
-                lo, hi, state, state.view(integer), weight, start, known, second, scratch, box, box.view(integer)
-            )
-            return finite
+        def summary(lo: int, hi: int) -> int:
+            most: int = summarise(lo, hi, state, bits, weight, start, known, second)
+            return most
 
-        if not all(in_ranges(summary, blocks, threads)):
+        largest = in_ranges(summary, blocks, threads)
+        if min(largest) < 0:
             raise ValueError("states must be finite")
         # An empty block has no box; it stands where the box of its zeros is, and nobody asks for its particles.
         grid = Rectangles.of(known[:, 1:3].T.copy(), known[:, 1 + d : 3 + d].T.copy())
-        return cls(state, weight, start, known, second, most, grid, threads)
+        return cls(state, weight, start, known, second, intensity.mass, max(largest), grid, threads)
 
     def mass_of(self, index: I8) -> float:
         """Σw of the particles at ``index``."""
@@ -84,8 +87,3 @@ class Cloud:
 def even(d: int) -> int:
     """The rows in which ``d`` components are summed, two at a time."""
     return d + d % 2
-
-
-def working_memory(state: Real, most: int) -> Real:
-    """(2·even d + 2, ≥ most) zeros of the states' type, as `kernels.blocks.summarise` and K-means need them."""
-    return np.zeros((2 * even(len(state)) + 2, -(-most // LANES) * LANES), state.dtype)

@@ -72,11 +72,8 @@ def heavy_enough(found: Clusters, sensor: Sensor, lightest: float, split: float)
     Two light clusters near each other are one: clusters start on every detection, so one target beside a false alarm, or
     detected twice, may lie in two halves that are each too light.
     """
-    scale, at = sensor.noise(found.mean), found.mean[:2]
-    side = REACH * scale[:2]
-    pairs = meeting(at - side, at + side, at, at)
     out: tuple[F8, F8, F8] = joining.heavy_enough(
-        *pairs, found.mass, found.mean, found.covariance, scale, REACH, lightest, split
+        found.mass, found.mean, found.covariance, sensor.noise(found.mean), REACH, lightest, split
     )
     return out
 
@@ -90,6 +87,5 @@ def finish(mass: F8, mean: F8, cov: F8, z: F8, model: Model, region: float) -> E
     z_of, state_of = meeting(*sensor.gate(z), mean[:2], mean[:2])
     distance2 = sensor.distance2(z.take(z_of, axis=1), mean.take(state_of, axis=1))
     # Resampled particles can pile up on few points; a covariance of zero would claim certainty.
-    floored, detection = cov.copy(), np.full(len(mass), -1)
-    serve(z_of, state_of, distance2, region, sensor.noise(mean), np.full(z.shape[1], -1), detection, floored)
+    detection, floored = serve(z_of, state_of, distance2, region, sensor.noise(mean), z.shape[1], cov)
     return Estimates(mean, floored, mass, sensor.boxes(mean), detection)

@@ -14,10 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from phdtrack.checks import Count, Positive, PositiveCount, Share, check
-from phdtrack.extract import clusters
+from phdtrack.extract import clusters, settling
 from phdtrack.extract.cloud import Cloud
 from phdtrack.extract.resolution import join_unresolved
-from phdtrack.extract.settling import cluster
 from phdtrack.protocols import Model
 from phdtrack.types import F8, Estimates, ParticleBlocks, Particles
 
@@ -50,8 +49,8 @@ class KMeans:
         """The centres of the clusters heavy enough to be targets: weighted means of full states [M07 §3]."""
         if state.mass < self.lightest:
             return Estimates.empty(model.motion.dim)
-        sensor, cloud = model.sensor, Cloud.of(state, self.threads)
+        sensor, cloud = model.sensor, Cloud.of(state, self.threads, settling.FEW)
         start = clusters.seeds(cloud, z, sensor, self.lightest)
-        found = cluster(cloud, start, self.split, self.iterations)
+        found = settling.cluster(cloud, start, self.split, self.iterations)
         heavy = clusters.heavy_enough(found, sensor, self.lightest, self.split)
         return clusters.finish(*join_unresolved(*heavy, sensor, self.overlap), z, model, self.region)

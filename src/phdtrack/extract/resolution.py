@@ -12,7 +12,7 @@ import heapq
 
 import numpy as np
 
-from phdtrack.kernels.joining import likeness, meeting
+from phdtrack.kernels.joining import likeness
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, I8
 
@@ -31,7 +31,7 @@ def joined(mass: F8, mean: F8, cov: F8, sensor: Sensor, overlap: float) -> tuple
     if len(mass) < 2 or overlap >= 1:
         return mass, mean, cov, part
     boxes = sensor.boxes(mean)
-    first, second, shared = _overlapping(boxes, overlap)
+    first, second, shared = likeness(boxes, overlap)
     if len(first) == 0:
         return mass, mean, cov, part
     single = mass
@@ -65,20 +65,11 @@ def resolved(boxes: F8, overlap: float) -> I8:
     """Which of the (n, 4) boxes are left if each goes that overlaps one before it by more than ``overlap`` (IoU)."""
     left = np.ones(len(boxes), np.bool_)
     if overlap < 1 and len(boxes) > 1:
-        first, second, _ = _overlapping(boxes, overlap)
+        first, second, _ = likeness(boxes, overlap)
         order = np.lexsort((second, first))
         for i, j in zip(first[order].tolist(), second[order].tolist(), strict=True):
             left[j] &= not left[i]
     return np.flatnonzero(left)
-
-
-def _overlapping(boxes: F8, overlap: float) -> tuple[I8, I8, F8]:
-    """Pairs i < j of (n, 4) boxes whose overlap (IoU) is above the bound, and their overlaps."""
-    lower, upper = boxes[:, :2].T.copy(), boxes[:, 2:].T.copy()
-    first, second = meeting(lower, upper, lower, upper)
-    shared = np.empty(len(first))
-    count = likeness(boxes, first, second, overlap, shared)
-    return first[:count], second[:count], shared[:count]
 
 
 def _iou(a: F8, b: F8) -> F8:

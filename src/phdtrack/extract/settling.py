@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from phdtrack.extract.cloud import Cloud, working_memory
+from phdtrack.extract.cloud import Cloud
 from phdtrack.kernels.islands import islands, united
 from phdtrack.kernels.kmeans import kmeans
 from phdtrack.threads import in_ranges
@@ -49,7 +49,7 @@ class Clusters:
     mass, mean, covariance : (k,), (d, k), (k, d, d) of the clusters; an empty one keeps its centre.
     block, own : clusters of whole blocks (B,) and of the particles of mixed ones (L,), as in `kernels.kmeans`: by their
         numbers on their island.
-    first, island : number of the first cluster of each island (I,), and the island of each block (B,), −1 for none.
+    count, island : clusters of each island (I,), and the island of each block (B,), −1 for none.
     """
 
     mass: F8
@@ -57,7 +57,7 @@ class Clusters:
     covariance: F8
     block: I4
     own: I4
-    first: I8
+    count: I8
     island: I8
 
 
@@ -65,20 +65,15 @@ class Clusters:
 class _Islands:
     """The islands, as `kernels.islands.islands` gives them."""
 
-    centre_start: I8
-    centre_item: I8
-    centre_island: I8
-    centre_place: I8
-    block_start: I8
-    block_item: I8
-    of_block: I8
-    block_place: I8
+    begin: I8
+    centre: I8
+    block: I8
 
     def __len__(self) -> int:
-        return len(self.centre_start) - 1
+        return len(self.begin[0]) - 1
 
 
-# Rows of clusters and those who have left their island, of the islands in a range; how many clusters each of them has.
+# Rows of clusters and those who have left their island, of the islands in a range; writes how many clusters each has.
 _Settle = Callable[[_Islands, int, int, I8], tuple[F8, I8]]
 
 
@@ -90,26 +85,19 @@ def cluster(cloud: Cloud, start: Start, split: float, iterations: int) -> Cluste
     as much as the iteration.
     """
     grid, d = (cloud.grid.lower, cloud.grid.upper, *cloud.grid.grid), len(cloud.state)
-    head, link, *found = islands(
-        start.head, start.link, start.used, start.filed, start.centre, start.scale, REACH, *grid, FEW
-    )
+    link, *found = islands(start.head, start.link, start.used, start.filed, start.centre, start.scale, REACH, *grid, FEW)
     block, own = np.empty(len(cloud.known), np.int32), np.empty(cloud.state.shape[1], np.int32)
-    total = float(cloud.known[:, 0].sum())
 
     def settle(on: _Islands, lo: int, hi: int, count: I8) -> tuple[F8, I8]:
-        scratch = working_memory(cloud.state, cloud.most)
         out: tuple[F8, I8] = kmeans(
-            lo, hi, cloud.state, cloud.weight, cloud.start, cloud.known, cloud.second, *grid,
-            start.centre, start.scale, REACH, split, iterations, total, head, link,
-            on.centre_start, on.centre_item, on.centre_place, on.block_start, on.block_item, on.of_block, on.block_place,
-            block, own, count, scratch, np.empty(scratch.shape[1], np.int32),
+            lo, hi, cloud.state, cloud.weight, cloud.start, cloud.known, cloud.second, *grid, start.centre, start.scale,
+            REACH, split, iterations, cloud.mass, link, on.begin, on.centre, on.block, block, own, count, cloud.most,
         )  # fmt: skip
         return out
 
-    on = _Islands(*found)
-    rows, count, island = _settled(on, settle, cloud.threads)
+    rows, count, island = _settled(_Islands(*found), settle, cloud.threads)
     mean, covariance = rows[:, 1 : 1 + d].T.copy(), rows[:, 1 + d :].reshape(-1, d, d).copy()
-    return Clusters(rows[:, 0].copy(), mean, covariance, block, own, count.cumsum() - count, island)
+    return Clusters(rows[:, 0].copy(), mean, covariance, block, own, count, island)
 
 
 def _settled(on: _Islands, settle: _Settle, threads: int) -> tuple[F8, I8, I8]:
@@ -121,7 +109,7 @@ def _settled(on: _Islands, settle: _Settle, threads: int) -> tuple[F8, I8, I8]:
         rows = np.concatenate([part[0] for part in parts])
         escaped = np.concatenate([part[1] for part in parts], axis=1)
     if escaped.shape[1] == 0:
-        return rows, count, on.of_block
+        return rows, count, on.block[2]
     return _together(on, settle, rows, count, escaped)
 
 
@@ -130,13 +118,13 @@ def _together(on: _Islands, settle: _Settle, rows: F8, count: I8, escaped: I8) -
 
     The one may reach others in turn.
     """
-    drop, more = np.zeros(len(on), np.bool_), np.zeros(len(on.of_block), np.bool_)
+    drop, more = np.zeros(len(on), np.bool_), np.zeros(on.block.shape[1], np.bool_)
     again, many = on, np.zeros(1, np.int64)
     while escaped.shape[1] > 0:
-        again = _Islands(*united(escaped, on.centre_island, on.of_block, drop, more))
+        again = _Islands(*united(escaped, on.centre, on.block, drop, more))
         merged, escaped = settle(again, 0, 1, many)
         # Those that it has reached are reached from one of its parts.
         escaped = np.stack([np.full_like(escaped[1], drop.argmax()), escaped[1]])
     kept = np.repeat(~drop, count)
     count = np.append(np.where(drop, 0, count), many)
-    return np.concatenate([rows[kept], merged]), count, np.where(again.of_block == 0, len(on), on.of_block)
+    return np.concatenate([rows[kept], merged]), count, np.where(again.block[2] == 0, len(on), on.block[2])

@@ -36,6 +36,17 @@ def whole(n: int) -> int:
 
 
 @njit(**VECTOR)
+def working_memory(state: Real, most: int) -> Real:
+    """(2·even d + 2, n) for blocks of up to ``most`` particles, n as `whole` has it; zeros where d is odd, to sum them."""
+    even = state.shape[0] + state.shape[0] % 2
+    scratch, zero = np.empty((2 * even + 2, whole(most)), state.dtype), state.dtype.type(0)
+    for r in (even - 1, 2 * even - 1):
+        for i in range(scratch.shape[1]):
+            scratch[r, i] = zero
+    return scratch
+
+
+@njit(**VECTOR)
 def load_steps(state: Real, begin: int, n: int, known: F8, b: int, scratch: Real) -> None:
     """Write the states of block b, relative to the point in its middle, into the first d rows of ``scratch``.
 
@@ -110,6 +121,28 @@ def products(scratch: Real, n: int, left: int, second: F8) -> None:
 
 
 @njit(**VECTOR)
+def load(state: Real, weight: Real, begin: int, n: int, known: F8, b: int, scratch: Real) -> float:
+    """Load the n particles of block b for `sums` and `spread`: s and, unless all weigh the same, w·s; Σw."""
+    load_steps(state, begin, n, known, b, scratch)
+    if weight.size == 1:
+        return n * float(weight[0])
+    d = state.shape[0]
+    load_weight(weight, begin, n, scratch, 2 * (d + d % 2))
+    return float(weigh(scratch, whole(n), d))
+
+
+@njit(**VECTOR)
+def spread(weight: Real, scratch: Real, n: int, second: F8) -> None:
+    """Write the lower triangle of Σw·s·sᵀ of what `load` has loaded into ``second`` (even d, even d)."""
+    even = second.shape[0]
+    products(scratch, whole(n), even if weight.size > 1 else 0, second)
+    if weight.size == 1:
+        for r in range(even):
+            for s in range(r + 1):
+                second[r, s] *= float(weight[0])
+
+
+@njit(**VECTOR)
 def extent(bits: Bits, r: int, begin: int, n: int) -> tuple[np.signedinteger[Any], np.signedinteger[Any]]:
     """The smallest and the largest of n numbers in row r whose bits are given, as integers in the same order.
 
@@ -128,11 +161,8 @@ def extent(bits: Bits, r: int, begin: int, n: int) -> tuple[np.signedinteger[Any
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
-def summarise(
-    lo: int, hi: int, state: Real, bits: Bits, weight: Real, start: I8, known: F8, second: F8, scratch: Real, box: Real,
-    box_bits: Bits,
-) -> bool:  # fmt: skip
-    """What is known of the blocks lo … hi − 1; whether all of their states are finite.
+def summarise(lo: int, hi: int, state: Real, bits: Bits, weight: Real, start: I8, known: F8, second: F8) -> int:
+    """What is known of the blocks lo … hi − 1; the particles in the largest of them, or −1 if a state is not finite.
 
     Parameters
     ----------
@@ -141,20 +171,23 @@ def summarise(
     start : (B + 1,) where blocks begin.
     known : (B, 1 + 4d) written: Σw; the low and the high corner of the box that holds the particles; a point in their
         middle, exact in the states' precision; Σw·x. Zeros for an empty block.
-    second : (B, even d, even d) written: the lower triangle of Σw·s·sᵀ, where s is x less the point in the middle.
-    scratch, box : working memory, (2·even d + 1, n) zeros for n particles in the largest block, as `whole` has it, and (2,);
-        ``box_bits`` the same seen as integers.
+    second : (B, even d, even d) written: the lower triangle of Σw·s·sᵀ, where s is x less the point in the middle; nothing
+        is where it is (0, even d, even d).
     """
-    d, even, check = state.shape[0], second.shape[1], 0.0
-    first = np.empty(d)
+    d, even, check, most = state.shape[0], second.shape[1], 0.0, 0
+    for b in range(lo, hi):
+        most = max(most, start[b + 1] - start[b])
+    scratch, first, box_bits = working_memory(state, most), np.empty(d), np.empty(2, bits.dtype)
+    box = box_bits.view(state.dtype)
     for b in range(lo, hi):
         begin, n = start[b], start[b + 1] - start[b]
         if n == 0:
             for c in range(known.shape[1]):
                 known[b, c] = 0.0
-            for r in range(even):
-                for s in range(even):
-                    second[b, r, s] = 0.0
+            if second.shape[0] > 0:
+                for r in range(even):
+                    for s in range(even):
+                        second[b, r, s] = 0.0
             continue
         for r in range(d):
             box_bits[0], box_bits[1] = extent(bits, r, begin, n)
@@ -166,24 +199,20 @@ def summarise(
             known[b, 1 + 3 * d + r] = float(total) + n * float(one)
             check += known[b, 1 + 2 * d + r]
         if not np.isfinite(check):
-            return False
-        load_steps(state, begin, n, known, b, scratch)
-        if weight.size == 1:
-            unit = float(weight[0])
-            known[b, 0] = n * unit
-            products(scratch, whole(n), 0, second[b])
-            for r in range(d):
-                known[b, 1 + 3 * d + r] *= unit
-                for s in range(r + 1):
-                    second[b, r, s] *= unit
-        else:
-            load_weight(weight, begin, n, scratch, 2 * even)
-            known[b, 0] = weigh(scratch, whole(n), d)
+            return -1
+        known[b, 0] = n * float(weight[0])
+        if weight.size > 1 or second.shape[0] > 0:
+            known[b, 0] = load(state, weight, begin, n, known, b, scratch)
+        if second.shape[0] > 0:
+            spread(weight, scratch, n, second[b])
+        if weight.size > 1:
             sums(scratch, whole(n), even, first)
-            products(scratch, whole(n), even, second[b])
-            for r in range(d):
+        for r in range(d):
+            if weight.size > 1:
                 known[b, 1 + 3 * d + r] = first[r] + known[b, 0] * known[b, 1 + 2 * d + r]
-    return True
+            else:
+                known[b, 1 + 3 * d + r] *= float(weight[0])
+    return most
 
 
 @njit(**ENTRY)

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.blocks import Real, U, load_steps, load_weight, products, sums, weigh, whole
+from phdtrack.kernels.blocks import Real, U, load, load_steps, load_weight, products, spread, sums, weigh, whole
 from phdtrack.kernels.fast32 import ENTRY, FAST, VECTOR
 from phdtrack.kernels.nearest import MIXED, file_centre, reached
 
@@ -131,7 +131,8 @@ def cluster_moments(
     """Masses, means and covariances of k clusters, of which ``blocks`` consist: the first of (k,), (d, k) and (k, d, d).
 
     ``label``, ``own`` : a block's cluster, −1 for none, `MIXED` where the particles have their own. What is ``known`` of a
-    block, with ``second``, is enough where it is not mixed. ``reference`` (d, k): a point in the middle of each cluster.
+    block, with ``second`` unless that is (0, even d, even d), is enough where it is not mixed. ``reference`` (d, k): a
+    point in the middle of each cluster.
     Working memory: ``scratch`` as in `blocks.summarise`; ``one``, ``shift`` (d,), ``two`` (even d, even d).
     """
     d = state.shape[0]
@@ -148,7 +149,12 @@ def cluster_moments(
             for r in range(d):
                 middle = known[b, 1 + 2 * d + r]
                 one[r], shift[r] = known[b, 1 + 3 * d + r] - known[b, 0] * middle, middle - reference[r, whose]
-            add_part(known[b, 0], one, second[b], shift, whose, total, mean, cov)
+            if second.shape[0] > 0:
+                add_part(known[b, 0], one, second[b], shift, whose, total, mean, cov)
+            else:
+                load(state, weight, begin, n, known, b, scratch)
+                spread(weight, scratch, n, two)
+                add_part(known[b, 0], one, two, shift, whose, total, mean, cov)
         elif whose == MIXED:
             add_masked(
                 state, weight, begin, n, known, b, own, k, scratch, one, two, shift, reference, total, mean, cov

@@ -3,7 +3,7 @@
 Whatever happens to the clusters of one island does not concern those of another, as long as no centre moves so far that it
 reaches a block of another: so each can be settled by itself, while its particles are at hand, and several at a time.
 
-Centres and blocks are named by their places on their island; ``of_block`` (B,) says on which island a block is, −1 for none.
+Centres and blocks are named by their places on their island.
 """
 
 from __future__ import annotations
@@ -30,30 +30,27 @@ def root(parent: I8, j: int) -> int:
 
 
 @njit(**INNER)
-def in_order(island: I8, count: int) -> tuple[I8, I8, I8]:
-    """Where each of ``count`` islands begins (count + 1,) in the list of its members, the list, and places on islands."""
-    start, place = np.empty(count + 1, np.int64), np.empty(island.size, np.int64)
-    for i in range(count + 1):
+def in_order(island: I8, start: I8, item: I8, place: I8) -> None:
+    """Write where islands begin in the list of members (I + 1,), the list, −1 behind its end, and places on islands."""
+    for i in range(start.size):
         start[i] = 0
     for j in range(island.size):
-        place[j] = -1
+        place[j], item[j] = -1, -1
         if island[j] >= 0:
             place[j] = start[island[j] + 1]
             start[island[j] + 1] += 1
-    for i in range(count):
+    for i in range(start.size - 1):
         start[i + 1] += start[i]
-    item = np.empty(start[count], np.int64)
     for j in range(island.size):
         if island[j] >= 0:
             item[start[island[j]] + place[j]] = j
-    return start, item, place
 
 
 @njit(**ENTRY)
 def islands(
     listed: I8, entries: I8, used: int, filed: int, centres: F8, scales: F8, reach: float,
     lower: F8, upper: F8, frame: F8, cells: I8, item: I8, corner: I8, few: int,
-) -> tuple[I8, I8, I8, I8, I8, I8, I8, I8, I8, I8]:  # fmt: skip
+) -> tuple[I8, I8, I8, I8]:  # fmt: skip
     """The islands of k centres (d, k), and the lists of the centres near the blocks.
 
     ``listed``, ``entries``, ``used`` : the lists of the first ``filed`` centres, as `clustering.outside` gives them;
@@ -61,14 +58,15 @@ def islands(
 
     Returns
     -------
-    head, link : the lists with all centres.
-    centre_start, centre_item, centre_island, centre_place : the centres of island i are centre_item[centre_start[i]] …
-        centre_item[centre_start[i + 1] − 1], ascending; centre j is number centre_place[j] of centre_island[j].
-    block_start, block_item, of_block, block_place : the blocks, likewise; −1 for a block that no centre is near.
+    link : (2, ≥ E) the lists with all centres.
+    begin : (2, I + 1) where the islands' centres and their blocks begin in the lists of them.
+    centre : (3, k) that list, ascending for each island; and for each centre its island, and its number there.
+    block : (4, B) for each block the head of its list in ``link``; then the same as for centres, −1 for a block that no
+        centre is near.
     """
     blocks, k = listed.size, centres.shape[1]
-    head, link = np.empty(blocks, np.int64), np.empty((2, entries.shape[1]), np.int64)
-    found, of_block = np.empty(blocks, np.int64), np.empty(blocks, np.int64)
+    centre, block, link = np.empty((3, k), np.int64), np.empty((4, blocks), np.int64), np.empty(entries.shape, np.int64)
+    found, head, of_block, island = np.empty(blocks, np.int64), block[0], block[2], centre[1]
     for b in range(blocks):
         head[b] = listed[b]
     for e in range(used):
@@ -77,7 +75,7 @@ def islands(
         rx, ry = reach * scales[0, j], reach * scales[1, j]
         some = reached(centres[0, j], centres[1, j], rx, ry, lower, upper, frame, cells, item, corner, found)
         link, used = file_centre(j, some, found, head, link, used)
-    parent, island = np.empty(k, np.int64), np.empty(k, np.int64)
+    parent = np.empty(k, np.int64)
     for j in range(k):
         parent[j] = j
     for j in range(1, k if blocks <= few else 1):
@@ -105,31 +103,34 @@ def islands(
             of_block[q] = island[j] if j >= 0 else -1
             if blocks <= few and k > 0:
                 of_block[q] = 0
-    centre_start, centre_item, centre_place = in_order(island, count)
-    block_start, block_item, block_place = in_order(of_block, count)
-    return head, link, centre_start, centre_item, island, centre_place, block_start, block_item, of_block, block_place
+    begin = np.empty((2, count + 1), np.int64)
+    in_order(island, begin[0], centre[0], centre[2])
+    in_order(of_block, begin[1], block[1], block[3])
+    return link, begin, centre, block
 
 
 @njit(**ENTRY)
-def united(escaped: I8, centre_island: I8, of_block: I8, drop: Bool, more: Bool) -> tuple[I8, I8, I8, I8, I8, I8, I8, I8]:
+def united(escaped: I8, centre: I8, block: I8, drop: Bool, more: Bool) -> tuple[I8, I8, I8]:
     """One island of those that have turned out not to be by themselves, and those that they have reached.
 
-    ``escaped`` (2, P) pairs of an island and a block not on it that a centre of the island has reached. Written: ``drop``
-    (I,), which islands are part of the one; ``more`` (B,), which blocks that were on none are. They are kept from one
-    time to the next, when the one has reached others itself. Returned as `islands` returns them.
+    ``escaped`` (2, P) pairs of an island and a block not on it that a centre of the island has reached; ``centre``,
+    ``block`` of `islands`. Written: ``drop`` (I,), which islands are part of the one; ``more`` (B,), which blocks that were
+    on none are. They are kept from one time to the next, when the one has reached others itself. Returned are ``begin``,
+    ``centre`` and ``block`` with the one as the only island.
     """
     for p in range(escaped.shape[1]):
         i, b = escaped[0, p], escaped[1, p]
         drop[i] = True
-        if of_block[b] >= 0:
-            drop[of_block[b]] = True
+        if block[2, b] >= 0:
+            drop[block[2, b]] = True
         else:
             more[b] = True
-    island, on = np.empty(centre_island.size, np.int64), np.empty(of_block.size, np.int64)
-    for j in range(island.size):
-        island[j] = 0 if drop[centre_island[j]] else -1
-    for b in range(on.size):
-        on[b] = 0 if more[b] or (of_block[b] >= 0 and drop[of_block[b]]) else -1
-    centre_start, centre_item, centre_place = in_order(island, 1)
-    block_start, block_item, block_place = in_order(on, 1)
-    return centre_start, centre_item, island, centre_place, block_start, block_item, on, block_place
+    begin, centres, blocks = np.empty((2, 2), np.int64), np.empty(centre.shape, np.int64), np.empty(block.shape, np.int64)
+    for j in range(centre.shape[1]):
+        centres[1, j] = 0 if drop[centre[1, j]] else -1
+    for b in range(block.shape[1]):
+        blocks[0, b], on = block[0, b], block[2, b]
+        blocks[2, b] = 0 if more[b] or (on >= 0 and drop[on]) else -1
+    in_order(centres[1], begin[0], centres[0], centres[2])
+    in_order(blocks[2], begin[1], blocks[1], blocks[3])
+    return begin, centres, blocks

@@ -111,13 +111,17 @@ def join_light(first: I8, second: I8, mass: F8, mean: F8, scale: F8, reach: floa
 
 
 @njit(**ENTRY)
-def heavy_enough(
-    first: I8, second: I8, mass: F8, mean: F8, cov: F8, scale: F8, reach: float, lightest: float, split: float
-) -> tuple[F8, F8, F8]:
+def heavy_enough(mass: F8, mean: F8, cov: F8, scale: F8, reach: float, lightest: float, split: float) -> tuple[F8, F8, F8]:
     """Masses (m,), means (d, m) and covariances (m, d, d) of those that weigh ``lightest``, light ones joined.
 
     Arguments as in `join_light`, ``cov`` (k, d, d). A union keeps mass, mean and covariance of its parts.
     """
+    at, low, high = np.empty((2, mass.size)), np.empty((2, mass.size)), np.empty((2, mass.size))
+    for j in range(mass.size):
+        for r in range(2):
+            at[r, j], side = mean[r, j], reach * scale[r, j]
+            low[r, j], high[r, j] = mean[r, j] - side, mean[r, j] + side
+    first, second = meeting(low, high, at, at)
     root = join_light(first, second, mass, mean, scale, reach, lightest, split)
     d, k, kept = mean.shape[0], mass.size, 0
     total, place = np.empty(k), np.empty(k, np.int64)
@@ -158,12 +162,15 @@ def join(i: int, mass: float, mean: F8, cov: F8, j: int, weight: F8, centre: F8,
 
 
 @njit(**ENTRY)
-def likeness(boxes: F8, first: I8, second: I8, least: float, shared: F8) -> int:
-    """Keep of the pairs (P,) of boxes (n, 4) those i < j whose overlap (IoU) is above ``least``; how many.
-
-    Written: ``first`` and ``second``, which name the pairs, and their overlaps into ``shared`` (P,).
-    """
-    count = 0
+def likeness(boxes: F8, least: float) -> tuple[I8, I8, F8]:
+    """Pairs i < j (P,) of boxes (n, 4) whose overlap (IoU) is above ``least``, and their overlaps (P,)."""
+    n, count = boxes.shape[0], 0
+    lower, upper = np.empty((2, n)), np.empty((2, n))
+    for i in range(n):
+        for r in range(2):
+            lower[r, i], upper[r, i] = boxes[i, r], boxes[i, 2 + r]
+    first, second = meeting(lower, upper, lower, upper)
+    shared = np.empty(first.size)
     for p in range(first.size):
         i, j = first[p], second[p]
         inter, own, other = 1.0, 1.0, 1.0
@@ -178,26 +185,33 @@ def likeness(boxes: F8, first: I8, second: I8, least: float, shared: F8) -> int:
         if i < j and share > least:
             first[count], second[count], shared[count] = i, j, share
             count += 1
-    return count
+    return first[:count], second[:count], shared[:count]
 
 
 @njit(**ENTRY)
-def serve(which: I8, point: I8, distance2: F8, limit: float, floor: F8, taken: I8, seen: I8, cov: F8) -> None:
+def serve(which: I8, point: I8, distance2: F8, limit: float, floor: F8, detections: int, cov: F8) -> tuple[I8, F8]:
     """Pairs (detection, cluster) (P,) are served nearest first up to ``limit``; each has one of the other kind at most.
 
-    Written: into ``seen`` (k,) the detection that each cluster rests on, into ``taken`` (N,) the cluster that each detection
-    serves, both −1 at first; to the diagonals of ``cov`` (k, d, d) a tenth of the deviations ``floor`` (d, k) is added,
-    squared.
+    Gives (k,) the detection that each cluster rests on, −1 for none; and ``cov`` (k, d, d) with a tenth of the deviations
+    ``floor`` (d, k), squared, added to the diagonals.
     """
-    for j in range(floor.shape[1]):
-        for r in range(floor.shape[0]):
-            cov[j, r, r] += 0.1 * floor[r, j] * (0.1 * floor[r, j])
+    d, k = floor.shape
+    seen, taken, floored = np.empty(k, np.int64), np.empty(detections, np.bool_), np.empty((k, d, d))
+    for z in range(detections):
+        taken[z] = False
+    for j in range(k):
+        seen[j] = -1
+        for r in range(d):
+            for s in range(d):
+                floored[j, r, s] = cov[j, r, s]
+            floored[j, r, r] += 0.1 * floor[r, j] * (0.1 * floor[r, j])
     order = np.empty(which.size, np.int64)
     nearest_first(distance2, order)
     for q in range(which.size):
         z, j = which[order[q]], point[order[q]]
-        if distance2[order[q]] <= limit and seen[j] < 0 and taken[z] < 0:
-            seen[j], taken[z] = z, j
+        if distance2[order[q]] <= limit and seen[j] < 0 and not taken[z]:
+            seen[j], taken[z] = z, True
+    return seen, floored
 
 
 @njit(**ENTRY)

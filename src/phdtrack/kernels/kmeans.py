@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.blocks import Real, U, load_steps, whole
+from phdtrack.kernels.blocks import Real, U, load_steps, whole, working_memory
 from phdtrack.kernels.clustering import cluster_moments
 from phdtrack.kernels.fast32 import ENTRY, VECTOR
 from phdtrack.kernels.nearest import (
@@ -86,6 +86,8 @@ def regroup(
             joined += comes
             left += goes
             scratch[factor, i] = real(comes) - real(goes)
+        if joined == 0 and left == 0:
+            continue
         unit, mass = float(weight[0]), real(joined) - real(left)
         if weight.size > 1:
             unit, mass = 1.0, real(0)
@@ -376,8 +378,7 @@ def settle(
 def kmeans(
     lo: int, hi: int, state: Real, weight: Real, start: I8, known: F8, second: F8, lower: F8, upper: F8, frame: F8,
     cells: I8, item: I8, corner: I8, centres: F8, scales: F8, reach: float, split: float, iterations: int, total: float,
-    listed: I8, entries: I8, centre_start: I8, centre_item: I8, centre_place: I8, block_start: I8, block_item: I8,
-    of_block: I8, block_place: I8, label: I4, own: I4, count: I8, scratch: Real, which: I4,
+    entries: I8, begin: I8, centre_of: I8, block_of: I8, label: I4, own: I4, count: I8, widest: int,
 ) -> tuple[F8, I8]:  # fmt: skip
     """Cluster the particles on the islands lo … hi − 1, starting from the centres given.
 
@@ -388,12 +389,11 @@ def kmeans(
     centres, scales : (d, k) first centres, and the deviations by which distances from them are measured.
     split : clusters heavier than this are divided; ``total``, the mass of all particles, bounds how often.
     iterations : how often a centre may move, and again after a division of its cluster.
-    listed … block_place : what `islands.islands` gives, without ``centre_island``.
+    entries, begin, centre_of, block_of : as `islands.islands` gives them.
     label, own : (B,), (L,) written: a block's cluster, by its number on the island, −1 for none, −2 for a mixed block,
         whose particles' are in ``own``.
     count : (I,) written: how many clusters there are on each island.
-    scratch, which : working memory, (2·even d + 2, n) zeros and (n,) for n particles in the largest block, as `blocks.whole`
-        has it.
+    widest : particles in the largest block.
 
     Returns
     -------
@@ -401,7 +401,10 @@ def kmeans(
         There are none of an island that a centre has left.
     escaped : (2, P) islands, and blocks that are not on them but have been reached by one of their centres.
     """
-    d, most, widest = state.shape[0], 0, 0
+    d, most, longest = state.shape[0], 0, 0
+    scratch, which = working_memory(state, widest), np.empty(whole(widest), np.int32)
+    centre_start, block_start, centre_item, centre_place = begin[0], begin[1], centre_of[0], centre_of[2]
+    listed, block_item, of_block, block_place = block_of[0], block_of[1], block_of[2], block_of[3]
     rounds, even = divisions(total, split), state.shape[0] + state.shape[0] % 2
     rows = np.empty(hi - lo, np.int64)
     for i in range(lo, hi):
@@ -410,12 +413,12 @@ def kmeans(
             mass += known[block_item[q], 0]
         # As many as there could be if every division parted as little as does not count as a stray.
         rows[i - lo] = centre_start[i + 1] - centre_start[i] + 10 * divisions(mass, split)
-        most, widest = max(most, rows[i - lo]), max(widest, blocks)
+        most, longest = max(most, rows[i - lo]), max(longest, blocks)
     table, flags = np.empty((most, CENTRE + 4 * d)), np.empty((most, 7), np.int64)
     mass_of, mean, cov, reference = np.empty(most), np.empty((d, most)), np.empty((most, d, d)), np.empty((d, most))
     one, two, shift = np.empty(d), np.empty((even, even)), np.empty(d)
-    near, head = np.empty(max(most, start.size), np.int64), np.empty(widest, np.int64)
-    link, escaped = np.empty((2, 4 * widest + 16), np.int64), np.empty((2, 16), np.int64)
+    near, head = np.empty(max(most, start.size), np.int64), np.empty(longest, np.int64)
+    link, escaped = np.empty((2, 4 * longest + 16), np.int64), np.empty((2, 16), np.int64)
     out, done, gone = np.empty((2 * (centre_start[hi] - centre_start[lo]) + 16, 1 + d + d * d)), 0, 0
     for i in range(lo, hi):
         blocks = block_item[block_start[i] : block_start[i + 1]]
