@@ -1,19 +1,23 @@
-"""Milliseconds of one extraction, on the intensities of the fused filter at M07's parameters and constant density.
+"""Milliseconds of one extraction, on the intensities of the fused filter at M07's parameters and constant density; and of a
+frame's filter and extraction on one thread and on two.
 
 python -m benchmarks.extraction
 """
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from benchmarks.timing import Spread, seconds
+from benchmarks.timing import Spread, in_turns, seconds
 from benchmarks.workload import Crowd, draw, stages
 from phdtrack.extract import KMeans, Mixture
+from phdtrack.protocols import AnyStages, Model
+from phdtrack.types import F8, Estimates
 
-EXTRACTORS = {"kmeans": KMeans(), "mixture": Mixture()}
+EXTRACTORS: dict[str, KMeans | Mixture] = {"kmeans": KMeans(), "mixture": Mixture()}
 WARM_UP, REPEATS = 12, 15
 
 
@@ -45,8 +49,34 @@ def measure(targets: int, kind: str = "kmeans", frames: int = 8, seed: int = 1) 
     }
 
 
+def on_threads(targets: int, frames: int = 4, seed: int = 1, repeats: int = REPEATS) -> dict[str, float | bool]:
+    """Filter and extraction of a frame on one thread and on two, in turns.
+
+    ``one_ms``, ``two_ms`` : medians over ``frames`` frames of the least of ``repeats``; ``ratio`` : of the one to the other;
+    ``identical`` : whether the states are the same to the bit.
+    """
+    crowd = Crowd(targets, WARM_UP + frames)
+    built = [stages(crowd, sets=(f"filter.threads={n}", f"extract.threads={n}")) for n in (1, 2)]
+    least, identical = [], True
+    for state, z, model in intensities(targets, frames, seed):
+
+        def frame(of: AnyStages, state: Any = state, z: F8 = z, model: Model = model) -> Estimates:
+            after, _ = of.filter.step(state, z, model, 1.0, np.random.default_rng(seed))
+            return of.extractor.extract(after, z, model)
+
+        least.append([times.min() for times in in_turns([partial(frame, of) for of in built], repeats)])
+        one, two = (frame(of) for of in built)
+        identical &= all(
+            np.array_equal(getattr(one, name), getattr(two, name)) for name in ("state", "covariance", "weight")
+        )
+    one_ms, two_ms = np.median(1e3 * np.array(least), axis=0).tolist()
+    return {"one_ms": one_ms, "two_ms": two_ms, "ratio": one_ms / two_ms, "identical": identical}
+
+
 def main() -> None:
     """Print a line for each number of targets."""
+    for targets in (10, 100, 1000):
+        print("filter and extraction", targets, on_threads(targets), flush=True)
     for kind in EXTRACTORS:
         for targets in (10, 20, 100, 1000):
             print(kind, targets, measure(targets, kind, frames=4 if targets > 300 else 8), flush=True)
