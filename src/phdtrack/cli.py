@@ -29,7 +29,7 @@ from phdtrack.commands import (
     simulate,
     track,
 )
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, interrupted
 
 P = ParamSpec("P")
 
@@ -55,6 +55,10 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
             raise failed(str(error), 2) from error
         except KeyboardInterrupt as error:
             raise failed("stopped", 130) from error
+        except SystemError as error:
+            if interrupted(error):
+                raise failed("stopped", 130) from error
+            raise
         except BrokenPipeError:
             # Whoever read our output has gone (phdtrack ... | head): nothing to say, and nobody to say it to.
             raise

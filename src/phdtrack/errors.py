@@ -23,3 +23,13 @@ class InputError(ValueError):
         self.problem, self.where, self.cure = problem, str(where), cure
         text = f"{where}: {problem}" if where else problem
         super().__init__(f"{text.rstrip('.')}. {cure}" if cure else text)
+
+
+def interrupted(error: BaseException) -> bool:
+    """Whether ``error`` is Ctrl-C, or what compiled code has made of it: some of Numba's turns it into a SystemError."""
+    seen: BaseException | None = error
+    while seen is not None:
+        if isinstance(seen, KeyboardInterrupt):
+            return True
+        seen = seen.__cause__ or seen.__context__
+    return False

@@ -16,6 +16,7 @@ import pytest
 from cli_runner import phdtrack, refused, walkers
 
 from phdtrack import rundir
+from phdtrack.errors import interrupted
 from phdtrack.formats import read_detections, read_tracks
 from phdtrack.video import VideoWriter, open_source
 
@@ -325,3 +326,23 @@ def test_ctrl_c_finishes_what_was_done(tmp_path: Path) -> None:
     assert "Ctrl-C" in errors
     assert "Traceback" not in errors
     assert {path.name for path in out.iterdir()} == FILES
+
+
+def test_settings_of_the_filter_that_the_option_names(sequence: Path, tmp_path: Path) -> None:
+    options = ("track", "--detections", sequence / "det" / "det.txt", "--no-video", "--json")
+    run = phdtrack(
+        *options, "--out", tmp_path / "run", "--filter", "mht", "--set", "filter.depth=3", "--set", "filter.most=7"
+    ).object
+    settings = run["configuration"]["filter"]
+    assert (settings["kind"], settings["depth"], settings["most"]) == ("mht", 3, 7)
+    assert "There are most, ratio, depth" in refused(*options, "--filter", "mht", "--set", "filter.per_target=3")
+    assert "two filters" in refused(*options, "--filter", "mht", "--set", "filter.kind=mcmc")
+    assert "--filter" in refused(*options, "--filter", "mhd")
+
+
+def test_ctrl_c_in_compiled_code_is_ctrl_c() -> None:
+    outer = SystemError("returned a result with an exception set")
+    outer.__cause__ = KeyboardInterrupt()
+    assert interrupted(outer)
+    assert interrupted(KeyboardInterrupt())
+    assert not interrupted(SystemError("something else"))

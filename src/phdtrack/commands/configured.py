@@ -14,6 +14,7 @@ from phdtrack.commands.job import Job
 from phdtrack.commands.steps import Steps
 from phdtrack.commands.wanted import DEFAULT_DETECTOR, Wanted
 from phdtrack.context import read_scene
+from phdtrack.errors import InputError
 from phdtrack.formats import read_truth
 from phdtrack.types import Truth
 
@@ -39,14 +40,25 @@ def chosen(choice: Choice) -> config.Settings:
     ------
     InputError : a file that cannot be read, an unknown name, options that do not go together.
     """
-    settings = config.load(choice.config, choice.sets, choice.preset)
+    settings = config.load(choice.config, (*_filter(choice), *choice.sets), choice.preset)
     if choice.scene is not None:
         settings = config.overlay(settings, _learned(choice.scene), "--scene")
-    if choice.filter_name:
-        settings = config.overlay(settings, {"filter": {"kind": choice.filter_name}}, "--filter")
     if choice.threads is not None:
         settings = config.overlay(settings, _sharing(settings, choice.threads), "--threads")
     return settings
+
+
+def _filter(choice: Choice) -> tuple[str, ...]:
+    """``--filter`` as an assignment before all others, so that these may be settings of that filter."""
+    name = choice.filter_name
+    if not name:
+        return ()
+    others = [text for text in choice.sets if text.partition("=")[0].strip() == "filter.kind"]
+    if any(text.partition("=")[2].strip().strip("'\"") != name for text in others):
+        raise InputError(f"--filter {name} and --set {others[0]} name two filters", where="--filter", cure="Leave one out")
+    # Names are checked where they were given.
+    config.overlay(config.load(preset=choice.preset), {"filter": {"kind": name}}, "--filter")
+    return (f"filter.kind={name}",)
 
 
 def _learned(file: Path) -> dict[str, dict[str, str]]:

@@ -27,6 +27,7 @@ from phdtrack.commands.inputs import NO_PICTURE, Inputs, detected
 from phdtrack.commands.output import progress
 from phdtrack.commands.spool import rereadable
 from phdtrack.commands.steps import Steps
+from phdtrack.errors import interrupted
 from phdtrack.filters import NoFilter
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter, write_tracks
 from phdtrack.overlap import ahead
@@ -219,7 +220,7 @@ def _loop(job: Job, source: VideoSource, directory: RunDirectory) -> _Progress:
             if companion is not None:
                 companion.flush(held)
         except (Exception, KeyboardInterrupt) as stop:
-            done.stop = stop
+            done.stop = _as_meant(stop)
         done.seconds = time.perf_counter() - clock
     done.lost = source.problem
     return done
@@ -258,8 +259,13 @@ def _draw(job: Job, source: VideoSource, directory: RunDirectory, done: _Progres
                     one(seen.number, picture)
                 advance(count)
     except (Exception, KeyboardInterrupt) as stop:
-        return stop
+        return _as_meant(stop)
     return None
+
+
+def _as_meant(stop: Stop) -> Stop:
+    """Ctrl-C, in whatever form it comes out of compiled code, or the error itself."""
+    return KeyboardInterrupt() if interrupted(stop) else stop
 
 
 def _videos(job: Job, directory: RunDirectory, files: ExitStack) -> list[Draw]:
