@@ -20,6 +20,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from phdtrack import config, pipeline
+from phdtrack.compare.digest import sources
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_seqinfo, read_truth
 from phdtrack.metrics import Scores, evaluate, first_output_delays
@@ -118,8 +119,8 @@ def measure(case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), p
 class Kept(Generic[A, B]):
     """``work``, with the outcomes of jobs that were done before read from ``folder``.
 
-    A job is known by the name of the work and its own representation: a record, or a tuple of numbers and words. Throw the
-    folder away when the code has changed.
+    A job is known by the name of the work and its own representation: a record, or a tuple of numbers and words. The folder
+    remembers the sources that it was begun with; `in_parallel` says when they are others now.
     """
 
     work: Callable[[A], B]
@@ -143,6 +144,8 @@ class Kept(Generic[A, B]):
 
 def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, folder: Path | None = None) -> list[B]:
     """``work`` over ``jobs``, a process for each core; progress on stderr; outcomes are kept in ``folder`` if given."""
+    if folder is not None:
+        _say_if_older(folder)
     began = time.perf_counter()
     out = []
     with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
@@ -151,6 +154,16 @@ def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, folder: P
             print(f"\r{label}: {done} of {len(jobs)}, {time.perf_counter() - began:.0f} s", end="", file=sys.stderr)
     print(file=sys.stderr)
     return out
+
+
+def _say_if_older(folder: Path) -> None:
+    """Warn that the outcomes in ``folder`` come of other sources of phdtrack than today's; a new folder is given today's."""
+    note, now = folder / "sources", sources(("",))
+    if not note.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        note.write_text(now, encoding="utf-8")
+    elif note.read_text(encoding="utf-8") != now:
+        print(f"{folder}: outcomes may be kept there of an earlier phdtrack; without it all are run again", file=sys.stderr)
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
