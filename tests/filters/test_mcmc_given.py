@@ -12,8 +12,8 @@ from mcmc_cases import CELLS, RingMotion, ring, variation
 from phdtrack.errors import InputError
 from phdtrack.filters import MCMC
 from phdtrack.filters.mcmc_ancestors import proposals
-from phdtrack.filters.mcmc_given import joint_chain
-from phdtrack.filters.mcmc_settings import Chain, Interaction
+from phdtrack.filters.mcmc_given import each_chain, joint_chain
+from phdtrack.filters.mcmc_settings import Ancestry, Chain, Interaction
 from phdtrack.intensities import JointSamples
 from phdtrack.models import PlaneMotion, PlaneSensor, PointMotion, PointSensor
 from phdtrack.protocols import Model
@@ -69,6 +69,85 @@ def test_greedy_acceptance_does_not_sample(rng):
     """As D14 prints it the chain has another law than the posterior, however long it runs."""
     cells = sampled(MCMC(samples=200_000, associations="given", greedy=True, strength=0), rng)
     assert variation(exact("each", 0.0), cells) > 0.05
+
+
+def algorithm_one(x, z, target, variance: float, burn: int) -> tuple[list[np.ndarray], int]:
+    """D14's Alg. 1 in its own words: ``x`` are proposals in turn, the first n of them where the chain starts."""
+
+    def likelihood(t: int, state: np.ndarray) -> float:
+        dx, dy = z[0, t] - state[0], z[1, t] - state[1]
+        return float(np.exp(-0.5 * (dx * dx + dy * dy) / variance) / (2 * np.pi * variance))
+
+    n = z.shape[1]
+    current = [x[:, t] for t in range(n)]
+    cached = [likelihood(t, current[t]) for t in range(n)]
+    kept, accepted = [], 0
+    for s, t in enumerate(target):
+        weight = likelihood(t, x[:, n + s])
+        ratio = weight / cached[t]
+        if ratio >= 1:
+            current[t], cached[t] = x[:, n + s], weight
+            accepted += 1
+        else:
+            cached[t] = ratio
+        if s >= burn:
+            kept.append(np.stack(current, axis=1))
+    return kept, accepted
+
+
+GREEDY = Ancestry(joint=False, switch=0.0, informed=False, greedy=True)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_greedy_chain_is_the_papers(seed: int):
+    """Draw by draw: the same generator gives the proposals, Alg. 1 written out decides about them."""
+    model = gaussian_worlds()["point"]
+    origin, z = gaussian_scan(np.random.default_rng(seed))
+    z = np.ascontiguousarray(z[[0, 1, -1]])
+    chain, many, n = Chain(300, 20, 1, Interaction(0.0, True, 1.0)), 5, 2
+    kept, counts = each_chain(chain, GREEDY, origin, 1.0, z, model, np.random.default_rng([seed, 1]))
+    rng = np.random.default_rng([seed, 1])
+    target = np.concatenate([np.arange(n), rng.integers(n, size=chain.steps)])
+    ancestor = np.empty(len(target), np.int64)
+    for t in range(n):
+        ancestor[target == t] = (rng.random((target == t).sum()) * many).astype(np.int64)
+    x = model.motion.sample(np.ascontiguousarray(origin[:, target * many + ancestor]), 1.0, rng)
+    expected, accepted = algorithm_one(x, z, target[n:], 1.0, chain.burn)
+    np.testing.assert_array_equal(kept.reshape(4, n, -1), np.stack(expected, axis=2))
+    assert counts.tolist() == [[chain.steps, accepted]]
+    assert 0 < accepted < chain.steps
+
+
+@pytest.mark.parametrize("ancestors", ["each", "greedy"])
+def test_how_many_times_an_ancestor_is_given_changes_nothing(ancestors: str):
+    """One sample of each target, or many that are equal: the same chain, draw by draw."""
+    model = gaussian_worlds()["point"]
+    one, z = gaussian_scan(np.random.default_rng(3))
+    one, z = one[:, [0, 5]], np.ascontiguousarray(z[[0, 1, -1]])
+    chain = Chain(2000, 50, 1, Interaction(0.0, True, 1.0))
+    ancestry = GREEDY if ancestors == "greedy" else replace(GREEDY, greedy=False)
+    few, counts = each_chain(chain, ancestry, one, 1.0, z, model, np.random.default_rng(1))
+    for many in (10, 400):
+        kept, others = each_chain(chain, ancestry, np.repeat(one, many, axis=1), 1.0, z, model, np.random.default_rng(1))
+        np.testing.assert_array_equal(kept, few)
+        np.testing.assert_array_equal(others, counts)
+
+
+def test_the_greedy_chain_depends_on_the_unit_and_the_sampler_does_not():
+    """The same world in pixels and in hundredths of them, which scales the density: why the page names the unit."""
+    rates = {}
+    for greedy in (True, False):
+        for unit in (1.0, 100.0):
+            model = replace(ring(), motion=PointMotion(variance=2.0 * unit**2), sensor=PointSensor(variance=unit**2))
+            origin, z = gaussian_scan(np.random.default_rng(3))
+            z = np.ascontiguousarray(z[[0, 1, -1]])
+            z[:2] *= unit
+            chain = Chain(4000, 50, 1, Interaction(0.0, True, 1.0))
+            ancestry = replace(GREEDY, greedy=greedy)
+            _, counts = each_chain(chain, ancestry, unit * origin, 1.0, z, model, np.random.default_rng(1))
+            rates[greedy, unit] = counts[0, 1] / counts[0, 0]
+    assert rates[False, 1.0] == pytest.approx(rates[False, 100.0], abs=1e-3)
+    assert abs(rates[True, 1.0] - rates[True, 100.0]) > 0.05
 
 
 def gaussian_worlds() -> dict[str, Model]:

@@ -50,7 +50,8 @@ class MCMC:
     informed : for ``given``, propose ancestors by how well they predict the scan, with the ratio that this asks for; False:
         all alike [K05], of which few are accepted where there are many targets or precise measurements.
     greedy : for ``given``, D14's Alg. 1 as printed: only proposals of ratio 1 and above are accepted, and a rejected one's
-        ratio takes the place of the target's likelihood. That does not sample; ancestors are ``each``, all alike.
+        ratio takes the place of the target's likelihood. That does not sample, and because a likelihood is then compared
+        with a ratio it depends on the unit of positions; ancestors are ``each``, all alike.
     exchange : for ``none``, the share of steps that move two candidates that compete for a measurement.
     strength : of the interaction; 0 for none, which is faster. Where the detector fires twice on one person it keeps the two
         apart; where associations are given there is less need.

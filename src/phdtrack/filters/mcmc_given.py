@@ -123,7 +123,10 @@ def each_chain(
         ancestor[own] = choose(proposal, rng.random(len(own)))
         log_proposal[own] = proposal.log[ancestor[own]]
     x = _moved(origin[:, target * many + ancestor], dt, model, rng)
-    weight = model.sensor.log_likelihood(z[:, target], x) - log_proposal
+    weight = model.sensor.log_likelihood(z[:, target], x)
+    if not ancestry.greedy:
+        # Alg. 1's weight is the likelihood alone. Where a ratio takes a weight's place, a common factor does not cancel.
+        weight -= log_proposal
     place = chain.interaction.places(x, model.sensor)
     kept, accepted = independent_chain(
         target[n:], weight[n:], -rng.standard_exponential(steps), weight[:n], place, chain.interaction.strength,

@@ -27,9 +27,10 @@ def independent_chain(
 
     Parameters
     ----------
-    target, weight : (S,) the target of each proposal, and its log-likelihood.
+    target, weight : (S,) the target of each proposal, and its log-likelihood, less the logarithm of the proposal's law where
+        that is not constant; never less it where ``greedy``, in which a constant does not cancel.
     height : (S,) logarithms of uniform numbers.
-    start : (n,) log-likelihoods of the states that the chain starts from.
+    start : (n,) those of the states that the chain starts from.
     place : (n + S, 4) where these and the proposals are, see `mcmc_apart`; read where ``strength`` is above 0.
     greedy : accept ratios of 1 and more only, and take the ratio for the target's weight where it is less [D14 Alg. 1].
     keep : (2,) steps before the first kept sample, and steps for each one that is kept.
