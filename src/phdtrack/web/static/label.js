@@ -38,12 +38,16 @@ async function load(n) {
   }
 }
 
+// What is pressed while a frame is on its way is meant for the one that is seen: `here` changes when the new one is there.
+let going = 0;
+
 async function go(place) {
-  here = Math.min(Math.max(place, 0), overview.frames.length - 1);
-  const wanted = number();
-  await load(wanted);
-  if (wanted !== number()) return;
-  view.show(frame(), pictures.get(wanted), overview);
+  const ticket = ++going;
+  const to = Math.min(Math.max(place, 0), overview.frames.length - 1);
+  await load(numbers()[to]);
+  if (ticket !== going) return;
+  here = to;
+  view.show(frame(), pictures.get(number()), overview);
   choose(-1);
   if (!$("wall").hidden) wall();
   tell();
