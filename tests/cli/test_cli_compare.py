@@ -147,18 +147,32 @@ def test_a_run_that_fails_is_told_and_the_others_go_on(
     assert "out of luck" in (tmp_path / "out" / "report.html").read_text()
 
 
-def test_ctrl_c_keeps_what_is_done(folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    words = ["compare", folder, "--filters", "gm-phd,none", "--clutter", "2", "--seeds", "500", "--jobs", "2", "--out", out]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "phdtrack", *map(str, words)], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
+def stopped(out: Path, runs: int, *words: object) -> tuple[int, str, str]:
+    """Ctrl-C when so many runs are kept in ``out``; the comparison's status and what it said and printed."""
+    command = [sys.executable, "-m", "phdtrack", "compare", *map(str, words), "--out", str(out)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     end = time.monotonic() + 240
-    while len(list(out.rglob("run.json"))) < 3 and process.poll() is None and time.monotonic() < end:
+    while len(list(out.rglob("seed-*/run.json"))) < runs and process.poll() is None and time.monotonic() < end:
         time.sleep(0.1)
+    time.sleep(0.3)
     process.send_signal(signal.SIGINT)
     printed, said = process.communicate(timeout=120)
-    assert (process.returncode, said, printed) == (130, "phdtrack: stopped\n", "")
+    return process.returncode, said, printed
+
+
+def test_ctrl_c_while_a_chain_runs_in_compiled_code_stops_everything(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    # Nearly all of the time is spent in the kernel.
+    slow = ("--set", "filter.samples=4000", "--set", "filter.thin=5")
+    ended = stopped(out, 1, folder, "--filters", "mcmc", *slow, "--seeds", 200, "--jobs", 1)
+    assert ended == (130, "phdtrack: stopped\n", "")
+    assert 1 <= len(list(out.rglob("tracks.csv"))) < 200
+
+
+def test_ctrl_c_keeps_what_is_done(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = (folder, "--filters", "gm-phd,none", "--clutter", 2, "--seeds", 500, "--jobs", 2)
+    assert stopped(out, 3, *words) == (130, "phdtrack: stopped\n", "")
     kept = len(list(out.rglob("tracks.csv")))
     assert kept >= 3
     assert list(out.rglob(".*")) == []

@@ -23,6 +23,9 @@ class Piece:
             raise InputError("no such number", where="here", cure="Take another.")
         if self.way == "bug":
             raise ValueError("two\nlines")
+        if self.way == "interrupt":
+            # What Numba makes of Ctrl-C while a kernel runs.
+            raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
         if self.way == "death" and os.getpid() != PARENT:
             os._exit(9)
         return self.number**2
@@ -52,6 +55,13 @@ def test_a_process_that_dies_is_told_and_the_others_go_on() -> None:
         reason = found[number]
         assert isinstance(reason, Failed)
         assert "status 9" in reason.reason
+
+
+def test_ctrl_c_in_compiled_code_is_no_failed_run() -> None:
+    found = outcomes([Piece(2), Piece(3, "interrupt"), Piece(4)], 1)
+    assert next(found) == (0, 4)
+    with pytest.raises(KeyboardInterrupt):
+        next(found)
 
 
 def test_nothing_to_do_starts_nothing() -> None:

@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Generic, TypeVar
 
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, interrupted
 
 T = TypeVar("T")
 
@@ -39,12 +39,14 @@ def outcomes(work: Sequence[Callable[[], T]], jobs: int) -> Iterator[tuple[int, 
 
 
 def _tried(piece: Callable[[], T]) -> T | Failed:
-    """The result, or why there is none. `KeyboardInterrupt` goes through."""
+    """The result, or why there is none. Ctrl-C goes through, whatever compiled code has made of it."""
     try:
         return piece()
-    except InputError as error:
-        return Failed(str(error))
     except Exception as error:
+        if interrupted(error):
+            raise KeyboardInterrupt from error
+        if isinstance(error, InputError):
+            return Failed(str(error))
         first = str(error).partition("\n")[0]
         return Failed(f"{type(error).__name__}: {first}" if first else type(error).__name__)
 

@@ -15,7 +15,8 @@ from phdtrack.types import F8, I8, Bool
 def decided(state: Hypotheses) -> Hypotheses:
     """Of each cluster the hypotheses that agree with the best about the oldest layer (N-scan pruning).
 
-    They have no other node there than it has; tracks that one of the two has not may be missing in either.
+    Of every track they hold the node that it holds there, or none any more: a hypothesis without a track says nothing of
+    where it was. A node of a track that the best has not is one that the best denies, and its hypotheses go.
     """
     root = np.arange(len(state))
     for nodes in state.layers[:0:-1]:
