@@ -6,7 +6,6 @@ the pairs, and of c for each state too many or too few, both over the larger num
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from phdtrack.compare.statistics import Interval, interval
 from phdtrack.metrics import ospa
 from phdtrack.protocols import Extractor, Filter, Model
 from phdtrack.reproduce.common import in_parallel
@@ -113,12 +113,19 @@ class Summary:
     @classmethod
     def of(cls, outcomes: Sequence[Outcome]) -> Summary:
         """Means over scans and runs; the time is the median of the runs'."""
-        mean, within = interval([outcome.ospa.mean() for outcome in outcomes])
+        distance = interval([outcome.ospa.mean() for outcome in outcomes])
         number = float(np.mean([outcome.number for outcome in outcomes]))
         counts = np.concatenate([outcome.error for outcome in outcomes])
         spent = 1000 * float(np.median([outcome.seconds for outcome in outcomes]))
         return cls(
-            len(outcomes), mean, within, mean - number, number, float(np.abs(counts).mean()), float(counts.mean()), spent
+            len(outcomes),
+            distance.mean,
+            distance.half,
+            distance.mean - number,
+            number,
+            float(np.abs(counts).mean()),
+            float(counts.mean()),
+            spent,
         )
 
     def cells(self) -> tuple[str, ...]:
@@ -137,18 +144,8 @@ class Summary:
 HEADER = ("runs", "OSPA", "place", "number", "mean count error", "bias", "ms per scan")
 
 
-def interval(values: Sequence[float]) -> tuple[float, float]:
-    """Mean of independent runs, and half the width of its 95 % interval by Student's distribution; NaN for one run."""
-    from scipy.special import stdtrit
-
-    each = np.asarray(values, dtype=np.float64)
-    n = len(each)
-    within = float(stdtrit(n - 1, 0.975) * each.std(ddof=1) / math.sqrt(n)) if n > 1 else math.nan
-    return float(each.mean()), within
-
-
-def apart(ours: Sequence[Outcome], theirs: Sequence[Outcome]) -> tuple[float, float]:
-    """Mean difference of the OSPA, run by run where both have one on the same scans, and half its 95 % interval."""
+def apart(ours: Sequence[Outcome], theirs: Sequence[Outcome]) -> Interval:
+    """Mean difference of the OSPA, run by run where both have one on the same scans, and its 95 % interval."""
     return interval([a.ospa.mean() - b.ospa.mean() for a, b in zip(ours, theirs, strict=False)])
 
 
@@ -156,9 +153,9 @@ def differences(outcomes: dict[str, list[Outcome]], pairs: Sequence[tuple[str, s
     """Of each pair of filters that ran: who beside whom, how far apart in metres, and as a share."""
     for ours, theirs in pairs:
         if ours in outcomes and theirs in outcomes:
-            difference, within = apart(outcomes[ours], outcomes[theirs])
-            share = difference / np.mean([o.ospa.mean() for o in outcomes[theirs][: len(outcomes[ours])]])
-            yield f"{ours} beside {theirs}", f"{difference:+.2f} ± {within:.2f}", f"{100 * share:+.1f} %"
+            difference = apart(outcomes[ours], outcomes[theirs])
+            share = difference.mean / np.mean([o.ospa.mean() for o in outcomes[theirs][: len(outcomes[ours])]])
+            yield f"{ours} beside {theirs}", f"{difference.mean:+.2f} ± {difference.half:.2f}", f"{100 * share:+.1f} %"
 
 
 def fill(template: str, **values: object) -> str:
