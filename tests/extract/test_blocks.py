@@ -17,9 +17,9 @@ from phdtrack.extract.clusters import seeds, starting
 from phdtrack.extract.mixture import _parts
 from phdtrack.extract.settling import FEW, REACH, Clusters, cluster
 from phdtrack.kernels.blocks import cut
+from phdtrack.kernels.dividing import PATIENCE
 from phdtrack.kernels.em import em_step
 from phdtrack.kernels.joining import heavy_enough
-from phdtrack.kernels.kmeans import PATIENCE
 from phdtrack.kernels.nearest import MIXED
 from phdtrack.types import ParticleBlocks, Particles
 from reference import clustering_twin as twin

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.kernels.kmeans import PATIENCE, STILL, STRAY
+from phdtrack.kernels.dividing import PATIENCE, STRAY
+from phdtrack.kernels.kmeans import STILL
 
 REACH = 8.0
 
