@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,7 +11,9 @@ import numpy as np
 import pytest
 from compare_cases import FRAMES, sequence, small
 
+import phdtrack
 from phdtrack.compare import Failed, Outcome, Plan, Run, plan, run, steps, work
+from phdtrack.compare import digest as digests_of
 from phdtrack.compare.store import kept, read_about, whole
 from phdtrack.formats import read_detections, read_tracks, read_truth
 from phdtrack.metrics import evaluate
@@ -112,6 +115,38 @@ def test_only_what_a_change_decides_runs_again(tmp_path: Path, change: str) -> N
     assert changed == expected != set()
     assert found.outdated == ({"setting": "settings", "seqinfo": "sequence"}.get(change, change),)
     assert found.reused == len(before) - len(expected)
+
+
+@pytest.mark.parametrize(
+    ("part", "runs", "looks"),
+    [
+        ("compare/work.py", True, True),
+        ("detect/blobs.py", False, True),
+        ("formats/text.py", True, True),
+        ("metrics/scores.py", True, False),
+        ("filters/none.py", True, False),
+        ("compare/page.py", False, False),
+        ("report/html.py", False, False),
+    ],
+)
+def test_a_change_of_what_makes_results_is_another_digest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str, runs: bool, looks: bool
+) -> None:
+    home = Path(phdtrack.__file__).parent
+    shutil.copytree(home, tmp_path / "phdtrack", ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(phdtrack, "__file__", str(tmp_path / "phdtrack" / "__init__.py"))
+
+    def both() -> tuple[str, str]:
+        digests_of.sources.cache_clear()
+        return digests_of.sources(digests_of._parts()), digests_of.sources(digests_of._DETECTING)
+
+    try:
+        before = both()
+        with (tmp_path / "phdtrack" / part).open("a") as file:
+            file.write("\n")
+        assert [a != b for a, b in zip(before, both(), strict=True)] == [runs, looks]
+    finally:
+        digests_of.sources.cache_clear()
 
 
 def test_settings_that_no_track_depends_on_change_nothing(tmp_path: Path) -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from compare_cases import small
 
 from phdtrack.compare import Comparison, Failed, Outcome, Row, Run, Summary, check_scores, interval, run, summary
+from phdtrack.compare.page import notes, sentences
 from phdtrack.compare.tables import lines_of, sparse, written
 from phdtrack.errors import InputError
 from phdtrack.metrics import Scores, pool
@@ -77,3 +80,33 @@ def test_scores_by_name() -> None:
     assert check_scores(["mota", "MS"]) == ("MOTA", "ms")
     with pytest.raises(InputError, match="Did you mean MOTA"):
         check_scores(["MOTTA"])
+
+
+def made_up(method: str, values: list[float], random: bool = True) -> Row:
+    """One method's MOTA at each seed."""
+    own = {"MOTA": interval(values if random else values[:1])}
+    return Row("a", "det", 1, 0.0, method, own, {}, random, each=tuple({"MOTA": value} for value in values))
+
+
+def test_a_best_is_named_only_where_it_is_more_than_chance(comparison: Comparison) -> None:
+    still = replace(comparison.plan, rates=(0.0,))
+    a, b = made_up("a", [0.50, 0.60, 0.40]), made_up("b", [0.51, 0.59, 0.41])
+    # Far less than the seeds scatter, but the same at every one.
+    c, d = made_up("c", [0.49, 0.57, 0.39]), made_up("d", [0.1, 0.1, 0.1], random=False)
+    (said,) = sentences(still, Summary((c, a, b, d)))
+    assert said.startswith("Without added clutter the highest MOTA is not told apart between b 0.503 ± ")
+    assert " and a 0.500 ± " in said
+    assert said.index("; c 0.483 ± ") > said.index("and a")
+    assert said.endswith(", d 0.100.")
+    assert sentences(still, Summary((c, b)))[0].startswith("Without added clutter b has the highest MOTA, 0.503 ± ")
+    e = made_up("e", [0.2, 0.2, 0.2], random=False)
+    assert sentences(still, Summary((d, e))) == ["Without added clutter e has the highest MOTA, 0.200; d 0.100."]
+    # One seed tells nothing from chance.
+    assert "not told apart" in sentences(still, Summary((made_up("f", [0.5]), made_up("g", [0.9]))))[0]
+
+
+def test_hints_fit_what_was_done(comparison: Comparison) -> None:
+    found = summary(comparison)
+    assert "say --jobs 1" in notes(found, (1, 2), alone=False, kept=True)[0]
+    assert "--overwrite" in notes(found, (1, 2), alone=True, kept=True)[0]
+    assert notes(found, (1, 2), alone=True, kept=False)[0].endswith("extraction and association.")

@@ -42,13 +42,19 @@ def test_mistakes_of_all_frames_are_those_of_the_scores(comparison: Comparison) 
 
 def test_the_frames_are_those_of_the_greatest_difference_and_apart(comparison: Comparison) -> None:
     conditions = list(_conditions(comparison, comparison.plan.cases[0].footage))
-    chosen = _chosen(conditions, 1)
-    assert [why for _, _, why in chosen] == ["differ most", "most mistakes"][: len(chosen)]
-    condition, frame, _ = chosen[0]
-    apart = [one.errors.max(axis=0) - one.errors.min(axis=0) for one in conditions]
-    assert np.ptp(condition.errors[:, frame]) == max(int(values.max()) for values in apart)
-    frames = [number for _, number, _ in _chosen(conditions, 5)]
-    assert all(abs(a - b) >= APART * 25 for i, a in enumerate(frames) for b in frames[:i])
+    values = {
+        "differ most": [np.ptp(one.errors, axis=0) for one in conditions],
+        "most mistakes": [one.errors.sum(axis=0) for one in conditions],
+    }
+    place = {id(condition): i for i, condition in enumerate(conditions)}
+    for number in (1, 5):
+        chosen = [(place[id(condition)], frame, why.split(", ")) for condition, frame, why in _chosen(conditions, number)]
+        assert len({(i, frame) for i, frame, _ in chosen}) == len(chosen)
+        for why, each in values.items():
+            frames = [(i, frame) for i, frame, reasons in chosen if why in reasons]
+            # Whatever else is shown, the worst is.
+            assert max(each[i][frame] for i, frame in frames) == max(int(one.max()) for one in each)
+            assert all(abs(a - b) >= APART * 25 for k, (_, a) in enumerate(frames) for _, b in frames[:k])
 
 
 def test_pictures_are_written_and_show_something(comparison: Comparison, tmp_path: Path) -> None:

@@ -118,10 +118,10 @@ def compare(
     # Whatever ends this, the next one knows the folder for its own.
     write_run(directory.file(DOCUMENT), {"complete": False})
     compile_for(result, made)
-    began = time.perf_counter()
+    began, processes = time.perf_counter(), jobs or os.cpu_count() or 1
     with progress("comparing", steps(made), PACE) as advance:
-        comparison = run(made, out, jobs or os.cpu_count() or 1, anew=overwrite, advance=advance)
-    results = Results(comparison, summary(comparison), wanted, time.perf_counter() - began)
+        comparison = run(made, out, processes, anew=overwrite, advance=advance)
+    results = Results(comparison, summary(comparison), wanted, time.perf_counter() - began, processes == 1)
     write(results, list(worst_frames(comparison, worst)), directory)
     tell(result, results, directory)
     if comparison.failed:

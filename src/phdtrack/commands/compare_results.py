@@ -32,12 +32,22 @@ MEANINGS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Results:
-    """A comparison with its summary; ``wanted`` are the scores asked for, ``seconds`` what it took this time."""
+    """A comparison with its summary; ``wanted`` are the scores asked for, ``seconds`` what it took this time.
+
+    ``alone``: its runs ran one after the other.
+    """
 
     comparison: Comparison
     summary: Summary
     wanted: tuple[str, ...]
     seconds: float
+    alone: bool
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader should know of the numbers."""
+        comparison = self.comparison
+        return notes(self.summary, comparison.plan.seeds, alone=self.alone, kept=comparison.reused > 0)
 
     @property
     def scores(self) -> tuple[str, ...]:
@@ -97,7 +107,7 @@ def write(results: Results, frames: Sequence[WorstFrame], directory: rundir.RunD
         seconds=results.seconds,
         versions=versions(),
         warnings=results.warnings,
-        notes=notes(results.summary, comparison.plan.seeds),
+        notes=results.notes,
     )
     write_comparison(place(rundir.REPORT), content(comparison, results.summary, results.scores, frames, about))
     write_run(place(DOCUMENT), json_value(results.document))
@@ -115,7 +125,7 @@ def tell(out: Output, results: Results, directory: rundir.RunDirectory) -> None:
         out.say(f"Difference to {plan.methods[0].name}, seed by seed:")
         out.table(head(names), sparse(lines_of(apart, names, ahead=True)), words=(0, 1, 3))
     out.say()
-    for sentence in (results.sentence, *sentences(plan, found), *notes(found, plan.seeds)):
+    for sentence in (results.sentence, *sentences(plan, found), *results.notes):
         out.say(sentence)
     out.say()
     for file, meaning in _meanings(directory.path):

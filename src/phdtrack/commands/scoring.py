@@ -22,9 +22,9 @@ EXPLAINED = (
     ("MOTP", "overlap of matched boxes, pooled"),
     ("IDF1", "identities kept"),
     ("HOTA", "detection and association in one"),
-    ("OSPA", "distance on boxes 1 − IoU, c = 1, p = 1; lower is better"),
-    ("GOSPA", "the same base, c = 1, p = 1, α = 2; lower is better"),
-    ("OSPA2", "the same base between whole tracks; lower is better"),
+    ("OSPA", "distance on boxes 1 − IoU, c = 1, p = 1"),
+    ("GOSPA", "the same base, c = 1, p = 1, α = 2"),
+    ("OSPA2", "the same base between whole tracks"),
     ("SFDA", "overlap of boxes, misses and false ones as 0, mean over frames"),
     ("ATA", "overlap of whole tracks, misses and false ones as 0"),
     ("id_switches", "an object's identity changed"),
@@ -36,7 +36,7 @@ EXPLAINED = (
     ("frames", "frames scored"),
 )
 BY_TRAJECTORY = (
-    ("TGOSPA", "GOSPA of whole tracks per frame, a switch costs γ = 1; lower is better"),
+    ("TGOSPA", "GOSPA of whole tracks per frame, a switch costs γ = 1"),
     ("TGOSPA_localisation", "its part for how boxes lie"),
     ("TGOSPA_missed", "its part for misses"),
     ("TGOSPA_false", "its part for false boxes"),
@@ -52,8 +52,10 @@ def check_iou(iou: float) -> None:
 
 def score_table(out: Output, runs: Sequence[tuple[str, Scores]]) -> None:
     """The scores of each run (its title, its scores) in a column of its own, and what each of them says."""
+    from phdtrack.report.senses import sense
+
     columns = [scores.as_dict() for _, scores in runs]
-    rows = [[key, *(number(column[key]) for column in columns), meaning] for key, meaning in EXPLAINED]
+    rows = [[key, *(number(column[key]) for column in columns), meaning + sense(key)] for key, meaning in EXPLAINED]
     out.table(["", *(title for title, _ in runs), ""], rows, words=(0, len(runs) + 1))
 
 
@@ -68,7 +70,11 @@ def trajectory_scores(truth: Truth, tracks: Tracks, frames: int) -> dict[str, fl
 
 def trajectory_table(out: Output, found: dict[str, float]) -> None:
     """The same as a table."""
-    out.table(["", "", ""], [[key, number(found[key]), meaning] for key, meaning in BY_TRAJECTORY], words=(0, 2))
+    from phdtrack.report.senses import sense
+
+    out.table(
+        ["", "", ""], [[key, number(found[key]), meaning + sense(key)] for key, meaning in BY_TRAJECTORY], words=(0, 2)
+    )
 
 
 def located(truth: Truth, tracks: Tracks, gate: float) -> TargetErrors:

@@ -18,12 +18,15 @@ from phdtrack.compare.records import Case, Detecting, Run
 from phdtrack.report.run_json import json_value
 from phdtrack.video.images import SUFFIXES
 
-# Parts of phdtrack that no track and no score comes from.
+# Of this package, what makes detections, clutter, tracks and scores.
+_WORK = "compare/work.py"
+# Parts of phdtrack that no track and no score comes from, beside that.
 _ASIDE = (
     *("commands", "report", "reproduce", "web", "compare", "detect", "video", "groups", "grouped.py", "tracker.py"),
     *("statedict.py", "overlap.py", "rundir.py", "compiling.py", "doctor.py", "cli.py", "__main__.py"),
 )
-_DETECTING = ("detect", "video")
+# What detections come from, and what writes them down.
+_DETECTING = ("detect", "video", "formats", "detections.py", _WORK)
 # Sections of the settings that no track depends on; the detector's are in what was detected.
 _ELSEWHERE = ("detector", "groups", "contours", "lives", "meetings")
 _LUMP = 1 << 20
@@ -95,7 +98,7 @@ def sources(parts: tuple[str, ...]) -> str:
 def _parts() -> tuple[str, ...]:
     home = Path(phdtrack.__file__).parent
     found = (path.name for path in home.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file())
-    return tuple(sorted(name for name in found if name not in _ASIDE))
+    return (*sorted(name for name in found if name not in _ASIDE), _WORK)
 
 
 def changed(before: Mapping[str, object], now: Mapping[str, object]) -> list[str]:

@@ -9,12 +9,13 @@ import numpy as np
 from phdtrack.compare.engine import Comparison
 from phdtrack.compare.records import Plan
 from phdtrack.compare.statistics import Interval
-from phdtrack.compare.summary import LOWER, Row, Summary
+from phdtrack.compare.summary import Row, Summary
 from phdtrack.compare.tables import head, label, lines_of, sparse, written
 from phdtrack.compare.worst import WorstFrame
 from phdtrack.report.compare_charts import Series, bars, lines
 from phdtrack.report.compare_report import ComparePage, Shown, Table, encoded
 from phdtrack.report.record import About
+from phdtrack.report.senses import sense
 from phdtrack.report.summary import counted
 
 LEGEND = (
@@ -46,6 +47,7 @@ def content(
         frames=[Shown(encoded(frame.image), frame.caption) for frame in frames],
         legend=LEGEND,
         config=_config(plan),
+        seeds=len(plan.seeds),
     )
 
 
@@ -73,29 +75,47 @@ def described(plan: Plan) -> str:
 
 
 def sentences(plan: Plan, found: Summary) -> list[str]:
-    """Who is ahead in MOTA over everything, for each rate of clutter."""
+    """Who is ahead in MOTA over everything, for each rate of clutter, where that is more than chance between seeds."""
     said = []
     for rate in plan.rates:
         rows = [row for row in found.widest if row.rate == rate and "MOTA" in row.values]
         if len(rows) < 2:
             continue
-        best = max(rows, key=lambda row: row.values["MOTA"].mean)
-        others = ", ".join(f"{row.method} {written(row.values['MOTA'], 'MOTA')}" for row in rows if row is not best)
+        rows.sort(key=lambda row: -row.values["MOTA"].mean)
+        alike = [row for row in rows[1:] if not rows[0].told_apart(row, "MOTA")]
+        behind = [_with_mota(row) for row in rows[1:] if row not in alike]
         clutter = f"With {rate:g} added boxes per frame" if rate else "Without added clutter"
-        said.append(f"{clutter} {best.method} has the highest MOTA, {written(best.values['MOTA'], 'MOTA')}; {others}.")
+        if alike:
+            names = _listed([_with_mota(row) for row in (rows[0], *alike)])
+            lead = f"the highest MOTA is not told apart between {names}"
+        else:
+            lead = f"{rows[0].method} has the highest MOTA, {written(rows[0].values['MOTA'], 'MOTA')}"
+        said.append("; ".join([f"{clutter} {lead}", ", ".join(behind)] if behind else [f"{clutter} {lead}"]) + ".")
     return said
 
 
-def notes(found: Summary, seeds: Sequence[int]) -> tuple[str, ...]:
-    """What a reader should know of the numbers."""
+def _with_mota(row: Row) -> str:
+    return f"{row.method} {written(row.values['MOTA'], 'MOTA')}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def notes(found: Summary, seeds: Sequence[int], *, alone: bool, kept: bool) -> tuple[str, ...]:
+    """What a reader should know of the numbers; ``alone``: the runs of this time ran one after the other; ``kept``: some
+    are of an earlier time."""
     still = list(dict.fromkeys(row.method for row in found.rows if not row.random and not row.failed))
-    out = [
-        "ms per frame is the median over a run's frames of filter, extraction and association, taken while other runs share "
-        "the machine: compare ratios, or say --jobs 1.",
-    ]
+    out = [f"ms per frame is the median over a run's frames of filter, extraction and association{_shared(alone, kept)}."]
     if still and len(seeds) > 1:
         out.append(f"{', '.join(still)}: nothing is random without added clutter, so one run stands for all seeds.")
     return tuple(out)
+
+
+def _shared(alone: bool, kept: bool) -> str:
+    if not alone:
+        return ", taken while other runs share the machine: compare ratios, or say --jobs 1"
+    return "; runs kept from before may have shared the machine: --overwrite takes all times anew" if kept else ""
 
 
 def _charts(plan: Plan, found: Summary, single: Sequence[Row], names: Sequence[str]) -> list[tuple[str, list[Shown]]]:
@@ -117,7 +137,7 @@ def _over_clutter(plan: Plan, found: Summary, methods: Sequence[str], name: str)
     series = [_series(method, [rows[method, rate].values.get(name) for rate in rates]) for method in methods]
     over = "pooled over everything" if any(row.pooled for row in found.widest) else "of the sequence"
     picture = lines(rates, "added clutter, boxes per frame", label(name), series)
-    return Shown(picture, f"{label(name)} {over}, mean over the seeds with 95 % confidence intervals{_sense(name)}.")
+    return Shown(picture, f"{label(name)} {over}, mean over the seeds with 95 % confidence intervals{sense(name)}.")
 
 
 def _by_case(rows: Sequence[Row], methods: Sequence[str], name: str) -> Shown:
@@ -125,11 +145,7 @@ def _by_case(rows: Sequence[Row], methods: Sequence[str], name: str) -> Shown:
     by = {(row.sequence, row.detections, row.method): row for row in rows}
     series = [_series(method, [by[*place, method].values.get(name) for place in places]) for method in methods]
     picture = bars([" ".join(place) for place in places], label(name), series)
-    return Shown(picture, f"{label(name)}, mean over the seeds with 95 % confidence intervals{_sense(name)}.")
-
-
-def _sense(name: str) -> str:
-    return "; lower is better" if name in (*LOWER, "ms") else ""
+    return Shown(picture, f"{label(name)}, mean over the seeds with 95 % confidence intervals{sense(name)}.")
 
 
 def _series(method: str, values: Sequence[Interval | None]) -> Series:

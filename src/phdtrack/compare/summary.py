@@ -18,18 +18,6 @@ SCORES = tuple(entry.name for entry in fields(Scores) if entry.name not in ("cou
 # What there is without truth too.
 OTHERS = ("tracks", "boxes_per_frame", "ms")
 SHOWN = ("MODA", "MOTA", "IDF1", "HOTA", "id_switches")
-LOWER = (
-    "OSPA",
-    "GOSPA",
-    "id_switches",
-    "misses",
-    "false_positives",
-    "fragments",
-    "false_tracks",
-    "mostly_lost",
-    "delay_mean",
-)
-"""Scores of which less is better."""
 POOLED = "all"
 
 
@@ -44,6 +32,7 @@ class Row:
     rate, method : see `Cell`.
     values : means over the seeds with their intervals, by the names of scores; ``ms`` is milliseconds per frame.
     ahead : the same for the differences to the first method, seed by seed; empty for that method itself.
+    each : the scores at every seed, in the order of the seeds.
     random : whether the seeds matter. Where not, one run was enough and there is no interval.
     failed : why there are no values; empty where there are.
     """
@@ -57,11 +46,18 @@ class Row:
     ahead: Mapping[str, Interval]
     random: bool
     failed: str = ""
+    each: tuple[Mapping[str, float], ...] = ()
 
     @property
     def pooled(self) -> bool:
         """Over more than one sequence."""
         return self.cases > 1
+
+    def told_apart(self, other: Row, name: str) -> bool:
+        """Whether the two differ in a score by more than chance between seeds: seed by seed, 95 %; where nothing is random,
+        at all."""
+        found = interval([mine[name] - theirs[name] for mine, theirs in zip(self.each, other.each, strict=True)])
+        return found.clear if self.random or other.random else found.mean != 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +132,7 @@ def _row(comparison: Comparison, sequence: str, detections: str, cases: Sequence
         ]
         ahead = _intervals(apart if either else apart[:1])
     values = _intervals(own if random else own[:1])
-    return Row(sequence, detections, len(cases), rate, method.name, values, ahead, random, reason)
+    return Row(sequence, detections, len(cases), rate, method.name, values, ahead, random, reason, tuple(own))
 
 
 def _by_seed(

@@ -106,23 +106,27 @@ def _judged(comparison: Comparison, run: Run, given: Material, truth: Truth) -> 
 
 
 def _chosen(conditions: Sequence[_Condition], number: int) -> list[tuple[_Condition, int, str]]:
-    """Frames with the greatest difference, then those with most mistakes, none within a second of another."""
-    taken: list[tuple[_Condition, int, str]] = []
+    """Frames with the greatest difference, then those with most mistakes, none of either within a second of another.
+
+    A frame that is both is there once, with both reasons; where mistakes are as many, one that is shown already.
+    """
+    reasons: dict[tuple[int, int], list[str]] = {}
     for why in ("differ most", "most mistakes"):
         ranked = [
-            (-int(value), i, frame)
+            (-int(value), (i, frame) not in reasons, i, frame)
             for i, condition in enumerate(conditions)
             for frame, value in enumerate(_value(condition.errors, why))
             if value > 0
         ]
-        wanted = len(taken) + number
-        for _, i, frame in sorted(ranked):
-            if len(taken) == wanted:
+        taken: list[tuple[int, int]] = []
+        for _, _, i, frame in sorted(ranked):
+            if len(taken) == number:
                 break
-            apart = APART * conditions[i].given.info.fps
-            if all(abs(frame - other) >= apart for _, other, _ in taken):
-                taken.append((conditions[i], frame, why))
-    return taken
+            if all(abs(frame - other) >= APART * conditions[i].given.info.fps for _, other in taken):
+                taken.append((i, frame))
+        for place in taken:
+            reasons.setdefault(place, []).append(why)
+    return [(conditions[i], frame, ", ".join(why)) for (i, frame), why in reasons.items()]
 
 
 def _value(errors: I8, why: str) -> I8:

@@ -49,6 +49,7 @@ class ComparePage:
     frames: Sequence[Shown]
     legend: str
     config: Mapping[str, object]
+    seeds: int = 1
 
 
 def write_comparison(path: Path, content: ComparePage) -> None:
@@ -63,7 +64,7 @@ def write_comparison(path: Path, content: ComparePage) -> None:
         *(_table(one) for one in content.single),
         _frames(content),
         section("Good to know", bullets(about.notes)),
-        again(about, content.config),
+        again(about, content.config, content.seeds),
     ]
     write_text(path, page(text(about.title), join(part for part in body if part)))
 

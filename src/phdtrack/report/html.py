@@ -30,6 +30,7 @@ from phdtrack.report.markup import (
 from phdtrack.report.record import About, RunRecord
 from phdtrack.report.run_json import flattened, write_text
 from phdtrack.report.scenes import heat_picture, trajectory_picture
+from phdtrack.report.senses import sense
 from phdtrack.report.summary import counted, duration, grouped, percent, sentences, stage_times
 from phdtrack.types import F8
 
@@ -153,7 +154,7 @@ def _warnings(record: RunRecord) -> Html:
 
 def _scores(record: RunRecord) -> Html:
     meanings = dict(_MEANING)
-    rows = [(name, _score(value), meanings.get(name, "")) for name, value in record.about.scores]
+    rows = [(name, _score(value), meanings.get(name, "") + sense(name)) for name, value in record.about.scores]
     return section("Scores against the truth", table(("score", "value", "what it says"), rows, "scores"))
 
 
@@ -255,13 +256,14 @@ def _rate(milliseconds: float) -> str:
     return f"{1000 / milliseconds:.1f}" if milliseconds > 0 else "–"
 
 
-def again(about: About, config: Mapping[str, object]) -> Html:
-    """Command, seed, versions and settings."""
+def again(about: About, config: Mapping[str, object], seeds: int = 1) -> Html:
+    """Command, seed (the first of ``seeds``), versions and settings."""
+    which = f"Seed {about.seed}" if seeds == 1 else f"Seeds {about.seed} to {about.seed + seeds - 1}"
     command = element("pre", element("code", text(about.command))) if about.command else NOTHING
     versions = ", ".join(f"{name} {version}" for name, version in about.versions)
     return section(
         "How to get this again",
         command,
-        paragraph(f"Seed {about.seed}. {versions}"),
+        paragraph(f"{which}. {versions}"),
         details("All settings", table(("setting", "value"), flattened(config), "settings")),
     )
