@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
+from string import Formatter
 
 import numpy as np
 import pytest
@@ -10,10 +12,12 @@ import pytest
 from phdtrack.reproduce import d14, d14_pictures, d14_runs
 from phdtrack.reproduce.common import Options
 from phdtrack.reproduce.d14_runs import (
-    CHANGES,
+    FILTERS,
+    GATE,
     KALMAN,
     VARIANCES,
     Job,
+    Outcome,
     Points,
     errors,
     kalman,
@@ -61,11 +65,11 @@ def test_the_kalman_filters_are_those_of_single_targets():
 
 def test_all_filters_are_given_the_same_measurements_and_only_some_the_names():
     """N is the number of samples, or of all particles; the sensor's variance is that of the measurements."""
-    scans = [scans_of(Job("corridor", name, n, 0.5, 4)) for name in CHANGES for n in (100, 500)]
+    scans = [scans_of(Job("corridor", name, n, 0.5, 4)) for name in FILTERS for n in (100, 500)]
     for other in scans[1:]:
         for a, b in zip(scans[0], other, strict=True):
             np.testing.assert_array_equal(a, b)
-    phd, true, greedy, joint = (stages_of(Job("corridor", name, 300, 0.5, 4)) for name in CHANGES)
+    phd, joint, true, greedy = (stages_of(Job("corridor", name, 300, 0.5, 4)) for name in FILTERS)
     assert (phd.filter.per_target, phd.filter.most, phd.filter.skip_empty) == (300, 300, True)
     assert (true.filter.samples, true.filter.burn, true.filter.thin, true.filter.greedy) == (300, 50, 1, False)
     assert greedy.filter.greedy
@@ -110,6 +114,45 @@ def test_the_phd_filter_locates_who_is_there_and_is_near_the_bound():
     assert bound.located.min() > 0.999
     assert bound.settled <= phd.settled < 1.15 * bound.settled
     assert phd.spare < 0.1
+
+
+def outcome(truth, located) -> Outcome:
+    """Errors and located shares of two targets; nothing else is asked for."""
+    return Outcome(np.array(truth), np.array(truth), np.array(located), 1.0, 1.0, 1.0, 1.0, 0.0, 0.1)
+
+
+def test_with_misses_who_is_not_located_is_the_gate_away():
+    assert d14.with_misses(outcome([1.5, 1.5], [1.0, 1.0])) == pytest.approx(1.5)
+    assert d14.with_misses(outcome([math.nan, math.nan], [0.0, 0.0])) == pytest.approx(GATE / math.sqrt(2))
+    # Half of one target's frames at 2 px, the other half and all of the other target's missed: (½·4 + ½·50 + 50) / 2.
+    assert d14.with_misses(outcome([2.0, math.nan], [0.5, 0.0])) == pytest.approx(math.sqrt(38.5))
+
+
+def made_up() -> d14.Found:
+    """Outcomes of all runs, whose errors fall with N but for the PHD filter's from 1000 on."""
+    results = {}
+    for job in [*d14_runs.jobs_of(d14.NUMBERS, 2), *d14.beyond(2)]:
+        number = min(job.number, 1000) if job.filter == d14.PHD else job.number
+        results[job] = outcome([10 / (number or 9000) ** 0.5] * 2, [1.0, 1.0])
+    return d14.Found(results, d14.NUMBERS, 2)
+
+
+def test_what_falls_with_n_is_counted():
+    found = made_up()
+    assert d14.falls(found, d14.TRUE, ["model"]) == "9 of 9"
+    assert d14.falls(found, d14.PHD, d14.PEOPLE) == "12 of 18"
+    assert d14.ahead(found, d14.TRUE, ["model"], d14.with_misses) == "0 of 12"
+
+
+def test_every_value_that_is_computed_is_told():
+    text = (Path(d14.__file__).parent / "d14.md").read_text(encoding="utf-8")
+    assert set(d14.verdicts(made_up())) <= {name for _, name, _, _ in Formatter().parse(text) if name}
+
+
+def test_the_papers_times_stand_beside_a_sequence_of_their_length_only():
+    rows = [line for line in d14.times(made_up()).splitlines() if "63" in line]
+    assert len(rows) == 1
+    assert "Simulated corridor, 475 frames | 4000" in rows[0]
 
 
 @pytest.mark.data

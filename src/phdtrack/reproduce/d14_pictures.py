@@ -33,7 +33,7 @@ from phdtrack.types import F8, Frame
 from phdtrack.video import open_source
 
 SHOWN = {"corridor": (100, 200, 265, 350), "caviar": (60, 120, 180, 240)}
-_COLOURS = dict(zip((*FILTERS, KALMAN), ("C0", "C2", "C3", "k"), strict=True))
+_COLOURS = dict(zip((*FILTERS, KALMAN), ("C0", "C1", "C2", "C3", "k"), strict=True))
 
 
 def pictures(results: Mapping[Job, Outcome], numbers: Sequence[int], seeds: int, out: Path) -> None:
@@ -125,7 +125,7 @@ def trajectories(world: str, found: Mapping[str, Points], path: Path) -> None:
     """States of all frames over the true paths, a panel for each filter; colours are its labels."""
     plt = _pyplot()
     truth = scene(world)
-    figure, axes = plt.subplots(1, len(found), figsize=(13, 4.2), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(1, len(found), figsize=(4.3 * len(found), 4.2), sharey=True, layout="constrained")
     for axis, (name, points) in zip(axes, found.items(), strict=True):
         for one in np.unique(truth.identity):
             axis.plot(*centroids(truth)[:, truth.identity == one], "k", lw=0.8)

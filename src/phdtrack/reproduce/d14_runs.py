@@ -33,16 +33,14 @@ GATE = 10.0
 BURN = 50
 INFOS = {"model": PATHS.info, "corridor": PATHS.info, "caviar": SequenceInfo(384, 288, 25.0, 295, "OneLeaveShop1cor")}
 KALMAN = "Kalman"
-JOINT = "MCMC joint"
 _GIVEN = ("filter.kind=mcmc", f"filter.burn={BURN}", "filter.associations=given", "filter.strength=0")
 FILTERS: dict[str, tuple[str, ...]] = {
     "SMC PHD": (),
+    "MCMC joint": (*_GIVEN, "filter.ancestors=joint"),
     "MCMC": (*_GIVEN, "filter.ancestors=each"),
     "MCMC greedy": (*_GIVEN, "filter.greedy=true"),
 }
-"""What each filter of the grid changes of the preset; N is set beside it."""
-CHANGES = {**FILTERS, JOINT: (*_GIVEN, "filter.ancestors=joint")}
-"""The same, with the chain in which all targets of a sample have one ancestor."""
+"""What each filter changes of the preset; N is set beside it. With ``joint``, all targets of a sample have one ancestor."""
 MODEL_SEEDS = 3
 """At most so many seeds of the points drawn from the model, each of which draws paths too."""
 SETTLED = 25
@@ -116,7 +114,7 @@ def stages_of(job: Job) -> AnyStages:
     variance = f"sensor.variance={job.variance}"
     if job.filter == KALMAN:
         return config.build(config.load(None, (variance,), "d14"), INFOS[job.world])
-    sets = CHANGES[job.filter]
+    sets = FILTERS[job.filter]
     particles = [f"filter.samples={job.number}"] if sets else [f"filter.{n}={job.number}" for n in ("per_target", "most")]
     return config.build(config.load(None, (variance, *sets, *particles), "d14"), INFOS[job.world])
 
@@ -128,7 +126,7 @@ def track(job: Job) -> tuple[Points, float]:
     if job.filter == KALMAN:
         found = kalman(stages.model, scans)
         return found, time.thread_time() - began
-    named, rng = bool(CHANGES[job.filter]), np.random.default_rng([job.seed, job.number, 1])
+    named, rng = bool(FILTERS[job.filter]), np.random.default_rng([job.seed, job.number, 1])
     state = stages.filter.start(stages.model, rng)
     points, tags = [], []
     for whole in scans:
