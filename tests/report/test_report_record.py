@@ -9,6 +9,7 @@ from report_runs import HIGH, WIDE, run_record, step, walkers
 from phdtrack.errors import InputError
 from phdtrack.report import About, Recorder, Series
 from phdtrack.report.background import still_background
+from phdtrack.report.summary import sentences
 from phdtrack.types import Particles, SequenceInfo, Tracks, Truth
 
 INFO = SequenceInfo(WIDE, HIGH, 10.0)
@@ -130,3 +131,12 @@ def test_a_still_camera_gives_the_scene_without_objects() -> None:
 def test_a_moving_camera_gives_one_of_its_frames(rng: np.random.Generator) -> None:
     images = [rng.integers(0, 255, (20, 30, 3), dtype=np.uint8) for _ in range(5)]
     assert (still_background(images) == images[2]).all()
+
+
+def test_frames_that_compiled_are_no_measure_of_the_speed():
+    record = run_record(10, 3, about=About(tracking_seconds=0.04, left_out=2))
+    assert record.frames_per_second == pytest.approx(200)
+    assert "ran at 200.0 frames per second, 2 frames in which kernels were compiled or loaded left aside." in " ".join(
+        sentences(record)
+    )
+    assert np.isnan(run_record(10, 3, about=About(left_out=10)).frames_per_second)

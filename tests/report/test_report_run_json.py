@@ -38,6 +38,8 @@ KEYS = [
     "warnings",
     "notes",
     "configuration",
+    "frames_left_out",
+    "chain",
 ]
 
 

@@ -25,6 +25,7 @@ from phdtrack.commands import belief
 from phdtrack.commands.ground import places
 from phdtrack.commands.inputs import NO_PICTURE, Inputs, detected
 from phdtrack.commands.output import progress
+from phdtrack.commands.pace import paced
 from phdtrack.commands.spool import rereadable
 from phdtrack.commands.steps import Steps
 from phdtrack.errors import interrupted
@@ -140,12 +141,13 @@ class _Seen:
 class _Progress:
     """How far it got. ``lost``: what the source said when it ended; ``stop`` ended the loop, ``cut`` the drawing.
 
-    ``seconds`` is what the loop took.
+    ``seconds`` is what the loop took, but for ``left_out`` frames in which kernels were compiled or loaded.
     """
 
     recorder: Recorder
     lost: str = ""
     seconds: float = 0.0
+    left_out: int = 0
     seen: list[_Seen] = field(default_factory=list)
     stop: Stop | None = None
     cut: Stop | None = None
@@ -172,6 +174,9 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
             done.cut = _draw(job, source, directory, done, tracks)
     stop = done.stop or done.cut
     notes, doubts = _belief(job, done)
+    chain = done.recorder.chain
+    if chain is not None:
+        notes, doubts = (*notes, chain.sentence), (*doubts, *filter(None, [chain.warning]))
     warnings = (*_problems(job, done), *doubts)
     about = About(
         title=job.title,
@@ -180,6 +185,7 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         started=started.isoformat(timespec="seconds"),
         seconds=time.perf_counter() - clock,
         tracking_seconds=done.seconds,
+        left_out=done.left_out,
         versions=job.versions,
         scores=() if scores is None else tuple((key, _plain(value)) for key, value in scores.as_dict().items()),
         warnings=warnings,
@@ -202,7 +208,7 @@ def _loop(job: Job, source: VideoSource, directory: RunDirectory) -> _Progress:
         advance = files.enter_context(progress("tracking", inputs.info.frames))
         if companion is not None:
             files.enter_context(companion.open(directory))
-        clock = time.perf_counter()
+        pace = files.enter_context(paced())
         try:
             with ahead(source) as frames, ahead(detected(inputs.detector, frames)) as looked:
                 for frame, found, seconds in looked:
@@ -215,13 +221,14 @@ def _loop(job: Job, source: VideoSource, directory: RunDirectory) -> _Progress:
                     done.recorder.add(frame.image if inputs.pictures else None, step, job.steps.particles, seconds)
                     done.seen.append(_seen(step))
                     advance(len(done.seen))
+                    pace.frame()
             held = job.steps.flush()
             online.append(held, places(job.stages.model.sensor, held.xyxy))
             if companion is not None:
                 companion.flush(held)
         except (Exception, KeyboardInterrupt) as stop:
             done.stop = _as_meant(stop)
-        done.seconds = time.perf_counter() - clock
+        done.seconds, done.left_out = pace.seconds, pace.left_out
     done.lost = source.problem
     return done
 

@@ -17,9 +17,10 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.report.background import still_background
+from phdtrack.report.chain import ChainSummary, chain_summary
 from phdtrack.report.density import default_cell, density_map
 from phdtrack.report.spread import Spread, evenly
-from phdtrack.types import F8, I8, Image, Particles, SequenceInfo, Step, Tracks, Truth
+from phdtrack.types import F8, I8, ChainInfo, Image, Particles, SequenceInfo, Step, Tracks, Truth
 
 STAGES = ("detect", "filter", "extract", "associate")
 NO_IMAGE: Image = np.zeros((0, 0, 3), np.uint8)
@@ -30,8 +31,9 @@ class About:
     """What is told of a run in words and single values.
 
     ``command`` is the line that was run, ``started`` an ISO time, ``seconds`` the wall time of everything,
-    ``tracking_seconds`` that of detection and tracking, which overlap (0: not measured), ``versions`` and ``scores`` pairs
-    of name and value, ``notes`` sentences to show (after how many detections an object is believed, …).
+    ``tracking_seconds`` that of detection and tracking, which overlap (0: not measured), without ``left_out`` frames in
+    which kernels were compiled or loaded, ``versions`` and ``scores`` pairs of name and value, ``notes`` sentences to show
+    (after how many detections an object is believed, …).
     """
 
     title: str = ""
@@ -44,6 +46,7 @@ class About:
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     tracking_seconds: float = 0.0
+    left_out: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +113,8 @@ class HeatMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
-    """Everything that a report shows. ``background`` is a scaled-down BGR picture of the scene, (0, 0, 3) without video."""
+    """Everything that a report shows. ``background`` is a scaled-down BGR picture of the scene, (0, 0, 3) without video;
+    ``chain`` how an MCMC filter's chain moved, None of other filters."""
 
     info: SequenceInfo
     series: Series
@@ -118,6 +122,7 @@ class RunRecord:
     about: About = field(default_factory=About)
     heat_maps: tuple[HeatMap, ...] = ()
     background: Image = field(default_factory=lambda: NO_IMAGE)
+    chain: ChainSummary | None = None
 
     @property
     def track_count(self) -> I8:
@@ -144,10 +149,12 @@ class RunRecord:
     def frames_per_second(self) -> float:
         """Frames over the wall time of detection and tracking; NaN where no time was measured.
 
+        Without the frames in which kernels were compiled or loaded, see `About`.
         Where only the stages were measured and not the whole, over the sum of these, as if they did not overlap.
         """
-        total = self.about.tracking_seconds or float(self.series.seconds.sum())
-        return len(self.series) / total if total > 0 else float("nan")
+        about = self.about
+        total = about.tracking_seconds if about.left_out else about.tracking_seconds or float(self.series.seconds.sum())
+        return (len(self.series) - about.left_out) / total if total > 0 else float("nan")
 
 
 def count_rows(frame: I8, numbers: I8) -> I8:
@@ -181,6 +188,7 @@ class Recorder:
         self._cell = cell if cell > 0 else default_cell(info)
         self._rows: list[tuple[float, ...]] = []
         self._ranges: list[tuple[float, float]] = []
+        self._chains: list[ChainInfo] = []
         self._snapshots: Spread[_Snapshot] = Spread(3 * heat_maps)
 
     def add(self, image: Image | None, step: Step, particles: Particles | None, detect_seconds: float) -> None:
@@ -190,9 +198,16 @@ class Recorder:
         row = (step.number, step.time, len(step.detections), len(step.estimates), info.mass, info.clutter_probability.sum())
         self._rows.append((*row, detect_seconds, *step.seconds))
         self._ranges.append(_likely(info.cardinality))
+        if info.chain is not None:
+            self._chains.append(info.chain)
         index = len(self._rows)
         if self._snapshots.wants(index) and self._info.width > 0 and self._info.height > 0:
             self._snapshots.put(index, self._snapshot(image, step, particles))
+
+    @property
+    def chain(self) -> ChainSummary | None:
+        """How the chain of an MCMC filter has moved so far; None of other filters."""
+        return chain_summary(self._chains)
 
     def record(self, tracks: Tracks, about: About, truth: Truth | None = None) -> RunRecord:
         """Everything so far, with the corrected ``tracks`` of the whole run. Does not end the collecting."""
@@ -200,7 +215,7 @@ class Recorder:
         maps = tuple(s.heat_map for s in snapshots if s.heat_map is not None)
         images = [s.image for s in snapshots if s.image.size]
         background = still_background(images) if images else NO_IMAGE
-        return RunRecord(self._info, self._series(truth), tracks, about, evenly(maps, self._wanted), background)
+        return RunRecord(self._info, self._series(truth), tracks, about, evenly(maps, self._wanted), background, self.chain)
 
     def _series(self, truth: Truth | None) -> Series:
         table = np.array(self._rows, dtype=np.float64).reshape(-1, 6 + len(STAGES))

@@ -23,8 +23,9 @@ from phdtrack.report.summary import sentences, stage_times
 def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, object]:
     """The run as JSON values: ``config`` is the whole configuration as nested mappings.
 
-    Times are seconds, ``frames_per_second`` is that of detection and tracking (without drawing), and ``stages`` are
-    milliseconds per frame, whose sum may exceed a frame's share of the time because stages overlap.
+    Times are seconds. ``frames_per_second`` is that of detection and tracking, without drawing and without the
+    ``frames_left_out`` in which kernels were compiled or loaded; ``stages`` are milliseconds per frame, whose sum may
+    exceed a frame's share of the time because stages overlap. ``chain`` is null but for MCMC filters.
     """
     about, series, info = record.about, record.series, record.info
     document = {
@@ -51,6 +52,8 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
         "warnings": list(about.warnings),
         "notes": list(about.notes),
         "configuration": config,
+        "frames_left_out": about.left_out,
+        "chain": record.chain,
     }
     return {key: json_value(value) for key, value in document.items()}
 

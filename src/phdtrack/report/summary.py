@@ -66,7 +66,9 @@ def sentences(record: RunRecord) -> tuple[str, ...]:
             f"{percent(predicted, len(tracks))} of the track boxes bridge frames in which the detector missed the object."
         )
     if math.isfinite(record.frames_per_second):
-        said.append(f"Detection and tracking ran at {record.frames_per_second:.1f} frames per second.")
+        without = record.about.left_out
+        aside = f", {counted(without, 'frame')} in which kernels were compiled or loaded left aside" if without else ""
+        said.append(f"Detection and tracking ran at {record.frames_per_second:.1f} frames per second{aside}.")
     return tuple(said)
 
 
