@@ -272,7 +272,7 @@ def _draw(job: Job, source: VideoSource, directory: RunDirectory, done: _Progres
 
 def _as_meant(stop: Stop) -> Stop:
     """Ctrl-C, in whatever form it comes out of compiled code, or the error itself."""
-    return KeyboardInterrupt() if interrupted(stop) else stop
+    return KeyboardInterrupt() if interrupted(stop) and not isinstance(stop, KeyboardInterrupt) else stop
 
 
 def _videos(job: Job, directory: RunDirectory, files: ExitStack) -> list[Draw]:
