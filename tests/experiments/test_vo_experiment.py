@@ -71,6 +71,16 @@ def test_filters_with_fewer_runs_are_compared_on_those():
     assert next(differences({"a": ours, "b": theirs}, [("a", "b")]))[2] == "-60.0 %"
 
 
+def test_only_what_is_farther_than_asked_for_is_told():
+    def runs(level: float) -> list[Outcome]:
+        return [Outcome(np.full(4, level), np.zeros(4), np.zeros(4), 0.0)] * 2
+
+    levels = {("x", "gm"): 10.0, ("x", "p"): 10.4, ("y", "gm"): 10.0, ("y", "p"): 10.6, ("z", "gm"): 10.0, ("z", "p"): 9.0}
+    found = {pair: runs(level) for pair, level in levels.items()}
+    assert "of the particle forms: p beside gm by 6.0 % (y).\n" in scans.beyond(found, "xyz", [("p", "gm")])
+    assert scans.beyond(found, "xz", [("p", "gm"), ("q", "gm")]).startswith("None of the particle forms is more than 5 %")
+
+
 def test_outcomes_are_given_by_case_and_filter(serial):
     """In the order of the seeds, whatever else was asked for."""
     runs = {("a", "one"): 2, ("b", "one"): 1, ("a", "two"): 3}

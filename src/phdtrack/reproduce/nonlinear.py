@@ -19,12 +19,14 @@ from phdtrack.protocols import Model
 from phdtrack.reproduce.common import Options, table
 from phdtrack.reproduce.scans import (
     HEADER,
+    PARTICLES,
     Found,
     Job,
     Outcome,
     Realisation,
     Stages,
     Summary,
+    beyond,
     curves,
     differences,
     fill,
@@ -95,6 +97,7 @@ def text(found: Found) -> str:
     return fill(
         "nonlinear.md",
         rows=table(("", "filter", *HEADER), rows),
+        beyond=beyond(found, tuple(CASES), PARTICLES),
         claims=table(("", "", "difference of OSPA", "share"), claims),
     )
 

@@ -144,6 +144,11 @@ class Summary:
 HEADER = ("runs", "OSPA", "place", "number", "mean count error", "bias", "ms per scan")
 
 
+CLOSE = 0.05
+PARTICLES = (("particle-phd", "gm-phd"), ("particle-cphd", "gm-cphd"))
+"""The particle forms, each beside the Gaussian one that it should come near."""
+
+
 def apart(ours: Sequence[Outcome], theirs: Sequence[Outcome]) -> Interval:
     """Mean difference of the OSPA, run by run where both have one on the same scans, and its 95 % interval."""
     return interval([a.ospa.mean() - b.ospa.mean() for a, b in zip(ours, theirs, strict=False)])
@@ -154,8 +159,25 @@ def differences(outcomes: dict[str, list[Outcome]], pairs: Sequence[tuple[str, s
     for ours, theirs in pairs:
         if ours in outcomes and theirs in outcomes:
             difference = apart(outcomes[ours], outcomes[theirs])
-            share = difference.mean / np.mean([o.ospa.mean() for o in outcomes[theirs][: len(outcomes[ours])]])
-            yield f"{ours} beside {theirs}", f"{difference.mean:+.2f} ± {difference.half:.2f}", f"{100 * share:+.1f} %"
+            share = 100 * difference.mean / _level(outcomes[theirs][: len(outcomes[ours])])
+            yield f"{ours} beside {theirs}", f"{difference.mean:+.2f} ± {difference.half:.2f}", f"{share:+.1f} %"
+
+
+def _level(outcomes: Sequence[Outcome]) -> float:
+    return float(np.mean([outcome.ospa.mean() for outcome in outcomes]))
+
+
+def beyond(found: Found, cases: Sequence[str], pairs: Sequence[tuple[str, str]]) -> str:
+    """A sentence on the pairs of filters of which the first's OSPA is more than `CLOSE` above the other's, case by case."""
+    far = []
+    for case in cases:
+        for ours, theirs in pairs:
+            if (case, ours) in found and (case, theirs) in found:
+                share = apart(found[case, ours], found[case, theirs]).mean / _level(found[case, theirs])
+                far += [f"{ours} beside {theirs} by {100 * share:.1f} % ({case})"] if share > CLOSE else []
+    if not far:
+        return f"None of the particle forms is more than {100 * CLOSE:.0f} % above its Gaussian one.\n"
+    return f"More than {100 * CLOSE:.0f} % above the Gaussian ones are, of the particle forms: {'; '.join(far)}.\n"
 
 
 def fill(template: str, **values: object) -> str:

@@ -15,12 +15,14 @@ from phdtrack.protocols import Model
 from phdtrack.reproduce.common import Options, table
 from phdtrack.reproduce.scans import (
     HEADER,
+    PARTICLES,
     Found,
     Job,
     Outcome,
     Realisation,
     Stages,
     Summary,
+    beyond,
     curves,
     differences,
     fill,
@@ -103,6 +105,7 @@ def text(found: Found, more: Found) -> str:
     return fill(
         "standard.md",
         rows=table(("", "filter", "elsewhere", *HEADER), rows),
+        beyond=beyond(found, tuple(CASES), PARTICLES),
         claims=table(("", "", "difference of OSPA", "share"), claims),
         particles=PER_TARGET,
         more=MORE,
