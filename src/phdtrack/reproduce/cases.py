@@ -1,4 +1,4 @@
-"""What the trackers are compared on: real detections, ones made of real truth, simulated scenes; added clutter."""
+"""What the trackers are compared on: real detections, ones made of real truth, simulated and rendered scenes; clutter."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from functools import lru_cache
 
 import numpy as np
 
+from phdtrack.detect import make_detector
 from phdtrack.formats import read_truth
 from phdtrack.reproduce import e13
 from phdtrack.reproduce.common import Case, mot15, need_data
-from phdtrack.simulate import DetectorModel, add_clutter, detect, make_scene
-from phdtrack.types import SequenceInfo
+from phdtrack.simulate import DetectorModel, add_clutter, detect, make_scene, render
+from phdtrack.types import Detections, DetectionTable, SequenceInfo
 
-# A sequence, and which detections of it: public or frcnn; made; of a simulated scene; of one with places that fire.
+# A sequence, and which detections of it: public or frcnn; made; of a simulated scene; of one with places that fire;
+# of a rendered one, by a detector.
 Named = tuple[str, str]
 # The shipped defaults were chosen by scores on these.
 CASES: tuple[Named, ...] = (
@@ -33,6 +35,8 @@ _NAMES = ("street", "crossing", "occlusion", "crowd", "corridor")
 SCENES: tuple[Named, ...] = tuple((name, "scene") for name in _NAMES)
 # The scenes as `phdtrack simulate` makes them: five places where something is reported in every other frame.
 PLACES: tuple[Named, ...] = tuple((name, "places") for name in _NAMES)
+# Three of them as a video, in which a detector finds what it can.
+RENDERED: tuple[Named, ...] = tuple((name, "rendered") for name in ("street", "crossing", "corridor"))
 SCENE_FRAMES = 300
 # Annotated sequences without detections: file, size and rate.
 _ANNOTATED = {
@@ -54,12 +58,25 @@ def given(sequence: str, kind: str) -> Case:
     return mot15(sequence, kind)
 
 
+@lru_cache(maxsize=2)
+def rendered(name: str, seed: int) -> Case:
+    """The video of a scene, and what the change detector finds in it, both as shipped; kept, as it takes seconds."""
+    scene = make_scene(name, seed, frames=SCENE_FRAMES)
+    detector = make_detector("change")
+    found = [(frame.number, detector(frame)) for frame in render(scene, np.random.default_rng(seed))]
+    number = np.repeat([n for n, _ in found], [len(boxes) for _, boxes in found])
+    boxes = Detections.of(*(np.concatenate([getattr(one, key) for _, one in found]) for key in ("xyxy", "confidence")))
+    return Case(name, scene.info, scene.truth, DetectionTable(number, boxes))
+
+
 def drawn(name: Named, seed: int) -> Case:
     """A case by its name; ``seed`` draws what is made and what is simulated, and does nothing to real detections."""
     sequence, kind = name
     if kind in ("scene", "places"):
         scene = make_scene(sequence, seed, _IN_SCENES if kind == "scene" else None, frames=SCENE_FRAMES)
         return Case(sequence, scene.info, scene.truth, scene.detections)
+    if kind == "rendered":
+        return rendered(sequence, seed)
     if kind == "made":
         file, info = _ANNOTATED[sequence]
         truth = read_truth(need_data() / file)

@@ -16,9 +16,10 @@ import numpy as np
 
 from phdtrack.compare.statistics import Interval, interval
 from phdtrack.metrics import Scores, pool
-from phdtrack.reproduce.cases import CASES, HELD_OUT, MADE, PLACES, SCENES, Named, cluttered, drawn, short
+from phdtrack.reproduce import m07_why
+from phdtrack.reproduce.cases import CASES, HELD_OUT, MADE, PLACES, RENDERED, SCENES, Named, cluttered, drawn, short
 from phdtrack.reproduce.common import Options, Result, in_parallel, measure, table, write
-from phdtrack.reproduce.occlusion import found as detected
+from phdtrack.reproduce.m07_why import Trial, Tried
 
 RATES = (0, 5, 20)
 SEEDS, FEW = 3, 2
@@ -42,7 +43,11 @@ GROUPS: dict[str, tuple[Named, ...]] = {
 }
 # False alarms that are no Poisson clutter: a page of their own, as they are.
 FIRING: dict[str, tuple[Named, ...]] = {"places that fire": PLACES}
+# So are the rendered scenes: a detector has false alarms of its own.
+VIDEOS: dict[str, tuple[Named, ...]] = {"rendered scenes": RENDERED}
 ERRORS = {"misses": "misses", "false boxes": "false_positives", "switches": "id_switches"}
+# A difference that is hardly one.
+NEAR = 0.01
 FOUR = ("MODA", "MODP", "MOTA", "MOTP")
 
 
@@ -60,20 +65,6 @@ def work(job: Job) -> Result:
     """One run, scored."""
     kind, preset = METHODS[job.method]
     return measure(cluttered(drawn(job.case, job.seed), job.rate, job.seed), kind, job.seed, preset=preset)
-
-
-@dataclass(frozen=True, slots=True)
-class Trial:
-    """The particle PHD filter on a case as detected, with other settings than the shipped ones."""
-
-    case: Named
-    sets: tuple[str, ...]
-    seed: int
-
-
-def tried(trial: Trial) -> Result:
-    """One run of it, scored."""
-    return measure(drawn(trial.case, trial.seed), PHD, trial.seed, trial.sets)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +97,7 @@ class Found:
 
 def seed_of(case: Named, rate: int, method: str, seed: int) -> int:
     """The seed whose run stands for ``seed``: the first where neither detections, clutter nor the method draw anything."""
-    random = method in RANDOM or rate > 0 or case in MADE + SCENES + PLACES
+    random = method in RANDOM or rate > 0 or case in MADE + SCENES + PLACES + RENDERED
     return seed if random else 1
 
 
@@ -129,29 +120,19 @@ def main(options: Options | None = None) -> Path:
     seeds, rates = options.number(SEEDS, FEW), RATES[::2] if options.quick else RATES
     groups = {"real detections": short(CASES), "simulated scenes": SCENES[1:2]} if options.quick else GROUPS
     firing = {"places that fire": PLACES[1:2]} if options.quick else FIRING
-    jobs = jobs_of(groups, rates, seeds) + jobs_of(firing, rates[:1], seeds)
+    videos = {"rendered scenes": RENDERED[:1]} if options.quick else VIDEOS
+    once = jobs_of(firing, rates[:1], seeds) + jobs_of(videos, rates[::2], seeds)
+    jobs = jobs_of(groups, rates, seeds) + once
     results = dict(zip(jobs, in_parallel(work, jobs, "m07", options.folder), strict=True))
     found, places = Found(results, groups, rates, seeds), Found(results, firing, rates[:1], seeds)
-    trials = trials_of([case for case in found.cases if not leads(found, case, 0, "none")], seeds)
-    outcomes = dict(zip(trials, in_parallel(tried, trials, "m07, why", options.folder), strict=True))
-    return write("m07.md", page(found, places, outcomes), options.out)
+    trials = m07_why.trials_of(found.cases)
+    outcomes = dict(zip(trials, in_parallel(m07_why.tried, trials, "m07, why", options.folder), strict=True))
+    return write("m07.md", page(found, places, Found(results, videos, rates[::2], seeds), outcomes), options.out)
 
 
-def trials_of(cases: Sequence[Named], seeds: int) -> list[Trial]:
-    """What might explain a miss: people joined who overlap, and a p_D that is not the detector's."""
-    return [Trial(case, sets, seed) for case in cases for sets in (APART, believed(case)) for seed in range(1, seeds + 1)]
-
-
-APART = ("extract.overlap=1.0",)
-
-
-def believed(case: Named) -> tuple[str, ...]:
-    """The setting by which p_D is the share of the annotated boxes that are detected (IoU 0.5; of the first seed)."""
-    return (f"sensor.detection={float(detected(drawn(case, 1))[1].mean()):.2f}",)
-
-
-def page(found: Found, places: Found, trials: Mapping[Trial, Result]) -> str:
-    """The page of results; ``places``: those of the scenes with places that fire; ``trials``: other settings tried."""
+def page(found: Found, places: Found, videos: Found, trials: Mapping[Trial, Tried]) -> str:
+    """The page of results; ``places``: the scenes with places that fire; ``videos``: the rendered ones; ``trials``: what
+    was tried to explain them."""
     text = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
     heavy = found.rates[-1]
     first = found.groups["real detections"]
@@ -163,25 +144,20 @@ def page(found: Found, places: Found, trials: Mapping[Trial, Result]) -> str:
         none=none,
         phd=phd,
         verdict="\n\n".join(verdict(found, phd) for phd in PHDS),
-        ahead=table(
-            ("filter", "cases", "clutter added", "of", *(f"ahead of {x}" for x in (*RIVALS, "all", "none in all four"))),
-            [row for phd in PHDS for row in _ahead(found, phd)],
-        ),
+        ahead=_ahead_table(found),
         pooled=table(pooled, _pooled(found)),
         places=table(pooled, _pooled(places)),
-        gaps=table(
-            (
-                "filter",
-                "cases",
-                "clutter added",
-                *(f"{score}, less {rival}" for rival in RIVALS for score in ("MODA", "MOTA")),
-            ),
-            [row for phd in PHDS for row in _gaps(found, phd)],
-        ),
+        videos_ahead=_ahead_table(videos),
+        videos=table(pooled, _pooled(videos)),
+        videos_gaps=_gaps_table(videos),
+        gaps=_gaps_table(found),
         natural=table(("case", "method", *FOUR, "IDF1", "HOTA", "switches", "delay", "false tracks", "ms"), _natural(found)),
         cluttered="\n".join(_with_clutter(found, rate) for rate in found.rates[1:]),
         behind=_behind_text(found),
-        why=_why(found, trials),
+        apart=_apart(found),
+        where=m07_why.where(_groups(found), trials),
+        hindsight=m07_why.hindsight(_groups(found), trials),
+        changes=m07_why.changed(_groups(found), trials),
     )
 
 
@@ -193,29 +169,38 @@ def leads(
 
 
 def verdict(found: Found, phd: str = PHD) -> str:
-    """How often a PHD filter is ahead of its rivals, and by which errors it is behind, in a few sentences."""
+    """How often a PHD filter is ahead of each rival and of all, and by which errors it is behind, a sentence or two each."""
     all_ = [(case, rate) for case in found.cases for rate in found.rates]
     every = sum(all(leads(found, case, rate, rival, phd) for rival in RIVALS) for case, rate in all_)
-    each = [f"of `{rival}` in {sum(leads(found, case, rate, rival, phd) for case, rate in all_)}" for rival in RIVALS]
-    gaps = [
-        gap(found, found.cases, rate, phd, rival, score)
-        for rate in found.rates
-        for rival in RIVALS
-        for score in ("MODA", "MOTA")
+    lines = [
+        f"`{phd}` is ahead of all three in MODA and MOTA in {every} of {len(all_)} combinations of case and clutter.",
+        "",
     ]
-    behind = [
-        _errors(found, case, rate, rival, phd)[-1]
-        for case, rate in all_
-        for rival in RIVALS
-        if not leads(found, case, rate, rival, phd)
-    ]
-    reasons = ", ".join(f"{behind.count(kind)} times by {kind}" for kind in ERRORS)
+    return "\n".join(lines + [f"- {_against(found, phd, rival)}" for rival in RIVALS])
+
+
+def _against(found: Found, phd: str, rival: str) -> str:
+    """How often a PHD filter is ahead of one rival, by groups, and pooled."""
+    counts = []
+    for name, cases in _groups(found).items():
+        ahead = [leads(found, case, rate, rival, phd) for case in cases for rate in found.rates]
+        counts.append((name, sum(ahead), len(ahead)))
+    _, total, of = counts[-1]
+    parts = ", ".join(f"{name} {n} of {m}" for name, n, m in counts if name != "all")
+    gaps = [gap(found, found.cases, rate, phd, rival, score) for rate in found.rates for score in ("MODA", "MOTA")]
+    lost = [(case, rate) for case in found.cases for rate in found.rates if not leads(found, case, rate, rival, phd)]
+    kinds = [_errors(found, case, rate, rival, phd)[-1] for case, rate in lost]
+    near = sum(
+        all(found.mean(case, rate, phd, score) > found.mean(case, rate, rival, score) - NEAR for score in ("MODA", "MOTA"))
+        for case, rate in lost
+    )
+    reasons = ", ".join(f"by {kind} in {kinds.count(kind)}" for kind in ERRORS if kind in kinds)
     return (
-        f"`{phd}` is ahead of all its rivals in MODA and MOTA in **{every} of {len(all_)}** combinations of case and "
-        f"clutter: {', '.join(each)}. Pooled over all cases it is ahead in {sum(one.mean > 0 for one in gaps)} of "
-        f"{len(gaps)} comparisons (a rival, MODA or MOTA, a rate of clutter), in "
-        f"{sum(one.mean > 0 and one.clear for one in gaps)} of them by more than the 95 % interval. Where it is behind a "
-        f"rival, it is so most {reasons}."
+        f"Of `{rival}` in **{total} of {of}** ({parts}). Pooled over all cases it is ahead of it in "
+        f"{sum(one.mean > 0 for one in gaps)} of {len(gaps)} comparisons (MODA or MOTA, a rate of clutter), in "
+        f"{sum(one.mean > 0 and one.clear for one in gaps)} by more than the 95 % interval, and behind by more than it in "
+        f"{sum(one.mean < 0 and one.clear for one in gaps)}."
+        + (f" Where it is behind, it is so most {reasons}; in {near} by less than {NEAR} in both scores." if reasons else "")
     )
 
 
@@ -227,6 +212,11 @@ def gap(found: Found, cases: Sequence[Named], rate: int, phd: str, rival: str, s
 
 def _groups(found: Found) -> dict[str, tuple[Named, ...]]:
     return found.groups if len(found.groups) == 1 else {**found.groups, "all": found.cases}
+
+
+def _ahead_table(found: Found) -> str:
+    over = (f"ahead of {rival}" for rival in (*RIVALS, "all", "none in all four"))
+    return table(("filter", "cases", "clutter added", "of", *over), [row for phd in PHDS for row in _ahead(found, phd)])
 
 
 def _ahead(found: Found, phd: str) -> list[tuple[object, ...]]:
@@ -264,6 +254,11 @@ def _shown(value: Interval, sign: str = "") -> str:
     """A mean with half its interval, where there is one."""
     mean = f"{value.mean:{sign}.3f}"
     return mean if not np.isfinite(value.half) or value.half < 5e-4 else f"{mean} ± {value.half:.3f}"
+
+
+def _gaps_table(found: Found) -> str:
+    scores = (f"{score}, less {rival}" for rival in RIVALS for score in ("MODA", "MOTA"))
+    return table(("filter", "cases", "clutter added", *scores), [row for phd in PHDS for row in _gaps(found, phd)])
 
 
 def _gaps(found: Found, phd: str) -> list[tuple[object, ...]]:
@@ -310,34 +305,32 @@ def _with_clutter(found: Found, rate: int) -> str:
 def _behind_text(found: Found) -> str:
     """Where a rival is ahead in MODA or MOTA, and by which kind of error."""
     rows = [
-        (" ".join(case), rate, rival, *_errors(found, case, rate, rival))
+        (phd, " ".join(case), rate, rival, *_errors(found, case, rate, rival, phd))
+        for phd in PHDS
         for case in found.cases
         for rate in found.rates
         for rival in RIVALS
-        if not leads(found, case, rate, rival)
+        if not leads(found, case, rate, rival, phd)
     ]
     if not rows:
         return "Nowhere.\n"
-    header = ("case", "clutter added", "behind", "MODA", "MOTA", "misses", "false boxes", "switches", "most by")
+    header = ("filter", "case", "clutter added", "behind", "MODA", "MOTA", "misses", "false boxes", "switches", "most by")
     return table(header, rows)
 
 
-def _why(found: Found, trials: Mapping[Trial, Result]) -> str:
-    """MODA and misses per annotated box with other settings, where `none` is ahead on detections as they are."""
+def _apart(found: Found) -> str:
+    """Pooled scores less those of `mht`: over all cases, and over all but the one that costs most."""
     rows = []
-    for case in dict.fromkeys(trial.case for trial in trials):
-        boxes = found.mean(case, 0, PHD, "truth_boxes")
-        runs = [found.runs(case, 0, method) for method in ("none", PHD)]
-        runs += [[one for trial, one in trials.items() if (trial.case, trial.sets) == (case, sets)] for sets in
-                 (APART, believed(case))]  # fmt: skip
-        cells = []
-        for each in runs:
-            misses = np.mean([run.scores.misses for run in each]) / boxes
-            cells.append(f"{_spread([run.scores for run in each], 'MODA')} ({misses:.3f})")
-        rows.append((" ".join(case), *cells, believed(case)[0].partition("=")[2]))
-    if not rows:
-        return "Nowhere.\n"
-    return table(("case", "none", PHD, "nobody joined", "p_D as it is", "p_D"), rows)
+    for phd in PHDS:
+        for rate in found.rates:
+            costs = {
+                case: gap(found, [c for c in found.cases if c != case], rate, phd, "mht", "MOTA") for case in found.cases
+            }
+            worst = max(costs, key=lambda case: costs[case].mean)
+            rest = [case for case in found.cases if case != worst]
+            gaps = (gap(found, cases, rate, phd, "mht", key) for cases in (found.cases, rest) for key in ("MODA", "MOTA"))
+            rows.append((phd, rate, *(_shown(one, "+") for one in gaps), " ".join(worst)))
+    return table(("filter", "clutter added", "MODA", "MOTA", "MODA without it", "MOTA without it", "the dearest case"), rows)
 
 
 def _errors(found: Found, case: Named, rate: int, rival: str, phd: str = PHD) -> tuple[object, ...]:
