@@ -40,3 +40,15 @@ def street() -> list[Detections]:
     """Frames of detections with clutter."""
     made = make_scene("street", 3, DetectorModel(clutter_rate=3), frames=60, lead_in=-4.0)
     return [made.detections.at(k) for k in range(1, 61)]
+
+
+def two_people(count: int) -> list[np.ndarray]:
+    """Two people who walk past each other, misses and false alarms."""
+    rng = np.random.default_rng(5)
+    out = []
+    for k in range(count):
+        boxes = np.array([[100 + 4.0 * k, 100, 140 + 4.0 * k, 200], [500 - 3.0 * k, 220, 545 - 3.0 * k, 330]])
+        seen = (boxes + rng.normal(0, 1.5, (2, 4)))[rng.random(2) < 0.9]
+        corner = rng.uniform([0, 0], [580, 380], (rng.poisson(0.5), 2))
+        out.append(np.vstack([seen, np.hstack([corner, corner + rng.uniform(30, 60, corner.shape)])]))
+    return out

@@ -42,6 +42,7 @@ class _Begun:
     within: float = 0.0
 
 
+# Numba has no types.
 class _Listener(event.Listener):  # type: ignore[misc]
     """Adds up. Numba compiles one function at a time, and those that it calls in between."""
 

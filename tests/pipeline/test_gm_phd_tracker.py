@@ -9,24 +9,13 @@ import pytest
 
 from phdtrack import Tracker
 from phdtrack.types import Detections, GaussianMixture
-
-
-def frames(count: int) -> list[np.ndarray]:
-    """Two people who walk past each other, misses and false alarms."""
-    rng = np.random.default_rng(5)
-    out = []
-    for k in range(count):
-        boxes = np.array([[100 + 4.0 * k, 100, 140 + 4.0 * k, 200], [500 - 3.0 * k, 220, 545 - 3.0 * k, 330]])
-        seen = (boxes + rng.normal(0, 1.5, (2, 4)))[rng.random(2) < 0.9]
-        corner = rng.uniform([0, 0], [580, 380], (rng.poisson(0.5), 2))
-        out.append(np.vstack([seen, np.hstack([corner, corner + rng.uniform(30, 60, corner.shape)])]))
-    return out
+from tracker_cases import two_people
 
 
 @pytest.mark.parametrize("preset", ["default", "m07", "m09", "fv"])
 def test_two_people_are_two_tracks(preset: str):
     tracker = Tracker((640, 480), filter="gm-phd", preset=preset)
-    for boxes in frames(50):
+    for boxes in two_people(50):
         tracker.update(boxes)
     assert isinstance(tracker.state.intensity, GaussianMixture)
     tracks = tracker.tracks()
@@ -38,7 +27,7 @@ def test_two_people_are_two_tracks(preset: str):
 
 def test_a_checkpoint_goes_on_as_if_nothing_had_been():
     whole, first = (Tracker((640, 480), filter={"kind": "gm-phd", "most": 50}) for _ in range(2))
-    boxes = frames(30)
+    boxes = two_people(30)
     for found in boxes[:15]:
         whole.update(found)
         first.update(found)
@@ -53,7 +42,7 @@ def test_a_checkpoint_goes_on_as_if_nothing_had_been():
 
 def test_a_frame_that_nobody_looked_at_is_predicted():
     tracker = Tracker((640, 480), filter="gm-phd")
-    for found in frames(10):
+    for found in two_people(10):
         tracker.update(found)
     before = tracker.state.intensity
     tracker.update(Detections.empty(observed=False))

@@ -11,18 +11,7 @@ from phdtrack import Tracker, evaluate
 from phdtrack.formats import read_detections, read_truth
 from phdtrack.intensities import JointSamples
 from phdtrack.types import Detections
-
-
-def frames(count: int) -> list[np.ndarray]:
-    """Two people who walk past each other, misses and false alarms."""
-    rng = np.random.default_rng(5)
-    out = []
-    for k in range(count):
-        boxes = np.array([[100 + 4.0 * k, 100, 140 + 4.0 * k, 200], [500 - 3.0 * k, 220, 545 - 3.0 * k, 330]])
-        seen = (boxes + rng.normal(0, 1.5, (2, 4)))[rng.random(2) < 0.9]
-        corner = rng.uniform([0, 0], [580, 380], (rng.poisson(0.5), 2))
-        out.append(np.vstack([seen, np.hstack([corner, corner + rng.uniform(30, 60, corner.shape)])]))
-    return out
+from tracker_cases import two_people
 
 
 @pytest.mark.parametrize("preset", ["default", "m07", "m09", "fv"])
@@ -31,7 +20,7 @@ def test_two_people_are_two_tracks(preset: str, kind: str):
     tracker = Tracker(
         (640, 480), filter={"kind": "mcmc", "samples": 400}, preset=preset, associate={"kind": kind}
     )  # fmt: skip
-    for boxes in frames(50):
+    for boxes in two_people(50):
         tracker.update(boxes)
     assert isinstance(tracker.state.intensity, JointSamples)
     tracks = tracker.tracks()
@@ -49,7 +38,7 @@ def test_two_people_are_two_tracks(preset: str, kind: str):
 def test_a_checkpoint_goes_on_as_if_nothing_had_been():
     setting = {"kind": "mcmc", "samples": 100, "faintest": 0.01}
     whole, first = (Tracker((640, 480), filter=setting) for _ in range(2))
-    boxes = frames(24)
+    boxes = two_people(24)
     for found in boxes[:12]:
         whole.update(found)
         first.update(found)
@@ -63,7 +52,7 @@ def test_a_checkpoint_goes_on_as_if_nothing_had_been():
 
 def test_a_frame_that_nobody_looked_at_is_predicted():
     tracker = Tracker((640, 480), filter={"kind": "mcmc", "samples": 200})
-    for found in frames(10):
+    for found in two_people(10):
         tracker.update(found)
     before = tracker.state.intensity
     tracker.update(Detections.empty(observed=False))

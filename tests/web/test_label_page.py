@@ -163,27 +163,42 @@ def test_two_people_lose_no_click_to_each_other(browser, tmp_path):
     assert {label.box for label in LabelStore(labels).labels()} == {1, 2, 3}
 
 
-def test_a_click_among_a_thousand_boxes_is_drawn_at_once(browser, tmp_path):
-    """The time from the event to the end of the frame that shows it, measured by the page itself; half of a bad run."""
-    with server(tmp_path / "labels.sqlite", boxes=1000) as (url, _), opened(browser, url) as it:
-        took = []
+def test_a_click_among_a_thousand_boxes_is_a_few_strokes(browser, tmp_path):
+    """Boxes of one colour are one path, so that a click is drawn within a frame; the time is told, strokes decide."""
+    with server(tmp_path / "labels.sqlite", boxes=1000) as (url, _):
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.add_init_script(
+            """const stroke = CanvasRenderingContext2D.prototype.stroke;
+            window.strokes = 0;
+            CanvasRenderingContext2D.prototype.stroke = function () { window.strokes += 1; return stroke.call(this); };"""
+        )
+        it = Page(page)
+        it.open(url)
+        took, strokes = [], []
         for k in range(9):
-            x, y = it.point(60 + 40 * k, 100)
-            it.page.mouse.move(x, y)
-            took.append(
-                it.page.evaluate(
-                    """([x, y]) => new Promise((done) => {
-                      const canvas = document.getElementById('canvas');
-                      const begin = performance.now();
-                      const options = { clientX: x, clientY: y, button: 0, pointerId: 1, bubbles: true };
-                      canvas.setPointerCapture = () => {};
-                      canvas.dispatchEvent(new PointerEvent('pointerdown', options));
-                      canvas.dispatchEvent(new PointerEvent('pointerup', options));
-                      requestAnimationFrame(() => setTimeout(() => done(performance.now() - begin)));
-                    })""",
-                    [x, y],
-                )
+            # Middles of boxes: 37 in a row over 600 pixels, four fifths of a step wide.
+            x, y = it.point(20 + 600 / 37 * (2 * k + 2.4), 20 + 600 / 37 * 5.4)
+            page.mouse.move(x, y)
+            seconds, drawn = page.evaluate(
+                """([x, y]) => new Promise((done) => {
+                  const canvas = document.getElementById('canvas');
+                  requestAnimationFrame(() => setTimeout(() => {
+                    const begin = performance.now();
+                    window.strokes = 0;
+                    const options = { clientX: x, clientY: y, button: 0, pointerId: 1, bubbles: true };
+                    canvas.setPointerCapture = () => {};
+                    canvas.dispatchEvent(new PointerEvent('pointerdown', options));
+                    canvas.dispatchEvent(new PointerEvent('pointerup', options));
+                    requestAnimationFrame(() => setTimeout(() => done([performance.now() - begin, window.strokes])));
+                  }));
+                })""",
+                [x, y],
             )
+            took.append(seconds)
+            strokes.append(drawn)
+        page.wait_for_selector('#progress:text-matches(" 9 false$")')
         it.kept()
-        print(sorted(took))
-        assert sorted(took)[4] < 50
+        print("ms from the click to its frame:", sorted(took), "strokes:", strokes)
+        # Each of the three colours dark and bright; at least one frame was drawn, and hardly more than one.
+        assert 6 <= max(strokes) <= 18
+        assert len(LabelStore(tmp_path / "labels.sqlite").labels()) == 9

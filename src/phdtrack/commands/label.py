@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from phdtrack.commands.options import Config, Detector, Fps, FrameSize, Mask, MaxWidth, Sets
+from phdtrack.commands.options import (
+    Config,
+    DetectionsFile,
+    Detector,
+    Fps,
+    FrameSize,
+    LabelsFile,
+    Mask,
+    MaxWidth,
+    Recorded,
+    Sets,
+)
 from phdtrack.commands.output import Output, counted
-from phdtrack.commands.wanted import DEFAULT_DETECTOR, Wanted
+from phdtrack.commands.wanted import Wanted
 from phdtrack.errors import InputError
 
 
 def label(
-    source: Annotated[
-        str, typer.Argument(metavar="SOURCE", help="Video or folder of images; left out with detections alone.")
-    ] = "",
-    detections: Annotated[
-        Path | None, typer.Option("--detections", metavar="FILE", help="Detections instead of a detector.")
-    ] = None,
+    source: Recorded = "",
+    detections: DetectionsFile = None,
     detector: Detector = "",
-    labels: Annotated[
-        Path | None, typer.Option("--labels", metavar="FILE", help="Where the marks are kept; default: beside the video.")
-    ] = None,
+    labels: LabelsFile = None,
     frames: Annotated[int, typer.Option("--frames", metavar="N", min=1, help="Frames to look at.")] = 40,
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the draw of frames.")] = 0,
     port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="0: any that is free.")] = 0,
@@ -52,8 +56,7 @@ def label(
     from phdtrack.web.label_app import label_app
 
     result = Output()
-    name = detector if detections is not None else detector or DEFAULT_DETECTOR
-    wanted = Wanted(source, detections, name, frame_size, fps, max_width, mask)
+    wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
     file = labels or beside(source, detections)
     found = to_label(wanted, detector_parameters(config, tuple(sets or ())), file, result)
     store = LabelStore.open(file, source or str(detections), found.digest, sampled(found.last, frames, seed))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from phdtrack.commands.inputs import Inputs, comes_again, detected, open_inputs
 from phdtrack.commands.output import Output, progress
-from phdtrack.commands.wanted import Wanted
+from phdtrack.commands.wanted import DEFAULT_DETECTOR, Wanted
 from phdtrack.errors import InputError
 from phdtrack.formats import DetectionsWriter, read_detections
 from phdtrack.overlap import ahead
@@ -32,11 +32,13 @@ class Labelled:
 def to_label(wanted: Wanted, parameters: dict[str, Any], labels: Path, result: Output) -> Labelled:
     """The detections of everything that the options name; a detector's are kept in a file beside ``labels``.
 
-    So a detector runs once, and the boxes that somebody marked are the same when he goes on tomorrow. Raises `InputError`
-    as `open_inputs`, and where there is nothing to label.
+    Without either the default detector looks. So a detector runs once, and the boxes that somebody marked are the same
+    when he goes on tomorrow. Raises `InputError` as `open_inputs`, and where there is nothing to label.
     """
     if wanted.source and not comes_again(wanted.source):
         raise InputError("frames of a camera come once only", where=wanted.source, cure="Record a video and label that")
+    if wanted.detections is None and not wanted.detector:
+        wanted = replace(wanted, detector=DEFAULT_DETECTOR)
     inputs = open_inputs(wanted, parameters)
     for sentence in inputs.warnings:
         result.warn(sentence)

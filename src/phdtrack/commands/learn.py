@@ -9,29 +9,38 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from phdtrack.commands.options import Config, Detector, Fps, FrameSize, Json, Mask, MaxWidth, Overwrite, Preset, Seed, Sets
+from phdtrack.commands.options import (
+    Config,
+    DetectionsFile,
+    Detector,
+    Fps,
+    FrameSize,
+    Json,
+    LabelsFile,
+    Mask,
+    MaxWidth,
+    Overwrite,
+    Preset,
+    Recorded,
+    Seed,
+    Sets,
+)
 from phdtrack.commands.output import Output, counted, progress
-from phdtrack.commands.wanted import DEFAULT_DETECTOR, Wanted
+from phdtrack.commands.wanted import Wanted
 from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
     from phdtrack.commands.label_inputs import Labelled
-    from phdtrack.config import Settings
     from phdtrack.context.learning import Lesson
+    from phdtrack.protocols import AnyStages
     from phdtrack.types import Image, Tracks
 
 
 def learn(
-    source: Annotated[
-        str, typer.Argument(metavar="SOURCE", help="Video or folder of images; left out with detections alone.")
-    ] = "",
-    detections: Annotated[
-        Path | None, typer.Option("--detections", metavar="FILE", help="Detections instead of a detector.")
-    ] = None,
+    source: Recorded = "",
+    detections: DetectionsFile = None,
     detector: Detector = "",
-    labels: Annotated[
-        Path | None, typer.Option("--labels", metavar="FILE", help="Marks of `phdtrack label`; default: beside the video.")
-    ] = None,
+    labels: LabelsFile = None,
     last: Annotated[int, typer.Option("--last", metavar="N", min=0, help="Learn births up to this frame; 0: all.")] = 0,
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Default: SOURCE.scene.json.")] = None,
     overwrite: Overwrite = False,
@@ -48,13 +57,12 @@ def learn(
     """Learn births from the tracker's own tracks, and false alarms from the marks that a person made (`phdtrack label`)."""
     from phdtrack.commands.configured import detector_parameters
     from phdtrack.commands.label_inputs import beside, stills, to_label
-    from phdtrack.config import load
+    from phdtrack.config import build, load
     from phdtrack.context import Scene, write_scene
     from phdtrack.report.scene_report import Lessons, scene_page
 
     result = Output(json)
-    name = detector if detections is not None else detector or DEFAULT_DETECTOR
-    wanted = Wanted(source, detections, name, frame_size, fps, max_width, mask)
+    wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
     file = labels or beside(source, detections)
     if labels is not None and not labels.exists():
         raise InputError("there is no such file of labels", where=labels, cure="Make one: phdtrack label")
@@ -66,18 +74,18 @@ def learn(
     clutter, sentence = _clutter(found, file)
     result.say(sentence)
     # Behind learned false alarms: tracks that only the scene's false alarms make are no births.
-    births, sentence = _births(found, settings, min(last or found.last, found.last), seed, clutter)
+    stages = build(settings, found.info)
+    births, sentence = _births(found, stages, min(last or found.last, found.last), seed, clutter)
     result.say(sentence)
     if births is None and clutter is None:
         raise InputError(
             "nothing could be learned", where=str(source or detections), cure="Mark false detections, or learn longer"
         )
-    rate = float(settings.as_dict()["time"]["rate"])  # type: ignore[index]
     gains = {"births": births.gain if births else math.nan, "clutter": clutter.gain if clutter else math.nan}
     scene = Scene(
         found.info.width,
         found.info.height,
-        rate,
+        stages.model.rate,
         source or str(detections),
         births.learned if births else None,
         clutter.learned if clutter else None,
@@ -93,14 +101,14 @@ def learn(
     result.document({"scene": str(target), "report": str(page), "gain": gains})
 
 
-def _births(found: Labelled, settings: Settings, last: int, seed: int, clutter: Lesson | None) -> tuple[Lesson | None, str]:
+def _births(found: Labelled, stages: AnyStages, last: int, seed: int, clutter: Lesson | None) -> tuple[Lesson | None, str]:
     """Births from the tracker's own run over the first ``last`` frames [M09 §IV]; why not, where they cannot be learned."""
     from phdtrack.context import RecursiveEM
     from phdtrack.context.learning import learn_births
     from phdtrack.context.samples import first_states
 
-    tracks, rate = _tracked(found, settings, last, seed, clutter)
-    states = first_states(tracks, found.info.fps, rate)
+    rate = stages.model.rate
+    states = first_states(_tracked(found, stages, last, seed, clutter), found.info.fps, rate)
     size = (float(found.info.width), float(found.info.height))
     try:
         lesson = learn_births(states, last / found.info.fps * rate, size, RecursiveEM())
@@ -109,15 +117,13 @@ def _births(found: Labelled, settings: Settings, last: int, seed: int, clutter: 
     return lesson, f"births: {counted(states.shape[1], 'track')} began in {counted(last, 'frame')}; {_worth(lesson)}"
 
 
-def _tracked(found: Labelled, settings: Settings, last: int, seed: int, clutter: Lesson | None) -> tuple[Tracks, float]:
-    """The corrected tracks of the training stretch, and the model's time units per second."""
+def _tracked(found: Labelled, stages: AnyStages, last: int, seed: int, clutter: Lesson | None) -> Tracks:
+    """The corrected tracks of the training stretch."""
     import numpy as np
 
     from phdtrack import pipeline
-    from phdtrack.config import build
     from phdtrack.models.learned_scene import ContextClutter
 
-    stages = build(settings, found.info)
     if clutter is not None:
         alarms = ContextClutter(clutter.learned.rate, clutter.learned.density)
         stages = replace(stages, model=replace(stages.model, clutter=alarms))
@@ -128,7 +134,7 @@ def _tracked(found: Labelled, settings: Settings, last: int, seed: int, clutter:
         for number, time, seen in frames:
             state, _ = pipeline.advance(stages, state, seen, number, time, rng)
             advance(number)
-    return pipeline.finish(stages, state), stages.model.rate
+    return pipeline.finish(stages, state)
 
 
 def _clutter(found: Labelled, labels: Path) -> tuple[Lesson | None, str]:

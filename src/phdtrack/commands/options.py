@@ -37,6 +37,12 @@ Fps = Annotated[
 Detector = Annotated[
     str, typer.Option("--detector", metavar="NAME", help="change (default), mean-background, mog2, knn, face or person.")
 ]
+Recorded = Annotated[
+    str, typer.Argument(metavar="SOURCE", help="Video or folder of images; left out with detections alone.")
+]
+LabelsFile = Annotated[
+    Path | None, typer.Option("--labels", metavar="FILE", help="Marks of `phdtrack label`; default: beside the video.")
+]
 SceneFile = Annotated[
     Path | None, typer.Option("--scene", metavar="FILE", help="What `phdtrack learn` has learned of this scene.")
 ]

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from numba.core import event
 
 
+# Numba has no types.
 class _Listener(event.Listener):  # type: ignore[misc]
     """Counts how often a kernel met arguments of new types: to load or to compile it Numba takes a lock."""
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
 import numpy as np
 
@@ -21,7 +21,10 @@ RUN = "run.json"
 TRACKS = "tracks.csv"
 DETECTIONS = "detections.csv"
 
-T = TypeVar("T")
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T", bound="DataclassInstance")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +102,7 @@ def _made(kind: type[T], values: Mapping[str, Any]) -> T:
     """A frozen record of plain values, arrays and such records, from what JSON made of it."""
     hints = get_type_hints(kind)
     out: dict[str, Any] = {}
-    for entry in fields(kind):  # type: ignore[arg-type]
+    for entry in fields(kind):
         hint, value = hints[entry.name], values[entry.name]
         if hint == Counts | None:
             hint = Counts

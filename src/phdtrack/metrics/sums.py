@@ -8,16 +8,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-T = TypeVar("T")
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T", bound="DataclassInstance")
 
 
 def total(parts: Sequence[T]) -> T:
     """The sum, field by field, of frozen dataclasses of one type whose fields can be added, or are such dataclasses."""
     first = parts[0]
     sums = {}
-    for field in fields(first):  # type: ignore[arg-type]
+    for field in fields(first):
         values = [getattr(part, field.name) for part in parts]
         sums[field.name] = total(values) if hasattr(values[0], "__dataclass_fields__") else sum(values[1:], values[0])
     return type(first)(**sums)
