@@ -148,3 +148,9 @@ def test_labels_are_exported(store, tmp_path):
     store.mark(10, [*false(10, 3), Label(20, 1, "birth")])
     assert store.export(tmp_path / "labels.csv") == 2
     assert (tmp_path / "labels.csv").read_text().split() == ["frame,box,mark", "10,3,false", "20,1,birth"]
+
+
+def test_of_two_marks_on_one_box_in_one_action_the_last_counts(tmp_path):
+    store = LabelStore.open(tmp_path / "labels", "a", "d", [1])
+    store.mark(1, [Label(1, 0, "false"), Label(1, 0, "birth")])
+    assert store.labels() == [Label(1, 0, "birth")]

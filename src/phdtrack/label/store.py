@@ -99,7 +99,7 @@ class LabelStore:
         return store
 
     def mark(self, frame: int, marks: Iterable[Label], who: str = "", key: str = "") -> None:
-        """Keep the ``marks`` that somebody made while looking at ``frame``, as one action."""
+        """Keep the ``marks`` that somebody made while looking at ``frame``, as one action; of two on one box the last."""
         rows = list(marks)
         if not rows:
             raise InputError("expected a mark or more", where=f"frame {frame}")
@@ -110,7 +110,9 @@ class LabelStore:
             number = db.execute("INSERT INTO action (frame, who) VALUES (?, ?)", (frame, who)).lastrowid
             # What was undone before is gone for good once something new was done: redoing would mix the two.
             db.execute("UPDATE action SET undone = 2 WHERE frame = ? AND undone = 1", (frame,))
-            db.executemany("INSERT INTO mark VALUES (?, ?, ?, ?)", [(number, m.frame, m.box, m.mark) for m in rows])
+            db.executemany(
+                "INSERT OR REPLACE INTO mark VALUES (?, ?, ?, ?)", [(number, m.frame, m.box, m.mark) for m in rows]
+            )
 
     def undo(self, frame: int, key: str = "") -> None:
         """Take back the last action made on ``frame``, if there is one."""
