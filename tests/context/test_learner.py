@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phdtrack.context import ContextDensity, RecursiveEM, grid
+from phdtrack.context import ContextDensity, RecursiveEM, grid, marginal
 from phdtrack.errors import InputError
 from phdtrack.types import F8
 
@@ -159,5 +159,60 @@ def test_mistakes_are_told():
     p = known(4)
     with pytest.raises(InputError, match=r"expected samples \(4, n\)"):
         RecursiveEM().learn(p, np.zeros((6, 3)))
-    with pytest.raises(InputError, match="finite"):
+    with pytest.raises(InputError, match="show something"):
         RecursiveEM().learn(p, np.full((4, 3), np.nan))
+    with pytest.raises(InputError, match="finite"):
+        RecursiveEM().learn(p, np.full((4, 3), np.inf))
+    for weight in (np.ones(2), np.array([1, -1, 1.0]), np.array([1, np.nan, 1])):
+        with pytest.raises(InputError, match="weights from 0, one for each of 3"):
+            RecursiveEM().learn(p, np.ones((4, 3)), weight)
+
+
+def test_a_sample_worth_two_counts_like_two_and_one_worth_nothing_like_none():
+    dim, counts, _ = CASES["clutter"]
+    p, rng = known(dim), np.random.default_rng(10)
+    samples = p.sample(600, rng)
+    start = begin(p, counts, samples)
+    worth = rng.integers(0, 3, 600).astype(float)
+    twice = np.repeat(samples, worth.astype(int), axis=1)
+    ours, theirs = RecursiveEM().learn(start, samples, worth), RecursiveEM().learn(start, twice)
+    unseen = p.sample(4000, rng)
+    # The orders of the samples differ; batch EM would give the same.
+    assert ours.log(unseen).mean() == pytest.approx(theirs.log(unseen).mean(), abs=0.1)
+    beside = np.concatenate([samples, rng.uniform(p.low[:, None], p.high[:, None], (4, 300))], axis=1)
+    ignored = RecursiveEM().learn(start, beside, np.repeat([1.0, 0.0], [600, 300]))
+    np.testing.assert_array_equal(ignored.mean, RecursiveEM().learn(start, samples).mean)
+
+
+def test_births_of_which_some_have_no_velocity():
+    dim, counts, n = CASES["births"]
+    p, rng = known(dim), np.random.default_rng(11)
+    samples, unseen = p.sample(2 * n, rng), p.sample(4000, rng)
+    start = begin(p, counts, samples)
+    some = samples.copy()
+    some[2:4, ::2] = np.nan
+    found = RecursiveEM().learn(start, some)
+    # As good as from complete ones alone, and in what they all show nearly as good as from all, complete.
+    half = RecursiveEM().learn(start, np.ascontiguousarray(samples[:, 1::2]))
+    assert found.log(unseen).mean() > half.log(unseen).mean() - 0.1
+    place, full = (marginal(q, (0, 1, 4, 5)) for q in (found, RecursiveEM().learn(start, samples)))
+    shown = unseen[[0, 1, 4, 5]]
+    assert place.log(shown).mean() == pytest.approx(full.log(shown).mean(), abs=0.1)
+    for m in range(4):
+        nearest = np.argmin(np.hypot(*(found.mean[:2] - p.mean[:2, m, None])))
+        deviation = np.sqrt(np.diag(p.covariance[m]))[2:4]
+        error = np.abs(found.mean[2:4, nearest] - p.mean[2:4, m]) / deviation
+        assert (error < 4.5 / np.sqrt(p.weight[m] * n)).all()
+        spread = np.sqrt(np.diag(found.covariance[nearest]))[2:4]
+        assert spread == pytest.approx(deviation, rel=5 / np.sqrt(2 * p.weight[m] * n))
+
+
+def test_what_no_sample_shows_stays():
+    dim, counts, n = CASES["births"]
+    p, rng = known(dim), np.random.default_rng(12)
+    samples = p.sample(n, rng)
+    start = begin(p, counts, samples)
+    samples[2:4] = np.nan
+    found = RecursiveEM().learn(start, samples)
+    np.testing.assert_allclose(found.mean[2:4], 0, atol=1e-9)
+    np.testing.assert_allclose(found.covariance[:, 2:4, 2:4], np.tile(start.covariance[0][2:4, 2:4], (len(found), 1, 1)))

@@ -8,7 +8,7 @@ o_m = π_m N_m(x) / Σ_j π_j N_j(x), rate β, M components and τ = N/2, N thei
     Σ_m ← Σ_m + β (o_m/π_m)((x − μ_m)(x − μ_m)ᵀ + F − Σ_m)
 
 A component whose weight turns negative is removed: one must explain more than τ of the last 1/β samples to stay. α_u follows
-the same rule with τ = 0, the Gaussians do not depend on it. Three things that the paper leaves open:
+the same rule with τ = 0, the Gaussians do not depend on it. What the paper leaves open:
 
 * The rule asks for β < 1/(Mτ), which with the paper's grids is 6e-4: a few hundred samples in one pass would hardly move a
   weight. Samples are taken again and again, each pass in another order, with β = min(1/n, ½/(Mτ)) for n samples: the rate
@@ -16,6 +16,9 @@ the same rule with τ = 0, the Gaussians do not depend on it. Three things that 
   the prior, with β that falls like 1/k, and a sample moves the Gaussians by the probability that it is not the uniform
   part's. That is maximum likelihood with the components that the rule has left.
 * β o_m/π_m is kept below 1, and F, a small diagonal, keeps every covariance above itself.
+* A sample may be worth less than one, or more: β is multiplied by that. A sample may not show every component (a birth
+  that a person marked has a place and no velocity): o_m is of what it shows, and the rest is replaced by its mean and its
+  second moment given that, as in EM with missing values.
 * α_u begins at 1 − 1e-3: from 1 nothing would ever be learned. It never leaves [1e-3, 1 − 1e-3].
 """
 
@@ -44,7 +47,7 @@ class RecursiveEM:
 
     Parameters
     ----------
-    memory : samples 1/β that are remembered at most; 0 for as many as are given at once.
+    memory : samples 1/β that are remembered at most; 0 for what those given at once are worth.
     passes : how often the samples are gone through while the rate is steady; 0: until of two components that explain the
         same one has gone, which takes a multiple of n/2τ passes, or a million samples have been taken.
     floor : F, its standard deviations as parts of the samples' own.
@@ -59,33 +62,41 @@ class RecursiveEM:
     def __post_init__(self) -> None:
         check(self)
 
-    def learn(self, density: ContextDensity, samples: F8) -> ContextDensity:
+    def learn(self, density: ContextDensity, samples: F8, weight: F8 | None = None) -> ContextDensity:
         """``density`` after the ``samples`` (d, n): the same for the same samples. Those outside the volume are left out.
 
-        Raises `InputError` where samples have another dimension or are not finite, or the density has no Gaussians to move.
+        NaN stands for what a sample does not show. ``weight`` (n,) from 0 is what each is worth, 1 where it is not given.
+        Raises `InputError` where samples have another dimension, are infinite or show nothing, weights are none, or the
+        density has no Gaussians to move.
         """
-        _fit(density, samples)
-        x = np.ascontiguousarray(samples[:, density.contains(samples)].T)
+        worth = np.ones(samples.shape[-1]) if weight is None else weight
+        _fit(density, samples, worth)
+        counts = density.contains(_shown(samples, density.low)) & (worth > 0)
+        x, worth = np.ascontiguousarray(samples[:, counts].T), np.ascontiguousarray(worth[counts])
         n, d = x.shape
         if n == 0:
             return density
-        tau = parameters(d) / 2
-        passes = self.passes or _passes(n, len(density), tau)
+        tau, total = parameters(d) / 2, float(worth.sum())
+        passes = self.passes or _passes(n, total, len(density), tau)
         rng = np.random.default_rng(self.seed)
         order = np.concatenate([rng.permutation(n) for _ in range(passes + min(passes, _SETTLING))])
-        weight, mean, cov = density.weight.copy(), np.ascontiguousarray(density.mean.T), density.covariance.copy()
-        settings = np.array([tau, self.memory or n, -math.log(density.volume), LEAST_UNIFORM])
+        left, mean, cov = density.weight.copy(), np.ascontiguousarray(density.mean.T), density.covariance.copy()
+        settings = np.array([tau, self.memory or total, LEAST_UNIFORM])
         alive, uniform = recursive_em(
-            weight, mean, cov, len(weight), min(density.uniform, 1 - LEAST_UNIFORM), x, order, settings,
-            self._floor(density, x), passes * n,
+            left, mean, cov, len(left), min(density.uniform, 1 - LEAST_UNIFORM), x, worth, order, settings,
+            np.log(density.high - density.low), self._floor(density, x, worth), passes * n,
         )  # fmt: skip
-        kept = weight[:alive] / weight[:alive].sum()
+        kept = left[:alive] / left[:alive].sum()
         return ContextDensity(density.low, density.high, uniform, kept, mean[:alive].T.copy(), cov[:alive].copy())
 
-    def _floor(self, density: ContextDensity, x: F8) -> F8:
+    def _floor(self, density: ContextDensity, x: F8, worth: F8) -> F8:
         """(d,) F: a part of the samples' variance, and, where that is nothing, of the volume's extent."""
         extent = density.high - density.low
-        out: F8 = np.maximum(self.floor**2 * x.var(axis=0), (1e-4 * extent) ** 2)
+        counts = np.where(np.isnan(x), 0.0, worth[:, None])
+        total = np.maximum(counts.sum(axis=0), 1e-300)
+        values = np.where(np.isnan(x), 0.0, x)
+        variance = (counts * (values - (counts * values).sum(axis=0) / total) ** 2).sum(axis=0) / total
+        out: F8 = np.maximum(self.floor**2 * variance, (1e-4 * extent) ** 2)
         return out
 
 
@@ -112,18 +123,27 @@ def grid(
     return ContextDensity(low, high, uniform, np.full(m, 1 / m), mean, np.tile(np.diag(deviation**2), (m, 1, 1)))
 
 
-def _passes(n: int, components: int, tau: float) -> int:
-    """Passes over n samples after which what explains nothing has gone, and of two equal components one.
+def _passes(n: int, total: float, components: int, tau: float) -> int:
+    """Passes over n samples worth ``total``, after which what explains nothing has gone, and of two equal components one.
 
     The first takes the memory of the slowest rate, 2Mτ samples; the weights of equal ones part like exp(2τk/n).
     """
-    return min(max(20, math.ceil(6 * components * tau / n), math.ceil(1.5 * n / tau)), max(5, _MOST // n))
+    return min(max(20, math.ceil(6 * components * tau / total), math.ceil(1.5 * total / tau)), max(5, _MOST // n))
 
 
-def _fit(density: ContextDensity, samples: F8) -> None:
+def _shown(samples: F8, low: F8) -> F8:
+    """The samples with ``low`` (d,), a place in the volume, for what they do not show."""
+    return np.where(np.isnan(samples), low[:, None], samples)
+
+
+def _fit(density: ContextDensity, samples: F8, worth: F8) -> None:
     if samples.ndim != 2 or len(samples) != density.dim:
         raise InputError(f"expected samples ({density.dim}, n), got shape {samples.shape}", where="samples")
-    if not np.isfinite(samples).all():
-        raise InputError("every sample must be finite", where="samples", cure="Leave the others out")
+    if np.isinf(samples).any() or np.isnan(samples).all(axis=0).any():
+        raise InputError(
+            "every sample must be finite in what it shows, and show something", where="samples", cure="Leave the others out"
+        )
+    if worth.shape != samples.shape[1:] or not (np.isfinite(worth) & (worth >= 0)).all():
+        raise InputError(f"expected finite weights from 0, one for each of {samples.shape[1]} samples", where="weight")
     if len(density) == 0:
         raise InputError("a density without Gaussians learns nothing", where="density", cure="Begin with context.grid(…)")
