@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from phdtrack.context import ContextDensity, marginal
 from phdtrack.filters import GMPHD
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.gm_box import box_model
@@ -19,6 +20,7 @@ from phdtrack.models import (
     SplitSpawn,
     UniformClutter,
 )
+from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
 
@@ -30,6 +32,17 @@ def given_births() -> GaussianMixture:
     mean = np.array([[100.0, 200, 1, 0, 40, 100], [300, 100, 0, 0, 30, 60]]).T
     root = np.random.default_rng(3).normal(0, 2, (2, 6, 6))
     return GaussianMixture(np.array([0.02, 0.01]), mean, root @ root.transpose(0, 2, 1) + 4 * np.eye(6))
+
+
+def scene(seed: int, count: int = 12) -> tuple[ContextBirth, ContextClutter]:
+    """Births and false alarms with learned densities: wide Gaussians, narrow ones, and one that leaks."""
+    rng = np.random.default_rng(seed)
+    low, high = np.array([0.0, 0, -30, -30, 0, 0]), np.array([640.0, 480, 30, 30, 640, 480])
+    mean = rng.uniform([50, 50, -5, -5, 20, 20], [600, 430, 5, 5, 90, 90], (count, 6)).T
+    mean[0, 0] = 5.0
+    root = rng.normal(0, 1, (count, 6, 6)) * rng.uniform(1, 8, (count, 1, 1)) * np.array([4, 4, 0.2, 0.2, 1, 1])[:, None]
+    p = ContextDensity(low, high, 0.3, np.full(count, 1 / count), mean, root @ root.transpose(0, 2, 1) + np.eye(6))
+    return ContextBirth(0.2, p), ContextClutter(4.0, marginal(p, (0, 1, 4, 5)))
 
 
 LOCAL = MeasurementBirth(volume="local")
@@ -44,6 +57,9 @@ MODELS = {
     ),
     "given births": Model(BoxMotion(frame_size=SIZE), BoxSensor(), FixedBirth(given_births()), CLUTTER),
     "no clutter": Model(BoxMotion(), BoxSensor(detection=1.0), FixedBirth(given_births()), UniformClutter(0.0, 1.0)),
+    "scene": Model(BoxMotion(frame_size=SIZE), BoxSensor(), *scene(1)),
+    "learned births": Model(BoxMotion(), BoxSensor(scaling="given"), scene(2)[0], LocalClutter(0.4)),
+    "learned clutter": Model(BoxMotion(), BoxSensor(scaling="fixed"), LOCAL, scene(3)[1]),
 }
 FILTERS = {
     "default": GMPHD(),
@@ -138,6 +154,22 @@ def test_more_births_than_there_is_room_for(rng):
     model, settings = replace(model, birth=birth), GMPHD(merge=0.0, most=0)
     state = settings.start(model, rng)
     agree(settings.step(state, z, model, 1.0, rng)[0], composed_step(settings, state, z, model, 1.0, rng)[0])
+
+
+@pytest.mark.parametrize("name", ["scene", "particle"])
+def test_over_long_runs_they_stay_together(name: str):
+    """Each from its own state: hundreds of frames with gaps, and at the end the same targets and masses."""
+    model, settings, rng = MODELS[name], GMPHD(), np.random.default_rng(0)
+    fused, general, mass = settings.start(model, rng), settings.start(model, rng), []
+    for k, z in enumerate(scans(7, 60) * 5):
+        boxes = np.ascontiguousarray(z[:4])
+        fused, info = settings.step(fused, boxes, model, 1.0 + (k % 9 == 8), rng)
+        general, expected = composed_step(settings, general, boxes, model, 1.0 + (k % 9 == 8), rng)
+        np.testing.assert_allclose(info.evidence, expected.evidence, rtol=1e-6, atol=1e-14)
+        mass.append((info.mass, expected.mass))
+    np.testing.assert_allclose(*np.array(mass).T, rtol=1e-6)
+    assert fused.fresh == general.fresh
+    assert np.max(mass) > 3, "there was something to compare"
 
 
 class Walking(BoxMotion):

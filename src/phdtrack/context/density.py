@@ -16,6 +16,7 @@ import numpy as np
 
 from phdtrack.context.inside import mass_inside
 from phdtrack.errors import InputError
+from phdtrack.kernels.context_density import mixture_density
 from phdtrack.types import F8, Bool
 
 # A Gaussian of which less than this lies inside is as good as outside, and never divided by less.
@@ -68,21 +69,30 @@ class ContextDensity:
         """(M,) Z_m, the part of each Gaussian inside the volume."""
         return mass_inside(self.mean, self.covariance, self.low, self.high)
 
+    @property
+    def flat(self) -> float:
+        """α_u/V, the uniform part."""
+        return self.uniform / self.volume
+
     @cached_property
-    def _whitening(self) -> tuple[F8, F8]:
-        """L⁻¹ (M, d, d), and log α_g π_m |2πΣ_m|^(−½) / Z_m (M,)."""
+    def share(self) -> F8:
+        """(M,) α_g π_m / Z_m, by which the Gaussians are weighed; 0 of one that is as good as outside."""
+        return (1 - self.uniform) * self.weight * (self.inside > LEAST_INSIDE) / np.maximum(self.inside, LEAST_INSIDE)
+
+    @cached_property
+    def table(self) -> tuple[F8, F8, F8]:
+        """The Gaussians as `mixture_density` takes them: means (M, d), L⁻¹ (M, d, d), logarithms of the peaks (M,)."""
         root = np.linalg.cholesky(self.covariance)
         log_det = np.log(np.einsum("mrr->mr", root)).sum(axis=1)
-        share = (1 - self.uniform) * self.weight * (self.inside > LEAST_INSIDE) / np.maximum(self.inside, LEAST_INSIDE)
         with np.errstate(divide="ignore"):
-            log_norm = np.log(share) - log_det - 0.5 * self.dim * math.log(2 * math.pi)
-        return np.linalg.inv(root), log_norm
+            log_norm = np.log(self.share) - log_det - 0.5 * self.dim * math.log(2 * math.pi)
+        return np.ascontiguousarray(self.mean.T), np.ascontiguousarray(np.linalg.inv(root)), log_norm
 
     def parts(self, x: F8) -> F8:
         """(1 + M, L) logarithms of the uniform part and of each Gaussian's at ``x`` (d, L), as if there were no border."""
-        whiten, log_norm = self._whitening
+        _, whiten, log_norm = self.table
         out = np.empty((1 + len(self), x.shape[1]))
-        out[0] = math.log(self.uniform / self.volume)
+        out[0] = math.log(self.flat)
         for m in range(len(self)):
             step = whiten[m] @ (x - self.mean[:, m, None])
             out[1 + m] = log_norm[m] - 0.5 * np.einsum("rl,rl->l", step, step)
@@ -106,7 +116,7 @@ class ContextDensity:
 
     def __call__(self, x: F8) -> F8:
         """(L,) p at the columns of ``x`` (d, L)."""
-        out: F8 = np.exp(self.log(x))
+        out: F8 = mixture_density(np.ascontiguousarray(x), self.low, self.high, np.array([self.flat, 0.0]), *self.table)
         return out
 
     def sample(self, count: int, rng: np.random.Generator) -> F8:

@@ -14,6 +14,7 @@ from phdtrack.kernels.gm_reduce import triangles
 from phdtrack.kernels.gm_step import Limits, box_step
 from phdtrack.models import BoxMotion, BoxSensor, FixedBirth, LocalClutter, MeasurementBirth, NoSpawn, UniformClutter
 from phdtrack.models.births import newborn_shape, region
+from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.models.volume import REACH, SIZES, image_volume
 from phdtrack.protocols import Birth, Clutter, Model
 from phdtrack.types import F8, GaussianMixture, UpdateInfo
@@ -25,17 +26,22 @@ _SCALINGS = {
     "given": gm_model.GIVEN,
 }
 _NOBODY = np.zeros((0, 1 + gm_model.D + gm_model.ENTRIES))
+_UNASKED = np.zeros(0)
+# The smallest number above 0: at least this is positive.
+_POSITIVE = math.ulp(0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxModel:
-    """The model over one interval: ``numbers`` (27,), see `gm_model.BoxNumbers`, and the births that are given.
+    """The model over one interval: ``numbers`` (35,), see `gm_model.BoxNumbers`, and what they do not say.
 
-    Those are ``births`` (B, 1 + d + 21): weight, mean and triangle of the covariance of each.
+    ``births`` (B, 1 + d + 21) are those that are given: weight, mean and triangle of the covariance of each; ``clutter``
+    says κ where it is a density by place.
     """
 
     numbers: F8
     births: F8
+    clutter: ContextClutter | None
 
 
 def box_model(model: Model, dt: float) -> BoxModel | None:
@@ -51,9 +57,9 @@ def box_model(model: Model, dt: float) -> BoxModel | None:
     if len(sensor.hiders):
         return None
     birth, clutter = model.birth, model.clutter
-    if type(birth) is not MeasurementBirth and type(birth) is not FixedBirth:
+    if type(birth) is not MeasurementBirth and type(birth) is not FixedBirth and type(birth) is not ContextBirth:
         return None
-    if type(clutter) is not UniformClutter and type(clutter) is not LocalClutter:
+    if type(clutter) is not UniformClutter and type(clutter) is not LocalClutter and type(clutter) is not ContextClutter:
         return None
     return _in_numbers(motion, sensor, birth, clutter, dt)
 
@@ -63,14 +69,15 @@ def box_model(model: Model, dt: float) -> BoxModel | None:
 def _in_numbers(
     motion: BoxMotion,
     sensor: BoxSensor,
-    births: MeasurementBirth | FixedBirth,
-    false: UniformClutter | LocalClutter,
+    births: MeasurementBirth | FixedBirth | ContextBirth,
+    false: UniformClutter | LocalClutter | ContextClutter,
     dt: float,
 ) -> BoxModel | None:
     birth, clutter = _birth(births, dt), _clutter(false)
     if motion.remember_size or sensor.scaling not in _SCALINGS or birth is None or clutter is None:
         return None
     volume, stretch = newborn_shape(gm_model.M)
+    low, high = _bounds(births)
     numbers = BoxNumbers(
         dt=float(dt),
         acceleration=float(motion.acceleration),
@@ -99,16 +106,19 @@ def _in_numbers(
         reach=REACH,
         size_low=SIZES[0],
         size_high=SIZES[1],
+        low=low,
+        high=high,
     )
-    return BoxModel(np.array(numbers), birth[2])
+    scene = false if isinstance(false, ContextClutter) else None
+    return BoxModel(np.hstack(numbers), birth[2], scene)
 
 
 def _birth(birth: Birth, dt: float) -> tuple[float, float, F8] | None:
     """What γ is spread over, its density or rate, and its Gaussians where it is a mixture."""
     if type(birth) is FixedBirth and len(birth.mixture.mean) == gm_model.D:
-        given = birth.mixture
-        table = np.hstack([given.weight[:, None] * dt, given.mean.T, triangles(given.covariance)])
-        return gm_model.NOWHERE, 0.0, table
+        return gm_model.NOWHERE, 0.0, _table(birth.mixture, dt)
+    if type(birth) is ContextBirth and birth.density.dim == gm_model.D and birth.observed == gm_model.ROWS:
+        return gm_model.IMAGE, float(birth.flat * dt), _table(birth.given, dt)
     if type(birth) is not MeasurementBirth:
         return None
     if birth.volume == "local":
@@ -116,8 +126,23 @@ def _birth(birth: Birth, dt: float) -> tuple[float, float, F8] | None:
     return gm_model.IMAGE, float(birth.rate / image_volume(birth.frame_size) * dt), _NOBODY
 
 
+def _table(given: GaussianMixture, dt: float) -> F8:
+    """(B, 1 + d + 21) births as `kernels.gm_step` takes them."""
+    return np.hstack([given.weight[:, None] * dt, given.mean.T, triangles(np.ascontiguousarray(given.covariance))])
+
+
+def _bounds(birth: Birth) -> tuple[gm_model.Box, gm_model.Box]:
+    """Where a detection must lie for a birth about it: in the volume that was learned, or any of positive size."""
+    if isinstance(birth, ContextBirth):
+        low, high = birth.shown.low, birth.shown.high
+        return (low[0], low[1], low[2], low[3]), (high[0], high[1], high[2], high[3])
+    return (-math.inf, -math.inf, _POSITIVE, _POSITIVE), (math.inf, math.inf, math.inf, math.inf)
+
+
 def _clutter(clutter: Clutter) -> tuple[float, float] | None:
-    """What κ is spread over, and its density or rate."""
+    """What κ is spread over, and its density or rate; of one that is a density by place nothing."""
+    if type(clutter) is ContextClutter:
+        return (gm_model.PLACES, 0.0) if clutter.density.dim == gm_model.M else None
     if type(clutter) is LocalClutter:
         return gm_model.LOCAL, float(clutter.rate)
     if type(clutter) is UniformClutter:
@@ -133,9 +158,10 @@ def limits(*settings: float) -> F8:
 
 def fused_step(state: GaussianMixture, z: F8, box: BoxModel, settings: F8) -> tuple[GaussianMixture, UpdateInfo]:
     """A frame of the box model [V06 (24)–(38), Table II]; ``settings`` as `limits` gives them."""
+    kappa = _UNASKED if box.clutter is None else box.clutter.intensity(z)
     weight, mean, cov, tag, table, predicted, newborn, mass, vanished, fresh = box_step(
-        state.weight, state.mean, state.covariance, state.tag, np.ascontiguousarray(z), box.births, box.numbers, settings,
-        state.fresh,
+        state.weight, state.mean, state.covariance, state.tag, np.ascontiguousarray(z), box.births, kappa, box.numbers,
+        settings, state.fresh,
     )  # fmt: skip
     evidence, kappa = table
     return GaussianMixture(weight, mean, cov, tag, fresh), UpdateInfo(predicted, newborn, mass, evidence, kappa, vanished)

@@ -17,12 +17,14 @@ from phdtrack.kernels.fast32 import INNER
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 
+# (px, py, w, h).
+Box = tuple[float, float, float, float]
 # Covariances are kept as their lower triangles, row by row: that is 42 % less to move.
 D, M, ENTRIES = 6, 4, 21
 ROWS = (0, 1, 4, 5)
 # Names are floats too, because all numbers are handed over in one array.
 PARTICLE, DETECTION, FIXED, GIVEN = 0.0, 1.0, 2.0, 3.0
-NOWHERE, IMAGE, LOCAL = 0.0, 1.0, 2.0
+NOWHERE, IMAGE, LOCAL, PLACES = 0.0, 1.0, 2.0, 3.0
 TINY_VARIANCE = 1e-12
 
 
@@ -49,7 +51,8 @@ class BoxNumbers(NamedTuple):
 
     ``survival`` is p_S^dt, ``frame_*`` 0 where there is no border; ``scaling`` one of the four names above; ``deviation_*``
     those of a newborn velocity, relative to √(wh) or in pixels; ``birth`` and ``clutter`` say what γ and κ are spread over:
-    ``born`` and ``false`` are densities (``IMAGE``), or rates around each detection (``LOCAL``) of 4w²h² pixel⁴.
+    ``born`` and ``false`` are densities (``IMAGE``), or rates around each detection (``LOCAL``) of 4w²h² pixel⁴; where κ is
+    a density by place (``PLACES``) it is handed in. Births about a measurement need one from ``low`` to ``high``.
     """
 
     dt: float
@@ -79,14 +82,17 @@ class BoxNumbers(NamedTuple):
     reach: float
     size_low: float
     size_high: float
+    low: Box
+    high: Box
 
 
 @njit(**INNER)
 def box_numbers(t: F8) -> BoxNumbers:
-    """The numbers from an array (27,), which costs less to hand over than a tuple."""
+    """The numbers from an array (35,), which costs less to hand over than a tuple."""
     return BoxNumbers(
         t[0], t[1], t[2], t[3], t[4], t[5], t[6], t[7], t[8], t[9], t[10], t[11], t[12], t[13],
         t[14], t[15], t[16], t[17], t[18], t[19], t[20], t[21], t[22], t[23], t[24], t[25], t[26],
+        (t[27], t[28], t[29], t[30]), (t[31], t[32], t[33], t[34]),
     )  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from phdtrack.kernels.gm_model import (
     GIVEN,
     LOCAL,
     NOWHERE,
+    PLACES,
     ROWS,
     BoxNumbers,
     D,
@@ -212,7 +213,9 @@ def _births(
     n = len(scene.boxes)
     covered, gamma = np.empty(n), np.empty(n)
     for j in range(n):
-        possible = scene.boxes[j, 2] > 0.0 and scene.boxes[j, 3] > 0.0
+        possible = True
+        for a in range(M):
+            possible &= b.low[a] <= scene.boxes[j, a] <= b.high[a]
         density = b.born * crowded[j] if b.birth == LOCAL else b.born
         gamma[j], covered[j] = density if possible else 0.0, 0.0
     for q in range(found):
@@ -223,10 +226,12 @@ def _births(
 
 
 @njit(**INNER)
-def _weighed(index: I8, value: F8, found: int, order: I8, b: BoxNumbers, crowded: F8, w: F8, table: F8) -> tuple[float, int]:
+def _weighed(
+    index: I8, value: F8, found: int, order: I8, b: BoxNumbers, crowded: F8, kappa: F8, w: F8, table: F8
+) -> tuple[float, int]:
     """The weight of each pair's posterior in the place of its density; their sum, and measurements with κ + C = 0.
 
-    C(z) and κ(z) go to the rows of ``table`` (2, N), as they were measured.
+    C(z) and κ(z) go to the rows of ``table`` (2, N), as they were measured; ``kappa`` is κ where it is given.
     """
     n = order.size
     total, explained, after, vanished = np.empty(n), np.empty(n), 0.0, 0
@@ -236,7 +241,11 @@ def _weighed(index: I8, value: F8, found: int, order: I8, b: BoxNumbers, crowded
         value[q, DENSITY] *= b.p_detect * w[index[q, 0]]
         total[index[q, 1]] += value[q, DENSITY]
     for j in range(n):
-        clutter = b.false * crowded[j] if b.clutter == LOCAL else b.false
+        clutter = b.false
+        if b.clutter == LOCAL:
+            clutter *= crowded[j]
+        elif b.clutter == PLACES:
+            clutter = kappa[order[j]]
         known = clutter + total[j] >= SMALLEST
         explained[j] = 1.0 / (clutter + total[j]) if known else 0.0
         vanished += not known
@@ -290,7 +299,7 @@ def _sum(w: F8, first: int, last: int) -> float:
 
 @njit(**ENTRY)
 def box_step(
-    weight: F8, mean: F8, cov: F8, tag: I8, z: F8, births: F8, model: F8, settings: F8, fresh: int
+    weight: F8, mean: F8, cov: F8, tag: I8, z: F8, births: F8, kappa: F8, model: F8, settings: F8, fresh: int
 ) -> tuple[F8, F8, F8, I8, F8, float, float, float, int, int]:
     """Predict, births, update, prune, merge and cap.
 
@@ -299,6 +308,7 @@ def box_step(
     weight, mean, cov, tag : (J,), (d, J), (J, d, d), (J,) the mixture before the frame.
     z : (m, N) measurements.
     births : a mixture of births that is given: (B, 1 + d + 21) weight, mean and triangle of the covariance of each.
+    kappa : (N,) κ at the measurements where the model says that it is given, else (0,).
     model, settings : the values of `BoxNumbers` and of `Limits`.
     fresh : the next new tag.
 
@@ -329,9 +339,9 @@ def box_step(
         crowded = crowding(scene, b) if b.birth == LOCAL or b.clutter == LOCAL else w
         index, value, found = paired(x, p, none, old, scene, b, limits.gate, index, value, found)
         if b.birth != NOWHERE:
-            used = _births(index, value, found, scene, b, limits.region, crowded, w, x, p, t, used, fresh)
+            used = _births(index, value, found, scene, b, limits.region, crowded, w, x, p, t, used, fresh + used - old)
         index, value, found = paired(x, p, old, used, scene, b, limits.gate, index, value, found)
-        after, vanished = _weighed(index, value, found, scene.order, b, crowded, w, table)
+        after, vanished = _weighed(index, value, found, scene.order, b, crowded, kappa, w, table)
     elif limits.skip_empty > 0.0:
         missed = 1.0
     before, born = _sum(w, none, used), _sum(w, old, used)

@@ -19,7 +19,7 @@ import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
 from phdtrack.context import ContextDensity, marginal
-from phdtrack.context.density import LEAST_INSIDE
+from phdtrack.kernels.context_density import NEGLIGIBLE, given_detections, mixture_density
 from phdtrack.models.births import gaussians_about, particles_about
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, I8, GaussianMixture, Particles
@@ -69,10 +69,6 @@ class ContextBirth:
         """p of what measurements show, velocities integrated out."""
         return marginal(self.density, self.observed)
 
-    @property
-    def _hidden(self) -> list[int]:
-        return [r for r in range(self.density.dim) if r not in self.observed]
-
     def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
         """Particles around the detections with the evidence and the velocities of γT there [M07 §2, M09 (12)]."""
         at = self.around(sensor.states(z), dt)
@@ -81,52 +77,45 @@ class ContextBirth:
 
     def around(self, seen: tuple[F8, F8], dt: float) -> Around:
         """What γT is around detections whose states and covariances, as `Sensor.states` gives them, are ``seen``."""
-        state, cov = seen[0].copy(), seen[1].copy()
-        rows, hidden, p = list(self.observed), self._hidden, self.density
-        n, many = state.shape[1], len(p)
-        log = np.full((1 + many, n), np.log(p.uniform / self.shown.volume))
-        mean, spread = np.zeros((1 + many, n, len(hidden))), np.empty((1 + many, n, len(hidden), len(hidden)))
-        mean[0], spread[0] = state[hidden].T, cov[:, hidden][:, :, hidden]
-        for m in range(many):
-            log[1 + m], mean[1 + m], spread[1 + m] = self._given(m, state[rows], cov[:, rows][:, :, rows])
-        total = np.logaddexp.reduce(log, axis=0)
-        share = np.exp(log - total)
-        velocity = np.einsum("mn,mnv->nv", share, mean)
-        step = mean - velocity
-        state[hidden] = velocity.T
-        within = np.einsum("mn,mnvw->nvw", share, spread) + np.einsum("mn,mnv,mnw->nvw", share, step, step)
-        cov[np.ix_(range(n), hidden, hidden)] = within
-        inside = self.shown.contains(state[rows])
-        return Around(state, cov, np.where(inside, self.rate * dt * np.exp(total), 0.0))
+        density, state, cov = given_detections(*seen, *self._table)
+        return Around(state, cov, self.rate * dt * density)
 
-    def _given(self, m: int, shown: F8, noise: F8) -> tuple[F8, F8, F8]:
-        """Of Gaussian m: log of its part of ∫ g p (n,), mean (n, v) and covariance (n, v, v) of velocities given z."""
-        rows, hidden, p = list(self.observed), self._hidden, self.density
-        sigma = p.covariance[m]
-        cross = sigma[np.ix_(hidden, rows)]
-        total = sigma[np.ix_(rows, rows)] + noise
-        step = (shown - p.mean[rows, m, None]).T
-        gain = cross @ np.linalg.inv(total)
-        distance2 = np.einsum("nr,nr->n", step, np.linalg.solve(total, step[:, :, None])[:, :, 0])
-        share = (1 - p.uniform) * p.weight[m] / max(float(p.inside[m]), LEAST_INSIDE)
-        _, log_det = np.linalg.slogdet(2 * np.pi * total)
-        log = np.log(share) - 0.5 * (log_det + distance2) if share > 0 else np.full(len(step), -np.inf)
-        velocity = p.mean[hidden, m] + np.einsum("nvr,nr->nv", gain, step)
-        return log, velocity, sigma[np.ix_(hidden, hidden)] - gain @ cross.T
+    @cached_property
+    def _table(self) -> tuple[I8, int, F8, F8, float, F8, F8, F8, F8]:
+        """The density as `given_detections` takes it."""
+        p, shown = self.density, self.shown
+        order = np.array([*self.observed, *(r for r in range(p.dim) if r not in self.observed)])
+        lower, r = np.tril_indices(p.dim), shown.dim
+        cov = p.covariance[:, order][:, :, order]
+        peak2 = np.square(p.share) / (2 * np.pi) ** r
+        with np.errstate(divide="ignore"):
+            log_peak = 0.5 * (np.log(peak2) - np.linalg.slogdet(cov[:, :r, :r])[1])
+        # Below 0 nothing is near enough.
+        reach = 2 * np.maximum(log_peak - np.log(shown.flat) + NEGLIGIBLE, -1.0)
+        triangles = np.ascontiguousarray(cov[:, *lower].T)
+        return order, r, shown.low, shown.high, shown.flat, p.mean[order], triangles, peak2, reach
+
+    @property
+    def flat(self) -> float:
+        """The uniform part of γ, per time unit and unit of what measurements show."""
+        return self.rate * self.shown.flat
+
+    @cached_property
+    def given(self) -> GaussianMixture:
+        """The Gaussians of γ, whose parts inside the volume have its masses, per time unit."""
+        return GaussianMixture(self.rate * self.density.share, self.density.mean, self.density.covariance)
 
     def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
         """The learned Gaussians as they are, and the uniform part as Gaussians about the detections (`gaussians_about`).
 
         What of a Gaussian lies beyond the volume is not cut off here; the parts inside have the masses of γT.
         """
-        p = self.density
-        flat = self.rate * dt * p.uniform / self.shown.volume
-        spread = gaussians_about(z, covered, sensor, lambda x: np.where(self.shown.contains(x), flat, 0.0))
-        given = self.rate * dt * (1 - p.uniform) * p.weight / np.maximum(p.inside, LEAST_INSIDE)
+        given = self.given
+        spread = gaussians_about(z, covered, sensor, lambda x: np.where(self.shown.contains(x), self.flat * dt, 0.0))
         return GaussianMixture(
-            np.concatenate([given, spread.weight]),
-            np.hstack([p.mean, spread.mean]),
-            np.concatenate([p.covariance, spread.covariance]),
+            np.concatenate([given.weight * dt, spread.weight]),
+            np.hstack([given.mean, spread.mean]),
+            np.concatenate([given.covariance, spread.covariance]),
         )
 
     def expected(self, z: F8, dt: float) -> float:
@@ -153,6 +142,10 @@ class ContextClutter:
 
     def intensity(self, z: F8) -> F8:
         """(N,) κ per frame and unit of measurement space."""
-        p = self.density
-        out: F8 = self.rate * np.maximum(p(z[: p.dim]), p.uniform / p.volume)
+        out: F8 = self.rate * mixture_density(np.ascontiguousarray(z[: self.density.dim]), *self._table)
         return out
+
+    @cached_property
+    def _table(self) -> tuple[F8, F8, F8, F8, F8, F8]:
+        """The density as `mixture_density` takes it, nowhere below its uniform part."""
+        return self.density.low, self.density.high, np.full(2, self.density.flat), *self.density.table

@@ -1,0 +1,62 @@
+"""Learned densities at points and at detections, against one Gaussian at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phdtrack.context import ContextDensity, marginal
+from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from reference import context_twin as twin
+
+KINDS = {"boxes": (6, (0, 1, 4, 5)), "ground": (4, (0, 1)), "shown first": (3, (0, 1)), "nothing hidden": (2, (0, 1))}
+
+
+def learned(rng: np.random.Generator, d: int, count: int, uniform: float = 0.3) -> ContextDensity:
+    """Gaussians of many widths: near each other, far, and hardly inside."""
+    root = rng.normal(0, 1, (count, d, d)) * rng.uniform(0.3, 6, (count, 1, 1))
+    mean = rng.uniform(-25, 25, (d, count))
+    mean[:, -1] = 400
+    weight = rng.random(count) + 0.1
+    low, high = np.full(d, -20.0), np.full(d, 30.0)
+    return ContextDensity(low, high, uniform, weight / weight.sum(), mean, root @ root.transpose(0, 2, 1) + np.eye(d))
+
+
+@pytest.mark.parametrize("d", [1, 2, 4, 6])
+def test_a_density_and_false_alarms_at_points(d: int, rng):
+    p = learned(rng, d, 7)
+    x = np.hstack([rng.uniform(-30, 40, (d, 40)), p.mean[:, :3] + 0.1, np.full((d, 1), -20.0)])
+    asked = p.low, p.high, p.uniform / p.volume
+    np.testing.assert_allclose(p(x), twin.mixture_density(x, *asked, 0.0, p.share, p.mean, p.covariance), rtol=1e-10)
+    np.testing.assert_allclose(p(x), np.exp(p.log(x)), rtol=1e-10)
+    kappa = 2.5 * twin.mixture_density(x, *asked, asked[2], p.share, p.mean, p.covariance)
+    found = ContextClutter(2.5, p).intensity(np.asfortranarray(np.vstack([x, x])))
+    np.testing.assert_allclose(found, kappa, rtol=1e-10)
+    assert kappa.max() > 2 * kappa.min(), "Gaussians count somewhere"
+    np.testing.assert_array_equal(ContextClutter(0.0, p).intensity(x), np.zeros(x.shape[1]))
+
+
+@pytest.mark.parametrize(("d", "rows"), KINDS.values(), ids=KINDS)
+def test_what_it_says_of_detections(d: int, rows: tuple[int, ...], rng):
+    p, n, keep = learned(rng, d, 9), 90, list(rows)
+    root = rng.normal(0, 1, (n, d, d))
+    state, noise = rng.uniform(-30, 40, (d, n)), root @ root.transpose(0, 2, 1) + 0.1 * np.eye(d)
+    state[keep, 0] = p.mean[keep, 0]
+    birth, shown = ContextBirth(2.0, p, rows), marginal(p, rows)
+    found = birth.around((state, noise), 1.5)
+    expected = twin.given_detections(
+        state, noise, keep, shown.low, shown.high, p.uniform / shown.volume, p.share, p.mean, p.covariance
+    )
+    np.testing.assert_allclose(found.density, 3.0 * expected[0], rtol=1e-9)
+    np.testing.assert_allclose(found.mean, expected[1], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.covariance, expected[2], rtol=1e-8, atol=1e-8)
+    assert len(np.unique(found.density.round(12))) > 12, "Gaussians count, and places beyond the volume have none"
+    assert (found.density == 0).any()
+
+
+def test_nobody_and_nothing(rng):
+    p = learned(rng, 6, 3)
+    found = ContextBirth(1.0, p).around((np.zeros((6, 0)), np.zeros((0, 6, 6))), 1.0)
+    assert found.density.shape == (0,)
+    assert p(np.zeros((6, 0))).shape == (0,)
+    assert ContextClutter(1.0, marginal(p, (0, 1, 4, 5))).intensity(np.zeros((8, 0))).shape == (0,)
