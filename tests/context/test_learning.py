@@ -44,7 +44,7 @@ def test_samples_spread_evenly_teach_nothing():
     assert -0.5 < lesson.gain < 0.2
 
 
-@pytest.mark.parametrize(("n", "time", "words"), [(3, 100, "at least 10 tracks"), (50, 0, "some length")])
+@pytest.mark.parametrize(("n", "time", "words"), [(3, 100, "at least 10 births"), (50, 0, "some length")])
 def test_too_little_is_told(n, time, words):
     with pytest.raises(InputError, match=words):
         learn_births(door(np.random.default_rng(3), n), time, SIZE, RecursiveEM())
@@ -55,3 +55,32 @@ def test_too_few_false_boxes_are_told():
         learn_clutter(np.ones((4, 2)), 10, SIZE, RecursiveEM())
     with pytest.raises(InputError, match="frames on which"):
         learn_clutter(np.ones((4, 20)), 0, SIZE, RecursiveEM())
+
+
+def test_births_of_unknown_velocity_count_and_move_what_they_show():
+    rng = np.random.default_rng(4)
+    states = door(rng, 120)
+    states[2:4, ::3] = np.nan
+    lesson = learn_births(states, time_units=1000, frame_size=SIZE, learner=RecursiveEM())
+    assert lesson.learned.rate == pytest.approx(0.12)
+    assert lesson.learned.samples == 120
+    heaviest = np.argmax(lesson.learned.density.weight)
+    assert lesson.learned.density.mean[:, heaviest] == pytest.approx([100, 300, 2, 0.5, 40, 90], abs=5)
+    known = learn_births(states[:, np.isfinite(states[2])], 1000, SIZE, RecursiveEM())
+    assert lesson.gain == pytest.approx(known.gain, abs=1)
+    states[2:4] = np.nan
+    with pytest.raises(InputError, match="no birth's velocity is known"):
+        learn_births(states, 1000, SIZE, RecursiveEM())
+
+
+def test_boxes_count_by_their_certainty():
+    rng = np.random.default_rng(5)
+    places = np.array([[500.0, 100, 30, 30], [200, 300, 40, 80]])
+    boxes = np.hstack([place[:, None] + 3 * rng.standard_normal((4, 100)) for place in places])
+    weight = np.repeat([0.9, 0.1], 100)
+    learned = learn_clutter(boxes, 40, SIZE, RecursiveEM(), weight).learned
+    assert learned.rate == pytest.approx(2.5)
+    p = learned.density(np.ascontiguousarray(places.T))
+    assert p[0] / p[1] == pytest.approx(9, rel=0.35)
+    with pytest.raises(InputError, match="at least 10 detections marked as false, got 2"):
+        learn_clutter(boxes, 40, SIZE, RecursiveEM(), weight / 50)
