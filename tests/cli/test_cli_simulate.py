@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,18 @@ def test_the_video_has_as_many_frames(tmp_path: Path) -> None:
     assert [frame.number for frame in open_source(tmp_path / "s" / "scene.mp4")] == [1, 2, 3, 4, 5]
 
 
+def test_the_look_of_the_video_is_the_scenes_own_and_can_be_changed(tmp_path: Path) -> None:
+    from phdtrack.video import open_source
+
+    sizes = {}
+    for name, options in (("own", ()), ("calm", ("--look", "wave=0", "--look", "lamps=0", "--look", "flicker=0"))):
+        assert phdtrack("simulate", "garden", "--out", tmp_path / name, "--frames", 12, "--seed", 1, *options).status == 0
+        frames = [frame.image.astype(np.int16) for frame in open_source(tmp_path / name / "scene.mp4")]
+        sizes[name] = np.mean([np.abs(b - a).max(axis=2) > 25 for a, b in itertools.pairwise(frames)])
+    # A dozen plants that bend in the wind; without, people alone move.
+    assert sizes["own"] > 3 * sizes["calm"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -66,6 +79,9 @@ def test_the_video_has_as_many_frames(tmp_path: Path) -> None:
         (["street", "--set", "arrivals=many"], "expected a number, got 'many'"),
         (["street", "--set", "frames=2.5"], "expected a whole number"),
         (["street", "--set", "speed=-1"], "must be positive"),
+        (["street", "--look", "waves=1"], "Did you mean wave?"),
+        (["street", "--look", "lamps=2.5"], "expected a whole number"),
+        (["street", "--look", "shadow=2"], "shadow not above 1"),
         (["street", "--p-detect", "1.5"], "p_detect is a probability"),
         (["street", "--clutter", "-1"], "must not be negative"),
     ],

@@ -8,7 +8,19 @@ import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.simulate import NAMED, DetectorModel, Look, Rendered, Scenario, Scene, Walk, build_scene, make_scene, render
+from phdtrack.simulate import (
+    NAMED,
+    DetectorModel,
+    Look,
+    Rendered,
+    Scenario,
+    Scene,
+    Walk,
+    build_scene,
+    default_look,
+    make_scene,
+    render,
+)
 from phdtrack.simulate.paint.stage import Stage, gait
 from phdtrack.types import F8, Image
 
@@ -242,3 +254,16 @@ def test_blown_leaves_are_elsewhere_in_every_frame_and_change_nothing_else() -> 
     # Three leaves of a few per cent of the height cover little, and never the same place for long.
     assert 0.002 < share.mean() < 0.05
     assert share.max() < 0.3
+
+
+def test_scenes_to_learn_have_plants_and_lights_of_their_own() -> None:
+    plants = {}
+    for name in ("yard", "garden", "arcade"):
+        scene, look = make_scene(name, 1, frames=2), default_look(name)
+        plants[name] = len(render(scene, np.random.default_rng(1), look).plants)
+        assert look.wave > Look().wave
+        assert look.lamps >= 3
+    assert plants == {"yard": 3, "garden": 12, "arcade": 3}
+    assert default_look("street") == Look()
+    assert len(make_scene("yard", 1, frames=2).doors) == 1
+    assert len(make_scene("arcade", 1, frames=2).obstacles) == 3

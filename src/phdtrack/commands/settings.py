@@ -1,12 +1,16 @@
-"""``--set NAME=VALUE`` for the settings of a scene: numbers, by the type that the setting has."""
+"""``--set NAME=VALUE`` for the settings of a scene and ``--look`` for its picture: numbers, by the type of the setting."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING
 
 from phdtrack.errors import InputError
+
+if TYPE_CHECKING:
+    from phdtrack.simulate import Look
 
 
 def scene_settings(name: str, assignments: Sequence[str]) -> dict[str, int | float]:
@@ -23,12 +27,28 @@ def scene_settings(name: str, assignments: Sequence[str]) -> dict[str, int | flo
     world = NAMED[name]
     types = {f.name: type(getattr(world, f.name)) for f in fields(world)}
     numeric = {key: kind for key, kind in types.items() if kind in (int, float)}
-    return dict(_assigned(text, numeric) for text in assignments)
+    return dict(_assigned(text, numeric, "--set") for text in assignments)
 
 
-def _assigned(text: str, numeric: dict[str, type[int] | type[float]]) -> tuple[str, int | float]:
+def look_settings(name: str, assignments: Sequence[str]) -> Look:
+    """The look of scene ``name`` with what ``assignments`` ("wave=0.2") change.
+
+    Raises
+    ------
+    InputError : not of the form NAME=VALUE, there is no such setting, or the value is no number of its type, or impossible.
+    """
+    from phdtrack.simulate import default_look
+
+    look = default_look(name)
+    numeric: dict[str, type[int] | type[float]] = {f.name: type(getattr(look, f.name)) for f in fields(look)}
+    changed = dict(_assigned(text, numeric, "--look") for text in assignments)
+    # Each is a number of its own field's type, which a dictionary of all of them cannot say.
+    return replace(look, **changed)  # type: ignore[arg-type]
+
+
+def _assigned(text: str, numeric: dict[str, type[int] | type[float]], option: str) -> tuple[str, int | float]:
     key, equals, value = (part.strip() for part in text.partition("="))
-    where = f"--set {text}"
+    where = f"{option} {text}"
     if not equals or not key:
         raise InputError("expected NAME=VALUE", where=where)
     if key not in numeric:

@@ -10,7 +10,7 @@ import typer
 
 from phdtrack.commands.options import Json, Overwrite, Seed
 from phdtrack.commands.output import Output, counted
-from phdtrack.commands.settings import scene_settings
+from phdtrack.commands.settings import look_settings, scene_settings
 from phdtrack.rundir import claim
 
 if TYPE_CHECKING:
@@ -25,7 +25,11 @@ FILES = (TRUTH, DETECTIONS, SEQINFO, VIDEO)
 
 def simulate(
     name: Annotated[
-        str, typer.Argument(metavar="SCENE", help="street, crossing, occlusion, crowd, corridor, empty, constant.")
+        str,
+        typer.Argument(
+            metavar="SCENE",
+            help="street, crossing, occlusion, crowd, corridor, yard, garden, arcade, empty, constant.",
+        ),
     ],
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to write; default: runs/SCENE.")] = None,
     overwrite: Overwrite = False,
@@ -39,6 +43,10 @@ def simulate(
     ] = None,
     sets: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Another setting of the scene, as arrivals=0.8.")
+    ] = None,
+    look: Annotated[
+        list[str] | None,
+        typer.Option("--look", metavar="NAME=VALUE", help="How the video looks: wave=0.3, lamps=8, noise, flicker, …"),
     ] = None,
     video: Annotated[bool, typer.Option("--video/--no-video", help="Render the scene as a video, too.")] = True,
     json: Json = False,
@@ -55,13 +63,14 @@ def simulate(
     from phdtrack.simulate import make_scene
 
     model = detector_model(name, p_detect, clutter, places, jitter)
+    picture = look_settings(name, look or [])
     scene = make_scene(name, seed, model, **scene_settings(name, [*(sets or []), *([f"frames={frames}"] if frames else [])]))
     target, result = claim(out or Path("runs") / name, overwrite, FILES), Output(json)
     write_truth(target.file(TRUTH), scene.truth)
     write_detections(target.file(DETECTIONS), scene.detections)
     target.file(SEQINFO).write_text(seqinfo(scene.info), encoding="utf-8")
     if video:
-        render_video(scene, np.random.default_rng(seed), target.file(VIDEO))
+        render_video(scene, np.random.default_rng(seed), target.file(VIDEO), picture)
     objects = len(set(scene.truth.identity.tolist()))
     parts = [(scene.info.frames, "frame"), (objects, "object"), (len(scene.detections), "detection")]
     result.say(f"{name}: {', '.join(counted(*part) for part in parts)}, in {target.path}")

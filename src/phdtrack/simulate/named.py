@@ -13,6 +13,7 @@ from phdtrack.errors import InputError
 from phdtrack.simulate.counting import PAPER_DETECTOR, Counting
 from phdtrack.simulate.detector import DetectorModel, detect
 from phdtrack.simulate.ground import Walk
+from phdtrack.simulate.look import Look
 from phdtrack.simulate.records import Scene, World
 from phdtrack.simulate.scenario import Entrance, Scenario
 
@@ -73,13 +74,34 @@ CORRIDOR = Scenario(
     pause_seconds=2.5,
 )
 """A shopping centre's corridor seen along its length, with the door of a shop, at CAVIAR's size and rate."""
+_WATCHED = Scenario("yard", frames=1000, width=384, height=288, rows=(0.55, 0.95), arrivals=0.3, lead_in=-10.0)
+YARD = replace(_WATCHED, entrances=(Entrance("left"), Entrance("right"), Entrance("door", (0.3, 0.53), 1.5)))
+"""A house with a door and a road before it, trees and blinking lights: a scene to learn, at CAVIAR's size."""
+GARDEN = replace(_WATCHED, name="garden", arrivals=0.12)
+"""Few people among a dozen trees in a strong wind: most of what is reported is false, and always in the same places."""
+ARCADE = replace(
+    _WATCHED,
+    name="arcade",
+    rows=(0.56, 0.82),
+    arrivals=0.25,
+    obstacles=tuple((left, 0.3, left + 0.06, 0.86) for left in (0.15, 0.45, 0.75)),
+)
+"""Everybody passes behind three columns, and tracks begin again beside them."""
 EMPTY = Scenario("empty", frames=300, arrivals=0.0)
 """Nobody comes: everything that is reported is false."""
 
 NAMED: MappingProxyType[str, Scenario | Counting] = MappingProxyType(
-    {w.name: w for w in (STREET, CROSSING, OCCLUSION, CROWD, CORRIDOR, EMPTY, Counting())}
+    {w.name: w for w in (STREET, CROSSING, OCCLUSION, CROWD, CORRIDOR, YARD, GARDEN, ARCADE, EMPTY, Counting())}
 )
 """All scenes by name."""
+# Where a scene is not as usual: places with persistent false alarms, at which plants grow, and the look of the video.
+_USUAL_PLACES = 5
+_PLACES = {"yard": 3, "garden": 12, "arcade": 3}
+_LOOKS = {
+    "yard": Look(wave=0.12, lamps=3),
+    "garden": Look(wave=0.30, lamps=10),
+    "arcade": Look(wave=0.12, lamps=4),
+}
 
 
 def make_scene(name: str, seed: int, detector: DetectorModel | None = None, **settings: Any) -> Scene:
@@ -109,7 +131,14 @@ def build_scene(world: World, seed: int, detector: DetectorModel) -> Scene:
 
 def default_detector(world: Scenario | Counting) -> DetectorModel:
     """The detector that a scene is given where none is asked for."""
-    return PAPER_DETECTOR if isinstance(world, Counting) else DetectorModel(occlusion=2.0, places=5)
+    if isinstance(world, Counting):
+        return PAPER_DETECTOR
+    return DetectorModel(occlusion=2.0, places=_PLACES.get(world.name, _USUAL_PLACES))
+
+
+def default_look(name: str) -> Look:
+    """What the video of the scene ``name`` looks like where nothing else is asked for."""
+    return _LOOKS.get(name, Look())
 
 
 def _changed(world: Scenario | Counting, settings: dict[str, Any]) -> Scenario | Counting:
