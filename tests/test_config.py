@@ -72,7 +72,7 @@ def chosen(section: str, kind: str) -> list[str]:
 WORDS = {
     "image": "local", "local": "image", "particle": "detection", "given": "fixed", "fixed": "given",
     "continuous": "piecewise", "piecewise": "continuous", "map": "eap", "box": "plane",
-    "linear": "unscented", "joint": "each", "overlap": "distance",
+    "": "07:30 day", "00:00": "12:30", "linear": "unscented", "joint": "each", "overlap": "distance",
 }  # fmt: skip
 
 

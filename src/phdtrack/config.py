@@ -45,7 +45,7 @@ from phdtrack.models import (
     UniformBirth,
 )
 from phdtrack.presets import PRESETS, USUAL
-from phdtrack.protocols import AnyStages, Stages
+from phdtrack.protocols import AnyStages, NoLearning, Stages
 from phdtrack.types import SequenceInfo
 
 Values = dict[str, Any]
@@ -94,6 +94,7 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
         "hypotheses": extract.BestHypothesis,
     },
     "associate": {"graph": GraphMatching, "labelled": Labelled},
+    "learn": {"none": NoLearning, "online": worlds.LearnSettings},
     "groups": {"": Grouping},
     "contours": {"": Contours},
     "lives": {"": Living},
@@ -112,12 +113,14 @@ _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
         "birth": ("ground", "places", "learned"),
         "clutter": ("ground",),
         "spawn": ("none",),
+        "learn": ("none",),
     },
     ("motion", "point"): {
         "sensor": ("point",),
         "birth": ("point", "uniform", "fixed", "learned"),
         "clutter": ("point",),
         "spawn": ("none",),
+        "learn": ("none",),
     },
     ("filter", "particle-phd"): {"extract": ("kmeans", "mixture"), "associate": ("graph",)},
     ("filter", "gm-phd"): {"extract": ("components",), "associate": ("graph",)},
@@ -125,7 +128,7 @@ _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
     ("filter", "gm-cphd"): {"extract": ("counted-components",), "associate": ("graph",)},
     ("filter", "mht"): {"extract": ("hypotheses",), "associate": ("labelled", "graph")},
     ("filter", "mcmc"): {"extract": ("joint",), "associate": ("graph", "labelled")},
-    ("filter", "none"): {"associate": ("graph",)},
+    ("filter", "none"): {"associate": ("graph",), "learn": ("none",)},
 }
 # The sections whose kinds decide others', in the order to lay them over.
 _DECIDING = ("motion", "filter")
@@ -264,7 +267,8 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "") -> AnyS
     values = settings.sections.get("filter", {}).get("initial", [])
     initial = worlds.initial_mixture(kinds, record, values) if values else None
     size = (float(info.width), float(info.height))
-    return Stages(model, record("filter", initial=initial, frame_size=size), record("extract"), associator)
+    learning = worlds.build_learning(record, kinds["learn"], info)
+    return Stages(model, record("filter", initial=initial, frame_size=size), record("extract"), associator, learning)
 
 
 def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupStages:

@@ -29,7 +29,7 @@ class TrackingState:
 
     ``targets`` (d, n) are the states that the last frame showed, where the sensor asks who may hide whom; empty otherwise.
     ``usable`` are the numbers of the detections that the filter was given, of the frames that it may still revise; (0,) for
-    one in which it was given all.
+    one in which it was given all. ``learned`` is what is known of the scene, None where nothing is learned.
     """
 
     intensity: Any
@@ -38,11 +38,14 @@ class TrackingState:
     time: float = 0.0
     targets: F8 = field(default_factory=lambda: NOBODY)
     usable: tuple[I8, ...] = ()
+    learned: Any = None
 
 
 def start(stages: AnyStages, rng: np.random.Generator) -> TrackingState:
     """The state before the first frame."""
-    return TrackingState(stages.filter.start(stages.model, rng), stages.associator.start())
+    learned = stages.learning.start()
+    intensity = stages.filter.start(stages.learning.model(learned, stages.model), rng)
+    return TrackingState(intensity, stages.associator.start(), learned=learned)
 
 
 def advance(
@@ -68,7 +71,7 @@ def advance(
             f"{state.time:g} s",
             cure="Sort the frames, or reset the tracker before a new sequence",
         )
-    model = stages.model
+    model = stages.learning.model(state.learned, stages.model)
     dt = (time - state.time) * model.rate if state.number else model.first
     began = clock.perf_counter()
     everything = model.sensor.measure(detections if detections.observed else Detections.empty(observed=False))
@@ -94,7 +97,8 @@ def advance(
     unusable = everything.shape[1] - len(usable)
     step = Step(number, time, detections, info, estimates, tracks, seconds, unusable)
     targets = estimates.state if model.sensor.occlusion else NOBODY
-    return TrackingState(intensity, association, number, time, targets, given), step
+    learned = stages.learning.advance(state.learned, step)
+    return TrackingState(intensity, association, number, time, targets, given, learned), step
 
 
 def _renumbered(z: F8, info: UpdateInfo, estimates: Estimates, usable: I8) -> tuple[F8, UpdateInfo, Estimates]:

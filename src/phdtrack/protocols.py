@@ -12,11 +12,12 @@ value per pair, ``z[:, :, None], x[:, None, :]`` the dense table. ``dt`` is in t
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from phdtrack.errors import InputError
 from phdtrack.types import (
     F8,
     Detections,
@@ -200,6 +201,44 @@ class Associator(Protocol[A]):
         """The corrected, bridged and cleaned tracks of everything taken in so far."""
 
 
+C = TypeVar("C")
+
+
+class Learning(Protocol[C]):
+    """What is learned of the scene while it is tracked."""
+
+    def start(self) -> C:
+        """The state before the first frame."""
+
+    def model(self, state: C, model: Model) -> Model:
+        """``model`` with what was learned so far."""
+
+    def advance(self, state: C, step: Step) -> C:
+        """Take in what one frame brought."""
+
+    def mode(self, state: C, name: str) -> C:
+        """With the mode of the scene that has this name, as day or night, from now on."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoLearning:
+    """Nothing is learned: the model stays."""
+
+    def start(self) -> None:
+        """There is no state."""
+
+    def model(self, state: None, model: Model) -> Model:
+        """The same."""
+        return model
+
+    def advance(self, state: None, step: Step) -> None:
+        """Learns nothing."""
+
+    def mode(self, state: None, name: str) -> None:
+        """There are none: raises `InputError`."""
+        raise InputError("a scene has modes where it is learned while tracking", cure="Say learn={'kind': 'online'}")
+
+
 class Camera(Protocol):
     """Between the pixels of one camera and the ground, metres in a world of its own.
 
@@ -253,12 +292,13 @@ class Sink(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Stages(Generic[S, A]):
-    """The settings of one tracker: model, filter, extractor and associator."""
+    """The settings of one tracker: model, filter, extractor and associator; what is learned of the scene on the way."""
 
     model: Model
     filter: Filter[S]
     extractor: Extractor[S]
     associator: Associator[A]
+    learning: Learning[Any] = field(default_factory=NoLearning)
 
 
 AnyStages = Stages[Any, Any]

@@ -12,11 +12,21 @@ from phdtrack.associate.history import Chunk, History, Moment
 from phdtrack.associate.labelled import LabelledState, Lives
 from phdtrack.associate.online import Carried, Given
 from phdtrack.associate.window import Columns, Edges, Links, Rows, Window
+from phdtrack.context import ContextDensity
+from phdtrack.context.evidence import Evidence
+from phdtrack.context.modes import Mode
+from phdtrack.context.online import Followed, Relearned
+from phdtrack.context.part import Part
+from phdtrack.context.recent import Recent
+from phdtrack.context.sightings import Sightings
+from phdtrack.context.verdict import Look, Watch
 from phdtrack.errors import InputError
 from phdtrack.hypotheses import Cluster, Hypotheses, Nodes
 from phdtrack.intensities import Cardinalised, JointSamples
+from phdtrack.models.followed_scene import SceneState
+from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.pipeline import TrackingState
-from phdtrack.types import Estimates, GaussianMixture, ParticleBlocks, Particles
+from phdtrack.types import Estimates, GaussianMixture, ParticleBlocks, Particles, Tracks
 
 _RECORDS: dict[str, type[Any]] = {
     kind.__name__: kind
@@ -44,6 +54,20 @@ _RECORDS: dict[str, type[Any]] = {
         Rows,
         Edges,
         Links,
+        Tracks,
+        SceneState,
+        Followed,
+        Relearned,
+        Mode,
+        Part,
+        Recent,
+        Evidence,
+        Watch,
+        Look,
+        Sightings,
+        ContextDensity,
+        ContextBirth,
+        ContextClutter,
     )
 }
 

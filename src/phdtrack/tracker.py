@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from phdtrack.statedict import pack, unpack
 from phdtrack.types import Detections, GaussianMixture, ParticleBlocks, Particles, SequenceInfo, Step, Tracks
 
 # Of a saved state: it changes when a record of the state does.
-FORMAT = 4
+FORMAT = 5
 
 
 class Tracker:
@@ -123,6 +124,18 @@ class Tracker:
         """The corrected tracks of everything so far: short ones left out, gaps bridged, identities of their own."""
         return pipeline.finish(self.stages, self._state)
 
+    def mode(self, name: str) -> None:
+        """Say which mode the scene is in from now on, as ``day`` or ``night``: what is learned and used is that mode's.
+
+        A name that was not there before begins a new mode, which knows nothing yet.
+
+        Raises
+        ------
+        InputError : nothing is learned while tracking.
+        """
+        learned = self.stages.learning.mode(self._state.learned, name)
+        self._state = replace(self._state, learned=learned)
+
     @property
     def step(self) -> Step | None:
         """Everything the last update brought: detections, info, states, rows, times. None before the first."""
@@ -130,7 +143,7 @@ class Tracker:
 
     @property
     def state(self) -> pipeline.TrackingState:
-        """The filter's and the associator's state."""
+        """The filter's and the associator's state, and what was learned."""
         return self._state
 
     def state_dict(self) -> dict[str, Any]:

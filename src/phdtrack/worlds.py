@@ -17,6 +17,8 @@ from phdtrack.boxes import to_cxcywh
 from phdtrack.camera import CountedFrom, footprint, read_camera
 from phdtrack.checks import NonNegative, Positive, PositiveCount, check
 from phdtrack.context import Scene, read_scene
+from phdtrack.context.clock import clock
+from phdtrack.context.online import Following
 from phdtrack.errors import InputError
 from phdtrack.models import (
     BoxSensor,
@@ -27,11 +29,12 @@ from phdtrack.models import (
     PointSensor,
     UniformClutter,
 )
+from phdtrack.models.followed_scene import FollowScene
 from phdtrack.models.learned_births import read_births
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, area, check_region
 from phdtrack.models.volume import Volume, image_area, image_volume
-from phdtrack.protocols import Birth, Camera, Clutter, Model
+from phdtrack.protocols import Birth, Camera, Clutter, Learning, Model, NoLearning
 from phdtrack.types import F8, GaussianMixture, SequenceInfo
 
 Boxes = list[tuple[float, float, float, float]]
@@ -165,6 +168,36 @@ class SceneClutterSettings:
         check(self)
 
 
+@dataclass(frozen=True, slots=True)
+class LearnSettings:
+    """Learning births and false alarms while tracking, see `context.online`.
+
+    Parameters
+    ----------
+    memory : minutes after which what was seen counts for 37 %.
+    wait : seconds until a detection is judged, beyond ``associate.delay``.
+    most : Jmax, see MeasurementBirth.
+    switch : whether several modes of the scene (day, night) are told apart and chosen by evidence.
+    schedule : modes by time of day instead, as ``07:00 day, 19:30 night``.
+    starts : time of day at which the video begins, for ``schedule``.
+    file : what was learned before; of several modes a folder with a file of each, as a run leaves them.
+    """
+
+    memory: Positive = 10.0
+    wait: NonNegative = 2.0
+    most: PositiveCount = 500
+    switch: bool = False
+    schedule: str = ""
+    starts: str = "00:00"
+    file: str = ""
+
+    def __post_init__(self) -> None:
+        check(self)
+        clock(self.schedule, self.starts)
+        if self.switch and self.schedule:
+            raise InputError("modes are chosen by evidence or by time of day", where="learn.switch", cure="Leave one out")
+
+
 class Record(Protocol):
     """What makes the record of a section from its settings and from values that are none."""
 
@@ -196,6 +229,22 @@ def build_model(record: Record, kinds: Mapping[str, str], info: SequenceInfo) ->
     motion = record("motion", births=record("spawn"), borders=region if person.view else EVERYWHERE)
     birth = _ground_birth(record, kinds["birth"], region)
     return Model(motion, person, birth, _ground_clutter(record, region), rate, first=rate / info.fps)
+
+
+def build_learning(record: Record, kind: str, info: SequenceInfo) -> Learning[Any]:
+    """What learns while tracking; it begins with what the named files know. Raises `InputError` where one does not fit."""
+    settings = record("learn")
+    if kind == "none":
+        none: NoLearning = settings
+        return none
+    sensor: BoxSensor = record("sensor")
+    size, rate = (float(info.width), float(info.height)), record("time").rate
+    wait = settings.wait + record("associate").delay / info.fps
+    rule = Following(*size, rate, 60 * settings.memory, wait, sensor.detection, settings.switch)
+    scenes = tuple(_scene(file, size) for file in _scene_files(settings.file))
+    if any(scene.births is not None and scene.rate != rate for scene in scenes):
+        raise InputError(f"births were not learned with {rate:g} time units a second", where=settings.file)
+    return FollowScene(rule, settings.most, scenes, clock(settings.schedule, settings.starts))
 
 
 def initial_mixture(kinds: Mapping[str, str], record: Record, values: Boxes | Places) -> GaussianMixture:
@@ -255,6 +304,16 @@ def _scene(file: str, size: tuple[float, float]) -> Scene:
             cure="Learn it on this video: phdtrack learn",
         )
     return scene
+
+
+def _scene_files(named: str) -> list[str]:
+    """The files of a scene's modes: those of a folder by name, or the file itself."""
+    if not Path(named).is_dir() or not named:
+        return [named] if named else []
+    found = sorted(str(file) for file in Path(named).glob("scene*.json"))
+    if not found:
+        raise InputError("there is no scene*.json in this folder", where=named, cure="Name a run that has learned")
+    return found
 
 
 def _ground_birth(record: Record, kind: str, region: Region) -> Birth:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from phdtrack.boxes import to_cxcywh
-from phdtrack.types import F8, I8, Tracks
+from phdtrack.types import F8, Tracks
 
 # Seconds of a track from which its first velocity is taken.
 LEAD = 0.4
@@ -24,13 +24,12 @@ def first_states(tracks: Tracks, fps: float, rate: float, shortest: int = 5) -> 
     states = []
     for rows in np.split(order, start[1:]) if len(order) else []:
         if len(rows) >= shortest and tracks.frame[rows[0]] > opening:
-            states.append(_first(box[:, rows], tracks.frame[rows], fps, rate))
+            states.append(first_state(box[:, rows], (tracks.frame[rows] - tracks.frame[rows[0]]) / fps, rate))
     return np.array(states).reshape(-1, 6).T.copy()
 
 
-def _first(box: F8, frame: I8, fps: float, rate: float) -> F8:
-    """The first state of one track: boxes (4, n) as centre and size, their frames (n,)."""
-    seconds = (frame - frame[0]) / fps
+def first_state(box: F8, seconds: F8, rate: float) -> F8:
+    """(6,) the first state of one track: boxes (4, n) as centre and size, at ``seconds`` (n,) after the first."""
     lead = max(3, int((seconds <= LEAD).sum()))
     time = seconds[:lead] * rate
     centred = time - time.mean()

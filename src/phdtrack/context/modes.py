@@ -1,0 +1,104 @@
+"""Several states of one scene side by side, such as day and night: each with its own births and false alarms.
+
+One is active: it is in use, and it learns. What comes is asked of all of them before it is learned, and the gains above the
+uniform density (`evidence`) decide which one is active: another one where it explains what comes better by 0.2 nats a
+sample and by two standard errors of both, a new one where the active one explains it worse than the uniform density does,
+and no other better. Two that explain each other's samples as well as their own are one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from phdtrack.context.evidence import ERRORS, Evidence
+from phdtrack.context.part import Batch, Part
+
+# Nats a sample by which another mode must be better; below which two are the same.
+BETTER, ALIKE = 0.2, 0.1
+# Samples that a mode must hold before it can be told whether another is the same.
+_ENOUGH = 100
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mode:
+    """One state of the scene: its ``name``, what it knows, and for how many seconds it was active (``clock``)."""
+
+    name: str
+    births: Part
+    clutter: Part
+    clock: float = 0.0
+
+    @property
+    def evidence(self) -> Evidence:
+        """For births and false alarms together."""
+        return self.births.evidence.joined(self.clutter.evidence)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether anything of it is in use."""
+        return self.births.trusted or self.clutter.trusted
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lesson:
+    """What the last ``seconds`` taught: births and false alarms."""
+
+    births: Batch
+    clutter: Batch
+    seconds: float
+
+
+def asked(mode: Mode, lesson: Lesson, memory: float) -> Mode:
+    """With the evidence of samples that it has not learned; ``memory`` in seconds."""
+    return replace(mode, births=mode.births.asked(lesson.births, memory), clutter=mode.clutter.asked(lesson.clutter, memory))
+
+
+def taught(mode: Mode, lesson: Lesson, memory: float) -> Mode:
+    """After learning them."""
+    now = mode.clock + lesson.seconds
+    births, clutter = mode.births.taught(lesson.births, now, memory), mode.clutter.taught(lesson.clutter, now, memory)
+    return replace(mode, births=births, clutter=clutter, clock=now)
+
+
+def judged(mode: Mode) -> Mode:
+    """With each part in use or not, as the evidence says."""
+    return replace(mode, births=mode.births.judged(), clutter=mode.clutter.judged())
+
+
+def unlearned(mode: Mode, seconds: float) -> Mode:
+    """Without the samples of its last ``seconds``, which were another mode's."""
+    until = mode.clock - seconds
+
+    def part(it: Part) -> Part:
+        return replace(it, recent=it.recent.take(it.recent.time <= until), evidence=Evidence())
+
+    return replace(mode, births=part(mode.births), clutter=part(mode.clutter))
+
+
+def best(modes: tuple[Mode, ...], active: int) -> int:
+    """The mode that should be active."""
+    own, chosen, most = modes[active].evidence, active, 0.0
+    for k, mode in enumerate(modes):
+        other = mode.evidence
+        ahead = other.mean - own.mean
+        sure = ERRORS * math.hypot(own.error, other.error)
+        if k != active and other.for_it and ahead > max(BETTER, sure) and ahead > most:
+            chosen, most = k, ahead
+    return chosen
+
+
+def alike(a: Mode, b: Mode) -> bool:
+    """Whether the false alarms of each are explained as well by the other."""
+    p, q = a.clutter, b.clutter
+    if min(len(p.recent), len(q.recent)) < _ENOUGH or not (p.rate < 2 * q.rate < 4 * p.rate):
+        return False
+    return _lost(p, q) < ALIKE and _lost(q, p) < ALIKE
+
+
+def _lost(p: Part, q: Part) -> float:
+    """Nats by which p's samples are explained worse by q."""
+    own, other = p.density.log(p.recent.samples), q.density.log(p.recent.samples)
+    return float(np.average(own - other, weights=p.recent.weight))

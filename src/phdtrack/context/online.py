@@ -1,0 +1,233 @@
+"""Learning while tracking: births and false alarms follow the scene, and what has become wrong is dropped [M09 §VII].
+
+Frames wait until it is known what became of their detections (`verdict`). Every so often those that are due are judged, and
+what they teach is asked of every mode, then learned by the active one (`modes`), with a memory of some minutes (`part`,
+`recent`). What explains new samples worse than a uniform density is not used until it explains them better (`evidence`).
+
+Everything is a value: a state goes in and comes out, and the same frames give the same state.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from phdtrack.context import modes as mode_by
+from phdtrack.context.modes import Lesson, Mode
+from phdtrack.context.part import Batch, Part
+from phdtrack.context.samples import measurement_volume, state_volume
+from phdtrack.context.scene_file import Scene
+from phdtrack.context.verdict import Verdict, Watch, judged, look_of
+from phdtrack.types import Step
+
+# Parts of the memory after which is learned anew, and seconds at least.
+_BATCHES, _SHORTEST = 40, 1.0
+FIRST = "first"
+
+
+@dataclass(frozen=True, slots=True)
+class Following:
+    """How a scene is followed.
+
+    Parameters
+    ----------
+    width, height : of the image, pixels.
+    rate : time units a second, of births.
+    memory : seconds after which a sample counts for 37 %.
+    wait : seconds until a detection is judged.
+    detection : p_D, probability that an object is detected.
+    switch : whether modes are chosen by evidence; otherwise by the name that `advance` is given.
+    most : modes at most that are opened by evidence.
+    """
+
+    width: float
+    height: float
+    rate: float
+    memory: float
+    wait: float
+    detection: float
+    switch: bool = False
+    most: int = 4
+
+    @property
+    def interval(self) -> float:
+        """Seconds between two times of learning."""
+        return max(_SHORTEST, self.memory / _BATCHES)
+
+
+@dataclass(frozen=True, slots=True)
+class Relearned:
+    """What was learned of the scene with frame ``number``, at ``time`` seconds, where learning goes on while tracking.
+
+    Attributes
+    ----------
+    mode : name of the mode that learns (day, night).
+    births, clutter : their rates: births per time unit, false alarms per frame.
+    birth_gain, clutter_gain : nats by which samples that were not learned yet were likelier than under a uniform density.
+    births_used, clutter_used : whether what was learned is in use; otherwise the model is that without learning.
+    said : what has changed, in sentences; mostly nothing.
+    """
+
+    number: int
+    time: float
+    mode: str
+    births: float
+    clutter: float
+    birth_gain: float
+    clutter_gain: float
+    births_used: bool
+    clutter_used: bool
+    said: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """What is known of a scene, and the frames that wait; ``learned``: when something was last learned, ``last``: what."""
+
+    modes: tuple[Mode, ...]
+    active: int = 0
+    watch: Watch = field(default_factory=Watch)
+    learned: float = math.nan
+    last: Relearned | None = None
+
+    @property
+    def mode(self) -> Mode:
+        """The active one."""
+        return self.modes[self.active]
+
+
+def begin(rule: Following, scenes: tuple[Scene, ...] = ()) -> Followed:
+    """Knowing nothing, or what was learned before: each scene is a mode, the first of them is active."""
+    return Followed(tuple(_mode(rule, scene) for scene in scenes) or (_new(rule, FIRST),))
+
+
+def named(rule: Following, state: Followed, name: str) -> Followed:
+    """With the mode of this name active; a new one where there is none."""
+    names = [mode.name for mode in state.modes]
+    if name in names:
+        return replace(state, active=names.index(name))
+    return replace(state, modes=(*state.modes, _new(rule, name)), active=len(names))
+
+
+def advance(rule: Following, state: Followed, step: Step) -> Followed:
+    """Take in one frame, and learn where it is time to. Frames that nobody observed teach nothing."""
+    begun = step.time if math.isnan(state.learned) else state.learned
+    if step.detections.observed:
+        waiting = (*state.watch.looks, look_of(step))
+        state = replace(state, watch=replace(state.watch, looks=waiting))
+    if step.time < begun + rule.interval or not state.watch.looks:
+        return state if state.learned == begun else replace(state, learned=begun)
+    watch, verdict = judged(state.watch, step.time - rule.wait, rule.detection, rule.rate)
+    state = replace(state, watch=watch, learned=step.time)
+    return _learned(rule, state, _lesson(rule, verdict), step) if verdict.frames else state
+
+
+def _lesson(rule: Following, verdict: Verdict) -> Lesson:
+    """A verdict as samples, births per time unit, false alarms per frame."""
+    possible = verdict.false > 0
+    per_second = verdict.frames / verdict.seconds
+    births = Batch(verdict.births, np.ones(verdict.births.shape[1]), verdict.seconds * rule.rate, rule.rate)
+    clutter = Batch(verdict.box[:, possible], verdict.false[possible], verdict.frames, per_second)
+    return Lesson(births, clutter, verdict.seconds)
+
+
+def _learned(rule: Following, state: Followed, lesson: Lesson, step: Step) -> Followed:
+    """Ask all modes, choose one, and have it learn."""
+    before = state.mode
+    every = tuple(mode_by.asked(mode, lesson, rule.memory) for mode in state.modes)
+    active, said = state.active, list[str]()
+    if rule.switch:
+        every, active = _chosen(rule, every, active, lesson)
+        if every[active].name != before.name:
+            said.append(f"mode {every[active].name} after {before.name}")
+    own = mode_by.judged(every[active])
+    if own.name == before.name:
+        said.extend(_turned(before, own))
+    own = mode_by.taught(own, lesson, rule.memory)
+    every = (*every[:active], own, *every[active + 1 :])
+    if rule.switch:
+        every, active = _merged(every, active, said)
+    return replace(state, modes=every, active=active, last=_told(every[active], step, tuple(said)))
+
+
+def _chosen(rule: Following, modes: tuple[Mode, ...], active: int, lesson: Lesson) -> tuple[tuple[Mode, ...], int]:
+    """The modes and which is active now: another, or a new one where the active one has become wrong and no other fits."""
+    own, better = modes[active], mode_by.best(modes, active)
+    new = better == active and own.trusted and own.evidence.against_it and len(modes) < rule.most
+    if better == active and not new:
+        return modes, active
+    # The last samples that it learned were not its own.
+    cleared = mode_by.unlearned(own, lesson.seconds)
+    modes = (*modes[:active], cleared, *modes[active + 1 :])
+    if new:
+        return (*modes, _new(rule, f"mode {len(modes) + 1}")), len(modes)
+    return modes, better
+
+
+def _merged(modes: tuple[Mode, ...], active: int, said: list[str]) -> tuple[tuple[Mode, ...], int]:
+    """Without a mode that is the same as the active one."""
+    own = modes[active]
+    for k, mode in enumerate(modes):
+        if k != active and own.trusted and mode_by.alike(own, mode):
+            said.append(f"mode {own.name} is {mode.name}")
+            kept = replace(own, name=mode.name) if k < active else own
+            rest = tuple(kept if j == active else modes[j] for j in range(len(modes)) if j != k)
+            return rest, active - (k < active)
+    return modes, active
+
+
+def _turned(before: Mode, now: Mode) -> list[str]:
+    """What is in use now and was not, or no longer is."""
+    said = []
+    for what, old, new in (("births", before.births, now.births), ("false alarms", before.clutter, now.clutter)):
+        if new.trusted != old.trusted:
+            gain = f"{new.evidence.mean:+.2f} nats a sample against uniform"
+            said.append(f"learned {what} {'in use' if new.trusted else 'out of use: uniform ones instead'} ({gain})")
+    return said
+
+
+def _told(mode: Mode, step: Step, said: tuple[str, ...]) -> Relearned:
+    births, clutter = mode.births, mode.clutter
+    return Relearned(
+        step.number,
+        step.time,
+        mode.name,
+        births.rate,
+        clutter.rate,
+        births.evidence.mean,
+        clutter.evidence.mean,
+        births.trusted,
+        clutter.trusted,
+        said,
+    )
+
+
+def _new(rule: Following, name: str) -> Mode:
+    """A mode that knows nothing. Births may be as fast as the image is wide in a second."""
+    fastest = max(rule.width, rule.height) / rule.rate
+    births = Part.unknown(*state_volume(rule.width, rule.height, fastest))
+    return Mode(name, births, Part.unknown(*measurement_volume(rule.width, rule.height)))
+
+
+def _mode(rule: Following, scene: Scene) -> Mode:
+    """What was learned before. False alarms a second are those of 25 frames, until frames are counted."""
+    new = _new(rule, str(scene.notes.get("mode", FIRST)))
+    births = new.births if scene.births is None else Part.of(scene.births, rule.memory, rule.rate)
+    clutter = new.clutter if scene.clutter is None else Part.of(scene.clutter, rule.memory, 25.0)
+    return replace(new, births=births, clutter=clutter)
+
+
+def scene_of(rule: Following, mode: Mode, source: str) -> Scene:
+    """What a mode knows, as it is written to a file; parts that no sample was learned of are left out."""
+    births, clutter = mode.births, mode.clutter
+    return Scene(
+        round(rule.width),
+        round(rule.height),
+        rule.rate,
+        source,
+        births.learned if len(births.density) else None,
+        clutter.learned if len(clutter.density) else None,
+        {"mode": mode.name},
+    )

@@ -1,0 +1,105 @@
+"""Births or false alarms that follow the scene: density, rate, and whether to believe them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from phdtrack.context.density import ContextDensity, uniform_density
+from phdtrack.context.evidence import Evidence
+from phdtrack.context.recent import OLDEST, Recent, relearned, thinned
+from phdtrack.context.scene_file import Learned
+from phdtrack.types import F8
+
+# Samples over which the evidence fades at least, and parts of the memory.
+_LASTING, _PART = 30.0, 1 / 20
+# Samples kept of a batch.
+MOST = 12
+# Samples at most that stand for what was learned before.
+_PRIOR = 400
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """Samples (d, k) of the last seconds, their ``weight`` (k,), and the ``exposure`` in which they came.
+
+    The exposure is in what rates are per: time units for births, frames for false alarms; ``rate`` of it make a second.
+    """
+
+    samples: F8
+    weight: F8
+    exposure: float
+    rate: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """What is known of births, or of false alarms.
+
+    Attributes
+    ----------
+    density : what was learned; the uniform one at first.     recent : of what.
+    amount, exposure : samples and the time in which they came, both fading: their ratio is the rate.
+    evidence : for the density against the uniform one.     trusted : whether it is in use.
+    """
+
+    density: ContextDensity
+    recent: Recent
+    amount: float = 0.0
+    exposure: float = 0.0
+    evidence: Evidence = field(default_factory=Evidence)
+    trusted: bool = False
+
+    @classmethod
+    def unknown(cls, low: F8, high: F8) -> Part:
+        """Nothing learned of a volume."""
+        return cls(uniform_density(low, high), Recent.empty(len(low)))
+
+    @classmethod
+    def of(cls, learned: Learned, memory: float, rate: float) -> Part:
+        """What was learned before, as if it had come within the ``memory`` (s) before now; ``rate`` as of `Batch`.
+
+        Draws of the density stand for its samples.
+        """
+        count = max(1, min(_PRIOR, learned.samples))
+        drawn = learned.density.sample(count, np.random.default_rng(0))
+        amount = learned.rate * memory * rate
+        recent = Recent(drawn, np.full(count, amount / count), np.zeros(count))
+        return cls(learned.density, recent, amount, memory * rate, trusted=True)
+
+    @property
+    def rate(self) -> float:
+        """s̄ or r̄, 0 before anything was seen."""
+        return self.amount / self.exposure if self.exposure > 0 else 0.0
+
+    @property
+    def learned(self) -> Learned:
+        """As it is written to a file."""
+        return Learned(self.rate, self.density, len(self.recent))
+
+    def asked(self, batch: Batch, memory: float) -> Part:
+        """With the evidence of a batch that it has not learned."""
+        inside = self.density.contains(batch.samples)
+        samples, weight = batch.samples[:, inside], batch.weight[inside]
+        gain = self.density.log(samples) + math.log(self.density.volume)
+        lasting = max(_LASTING, _PART * memory * batch.rate * self.rate)
+        return replace(self, evidence=self.evidence.seen(gain, weight, lasting))
+
+    def judged(self) -> Part:
+        """In use where the evidence is for it, out of use where it is against it; else as it was."""
+        return replace(self, trusted=not self.evidence.against_it if self.trusted else self.evidence.for_it)
+
+    def taught(self, batch: Batch, now: float, memory: float) -> Part:
+        """After learning from a batch at ``now`` seconds, with forgetting."""
+        fade = math.exp(-batch.exposure / (batch.rate * memory))
+        amount, exposure = fade * self.amount + float(batch.weight.sum()), fade * self.exposure + batch.exposure
+        inside = self.density.contains(batch.samples) & (batch.weight > 0)
+        samples, weight = thinned(batch.samples[:, inside], batch.weight[inside], MOST)
+        if not len(weight):
+            return replace(self, amount=amount, exposure=exposure)
+        kept = self.recent.take(self.recent.time > now - OLDEST * memory)
+        recent = kept.joined(Recent(samples, weight, np.full(len(weight), now)))
+        density = relearned(self.density, recent, now, memory)
+        return replace(self, density=density, recent=recent, amount=amount, exposure=exposure)
