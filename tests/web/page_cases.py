@@ -35,11 +35,17 @@ serve(label_app(session(Path({labels!r}), {boxes})), address)
 
 
 def session(labels: Path, boxes: int):
-    """A session on drawn frames: on each ``boxes`` detections on a grid, and a small one inside the first."""
+    """A session on drawn frames: on each ``boxes`` detections on a grid, and a small one inside the first.
+
+    Of box 3 it is suggested that its place fires, of box 4 that it was rejected; of the latter on every other frame only,
+    and with a score below that of ticked ones on the frames behind 20.
+    """
     import cv2
 
     from phdtrack.label import LabelStore
+    from phdtrack.label.background import Ready
     from phdtrack.label.session import Session
+    from phdtrack.label.suggest import Suggestions
     from phdtrack.types import Detections, DetectionTable, SequenceInfo
 
     across = int(np.ceil(np.sqrt(boxes * 4 / 3)))
@@ -54,7 +60,11 @@ def session(labels: Path, boxes: int):
         cv2.putText(image, str(number), (250, 260), cv2.FONT_HERSHEY_SIMPLEX, 3, (200, 200, 200), 4)
         stills[number] = cv2.imencode(".jpg", image)[1].tobytes()
     store = LabelStore.open(labels, "drawn", "digest", list(range(1, FRAMES + 1)))
-    return Session(store, table, stills, SequenceInfo(*SIZE, 25.0, FRAMES, "drawn"))
+    places, rejected = np.arange(1, FRAMES + 1), np.arange(1, FRAMES + 1, 2)
+    kind = np.repeat([0, 1], [len(places), len(rejected)])
+    score = np.concatenate([np.full(len(places), 0.99), np.where(rejected <= 20, 0.95, 0.5)])
+    found = Suggestions(np.concatenate([places, rejected]), 3 + kind, kind, score, -kind)
+    return Session(store, table, stills, SequenceInfo(*SIZE, 25.0, FRAMES, "drawn"), Ready(found))
 
 
 @contextlib.contextmanager

@@ -34,6 +34,7 @@ def label(
     host: Annotated[
         str, typer.Option("--host", metavar="NAME", help="Address to listen on; others than this machine need a token then.")
     ] = "127.0.0.1",
+    suggest: Annotated[bool, typer.Option("--suggest/--no-suggest", help="Look for detections that may be false.")] = True,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
     config: Config = None,
     sets: Sets = None,
@@ -42,7 +43,10 @@ def label(
     max_width: MaxWidth = 0,
     mask: Mask = None,
 ) -> None:
-    """Mark false detections on frames drawn at random: the page says how. Every click is kept at once; Ctrl-C ends."""
+    """Mark false detections and births on frames drawn at random: the page says how. Every click is kept at once.
+
+    Meanwhile a tracker looks for detections that may be false, for a sweep (--no-suggest: it does not). Ctrl-C ends.
+    """
     try:
         from phdtrack.web.serve import listen, serve
     except ModuleNotFoundError as error:
@@ -50,9 +54,13 @@ def label(
             f"the page needs the package {error.name}", where="phdtrack label", cure="pip install 'phdtrack[web]'"
         ) from error
     from phdtrack.commands.configured import detector_parameters
-    from phdtrack.commands.label_inputs import beside, stills, to_label
+    from phdtrack.commands.label_inputs import beside, stills, suggestions, to_label
+    from phdtrack.config import load
     from phdtrack.label import LabelStore
+    from phdtrack.label.background import Background, Ready
+    from phdtrack.label.hand import clip
     from phdtrack.label.session import Session, sampled
+    from phdtrack.label.suggest import NOTHING
     from phdtrack.web.label_app import label_app
 
     result = Output()
@@ -60,8 +68,12 @@ def label(
     file = labels or beside(source, detections)
     found = to_label(wanted, detector_parameters(config, tuple(sets or ())), file, result)
     store = LabelStore.open(file, source or str(detections), found.digest, sampled(found.last, frames, seed))
-    numbers = {number for number, _ in store.frames()}
-    session = Session(store, found.table, stills(found.source, fps, numbers), found.info)
+    numbers = [number for number, _ in store.frames()]
+    around = {frame for number in numbers for frame in clip(number, found.last)}
+    pictures = stills(found.source, fps, set(numbers), around)
+    settings, kept = load(config, tuple(sets or ())), file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
+    suggester = Background(lambda told: suggestions(found, settings, numbers, kept, told)) if suggest else Ready(NOTHING)
+    session = Session(store, found.table, pictures, found.info, suggester)
     address = listen(host, port)
     progress = store.progress()
     result.say(f"{counted(progress.frames, 'frame')}, {progress.done} of them looked at; the marks are kept in {file}")

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from phdtrack.commands.inputs import Inputs, comes_again, detected, open_inputs
 from phdtrack.commands.output import Output, progress
@@ -15,12 +17,18 @@ from phdtrack.commands.wanted import DEFAULT_DETECTOR, Wanted
 from phdtrack.errors import InputError
 from phdtrack.formats import DetectionsWriter, read_detections
 from phdtrack.overlap import ahead
-from phdtrack.types import DetectionTable, Frame, SequenceInfo
+from phdtrack.types import DetectionTable, Frame, Image, SequenceInfo
+
+if TYPE_CHECKING:
+    from phdtrack.config import Settings
+    from phdtrack.label.suggest import Suggestions
+
+_CLIP_WIDTH = 640
 
 
 @dataclass(frozen=True, slots=True)
 class Labelled:
-    """A sequence to label: ``source`` is empty where there are detections only; ``last`` is its last frame."""
+    """A sequence to label: ``source`` is empty where there are detections only; ``last``, also in ``info``, ends it."""
 
     source: str
     info: SequenceInfo
@@ -55,27 +63,44 @@ def to_label(wanted: Wanted, parameters: dict[str, Any], labels: Path, result: O
         last = max(inputs.info.frames, table.last)
     if len(table) == 0:
         raise InputError("there are no detections to label", where=wanted.source or wanted.detections or "")
-    return Labelled(wanted.source, inputs.info, table, last, _digest(table))
+    return Labelled(wanted.source, replace(inputs.info, frames=last), table, last, _digest(table))
 
 
-def stills(source: str, fps: float, numbers: Collection[int]) -> dict[int, bytes]:
-    """The frames ``numbers`` of a video as JPEG; the video is read up to the last of them."""
-    import cv2
-
+def stills(source: str, fps: float, numbers: Collection[int], around: Collection[int] = ()) -> dict[int, bytes]:
+    """The frames ``numbers`` of a video as JPEG, and those ``around`` them as small ones; it is read up to the last."""
     from phdtrack.video import open_source
 
     kept: dict[int, bytes] = {}
     if not source or not numbers:
         return kept
-    last = max(numbers)
+    last = max([*numbers, *around])
     with progress("reading frames", last) as advance, ahead(_until(iter(open_source(source, fps=fps)), last)) as frames:
         for frame in frames:
             if frame.number in numbers:
-                done, data = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, 92])
-                if done:
-                    kept[frame.number] = data.tobytes()
+                kept[frame.number] = _jpeg(frame.image, 92)
+            elif frame.number in around:
+                kept[frame.number] = _jpeg(_small(frame.image), 80)
             advance(frame.number)
     return kept
+
+
+def suggestions(
+    found: Labelled, settings: Settings, frames: list[int], file: Path, told: Callable[[float], None]
+) -> Suggestions:
+    """What may be false on these frames, by a tracker's run over everything; kept in ``file`` for the next time."""
+    from phdtrack import __version__
+    from phdtrack.commands.tracked import tracked
+    from phdtrack.config import build
+    from phdtrack.label.background import kept
+    from phdtrack.label.suggest import suggest
+
+    def made() -> Suggestions:
+        stages, whole = build(settings, found.info), range(1, found.last + 1)
+        evidence = tracked(found.table, found.info.fps, stages, whole, 0, lambda count: told(count / found.last))
+        return suggest(evidence, frames, found.info.fps)
+
+    decides = [__version__, found.digest, found.info.fps, found.last, sorted(frames), settings.as_dict()]
+    return kept(file, hashlib.sha256(json.dumps(decides, default=str).encode()).hexdigest(), made)
 
 
 def beside(source: str, detections: Path | None) -> Path:
@@ -84,6 +109,23 @@ def beside(source: str, detections: Path | None) -> Path:
     if path is None:
         raise InputError("nothing to label", where="SOURCE", cure="Name a video, or say --detections FILE")
     return path.with_name(f"{path.stem if path.is_file() else path.name}.labels.sqlite")
+
+
+def _small(image: Image) -> Image:
+    """A frame of a clip: it is seen for a moment, and there are many."""
+    import cv2
+
+    height, width = image.shape[:2]
+    scale = _CLIP_WIDTH / width
+    return image if scale >= 1 else np.asarray(cv2.resize(image, (_CLIP_WIDTH, round(height * scale))), np.uint8)
+
+
+def _jpeg(image: Image, quality: int) -> bytes:
+    import cv2
+
+    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    assert done
+    return data.tobytes()
 
 
 def _until(frames: Iterator[Frame], last: int) -> Iterator[Frame]:

@@ -1,9 +1,10 @@
-"""What a person who labels looks at: stills with their detections, boxes like the one at hand, what was learned so far."""
+"""What a person who labels looks at: stills with their detections, the clips about them, boxes like the one at hand,
+suggestions, what was learned so far."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -13,18 +14,24 @@ from phdtrack.context import RecursiveEM
 from phdtrack.context.learning import learn_clutter
 from phdtrack.context.maps import place_map
 from phdtrack.errors import InputError
-from phdtrack.label.store import Label, LabelStore
+from phdtrack.label.background import Ready, Suggester
+from phdtrack.label.hand import clip, length
+from phdtrack.label.store import Label, LabelStore, Mark
+from phdtrack.label.suggest import ALIKE, NOTHING, REASONS, TICKED
 from phdtrack.types import F8, DetectionTable, Image, SequenceInfo
 
-# Two boxes are in the same place and of the same size at this overlap (IoU).
-ALIKE = 0.5
 _FEWEST = 10
 _MAP_WIDTH = 320
+# Red and green, as blue, green, red.
+_COLOURS: Mapping[str, tuple[int, int, int]] = {"false": (40, 40, 220), "birth": (90, 170, 30)}
+# More crops than these nobody looks through at once; the next ones follow when these are dealt with.
+_CROPS = 600
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Session:
-    """One labelling: ``store`` keeps the marks, ``table`` has the detections, ``stills`` the frames as JPEG by number.
+    """One labelling: ``store`` keeps the marks, ``table`` has the detections, ``stills`` the frames as JPEG by number, those
+    of the clips too, of any size.
 
     Frames without a picture are shown on grey.
     """
@@ -33,15 +40,18 @@ class Session:
     table: DetectionTable
     stills: Mapping[int, bytes]
     info: SequenceInfo
+    suggester: Suggester = field(default_factory=lambda: Ready(NOTHING))
 
     def overview(self) -> dict[str, object]:
         """Size, name, the frames with how far each is, and the progress."""
-        progress = self.store.progress()
+        progress, last = self.store.progress(), length(self.info, self.table)
+        clips = [(number, done, clip(number, last)) for number, done in self.store.frames()]
         return {
             "name": self.info.name,
             "width": self.info.width,
             "height": self.info.height,
-            "frames": [{"number": number, "done": done} for number, done in self.store.frames()],
+            "fps": self.info.fps,
+            "frames": [{"number": number, "done": done, "clip": [c.start, c.stop - 1]} for number, done, c in clips],
             "progress": {
                 "done": progress.done,
                 "frames": progress.frames,
@@ -52,7 +62,7 @@ class Session:
 
     def frame(self, number: int) -> dict[str, object]:
         """The boxes of a frame (left, top, right, bottom, score), their marks by index, and what can be undone."""
-        found = self.table.at(self._known(number))
+        found = self.table.at(self._seen(number))
         undo, redo = self.store.steps(number)
         return {
             "number": number,
@@ -69,10 +79,10 @@ class Session:
 
     def crop(self, number: int, box: int, side: int = 96) -> bytes:
         """The picture of one detection with some of its surroundings as JPEG, at most ``side`` pixels on a side."""
-        left, top, right, bottom = self._box(number, box)
-        margin = 0.2 * max(right - left, bottom - top)
         image = self._picture(number)
         height, width = image.shape[:2]
+        left, top, right, bottom = self._box(number, box) * width / self.info.width
+        margin = 0.2 * max(right - left, bottom - top)
         rows = slice(max(0, int(top - margin)), min(height, int(bottom + margin) + 1))
         columns = slice(max(0, int(left - margin)), min(width, int(right + margin) + 1))
         part = image[rows, columns]
@@ -92,16 +102,36 @@ class Session:
             found += [(other, int(k)) for k in near if (other, int(k)) not in marked]
         return found
 
-    def clutter_map(self) -> bytes:
-        """What was learned of the false alarms' places so far, as PNG: red where they are likely, clear where not."""
+    def suggestions(self) -> dict[str, object]:
+        """What may be false, worst first, of what nobody has marked: frame, box, reason, score, place; how far it is.
+
+        ``ticked`` is the score from which it is taken for false unless somebody says otherwise, ``more`` the number of
+        suggestions that are left out for now.
+        """
+        answer = self.suggester.answer()
+        marked = {(label.frame, label.box) for label in self.store.labels()}
+        found = answer.suggestions or NOTHING
+        columns = (found.frame, found.box, found.reason, found.score.round(3), found.place)
+        rows = [row for row in zip(*(column.tolist() for column in columns), strict=True) if row[:2] not in marked]
+        return {
+            "ready": answer.suggestions is not None or bool(answer.problem),
+            "share": answer.share,
+            "problem": answer.problem,
+            "ticked": TICKED,
+            "items": [(frame, box, REASONS[reason], score, place) for frame, box, reason, score, place in rows[:_CROPS]],
+            "more": max(0, len(rows) - _CROPS),
+        }
+
+    def place_map(self, mark: Mark) -> bytes:
+        """What was learned of the marked boxes' places so far, as PNG: coloured where they are likely, clear where not."""
         scale = min(1.0, _MAP_WIDTH / self.info.width)
         shape = (max(1, round(self.info.height * scale)), max(1, round(self.info.width * scale)))
         picture = np.zeros((*shape, 4), np.uint8)
-        boxes, progress = false_boxes(self.store, self.table), self.store.progress()
+        boxes = marked_boxes(self.store.labels(), self.table, mark)
         if boxes.shape[1] >= _FEWEST:
             size = (float(self.info.width), float(self.info.height))
-            density = learn_clutter(boxes, max(1, progress.done), size, RecursiveEM()).learned.density
-            picture[..., :3] = (40, 40, 220)
+            density = learn_clutter(boxes, 1, size, RecursiveEM()).learned.density
+            picture[..., :3] = _COLOURS[mark]
             # By the square root a place a quarter as likely as the worst is still plain to see.
             picture[..., 3] = (200 * np.sqrt(place_map(density, shape, 1 / scale))).astype(np.uint8)
         done, data = cv2.imencode(".png", picture)
@@ -114,13 +144,14 @@ class Session:
             self._box(label.frame, label.box)
         return marks
 
-    def _known(self, number: int) -> int:
-        if number not in {known for known, _ in self.store.frames()}:
+    def _seen(self, number: int) -> int:
+        last = length(self.info, self.table)
+        if not any(number in clip(known, last) for known, _ in self.store.frames()):
             raise InputError(f"frame {number} is not one of those to label")
         return number
 
     def _box(self, number: int, box: int) -> F8:
-        found = self.table.at(self._known(number)).xyxy
+        found = self.table.at(self._seen(number)).xyxy
         if not 0 <= box < len(found):
             raise InputError(f"frame {number} has {len(found)} detections, and no number {box}")
         one: F8 = found[box]
@@ -144,8 +175,17 @@ def sampled(last: int, count: int, seed: int) -> list[int]:
 
 
 def false_boxes(store: LabelStore, table: DetectionTable) -> F8:
-    """(4, n) centres and sizes of all boxes of ``table`` that are marked as false."""
-    boxes = [table.at(label.frame).xyxy[label.box] for label in store.labels() if label.mark == "false"]
+    """(4, n) centres and sizes of all boxes of ``table`` that are marked as false on frames that have been looked at.
+
+    On other frames more may be false: marking all like one marks some of them.
+    """
+    done = {number for number, looked in store.frames() if looked}
+    return marked_boxes([label for label in store.labels() if label.frame in done], table, "false")
+
+
+def marked_boxes(labels: Sequence[Label], table: DetectionTable, mark: Mark) -> F8:
+    """(4, n) centres and sizes of the boxes of ``table`` that carry this mark."""
+    boxes = [table.at(label.frame).xyxy[label.box] for label in labels if label.mark == mark]
     return to_cxcywh(np.array(boxes).reshape(-1, 4))
 
 

@@ -1,4 +1,4 @@
-"""The page on which a person marks false detections: its addresses, and what they answer."""
+"""The page on which a person marks false detections and births: its addresses, and what they answer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from phdtrack.errors import InputError
-from phdtrack.label import Label
+from phdtrack.label import Label, Mark
 from phdtrack.label.session import Session
 
 STATIC = Path(__file__).parent / "static"
@@ -61,8 +61,12 @@ def label_app(session: Session) -> Starlette:
     def alike(request: Request, sent: dict[str, Any]) -> Response:
         return JSONResponse(session.alike(number(request), int(request.path_params["box"])))
 
-    def clutter_map(request: Request, sent: dict[str, Any]) -> Response:
-        return Response(session.clutter_map(), media_type="image/png")
+    def suggestions(request: Request, sent: dict[str, Any]) -> Response:
+        return JSONResponse(session.suggestions())
+
+    def place_map(request: Request, sent: dict[str, Any]) -> Response:
+        mark: Mark = "birth" if request.path_params["mark"] == "birth" else "false"
+        return Response(session.place_map(mark), media_type="image/png")
 
     def export(request: Request, sent: dict[str, Any]) -> Response:
         lines = ["frame,box,mark", *(f"{x.frame},{x.box},{x.mark}" for x in session.store.labels())]
@@ -92,7 +96,8 @@ def label_app(session: Session) -> Starlette:
             Route("/api/frame/{number:int}", answer(frame)),
             Route("/api/frame/{number:int}/alike/{box:int}", answer(alike)),
             Route("/api/frame/{number:int}/{what:str}", answer(change), methods=["POST"]),
-            Route("/api/map.png", answer(clutter_map)),
+            Route("/api/suggestions", answer(suggestions)),
+            Route("/api/map/{mark:str}.png", answer(place_map)),
             Route("/api/labels.csv", answer(export)),
             Route("/still/{number:int}.jpg", answer(still)),
             Route("/crop/{number:int}/{box:int}.jpg", answer(crop)),

@@ -1,6 +1,8 @@
-// Marking false detections: one click or key each, kept at once.
+// Marking false detections and births: one click or key each, kept at once.
 
+import { Clip } from "./clip.js";
 import { Queue } from "./queue.js";
+import { Sweep } from "./sweep.js";
 import { View } from "./view.js";
 
 const $ = (id) => document.getElementById(id);
@@ -22,11 +24,16 @@ async function ask(path) {
 }
 
 const numbers = () => overview.frames.map((frame) => frame.number);
+// The drawn frame, to which what is done belongs, and the one of its clip that is seen.
 const number = () => numbers()[here];
-const frame = () => frames.get(number());
+const drawn = () => frames.get(number());
+const seen = () => clip.at;
+const frame = () => frames.get(seen());
 const mode = () => document.querySelector("input[name=mode]:checked").value;
 
 // --- frames -------------------------------------------------------------------------------------------------------------
+
+const clip = new Clip({ load, show: shown });
 
 async function load(n) {
   if (!frames.has(n)) frames.set(n, await ask(`/api/frame/${n}`));
@@ -38,6 +45,19 @@ async function load(n) {
   }
 }
 
+function shown() {
+  view.show(frame(), pictures.get(seen()), overview);
+  choose(-1);
+  tell();
+}
+
+// Of clips that are past only the drawn frames stay: their pictures would fill the memory.
+function forget() {
+  const [first, last] = clip.range;
+  const listed = new Set(numbers());
+  for (const n of pictures.keys()) if (!listed.has(n) && (n < first || n > last)) [pictures, frames].forEach((all) => all.delete(n));
+}
+
 // What is pressed while a frame is on its way is meant for the one that is seen: `here` changes when the new one is there.
 let going = 0;
 
@@ -47,10 +67,11 @@ async function go(place) {
   await load(numbers()[to]);
   if (ticket !== going) return;
   here = to;
-  view.show(frame(), pictures.get(number()), overview);
-  choose(-1);
+  clip.begin(number(), overview.frames[here].clip, overview.fps);
+  forget();
+  shown();
   if (!$("wall").hidden) wall();
-  tell();
+  if (mode() === "birth") clip.ahead();
   // The next one is there before it is asked for.
   if (here + 1 < overview.frames.length) load(numbers()[here + 1]).catch(() => {});
 }
@@ -72,28 +93,37 @@ function mark(marks) {
     const known = frames.get(n);
     if (known) what === "none" ? delete known.marks[box] : (known.marks[box] = what);
   }
-  frame().undo += 1;
-  frame().redo = 0;
+  drawn().undo += 1;
+  drawn().redo = 0;
   view.draw();
   queue.add(number(), "marks", { marks, who });
   if (!$("wall").hidden) colours();
   tell();
 }
 
+// Why a mark cannot be made on the frame that is seen, or nothing.
+function objection() {
+  if (mode() === "false" && seen() !== number()) return "false boxes are marked on the drawn frame itself: Home goes back there";
+  if (mode() === "birth" && seen() === clip.range[0]) return "who is there in a clip's first frame may have been there before";
+  return "";
+}
+
 function turn(box) {
   if (box < 0) return;
+  if (objection()) return refused(objection());
   const what = frame().marks[box] === mode() ? "none" : mode();
-  mark([{ frame: number(), box, mark: what }]);
+  mark([{ frame: seen(), box, mark: what }]);
 }
 
 function several(boxes, off) {
+  if (objection()) return refused(objection());
   const what = off ? "none" : mode();
   const changing = boxes.filter((box) => (frame().marks[box] ?? "none") !== what);
-  if (changing.length) mark(changing.map((box) => ({ frame: number(), box, mark: what })));
+  if (changing.length) mark(changing.map((box) => ({ frame: seen(), box, mark: what })));
 }
 
 function undo(what) {
-  if (frame()[what] > 0) queue.add(number(), what);
+  if (drawn()[what] > 0) queue.add(number(), what);
 }
 
 async function choose(box) {
@@ -102,10 +132,11 @@ async function choose(box) {
   alike = [];
   view.draw();
   tell();
-  if (box < 0) return;
-  const n = number();
+  // Births are each of their own: only false boxes come again in the same place.
+  if (box < 0 || mode() === "birth") return;
+  const n = seen();
   const found = await ask(`/api/frame/${n}/alike/${box}`).catch(() => []);
-  if (n === number() && view.chosen === box) {
+  if (n === seen() && view.chosen === box) {
     alike = found;
     tell();
   }
@@ -129,17 +160,25 @@ function kept(item, answer) {
     const known = frames.get(item.frame);
     if (known) Object.assign(known, { marks: answer.marks, undo: answer.undo, redo: answer.redo });
     if (item.what === "undo" || item.what === "redo") others(item.frame);
+    if (item.body.marks?.length > 1) sweep.load().catch(() => {});
     view.draw();
     if (!$("wall").hidden) colours();
   }
   tell();
   clearTimeout(mapTimer);
-  mapTimer = setTimeout(map, 400);
+  mapTimer = setTimeout(maps, 400);
 }
 
-// An action may have marked boxes of other frames: they are asked for anew when they are looked at again.
+// An action may have marked boxes of other frames: they are asked for anew, the one that is seen at once.
 function others(but) {
-  for (const n of frames.keys()) if (n !== but && n !== number() && !queue.concerns(n)) frames.delete(n);
+  for (const n of frames.keys()) if (n !== but && n !== seen() && n !== number() && !queue.concerns(n)) frames.delete(n);
+  sweep.load().catch(() => {});
+  if (seen() === but) return;
+  const n = seen();
+  ask(`/api/frame/${n}`).then((answer) => {
+    frames.set(n, answer);
+    if (n === seen()) shown();
+  }).catch(() => {});
 }
 
 function saving(waiting, away) {
@@ -153,10 +192,11 @@ function saving(waiting, away) {
 
 function tell() {
   const { done, frames: all, false: wrong, births } = overview.progress;
-  $("progress").textContent = `${done} of ${all} frames · ${wrong} false` + (births ? ` · ${births} births` : "");
+  $("progress").textContent = `${done} of ${all} frames · ${wrong} false · ${births} births`;
   $("title").textContent = `${overview.name || "detections"}, frame ${number()}`;
-  $("undo").disabled = !(frame()?.undo > 0);
-  $("redo").disabled = !(frame()?.redo > 0);
+  $("undo").disabled = !(drawn()?.undo > 0);
+  $("redo").disabled = !(drawn()?.redo > 0);
+  tellClip();
   $("alike").disabled = alike.length < 2;
   $("alike").textContent = alike.length > 1 ? `all ${alike.length} like this (A)` : "all like this (A)";
   const box = $("wall").hidden ? frame()?.boxes[view.chosen] : null;
@@ -169,18 +209,28 @@ function tell() {
   });
 }
 
-function map() {
-  const image = $("map");
-  image.src = `/api/map.png?${Date.now()}`;
-  const n = number();
-  image.style.backgroundImage = `url(/still/${n}.jpg)`;
-  $("map-caption").textContent = overview.progress.false < 10
-    ? `the map of false alarms begins with 10 marked boxes (${overview.progress.false} so far)`
-    : `learned from ${overview.progress.false} false boxes: red is where more are expected`;
+function tellClip() {
+  const [first, last] = clip.range;
+  $("clip").hidden = first === last || !$("wall").hidden || (mode() !== "birth" && seen() === number() && !clip.playing);
+  Object.assign($("moment"), { min: first, max: last, value: seen() });
+  $("play").textContent = clip.playing ? "❚❚" : "▶";
+  const by = seen() - number();
+  $("when").textContent = by ? `frame ${seen()} (${by > 0 ? "+" : "−"}${Math.abs(by)})` : `frame ${seen()}, drawn`;
+}
+
+function maps() {
+  const told = { false: ["false alarms", "red: expected here"], birth: ["births", "green: expected here"] };
+  for (const [name, [what, meaning]] of Object.entries(told)) {
+    const image = $(`map-${name}`);
+    const many = overview.progress[name === "birth" ? "births" : "false"];
+    image.src = `/api/map/${name}.png?${Date.now()}`;
+    image.style.backgroundImage = `url(/still/${number()}.jpg)`;
+    image.nextElementSibling.textContent = many < 10 ? `${what}: from 10 marks on (${many} so far)` : `${many} ${what}; ${meaning}`;
+  }
 }
 
 function wall() {
-  const boxes = frame().boxes.map((_, k) => {
+  const boxes = drawn().boxes.map((_, k) => {
     const button = document.createElement("button");
     button.dataset.box = k;
     button.setAttribute("aria-label", `box ${k}`);
@@ -197,10 +247,11 @@ function wall() {
 }
 
 function colours() {
-  for (const button of $("wall").children) button.className = frame().marks[button.dataset.box] ?? "";
+  for (const button of $("wall").children) button.className = drawn().marks[button.dataset.box] ?? "";
 }
 
 function toggleWall() {
+  clip.back();
   $("wall").hidden = !$("wall").hidden;
   if (!$("wall").hidden) wall();
   tell();
@@ -251,7 +302,7 @@ $("canvas").addEventListener("wheel", (event) => {
   view.zoomBy(Math.exp(-event.deltaY / 400), event);
 }, { passive: false });
 
-function step(back) {
+function nextBox(back) {
   const under = cursor ? view.under(cursor) : [];
   const list = under.length ? under : frame().boxes.map((_, k) => k);
   if (!list.length) return;
@@ -262,24 +313,41 @@ function step(back) {
 const KEYS = {
   Enter: next, ArrowRight: next, ArrowLeft: () => go(here - 1), x: () => turn(view.chosen), a: markAlike,
   z: () => undo("undo"), y: () => undo("redo"), h: toggleBoxes, w: toggleWall,
-  "1": () => setMode("false"), "2": () => setMode("birth"),
+  "1": () => setMode("false"), "2": () => setMode("birth"), s: () => sweep.toggle(),
+  ",": () => clip.step(-1), ".": () => clip.step(1), " ": () => clip.play(), Home: () => clip.back(),
   "+": () => view.zoomBy(1.25), "-": () => view.zoomBy(0.8), "0": () => view.zoomBy(0),
 };
 
 function setMode(value) {
   document.querySelector(`input[name=mode][value=${value}]`).checked = true;
+  changed();
+}
+
+function changed() {
+  $("rule").hidden = mode() !== "birth";
+  alike = [];
+  if (mode() === "birth") clip.ahead();
+  else clip.back();
+  tell();
 }
 
 document.addEventListener("keydown", (event) => {
   if (!overview || event.altKey) return;
   // Buttons and links are reached with Tab from elsewhere; on the picture it goes from box to box.
   const onPicture = document.activeElement === $("canvas") || document.activeElement === document.body;
+  // The wall of suggestions lies over everything: its crops are buttons, and what is behind does not hear.
+  if (sweep.open) {
+    if (event.key === "Escape" || event.key === "s") sweep.close();
+    else if (event.key === "Enter") sweep.sweep();
+    else return;
+    return void event.preventDefault();
+  }
   if (event.key === "Tab") {
     if (!onPicture) return;
     event.preventDefault();
-    return void step(event.shiftKey);
+    return void nextBox(event.shiftKey);
   }
-  if (event.key === "Enter" && !onPicture) return;
+  if ((event.key === "Enter" || event.key === " ") && !onPicture) return;
   const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
   const action = key === "z" && event.shiftKey ? KEYS.y : KEYS[key];
   if (!action || ((event.ctrlKey || event.metaKey) && key !== "z" && key !== "y")) return;
@@ -287,7 +355,7 @@ document.addEventListener("keydown", (event) => {
   action();
 });
 // Who leaves the picture by Escape can go through the buttons with Tab.
-document.addEventListener("keydown", (event) => event.key === "Escape" && $("previous").focus());
+document.addEventListener("keydown", (event) => event.key === "Escape" && !event.defaultPrevented && $("previous").focus());
 
 $("next").addEventListener("click", next);
 $("previous").addEventListener("click", () => go(here - 1));
@@ -296,6 +364,19 @@ $("redo").addEventListener("click", () => undo("redo"));
 $("alike").addEventListener("click", markAlike);
 $("wall-button").addEventListener("click", toggleWall);
 $("hide").addEventListener("click", toggleBoxes);
+$("sweep-button").addEventListener("click", () => sweep.toggle());
+$("play").addEventListener("click", () => {
+  clip.play();
+  $("canvas").focus();
+});
+$("moment").addEventListener("input", () => {
+  clip.stop();
+  clip.go(Number($("moment").value));
+});
+$("mode").addEventListener("change", () => {
+  changed();
+  $("canvas").focus();
+});
 
 // --- begin ------------------------------------------------------------------------------------------------------------------
 
@@ -309,9 +390,10 @@ $("frames").replaceChildren(...overview.frames.map((_, k) => {
   item.append(button);
   return item;
 }));
+const sweep = new Sweep($("sweep"), $("sweep-button"), { ask, confirm: mark, closed: () => $("canvas").focus() });
 saving(queue.length, false);
 const open = overview.frames.findIndex((one) => !one.done);
 await go(open < 0 ? 0 : open);
-map();
+maps();
 $("canvas").focus();
 document.body.dataset.ready = "1";

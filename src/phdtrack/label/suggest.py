@@ -1,0 +1,193 @@
+"""Which detections may be false, for a person to confirm: by what a tracker with uniform models made of them.
+
+Three reasons, each with a score from 0 to 1:
+
+``place``     Its place fires too often. A *still* detection is one that no track with a way behind it holds. Such ones at
+              one place and of one size (IoU ≥ ½) come from something that stays: from an object, on n frames with
+              n ~ Poisson(s · fps) if it stays for s seconds; and these are the frames of one stay, in few runs. A place
+              that fires does so all along: the n of T frames in which it does are drawn at random, with n(T − n + 1)/T
+              runs [Wald and Wolfowitz 1940], or, where it fires in bursts, it leaves hardly any s seconds out. The score
+              is P(N < n), times how far one of the two holds.
+``rejected``  The filter did not believe it and no track rests on it: its posterior probability κ/(κ + C) of being clutter.
+``short``     The filter believed it, but its track was short and went nowhere, or too short to be one. At most 0.4, halved
+              with each second of its life: of such detections more are true than false, so that they are only shown.
+
+None of them is proof. Who sits there for the whole stretch looks like a place that fires; who is hidden half of the time,
+in a crowd, is rejected.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from phdtrack.boxes import iou, to_cxcywh
+from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks
+
+Reason = Literal["place", "rejected", "short"]
+REASONS: tuple[Reason, ...] = get_args(Reason)
+# Above this score a suggestion is taken for false until somebody says otherwise; below the other nothing is suggested.
+TICKED, SHOWN = 0.9, 0.2
+# Boxes are in the same place and of the same size at this overlap (IoU).
+ALIKE = 0.5
+# s, seconds that an object stays in one place and is not seen to go. The way, in sizes √(wh), from which a track has one.
+STAY, WAY = 4.0, 0.5
+# Runs, as part of those that frames at random would make, and windows of s seconds with a detection, as part of all: from
+# where on they speak for a place that fires, and where they leave no doubt. Fewer windows than these tell nothing.
+_RUNS, _SPREAD, _WINDOWS = (0.5, 0.8), (0.8, 0.95), 15
+# Seconds up to which a track is short, and how much is made of it.
+SHORT, _MOST = 1.0, 0.4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What a tracker with uniform models made of the detections of a stretch.
+
+    Attributes
+    ----------
+    table : the stretch's detections, M rows.
+    first, last : its frames.
+    clutter : (M,) the posterior probability that each is a false alarm.
+    tracks : the corrected ones, whose ``detection`` counts within the frame.
+    """
+
+    table: DetectionTable
+    first: int
+    last: int
+    clutter: F8
+    tracks: Tracks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Suggestions:
+    """Detections that may be false, worst first.
+
+    Attributes
+    ----------
+    frame, box : (n,) the frame, and the number of the detection in it, from 0.
+    reason : (n,) place in `REASONS`.
+    score : (n,) how likely it is false, from 0 to 1.
+    place : (n,) number of the place that fires, −1 for other reasons.
+    """
+
+    frame: I8
+    box: I8
+    reason: I8
+    score: F8
+    place: I8
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+
+_NONE = np.zeros(0, np.int64)
+NOTHING = Suggestions(_NONE, _NONE, _NONE, np.zeros(0), _NONE)
+
+
+def suggest(evidence: Evidence, frames: Sequence[int], fps: float) -> Suggestions:
+    """What may be false among the detections of ``frames``; those outside the stretch have nothing to suggest."""
+    table = evidence.table
+    own = _tracks_of(table, evidence.tracks)
+    way, span = _lives(table, own, fps)
+    held, goes = own >= 0, (own >= 0) & (way[own] >= WAY)
+    asked = np.isin(table.frame, np.asarray(frames, np.int64))
+    scores = np.zeros((len(REASONS), len(table)))
+    place, scores[0] = _places(evidence, ~goes, asked & ~goes, fps)
+    scores[1] = np.where(held, 0.0, evidence.clutter)
+    brief = ~goes & (span[own] < SHORT)
+    scores[2] = np.where(brief, _MOST * 0.5 ** span[own] * (1 - way[own] / WAY), 0.0)
+    reason = np.argmax(scores, axis=0)
+    score = scores[reason, np.arange(len(table))]
+    rows = np.flatnonzero(asked & (score >= SHOWN))
+    rows = rows[np.argsort(-score[rows], kind="stable")]
+    within = rows - np.searchsorted(table.frame, table.frame[rows])
+    return Suggestions(table.frame[rows], within, reason[rows], score[rows], np.where(reason[rows] == 0, place[rows], -1))
+
+
+def _tracks_of(table: DetectionTable, tracks: Tracks) -> I8:
+    """(M,) which track, counted from 0, holds each detection; −1 for none."""
+    own = np.full(len(table), -1)
+    rests = tracks.detection >= 0
+    _, which = np.unique(tracks.identity[rests], return_inverse=True)
+    own[np.searchsorted(table.frame, tracks.frame[rests]) + tracks.detection[rests]] = which
+    return own
+
+
+def _lives(table: DetectionTable, own: I8, fps: float) -> tuple[F8, F8]:
+    """Of each track: the way between the middles of its first and last third, in its sizes, and its life in seconds.
+
+    A last entry stands for no track, which has neither.
+    """
+    box = to_cxcywh(table.detections.xyxy)
+    count = int(own.max(initial=-1)) + 1
+    way, span = np.zeros((2, count + 1))
+    order = np.argsort(own, kind="stable")
+    borders = np.searchsorted(own[order], np.arange(count + 1))
+    for k in range(count):
+        rows = order[borders[k] : borders[k + 1]]
+        third = max(1, len(rows) // 3)
+        step = box[:2, rows[-third:]].mean(axis=1) - box[:2, rows[:third]].mean(axis=1)
+        way[k] = np.hypot(*step) / np.sqrt(box[2, rows] * box[3, rows]).mean()
+        span[k] = (table.frame[rows[-1]] - table.frame[rows[0]] + 1) / fps
+    return way, span
+
+
+def _places(evidence: Evidence, still: Bool, asked: Bool, fps: float) -> tuple[I8, F8]:
+    """(M,) which place each of the ``asked`` detections belongs to, −1 for none, and how surely it fires too often."""
+    frame, xyxy = evidence.table.frame, evidence.table.detections.xyxy
+    rows, candidates = np.flatnonzero(still), np.flatnonzero(asked)
+    where, score = np.full(len(frame), -1), np.zeros(len(frame))
+    everything, number = _Near(xyxy[rows]), 0
+    stretch = (evidence.first, evidence.last)
+    likely = np.array([_fires(frame[rows[everything.alike(box)]], stretch, fps) for box in xyxy[candidates]])
+    members = _Near(xyxy[candidates])
+    for seed in np.argsort(-likely, kind="stable"):
+        if likely[seed] < SHOWN:
+            break
+        if where[candidates[seed]] < 0:
+            alike = candidates[members.alike(xyxy[candidates[seed]])]
+            alike = alike[where[alike] < 0]
+            where[alike], score[alike] = number, likely[seed]
+            number += 1
+    return where, score
+
+
+def _fires(frame: I8, stretch: tuple[int, int], fps: float) -> float:
+    """How surely a place fires by itself that has still detections in these frames of a stretch from … to."""
+    from scipy.special import gammaincc
+
+    hits, length = np.unique(frame) - stretch[0], stretch[1] - stretch[0] + 1
+    n, window = len(hits), STAY * fps
+    if n < 2:
+        return 0.0
+    often = float(gammaincc(n, window))  # P(N < n)
+    runs = 1 + int((np.diff(hits) > 1).sum())
+    parts, windows = length / window, len(np.unique(hits // window))
+    all_along = _rising(windows / math.ceil(parts), _SPREAD) if parts >= _WINDOWS else 0.0
+    return often * max(_rising(runs / (n * (length - n + 1) / length), _RUNS), all_along)
+
+
+def _rising(value: float, between: tuple[float, float]) -> float:
+    """0 below, 1 above, and a straight line between."""
+    return min(1.0, max(0.0, (value - between[0]) / (between[1] - between[0])))
+
+
+class _Near:
+    """Boxes (n, 4) in order of their centres, so that few of them are compared with each."""
+
+    def __init__(self, xyxy: F8) -> None:
+        centre = (xyxy[:, 0] + xyxy[:, 2]) / 2
+        self._order = np.argsort(centre, kind="stable")
+        self._centre, self._xyxy = centre[self._order], xyxy[self._order]
+
+    def alike(self, box: F8) -> I8:
+        """Which boxes overlap with ``box`` (4,) enough to be in its place and of its size."""
+        # Boxes that share half of their union have centres no farther apart than this one is wide.
+        middle, width = (box[0] + box[2]) / 2, box[2] - box[0]
+        lo, hi = np.searchsorted(self._centre, [middle - width, middle + width])
+        out: I8 = self._order[lo + np.flatnonzero(iou(box[None], self._xyxy[lo:hi])[0] >= ALIKE)]
+        return out

@@ -1,0 +1,66 @@
+// The short clip about a drawn frame: a few frames before it and behind it, one by one or played in a loop.
+
+const SLOWEST = 12;
+
+export class Clip {
+  constructor({ show, load }) {
+    Object.assign(this, { show, load });
+    this.range = [1, 1];
+    // The frame that is seen, and the one that is asked for and may be on its way.
+    this.at = this.wanted = 1;
+    this.playing = 0;
+    this.ticket = 0;
+  }
+
+  // From now on the clip about the frame `drawn`, which is there.
+  begin(drawn, [first, last], fps) {
+    this.stop();
+    Object.assign(this, { drawn, range: [first, last], at: drawn, wanted: drawn, fps });
+    this.ticket += 1;
+  }
+
+  async go(number) {
+    const [first, last] = this.range;
+    const to = Math.min(Math.max(number, first), last);
+    const ticket = ++this.ticket;
+    this.wanted = to;
+    await this.load(to);
+    // Something else was asked for meanwhile: another frame, or another clip.
+    if (ticket !== this.ticket) return;
+    this.at = to;
+    this.show();
+  }
+
+  step(by) {
+    this.stop();
+    return this.go(this.wanted + by);
+  }
+
+  // To the drawn frame.
+  back() {
+    this.stop();
+    if (this.wanted !== this.drawn) this.go(this.drawn);
+  }
+
+  ahead() {
+    for (let n = this.range[0]; n <= this.range[1]; n++) this.load(n).catch(() => {});
+  }
+
+  // Not faster than one can follow.
+  play() {
+    if (this.playing) return this.stop();
+    this.ahead();
+    const [first, last] = this.range;
+    this.playing = setInterval(() => this.go(this.at >= last ? first : this.at + 1), 1000 / Math.min(this.fps, SLOWEST));
+    this.show();
+  }
+
+  stop() {
+    if (!this.playing) return;
+    clearInterval(this.playing);
+    this.playing = 0;
+    this.ticket += 1;
+    this.wanted = this.at;
+    this.show();
+  }
+}

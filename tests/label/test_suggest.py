@@ -1,0 +1,140 @@
+"""Suggestions by what a tracker with uniform models made of simulated and real detections."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from phdtrack import config
+from phdtrack.boxes import iou
+from phdtrack.commands.tracked import tracked
+from phdtrack.label.suggest import REASONS, SHOWN, TICKED, Evidence, suggest
+from phdtrack.simulate import NAMED, default_detector, make_scene
+from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
+
+FPS = 25.0
+
+
+def looked_over(table: DetectionTable, info: SequenceInfo) -> Evidence:
+    stages = config.build(config.load(), info)
+    return tracked(table, info.fps, stages, range(1, info.frames + 1), 0, lambda count: None)
+
+
+def false_rows(table: DetectionTable, truth: Truth) -> np.ndarray:
+    """(M,) whether a detection overlaps with nobody by 0.3."""
+    parts = [
+        iou(table.at(k).xyxy, truth.xyxy[truth.frame == k]).max(axis=1, initial=0) < 0.3 for k in range(1, table.last + 1)
+    ]
+    return np.concatenate(parts)
+
+
+def measured(table: DetectionTable, truth: Truth, info: SequenceInfo):
+    """(number, precision, recall) of what is ticked: for each reason and for all, on 200 drawn frames."""
+    frames = (np.random.default_rng(0).permutation(info.frames)[:200] + 1).tolist()
+    found = suggest(looked_over(table, info), frames, info.fps)
+    false = false_rows(table, truth)
+    rows = np.searchsorted(table.frame, found.frame) + found.box
+    every = false[np.isin(table.frame, frames)].sum()
+    out = {}
+    for name, mine in {**{r: found.reason == k for k, r in enumerate(REASONS)}, "all": found.score >= TICKED}.items():
+        hit = false[rows[mine & (found.score >= TICKED)]]
+        out[name] = (len(hit), hit.mean() if len(hit) else np.nan, hit.sum() / every)
+        print(f"{info.name}: {name}: {out[name][0]} ticked, precision {out[name][1]:.3f}, recall {out[name][2]:.3f}")
+    return out
+
+
+def scene(name, seed, clutter):
+    made = make_scene(name, seed, replace(default_detector(NAMED[name]), clutter_rate=clutter), frames=1000)
+    return measured(made.detections, made.truth, made.info)
+
+
+@pytest.mark.parametrize(("name", "seed", "clutter"), [("street", 1, 2.0), ("street", 2, 10.0), ("corridor", 1, 2.0)])
+def test_places_and_scattered_false_alarms_of_simulated_scenes(name, seed, clutter):
+    """Five places that fire every other time, and Poisson clutter: nearly all is found, and hardly anything else."""
+    found = scene(name, seed, clutter)
+    assert found["all"][1] > 0.92
+    assert found["all"][2] > 0.92
+    assert found["place"][1] > 0.9
+    assert found["rejected"][1] > 0.92
+    # What a short track held is never ticked: of it more is true than false.
+    assert found["short"][0] == 0
+
+
+def test_in_a_crowd_who_is_hidden_is_rejected_too():
+    """The limit that is stated: where people hide each other, four of ten rejected detections are true."""
+    found = scene("crowd", 1, 2.0)
+    assert found["place"][1] > 0.85
+    assert found["all"][2] > 0.9
+    assert 0.5 < found["rejected"][1] < 0.9
+
+
+@pytest.mark.data
+def test_where_no_place_fires_hardly_anything_is_ticked():
+    """PETS09-S2L1, people who stop and talk: 1 % of the detections at most."""
+    from phdtrack.reproduce.common import mot15
+
+    case = mot15("PETS09-S2L1", "frcnn")
+    found = measured(case.table, case.truth, case.info)
+    asked = 200 / case.info.frames * len(case.table)
+    assert found["place"][0] == 0
+    assert found["all"][0] <= 0.01 * asked
+
+
+def at_one_place(frames, jitter=2.0, seed=0):
+    """Detections of one place, without a tracker's opinion of them."""
+    rng = np.random.default_rng(seed)
+    box = np.array([100.0, 100, 140, 200]) + jitter * rng.standard_normal((len(frames), 4))
+    table = DetectionTable(np.asarray(frames, np.int64), Detections.of(box))
+    return Evidence(table, 1, 1500, np.zeros(len(frames)), Tracks.empty())
+
+
+def place_score(evidence):
+    found = suggest(evidence, np.unique(evidence.table.frame)[:50].tolist(), FPS)
+    return found.score[found.reason == 0].max(initial=0)
+
+
+def test_what_fires_all_along_is_told_from_what_stays_for_a_while():
+    rng = np.random.default_rng(0)
+    assert place_score(at_one_place(np.flatnonzero(rng.random(1500) < 0.3) + 1)) > 0.99
+    # Twelve seconds, seen nine times of ten: somebody who stands there.
+    standing = 400 + np.flatnonzero(rng.random(300) < 0.9)
+    assert place_score(at_one_place(standing)) < SHOWN
+    # In bursts of five frames, but all minute long.
+    bursts = (np.arange(8, 1480, 20)[:, None] + np.arange(5)).ravel()
+    assert place_score(at_one_place(bursts)) > 0.99
+    # As often by chance as one object that stays for a few seconds.
+    assert place_score(at_one_place(np.sort(rng.permutation(1500)[:60]) + 1)) < SHOWN
+    # The limit that is stated: who sits there all along.
+    assert place_score(at_one_place(np.flatnonzero(rng.random(1500) < 0.9) + 1)) > 0.99
+
+
+def test_what_a_track_holds_that_goes_somewhere_is_never_suggested():
+    frames = np.arange(1, 101)
+    box = np.array([100.0, 100, 140, 200]) + np.outer(np.arange(100), [2, 0, 2, 0])
+    table = DetectionTable(frames, Detections.of(box))
+    ones = np.ones(100)
+    rows = np.zeros(100, np.int64)
+    tracks = Tracks(frames, rows + 7, box, ones, rows, ones > 0)
+    evidence = Evidence(table, 1, 100, 0.99 * ones, tracks)
+    assert len(suggest(evidence, range(1, 101), FPS)) == 0
+    without = suggest(replace(evidence, tracks=Tracks.empty()), [3, 50, 200], FPS)
+    assert without.frame.tolist() == [3, 50]
+    assert {REASONS[k] for k in without.reason} == {"rejected"}
+    np.testing.assert_allclose(without.score, 0.99)
+
+
+def test_a_short_track_is_shown_and_not_ticked():
+    frames = np.arange(1, 11)
+    box = np.tile([100.0, 100, 140, 200], (10, 1))
+    rows = np.zeros(10, np.int64)
+    tracks = Tracks(frames, rows + 1, box, np.ones(10), rows, np.ones(10) > 0)
+    evidence = Evidence(DetectionTable(frames, Detections.of(box)), 1, 100, np.zeros(10), tracks)
+    found = suggest(evidence, range(1, 11), FPS)
+    assert {REASONS[k] for k in found.reason} == {"short"}
+    np.testing.assert_allclose(found.score, 0.4 * 0.5**0.4)
+    assert found.score.max() < TICKED
+
+
+def test_nothing_comes_of_nothing():
+    empty = DetectionTable(np.zeros(0, np.int64), Detections.empty())
+    assert len(suggest(Evidence(empty, 1, 10, np.zeros(0), Tracks.empty()), [1, 2], FPS)) == 0
