@@ -23,7 +23,7 @@ from phdtrack.context.verdict import Verdict, Watch, judged, look_of
 from phdtrack.types import Step
 
 # Parts of the memory after which is learned anew, and seconds at least.
-_BATCHES, _SHORTEST = 40, 1.0
+_BATCHES, _SHORTEST = 30, 1.0
 FIRST = "first"
 
 
@@ -51,10 +51,9 @@ class Following:
     switch: bool = False
     most: int = 4
 
-    @property
-    def interval(self) -> float:
-        """Seconds between two times of learning."""
-        return max(_SHORTEST, self.memory / _BATCHES)
+    def interval(self, known: float) -> float:
+        """Seconds between two times of learning in a mode that was active for ``known`` seconds: at first more often."""
+        return max(_SHORTEST, min(self.memory, known) / _BATCHES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +116,7 @@ def advance(rule: Following, state: Followed, step: Step) -> Followed:
     if step.detections.observed:
         waiting = (*state.watch.looks, look_of(step))
         state = replace(state, watch=replace(state.watch, looks=waiting))
-    if step.time < begun + rule.interval or not state.watch.looks:
+    if step.time < begun + rule.interval(state.mode.clock) or not state.watch.looks:
         return state if state.learned == begun else replace(state, learned=begun)
     watch, verdict = judged(state.watch, step.time - rule.wait, rule.detection, rule.rate)
     state = replace(state, watch=watch, learned=step.time)

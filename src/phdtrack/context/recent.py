@@ -17,12 +17,12 @@ from phdtrack.context.density import ContextDensity
 from phdtrack.context.learner import LEAST_UNIFORM, RecursiveEM, parameters
 from phdtrack.types import F8, Bool
 
-# Memories after which a sample is dropped: it is worth 8 % then.
-OLDEST = 2.5
+# Memories after which a sample is dropped: it is worth 14 % then.
+OLDEST = 2.0
 # Passes over the samples each time: the density begins where it was.
-_LEARNER = RecursiveEM(passes=4)
+_LEARNER = RecursiveEM(passes=3)
 # New components a time, and samples that are looked at for them.
-_NEW, _LOOKED_AT = 4, 240
+_NEW, _LOOKED_AT = 4, 200
 # How far samples lie apart that are of one place, in parts of their size: boxes of the same thing, people at a door.
 _NEAR, _DOOR = 0.15, 1.0
 
@@ -88,8 +88,10 @@ def _with_new(density: ContextDensity, window: Recent, worth: F8) -> ContextDens
     newest = slice(max(0, len(window) - _LOOKED_AT), None)
     x, left = window.samples[:, newest], worth[newest]
     spread, found = _spread(density, window.samples), []
-    near = np.exp(-0.5 * np.square((x[:, :, None] - x[:, None, :]) / spread[:, None, None]).sum(axis=0))
-    others = near @ left - left
+    scaled = (x - x.mean(axis=1)[:, None]) / spread[:, None]
+    length2 = np.square(scaled).sum(axis=0)
+    near = np.exp(np.minimum(0.0, scaled.T @ scaled - 0.5 * (length2[:, None] + length2)))
+    others = near @ left - near.diagonal() * left
     peak = left.sum() * math.sqrt(2 * math.pi) ** density.dim * float(spread.prod())
     left = left * (others > 2 * peak * density(x))
     for _ in range(_NEW):
