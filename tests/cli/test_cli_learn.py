@@ -15,7 +15,10 @@ FRAMES = 900
 
 @pytest.fixture(scope="module")
 def street(tmp_path_factory):
-    """Detections of people who leave one door to the right, and of a flag in the corner; every flag is marked."""
+    """Detections of people who leave one door to the right, and of a flag in the corner.
+
+    On the first 150 frames every flag is marked, and whoever is new.
+    """
     folder, rng = tmp_path_factory.mktemp("street"), np.random.default_rng(0)
     rows = []
     for begin in range(5, FRAMES - 40, 12):
@@ -35,11 +38,15 @@ def street(tmp_path_factory):
     ]
     (folder / "det.txt").write_text("\n".join(lines) + "\n")
     found = to_label(Wanted("", folder / "det.txt", "", "720x480", 25.0), {}, folder / "labels", Output())
-    store = LabelStore.open(folder / "labels", str(folder / "det.txt"), found.digest, range(1, 101))
-    for number in range(1, 101):
+    store = LabelStore.open(folder / "labels", str(folder / "det.txt"), found.digest, range(1, 151))
+    for number in range(1, 151):
         flags = [k for k, box in enumerate(found.table.at(number).xyxy) if box[0] > 500]
         if flags:
             store.mark(number, [Label(number, k, "false") for k in flags])
+        # Whoever begins is the leftmost of those at the door.
+        if (number - 5) % 12 == 0:
+            people = [(box[0], k) for k, box in enumerate(found.table.at(number).xyxy) if box[0] < 500]
+            store.mark(number, [Label(number, min(people)[1], "birth")])
         store.finish(number)
     assert any(false)
     return folder
@@ -81,6 +88,43 @@ def test_a_door_and_a_flag_are_learned(street, tmp_path):
     assert "Not learned" not in page
 
 
+def test_births_by_hand(street, tmp_path):
+    target = tmp_path / "scene.json"
+    said = phdtrack(*options(street), "--births", "hand", "--out", target)
+    assert said.status == 0, said.err
+    # 5, 17, …, 149, seen on the clips about the frames 1 … 150, which begin to count with the second.
+    assert "births: 13 births marked by a person on 159 frames" in said.out
+    scene = read_scene(target)
+    assert scene.births.rate == pytest.approx(13 / 159)
+    assert scene.births.samples == 13
+    door = scene.births.density.mean[:, np.argmax(scene.births.density.weight)]
+    assert door == pytest.approx([75, 240, 4, 0, 30, 80], abs=6)
+    assert (scene.notes["births from"], scene.notes["clutter from"]) == ("hand", "labels")
+    assert "marked by a person on 159 frames" in (tmp_path / "scene.html").read_text()
+    # Of a part of the frames only what lies there.
+    said = phdtrack(*options(street), "--births", "hand", "--first", "30", "--out", tmp_path / "later.json")
+    assert "births: 10 births marked by a person on 130 frames" in said.out
+
+
+def test_false_alarms_unattended(street, tmp_path):
+    target = tmp_path / "scene.json"
+    said = phdtrack(*options(street)[:-2], "--clutter", "unattended", "--first", "100", "--last", "899", "--out", target)
+    assert said.status == 0, said.err
+    assert "Nobody has looked at them" in said.out
+    assert "at 1 place that fire too often" in said.out
+    scene = read_scene(target)
+    assert scene.clutter.rate == pytest.approx(0.4, abs=0.1)
+    flag = scene.clutter.density.mean[:, np.argmax(scene.clutter.density.weight)]
+    assert flag == pytest.approx([612, 52, 24, 24], abs=3)
+    assert (scene.notes["first"], scene.notes["last"], scene.notes["clutter from"]) == (100, 899, "unattended")
+    assert "Nobody has looked at them" in (tmp_path / "scene.html").read_text()
+    # A second of a flag is no evidence.
+    said = phdtrack(*options(street)[:-2], "--clutter", "unattended", "--last", "25", "--out", tmp_path / "short.json")
+    assert said.status == 2
+    assert "false alarms stay uniform: learning: expected at least 10 detections" in said.out
+    assert "Look yourself" in said.out
+
+
 def test_births_alone_where_nobody_marked(street, tmp_path):
     said = phdtrack(*options(street)[:-2], "--out", tmp_path / "scene.json", "--last", "400")
     assert said.status == 0, said.err
@@ -96,6 +140,9 @@ def test_mistakes_are_told(street, tmp_path):
     (tmp_path / "scene.json").write_text("mine")
     assert "there already" in refused(*options(street), "--out", tmp_path / "scene.json")
     assert (tmp_path / "scene.json").read_text() == "mine"
+    assert "expected tracks or hand, got 'feet'" in refused(*options(street), "--births", "feet")
+    assert "expected labels or unattended" in refused(*options(street), "--clutter", "none")
+    assert "no frames from 950 to 899" in refused(*options(street), "--first", "950", "--out", tmp_path / "s.json")
     short = (*options(street)[:-2], "--out", tmp_path / "s.json", "--last", "8")
     done = phdtrack(*short)
     assert done.status == 2

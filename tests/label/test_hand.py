@@ -39,10 +39,12 @@ def test_a_clip_ends_where_the_sequence_does():
 
 def test_frames_watched_are_counted_once_and_without_the_first_of_a_clip(tmp_path):
     store = LabelStore.open(tmp_path / "l", "s", "d", (20, 25, 100))
-    assert len(watched(store, 200)) == 0
+    assert len(watched(store, range(1, 201))) == 0
     for number in (20, 25):
         store.finish(number)
-    np.testing.assert_array_equal(watched(store, 200), np.arange(11, 36))
+    np.testing.assert_array_equal(watched(store, range(1, 201)), np.arange(11, 36))
+    # Of a stretch only its own: clips end with it, and nothing comes before its first frame.
+    np.testing.assert_array_equal(watched(store, range(22, 31)), np.arange(23, 31))
     # 25 frames of 1/25 s, 10 time units a second.
     assert time_watched(store, table((1, 5, 5, 2, 2)), INFO, 10) == pytest.approx(10)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,15 +24,13 @@ from phdtrack.commands.options import (
     Seed,
     Sets,
 )
-from phdtrack.commands.output import Output, counted, progress
+from phdtrack.commands.output import Output, counted
 from phdtrack.commands.wanted import Wanted
 from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from phdtrack.commands.label_inputs import Labelled
     from phdtrack.context.learning import Lesson
-    from phdtrack.protocols import AnyStages
-    from phdtrack.types import Image, Tracks
+    from phdtrack.types import Image
 
 
 def learn(
@@ -41,7 +38,17 @@ def learn(
     detections: DetectionsFile = None,
     detector: Detector = "",
     labels: LabelsFile = None,
-    last: Annotated[int, typer.Option("--last", metavar="N", min=0, help="Learn births up to this frame; 0: all.")] = 0,
+    births: Annotated[
+        str, typer.Option("--births", metavar="FROM", help="tracks: the tracker's own; hand: marked with `phdtrack label`.")
+    ] = "tracks",
+    clutter: Annotated[
+        str,
+        typer.Option(
+            "--clutter", metavar="FROM", help="labels: marked with `phdtrack label`; unattended: suggested, seen by nobody."
+        ),
+    ] = "labels",
+    first: Annotated[int, typer.Option("--first", metavar="N", min=1, help="Learn from this frame on.")] = 1,
+    last: Annotated[int, typer.Option("--last", metavar="N", min=0, help="Learn up to this frame; 0: all.")] = 0,
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Default: SOURCE.scene.json.")] = None,
     overwrite: Overwrite = False,
     config: Config = None,
@@ -54,112 +61,70 @@ def learn(
     mask: Mask = None,
     json: Json = False,
 ) -> None:
-    """Learn births from the tracker's own tracks, and false alarms from the marks that a person made (`phdtrack label`)."""
+    """Learn where people enter and where the detector is wrong: births from the tracker's own tracks, or marked by hand;
+    false alarms from the marks that a person made (`phdtrack label`), or unattended."""
     from phdtrack.commands.configured import detector_parameters
     from phdtrack.commands.label_inputs import beside, stills, to_label
+    from phdtrack.commands.lessons import Classroom, births_by_hand, births_of_tracks, clutter_of_labels, clutter_unattended
     from phdtrack.config import build, load
     from phdtrack.context import Scene, write_scene
     from phdtrack.report.scene_report import Lessons, scene_page
 
     result = Output(json)
+    _one_of(births, ("tracks", "hand"), "--births")
+    _one_of(clutter, ("labels", "unattended"), "--clutter")
     wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
     file = labels or beside(source, detections)
-    if labels is not None and not labels.exists():
+    asked = clutter == "labels" or births == "hand"
+    if asked and labels is not None and not labels.exists():
         raise InputError("there is no such file of labels", where=labels, cure="Make one: phdtrack label")
     target = out or file.with_name(file.name.removesuffix(".labels.sqlite") + ".scene.json")
     if target.exists() and not overwrite:
         raise InputError("this file is there already", where=target, cure="Say --overwrite, or choose another --out")
     settings = load(config, tuple(sets or ()), preset)
     found = to_label(wanted, detector_parameters(config, tuple(sets or ())), file, result)
-    clutter, sentence = _clutter(found, file)
-    result.say(sentence)
-    # Behind learned false alarms: tracks that only the scene's false alarms make are no births.
-    stages = build(settings, found.info)
-    births, sentence = _births(found, stages, min(last or found.last, found.last), seed, clutter)
-    result.say(sentence)
-    if births is None and clutter is None:
+    stretch = _stretch(first, last, found.last)
+    room = Classroom(found, stretch, build(settings, found.info), seed, file)
+    alarms = clutter_unattended(room) if clutter == "unattended" else clutter_of_labels(room)
+    result.say(alarms.sentence)
+    born = births_by_hand(room) if births == "hand" else births_of_tracks(room, alarms.lesson)
+    result.say(born.sentence)
+    if born.lesson is None and alarms.lesson is None:
         raise InputError(
             "nothing could be learned", where=str(source or detections), cure="Mark false detections, or learn longer"
         )
-    gains = {"births": births.gain if births else math.nan, "clutter": clutter.gain if clutter else math.nan}
+    gains = {"births": born.gain, "clutter": alarms.gain}
+    notes = {f"{part} gain": value for part, value in gains.items() if math.isfinite(value)}
     scene = Scene(
         found.info.width,
         found.info.height,
-        stages.model.rate,
+        room.stages.model.rate,
         source or str(detections),
-        births.learned if births else None,
-        clutter.learned if clutter else None,
-        {f"{part} gain": value for part, value in gains.items() if math.isfinite(value)},
+        born.lesson.learned if born.lesson else None,
+        alarms.lesson.learned if alarms.lesson else None,
+        notes | {"births from": births, "clutter from": clutter, "first": stretch.start, "last": stretch.stop - 1},
     )
     write_scene(target, scene)
     page = target.with_name(target.name.removesuffix(".json") + ".html")
     use = f"phdtrack track {source or f'--detections {detections}'} --scene {target}"
-    lead = " ".join(_told(part) for part in (births, clutter) if part is not None) or ""
-    lessons = Lessons(scene, _picture(stills(source, fps, [1])), gains["births"], gains["clutter"])
+    lead = " ".join(_told(taught.lesson) for taught in (born, alarms) if taught.lesson is not None)
+    lessons = Lessons(scene, _picture(stills(source, fps, [1])), born.gain, alarms.gain, born.source, alarms.source)
     page.write_text(scene_page(lessons, lead, use), encoding="utf-8")
     result.say(f"{target}, with its maps in {page}; use it: {use}")
-    result.document({"scene": str(target), "report": str(page), "gain": gains})
+    result.document({"scene": str(target), "report": str(page), "gain": gains, "births": births, "clutter": clutter})
 
 
-def _births(found: Labelled, stages: AnyStages, last: int, seed: int, clutter: Lesson | None) -> tuple[Lesson | None, str]:
-    """Births from the tracker's own run over the first ``last`` frames [M09 §IV]; why not, where they cannot be learned."""
-    from phdtrack.context import RecursiveEM
-    from phdtrack.context.learning import learn_births
-    from phdtrack.context.samples import first_states
-
-    rate = stages.model.rate
-    states = first_states(_tracked(found, stages, last, seed, clutter), found.info.fps, rate)
-    size = (float(found.info.width), float(found.info.height))
-    try:
-        lesson = learn_births(states, last / found.info.fps * rate, size, RecursiveEM())
-    except InputError as error:
-        return None, f"births stay uniform: {error}"
-    return lesson, f"births: {counted(states.shape[1], 'track')} began in {counted(last, 'frame')}; {_worth(lesson)}"
+def _one_of(value: str, known: tuple[str, ...], option: str) -> None:
+    if value not in known:
+        raise InputError(f"expected {' or '.join(known)}, got {value!r}", where=option)
 
 
-def _tracked(found: Labelled, stages: AnyStages, last: int, seed: int, clutter: Lesson | None) -> Tracks:
-    """The corrected tracks of the training stretch."""
-    import numpy as np
-
-    from phdtrack import pipeline
-    from phdtrack.models.learned_scene import ContextClutter
-
-    if clutter is not None:
-        alarms = ContextClutter(clutter.learned.rate, clutter.learned.density)
-        stages = replace(stages, model=replace(stages.model, clutter=alarms))
-    frames = ((k, (k - 1) / found.info.fps, found.table.at(k)) for k in range(1, last + 1))
-    rng = np.random.default_rng(seed)
-    state = pipeline.start(stages, rng)
-    with progress("tracking", last) as advance:
-        for number, time, seen in frames:
-            state, _ = pipeline.advance(stages, state, seen, number, time, rng)
-            advance(number)
-    return pipeline.finish(stages, state)
-
-
-def _clutter(found: Labelled, labels: Path) -> tuple[Lesson | None, str]:
-    """False alarms from marks, if there are any [M09 §IV]; why not, where they cannot be learned."""
-    from phdtrack.context import RecursiveEM
-    from phdtrack.context.learning import learn_clutter
-    from phdtrack.label import LabelStore
-    from phdtrack.label.session import false_boxes
-
-    if not labels.exists():
-        return None, f"false alarms stay uniform: nobody has marked any (phdtrack label, kept in {labels})"
-    store = LabelStore.open(labels, found.source, found.digest, [])
-    size, done = (float(found.info.width), float(found.info.height)), store.progress().done
-    try:
-        lesson = learn_clutter(false_boxes(store, found.table), done, size, RecursiveEM())
-    except InputError as error:
-        return None, f"false alarms stay uniform: {error}"
-    told = f"false alarms: {counted(lesson.learned.samples, 'box')} marked on {counted(done, 'frame')}"
-    return lesson, f"{told}; {_worth(lesson)}"
-
-
-def _worth(lesson: Lesson) -> str:
-    if not math.isfinite(lesson.gain):
-        return "too few to tell what it is worth"
-    return f"samples not learned from are {lesson.gain:+.2f} nats likelier than under a uniform density"
+def _stretch(first: int, last: int, end: int) -> range:
+    """The frames to learn from. Raises `InputError` where there are none."""
+    stretch = range(first, min(last or end, end) + 1)
+    if not stretch:
+        raise InputError(f"there are no frames from {first} to {stretch.stop - 1}", where="--first", cure="Begin earlier")
+    return stretch
 
 
 def _told(lesson: Lesson) -> str:

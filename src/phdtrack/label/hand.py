@@ -30,29 +30,40 @@ def clip(number: int, last: int) -> range:
     return range(max(1, number - REACH), min(last, number + REACH) + 1)
 
 
-def length(info: SequenceInfo, table: DetectionTable) -> int:
-    """The number of the last frame; that of the last detection where the video does not say it."""
-    return info.frames or table.last
+def everything(info: SequenceInfo, table: DetectionTable) -> range:
+    """All frames; up to the last detection where the video does not say how many there are."""
+    return range(1, (info.frames or table.last) + 1)
 
 
-def watched(store: LabelStore, last: int) -> I8:
-    """(n,) the frames in which births were looked for, ascending: the clips of all frames that are done."""
-    seen = {frame for number, done in store.frames() if done for frame in clip(number, last)[1:]}
+def watched(store: LabelStore, stretch: range) -> I8:
+    """(n,) the frames in which births were looked for, ascending: the clips of all frames of ``stretch`` that are done.
+
+    ``stretch`` ends with the sequence or before; clips do not reach beyond it.
+    """
+    clips = [clip(number, stretch.stop - 1) for number, done in store.frames() if done and number in stretch]
+    seen = {frame for frames in clips for frame in frames[1:] if frame > stretch.start}
     return np.array(sorted(seen), np.int64)
 
 
-def time_watched(store: LabelStore, table: DetectionTable, info: SequenceInfo, rate: float) -> float:
-    """Time units (``rate`` a second) in which births were looked for: what their number is divided by for s̄."""
-    return len(watched(store, length(info, table))) / info.fps * rate
+def time_watched(
+    store: LabelStore, table: DetectionTable, info: SequenceInfo, rate: float, stretch: range | None = None
+) -> float:
+    """Time units (``rate`` a second) in which births were looked for: what their number is divided by for s̄.
+
+    ``stretch``: only on its frames; on all where it is not given.
+    """
+    return len(watched(store, stretch or everything(info, table))) / info.fps * rate
 
 
-def birth_states(store: LabelStore, table: DetectionTable, info: SequenceInfo, rate: float) -> F8:
+def birth_states(
+    store: LabelStore, table: DetectionTable, info: SequenceInfo, rate: float, stretch: range | None = None
+) -> F8:
     """(6, n) states (px, py, vx, vy, w, h) of the boxes marked as births in the frames that were `watched` [M09 §IV].
 
     Velocities are pixels per time unit, of which ``rate`` make a second; NaN where a box could not be linked to two of the
     next three frames' detections.
     """
-    counted = set(watched(store, length(info, table)).tolist())
+    counted = set(watched(store, stretch or everything(info, table)).tolist())
     states = [
         _state(table, label.frame, label.box, info.fps, rate)
         for label in store.labels()

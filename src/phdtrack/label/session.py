@@ -15,7 +15,7 @@ from phdtrack.context.learning import learn_clutter
 from phdtrack.context.maps import place_map
 from phdtrack.errors import InputError
 from phdtrack.label.background import Ready, Suggester
-from phdtrack.label.hand import clip, length
+from phdtrack.label.hand import clip, everything
 from phdtrack.label.store import Label, LabelStore, Mark
 from phdtrack.label.suggest import ALIKE, NOTHING, REASONS, TICKED
 from phdtrack.types import F8, DetectionTable, Image, SequenceInfo
@@ -44,7 +44,7 @@ class Session:
 
     def overview(self) -> dict[str, object]:
         """Size, name, the frames with how far each is, and the progress."""
-        progress, last = self.store.progress(), length(self.info, self.table)
+        progress, last = self.store.progress(), everything(self.info, self.table)[-1]
         clips = [(number, done, clip(number, last)) for number, done in self.store.frames()]
         return {
             "name": self.info.name,
@@ -145,7 +145,7 @@ class Session:
         return marks
 
     def _seen(self, number: int) -> int:
-        last = length(self.info, self.table)
+        last = everything(self.info, self.table)[-1]
         if not any(number in clip(known, last) for known, _ in self.store.frames()):
             raise InputError(f"frame {number} is not one of those to label")
         return number
@@ -174,12 +174,17 @@ def sampled(last: int, count: int, seed: int) -> list[int]:
     return [int(number) for number in rng.permutation(last)[:count] + 1]
 
 
-def false_boxes(store: LabelStore, table: DetectionTable) -> F8:
-    """(4, n) centres and sizes of all boxes of ``table`` that are marked as false on frames that have been looked at.
+def looked_at(store: LabelStore, stretch: range | None = None) -> list[int]:
+    """The drawn frames that have been looked at, those in ``stretch`` where one is given."""
+    return [number for number, looked in store.frames() if looked and (stretch is None or number in stretch)]
+
+
+def false_boxes(store: LabelStore, table: DetectionTable, stretch: range | None = None) -> F8:
+    """(4, n) centres and sizes of all boxes of ``table`` that are marked as false on frames that were `looked_at`.
 
     On other frames more may be false: marking all like one marks some of them.
     """
-    done = {number for number, looked in store.frames() if looked}
+    done = set(looked_at(store, stretch))
     return marked_boxes([label for label in store.labels() if label.frame in done], table, "false")
 
 

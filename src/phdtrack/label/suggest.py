@@ -34,6 +34,8 @@ REASONS: tuple[Reason, ...] = get_args(Reason)
 TICKED, SHOWN = 0.9, 0.2
 # Boxes are in the same place and of the same size at this overlap (IoU).
 ALIKE = 0.5
+# Boxes of one place scatter: what overlaps by so much with one that it is known by belongs to it.
+_SAME = 0.25
 # s, seconds that an object stays in one place and is not seen to go. The way, in sizes √(wh), from which a track has one.
 STAY, WAY = 4.0, 0.5
 # Runs, as part of those that frames at random would make, and windows of s seconds with a detection, as part of all: from
@@ -141,19 +143,28 @@ def _places(evidence: Evidence, still: Bool, asked: Bool, fps: float) -> tuple[I
     frame, xyxy = evidence.table.frame, evidence.table.detections.xyxy
     rows, candidates = np.flatnonzero(still), np.flatnonzero(asked)
     where, score = np.full(len(frame), -1), np.zeros(len(frame))
-    everything, number = _Near(xyxy[rows]), 0
-    stretch = (evidence.first, evidence.last)
-    likely = np.array([_fires(frame[rows[everything.alike(box)]], stretch, fps) for box in xyxy[candidates]])
-    members = _Near(xyxy[candidates])
-    for seed in np.argsort(-likely, kind="stable"):
+    everything, members, stretch = _Near(xyxy[rows]), _Near(xyxy[candidates]), (evidence.first, evidence.last)
+    fired = [frame[rows[everything.alike(box)]] for box in xyxy[candidates]]
+    likely = np.array([_fires(hits, stretch, fps) for hits in fired])
+    seeds, numbers = np.zeros((0, 4)), list[int]()
+    # The middle of a place has the most around it.
+    for seed in np.lexsort((-np.array([len(hits) for hits in fired]), -likely)):
         if likely[seed] < SHOWN:
             break
         if where[candidates[seed]] < 0:
-            alike = candidates[members.alike(xyxy[candidates[seed]])]
+            box = xyxy[candidates[seed]]
+            alike = candidates[members.alike(box)]
             alike = alike[where[alike] < 0]
-            where[alike], score[alike] = number, likely[seed]
-            number += 1
+            numbers.append(_number(box, seeds, numbers))
+            seeds = np.vstack([seeds, box])
+            where[alike], score[alike] = numbers[-1], likely[seed]
     return where, score
+
+
+def _number(box: F8, seeds: F8, numbers: list[int]) -> int:
+    """The number of the place that ``box`` (4,) belongs to by what it overlaps with, or a new one."""
+    overlap = iou(box[None], seeds)[0]
+    return numbers[int(np.argmax(overlap))] if overlap.max(initial=0.0) >= _SAME else max(numbers, default=-1) + 1
 
 
 def _fires(frame: I8, stretch: tuple[int, int], fps: float) -> float:

@@ -23,12 +23,15 @@ _LIGHTEST = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lessons:
-    """A scene with what is told of it: a frame (H, W, 3), or (0, 0, 3), and the gains in nats per unseen sample."""
+    """A scene with what is told of it: a frame (H, W, 3), or (0, 0, 3), the gains in nats per unseen sample, and from what
+    it was learned, in words."""
 
     scene: Scene
     image: Image
     births_gain: float = math.nan
     clutter_gain: float = math.nan
+    births_from: str = ""
+    clutter_from: str = ""
 
 
 def scene_page(lessons: Lessons, lead: str, command: str) -> str:
@@ -36,8 +39,8 @@ def scene_page(lessons: Lessons, lead: str, command: str) -> str:
     scene = lessons.scene
     body = [
         bare_header(text("What was learned of the scene"), scene.source, lead),
-        _part("Births", "expected births per second", scene.births, lessons.births_gain, lessons, scene.rate),
-        _part("False alarms", "expected false alarms per frame", scene.clutter, lessons.clutter_gain, lessons, 1.0),
+        _part("Births", "expected births per second", scene.births, lessons, scene.rate),
+        _part("False alarms", "expected false alarms per frame", scene.clutter, lessons, 1.0),
         section("How to use it", paragraph(command)),
     ]
     return page(text("Learned scene"), join(body))
@@ -64,10 +67,13 @@ def map_picture(learned: Learned, scene: Scene, image: Image) -> Picture:
     return to_jpeg(drawn[0])
 
 
-def _part(title: str, rate: str, learned: Learned | None, gain: float, lessons: Lessons, per: float) -> Html:
+def _part(title: str, rate: str, learned: Learned | None, lessons: Lessons, per: float) -> Html:
     if learned is None:
         return section(title, paragraph("Not learned: uniform, as without a scene."))
     p = learned.density
+    births = p.dim == 6
+    gain = lessons.births_gain if births else lessons.clutter_gain
+    origin = lessons.births_from if births else lessons.clutter_from
     rows = [
         ("samples", str(learned.samples)),
         (rate, f"{learned.rate * per:.3g}"),
@@ -75,9 +81,12 @@ def _part(title: str, rate: str, learned: Learned | None, gain: float, lessons: 
         ("share that may be anywhere", f"{100 * p.uniform:.1f} %"),
         ("log-likelihood of samples not learned from, above uniform", _nats(gain)),
     ]
-    caption = "Bright: expected here most. " + ("Arrows: the way of the first second." if p.dim == 6 else "")
+    caption = "Bright: expected here most. " + ("Arrows: the way of the first second." if births else "")
     picture = map_picture(learned, lessons.scene, lessons.image)
-    return section(title, table(("", ""), rows), figure(picture, f"Map of {title.lower()}", caption, "wide") or NOTHING)
+    told = paragraph(origin[:1].upper() + origin[1:]) if origin else NOTHING
+    return section(
+        title, told, table(("", ""), rows), figure(picture, f"Map of {title.lower()}", caption, "wide") or NOTHING
+    )
 
 
 def _nats(gain: float) -> str:

@@ -1,0 +1,182 @@
+"""The ways in which `phdtrack learn` is taught: births by tracks or by hand, false alarms by a person or by nobody."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from phdtrack.commands.output import counted, progress
+from phdtrack.context import RecursiveEM
+from phdtrack.context.learning import Lesson, learn_births, learn_clutter
+from phdtrack.errors import InputError
+
+if TYPE_CHECKING:
+    from phdtrack.commands.label_inputs import Labelled
+    from phdtrack.label import LabelStore
+    from phdtrack.label.suggest import Evidence, Suggestions
+    from phdtrack.protocols import AnyStages
+
+# Frames, drawn at random, whose suggestions are taken where nobody labels: M09's false alarms were of as many.
+UNATTENDED = 200
+LIMITS = (
+    "Nobody has looked at them. Who sits or stands in one place for the whole stretch is taken for a false alarm there, "
+    "and in a crowd so are people whom others hide (in a simulated one a quarter of what was taken were people, in streets "
+    "4 %). To look: phdtrack label, which suggests the same boxes."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Taught:
+    """What was learned of one part, None for nothing; what is said of it; ``source``, where it comes from, in words."""
+
+    lesson: Lesson | None
+    sentence: str
+    source: str = ""
+
+    @property
+    def gain(self) -> float:
+        """Nats per unseen sample above the uniform density; NaN where that is not known."""
+        return self.lesson.gain if self.lesson is not None else math.nan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Classroom:
+    """What is learned from: the detections, the ``stretch`` of frames, how to track, and the file of ``labels``."""
+
+    found: Labelled
+    stretch: range
+    stages: AnyStages
+    seed: int
+    labels: Path
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height of a frame in pixels."""
+        return float(self.found.info.width), float(self.found.info.height)
+
+    def store(self) -> LabelStore | None:
+        """The labels of these detections, where there are any. Raises `InputError` where they are of others."""
+        from phdtrack.label import LabelStore
+
+        return LabelStore.open(self.labels, self.found.source, self.found.digest, []) if self.labels.exists() else None
+
+    def tracked(self, stages: AnyStages) -> Evidence:
+        """What a tracker makes of the stretch."""
+        from phdtrack.commands.tracked import tracked
+
+        with progress("tracking", len(self.stretch)) as advance:
+            return tracked(self.found.table, self.found.info.fps, stages, self.stretch, self.seed, advance)
+
+
+def clutter_of_labels(room: Classroom) -> Taught:
+    """False alarms from marks [M09 §IV]; why not, where there are none to learn from."""
+    from phdtrack.label.session import false_boxes, looked_at
+
+    store = room.store()
+    if store is None:
+        return Taught(None, f"false alarms stay uniform: nobody has marked any (phdtrack label, kept in {room.labels})")
+    boxes, frames = false_boxes(store, room.found.table, room.stretch), len(looked_at(store, room.stretch))
+    try:
+        lesson = learn_clutter(boxes, frames, room.size, RecursiveEM())
+    except InputError as error:
+        return Taught(None, f"false alarms stay uniform: {error}")
+    told = f"{counted(lesson.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
+    return Taught(lesson, f"false alarms: {told}; {worth(lesson)}", f"{told} by a person.")
+
+
+def clutter_unattended(room: Classroom) -> Taught:
+    """False alarms from what would be suggested to a person; why not, where that is too little."""
+    from phdtrack.label.session import sampled
+    from phdtrack.label.suggest import TICKED, suggest
+
+    frames = [room.stretch.start + k - 1 for k in sampled(len(room.stretch), UNATTENDED, room.seed)]
+    found = suggest(room.tracked(room.stages), frames, room.found.info.fps)
+    taken = np.flatnonzero(found.score >= TICKED)
+    try:
+        lesson = learn_clutter(_boxes(room, found, taken), len(frames), room.size, RecursiveEM())
+    except InputError as error:
+        cure = "Look yourself: phdtrack label"
+        return Taught(None, f"false alarms stay uniform: {InputError(error.problem, where=error.where, cure=cure)}")
+    told = (
+        f"{counted(lesson.learned.samples, 'box')} of {counted(len(frames), 'frame')} taken for false ({_why(found, taken)})"
+    )
+    return Taught(lesson, f"false alarms: {told}; {worth(lesson)}. {LIMITS}", f"{told}. {LIMITS}")
+
+
+def births_of_tracks(room: Classroom, clutter: Lesson | None) -> Taught:
+    """Births from the tracker's own run [M09 §IV]; why not, where they cannot be learned.
+
+    Behind learned false alarms: tracks that only the scene's false alarms make are no births.
+    """
+    from phdtrack.context.samples import first_states
+    from phdtrack.models.learned_scene import ContextClutter
+
+    stages, info = room.stages, room.found.info
+    if clutter is not None:
+        alarms = ContextClutter(clutter.learned.rate, clutter.learned.density)
+        stages = replace(stages, model=replace(stages.model, clutter=alarms))
+    rate = stages.model.rate
+    states = first_states(room.tracked(stages).tracks, info.fps, rate)
+    return _births(room, states, len(room.stretch) / info.fps * rate, "track", f"began in {_frames(room)}")
+
+
+def births_by_hand(room: Classroom) -> Taught:
+    """Births from marks on the clips about the frames that a person has looked at; why not, where they are too few."""
+    from phdtrack.label.hand import birth_states, time_watched, watched
+
+    store = room.store()
+    if store is None:
+        return Taught(None, f"births stay uniform: nobody has marked any (phdtrack label, kept in {room.labels})")
+    table, info, rate = room.found.table, room.found.info, room.stages.model.rate
+    states = birth_states(store, table, info, rate, room.stretch)
+    seen = counted(len(watched(store, room.stretch)), "frame")
+    unknown = int(np.isnan(states[2]).sum())
+    told = f"marked by a person on {seen}" + (f" ({unknown} of unknown velocity)" if unknown else "")
+    return _births(room, states, time_watched(store, table, info, rate, room.stretch), "birth", told)
+
+
+def worth(lesson: Lesson) -> str:
+    """What a lesson is worth, in words."""
+    if not math.isfinite(lesson.gain):
+        return "too few to tell what it is worth"
+    return f"samples not learned from are {lesson.gain:+.2f} nats likelier than under a uniform density"
+
+
+def _births(room: Classroom, states: np.ndarray, time: float, noun: str, where: str) -> Taught:
+    try:
+        lesson = learn_births(states, time, room.size, RecursiveEM())
+    except InputError as error:
+        return Taught(None, f"births stay uniform: {error}")
+    told = f"{counted(states.shape[1], noun)} {where}"
+    return Taught(lesson, f"births: {told}; {worth(lesson)}", f"{told}.")
+
+
+def _frames(room: Classroom) -> str:
+    return counted(len(room.stretch), "frame")
+
+
+def _boxes(room: Classroom, found: Suggestions, taken: np.ndarray) -> np.ndarray:
+    """(4, n) centres and sizes of the suggested boxes ``taken``."""
+    from phdtrack.boxes import to_cxcywh
+
+    rows = np.searchsorted(room.found.table.frame, found.frame[taken]) + found.box[taken]
+    return to_cxcywh(room.found.table.detections.xyxy[rows])
+
+
+def _why(found: Suggestions, taken: np.ndarray) -> str:
+    """How many were taken for which reason."""
+    from phdtrack.label.suggest import REASONS
+
+    many = Counter(REASONS[k] for k in found.reason[taken])
+    places = len(np.unique(found.place[taken][found.place[taken] >= 0]))
+    said = []
+    if many["place"]:
+        said.append(f"{many['place']} at {counted(places, 'place')} that fire too often")
+    if many["rejected"]:
+        said.append(f"{many['rejected']} that the filter rejected")
+    return ", ".join(said)
