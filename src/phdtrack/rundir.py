@@ -24,7 +24,9 @@ MEMBERS = "members.csv"
 EVENTS = "events.csv"
 WARNINGS = "warnings.csv"
 PLAN = "plan.mp4"
-FILES = (TRACKS, ONLINE, STATES, DETECTIONS, VIDEO, REPORT, RUN)
+# What a run that learns leaves of its scene, a file for each mode.
+SCENES = ("scene.json", *(f"scene-{k}.json" for k in range(2, 9)))
+FILES = (TRACKS, ONLINE, STATES, DETECTIONS, VIDEO, REPORT, *SCENES, RUN)
 # What `phdtrack groups` writes besides.
 GROUP_FILES = (GROUPS, MEMBERS, EVENTS, WARNINGS, PLAN)
 

@@ -11,11 +11,13 @@ import numpy as np
 from phdtrack import config, doctor
 from phdtrack.commands.inputs import Inputs, open_inputs
 from phdtrack.commands.job import Job
+from phdtrack.commands.learning_companion import LearningCompanion
 from phdtrack.commands.steps import Steps
 from phdtrack.commands.wanted import DEFAULT_DETECTOR, Wanted
 from phdtrack.context import read_scene
 from phdtrack.errors import InputError
 from phdtrack.formats import read_truth
+from phdtrack.models.followed_scene import FollowScene
 from phdtrack.types import Truth
 
 
@@ -31,6 +33,7 @@ class Choice:
     truth: Path | None = None
     threads: int | None = None
     scene: Path | None = None
+    learn_online: bool = False
 
 
 def chosen(choice: Choice) -> config.Settings:
@@ -40,8 +43,11 @@ def chosen(choice: Choice) -> config.Settings:
     ------
     InputError : a file that cannot be read, an unknown name, options that do not go together.
     """
-    settings = config.load(choice.config, (*_filter(choice), *choice.sets), choice.preset)
-    if choice.scene is not None:
+    online = ("learn.kind=online",) if choice.learn_online else ()
+    settings = config.load(choice.config, (*_filter(choice), *online, *choice.sets), choice.preset)
+    if choice.scene is not None and choice.learn_online:
+        settings = config.overlay(settings, {"learn": {"file": str(choice.scene)}}, "--scene")
+    elif choice.scene is not None:
         settings = config.overlay(settings, _learned(choice.scene), "--scene")
     if choice.threads is not None:
         settings = config.overlay(settings, _sharing(settings, choice.threads), "--threads")
@@ -85,10 +91,12 @@ def prepare(wanted: Wanted, choice: Choice, settings: config.Settings, command: 
     truth = None if choice.truth is None else read_truth(choice.truth)
     inputs = open_inputs(_at_least(wanted, truth), settings.detector)
     stages = config.build(settings, inputs.info)
+    steps = Steps(stages, np.random.default_rng(choice.seed))
+    learning = stages.learning
     return Job(
         inputs=inputs,
         stages=stages,
-        steps=Steps(stages, np.random.default_rng(choice.seed)),
+        steps=steps,
         seed=choice.seed,
         configuration=settings.as_dict(),
         read=_described(wanted, inputs),
@@ -97,6 +105,7 @@ def prepare(wanted: Wanted, choice: Choice, settings: config.Settings, command: 
         versions=versions(),
         truth=truth,
         video=video,
+        companion=LearningCompanion(learning, steps, inputs.name) if isinstance(learning, FollowScene) else None,
     )
 
 

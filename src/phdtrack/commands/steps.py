@@ -8,6 +8,7 @@ from phdtrack import pipeline
 from phdtrack.commands.ground import shown
 from phdtrack.filters import NoFilter
 from phdtrack.intensities import Cardinalised
+from phdtrack.models.followed_scene import SceneState
 from phdtrack.protocols import AnyStages
 from phdtrack.types import Detections, ParticleBlocks, Particles, Step, Tracks
 
@@ -23,6 +24,12 @@ class Steps:
         """Take in the detections of frame ``number`` at ``time`` seconds."""
         self._state, step = pipeline.advance(self._stages, self._state, detections, number, time, self._rng)
         return step
+
+    @property
+    def learned(self) -> SceneState:
+        """What was learned of the scene, of stages that learn while tracking."""
+        learned: SceneState = self._state.learned
+        return learned
 
     @property
     def intensity(self) -> object:

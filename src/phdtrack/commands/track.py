@@ -66,6 +66,13 @@ def track(
     mask: Mask = None,
     video: Annotated[bool, typer.Option("--video/--no-video", help="Write annotated.mp4.")] = True,
     scene: SceneFile = None,
+    learn_online: Annotated[
+        bool,
+        typer.Option(
+            "--learn-online",
+            help="Learn where false alarms and entrances are while tracking, from nothing or from --scene.",
+        ),
+    ] = False,
     truth: TruthFile = None,
     json: Json = False,
 ) -> None:
@@ -82,7 +89,7 @@ def track(
     if out is not None:
         rundir.check(out, overwrite)
     wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
-    choice = Choice(filter_name, preset, config, tuple(sets or ()), seed, truth, threads, scene)
+    choice = Choice(filter_name, preset, config, tuple(sets or ()), seed, truth, threads, scene, learn_online)
     job = prepare(wanted, choice, chosen(choice), command_line(), video=video)
     directory = rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite)
     with announced(result, job.filter_name):
@@ -127,6 +134,7 @@ MEANING = {
     rundir.WARNINGS: "groups about to meet",
     rundir.VIDEO: "to look at",
     rundir.PLAN: "the ground from above",
+    rundir.SCENES[0]: "what was learned of the scene, for --scene",
     rundir.REPORT: "the run in pictures and numbers",
     rundir.RUN: "everything that decided it, for programs",
 }
