@@ -2,7 +2,19 @@
 
 from __future__ import annotations
 
-from benchmarks import c_kernel, d14, memory, mht, numpy_twins, others, particle_phd, roofline, stone_soup, whole_tracker
+from benchmarks import (
+    c_kernel,
+    d14,
+    memory,
+    mht,
+    numpy_twins,
+    others,
+    particle_phd,
+    roofline,
+    scene,
+    stone_soup,
+    whole_tracker,
+)
 from benchmarks.parts import Part
 
 PARTS: tuple[Part, ...] = (
@@ -13,6 +25,7 @@ PARTS: tuple[Part, ...] = (
     Part("memory", "Memory", memory.run, memory.KEYS),
     Part("gm-phd", "GM-PHD filter, µs per step", others.gm_phd, ("gm_phd_us", "gm_phd")),
     Part("mht", "Multiple hypotheses, ms per frame", mht.run, mht.KEYS),
+    Part("scene", "Learned scene against uniform densities, per frame", scene.run, scene.KEYS),
     Part("d14", "D14's sequence, s", d14.run, d14.KEYS),
     Part("extraction", "Extraction, ms per frame", others.extraction, ("extraction",)),
     Part("stone-soup", "Stone Soup", stone_soup.run, stone_soup.KEYS),

@@ -80,22 +80,29 @@ class ContextDensity:
         return (1 - self.uniform) * self.weight * (self.inside > LEAST_INSIDE) / np.maximum(self.inside, LEAST_INSIDE)
 
     @cached_property
-    def table(self) -> tuple[F8, F8, F8]:
-        """The Gaussians as `mixture_density` takes them: means (M, d), L⁻¹ (M, d, d), logarithms of the peaks (M,)."""
+    def _whitening(self) -> tuple[F8, F8]:
+        """L⁻¹ (M, d, d), and logarithms of the Gaussians' peaks (M,)."""
         root = np.linalg.cholesky(self.covariance)
         log_det = np.log(np.einsum("mrr->mr", root)).sum(axis=1)
         with np.errstate(divide="ignore"):
-            log_norm = np.log(self.share) - log_det - 0.5 * self.dim * math.log(2 * math.pi)
-        return np.ascontiguousarray(self.mean.T), np.ascontiguousarray(np.linalg.inv(root)), log_norm
+            log_peak = np.log(self.share) - log_det - 0.5 * self.dim * math.log(2 * math.pi)
+        return np.linalg.inv(root), log_peak
+
+    @cached_property
+    def table(self) -> tuple[F8, F8, F8]:
+        """The Gaussians as `mixture_density` takes them: means (d, M), L⁻¹ (d(d + 1)/2, M), logarithms of the peaks (M,)."""
+        whiten, log_peak = self._whitening
+        rows, columns = np.tril_indices(self.dim)
+        return np.ascontiguousarray(self.mean), np.ascontiguousarray(whiten[:, rows, columns].T), log_peak
 
     def parts(self, x: F8) -> F8:
         """(1 + M, L) logarithms of the uniform part and of each Gaussian's at ``x`` (d, L), as if there were no border."""
-        _, whiten, log_norm = self.table
+        whiten, log_peak = self._whitening
         out = np.empty((1 + len(self), x.shape[1]))
         out[0] = math.log(self.flat)
         for m in range(len(self)):
             step = whiten[m] @ (x - self.mean[:, m, None])
-            out[1 + m] = log_norm[m] - 0.5 * np.einsum("rl,rl->l", step, step)
+            out[1 + m] = log_peak[m] - 0.5 * np.einsum("rl,rl->l", step, step)
         return out
 
     def shares(self, x: F8) -> F8:

@@ -114,15 +114,14 @@ def seen(model: BoxModel, z: F8, explained: float, dt: float) -> Seen:
 
 def _births(birth: MeasurementBirth | ContextBirth, sensor: BoxSensor, z: F8, speed: F4, dt: float) -> tuple[F4, F4]:
     """`Seen.flat` and `Seen.velocity`; ``speed`` (N,) is the deviation of the velocity's amplitude at rest."""
-    flat, velocity = np.zeros(z.shape[1], np.float32), np.zeros((5, z.shape[1]), np.float32)
+    velocity = np.zeros((5, z.shape[1]), np.float32)
     if isinstance(birth, ContextBirth):
         at = birth.around(sensor.states(z), dt)
-        flat[:] = at.density
-        # Amplitude times direction has half the variance an axis.
-        root = np.sqrt(2.0) * np.linalg.cholesky(at.covariance[:, 2:4, 2:4])
         velocity[:2] = at.mean[2:4]
-        velocity[2], velocity[3], velocity[4] = root[:, 0, 0], root[:, 1, 0], root[:, 1, 1]
-        return flat, velocity
+        # Amplitude times direction has half the variance an axis.
+        velocity[2:] = math.sqrt(2) * np.linalg.cholesky(at.covariance[:, 2:4, 2:4]).reshape(-1, 4)[:, [0, 2, 3]].T
+        return at.density.astype(np.float32), velocity
+    flat = np.zeros(z.shape[1], np.float32)
     if birth.volume == "image":
         flat[:] = birth.rate * dt / image_volume(birth.frame_size)
     velocity[2], velocity[4] = speed, speed

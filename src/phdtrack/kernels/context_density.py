@@ -1,7 +1,6 @@
 """A learned density at many points, and what it says of detections: how likely births are there, and how fast [M09 (14)].
 
-Both ask every Gaussian of every point, but most only whether it is near: what adds less than a part of 1e-16 to the uniform
-part is left out.
+Both ask every Gaussian of every point, but most only whether it is near.
 """
 
 from __future__ import annotations
@@ -15,39 +14,52 @@ from phdtrack.kernels.fast32 import ENTRY, INNER, VECTOR
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 
-# e^-40 is 4e-18.
-NEGLIGIBLE = 40.0
+# What adds less than e^-30, 1e-13, of the uniform part is left out, and around detections, where particles of single
+# precision are drawn, e^-16, 1e-7.
+NEGLIGIBLE, COARSE = 30.0, 16.0
+BATCH = 96
+
+
+@njit(**VECTOR)
+def _distances2(x: F8, j: int, mean: F8, whiten: F8, step: F8, row: F8, out: F8) -> None:
+    """(M,) squared distances of column ``j`` from the means; ``step`` (d, M) and ``row`` (M,) are scratch."""
+    d = x.shape[0]
+    for m in range(out.size):
+        out[m] = 0.0
+    for r in range(d):
+        for m in range(out.size):
+            step[r, m] = x[r, j] - mean[r, m]
+            row[m] = 0.0
+        for s in range(r + 1):
+            for m in range(out.size):
+                row[m] += whiten[r * (r + 1) // 2 + s, m] * step[s, m]
+        for m in range(out.size):
+            out[m] += row[m] * row[m]
 
 
 @njit(**ENTRY)
-def mixture_density(x: F8, low: F8, high: F8, flat: F8, mean: F8, whiten: F8, log_norm: F8) -> F8:
+def mixture_density(x: F8, low: F8, high: F8, flat: F8, mean: F8, whiten: F8, log_peak: F8) -> F8:
     """(n,) the uniform part and Gaussians at the columns of ``x`` (d, n) that lie from ``low`` to ``high`` (d,).
 
-    ``flat`` (2,): the uniform part, above 0, and what is elsewhere; ``mean`` (M, d), ``whiten`` (M, d, d) inverse Cholesky
-    factors and ``log_norm`` (M,) logarithms of the Gaussians' peaks.
+    ``flat`` (2,): the uniform part, above 0, and what is elsewhere; ``mean`` (d, M), ``whiten`` (d(d + 1)/2, M) inverse
+    Cholesky factors, row by row, and ``log_peak`` (M,) logarithms of the Gaussians' peaks.
     """
-    d, n = x.shape
+    (d, n), many = x.shape, log_peak.size
     out, cut = np.empty(n), np.log(flat[0]) - NEGLIGIBLE
+    step, row, distance2 = np.empty((d, many)), np.empty(many), np.empty(many)
     for j in range(n):
-        inside = True
+        out[j] = flat[0]
         for r in range(d):
-            inside &= low[r] <= x[r, j] <= high[r]
-        if not inside:
+            if not low[r] <= x[r, j] <= high[r]:
+                out[j] = -1.0
+        if out[j] < 0.0:
             out[j] = flat[1]
             continue
-        total = flat[0]
-        for m in range(log_norm.size):
-            log = log_norm[m]
-            for r in range(d):
-                y = 0.0
-                for s in range(r + 1):
-                    y += whiten[m, r, s] * (x[s, j] - mean[m, s])
-                log -= 0.5 * y * y
-                if not log > cut:
-                    break
+        _distances2(x, j, mean, whiten, step, row, distance2)
+        for m in range(many):
+            log = log_peak[m] - 0.5 * distance2[m]
             if log > cut:
-                total += np.exp(log)
-        out[j] = total
+                out[j] += np.exp(log)
     return out
 
 
@@ -60,10 +72,24 @@ def _beyond(place: float, noise: float, a: int, mean: F8, cov: F8, reach: F8, ou
 
 
 @njit(**VECTOR)
-def _put(work: F8, row: int, table: F8, of: int, which: I8, count: int, sign: float, plus: float) -> None:
-    """sign·table + plus for the columns ``which`` of a row ``of`` the table."""
+def _put(work: F8, row: int, table: F8, of: int, which: I8, count: int, sign: float) -> None:
+    """sign·table for the columns ``which`` of a row ``of`` the table."""
     for k in range(count):
-        work[row, k] = sign * table[of, which[k]] + plus
+        work[row, k] = sign * table[of, which[k]]
+
+
+@njit(**VECTOR)
+def _plus(work: F8, row: int, noise: F8, a: int, c: int, of: I8, count: int) -> None:
+    """row + the noise's element (a, c) of the detections ``of``."""
+    for k in range(count):
+        work[row, k] += noise[of[k], a, c]
+
+
+@njit(**VECTOR)
+def _from(work: F8, row: int, x: F8, a: int, of: I8, count: int) -> None:
+    """row + the component ``a`` of the detections ``of``."""
+    for k in range(count):
+        work[row, k] += x[a, of[k]]
 
 
 @njit(**VECTOR)
@@ -107,52 +133,76 @@ def _eliminated(work: F8, r: int, d: int, inverse: F8, factor: F8, peak2: F8, di
 
 
 @njit(**INNER)
-def _felt(x: F8, noise: F8, j: int, order: I8, r: int, mean: F8, cov: F8, reach: F8, far: F8, which: I8) -> int:
-    """The Gaussians that no component alone puts out of reach of detection ``j``, into ``which``; how many."""
+def _felt(
+    x: F8, noise: F8, j: int, order: I8, r: int, mean: F8, cov: F8, reach: F8, far: F8, which: I8, of: I8, count: int
+) -> int:
+    """Put detection ``j`` with the Gaussians that no component alone puts out of its reach behind the pairs; how many."""
     for m in range(reach.size):
         far[m] = -reach[m]
     for a in range(r):
         _beyond(x[order[a], j], noise[j, order[a], order[a]], a, mean, cov, reach, far)
-    count = 0
     for m in range(reach.size):
-        which[count] = m
+        which[count], of[count] = m, j
         count += not far[m] > 0.0
     return count
 
 
 @njit(**INNER)
-def _gathered(x: F8, noise: F8, j: int, order: I8, r: int, mean: F8, cov: F8, which: I8, count: int, work: F8) -> None:
-    """The Gaussians ``which`` with the noise of detection ``j``, and its steps from their means, into ``work``."""
+def _gathered(x: F8, noise: F8, order: I8, r: int, mean: F8, cov: F8, which: I8, of: I8, count: int, work: F8) -> None:
+    """The Gaussians with their detections' noise, and the steps from their means, of all pairs, into ``work``."""
     d = order.size
     for a in range(d):
         for c in range(a + 1):
             e = a * (a + 1) // 2 + c
-            _put(work, e, cov, e, which, count, 1.0, noise[j, order[a], order[c]] if a < r else 0.0)
-        _put(work, d * (d + 1) // 2 + a, mean, a, which, count, -1.0, x[order[a], j] if a < r else 0.0)
+            _put(work, e, cov, e, which, count, 1.0)
+            if a < r:
+                _plus(work, e, noise, order[a], order[c], of, count)
+        step = d * (d + 1) // 2 + a
+        _put(work, step, mean, a, which, count, -1.0)
+        if a < r:
+            _from(work, step, x, order[a], of, count)
 
 
 @njit(**INNER)
-def _moments(work: F8, weight: F8, count: int, j: int, order: I8, r: int, flat: float, total: float, x: F8, p: F8) -> None:
-    """Mean and covariance of the components that are not shown, those of the uniform part being in ``x`` and ``p``."""
+def _summed(work: F8, weight: F8, of: I8, count: int, order: I8, r: int, total: F8, x: F8, p: F8) -> None:
+    """Add Gaussians to their detections: their weights, and, of what is not shown, first and second moments."""
     d = order.size
     side = d * (d + 1) // 2
-    for a in range(r, d):
-        for c in range(r, a + 1):
-            i, s = order[a], order[c]
-            value = flat * (p[j, i, s] + x[i, j] * x[s, j])
-            for k in range(count):
-                value += weight[k] * (work[a * (a + 1) // 2 + c, k] + work[side + a, k] * work[side + c, k])
-            p[j, i, s] = value / total
-    for a in range(r, d):
-        value = flat * x[order[a], j]
-        for k in range(count):
-            value -= weight[k] * work[side + a, k]
-        x[order[a], j] = value / total
-    for a in range(r, d):
-        for c in range(r, a + 1):
-            i, s = order[a], order[c]
-            p[j, i, s] -= x[i, j] * x[s, j]
-            p[j, s, i] = p[j, i, s]
+    for k in range(count):
+        j, w = of[k], weight[k]
+        total[j] += w
+        for a in range(r, d):
+            x[order[a], j] -= w * work[side + a, k]
+            for c in range(r, a + 1):
+                value = work[a * (a + 1) // 2 + c, k] + work[side + a, k] * work[side + c, k]
+                p[j, order[a], order[c]] += w * value
+
+
+@njit(**INNER)
+def _uniform(x: F8, p: F8, order: I8, r: int, flat: float, total: F8) -> None:
+    """Begin the sums of `_summed` with the uniform part."""
+    d = order.size
+    for j in range(total.size):
+        total[j] = flat
+        for a in range(r, d):
+            for c in range(r, d):
+                p[j, order[a], order[c]] = flat * (p[j, order[a], order[c]] + x[order[a], j] * x[order[c], j])
+        for a in range(r, d):
+            x[order[a], j] *= flat
+
+
+@njit(**INNER)
+def _centred(x: F8, p: F8, order: I8, r: int, total: F8) -> None:
+    """From the sums of `_summed` to means and covariances."""
+    d = order.size
+    for j in range(total.size):
+        for a in range(r, d):
+            x[order[a], j] /= total[j]
+        for a in range(r, d):
+            for c in range(r, a + 1):
+                i, s = order[a], order[c]
+                p[j, i, s] = p[j, i, s] / total[j] - x[i, j] * x[s, j]
+                p[j, s, i] = p[j, i, s]
 
 
 @njit(**ENTRY)
@@ -178,22 +228,28 @@ def given_detections(
     (n,) densities; (d, n), (n, d, d) states and covariances with those of what is not shown.
     """
     (d, n), many = state.shape, reach.size
-    x, p, density = state.copy(), noise.copy(), np.empty(n)
-    work, which, far = np.empty((d * (d + 3) // 2, many)), np.empty(many, np.int64), np.empty(many)
-    inverse, weight, square, distance2 = np.empty(many), np.empty(many), np.empty(many), np.empty(many)
+    x, p, total, far = state.copy(), noise.copy(), np.empty(n), np.empty(many)
+    # Several detections at a time: loops over few Gaussians are not worth their start.
+    room = many + BATCH
+    work, which, of = np.empty((d * (d + 3) // 2, room)), np.empty(room, np.int64), np.empty(room, np.int64)
+    inverse, weight, square, distance2 = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
+    _uniform(x, p, order, r, flat, total)
+    count = 0 * n
     for j in range(n):
-        count = _felt(state, noise, j, order, r, mean, cov, reach, far, which)
-        _gathered(state, noise, j, order, r, mean, cov, which, count, work)
+        count = _felt(state, noise, j, order, r, mean, cov, reach, far, which, of, count)
+        if count < BATCH and j < n - 1:
+            continue
+        _gathered(state, noise, order, r, mean, cov, which, of, count, work)
         for k in range(count):
             square[k], distance2[k] = peak2[which[k]], 0.0
         _eliminated(work, r, d, inverse, weight, square, distance2, count)
-        total = flat
         for k in range(count):
             weight[k] = np.sqrt(square[k]) * np.exp(-0.5 * distance2[k])
-            total += weight[k]
-        _moments(work, weight, count, j, order, r, flat, total, x, p)
-        inside = True
+        _summed(work, weight, of, count, order, r, total, x, p)
+        count = 0 * n
+    _centred(x, p, order, r, total)
+    for j in range(n):
         for a in range(r):
-            inside &= low[a] <= state[order[a], j] <= high[a]
-        density[j] = total if inside else 0.0
-    return density, x, p
+            if not low[a] <= state[order[a], j] <= high[a]:
+                total[j] = 0.0
+    return total, x, p

@@ -19,7 +19,7 @@ import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
 from phdtrack.context import ContextDensity, marginal
-from phdtrack.kernels.context_density import NEGLIGIBLE, given_detections, mixture_density
+from phdtrack.kernels.context_density import COARSE, given_detections, mixture_density
 from phdtrack.models.births import gaussians_about, particles_about
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, I8, GaussianMixture, Particles
@@ -91,7 +91,7 @@ class ContextBirth:
         with np.errstate(divide="ignore"):
             log_peak = 0.5 * (np.log(peak2) - np.linalg.slogdet(cov[:, :r, :r])[1])
         # Below 0 nothing is near enough.
-        reach = 2 * np.maximum(log_peak - np.log(shown.flat) + NEGLIGIBLE, -1.0)
+        reach = 2 * np.maximum(log_peak - np.log(shown.flat) + COARSE, -1.0)
         triangles = np.ascontiguousarray(cov[:, *lower].T)
         return order, r, shown.low, shown.high, shown.flat, p.mean[order], triangles, peak2, reach
 

@@ -1,0 +1,124 @@
+"""What a learned scene costs: ms per frame of each filter with learned births and false alarms, against uniform ones.
+
+`benchmarks.workload`'s boxes, detections in and tracks out, under the default settings of each filter. Rates are the same on
+both sides, and half of what is born and of the false alarms comes from Gaussians: as many as said at places drawn over the
+whole area, or M09's grids from which learning begins (12 × 10 for births, 16 × 14 for false alarms), of which each is felt
+by most detections. Of what is learned a Gaussian needs 14 tracks, or 7 false alarms, to stay: M09's 320 tracks leave 23 at
+most. The sides take turns; a frame counts with its fastest run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.parts import Outcome, Row, Scale
+from benchmarks.timing import Spread, clock, took
+from benchmarks.workload import Crowd, Stream, draw
+from phdtrack import config, pipeline
+from phdtrack.context import ContextDensity, grid, marginal
+from phdtrack.context.samples import state_volume
+from phdtrack.models import MeasurementBirth, UniformClutter
+from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.models.volume import image_volume
+from phdtrack.protocols import AnyStages
+from phdtrack.types import F8
+
+KEYS = ("scene_ratio", "scene")
+FILTERS = ("particle-phd", "gm-phd", "gm-cphd", "mht", "mcmc")
+SLOW = ("mht", "mcmc")
+TARGETS = 15
+BIRTHS, ALARMS = 0.1, 5.0
+LIMIT = 1.05
+SHOWN = (0, 1, 4, 5)
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """How many Gaussians births and false alarms have; none: M09's grids."""
+
+    births: int = 0
+    alarms: int = 0
+
+    @property
+    def name(self) -> str:
+        return f"{self.births} + {self.alarms} places" if self.births else "M09's grids"
+
+
+CASES = (Places(10, 30), Places(25, 60), Places(50, 120), Places())
+
+
+def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
+    """Ratios learned/uniform of every filter and case."""
+    rows, details = [], []
+    for name in FILTERS:
+        say(name)
+        frames, repeats = (30, 2) if name in SLOW else (60, 20)
+        stream = draw(Crowd(min(TARGETS, max(scale.sizes)), min(scale.frames, frames), clutter=ALARMS), 1)
+        for row, detail in _measured(name, stream, min(scale.repeats, repeats)):
+            rows.append(row)
+            details.append(detail)
+    return Outcome(tuple(rows), {"scene_ratio": {row.what: row.value for row in rows}, "scene": details})
+
+
+def _measured(name: str, stream: Stream, repeats: int) -> Iterator[tuple[Row, dict[str, Any]]]:
+    """Row and details of each case."""
+    plain = config.build(config.load(sets=[f"filter.kind={name}"]), stream.info)
+    size = (float(stream.info.width), float(stream.info.height))
+    uniform = _with(plain, MeasurementBirth(BIRTHS, 500, "image", size), UniformClutter(ALARMS, image_volume(size)))
+    whole, step = _fastest([uniform, *(_learned(plain, size, places) for places in CASES)], stream, repeats)
+    for places, frame, alone in zip(CASES, whole[1:], step[1:], strict=True):
+        ratio, of_step = float(frame.sum() / whole[0].sum()), float(alone.sum() / step[0].sum())
+        note = f"uniform {1e3 * whole[0].mean():.3g} ms; the filter alone {of_step:.2f} × {1e3 * step[0].mean():.3g} ms"
+        row = Row(f"{name}, {places.name}", ratio, "×", Spread.of(frame / whole[0]), LIMIT, note=note)
+        detail = {"ratio": ratio, "filter_ratio": of_step, "uniform_ms": 1e3 * float(whole[0].mean())}
+        yield row, {"filter": name, "case": places.name} | detail
+
+
+def _with(stages: AnyStages, birth: Any, clutter: Any) -> AnyStages:
+    return replace(stages, model=replace(stages.model, birth=birth, clutter=clutter))
+
+
+def _learned(stages: AnyStages, size: tuple[float, float], places: Places) -> AnyStages:
+    births, alarms = _density(size, places.births, (12, 10)), marginal(_density(size, places.alarms, (16, 14)), SHOWN)
+    return _with(stages, ContextBirth(BIRTHS, births, most=500), ContextClutter(ALARMS, alarms))
+
+
+def _density(size: tuple[float, float], count: int, counts: tuple[int, int]) -> ContextDensity:
+    """Of states: ``count`` places about 30 pixels wide, or the grid."""
+    low, high = state_volume(*size, 20.0)
+    usual, spread = np.array([0.0, 0, 0, 0, 35, 70]), np.array([30.0, 30, 2, 2, 9, 18])
+    if not count:
+        return grid(low, high, counts, usual, spread, uniform=0.5)
+    rng = np.random.default_rng(count)
+    mean = np.tile(usual[:, None], count)
+    mean[:2] = rng.uniform(0, 1, (2, count)) * np.array(size)[:, None]
+    return ContextDensity(low, high, 0.5, np.full(count, 1 / count), mean, np.tile(np.diag(spread**2), (count, 1, 1)))
+
+
+def _fastest(sides: list[AnyStages], stream: Stream, repeats: int) -> tuple[F8, F8]:
+    """(sides, frames) seconds of each frame's fastest run, of the second half: all of it, and the filter alone."""
+    found: list[list[list[tuple[float, float]]]] = [[] for _ in sides]
+    # The first runs compile.
+    for turn in range(1 + repeats):
+        for side, stages in enumerate(sides):
+            spent = _run(stages, stream)
+            if turn:
+                found[side].append(spent)
+    whole, step = np.moveaxis(np.array(found).min(axis=1), 2, 0)
+    half = whole.shape[1] // 2
+    return whole[:, half:], step[:, half:]
+
+
+def _run(stages: AnyStages, stream: Stream) -> list[tuple[float, float]]:
+    """Seconds of each frame, and of the filter in it."""
+    rng = np.random.default_rng(0)
+    state, spent = pipeline.start(stages, rng), []
+    for number, found in enumerate(stream.detections(), start=1):
+        began = clock()
+        state, step = pipeline.advance(stages, state, found, number, number / stream.info.fps, rng)
+        spent.append((took(began, clock())[0], step.seconds[0]))
+    return spent
