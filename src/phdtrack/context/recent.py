@@ -9,7 +9,7 @@ that it does not explain lie together, more than a component must explain to sta
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,9 +20,11 @@ from phdtrack.types import F8, Bool
 # Memories after which a sample is dropped: it is worth 14 % then.
 OLDEST = 2.0
 # Passes over the samples each time: the density begins where it was.
-_LEARNER = RecursiveEM(passes=3)
+_LEARNER = RecursiveEM(passes=3, floor=0.005)
 # New components a time, and samples that are looked at for them.
 _NEW, _LOOKED_AT = 4, 200
+# Steps of EM for the share of the uniform part.
+_STEPS = 20
 # How far samples lie apart that are of one place, in parts of their size: boxes of the same thing, people at a door.
 _NEAR, _DOOR = 0.15, 1.0
 
@@ -76,7 +78,22 @@ def relearned(density: ContextDensity, window: Recent, now: float, memory: float
     """The density of the samples in the window, from what it was before."""
     worth = window.worth(now, memory)
     begun = _with_new(density, window, worth)
-    return _LEARNER.learn(begun, window.samples, worth) if len(begun) else begun
+    if not len(begun):
+        return begun
+    # A sample from nowhere would otherwise pull the nearest component over to itself.
+    explained = 1 - begun.shares(window.samples)[0]
+    return _mixed(_LEARNER.learn(begun, window.samples, worth * explained), window.samples, worth)
+
+
+def _mixed(density: ContextDensity, samples: F8, worth: F8) -> ContextDensity:
+    """The same Gaussians with the share of the uniform part that fits the samples best."""
+    parts = density.parts(samples)
+    ratio = np.exp(np.minimum(700.0, np.logaddexp.reduce(parts[1:], axis=0) - parts[0]))
+    ratio *= density.uniform / (1 - density.uniform)
+    share = density.uniform
+    for _ in range(_STEPS):
+        share = float(np.average(share / (share + (1 - share) * ratio), weights=worth))
+    return replace(density, uniform=min(1 - LEAST_UNIFORM, max(LEAST_UNIFORM, share)))
 
 
 def _with_new(density: ContextDensity, window: Recent, worth: F8) -> ContextDensity:
@@ -101,17 +118,32 @@ def _with_new(density: ContextDensity, window: Recent, worth: F8) -> ContextDens
             break
         found.append((float(mass[best]), x @ (near[best] * left) / mass[best]))
         left = left * (1 - near[best])
-    if not found:
+    if found:
+        means = np.stack([mean for _, mean in found], axis=1)
+        density = _joined(density, np.array([mass for mass, _ in found]), means, np.diag(spread**2), float(worth.sum()))
+    return _with_rest(density, window, worth)
+
+
+def _with_rest(density: ContextDensity, window: Recent, worth: F8) -> ContextDensity:
+    """With one component for all that is left to the uniform part, where that is enough: it may be much smaller than the
+    volume, as boxes of people anywhere in the image are."""
+    left = worth * density.shares(window.samples)[0]
+    mass = float(left.sum())
+    if mass <= parameters(density.dim) / 2:
         return density
-    share = np.array([mass for mass, _ in found])
-    # What the samples are worth is divided: what was explained before, and what is now.
-    explained = (1 - density.uniform) * (worth.sum() - share.sum())
-    weight = np.concatenate([density.weight * max(explained, 1e-3), share])
-    mean = np.hstack([density.mean, np.stack([mean for _, mean in found], axis=1)])
-    cov = np.concatenate([density.covariance, np.tile(np.diag(spread**2), (len(found), 1, 1))])
-    gaussian = (max(explained, 0.0) + share.sum()) / worth.sum()
-    uniform = min(1 - LEAST_UNIFORM, max(LEAST_UNIFORM, 1 - gaussian))
-    return ContextDensity(density.low, density.high, uniform, weight / weight.sum(), mean, cov)
+    mean = (window.samples @ left / mass)[:, None]
+    step = window.samples - mean
+    cov = (left * step) @ step.T / mass + np.diag((1e-3 * (density.high - density.low)) ** 2)
+    return _joined(density, np.array([mass]), mean, cov, float(worth.sum()))
+
+
+def _joined(density: ContextDensity, mass: F8, mean: F8, covariance: F8, total: float) -> ContextDensity:
+    """With more components, at ``mean`` (d, k), all with one covariance (d, d), that explain ``mass`` (k,) of ``total``."""
+    explained = (1 - density.uniform) * max(total - float(mass.sum()), 1e-3 * total)
+    weight = np.concatenate([density.weight * explained, mass])
+    uniform = min(1 - LEAST_UNIFORM, max(LEAST_UNIFORM, 1 - float(weight.sum()) / total))
+    cov = np.concatenate([density.covariance, np.tile(covariance, (len(mass), 1, 1))])
+    return ContextDensity(density.low, density.high, uniform, weight / weight.sum(), np.hstack([density.mean, mean]), cov)
 
 
 def _spread(density: ContextDensity, samples: F8) -> F8:
