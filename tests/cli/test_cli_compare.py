@@ -8,12 +8,15 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cli_runner import phdtrack, refused, walkers
 
 from phdtrack.compare import work
+from phdtrack.context import Learned, Scene, uniform_density, write_scene
 
 FILES = {"report.html", "compare.csv", "runs.csv", "compare.json"}
 QUICK = ("--filters", "gm-phd,none", "--seeds", 2, "--jobs", 1)
@@ -200,3 +203,20 @@ def test_somebody_elses_folder_is_left_alone(folder: Path, tmp_path: Path) -> No
     (out / "report.html").write_text("mine")
     assert "--overwrite" in refused("compare", folder, *QUICK, "--out", out)
     assert (out / "report.html").read_text() == "mine"
+
+
+def test_a_learned_scene_is_every_methods(folder: Path, tmp_path: Path) -> None:
+    scene = tmp_path / "my scene.json"
+    low, high = np.zeros(4), np.array([320.0, 240, 320, 240])
+    learned = Learned(3.0, uniform_density(low, high), 20)
+    write_scene(scene, Scene(320, 240, 25.0, "yard", clutter=learned))
+    out = tmp_path / "out"
+    said = phdtrack("compare", folder, *QUICK, "--clutter", "4", "--scene", scene, "--out", out)
+    assert said.status == 0, said.err
+    for row in rows(out / "runs.csv"):
+        configuration = json.loads((out / row["folder"] / "run.json").read_text())["configuration"]
+        assert configuration["clutter"] == {"kind": "scene", "file": str(scene)}
+    # What is learned anew makes runs anew.
+    write_scene(scene, Scene(320, 240, 25.0, "yard", clutter=replace(learned, rate=4.0)))
+    again = phdtrack("compare", folder, *QUICK, "--clutter", "4", "--scene", scene, "--out", out)
+    assert "kept from before" not in again.out

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from phdtrack import rundir
-from phdtrack.commands.options import Config, Iou, Json, MaxWidth, Preset, Sets
+from phdtrack.commands.options import Config, Iou, Json, MaxWidth, Preset, SceneFile, Sets
 from phdtrack.commands.output import Output, progress
 from phdtrack.commands.scoring import check_iou
 from phdtrack.errors import InputError
@@ -63,6 +63,7 @@ def compare(
     preset: Preset = "",
     config: Config = None,
     sets: Sets = None,
+    scene: SceneFile = None,
     truth: Annotated[
         str, typer.Option("--truth", metavar="FILE", help="Annotated objects of a video; {} stands for its name.")
     ] = "",
@@ -86,10 +87,11 @@ def compare(
     """Compare filters: one table, with confidence intervals over seeds, plots, and the frames in which they differ most.
 
     Every run is kept. The same command again takes up what is there, after Ctrl-C too, and runs only what is missing or
-    what is decided by something that has changed: a setting, a file, phdtrack itself. A run that fails is told in the table,
-    the others go on, and the exit status is 1.
+    what is decided by something that has changed: a setting, a file, phdtrack itself. What --scene has taught holds for
+    every filter. A run that fails is told in the table, the others go on, and the exit status is 1.
     """
     from phdtrack.commands.compare_results import Results, tell, write
+    from phdtrack.commands.configured import scene_sets
     from phdtrack.compare import check_scores, plan, run, steps, summary
     from phdtrack.compare.worst import worst_frames
     from phdtrack.report import write_run
@@ -109,7 +111,7 @@ def compare(
         variants=variants or (),
         preset=preset,
         file=config,
-        sets=sets or (),
+        sets=(*(scene_sets(scene) if scene is not None else ()), *(sets or ())),
         truth=truth,
         max_width=max_width,
         iou=iou,

@@ -75,6 +75,11 @@ def _learned(file: Path) -> dict[str, dict[str, str]]:
     return {name: given for name, learned in parts.items() if learned is not None}
 
 
+def scene_sets(file: Path) -> tuple[str, ...]:
+    """The same as assignments, as ``--set`` takes them."""
+    return tuple(f"{section}.{name}={value}" for section, given in _learned(file).items() for name, value in given.items())
+
+
 def _sharing(settings: config.Settings, threads: int) -> dict[str, dict[str, Any]]:
     """Settings that give the filter so many threads, and the extraction where it can use them."""
     extract: Any = settings.as_dict()["extract"]
