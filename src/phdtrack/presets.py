@@ -59,8 +59,8 @@ USUAL: Mapping[str, Mapping[str, Mapping[str, Any]]] = {"plane": PLANE, "point":
 
 PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "default": {
-        "motion": {"acceleration": 0.03, "resize": 0.07, "survival": 0.99},
-        "sensor": {"detection": 0.9, "spread": 0.15, "scaling": "particle"},
+        "motion": {"acceleration": 0.005, "resize": 0.07, "survival": 0.997},
+        "sensor": {"detection": 0.8, "spread": 0.15, "scaling": "particle"},
         "birth": {"rate": 0.01, "most": 500, "volume": "local"},
         "clutter": {"rate": 0.3, "volume": "local"},
         "filter": {"per_target": 750},

@@ -48,4 +48,4 @@ def test_a_frame_that_nobody_looked_at_is_predicted():
     tracker.update(Detections.empty(observed=False))
     after = tracker.state.intensity
     assert len(after) == len(before)
-    np.testing.assert_allclose(after.weight, 0.99 * before.weight)
+    np.testing.assert_allclose(after.weight, 0.997 * before.weight)

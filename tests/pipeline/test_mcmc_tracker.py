@@ -58,7 +58,7 @@ def test_a_frame_that_nobody_looked_at_is_predicted():
     tracker.update(Detections.empty(observed=False))
     after = tracker.state.intensity
     np.testing.assert_array_equal(after.label, before.label)
-    np.testing.assert_allclose(after.chance, 0.99 * before.chance)
+    np.testing.assert_allclose(after.chance, 0.997 * before.chance)
     np.testing.assert_array_equal(after.origin, before.state)
 
 

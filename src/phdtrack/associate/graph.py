@@ -68,8 +68,8 @@ class GraphMatching:
     span: Positive = 2.0
     shortest: PositiveCount = 5
     gate: Positive = 4.0
-    miss: Share = 0.8
-    worth: Probability = 0.75
+    miss: Share = 0.9
+    worth: Probability = 0.8
     consistent: Positive = 3.0
     delay: Count = 0
     coast: NonNegative = 0.2
