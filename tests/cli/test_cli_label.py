@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 import urllib.error
 import urllib.request
 
@@ -117,3 +118,40 @@ def test_mistakes_are_told(sequence, monkeypatch, arguments, words):
     assert done.status == 2
     assert words in done.err
     assert done.err.count("\n") == 1
+
+
+def test_suggestions_come_while_the_page_is_open(tmp_path):
+    """A place that fires, and somebody who walks by: the page answers at once, and is told of the place a little later."""
+    rng = np.random.default_rng(0)
+    rows = [f"{k},-1,{20 + 0.5 * k},60,20,40,1,-1,-1,-1" for k in range(1, 401)]
+    for k in np.flatnonzero(rng.random(400) < 0.5) + 1:
+        left, top = np.array([200.0, 20]) + rng.normal(0, 1.5, 2)
+        rows.append(f"{k},-1,{left:.1f},{top:.1f},24,24,1,-1,-1,-1")
+    (tmp_path / "det.txt").write_text("\n".join(sorted(rows, key=lambda row: int(row.split(",")[0]))) + "\n")
+    arguments = ("--detections", "det.txt", "--frame-size", "320x240", "--fps", "25", "--frames", "10")
+    page = Started(*arguments, cwd=tmp_path)
+    for _ in range(600):
+        told = json.loads(page.ask("api/suggestions"))
+        if told["ready"]:
+            break
+        time.sleep(0.1)
+    page.leave()
+    assert told["problem"] == ""
+    ticked = [item for item in told["items"] if item[3] >= told["ticked"]]
+    assert {reason for _, _, reason, _, _ in ticked} == {"place"}
+    assert len({place for *_, place in ticked}) == 1
+    assert 1 <= len(ticked) <= 10
+    # They are kept: the next page has them from the start. One that was told not to look has none.
+    assert (tmp_path / "det.labels.suggestions.json").exists()
+    again = Started(*arguments, cwd=tmp_path)
+    for _ in range(50):
+        told_again = json.loads(again.ask("api/suggestions"))
+        if told_again["ready"]:
+            break
+        time.sleep(0.1)
+    again.leave()
+    assert told_again["items"] == told["items"]
+    without = Started(*arguments, "--no-suggest", cwd=tmp_path)
+    told = json.loads(without.ask("api/suggestions"))
+    without.leave()
+    assert (told["ready"], told["items"]) == (True, [])
