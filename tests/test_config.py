@@ -60,7 +60,7 @@ EVERY = [
     if field.name not in ("frame_size", "births", "initial", "remember_size", "camera", "hiders", "borders")
     # Files must be there.
     and field.name != "file"
-    and kind not in ("learned", "scene")
+    and kind != "scene"
 ]
 
 

@@ -11,9 +11,8 @@ from phdtrack.errors import InputError
 from phdtrack.extract import BestHypothesis, Components, CountedComponents, CountedMixture, KMeans, Raw
 from phdtrack.filters import GMCPHD, GMPHD, MHT, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.models import LocalPlaneClutter, PlaneBirth, PlaneMotion, PlaneSensor
-from phdtrack.models.learned_births import write_births
 from phdtrack.presets import PRESETS
-from phdtrack.types import GaussianMixture, SequenceInfo
+from phdtrack.types import SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0)
 
@@ -92,7 +91,7 @@ def test_the_ground_plane_brings_what_fits_it(filter_: str, order: int):
 @pytest.mark.parametrize(("sets", "says"), [
     (["sensor.kind=plane"], "motion.kind=plane"),
     (["motion.kind=plane", "sensor.kind=box"], "motion.kind=box"),
-    (["motion.kind=plane", "birth.kind=measurement"], "ground or places or learned"),
+    (["motion.kind=plane", "birth.kind=measurement"], "ground or places or scene"),
     (["motion.kind=plane", "spawn.kind=split"], "spawn.kind"),
     (["birth.kind=ground"], "motion.kind=plane"),
     (["clutter.kind=ground"], "motion.kind=plane"),
@@ -114,21 +113,6 @@ def test_on_the_ground_a_uniform_density_needs_a_region():
     )
     density = config.build(config.load(sets=["motion.kind=plane", "clutter.density=1e-4"]), INFO).model.clutter
     np.testing.assert_array_equal(density.intensity(np.zeros((5, 3))), 1e-4)
-
-
-@pytest.mark.parametrize("world", [[], ["motion.kind=plane", "camera.region=[-10, 0, 10, 40]"]], ids=["box", "plane"])
-def test_births_are_learned_from_a_file(world: list[str], tmp_path):
-    d = 4 if world else 6
-    births = GaussianMixture(np.array([0.3]), np.arange(1.0, d + 1)[:, None], np.eye(d)[None])
-    write_births(tmp_path / "births.json", births)
-    sets = [*world, "birth.kind=learned", f"birth.file='{tmp_path / 'births.json'}'"]
-    birth = config.build(config.load(sets=sets), INFO).model.birth
-    np.testing.assert_array_equal(birth.mixture.mean, births.mean)
-    other = [] if world else ["motion.kind=plane", "camera.region=[-10, 0, 10, 40]"]
-    with pytest.raises(InputError, match="components"):
-        config.build(config.load(sets=[*other, *sets[len(world) :]]), INFO)
-    with pytest.raises(InputError, match="needs a value for file"):
-        config.load(sets=[*world, "birth.kind=learned"])
 
 
 @pytest.mark.parametrize("place", ["[1, 2, -1, 1, 1]", "[1, 2, 1, 0, 1]", "[1, 2, 1, 1, nan]"])

@@ -7,7 +7,7 @@ that it makes (its docstring explains them) and, where there is a choice, ``kind
     [sensor]
     detection = 0.9
     [birth]
-    kind = "measurement"           # measurement, uniform, fixed, learned, scene
+    kind = "measurement"           # measurement, uniform, fixed, scene
     rate = 0.02
 
 On the command line the same is ``--set sensor.detection=0.9``. An unknown name is an error that says the nearest one.
@@ -62,7 +62,6 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
         "measurement": MeasurementBirth,
         "uniform": UniformBirth,
         "fixed": worlds.FixedBirthSettings,
-        "learned": worlds.LearnedBirthSettings,
         "scene": worlds.SceneBirthSettings,
         "ground": PlaneBirth,
         "places": worlds.PlacesBirthSettings,
@@ -105,19 +104,19 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
 _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
     ("motion", "box"): {
         "sensor": ("box",),
-        "birth": ("measurement", "uniform", "fixed", "learned", "scene"),
+        "birth": ("measurement", "uniform", "fixed", "scene"),
         "clutter": ("image", "scene"),
     },
     ("motion", "plane"): {
         "sensor": ("plane",),
-        "birth": ("ground", "places", "learned"),
+        "birth": ("ground", "places", "scene"),
         "clutter": ("ground",),
         "spawn": ("none",),
         "learn": ("none",),
     },
     ("motion", "point"): {
         "sensor": ("point",),
-        "birth": ("point", "uniform", "fixed", "learned"),
+        "birth": ("point", "uniform", "fixed", "scene"),
         "clutter": ("point",),
         "spawn": ("none",),
         "learn": ("none",),

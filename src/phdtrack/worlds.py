@@ -30,7 +30,6 @@ from phdtrack.models import (
     UniformClutter,
 )
 from phdtrack.models.followed_scene import FollowScene
-from phdtrack.models.learned_births import read_births
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, area, check_region
 from phdtrack.models.volume import Volume, image_area, image_volume
@@ -137,17 +136,6 @@ class PlacesBirthSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class LearnedBirthSettings:
-    """``file``: births as a Gaussian mixture, as `models.learned_births` writes it; ``count``: particles of each."""
-
-    file: str
-    count: PositiveCount = 300
-
-    def __post_init__(self) -> None:
-        check(self)
-
-
-@dataclass(frozen=True, slots=True)
 class SceneBirthSettings:
     """``file``: births as `phdtrack learn` has learned them in this scene; ``most``: Jmax, see MeasurementBirth."""
 
@@ -212,12 +200,12 @@ def build_model(record: Record, kinds: Mapping[str, str], info: SequenceInfo) ->
         point: PointSensor = record("sensor")
         motion = record("motion", births=record("spawn"))
         clutter = UniformClutter(record("clutter").rate, image_area(size))
-        return Model(motion, point, _image_birth(record, kinds["birth"], point, size, motion.dim), clutter, rate)
+        return Model(motion, point, _image_birth(record, kinds["birth"], point, size), clutter, rate)
     if kinds["motion"] == "box":
         sensor: BoxSensor = record("sensor")
         remember = sensor.scaling == "previous"
         motion = record("motion", frame_size=size, births=record("spawn"), remember_size=remember)
-        birth = _image_birth(record, kinds["birth"], sensor, size, motion.dim)
+        birth = _image_birth(record, kinds["birth"], sensor, size)
         return Model(motion, sensor, birth, _box_clutter(record, kinds["clutter"], size), rate)
     ground: CameraSettings = record("camera")
     camera: Camera | None = read_camera(ground.file) if ground.file else None
@@ -227,7 +215,7 @@ def build_model(record: Record, kinds: Mapping[str, str], info: SequenceInfo) ->
     person: PlaneSensor = record("sensor", camera=camera, borders=region, frame_size=size)
     # Who has left what can be seen would else live on, as nobody misses him there.
     motion = record("motion", births=record("spawn"), borders=region if person.view else EVERYWHERE)
-    birth = _ground_birth(record, kinds["birth"], region)
+    birth = _ground_birth(record, kinds["birth"], person, region, size)
     return Model(motion, person, birth, _ground_clutter(record, region), rate, first=rate / info.fps)
 
 
@@ -269,19 +257,19 @@ def _region(ground: CameraSettings, camera: Camera | None, size: tuple[float, fl
     return float(left), float(low), float(right), float(high)
 
 
-def _image_birth(record: Record, kind: str, sensor: BoxSensor | PointSensor, size: tuple[float, float], dim: int) -> Birth:
+def _image_birth(record: Record, kind: str, sensor: BoxSensor | PointSensor, size: tuple[float, float]) -> Birth:
     if kind == "fixed":
         fixed: FixedBirthSettings = record("birth")
         return FixedBirth(_boxes(sensor, fixed.boxes, fixed.rate), fixed.count)
-    if kind == "learned":
-        return _learned(record("birth"), dim)
     if kind == "scene":
-        return _scene_birth(record("birth"), size, record("time").rate)
+        return _scene_birth(record("birth"), size, record("time").rate, sensor.observed)
     birth: Birth = record("birth", frame_size=size)
     return birth
 
 
-def _scene_birth(settings: SceneBirthSettings, size: tuple[float, float], rate: float) -> ContextBirth:
+def _scene_birth(
+    settings: SceneBirthSettings, size: tuple[float, float], rate: float, observed: tuple[int, ...]
+) -> ContextBirth:
     scene = _scene(settings.file, size)
     if scene.births is None:
         raise InputError("births were not learned in this scene", where=settings.file, cure="Leave birth.kind out")
@@ -291,7 +279,14 @@ def _scene_birth(settings: SceneBirthSettings, size: tuple[float, float], rate: 
             where=settings.file,
             cure=f"Say --set time.rate={scene.rate:g}, or learn again",
         )
-    return ContextBirth(scene.births.rate, scene.births.density, most=settings.most)
+    # What is not shown are the two velocities.
+    if scene.births.density.dim != len(observed) + 2:
+        raise InputError(
+            f"expected births of {len(observed) + 2} components, got {scene.births.density.dim}",
+            where=settings.file,
+            cure="Learn them with the motion.kind that they are used with",
+        )
+    return ContextBirth(scene.births.rate, scene.births.density, observed, settings.most)
 
 
 def _scene(file: str, size: tuple[float, float]) -> Scene:
@@ -316,25 +311,14 @@ def _scene_files(named: str) -> list[str]:
     return found
 
 
-def _ground_birth(record: Record, kind: str, region: Region) -> Birth:
+def _ground_birth(record: Record, kind: str, person: PlaneSensor, region: Region, size: tuple[float, float]) -> Birth:
     if kind == "places":
         fixed: PlacesBirthSettings = record("birth")
         return FixedBirth(_places(fixed.places), fixed.count)
-    if kind == "learned":
-        return _learned(record("birth"), 4)
+    if kind == "scene":
+        return _scene_birth(record("birth"), size, record("time").rate, person.observed)
     birth: Birth = record("birth", borders=region)
     return birth
-
-
-def _learned(settings: LearnedBirthSettings, dim: int) -> FixedBirth:
-    mixture = read_births(Path(settings.file))
-    if len(mixture.mean) != dim:
-        raise InputError(
-            f"expected births of {dim} components, got {len(mixture.mean)}",
-            where=settings.file,
-            cure="Learn them with the motion that they are used with",
-        )
-    return FixedBirth(mixture, settings.count)
 
 
 def _box_clutter(record: Record, kind: str, size: tuple[float, float]) -> Clutter:

@@ -84,3 +84,17 @@ def test_boxes_count_by_their_certainty():
     assert p[0] / p[1] == pytest.approx(9, rel=0.35)
     with pytest.raises(InputError, match="at least 10 detections marked as false, got 2"):
         learn_clutter(boxes, 40, SIZE, RecursiveEM(), weight / 50)
+
+
+def test_births_on_the_ground_have_no_size():
+    """A region that does not begin at 0; the gain is that of the Gaussian over the region."""
+    rng = np.random.default_rng(4)
+    mean, deviation = np.array([-8.0, 6, 1, 0]), np.array([1.0, 0.7, 0.4, 0.4])
+    states = mean[:, None] + deviation[:, None] * rng.standard_normal((4, 200))
+    lesson = learn_births(states, 400.0, (30.0, 40.0), RecursiveEM(), (-15.0, -20.0))
+    density = lesson.learned.density
+    np.testing.assert_array_equal(density.low[:2], [-15, -20])
+    np.testing.assert_array_equal(density.high[:2], [15, 20])
+    assert density.mean[:, np.argmax(density.weight)] == pytest.approx(mean, abs=0.3)
+    entropy = 0.5 * 4 * np.log(2 * np.pi * np.e) + np.log(deviation).sum()
+    assert lesson.gain == pytest.approx(np.log(density.volume) - entropy, abs=0.4)

@@ -53,3 +53,11 @@ def test_volumes_are_those_that_uniform_models_use():
     assert np.prod(high - low) == image_volume((640.0, 480.0))
     low, high = state_volume(640, 480, 30)
     assert np.prod(high - low) == image_volume((640.0, 480.0)) * 60**2
+
+
+def test_rows_may_show_less_than_a_box():
+    tracks = Tracks.concatenate([track(1, 1, 9, (0, 0), (0, 0)), track(2, 3, 20, (50, 60), (2, -1))])
+    metres = 0.1 * (tracks.xyxy[:, :2] + tracks.xyxy[:, 2:]).T / 2
+    states = first_states(tracks, fps=10, rate=1, shown=metres)
+    np.testing.assert_allclose(states[:, 0], [5, 6, 2, -1])
+    assert states.shape == (4, 1)

@@ -107,7 +107,8 @@ def learn(
     write_scene(target, scene)
     page = target.with_name(target.name.removesuffix(".json") + ".html")
     use = f"phdtrack track {source or f'--detections {detections}'} --scene {target}"
-    lead = " ".join(_told(taught.lesson) for taught in (born, alarms) if taught.lesson is not None)
+    named = (("Births", born.lesson), ("False alarms", alarms.lesson))
+    lead = " ".join(_told(what, lesson) for what, lesson in named if lesson is not None)
     lessons = Lessons(scene, _picture(stills(source, fps, [1])), born.gain, alarms.gain, born.source, alarms.source)
     page.write_text(scene_page(lessons, lead, use), encoding="utf-8")
     result.say(f"{target}, with its maps in {page}; use it: {use}")
@@ -127,10 +128,8 @@ def _stretch(first: int, last: int, end: int) -> range:
     return stretch
 
 
-def _told(lesson: Lesson) -> str:
-    p = lesson.learned.density
-    what = "Births" if p.dim == 6 else "False alarms"
-    return f"{what}: {counted(len(p), 'place')} from {counted(lesson.learned.samples, 'sample')}."
+def _told(what: str, lesson: Lesson) -> str:
+    return f"{what}: {counted(len(lesson.learned.density), 'place')} from {counted(lesson.learned.samples, 'sample')}."
 
 
 def _picture(pictures: dict[int, bytes]) -> Image:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from phdtrack.label.suggest import Evidence, Suggestions
     from phdtrack.protocols import AnyStages
 
+_ONLY_BOXES = "false alarms stay uniform: a density of them is learned for boxes in the image only (motion.kind=box)"
 # Frames, drawn at random, whose suggestions are taken where nobody labels: M09's false alarms were of as many.
 UNATTENDED = 200
 LIMITS = (
@@ -59,6 +60,27 @@ class Classroom:
         """Width and height of a frame in pixels."""
         return float(self.found.info.width), float(self.found.info.height)
 
+    @property
+    def of_boxes(self) -> bool:
+        """Whether targets are boxes in the image, and not points in it or people on the ground."""
+        return len(self.stages.model.sensor.observed) == 4
+
+    def region(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Size and corner of what births are spread over: the frame, pixels, or a region of the ground, metres.
+
+        Raises `InputError` where the ground has no region.
+        """
+        from phdtrack.models import PlaneSensor
+        from phdtrack.models.region import EVERYWHERE
+
+        sensor = self.stages.model.sensor
+        if not isinstance(sensor, PlaneSensor):
+            return self.size, (0.0, 0.0)
+        if sensor.borders == EVERYWHERE:
+            raise InputError("the ground has no region", where="births", cure="Give camera.file, or camera.region")
+        left, low, right, high = sensor.borders
+        return (right - left, high - low), (left, low)
+
     def store(self) -> LabelStore | None:
         """The labels of these detections, where there are any. Raises `InputError` where they are of others."""
         from phdtrack.label import LabelStore
@@ -77,6 +99,8 @@ def clutter_of_labels(room: Classroom) -> Taught:
     """False alarms from marks [M09 §IV]; why not, where there are none to learn from."""
     from phdtrack.label.session import false_boxes, looked_at
 
+    if not room.of_boxes:
+        return Taught(None, _ONLY_BOXES)
     store = room.store()
     if store is None:
         return Taught(None, f"false alarms stay uniform: nobody has marked any (phdtrack label, kept in {room.labels})")
@@ -94,6 +118,8 @@ def clutter_unattended(room: Classroom) -> Taught:
     from phdtrack.label.session import sampled
     from phdtrack.label.suggest import TICKED, suggest
 
+    if not room.of_boxes:
+        return Taught(None, _ONLY_BOXES)
     frames = [room.stretch.start + k - 1 for k in sampled(len(room.stretch), UNATTENDED, room.seed)]
     found = suggest(room.tracked(room.stages), frames, room.found.info.fps)
     taken = np.flatnonzero(found.score >= TICKED)
@@ -115,13 +141,20 @@ def births_of_tracks(room: Classroom, clutter: Lesson | None) -> Taught:
     """
     from phdtrack.context.samples import first_states
     from phdtrack.models.learned_scene import ContextClutter
+    from phdtrack.types import Detections
 
     stages, info = room.stages, room.found.info
     if clutter is not None:
         alarms = ContextClutter(clutter.learned.rate, clutter.learned.density)
         stages = replace(stages, model=replace(stages.model, clutter=alarms))
     rate = stages.model.rate
-    states = first_states(room.tracked(stages).tracks, info.fps, rate)
+    tracks, shown = room.tracked(stages).tracks, None
+    if not room.of_boxes:
+        sensor = stages.model.sensor
+        shown = sensor.measure(Detections.of(tracks.xyxy))[: len(sensor.observed)]
+    states = first_states(tracks, info.fps, rate, shown=shown)
+    # Feet that no ground is under.
+    states = states[:, np.isfinite(states).all(axis=0)]
     return _births(room, states, len(room.stretch) / info.fps * rate, "track", f"began in {_frames(room)}")
 
 
@@ -129,6 +162,8 @@ def births_by_hand(room: Classroom) -> Taught:
     """Births from marks on the clips about the frames that a person has looked at; why not, where they are too few."""
     from phdtrack.label.hand import birth_states, time_watched, watched
 
+    if not room.of_boxes:
+        return Taught(None, "births stay uniform: those marked by hand are boxes in the image (--births tracks)")
     store = room.store()
     if store is None:
         return Taught(None, f"births stay uniform: nobody has marked any (phdtrack label, kept in {room.labels})")
@@ -149,7 +184,8 @@ def worth(lesson: Lesson) -> str:
 
 def _births(room: Classroom, states: np.ndarray, time: float, noun: str, where: str) -> Taught:
     try:
-        lesson = learn_births(states, time, room.size, RecursiveEM())
+        size, corner = room.region()
+        lesson = learn_births(states, time, size, RecursiveEM(), corner)
     except InputError as error:
         return Taught(None, f"births stay uniform: {error}")
     told = f"{counted(states.shape[1], noun)} {where}"

@@ -121,7 +121,7 @@ def _images(folder: Path) -> list[Path]:
 
 
 def _files(value: object) -> list[str]:
-    """The settings that name files, as a camera or learned births."""
+    """The settings that name files, as a camera or a learned scene."""
     if isinstance(value, Mapping):
         return [name for part in value.values() for name in _files(part)]
     return [value] if isinstance(value, str) and value and Path(value).is_file() else []

@@ -36,11 +36,18 @@ class Lesson:
     gain: float
 
 
-def learn_births(states: F8, time_units: float, frame_size: tuple[float, float], learner: RecursiveEM) -> Lesson:
+def learn_births(
+    states: F8,
+    time_units: float,
+    frame_size: tuple[float, float],
+    learner: RecursiveEM,
+    corner: tuple[float, float] = (0.0, 0.0),
+) -> Lesson:
     """Births from first states (6, n) of those who entered within ``time_units``; s̄ is their number over that time.
 
-    Velocities may be NaN, unknown. The volume holds every velocity seen, doubled. Raises `InputError` where there are fewer
-    than ten births, no time, or no velocity at all.
+    States without a size are (4, n); on the ground ``frame_size`` and ``corner`` are the region's, metres. Velocities may be
+    NaN, unknown. The volume holds every velocity seen, doubled. Raises `InputError` where there are fewer than ten births,
+    no time, or no velocity at all.
     """
     _enough(states.shape[1], "births while the scene was watched", "Learn from a longer stretch, or mark more of them")
     if not time_units > 0:
@@ -48,7 +55,7 @@ def learn_births(states: F8, time_units: float, frame_size: tuple[float, float],
     speeds = np.abs(states[2:4][np.isfinite(states[2:4])])
     if len(speeds) == 0:
         raise InputError("no birth's velocity is known", where="learning births", cure="Mark where detections follow")
-    low, high = state_volume(*frame_size, 2 * float(speeds.max()) + 1e-6)
+    low, high = state_volume(*frame_size, 2 * float(speeds.max()) + 1e-6, corner, sized=len(states) == 6)
     one = np.ones(states.shape[1])
     centre, spread = _usual(states, one, high - low)
     centre[2:4] = 0

@@ -11,13 +11,16 @@ from phdtrack.types import F8, Tracks
 LEAD = 0.4
 
 
-def first_states(tracks: Tracks, fps: float, rate: float, shortest: int = 5) -> F8:
+def first_states(tracks: Tracks, fps: float, rate: float, shortest: int = 5, shown: F8 | None = None) -> F8:
     """(6, n) states (px, py, vx, vy, w, h) in which the tracks of at least ``shortest`` rows began [M09 §IV].
 
     Velocities are pixels per time unit, of which ``rate`` make a second: slopes of straight lines through the centres of
     the first ``LEAD`` seconds, at least three rows. Tracks that are there in the first frame began before it: left out.
+
+    ``shown`` (r, M) is what the rows show, the position first, where it is not centre and size of their boxes: points, or
+    places on the ground, whose states are (px, py, vx, vy).
     """
-    box = to_cxcywh(tracks.xyxy)
+    box = to_cxcywh(tracks.xyxy) if shown is None else shown
     order = np.lexsort((tracks.frame, tracks.identity))
     start = np.flatnonzero(np.diff(tracks.identity[order], prepend=-1))
     opening = int(tracks.frame.min(initial=np.iinfo(np.int64).max))
@@ -25,11 +28,11 @@ def first_states(tracks: Tracks, fps: float, rate: float, shortest: int = 5) -> 
     for rows in np.split(order, start[1:]) if len(order) else []:
         if len(rows) >= shortest and tracks.frame[rows[0]] > opening:
             states.append(first_state(box[:, rows], (tracks.frame[rows] - tracks.frame[rows[0]]) / fps, rate))
-    return np.array(states).reshape(-1, 6).T.copy()
+    return np.array(states).reshape(-1, len(box) + 2).T.copy()
 
 
 def first_state(box: F8, seconds: F8, rate: float) -> F8:
-    """(6,) the first state of one track: boxes (4, n) as centre and size, at ``seconds`` (n,) after the first."""
+    """(r + 2,) the first state of one track: boxes (r, n) as centre and size, at ``seconds`` (n,) after the first."""
     lead = max(3, int((seconds <= LEAD).sum()))
     time = seconds[:lead] * rate
     centred = time - time.mean()
@@ -37,10 +40,16 @@ def first_state(box: F8, seconds: F8, rate: float) -> F8:
     return np.concatenate([box[:2, 0], velocity, box[2:, 0]])
 
 
-def state_volume(width: float, height: float, fastest: float) -> tuple[F8, F8]:
-    """Bounds (6,) of the states that births may have: centre in the frame, any size in it, |v| up to ``fastest`` an axis."""
-    low = np.array([0.0, 0, -fastest, -fastest, 0, 0])
-    return low, np.array([width, height, fastest, fastest, width, height])
+def state_volume(
+    width: float, height: float, fastest: float, corner: tuple[float, float] = (0.0, 0.0), *, sized: bool = True
+) -> tuple[F8, F8]:
+    """Bounds (6,) of the states that births may have: centre in the frame, any size in it, |v| up to ``fastest`` an axis.
+
+    Those of states without a size are (4,); a region of the ground does not begin at 0 but at its ``corner``.
+    """
+    left, top = corner
+    low, high = [left, top, -fastest, -fastest], [left + width, top + height, fastest, fastest]
+    return np.array([*low, *([0.0, 0.0] if sized else [])]), np.array([*high, *([width, height] if sized else [])])
 
 
 def measurement_volume(width: float, height: float) -> tuple[F8, F8]:

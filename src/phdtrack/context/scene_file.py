@@ -5,6 +5,7 @@
                 "weight": […], "mean": [[…] per Gaussian], "covariance": [[[…]] per Gaussian]},
      "clutter": the same with r̄ and four components, "notes": {…}}
 
+Births have six components (boxes), or four: points in the image, pixels, or places on the ground, metres.
 Rates are births per time unit, of which ``rate`` make a second, and false alarms per frame. Either part may be missing.
 """
 
@@ -94,7 +95,7 @@ def read_scene(path: Path) -> Scene:
             int(document["height"]),
             float(document["rate"]),
             str(document["source"]),
-            _learned(document["births"], 6),
+            _learned(document["births"], 6, 4),
             _learned(document["clutter"], 4),
             dict(document["notes"]),
         )
@@ -118,14 +119,15 @@ def _plain(learned: Learned) -> dict[str, Any]:
     }
 
 
-def _learned(document: Any, dim: int) -> Learned | None:
+def _learned(document: Any, *dims: int) -> Learned | None:
     if document is None:
         return None
     low, high, weight = (np.array(document[name], np.float64) for name in ("low", "high", "weight"))
     mean = np.array(document["mean"], np.float64).reshape(-1, len(low)).T
     cov = np.array(document["covariance"], np.float64).reshape(-1, len(low), len(low))
     rate = float(document["rate"])
-    if not 0 <= rate < np.inf or len(low) != dim:
-        raise InputError(f"expected a rate from 0 and {dim} components, got {rate:g} and {len(low)}")
+    if not 0 <= rate < np.inf or len(low) not in dims:
+        wanted = " or ".join(str(dim) for dim in dims)
+        raise InputError(f"expected a rate from 0 and {wanted} components, got {rate:g} and {len(low)}")
     density = ContextDensity(low, high, float(document["uniform"]), weight, np.ascontiguousarray(mean), cov)
     return Learned(rate, density, int(document["samples"]))

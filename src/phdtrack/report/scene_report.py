@@ -9,7 +9,7 @@ import numpy as np
 
 from phdtrack.context import Learned, Scene
 from phdtrack.context.maps import place_map
-from phdtrack.report.canvas import Picture, to_jpeg
+from phdtrack.report.canvas import Picture, chart_axes, new_figure, to_jpeg
 from phdtrack.report.html import bare_header, page
 from phdtrack.report.markup import NOTHING, Html, figure, join, paragraph, section, table, text
 from phdtrack.report.scenes import opacity, over_scene
@@ -46,32 +46,40 @@ def scene_page(lessons: Lessons, lead: str, command: str) -> str:
     return page(text("Learned scene"), join(body))
 
 
-def map_picture(learned: Learned, scene: Scene, image: Image) -> Picture:
-    """Where it is expected, over the frame; for births the mean way of the next second as an arrow [M09 Figs. 7, 8]."""
-    info = SequenceInfo(scene.width, scene.height, 25.0)
-    p, drawn = learned.density, over_scene(info, image, _WIDTH, darkness=0.5)
-    step = max(scene.width, scene.height) / _CELLS
-    shape = (math.ceil(scene.height / step), math.ceil(scene.width / step))
-    share = place_map(p, shape, step)
-    edges = (0.0, shape[1] * step, shape[0] * step, 0.0)
-    axes = drawn[1]
+def map_picture(learned: Learned, scene: Scene, image: Image, *, births: bool) -> Picture:
+    """Where it is expected, over the frame; for births the mean way of the next second as an arrow [M09 Figs. 7, 8].
+
+    Births on the ground are drawn on a plan of their region, in metres.
+    """
+    p = learned.density
+    (left, top), (wide, high) = p.low[:2], (p.high - p.low)[:2]
+    ground = (left, top, wide, high) != (0, 0, scene.width, scene.height)
+    if ground:
+        drawn = new_figure(_WIDTH, _WIDTH * min(max(high / wide, 0.3), 1.5))
+        axes = chart_axes(drawn, "x in metres", "y in metres")
+    else:
+        drawn, axes = over_scene(SequenceInfo(scene.width, scene.height, 25.0), image, _WIDTH, darkness=0.5)
+    step = max(wide, high) / _CELLS
+    shape = (math.ceil(high / step), math.ceil(wide / step))
+    share = place_map(p, shape, step, sized=p.dim == 6 or not births)
+    edges = (left, left + shape[1] * step, top + shape[0] * step, top)
     axes.imshow(share, cmap="inferno", extent=edges, alpha=opacity(share), vmin=0, vmax=1, interpolation="bilinear")
-    if p.dim == 6:
+    if births:
         for m in np.flatnonzero(p.weight >= _LIGHTEST):
             x, y = p.mean[:2, m]
             way = p.mean[2:4, m] * scene.rate
             style = {"arrowstyle": "-|>", "color": "#4cc9f0", "linewidth": 1 + 4 * float(p.weight[m])}
             axes.annotate("", xy=(x + way[0], y + way[1]), xytext=(x, y), arrowprops=style)
-    axes.set_xlim(0, scene.width)
-    axes.set_ylim(scene.height, 0)
-    return to_jpeg(drawn[0])
+    axes.set_xlim(left, left + wide)
+    # Of a plan the far end is above, of a picture row 0.
+    axes.set_ylim(*((top, top + high) if ground else (top + high, top)))
+    return to_jpeg(drawn)
 
 
 def _part(title: str, rate: str, learned: Learned | None, lessons: Lessons, per: float) -> Html:
     if learned is None:
         return section(title, paragraph("Not learned: uniform, as without a scene."))
-    p = learned.density
-    births = p.dim == 6
+    p, births = learned.density, learned is lessons.scene.births
     gain = lessons.births_gain if births else lessons.clutter_gain
     origin = lessons.births_from if births else lessons.clutter_from
     rows = [
@@ -82,7 +90,7 @@ def _part(title: str, rate: str, learned: Learned | None, lessons: Lessons, per:
         ("log-likelihood of samples not learned from, above uniform", _nats(gain)),
     ]
     caption = "Bright: expected here most. " + ("Arrows: the way of the first second." if births else "")
-    picture = map_picture(learned, lessons.scene, lessons.image)
+    picture = map_picture(learned, lessons.scene, lessons.image, births=births)
     told = paragraph(origin[:1].upper() + origin[1:]) if origin else NOTHING
     return section(
         title, told, table(("", ""), rows), figure(picture, f"Map of {title.lower()}", caption, "wide") or NOTHING
