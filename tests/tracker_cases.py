@@ -9,7 +9,7 @@ from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.types import Detections, Tracks
 
 SIZE = (640, 480)
-FEW = {"filter": {"per_target": 400}, "birth": {"most": 400}}
+FEW = {"filter": {"per_target": 500}, "birth": {"most": 400}}
 FIELDS = ("frame", "identity", "xyxy", "confidence", "detection", "confirmed")
 
 
