@@ -2,8 +2,9 @@
 
 One is active: it is in use, and it learns. What comes is asked of all of them before it is learned, and the gains above the
 uniform density (`evidence`) decide which one is active: another one where it explains what comes better by 0.2 nats a
-sample and by two standard errors of both, a new one where the active one explains it worse than the uniform density does,
-and no other better. Two that explain each other's samples as well as their own are one.
+sample and by two standard errors of both; a new one, which begins with a fifth of what the active one knows, where that one
+explains it worse than it used to, by one nat and three standard errors, and no other explains it better. Two that explain
+each other's samples as well as their own are one.
 """
 
 from __future__ import annotations
@@ -13,11 +14,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phdtrack.context.evidence import ERRORS, Evidence
+from phdtrack.context.evidence import ERRORS, FEWEST, Evidence
 from phdtrack.context.part import Batch, Part
 
-# Nats a sample by which another mode must be better; below which two are the same.
-BETTER, ALIKE = 0.2, 0.1
+# Nats a sample by which another mode must be better; below which two are the same; that one must have lost.
+BETTER, ALIKE, LOST = 0.2, 0.1, 1.0
+# Standard errors by which a mode must have become worse than it was.
+_SURE = 3.0
+# Part of the memory for which a mode must have been active before it is compared.
+_YOUNG = 1 / 8
 # Samples that a mode must hold before it can be told whether another is the same.
 _ENOUGH = 100
 
@@ -35,6 +40,17 @@ class Mode:
     def evidence(self) -> Evidence:
         """For births and false alarms together."""
         return self.births.evidence.joined(self.clutter.evidence)
+
+    @property
+    def lost(self) -> bool:
+        """Whether it explains worse what comes than what came before."""
+        now, usual = self.evidence, self.births.usual.joined(self.clutter.usual)
+        sure = _SURE * math.hypot(now.error, usual.error)
+        return now.count >= FEWEST and usual.mean - now.mean > max(LOST, sure)
+
+    def young(self, memory: float) -> bool:
+        """Whether it was not active for long enough to be compared; ``memory`` in seconds."""
+        return self.clock < _YOUNG * memory
 
     @property
     def trusted(self) -> bool:
@@ -66,6 +82,11 @@ def taught(mode: Mode, lesson: Lesson, memory: float) -> Mode:
 def judged(mode: Mode) -> Mode:
     """With each part in use or not, as the evidence says."""
     return replace(mode, births=mode.births.judged(), clutter=mode.clutter.judged())
+
+
+def forked(mode: Mode, name: str) -> Mode:
+    """A new mode that begins with some of what another one knows."""
+    return Mode(name, mode.births.forked(), mode.clutter.forked())
 
 
 def unlearned(mode: Mode, seconds: float) -> Mode:

@@ -25,6 +25,7 @@ from phdtrack.types import Step
 # Parts of the memory after which is learned anew, and seconds at least.
 _BATCHES, _SHORTEST = 30, 1.0
 FIRST = "first"
+_NAMES = (FIRST, "second", "third", "fourth")
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,17 +153,23 @@ def _learned(rule: Following, state: Followed, lesson: Lesson, step: Step) -> Fo
 
 
 def _chosen(rule: Following, modes: tuple[Mode, ...], active: int, lesson: Lesson) -> tuple[tuple[Mode, ...], int]:
-    """The modes and which is active now: another, or a new one where the active one has become wrong and no other fits."""
+    """The modes and which is active now: another, or a new one where the active one has lost and no other fits."""
     own, better = modes[active], mode_by.best(modes, active)
-    new = better == active and own.trusted and own.evidence.against_it and len(modes) < rule.most
-    if better == active and not new:
+    new = better == active and own.trusted and own.lost and len(modes) < rule.most
+    if own.young(rule.memory) or (better == active and not new):
         return modes, active
     # The last samples that it learned were not its own.
     cleared = mode_by.unlearned(own, lesson.seconds)
     modes = (*modes[:active], cleared, *modes[active + 1 :])
     if new:
-        return (*modes, _new(rule, f"mode {len(modes) + 1}")), len(modes)
+        return (*modes, mode_by.forked(cleared, _fresh(modes))), len(modes)
     return modes, better
+
+
+def _fresh(modes: tuple[Mode, ...]) -> str:
+    """A name that no mode has."""
+    names = {mode.name for mode in modes}
+    return next(name for name in (*_NAMES, *map(str, range(5, len(modes) + 6))) if name not in names)
 
 
 def _merged(modes: tuple[Mode, ...], active: int, said: list[str]) -> tuple[tuple[Mode, ...], int]:

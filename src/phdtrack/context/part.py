@@ -17,6 +17,8 @@ from phdtrack.types import F8
 _LASTING, _PART = 30.0, 1 / 20
 # Samples kept of a batch.
 MOST = 12
+# What a new mode takes over of the one that it leaves.
+_FORKED = 0.2
 # Samples at most that stand for what was learned before.
 _PRIOR = 400
 
@@ -42,7 +44,8 @@ class Part:
     ----------
     density : what was learned; the uniform one at first.     recent : of what.
     amount, exposure : samples and the time in which they came, both fading: their ratio is the rate.
-    evidence : for the density against the uniform one.     trusted : whether it is in use.
+    evidence : for the density against the uniform one, of the last samples; ``usual`` : of those of the memory.
+    trusted : whether it is in use.
     """
 
     density: ContextDensity
@@ -50,6 +53,7 @@ class Part:
     amount: float = 0.0
     exposure: float = 0.0
     evidence: Evidence = field(default_factory=Evidence)
+    usual: Evidence = field(default_factory=Evidence)
     trusted: bool = False
 
     @classmethod
@@ -84,8 +88,15 @@ class Part:
         inside = self.density.contains(batch.samples)
         samples, weight = batch.samples[:, inside], batch.weight[inside]
         gain = self.density.log(samples) + math.log(self.density.volume)
-        lasting = max(_LASTING, _PART * memory * batch.rate * self.rate)
-        return replace(self, evidence=self.evidence.seen(gain, weight, lasting))
+        lasting = memory * batch.rate * self.rate
+        recent = self.evidence.seen(gain, weight, max(_LASTING, _PART * lasting))
+        return replace(self, evidence=recent, usual=self.usual.seen(gain, weight, max(_LASTING, lasting)))
+
+    def forked(self) -> Part:
+        """The same, worth a fifth of what it was, and with nothing said for it yet."""
+        recent = Recent(self.recent.samples, _FORKED * self.recent.weight, np.minimum(self.recent.time, 0.0))
+        amount, exposure = _FORKED * self.amount, _FORKED * self.exposure
+        return Part(self.density, recent, amount, exposure, trusted=self.trusted)
 
     def judged(self) -> Part:
         """In use where the evidence is for it, out of use where it is against it; else as it was."""

@@ -2,8 +2,8 @@
 
 A false alarm that comes back in the same place is a track like any other for a filter that does not know the place. What
 tells it from an object is that it has no memory: it is seen in fewer frames than an object would be, and it never goes
-anywhere. So a confirmed track is believed where its detections have spread over more than one of its sizes, or where they
-came as often as p_D says: with h of n frames detected, where
+anywhere. So a confirmed track is believed where its detections have spread with a deviation of 0.4 of its width or height (a
+walk over 1.4 of them), or where they came as often as p_D says: with h of n frames detected, where
 
     h log(p_D/q) + (n − h) log((1 − p_D)/(1 − q)) > 0,     q = p_D/2
 
@@ -21,8 +21,8 @@ import numpy as np
 from phdtrack.boxes import to_cxcywh
 from phdtrack.types import F8, I8, Bool, Tracks
 
-# Spread of a track's centres, in its widths or heights, from which it has gone somewhere.
-WENT = 1.0
+# Deviation of a track's centres, in its widths or heights, from which it has gone somewhere.
+WENT = 0.4
 _NONE: I8 = np.zeros(0, np.int64)
 
 
@@ -31,24 +31,22 @@ class Sightings:
     """Identities (n,), ascending, of the tracks of the last seconds.
 
     ``first``, ``last`` (n,): places of their first and last detections, counted in observed frames. ``hits`` (n,): frames in
-    which they were detected. ``low``, ``high`` (2, n): between which their centres were then; ``size`` (2, n): sums of width
-    and height. ``confirmed`` (n,).
+    which they were detected; of the boxes then, centres and sizes, ``sums`` (4, n), and ``squares`` (2, n) of the centres.
+    ``confirmed`` (n,).
     """
 
     identity: I8
     first: I8
     last: I8
     hits: I8
-    low: F8
-    high: F8
-    size: F8
+    sums: F8
+    squares: F8
     confirmed: Bool
 
     @classmethod
     def none(cls) -> Sightings:
         """Nobody yet."""
-        nowhere = np.zeros((2, 0))
-        return cls(_NONE, _NONE, _NONE, _NONE, nowhere, nowhere, nowhere, np.zeros(0, np.bool_))
+        return cls(_NONE, _NONE, _NONE, _NONE, np.zeros((4, 0)), np.zeros((2, 0)), np.zeros(0, np.bool_))
 
     def __len__(self) -> int:
         return len(self.identity)
@@ -63,9 +61,8 @@ class Sightings:
             self.first[kept],
             self.last[kept],
             self.hits[kept],
-            self.low[:, kept],
-            self.high[:, kept],
-            self.size[:, kept],
+            self.sums[:, kept],
+            self.squares[:, kept],
             self.confirmed[kept],
         )
 
@@ -79,24 +76,24 @@ class Sightings:
         n, old, new = len(identity), np.searchsorted(identity, self.identity), np.searchsorted(identity, rows.identity)
         far = np.iinfo(np.int64).max
         first, last, hits = np.full(n, far), np.full(n, -1), np.zeros(n, np.int64)
-        low, high, size = np.full((2, n), np.inf), np.full((2, n), -np.inf), np.zeros((2, n))
-        confirmed = np.zeros(n, np.bool_)
+        sums, squares, confirmed = np.zeros((4, n)), np.zeros((2, n)), np.zeros(n, np.bool_)
         first[old], last[old], hits[old], confirmed[old] = self.first, self.last, self.hits, self.confirmed
-        low[:, old], high[:, old], size[:, old] = self.low, self.high, self.size
+        sums[:, old], squares[:, old] = self.sums, self.squares
         box = to_cxcywh(rows.xyxy)
         np.minimum.at(first, new, place)
         np.maximum.at(last, new, place)
-        np.add.at(hits, new, 1)
+        hits += np.bincount(new, minlength=n)
+        for r in range(4):
+            sums[r] += np.bincount(new, box[r], n)
         for r in range(2):
-            np.minimum.at(low[r], new, box[r])
-            np.maximum.at(high[r], new, box[r])
-            np.add.at(size[r], new, box[2 + r])
+            squares[r] += np.bincount(new, np.square(box[r]), n)
         np.logical_or.at(confirmed, new, rows.confirmed)
-        return Sightings(identity, first, last, hits, low, high, size, confirmed)
+        return Sightings(identity, first, last, hits, sums, squares, confirmed)
 
     def believed(self, detection: float) -> Bool:
         """(n,) whether each is somebody, where objects are detected with this probability."""
-        went = ((self.high - self.low) * self.hits > WENT * self.size).any(axis=0)
+        mean, size = self.sums[:2] / self.hits, self.sums[2:] / self.hits
+        went = (self.squares / self.hits - np.square(mean) > np.square(WENT * size)).any(axis=0)
         p = min(max(detection, 0.01), 0.99)
         missed = self.last - self.first + 1 - self.hits
         seen = self.hits * math.log(2) + missed * math.log((1 - p) / (1 - p / 2)) > 0
