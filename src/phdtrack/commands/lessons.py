@@ -25,9 +25,10 @@ _ONLY_BOXES = "false alarms stay uniform: a density of them is learned for boxes
 # Frames, drawn at random, whose suggestions are taken where nobody labels: M09's false alarms were of as many.
 UNATTENDED = 200
 LIMITS = (
-    "Nobody has looked at them. Who sits or stands in one place for the whole stretch is taken for a false alarm there, "
-    "and in a crowd so are people whom others hide (in a simulated one a quarter of what was taken were people, in streets "
-    "4 %). To look: phdtrack label, which suggests the same boxes."
+    "Nobody has looked at them. Who sits or stands in one place for nine tenths of the stretch, or for two thirds of it "
+    "where he is seen every other time only, is taken for a false alarm there, and in a crowd so are people whom others "
+    "hide (in a simulated one a quarter of what was taken were people, in streets 4 %). To look at them: phdtrack label "
+    "suggests the same boxes."
 )
 
 

@@ -24,6 +24,7 @@ _FEWEST = 10
 _MAP_WIDTH = 320
 # Red and green, as blue, green, red.
 _COLOURS: Mapping[str, tuple[int, int, int]] = {"false": (40, 40, 220), "birth": (90, 170, 30)}
+_OUTLINE = (62, 210, 255)
 # More crops than these nobody looks through at once; the next ones follow when these are dealt with.
 _CROPS = 600
 
@@ -78,19 +79,21 @@ class Session:
         return self.stills[number] if number in self.stills else _jpeg(self._grey())
 
     def crop(self, number: int, box: int, side: int = 96) -> bytes:
-        """The picture of one detection with some of its surroundings as JPEG, at most ``side`` pixels on a side."""
+        """The picture of one detection, outlined, with what is around it, as JPEG: at most ``side`` pixels wide and high."""
         image = self._picture(number)
         height, width = image.shape[:2]
         left, top, right, bottom = self._box(number, box) * width / self.info.width
         margin = 0.2 * max(right - left, bottom - top)
-        rows = slice(max(0, int(top - margin)), min(height, int(bottom + margin) + 1))
-        columns = slice(max(0, int(left - margin)), min(width, int(right + margin) + 1))
-        part = image[rows, columns]
+        x, y = max(0, int(left - margin)), max(0, int(top - margin))
+        part = image[y : min(height, int(bottom + margin) + 1), x : min(width, int(right + margin) + 1)]
         if part.size == 0:
             part = self._grey()[:side, :side]
         scale = side / max(part.shape[:2])
         size = (max(1, round(part.shape[1] * scale)), max(1, round(part.shape[0] * scale)))
-        return _jpeg(cv2.resize(part, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR))
+        drawn = cv2.resize(part, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+        corners = [(round(scale * (a - x)), round(scale * (b - y))) for a, b in ((left, top), (right, bottom))]
+        cv2.rectangle(drawn, corners[0], corners[1], _OUTLINE)
+        return _jpeg(np.asarray(drawn, np.uint8))
 
     def alike(self, number: int, box: int) -> list[tuple[int, int]]:
         """(frame, box) of the unmarked detections on all frames to label that lie where this one does, itself included."""

@@ -2,8 +2,8 @@
 
 Three reasons, each with a score from 0 to 1:
 
-``place``     Its place fires too often. A *still* detection is one that no track with a way behind it holds. Such ones at
-              one place and of one size (IoU ≥ ½) come from something that stays: from an object, on n frames with
+``place``     Its place fires too often. A *still* detection is one that no track holds that goes somewhere there. Such ones
+              at one place and of one size (IoU ≥ ½) come from something that stays: from an object, on n frames with
               n ~ Poisson(s · fps) if it stays for s seconds; and these are the frames of one stay, in few runs. A place
               that fires does so all along: the n of T frames in which it does are drawn at random, with n(T − n + 1)/T
               runs [Wald and Wolfowitz 1940], or, where it fires in bursts, it leaves hardly any s seconds out. The score
@@ -36,8 +36,8 @@ TICKED, SHOWN = 0.9, 0.2
 ALIKE = 0.5
 # Boxes of one place scatter: what overlaps by so much with one that it is known by belongs to it.
 _SAME = 0.25
-# s, seconds that an object stays in one place and is not seen to go. The way, in sizes √(wh), from which a track has one.
-STAY, WAY = 4.0, 0.5
+# s, seconds that an object stays in one place. The speed, sizes √(wh) per second, from which a track goes somewhere.
+STAY, SLOW = 4.0, 0.5
 # Runs, as part of those that frames at random would make, and windows of s seconds with a detection, as part of all: from
 # where on they speak for a place that fires, and where they leave no doubt. Fewer windows than these tell nothing.
 _RUNS, _SPREAD, _WINDOWS = (0.5, 0.8), (0.8, 0.95), 15
@@ -94,14 +94,14 @@ def suggest(evidence: Evidence, frames: Sequence[int], fps: float) -> Suggestion
     """What may be false among the detections of ``frames``; those outside the stretch have nothing to suggest."""
     table = evidence.table
     own = _tracks_of(table, evidence.tracks)
-    way, span = _lives(table, own, fps)
-    held, goes = own >= 0, (own >= 0) & (way[own] >= WAY)
+    speed, span = _lives(table, own, fps)
+    held, goes = own >= 0, speed >= SLOW
     asked = np.isin(table.frame, np.asarray(frames, np.int64))
     scores = np.zeros((len(REASONS), len(table)))
     place, scores[0] = _places(evidence, ~goes, asked & ~goes, fps)
     scores[1] = np.where(held, 0.0, evidence.clutter)
-    brief = ~goes & (span[own] < SHORT)
-    scores[2] = np.where(brief, _MOST * 0.5 ** span[own] * (1 - way[own] / WAY), 0.0)
+    brief = ~goes & (span < SHORT)
+    scores[2] = np.where(brief, _MOST * 0.5**span * (1 - speed / SLOW), 0.0)
     reason = np.argmax(scores, axis=0)
     score = scores[reason, np.arange(len(table))]
     rows = np.flatnonzero(asked & (score >= SHOWN))
@@ -120,22 +120,26 @@ def _tracks_of(table: DetectionTable, tracks: Tracks) -> I8:
 
 
 def _lives(table: DetectionTable, own: I8, fps: float) -> tuple[F8, F8]:
-    """Of each track: the way between the middles of its first and last third, in its sizes, and its life in seconds.
+    """(M,) how fast each detection's track goes there, sizes per second, and how long it lives, seconds; 0 without one.
 
-    A last entry stands for no track, which has neither.
+    The speed is the way between the means over the seconds before and behind.
     """
     box = to_cxcywh(table.detections.xyxy)
-    count = int(own.max(initial=-1)) + 1
-    way, span = np.zeros((2, count + 1))
+    speed, span = np.zeros((2, len(table)))
     order = np.argsort(own, kind="stable")
-    borders = np.searchsorted(own[order], np.arange(count + 1))
-    for k in range(count):
-        rows = order[borders[k] : borders[k + 1]]
-        third = max(1, len(rows) // 3)
-        step = box[:2, rows[-third:]].mean(axis=1) - box[:2, rows[:third]].mean(axis=1)
-        way[k] = np.hypot(*step) / np.sqrt(box[2, rows] * box[3, rows]).mean()
-        span[k] = (table.frame[rows[-1]] - table.frame[rows[0]] + 1) / fps
-    return way, span
+    for rows in np.split(order, np.flatnonzero(np.diff(own[order])) + 1) if len(order) else []:
+        if own[rows[0]] < 0:
+            continue
+        time = table.frame[rows] / fps
+        total = np.hstack([np.zeros((2, 1)), np.cumsum(box[:2, rows], axis=1)])
+        here = np.arange(len(rows))
+        first, last = np.searchsorted(time, time - 1.0), np.searchsorted(time, time + 1.0, side="right")
+        before = (total[:, here + 1] - total[:, first]) / (here + 1 - first)
+        behind = (total[:, last] - total[:, here]) / (last - here)
+        size = np.sqrt(box[2, rows] * box[3, rows]).mean()
+        speed[rows] = np.hypot(*(behind - before)) / size
+        span[rows] = time[-1] - time[0] + 1 / fps
+    return speed, span
 
 
 def _places(evidence: Evidence, still: Bool, asked: Bool, fps: float) -> tuple[I8, F8]:

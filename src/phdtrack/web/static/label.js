@@ -101,6 +101,11 @@ function mark(marks) {
   tell();
 }
 
+function swept(marks) {
+  mark(marks);
+  say(`${marks.length} boxes were marked as false; Z on this frame takes that back`);
+}
+
 // Why a mark cannot be made on the frame that is seen, or nothing.
 function objection() {
   if (mode() === "false" && seen() !== number()) return "false boxes are marked on the drawn frame itself: Home goes back there";
@@ -110,13 +115,13 @@ function objection() {
 
 function turn(box) {
   if (box < 0) return;
-  if (objection()) return refused(objection());
+  if (objection()) return say(objection());
   const what = frame().marks[box] === mode() ? "none" : mode();
   mark([{ frame: seen(), box, mark: what }]);
 }
 
 function several(boxes, off) {
-  if (objection()) return refused(objection());
+  if (objection()) return say(objection());
   const what = off ? "none" : mode();
   const changing = boxes.filter((box) => (frame().marks[box] ?? "none") !== what);
   if (changing.length) mark(changing.map((box) => ({ frame: seen(), box, mark: what })));
@@ -149,7 +154,7 @@ function markAlike() {
 
 // --- the queue ------------------------------------------------------------------------------------------------------------
 
-function refused(sentence) {
+function say(sentence) {
   $("tip").textContent = sentence;
 }
 
@@ -381,7 +386,7 @@ $("mode").addEventListener("change", () => {
 // --- begin ------------------------------------------------------------------------------------------------------------------
 
 overview = await ask("/api/overview");
-const queue = new Queue(overview.name, { kept, refused, changed: saving });
+const queue = new Queue(overview.name, { kept, refused: say, changed: saving });
 $("frames").replaceChildren(...overview.frames.map((_, k) => {
   const item = document.createElement("li");
   const button = document.createElement("button");
@@ -390,7 +395,7 @@ $("frames").replaceChildren(...overview.frames.map((_, k) => {
   item.append(button);
   return item;
 }));
-const sweep = new Sweep($("sweep"), $("sweep-button"), { ask, confirm: mark, closed: () => $("canvas").focus() });
+const sweep = new Sweep($("sweep"), $("sweep-button"), { ask, confirm: swept, closed: () => $("canvas").focus() });
 saving(queue.length, false);
 const open = overview.frames.findIndex((one) => !one.done);
 await go(open < 0 ? 0 : open);
