@@ -10,6 +10,7 @@ each other's samples as well as their own are one.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,6 +41,11 @@ class Mode:
     def evidence(self) -> Evidence:
         """For births and false alarms together."""
         return self.births.evidence.joined(self.clutter.evidence)
+
+    @property
+    def newest(self) -> Evidence:
+        """The same of the last batch alone."""
+        return self.births.newest.joined(self.clutter.newest)
 
     @property
     def lost(self) -> bool:
@@ -99,14 +105,13 @@ def unlearned(mode: Mode, seconds: float) -> Mode:
     return replace(mode, births=part(mode.births), clutter=part(mode.clutter))
 
 
-def best(modes: tuple[Mode, ...], active: int) -> int:
-    """The mode that should be active."""
-    own, chosen, most = modes[active].evidence, active, 0.0
-    for k, mode in enumerate(modes):
-        other = mode.evidence
+def best(evidence: Sequence[Evidence], active: int) -> int:
+    """The mode that should be active, by the evidence for each."""
+    own, chosen, most = evidence[active], active, 0.0
+    for k, other in enumerate(evidence):
         ahead = other.mean - own.mean
         sure = ERRORS * math.hypot(own.error, other.error)
-        if k != active and other.for_it and ahead > max(BETTER, sure) and ahead > most:
+        if k != active and other.for_it and ahead > max(BETTER, sure, most):
             chosen, most = k, ahead
     return chosen
 

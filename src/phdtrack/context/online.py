@@ -154,8 +154,10 @@ def _learned(rule: Following, state: Followed, lesson: Lesson, step: Step) -> Fo
 
 def _chosen(rule: Following, modes: tuple[Mode, ...], active: int, lesson: Lesson) -> tuple[tuple[Mode, ...], int]:
     """The modes and which is active now: another, or a new one where the active one has lost and no other fits."""
-    own, better = modes[active], mode_by.best(modes, active)
-    new = better == active and own.trusted and own.lost and len(modes) < rule.most
+    own, better = modes[active], mode_by.best([mode.evidence for mode in modes], active)
+    new = own.trusted and own.lost and len(modes) < rule.most
+    # One that has just become better is about to be chosen.
+    new = new and active == better == mode_by.best([mode.newest for mode in modes], active)
     if own.young(rule.memory) or (better == active and not new):
         return modes, active
     # The last samples that it learned were not its own.
@@ -189,7 +191,7 @@ def _turned(before: Mode, now: Mode) -> list[str]:
     said = []
     for what, old, new in (("births", before.births, now.births), ("false alarms", before.clutter, now.clutter)):
         if new.trusted != old.trusted:
-            gain = f"{new.evidence.mean:+.2f} nats a sample against uniform"
+            gain = f"the last samples are {new.newest.mean:+.2f} nats likelier than under uniform ones"
             said.append(f"learned {what} {'in use' if new.trusted else 'out of use: uniform ones instead'} ({gain})")
     return said
 

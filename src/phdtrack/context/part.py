@@ -44,7 +44,8 @@ class Part:
     ----------
     density : what was learned; the uniform one at first.     recent : of what.
     amount, exposure : samples and the time in which they came, both fading: their ratio is the rate.
-    evidence : for the density against the uniform one, of the last samples; ``usual`` : of those of the memory.
+    evidence : for the density against the uniform one, of the last samples; ``usual`` : of those of the memory; ``newest`` :
+        of the last batch.
     trusted : whether it is in use.
     """
 
@@ -54,6 +55,7 @@ class Part:
     exposure: float = 0.0
     evidence: Evidence = field(default_factory=Evidence)
     usual: Evidence = field(default_factory=Evidence)
+    newest: Evidence = field(default_factory=Evidence)
     trusted: bool = False
 
     @classmethod
@@ -89,8 +91,12 @@ class Part:
         samples, weight = batch.samples[:, inside], batch.weight[inside]
         gain = self.density.log(samples) + math.log(self.density.volume)
         lasting = memory * batch.rate * self.rate
-        recent = self.evidence.seen(gain, weight, max(_LASTING, _PART * lasting))
-        return replace(self, evidence=recent, usual=self.usual.seen(gain, weight, max(_LASTING, lasting)))
+        return replace(
+            self,
+            evidence=self.evidence.seen(gain, weight, max(_LASTING, _PART * lasting)),
+            usual=self.usual.seen(gain, weight, max(_LASTING, lasting)),
+            newest=Evidence().seen(gain, weight, math.inf),
+        )
 
     def forked(self) -> Part:
         """The same, worth a fifth of what it was, and with nothing said for it yet."""
@@ -99,8 +105,9 @@ class Part:
         return Part(self.density, recent, amount, exposure, trusted=self.trusted)
 
     def judged(self) -> Part:
-        """In use where the evidence is for it, out of use where it is against it; else as it was."""
-        return replace(self, trusted=not self.evidence.against_it if self.trusted else self.evidence.for_it)
+        """In use where the evidence is for it, out of use where that, or the last batch, is against it; else as it was."""
+        against = self.evidence.against_it or self.newest.against_it
+        return replace(self, trusted=not against and (self.trusted or self.evidence.for_it))
 
     def taught(self, batch: Batch, now: float, memory: float) -> Part:
         """After learning from a batch at ``now`` seconds, with forgetting."""
