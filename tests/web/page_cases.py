@@ -30,20 +30,21 @@ from phdtrack.web.label_app import label_app
 from phdtrack.web.serve import listen, serve
 address = listen(port={port})
 print(address.url, flush=True)
-serve(label_app(session(Path({labels!r}), {boxes})), address)
+serve(label_app(session(Path({labels!r}), {boxes}, {waiting_for!r} and Path({waiting_for!r}))), address)
 """
 
 
-def session(labels: Path, boxes: int):
+def session(labels: Path, boxes: int, waiting_for: Path | None = None):
     """A session on drawn frames: on each ``boxes`` detections on a grid, and a small one inside the first.
 
     Of box 3 it is suggested that its place fires, of box 4 that it was rejected; of the latter on every other frame only,
-    and with a score below that of ticked ones on the frames behind 20.
+    and with a score below that of ticked ones on the frames behind 20. The suggestions are there when the file
+    ``waiting_for`` is.
     """
     import cv2
 
     from phdtrack.label import LabelStore
-    from phdtrack.label.background import Ready
+    from phdtrack.label.background import Background, Ready
     from phdtrack.label.session import Session
     from phdtrack.label.suggest import Suggestions
     from phdtrack.types import Detections, DetectionTable, SequenceInfo
@@ -64,13 +65,29 @@ def session(labels: Path, boxes: int):
     kind = np.repeat([0, 1], [len(places), len(rejected)])
     score = np.concatenate([np.full(len(places), 0.99), np.where(rejected <= 20, 0.95, 0.5)])
     found = Suggestions(np.concatenate([places, rejected]), 3 + kind, kind, score, -kind)
-    return Session(store, table, stills, SequenceInfo(*SIZE, 25.0, FRAMES, "drawn"), Ready(found))
+
+    def waits(told):
+        told(0.25)
+        while not waiting_for.exists():
+            time.sleep(0.02)
+        return found
+
+    suggester = Ready(found) if waiting_for is None else Background(waits)
+    return Session(store, table, stills, SequenceInfo(*SIZE, 25.0, FRAMES, "drawn"), suggester)
 
 
 @contextlib.contextmanager
-def server(labels: Path, boxes: int = 12, port: int = 0) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+def server(
+    labels: Path, boxes: int = 12, port: int = 0, waiting_for: Path | None = None
+) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """The page's address and the process that serves it, which may be killed inside."""
-    program = PROGRAM.format(tests=str(Path(__file__).parent), labels=str(labels), boxes=boxes, port=port)
+    program = PROGRAM.format(
+        tests=str(Path(__file__).parent),
+        labels=str(labels),
+        boxes=boxes,
+        port=port,
+        waiting_for=waiting_for and str(waiting_for),
+    )
     process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None

@@ -207,6 +207,20 @@ def test_suggestions_are_confirmed_in_one_sweep_and_taken_back_in_one(browser, t
         assert store.labels() == []
 
 
+def test_the_page_does_not_wait_for_suggestions(browser, tmp_path):
+    go = tmp_path / "go"
+    with server(tmp_path / "labels.sqlite", waiting_for=go) as (url, _), opened(browser, url) as it:
+        it.page.wait_for_selector('#sweep-button:text-is("suggestions … 25 %")')
+        # The key does nothing yet, and what is clicked meanwhile is kept, and not suggested any more.
+        it.page.keyboard.press("s")
+        assert it.page.locator("#sweep").is_hidden()
+        it.click(500, 100)
+        it.kept()
+        go.touch()
+        it.page.wait_for_selector('#sweep-button:text-is("59 suggestions (S)")')
+        assert "1 false" in it.page.inner_text("#progress")
+
+
 def test_reload_goes_on_where_one_left(browser, tmp_path):
     with server(tmp_path / "labels.sqlite") as (url, _), opened(browser, url) as it:
         it.click(200, 100)

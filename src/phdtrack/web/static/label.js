@@ -1,6 +1,7 @@
 // Marking false detections and births: one click or key each, kept at once.
 
 import { Clip } from "./clip.js";
+import { drawMaps } from "./maps.js";
 import { Queue } from "./queue.js";
 import { Sweep } from "./sweep.js";
 import { View } from "./view.js";
@@ -214,6 +215,8 @@ function tell() {
   });
 }
 
+const maps = () => drawMaps(overview.progress, number());
+
 function tellClip() {
   const [first, last] = clip.range;
   $("clip").hidden = first === last || !$("wall").hidden || (mode() !== "birth" && seen() === number() && !clip.playing);
@@ -221,17 +224,6 @@ function tellClip() {
   $("play").textContent = clip.playing ? "❚❚" : "▶";
   const by = seen() - number();
   $("when").textContent = by ? `frame ${seen()} (${by > 0 ? "+" : "−"}${Math.abs(by)})` : `frame ${seen()}, drawn`;
-}
-
-function maps() {
-  const told = { false: ["false alarms", "red: expected here"], birth: ["births", "green: expected here"] };
-  for (const [name, [what, meaning]] of Object.entries(told)) {
-    const image = $(`map-${name}`);
-    const many = overview.progress[name === "birth" ? "births" : "false"];
-    image.src = `/api/map/${name}.png?${Date.now()}`;
-    image.style.backgroundImage = `url(/still/${number()}.jpg)`;
-    image.nextElementSibling.textContent = many < 10 ? `${what}: from 10 marks on (${many} so far)` : `${many} ${what}; ${meaning}`;
-  }
 }
 
 function wall() {
