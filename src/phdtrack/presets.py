@@ -1,8 +1,9 @@
 """The papers' parameters, and the defaults, as overlays on the records' own defaults.
 
-``default``: what `phdtrack track` uses: M09's model with a lower p_D, a steadier size and less clutter, as today's detectors
-have, births and clutter around the detections, states joined that no sensor could tell apart, and half of M07's particles,
-which costs less than half a hundredth of any score and takes a quarter off the tracker's time (docs/results/particles.md).
+``default``: what `phdtrack track` uses: M09's model with targets that keep their velocity and their size better, live longer
+and are detected less surely, as today's detectors have it; newborn that may be faster, less clutter, births and clutter around
+the detections, states joined that no sensor could tell apart, and half of M07's particles (docs/results/peers.md has what each
+is worth, docs/results/particles.md the particles).
 ``m07``: Maggio et al. 2007: likelihood scaled by the detection, births and clutter around the detections, K-means.
 ``m09``: Maggio and Cavallaro 2009: M07's numbers (M09 prints none of its own) with the likelihood scaled by the particle, no
 floor, births and clutter uniform over the image, and extraction by a Gaussian mixture at 0.5.
@@ -59,8 +60,8 @@ USUAL: Mapping[str, Mapping[str, Mapping[str, Any]]] = {"plane": PLANE, "point":
 
 PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "default": {
-        "motion": {"acceleration": 0.005, "resize": 0.07, "survival": 0.997},
-        "sensor": {"detection": 0.8, "spread": 0.15, "scaling": "particle"},
+        "motion": {"acceleration": 0.005, "resize": 0.07, "survival": 0.997, "roughening": 0.005},
+        "sensor": {"detection": 0.8, "spread": 0.15, "speed": 0.1, "scaling": "particle"},
         "birth": {"rate": 0.01, "most": 500, "volume": "local"},
         "clutter": {"rate": 0.3, "volume": "local"},
         "filter": {"per_target": 750},

@@ -28,7 +28,7 @@ def circling(frames: int):
 
 def test_the_state_stops_growing():
     """Over 10 000 frames: its bytes after 2000 are those after 10 000."""
-    matching, state, size = matching_of(remember=8.0, backfill=3, worth=0.75), matching_of().start(), {}
+    matching, state, size = matching_of(remember=8.0, backfill=3), matching_of().start(), {}
     for number, estimates in enumerate(circling(10_000), start=1):
         state, _ = matching.extend(state, estimates, estimates.state[[0, 1, 4, 5]], number, 1.0, MODEL)
         if number % 1000 == 0:

@@ -49,6 +49,6 @@ def test_places_that_fire_are_unlearned_in_forty_frames(tmp_path: Path, name: st
     )
     plain = phdtrack(*common, "--out", tmp_path / "plain").object["scores"]
     taught = phdtrack(*common, "--out", tmp_path / "taught", "--scene", scene).object["scores"]
-    assert taught["false_tracks"] <= 0.1 * plain["false_tracks"]
-    assert taught["MOTA"] > plain["MOTA"] + 0.1
-    assert taught["misses"] <= 1.25 * plain["misses"]
+    assert taught["false_positives"] <= 0.15 * plain["false_positives"]
+    assert taught["false_tracks"] < plain["false_tracks"]
+    assert taught["MOTA"] > max(0.8, plain["MOTA"] + 0.5)

@@ -86,15 +86,17 @@ def test_one_step(name: str, births: str, dt: float):
 @pytest.mark.parametrize("dt", [0.5, 1.0, 3.0])
 @pytest.mark.parametrize("scaled", [True, False])
 def test_motion_alone(scaled: bool, dt: float):
-    """A cloud at one point, moved and nothing else: mean and covariance are those of `transition`."""
+    """A cloud at one point, moved and nothing else: mean and covariance are those of `transition`, roughened."""
     kind = () if scaled else ("motion.scaled=false", "motion.acceleration=1.5", "motion.resize=2")
     model = preset("default", "filter.per_target=20000", *kind)
     x = np.array([[300.0, 200, 3, -2, 60, 120]]).T
     count = 20_000
     start = np.append(np.arange(0, count, 250), count)
     state = ParticleBlocks(np.repeat(x, count, axis=1).astype(np.float32), start, 1 / count)
-    dense = ParticlePHD(per_target=count * 10)
-    mean, _, cov = model.motion.transition(x, dt)
+    # As many as there are, of what a miss leaves.
+    dense = ParticlePHD(per_target=round(count / (1 - model.sensor.detection)))
+    rougher = replace(model.motion, acceleration=model.motion.drawn, roughening=0.0)
+    mean, _, cov = rougher.transition(x, dt)
     found, seeds = [], 6
     for seed in range(seeds):
         after, _ = dense.step(state, np.zeros((4, 0)), model, dt, np.random.default_rng(seed))
@@ -126,7 +128,7 @@ def test_newborn_alone(births: str):
 def test_newborn_velocities_have_uniform_direction_and_gaussian_amplitude():
     model = preset("default", "birth.most=1000", "birth.rate=0.5")
     z = np.array([[200.0], [150], [30], [70]])
-    speed = 0.06 * np.sqrt(30 * 70)
+    speed = model.sensor.speed * np.sqrt(30 * 70)
     v = np.hstack([
         ParticlePHD(per_target=4000).step(NOTHING, z, model, 1.0, np.random.default_rng(seed))[0].state[2:4]
         for seed in range(40)

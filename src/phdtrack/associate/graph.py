@@ -69,7 +69,7 @@ class GraphMatching:
     shortest: PositiveCount = 5
     gate: Positive = 4.0
     miss: Share = 0.9
-    worth: Probability = 0.8
+    worth: Probability = 0.75
     consistent: Positive = 3.0
     delay: Count = 0
     coast: NonNegative = 0.2

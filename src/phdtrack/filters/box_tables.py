@@ -56,11 +56,11 @@ def box_model(model: Model) -> BoxModel | None:
 def motion_numbers(motion: BoxMotion, dt: float) -> F4:
     """What `box_blocks.move` reads, and the rest of the position's noise for dt > 1 [M09 (11)]."""
     root, (width, height) = math.sqrt(dt), motion.frame_size
-    rest = motion.acceleration * math.sqrt((dt**3 - dt) / 12) if dt > 1 else 0.0
+    rest = motion.drawn * math.sqrt((dt**3 - dt) / 12) if dt > 1 else 0.0
     if not (width > 0 and height > 0):
         width = height = 0.0
     scaled = float(motion.scaled)
-    numbers = (dt, motion.acceleration * root, motion.resize * root, motion.smallest, scaled, width, height, rest)
+    numbers = (dt, motion.drawn * root, motion.resize * root, motion.smallest, scaled, width, height, rest)
     return np.array(numbers, np.float32)
 
 

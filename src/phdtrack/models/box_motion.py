@@ -17,6 +17,7 @@ semidefinite with one noise an axis, as printed.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -43,6 +44,8 @@ class BoxMotion:
     frame_size : width and height of the image in pixels; a target whose box has left it does not survive. (0, 0): no such
         border.
     births : the spawning part β.
+    roughening : what is added to the acceleration of draws (`sample`), and to them alone, as its deviation: few particles
+        that move by little noise soon come from one ancestor, which need not have had the right velocity [G93].
     """
 
     acceleration: NonNegative = 0.03
@@ -53,6 +56,7 @@ class BoxMotion:
     smallest: Positive = 1.0
     frame_size: tuple[float, float] = (0.0, 0.0)
     births: Spawn = field(default_factory=NoSpawn)
+    roughening: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         check(self)
@@ -62,16 +66,21 @@ class BoxMotion:
         """Number of state components: 6, or 8 with the remembered size."""
         return 8 if self.remember_size else 6
 
+    @property
+    def drawn(self) -> float:
+        """Deviation of the acceleration that draws have: the motion's own, roughened."""
+        return math.hypot(self.acceleration, self.roughening)
+
     def _unit(self, x: F8) -> F8:
         """(2, L) what the noises are multiples of."""
         size: F8 = np.maximum(x[4:6], self.smallest) if self.scaled else np.ones((2, x.shape[1]))
         return size
 
     def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
-        """One draw of f(·|ξ) for each column ξ of ``x`` [M09 (11)]."""
+        """One draw of f(·|ξ) for each column ξ of ``x`` [M09 (11)], roughened."""
         unit = self._unit(x)
         noise = rng.standard_normal((4, x.shape[1]))
-        kick = self.acceleration * np.sqrt(dt) * unit * noise[:2]
+        kick = self.drawn * np.sqrt(dt) * unit * noise[:2]
         moved = np.empty_like(x)
         moved[0:2] = x[0:2] + dt * (x[2:4] + 0.5 * kick)
         moved[2:4] = x[2:4] + kick
@@ -79,7 +88,7 @@ class BoxMotion:
         moved[4:6] = self.smallest + np.abs(moved[4:6] - self.smallest)
         if dt > 1:
             # What is left of the position's variance beside the part that the velocity's noise explains.
-            rest = self.acceleration * np.sqrt((dt**3 - dt) / 12)
+            rest = self.drawn * np.sqrt((dt**3 - dt) / 12)
             moved[0:2] += rest * unit * rng.standard_normal((2, x.shape[1]))
         if self.remember_size:
             moved[6:8] = x[4:6]
