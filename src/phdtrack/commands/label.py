@@ -71,10 +71,10 @@ def label(
     numbers = [number for number, _ in store.frames()]
     around = {frame for number in numbers for frame in clip(number, found.last)}
     pictures = stills(found.source, fps, set(numbers), around)
+    address = listen(host, port)
     settings, kept = load(config, tuple(sets or ())), file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
     suggester = Background(lambda told: suggestions(found, settings, numbers, kept, told)) if suggest else Ready(NOTHING)
     session = Session(store, found.table, pictures, found.info, suggester)
-    address = listen(host, port)
     progress = store.progress()
     result.say(f"{counted(progress.frames, 'frame')}, {progress.done} of them looked at; the marks are kept in {file}")
     result.say(f"the page: {address.url}   (Ctrl-C ends)")
