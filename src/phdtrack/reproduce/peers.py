@@ -1,0 +1,272 @@
+"""Beside the trackers that people use today: same detections, no score threshold, one parameter set, TrackEval's scores.
+
+    phdtrack reproduce peers
+
+Peers' scores come from `bench/peers.csv` beside the real sequences, and so do the clutter cases (`bench/make_clutter.py`,
+run as it is): nothing of a peer is measured here. Every filter has the shipped defaults. Truth that the benchmark marks as
+not to be counted is left out, as TrackEval does for MOT15, so that scores compare.
+"""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from phdtrack import config, pipeline
+from phdtrack.errors import InputError
+from phdtrack.formats import read_detections, read_seqinfo, read_truth
+from phdtrack.metrics import Scores, evaluate, pool
+from phdtrack.reproduce.common import Options, in_parallel, need_data, table, write
+from phdtrack.types import SequenceInfo, Tracks, Truth
+
+MADE: tuple[str, ...] = ("PETS09-S2L1", "TUD-Campus")
+SEQUENCES: Mapping[str, tuple[str, ...]] = {
+    "frcnn": ("PETS09-S2L1", "TUD-Campus", "ETH-Sunnyday", "KITTI-17", "ADL-Rundle-6"),
+    "public": ("PETS09-S2L1", "TUD-Campus", "ETH-Sunnyday", "KITTI-17"),
+}
+RATES = (0, 5, 20)
+# Uniform clutter, and the same with five places that fire.
+CLUTTER = tuple(f"{kind}{rate}" for kind in "up" for rate in RATES)
+# Peers have been scored on the first.
+SEEDS = 3
+FILTERS = ("particle-phd", "gm-phd", "mht", "none")
+SHOWN = ("HOTA", "MOTA", "IDF1")
+# What the shipped defaults are made of, taken away or put back one at a time.
+PARTS: Mapping[str, tuple[str, ...]] = {
+    "as shipped": (),
+    "acceleration of M09 (0.03)": ("motion.acceleration=0.03",),
+    "acceleration twice (0.01)": ("motion.acceleration=0.01",),
+    "acceleration half (0.0025)": ("motion.acceleration=0.0025",),
+    "survival of M07 (0.99)": ("motion.survival=0.99",),
+    "p_D 0.9": ("sensor.detection=0.9",),
+    "p_D 0.7": ("sensor.detection=0.7",),
+    "gaps cost more (miss 0.8)": ("associate.miss=0.8",),
+    "gaps cost nothing (miss 1)": ("associate.miss=1",),
+    "poor links kept (worth 0)": ("associate.worth=0",),
+    "no gap is filled": ("associate.bridge=false",),
+    "tracks begin where they are believed": ("associate.backfill=0",),
+    "states that overlap stand apart": ("extract.overlap=1",),
+    "size as unsteady as M09's (0.1)": ("motion.resize=0.1",),
+}
+ABLATED = "gm-phd"
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One run on one sequence; ``case``: frcnn, public, or a clutter case with its seed, as peers.csv names them."""
+
+    case: str
+    sequence: str
+    method: str
+    seed: int = 1
+    sets: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """Scores of what was given online, at once and for good, and of the corrected tracks; milliseconds a frame."""
+
+    online: Scores
+    offline: Scores
+    ms: float
+
+
+def bench() -> Path:
+    """The folder of the comparison; `InputError` where it is missing."""
+    folder = need_data().parent / "bench"
+    if not (folder / "peers.csv").is_file():
+        raise InputError(
+            "the peers' scores are missing", where=folder, cure="Put bench/ with peers.csv and make_clutter.py there"
+        )
+    return folder
+
+
+@lru_cache(maxsize=1)
+def _made() -> tempfile.TemporaryDirectory[str]:
+    """The clutter cases, made once a process; they go with it."""
+    folder = tempfile.TemporaryDirectory()
+    given = (bench() / "make_clutter.py", "--gt-root", need_data() / "mot15", "--out", folder.name)
+    rates, seeds = map(str, RATES), map(str, range(1, SEEDS + 1))
+    wanted = ("--seqs", *MADE, "--lambdas", *rates, "--seeds", *seeds)
+    subprocess.run([sys.executable, *map(str, given), *wanted], check=True, stdout=subprocess.DEVNULL)
+    return folder
+
+
+def work(job: Job) -> Outcome:
+    """One run, scored."""
+    folder = need_data() / "mot15" / job.sequence
+    info, truth = read_seqinfo(folder), counted(read_truth(folder / "gt" / "gt.txt"))
+    if job.case in SEQUENCES:
+        found = folder / f"det_{job.case}" / "det.txt"
+    else:
+        found = Path(_made().name) / job.case / job.sequence / "det" / "det.txt"
+    online, offline, ms = tracked(found, info, job)
+    return Outcome(evaluate(truth, online, frames=info.frames), evaluate(truth, offline, frames=info.frames), ms)
+
+
+def counted(truth: Truth) -> Truth:
+    """The rows that count."""
+    rows = ~truth.distractor
+    return Truth(truth.frame[rows], truth.identity[rows], truth.xyxy[rows], truth.distractor[rows])
+
+
+def tracked(detections: Path, info: SequenceInfo, job: Job) -> tuple[Tracks, Tracks, float]:
+    """Confirmed rows given online, corrected tracks, and milliseconds that a frame took in filter and association."""
+    found = read_detections(detections)
+    stages = config.build(config.load(None, job.sets, ""), info, job.method)
+    rng = np.random.default_rng(job.seed)
+    state, given, spent = pipeline.start(stages, rng), [], 0.0
+    for number in range(1, info.frames + 1):
+        state, step = pipeline.advance(stages, state, found.at(number), number, (number - 1) / info.fps, rng)
+        given.append(step.tracks)
+        spent += sum(step.seconds)
+    online = Tracks.concatenate([*given, stages.associator.flush(state.association, stages.model)])
+    return online.take(online.confirmed), pipeline.finish(stages, state), 1e3 * spent / info.frames
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """All runs; the peers' rows by case and sequence; ``sequences`` of each case, ``filters`` and number of ``seeds``."""
+
+    results: Mapping[Job, Outcome]
+    peers: Mapping[tuple[str, str], Sequence[Mapping[str, str]]]
+    sequences: Mapping[str, tuple[str, ...]]
+    filters: tuple[str, ...]
+    seeds: int
+
+    def pooled(self, case: str, method: str, kind: str, sets: tuple[str, ...] = ()) -> list[Scores]:
+        """The scores over all sequences of a case, for each seed."""
+        out = []
+        for seed in range(1, self.seeds + 1):
+            runs = [self.results[_job(case, sequence, method, seed, sets)] for sequence in self.sequences[case]]
+            out.append(pool([getattr(run, kind) for run in runs]))
+        return out
+
+    def mean(self, case: str, method: str, kind: str, score: str, sets: tuple[str, ...] = ()) -> float:
+        """A pooled score's mean over the seeds, in points."""
+        return float(np.mean([100 * getattr(one, score) for one in self.pooled(case, method, kind, sets)]))
+
+    def best(self, case: str, sequence: str, score: str) -> tuple[float, str]:
+        """The best peer's score in points, and its name; NaN where none was scored."""
+        rows = [row for row in self.peers.get((_peers_case(case), sequence), ()) if row["name"] != "oracle"]
+        return max(((float(row[score]), row["name"]) for row in rows), default=(float("nan"), "–"))
+
+
+def _peers_case(case: str) -> str:
+    return case if case in SEQUENCES else f"{case}-s1"
+
+
+def _job(case: str, sequence: str, method: str, seed: int, sets: tuple[str, ...] = ()) -> Job:
+    """The run that stands for a seed: real detections and filters that draw nothing need one only."""
+    if case not in SEQUENCES:
+        return Job(f"{case}-s{seed}", sequence, method, seed if method == "particle-phd" else 1, sets)
+    return Job(case, sequence, method, seed if method == "particle-phd" else 1, sets)
+
+
+def main(options: Options | None = None) -> Path:
+    """Run everything and write peers.md."""
+    options = options or Options()
+    quick = options.quick
+    sequences = dict.fromkeys(SEQUENCES, ("TUD-Campus",)) if quick else dict(SEQUENCES)
+    sequences |= dict.fromkeys(CLUTTER[:1] if quick else CLUTTER, MADE[1:] if quick else MADE)
+    filters, seeds = (FILTERS[1:2] if quick else FILTERS), 1 if quick else SEEDS
+    wanted = [(method, ()) for method in filters] + [(ABLATED, sets) for sets in PARTS.values()]
+    every = (
+        _job(case, sequence, method, seed, sets)
+        for method, sets in wanted
+        for case, names in sequences.items()
+        for sequence in names
+        for seed in range(1, seeds + 1)
+    )
+    jobs = list(dict.fromkeys(every))
+    results = dict(zip(jobs, in_parallel(work, jobs, "peers", options.folder), strict=True))
+    return write("peers.md", page(Found(results, read_peers(), sequences, filters, seeds)), options.out)
+
+
+def read_peers() -> dict[tuple[str, str], list[Mapping[str, str]]]:
+    """The rows of peers.csv by case and sequence (``ALL``: pooled)."""
+    out: dict[tuple[str, str], list[Mapping[str, str]]] = {}
+    with (bench() / "peers.csv").open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            out.setdefault((row["case"], row["seq"]), []).append(row)
+    return out
+
+
+def page(found: Found) -> str:
+    """The page of results."""
+    text = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
+    real = [case for case in found.sequences if case in SEQUENCES]
+    return text.format(
+        seeds=counted_seeds(found.seeds),
+        real=_pooled_table(found, real),
+        clutter=_pooled_table(found, [case for case in found.sequences if case not in SEQUENCES]),
+        sequences=_sequence_table(found, real),
+        parts=_parts_table(found),
+        ablated=ABLATED,
+    )
+
+
+def counted_seeds(seeds: int) -> str:
+    """How many, in words."""
+    return "one seed" if seeds == 1 else f"{seeds} seeds"
+
+
+def _pooled_table(found: Found, cases: Sequence[str]) -> str:
+    header = ("case", "tracker", *(f"{score} {kind}" for kind in ("online", "corrected") for score in SHOWN), "ms")
+    rows: list[tuple[object, ...]] = []
+    for case in cases:
+        best = (f"{value:.1f} {name}" for value, name in (found.best(case, "ALL", score) for score in SHOWN))
+        rows.append((case, "best peer in each", *best, "", "", "", ""))
+        for method in found.filters:
+            cells = (f"{found.mean(case, method, kind, score):.1f}" for kind in ("online", "offline") for score in SHOWN)
+            rows.append((case, method, *cells, f"{_ms(found, case, method):.2f}"))
+    return table(header, rows)
+
+
+def _ms(found: Found, case: str, method: str) -> float:
+    jobs = [_job(case, sequence, method, 1) for sequence in found.sequences[case]]
+    return float(np.median([found.results[job].ms for job in jobs]))
+
+
+def _sequence_table(found: Found, cases: Sequence[str]) -> str:
+    """Corrected tracks less the best peer in each score, sequence by sequence."""
+    header = ("case", "sequence", "tracker", *(f"{score} (less the best peer's)" for score in SHOWN))
+    rows = []
+    for case in cases:
+        for sequence in found.sequences[case]:
+            for method in found.filters:
+                runs = [found.results[_job(case, sequence, method, seed)] for seed in range(1, found.seeds + 1)]
+                cells = []
+                for score in SHOWN:
+                    ours = float(np.mean([100 * getattr(run.offline, score) for run in runs]))
+                    cells.append(f"{ours:.1f} ({ours - found.best(case, sequence, score)[0]:+.1f})")
+                rows.append((case, sequence, method, *cells))
+    return table(header, rows)
+
+
+def _parts_table(found: Found) -> str:
+    """Corrected tracks with each part changed, as differences from the shipped defaults."""
+    cases = [case for case in found.sequences if case in SEQUENCES or case in ("u20", "p20")]
+    header = ("change", *(f"{case} {score}" for case in cases for score in SHOWN))
+    rows = []
+    for name, sets in PARTS.items():
+        cells = []
+        for case in cases:
+            for score in SHOWN:
+                base = found.mean(case, ABLATED, "offline", score)
+                value = found.mean(case, ABLATED, "offline", score, sets)
+                cells.append(f"{value:.1f}" if not sets else f"{value - base:+.1f}")
+        rows.append((name, *cells))
+    return table(header, rows)
+
+
+if __name__ == "__main__":
+    main()
