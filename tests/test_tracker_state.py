@@ -27,7 +27,8 @@ def scene():
     {"sensor": {"scaling": "previous"}},
     {"filter": {"kind": "none"}},
     {"filter": {"kind": "mht"}, "associate": {"delay": 3}},
-], ids=["default", "delay", "previous size", "none", "mht"])  # fmt: skip
+    {"learn": {"kind": "online", "memory": 0.05, "wait": 0.3}},
+], ids=["default", "delay", "previous size", "none", "mht", "learning"])  # fmt: skip
 @pytest.mark.parametrize("carry", [lambda d: d, lambda d: pickle.loads(pickle.dumps(d))], ids=["dict", "pickled"])
 def test_a_resumed_run_is_bit_identical(section, carry, scene):
     whole, first, second = (tracker_of(**section) for _ in range(3))

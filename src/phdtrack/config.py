@@ -15,6 +15,7 @@ On the command line the same is ``--set sensor.detection=0.9``. An unknown name 
 
 from __future__ import annotations
 
+import datetime
 import difflib
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -374,7 +375,9 @@ def _assignment(text: str) -> tuple[str, str, Any]:
             "expected section.name=value", where=f"--set {text}", cure="For example: --set sensor.detection=0.9"
         )
     try:
-        return section, key, tomllib.loads(f"value = {value.strip()}")["value"]
+        parsed = tomllib.loads(f"value = {value.strip()}")["value"]
+        # No setting is a moment; TOML takes 19:30:00 for one.
+        return section, key, value.strip() if isinstance(parsed, (datetime.date, datetime.time)) else parsed
     except tomllib.TOMLDecodeError:
         return section, key, value.strip()
 

@@ -1,5 +1,7 @@
 """Learning while tracking on simulated scenes whose false alarms are known."""
 
+import pickle
+
 import numpy as np
 import pytest
 from learning_cases import DETECTOR, joined, scores, seen_again, street, tracked
@@ -115,12 +117,24 @@ def test_somebody_who_stands_still_is_not_learned_away(chance):
     assert learned.mota > 0.98
 
 
-def test_a_run_is_the_same_again_and_frames_nobody_saw_teach_nothing():
+def test_a_run_is_the_same_again_and_goes_on_from_a_saved_state():
     scene = street(2, 400)
     runs = [tracked(scene.info, scene.detections, "memory=0.2") for _ in range(2)]
     np.testing.assert_array_equal(runs[0].tracks.xyxy, runs[1].tracks.xyxy)
     assert runs[0].course == runs[1].course
     assert len(runs[0].course) > 8
+    whole, first, rest = (Tracker((640, 360), learn={"kind": "online", "memory": 0.2}) for _ in range(3))
+    for k in range(1, 401):
+        whole.update(scene.detections.at(k))
+        first.update(scene.detections.at(k)) if k <= 250 else rest.update(scene.detections.at(k))
+        if k == 250:
+            rest.load_state_dict(pickle.loads(pickle.dumps(first.state_dict())))
+    assert first.state.learned.clutter is not None
+    np.testing.assert_array_equal(rest.tracks().xyxy, whole.tracks().xyxy)
+    assert rest.state.learned.followed.last == whole.state.learned.followed.last
+
+
+def test_frames_that_nobody_saw_teach_nothing():
     tracker = Tracker((640, 360), learn={"kind": "online", "memory": 0.2})
     for _ in range(200):
         tracker.update(Detections.empty(observed=False))

@@ -1,0 +1,78 @@
+"""`phdtrack track --learn-online`: what it writes, what another run begins with, and what is refused."""
+
+import json
+
+import pytest
+from cli_runner import phdtrack
+
+from phdtrack.context import read_scene
+from phdtrack.formats import write_detections, write_truth
+from phdtrack.simulate import DetectorModel, make_scene
+
+
+@pytest.fixture(scope="module")
+def yard(tmp_path_factory):
+    """Detections with five places that fire, and the truth."""
+    folder = tmp_path_factory.mktemp("yard")
+    scene = make_scene("street", 1, DetectorModel(occlusion=2.0, clutter_rate=1.0, places=5), frames=600)
+    write_detections(folder / "det.txt", scene.detections)
+    write_truth(folder / "gt.txt", scene.truth)
+    return folder
+
+
+def options(folder, out, *more):
+    files = ("--detections", folder / "det.txt", "--truth", folder / "gt.txt", "--frame-size", "640x360", "--fps", 25)
+    return ("track", *files, "--no-video", "--out", out, "--json", *more)
+
+
+def test_learns_and_another_run_begins_with_it(yard, tmp_path):
+    plain = phdtrack(*options(yard, tmp_path / "plain")).object
+    first = phdtrack(*options(yard, tmp_path / "first", "--learn-online", "--set", "learn.memory=1.0")).object
+    course = first["learning"]["course"]
+    assert first["learning"]["memory_minutes"] == 1
+    assert course[-1]["false_alarms_used"]
+    assert course[-1]["false_alarms_per_frame"] == pytest.approx(3.5, rel=0.2)
+    assert any("false alarms in use" in said for entry in course for said in entry["said"])
+    assert first["configuration"]["learn"]["kind"] == "online"
+    assert "What was learned of the scene" in (tmp_path / "first" / "report.html").read_text(encoding="utf-8")
+    scene = read_scene(tmp_path / "first" / "scene.json")
+    assert (scene.width, scene.height, scene.notes["mode"]) == (640, 360, "first")
+    assert len(scene.clutter.density) > 3
+    # The second run knows the places from its first frame on; given as a file they stay what they are.
+    more = ("--learn-online", "--scene", tmp_path / "first")
+    then = phdtrack(*options(yard, tmp_path / "then", *more)).object
+    fixed = phdtrack(*options(yard, tmp_path / "fixed", "--scene", tmp_path / "first" / "scene.json")).object
+    false = [one["scores"]["false_positives"] for one in (plain, first, then, fixed)]
+    assert false[1] < 0.7 * false[0]
+    assert false[2] < 0.2 * false[0]
+    assert false[3] < 0.2 * false[0]
+
+
+def test_each_mode_has_a_file_and_all_of_them_are_taken_up(yard, tmp_path):
+    hours = ("--set", "learn.schedule=07:00 day, 20:00 night", "--set", "learn.starts=19:59:48", "--set", "learn.memory=0.5")
+    assert phdtrack(*options(yard, tmp_path / "one", "--learn-online", *hours)).status == 0
+    names = [read_scene(tmp_path / "one" / file).notes["mode"] for file in ("scene.json", "scene-2.json")]
+    assert names == ["night", "day"]
+    again = phdtrack(*options(yard, tmp_path / "two", "--learn-online", "--scene", tmp_path / "one", *hours)).object
+    entry = again["learning"]["course"][0]
+    assert (entry["mode"], entry["false_alarms_used"]) == ("day", True)
+    document = json.loads((tmp_path / "two" / "run.json").read_text(encoding="utf-8"))
+    assert document["learning"] == again["learning"]
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (("--learn-online", "--filter", "none"), "learn.kind=online does not fit filter.kind=none"),
+        (("--learn-online", "--set", "learn.switch=true", "--set", "learn.schedule=07:00 day"), "by evidence or by time"),
+        (("--set", "learn.memory=2"), "unknown setting of [learn]: memory"),
+        (("--learn-online", "--set", "learn.memory=0.0"), "memory"),
+        (("--learn-online", "--scene", "."), "no scene*.json"),
+    ],
+)
+def test_what_does_not_go_is_told(yard, tmp_path, monkeypatch, more, words):
+    monkeypatch.chdir(tmp_path)
+    said = phdtrack(*options(yard, tmp_path / "out", *more))
+    assert said.status == 2
+    assert words in said.err
+    assert not (tmp_path / "out").exists()
