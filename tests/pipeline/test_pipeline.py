@@ -116,7 +116,7 @@ def test_a_sequence_may_end_before_it_begins(stages, rng):
 
 @pytest.mark.parametrize("scaling", ["particle", "detection", "previous", "fixed", "given"])
 def test_every_scaling_takes_frames_without_detections(scaling: str, rng):
-    stages = config.build(config.load(sets=[f"sensor.scaling={scaling}", "filter.per_target=50"]), INFO)
+    stages = config.build(config.load(sets=[f"sensor.scaling={scaling}", "filter.per_target=200"]), INFO)
     cov = np.diag([4.0, 9.0, 16.0, 36.0])[None]
     found = Detections(BOX.xyxy, BOX.confidence, BOX.class_id, cov)
     frames = [Detections.empty(), *[found] * 10, Detections.empty(), found, Detections.empty(observed=False), *[found] * 5]
