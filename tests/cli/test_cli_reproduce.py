@@ -55,8 +55,8 @@ def test_a_shortened_form_does_not_touch_the_committed_pages(small, tmp_path: Pa
 
 
 def test_an_unknown_name_is_refused_with_the_nearest() -> None:
-    sentence = refused("reproduce", "m70")
-    assert "'m70'" in sentence
+    sentence = refused("reproduce", "m077")
+    assert "'m077'" in sentence
     assert "Did you mean m07?" in sentence
 
 

@@ -1,0 +1,205 @@
+"""What is learned of a scene from its first half, as M09 does: false alarms from marks, births from tracks or from marks.
+
+The truth stands for the person: a detection that overlaps nobody by 0.3 is marked as false, on 40 frames drawn at random;
+the first detection of whoever comes in is marked as a birth, on every frame of the half. Marks go through the file of
+labels, as a person's clicks do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from phdtrack import config, pipeline
+from phdtrack.boxes import iou, to_cxcywh
+from phdtrack.context import Learned, RecursiveEM, uniform_density
+from phdtrack.context.learning import Lesson, learn_births, learn_clutter
+from phdtrack.context.samples import first_states
+from phdtrack.errors import InputError
+from phdtrack.label import Label, LabelStore
+from phdtrack.label.hand import REACH, birth_states, time_watched
+from phdtrack.label.session import false_boxes, sampled
+from phdtrack.metrics import first_output_delays
+from phdtrack.models import MeasurementBirth
+from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.protocols import AnyStages
+from phdtrack.reproduce.common import Case
+from phdtrack.reproduce.m09_scenes import Footage, halves
+from phdtrack.types import F8, I8, SequenceInfo, Tracks
+
+MARKED = 40
+# Nobody: a detection that overlaps everybody by less. Somebody's: one that overlaps him by as much as a match needs.
+NOBODY, SOMEBODY = 0.3, 0.5
+BIRTHS, MOST = 0.01, 500
+"""The shipped magnitude of births a time unit, here uniform over the image, and the shipped most particles a detection."""
+# Births anywhere: pixels a time unit on an axis at most, and how much wider than detected the range of sizes is.
+FASTEST, WIDER = 20.0, 1.5
+# Samples that what is learned stands beside: as many as are the fewest that are learned from.
+PRIOR = 10
+# Tracks shorter than this many seconds teach no births.
+LASTING = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """What is learned of a scene; ``seed`` draws the frames that are marked and the particles of the tracker's own run."""
+
+    footage: Footage
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Taught:
+    """What was learned; births of fewer than ten tracks or marks are not, and None.
+
+    ``gains``: held-out nats above uniform, of clutter, births, and births by hand; NaN where nothing was learned.
+    ``entered``: how many came in, in the half that was learned from.
+    """
+
+    clutter: Learned
+    births: Learned | None
+    hand: Learned | None
+    gains: tuple[float, float, float]
+    entered: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """Corrected tracks, the rows given at once, and seconds that a frame took."""
+
+    corrected: Tracks
+    online: Tracks
+    seconds: float
+
+
+def learn(course: Course) -> Taught:
+    """Everything that the runs of a scene need."""
+    case = halves(course.footage).train
+    stages = config.build(config.load(), case.info, "particle-phd")
+    rate = stages.model.rate
+    with TemporaryDirectory() as folder:
+        alarms = marked_false(case, Path(folder) / "false.sqlite", course.seed)
+        clutter = learned_alarms(case, alarms)
+        entries = marked_births(case, Path(folder) / "births.sqlite")
+        by_hand = birth_states(entries, case.table, case.info, rate)
+        watched = time_watched(entries, case.table, case.info, rate)
+    # Uniform births, over as much as the learned false alarms: around each detection they would be believed at once.
+    alarms_there = ContextClutter(clutter.learned.rate, clutter.learned.density)
+    model = replace(stages.model, birth=anywhere(case), clutter=alarms_there)
+    births = own_births(replace(stages, model=model), case, course.seed)
+    hand = _lesson(by_hand, watched, case)
+    gains = tuple(lesson.gain if lesson else np.nan for lesson in (clutter, births, hand))
+    return Taught(
+        clutter.learned,
+        births.learned if births else None,
+        hand.learned if hand else None,
+        (gains[0], gains[1], gains[2]),
+        by_hand.shape[1],
+    )
+
+
+def followed(stages: AnyStages, case: Case, seed: int) -> Run:
+    """One run of the tracker over a case."""
+    rng, spent, online = np.random.default_rng(seed), 0.0, []
+    state = pipeline.start(stages, rng)
+    for number in range(1, case.info.frames + 1):
+        state, step = pipeline.advance(stages, state, case.table.at(number), number, (number - 1) / case.info.fps, rng)
+        online.append(step.tracks)
+        spent += sum(step.seconds)
+    return Run(pipeline.finish(stages, state), Tracks.concatenate(online), spent / case.info.frames)
+
+
+def own_births(stages: AnyStages, case: Case, seed: int) -> Lesson | None:
+    """Births from the tracks that the tracker itself makes [M09 §IV]; None where there are too few."""
+    tracks = followed(stages, case, seed).corrected
+    states = first_states(tracks, case.info.fps, stages.model.rate, round(LASTING * case.info.fps))
+    return _lesson(states, case.info.frames / case.info.fps * stages.model.rate, case)
+
+
+def learned_alarms(case: Case, labels: LabelStore) -> Lesson:
+    """False alarms from marks."""
+    size = float(case.info.width), float(case.info.height)
+    lesson = learn_clutter(false_boxes(labels, case.table), labels.progress().done, size, RecursiveEM())
+    return _humbled(lesson, case)
+
+
+def _lesson(states: F8, time_units: float, case: Case) -> Lesson | None:
+    """Births from first states; None where there are too few."""
+    try:
+        lesson = learn_births(states, time_units, (float(case.info.width), float(case.info.height)), RecursiveEM())
+    except InputError:
+        return None
+    return _humbled(lesson, case)
+
+
+def _humbled(lesson: Lesson, case: Case) -> Lesson:
+    """What was learned beside `PRIOR` samples that might have been anywhere, of the sizes that are detected.
+
+    Who has seen little cannot be sure of places that he has not seen: α_u is PRIOR/(n + PRIOR) or more.
+    """
+    density, n = lesson.learned.density, lesson.learned.samples
+    low, high, sizes = density.low.copy(), density.high.copy(), anywhere(case).density
+    low[-2:], high[-2:] = sizes.low[-2:], sizes.high[-2:]
+    uniform = max(density.uniform, PRIOR / (n + PRIOR))
+    return replace(lesson, learned=replace(lesson.learned, density=replace(density, low=low, high=high, uniform=uniform)))
+
+
+def everywhere(info: SequenceInfo, rate: float) -> MeasurementBirth:
+    """Births spread over the image, all places and all sizes, as M09's uniform ones: ``rate`` a time unit."""
+    return MeasurementBirth(rate, MOST, "image", (float(info.width), float(info.height)))
+
+
+def anywhere(case: Case) -> ContextBirth:
+    """Births of which nothing is known but the sizes that are detected: uniform over all places and those sizes.
+
+    Over all sizes of the image births would be much thinner than false alarms that are known to be of people's sizes.
+    """
+    size = to_cxcywh(case.table.detections.xyxy)[2:]
+    smallest, largest = (np.quantile(size, part, axis=1) for part in (0.01, 0.99))
+    low = np.concatenate([[0.0, 0, -FASTEST, -FASTEST], smallest / WIDER])
+    high = np.concatenate([[case.info.width, case.info.height, FASTEST, FASTEST], largest * WIDER])
+    return ContextBirth(BIRTHS, uniform_density(low, high), most=MOST)
+
+
+def births_of(learned: Learned | None, train: Case) -> ContextBirth:
+    """Learned births; where too few were seen to learn them, those anywhere."""
+    return ContextBirth(learned.rate, learned.density, most=MOST) if learned else anywhere(train)
+
+
+def marked_false(case: Case, path: Path, seed: int, count: int = MARKED) -> LabelStore:
+    """Labels in which everything that is nobody is marked as false, on ``count`` frames drawn at random."""
+    store = LabelStore.open(path, case.name, "truth", sampled(case.info.frames, count, seed))
+    for number, _ in store.frames():
+        boxes = case.table.at(number).xyxy
+        people = case.truth.xyxy[case.truth.frame == number]
+        false = np.flatnonzero(iou(boxes, people).max(axis=1, initial=0) < NOBODY)
+        if len(false):
+            store.mark(number, [Label(number, int(k), "false") for k in false])
+        store.finish(number)
+    return store
+
+
+def marked_births(case: Case, path: Path) -> LabelStore:
+    """Labels in which the first detection of everybody is marked as a birth, on clips that cover all frames."""
+    last = case.info.frames
+    store = LabelStore.open(path, case.name, "truth", list(range(1 + REACH, last + REACH, 2 * REACH)))
+    number, box = first_boxes(case)
+    for frame, index in zip(number.tolist(), box.tolist(), strict=True):
+        store.mark(frame, [Label(frame, index, "birth")])
+    for frame, _ in store.frames():
+        store.finish(frame)
+    return store
+
+
+def first_boxes(case: Case) -> tuple[I8, I8]:
+    """(G,) frame and index of the first detection of each object that is ever detected."""
+    found = first_output_delays(case.truth, Tracks.empty(), case.table, SOMEBODY)
+    seen = found.detected > 0
+    boxes = []
+    for identity, frame in zip(found.identity[seen].tolist(), found.detected[seen].tolist(), strict=True):
+        own = case.truth.xyxy[(case.truth.frame == frame) & (case.truth.identity == identity)]
+        boxes.append(int(np.argmax(iou(own, case.table.at(frame).xyxy)[0])))
+    return found.detected[seen], np.array(boxes, np.int64)
