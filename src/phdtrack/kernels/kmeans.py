@@ -336,7 +336,8 @@ def kmeans(
     one, two, shift = np.empty(d), np.empty((even, even)), np.empty(d)
     near, head = np.empty(max(most, start.size), np.int64), np.empty(longest, np.int64)
     link, escaped = np.empty((2, 4 * longest + 16), np.int64), np.empty((2, 16), np.int64)
-    out, done, gone = np.empty((2 * (centre_start[hi] - centre_start[lo]) + 16, 1 + d + d * d)), 0, 0
+    # A literal zero is a type of its own, for which `settle` would be compiled once more.
+    out, done, gone = np.empty((2 * (centre_start[hi] - centre_start[lo]) + 16, 1 + d + d * d)), 0, 0 * lo
     for i in range(lo, hi):
         blocks = block_item[block_start[i] : block_start[i + 1]]
         members = centre_item[centre_start[i] : centre_start[i + 1]]
