@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from phdtrack.errors import InputError
-from phdtrack.reproduce import count, d14, e13, groups, m07, m09, occlusion, particles, plane, videos, vo
+from phdtrack.reproduce import count, d14, e13, groups, m07, m09, occlusion, particles, peers, plane, videos, vo
 from phdtrack.reproduce.common import Options, need_data
 
 
@@ -32,6 +32,7 @@ EXPERIMENTS = {
     "videos": Experiment(videos.main, "from a video to tracks, with the package's detectors"),
     "m07": Experiment(m07.main, "M07 Table 1 and M09 Fig. 16: PHD against no filter and multiple hypotheses"),
     "m09": Experiment(m09.main, "M09 Figs. 14-16: births and false alarms learned from a scene, part by part"),
+    "peers": Experiment(peers.main, "beside the trackers that people use today, and what each default is worth"),
     "particles": Experiment(particles.main, "how many particles real detections need"),
 }
 
