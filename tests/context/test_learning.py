@@ -98,3 +98,28 @@ def test_births_on_the_ground_have_no_size():
     assert density.mean[:, np.argmax(density.weight)] == pytest.approx(mean, abs=0.3)
     entropy = 0.5 * 4 * np.log(2 * np.pi * np.e) + np.log(deviation).sum()
     assert lesson.gain == pytest.approx(np.log(density.volume) - entropy, abs=0.4)
+
+
+def test_a_dozen_samples_from_anywhere_are_not_worth_less_than_nothing():
+    """Gaussians explain every sample that they were fitted to; what is kept must not deny the next one its place."""
+    rng = np.random.default_rng(6)
+    low, high = np.array([0.0, 0, -4, -4, 30, 60]), np.array([640.0, 480, 4, 4, 60, 120])
+    lesson = learn_births(rng.uniform(low[:, None], high[:, None], (6, 15)), 1000, SIZE, RecursiveEM())
+    assert lesson.gain > -0.01
+    fresh = rng.uniform(low[:, None], high[:, None], (6, 1000))
+    density = lesson.learned.density
+    inside = density.contains(fresh)
+    assert density.log(fresh[:, inside]).mean() + np.log(density.volume) > -1
+    # Fifteen at one door do say where the next one comes.
+    at_door = learn_births(door(rng, 15), 1000, SIZE, RecursiveEM())
+    assert at_door.gain > 5
+    assert at_door.learned.density.uniform < 0.3
+
+
+def test_the_share_of_what_may_be_anywhere_is_learned_from_unseen_samples():
+    rng = np.random.default_rng(7)
+    anywhere = rng.uniform(0, 1, (4, 300)) * np.array([640.0, 480, 640, 480])[:, None]
+    flag = np.array([500.0, 100, 30, 30])[:, None] + 3 * rng.standard_normal((4, 700))
+    boxes = np.hstack([anywhere, flag])[:, rng.permutation(1000)]
+    density = learn_clutter(boxes, 40, SIZE, RecursiveEM()).learned.density
+    assert density.uniform == pytest.approx(0.3, abs=0.06)

@@ -1,28 +1,33 @@
 """From samples to a learned part of a scene: where to begin, what to learn from, and what it is worth [M09 §IV, §V].
 
 What a density is worth is the log-likelihood of samples that it has not seen, against that of the uniform one: every fifth
-sample is left out, a density learned from the others, and asked. The density that is kept learns from all. Of samples that
-do not show everything (births by hand of unknown velocity) something is learned, but they are not asked.
+sample is left out, a density learned from the others, and asked; where there are few samples each is left out once. The
+density that is kept learns from all. Its uniform part has at least the share α_u that makes the unseen samples likeliest: by
+the samples that Gaussians were fitted to they explain everything, also where the next one will lie elsewhere, and a
+dozen samples would leave less than nothing for it. Of samples that do not show everything (births by hand of unknown
+velocity) something is learned, but they are not asked.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from phdtrack.context.density import ContextDensity
-from phdtrack.context.learner import RecursiveEM, grid
+from phdtrack.context.learner import LEAST_UNIFORM, RecursiveEM, grid
 from phdtrack.context.samples import measurement_volume, state_volume
 from phdtrack.context.scene_file import Learned
 from phdtrack.errors import InputError
-from phdtrack.types import F8
+from phdtrack.types import F8, I8
 
 # M09's grids.
 BIRTH_GRID, CLUTTER_GRID = (12, 10), (16, 14)
 _FEWEST = 10
 _FOLD = 5
+# Up to so many samples all are left out in turn: one in five of fewer than a hundred would tell little.
+_FEW = 400
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,23 +80,63 @@ def learn_clutter(
     _enough(round(float(worth.sum())), "detections marked as false", "Mark more of them")
     if frames < 1:
         raise InputError(f"expected frames on which detections were marked, got {frames}", where="learning clutter")
+    return _lesson(_before(boxes, worth, frame_size), boxes, worth, float(worth.sum()) / frames, learner)
+
+
+def box_density(boxes: F8, frame_size: tuple[float, float], learner: RecursiveEM) -> ContextDensity:
+    """The density of boxes (4, n) alone, for a picture of it: what it is worth is not asked, which takes the most time."""
+    return learner.learn(_before(boxes, np.ones(boxes.shape[1]), frame_size), boxes)
+
+
+def _before(boxes: F8, worth: F8, frame_size: tuple[float, float]) -> ContextDensity:
+    """Where learning from boxes begins."""
     low, high = measurement_volume(*frame_size)
-    start = grid(low, high, CLUTTER_GRID, *_usual(boxes, worth, high - low))
-    return _lesson(start, boxes, worth, float(worth.sum()) / frames, learner)
+    return grid(low, high, CLUTTER_GRID, *_usual(boxes, worth, high - low))
 
 
 def _lesson(start: ContextDensity, samples: F8, worth: F8, rate: float, learner: RecursiveEM) -> Lesson:
     shown = np.where(np.isnan(samples), start.low[:, None], samples)
     counts = start.contains(shown)
-    inside, worth = samples[:, counts], worth[counts]
-    complete = np.flatnonzero(np.isfinite(inside).all(axis=0))
-    unseen = np.zeros(inside.shape[1], np.bool_)
-    unseen[complete[_FOLD - 1 :: _FOLD]] = True
+    inside, worth = np.ascontiguousarray(samples[:, counts]), worth[counts]
+    density = learner.learn(start, inside, worth)
+    unseen, log_ratio = _unseen(start, inside, worth, learner)
     gain = math.nan
-    if unseen.sum() >= 2 and worth[unseen].sum() > 0:
-        tried = learner.learn(start, np.ascontiguousarray(inside[:, ~unseen]), worth[~unseen])
-        gain = float(np.average(tried.log(inside[:, unseen]), weights=worth[unseen])) + math.log(start.volume)
-    return Lesson(Learned(rate, learner.learn(start, inside, worth), inside.shape[1]), gain)
+    if len(unseen) >= 2 and worth[unseen].sum() > 0:
+        uniform = _share(log_ratio, worth[unseen])
+        gain = float(np.average(_gains(log_ratio, uniform), weights=worth[unseen]))
+        density = replace(density, uniform=max(density.uniform, uniform))
+    return Lesson(Learned(rate, density, inside.shape[1]), gain)
+
+
+def _unseen(start: ContextDensity, samples: F8, worth: F8, learner: RecursiveEM) -> tuple[I8, F8]:
+    """Which samples were left out (n,), and by how much the others' Gaussians make each likelier than 1/V, a logarithm."""
+    complete = np.flatnonzero(np.isfinite(samples).all(axis=0))
+    folds = range(_FOLD) if len(complete) <= _FEW else [_FOLD - 1]
+    left_out, log_ratio = [complete[:0]], [np.zeros(0)]
+    for fold in folds:
+        out = complete[fold::_FOLD]
+        others = np.delete(np.arange(samples.shape[1]), out)
+        if len(out) and worth[others].sum() > 0:
+            tried = learner.learn(start, np.ascontiguousarray(samples[:, others]), worth[others])
+            parts = tried.parts(np.ascontiguousarray(samples[:, out]))[1:]
+            log_ratio.append(np.logaddexp.reduce(parts, axis=0) - math.log((1 - tried.uniform) / start.volume))
+            left_out.append(out)
+    return np.concatenate(left_out), np.concatenate(log_ratio)
+
+
+def _share(log_ratio: F8, worth: F8) -> float:
+    """α_u of the greatest likelihood, from those of the Gaussians over the uniform part."""
+    uniform = 0.5
+    for _ in range(200):
+        uniform = float(np.average(np.exp(math.log(uniform) - _gains(log_ratio, uniform)), weights=worth))
+        uniform = min(max(uniform, LEAST_UNIFORM), 1 - LEAST_UNIFORM)
+    return uniform
+
+
+def _gains(log_ratio: F8, uniform: float) -> F8:
+    """(n,) log p/(1/V) at samples of which the Gaussians alone would have ``log_ratio``."""
+    out: F8 = np.logaddexp(math.log(uniform), math.log(1 - uniform) + log_ratio)
+    return out
 
 
 def _usual(samples: F8, worth: F8, extent: F8) -> tuple[F8, F8]:

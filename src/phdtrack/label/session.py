@@ -11,7 +11,7 @@ import numpy as np
 
 from phdtrack.boxes import iou, to_cxcywh
 from phdtrack.context import RecursiveEM
-from phdtrack.context.learning import learn_clutter
+from phdtrack.context.learning import box_density
 from phdtrack.context.maps import place_map
 from phdtrack.errors import InputError
 from phdtrack.label.background import Ready, Suggester
@@ -133,7 +133,7 @@ class Session:
         boxes = marked_boxes(self.store.labels(), self.table, mark)
         if boxes.shape[1] >= _FEWEST:
             size = (float(self.info.width), float(self.info.height))
-            density = learn_clutter(boxes, 1, size, RecursiveEM()).learned.density
+            density = box_density(boxes, size, RecursiveEM())
             picture[..., :3] = _COLOURS[mark]
             # By the square root a place a quarter as likely as the worst is still plain to see.
             picture[..., 3] = (200 * np.sqrt(place_map(density, shape, 1 / scale))).astype(np.uint8)
