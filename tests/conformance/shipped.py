@@ -8,6 +8,7 @@ import numpy as np
 
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.boxes import to_cxcywh
+from phdtrack.context import ContextDensity
 from phdtrack.extract import (
     BestHypothesis,
     Components,
@@ -41,6 +42,7 @@ from phdtrack.models import (
     UniformBirth,
     UniformClutter,
 )
+from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.protocols import Model
 from phdtrack.types import Detections, Estimates, GaussianMixture, Particles
 from plane_cases import FRAME, LevelCamera
@@ -78,11 +80,18 @@ def mixture(dim: int) -> GaussianMixture:
     return GaussianMixture(np.array([0.02, 0.01]), mean, np.tile(4.0 * np.eye(dim), (2, 1, 1)))
 
 
+def learned(low: list[float], high: list[float]) -> ContextDensity:
+    """A density of which a half is one wide Gaussian in the middle."""
+    a, b = np.array(low, np.float64), np.array(high, np.float64)
+    return ContextDensity(a, b, 0.5, np.ones(1), (a + b)[:, None] / 2, np.diag(((b - a) / 4) ** 2)[None])
+
+
 BIRTHS = {
     "measurement, image": MeasurementBirth(rate=0.02, most=200, volume="image", frame_size=SIZE),
     "measurement, local": MeasurementBirth(rate=0.02, most=200, volume="local"),
     "uniform": UniformBirth(SIZE, count=40),
     "fixed": FixedBirth(mixture(6), count=100),
+    "learned": ContextBirth(0.05, learned([0, 0, -9, -9, 0, 0], [640, 480, 9, 9, 640, 480]), most=200),
 }
 GROUND = SENSORS["plane"]
 PLANE_BIRTHS = {
@@ -93,12 +102,14 @@ PLANE_BIRTHS = {
             np.array([0.02, 0.01]), np.array([[0.0, 1], [10, 20], [0, 0], [0, 1]]), np.tile(np.eye(4), (2, 1, 1))
         )
     ),
+    "plane, learned": ContextBirth(0.05, learned([-40, 0, -3, -3], [40, 60, 3, 3]), (0, 1), most=200),
 }
 POINT_BIRTHS = {
     "point": PointBirth(rate=0.02, most=200, frame_size=SIZE),
     "point, uniform": UniformBirth(SIZE, count=40),
 }
 CLUTTERS = {"uniform": UniformClutter(2.0, (640.0 * 480) ** 2), "local": LocalClutter(2.0), "none": UniformClutter(0.0, 1.0)}
+CLUTTERS["learned"] = ContextClutter(2.0, learned([0, 0, 0, 0], [640, 480, 640, 480]))
 PLANE_CLUTTERS = {"plane, region": UniformClutter(2.0, 800.0), "plane, local": LocalPlaneClutter(2.0)}
 FILTERS = {
     "particle-phd": ParticlePHD(per_target=200),
