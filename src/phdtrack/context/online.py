@@ -115,8 +115,9 @@ def advance(rule: Following, state: Followed, step: Step) -> Followed:
     """Take in one frame, and learn where it is time to. Frames that nobody observed teach nothing."""
     begun = step.time if math.isnan(state.learned) else state.learned
     if step.detections.observed:
-        waiting = (*state.watch.looks, look_of(step))
-        state = replace(state, watch=replace(state.watch, looks=waiting))
+        watch = state.watch
+        watch = Watch((*watch.looks, look_of(step)), watch.place, watch.met, watch.sightings)
+        state = Followed(state.modes, state.active, watch, state.learned, state.last)
     if step.time < begun + rule.interval(state.mode.clock) or not state.watch.looks:
         return state if state.learned == begun else replace(state, learned=begun)
     watch, verdict = judged(state.watch, step.time - rule.wait, rule.detection, rule.rate)

@@ -46,7 +46,10 @@ class Look:
 def look_of(step: Step) -> Look:
     """What is kept of a step."""
     info, n = step.info, len(step.detections)
-    chance = info.clutter_probability if len(info.clutter) == n else np.ones(n)
+    total = info.clutter + info.evidence
+    # What `clutter_probability` gives, which takes care of a total of 0 at a price.
+    chance = info.clutter / total if total.all() else info.clutter_probability
+    chance = chance if len(chance) == n else np.ones(n)
     return Look(step.number, step.time, step.detections.xyxy, chance, step.tracks)
 
 
