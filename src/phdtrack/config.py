@@ -101,6 +101,9 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
     "meetings": {"": Meetings},
     "detector": {"": worlds.DetectorSettings},
 }
+# Least mean gain of a track's links where nothing is filtered: nobody knows how fast a raw detection moves, so that the
+# links of true tracks gain less than those of filtered states.
+_RAW_WORTH = 0.6
 # Kinds of other sections that a kind goes together with, the default first. Without a filter nothing is extracted.
 _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
     ("motion", "box"): {
@@ -263,7 +266,8 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "") -> AnyS
     record = partial(_record, settings)
     model, associator = worlds.build_model(record, kinds, info), record("associate")
     if kinds["filter"] == "none":
-        return Stages(model, NoFilter(), extract.Raw(), associator)
+        given = "worth" in settings.sections.get("associate", {})
+        return Stages(model, NoFilter(), extract.Raw(), associator if given else record("associate", worth=_RAW_WORTH))
     values = settings.sections.get("filter", {}).get("initial", [])
     initial = worlds.initial_mixture(kinds, record, values) if values else None
     size = (float(info.width), float(info.height))

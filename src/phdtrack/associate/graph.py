@@ -52,7 +52,8 @@ class GraphMatching:
     miss : probability that a target inside its track goes on without a state for one more time unit of the model (1/25 s
         as shipped): the price of a gap, whatever the frame rate.
     worth : tracks whose links gain less than this share of gate²/2 on average are discarded (offline) or not confirmed
-        (online): false alarms can be strung together, but their links are poor.
+        (online): false alarms can be strung together, but their links are poor. Without a filter 0.6 where nothing else is
+        said (`config.build`).
     consistent : no edge joins states that are more than this many deviations apart, however little it would cost.
     delay : frames by which the online output lags, so that links can still be corrected and tracks be confirmed by what
         follows; 0 allowed.
