@@ -7,6 +7,7 @@ import pytest
 
 from phdtrack.context import ContextDensity, marginal
 from phdtrack.kernels.context_density import given_detections
+from phdtrack.models import BoxSensor
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from reference import context_twin as twin
 
@@ -66,3 +67,22 @@ def test_nobody_and_nothing(rng):
     assert found.density.shape == (0,)
     assert p(np.zeros((6, 0))).shape == (0,)
     assert ContextClutter(1.0, marginal(p, (0, 1, 4, 5))).intensity(np.zeros((8, 0))).shape == (0,)
+
+
+@pytest.mark.parametrize("scaling", ["particle", "detection", "fixed"])
+def test_as_the_fused_filter_reads_it(scaling: str, rng):
+    """Densities, means and roots of the velocities are those of `ContextBirth.around` for the sensor's states."""
+    low, high = np.array([0.0, 0, -9, -9, 0, 0]), np.array([640.0, 480, 9, 9, 640, 480])
+    root = rng.normal(0, 1, (8, 6, 6)) * np.array([30, 30, 1, 1, 5, 5])[:, None]
+    mean = rng.uniform([100, 100, -4, -4, 30, 60], [500, 380, 4, 4, 60, 120], (8, 6)).T
+    p = ContextDensity(low, high, 0.4, np.full(8, 0.125), mean, root @ root.transpose(0, 2, 1) + np.eye(6))
+    birth, sensor = ContextBirth(0.3, p), BoxSensor(scaling=scaling)
+    z = np.ascontiguousarray(rng.uniform([50, 50, 20, 40], [700, 430, 90, 140], (40, 4)).T)
+    state, cov = sensor.states(z)
+    expected = birth.around((state, cov), 1.5)
+    density, velocity = birth.about(state, sensor.noise(state), 1.5)
+    np.testing.assert_allclose(density, expected.density, rtol=1e-5)
+    np.testing.assert_allclose(velocity[:2], expected.mean[2:4], rtol=1e-5, atol=1e-5)
+    square = np.sqrt(2) * np.linalg.cholesky(expected.covariance[:, 2:4, 2:4])
+    np.testing.assert_allclose(velocity[2:], square[:, [0, 1, 1], [0, 0, 1]].T, rtol=1e-5, atol=1e-5)
+    assert np.abs(velocity[:2]).max() > 0.5, "velocities differ from rest"

@@ -108,20 +108,18 @@ def seen(model: BoxModel, z: F8, explained: float, dt: float) -> Seen:
     # A floor of zero would let the deviation of a vanishing box vanish.
     numbers = np.array([model.sensor.spread, max(model.sensor.floor, 1e-3), explained, limit], np.float32)
     near = neighbours(z, reach, lower, upper, low, high, *rectangle_grid(low, high))
-    flat, velocity = _births(model.birth, model.sensor, z, speed, dt)
+    flat, velocity = _births(model.birth, at_rest, noise, z, speed, dt)
     return Seen(table, numbers, flat, velocity, extents, lower, upper, rectangle_grid(lower, upper), *near)
 
 
-def _births(birth: MeasurementBirth | ContextBirth, sensor: BoxSensor, z: F8, speed: F4, dt: float) -> tuple[F4, F4]:
-    """`Seen.flat` and `Seen.velocity`; ``speed`` (N,) is the deviation of the velocity's amplitude at rest."""
-    velocity = np.zeros((5, z.shape[1]), np.float32)
+def _births(birth: MeasurementBirth | ContextBirth, at_rest: F8, noise: F8, z: F8, speed: F4, dt: float) -> tuple[F4, F4]:
+    """`Seen.flat` and `Seen.velocity`; ``at_rest``, ``noise`` (6, N) states of the detections, and their deviations.
+
+    ``speed`` (N,) is the deviation of the velocity's amplitude at rest.
+    """
     if isinstance(birth, ContextBirth):
-        at = birth.around(sensor.states(z), dt)
-        velocity[:2] = at.mean[2:4]
-        # Amplitude times direction has half the variance an axis.
-        velocity[2:] = math.sqrt(2) * np.linalg.cholesky(at.covariance[:, 2:4, 2:4]).reshape(-1, 4)[:, [0, 2, 3]].T
-        return at.density.astype(np.float32), velocity
-    flat = np.zeros(z.shape[1], np.float32)
+        return birth.about(at_rest, noise, dt)
+    flat, velocity = np.zeros(z.shape[1], np.float32), np.zeros((5, z.shape[1]), np.float32)
     if birth.volume == "image":
         flat[:] = birth.rate * dt / image_volume(birth.frame_size)
     velocity[2], velocity[4] = speed, speed

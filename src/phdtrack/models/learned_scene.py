@@ -19,10 +19,10 @@ import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
 from phdtrack.context import ContextDensity, marginal
-from phdtrack.kernels.context_density import COARSE, given_detections, mixture_density
+from phdtrack.kernels.context_density import COARSE, given_detections, mixture_density, newborn_about
 from phdtrack.models.births import gaussians_about, particles_about
 from phdtrack.protocols import Sensor
-from phdtrack.types import F8, I8, GaussianMixture, Particles
+from phdtrack.types import F4, F8, I8, GaussianMixture, Particles
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +79,14 @@ class ContextBirth:
         """What γT is around detections whose states and covariances, as `Sensor.states` gives them, are ``seen``."""
         density, state, cov = given_detections(*seen, *self._table)
         return Around(state, cov, self.rate * dt * density)
+
+    def about(self, state: F8, deviation: F8, dt: float) -> tuple[F4, F4]:
+        """`around` in single precision for noise without correlations: densities (N,), and velocities (5, N).
+
+        ``state`` (d, N) are those at rest, ``deviation`` (d, N) the noise's; velocities as `newborn_about` gives them.
+        """
+        out: tuple[F4, F4] = newborn_about(state, deviation, self.rate * dt, *self._table)
+        return out
 
     @cached_property
     def _table(self) -> tuple[I8, int, F8, F8, float, F8, F8, F8, F8]:
