@@ -23,6 +23,7 @@ def verdict(found: Found) -> str:
     """GM against UM, the sweep, the rivals, and the frame rate, a line each."""
     lines = [
         _above(found),
+        _little(found),
         _much(found),
         _fewer(found),
         _earlier(found),
@@ -30,7 +31,7 @@ def verdict(found: Found) -> str:
         *(_above_rival(found, name) for name in ("none", "mht")),
         _rate(found),
     ]
-    return "\n".join(f"- {line}" for line in lines)
+    return "\n".join(f"- {line}" for line in lines if line)
 
 
 def _above(found: Found) -> str:
@@ -38,6 +39,19 @@ def _above(found: Found) -> str:
     fine = [name for name, both in gains.items() if min(both) > 0]
     rest = [f"{name} ({both[0]:+.3f}, {both[1]:+.3f})" for name, both in gains.items() if name not in fine]
     return f"**GM above UM in MODA and MOTA**: {_of(fine, found.scenes)}{_except(rest)}"
+
+
+def _little(found: Found) -> str:
+    """Where GM is not above UM: how much there was to gain, and to learn from."""
+    told = []
+    for name in found.scenes:
+        if min(found.gain([name], GM, score).mean for score in ("MODA", "MOTA")) > 0:
+            continue
+        scene = found.taught[found.course(name)]
+        births = f"{scene.births.samples} tracks" if scene.births else "too few tracks"
+        false = found.mean(name, UM, "false_tracks")
+        told.append(f"{name}: UM makes {false:.1f} false tracks; learned from {scene.clutter.samples} marks and {births}")
+    return f"**Where it is not, there is little to gain and little to learn from**: {'; '.join(told)}" if told else ""
 
 
 def _much(found: Found) -> str:
@@ -143,9 +157,19 @@ def crossing(places: Mapping[m09_places.Job, m09_places.Outcome]) -> str:
         lines.append(
             f"- `{name}`: {share:.1%} of {before} false tracks there are gone (asked: {GONE:.0%}; {told}), and "
             f"{m09_places.gone(*boxes):.1%} of the boxes that they had; of "
-            f"{people} people who cross a place {lost} are lost, {never} never found again."
+            f"{people} people who cross a place {lost} are lost, {never} never found again{_where(places, name)}."
         )
     return "\n".join(lines)
+
+
+def _where(places: Mapping[m09_places.Job, m09_places.Outcome], filter_: str) -> str:
+    """In which cases people are lost."""
+    lost: dict[str, int] = {}
+    for job, one in places.items():
+        if job.filter == filter_ and one.lost:
+            case = f"{job.name} with {job.rate:g} Poisson false alarms a frame"
+            lost[case] = lost.get(case, 0) + one.lost
+    return f" ({', '.join(f'{count} on {case}' for case, count in lost.items())})" if lost else ""
 
 
 def _of(some: Sequence[str], all_: Mapping[str, object]) -> str:
