@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from phdtrack.context import ContextDensity, marginal
+from phdtrack.errors import InputError
 from phdtrack.kernels.context_density import given_detections
 from phdtrack.models import BoxSensor
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
@@ -63,6 +64,8 @@ def test_what_it_says_of_detections(d: int, rows: tuple[int, ...], rng):
 
 def test_nobody_and_nothing(rng):
     p = learned(rng, 6, 3)
+    with pytest.raises(InputError, match="expected 6 components, got 4"):
+        p(np.zeros((4, 2)))
     found = ContextBirth(1.0, p).around((np.zeros((6, 0)), np.zeros((0, 6, 6))), 1.0)
     assert found.density.shape == (0,)
     assert p(np.zeros((6, 0))).shape == (0,)

@@ -122,8 +122,10 @@ class ContextDensity:
         return out
 
     def __call__(self, x: F8) -> F8:
-        """(L,) p at the columns of ``x`` (d, L)."""
-        out: F8 = mixture_density(np.ascontiguousarray(x), self.low, self.high, np.array([self.flat, 0.0]), *self.table)
+        """(L,) p at the columns of ``x`` (d, L). Raises `InputError` where x has another dimension."""
+        if len(x) != self.dim:
+            raise InputError(f"expected {self.dim} components, got {len(x)}", where="ContextDensity")
+        out: F8 = mixture_density(np.ascontiguousarray(x), 1.0, self.low, self.high, np.array([self.flat, 0.0]), *self.table)
         return out
 
     def sample(self, count: int, rng: np.random.Generator) -> F8:

@@ -24,7 +24,7 @@ BATCH = 96
 @njit(**VECTOR)
 def _distances2(x: F8, j: int, mean: F8, whiten: F8, step: F8, row: F8, out: F8) -> None:
     """(M,) squared distances of column ``j`` from the means; ``step`` (d, M) and ``row`` (M,) are scratch."""
-    d = x.shape[0]
+    d = step.shape[0]
     for m in range(out.size):
         out[m] = 0.0
     for r in range(d):
@@ -39,13 +39,14 @@ def _distances2(x: F8, j: int, mean: F8, whiten: F8, step: F8, row: F8, out: F8)
 
 
 @njit(**ENTRY)
-def mixture_density(x: F8, low: F8, high: F8, flat: F8, mean: F8, whiten: F8, log_peak: F8) -> F8:
-    """(n,) the uniform part and Gaussians at the columns of ``x`` (d, n) that lie from ``low`` to ``high`` (d,).
+def mixture_density(x: F8, scale: float, low: F8, high: F8, flat: F8, mean: F8, whiten: F8, log_peak: F8) -> F8:
+    """(n,) ``scale`` times the uniform part and Gaussians at the columns of ``x`` that lie from ``low`` to ``high`` (d,).
 
-    ``flat`` (2,): the uniform part, above 0, and what is elsewhere; ``mean`` (d, M), ``whiten`` (d(d + 1)/2, M) inverse
-    Cholesky factors, row by row, and ``log_peak`` (M,) logarithms of the Gaussians' peaks.
+    Of ``x`` the first d rows count. ``flat`` (2,): the uniform part, above 0, and what is elsewhere; ``mean`` (d, M),
+    ``whiten`` (d(d + 1)/2, M) inverse Cholesky factors, row by row, and ``log_peak`` (M,) logarithms of the Gaussians'
+    peaks.
     """
-    (d, n), many = x.shape, log_peak.size
+    d, n, many = low.size, x.shape[1], log_peak.size
     out, cut = np.empty(n), np.log(flat[0]) - NEGLIGIBLE
     step, row, distance2 = np.empty((d, many)), np.empty(many), np.empty(many)
     for j in range(n):
@@ -54,13 +55,14 @@ def mixture_density(x: F8, low: F8, high: F8, flat: F8, mean: F8, whiten: F8, lo
             if not low[r] <= x[r, j] <= high[r]:
                 out[j] = -1.0
         if out[j] < 0.0:
-            out[j] = flat[1]
+            out[j] = scale * flat[1]
             continue
         _distances2(x, j, mean, whiten, step, row, distance2)
         for m in range(many):
             log = log_peak[m] - 0.5 * distance2[m]
             if log > cut:
                 out[j] += np.exp(log)
+        out[j] *= scale
     return out
 
 

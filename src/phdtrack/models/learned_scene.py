@@ -150,7 +150,7 @@ class ContextClutter:
 
     def intensity(self, z: F8) -> F8:
         """(N,) κ per frame and unit of measurement space."""
-        out: F8 = self.rate * mixture_density(np.ascontiguousarray(z[: self.density.dim]), *self._table)
+        out: F8 = mixture_density(np.ascontiguousarray(z), float(self.rate), *self._table)
         return out
 
     @cached_property
