@@ -68,11 +68,14 @@ def _filter(choice: Choice) -> tuple[str, ...]:
 
 
 def _learned(file: Path) -> dict[str, dict[str, str]]:
-    """The sections that take what a scene has taught."""
+    """The sections that take what a scene has taught; false alarms that were not learned are spread like the births."""
     scene = read_scene(file)
     given = {"kind": "scene", "file": str(file)}
     parts = {"birth": scene.births, "clutter": scene.clutter}
-    return {name: given for name, learned in parts.items() if learned is not None}
+    out = {name: given for name, learned in parts.items() if learned is not None}
+    if scene.clutter is None and scene.births is not None and scene.births.density.dim == 6:
+        out["clutter"] = {"volume": "image"}
+    return out
 
 
 def scene_sets(file: Path) -> tuple[str, ...]:

@@ -87,7 +87,7 @@ def learn(
     room = Classroom(found, stretch, build(settings, found.info), seed, file)
     alarms = clutter_unattended(room) if clutter == "unattended" else clutter_of_labels(room)
     result.say(alarms.sentence)
-    born = births_by_hand(room) if births == "hand" else births_of_tracks(room, alarms.lesson)
+    born = births_by_hand(room, alarms.lesson) if births == "hand" else births_of_tracks(room, alarms.lesson)
     result.say(born.sentence)
     if born.lesson is None and alarms.lesson is None:
         raise InputError(

@@ -13,6 +13,7 @@ import numpy as np
 from phdtrack.commands.output import counted, progress
 from phdtrack.context import RecursiveEM
 from phdtrack.context.learning import Lesson, learn_births, learn_clutter
+from phdtrack.context.prior import Sizes, anywhere, detected_sizes, humbled
 from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from phdtrack.protocols import AnyStages
 
 _ONLY_BOXES = "false alarms stay uniform: a density of them is learned for boxes in the image only (motion.kind=box)"
+# Tracks teach births that last so many seconds, and have so many rows.
+_LASTING, _SHORTEST = 1.0, 5
 # Frames, drawn at random, whose suggestions are taken where nobody labels: M09's false alarms were of as many.
 UNATTENDED = 200
 LIMITS = (
@@ -82,6 +85,18 @@ class Classroom:
         left, low, right, high = sensor.borders
         return (right - left, high - low), (left, low)
 
+    def sizes(self) -> Sizes:
+        """The sizes that are detected in the stretch, widened."""
+        from phdtrack.boxes import to_cxcywh
+
+        table = self.found.table
+        rows = slice(*np.searchsorted(table.frame, [self.stretch.start, self.stretch.stop]))
+        return detected_sizes(to_cxcywh(table.detections.xyxy[rows])[2:])
+
+    def humbled(self, lesson: Lesson) -> Lesson:
+        """What was learned beside what might be anywhere; on the ground, where nothing has a size, as it is."""
+        return replace(lesson, learned=humbled(lesson.learned, self.sizes())) if self.of_boxes else lesson
+
     def store(self) -> LabelStore | None:
         """The labels of these detections, where there are any. Raises `InputError` where they are of others."""
         from phdtrack.label import LabelStore
@@ -107,7 +122,7 @@ def clutter_of_labels(room: Classroom) -> Taught:
         return Taught(None, f"false alarms stay uniform: nobody has marked any (phdtrack label, kept in {room.labels})")
     boxes, frames = false_boxes(store, room.found.table, room.stretch), len(looked_at(store, room.stretch))
     try:
-        lesson = learn_clutter(boxes, frames, room.size, RecursiveEM())
+        lesson = room.humbled(learn_clutter(boxes, frames, room.size, RecursiveEM()))
     except InputError as error:
         return Taught(None, f"false alarms stay uniform: {error}")
     told = f"{counted(lesson.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
@@ -125,7 +140,7 @@ def clutter_unattended(room: Classroom) -> Taught:
     found = suggest(room.tracked(room.stages), frames, room.found.info.fps)
     taken = np.flatnonzero(found.score >= TICKED)
     try:
-        lesson = learn_clutter(_boxes(room, found, taken), len(frames), room.size, RecursiveEM())
+        lesson = room.humbled(learn_clutter(_boxes(room, found, taken), len(frames), room.size, RecursiveEM()))
     except InputError as error:
         cure = "Look yourself: phdtrack label"
         return Taught(None, f"false alarms stay uniform: {InputError(error.problem, where=error.where, cure=cure)}")
@@ -136,30 +151,36 @@ def clutter_unattended(room: Classroom) -> Taught:
 
 
 def births_of_tracks(room: Classroom, clutter: Lesson | None) -> Taught:
-    """Births from the tracker's own run [M09 §IV]; why not, where they cannot be learned.
+    """Births from the tracks of at least a second that the tracker itself makes [M09 §IV]; why not, where they cannot be.
 
-    Behind learned false alarms: tracks that only the scene's false alarms make are no births.
+    Behind learned false alarms, and with births anywhere: tracks that only the scene's false alarms make are no births.
     """
     from phdtrack.context.samples import first_states
-    from phdtrack.models.learned_scene import ContextClutter
+    from phdtrack.models.learned_scene import ContextBirth, ContextClutter
     from phdtrack.types import Detections
 
     stages, info = room.stages, room.found.info
     if clutter is not None:
-        alarms = ContextClutter(clutter.learned.rate, clutter.learned.density)
-        stages = replace(stages, model=replace(stages.model, clutter=alarms))
+        alarms, births = clutter.learned, anywhere(room.sizes(), room.size)
+        model = replace(
+            stages.model,
+            birth=ContextBirth(births.rate, births.density),
+            clutter=ContextClutter(alarms.rate, alarms.density),
+        )
+        stages = replace(stages, model=model)
     rate = stages.model.rate
     tracks, shown = room.tracked(stages).tracks, None
     if not room.of_boxes:
         sensor = stages.model.sensor
         shown = sensor.measure(Detections.of(tracks.xyxy))[: len(sensor.observed)]
-    states = first_states(tracks, info.fps, rate, shown=shown)
+    states = first_states(tracks, info.fps, rate, max(_SHORTEST, round(_LASTING * info.fps)), shown)
     # Feet that no ground is under.
     states = states[:, np.isfinite(states).all(axis=0)]
-    return _births(room, states, len(room.stretch) / info.fps * rate, "track", f"began in {_frames(room)}")
+    time = len(room.stretch) / info.fps * rate
+    return _births(room, states, time, "track", f"began in {_frames(room)}", clutter)
 
 
-def births_by_hand(room: Classroom) -> Taught:
+def births_by_hand(room: Classroom, clutter: Lesson | None) -> Taught:
     """Births from marks on the clips about the frames that a person has looked at; why not, where they are too few."""
     from phdtrack.label.hand import birth_states, time_watched, watched
 
@@ -173,7 +194,7 @@ def births_by_hand(room: Classroom) -> Taught:
     seen = counted(len(watched(store, room.stretch)), "frame")
     unknown = int(np.isnan(states[2]).sum())
     told = f"marked by a person on {seen}" + (f" ({unknown} of unknown velocity)" if unknown else "")
-    return _births(room, states, time_watched(store, table, info, rate, room.stretch), "birth", told)
+    return _births(room, states, time_watched(store, table, info, rate, room.stretch), "birth", told, clutter)
 
 
 def worth(lesson: Lesson) -> str:
@@ -183,12 +204,17 @@ def worth(lesson: Lesson) -> str:
     return f"samples not learned from are {lesson.gain:+.2f} nats likelier than under a uniform density"
 
 
-def _births(room: Classroom, states: np.ndarray, time: float, noun: str, where: str) -> Taught:
+def _births(room: Classroom, states: np.ndarray, time: float, noun: str, where: str, clutter: Lesson | None) -> Taught:
+    """Births from first states; where they are too few, anywhere: around each detection, as without a scene, people would
+    be believed at once beside learned false alarms, whose density is that of a whole frame."""
     try:
         size, corner = room.region()
-        lesson = learn_births(states, time, size, RecursiveEM(), corner)
+        lesson = room.humbled(learn_births(states, time, size, RecursiveEM(), corner))
     except InputError as error:
-        return Taught(None, f"births stay uniform: {error}")
+        if clutter is None or not room.of_boxes:
+            return Taught(None, f"births stay uniform: {error}")
+        told = "births may be anywhere in the frame, of the sizes that are detected"
+        return Taught(Lesson(anywhere(room.sizes(), room.size), math.nan), f"{told}: {error}", f"{told.capitalize()}.")
     told = f"{counted(states.shape[1], noun)} {where}"
     return Taught(lesson, f"births: {told}; {worth(lesson)}", f"{told}.")
 
