@@ -24,9 +24,10 @@ MEMBERS = "members.csv"
 EVENTS = "events.csv"
 WARNINGS = "warnings.csv"
 PLAN = "plan.mp4"
-# What a run that learns leaves of its scene, a file for each mode.
+FILES = (TRACKS, ONLINE, STATES, DETECTIONS, VIDEO, REPORT, RUN)
+# What a run that learns leaves of its scene besides, a file for each mode.
 SCENES = ("scene.json", *(f"scene-{k}.json" for k in range(2, 9)))
-FILES = (TRACKS, ONLINE, STATES, DETECTIONS, VIDEO, REPORT, *SCENES, RUN)
+RUN_FILES = (*FILES, *SCENES)
 # What `phdtrack groups` writes besides.
 GROUP_FILES = (GROUPS, MEMBERS, EVENTS, WARNINGS, PLAN)
 
@@ -36,7 +37,7 @@ class RunDirectory:
     """A directory that is ready to be written into: it exists, and none of the files ``names`` did when it was claimed."""
 
     path: Path
-    names: tuple[str, ...] = FILES
+    names: tuple[str, ...] = RUN_FILES
 
     def file(self, name: str) -> Path:
         """Where the file ``name``, one of ``names``, lies."""
@@ -52,7 +53,7 @@ class RunDirectory:
             file.unlink()
 
 
-def check(path: Path, overwrite: bool, names: tuple[str, ...] = FILES) -> None:
+def check(path: Path, overwrite: bool, names: tuple[str, ...] = RUN_FILES) -> None:
     """Fail early where `claim` would fail because of what is there already; changes nothing.
 
     Raises
@@ -72,7 +73,7 @@ def check(path: Path, overwrite: bool, names: tuple[str, ...] = FILES) -> None:
         )
 
 
-def claim(path: Path, overwrite: bool, names: tuple[str, ...] = FILES) -> RunDirectory:
+def claim(path: Path, overwrite: bool, names: tuple[str, ...] = RUN_FILES) -> RunDirectory:
     """The directory made ready; files of an earlier run are removed, so that none can be taken for this one's.
 
     Raises

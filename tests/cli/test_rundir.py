@@ -26,7 +26,7 @@ def test_an_earlier_run_is_not_replaced_unasked(tmp_path: Path) -> None:
 
 
 def test_overwrite_removes_the_runs_files_and_no_others(tmp_path: Path) -> None:
-    for name in (*rundir.FILES, "notes.txt", "tracks.csv.bak"):
+    for name in (*rundir.RUN_FILES, "notes.txt", "tracks.csv.bak"):
         (tmp_path / name).write_text("x")
     (tmp_path / "folder").mkdir()
     rundir.claim(tmp_path, overwrite=True)

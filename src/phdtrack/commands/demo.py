@@ -48,7 +48,7 @@ def demo(
 
     result = Output(json)
     rundir.check(out / WITHOUT, overwrite)
-    directory = rundir.claim(out, overwrite, (VIDEO, TRUTH, *rundir.FILES))
+    directory = rundir.claim(out, overwrite, (VIDEO, TRUTH, *rundir.RUN_FILES))
     scene = make_scene(SCENE, seed, frames=FRAMES, arrivals=ARRIVALS)
     write_truth(directory.file(TRUTH), scene.truth)
     look = Look(flicker=FLICKER, plants=PLANTS, wave=WAVE, blown=BLOWN, lamps=LAMPS)
