@@ -1,9 +1,9 @@
 """The papers' parameters, and the defaults, as overlays on the records' own defaults.
 
 ``default``: what `phdtrack track` uses: M09's model with targets that keep their velocity and their size better, live longer
-and are detected less surely, as today's detectors have it; newborn that may be faster, less clutter, births and clutter around
-the detections, states joined that no sensor could tell apart, and half of M07's particles (docs/results/peers.md has what each
-is worth, docs/results/particles.md the particles).
+and are detected less surely, as today's detectors have it; newborn that may be faster, less clutter, births and clutter
+around the detections, states joined that no sensor could tell apart, and half of M07's particles (docs/results/peers.md has
+what each is worth, docs/results/particles.md the particles).
 ``m07``: Maggio et al. 2007: likelihood scaled by the detection, births and clutter around the detections, K-means.
 ``m09``: Maggio and Cavallaro 2009: M07's numbers (M09 prints none of its own) with the likelihood scaled by the particle, no
 floor, births and clutter uniform over the image, and extraction by a Gaussian mixture at 0.5.
