@@ -306,7 +306,7 @@ def test_the_page_has_every_table(found: m09.Found) -> None:
         "0.900 → 0.850 of 100",
     ] in lines
     assert ["garden", GM, "3.0", "4.0", "1", "1"] in lines
-    assert ["arcade", "around detections", "5", "0.01", "3", "0.900", "0.825", "-0.075"] in lines
+    assert ["arcade", "around detections", "5", "0.01", "3", "0.900", "0.825", "-0.075", "0.050", "0.150"] in lines
     assert ["garden", "mht", "1.00", "1.20", "1.20"] in lines
     assert [line[:3] for line in lines if line[:2] == ["garden", "none"]] == [["garden", "none", "–"]]
 
@@ -323,7 +323,8 @@ def test_pictures_of_gains_and_sweeps(found: m09.Found, tmp_path) -> None:
 
     gains = {name: {run: {"MOTA": found.gain([name], run, "MOTA")} for run in (GM, *ABLATIONS)} for name in found.scenes}
     m09_pictures.bars(gains, tmp_path / "bars.png")
-    m09_pictures.sweeps({"garden": ({"local": found.sweep("garden", UM)}, 0.5)}, tmp_path / "sweep.png")
+    swept = {rates: one.MOTA for rates, one in found.sweep("garden", UM).items()}
+    m09_pictures.sweeps({"garden": ({"local": swept}, 0.5)}, tmp_path / "sweep.png")
     picture = np.full((36, 64, 3), 120, np.uint8)
     scene = found.taught[found.course("garden")]
     m09_pictures.maps({"garden": (picture, scene)}, tmp_path / "maps.png")

@@ -101,10 +101,10 @@ class Found:
         each = [delay for one in self.runs(scene, run) for delay in getattr(one, where)]
         return float(np.mean(each)) if each else float("nan")
 
-    def sweep(self, scene: str, run: str) -> dict[tuple[float, float], float]:
-        """MOTA of the uniform model by its rates, of the first seed."""
+    def sweep(self, scene: str, run: str) -> dict[tuple[float, float], Scores]:
+        """Scores of the uniform model by its rates, of the first seed."""
         swept = (job for job in self.outcomes if job.course == self.course(scene) and job.run == run)
-        return {job.rates: self.outcomes[job].scores.MOTA for job in swept if job.rates is not None}
+        return {job.rates: self.outcomes[job].scores for job in swept if job.rates is not None}
 
     def groups(self) -> dict[str, tuple[str, ...]]:
         """The scenes one by one, then the rendered ones together and the real ones."""
@@ -185,7 +185,10 @@ def draw(found: Found, out: Path) -> None:
     m09_pictures.bars(gains, out / "m09-gains.png")
     kinds = {"around detections": UM, "over the image": IMAGE}
     sweeps = {
-        scene: ({kind: found.sweep(scene, run) for kind, run in kinds.items()}, found.beside(scene, GM).scores.MOTA)
+        scene: (
+            {kind: {rates: one.MOTA for rates, one in found.sweep(scene, run).items()} for kind, run in kinds.items()},
+            found.beside(scene, GM).scores.MOTA,
+        )
         for scene in found.scenes
     }
     m09_pictures.sweeps(sweeps, out / "m09-sweep.png")
@@ -221,6 +224,11 @@ def shown(value: Interval, digits: int = 3) -> str:
     return mean if not np.isfinite(value.half) else f"{mean} ± {value.half:.{digits}f}"
 
 
+def number(value: float) -> str:
+    """With one digit, or a dash for none."""
+    return f"{value:.1f}" if np.isfinite(value) else "–"
+
+
 def _gains(found: Found) -> str:
     rows = [
         (
@@ -253,7 +261,7 @@ def _delays(found: Found) -> str:
         for run in RUNS:
             each = found.runs(scene, run)
             counts = (round(float(np.mean([len(getattr(one, where)) for one in each]))) for where in ("inside", "outside"))
-            late = (f"{found.delay(scene, run, where):.1f}" for where in ("inside", "outside"))
+            late = (number(found.delay(scene, run, where)) for where in ("inside", "outside"))
             rows.append((scene, run, *late, *counts))
     return table(("scene", "run", "delay inside", "outside", "people found, inside", "outside"), rows)
 
@@ -261,12 +269,25 @@ def _delays(found: Found) -> str:
 def _sweep(found: Found) -> str:
     rows = []
     for scene in found.scenes:
-        learned = found.beside(scene, GM).scores.MOTA
+        learned = found.beside(scene, GM).scores
         for kind, run in (("around detections", UM), ("over the image", IMAGE)):
             sweep = found.sweep(scene, run)
-            (births, clutter), best = max(sweep.items(), key=lambda item: item[1])
-            rows.append((scene, kind, len(sweep), f"{births:g}", f"{clutter:g}", best, learned, f"{learned - best:+.3f}"))
-    header = ("scene", "uniform", "settings", "births", "clutter", "best MOTA", "GM", "GM less best")
+            (births, clutter), best = max(sweep.items(), key=lambda item: item[1].MOTA)
+            missed = (one.misses / one.truth_boxes for one in (best, learned))
+            gap = f"{learned.MOTA - best.MOTA:+.3f}"
+            rows.append((scene, kind, len(sweep), f"{births:g}", f"{clutter:g}", best.MOTA, learned.MOTA, gap, *missed))
+    header = (
+        "scene",
+        "uniform",
+        "settings",
+        "births",
+        "clutter",
+        "best MOTA",
+        "GM",
+        "GM less best",
+        "best misses",
+        "GM misses",
+    )
     return table(header, rows)
 
 
@@ -275,7 +296,8 @@ def _rivals(found: Found) -> str:
     for scene in found.scenes:
         for run, name in ((UM, PHD), (GM, PHD), *RIVALS):
             one = found.beside(scene, run, name)
-            scores = [float(getattr(one.scores, score)) for score in SCORES]
+            values = [float(getattr(one.scores, score)) for score in SCORES]
+            scores = [value if np.isfinite(value) else "–" for value in values]
             rows.append((scene, name, "–" if name == "none" else run, *scores, one.scores.IDF1, one.scores.false_tracks))
     return table(("scene", "filter", "run", *SCORES, "IDF1", "false tracks"), rows)
 
@@ -296,7 +318,7 @@ def _lessons(found: Found) -> str:
             (f"{part.rate:.4f}", part.samples, len(part.density)) if part else ("–", "too few", "–")
             for part in (one.births, one.hand)
         )
-        gains = (f"{gain:.1f}" for gain in one.gains)
+        gains = (number(gain) for gain in one.gains)
         rows.append((name, f"{one.clutter.rate:.2f}", one.clutter.samples, len(one.clutter.density), *births, *hand, *gains))
     header = (
         "scene", "r̄", "boxes marked", "places", "s̄", "tracks", "places", "s̄ by hand", "marks", "places",

@@ -15,8 +15,9 @@ import numpy as np
 
 from phdtrack import config, pipeline
 from phdtrack.boxes import iou, to_cxcywh
-from phdtrack.context import Learned, RecursiveEM, uniform_density
+from phdtrack.context import Learned, RecursiveEM, prior
 from phdtrack.context.learning import Lesson, learn_births, learn_clutter
+from phdtrack.context.prior import Sizes, detected_sizes, humbled
 from phdtrack.context.samples import first_states
 from phdtrack.errors import InputError
 from phdtrack.label import Label, LabelStore
@@ -35,10 +36,6 @@ MARKED = 40
 NOBODY, SOMEBODY = 0.3, 0.5
 BIRTHS, MOST = 0.01, 500
 """The shipped magnitude of births a time unit, here uniform over the image, and the shipped most particles a detection."""
-# Births anywhere: pixels a time unit on an axis at most, and how much wider than detected the range of sizes is.
-FASTEST, WIDER = 20.0, 1.5
-# Samples that what is learned stands beside: as many as are the fewest that are learned from.
-PRIOR = 10
 # Tracks shorter than this many seconds teach no births.
 LASTING = 1.0
 
@@ -136,15 +133,11 @@ def _lesson(states: F8, time_units: float, case: Case) -> Lesson | None:
 
 
 def _humbled(lesson: Lesson, case: Case) -> Lesson:
-    """What was learned beside `PRIOR` samples that might have been anywhere, of the sizes that are detected.
+    return replace(lesson, learned=humbled(lesson.learned, _sizes(case)))
 
-    Who has seen little cannot be sure of places that he has not seen: α_u is PRIOR/(n + PRIOR) or more.
-    """
-    density, n = lesson.learned.density, lesson.learned.samples
-    low, high, sizes = density.low.copy(), density.high.copy(), anywhere(case).density
-    low[-2:], high[-2:] = sizes.low[-2:], sizes.high[-2:]
-    uniform = max(density.uniform, PRIOR / (n + PRIOR))
-    return replace(lesson, learned=replace(lesson.learned, density=replace(density, low=low, high=high, uniform=uniform)))
+
+def _sizes(case: Case) -> Sizes:
+    return detected_sizes(to_cxcywh(case.table.detections.xyxy)[2:])
 
 
 def everywhere(info: SequenceInfo, rate: float) -> MeasurementBirth:
@@ -157,11 +150,8 @@ def anywhere(case: Case) -> ContextBirth:
 
     Over all sizes of the image births would be much thinner than false alarms that are known to be of people's sizes.
     """
-    size = to_cxcywh(case.table.detections.xyxy)[2:]
-    smallest, largest = (np.quantile(size, part, axis=1) for part in (0.01, 0.99))
-    low = np.concatenate([[0.0, 0, -FASTEST, -FASTEST], smallest / WIDER])
-    high = np.concatenate([[case.info.width, case.info.height, FASTEST, FASTEST], largest * WIDER])
-    return ContextBirth(BIRTHS, uniform_density(low, high), most=MOST)
+    births = prior.anywhere(_sizes(case), (float(case.info.width), float(case.info.height)), BIRTHS)
+    return ContextBirth(births.rate, births.density, most=MOST)
 
 
 def births_of(learned: Learned | None, train: Case) -> ContextBirth:

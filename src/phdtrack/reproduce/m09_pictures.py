@@ -28,10 +28,11 @@ def maps(scenes: Mapping[str, tuple[Image, Taught]], path: Path) -> None:
         shown = ((scene.clutter, _RED), (scene.births, _GREEN), (scene.hand, _GREEN))
         for axis, (learned, colour), what in zip(row, shown, ("false alarms", "births", "births by hand"), strict=True):
             axis.imshow(over(picture, learned.density if learned else None, colour))
-            told = f", {learned.rate:.3g} each, {len(learned.density)} places" if learned else ": too few"
+            rate = "r̄" if colour is _RED else "s̄"
+            told = f", {rate} = {learned.rate:.3g}, {len(learned.density)} places" if learned else ": too few"
             axis.set(xticks=[], yticks=[])
             axis.set_title(f"{name}: {what}{told}", fontsize=9)
-    figure.savefig(path, dpi=70)
+    figure.savefig(path, dpi=60)
     plt.close(figure)
 
 
@@ -46,24 +47,23 @@ def over(picture: Image, density: ContextDensity | None, colour: F8) -> Image:
 
 
 def bars(gains: Mapping[str, Mapping[str, Mapping[str, Interval]]], path: Path) -> None:
-    """Differences to the uniform model by score, scene and run, with the half of their intervals."""
+    """Differences to the uniform model with the half of their intervals: a row for each score, a column for each scene."""
     plt = _pyplot()
-    scores = list(next(iter(next(iter(gains.values())).values())))
-    figure, axes = plt.subplots(len(scores), 1, figsize=(11, 2.6 * len(scores)), squeeze=False, layout="constrained")
-    runs = list(next(iter(gains.values())))
-    for axis, score in zip(axes[:, 0], scores, strict=True):
-        for k, run in enumerate(runs):
-            each = [gains[scene][run][score] for scene in gains]
-            at = np.arange(len(each)) + (k - (len(runs) - 1) / 2) * 0.8 / len(runs)
+    first = next(iter(gains.values()))
+    runs, scores = list(first), list(next(iter(first.values())))
+    shape = (len(scores), len(gains))
+    figure, axes = plt.subplots(*shape, figsize=(2.2 * shape[1], 2.6 * shape[0]), squeeze=False, layout="constrained")
+    for row, score in zip(axes, scores, strict=True):
+        for axis, (scene, found) in zip(row, gains.items(), strict=True):
+            each = [found[run][score] for run in runs]
             half = [one.half if np.isfinite(one.half) else 0.0 for one in each]
-            axis.bar(
-                at, [one.mean for one in each], 0.8 / len(runs), yerr=half, label=run, color=f"C{k}", error_kw={"lw": 0.8}
-            )
-        axis.set_xticks(np.arange(len(gains)), list(gains))
-        axis.set_ylabel(f"{score}, less UM's")
-        axis.axhline(0, color="k", lw=0.8)
-        axis.grid(axis="y", alpha=0.3)
-    axes[0, 0].legend(ncols=len(runs), fontsize=8)
+            colours = [f"C{k}" for k in range(len(runs))]
+            axis.bar(runs, [one.mean for one in each], yerr=half, color=colours, error_kw={"lw": 0.8})
+            axis.axhline(0, color="k", lw=0.8)
+            axis.grid(axis="y", alpha=0.3)
+            axis.tick_params(labelsize=7)
+            axis.set_title(scene, fontsize=9)
+        row[0].set_ylabel(f"{score}, less UM's")
     figure.savefig(path, dpi=75)
     plt.close(figure)
 
@@ -71,19 +71,22 @@ def bars(gains: Mapping[str, Mapping[str, Mapping[str, Interval]]], path: Path) 
 def sweeps(found: Mapping[str, tuple[Mapping[str, Sweep], float]], path: Path) -> None:
     """MOTA of the uniform model over its rate of clutter, a line for each rate of births; the learned one's beside it."""
     plt = _pyplot()
-    figure, axes = plt.subplots(1, len(found), figsize=(3.6 * len(found), 3.4), squeeze=False, layout="constrained")
-    for axis, (name, (kinds, learned)) in zip(axes[0], found.items(), strict=True):
+    across = min(3, len(found))
+    down = -(-len(found) // across)
+    figure, axes = plt.subplots(down, across, figsize=(3.6 * across, 3.0 * down), squeeze=False, layout="constrained")
+    for axis, (name, (kinds, learned)) in zip(axes.ravel(), found.items(), strict=False):
         for k, (kind, sweep) in enumerate(kinds.items()):
-            for births in _sorted(rates[0] for rates in sweep):
-                clutter = _sorted(rates[1] for rates in sweep if rates[0] == births)
+            rates = _sorted(births for births, _ in sweep)
+            for births in rates:
+                clutter = _sorted(rate for own, rate in sweep if own == births)
                 values = [sweep[births, rate] for rate in clutter]
-                style = ("-", "--", ":")[_sorted(rates[0] for rates in sweep).index(births) % 3]
+                style = ("-", "--", ":")[rates.index(births) % 3]
                 axis.plot(clutter, values, style, marker="o", ms=3, color=f"C{k}", label=f"{kind}, births {births:g}")
         axis.axhline(learned, color="k", lw=1, label="GM")
-        axis.set(xscale="log", title=name, xlabel="uniform clutter a frame")
+        axis.set(xscale="log", xlabel="uniform clutter a frame", ylabel="MOTA")
+        axis.set_title(name, fontsize=9)
         axis.grid(alpha=0.3)
-    axes[0, 0].set_ylabel("MOTA")
-    axes[0, -1].legend(fontsize=7)
+    axes[0, 0].legend(fontsize=7)
     figure.savefig(path, dpi=75)
     plt.close(figure)
 

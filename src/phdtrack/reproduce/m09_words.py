@@ -89,7 +89,7 @@ def _earlier(found: Found) -> str:
 def _best_uniform(found: Found) -> str:
     behind = {}
     for name in found.scenes:
-        best = max([*found.sweep(name, UM).values(), *found.sweep(name, IMAGE).values()])
+        best = max(one.MOTA for run in (UM, IMAGE) for one in found.sweep(name, run).values())
         behind[name] = found.beside(name, GM).scores.MOTA - best
     fine = [name for name, gap in behind.items() if gap > 0]
     rest = [f"{name} ({gap:+.3f})" for name, gap in behind.items() if gap <= 0]
