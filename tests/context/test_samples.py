@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from phdtrack.context.samples import first_states, measurement_volume, state_volume
+from phdtrack.boxes import to_cxcywh
+from phdtrack.context.samples import births_in, first_states, gone, measurement_volume, state_volume
 from phdtrack.models.volume import image_volume
 from phdtrack.types import Tracks
 
@@ -61,3 +62,22 @@ def test_rows_may_show_less_than_a_box():
     states = first_states(tracks, fps=10, rate=1, shown=metres)
     np.testing.assert_allclose(states[:, 0], [5, 6, 2, -1])
     assert states.shape == (4, 1)
+
+
+def test_how_far_a_track_has_gone_is_told_in_sizes():
+    """40 frames of 3 pixels, between the middles of the first and of the last fifth 32 of them; √(30 · 120) = 60."""
+    one = track(1, 2, 40, (50, 60), (3, 0), (30, 120))
+    assert gone(to_cxcywh(one.xyxy)) == pytest.approx(32 * 3 / 60)
+
+
+def test_light_that_trembles_teaches_no_births():
+    """In one place for long, and one that moves but is gone within a second: nobody has entered."""
+    rng = np.random.default_rng(1)
+    light = track(1, 5, 200, (300, 200), (0, 0))
+    shaken = light.xyxy + np.tile(rng.normal(size=(200, 2)) * 8, 2)
+    light = Tracks(light.frame, light.identity, shaken, light.confidence, light.detection, light.confirmed)
+    there, brief = track(9, 1, 300, (10, 10), (0, 0)), track(2, 30, 20, (100, 100), (9, 0))
+    walker = track(3, 40, 60, (50, 60), (2, -1))
+    states = births_in(Tracks.concatenate([light, there, brief, walker]), fps=25, rate=25)
+    assert states.shape == (6, 1)
+    np.testing.assert_allclose(states[:2, 0], [50, 60])

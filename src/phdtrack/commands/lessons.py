@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from phdtrack.protocols import AnyStages
 
 _ONLY_BOXES = "false alarms stay uniform: a density of them is learned for boxes in the image only (motion.kind=box)"
-# Tracks teach births that last so many seconds, and have so many rows.
-_LASTING, _SHORTEST = 1.0, 5
 # Frames, drawn at random, whose suggestions are taken where nobody labels: M09's false alarms were of as many.
 UNATTENDED = 200
 LIMITS = (
@@ -151,11 +149,11 @@ def clutter_unattended(room: Classroom) -> Taught:
 
 
 def births_of_tracks(room: Classroom, clutter: Lesson | None) -> Taught:
-    """Births from the tracks of at least a second that the tracker itself makes [M09 §IV]; why not, where they cannot be.
+    """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]; why not, where they cannot be.
 
     Behind learned false alarms, and with births anywhere: tracks that only the scene's false alarms make are no births.
     """
-    from phdtrack.context.samples import first_states
+    from phdtrack.context.samples import births_in
     from phdtrack.models.learned_scene import ContextBirth, ContextClutter
     from phdtrack.types import Detections
 
@@ -173,7 +171,7 @@ def births_of_tracks(room: Classroom, clutter: Lesson | None) -> Taught:
     if not room.of_boxes:
         sensor = stages.model.sensor
         shown = sensor.measure(Detections.of(tracks.xyxy))[: len(sensor.observed)]
-    states = first_states(tracks, info.fps, rate, max(_SHORTEST, round(_LASTING * info.fps)), shown)
+    states = births_in(tracks, info.fps, rate, shown)
     # Feet that no ground is under.
     states = states[:, np.isfinite(states).all(axis=0)]
     time = len(room.stretch) / info.fps * rate

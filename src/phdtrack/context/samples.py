@@ -9,26 +9,48 @@ from phdtrack.types import F8, Tracks
 
 # Seconds of a track from which its first velocity is taken.
 LEAD = 0.4
+# Who enters is there for so many seconds, and goes as far as he is large: light that trembles does not.
+LASTING, FAR = 1.0, 1.0
 
 
-def first_states(tracks: Tracks, fps: float, rate: float, shortest: int = 5, shown: F8 | None = None) -> F8:
+def births_in(tracks: Tracks, fps: float, rate: float, shown: F8 | None = None) -> F8:
+    """The first states of the tracks that teach where people enter: those that last, and go somewhere."""
+    return first_states(tracks, fps, rate, max(5, round(LASTING * fps)), shown, FAR)
+
+
+def first_states(
+    tracks: Tracks, fps: float, rate: float, shortest: int = 5, shown: F8 | None = None, far: float = 0.0
+) -> F8:
     """(6, n) states (px, py, vx, vy, w, h) in which the tracks of at least ``shortest`` rows began [M09 §IV].
 
     Velocities are pixels per time unit, of which ``rate`` make a second: slopes of straight lines through the centres of
-    the first ``LEAD`` seconds, at least three rows. Tracks that are there in the first frame began before it: left out.
+    the first ``LEAD`` seconds, at least three rows. Tracks that are there in the first frame began before it: left out, as
+    are those that have not `gone` as ``far``.
 
     ``shown`` (r, M) is what the rows show, the position first, where it is not centre and size of their boxes: points, or
     places on the ground, whose states are (px, py, vx, vy).
     """
-    box = to_cxcywh(tracks.xyxy) if shown is None else shown
+    boxes = to_cxcywh(tracks.xyxy)
+    box = boxes if shown is None else shown
     order = np.lexsort((tracks.frame, tracks.identity))
     start = np.flatnonzero(np.diff(tracks.identity[order], prepend=-1))
     opening = int(tracks.frame.min(initial=np.iinfo(np.int64).max))
     states = []
     for rows in np.split(order, start[1:]) if len(order) else []:
-        if len(rows) >= shortest and tracks.frame[rows[0]] > opening:
+        known = len(rows) >= shortest and tracks.frame[rows[0]] > opening
+        if known and (far == 0 or gone(boxes[:, rows]) >= far):
             states.append(first_state(box[:, rows], (tracks.frame[rows] - tracks.frame[rows[0]]) / fps, rate))
     return np.array(states).reshape(-1, len(box) + 2).T.copy()
+
+
+def gone(box: F8) -> float:
+    """How far a track has gone from where it began, in its sizes √(wh): boxes (4, n) as centre and size.
+
+    Told by the medians of the first and of the last fifth of its centres.
+    """
+    fifth = max(1, box.shape[1] // 5)
+    step = np.median(box[:2, -fifth:], axis=1) - np.median(box[:2, :fifth], axis=1)
+    return float(np.linalg.norm(step) / np.sqrt(np.median(box[2] * box[3])))
 
 
 def first_state(box: F8, seconds: F8, rate: float) -> F8:

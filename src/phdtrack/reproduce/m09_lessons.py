@@ -18,7 +18,7 @@ from phdtrack.boxes import iou, to_cxcywh
 from phdtrack.context import Learned, RecursiveEM, prior
 from phdtrack.context.learning import Lesson, learn_births, learn_clutter
 from phdtrack.context.prior import Sizes, detected_sizes, humbled
-from phdtrack.context.samples import first_states
+from phdtrack.context.samples import births_in
 from phdtrack.errors import InputError
 from phdtrack.label import Label, LabelStore
 from phdtrack.label.hand import REACH, birth_states, time_watched
@@ -36,8 +36,6 @@ MARKED = 40
 NOBODY, SOMEBODY = 0.3, 0.5
 BIRTHS, MOST = 0.01, 500
 """The shipped magnitude of births a time unit, here uniform over the image, and the shipped most particles a detection."""
-# Tracks shorter than this many seconds teach no births.
-LASTING = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +110,7 @@ def followed(stages: AnyStages, case: Case, seed: int) -> Run:
 def own_births(stages: AnyStages, case: Case, seed: int) -> Lesson | None:
     """Births from the tracks that the tracker itself makes [M09 §IV]; None where there are too few."""
     tracks = followed(stages, case, seed).corrected
-    states = first_states(tracks, case.info.fps, stages.model.rate, round(LASTING * case.info.fps))
+    states = births_in(tracks, case.info.fps, stages.model.rate)
     return _lesson(states, case.info.frames / case.info.fps * stages.model.rate, case)
 
 
