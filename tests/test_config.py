@@ -114,6 +114,11 @@ def test_every_setting_is_reached_by_set(section: str, kind: str, name: str):
     config.build(loaded, INFO)
 
 
+@pytest.mark.parametrize(("typed", "meant"), [(".1", 0.1), ("+.25", 0.25), (" .1 ", 0.1), ("1e-1", 0.1)])
+def test_numbers_may_begin_with_the_point(typed: str, meant: float):
+    assert config.load(sets=[f"sensor.spread={typed}"]).as_dict()["sensor"]["spread"] == meant
+
+
 @pytest.mark.parametrize(("section", "kind", "name"), EVERY)
 def test_every_setting_is_reached_by_a_file(section: str, kind: str, name: str, tmp_path):
     value = another(config.load(sets=chosen(section, kind)).as_dict()[section][name], kind)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import datetime
 import difflib
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
@@ -378,8 +379,10 @@ def _assignment(text: str) -> tuple[str, str, Any]:
         raise InputError(
             "expected section.name=value", where=f"--set {text}", cure="For example: --set sensor.detection=0.9"
         )
+    # TOML wants a digit before the point; people who type .1 mean a number.
+    plain = re.sub(r"^([+-]?)\.(?=\d)", r"\g<1>0.", value.strip())
     try:
-        parsed = tomllib.loads(f"value = {value.strip()}")["value"]
+        parsed = tomllib.loads(f"value = {plain}")["value"]
         # No setting is a moment; TOML takes 19:30:00 for one.
         return section, key, value.strip() if isinstance(parsed, (datetime.date, datetime.time)) else parsed
     except tomllib.TOMLDecodeError:
