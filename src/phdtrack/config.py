@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import datetime
 import difflib
+import itertools
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -46,7 +47,7 @@ from phdtrack.models import (
     SplitSpawn,
     UniformBirth,
 )
-from phdtrack.presets import PRESETS, USUAL
+from phdtrack.presets import PRESETS, UNFILTERED, USUAL
 from phdtrack.protocols import AnyStages, NoLearning, Stages
 from phdtrack.types import SequenceInfo
 
@@ -102,9 +103,6 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
     "meetings": {"": Meetings},
     "detector": {"": worlds.DetectorSettings},
 }
-# Least mean gain of a track's links where nothing is filtered: nobody knows how fast a raw detection moves, so that the
-# links of true tracks gain less than those of filtered states.
-_RAW_WORTH = 0.6
 # Kinds of other sections that a kind goes together with, the default first. Without a filter nothing is extracted.
 _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
     ("motion", "box"): {
@@ -267,8 +265,7 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "") -> AnyS
     record = partial(_record, settings)
     model, associator = worlds.build_model(record, kinds, info), record("associate")
     if kinds["filter"] == "none":
-        given = "worth" in settings.sections.get("associate", {})
-        return Stages(model, NoFilter(), extract.Raw(), associator if given else record("associate", worth=_RAW_WORTH))
+        return Stages(model, NoFilter(), extract.Raw(), associator)
     values = settings.sections.get("filter", {}).get("initial", [])
     initial = worlds.initial_mixture(kinds, record, values) if values else None
     size = (float(info.width), float(info.height))
@@ -345,15 +342,16 @@ def _overlay(sections: dict[str, Values], name: str, values: Mapping[str, Any], 
 def _follow(sections: dict[str, Values], deciding: str, kind: str) -> None:
     """Give the sections that a kind decides kinds that fit, with those of their values that these have too.
 
-    A kind that nobody chose is the first that fits. On the ground plane and of points other values are usual too, which a
-    change of kind may have dropped.
+    A kind that nobody chose is the first that fits. On the ground plane, of points, and without a filter other values are
+    usual too, which a change of kind may have dropped.
     """
     for section, fitting in _FITTING.get((deciding, kind), {}).items():
         given = sections.get(section, {})
         if given.get("kind") not in fitting and _kind(sections, section) != fitting[0]:
             known = {f.name for f in fields(SECTIONS[section][fitting[0]])} if deciding == "filter" else set()
             sections[section] = {key: value for key, value in given.items() if key in known} | {"kind": fitting[0]}
-    for section, values in USUAL.get(_kind(sections, "motion"), {}).items():
+    usual = USUAL.get(_kind(sections, "motion"), {}), UNFILTERED if _kind(sections, "filter") == "none" else {}
+    for section, values in itertools.chain.from_iterable(part.items() for part in usual):
         known = {f.name for f in fields(SECTIONS[section][_kind(sections, section)])}
         for key, value in values.items():
             if key in known:

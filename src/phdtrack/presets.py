@@ -58,6 +58,10 @@ POINT: Mapping[str, Mapping[str, Any]] = {"filter": {"region": 9.21}, "extract":
 # What is usual in each world beside the defaults.
 USUAL: Mapping[str, Mapping[str, Mapping[str, Any]]] = {"plane": PLANE, "point": POINT}
 
+# What is usual where nothing is filtered: nobody knows how fast a raw detection moves, so that the links of true tracks gain
+# less than those of filtered states.
+UNFILTERED: Mapping[str, Mapping[str, Any]] = {"associate": {"worth": 0.6}}
+
 PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "default": {
         "motion": {"acceleration": 0.005, "resize": 0.07, "survival": 0.997, "roughening": 0.005},

@@ -53,7 +53,7 @@ class GraphMatching:
         as shipped): the price of a gap, whatever the frame rate.
     worth : tracks whose links gain less than this share of gate²/2 on average are discarded (offline) or not confirmed
         (online): false alarms can be strung together, but their links are poor. Without a filter 0.6 where nothing else is
-        said (`config.build`).
+        said (`presets.UNFILTERED`).
     consistent : no edge joins states that are more than this many deviations apart, however little it would cost.
     delay : frames by which the online output lags, so that links can still be corrected and tracks be confirmed by what
         follows; 0 allowed.

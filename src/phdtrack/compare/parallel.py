@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnContext, SpawnProcess
-from typing import Generic, TypeVar
+from types import FrameType
+from typing import Generic, NoReturn, TypeVar
 
 from phdtrack.errors import InputError, interrupted
 
 T = TypeVar("T")
+# Seconds that a process has to tidy up before it is killed.
+_PATIENCE = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +78,10 @@ class _Worker(Generic[T]):
         return result
 
     def end(self) -> None:
-        """Stop it, whatever it does."""
+        """Stop it, whatever it does: it may tidy up, and is killed where that takes long."""
         self.process.terminate()
+        self.process.join(_PATIENCE)
+        self.process.kill()
         self.process.join()
         self.pipe.close()
 
@@ -114,9 +120,17 @@ def _shared(work: Sequence[Callable[[], T]], jobs: int) -> Iterator[tuple[int, T
             worker.end()
 
 
+def _ended(number: int, frame: FrameType | None) -> NoReturn:
+    sys.exit(128 + number)
+
+
 def _serve(pipe: Connection) -> None:
-    """A process's life: work until the pipe ends. Ctrl-C is the parent's business."""
+    """A process's life: work until the pipe ends. Ctrl-C is the parent's business, who ends us then.
+
+    An end is an exception here, so that nothing half-written stays behind.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _ended)
     while True:
         try:
             pipe.send(_tried(pipe.recv()))
