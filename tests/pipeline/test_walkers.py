@@ -103,3 +103,14 @@ def test_the_preset_of_e13_runs_with_any_filter(kind: str, camera_file):
     assert np.mean(count[5:]) == pytest.approx(4, abs=0.8)
     assert len(away) > 2 * FRAMES
     assert np.median(away) < 0.5
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_runners_are_not_lost_at_their_birth(seed: int):
+    """Two who cross the frame at 5 pixels a frame, seen clearly: the particle filter keeps two identities at any seed."""
+    noise = np.random.default_rng(3).normal(0, 1, (40, 2, 2))
+    tracker = Tracker((320, 240), seed=seed)
+    for k in range(1, 41):
+        corner = np.array([[20.0 + 5 * k, 60], [270.0 - 5 * k, 150]]) + noise[k - 1]
+        tracker.update(np.hstack([corner, corner + np.array([24, 60])]))
+    assert set(tracker.tracks().identity) == {1, 2}

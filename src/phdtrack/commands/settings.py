@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from phdtrack.errors import InputError
 
@@ -41,9 +41,9 @@ def look_settings(name: str, assignments: Sequence[str]) -> Look:
 
     look = default_look(name)
     numeric: dict[str, type[int] | type[float]] = {f.name: type(getattr(look, f.name)) for f in fields(look)}
-    changed = dict(_assigned(text, numeric, "--look") for text in assignments)
     # Each is a number of its own field's type, which a dictionary of all of them cannot say.
-    return replace(look, **changed)  # type: ignore[arg-type]
+    changed: dict[str, Any] = dict(_assigned(text, numeric, "--look") for text in assignments)
+    return replace(look, **changed)
 
 
 def _assigned(text: str, numeric: dict[str, type[int] | type[float]], option: str) -> tuple[str, int | float]:

@@ -24,6 +24,7 @@ from phdtrack.compare.digest import sources
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_seqinfo, read_truth
 from phdtrack.metrics import Scores, evaluate, first_output_delays
+from phdtrack.protocols import AnyStages
 from phdtrack.types import DetectionTable, SequenceInfo, Tracks, Truth
 
 # In a checkout the pages of results are the committed ones; an installed package writes where it is run.
@@ -70,6 +71,15 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """Corrected tracks, the rows given online, and the seconds that a frame took in filter, extraction and association."""
+
+    corrected: Tracks
+    online: Tracks
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Result:
     """What one run gave."""
 
@@ -97,14 +107,20 @@ def mot15(sequence: str, kind: str) -> Case:
 
 def track(case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), preset: str = "") -> tuple[Tracks, float]:
     """Corrected tracks of a case, and the seconds that a frame took in filter, extraction and association."""
-    stages = config.build(config.load(None, sets, preset), case.info, filter_name)
-    rng = np.random.default_rng(seed)
-    state, spent = pipeline.start(stages, rng), 0.0
+    run = followed(config.build(config.load(None, sets, preset), case.info, filter_name), case, seed)
+    return run.corrected, run.seconds
+
+
+def followed(stages: AnyStages, case: Case, seed: int) -> Run:
+    """One run of the tracker over a case."""
+    rng, spent, online = np.random.default_rng(seed), 0.0, []
+    state = pipeline.start(stages, rng)
     for number in range(1, case.info.frames + 1):
-        time_ = (number - 1) / case.info.fps
-        state, step = pipeline.advance(stages, state, case.table.at(number), number, time_, rng)
+        state, step = pipeline.advance(stages, state, case.table.at(number), number, (number - 1) / case.info.fps, rng)
+        online.append(step.tracks)
         spent += sum(step.seconds)
-    return pipeline.finish(stages, state), spent / case.info.frames
+    online.append(stages.associator.flush(state.association, stages.model))
+    return Run(pipeline.finish(stages, state), Tracks.concatenate(online), spent / case.info.frames)
 
 
 def measure(case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), preset: str = "") -> Result:

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from phdtrack import config, pipeline
+from phdtrack import config
 from phdtrack.boxes import iou, to_cxcywh
 from phdtrack.context import Learned, RecursiveEM, prior
 from phdtrack.context.learning import Lesson, learn_births, learn_clutter
@@ -27,7 +27,7 @@ from phdtrack.metrics import first_output_delays
 from phdtrack.models import MeasurementBirth
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.protocols import AnyStages
-from phdtrack.reproduce.common import Case
+from phdtrack.reproduce.common import Case, followed
 from phdtrack.reproduce.m09_scenes import Footage, halves
 from phdtrack.types import F8, I8, SequenceInfo, Tracks
 
@@ -61,15 +61,6 @@ class Taught:
     entered: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Run:
-    """Corrected tracks, the rows given at once, and seconds that a frame took."""
-
-    corrected: Tracks
-    online: Tracks
-    seconds: float
-
-
 def learn(course: Course) -> Taught:
     """Everything that the runs of a scene need."""
     case = halves(course.footage).train
@@ -94,17 +85,6 @@ def learn(course: Course) -> Taught:
         (gains[0], gains[1], gains[2]),
         by_hand.shape[1],
     )
-
-
-def followed(stages: AnyStages, case: Case, seed: int) -> Run:
-    """One run of the tracker over a case."""
-    rng, spent, online = np.random.default_rng(seed), 0.0, []
-    state = pipeline.start(stages, rng)
-    for number in range(1, case.info.frames + 1):
-        state, step = pipeline.advance(stages, state, case.table.at(number), number, (number - 1) / case.info.fps, rng)
-        online.append(step.tracks)
-        spent += sum(step.seconds)
-    return Run(pipeline.finish(stages, state), Tracks.concatenate(online), spent / case.info.frames)
 
 
 def own_births(stages: AnyStages, case: Case, seed: int) -> Lesson | None:

@@ -21,8 +21,8 @@ from phdtrack.metrics.matching import tracking_mapping
 from phdtrack.metrics.scene import build
 from phdtrack.models.learned_scene import ContextClutter
 from phdtrack.protocols import AnyStages
-from phdtrack.reproduce.common import Case, mot15, table
-from phdtrack.reproduce.m09_lessons import anywhere, births_of, followed, learned_alarms, marked_false, own_births
+from phdtrack.reproduce.common import Case, followed, mot15, table
+from phdtrack.reproduce.m09_lessons import anywhere, births_of, learned_alarms, marked_false, own_births
 from phdtrack.reproduce.m09_scenes import stretch
 from phdtrack.simulate import DetectorModel, detect, make_scene
 from phdtrack.types import F8, Bool, Tracks, Truth

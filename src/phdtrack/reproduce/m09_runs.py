@@ -14,8 +14,8 @@ from phdtrack.models.clutter import UniformClutter
 from phdtrack.models.learned_scene import ContextClutter
 from phdtrack.models.volume import image_volume
 from phdtrack.protocols import AnyStages, Birth, Clutter, Model
-from phdtrack.reproduce.common import Case, Kept
-from phdtrack.reproduce.m09_lessons import BIRTHS, Course, Taught, births_of, everywhere, followed, learn
+from phdtrack.reproduce.common import Case, Kept, followed
+from phdtrack.reproduce.m09_lessons import BIRTHS, Course, Taught, births_of, everywhere, learn
 from phdtrack.reproduce.m09_scenes import halves, stretch
 from phdtrack.types import F8, SequenceInfo, Tracks, Truth
 

@@ -20,12 +20,12 @@ from pathlib import Path
 
 import numpy as np
 
-from phdtrack import config, pipeline
+from phdtrack import config
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_seqinfo, read_truth
 from phdtrack.metrics import Scores, evaluate, pool
-from phdtrack.reproduce.common import Options, in_parallel, need_data, table, write
-from phdtrack.types import SequenceInfo, Tracks, Truth
+from phdtrack.reproduce.common import Case, Options, followed, in_parallel, need_data, table, write
+from phdtrack.types import Truth
 
 MADE: tuple[str, ...] = ("PETS09-S2L1", "TUD-Campus")
 SEQUENCES: Mapping[str, tuple[str, ...]] = {
@@ -115,28 +115,16 @@ def work(job: Job) -> Outcome:
         found = folder / f"det_{job.case}" / "det.txt"
     else:
         found = Path(_made().name) / job.case / job.sequence / "det" / "det.txt"
-    online, offline, ms = tracked(found, info, job)
-    return Outcome(evaluate(truth, online, frames=info.frames), evaluate(truth, offline, frames=info.frames), ms)
+    stages = config.build(config.load(None, job.sets), info, job.method)
+    run = followed(stages, Case(job.sequence, info, truth, read_detections(found)), job.seed)
+    online = evaluate(truth, run.online.take(run.online.confirmed), frames=info.frames)
+    return Outcome(online, evaluate(truth, run.corrected, frames=info.frames), 1e3 * run.seconds)
 
 
 def counted(truth: Truth) -> Truth:
     """The rows that count."""
     rows = ~truth.distractor
     return Truth(truth.frame[rows], truth.identity[rows], truth.xyxy[rows], truth.distractor[rows])
-
-
-def tracked(detections: Path, info: SequenceInfo, job: Job) -> tuple[Tracks, Tracks, float]:
-    """Confirmed rows given online, corrected tracks, and milliseconds that a frame took in filter and association."""
-    found = read_detections(detections)
-    stages = config.build(config.load(None, job.sets, ""), info, job.method)
-    rng = np.random.default_rng(job.seed)
-    state, given, spent = pipeline.start(stages, rng), [], 0.0
-    for number in range(1, info.frames + 1):
-        state, step = pipeline.advance(stages, state, found.at(number), number, (number - 1) / info.fps, rng)
-        given.append(step.tracks)
-        spent += sum(step.seconds)
-    online = Tracks.concatenate([*given, stages.associator.flush(state.association, stages.model)])
-    return online.take(online.confirmed), pipeline.finish(stages, state), 1e3 * spent / info.frames
 
 
 @dataclass(frozen=True, slots=True, eq=False)

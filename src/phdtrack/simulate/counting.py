@@ -9,6 +9,7 @@ outside of the frame. With ``leaving`` they are gone then, the survival is p_S i
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -140,9 +141,9 @@ class Counting:
         return inside | (not self.leaving)
 
 
-def constant(n: int, **settings: object) -> Counting:
+def constant(n: int, **settings: Any) -> Counting:
     """A scene for count experiments with ``n`` targets at its start; ``settings`` as in `Counting`."""
-    return replace(Counting(n), **settings)  # type: ignore[arg-type]
+    return replace(Counting(n), **settings)
 
 
 def counts(truth: Truth, frames: int) -> I8:
