@@ -52,3 +52,18 @@ def test_places_that_fire_are_unlearned_in_forty_frames(tmp_path: Path, name: st
     assert taught["false_positives"] <= 0.15 * plain["false_positives"]
     assert taught["false_tracks"] < plain["false_tracks"]
     assert taught["MOTA"] > max(0.8, plain["MOTA"] + 0.5)
+
+
+def test_what_nobody_marked_is_unlearned_too(tmp_path: Path):
+    """The same places, taken from what would be suggested: learned on the first half of the scene, tracked on all of it."""
+    yard = tmp_path / "yard"
+    assert phdtrack("simulate", "street", "--out", yard, "--frames", 600, "--seed", 1, "--no-video").status == 0
+    detections, scene = yard / "det" / "det.txt", tmp_path / "scene.json"
+    learned = phdtrack("learn", "--detections", detections, "--clutter", "unattended", "--last", 300, "--out", scene)
+    assert learned.status == 0, learned.err
+    common = ("track", "--detections", detections, "--truth", yard / "gt" / "gt.txt", "--no-video", "--json")
+    plain = phdtrack(*common, "--out", tmp_path / "plain").object["scores"]
+    taught = phdtrack(*common, "--out", tmp_path / "taught", "--scene", scene).object["scores"]
+    print(f"MOTA {plain['MOTA']:.3f} uniform, {taught['MOTA']:.3f} unattended")
+    assert taught["MOTA"] > max(0.8, plain["MOTA"] + 0.5)
+    assert taught["false_positives"] <= 0.15 * plain["false_positives"]

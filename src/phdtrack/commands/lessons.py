@@ -28,7 +28,7 @@ UNATTENDED = 200
 LIMITS = (
     "Nobody has looked at them. Who sits or stands in one place for nine tenths of the stretch, or for two thirds of it "
     "where he is seen every other time only, is taken for a false alarm there, and in a crowd so are people whom others "
-    "hide (in a simulated one a quarter of what was taken were people, in streets 4 %). To look at them: phdtrack label "
+    "hide (in a simulated one a quarter of what was taken were people, in streets 3 %). To look at them: phdtrack label "
     "suggests the same boxes."
 )
 
