@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from phdtrack.camera.warp import as_warp
 from phdtrack.errors import InputError
 from phdtrack.protocols import AnyStages, Model
-from phdtrack.types import F8, I8, Detections, Estimates, Step, Tracks, UpdateInfo
+from phdtrack.types import F8, I8, STILL, Detections, Estimates, Step, Tracks, UpdateInfo
 
 NOBODY: F8 = np.zeros((0, 0))
 # Where measurements are put that tell nothing of any state: no state is near.
@@ -57,9 +58,11 @@ def advance(
     rng: np.random.Generator,
 ) -> tuple[TrackingState, Step]:
     """Take in the detections of frame ``number`` (from 1) at ``time`` seconds.
+    warp: F8 = STILL,
 
-    A frame with ``detections.observed`` False is predicted and nothing more. Raises `InputError` where number or time does
-    not grow, the number is below 1, or the time is no number.
+    A frame with ``detections.observed`` False is predicted and nothing more. ``warp`` (3, 3) takes pixels of the last frame
+    that was taken in to this one's, where the camera moves (`camera.warp`); before the first frame it says nothing. Raises
+    `InputError` where number or time does not grow, the number is below 1, the time is no number, or the warp no homography.
     """
     if number < 1:
         raise InputError(f"expected a frame number from 1, got {number}")
@@ -71,7 +74,8 @@ def advance(
             f"{state.time:g} s",
             cure="Sort the frames, or reset the tracker before a new sequence",
         )
-    model = stages.learning.model(state.learned, stages.model)
+    seen = replace(stages.model, warp=as_warp(warp, f"frame {number}")) if len(warp) and state.number else stages.model
+    model = stages.learning.model(state.learned, seen)
     dt = (time - state.time) * model.rate if state.number else model.first
     began = clock.perf_counter()
     everything = model.sensor.measure(detections if detections.observed else Detections.empty(observed=False))
@@ -132,7 +136,7 @@ def _watching(model: Model, targets: F8, dt: float) -> Model:
     """The model whose sensor knows whom the targets of the last frame may hide by now."""
     if targets.shape[1] == 0:
         return model
-    expected, _, _ = model.motion.transition(np.ascontiguousarray(targets), dt)
+    expected, _, _ = model.motion.transition(model.carried(np.ascontiguousarray(targets)), dt)
     return replace(model, sensor=model.sensor.watching(expected))
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.types import (
     F8,
+    STILL,
     Detections,
     Estimates,
     Frame,
@@ -51,6 +52,15 @@ class Motion(Protocol):
     def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of ∫ β(x|ξ) D(ξ) dξ for the intensity ``parents``; an empty set where nothing is spawned."""
 
+
+    def carried(self, x: F8, warp: F8) -> F8:
+        """(d, L) the states ``x`` (d, L) in the pixels of the next frame, to which ``warp`` (3, 3) takes those of their own.
+
+        Raises `InputError` where states do not lie in the image.
+        """
+
+    def carried_slope(self, x: F8, warp: F8) -> F8:
+        """(L, d, d) Jacobians of `carried`."""
 
 class Sensor(Protocol):
     """g(z|x) and p_D: what a target looks like to the detector, and how often it is seen."""
@@ -139,6 +149,10 @@ class Model:
     in time units: what happens in it is predicted and born then.
     """
 
+    ``warp`` (3, 3) is how the camera has moved since the frame before: the homography that takes pixels of that frame to
+    this one's; `types.STILL` where it stands. Whoever predicts states takes them along first (`carried`,
+    `carried_gaussians`).
+
     motion: Motion
     sensor: Sensor
     birth: Birth
@@ -146,6 +160,18 @@ class Model:
     rate: float = 25.0
     first: float = 1.0
 
+    warp: F8 = field(default_factory=lambda: STILL, compare=False)
+
+    def carried(self, x: F8) -> F8:
+        """(d, L) states of the frame before, in the pixels of this one."""
+        return self.motion.carried(x, self.warp) if len(self.warp) else x
+
+    def carried_gaussians(self, mean: F8, covariance: F8) -> tuple[F8, F8]:
+        """Gaussians (d, L), (L, d, d) of the frame before, in the pixels of this one: to first order, J P Jᵀ."""
+        if len(self.warp) == 0:
+            return mean, covariance
+        slope = self.motion.carried_slope(mean, self.warp)
+        return self.motion.carried(mean, self.warp), slope @ covariance @ slope.transpose(0, 2, 1)
 
 S = TypeVar("S")
 
@@ -157,7 +183,10 @@ class Filter(Protocol[S]):
         """The state before the first frame."""
 
     def predict(self, state: S, model: Model, dt: float, rng: np.random.Generator) -> S:
-        """The predicted intensity of what was there, ``dt`` later. Births wait for the update: they are driven by z."""
+        """The predicted intensity of what was there, ``dt`` later. Births wait for the update: they are driven by z.
+
+        Where the camera has moved (`Model.warp`), states are carried into the pixels of the present frame first.
+        """
 
     def update(self, state: S, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[S, UpdateInfo]:
         """The intensity after the births of the interval ``dt`` and the measurements ``z`` (m, N)."""
@@ -192,6 +221,7 @@ class Associator(Protocol[A]):
         """Take in the states of frame ``number``, ``dt`` after the one before, and the measurements ``z`` (m, N).
 
         Gives the online rows that are now final.
+        States remembered of earlier frames are carried along where the camera has moved (`Model.warp`).
         """
 
     def flush(self, state: A, model: Model) -> Tracks:

@@ -16,18 +16,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from phdtrack import config, pipeline
+from phdtrack.camera.warp import as_warp
 from phdtrack.detections import as_detections
 from phdtrack.errors import InputError
 from phdtrack.hypotheses import Hypotheses
 from phdtrack.intensities import Cardinalised, JointSamples
+from phdtrack.models.standing import refuse_standing
 from phdtrack.protocols import AnyStages
 from phdtrack.statedict import pack, unpack
-from phdtrack.types import Detections, GaussianMixture, ParticleBlocks, Particles, SequenceInfo, Step, Tracks
+from phdtrack.types import STILL, Detections, GaussianMixture, ParticleBlocks, Particles, SequenceInfo, Step, Tracks
 
 # Of a saved state: it changes when a record of the state does.
-FORMAT = 5
+FORMAT = 6
 
 
 class Tracker:
@@ -87,7 +90,13 @@ class Tracker:
         self._state = pipeline.start(self.stages, self._rng)
         self._step: Step | None = None
 
-    def update(self, detections: Any, frame: int | None = None, timestamp: float | None = None) -> Tracks:
+    def update(
+        self,
+        detections: Any,
+        frame: int | None = None,
+        timestamp: float | None = None,
+        warp: ArrayLike | None = None,
+    ) -> Tracks:
         """Take in one frame's detections; give the online rows that became final, which will not change.
 
         Parameters
@@ -99,15 +108,21 @@ class Tracker:
         timestamp : its time in seconds; default from the number and ``fps``.
 
         Raises
+        warp : how the camera moved since the last update: the (3, 3) homography, or (2, 3) affine map, that takes pixels of
+            that frame to this one's, as `CameraMotion` measures it; default: it stands still.
         ------
-        InputError : boxes that are none, or a frame that does not come after the last.
+        InputError : boxes that are none, a frame that does not come after the last, a warp that is none, or one for a model
+            that lies at fixed pixels or on the ground.
         """
         number = self._state.number + 1 if frame is None else _whole(frame, "update(frame=…)")
         if number < 1:
             raise InputError(f"expected a frame number from 1, got {number}", where="update(frame=…)")
         time = self._time(number) if timestamp is None else _number(timestamp, f"frame {number}, update(timestamp=…)")
         found = as_detections(detections, where=f"frame {number}")
-        self._state, self._step = pipeline.advance(self.stages, self._state, found, number, time, self._rng)
+        moved = STILL if warp is None else as_warp(warp, f"frame {number}, update(warp=…)")
+        if len(moved):
+            refuse_standing(self.stages.model)
+        self._state, self._step = pipeline.advance(self.stages, self._state, found, number, time, self._rng, moved)
         return self._step.tracks
 
     def _time(self, number: int) -> float:

@@ -26,6 +26,9 @@ I8 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 Image = NDArray[np.uint8]
 
+STILL: F8 = np.zeros((0, 3))
+"""The camera did not move: stands for a (3, 3) homography between the pixels of two frames, see `camera.warp`."""
+
 
 def _none() -> I8:
     """(0,) for columns that a record need not have."""

@@ -12,7 +12,7 @@ from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, ParticleCPHD, ParticlePHD
 from phdtrack.hypotheses import Hypotheses
 from phdtrack.intensities import Cardinalised
 from phdtrack.protocols import Filter
-from phdtrack.types import GaussianMixture
+from phdtrack.types import GaussianMixture, ParticleBlocks
 
 STARTED = ParticlePHD | GMPHD | ParticleCPHD | GMCPHD | MCMC | MHT
 pytestmark = pytest.mark.parametrize("filter_", FILTERS.values(), ids=FILTERS)
@@ -150,3 +150,30 @@ def test_every_sensor_will_do(filter_, scaling: str, rng):
         state, info = step(filter_, state, z, model, 1.0, rng)
     assert len(points(state)) == model.motion.dim
     assert np.isfinite(info.mass)
+
+
+def seen_from(filter_, path: np.ndarray) -> np.ndarray:
+    """Mass, and mean and deviation of places brought home, after scans by a camera that is shifted along ``path`` (n, 2)."""
+    rows = []
+    for seed in range(20):
+        rng, model = np.random.default_rng(seed), model_of()
+        state, shift = filter_.start(model, rng), np.zeros(2)
+        for k, z in enumerate(scans(np.random.default_rng(6), len(path))):
+            warp = np.eye(3)
+            warp[:2, 2], shift = path[k] - shift, path[k]
+            there = np.vstack([z[:2] + shift[:, None], z[2:]])
+            state, _ = filter_.step(state, there, replace(model, warp=warp), 1.0, rng)
+        held = intensity(state)
+        held = held.particles() if isinstance(held, ParticleBlocks) else held
+        place, weight = points(state)[:2] - shift[:, None], held.weight / held.weight.sum()
+        rows.append([held.mass, *(place @ weight), *np.sqrt(place**2 @ weight - (place @ weight) ** 2)])
+    return np.array(rows)
+
+
+def test_a_camera_that_moves_takes_the_states_along(filter_):
+    """What is there is as where the camera stands; without being told all but the last scan would be forgotten."""
+    path = np.random.default_rng(1).normal(0, 60, (8, 2)).round()
+    path[0] = 0
+    still, moved = seen_from(filter_, np.zeros((8, 2))), seen_from(filter_, path)
+    error = np.sqrt((still.var(0, ddof=1) + moved.var(0, ddof=1)) / len(still))
+    assert (np.abs(moved.mean(0) - still.mean(0)) < 4.5 * error + 1e-6 * np.abs(still).max(0)).all()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from shipped import MOTIONS, fixed, frozen, keeps, states
 
+from phdtrack.errors import InputError
 from phdtrack.protocols import Motion
 from phdtrack.types import Particles
 
@@ -83,3 +84,22 @@ def test_nobody_moves_to_nowhere(motion, rng):
     mean, jacobian, noise = motion.transition(x, 1.0)
     assert mean.shape == x.shape
     assert jacobian.shape == noise.shape == (0, motion.dim, motion.dim)
+
+
+@pytest.mark.parametrize("count", [0, 12])
+def test_a_camera_that_moves_carries_states_or_is_refused(motion, count: int, rng):
+    """Of boxes and points; on the ground it means nothing."""
+    x, warp = fixed(states(rng, count, motion.dim)), fixed(np.array([[1.1, 0.02, 9.0], [-0.02, 1.1, 4.0], [0.0, 0.0, 1.0]]))
+    if motion.dim == 5 or type(motion).__name__ == "PlaneMotion":
+        with pytest.raises(InputError, match=r"^camera motion: .* does not lie in the image"):
+            motion.carried(x, warp)
+        with pytest.raises(InputError, match=r"^camera motion: .* does not lie in the image"):
+            motion.carried_slope(x, warp)
+        return
+    moved, slope = motion.carried(x, warp), motion.carried_slope(x, warp)
+    assert moved.shape == x.shape
+    assert slope.shape == (count, motion.dim, motion.dim)
+    np.testing.assert_allclose(moved[:2], warp[:2, :2] @ x[:2] + warp[:2, 2:])
+    # The map is affine: it is its slope, but for the shift.
+    np.testing.assert_allclose(np.einsum("nrs,sn->rn", slope, x)[2:], moved[2:])
+    np.testing.assert_array_equal(motion.carried(x, np.eye(3)), x)

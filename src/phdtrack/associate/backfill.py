@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.associate.history import Moment
+from phdtrack.camera import warp as warp_of
 from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.protocols import Model
 from phdtrack.types import F8
@@ -50,6 +51,10 @@ def lead_back(
         forgotten = ~jacobian[0].any(axis=0)
         state = np.where(forgotten, state, back @ state)
         cov = back @ (cov + noise[0]) @ back.T
+        if len(moments[k + 1].warp):
+            homeward = warp_of.back(moments[k + 1].warp)
+            slope = model.motion.carried_slope(state[:, None], homeward)[0]
+            state, cov = model.motion.carried(state[:, None], homeward)[:, 0], slope @ cov @ slope.T
         seen, seen_cov = model.sensor.states(earlier.spare[:, free])
         spread = cov[np.ix_(rows, rows)] + seen_cov[:, rows][:, :, rows]
         step = seen[rows] - state[rows, None]

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 from phdtrack.associate import offline, online
 from phdtrack.associate.history import History, moment_of
-from phdtrack.associate.predict import predicted
+from phdtrack.associate.predict import carried, predicted
 from phdtrack.associate.triangle import block
 from phdtrack.associate.window import Terms, Window, empty_window, extend
 from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, Share, check
@@ -90,12 +90,13 @@ class GraphMatching:
     ) -> tuple[GraphState, Tracks]:
         """Link the states of frame ``number`` to the past; give the online rows that are now due [M07 §3]."""
         window = state.window if state.vertices else empty_window(len(estimates.state))
+        window = carried(window, model)
         moved = predicted(window, estimates, dt, model.motion)
         shown, sigma = block(len(estimates.state), model.sensor.observed), model.sensor.noise(estimates.state)
         terms = Terms(self._span(model), self.gate, math.log(self.miss), self.consistent)
         window, final = extend(window, moved, sigma, shown, terms, dt)
         time, vertices = state.time + dt, state.vertices + len(estimates)
-        history = state.history.append(moment_of(number, time, state.vertices, estimates, final, z))
+        history = state.history.append(moment_of(number, time, state.vertices, estimates, final, z, model.warp))
         extended = GraphState(window, history, state.online, vertices, time)
         due = len(history) - 1 - self.delay
         if due < 0:

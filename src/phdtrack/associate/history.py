@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from phdtrack.associate.triangle import lower, whole
 from phdtrack.associate.window import Links
-from phdtrack.types import F8, I8, Estimates
+from phdtrack.types import F8, I8, STILL, Estimates
 
 # Twice as many moments are held as they came before the older half is joined: what was just seen is asked for most.
 CHUNK = 32
@@ -20,7 +20,8 @@ class Moment:
     """One frame: its number, its model time, its states (vertices ``first``, ``first`` + 1, …), and the links made final.
 
     ``final`` are the links (between global vertex numbers) that this frame made unchangeable. ``spare``
-    (m, S) are the measurements that no state rested on, ``spare_index`` (S,) which of the frame's they are.
+    (m, S) are the measurements that no state rested on, ``spare_index`` (S,) which of the frame's they are. ``warp`` is how
+    the camera moved since the frame before (`Model.warp`): everything else lies in the frame's own pixels.
     """
 
     number: int
@@ -30,16 +31,17 @@ class Moment:
     final: Links
     spare: F8
     spare_index: I8
+    warp: F8 = field(default_factory=lambda: STILL)
 
 
-def moment_of(number: int, time: float, first: int, estimates: Estimates, final: Links, z: F8) -> Moment:
+def moment_of(number: int, time: float, first: int, estimates: Estimates, final: Links, z: F8, warp: F8 = STILL) -> Moment:
     """A moment of the frame with the measurements ``z`` (m, N)."""
     n = z.shape[1]
     # The last place stands for no detection.
     free = np.ones(n + 1, np.bool_)
     free[np.minimum(estimates.detection, n)] = False
     spare = free[:n].nonzero()[0]
-    return Moment(number, time, first, estimates, final, z[:, spare], spare)
+    return Moment(number, time, first, estimates, final, z[:, spare], spare, warp)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +50,7 @@ class Chunk:
 
     ``number``, ``time`` (K,); ``vertex`` (K + 1,), ``link`` (K + 1,), ``other`` (K + 1,): where each moment's states (by
     vertex number), final links and spare measurements begin. ``estimates`` holds all states, with of each covariance
-    the lower triangle (d·(d + 1)/2,).
+    the lower triangle (d·(d + 1)/2,). ``warp`` is (K, 3, 3), or (0, 3, 3) where the camera stood still.
     """
 
     number: I8
@@ -60,6 +62,7 @@ class Chunk:
     final: Links
     spare: F8
     spare_index: I8
+    warp: F8
 
     @classmethod
     def of(cls, moments: tuple[Moment, ...]) -> Chunk:
@@ -68,7 +71,7 @@ class Chunk:
         # Frames without states may come in any dimension: that of a tracker that has not seen any.
         full = [e for e in estimates if len(e)] or estimates[:1]
         shown = [m.spare for m in moments if m.spare.shape[1]] or [moments[0].spare]
-        triangle = lower(len(full[0].state))
+        triangle, moved = lower(len(full[0].state)), any(len(m.warp) for m in moments)
         return cls(
             np.array([m.number for m in moments], np.int64),
             np.array([m.time for m in moments]),
@@ -90,6 +93,7 @@ class Chunk:
             ),
             np.hstack(shown),
             np.concatenate([m.spare_index for m in moments]),
+            np.array([m.warp if len(m.warp) else np.eye(3) for m in moments if moved]).reshape(-1, 3, 3),
         )
 
     def __len__(self) -> int:
@@ -108,6 +112,7 @@ class Chunk:
             Links(f.later[links], f.earlier[links], f.gain[links]),
             self.spare[:, spare],
             self.spare_index[spare],
+            self.warp[place] if len(self.warp) else STILL,
         )
 
 

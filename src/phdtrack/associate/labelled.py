@@ -125,7 +125,7 @@ class Labelled:
         reach = min(len(estimates.past), len(state.recent))
         settled, revised = state.recent[: len(state.recent) - reach], state.recent[len(state.recent) - reach :]
         seen = estimates.past[len(estimates.past) - reach :]
-        now = moment_of(number, time, 0, _one_each(estimates), NO_LINKS, z[:, :0])
+        now = moment_of(number, time, 0, _one_each(estimates), NO_LINKS, z[:, :0], model.warp)
         recent = (*(replace(m, estimates=_one_each(e)) for m, e in zip(revised, seen, strict=True)), now)
         history = state.history
         for moment in settled:

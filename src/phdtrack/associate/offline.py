@@ -107,7 +107,11 @@ def gaps(moments: list[Moment], path: list[tuple[int, int]], name: int, model: M
             continue
         a, b = moments[k].estimates, moments[m].estimates
         times: F8 = np.array([x.time for x in moments[k : m + 1]])
-        states = bridge(model.motion, a.state[:, i], a.covariance[i], b.state[:, j], b.covariance[j], np.diff(times))
+        ends, warps = (
+            (a.state[:, i], a.covariance[i], b.state[:, j], b.covariance[j]),
+            [x.warp for x in moments[k + 1 : m + 1]],
+        )
+        states = bridge(model.motion, *ends, np.diff(times), warps)
         n = m - k - 1
         frames: I8 = np.array([x.number for x in moments[k + 1 : m]], np.int64)
         confidence = np.full(n, min(1.0, float(a.weight[i]), float(b.weight[j])))

@@ -14,9 +14,10 @@ import numpy as np
 from phdtrack.associate.bridge import bridge
 from phdtrack.associate.history import History, Moment
 from phdtrack.associate.window import NO_LINKS, Links, Window
+from phdtrack.camera import warp as warp_of
 from phdtrack.kernels.identities import come_back, hand_on
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, Bool, Tracks
+from phdtrack.types import F8, I8, STILL, Bool, Tracks
 
 # Frames after which a missing identity is no longer asked for: what comes back later is hardly ever where it is looked for.
 AGES = 32
@@ -220,6 +221,8 @@ def _awaited(
     history, due = present.history, absences.due
     dt = history[due].time - history[due - 1].time
     state, confidence = _last(carried, history[due - 1], absences.source[here])
+    if len(history[due].warp):
+        state = model.motion.carried(state, history[due].warp)
     state, _, _ = model.motion.transition(state, dt)
     survive, back = model.motion.p_survive(state, dt), np.empty(AGES)
     confidence = confidence * survive
@@ -264,20 +267,36 @@ def _bridges(absences: Absences, held: list[Moment], present: Present, model: Mo
     history, due, parts = present.history, absences.due, []
     before = [history[k] for k in range(due - 1, history.forgotten - 1, -1)] if (absences.after >= 0).any() else []
     for i in (absences.after >= 0).nonzero()[0].tolist():
-        last = next((m for m in before if m.first <= absences.vertex[i]), None)
-        if last is not None:
-            later = next(m for m in held if absences.after[i] < m.first + len(m.estimates))
+        behind = next((k for k, m in enumerate(before) if m.first <= absences.vertex[i]), None)
+        if behind is not None:
+            ahead = next(k for k, m in enumerate(held) if absences.after[i] < m.first + len(m.estimates))
+            last, here, later = before[behind], history[due], held[ahead]
             place, after = int(absences.vertex[i]) - last.first, int(absences.after[i]) - later.first
-            parts.append(_bridged(last, place, history[due], later, after, int(absences.identity[i]), model))
+            warps = _between([*before[:behind][::-1], here]), _between(held[: ahead + 1])
+            parts.append(_bridged(last, place, here, later, after, warps, int(absences.identity[i]), model))
     return parts
 
 
-def _bridged(last: Moment, place: int, moment: Moment, later: Moment, after: int, identity: int, model: Model) -> Predicted:
+def _between(moments: list[Moment]) -> F8:
+    """How the camera moved through these moments, since the one before the first of them."""
+    return warp_of.after([m.warp for m in moments]) if any(len(m.warp) for m in moments) else STILL
+
+
+def _bridged(
+    last: Moment,
+    place: int,
+    moment: Moment,
+    later: Moment,
+    after: int,
+    warps: tuple[F8, F8],
+    identity: int,
+    model: Model,
+) -> Predicted:
     """The state at ``moment`` given the last one before it and the next one after it."""
     x, y = last.estimates, later.estimates
     steps = np.array([moment.time - last.time, later.time - moment.time])
     ends = (x.state[:, place], x.covariance[place], y.state[:, after], y.covariance[after])
-    return np.array([identity]), bridge(model.motion, *ends, steps), x.weight[place : place + 1]
+    return np.array([identity]), bridge(model.motion, *ends, steps, warps), x.weight[place : place + 1]
 
 
 def _with(rows: Rows, parts: list[Predicted], model: Model) -> Rows:

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from phdtrack.associate.triangle import lower
+from phdtrack.associate.triangle import lower, whole
 from phdtrack.associate.window import Moved, Window
 from phdtrack.kernels.association import predict_covariances
 from phdtrack.kernels.constant_velocity import predict_boxes
 from phdtrack.models.box_motion import BoxMotion
-from phdtrack.protocols import Motion
+from phdtrack.protocols import Model, Motion
 from phdtrack.types import F8, I8, Estimates
 
 # States predicted at once: what the model answers then stays in the cache, and its memory is used again.
 BLOCK = 1200
 # Components of a box's state without a remembered size.
 BOX = 6
+
+
+def carried(window: Window, model: Model) -> Window:
+    """The window's states in the pixels of the present frame, where the camera has moved."""
+    if len(model.warp) == 0 or window.mean.shape[1] == 0:
+        return window
+    triangle = lower(len(window.mean))
+    mean, cov = model.carried_gaussians(window.mean, whole(window.cov.T, len(window.mean)))
+    return replace(window, mean=mean, cov=np.ascontiguousarray(cov[:, triangle.row, triangle.column].T))
 
 
 def predicted(window: Window, estimates: Estimates, dt: float, motion: Motion) -> Moved:

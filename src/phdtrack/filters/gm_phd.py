@@ -32,6 +32,7 @@ import numpy as np
 from phdtrack.arrays import sum_by
 from phdtrack.checks import Count, NonNegative, Positive, check
 from phdtrack.errors import InputError
+from phdtrack.filters.carrying import carried_mixture
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.gated import gated_gaussians
 from phdtrack.filters.gm_box import box_model, fused_step, limits
@@ -96,7 +97,7 @@ class GMPHD:
         """
         if len(state) == 0:
             return state
-        state = tagged(state)
+        state = tagged(carried_mixture(state, model))
         if len(model.motion.spawn(Particles(state.mean, state.weight), dt, rng)):
             raise InputError(
                 "the GM-PHD filter has no spawning", where="motion.births", cure="Use NoSpawn, or the particle filter"
@@ -172,7 +173,7 @@ class GMPHD:
         settings = limits(
             self.gate, self.region, self.prune, self.merge, self.most, self.redistribute, self.split, self.skip_empty
         )
-        return fused_step(tagged(state), z, box, settings)
+        return fused_step(tagged(carried_mixture(state, model)), z, box, settings)
 
 
 def tagged(mixture: GaussianMixture) -> GaussianMixture:

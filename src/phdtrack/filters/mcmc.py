@@ -109,9 +109,10 @@ class MCMC:
         """Every target of every sample moved by f, and there with the probability p_S of what it had [K05]."""
         if len(state) == 0:
             return state
-        stays = model.motion.p_survive(state.state, dt).reshape(state.chance.shape)
-        moved = model.motion.sample(state.state, dt, rng)
-        return replace(state, state=moved, chance=state.chance * stays, origin=state.state, interval=dt)
+        origin = model.carried(state.state)
+        stays = model.motion.p_survive(origin, dt).reshape(state.chance.shape)
+        moved = model.motion.sample(origin, dt, rng)
+        return replace(state, state=moved, chance=state.chance * stays, origin=origin, interval=dt)
 
     def update(
         self, state: JointSamples, z: F8, model: Model, dt: float, rng: np.random.Generator
@@ -131,5 +132,6 @@ class MCMC:
     ) -> tuple[JointSamples, UpdateInfo]:
         """Predict and update in turn; with given associations the chain moves what it needs itself."""
         if self.associations == "given":
-            return self.update(replace(state, origin=state.state, interval=dt), z, model, dt, rng)
+            origin = model.carried(state.state)
+            return self.update(replace(state, state=origin, origin=origin, interval=dt), z, model, dt, rng)
         return self.update(self.predict(state, model, dt, rng), z, model, dt, rng)

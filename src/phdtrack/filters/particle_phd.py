@@ -20,6 +20,7 @@ from phdtrack.arrays import sum_by
 from phdtrack.checks import Count, Positive, PositiveCount, check
 from phdtrack.filters.blocks import plain
 from phdtrack.filters.box_tables import box_model
+from phdtrack.filters.carrying import carried_particles
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.fused import fused_step
 from phdtrack.filters.meeting import Meeting, explained
@@ -69,7 +70,7 @@ class ParticlePHD:
 
     def predict(self, state: Intensity, model: Model, dt: float, rng: np.random.Generator) -> Particles:
         """Move every particle through f, weigh it with p_S, add what is spawned [M07 (5), D14 Alg. 2]."""
-        state = plain(state)
+        state = plain(carried_particles(state, model))
         if len(state) == 0:
             return state
         weight = state.weight * model.motion.p_survive(state.state, dt)
@@ -129,7 +130,7 @@ class ParticlePHD:
         """Predict, update and reduce; fused for the shipped model of boxes (see `filters.fused`)."""
         parts = box_model(model)
         if parts is not None:
-            return fused_step(self, parts, state, z, model, dt, rng)
+            return fused_step(self, parts, carried_particles(state, model), z, model, dt, rng)
         return composed_step(self, state, z, model, dt, rng)
 
     def _gated(self, state: Particles, z: F8, model: Model) -> tuple[I8, I8]:

@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from phdtrack.camera import warp as warp_of
 from phdtrack.checks import NonNegative, Positive, Probability, check
 from phdtrack.kernels.constant_velocity import box_motion_noise
 from phdtrack.models.spawning import NoSpawn, Spawn
@@ -123,3 +124,16 @@ class BoxMotion:
     def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of the spawning term."""
         return self.births.sample(parents, dt, rng)
+
+    def carried(self, x: F8, warp: F8) -> F8:
+        """States in the pixels of the next frame: centre, velocity and sizes carried by the homography ``warp``."""
+        return warp_of.carried(x, warp, self._sizes)
+
+    def carried_slope(self, x: F8, warp: F8) -> F8:
+        """(L, d, d) Jacobians of `carried`."""
+        return warp_of.carried_slope(x, warp, self._sizes)
+
+    @property
+    def _sizes(self) -> tuple[int, ...]:
+        """The rows that are lengths."""
+        return tuple(range(4, self.dim))

@@ -9,6 +9,7 @@ from phdtrack.context.clock import Clock
 from phdtrack.context.modes import Mode
 from phdtrack.context.online import Followed, Following, advance, begin, named, scene_of
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.models.standing import not_standing
 from phdtrack.protocols import Model
 from phdtrack.types import Step
 
@@ -45,7 +46,12 @@ class FollowScene:
         return self._in_use(state)
 
     def model(self, state: SceneState, model: Model) -> Model:
-        """The model with what was learned, where that is in use."""
+        """The model with what was learned, where that is in use.
+
+        Raises `InputError` where the camera moves: what is learned lies at pixels.
+        """
+        if len(model.warp):
+            raise not_standing("learning where false alarms and entrances are")
         if state.birth is None and state.clutter is None:
             return model
         return replace(model, birth=state.birth or model.birth, clutter=state.clutter or model.clutter)

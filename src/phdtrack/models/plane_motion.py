@@ -19,6 +19,7 @@ from typing import Literal
 
 import numpy as np
 
+from phdtrack.camera.warp import no_image
 from phdtrack.checks import NonNegative, Positive, Probability, check
 from phdtrack.models.region import EVERYWHERE, Region, check_region, inside
 from phdtrack.models.spawning import NoSpawn, Spawn
@@ -82,6 +83,14 @@ class PlaneMotion:
     def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of the spawning term."""
         return self.births.sample(parents, dt, rng)
+
+    def carried(self, x: F8, warp: F8) -> F8:
+        """Raises `InputError`: the ground does not move with the image."""
+        raise no_image("a target on the ground")
+
+    def carried_slope(self, x: F8, warp: F8) -> F8:
+        """Raises `InputError`."""
+        raise no_image("a target on the ground")
 
 
 def variances(acceleration: float, dt: float, nominal: float, form: Form) -> tuple[float, float, float]:

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from phdtrack.camera import warp as warp_of
 from phdtrack.checks import NonNegative, Probability, check
 from phdtrack.models.spawning import NoSpawn, Spawn
 from phdtrack.types import F8, Particles
@@ -83,3 +84,11 @@ class PointMotion:
     def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of the spawning term."""
         return self.births.sample(parents, dt, rng)
+
+    def carried(self, x: F8, warp: F8) -> F8:
+        """States in the pixels of the next frame, to which the homography ``warp`` leads."""
+        return warp_of.carried(x, warp)
+
+    def carried_slope(self, x: F8, warp: F8) -> F8:
+        """(L, 4, 4) Jacobians of `carried`."""
+        return warp_of.carried_slope(x, warp)

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from phdtrack.camera.warp import no_image
 from phdtrack.checks import NonNegative, Positive, Probability, check
 from phdtrack.models.plane_motion import Form, fill, push, variances
 from phdtrack.models.region import EVERYWHERE, Region, check_region, inside
@@ -87,6 +88,14 @@ class TurningMotion:
     def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of the spawning term."""
         return self.births.sample(parents, dt, rng)
+
+    def carried(self, x: F8, warp: F8) -> F8:
+        """Raises `InputError`: the ground does not move with the image."""
+        raise no_image("a target on the ground")
+
+    def carried_slope(self, x: F8, warp: F8) -> F8:
+        """Raises `InputError`."""
+        raise no_image("a target on the ground")
 
 
 def turned(x: F8, dt: float) -> F8:

@@ -93,13 +93,13 @@ class MHT:
         n, there = len(leaves), np.flatnonzero(leaves.exist > 0)
         mean, cov, exist = leaves.mean.copy(), leaves.covariance.copy(), np.zeros(n)
         if len(there):
-            x = np.ascontiguousarray(leaves.mean[:, there])
+            x, spread = model.carried_gaussians(np.ascontiguousarray(leaves.mean[:, there]), leaves.covariance[there])
             if len(model.motion.spawn(Particles(x, leaves.exist[there]), dt, rng)):
                 raise InputError(
                     "the MHT has no spawning", where="motion.births", cure="Use NoSpawn, or the particle filter"
                 )
             exist[there] = leaves.exist[there] * self._survive(x, leaves.since[there] + 1, model, dt)
-            mean[:, there], cov[there] = moved(x, leaves.covariance[there], model.motion, dt, self.transform)
+            mean[:, there], cov[there] = moved(x, spread, model.motion, dt, self.transform)
         nodes = Nodes(mean, cov, exist, np.full(n, -1), np.arange(n), leaves.label, leaves.since + 1)
         return replace(state, layers=(*state.layers[-self.depth :], nodes))
 

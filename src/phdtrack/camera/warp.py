@@ -1,0 +1,135 @@
+"""A camera that moves: points, velocities and sizes carried from the pixels of one frame to those of the next.
+
+A homography G takes pixels p of the frame before to this one's, of what does not move itself:
+
+    q = (A p + t) / D,   D = gᵀp + 1,   G = [A t; gᵀ 1]
+
+Translation, similarity and affine map are its special cases with g = 0. With J = ∂q/∂p = (A − q gᵀ)/D at a target's centre,
+its centre goes by q, its velocity by J, and both its sides by √det J = √(det G / D³), the scale of areas. Not by J's scales
+along the axes: they differ by what shears or tilts the plane that was measured, mostly the ground or a wall, and those who
+walk on it stand upright before as after; a zoom, which does change them, scales both alike.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from phdtrack.errors import InputError
+from phdtrack.types import F8
+
+# Where D is less, a point is about to pass the horizon of the map: it is taken this far, out of any image, and no further.
+_LEAST = 0.05
+# Of det A: no camera makes an image so much smaller or larger from one frame to the next.
+_SCALES = (1e-4, 1e4)
+
+
+def as_warp(matrix: ArrayLike, where: str) -> F8:
+    """The homography (3, 3) with lower right element 1, from a (3, 3) or an affine (2, 3) matrix.
+
+    Raises
+    ------
+    InputError : no such matrix, not finite, one that mirrors the image or scales it beyond belief; ``where`` says whose.
+    """
+    try:
+        given = np.array(matrix, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"expected a matrix of 3 x 3 numbers ({error})", where=where) from None
+    if given.shape == (2, 3):
+        given = np.vstack([given, [0.0, 0.0, 1.0]])
+    if given.shape != (3, 3) or not np.isfinite(given).all() or given[2, 2] == 0:
+        raise InputError(
+            f"expected 3 x 3 or 2 x 3 finite numbers, the last of 3 x 3 not 0, got {_told(given)}",
+            where=where,
+            cure="The matrix takes pixels (x, y, 1) of the frame before to pixels of this frame",
+        )
+    warp: F8 = given / given[2, 2]
+    areas = np.linalg.det(warp)
+    if not _SCALES[0] <= areas <= _SCALES[1]:
+        raise InputError(
+            f"expected how a camera moves from one frame to the next, got a map that scales areas by {areas:.3g}",
+            where=where,
+            cure="Give the matrix from the frame before to this one, both in pixels",
+        )
+    return warp
+
+
+def _told(given: F8) -> str:
+    return f"an array of shape {given.shape}" if given.shape != (3, 3) else f"{given.tolist()}"
+
+
+def points(warp: F8, p: F8) -> F8:
+    """(2, n) where the pixels ``p`` (2, n) of the frame before are in this one."""
+    return _local(warp, p)[0]
+
+
+def carried(x: F8, warp: F8, sizes: tuple[int, ...] = ()) -> F8:
+    """(d, n) states ``x`` (px, py, vx, vy, …) in the pixels that ``warp`` leads to; rows ``sizes`` are lengths."""
+    place, slope, depth = _local(warp, x[:2])
+    moved: F8 = np.array(x, dtype=np.float64)
+    moved[:2] = place
+    moved[2:4] = _times(slope, x[2:4])
+    for row in sizes:
+        moved[row] = _scale(warp, depth) * x[row]
+    return moved
+
+
+def carried_slope(x: F8, warp: F8, sizes: tuple[int, ...] = ()) -> F8:
+    """(n, d, d) Jacobians of `carried`: J for places and velocities, and how J and the scale change from place to place."""
+    d, n = x.shape
+    _, slope, depth = _local(warp, x[:2])
+    g, scale, speed = warp[2, :2], _scale(warp, depth), _times(slope, x[2:4])
+    out = np.zeros((d, d, n))
+    out[range(d), range(d)] = 1.0
+    out[:2, :2] = out[2:4, 2:4] = slope
+    # ∂(J v)/∂p = −(J gᵀv + (J v) gᵀ)/D
+    out[2:4, :2] = -(slope * (g @ x[2:4]) + speed[:, None] * g[:, None]) / depth
+    for row in sizes:
+        out[row, row] = scale
+        out[row, :2] = -1.5 * scale * x[row] * g[:, None] / depth
+    return np.ascontiguousarray(out.transpose(2, 0, 1))
+
+
+def _local(warp: F8, p: F8) -> tuple[F8, F8, F8]:
+    """Places (2, n), Jacobians (2, 2, n) and D (n,) at the pixels ``p`` (2, n)."""
+    depth = np.maximum(warp[2, 0] * p[0] + warp[2, 1] * p[1] + 1.0, _LEAST)
+    # Row by row and not as a product of matrices, which need not round an identity to itself.
+    place = np.stack([warp[i, 0] * p[0] + warp[i, 1] * p[1] + warp[i, 2] for i in range(2)]) / depth
+    slope = (warp[:2, :2, None] - place[:, None] * warp[2, :2, None]) / depth
+    return place, slope, depth
+
+
+def _times(slope: F8, v: F8) -> F8:
+    """(2, n) J v."""
+    out: F8 = slope[:, 0] * v[0] + slope[:, 1] * v[1]
+    return out
+
+
+def _scale(warp: F8, depth: F8) -> F8:
+    """(n,) √det J."""
+    out: F8 = np.sqrt(np.linalg.det(warp) / depth**3)
+    return out
+
+
+def no_image(what: str) -> InputError:
+    """The error of a model whose states are no pixels."""
+    return InputError(
+        f"{what} does not lie in the image: how its pixels move says nothing of it",
+        where="camera motion",
+        cure="Compensate the camera's motion with motion.kind=box or point; on the ground give a camera that stands still",
+    )
+
+
+def back(warp: F8) -> F8:
+    """What takes pixels of this frame to those of the frame before."""
+    inverse = np.linalg.inv(warp)
+    return np.asarray(inverse / inverse[2, 2], np.float64)
+
+
+def after(warps: list[F8]) -> F8:
+    """What takes the pixels before the first of these motions to those after the last; `types.STILL` counts as none."""
+    whole: F8 = np.eye(3)
+    for warp in warps:
+        if len(warp):
+            whole = warp @ whole
+    return np.asarray(whole / whole[2, 2])
