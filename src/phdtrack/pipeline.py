@@ -56,9 +56,9 @@ def advance(
     number: int,
     time: float,
     rng: np.random.Generator,
+    warp: F8 = STILL,
 ) -> tuple[TrackingState, Step]:
     """Take in the detections of frame ``number`` (from 1) at ``time`` seconds.
-    warp: F8 = STILL,
 
     A frame with ``detections.observed`` False is predicted and nothing more. ``warp`` (3, 3) takes pixels of the last frame
     that was taken in to this one's, where the camera moves (`camera.warp`); before the first frame it says nothing. Raises

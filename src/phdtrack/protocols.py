@@ -52,7 +52,6 @@ class Motion(Protocol):
     def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of ∫ β(x|ξ) D(ξ) dξ for the intensity ``parents``; an empty set where nothing is spawned."""
 
-
     def carried(self, x: F8, warp: F8) -> F8:
         """(d, L) the states ``x`` (d, L) in the pixels of the next frame, to which ``warp`` (3, 3) takes those of their own.
 
@@ -61,6 +60,7 @@ class Motion(Protocol):
 
     def carried_slope(self, x: F8, warp: F8) -> F8:
         """(L, d, d) Jacobians of `carried`."""
+
 
 class Sensor(Protocol):
     """g(z|x) and p_D: what a target looks like to the detector, and how often it is seen."""
@@ -147,11 +147,11 @@ class Model:
     The papers state their noises per frame at 25 Hz; with ``rate`` 25 a frame of such a video has dt = 1, one of a
     7 Hz video dt = 25/7, and a gap of three frames three times as much. ``first`` is the interval before the first frame,
     in time units: what happens in it is predicted and born then.
-    """
 
     ``warp`` (3, 3) is how the camera has moved since the frame before: the homography that takes pixels of that frame to
     this one's; `types.STILL` where it stands. Whoever predicts states takes them along first (`carried`,
     `carried_gaussians`).
+    """
 
     motion: Motion
     sensor: Sensor
@@ -159,7 +159,6 @@ class Model:
     clutter: Clutter
     rate: float = 25.0
     first: float = 1.0
-
     warp: F8 = field(default_factory=lambda: STILL, compare=False)
 
     def carried(self, x: F8) -> F8:
@@ -172,6 +171,7 @@ class Model:
             return mean, covariance
         slope = self.motion.carried_slope(mean, self.warp)
         return self.motion.carried(mean, self.warp), slope @ covariance @ slope.transpose(0, 2, 1)
+
 
 S = TypeVar("S")
 
@@ -220,8 +220,8 @@ class Associator(Protocol[A]):
     def extend(self, state: A, estimates: Estimates, z: F8, number: int, dt: float, model: Model) -> tuple[A, Tracks]:
         """Take in the states of frame ``number``, ``dt`` after the one before, and the measurements ``z`` (m, N).
 
-        Gives the online rows that are now final.
         States remembered of earlier frames are carried along where the camera has moved (`Model.warp`).
+        Gives the online rows that are now final.
         """
 
     def flush(self, state: A, model: Model) -> Tracks:

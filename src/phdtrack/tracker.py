@@ -106,10 +106,10 @@ class Tracker:
             `Detections.empty(observed=False)` for a frame that nobody looked at.
         frame : its number from 1; default one more than the last. Numbers left out are frames that were dropped.
         timestamp : its time in seconds; default from the number and ``fps``.
-
-        Raises
         warp : how the camera moved since the last update: the (3, 3) homography, or (2, 3) affine map, that takes pixels of
             that frame to this one's, as `CameraMotion` measures it; default: it stands still.
+
+        Raises
         ------
         InputError : boxes that are none, a frame that does not come after the last, a warp that is none, or one for a model
             that lies at fixed pixels or on the ground.
