@@ -97,6 +97,7 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
     },
     "associate": {"graph": GraphMatching, "labelled": Labelled},
     "learn": {"none": NoLearning, "online": worlds.LearnSettings},
+    "rates": {"none": NoLearning, "learned": worlds.RatesSettings},
     "groups": {"": Grouping},
     "contours": {"": Contours},
     "lives": {"": Living},
@@ -130,7 +131,7 @@ _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
     ("filter", "gm-cphd"): {"extract": ("counted-components",), "associate": ("graph",)},
     ("filter", "mht"): {"extract": ("hypotheses",), "associate": ("labelled", "graph")},
     ("filter", "mcmc"): {"extract": ("joint",), "associate": ("graph", "labelled")},
-    ("filter", "none"): {"associate": ("graph",), "learn": ("none",)},
+    ("filter", "none"): {"associate": ("graph",), "learn": ("none",), "rates": ("none",)},
 }
 # The sections whose kinds decide others', in the order to lay them over.
 _DECIDING = ("motion", "filter")
@@ -270,6 +271,7 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "") -> AnyS
     initial = worlds.initial_mixture(kinds, record, values) if values else None
     size = (float(info.width), float(info.height))
     learning = worlds.build_learning(record, kinds["learn"], info)
+    learning = worlds.build_rates(record, kinds["rates"], model, learning, info)
     return Stages(model, record("filter", initial=initial, frame_size=size), record("extract"), associator, learning)
 
 

@@ -83,7 +83,8 @@ def advance(
     complete = len(usable) == everything.shape[1]
     z = everything if complete else np.ascontiguousarray(everything[:, usable])
     if detections.observed:
-        intensity, info = stages.filter.step(state.intensity, z, _watching(model, state.targets, dt), dt, rng)
+        weighed = stages.learning.weighed(state.learned, model, detections if complete else detections.take(usable))
+        intensity, info = stages.filter.step(state.intensity, z, _watching(weighed, state.targets, dt), dt, rng)
     else:
         intensity = stages.filter.predict(state.intensity, model, dt, rng)
         info = UpdateInfo(intensity.mass, 0.0, intensity.mass, np.zeros(0), np.zeros(0))

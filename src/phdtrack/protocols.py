@@ -243,6 +243,9 @@ class Learning(Protocol[C]):
     def model(self, state: C, model: Model) -> Model:
         """``model`` with what was learned so far."""
 
+    def weighed(self, state: C, model: Model, detections: Detections) -> Model:
+        """``model`` for a frame of these detections, those that the filter is given: with what their scores say."""
+
     def advance(self, state: C, step: Step) -> C:
         """Take in what one frame brought."""
 
@@ -259,6 +262,10 @@ class NoLearning:
 
     def model(self, state: None, model: Model) -> Model:
         """The same."""
+        return model
+
+    def weighed(self, state: None, model: Model, detections: Detections) -> Model:
+        """The same: nobody knows what scores are worth."""
         return model
 
     def advance(self, state: None, step: Step) -> None:

@@ -23,9 +23,11 @@ from phdtrack.context.verdict import Look, Watch
 from phdtrack.errors import InputError
 from phdtrack.hypotheses import Cluster, Hypotheses, Nodes
 from phdtrack.intensities import Cardinalised, JointSamples
+from phdtrack.models.followed_rates import RatesState
 from phdtrack.models.followed_scene import SceneState
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.pipeline import TrackingState
+from phdtrack.rates import Counted, Judged, Known, Learned, Rates, Scale
 from phdtrack.types import Estimates, GaussianMixture, ParticleBlocks, Particles, Tracks
 
 _RECORDS: dict[str, type[Any]] = {
@@ -56,6 +58,13 @@ _RECORDS: dict[str, type[Any]] = {
         Links,
         Tracks,
         SceneState,
+        RatesState,
+        Learned,
+        Known,
+        Counted,
+        Judged,
+        Rates,
+        Scale,
         Followed,
         Relearned,
         Mode,

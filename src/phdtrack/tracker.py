@@ -24,8 +24,10 @@ from phdtrack.detections import as_detections
 from phdtrack.errors import InputError
 from phdtrack.hypotheses import Hypotheses
 from phdtrack.intensities import Cardinalised, JointSamples
+from phdtrack.models.followed_rates import RatesState
 from phdtrack.models.standing import refuse_standing
 from phdtrack.protocols import AnyStages
+from phdtrack.rates import Rates
 from phdtrack.statedict import pack, unpack
 from phdtrack.types import STILL, Detections, GaussianMixture, ParticleBlocks, Particles, SequenceInfo, Step, Tracks
 
@@ -150,6 +152,12 @@ class Tracker:
         """
         learned = self.stages.learning.mode(self._state.learned, name)
         self._state = replace(self._state, learned=learned)
+
+    @property
+    def rates(self) -> Rates | None:
+        """p_D, false alarms, births and the worth of scores as they are estimated now; None where rates are not learned."""
+        learned = self._state.learned
+        return learned.learned.rates if isinstance(learned, RatesState) else None
 
     @property
     def step(self) -> Step | None:

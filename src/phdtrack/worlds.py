@@ -29,11 +29,14 @@ from phdtrack.models import (
     PointSensor,
     UniformClutter,
 )
+from phdtrack.models.followed_rates import FollowRates, priors
 from phdtrack.models.followed_scene import FollowScene
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, area, check_region
 from phdtrack.models.volume import Volume, image_area, image_volume
 from phdtrack.protocols import Birth, Camera, Clutter, Learning, Model, NoLearning
+from phdtrack.rates import Following as RatesRule
+from phdtrack.rates import Learns
 from phdtrack.types import F8, GaussianMixture, SequenceInfo
 
 Boxes = list[tuple[float, float, float, float]]
@@ -186,6 +189,33 @@ class LearnSettings:
             raise InputError("modes are chosen by evidence or by time of day", where="learn.switch", cure="Leave one out")
 
 
+@dataclass(frozen=True, slots=True)
+class RatesSettings:
+    """Rates that are learned from the stream while tracking, from those of the other sections on, see `rates`.
+
+    Parameters
+    ----------
+    detection : whether p_D is learned; otherwise ``sensor.detection`` holds.
+    clutter : whether the rate of false alarms is; otherwise ``clutter.rate`` holds.
+    newborn : whether the rate of births is; otherwise ``birth.rate`` holds.
+    scores : whether it is learned what the detector's scores are worth; otherwise they are not looked at.
+    memory : seconds after which a frame counts for 37 %.
+    wait : seconds until a detection is judged, beyond ``associate.delay``.
+    every : seconds between two times of learning.
+    """
+
+    detection: bool = True
+    clutter: bool = True
+    newborn: bool = True
+    scores: bool = True
+    memory: Positive = 120.0
+    wait: NonNegative = 1.0
+    every: NonNegative = 0.4
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
 class Record(Protocol):
     """What makes the record of a section from its settings and from values that are none."""
 
@@ -233,6 +263,16 @@ def build_learning(record: Record, kind: str, info: SequenceInfo) -> Learning[An
     if any(scene.births is not None and scene.rate != rate for scene in scenes):
         raise InputError(f"births were not learned with {rate:g} time units a second", where=settings.file)
     return FollowScene(rule, settings.most, scenes, clock(settings.schedule, settings.starts))
+
+
+def build_rates(record: Record, kind: str, model: Model, beside: Learning[Any], info: SequenceInfo) -> Learning[Any]:
+    """What learns the rates of ``model`` while tracking, with what else is learned ``beside`` it."""
+    if kind == "none":
+        return beside
+    settings: RatesSettings = record("rates")
+    learns = Learns(settings.detection, settings.clutter, settings.newborn, settings.scores)
+    wait = settings.wait + record("associate").delay / info.fps
+    return FollowRates(RatesRule(priors(model), model.rate, settings.memory, wait, settings.every, learns), beside)
 
 
 def initial_mixture(kinds: Mapping[str, str], record: Record, values: Boxes | Places) -> GaussianMixture:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,15 +10,21 @@ from typing import Any
 import numpy as np
 
 from phdtrack import config, doctor
+from phdtrack.commands.companions import together
+from phdtrack.commands.camera_companion import CameraCompanion
+from phdtrack.commands.camera_motion import check_moving, mover_of
 from phdtrack.commands.inputs import Inputs, open_inputs
-from phdtrack.commands.job import Job
+from phdtrack.commands.job import Companion, Job
 from phdtrack.commands.learning_companion import LearningCompanion
+from phdtrack.commands.rates_companion import RatesCompanion
 from phdtrack.commands.steps import Steps
 from phdtrack.commands.wanted import DEFAULT_DETECTOR, Wanted
 from phdtrack.context import read_scene
 from phdtrack.errors import InputError
 from phdtrack.formats import read_truth
+from phdtrack.models.followed_rates import FollowRates
 from phdtrack.models.followed_scene import FollowScene
+from phdtrack.protocols import Learning
 from phdtrack.types import Truth
 
 
@@ -34,6 +41,7 @@ class Choice:
     threads: int | None = None
     scene: Path | None = None
     learn_online: bool = False
+    camera_motion: str = ""
 
 
 def chosen(choice: Choice) -> config.Settings:
@@ -44,7 +52,8 @@ def chosen(choice: Choice) -> config.Settings:
     InputError : a file that cannot be read, an unknown name, options that do not go together.
     """
     online = ("learn.kind=online",) if choice.learn_online else ()
-    settings = config.load(choice.config, (*_filter(choice), *online, *choice.sets), choice.preset)
+    moving = _camera_motion(choice.camera_motion)
+    settings = config.load(choice.config, (*_filter(choice), *online, *moving, *choice.sets), choice.preset)
     if choice.scene is not None and choice.learn_online:
         settings = config.overlay(settings, {"learn": {"file": str(choice.scene)}}, "--scene")
     elif choice.scene is not None:
@@ -65,6 +74,13 @@ def _filter(choice: Choice) -> tuple[str, ...]:
     # Names are checked where they were given.
     config.overlay(config.load(preset=choice.preset), {"filter": {"kind": name}}, "--filter")
     return (f"filter.kind={name}",)
+
+
+def _camera_motion(said: str) -> tuple[str, ...]:
+    """``--camera-motion`` as assignments: what is neither flow nor none is a file."""
+    if said in ("", "none", "flow"):
+        return (f"camera_motion.kind={said}",) if said else ()
+    return "camera_motion.kind=file", f"camera_motion.file={json.dumps(said)}"
 
 
 def _learned(file: Path) -> dict[str, dict[str, str]]:
@@ -98,9 +114,9 @@ def prepare(wanted: Wanted, choice: Choice, settings: config.Settings, command: 
     """
     truth = None if choice.truth is None else read_truth(choice.truth)
     inputs = open_inputs(_at_least(wanted, truth), settings.detector)
-    stages = config.build(settings, inputs.info)
+    stages = config.build(settings, inputs.info, moving=True)
+    check_moving(settings, stages.model)
     steps = Steps(stages, np.random.default_rng(choice.seed))
-    learning = stages.learning
     return Job(
         inputs=inputs,
         stages=stages,
@@ -113,8 +129,26 @@ def prepare(wanted: Wanted, choice: Choice, settings: config.Settings, command: 
         versions=versions(),
         truth=truth,
         video=video,
-        companion=LearningCompanion(learning, steps, inputs.name) if isinstance(learning, FollowScene) else None,
+        companion=together([*_moving(settings, inputs), *_learning(stages.learning, steps, inputs.name)]),
+        mover=mover_of(settings, inputs),
     )
+
+
+def _moving(settings: config.Settings, inputs: Inputs) -> list[Companion]:
+    """What tells of the camera's motion, where there is any."""
+    kind = str(settings.sections.get("camera_motion", {}).get("kind", "none"))
+    return [] if kind == "none" else [CameraCompanion(kind, inputs.info)]
+
+
+def _learning(learning: Learning[Any], steps: Steps, name: str) -> list[Companion]:
+    """What tells of the learning: of the rates, of the scene, of both, or of neither."""
+    parts = list[Companion]()
+    scene = learning.beside if isinstance(learning, FollowRates) else learning
+    if isinstance(learning, FollowRates):
+        parts.append(RatesCompanion(learning, steps))
+    if isinstance(scene, FollowScene):
+        parts.append(LearningCompanion(scene, steps, name))
+    return parts
 
 
 def versions() -> tuple[tuple[str, str], ...]:

@@ -182,6 +182,7 @@ def accompanied(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
     """The job with the groups beside it."""
     from phdtrack.associate import GraphMatching, Labelled
     from phdtrack.camera import footprint
+    from phdtrack.commands.companions import together
     from phdtrack.commands.group_companion import GroupCompanion
     from phdtrack.commands.group_story import Around
     from phdtrack.config import build_groups
@@ -194,7 +195,8 @@ def accompanied(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
         far = float(str(job.configured("camera", "far")))
         around = Around(sensor.camera, footprint(sensor.camera, (info.width, info.height), far), edges)
     delay = associator.delay if isinstance(associator, GraphMatching | Labelled) else 0
-    return replace(job, companion=GroupCompanion(build_groups(settings, stages), stages, info, around, delay))
+    groups = GroupCompanion(build_groups(settings, stages), stages, info, around, delay)
+    return replace(job, companion=together([*([job.companion] if job.companion else []), groups]))
 
 
 def _lines(edges: Path | None) -> tuple[F8, ...]:

@@ -8,9 +8,11 @@ from phdtrack import pipeline
 from phdtrack.commands.ground import shown
 from phdtrack.filters import NoFilter
 from phdtrack.intensities import Cardinalised
+from phdtrack.models.followed_rates import RatesState
 from phdtrack.models.followed_scene import SceneState
 from phdtrack.protocols import AnyStages
-from phdtrack.types import Detections, ParticleBlocks, Particles, Step, Tracks
+from phdtrack.rates import Rates
+from phdtrack.types import F8, STILL, Detections, ParticleBlocks, Particles, Step, Tracks
 
 
 class Steps:
@@ -20,16 +22,23 @@ class Steps:
         self._stages, self._rng = stages, rng
         self._state = pipeline.start(stages, rng)
 
-    def advance(self, number: int, time: float, detections: Detections) -> Step:
-        """Take in the detections of frame ``number`` at ``time`` seconds."""
-        self._state, step = pipeline.advance(self._stages, self._state, detections, number, time, self._rng)
+    def advance(self, number: int, time: float, detections: Detections, warp: F8 = STILL) -> Step:
+        """Take in the detections of frame ``number`` at ``time`` seconds; ``warp`` is how the camera has moved."""
+        self._state, step = pipeline.advance(self._stages, self._state, detections, number, time, self._rng, warp)
         return step
 
     @property
     def learned(self) -> SceneState:
-        """What was learned of the scene, of stages that learn while tracking."""
-        learned: SceneState = self._state.learned
-        return learned
+        """What was learned of the scene, of stages that learn it while tracking."""
+        learned = self._state.learned
+        scene: SceneState = learned.beside if isinstance(learned, RatesState) else learned
+        return scene
+
+    @property
+    def rates(self) -> Rates:
+        """The rates as they are estimated now, of stages that learn them while tracking."""
+        known: RatesState = self._state.learned
+        return known.learned.rates
 
     @property
     def intensity(self) -> object:

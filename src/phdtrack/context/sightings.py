@@ -90,14 +90,19 @@ class Sightings:
         np.logical_or.at(confirmed, new, rows.confirmed)
         return Sightings(identity, first, last, hits, sums, squares, confirmed)
 
+    def went(self) -> Bool:
+        """(n,) whether each has gone somewhere."""
+        mean, size = self.sums[:2] / self.hits, self.sums[2:] / self.hits
+        spread: Bool = self.squares / self.hits - np.square(mean) > np.square(WENT * size)
+        far: Bool = spread[0] | spread[1]
+        return far
+
     def believed(self, detection: float) -> Bool:
         """(n,) whether each is somebody, where objects are detected with this probability."""
-        mean, size = self.sums[:2] / self.hits, self.sums[2:] / self.hits
-        went = (self.squares / self.hits - np.square(mean) > np.square(WENT * size)).any(axis=0)
         p = min(max(detection, 0.01), 0.99)
         missed = self.last - self.first + 1 - self.hits
         seen = self.hits * math.log(2) + missed * math.log((1 - p) / (1 - p / 2)) > 0
-        believed: Bool = self.confirmed & (went | seen)
+        believed: Bool = self.confirmed & (self.went() | seen)
         return believed
 
     def of(self, identity: I8, values: Bool) -> Bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -12,7 +12,16 @@ from phdtrack.kernels import gm_model
 from phdtrack.kernels.gm_model import BoxNumbers
 from phdtrack.kernels.gm_reduce import triangles
 from phdtrack.kernels.gm_step import Limits, box_step
-from phdtrack.models import BoxMotion, BoxSensor, FixedBirth, LocalClutter, MeasurementBirth, NoSpawn, UniformClutter
+from phdtrack.models import (
+    BoxMotion,
+    BoxSensor,
+    FixedBirth,
+    LocalClutter,
+    MeasurementBirth,
+    NoSpawn,
+    ScoredClutter,
+    UniformClutter,
+)
 from phdtrack.models.births import newborn_shape, region
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.models.volume import REACH, SIZES, image_volume
@@ -41,7 +50,7 @@ class BoxModel:
 
     numbers: F8
     births: F8
-    clutter: ContextClutter | None
+    clutter: ContextClutter | ScoredClutter | None
 
 
 def box_model(model: Model, dt: float) -> BoxModel | None:
@@ -59,6 +68,10 @@ def box_model(model: Model, dt: float) -> BoxModel | None:
     birth, clutter = model.birth, model.clutter
     if type(birth) is not MeasurementBirth and type(birth) is not FixedBirth and type(birth) is not ContextBirth:
         return None
+    if type(clutter) is ScoredClutter:
+        # What it is of matters only to itself: the kernel is given its values, which are those of one frame.
+        box = _in_numbers(motion, sensor, birth, None, dt)
+        return box and replace(box, clutter=clutter)
     if type(clutter) is not UniformClutter and type(clutter) is not LocalClutter and type(clutter) is not ContextClutter:
         return None
     return _in_numbers(motion, sensor, birth, clutter, dt)
@@ -70,7 +83,7 @@ def _in_numbers(
     motion: BoxMotion,
     sensor: BoxSensor,
     births: MeasurementBirth | FixedBirth | ContextBirth,
-    false: UniformClutter | LocalClutter | ContextClutter,
+    false: UniformClutter | LocalClutter | ContextClutter | None,
     dt: float,
 ) -> BoxModel | None:
     birth, clutter = _birth(births, dt), _clutter(false)
@@ -139,8 +152,10 @@ def _bounds(birth: Birth) -> tuple[gm_model.Box, gm_model.Box]:
     return (-math.inf, -math.inf, _POSITIVE, _POSITIVE), (math.inf, math.inf, math.inf, math.inf)
 
 
-def _clutter(clutter: Clutter) -> tuple[float, float] | None:
-    """What κ is spread over, and its density or rate; of one that is a density by place nothing."""
+def _clutter(clutter: Clutter | None) -> tuple[float, float] | None:
+    """What κ is spread over, and its density or rate; of one that is a density by place nothing. None: κ is given."""
+    if clutter is None:
+        return gm_model.PLACES, 0.0
     if type(clutter) is ContextClutter:
         return (gm_model.PLACES, 0.0) if clutter.density.dim == gm_model.M else None
     if type(clutter) is LocalClutter:

@@ -4,7 +4,7 @@ from phdtrack.models.bearing_sensor import BearingSensor
 from phdtrack.models.births import FixedBirth, MeasurementBirth, UniformBirth
 from phdtrack.models.box_motion import BoxMotion
 from phdtrack.models.box_sensor import BoxSensor
-from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, UniformClutter
+from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, ScoredClutter, UniformClutter
 from phdtrack.models.plane_birth import PlaneBirth
 from phdtrack.models.plane_motion import PlaneMotion
 from phdtrack.models.plane_sensor import PlaneSensor
@@ -29,6 +29,7 @@ __all__ = [
     "PointBirth",
     "PointMotion",
     "PointSensor",
+    "ScoredClutter",
     "SplitSpawn",
     "TurningMotion",
     "UniformBirth",

@@ -1,4 +1,4 @@
-"""κ(z): false alarms, uniform over a volume [M07 §2]."""
+"""κ(z): false alarms, uniform over a volume [M07 §2], and what scores make of it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.checks import NonNegative, Positive, check
+from phdtrack.errors import InputError
 from phdtrack.kernels.neighbourhoods import summed_densities
 from phdtrack.models.region import local_density
 from phdtrack.models.volume import REACH, SIZES, local_volume
+from phdtrack.protocols import Clutter
 from phdtrack.types import F8
 
 
@@ -61,3 +63,27 @@ class LocalPlaneClutter:
     def intensity(self, z: F8) -> F8:
         """κ(z), per m²: the sum of what all detections near z bring, its own included."""
         return local_density(z, z, self.rate)
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredClutter:
+    """κ(z, s) of the detections of one frame, each with a score s, for a g(z|x) that leaves scores out.
+
+    With p(s|object) taken out of numerator and denominator of every ratio of the update, what is left of the scores is
+    κ(z)/odds, odds = p(s|object)/p(s|false alarm): a detection of low odds has to be explained by somebody who is there
+    already, and starts nobody.
+
+    Parameters
+    ----------
+    base : κ(z) without scores.
+    odds : (N,) of the detections, in the order in which ``intensity`` is asked for them.
+    """
+
+    base: Clutter
+    odds: F8
+
+    def intensity(self, z: F8) -> F8:
+        """κ(z)/odds. Raises `InputError` for other detections than those with the odds."""
+        if z.shape[1] != len(self.odds):
+            raise InputError(f"expected the {len(self.odds)} detections that the odds are of, got {z.shape[1]}")
+        return self.base.intensity(z) / self.odds

@@ -11,7 +11,7 @@ from phdtrack.context.online import Followed, Following, advance, begin, named, 
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.models.standing import not_standing
 from phdtrack.protocols import Model
-from phdtrack.types import Step
+from phdtrack.types import Detections, Step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +55,10 @@ class FollowScene:
         if state.birth is None and state.clutter is None:
             return model
         return replace(model, birth=state.birth or model.birth, clutter=state.clutter or model.clutter)
+
+    def weighed(self, state: SceneState, model: Model, detections: Detections) -> Model:
+        """The same: scores are not learned here."""
+        return model
 
     def advance(self, state: SceneState, step: Step) -> SceneState:
         """Take in one frame."""

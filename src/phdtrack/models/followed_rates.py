@@ -1,0 +1,130 @@
+"""The rates of a stream as they are learned while tracking: `rates` as a stage, and its estimates in place of the model's.
+
+Estimates are put into the model in steps of a few per cent, so that parts of a model, which are values, stay the same ones
+for many frames and what is computed of them is computed once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
+
+from phdtrack.models.births import MeasurementBirth
+from phdtrack.models.box_sensor import BoxSensor
+from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, ScoredClutter, UniformClutter
+from phdtrack.models.plane_birth import PlaneBirth
+from phdtrack.models.plane_sensor import PlaneSensor
+from phdtrack.models.point_birth import PointBirth
+from phdtrack.models.point_sensor import PointSensor
+from phdtrack.protocols import Birth, Clutter, Learning, Model, NoLearning, Sensor
+from phdtrack.rates import Following, Learned, Priors, advance, begin
+from phdtrack.types import Detections, Step
+
+# p_D is put into the model in steps of this size, rates in steps of this ratio.
+STEP, RATIO = 0.01, 1.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RatesState:
+    """What is known of the rates, and what another learner beside them knows."""
+
+    learned: Learned
+    beside: Any = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FollowRates:
+    """Learning rates while tracking.
+
+    Attributes
+    ----------
+    rule : how they are followed.     beside : what else is learned; its births and false alarms keep their own rates.
+    """
+
+    rule: Following
+    beside: Learning[Any] = field(default_factory=NoLearning)
+
+    def start(self) -> RatesState:
+        """Before the first frame."""
+        return RatesState(begin(self.rule), self.beside.start())
+
+    def model(self, state: RatesState, model: Model) -> Model:
+        """The model with what was learned."""
+        learns, rates = self.rule.learns, state.learned.rates
+        sensor, birth, clutter = model.sensor, model.birth, model.clutter
+        if learns.detection:
+            sensor = with_detection(sensor, STEP * round(rates.detection / STEP))
+        if learns.clutter:
+            clutter = with_clutter(clutter, _rounded(rates.clutter, self.rule.priors.clutter))
+        if learns.births:
+            birth = with_births(birth, _rounded(rates.births, self.rule.priors.births))
+        return self.beside.model(state.beside, replace(model, sensor=sensor, birth=birth, clutter=clutter))
+
+    def weighed(self, state: RatesState, model: Model, detections: Detections) -> Model:
+        """The model with the false alarms of a frame by the scores of its detections."""
+        model = self.beside.weighed(state.beside, model, detections)
+        scale = state.learned.scale
+        if not self.rule.learns.scores or len(scale.at) < 2 or len(detections) == 0:
+            return model
+        return replace(model, clutter=ScoredClutter(model.clutter, scale.odds(detections.confidence)))
+
+    def advance(self, state: RatesState, step: Step) -> RatesState:
+        """Take in one frame."""
+        return RatesState(advance(self.rule, state.learned, step), self.beside.advance(state.beside, step))
+
+    def mode(self, state: RatesState, name: str) -> RatesState:
+        """With the mode of this name, of what else is learned."""
+        return RatesState(state.learned, self.beside.mode(state.beside, name))
+
+
+def _rounded(value: float, about: float) -> float:
+    """The nearest value that is ``about`` times a power of `RATIO`; ``value`` itself where one of them is 0."""
+    if value <= 0 or about <= 0:
+        return value
+    return about * RATIO ** round(math.log(value / about, RATIO))
+
+
+def with_detection(sensor: Sensor, detection: float) -> Sensor:
+    """The sensor with this p_D; one of somebody's own stays as it is."""
+    return _detecting(sensor, detection) if isinstance(sensor, BoxSensor | PlaneSensor | PointSensor) else sensor
+
+
+def with_clutter(clutter: Clutter, rate: float) -> Clutter:
+    """False alarms with this rate; of a density that was learned, or of somebody's own, as they are."""
+    return _false(clutter, rate) if isinstance(clutter, UniformClutter | LocalClutter | LocalPlaneClutter) else clutter
+
+
+def with_births(birth: Birth, rate: float) -> Birth:
+    """Births with this rate; at given or learned places as they are."""
+    return _born(birth, rate) if isinstance(birth, MeasurementBirth | PlaneBirth | PointBirth) else birth
+
+
+@lru_cache(maxsize=256)
+def _detecting(sensor: BoxSensor | PlaneSensor | PointSensor, detection: float) -> Sensor:
+    return sensor if sensor.detection == detection else replace(sensor, detection=detection)
+
+
+@lru_cache(maxsize=256)
+def _false(clutter: UniformClutter | LocalClutter | LocalPlaneClutter, rate: float) -> Clutter:
+    return clutter if clutter.rate == rate else replace(clutter, rate=rate)
+
+
+@lru_cache(maxsize=256)
+def _born(birth: MeasurementBirth | PlaneBirth | PointBirth, rate: float) -> Birth:
+    return birth if birth.rate == rate else replace(birth, rate=rate)
+
+
+def priors(model: Model) -> Priors:
+    """What a model says of its rates; of parts that have none 0, or p_D = 1."""
+    detection, clutter, births, clutter_each, births_each = 1.0, 0.0, 0.0, False, False
+    if isinstance(model.sensor, BoxSensor | PlaneSensor | PointSensor):
+        detection = model.sensor.detection
+    if isinstance(model.clutter, UniformClutter | LocalClutter | LocalPlaneClutter):
+        clutter, clutter_each = model.clutter.rate, not isinstance(model.clutter, UniformClutter)
+    if isinstance(model.birth, MeasurementBirth | PlaneBirth):
+        births, births_each = model.birth.rate, model.birth.volume == "local"
+    elif isinstance(model.birth, PointBirth):
+        births = model.birth.rate
+    return Priors(detection, clutter, births, clutter_each, births_each)

@@ -1,0 +1,7 @@
+"""Rates that a stream tells of itself, without truth: p_D, false alarms, births, the worth of the detector's scores."""
+
+from phdtrack.rates.following import Following, Learned, Learns, advance, begin
+from phdtrack.rates.known import Counted, Known, Priors, Rates
+from phdtrack.rates.scores import Judged, Scale
+
+__all__ = ["Counted", "Following", "Judged", "Known", "Learned", "Learns", "Priors", "Rates", "Scale", "advance", "begin"]
