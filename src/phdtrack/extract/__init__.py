@@ -3,6 +3,7 @@
 Where the filter knows the distribution of the number of targets, as many peaks as it says; where it knows each, those.
 """
 
+from phdtrack.extract.bernoullis import BestBernoullis
 from phdtrack.extract.components import Components
 from phdtrack.extract.counted import CountedComponents, CountedKMeans, CountedMixture
 from phdtrack.extract.hypotheses import BestHypothesis
@@ -12,6 +13,7 @@ from phdtrack.extract.mixture import Mixture
 from phdtrack.extract.raw import Raw
 
 __all__ = [
+    "BestBernoullis",
     "BestHypothesis",
     "Components",
     "CountedComponents",

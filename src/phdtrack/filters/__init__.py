@@ -7,5 +7,6 @@ from phdtrack.filters.mht import MHT
 from phdtrack.filters.none import NoFilter
 from phdtrack.filters.particle_cphd import ParticleCPHD
 from phdtrack.filters.particle_phd import ParticlePHD
+from phdtrack.filters.pmb import PMB
 
-__all__ = ["GMCPHD", "GMPHD", "MCMC", "MHT", "NoFilter", "ParticleCPHD", "ParticlePHD"]
+__all__ = ["GMCPHD", "GMPHD", "MCMC", "MHT", "PMB", "NoFilter", "ParticleCPHD", "ParticlePHD"]

@@ -62,6 +62,10 @@ class MeasurementBirth:
         """Gaussians about the detections that have the density of γ there, see `gaussians_about`."""
         return gaussians_about(z, covered, sensor, lambda x: self._intensity(x, z[: len(x)]) * dt)
 
+    def density(self, z: F8) -> F8:
+        """(N,) γ per time unit at the detections themselves."""
+        return self._intensity(z[:4], z)
+
     def expected(self, z: F8, dt: float) -> float:
         """rate·dt, of each detection where ``local``."""
         return self.rate * dt * (z.shape[1] if self.volume == "local" else 1)

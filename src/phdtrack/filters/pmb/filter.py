@@ -1,0 +1,190 @@
+"""The Poisson multi-Bernoulli filter with hypotheses about each target: labels and existence inside the recursion [W15].
+
+Targets that have never been detected are a Poisson process, whose intensity is the model's γ. Every first detection starts
+a Bernoulli target: it is there with probability r, under its label, in a state that a few hypotheses describe, each with a
+Kalman filter and a past of its own. With κ, p_S and q_i(z) = N(z; H m_i, S_i) as in `gm_phd`, and p_i the probability that
+hypothesis i of a target is detected,
+
+    predict   r ← p_S r,  m_i ← f(m_i),  P_i ← F P_i Fᵀ + Q
+    missed    1 − r Σ w_i p_i;  given that, there with r Σ w_i (1 − p_i) / (1 − r Σ w_i p_i)
+    taken     r w_i p_i q_i(z)                    by hypothesis i
+    nobody's  κ(z) + γ̂(z),  γ̂ = ∫ p_D g(z|x) γ(x) dx:  a new target of r = γ̂/(κ + γ̂)
+
+The probability of each pair over all ways to give every target one measurement at most, and every measurement one target,
+is found by loopy belief propagation (`kernels.marginals`). Then r is the probability of all hypotheses of the target that
+are left, and they are weighed by theirs: the product of Bernoulli densities that is nearest to the posterior [W15 §IV],
+but that the hypotheses of a target are kept apart, each with its past, instead of their mean. So who cannot be told apart
+for some frames is not blurred, and what happened is read from the hypothesis that wins.
+
+Two things are known of detectors that a constant p_D does not say, and both are hidden states of a hypothesis.
+
+A target is **hidden** for a while, behind another or for the detector's own reasons: misses come in rows. In view it is
+detected with the sensor's p_D, hidden never; it gets hidden and comes into view at rates 1/``in_view`` and 1/``hidden``, a
+Markov chain in continuous time that starts in view at a first detection.
+
+A **source** of false alarms fires again and again in one place. It is no target that moves: a first detection is a source's
+with probability ``sources``, it stays where it is, and fires with probability ``firing``. Who moves, or is seen more
+steadily than that, is soon known to be a target. Sources compete for measurements like targets do and are never reported.
+
+This file is the definition, for any model that keeps the protocols; for the shipped box model `PMB.step` is the same in one
+kernel (`kernels.pmb_step`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from phdtrack.arrays import sum_by
+from phdtrack.bernoullis import Bernoullis, Layer, nobody
+from phdtrack.checks import NonNegative, Positive, PositiveCount, Probability, Share, check
+from phdtrack.errors import InputError
+from phdtrack.filters.composed import composed_step
+from phdtrack.filters.gm_box import box_model
+from phdtrack.filters.pmb.fused import fused_step, settings_of
+from phdtrack.filters.pmb.update import Terms, measured, merged
+from phdtrack.filters.transforms import Transform, moved
+from phdtrack.protocols import Model
+from phdtrack.types import F8, I8, GaussianMixture, Particles, UpdateInfo
+
+# Targets of which nobody ever believed more are forgotten when they are given up.
+BELIEVED = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class PMB:
+    """Settings of the Poisson multi-Bernoulli filter.
+
+    Parameters
+    ----------
+    least : targets that are there with less probability are given up.
+    share : hypotheses of a target that are less probable are dropped.
+    most : hypotheses kept of a target, the most probable.
+    merge : hypotheses of a target within so many deviations of a heavier one, all in all, are taken for it.
+    gate : a measurement further than this many deviations of the innovation from a hypothesis is not its.
+    transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
+    in_view : seconds for which, on average, a target can be detected at a stretch; 0: for ever.
+    hidden : seconds for which, on average, it then cannot.
+    sources : probability that the first detection of what is no single false alarm is that of a source of them.
+    firing : probability that a source is detected in a frame.
+    depth : frames for which the hypotheses of the past are kept: so far back the past is revised.
+    initial : targets before the first frame; a weight is the probability that there is one.
+    """
+
+    least: Share = 1e-3
+    share: Share = 0.01
+    most: PositiveCount = 10
+    merge: NonNegative = 0.1
+    gate: Positive = 5.0
+    transform: Transform = "linear"
+    in_view: NonNegative = 2.0
+    hidden: Positive = 0.4
+    sources: Share = 0.02
+    firing: Probability = 0.5
+    depth: PositiveCount = 10
+    initial: GaussianMixture | None = None
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def start(self, model: Model, rng: np.random.Generator) -> Bernoullis:
+        """The initial targets, each with one hypothesis; none where none were given."""
+        none = np.zeros((2, 0), np.int64)
+        if self.initial is None:
+            return Bernoullis((nobody(model.motion.dim),), none, 0)
+        given = self.initial
+        n = len(given)
+        exist, label, unseen = np.minimum(given.weight, 1.0), np.arange(n), np.full(n, -1)
+        layer = Layer(
+            exist, label, np.arange(n + 1), np.ones(n), np.array(given.mean, order="C"), np.array(given.covariance),
+            np.zeros(n, np.bool_), np.zeros(n), unseen, unseen, label, exist, exist,
+        )  # fmt: skip
+        return Bernoullis((layer,), none, n)
+
+    def predict(self, state: Bernoullis, model: Model, dt: float, rng: np.random.Generator) -> Bernoullis:
+        """A further layer: every hypothesis through f, there with p_S of its probability; sources stay where they are.
+
+        Raises `InputError` where the motion spawns: spawned targets have no Gaussian form.
+        """
+        now = state.present
+        mean, cov = model.carried_gaussians(now.mean, now.covariance)
+        mean, cov = mean.copy(), cov.copy()
+        survive = model.motion.p_survive(mean, dt)
+        moving = np.flatnonzero(~now.static)
+        if len(moving):
+            x = np.ascontiguousarray(mean[:, moving])
+            if len(model.motion.spawn(Particles(x, now.weight[moving]), dt, rng)):
+                raise InputError(
+                    "the PMB filter has no spawning", where="motion.births", cure="Use NoSpawn, or the particle filter"
+                )
+            mean[:, moving], cov[moving] = moved(x, cov[moving], model.motion, dt, self.transform)
+        target = now.target
+        stay = sum_by(target, now.weight * survive, len(now.exist))
+        weight = np.where(stay[target] > 0, now.weight * survive / np.where(stay > 0, stay, 1.0)[target], now.weight)
+        lost, found = self._turns(dt / model.rate)
+        hidden = np.where(now.static, 0.0, now.hidden * (1 - found) + (1 - now.hidden) * lost)
+        exist = now.exist * stay
+        presence = exist * sum_by(target, np.where(now.static, 0.0, weight), len(exist))
+        layer = replace(
+            now, exist=exist, weight=weight, mean=mean, covariance=cov, hidden=hidden, detection=np.full(len(now), -1),
+            parent=np.arange(len(now)), presence=presence,
+        )  # fmt: skip
+        return self._further(state, layer)
+
+    def _further(self, state: Bernoullis, layer: Layer) -> Bernoullis:
+        """With one more layer, and what is too far back forgotten."""
+        ended = state.ended + np.array([[1], [0]])
+        return Bernoullis((*state.layers[-self.depth :], layer), ended[:, ended[0] <= self.depth], state.fresh)
+
+    def _turns(self, seconds: float) -> tuple[float, float]:
+        """Probabilities to be hidden ``seconds`` after being in view, and in view after being hidden."""
+        if self.in_view == 0:
+            return 0.0, 1.0
+        rate = 1 / self.in_view + 1 / self.hidden
+        turned = -math.expm1(-rate * seconds) / rate
+        return turned / self.in_view, turned / self.hidden
+
+    def update(
+        self, state: Bernoullis, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[Bernoullis, UpdateInfo]:
+        """Every target with the probabilities of what it may have taken, and new targets.
+
+        In the information returned ``evidence`` and ``clutter`` are scaled so that `UpdateInfo.clutter_probability` is the
+        probability that a detection is a false alarm, a source's included.
+        """
+        terms = Terms(self.least, self.share, self.most, self.gate, self.transform, self.sources, self.firing)
+        layer, info, fresh = measured(state.present, z, model, dt, terms, state.fresh)
+        ended = np.hstack([state.ended, given_up(state.present, layer)])
+        return Bernoullis((*state.layers[:-1], layer), ended, fresh), info
+
+    def reduce(self, state: Bernoullis, rng: np.random.Generator) -> Bernoullis:
+        """Hypotheses of one target that have become the same are one."""
+        return Bernoullis((*state.layers[:-1], merged(state.present, self.merge)), state.ended, state.fresh)
+
+    def step(
+        self, state: Bernoullis, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[Bernoullis, UpdateInfo]:
+        """Predict, update and reduce in turn; of the shipped box model in one kernel."""
+        box = box_model(model, dt) if self.transform == "linear" else None
+        if box is None or len(box.births):
+            return composed_step(self, state, z, model, dt, rng)
+        lost, found = self._turns(dt / model.rate)
+        now = state.present
+        if len(model.warp):
+            mean, cov = model.carried_gaussians(now.mean, now.covariance)
+            now = replace(now, mean=mean, covariance=cov)
+        settings = settings_of(
+            self.least, self.share, float(self.most), self.merge, self.gate, self.sources, self.firing, lost, found
+        )
+        layer, info, fresh = fused_step(now, z, box, settings, state.fresh)
+        further = self._further(state, layer)
+        return replace(further, ended=np.hstack([further.ended, given_up(now, layer)]), fresh=fresh), info
+
+
+def given_up(before: Layer, layer: Layer) -> I8:
+    """(2, E) of targets somebody may have believed in that are there no more: one layer back, and where there."""
+    gone = np.flatnonzero((before.believed >= BELIEVED) & (before.best >= 0))
+    gone = gone[~np.isin(before.label[gone], layer.label)]
+    return np.vstack([np.ones(len(gone), np.int64), before.best[gone]])

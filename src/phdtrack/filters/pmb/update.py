@@ -1,0 +1,139 @@
+"""The measurement update of a Poisson multi-Bernoulli, for any model: what `kernels.pmb_step` does for boxes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from phdtrack.arrays import sum_by
+from phdtrack.bernoullis import Layer
+from phdtrack.filters.gated import gated_gaussians
+from phdtrack.filters.mht.scores import Newborn, newborn
+from phdtrack.filters.transforms import Transform, posteriors
+from phdtrack.kernels.pmb_update import foremost, united, weighed
+from phdtrack.models import MeasurementBirth
+from phdtrack.protocols import Model
+from phdtrack.types import F8, I8, GaussianMixture, UpdateInfo
+
+TINY = float(np.finfo(np.float64).tiny)
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """The settings of `filters.pmb.PMB` that an update needs."""
+
+    least: float
+    share: float
+    most: int
+    gate: float
+    transform: Transform
+    sources: float
+    firing: float
+
+
+def measured(
+    before: Layer, z: F8, model: Model, dt: float, terms: Terms, fresh: int
+) -> tuple[Layer, UpdateInfo, int]:
+    """The targets ``before``, predicted, after the measurements ``z`` (m, N); the label that is free next."""
+    sensor, n = model.sensor, z.shape[1]
+    mixture = GaussianMixture(before.weight, np.ascontiguousarray(before.mean), before.covariance)
+    seen = np.where(before.static, terms.firing, (1 - before.hidden) * sensor.p_detect(mixture.mean))
+    point, which, distance2, log_norm = gated_gaussians(mixture, z, sensor, terms.gate, terms.transform)
+    order = np.lexsort((which, point))
+    point, which, density = point[order], which[order], np.exp((log_norm - 0.5 * distance2)[order])
+    born, kappa = first_states(z, model, dt, terms), model.clutter.intensity(z)
+    alone = np.maximum(kappa + born.density, TINY)
+    target, exist, first, source, taken, weight, own, told = weighed(
+        before.exist, before.first, before.weight, seen, point, which, density, alone, terms.least, terms.share, terms.most
+    )
+    mean, cov = mixture.mean[:, source], before.covariance[source]
+    hit = taken >= 0
+    if hit.any():
+        mean[:, hit], cov[hit] = posteriors(mixture, z, source[hit], taken[hit], sensor, terms.transform)
+    unseen = before.hidden[source] / np.maximum(1 - seen[source], TINY)
+    hidden = np.where(hit | before.static[source], 0.0, np.minimum(unseen, 1.0))
+    kept = Layer(
+        exist, before.label[target], first, weight, mean, cov, before.static[source], hidden, taken, before.parent[source],
+        before.best[:0], before.presence[:0], before.believed[target],
+    )  # fmt: skip
+    grown = _joined(kept, _new(own, born, kappa, terms, fresh))
+    share = (before.exist[before.target] * before.weight * seen)[point] * density
+    false = own * kappa / alone + own * born.density / alone * terms.sources
+    false += sum_by(which, np.where(before.static[point], told, 0.0), n)
+    total = kappa + born.density + sum_by(which, share, n)
+    appeared = float((own * born.density / alone).sum()) * (1 - terms.sources)
+    info = UpdateInfo(
+        float(before.presence.sum()) + appeared, appeared, float(grown.presence.sum()), (1 - false) * total, false * total,
+        int(np.count_nonzero(total == 0)),
+    )  # fmt: skip
+    return grown, info, fresh + len(grown.exist) - len(exist)
+
+
+def first_states(z: F8, model: Model, dt: float, terms: Terms) -> Newborn:
+    """What new targets are whose first measurements these are.
+
+    Births that are flat about every measurement have γ̂ = p_D γ(z) and the state that z alone tells; others are updated.
+    """
+    if not isinstance(model.birth, MeasurementBirth):
+        return newborn(z, model, dt, terms.gate, terms.transform)
+    mean, cov = model.sensor.states(z)
+    return Newborn(model.sensor.p_detect(mean) * model.birth.density(z) * dt, mean, cov)
+
+
+def _new(own: F8, born: Newborn, kappa: F8, terms: Terms, fresh: int) -> Layer:
+    """A target for every measurement that may be the first of one: itself, or a source."""
+    exist = own * np.divide(born.density, kappa + born.density, out=np.zeros_like(own), where=born.density > 0)
+    new = np.flatnonzero(exist >= terms.least)
+    n, kinds = len(new), np.array([False, True]) if terms.sources > 0 else np.zeros(1, np.bool_)
+    k = len(kinds)
+    of = np.repeat(new, k)
+    weight = np.tile([1 - terms.sources, terms.sources][:k], n)
+    return Layer(
+        exist[new], fresh + np.arange(n), k * np.arange(n + 1), weight, born.mean[:, of], born.covariance[of],
+        np.tile(kinds, n), np.zeros(len(of)), of, np.full(len(of), -1), new[:0], exist[:0], np.zeros(n),
+    )  # fmt: skip
+
+
+def _joined(a: Layer, b: Layer) -> Layer:
+    """The targets of both, with what is read from them."""
+    layer = Layer(
+        np.concatenate([a.exist, b.exist]),
+        np.concatenate([a.label, b.label]),
+        np.concatenate([a.first, a.first[-1] + b.first[1:]]),
+        np.concatenate([a.weight, b.weight]),
+        np.hstack([a.mean, b.mean]),
+        np.concatenate([a.covariance, b.covariance]),
+        np.concatenate([a.static, b.static]),
+        np.concatenate([a.hidden, b.hidden]),
+        np.concatenate([a.detection, b.detection]),
+        np.concatenate([a.parent, b.parent]),
+        a.best,
+        a.presence,
+        np.concatenate([a.believed, b.believed]),
+    )
+    return _read(layer)
+
+
+def _read(layer: Layer) -> Layer:
+    """With its best hypotheses and presences."""
+    best, presence = foremost(layer.exist, layer.first, layer.weight, layer.static)
+    return replace(layer, best=best, presence=presence, believed=np.maximum(layer.believed, presence))
+
+
+def merged(layer: Layer, merge: float) -> Layer:
+    """With the hypotheses of each target that are within ``merge`` deviations of a heavier one given to it."""
+    first, kept, weight = united(
+        layer.first, layer.weight, np.ascontiguousarray(layer.mean), layer.covariance, layer.static, merge * merge
+    )
+    if len(kept) == len(layer):
+        return layer
+    return _read(
+        replace(
+            layer, first=first, weight=weight, mean=layer.mean[:, kept], covariance=layer.covariance[kept],
+            static=layer.static[kept], hidden=layer.hidden[kept], detection=layer.detection[kept],
+            parent=layer.parent[kept],
+        )
+    )  # fmt: skip
+
+
