@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any
 from phdtrack._version import __version__
 
 if TYPE_CHECKING:
+    from phdtrack.camera_motion import CameraMotion
     from phdtrack.errors import InputError
     from phdtrack.metrics import evaluate
     from phdtrack.tracker import Tracker
     from phdtrack.types import Detections, Tracks
 
 _HOMES = {
+    "CameraMotion": "phdtrack.camera_motion",
     "Detections": "phdtrack.types",
     "InputError": "phdtrack.errors",
     "Tracker": "phdtrack.tracker",
@@ -25,7 +27,7 @@ _HOMES = {
     "evaluate": "phdtrack.metrics",
 }
 
-__all__ = ["Detections", "InputError", "Tracker", "Tracks", "__version__", "evaluate"]
+__all__ = ["CameraMotion", "Detections", "InputError", "Tracker", "Tracks", "__version__", "evaluate"]
 
 
 def __getattr__(name: str) -> Any:

@@ -28,6 +28,7 @@ from typing import Any, get_type_hints
 
 from phdtrack import extract, worlds
 from phdtrack.associate import GraphMatching, Labelled
+from phdtrack.camera_motion import GivenWarps, SparseFlow, Standing
 from phdtrack.errors import InputError
 from phdtrack.files import read_toml
 from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, NoFilter, ParticleCPHD, ParticlePHD
@@ -98,6 +99,7 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
     "associate": {"graph": GraphMatching, "labelled": Labelled},
     "learn": {"none": NoLearning, "online": worlds.LearnSettings},
     "rates": {"none": NoLearning, "learned": worlds.RatesSettings},
+    "camera_motion": {"none": Standing, "flow": SparseFlow, "file": GivenWarps},
     "groups": {"": Grouping},
     "contours": {"": Contours},
     "lives": {"": Living},
@@ -117,6 +119,7 @@ _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
         "clutter": ("ground",),
         "spawn": ("none",),
         "learn": ("none",),
+        "camera_motion": ("none",),
     },
     ("motion", "point"): {
         "sensor": ("point",),
@@ -172,6 +175,12 @@ class Settings:
     def detector(self) -> Values:
         """Parameters for the detector."""
         return dict(self.sections.get("detector", {}))
+
+    @property
+    def camera_motion(self) -> Standing | SparseFlow | GivenWarps:
+        """How the camera moves."""
+        moving: Standing | SparseFlow | GivenWarps = _record(self, "camera_motion")
+        return moving
 
 
 def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "") -> Settings:
@@ -255,11 +264,15 @@ def _elsewhere(section: str, kind: str, deciding: str) -> str:
     return f"; it goes with {deciding}.kind={' or '.join(others)}" if others else ""
 
 
-def build(settings: Settings, info: SequenceInfo, filter_name: str = "") -> AnyStages:
+def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, moving: bool = False) -> AnyStages:
     """The stages that the settings name, for a sequence of this size; ``filter_name`` overrides ``filter.kind``.
 
-    Raises `InputError` where settings do not go together.
+    Raises `InputError` where settings do not go together, or name a motion of the camera and the caller, who is not
+    ``moving``, would pass over it.
     """
+    if not moving and not isinstance(settings.camera_motion, Standing):
+        cure = "Use phdtrack track --camera-motion, or Tracker.update(warp=…)"
+        raise InputError("the camera's motion is not followed here", where="camera_motion.kind", cure=cure)
     if filter_name:
         settings = overlay(settings, {"filter": {"kind": filter_name}}, "--filter")
     kinds = {name: _kind(settings.sections, name) for name in SECTIONS}

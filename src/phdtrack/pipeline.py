@@ -99,8 +99,7 @@ def advance(
     association, tracks = stages.associator.extend(state.association, estimates, everything, number, dt, model)
     ended = clock.perf_counter()
     seconds = (filtered - began, extracted - filtered, ended - extracted)
-    unusable = everything.shape[1] - len(usable)
-    step = Step(number, time, detections, info, estimates, tracks, seconds, unusable)
+    step = Step(number, time, detections, info, estimates, tracks, seconds, unusable, seen.warp)
     targets = estimates.state if model.sensor.occlusion else NOBODY
     learned = stages.learning.advance(state.learned, step)
     return TrackingState(intensity, association, number, time, targets, given, learned), step

@@ -24,10 +24,11 @@ MEMBERS = "members.csv"
 EVENTS = "events.csv"
 WARNINGS = "warnings.csv"
 PLAN = "plan.mp4"
+CAMERA_MOTION = "camera_motion.csv"
 FILES = (TRACKS, ONLINE, STATES, DETECTIONS, VIDEO, REPORT, RUN)
 # What a run that learns leaves of its scene besides, a file for each mode.
 SCENES = ("scene.json", *(f"scene-{k}.json" for k in range(2, 9)))
-RUN_FILES = (*FILES, *SCENES)
+RUN_FILES = (*FILES, *SCENES, CAMERA_MOTION)
 # What `phdtrack groups` writes besides.
 GROUP_FILES = (GROUPS, MEMBERS, EVENTS, WARNINGS, PLAN)
 

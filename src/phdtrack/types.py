@@ -25,9 +25,7 @@ F4 = NDArray[np.float32]
 I8 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 Image = NDArray[np.uint8]
-
-STILL: F8 = np.zeros((0, 3))
-"""The camera did not move: stands for a (3, 3) homography between the pixels of two frames, see `camera.warp`."""
+STILL: F8 = np.zeros((0, 3))  # stands for a (3, 3) homography between the pixels of two frames: there is none
 
 
 def _none() -> I8:
@@ -385,7 +383,7 @@ class Step:
 
     ``tracks`` are the online rows that became final with this frame: with an output delay they belong to an earlier one.
     ``seconds`` (filter, extract, associate) is the time each stage took. ``unusable`` counts the detections that tell
-    nothing of any state, as one whose foot is above the horizon: they are left out, and no row rests on them.
+    nothing of any state, as one whose foot is above the horizon: no row rests on them. ``warp`` is as in `protocols.Model`.
     """
 
     number: int
@@ -396,3 +394,4 @@ class Step:
     tracks: Tracks
     seconds: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))
     unusable: int = 0
+    warp: F8 = field(default_factory=lambda: STILL)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from phdtrack import config, doctor
-from phdtrack.commands.companions import together
 from phdtrack.commands.camera_companion import CameraCompanion
 from phdtrack.commands.camera_motion import check_moving, mover_of
+from phdtrack.commands.companions import together
 from phdtrack.commands.inputs import Inputs, open_inputs
 from phdtrack.commands.job import Companion, Job
 from phdtrack.commands.learning_companion import LearningCompanion

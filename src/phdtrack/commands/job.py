@@ -22,6 +22,7 @@ import numpy as np
 
 from phdtrack import rundir
 from phdtrack.commands import belief
+from phdtrack.commands.camera_motion import Mover, moved, standing
 from phdtrack.commands.ground import places
 from phdtrack.commands.inputs import NO_PICTURE, Inputs, detected
 from phdtrack.commands.output import progress
@@ -100,6 +101,7 @@ class Job:
     truth: Truth | None = None
     video: bool = True
     companion: Companion | None = None
+    mover: Mover = standing
 
     @property
     def filter_name(self) -> str:
@@ -210,9 +212,9 @@ def _loop(job: Job, source: VideoSource, directory: RunDirectory) -> _Progress:
             files.enter_context(companion.open(directory))
         pace = files.enter_context(paced())
         try:
-            with ahead(source) as frames, ahead(detected(inputs.detector, frames)) as looked:
-                for frame, found, seconds in looked:
-                    step = job.steps.advance(frame.number, frame.time, found)
+            with ahead(source) as frames, ahead(moved(job.mover, detected(inputs.detector, frames))) as looked:
+                for frame, found, warp, seconds in looked:
+                    step = job.steps.advance(frame.number, frame.time, found, warp)
                     detections.append(frame.number, found)
                     states.append(frame.number, frame.time, step.estimates)
                     online.append(step.tracks, places(job.stages.model.sensor, step.tracks.xyxy))

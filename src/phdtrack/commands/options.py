@@ -46,6 +46,14 @@ LabelsFile = Annotated[
 SceneFile = Annotated[
     Path | None, typer.Option("--scene", metavar="FILE", help="What `phdtrack learn` has learned of this scene.")
 ]
+CameraMotion = Annotated[
+    str,
+    typer.Option(
+        "--camera-motion",
+        metavar="flow|FILE|none",
+        help="Compensate a camera that moves: measured in the pictures, or a matrix for each frame (default: none).",
+    ),
+]
 TruthFile = Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="Annotated objects to score against.")]
 Config = Annotated[
     Path | None,

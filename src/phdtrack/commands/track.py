@@ -11,6 +11,7 @@ import typer
 
 from phdtrack import rundir
 from phdtrack.commands.options import (
+    CameraMotion,
     Config,
     DetectionsFile,
     Detector,
@@ -73,6 +74,7 @@ def track(
             help="Learn where false alarms and entrances are while tracking, from nothing or from --scene.",
         ),
     ] = False,
+    camera_motion: CameraMotion = "",
     truth: TruthFile = None,
     json: Json = False,
 ) -> None:
@@ -89,7 +91,7 @@ def track(
     if out is not None:
         rundir.check(out, overwrite)
     wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
-    choice = Choice(filter_name, preset, config, tuple(sets or ()), seed, truth, threads, scene, learn_online)
+    choice = Choice(filter_name, preset, config, tuple(sets or ()), seed, truth, threads, scene, learn_online, camera_motion)
     job = prepare(wanted, choice, chosen(choice), command_line(), video=video)
     directory = rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite)
     with announced(result, job.filter_name):
@@ -134,6 +136,7 @@ MEANING = {
     rundir.WARNINGS: "groups about to meet",
     rundir.VIDEO: "to look at",
     rundir.PLAN: "the ground from above",
+    rundir.CAMERA_MOTION: "how the camera moved, for --camera-motion",
     rundir.SCENES[0]: "what was learned of the scene, for --scene",
     rundir.REPORT: "the run in pictures and numbers",
     rundir.RUN: "everything that decided it, for programs",

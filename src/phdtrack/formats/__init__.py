@@ -3,6 +3,7 @@
 from phdtrack.formats.cvml import GroupMembers, read_groups
 from phdtrack.formats.read import read_detections, read_tracks, read_truth
 from phdtrack.formats.seqinfo import find_seqinfo, read_seqinfo
+from phdtrack.formats.warps import Warps, WarpsWriter, read_warps
 from phdtrack.formats.write import (
     DetectionsWriter,
     StatesWriter,
@@ -18,12 +19,15 @@ __all__ = [
     "GroupMembers",
     "StatesWriter",
     "TracksWriter",
+    "Warps",
+    "WarpsWriter",
     "find_seqinfo",
     "read_detections",
     "read_groups",
     "read_seqinfo",
     "read_tracks",
     "read_truth",
+    "read_warps",
     "write_detections",
     "write_states",
     "write_tracks",

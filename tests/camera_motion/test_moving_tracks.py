@@ -1,0 +1,115 @@
+"""Tracking under a camera that moves: with its motion told, identities are kept that are lost without."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from moving_cases import handheld, moving, step
+from phdtrack import Tracker
+from phdtrack.errors import InputError
+from phdtrack.metrics import evaluate
+from phdtrack.simulate import DetectorModel, make_scene
+from phdtrack.types import Tracks
+from tracker_cases import equal
+
+FRAMES = 120
+SETTINGS = {
+    "gm-phd": {"filter": {"kind": "gm-phd"}},
+    "particle-phd": {"filter": {"kind": "particle-phd", "per_target": 500}},
+    "mht": {"filter": {"kind": "mht"}},
+    "none": {"filter": {"kind": "none"}},
+}
+
+
+@pytest.fixture(scope="module")
+def street():
+    """The scene as it is and as a hand-held camera sees it, and the camera's path."""
+    still = make_scene("street", 3, DetectorModel(p_detect=0.9, clutter_rate=1.0), frames=FRAMES, lead_in=-4.0)
+    path = handheld(FRAMES, np.random.default_rng(7))
+    return still, moving(still, path), path
+
+
+def tracked(scene, path, settings) -> tuple[Tracker, Tracks]:
+    info = scene.info
+    tracker, rows = Tracker((info.width, info.height), fps=info.fps, **settings), []
+    for k in range(1, FRAMES + 1):
+        rows.append(tracker.update(scene.detections.at(k), warp=None if path is None else step(path, k)))
+    return tracker, Tracks.concatenate(rows)
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_identities_are_kept(street, name: str):
+    """Shares of what the same filter reaches where the camera stands."""
+    still, seen, path = street
+    scores = []
+    for scene, told in ((still, None), (seen, path), (seen, None)):
+        tracker, online = tracked(scene, told, SETTINGS[name])
+        scores.append([evaluate(scene.truth, rows, frames=FRAMES) for rows in (tracker.tracks(), online)])
+    for stands, told, untold in zip(*scores, strict=True):
+        assert told.IDF1 > 0.9 * stands.IDF1
+        assert told.MOTA > stands.MOTA - 0.1
+        assert untold.IDF1 < 0.7 * stands.IDF1
+
+
+def test_a_motion_of_nothing_changes_nothing_to_the_bit(street):
+    still = street[0]
+    for settings in SETTINGS.values():
+        (plain, rows), (told, moved_rows) = (
+            tracked(still, None, settings),
+            tracked(still, np.tile(np.eye(3), (121, 1, 1)), settings),
+        )
+        assert equal(rows, moved_rows)
+        assert equal(plain.tracks(), told.tracks())
+
+
+@pytest.mark.parametrize("name", ["gm-phd", "mht"])
+def test_a_resumed_run_goes_on_as_if_it_had_not_stopped(street, name: str):
+    _, seen, path = street
+    whole, _ = tracked(seen, path, SETTINGS[name])
+    info = seen.info
+    first, second = (Tracker((info.width, info.height), fps=info.fps, **SETTINGS[name]) for _ in range(2))
+    for k in range(1, FRAMES + 1):
+        (first if k <= 70 else second).update(seen.detections.at(k), warp=step(path, k))
+        if k == 70:
+            second.load_state_dict(pickle.loads(pickle.dumps(first.state_dict())))
+    assert equal(second.tracks(), whole.tracks())
+
+
+def test_frames_that_were_dropped_are_bridged_by_their_whole_motion(street):
+    """Every third frame is not looked at, and left out with its motion told by the next."""
+    _, seen, path = street
+    info = seen.info
+    tracker, last = Tracker((info.width, info.height), fps=info.fps, filter="gm-phd"), 0
+    for k in range(1, FRAMES + 1):
+        if k % 3:
+            tracker.update(seen.detections.at(k), frame=k, warp=path[k] @ np.linalg.inv(path[last]))
+            last = k
+    truth = seen.truth
+    kept = truth.frame % 3 > 0
+    looked = type(truth)(truth.frame[kept], truth.identity[kept], truth.xyxy[kept], truth.distractor[kept])
+    rows = tracker.tracks()
+    assert evaluate(looked, rows.take(rows.frame % 3 > 0), frames=FRAMES).IDF1 > 0.75
+
+
+@pytest.mark.parametrize(("settings", "what"), [
+    ({"birth": {"kind": "fixed", "boxes": [[100.0, 100.0, 140.0, 180.0]]}}, "birth.kind=fixed"),
+    ({"learn": {"kind": "online"}}, "learning where"),
+], ids=["births", "learning"])  # fmt: skip
+def test_what_lies_at_pixels_does_not_go_with_a_moving_camera(settings, what: str):
+    tracker = Tracker((640, 480), **settings)
+    tracker.update(np.zeros((0, 4)), warp=None)
+    with pytest.raises(InputError, match=rf"^camera motion: .*{what}.* stands still"):
+        tracker.update(np.zeros((0, 4)), warp=np.eye(3))
+
+
+def test_settings_that_a_loop_cannot_follow_and_matrices_that_are_none_are_told():
+    with pytest.raises(InputError, match=r"^camera_motion.kind: .* Tracker.update\(warp=…\)"):
+        Tracker((640, 480), camera_motion={"kind": "flow"})
+    tracker = Tracker((640, 480))
+    tracker.update(np.zeros((0, 4)))
+    with pytest.raises(InputError, match=r"^frame 2, update\(warp=…\): expected 3 x 3"):
+        tracker.update(np.zeros((0, 4)), warp=np.eye(2))
+    assert len(tracker.update(np.zeros((0, 4)), warp=np.eye(3)[:2])) == 0
