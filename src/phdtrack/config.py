@@ -50,6 +50,7 @@ from phdtrack.models import (
 )
 from phdtrack.presets import PRESETS, UNFILTERED, USUAL
 from phdtrack.protocols import AnyStages, NoLearning, Stages
+from phdtrack.refine import Refinement
 from phdtrack.types import SequenceInfo
 
 Values = dict[str, Any]
@@ -100,6 +101,7 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
     "learn": {"none": NoLearning, "online": worlds.LearnSettings},
     "rates": {"none": NoLearning, "learned": worlds.RatesSettings},
     "camera_motion": {"none": Standing, "flow": SparseFlow, "file": GivenWarps},
+    "refine": {"": Refinement},
     "groups": {"": Grouping},
     "contours": {"": Contours},
     "lives": {"": Living},
@@ -279,13 +281,14 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     record = partial(_record, settings)
     model, associator = worlds.build_model(record, kinds, info), record("associate")
     if kinds["filter"] == "none":
-        return Stages(model, NoFilter(), extract.Raw(), associator)
+        return Stages(model, NoFilter(), extract.Raw(), associator, refiner=record("refine"))
     values = settings.sections.get("filter", {}).get("initial", [])
     initial = worlds.initial_mixture(kinds, record, values) if values else None
     size = (float(info.width), float(info.height))
     learning = worlds.build_learning(record, kinds["learn"], info)
     learning = worlds.build_rates(record, kinds["rates"], model, learning, info)
-    return Stages(model, record("filter", initial=initial, frame_size=size), record("extract"), associator, learning)
+    parts = record("filter", initial=initial, frame_size=size), record("extract"), associator
+    return Stages(model, *parts, learning, refiner=record("refine"))
 
 
 def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupStages:

@@ -151,5 +151,6 @@ def run(
 
 
 def finish(stages: AnyStages, state: TrackingState) -> Tracks:
-    """The corrected tracks of everything seen so far."""
-    return stages.associator.finish(state.association, stages.model)
+    """The corrected tracks of everything seen so far, refined by its measurements."""
+    tracks = stages.associator.finish(state.association, stages.model)
+    return stages.refiner.refine(tracks, stages.associator.measured(state.association), stages.model)

@@ -1,9 +1,9 @@
 """The papers' parameters, and the defaults, as overlays on the records' own defaults.
 
-``default``: what `phdtrack track` uses: M09's model with targets that keep their velocity and their size better, live longer
-and are detected less surely, as today's detectors have it; newborn that may be faster, less clutter, births and clutter
-around the detections, states joined that no sensor could tell apart, and half of M07's particles (docs/results/peers.md has
-what each is worth, docs/results/particles.md the particles).
+``default``: what `phdtrack track` uses: the Poisson multi-Bernoulli filter with M09's model, of targets that keep their
+velocity and their size better, live longer and are detected less surely, as today's detectors have it; newborn that may be
+faster, births and clutter around the detections. What else differs from filter to filter stands in `FILTERED`
+(docs/results/defaults.md has why, docs/results/particles.md the number of particles).
 ``m07``: Maggio et al. 2007: likelihood scaled by the detection, births and clutter around the detections, K-means.
 ``m09``: Maggio and Cavallaro 2009: M07's numbers (M09 prints none of its own) with the likelihood scaled by the particle, no
 floor, births and clutter uniform over the image, and extraction by a Gaussian mixture at 0.5.
@@ -24,14 +24,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+NO_REFINEMENT: Mapping[str, Any] = {"stitch": False, "smooth": False}
 _PAPER: Mapping[str, Mapping[str, Any]] = {
     "motion": {"acceleration": 0.03, "resize": 0.1, "survival": 0.99},
     "sensor": {"detection": 0.95, "spread": 0.15},
     "birth": {"rate": 0.01, "most": 1000},
     "clutter": {"rate": 1.0},
-    "filter": {"per_target": 1500},
-    # No paper joins states that overlap.
-    "extract": {"lightest": 0.6, "overlap": 1.0},
+    "filter": {"kind": "particle-phd", "per_target": 1500},
+    "associate": {"kind": "graph"},
+    # No paper joins states that overlap, or touches tracks that have ended.
+    "extract": {"kind": "kmeans", "lightest": 0.6, "overlap": 1.0},
+    "refine": NO_REFINEMENT,
 }
 _M09: Mapping[str, Mapping[str, Any]] = {
     **_PAPER,
@@ -58,17 +61,41 @@ POINT: Mapping[str, Mapping[str, Any]] = {"filter": {"region": 9.21}, "extract":
 # What is usual in each world beside the defaults.
 USUAL: Mapping[str, Mapping[str, Mapping[str, Any]]] = {"plane": PLANE, "point": POINT}
 
+# What is usual with a filter where boxes are followed in the image and the preset is the default. A PHD filter takes whatever
+# a measurement explains for a target, so that a wide sensor and much clutter cost it more than a filter that knows each.
+_INTENSITY: Mapping[str, Mapping[str, Any]] = {
+    "motion": {"resize": 0.07},
+    "sensor": {"spread": 0.15},
+    "birth": {"rate": 0.01},
+    "clutter": {"rate": 0.3},
+}
+_PARTICLES: Mapping[str, Mapping[str, Any]] = {**_INTENSITY, "filter": {"per_target": 750}}
+FILTERED: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
+    "pmb": {
+        "motion": {"resize": 0.05},
+        "sensor": {"spread": 0.25},
+        "birth": {"rate": 0.005},
+        "clutter": {"rate": 2.0},
+    },
+    "particle-phd": _PARTICLES,
+    "particle-cphd": _PARTICLES,
+    "gm-phd": _INTENSITY,
+    "gm-cphd": _INTENSITY,
+    "mcmc": _INTENSITY,
+    "mht": _INTENSITY,
+    "none": _INTENSITY,
+}
+
 # What is usual where nothing is filtered: nobody knows how fast a raw detection moves, so that the links of true tracks gain
 # less than those of filtered states.
 UNFILTERED: Mapping[str, Mapping[str, Any]] = {"associate": {"worth": 0.6}}
 
 PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "default": {
-        "motion": {"acceleration": 0.005, "resize": 0.07, "survival": 0.997, "roughening": 0.005},
-        "sensor": {"detection": 0.8, "spread": 0.15, "speed": 0.1, "scaling": "particle"},
-        "birth": {"rate": 0.01, "most": 500, "volume": "local"},
-        "clutter": {"rate": 0.3, "volume": "local"},
-        "filter": {"per_target": 750},
+        "motion": {"acceleration": 0.005, "survival": 0.997, "roughening": 0.005},
+        "sensor": {"detection": 0.8, "speed": 0.1, "scaling": "particle"},
+        "birth": {"most": 500, "volume": "local"},
+        "clutter": {"volume": "local"},
     },
     "m07": {
         **_PAPER,
@@ -97,6 +124,7 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     },
     "e13": {
         **PLANE,
+        "associate": {"kind": "graph", **PLANE["associate"]},
         "motion": {"kind": "plane", "acceleration": 1.0, "survival": 0.99, "nominal": 1 / 7, "form": "piecewise"},
         "sensor": {
             "kind": "plane",
@@ -126,6 +154,7 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
             ],
         },
         "extract": {"kind": "components", "lightest": 0.5, "region": 9.21, "overlap": 1.0},
+        "refine": NO_REFINEMENT,
     },
     "d14": {
         "motion": {"kind": "point", "variance": 2.0, "survival": 1.0},
@@ -134,5 +163,7 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
         "clutter": {"kind": "point", "rate": 0.0},
         "filter": {"kind": "particle-phd", "per_target": 4000, "most": 4000, "skip_empty": True, "region": 9.21},
         "extract": {"kind": "kmeans", "lightest": 0.6, "region": 9.21, "overlap": 1.0},
+        "associate": {"kind": "graph"},
+        "refine": NO_REFINEMENT,
     },
 }

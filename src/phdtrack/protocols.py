@@ -25,6 +25,7 @@ from phdtrack.types import (
     Estimates,
     Frame,
     GaussianMixture,
+    Measured,
     Particles,
     SequenceInfo,
     Step,
@@ -230,6 +231,25 @@ class Associator(Protocol[A]):
     def finish(self, state: A, model: Model) -> Tracks:
         """The corrected, bridged and cleaned tracks of everything taken in so far."""
 
+    def measured(self, state: A) -> Measured:
+        """The measurements of everything that is remembered, with every frame of the corrected tracks."""
+
+
+class Refiner(Protocol):
+    """From corrected tracks to better ones, with everything known at the end."""
+
+    def refine(self, tracks: Tracks, measured: Measured, model: Model) -> Tracks:
+        """The tracks, of which each row rests on a measurement of ``measured``, or on none."""
+
+
+@dataclass(frozen=True, slots=True)
+class AsAssociated:
+    """Corrected tracks stay as they are."""
+
+    def refine(self, tracks: Tracks, measured: Measured, model: Model) -> Tracks:
+        """The same."""
+        return tracks
+
 
 C = TypeVar("C")
 
@@ -336,6 +356,7 @@ class Stages(Generic[S, A]):
     extractor: Extractor[S]
     associator: Associator[A]
     learning: Learning[Any] = field(default_factory=NoLearning)
+    refiner: Refiner = field(default_factory=AsAssociated)
 
 
 AnyStages = Stages[Any, Any]

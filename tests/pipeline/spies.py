@@ -9,7 +9,7 @@ import numpy as np
 from phdtrack import config
 from phdtrack.filters.composed import composed_step
 from phdtrack.protocols import AnyStages, Stages
-from phdtrack.types import Estimates, SequenceInfo, Tracks, UpdateInfo
+from phdtrack.types import Estimates, Measured, SequenceInfo, Tracks, UpdateInfo
 
 INFO = SequenceInfo(640, 480, 25.0)
 
@@ -79,6 +79,9 @@ class SpyAssociator:
 
     def finish(self, state, model):
         return Tracks.empty()
+
+    def measured(self, state):
+        return Measured(np.zeros(0, np.int64), np.zeros(0), np.zeros(1, np.int64), np.zeros((4, 0)), np.zeros((0, 3, 3)))
 
 
 def spying(rate: float = 25.0) -> tuple[AnyStages, SpyFilter, SpyExtractor, SpyAssociator]:

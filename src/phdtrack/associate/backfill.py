@@ -41,7 +41,7 @@ def lead_back(
     rows = list(model.sensor.observed)
     for k in range(place - 1, max(-1, place - 1 - most), -1):
         earlier = moments[k]
-        free = [s for s in range(len(earlier.spare_index)) if (k, int(earlier.spare_index[s])) not in taken]
+        free = [s for s in earlier.spare.tolist() if (k, s) not in taken]
         if not free:
             break
         dt = moments[k + 1].time - earlier.time
@@ -55,7 +55,7 @@ def lead_back(
             homeward = warp_of.back(moments[k + 1].warp)
             slope = model.motion.carried_slope(state[:, None], homeward)[0]
             state, cov = model.motion.carried(state[:, None], homeward)[:, 0], slope @ cov @ slope.T
-        seen, seen_cov = model.sensor.states(earlier.spare[:, free])
+        seen, seen_cov = model.sensor.states(earlier.z[:, free])
         spread = cov[np.ix_(rows, rows)] + seen_cov[:, rows][:, :, rows]
         step = seen[rows] - state[rows, None]
         distance2, _ = gaussian_parts(step, np.ascontiguousarray(spread))
@@ -65,6 +65,5 @@ def lead_back(
         gain = np.linalg.solve(spread[best], cov[rows]).T
         state = state + gain @ step[:, best]
         cov = cov - gain @ cov[rows]
-        detection = int(earlier.spare_index[free[best]])
-        found.append(Earlier(k, state, detection))
+        found.append(Earlier(k, state, free[best]))
     return found

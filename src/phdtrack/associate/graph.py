@@ -19,13 +19,13 @@ import math
 from dataclasses import dataclass
 
 from phdtrack.associate import offline, online
-from phdtrack.associate.history import History, moment_of
+from phdtrack.associate.history import History, Moment, measured
 from phdtrack.associate.predict import carried, predicted
 from phdtrack.associate.triangle import block
 from phdtrack.associate.window import Terms, Window, empty_window, extend
 from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, Share, check
 from phdtrack.protocols import Model
-from phdtrack.types import F8, Estimates, Tracks
+from phdtrack.types import F8, Estimates, Measured, Tracks
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ class GraphMatching:
         terms = Terms(self._span(model), self.gate, math.log(self.miss), self.consistent)
         window, final = extend(window, moved, sigma, shown, terms, dt)
         time, vertices = state.time + dt, state.vertices + len(estimates)
-        history = state.history.append(moment_of(number, time, state.vertices, estimates, final, z, model.warp))
+        history = state.history.append(Moment(number, time, state.vertices, estimates, final, z, model.warp))
         extended = GraphState(window, history, state.online, vertices, time)
         due = len(history) - 1 - self.delay
         if due < 0:
@@ -116,6 +116,10 @@ class GraphMatching:
         """The corrected tracks: short ones left out, gaps bridged, identities from 1 in order of appearance."""
         wanted = offline.Wanted(self.shortest, self._least(), self.bridge, self.backfill)
         return offline.tracks(state.history, state.window, wanted, model)
+
+    def measured(self, state: GraphState) -> Measured:
+        """The measurements of everything that is remembered."""
+        return measured(state.history)
 
     def _least(self) -> float:
         """The mean gain that a track's links must reach; a perfect typical link gains gate²/2."""

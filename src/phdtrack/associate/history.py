@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from phdtrack.associate.triangle import lower, whole
 from phdtrack.associate.window import Links
-from phdtrack.types import F8, I8, STILL, Estimates
+from phdtrack.types import F8, I8, STILL, Estimates, Measured
 
 # Twice as many moments are held as they came before the older half is joined: what was just seen is asked for most.
 CHUNK = 32
@@ -19,9 +19,9 @@ CHUNK = 32
 class Moment:
     """One frame: its number, its model time, its states (vertices ``first``, ``first`` + 1, …), and the links made final.
 
-    ``final`` are the links (between global vertex numbers) that this frame made unchangeable. ``spare``
-    (m, S) are the measurements that no state rested on, ``spare_index`` (S,) which of the frame's they are. ``warp`` is how
-    the camera moved since the frame before (`Model.warp`): everything else lies in the frame's own pixels.
+    ``final`` are the links (between global vertex numbers) that this frame made unchangeable. ``z`` (m, N) are the
+    measurements. ``warp`` is how the camera moved since the frame before (`Model.warp`): everything else lies in the frame's
+    own pixels.
     """
 
     number: int
@@ -29,19 +29,17 @@ class Moment:
     first: int
     estimates: Estimates
     final: Links
-    spare: F8
-    spare_index: I8
+    z: F8
     warp: F8 = field(default_factory=lambda: STILL)
 
-
-def moment_of(number: int, time: float, first: int, estimates: Estimates, final: Links, z: F8, warp: F8 = STILL) -> Moment:
-    """A moment of the frame with the measurements ``z`` (m, N)."""
-    n = z.shape[1]
-    # The last place stands for no detection.
-    free = np.ones(n + 1, np.bool_)
-    free[np.minimum(estimates.detection, n)] = False
-    spare = free[:n].nonzero()[0]
-    return Moment(number, time, first, estimates, final, z[:, spare], spare, warp)
+    @property
+    def spare(self) -> I8:
+        """(S,) the measurements that no state rests on."""
+        n = self.z.shape[1]
+        # The last place stands for no detection.
+        free = np.ones(n + 1, np.bool_)
+        free[np.minimum(self.estimates.detection, n)] = False
+        return free[:n].nonzero()[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +47,7 @@ class Chunk:
     """Some moments in a row, end to end in few arrays: a frame takes its numbers and no objects.
 
     ``number``, ``time`` (K,); ``vertex`` (K + 1,), ``link`` (K + 1,), ``other`` (K + 1,): where each moment's states (by
-    vertex number), final links and spare measurements begin. ``estimates`` holds all states, with of each covariance
+    vertex number), final links and measurements begin. ``estimates`` holds all states, with of each covariance
     the lower triangle (d·(d + 1)/2,). ``warp`` is (K, 3, 3), or (0, 3, 3) where the camera stood still.
     """
 
@@ -60,8 +58,7 @@ class Chunk:
     other: I8
     estimates: Estimates
     final: Links
-    spare: F8
-    spare_index: I8
+    z: F8
     warp: F8
 
     @classmethod
@@ -70,14 +67,14 @@ class Chunk:
         estimates, final = [m.estimates for m in moments], [m.final for m in moments]
         # Frames without states may come in any dimension: that of a tracker that has not seen any.
         full = [e for e in estimates if len(e)] or estimates[:1]
-        shown = [m.spare for m in moments if m.spare.shape[1]] or [moments[0].spare]
+        shown = [m.z for m in moments if m.z.shape[1]] or [moments[0].z]
         triangle, moved = lower(len(full[0].state)), any(len(m.warp) for m in moments)
         return cls(
             np.array([m.number for m in moments], np.int64),
             np.array([m.time for m in moments]),
             moments[0].first + _ends([len(e) for e in estimates]),
             _ends([len(f.later) for f in final]),
-            _ends([len(m.spare_index) for m in moments]),
+            _ends([m.z.shape[1] for m in moments]),
             Estimates(
                 np.hstack([e.state for e in full]),
                 np.concatenate([e.covariance for e in full])[:, triangle.row, triangle.column],
@@ -92,7 +89,6 @@ class Chunk:
                 np.concatenate([f.gain for f in final]),
             ),
             np.hstack(shown),
-            np.concatenate([m.spare_index for m in moments]),
             np.array([m.warp if len(m.warp) else np.eye(3) for m in moments if moved]).reshape(-1, 3, 3),
         )
 
@@ -101,7 +97,7 @@ class Chunk:
 
     def __getitem__(self, place: int) -> Moment:
         states = slice(*(self.vertex[place : place + 2] - self.vertex[0]).tolist())
-        links, spare = slice(*self.link[place : place + 2].tolist()), slice(*self.other[place : place + 2].tolist())
+        links, shown = slice(*self.link[place : place + 2].tolist()), slice(*self.other[place : place + 2].tolist())
         x, f = self.estimates, self.final
         covariance = whole(x.covariance[states], len(x.state))
         return Moment(
@@ -110,10 +106,23 @@ class Chunk:
             int(self.vertex[place]),
             Estimates(x.state[:, states], covariance, x.weight[states], x.xyxy[states], x.detection[states], x.tag[states]),
             Links(f.later[links], f.earlier[links], f.gain[links]),
-            self.spare[:, spare],
-            self.spare_index[spare],
+            self.z[:, shown],
             self.warp[place] if len(self.warp) else STILL,
         )
+
+
+def measured(moments: Iterable[Moment]) -> Measured:
+    """The measurements of all moments."""
+    held = list(moments)
+    shown = [m.z for m in held if m.z.shape[1]] or [m.z for m in held[:1]] or [np.zeros((0, 0))]
+    moved = any(len(m.warp) for m in held)
+    return Measured(
+        np.array([m.number for m in held], np.int64),
+        np.array([m.time for m in held]),
+        _ends([m.z.shape[1] for m in held]),
+        np.hstack(shown),
+        np.array([m.warp if len(m.warp) else np.eye(3) for m in held if moved]).reshape(-1, 3, 3),
+    )
 
 
 def _ends(counts: list[int]) -> I8:

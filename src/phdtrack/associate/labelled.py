@@ -12,13 +12,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from phdtrack.associate.history import History, Moment, moment_of
+from phdtrack.associate.history import History, Moment, measured
 from phdtrack.associate.offline import gaps, rows_of
 from phdtrack.associate.window import NO_LINKS
 from phdtrack.checks import Count, NonNegative, PositiveCount, check
 from phdtrack.errors import InputError
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, Bool, Estimates, Tracks
+from phdtrack.types import F8, I8, Bool, Estimates, Measured, Tracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,8 +125,9 @@ class Labelled:
         reach = min(len(estimates.past), len(state.recent))
         settled, revised = state.recent[: len(state.recent) - reach], state.recent[len(state.recent) - reach :]
         seen = estimates.past[len(estimates.past) - reach :]
-        now = moment_of(number, time, 0, _one_each(estimates), NO_LINKS, z[:, :0], model.warp)
-        recent = (*(replace(m, estimates=_one_each(e)) for m, e in zip(revised, seen, strict=True)), now)
+        now = Moment(number, time, 0, _one_each(estimates), NO_LINKS, z, model.warp)
+        again = (m if e is None else replace(m, estimates=_one_each(e)) for m, e in zip(revised, seen, strict=True))
+        recent = (*again, now)
         history = state.history
         for moment in settled:
             history = history.append(moment)
@@ -159,6 +160,10 @@ class Labelled:
             if self.bridge:
                 parts.extend(gaps(moments, path, name, model))
         return Tracks.concatenate(parts)
+
+    def measured(self, state: LabelledState) -> Measured:
+        """The measurements of everything that is remembered."""
+        return measured((*state.history, *state.recent))
 
     def _give(self, state: LabelledState, due: int, model: Model) -> tuple[LabelledState, Tracks]:
         """The rows of the frame at place ``due``, as it is seen now; the state then knows their identities."""
