@@ -7,7 +7,7 @@ files (a camera, learned births) is put in here, when the model is built.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -199,6 +199,8 @@ class RatesSettings:
     clutter : whether the rate of false alarms is; otherwise ``clutter.rate`` holds.
     newborn : whether the rate of births is; otherwise ``birth.rate`` holds.
     scores : whether it is learned what the detector's scores are worth; otherwise they are not looked at.
+    cautious : whether p_D is learned only where it is lower, and the rate of false alarms where it is higher, than is set:
+        tracks that break make p_D look too high, false alarms that come again in one place make themselves look too few.
     memory : seconds after which a frame counts for 37 %.
     wait : seconds until a detection is judged, beyond ``associate.delay``.
     every : seconds between two times of learning.
@@ -208,6 +210,7 @@ class RatesSettings:
     clutter: bool = True
     newborn: bool = True
     scores: bool = True
+    cautious: bool = True
     memory: Positive = 120.0
     wait: NonNegative = 1.0
     every: NonNegative = 0.4
@@ -272,7 +275,8 @@ def build_rates(record: Record, kind: str, model: Model, beside: Learning[Any], 
     settings: RatesSettings = record("rates")
     learns = Learns(settings.detection, settings.clutter, settings.newborn, settings.scores)
     wait = settings.wait + record("associate").delay / info.fps
-    return FollowRates(RatesRule(priors(model), model.rate, settings.memory, wait, settings.every, learns), beside)
+    known = replace(priors(model), cautious=settings.cautious)
+    return FollowRates(RatesRule(known, model.rate, settings.memory, wait, settings.every, learns), beside)
 
 
 def initial_mixture(kinds: Mapping[str, str], record: Record, values: Boxes | Places) -> GaussianMixture:

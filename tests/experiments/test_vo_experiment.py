@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.reproduce import nonlinear, scans, standard, vo
+from phdtrack.reproduce import nonlinear, scans, standard, unknown, vo
 from phdtrack.reproduce.common import Options
 from phdtrack.reproduce.scans import Job, Outcome, Summary, apart, differences, measure
 
@@ -119,6 +119,7 @@ def test_it_writes_its_page_and_pictures(tmp_path, monkeypatch, serial):
         monkeypatch.setattr(module, "FILTERS", few)
     monkeypatch.setattr(standard, "WITH_MORE", dict.fromkeys(standard.WITH_MORE, standard.FILTERS["gm-phd"]))
     monkeypatch.setattr(nonlinear, "CASES", {nonlinear.FIRST_CASE: nonlinear.CASES[nonlinear.FIRST_CASE]})
+    monkeypatch.setattr(unknown, "FILTERS", ("gm-phd",))
     page = vo.main(Options(runs=2, out=tmp_path))
     assert page == tmp_path / "vo.md"
     text = page.read_text(encoding="utf-8")
@@ -138,3 +139,17 @@ def test_particles_come_near_the_gaussians(case: str):
     for ours, theirs in (("particle-phd", "gm-phd"), ("particle-cphd", "gm-cphd")):
         difference = apart(found[ours], found[theirs])
         assert difference.mean < (0.15 if case == standard.HIDDEN else 0.05) * mean(found[theirs]) + 2 * difference.half
+
+
+@pytest.mark.parametrize(
+    ("start", "most"), [(unknown.UNKNOWN, 0.05), ("λ a third, learned", 0.1), ("λ three times, learned", 0.1)]
+)
+def test_rates_that_nobody_knows_are_learned(start, most):
+    """What is asked for, and 4 standard errors of the paired difference; eight runs each."""
+    for case in (standard.EASY, standard.CLUTTERED):
+        known, learned = (
+            [unknown.run(Job("gm-phd", f"{case} | {which}", seed)) for seed in range(8)] for which in (unknown.KNOWN, start)
+        )
+        level = np.mean([outcome.ospa.mean() for outcome in known])
+        apart = np.array([a.ospa.mean() - b.ospa.mean() for a, b in zip(learned, known, strict=True)])
+        assert apart.mean() <= most * level + 4 * apart.std(ddof=1) / len(apart) ** 0.5

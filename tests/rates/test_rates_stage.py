@@ -19,7 +19,7 @@ SIGMOID = Scale(np.array([0.2, 0.8]), np.log([0.1, 10.0]))
 
 
 def stages(*sets, filter_name="gm-phd"):
-    return config.build(config.load(None, ("rates.kind=learned", *sets)), INFO, filter_name)
+    return config.build(config.load(None, ("rates.kind=learned", "rates.cautious=false", *sets)), INFO, filter_name)
 
 
 def boxes(n, rng):

@@ -84,7 +84,8 @@ def realisation(case: str, seed: int) -> Realisation:
 
 def run(job: Job) -> Outcome:
     """One filter over one realisation."""
-    return measured(realisation(job.case, job.seed), FILTERS[job.filter], job.seed)
+    given = realisation(job.case, job.seed)
+    return measured(given, followed(given, FILTERS[job.filter], job.seed))
 
 
 def text(found: Found) -> str:

@@ -7,7 +7,7 @@ the pairs, and of c for each state too many or too few, both over the larger num
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -72,11 +72,11 @@ def followed(given: Realisation, stages: Stages, seed: int) -> Iterator[tuple[F8
         yield found, time.thread_time() - began
 
 
-def measured(given: Realisation, stages: Stages, seed: int) -> Outcome:
-    """One filter over one realisation."""
+def measured(given: Realisation, states: Iterable[tuple[F8, float]]) -> Outcome:
+    """What the ``states`` of the scans, as `followed` gives them, come to."""
     scans = len(given.scans)
     distance, number, error, seconds = (np.zeros(scans) for _ in range(4))
-    for k, (found, spent) in enumerate(followed(given, stages, seed)):
+    for k, (found, spent) in enumerate(states):
         truth = given.truth[k]
         n, m = truth.shape[1], found.shape[1]
         distance[k] = ospa(found[:2], truth[:2], given.cutoff)

@@ -26,6 +26,7 @@ from phdtrack.reproduce.scans import (
     curves,
     differences,
     fill,
+    followed,
     measure,
     measured,
 )
@@ -90,7 +91,8 @@ def realisation(case: str, seed: int) -> Realisation:
 
 def run(job: Job) -> Outcome:
     """One filter over one realisation."""
-    return measured(realisation(job.case, job.seed), (FILTERS | WITH_MORE)[job.filter], job.seed)
+    given = realisation(job.case, job.seed)
+    return measured(given, followed(given, (FILTERS | WITH_MORE)[job.filter], job.seed))
 
 
 def text(found: Found, more: Found) -> str:

@@ -1,10 +1,10 @@
-"""The standard scenarios of Vo's papers, linear and not: every filter over 100 runs, `phdtrack reproduce vo`."""
+"""The standard scenarios of Vo's papers, linear and not, and with rates unknown: every filter, `phdtrack reproduce vo`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from phdtrack.reproduce import nonlinear, standard
+from phdtrack.reproduce import nonlinear, standard, unknown
 from phdtrack.reproduce.common import Options, write
 from phdtrack.reproduce.scans import fill
 
@@ -12,7 +12,11 @@ from phdtrack.reproduce.scans import fill
 def main(options: Options | None = None) -> Path:
     """Measure both, and write vo.md and its pictures."""
     options = options or Options()
-    sections = {"linear": standard.section(options), "turning": nonlinear.section(options)}
+    sections = {
+        "linear": standard.section(options),
+        "unknown": unknown.section(options),
+        "turning": nonlinear.section(options),
+    }
     return write("vo.md", fill("vo.md", particles=standard.PER_TARGET, **sections), options.out)
 
 
