@@ -72,7 +72,7 @@ def chosen(section: str, kind: str) -> list[str]:
 WORDS = {
     "image": "local", "local": "image", "particle": "detection", "given": "fixed", "fixed": "given",
     "continuous": "piecewise", "piecewise": "continuous", "map": "eap", "box": "plane",
-    "": "07:30 day", "00:00": "12:30", "linear": "unscented", "joint": "each", "overlap": "distance",
+    "": "07:30 day", "00:00": "12:30", "similarity": "homography", "linear": "unscented", "joint": "each", "overlap": "distance",
 }  # fmt: skip
 
 
@@ -111,7 +111,7 @@ def test_every_setting_is_reached_by_set(section: str, kind: str, name: str):
     loaded = config.load(sets=[*options, f"{section}.{name}={toml(value)}"])
     after = loaded.as_dict()[section]
     assert after == before | {name: value}
-    config.build(loaded, INFO)
+    config.build(loaded, INFO, moving=True)
 
 
 @pytest.mark.parametrize(("typed", "meant"), [(".1", 0.1), ("+.25", 0.25), (" .1 ", 0.1), ("1e-1", 0.1)])

@@ -51,7 +51,7 @@ def read_warps(path: AnyPath) -> Warps:
     columns = _columns(text, path)
     values = numbers(text, columns, [_NAMES[k] for k in range(len(columns))])
     for row, number in enumerate(values[:, 0]):
-        if number < 1 or number != int(number):
+        if not number >= 1 or number % 1:
             raise InputError(
                 f"expected a frame number from 1, came {number:g}",
                 where=text.origin.at(row),

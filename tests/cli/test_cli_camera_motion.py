@@ -1,0 +1,95 @@
+"""`phdtrack track --camera-motion`: a filmed street by a camera in a hand, measured, written, read back, and refused."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from cli_runner import phdtrack, refused
+
+from moving_cases import filmed, handheld, moving, step
+from phdtrack.camera import warp as warp_of
+from phdtrack.formats import read_warps, write_detections, write_truth
+from phdtrack.simulate import DetectorModel, make_scene
+from phdtrack.simulate.renderer import render
+from phdtrack.video import VideoWriter
+
+FRAMES = 60
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory):
+    """walk.mp4 as a moving camera sees a street, detections and truth in its pixels, and the true motion."""
+    folder = tmp_path_factory.mktemp("walk")
+    still = make_scene("street", 3, DetectorModel(p_detect=0.9, clutter_rate=0.5), frames=FRAMES, lead_in=-6.0)
+    path = handheld(FRAMES, np.random.default_rng(7))
+    scene, size = moving(still, path), (still.info.width, still.info.height)
+    write_detections(folder / "det.txt", scene.detections)
+    write_truth(folder / "gt.txt", scene.truth)
+    with VideoWriter(folder / "walk.mp4", *size, still.info.fps) as video:
+        for frame in render(still, np.random.default_rng(1)):
+            video.write(filmed(frame, path, size).image)
+    return folder, [step(path, k) for k in range(1, FRAMES + 1)]
+
+
+def options(folder, out, *more):
+    files = ("--detections", folder / "det.txt", "--truth", folder / "gt.txt", "--filter", "gm-phd")
+    return ("track", folder / "walk.mp4", *files, "--no-video", "--out", out, "--json", *more)
+
+
+def test_the_motion_is_measured_told_and_read_back(walk, tmp_path):
+    folder, true = walk
+    plain = phdtrack(*options(folder, tmp_path / "plain")).object
+    flow = phdtrack(*options(folder, tmp_path / "flow", "--camera-motion", "flow")).object
+    assert "camera_motion" not in plain
+    assert not (tmp_path / "plain" / "camera_motion.csv").exists()
+    assert flow["scores"]["IDF1"] > 1.3 * plain["scores"]["IDF1"]
+    # What the file says is what the camera did, to a pixel at the corners after encoding.
+    warps, corners = read_warps(tmp_path / "flow" / "camera_motion.csv"), np.array([[0.0, 640, 640, 0], [0, 0, 360, 360]])
+    np.testing.assert_array_equal(warps.frame, np.arange(2, FRAMES + 1))
+    for k, warp in zip(warps.frame, warps.matrix, strict=True):
+        wanted = warp_of.points(true[k - 1], corners)
+        np.testing.assert_allclose(warp_of.points(warp, corners), wanted, atol=1.5)
+    told, middle = flow["camera_motion"], np.array([[320.0], [180.0]])
+    steps = [float(np.linalg.norm(warp_of.points(warp, middle) - middle)) for warp in true[1:]]
+    assert (told["kind"], told["frames"], told["frames_unmeasured"]) == ("flow", FRAMES - 1, 0)
+    assert told["pixels"] == pytest.approx(sum(steps), rel=0.02)
+    assert told["largest_step_pixels"] == pytest.approx(max(steps), abs=0.5)
+    assert told["zoomed"] == pytest.approx(np.sqrt(np.prod([np.linalg.det(warp) for warp in true[1:]])), rel=0.02)
+    sentence = f"the camera moved by {told['pixels']:.0f} pixels in all"
+    assert sentence[1:] in (tmp_path / "flow" / "report.html").read_text(encoding="utf-8")
+    assert json.loads((tmp_path / "flow" / "run.json").read_text(encoding="utf-8"))["camera_motion"] == told
+    # The file makes the same run, without looking at the pictures.
+    again = options(folder, tmp_path / "again", "--camera-motion", tmp_path / "flow" / "camera_motion.csv")
+    assert phdtrack(*again).object["camera_motion"]["kind"] == "file"
+    assert (tmp_path / "again" / "tracks.csv").read_bytes() == (tmp_path / "flow" / "tracks.csv").read_bytes()
+
+
+def test_detections_alone_take_the_motion_from_a_file(walk, tmp_path):
+    folder, true = walk
+    lines = [f"{k},{','.join(f'{x:.9g}' for x in warp.ravel())}" for k, warp in enumerate(true, 1) if k > 1]
+    (tmp_path / "camera.csv").write_text("\n".join(lines), encoding="utf-8")
+    alone = ("--detections", folder / "det.txt", "--truth", folder / "gt.txt", "--frame-size", "640x360", "--fps", 25)
+    scores = [
+        phdtrack("track", *alone, "--filter", "mht", "--no-video", "--json", "--out", tmp_path / name, *more).object[
+            "scores"
+        ]
+        for name, more in (("without", ()), ("with", ("--camera-motion", tmp_path / "camera.csv")))
+    ]
+    assert scores[1]["IDF1"] > 1.3 * scores[0]["IDF1"]
+
+
+def test_what_does_not_go_together_is_refused(walk, tmp_path):
+    folder, _ = walk
+    alone = ("track", "--detections", folder / "det.txt", "--frame-size", "640x360", "--fps", 25, "--out", tmp_path / "out")
+    assert "measured in pictures, and there are detections only" in refused(*alone, "--camera-motion", "flow")
+    assert "there is no such file" in refused(*alone, "--camera-motion", tmp_path / "none.csv")
+    (tmp_path / "long.csv").write_text("900,1,0,0,0,1,0\n", encoding="utf-8")
+    assert "goes on to frame 900" in refused(*alone, "--camera-motion", tmp_path / "long.csv")
+    (tmp_path / "still.csv").write_text("2,1,0,0,0,1,0\n", encoding="utf-8")
+    given = (*alone, "--camera-motion", tmp_path / "still.csv")
+    assert "stands still" in refused(*given, "--learn-online")
+    assert "stands still" in refused(*given, "--set", "birth.kind=fixed", "--set", "birth.boxes=[[10,20,30,60]]")
+    assert "camera_motion.kind=file does not fit motion.kind=plane" in refused(*given, "--preset", "e13")
+    assert not (tmp_path / "out").exists()
