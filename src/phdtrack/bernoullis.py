@@ -1,6 +1,7 @@
 """Targets that are there or not, each with a label, an existence probability and hypotheses about its state and past.
 
-The state of a Poisson multi-Bernoulli filter. Hypotheses are columns; those of target t are ``first[t]`` … ``first[t + 1] − 1``.
+The state of a Poisson multi-Bernoulli filter. Hypotheses are columns; those of target t are ``first[t]`` …
+``first[t + 1] − 1``.
 """
 
 from __future__ import annotations
@@ -103,4 +104,6 @@ def nobody(dim: int) -> Layer:
     """No target."""
     none, zeros = np.zeros(0, np.int64), np.zeros(0)
     start, no = np.zeros(1, np.int64), np.zeros(0, np.bool_)
-    return Layer(zeros, none, start, zeros, np.zeros((dim, 0)), np.zeros((0, dim, dim)), no, zeros, none, none, none, zeros, zeros)
+    return Layer(
+        zeros, none, start, zeros, np.zeros((dim, 0)), np.zeros((0, dim, dim)), no, zeros, none, none, none, zeros, zeros
+    )

@@ -28,10 +28,11 @@ from typing import Any, get_type_hints
 
 from phdtrack import extract, worlds
 from phdtrack.associate import GraphMatching, Labelled
+from phdtrack.blobs import Explained
 from phdtrack.camera_motion import GivenWarps, SparseFlow, Standing
 from phdtrack.errors import InputError
 from phdtrack.files import read_toml
-from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, PMB, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.grouped import GroupStages
 from phdtrack.groups import Contours, Grouping, Living, Meetings
 from phdtrack.models import (
@@ -48,8 +49,8 @@ from phdtrack.models import (
     SplitSpawn,
     UniformBirth,
 )
-from phdtrack.presets import PRESETS, UNFILTERED, USUAL
-from phdtrack.protocols import AnyStages, NoLearning, Stages
+from phdtrack.presets import FILTERED, PRESETS, UNFILTERED, USUAL
+from phdtrack.protocols import AnyStages, AsDetected, NoLearning, Stages
 from phdtrack.refine import Refinement
 from phdtrack.types import SequenceInfo
 
@@ -79,6 +80,7 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
         "point": worlds.PointClutterSettings,
     },
     "filter": {
+        "pmb": PMB,
         "particle-phd": ParticlePHD,
         "gm-phd": GMPHD,
         "particle-cphd": ParticleCPHD,
@@ -88,6 +90,7 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
         "none": NoFilter,
     },
     "extract": {
+        "bernoullis": extract.BestBernoullis,
         "kmeans": extract.KMeans,
         "mixture": extract.Mixture,
         "components": extract.Components,
@@ -97,9 +100,10 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
         "joint": extract.Joint,
         "hypotheses": extract.BestHypothesis,
     },
-    "associate": {"graph": GraphMatching, "labelled": Labelled},
+    "associate": {"labelled": Labelled, "graph": GraphMatching},
     "learn": {"none": NoLearning, "online": worlds.LearnSettings},
     "rates": {"none": NoLearning, "learned": worlds.RatesSettings},
+    "blobs": {"none": AsDetected, "explained": Explained},
     "camera_motion": {"none": Standing, "flow": SparseFlow, "file": GivenWarps},
     "refine": {"": Refinement},
     "groups": {"": Grouping},
@@ -121,6 +125,7 @@ _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
         "clutter": ("ground",),
         "spawn": ("none",),
         "learn": ("none",),
+        "blobs": ("none",),
         "camera_motion": ("none",),
     },
     ("motion", "point"): {
@@ -129,14 +134,16 @@ _FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
         "clutter": ("point",),
         "spawn": ("none",),
         "learn": ("none",),
+        "blobs": ("none",),
     },
     ("filter", "particle-phd"): {"extract": ("kmeans", "mixture"), "associate": ("graph",)},
     ("filter", "gm-phd"): {"extract": ("components",), "associate": ("graph",)},
     ("filter", "particle-cphd"): {"extract": ("counted-mixture", "counted-kmeans"), "associate": ("graph",)},
     ("filter", "gm-cphd"): {"extract": ("counted-components",), "associate": ("graph",)},
     ("filter", "mht"): {"extract": ("hypotheses",), "associate": ("labelled", "graph")},
+    ("filter", "pmb"): {"extract": ("bernoullis",), "associate": ("labelled", "graph")},
     ("filter", "mcmc"): {"extract": ("joint",), "associate": ("graph", "labelled")},
-    ("filter", "none"): {"associate": ("graph",), "learn": ("none",), "rates": ("none",)},
+    ("filter", "none"): {"associate": ("graph",), "learn": ("none",), "rates": ("none",), "blobs": ("none",)},
 }
 # The sections whose kinds decide others', in the order to lay them over.
 _DECIDING = ("motion", "filter")
@@ -149,6 +156,7 @@ _MISFITS: Mapping[str, Mapping[tuple[str, str], str]] = {
     "particle-cphd": _NO_SPAWNING,
     "mcmc": _NO_SPAWNING,
     "mht": _NO_GAUSSIANS | _NO_SPAWNING,
+    "pmb": _NO_GAUSSIANS | _NO_SPAWNING,
 }
 # The share of the weight of a person just missed that a Gaussian must have to count as one: E13's 0.25 of 0.297.
 _MISSED = 0.84
@@ -169,7 +177,7 @@ class Settings:
             given = dict(self.sections.get(name, {}))
             kind = given.pop("kind", next(iter(kinds)))
             defaults = {f.name: _default(f) for f in fields(kinds[kind]) if f.name not in _FROM_SEQUENCE}
-            values = {k: v for k, v in defaults.items() if v is not MISSING} | given
+            values = {k: v for k, v in defaults.items() if v is not MISSING} | _usual(self, name, kinds[kind]) | given
             out[name] = ({"kind": kind} if kind else {}) | values
         return out
 
@@ -223,6 +231,18 @@ def _checked(settings: Settings, where: str) -> Settings:
             _record(settings, name, where, dry=True)
     _fits(settings, where)
     return settings
+
+
+def _usual(settings: Settings, section: str, record: type[Any]) -> Values:
+    """What is usual with the filter, of what the section's record knows: the default of boxes in the image."""
+    first = next(iter(SECTIONS[section].values()))
+    if settings.preset != "default" or _kind(settings.sections, "motion") != "box":
+        return {}
+    if section != "filter" and record is not first:
+        return {}
+    known = {f.name for f in fields(record)}
+    usual = FILTERED[_kind(settings.sections, "filter")].get(section, {})
+    return {key: value for key, value in usual.items() if key in known}
 
 
 def _rank(section: str) -> int:
@@ -288,7 +308,7 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     learning = worlds.build_learning(record, kinds["learn"], info)
     learning = worlds.build_rates(record, kinds["rates"], model, learning, info)
     parts = record("filter", initial=initial, frame_size=size), record("extract"), associator
-    return Stages(model, *parts, learning, refiner=record("refine"))
+    return Stages(model, *parts, learning, record("blobs"), refiner=record("refine"))
 
 
 def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupStages:
@@ -312,6 +332,7 @@ def _record(settings: Settings, section: str, where: str = "configuration", dry:
     values.pop("initial", None)
     record = kinds[kind]
     known = {f.name for f in fields(record)}
+    values = _usual(settings, section, record) | values
     if dry:
         required = [f.name for f in fields(record) if _default(f) is MISSING and f.name not in values]
         missing = [name for name in required if name not in _FROM_SEQUENCE]
@@ -337,12 +358,13 @@ def _overlay(sections: dict[str, Values], name: str, values: Mapping[str, Any], 
             raise InputError(f"[{name}] comes in one kind only, got kind = {values['kind']!r}", where=where)
         if not isinstance(values["kind"], str) or values["kind"] not in kinds:
             raise _unknown(f"kind of {name}", str(values["kind"]), list(kinds), where)
-        if values["kind"] != section.get("kind", next(iter(kinds))):
+        before = section.get("kind", next(iter(kinds)))
+        if values["kind"] != before:
             # Another kind has other fields; those of the preset's kind do not belong to it.
             section.clear()
         section["kind"] = values["kind"]
         if name in _DECIDING:
-            _follow(sections, name, values["kind"])
+            _follow(sections, name, values["kind"], before)
     record = kinds[section.get("kind", next(iter(kinds)))]
     hints = get_type_hints(record, include_extras=True)
     known = [f.name for f in fields(record) if f.name not in _FROM_SEQUENCE]
@@ -353,23 +375,26 @@ def _overlay(sections: dict[str, Values], name: str, values: Mapping[str, Any], 
         if key == "kind":
             continue
         if key not in known:
-            raise _unknown(f"setting of [{name}]", key, known, where)
+            others = [kind for kind, other in kinds.items() if key in {f.name for f in fields(other)}]
+            raise _unknown(f"setting of [{name}]", key, known, where, f"{name}.kind={' or '.join(others)}" if others else "")
         section[key] = _typed(f"{name}.{key}", value, hints[key], where)
 
 
-def _follow(sections: dict[str, Values], deciding: str, kind: str) -> None:
+def _follow(sections: dict[str, Values], deciding: str, kind: str, before: str) -> None:
     """Give the sections that a kind decides kinds that fit, with those of their values that these have too.
 
-    A kind that nobody chose is the first that fits. On the ground plane, of points, and without a filter other values are
+    A kind that nobody chose, as which counts the first that fitted the kind ``before``, is the first that fits. On the ground plane, of points, and without a filter other values are
     usual too, which a change of kind may have dropped.
     """
+    usual = {section: fitting[0] for section, fitting in _FITTING.get((deciding, before), {}).items()}
     for section, fitting in _FITTING.get((deciding, kind), {}).items():
         given = sections.get(section, {})
-        if given.get("kind") not in fitting and _kind(sections, section) != fitting[0]:
+        chosen = given.get("kind") in fitting and given["kind"] != usual.get(section)
+        if not chosen and _kind(sections, section) != fitting[0]:
             known = {f.name for f in fields(SECTIONS[section][fitting[0]])} if deciding == "filter" else set()
             sections[section] = {key: value for key, value in given.items() if key in known} | {"kind": fitting[0]}
-    usual = USUAL.get(_kind(sections, "motion"), {}), UNFILTERED if _kind(sections, "filter") == "none" else {}
-    for section, values in itertools.chain.from_iterable(part.items() for part in usual):
+    more = USUAL.get(_kind(sections, "motion"), {}), UNFILTERED if _kind(sections, "filter") == "none" else {}
+    for section, values in itertools.chain.from_iterable(part.items() for part in more):
         known = {f.name for f in fields(SECTIONS[section][_kind(sections, section)])}
         for key, value in values.items():
             if key in known:
@@ -409,7 +434,9 @@ def _default(field: Any) -> Any:
     return field.default if field.default_factory is MISSING else field.default_factory()
 
 
-def _unknown(what: str, name: str, known: Sequence[str], where: str) -> InputError:
+def _unknown(what: str, name: str, known: Sequence[str], where: str, owner: str = "") -> InputError:
+    """Says the nearest name, or all; ``owner`` is where else there is one of this name."""
     close = difflib.get_close_matches(name, known, 1)
     cure = f"Did you mean {close[0]}?" if close else f"There are {', '.join(known) or 'none'}."
+    cure = f"It goes with {owner}; here there are {', '.join(known) or 'none'}." if owner else cure
     return InputError(f"unknown {what}: {name}", where=where, cure=cure)

@@ -16,7 +16,7 @@ import numpy as np
 from phdtrack.camera.warp import as_warp
 from phdtrack.errors import InputError
 from phdtrack.protocols import AnyStages, Model
-from phdtrack.types import F8, I8, STILL, Detections, Estimates, Step, Tracks, UpdateInfo
+from phdtrack.types import F8, I8, STILL, Detections, Estimates, Explanation, Step, Tracks, UpdateInfo
 
 NOBODY: F8 = np.zeros((0, 0))
 # Where measurements are put that tell nothing of any state: no state is near.
@@ -30,7 +30,8 @@ class TrackingState:
 
     ``targets`` (d, n) are the states that the last frame showed, where the sensor asks who may hide whom; empty otherwise.
     ``usable`` are the numbers of the detections that the filter was given, of the frames that it may still revise; (0,) for
-    one in which it was given all. ``learned`` is what is known of the scene, None where nothing is learned.
+    one in which it was given all. ``learned`` is what is known of the scene, None where nothing is learned. ``expected`` are
+    the targets that detections are explained by, None where nothing is explained.
     """
 
     intensity: Any
@@ -40,13 +41,14 @@ class TrackingState:
     targets: F8 = field(default_factory=lambda: NOBODY)
     usable: tuple[I8, ...] = ()
     learned: Any = None
+    expected: Any = None
 
 
 def start(stages: AnyStages, rng: np.random.Generator) -> TrackingState:
     """The state before the first frame."""
     learned = stages.learning.start()
     intensity = stages.filter.start(stages.learning.model(learned, stages.model), rng)
-    return TrackingState(intensity, stages.associator.start(), learned=learned)
+    return TrackingState(intensity, stages.associator.start(), learned=learned, expected=stages.explainer.start())
 
 
 def advance(
@@ -78,12 +80,15 @@ def advance(
     model = stages.learning.model(state.learned, seen)
     dt = (time - state.time) * model.rate if state.number else model.first
     began = clock.perf_counter()
-    everything = model.sensor.measure(detections if detections.observed else Detections.empty(observed=False))
+    expected, told = stages.explainer.explain(state.expected, detections, model, dt)
+    everything = model.sensor.measure(told.detections if detections.observed else Detections.empty(observed=False))
     usable = np.flatnonzero(np.isfinite(everything).all(axis=0))
     complete = len(usable) == everything.shape[1]
     z = everything if complete else np.ascontiguousarray(everything[:, usable])
     if detections.observed:
-        weighed = stages.learning.weighed(state.learned, model, detections if complete else detections.take(usable))
+        weighed = stages.learning.weighed(
+            state.learned, model, told.detections if complete else told.detections.take(usable)
+        )
         intensity, info = stages.filter.step(state.intensity, z, _watching(weighed, state.targets, dt), dt, rng)
     else:
         intensity = stages.filter.predict(state.intensity, model, dt, rng)
@@ -92,7 +97,11 @@ def advance(
     estimates = stages.extractor.extract(intensity, z, model)
     if not complete:
         everything, info, estimates = _renumbered(everything, info, estimates, usable)
-    given = (*state.usable, ALL if complete else usable)[-1 - len(estimates.past) :]
+    expected = stages.explainer.advance(expected, told, estimates, model, dt)
+    unusable = everything.shape[1] - len(usable)
+    if told.changed:
+        everything, info, estimates = _as_found(everything, info, estimates, told)
+    given = (*state.usable, ALL if complete and not told.changed else told.source[usable])[-1 - len(estimates.past) :]
     if any(len(numbers) for numbers in given[:-1]):
         estimates = replace(estimates, past=_renumbered_past(estimates.past, given[:-1]))
     extracted = clock.perf_counter()
@@ -102,7 +111,7 @@ def advance(
     step = Step(number, time, detections, info, estimates, tracks, seconds, unusable, seen.warp)
     targets = estimates.state if model.sensor.occlusion else NOBODY
     learned = stages.learning.advance(state.learned, step)
-    return TrackingState(intensity, association, number, time, targets, given, learned), step
+    return TrackingState(intensity, association, number, time, targets, given, learned, expected), step
 
 
 def _renumbered(z: F8, info: UpdateInfo, estimates: Estimates, usable: I8) -> tuple[F8, UpdateInfo, Estimates]:
@@ -118,10 +127,25 @@ def _renumbered(z: F8, info: UpdateInfo, estimates: Estimates, usable: I8) -> tu
     return np.where(np.isfinite(z).all(axis=0), z, NOWHERE), info, _numbered(estimates, usable)
 
 
-def _renumbered_past(past: tuple[Estimates, ...], given: tuple[I8, ...]) -> tuple[Estimates, ...]:
+def _as_found(z: F8, info: UpdateInfo, estimates: Estimates, told: Explanation) -> tuple[F8, UpdateInfo, Estimates]:
+    """What the filter made of the N′ detections that it was told, with measurements ``z`` (m, N′), in terms of the N found.
+
+    A detection that several targets share has the measurement of one of them, and the evidence for the likeliest; of pieces
+    the first has the target's measurement, and the others lie where no state is.
+    """
+    found = np.full((len(z), len(told.part)), NOWHERE)
+    found[:, told.source] = z
+    if len(info.evidence) == len(told.source):
+        evidence = info.evidence[told.part]
+        np.maximum.at(evidence, told.source, info.evidence)
+        info = replace(info, evidence=evidence, clutter=info.clutter[told.part])
+    return found, info, _numbered(estimates, told.source)
+
+
+def _renumbered_past(past: tuple[Estimates | None, ...], given: tuple[I8, ...]) -> tuple[Estimates | None, ...]:
     """The revised states of frames in terms of all their detections, of which the filter was ``given`` these."""
     return tuple(
-        _numbered(estimates, usable) if len(usable) else estimates
+        _numbered(estimates, usable) if estimates is not None and len(usable) else estimates
         for estimates, usable in zip(past[len(past) - len(given) :], given, strict=True)
     )
 

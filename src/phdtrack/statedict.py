@@ -12,6 +12,8 @@ from phdtrack.associate.history import Chunk, History, Moment
 from phdtrack.associate.labelled import LabelledState, Lives
 from phdtrack.associate.online import Carried, Given
 from phdtrack.associate.window import Columns, Edges, Links, Rows, Window
+from phdtrack.bernoullis import Bernoullis, Layer
+from phdtrack.blobs import Expected
 from phdtrack.context import ContextDensity
 from phdtrack.context.evidence import Evidence
 from phdtrack.context.modes import Mode
@@ -43,6 +45,9 @@ _RECORDS: dict[str, type[Any]] = {
         Nodes,
         Cluster,
         Estimates,
+        Bernoullis,
+        Layer,
+        Expected,
         GraphState,
         LabelledState,
         Lives,

@@ -99,6 +99,26 @@ class Detections:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Explanation:
+    """What the filter is given in the place of a frame's N detections: one of each target, see `protocols.Explainer`.
+
+    Attributes
+    ----------
+    detections : those N′ that the filter is given.
+    source : (N′,) the detection that each rests on; several rest on one that they share.
+    part : (N,) the first of the N′ that each detection went into.
+    who : (N′,) the expected target that each belongs to, −1 for none.
+    changed : False where these are the frame's detections as they were.
+    """
+
+    detections: Detections
+    source: I8
+    part: I8
+    who: I8
+    changed: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class DetectionTable:
     """The detections of a whole sequence: ``frame`` (M,) int64 from 1, ascending, beside ``detections`` with M rows."""
 
@@ -278,7 +298,7 @@ class Estimates:
         the filter has none. Two states have the same where a Gaussian is reported more than once, or where they are lighter
         than `GMPHD.split`. Filters that follow targets one by one give a target's label, its own for life.
     past : the states of the frames before this one, oldest first, ending with the frame just before, as this frame sees
-        them: for filters that revise the past. Empty: the past stands. One frame's reaches no further back than the last
+        them, None where that is as the frame before saw them: for filters that revise the past. Empty: the past stands. One frame's reaches no further back than the last
         one's did.
     """
 
@@ -288,7 +308,7 @@ class Estimates:
     xyxy: F8
     detection: I8
     tag: I8 = field(default_factory=_none)
-    past: tuple[Estimates, ...] = ()
+    past: tuple[Estimates | None, ...] = ()
 
     @classmethod
     def empty(cls, dim: int) -> Estimates:

@@ -31,9 +31,7 @@ def compare(
     ],
     filters: Annotated[
         str,
-        typer.Option(
-            "--filters", metavar="NAME,...", help="The first is what others are compared to; default: particle-phd,none."
-        ),
+        typer.Option("--filters", metavar="NAME,...", help="The first is what others are compared to; default: pmb,none."),
     ] = "",
     detections: Annotated[
         str,

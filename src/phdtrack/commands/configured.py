@@ -100,9 +100,9 @@ def scene_sets(file: Path) -> tuple[str, ...]:
 
 
 def _sharing(settings: config.Settings, threads: int) -> dict[str, dict[str, Any]]:
-    """Settings that give the filter so many threads, and the extraction where it can use them."""
-    extract: Any = settings.as_dict()["extract"]
-    return {name: {"threads": threads} for name in ("filter", "extract") if name == "filter" or "threads" in extract}
+    """Settings that give filter and extraction so many threads, where they can use them."""
+    values: Any = settings.as_dict()
+    return {name: {"threads": threads} for name in ("filter", "extract") if "threads" in values[name]}
 
 
 def prepare(wanted: Wanted, choice: Choice, settings: config.Settings, command: str, *, video: bool) -> Job:

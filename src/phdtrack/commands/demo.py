@@ -55,7 +55,7 @@ def demo(
     render_video(scene, np.random.default_rng(seed), directory.file(VIDEO), look)
     result.say(f"The scene: {directory.file(VIDEO)}, {scene.info.frames} frames, flickering light, leaves in the wind.")
     outcomes = []
-    for filter_name, place in (("particle-phd", directory), ("none", rundir.claim(out / WITHOUT, overwrite))):
+    for filter_name, place in (("pmb", directory), ("none", rundir.claim(out / WITHOUT, overwrite))):
         choice = Choice(filter_name, seed=seed, truth=directory.file(TRUTH))
         job = prepare(Wanted(str(directory.file(VIDEO))), choice, chosen(choice), command_line(), video=True)
         with announced(result, filter_name):

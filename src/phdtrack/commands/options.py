@@ -85,6 +85,7 @@ Threads = Annotated[
         "--threads",
         metavar="N",
         min=0,
-        help="Threads of filter and K-means, 0: one per core (default: filter.threads, extract.threads, 1); same result.",
+        help="Threads of filter and extraction where these can use more than one (particle filters), 0: one per core "
+        "(default: 1); same result.",
     ),
 ]

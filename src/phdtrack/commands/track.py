@@ -50,7 +50,7 @@ def track(
         typer.Option(
             "--filter",
             metavar="NAME",
-            help="particle-phd (default), gm-phd, particle-cphd, gm-cphd, mht, mcmc, or none: the same association on raw "
+            help="pmb (default), gm-phd, particle-phd, gm-cphd, particle-cphd, mht, mcmc, or none: association of raw "
             "detections.",
         ),
     ] = "",
