@@ -383,8 +383,8 @@ def _overlay(sections: dict[str, Values], name: str, values: Mapping[str, Any], 
 def _follow(sections: dict[str, Values], deciding: str, kind: str, before: str) -> None:
     """Give the sections that a kind decides kinds that fit, with those of their values that these have too.
 
-    A kind that nobody chose, as which counts the first that fitted the kind ``before``, is the first that fits. On the ground plane, of points, and without a filter other values are
-    usual too, which a change of kind may have dropped.
+    A kind that nobody chose, as which counts the first that fitted the kind ``before``, is the first that fits. On the
+    ground plane, of points, and without a filter other values are usual too, which a change of kind may have dropped.
     """
     usual = {section: fitting[0] for section, fitting in _FITTING.get((deciding, before), {}).items()}
     for section, fitting in _FITTING.get((deciding, kind), {}).items():

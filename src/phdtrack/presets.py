@@ -61,8 +61,8 @@ POINT: Mapping[str, Mapping[str, Any]] = {"filter": {"region": 9.21}, "extract":
 # What is usual in each world beside the defaults.
 USUAL: Mapping[str, Mapping[str, Mapping[str, Any]]] = {"plane": PLANE, "point": POINT}
 
-# What is usual with a filter where boxes are followed in the image and the preset is the default. A PHD filter takes whatever
-# a measurement explains for a target, so that a wide sensor and much clutter cost it more than a filter that knows each.
+# What is usual with a filter where boxes are followed in the image and the preset is the default. A PHD filter has no
+# labels: where the sensor is wide, neighbours share their measurements, and what is near is taken for the same.
 _INTENSITY: Mapping[str, Mapping[str, Any]] = {
     "motion": {"resize": 0.07},
     "sensor": {"spread": 0.15},

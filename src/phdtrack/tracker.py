@@ -43,8 +43,8 @@ class Tracker:
     frame_size : width and height of the images in pixels.
     fps : frames per second, used where `update` is given no timestamp.
     seed : seed of the particle filter's randomness; the same seed and detections give the same tracks.
-    filter : ``pmb``, ``particle-phd``, ``gm-phd``, ``particle-cphd``, ``gm-cphd``, ``mht``, ``mcmc``, or ``none`` for the association
-        alone; or the settings of that section.
+    filter : ``pmb``, ``gm-phd``, ``particle-phd``, ``gm-cphd``, ``particle-cphd``, ``mht``, ``mcmc``, or ``none`` for the
+        association alone; or the settings of that section.
     preset : ``default``, ``m07``, ``m09``, ``fv``, ``m09-mht``, ``d14``, or ``e13`` on the ground plane.
     settings : a TOML file with settings.
     stages : one's own model, filter, extractor and associator, instead of all of the above but fps and seed.

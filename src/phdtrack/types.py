@@ -298,8 +298,8 @@ class Estimates:
         the filter has none. Two states have the same where a Gaussian is reported more than once, or where they are lighter
         than `GMPHD.split`. Filters that follow targets one by one give a target's label, its own for life.
     past : the states of the frames before this one, oldest first, ending with the frame just before, as this frame sees
-        them, None where that is as the frame before saw them: for filters that revise the past. Empty: the past stands. One frame's reaches no further back than the last
-        one's did.
+        them, None where that is as the frame before saw them: for filters that revise the past. Empty: the past stands. One
+        frame's reaches no further back than the last one's did.
     """
 
     state: F8
