@@ -48,6 +48,8 @@ def stitched(paths: Paths, measured: Measured, seen: Seen, motion: Motion, terms
     """The paths with those joined that are one object's, and their states."""
     while True:
         states = smooth(paths, measured, seen, motion)
+        if len(paths) == 1:
+            return paths, states
         after = matched(candidates(paths, states, measured, seen, motion, terms), len(paths))
         if (after < 0).all():
             return paths, states

@@ -1,0 +1,65 @@
+"""Tracks, and the measurements that they rest on, for the tests of refinement."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
+from phdtrack.protocols import Model
+from phdtrack.types import Measured, Tracks
+
+WIDTH, HEIGHT = 640.0, 480.0
+
+
+def model_of(*, remember: bool = False, **motion) -> Model:
+    """Noises that no state changes, so that everything is linear and Gaussian, unless ``scaled`` says otherwise."""
+    size = (WIDTH, HEIGHT)
+    values = {"acceleration": 0.3, "resize": 0.6, "scaled": False, "survival": 0.997, "frame_size": size} | motion
+    sensor = (
+        BoxSensor(detection=0.8, spread=0.15, speed=0.1, scaling="particle")
+        if values["scaled"]
+        else BoxSensor(detection=0.8, scaling="fixed", fixed=(2.0, 3.0), fixed_speed=4.0)
+    )
+    if remember:
+        sensor = BoxSensor(detection=0.8, spread=0.15, scaling="previous")
+    return Model(
+        BoxMotion(**values, remember_size=remember), sensor, MeasurementBirth(frame_size=size), UniformClutter(1.0, 1e10)
+    )
+
+
+def walk(rng: np.random.Generator, frames: int, begin, velocity, size=(40.0, 80.0), noise: float = 2.0) -> np.ndarray:
+    """(frames, 4) centres and sizes on a straight line, measured with this deviation."""
+    place = np.asarray(begin) + np.arange(frames)[:, None] * np.asarray(velocity)
+    return np.hstack([place, np.broadcast_to(size, (frames, 2))]) + rng.normal(0, noise, (frames, 4))
+
+
+def sequence(pieces, frames: int, model: Model, warp: np.ndarray | None = None) -> tuple[Tracks, Measured]:
+    """Tracks of ``pieces``, each {frame: (4,) measurement or None}, with boxes where they were measured.
+
+    In each frame the measurements stand in the order of the pieces. A frame with None is a row that rests on nothing.
+    """
+    z, rows, count = [], [], np.zeros(frames, np.int64)
+    for number in range(1, frames + 1):
+        for identity, piece in enumerate(pieces, start=1):
+            if number in piece:
+                box = piece[number]
+                rows.append(
+                    (number, identity, np.full(4, 7.0) if box is None else box, -1 if box is None else count[number - 1])
+                )
+                if box is not None:
+                    z.append(box)
+                    count[number - 1] += 1
+    start = np.concatenate(([0], np.cumsum(count)))
+    number, identity, where, detection = zip(*rows, strict=True)
+    x, y, w, h = np.array(where).T
+    xyxy = np.stack([x - w / 2, y - h / 2, x + w / 2, y + h / 2], axis=1)
+    n = len(rows)
+    tracks = Tracks(np.array(number), np.array(identity), xyxy, np.full(n, 0.9), np.array(detection), np.ones(n, np.bool_))
+    warps = np.zeros((0, 3, 3)) if warp is None else warp
+    return tracks, Measured(np.arange(1, frames + 1), np.arange(frames, dtype=float), start, np.array(z).T, warps)
+
+
+def piece(walked: np.ndarray, first: int, *shown: tuple[int, int]) -> dict:
+    """The frames ``shown``, first and last of each stretch, of a walk that begins in frame ``first``."""
+    frames = [n for low, high in shown for n in range(low, high + 1)]
+    return {n: walked[n - first] for n in frames}
