@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from phdtrack.extract import BestHypothesis, Components, CountedComponents, CountedMixture, KMeans
-from phdtrack.filters import GMCPHD, GMPHD, MHT, ParticleCPHD, ParticlePHD
+from phdtrack.extract import BestBernoullis, BestHypothesis, Components, CountedComponents, CountedMixture, KMeans
+from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, ParticleCPHD, ParticlePHD
 from phdtrack.models import BearingSensor, FixedBirth, TurningMotion, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.reproduce.common import Options, table
@@ -49,13 +49,14 @@ CASES = {
 }
 FIRST_CASE = next(iter(CASES))
 PER_TARGET, NEWBORN = 1500, 500
-COMPARED = (("gm-cphd", "gm-phd"), ("particle-phd", "gm-phd"), ("particle-cphd", "gm-cphd"), ("mht", "gm-cphd"))
+COMPARED = (("gm-cphd", "gm-phd"), ("particle-phd", "gm-phd"), ("particle-cphd", "gm-cphd"), ("mht", "gm-cphd"), ("pmb", "mht"))
 FILTERS: dict[str, Stages] = {
     "gm-phd": (GMPHD(1e-5, 2.0, 100, transform="unscented"), Components(repeat=True)),
     "gm-cphd": (GMCPHD(1e-5, 2.0, 100, transform="unscented"), CountedComponents(overlap=1.0)),
     "particle-phd": (ParticlePHD(PER_TARGET), KMeans(lightest=0.5, overlap=1.0)),
     "particle-cphd": (ParticleCPHD(PER_TARGET), CountedMixture(overlap=1.0)),
     "mht": (MHT(transform="unscented"), BestHypothesis()),
+    "pmb": (PMB(in_view=0.0, sources=0.0, transform="unscented"), BestBernoullis()),
 }
 
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.extract import BestHypothesis, Components, CountedComponents, CountedMixture, KMeans
-from phdtrack.filters import GMCPHD, GMPHD, MHT, ParticleCPHD, ParticlePHD
+from phdtrack.extract import BestBernoullis, BestHypothesis, Components, CountedComponents, CountedMixture, KMeans
+from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, ParticleCPHD, ParticlePHD
 from phdtrack.models import FixedBirth, PlaneMotion, PlaneSensor, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.reproduce.common import Options, table
@@ -45,7 +45,7 @@ ELSEWHERE = {
     (HIDDEN, "gm-phd"): "41.7",
     (EASY, "gm-cphd"): "about 16.2",
 }
-COMPARED = (("gm-cphd", "gm-phd"), ("particle-phd", "gm-phd"), ("particle-cphd", "gm-cphd"), ("mht", "gm-cphd"))
+COMPARED = (("gm-cphd", "gm-phd"), ("particle-phd", "gm-phd"), ("particle-cphd", "gm-cphd"), ("mht", "gm-cphd"), ("pmb", "mht"))
 PER_TARGET, NEWBORN = 1500, 500
 # What more particles change where targets are missed.
 MORE, MORE_RUNS = 6000, 8
@@ -59,6 +59,8 @@ FILTERS: dict[str, Stages] = {
     "particle-phd": (ParticlePHD(PER_TARGET), KMeans(lightest=0.5, overlap=1.0)),
     "particle-cphd": (ParticleCPHD(PER_TARGET), CountedMixture(overlap=1.0)),
     "mht": (MHT(), BestHypothesis()),
+    # Of points p_D is constant, and nothing fires in one place.
+    "pmb": (PMB(in_view=0.0, sources=0.0), BestBernoullis()),
 }
 WITH_MORE: dict[str, Stages] = {
     MANY_PHD: (ParticlePHD(MORE), FILTERS["particle-phd"][1]),

@@ -28,8 +28,8 @@ from phdtrack.types import F8, Detections
 RUNS, FEW = 20, 2
 # What an image-based tracker begins with where nobody knows better: the package's own p_D, ten false alarms a scan.
 P_DETECT, CLUTTER = 0.8, 10.0
-FILTERS = ("gm-phd", "gm-cphd", "particle-phd", "mht")
-LABELLED = ("mht",)
+FILTERS = ("gm-phd", "gm-cphd", "particle-phd", "mht", "pmb")
+LABELLED = ("mht", "pmb")
 # Scans until a detection is judged and after which one counts for 37 %; over which tracks are linked, and the probability
 # that a target goes on for another scan without a state.
 WAIT, MEMORY, SPAN, MISS = 3.0, 600.0, 5.0, 0.5
