@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, Share, bounds, check
-from phdtrack.config import SECTIONS
+from phdtrack.kinds import SECTIONS
 from phdtrack.errors import InputError
 
 

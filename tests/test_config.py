@@ -9,7 +9,7 @@ import pytest
 
 from config_cases import toml, written
 from phdtrack import config
-from phdtrack.config import SECTIONS
+from phdtrack.kinds import SECTIONS
 from phdtrack.errors import InputError
 from phdtrack.extract import KMeans, Mixture
 from phdtrack.filters import ParticlePHD

@@ -9,7 +9,7 @@ import pytest
 from config_cases import toml, written
 from phdtrack import config
 from phdtrack.checks import bounds
-from phdtrack.config import SECTIONS
+from phdtrack.kinds import SECTIONS
 from phdtrack.errors import InputError
 from phdtrack.types import SequenceInfo
 

@@ -27,140 +27,21 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from phdtrack import extract, worlds
-from phdtrack.associate import GraphMatching, Labelled
-from phdtrack.blobs import Explained
 from phdtrack.camera_motion import GivenWarps, SparseFlow, Standing
 from phdtrack.errors import InputError
 from phdtrack.files import read_toml
-from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, PMB, NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.filters import NoFilter
 from phdtrack.grouped import GroupStages
-from phdtrack.groups import Contours, Grouping, Living, Meetings
-from phdtrack.models import (
-    BoxMotion,
-    BoxSensor,
-    MeasurementBirth,
-    NoSpawn,
-    PlaneBirth,
-    PlaneMotion,
-    PlaneSensor,
-    PointBirth,
-    PointMotion,
-    PointSensor,
-    SplitSpawn,
-    UniformBirth,
-)
+from phdtrack.groups import Grouping
+from phdtrack.kinds import DECIDING, FITTING, FROM_SEQUENCE, MISFITS, SECTIONS
 from phdtrack.presets import FILTERED, PRESETS, UNFILTERED, USUAL
-from phdtrack.protocols import AnyStages, AsDetected, NoLearning, Stages
-from phdtrack.refine import Refinement
+from phdtrack.protocols import AnyStages, Stages
 from phdtrack.types import SequenceInfo
 
 Values = dict[str, Any]
 
-
-# section → kind → record; the first kind is the default. Fields that depend on the sequence are not settings.
-SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
-    "time": {"": worlds.TimeSettings},
-    "camera": {"": worlds.CameraSettings},
-    "motion": {"box": BoxMotion, "plane": PlaneMotion, "point": PointMotion},
-    "spawn": {"none": NoSpawn, "split": SplitSpawn},
-    "sensor": {"box": BoxSensor, "plane": PlaneSensor, "point": PointSensor},
-    "birth": {
-        "measurement": MeasurementBirth,
-        "uniform": UniformBirth,
-        "fixed": worlds.FixedBirthSettings,
-        "scene": worlds.SceneBirthSettings,
-        "ground": PlaneBirth,
-        "places": worlds.PlacesBirthSettings,
-        "point": PointBirth,
-    },
-    "clutter": {
-        "image": worlds.ClutterSettings,
-        "scene": worlds.SceneClutterSettings,
-        "ground": worlds.GroundClutterSettings,
-        "point": worlds.PointClutterSettings,
-    },
-    "filter": {
-        "pmb": PMB,
-        "particle-phd": ParticlePHD,
-        "gm-phd": GMPHD,
-        "particle-cphd": ParticleCPHD,
-        "gm-cphd": GMCPHD,
-        "mcmc": MCMC,
-        "mht": MHT,
-        "none": NoFilter,
-    },
-    "extract": {
-        "bernoullis": extract.BestBernoullis,
-        "kmeans": extract.KMeans,
-        "mixture": extract.Mixture,
-        "components": extract.Components,
-        "counted-kmeans": extract.CountedKMeans,
-        "counted-mixture": extract.CountedMixture,
-        "counted-components": extract.CountedComponents,
-        "joint": extract.Joint,
-        "hypotheses": extract.BestHypothesis,
-    },
-    "associate": {"labelled": Labelled, "graph": GraphMatching},
-    "learn": {"none": NoLearning, "online": worlds.LearnSettings},
-    "rates": {"none": NoLearning, "learned": worlds.RatesSettings},
-    "blobs": {"none": AsDetected, "explained": Explained},
-    "camera_motion": {"none": Standing, "flow": SparseFlow, "file": GivenWarps},
-    "refine": {"": Refinement},
-    "groups": {"": Grouping},
-    "contours": {"": Contours},
-    "lives": {"": Living},
-    "meetings": {"": Meetings},
-    "detector": {"": worlds.DetectorSettings},
-}
-# Kinds of other sections that a kind goes together with, the default first. Without a filter nothing is extracted.
-_FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
-    ("motion", "box"): {
-        "sensor": ("box",),
-        "birth": ("measurement", "uniform", "fixed", "scene"),
-        "clutter": ("image", "scene"),
-    },
-    ("motion", "plane"): {
-        "sensor": ("plane",),
-        "birth": ("ground", "places", "scene"),
-        "clutter": ("ground",),
-        "spawn": ("none",),
-        "learn": ("none",),
-        "blobs": ("none",),
-        "camera_motion": ("none",),
-    },
-    ("motion", "point"): {
-        "sensor": ("point",),
-        "birth": ("point", "uniform", "fixed", "scene"),
-        "clutter": ("point",),
-        "spawn": ("none",),
-        "learn": ("none",),
-        "blobs": ("none",),
-    },
-    ("filter", "particle-phd"): {"extract": ("kmeans", "mixture"), "associate": ("graph",)},
-    ("filter", "gm-phd"): {"extract": ("components",), "associate": ("graph",)},
-    ("filter", "particle-cphd"): {"extract": ("counted-mixture", "counted-kmeans"), "associate": ("graph",)},
-    ("filter", "gm-cphd"): {"extract": ("counted-components",), "associate": ("graph",)},
-    ("filter", "mht"): {"extract": ("hypotheses",), "associate": ("labelled", "graph")},
-    ("filter", "pmb"): {"extract": ("bernoullis",), "associate": ("labelled", "graph")},
-    ("filter", "mcmc"): {"extract": ("joint",), "associate": ("graph", "labelled")},
-    ("filter", "none"): {"associate": ("graph",), "learn": ("none",), "rates": ("none",), "blobs": ("none",)},
-}
-# The sections whose kinds decide others', in the order to lay them over.
-_DECIDING = ("motion", "filter")
-# Kinds that a filter cannot do, with what to use instead.
-_NO_GAUSSIANS = {("birth", "uniform"): "birth.kind=measurement (of points: point), or fixed"}
-_NO_SPAWNING = {("spawn", "split"): "spawn.kind=none"}
-_MISFITS: Mapping[str, Mapping[tuple[str, str], str]] = {
-    "gm-phd": _NO_GAUSSIANS | _NO_SPAWNING,
-    "gm-cphd": _NO_GAUSSIANS | _NO_SPAWNING,
-    "particle-cphd": _NO_SPAWNING,
-    "mcmc": _NO_SPAWNING,
-    "mht": _NO_GAUSSIANS | _NO_SPAWNING,
-    "pmb": _NO_GAUSSIANS | _NO_SPAWNING,
-}
 # The share of the weight of a person just missed that a Gaussian must have to count as one: E13's 0.25 of 0.297.
 _MISSED = 0.84
-_FROM_SEQUENCE = {"frame_size", "births", "initial", "remember_size", "camera", "hiders", "borders"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +57,7 @@ class Settings:
         for name, kinds in SECTIONS.items():
             given = dict(self.sections.get(name, {}))
             kind = given.pop("kind", next(iter(kinds)))
-            defaults = {f.name: _default(f) for f in fields(kinds[kind]) if f.name not in _FROM_SEQUENCE}
+            defaults = {f.name: _default(f) for f in fields(kinds[kind]) if f.name not in FROM_SEQUENCE}
             values = {k: v for k, v in defaults.items() if v is not MISSING} | _usual(self, name, kinds[kind]) | given
             out[name] = ({"kind": kind} if kind else {}) | values
         return out
@@ -247,7 +128,7 @@ def _usual(settings: Settings, section: str, record: type[Any]) -> Values:
 
 def _rank(section: str) -> int:
     """The order to lay sections over others: those whose kind decides others' first."""
-    return _DECIDING.index(section) if section in _DECIDING else len(_DECIDING)
+    return DECIDING.index(section) if section in DECIDING else len(DECIDING)
 
 
 def _deciding_first(sections: Mapping[str, Any]) -> list[tuple[str, Any]]:
@@ -262,8 +143,8 @@ def _kind(sections: Mapping[str, Values], name: str) -> str:
 def _fits(settings: Settings, where: str) -> None:
     """Raise `InputError` where a section's kind cannot do with another's."""
     kinds = {name: _kind(settings.sections, name) for name in SECTIONS}
-    for deciding in _DECIDING:
-        for section, fitting in _FITTING.get((deciding, kinds[deciding]), {}).items():
+    for deciding in DECIDING:
+        for section, fitting in FITTING.get((deciding, kinds[deciding]), {}).items():
             if kinds[section] not in fitting:
                 raise InputError(
                     f"{section}.kind={kinds[section]} does not fit {deciding}.kind={kinds[deciding]}",
@@ -271,7 +152,7 @@ def _fits(settings: Settings, where: str) -> None:
                     cure=f"Leave {section}.kind out, or use {' or '.join(fitting)}"
                     f"{_elsewhere(section, kinds[section], deciding)}",
                 )
-    for (section, kind), instead in _MISFITS.get(kinds["filter"], {}).items():
+    for (section, kind), instead in MISFITS.get(kinds["filter"], {}).items():
         if kinds[section] == kind:
             raise InputError(
                 f"{section}.kind={kind} has no form that filter.kind={kinds['filter']} can carry",
@@ -282,7 +163,7 @@ def _fits(settings: Settings, where: str) -> None:
 
 def _elsewhere(section: str, kind: str, deciding: str) -> str:
     """The kinds of the deciding section that this kind fits."""
-    others = [k for (d, k), fitting in _FITTING.items() if d == deciding and kind in fitting.get(section, ())]
+    others = [k for (d, k), fitting in FITTING.items() if d == deciding and kind in fitting.get(section, ())]
     return f"; it goes with {deciding}.kind={' or '.join(others)}" if others else ""
 
 
@@ -335,7 +216,7 @@ def _record(settings: Settings, section: str, where: str = "configuration", dry:
     values = _usual(settings, section, record) | values
     if dry:
         required = [f.name for f in fields(record) if _default(f) is MISSING and f.name not in values]
-        missing = [name for name in required if name not in _FROM_SEQUENCE]
+        missing = [name for name in required if name not in FROM_SEQUENCE]
         if missing:
             raise InputError(f"[{section}] of kind {kind} needs a value for {missing[0]}", where=where)
         more = {"frame_size": (1.0, 1.0)} if "frame_size" in known else {}
@@ -363,11 +244,11 @@ def _overlay(sections: dict[str, Values], name: str, values: Mapping[str, Any], 
             # Another kind has other fields; those of the preset's kind do not belong to it.
             section.clear()
         section["kind"] = values["kind"]
-        if name in _DECIDING:
+        if name in DECIDING:
             _follow(sections, name, values["kind"], before)
     record = kinds[section.get("kind", next(iter(kinds)))]
     hints = get_type_hints(record, include_extras=True)
-    known = [f.name for f in fields(record) if f.name not in _FROM_SEQUENCE]
+    known = [f.name for f in fields(record) if f.name not in FROM_SEQUENCE]
     if name == "filter" and record is not NoFilter:
         known.append("initial")
         hints = hints | {"initial": worlds.Places if _kind(sections, "motion") == "plane" else worlds.Boxes}
@@ -386,8 +267,8 @@ def _follow(sections: dict[str, Values], deciding: str, kind: str, before: str) 
     A kind that nobody chose, as which counts the first that fitted the kind ``before``, is the first that fits. On the
     ground plane, of points, and without a filter other values are usual too, which a change of kind may have dropped.
     """
-    usual = {section: fitting[0] for section, fitting in _FITTING.get((deciding, before), {}).items()}
-    for section, fitting in _FITTING.get((deciding, kind), {}).items():
+    usual = {section: fitting[0] for section, fitting in FITTING.get((deciding, before), {}).items()}
+    for section, fitting in FITTING.get((deciding, kind), {}).items():
         given = sections.get(section, {})
         chosen = given.get("kind") in fitting and given["kind"] != usual.get(section)
         if not chosen and _kind(sections, section) != fitting[0]:
