@@ -1,8 +1,8 @@
 """One frame of the Poisson multi-Bernoulli filter for the box model in one call: predict, update, new targets, merge.
 
 It computes what predict, update and reduce of `filters.pmb` compute, to rounding, and a test holds it to that. In the box
-model the two axes and the two sizes do not mix, so that a covariance is two of position and velocity and two variances: what
-else stands in it is not read.
+model the two axes and the two sizes do not mix, so that a covariance is two of position and velocity and two variances. What
+else stands in one, where a camera that turns has mixed them or the initial one was given so, is left out.
 """
 
 from __future__ import annotations
@@ -78,9 +78,7 @@ def _moved(x: F8, p: F8, i: int, b: BoxNumbers) -> None:
 
 
 @njit(**INNER)
-def _predicted(
-    exist: F8, first: I8, weight: F8, x: F8, p: F8, static: B1, hidden: F8, b: BoxNumbers, s: Settings
-) -> F8:
+def _predicted(exist: F8, first: I8, weight: F8, x: F8, p: F8, static: B1, hidden: F8, b: BoxNumbers, s: Settings) -> F8:
     """Predict targets in place; the probability (C,) that each hypothesis is detected."""
     seen = np.empty(weight.size)
     bordered = b.frame_width > 0.0 and b.frame_height > 0.0
@@ -214,9 +212,9 @@ def _hypotheses(
             _taken(x, p, i, boxes, taken[k], b, y, q, k)
             continue
         for r in range(D):
-            y[r, k] = x[r, i]
-            for s in range(D):
-                q[k, r, s] = p[i, r, s]
+            y[r, k], q[k, r, r] = x[r, i], p[i, r, r]
+        for a in range(2):
+            q[k, a, a + 2], q[k, a + 2, a] = p[i, a, a + 2], p[i, a + 2, a]
         if not static[i]:
             out[k] = min(hidden[i] / max(1.0 - seen[i], TINY), 1.0)
 

@@ -166,7 +166,11 @@ class PMB:
     def step(
         self, state: Bernoullis, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[Bernoullis, UpdateInfo]:
-        """Predict, update and reduce in turn; of the shipped box model in one kernel."""
+        """Predict, update and reduce in turn; of the shipped box model in one kernel.
+
+        The kernel leaves out what a turning camera mixes into covariances between the axes: the angle times the difference
+        of the axes' variances.
+        """
         box = box_model(model, dt) if self.transform == "linear" else None
         if box is None or len(box.births):
             return composed_step(self, state, z, model, dt, rng)

@@ -14,7 +14,7 @@ from phdtrack.filters.transforms import Transform, posteriors
 from phdtrack.kernels.pmb_update import foremost, united, weighed
 from phdtrack.models import MeasurementBirth
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, GaussianMixture, UpdateInfo
+from phdtrack.types import F8, GaussianMixture, UpdateInfo
 
 TINY = float(np.finfo(np.float64).tiny)
 
@@ -32,9 +32,7 @@ class Terms:
     firing: float
 
 
-def measured(
-    before: Layer, z: F8, model: Model, dt: float, terms: Terms, fresh: int
-) -> tuple[Layer, UpdateInfo, int]:
+def measured(before: Layer, z: F8, model: Model, dt: float, terms: Terms, fresh: int) -> tuple[Layer, UpdateInfo, int]:
     """The targets ``before``, predicted, after the measurements ``z`` (m, N); the label that is free next."""
     sensor, n = model.sensor, z.shape[1]
     mixture = GaussianMixture(before.weight, np.ascontiguousarray(before.mean), before.covariance)
@@ -135,5 +133,3 @@ def merged(layer: Layer, merge: float) -> Layer:
             parent=layer.parent[kept],
         )
     )  # fmt: skip
-
-
