@@ -9,10 +9,11 @@ import pytest
 
 from config_cases import toml, written
 from phdtrack import config
-from phdtrack.kinds import SECTIONS
+from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.errors import InputError
-from phdtrack.extract import KMeans, Mixture
-from phdtrack.filters import ParticlePHD
+from phdtrack.extract import BestBernoullis, KMeans, Mixture
+from phdtrack.filters import PMB, ParticlePHD
+from phdtrack.kinds import SECTIONS
 from phdtrack.models import (
     FixedBirth,
     LocalClutter,
@@ -22,13 +23,14 @@ from phdtrack.models import (
     UniformBirth,
     UniformClutter,
 )
-from phdtrack.presets import PRESETS
+from phdtrack.presets import FILTERED, PRESETS
 from phdtrack.types import GaussianMixture, SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0)
 BOX = (10.0, 20.0, 30.0, 60.0)
 # What a section's kind cannot do without.
 PLANE = ["motion.kind='plane'", "camera.region=[-20, -20, 20, 20]"]
+PARTICLES = ["filter.kind='particle-phd'"]
 NEEDED = {
     ("birth", "fixed"): ["birth.boxes=[[10, 20, 30, 60]]"],
     ("birth", "ground"): PLANE,
@@ -36,7 +38,10 @@ NEEDED = {
     ("motion", "plane"): PLANE[1:],
     ("sensor", "plane"): PLANE,
     ("clutter", "ground"): PLANE,
-    ("associate", "labelled"): ["filter.kind='mht'"],
+    ("spawn", "split"): PARTICLES,
+    ("birth", "uniform"): PARTICLES,
+    ("extract", "kmeans"): PARTICLES,
+    ("extract", "mixture"): PARTICLES,
     ("sensor", "point"): ["motion.kind='point'"],
     ("birth", "point"): ["motion.kind='point'"],
     ("clutter", "point"): ["motion.kind='point'"],
@@ -72,7 +77,8 @@ def chosen(section: str, kind: str) -> list[str]:
 WORDS = {
     "image": "local", "local": "image", "particle": "detection", "given": "fixed", "fixed": "given",
     "continuous": "piecewise", "piecewise": "continuous", "map": "eap", "box": "plane",
-    "": "07:30 day", "00:00": "12:30", "similarity": "homography", "linear": "unscented", "joint": "each", "overlap": "distance",
+    "": "07:30 day", "00:00": "12:30", "similarity": "homography", "linear": "unscented", "joint": "each",
+    "overlap": "distance",
 }  # fmt: skip
 
 
@@ -172,7 +178,8 @@ def test_e13_is_built_as_told():
 @pytest.mark.parametrize("sets", [
     [],
     ["birth.kind=fixed", "birth.boxes=[[10, 20, 30, 60], [1, 2, 3, 4.5]]"],
-    ["birth.kind=uniform", "spawn.kind=split", "extract.kind=mixture"],
+    ["filter.kind=particle-phd", "birth.kind=uniform", "spawn.kind=split", "extract.kind=mixture"],
+    ["filter.kind=particle-phd"],
     ["filter.kind=none"],
     ["filter.initial=[[10, 20, 30, 60]]", "sensor.fixed=[1, 2]", "sensor.scaling=fixed"],
     ["filter.kind=gm-phd", "filter.most=1000"],
@@ -214,7 +221,7 @@ def test_loading_does_not_change_the_presets():
     config.load(sets=["motion.acceleration=0.5", "birth.kind=ground"], preset="e13")
     config.load(sets=["sensor.detection=0.5", "birth.rate=2", "filter.most=7"], preset="m09-mht")
     for preset in {*IN_THE_IMAGE} - {"m09-mht"}:
-        config.load(sets=["sensor.detection=0.5", "birth.kind=uniform", "clutter.rate=7"], preset=preset)
+        config.load(sets=[*PARTICLES, "sensor.detection=0.5", "birth.kind=uniform", "clutter.rate=7"], preset=preset)
     assert repr(PRESETS) == before
 
 
@@ -223,7 +230,7 @@ def test_loading_does_not_change_the_presets():
 
 @pytest.mark.parametrize(("sets", "part", "kind"), [
     ([], "birth", MeasurementBirth),
-    (["birth.kind=uniform"], "birth", UniformBirth),
+    ([*PARTICLES, "birth.kind=uniform"], "birth", UniformBirth),
     (["birth.kind=fixed", "birth.boxes=[[1, 2, 3, 4]]"], "birth", FixedBirth),
     (["clutter.volume=image"], "clutter", UniformClutter),
     (["clutter.volume=local"], "clutter", LocalClutter),
@@ -233,13 +240,33 @@ def test_kinds_of_the_model(sets: list[str], part: str, kind: type):
 
 
 def test_kinds_of_the_other_stages():
-    stages = config.build(config.load(sets=["extract.kind=mixture", "spawn.kind=split", "spawn.rate=0.1"]), INFO)
+    options = [*PARTICLES, "extract.kind=mixture", "spawn.kind=split", "spawn.rate=0.1"]
+    stages = config.build(config.load(sets=options), INFO)
     assert isinstance(stages.extractor, Mixture)
     assert stages.model.motion.births == SplitSpawn(rate=0.1)
+    particles = config.build(config.load(sets=PARTICLES), INFO)
+    assert (type(particles.filter), type(particles.extractor), type(particles.associator)) == (
+        ParticlePHD, KMeans, GraphMatching,
+    )  # fmt: skip
     plain = config.build(config.load(), INFO)
-    assert isinstance(plain.extractor, KMeans)
-    assert isinstance(plain.filter, ParticlePHD)
+    assert (type(plain.filter), type(plain.extractor), type(plain.associator)) == (PMB, BestBernoullis, Labelled)
     assert plain.model.motion.births == NoSpawn()
+
+
+@pytest.mark.parametrize("kind", FILTERED)
+def test_a_filter_brings_what_is_usual_with_it(kind: str):
+    """Told and built alike, whatever the filter was before; not in a paper's preset, and never over what was asked for."""
+    settings = config.load(sets=[f"filter.kind={kind}"])
+    told = settings.as_dict()
+    for section, values in FILTERED[kind].items():
+        assert told[section] == told[section] | values
+    model = config.build(config.load(), INFO, kind).model
+    assert model.sensor.spread == FILTERED[kind]["sensor"]["spread"]
+    assert model.clutter.rate == FILTERED[kind]["clutter"]["rate"]
+    asked = config.load(sets=["sensor.spread=0.7", f"filter.kind={kind}", "clutter.rate=0.01"])
+    assert (asked.as_dict()["sensor"]["spread"], asked.as_dict()["clutter"]["rate"]) == (0.7, 0.01)
+    if kind != "mcmc":  # Which cannot do with births that are uniform over the image.
+        assert config.load(sets=[f"filter.kind={kind}"], preset="m07").as_dict()["clutter"]["rate"] == 1.0
 
 
 def test_another_kind_does_not_inherit_settings():
@@ -250,8 +277,8 @@ def test_another_kind_does_not_inherit_settings():
 
 
 @pytest.mark.parametrize("sets", [
-    ["birth.kind=uniform", "birth.count=7"],
-    ["birth.count=7", "birth.kind=uniform"],
+    [*PARTICLES, "birth.kind=uniform", "birth.count=7"],
+    ["birth.count=7", "birth.kind=uniform", *PARTICLES],
 ])  # fmt: skip
 def test_a_kind_may_stand_behind_its_settings(sets: list[str]):
     assert config.build(config.load(sets=sets), INFO).model.birth.count == 7

@@ -8,8 +8,8 @@ import pytest
 from phdtrack import config
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.errors import InputError
-from phdtrack.extract import BestHypothesis, Components, CountedComponents, CountedMixture, KMeans, Raw
-from phdtrack.filters import GMCPHD, GMPHD, MHT, NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.extract import BestBernoullis, BestHypothesis, Components, CountedComponents, CountedMixture, KMeans, Raw
+from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.models import LocalPlaneClutter, PlaneBirth, PlaneMotion, PlaneSensor
 from phdtrack.presets import PRESETS
 from phdtrack.types import SequenceInfo
@@ -25,16 +25,18 @@ INFO = SequenceInfo(640, 480, 25.0)
     ("gm-cphd", "", GMCPHD), ("particle-phd", "gm-cphd", GMCPHD), ("gm-cphd", "gm-phd", GMPHD),
     ("particle-cphd", "", ParticleCPHD), ("gm-cphd", "particle-cphd", ParticleCPHD), ("particle-cphd", "none", NoFilter),
     ("mht", "", MHT), ("none", "mht", MHT), ("mht", "gm-phd", GMPHD),
+    ("pmb", "", PMB), ("none", "pmb", PMB), ("particle-phd", "pmb", PMB), ("mht", "pmb", PMB), ("pmb", "none", NoFilter),
+    ("pmb", "particle-phd", ParticlePHD), ("pmb", "gm-phd", GMPHD), ("pmb", "mht", MHT),
 ])  # fmt: skip
 def test_a_named_filter_wins(configured: str, named: str, kind: type):
     stages = config.build(config.load(sets=[f"filter.kind={configured}"]), INFO, named)
     assert isinstance(stages.filter, kind)
     extractors = {
         NoFilter: Raw, ParticlePHD: KMeans, GMPHD: Components, ParticleCPHD: CountedMixture, GMCPHD: CountedComponents,
-        MHT: BestHypothesis,
+        MHT: BestHypothesis, PMB: BestBernoullis,
     }  # fmt: skip
     assert isinstance(stages.extractor, extractors[kind])
-    assert isinstance(stages.associator, Labelled if kind is MHT else GraphMatching)
+    assert isinstance(stages.associator, Labelled if kind in (MHT, PMB) else GraphMatching)
 
 
 # D14's births, anywhere in the image, have no Gaussian form.
@@ -55,7 +57,11 @@ def test_a_filter_brings_an_extraction_that_fits_it(preset: str, tmp_path):
 @pytest.mark.parametrize(("sets", "says"), [
     (["filter.kind=gm-phd", "extract.kind=kmeans"], "use components"),
     (["extract.kind=mixture", "filter.kind=gm-phd"], "use components"),
-    (["extract.kind=components"], "kmeans or mixture"),
+    (["filter.kind=particle-phd", "extract.kind=components"], "kmeans or mixture"),
+    (["filter.kind=particle-phd", "associate.kind=labelled"], "use graph; it goes with filter.kind=.*pmb"),
+    (["extract.kind=kmeans"], "use bernoullis; it goes with filter.kind=particle-phd"),
+    (["birth.kind=uniform"], "birth.kind=measurement"),
+    (["spawn.kind=split"], "or filter.kind=particle-phd"),
     (["filter.kind=gm-phd", "birth.kind=uniform"], "birth.kind=measurement"),
     (["filter.kind=gm-phd", "spawn.kind=split"], "spawn.kind=none"),
     (["filter.kind=gm-cphd", "birth.kind=uniform"], "birth.kind=measurement"),
@@ -67,7 +73,7 @@ def test_kinds_that_do_not_go_together(sets: list[str], says: str):
         config.load(sets=sets)
 
 
-@pytest.mark.parametrize("filter_", ["particle-phd", "gm-phd", "particle-cphd", "gm-cphd", "none"])
+@pytest.mark.parametrize("filter_", ["pmb", "particle-phd", "gm-phd", "particle-cphd", "gm-cphd", "none"])
 @pytest.mark.parametrize("order", [1, -1])
 def test_the_ground_plane_brings_what_fits_it(filter_: str, order: int):
     """Its parts, seconds and two-dimensional regions, in whatever order it is asked for."""
@@ -79,11 +85,13 @@ def test_the_ground_plane_brings_what_fits_it(filter_: str, order: int):
     assert (model.rate, model.first) == (1.0, 0.1)
     assert model.motion.borders == model.sensor.borders == model.birth.borders == (-10.0, 0.0, 10.0, 40.0)
     assert type(model.clutter) is LocalPlaneClutter
-    assert settings.as_dict()["associate"]["miss"] == 0.2
-    if filter_ != "none":
+    if filter_ != "pmb":
+        assert settings.as_dict()["associate"]["miss"] == 0.2
+    if filter_ not in ("pmb", "none"):
         assert settings.as_dict()["filter"]["region"] == settings.as_dict()["extract"]["region"] == 9.21
     # What was asked for stays, also over a filter named later.
-    mine = config.overlay(config.load(sets=[*sets, "time.rate=2", "associate.miss=0.3"]), {"filter": {"kind": "gm-phd"}})
+    linked = [*sets, "associate.kind=graph", "time.rate=2", "associate.miss=0.3"]
+    mine = config.overlay(config.load(sets=linked), {"filter": {"kind": "gm-phd"}})
     assert (mine.as_dict()["time"]["rate"], mine.as_dict()["associate"]["miss"]) == (2.0, 0.3)
     assert mine.as_dict()["filter"]["region"] == 9.21
 

@@ -9,8 +9,8 @@ import pytest
 from config_cases import toml, written
 from phdtrack import config
 from phdtrack.checks import bounds
-from phdtrack.kinds import SECTIONS
 from phdtrack.errors import InputError
+from phdtrack.kinds import SECTIONS
 from phdtrack.types import SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0)
@@ -34,11 +34,13 @@ MISTAKES = [
     ("sensor.fixed=[1, 2, 3]", "at most 2"),
     ("motion.acceleration=-1", "greater than or equal to 0"),
     ("motion.scaled=maybe", "valid boolean"),
-    ("associate.span=0", "greater than 0"),
+    ("associate.coast=-1", "greater than or equal to 0"),
+    ("associate.span=2", "It goes with associate.kind=graph; here there are shortest"),
     ("associate.shortest=2.5", "valid integer"),
     ("associate.shortest=0", "greater than or equal to 1"),
-    ("associate.miss=0", "greater than 0"),
-    ("filter.per_target=0", "greater than or equal to 1"),
+    ("filter.gate=0", "greater than 0"),
+    ("filter.most=0", "greater than or equal to 1"),
+    ("filter.per_target=500", "It goes with filter.kind=particle-phd or particle-cphd; here there are least"),
     ("clutter.rate=-1", "greater than or equal to 0"),
     ("clutter.volume=frame", "'image'"),
     ("time.rate=0", "greater than 0"),
@@ -74,6 +76,17 @@ def test_the_same_mistakes_in_a_file(option: str, says: str, tmp_path):
 def test_no_bounded_setting_may_be_negative(section: str, name: str):
     with pytest.raises(InputError, match=f"{section}.{name}: .* got -1"):
         config.load(sets=[f"{section}.{name}=-1"])
+
+
+@pytest.mark.parametrize("section", ["filter", "extract", "associate"])
+def test_nor_one_of_the_particle_filters(section: str):
+    sets = ["filter.kind=particle-phd"]
+    kind = config.load(sets=sets).as_dict()[section]["kind"]
+    bounded = [name for name, _ in bounds(SECTIONS[section][kind])]
+    assert bounded
+    for name in bounded:
+        with pytest.raises(InputError, match=f"{section}.{name}: .* got -1"):
+            config.load(sets=[*sets, f"{section}.{name}=-1"])
 
 
 @pytest.mark.parametrize("option", ["sensor.detection", "sensor=3", "detection=0.9", "sensor.=1", "", "=", "preset=m09"])
