@@ -1,0 +1,127 @@
+"""Worlds, runs and an exact twin for the tests of the Poisson multi-Bernoulli filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from phdtrack.bernoullis import Bernoullis
+from phdtrack.extract import BestBernoullis
+from phdtrack.filters import PMB
+from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
+from phdtrack.protocols import Model
+from phdtrack.types import F8, Estimates, UpdateInfo
+
+FRAME = (640.0, 480.0)
+RNG = np.random.default_rng(0)
+# Neither hidden states nor sources, and nothing is dropped.
+PLAIN = PMB(in_view=0.0, sources=0.0)
+EVERYTHING = PMB(least=1e-200, share=1e-200, most=10**6, merge=0.0, gate=60.0)
+
+
+def world(
+    *, detection: float = 0.9, clutter: float = 1e-9, birth: float = 1e-9, survival: float = 0.99, rate: float = 25.0
+) -> Model:
+    """Boxes with constant noises in an image without borders; births and clutter by their densities at a detection."""
+    volume = (FRAME[0] * FRAME[1]) ** 2
+    sensor = BoxSensor(detection=detection, scaling="fixed", fixed=(3.0, 3.0), fixed_speed=6.0)
+    motion = BoxMotion(acceleration=0.5, resize=0.5, survival=survival, scaled=False)
+    births = MeasurementBirth(rate=birth * volume, volume="image", frame_size=FRAME)
+    return Model(motion, sensor, births, UniformClutter(clutter * volume, volume), rate=rate)
+
+
+def without_births(model: Model) -> Model:
+    return replace(model, birth=MeasurementBirth(rate=0.0, volume="image", frame_size=FRAME))
+
+
+def run(filter_: PMB, scans: list[F8], model: Model, dt: float = 1.0) -> tuple[Bernoullis, UpdateInfo]:
+    """The last state, and what the last update told."""
+    state, info = filter_.start(model, RNG), None
+    for z in scans:
+        state, info = filter_.step(state, z, model, dt, RNG)
+    return state, info
+
+
+def told(state: Bernoullis, model: Model, **settings) -> Estimates:
+    """What is reported, with nobody left out for another's sake."""
+    return BestBernoullis(**{"overlap": 1.0, **settings}).extract(state, np.zeros((4, 0)), model)
+
+
+def walk(start, velocity, count: int, rng=None, noise: float = 3.0) -> np.ndarray:
+    """(count, 2) positions, seen with noise."""
+    path = np.array(start, np.float64) + np.arange(count)[:, None] * np.array(velocity, np.float64)
+    return path if rng is None else path + noise * rng.standard_normal(path.shape)
+
+
+def kalman(model: Model, mean: F8, cov: F8, z: F8 | None, dt: float) -> tuple[F8, F8]:
+    """Predict, and update with one measurement (4,) where there is one."""
+    moved, f, q = model.motion.transition(mean[:, None], dt)
+    mean, cov = moved[:, 0], f[0] @ cov @ f[0].T + q[0]
+    return (mean, cov) if z is None else corrected(mean, cov, z)[:2]
+
+
+def corrected(mean: F8, cov: F8, z: F8) -> tuple[F8, F8, float]:
+    """After a measurement with the noise of `world`, and its density."""
+    h = np.eye(6)[[0, 1, 4, 5]]
+    s = h @ cov @ h.T + 9 * np.eye(4)
+    gain, step = cov @ h.T @ np.linalg.inv(s), z - h @ mean
+    density = np.exp(-0.5 * step @ np.linalg.solve(s, step)) / np.sqrt(np.linalg.det(2 * np.pi * s))
+    return mean + gain @ step, cov - gain @ h @ cov, float(density)
+
+
+@dataclass(frozen=True)
+class One:
+    """A way in which the only target may be: the measurements it took by frame, what it is, whether it is hidden."""
+
+    weight: float
+    taken: tuple[int, ...]
+    static: bool
+    hidden: bool
+    mean: F8
+    cov: F8
+
+
+def moved_on(ways: list[One], model: Model, dt: float, turns: F8) -> list[One]:
+    """Every way a frame later; ``turns`` (2, 2) are the chain's probabilities from in view and hidden to the same."""
+    out = []
+    for way in ways:
+        weight = way.weight * float(model.motion.p_survive(way.mean[:, None], dt)[0])
+        if way.static:
+            out.append(replace(way, weight=weight))
+            continue
+        mean, cov = kalman(model, way.mean, way.cov, None, dt)
+        out += [replace(way, weight=weight * turns[int(way.hidden), k], hidden=bool(k), mean=mean, cov=cov) for k in (0, 1)]
+    return out
+
+
+def bernoulli(nobody: float, ways: list[One], z: F8, model: Model, firing: float) -> tuple[float, list[One]]:
+    """Bayes' rule for one target or none: probability that there is none, and every way in which there is one."""
+    kappa, out = model.clutter.intensity(z), []
+    for way in ways:
+        p = firing if way.static else 0.0 if way.hidden else model.sensor.detection
+        out.append(replace(way, weight=way.weight * (1 - p), taken=(*way.taken, -1)))
+        for j in range(z.shape[1]):
+            mean, cov, density = corrected(way.mean, way.cov, z[:, j])
+            out.append(
+                replace(
+                    way, weight=way.weight * p * density / kappa[j], taken=(*way.taken, j), mean=mean, cov=cov, hidden=False
+                )
+            )
+    out = [way for way in out if way.weight > 0]
+    total = nobody + sum(way.weight for way in out)
+    return nobody / total, [replace(way, weight=way.weight / total) for way in out]
+
+
+def pasts(state: Bernoullis) -> list[tuple[int, ...]]:
+    """Of each hypothesis the measurements it took, frame by frame from its target's first."""
+    out = []
+    for place in range(len(state)):
+        at, taken = place, []
+        for layer in state.layers[:0:-1]:
+            taken.insert(0, int(layer.detection[at]))
+            at = int(layer.parent[at])
+            if at < 0:
+                break
+        out.append(tuple(taken))
+    return out

@@ -1,0 +1,182 @@
+"""Where the Poisson multi-Bernoulli filter is exact: one target; the first doubt between several."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mht_cases
+import numpy as np
+import pytest
+import test_mht_enumeration
+from pmb_cases import (
+    EVERYTHING,
+    PLAIN,
+    RNG,
+    One,
+    bernoulli,
+    corrected,
+    kalman,
+    moved_on,
+    pasts,
+    run,
+    told,
+    walk,
+    without_births,
+    world,
+)  # fmt: skip
+
+from phdtrack.filters import PMB
+from phdtrack.types import GaussianMixture
+from reference.mht_twin import enumerate_histories, summed
+
+boxes = mht_cases.boxes
+
+
+@pytest.mark.parametrize("transform", ["linear", "unscented"])
+@pytest.mark.parametrize("dt", [1.0, 2.5])
+def test_on_clean_data_it_is_a_kalman_filter(transform: str, dt: float):
+    """Always seen, nothing else: states and covariances of every frame, also as told later."""
+    model = world(detection=1.0, clutter=0.0, survival=1.0)
+    path = walk((200, 150), (3, 1), 25, np.random.default_rng(3))
+    scans = [boxes(here) for here in path]
+    state, info = run(replace(PLAIN, transform=transform), scans, model, dt)
+    found = told(state, model)
+    assert found.tag.tolist() == [0]
+    assert info.mass == found.weight[0] == pytest.approx(1, abs=1e-12)
+    (mean,), (cov,) = (x.T if x.ndim == 2 else x for x in model.sensor.states(scans[0]))
+    means = [mean]
+    for z in scans[1:]:
+        mean, cov = kalman(model, mean, cov, z[:, 0], dt)
+        means.append(mean)
+    np.testing.assert_allclose(found.state[:, 0], mean, rtol=0, atol=1e-9 * 640)
+    np.testing.assert_allclose(found.covariance[0], cov, rtol=1e-9, atol=1e-9)
+    for layer, mean in zip(state.layers, means[-11:], strict=True):
+        np.testing.assert_allclose(layer.mean[:, 0], mean, rtol=0, atol=1e-9 * 640)
+
+
+def turns(filter_: PMB, seconds: float) -> np.ndarray:
+    """(2, 2) the exponential of the chain's generator, summed as its series."""
+    rates = np.array([[-1 / filter_.in_view, 1 / filter_.in_view], [1 / filter_.hidden, -1 / filter_.hidden]])
+    out = term = np.eye(2)
+    for k in range(1, 60):
+        term = term @ rates * (seconds / k)
+        out = out + term
+    return out
+
+
+SCANS = {
+    "alone": [(300, 200), [(302, 203)], [], [(309, 204)], []],
+    "doubts": [(300, 200), [(302, 203), (295, 197)], [(305, 200)], [(308, 203), (310, 196), (299, 199)]],
+    "standing": [(300, 200), [], [(300, 201)], [(301, 199)], [], [(300, 200)]],
+    "lost": [(300, 200), [], [(420, 300)], [], []],
+}
+
+
+@pytest.mark.parametrize("dt", [1.0, 4.0])
+@pytest.mark.parametrize("settings", [{"sources": 0.0}, {"sources": 0.3, "firing": 0.4}, {"in_view": 0.5, "hidden": 1.0}])
+@pytest.mark.parametrize("name", SCANS)
+def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float):
+    """Every past, what the target is, and whether it is hidden, enumerated: existence, weights, states, hidden chain."""
+    filter_, model = replace(EVERYTHING, **settings), world(clutter=3e-8, birth=2e-8, detection=0.8, survival=0.95)
+    first, *rest = SCANS[name]
+    state, info = run(filter_, [boxes(first)], model, dt)
+    born = 0.8 * 2e-8 * dt
+    r = born / (born + 3e-8)
+    mean, cov = model.sensor.states(boxes(first))
+    kinds = [(False, 1 - filter_.sources), (True, filter_.sources)]
+    nobody, ways = 1 - r, [One(r * w, (0,), kind, False, mean[:, 0], cov[0]) for kind, w in kinds if w > 0]
+    assert info.mass == pytest.approx(r * (1 - filter_.sources))
+    model, chain = without_births(model), turns(filter_, dt / 25)
+    for points in rest:
+        z = boxes(*points)
+        before = sum(w.weight for w in ways)
+        ways = moved_on(ways, model, dt, chain)
+        nobody, ways = bernoulli(nobody + before - sum(w.weight for w in ways), ways, z, model, filter_.firing)
+        state, info = filter_.step(state, z, model, dt, RNG)
+    now = state.present
+    assert now.exist[0] == pytest.approx(1 - nobody, rel=1e-9)
+    assert info.mass == now.presence[0] == pytest.approx(sum(w.weight for w in ways if not w.static), rel=1e-9)
+    keys = list(zip(pasts(state), now.static.tolist(), strict=True))
+    assert len(set(keys)) == len(keys)
+    # But for what is next to impossible.
+    assert set(keys) >= {(w.taken, w.static) for w in ways if w.weight > 1e-100}
+    for i, key in enumerate(keys):
+        mine = [w for w in ways if (w.taken, w.static) == key]
+        weight = sum(w.weight for w in mine)
+        assert now.exist[0] * now.weight[i] == pytest.approx(weight, rel=1e-8)
+        assert now.hidden[i] == pytest.approx(sum(w.weight for w in mine if w.hidden) / weight, rel=1e-8, abs=1e-12)
+        np.testing.assert_allclose(now.mean[:, i], mine[0].mean, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(now.covariance[i], mine[0].cov, rtol=1e-8, atol=1e-8)
+
+
+def test_a_false_alarm_is_as_probable_as_bayes_has_it():
+    """One target that is there or not, one measurement: it is its, a new target's or nobody's."""
+    model = world(clutter=3e-8, birth=2e-8, detection=0.8, survival=0.95)
+    state, _ = run(replace(PLAIN, gate=60.0), [boxes((300, 200))], model)
+    mean, cov = kalman(model, state.present.mean[:, 0], state.present.covariance[0], None, 1.0)
+    r, q = 0.95 * state.present.exist[0], corrected(mean, cov, boxes((303, 204))[:, 0])[2]
+    its, born, false = r * 0.8 * q, (1 - r * 0.8) * 0.8 * 2e-8, (1 - r * 0.8) * 3e-8
+    state, info = replace(PLAIN, gate=60.0).step(state, boxes((303, 204)), model, 1.0, RNG)
+    total = its + born + false
+    assert info.clutter_probability[0] == pytest.approx(false / total, rel=1e-9)
+    assert info.mass_born == pytest.approx(born / total, rel=1e-9)
+    assert state.present.exist[1] == pytest.approx(born / total, rel=1e-9)
+
+
+HISTORIES = {
+    "one between two": [boxes((285, 200), (315, 205)), boxes((300, 203))],
+    "none of two": [boxes((285, 200), (315, 205)), boxes()],
+    "two of one": [boxes((300, 200)), boxes((303, 199), (293, 205))],
+    "three after nobody": [boxes(), boxes((300, 200), (310, 210), (290, 204))],
+}
+
+
+@pytest.mark.parametrize("name", HISTORIES)
+@pytest.mark.parametrize("settings", [{}, {"detection": 0.99, "survival": 0.99}, {"clutter": 1e-7, "birth": 0.2}])
+def test_several_targets_have_the_probabilities_of_all_histories(name: str, settings: dict):
+    """As long as what can be confused forms no cycle: every target's existence, hypotheses, and the false alarms."""
+    model, scans = mht_cases.world(**settings), HISTORIES[name]
+    histories = enumerate_histories(scans, model, 1.0)
+    total = sum(w for w, *_ in histories)
+    state, info = run(replace(EVERYTHING, in_view=0.0, sources=0.0), scans, model)
+    wanted: dict[tuple, float] = {}
+    for w, _, tracks in histories:
+        for track in tracks:
+            if track.alive:
+                wanted[track.taken] = wanted.get(track.taken, 0.0) + w / total
+    found = {}
+    now, last = state.present, len(scans) - 1
+    for i, past in enumerate(pasts(state)):
+        taken = tuple((last - len(past) + 1 + k, j) for k, j in enumerate(past) if j >= 0)
+        found[taken] = found.get(taken, 0.0) + now.exist[now.target[i]] * now.weight[i]
+    assert found.keys() == wanted.keys()
+    for key, probability in wanted.items():
+        assert found[key] == pytest.approx(probability, rel=1e-8), key
+    assert info.mass == state.mass == pytest.approx(sum(wanted.values()), rel=1e-8)
+    false = [sum(w for w, alarms, _ in histories if (last, j) in alarms) / total for j in range(scans[-1].shape[1])]
+    np.testing.assert_allclose(info.clutter_probability, false, rtol=1e-8)
+    born = sum(w * sum(t.taken[0][0] == last for t in tracks) for w, _, tracks in histories) / total
+    assert info.mass_born == pytest.approx(born, rel=1e-8)
+
+
+@pytest.mark.parametrize("name", ["two and two", "a miss", "one more"])
+def test_later_doubts_are_nearly_those_of_all_histories(name: str):
+    """Three scans: targets are taken to be independent after each, and pairs form cycles."""
+    model, scans = mht_cases.world(detection=0.95), test_mht_enumeration.SCANS[name]
+    weight, there, _ = summed(enumerate_histories(scans, model, 1.0))
+    expected = sum(weight[key] * p for (key, _), p in there.items())
+    state, _ = run(replace(EVERYTHING, in_view=0.0, sources=0.0), scans, model)
+    assert state.mass == pytest.approx(expected, rel=0.02)
+
+
+def test_initial_targets_are_believed_as_given():
+    model = without_births(world(detection=0.9, clutter=1e-9, survival=1.0))
+    mean = np.array([[200.0, 100, 0, 0, 40, 80], [400, 100, 0, 0, 40, 80]]).T
+    given = GaussianMixture(np.array([1.0, 0.4]), mean, np.tile(4 * np.eye(6), (2, 1, 1)))
+    filter_ = replace(PLAIN, initial=given)
+    assert filter_.start(model, RNG).mass == pytest.approx(1.4)
+    state, _ = filter_.step(filter_.start(model, RNG), boxes(), model, 1.0, RNG)
+    r = 0.4
+    np.testing.assert_allclose(state.present.presence, [1, r * 0.1 / (1 - r * 0.9)], rtol=1e-9)
+    state, _ = filter_.step(state, boxes((201, 100), (399, 101)), model, 1.0, RNG)
+    assert told(state, model).tag.tolist() == [0, 1]
