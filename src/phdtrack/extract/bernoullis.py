@@ -79,7 +79,7 @@ class BestBernoullis:
             if known is not None and back > 1:
                 known = known.earlier(layer, before)
                 known = known.joined(before, state.ended[1, state.ended[0] == back])
-            if known is not None and _same(told, known, self.lightest):
+            if known is not None and _same(told, known, before, self.lightest):
                 known = None
                 frames.append(None)
                 break
@@ -92,9 +92,7 @@ class BestBernoullis:
         told = told.reported(self.lightest)
         mean = np.ascontiguousarray(layer.mean[:, told.place])
         boxes = model.sensor.boxes(mean)
-        found = Estimates(
-            mean, layer.covariance[told.place], told.presence, boxes, layer.detection[told.place], told.label
-        )
+        found = Estimates(mean, layer.covariance[told.place], told.presence, boxes, layer.detection[told.place], told.label)
         # Labels rise with the frame in which a target began.
         kept = resolved(boxes, self.overlap)
         return found if len(kept) == len(boxes) else found.take(kept)
@@ -106,7 +104,15 @@ def _best(layer: Layer) -> _Told:
     return _Told(layer.label[there], layer.best[there], layer.presence[there])
 
 
-def _same(a: _Told, b: _Told, least: float) -> Bool | bool:
-    """Whether the same is told of the same targets."""
-    a, b = a.reported(least), b.reported(least)
-    return len(a.label) == len(b.label) and bool((a.place == b.place).all() and (a.label == b.label).all())
+def _same(a: _Told, b: _Told, layer: Layer, least: float) -> bool:
+    """Whether the same is told of the same targets, in this layer and, since they then share their pasts, in all before."""
+    (one, shown), (other, known) = (_tellable(told, layer, least) for told in (a, b))
+    if len(one.label) != len(other.label) or (shown != known).any():
+        return False
+    return bool((one.place == other.place).all() and (one.label == other.label).all())
+
+
+def _tellable(told: _Told, layer: Layer, least: float) -> tuple[_Told, Bool]:
+    """Those who are reported in this layer or may be in one before it, and who of them are in this."""
+    some = (told.presence >= least) | (layer.believed[layer.target[told.place]] >= least)
+    return _Told(told.label[some], told.place[some], told.presence[some]), told.presence[some] >= least
