@@ -31,6 +31,7 @@ PAPERS = {
     "V07": "Vo, Vo, Cantoni: Analytic implementations of the cardinalized PHD filter. IEEE Trans. Signal Processing, 2007",
     "K05": "Khan, Balch, Dellaert: MCMC-based particle filtering for tracking interacting targets. IEEE Trans. PAMI, 2005",
     "G93": "Gordon, Salmond, Smith: Novel approach to nonlinear/non-Gaussian Bayesian state estimation. IEE Proc. F, 1993",
+    "R65": "Rauch, Tung, Striebel: Maximum likelihood estimates of linear dynamic systems. AIAA Journal, 1965",
     "R79": "Reid: An algorithm for tracking multiple targets. IEEE Trans. Automatic Control, 1979",
     "C96": "Cox, Hingorani: An efficient implementation of Reid's multiple hypothesis tracking algorithm. IEEE PAMI, 1996",
     "C04": "Cavallaro, Ebrahimi: Interaction between high-level and low-level image analysis for video objects. 2004",

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.protocols import Sensor
-from phdtrack.types import F8, I8, Measured, Tracks
+from phdtrack.types import F8, I8, Bool, Measured, Tracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +65,12 @@ class Paths:
         """(M,) the path of each row."""
         return np.repeat(np.arange(len(self)), np.diff(self.start))
 
+    def take(self, wanted: Bool) -> Paths:
+        """The paths that are ``wanted`` (K,)."""
+        rows, length = wanted[self.owner], np.diff(self.start)[wanted]
+        start = np.concatenate(([0], np.cumsum(length)))
+        return Paths(start, self.frame[rows], self.measurement[rows], self.row[rows])
+
 
 def paths_of(tracks: Tracks, measured: Measured) -> Paths:
     """The tracks from their first measurement to their last, in the order of their identities.
@@ -86,9 +92,8 @@ def paths_of(tracks: Tracks, measured: Measured) -> Paths:
     return _laid_out(begin, end, at[held], place[held], column[held], held)
 
 
-def joined(paths: Paths, after: I8) -> Paths:
-    """The paths with each one's successor ``after`` (K,) put behind it, −1 for none; rows between them rest on nothing."""
-    chain = _chains(after)
+def joined(paths: Paths, chain: I8) -> Paths:
+    """Paths of one ``chain`` (K,), numbered from 0, end to end, each as one; rows between them rest on nothing."""
     begin, end = np.full((2, chain.max(initial=-1) + 1), -1, np.int64)
     np.maximum.at(end, chain, paths.frame[paths.last])
     begin[:] = end
@@ -106,8 +111,11 @@ def _laid_out(begin: I8, end: I8, owner: I8, frame: I8, measurement: I8, row: I8
     return Paths(start, frames, rests, comes)
 
 
-def _chains(after: I8) -> I8:
-    """(K,) the number of the chain that each path is in, by their first paths in order."""
+def chains(after: I8) -> I8:
+    """(K,) the number of the chain that each path is in, with its successor ``after`` (K,), −1 for none.
+
+    Chains are numbered in the order of their first paths.
+    """
     follows = np.isin(np.arange(len(after)), after)
     chain = np.full(len(after), -1, np.int64)
     for number, head in enumerate(np.flatnonzero(~follows).tolist()):

@@ -21,9 +21,9 @@ import numpy as np
 from phdtrack.protocols import Motion
 from phdtrack.refine.ahead import ahead
 from phdtrack.refine.evidence import beginnings, log_evidence
-from phdtrack.refine.paths import Paths, Seen, joined
+from phdtrack.refine.paths import Paths, Seen, chains, joined
 from phdtrack.refine.smooth import Smoothed, smooth
-from phdtrack.types import F8, I8, Measured
+from phdtrack.types import F8, I8, Bool, Measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +46,26 @@ class Pairs:
 
 def stitched(paths: Paths, measured: Measured, seen: Seen, motion: Motion, terms: Terms) -> tuple[Paths, Smoothed]:
     """The paths with those joined that are one object's, and their states."""
-    while True:
-        states = smooth(paths, measured, seen, motion)
-        if len(paths) == 1:
-            return paths, states
+    states = smooth(paths, measured, seen, motion)
+    while len(paths) > 1:
         after = matched(candidates(paths, states, measured, seen, motion, terms), len(paths))
         if (after < 0).all():
-            return paths, states
-        paths = joined(paths, after)
+            break
+        chain = chains(after)
+        longer = joined(paths, chain)
+        changed = np.bincount(chain) > 1
+        again = smooth(longer.take(changed), measured, seen, motion)
+        states = _merged(states, ~changed[chain[paths.owner]], again, changed[longer.owner])
+        paths = longer
+    return paths, states
+
+
+def _merged(old: Smoothed, kept: Bool, new: Smoothed, changed: Bool) -> Smoothed:
+    """The states of all rows: ``new`` where they have ``changed`` (M,), elsewhere the ``old`` ones that are ``kept``."""
+    mean, cov = np.empty((len(changed), old.mean.shape[1])), np.empty((len(changed), *old.covariance.shape[1:]))
+    mean[changed], cov[changed] = new.mean, new.covariance
+    mean[~changed], cov[~changed] = old.mean[kept], old.covariance[kept]
+    return Smoothed(mean, cov)
 
 
 def candidates(paths: Paths, states: Smoothed, measured: Measured, seen: Seen, motion: Motion, terms: Terms) -> Pairs:
