@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from phdtrack.rates import Judged, Scale
+from phdtrack.rates import Judged, Scale, Successive
 from phdtrack.rates.scores import MOST, NEWEST, scale
 
 
@@ -83,3 +83,48 @@ def test_the_newest_count():
     told = Judged().joined(np.zeros(NEWEST), np.ones(NEWEST)).joined(np.ones(10), np.zeros(10))
     assert len(told.score) == NEWEST
     assert (told.score[-10:] == 1).all()
+
+
+def series(rng, tracks, frames, correlation):
+    """Autoregressive scores of so many tracks, rows in random order: identities, frames, scores."""
+    value = np.empty((tracks, frames))
+    value[:, 0] = rng.normal(size=tracks)
+    for k in range(1, frames):
+        value[:, k] = correlation * value[:, k - 1] + (1 - correlation**2) ** 0.5 * rng.normal(size=tracks)
+    identity, frame = np.repeat(np.arange(1, tracks + 1), frames), np.tile(np.arange(1, frames + 1), tracks)
+    order = rng.permutation(len(frame))
+    return identity[order], frame[order], value.ravel()[order]
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
+def test_scores_that_are_alike_from_frame_to_frame_count_less(correlation):
+    found = Successive().joined(*series(np.random.default_rng(0), 50, 60, correlation))
+    assert len(found.first) == 50 * 59
+    # Ranks of a Gaussian series are correlated by 6/π asin(ρ/2).
+    ranks = 6 / math.pi * math.asin(correlation / 2)
+    assert found.share == pytest.approx((1 - ranks) / (1 + ranks), abs=0.09)
+
+
+def test_pairs_are_the_same_whether_frames_come_at_once_or_one_by_one():
+    identity, frame, score = series(np.random.default_rng(1), 6, 15, 0.5)
+    at_once, one_by_one = Successive().joined(identity, frame, score), Successive()
+    for k in range(1, 16):
+        one_by_one = one_by_one.joined(identity[frame == k], frame[frame == k], score[frame == k])
+    assert sorted(zip(at_once.first, at_once.second, strict=True)) == sorted(
+        zip(one_by_one.first, one_by_one.second, strict=True)
+    )
+    assert at_once.share == pytest.approx(one_by_one.share)
+
+
+def test_without_pairs_or_with_constant_ones_a_frame_says_nothing_new():
+    assert Successive().share == 0
+    ones = Successive().joined(np.ones(9, np.int64), np.arange(9), np.full(9, 0.5))
+    assert ones.share == 0
+    unknown = Successive().joined(np.ones(9, np.int64), np.arange(9), np.full(9, np.nan))
+    assert len(unknown.first) == 0
+
+
+def test_the_odds_are_to_the_power_of_the_share():
+    told = judged(np.random.default_rng(5))
+    s = np.linspace(-1, 2, 7)
+    assert np.log(scale(told, 0.3).odds(s)) == pytest.approx(0.3 * np.log(scale(told).odds(s)))

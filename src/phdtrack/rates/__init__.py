@@ -2,6 +2,19 @@
 
 from phdtrack.rates.following import Following, Learned, Learns, advance, begin
 from phdtrack.rates.known import Counted, Known, Priors, Rates
-from phdtrack.rates.scores import Judged, Scale
+from phdtrack.rates.scores import Judged, Scale, Successive
 
-__all__ = ["Counted", "Following", "Judged", "Known", "Learned", "Learns", "Priors", "Rates", "Scale", "advance", "begin"]
+__all__ = [
+    "Counted",
+    "Following",
+    "Judged",
+    "Known",
+    "Learned",
+    "Learns",
+    "Priors",
+    "Rates",
+    "Scale",
+    "Successive",
+    "advance",
+    "begin",
+]

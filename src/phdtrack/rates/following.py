@@ -13,8 +13,8 @@ import numpy as np
 
 from phdtrack.context.verdict import Verdict, Watch, judged, look_of
 from phdtrack.rates.known import Counted, Known, Priors, Rates
-from phdtrack.rates.scores import Judged, Scale, scale
-from phdtrack.types import F8, Step
+from phdtrack.rates.scores import Judged, Scale, Successive, scale
+from phdtrack.types import F8, Step, Tracks
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +53,7 @@ class Learned:
     watch: Watch = field(default_factory=Watch)
     scores: tuple[F8, ...] = ()
     judged: Judged = field(default_factory=Judged)
+    successive: Successive = field(default_factory=Successive)
     scale: Scale = field(default_factory=Scale)
     learned: float = math.nan
 
@@ -72,6 +73,8 @@ def advance(rule: Following, state: Learned, step: Step) -> Learned:
         return replace(state, learned=step.time)
     if step.time < state.learned + rule.every or not state.watch.looks:
         return state
+    if rule.learns.scores:
+        state = replace(state, successive=_followed(state))
     watch, verdict = judged(state.watch, step.time - rule.wait, state.rates.detection, rule.rate)
     return _learned(rule, replace(state, watch=watch, learned=step.time), verdict, step)
 
@@ -96,10 +99,22 @@ def _learned(rule: Following, state: Learned, verdict: Verdict, step: Step) -> L
     told, table = state.judged, state.scale
     if rule.learns.scores and frames:
         told = told.joined(np.concatenate(state.scores[:frames]), verdict.false)
-        table = scale(told)
+        table = scale(told, state.successive.share)
     ends = (float(np.exp(table.worth[0])), float(np.exp(table.worth[-1]))) if len(table.at) > 1 else (1.0, 1.0)
     rates = _waiting(known, state.watch).rates(rule.priors, step.number, step.time, ends)
     return replace(state, rates=rates, known=known, counted=counted, scores=state.scores[frames:], judged=told, scale=table)
+
+
+def _followed(state: Learned) -> Successive:
+    """With the scores of the detections that confirmed rows not met before rest on."""
+    looks, met = state.watch.looks, state.watch.met
+    number = np.array([look.number for look in looks], np.int64)
+    rows = Tracks.concatenate([look.rows for look in looks[met:]])
+    rows = rows.take((rows.detection >= 0) & rows.confirmed & np.isin(rows.frame, number))
+    many = np.array([len(score) for score in state.scores], np.int64)
+    start = np.cumsum(many) - many
+    score = np.concatenate([*state.scores, np.zeros(0)])[start[np.searchsorted(number, rows.frame)] + rows.detection]
+    return state.successive.joined(rows.identity, rows.frame, score)
 
 
 def _waiting(known: Known, watch: Watch) -> Known:
