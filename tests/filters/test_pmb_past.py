@@ -1,0 +1,118 @@
+"""What happened is told anew when later frames show it: against following every hypothesis back at every frame."""
+
+from __future__ import annotations
+
+import mht_cases
+import numpy as np
+import pytest
+from pmb_cases import FRAME, RNG, run, told, walk, world
+
+from phdtrack.bernoullis import Bernoullis
+from phdtrack.extract import BestBernoullis
+from phdtrack.extract.resolution import resolved
+from phdtrack.filters import PMB
+
+boxes = mht_cases.boxes
+
+
+def traced(state: Bernoullis, model, lightest: float, overlap: float) -> list[dict[int, tuple]]:
+    """Of each frame before the present one, oldest first: by label, where the target was and which detection it had."""
+    last = len(state.layers) - 1
+    starts = [(last, int(place)) for place in state.present.best if place >= 0]
+    starts += [(last - int(back), int(place)) for back, place in state.ended.T]
+    frames: list[dict[int, tuple]] = [{} for _ in range(last)]
+    for frame, place in starts:
+        presence = 0.0
+        for number in range(frame, -1, -1):
+            layer = state.layers[number]
+            target = int(np.searchsorted(layer.first, place, side="right")) - 1
+            presence = max(presence, layer.presence[target])
+            if number < last and presence >= lightest:
+                label = int(layer.label[target])
+                assert label not in frames[number]
+                frames[number][label] = (layer.mean[:, place], int(layer.detection[place]))
+            place = int(layer.parent[place])
+            if place < 0:
+                break
+    out = []
+    for frame in frames:
+        labels = sorted(frame)
+        mean = np.array([frame[label][0] for label in labels]).reshape(-1, 6).T
+        kept = resolved(model.sensor.boxes(np.ascontiguousarray(mean)), overlap)
+        out.append({labels[i]: frame[labels[i]] for i in kept})
+    return out
+
+
+def scene(rng: np.random.Generator, frames: int, detection: float, close: float) -> list[np.ndarray]:
+    """People who come, walk among each other, are often missed, and go; false alarms; now and then nobody looked."""
+    start = rng.uniform([200, 150], [200 + close, 150 + close], (7, 2))
+    velocity, begin, end = rng.normal(0, 3, (7, 2)), rng.integers(0, 20, 7), rng.integers(30, frames, 7)
+    scans = []
+    for k in range(frames):
+        there = (rng.random(7) < detection) & (begin <= k) & (k < end)
+        here = start + k * velocity + 3 * rng.standard_normal((7, 2))
+        scans.append(boxes(*here[there], *rng.uniform([0, 0], FRAME, (rng.poisson(3), 2))))
+    return scans
+
+
+@pytest.mark.parametrize("depth", [1, 4, 10])
+@pytest.mark.parametrize("seed", range(6))
+def test_replaying_what_is_told_gives_what_tracing_back_gives(seed: int, depth: int):
+    rng = np.random.default_rng(seed)
+    detection = (0.6, 0.75, 0.9)[seed % 3]
+    model = world(detection=detection, clutter=1e-8, birth=1e-8, survival=0.95)
+    filter_, extractor = PMB(depth=depth, least=1e-2), BestBernoullis(overlap=(1.0, 0.5)[seed % 2])
+    state, shown, revised, silent = filter_.start(model, RNG), [], 0, 0
+    for k, z in enumerate(scene(rng, 60, detection, (60, 300)[seed % 2])):
+        state = filter_.predict(state, model, 1.0, RNG) if k % 17 == 16 else filter_.step(state, z, model, 1.0, RNG)[0]
+        found = extractor.extract(state, z, model)
+        assert len(found.past) == min(k + 1, depth)
+        for back, past in enumerate(reversed(found.past)):
+            if past is None:
+                silent += 1
+            elif len(shown) > back:
+                revised += back > 0
+                shown[-1 - back] = past
+        for past, wanted in zip(reversed(shown), reversed(traced(state, model, 0.5, extractor.overlap)), strict=False):
+            assert past.tag.tolist() == list(wanted), k
+            assert past.detection.tolist() == [d for _, d in wanted.values()], k
+            np.testing.assert_array_equal(past.state.T, np.array([x for x, _ in wanted.values()]).reshape(-1, 6))
+        shown.append(found)
+    assert silent > 0
+    assert depth == 1 or revised > 0
+
+
+def test_what_was_wrong_is_told_anew():
+    """A false alarm lies nearer to where the target is expected; the frames after it show who the target was."""
+    model = world(detection=0.9, clutter=1e-8)
+    path = walk((200, 200), (0, 0), 16)
+    path[8:] += np.arange(1, 9)[:, None] * [4.0, 0.0]
+    scans = [boxes(here) for here in path]
+    scans[8] = boxes(path[8], path[7] + [-1.0, 0.0])
+    first, last = (run(PMB(), scans[:n], model)[0] for n in (9, 13))
+    assert told(first, model).tag.tolist() == told(last, model).tag.tolist() == [0]
+    assert told(first, model).detection.tolist() == [1]
+    assert traced(last, model, 0.5, 1.0)[-4][0][1] == 0
+
+
+def test_an_ended_target_is_still_told_of_where_it_was():
+    """Soon after the last detection nobody is there; the frames before show him until they are no longer told of."""
+    model, path = world(detection=0.9, survival=0.8), walk((200, 200), (2, 2), 12)
+    scans = [boxes(here) for here in path] + [boxes()] * 20
+    filter_ = PMB(in_view=0.0)
+    for n in range(18, 33):
+        state, _ = run(filter_, scans[:n], model)
+        seen = [frame for frame in traced(state, model, 0.5, 1.0) if any(d >= 0 for _, d in frame.values())]
+        assert len(seen) == max(0, 10 - (n - 13))
+        assert len(told(state, model)) == 0
+    assert len(state) == state.ended.size == 0, "and then forgotten"
+
+
+def test_a_frame_that_nobody_observed_is_predicted_and_told_of():
+    model, path = world(detection=0.9, survival=0.95), walk((200, 200), (2, 2), 10)
+    state, _ = run(PMB(), [boxes(here) for here in path], model)
+    ahead = PMB().predict(state, model, 1.0, RNG)
+    found = told(ahead, model)
+    assert found.detection.tolist() == [-1]
+    np.testing.assert_allclose(found.weight, 0.95 * state.mass, rtol=1e-9)
+    assert found.past[-1] is None or found.past[-1].detection.tolist() == [0]
