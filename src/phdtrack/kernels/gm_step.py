@@ -192,7 +192,7 @@ def _posterior(x: F8, p: F8, i: int, value: F8, q: int, w: F8, k: int) -> None:
 
 
 @njit(**INNER)
-def _given(births: F8, w: F8, x: F8, p: F8, t: I8, used: int, fresh: int) -> int:
+def given(births: F8, w: F8, x: F8, p: F8, t: I8, used: int, fresh: int) -> int:
     """Put a mixture (B, 1 + d + 21) behind the first ``used`` Gaussians, with tags from ``fresh`` on; how many there are."""
     for k in range(len(births)):
         w[used], t[used] = births[k, 0], fresh + k
@@ -332,7 +332,7 @@ def box_step(
     w, x, p, t = np.empty(room), np.empty((room, D)), np.empty((room, ENTRIES)), np.empty(room, np.int64)
     index, value = np.empty((room, 2), np.int64), np.empty((room, PAIR))
     old = predicted(weight, mean, cov, tag, b, w, x, p, t)
-    used = _given(births, w, x, p, t, old, fresh)
+    used = given(births, w, x, p, t, old, fresh)
     table, missed, after = np.empty((2, n)), 1.0 - b.p_detect, 0.0
     if n > 0:
         scene = sorted_boxes(z)

@@ -18,6 +18,8 @@ F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 B1 = NDArray[np.bool_]
 
+# Targets of which nobody ever believed more are forgotten when they are given up.
+BELIEVED = 0.05
 # What a target that cannot be missed is missed with: impossible, but comparable.
 NEVER = 1e-15
 
@@ -100,7 +102,7 @@ def survivors(
     out_first[0] = 0
     used, k, q = 0 * pairs, 0 * pairs, 0 * pairs
     for t in range(targets):
-        begun, there, options = q, nothing[t] * kept[t], 0 * pairs
+        there, options = nothing[t] * kept[t], 0 * pairs
         while q < pairs and point[q] < first[t + 1]:
             option[options], value[options] = q, told[q]
             there += told[q]
@@ -165,20 +167,20 @@ def weighed(
 
 
 @njit(**INNER)
-def alike(mean: F8, cov: F8, static: B1, i: int, k: int, limit: float) -> bool:
+def alike(rows: F8, dim: int, static: B1, i: int, k: int, limit: float) -> bool:
     """Whether k says what i says: of one kind, and all in all within √limit deviations of i."""
     if static[i] != static[k]:
         return False
     distance2 = 0.0
-    for r in range(len(mean)):
-        step = mean[r, i] - mean[r, k]
-        distance2 += step * step / max(cov[i, r, r], 1e-12)
+    for r in range(dim):
+        step = rows[i, r] - rows[k, r]
+        distance2 += step * step / max(rows[i, dim + r], 1e-12)
     return distance2 < limit
 
 
 @njit(**INNER)
-def merged(first: I8, weight: F8, mean: F8, cov: F8, static: B1, limit: float) -> tuple[I8, I8, F8]:
-    """As `united`."""
+def merged(first: I8, weight: F8, rows: F8, dim: int, static: B1, limit: float) -> tuple[I8, I8, F8]:
+    """As `united`; the rows may be longer."""
     kept, heavier = np.empty(weight.size, np.int64), weight.copy()
     begin = np.empty(first.size, np.int64)
     begin[0] = 0
@@ -187,7 +189,7 @@ def merged(first: I8, weight: F8, mean: F8, cov: F8, static: B1, limit: float) -
         begun = k
         for c in range(first[t], first[t + 1]):
             i = begun
-            while i < k and not alike(mean, cov, static, kept[i], c, limit):
+            while i < k and not alike(rows, dim, static, kept[i], c, limit):
                 i += 1
             if i < k:
                 heavier[kept[i]] += weight[c]
@@ -202,21 +204,22 @@ def merged(first: I8, weight: F8, mean: F8, cov: F8, static: B1, limit: float) -
 
 
 @njit(**ENTRY)
-def united(first: I8, weight: F8, mean: F8, cov: F8, static: B1, limit: float) -> tuple[I8, I8, F8]:
+def united(first: I8, weight: F8, rows: F8, static: B1, limit: float) -> tuple[I8, I8, F8]:
     """Hypotheses of one target that say the same become one, the heavier, with the weight of both.
 
-    ``first`` (T + 1,); of hypotheses (C,), heaviest first within a target: ``weight``, ``mean`` (d, C), ``cov`` (C, d, d),
-    ``static``. Returns ``first``, which are kept, and their weights. See `alike` for what is the same.
+    ``first`` (T + 1,); of hypotheses (C,), heaviest first within a target: ``weight``, ``rows`` (C, 2d) of means and
+    variances, ``static``. Returns ``first``, which are kept, and their weights. See `alike` for what is the same.
     """
-    return merged(first, weight, mean, cov, static, limit)
+    out: tuple[I8, I8, F8] = merged(first, weight, rows, rows.shape[1] // 2, static, limit)
+    return out
 
 
-@njit(**ENTRY)
-def foremost(exist: F8, first: I8, weight: F8, static: B1) -> tuple[I8, F8]:
-    """Of each target the heaviest hypothesis that is not static, −1: none, and the probability of all of those (T,)."""
-    best, presence = np.full(exist.size, -1), np.empty(exist.size)
+@njit(**INNER)
+def best_of(exist: F8, first: I8, weight: F8, static: B1) -> tuple[I8, F8]:
+    """As `foremost`."""
+    best, presence = np.empty(exist.size, np.int64), np.empty(exist.size)
     for t in range(exist.size):
-        total = 0.0
+        total, best[t] = 0.0, -1
         for c in range(first[t], first[t + 1]):
             if not static[c]:
                 total += weight[c]
@@ -224,3 +227,10 @@ def foremost(exist: F8, first: I8, weight: F8, static: B1) -> tuple[I8, F8]:
                     best[t] = c
         presence[t] = exist[t] * total
     return best, presence
+
+
+@njit(**ENTRY)
+def foremost(exist: F8, first: I8, weight: F8, static: B1) -> tuple[I8, F8]:
+    """Of each target the heaviest hypothesis that is not static, −1: none, and the probability of all of those (T,)."""
+    out: tuple[I8, F8] = best_of(exist, first, weight, static)
+    return out

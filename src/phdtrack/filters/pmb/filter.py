@@ -46,11 +46,9 @@ from phdtrack.filters.gm_box import box_model
 from phdtrack.filters.pmb.fused import fused_step, settings_of
 from phdtrack.filters.pmb.update import Terms, measured, merged
 from phdtrack.filters.transforms import Transform, moved
+from phdtrack.kernels.pmb_update import BELIEVED
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, GaussianMixture, Particles, UpdateInfo
-
-# Targets of which nobody ever believed more are forgotten when they are given up.
-BELIEVED = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,11 +166,11 @@ class PMB:
     ) -> tuple[Bernoullis, UpdateInfo]:
         """Predict, update and reduce in turn; of the shipped box model in one kernel.
 
-        The kernel leaves out what a turning camera mixes into covariances between the axes: the angle times the difference
-        of the axes' variances.
+        The kernel leaves out covariances between the axes, and between size and place: what a turning camera mixes into
+        them (the angle times the difference of the axes' variances), and what learned births have of them.
         """
         box = box_model(model, dt) if self.transform == "linear" else None
-        if box is None or len(box.births):
+        if box is None:
             return composed_step(self, state, z, model, dt, rng)
         lost, found = self._turns(dt / model.rate)
         now = state.present
@@ -180,11 +178,9 @@ class PMB:
             mean, cov = model.carried_gaussians(now.mean, now.covariance)
             now = replace(now, mean=mean, covariance=cov)
         settings = settings_of(
-            self.least, self.share, float(self.most), self.merge, self.gate, self.sources, self.firing, lost, found
+            self.least, self.share, self.most, self.merge, self.gate, self.sources, self.firing, self.depth, lost, found
         )
-        layer, info, fresh = fused_step(now, z, box, settings, state.fresh)
-        further = self._further(state, layer)
-        return replace(further, ended=np.hstack([further.ended, given_up(now, layer)]), fresh=fresh), info
+        return fused_step(state, now, z, box, settings, self.depth)
 
 
 def given_up(before: Layer, layer: Layer) -> I8:

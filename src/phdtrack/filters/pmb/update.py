@@ -121,9 +121,9 @@ def _read(layer: Layer) -> Layer:
 
 def merged(layer: Layer, merge: float) -> Layer:
     """With the hypotheses of each target that are within ``merge`` deviations of a heavier one given to it."""
-    first, kept, weight = united(
-        layer.first, layer.weight, np.ascontiguousarray(layer.mean), layer.covariance, layer.static, merge * merge
-    )
+    variance = np.diagonal(layer.covariance, axis1=1, axis2=2)
+    rows = np.ascontiguousarray(np.hstack([layer.mean.T, variance]))
+    first, kept, weight = united(layer.first, layer.weight, rows, layer.static, merge * merge)
     if len(kept) == len(layer):
         return layer
     return _read(
