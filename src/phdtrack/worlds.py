@@ -7,7 +7,7 @@ files (a camera, learned births) is put in here, when the model is built.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -193,22 +193,24 @@ class LearnSettings:
 class RatesSettings:
     """Rates that are learned from the stream while tracking, from those of the other sections on, see `rates`.
 
+    All are estimated and reported; which of them the filter uses is said here. As shipped it uses what the scores are worth.
+
     Parameters
     ----------
-    detection : whether p_D is learned; otherwise ``sensor.detection`` holds.
+    detection : whether the p_D that is learned is used; otherwise ``sensor.detection`` holds.
     clutter : whether the rate of false alarms is; otherwise ``clutter.rate`` holds.
     newborn : whether the rate of births is; otherwise ``birth.rate`` holds.
-    scores : whether it is learned what the detector's scores are worth; otherwise they are not looked at.
-    cautious : whether p_D is learned only where it is lower, and the rate of false alarms where it is higher, than is set:
+    scores : whether what the detector's scores are worth is used; otherwise they are not looked at.
+    cautious : whether p_D is used only where it is lower, and the rate of false alarms where it is higher, than is set:
         tracks that break make p_D look too high, false alarms that come again in one place make themselves look too few.
     memory : seconds after which a frame counts for 37 %.
     wait : seconds until a detection is judged, beyond ``associate.delay``.
     every : seconds between two times of learning.
     """
 
-    detection: bool = True
-    clutter: bool = True
-    newborn: bool = True
+    detection: bool = False
+    clutter: bool = False
+    newborn: bool = False
     scores: bool = True
     cautious: bool = True
     memory: Positive = 120.0
@@ -275,8 +277,8 @@ def build_rates(record: Record, kind: str, model: Model, beside: Learning[Any], 
     settings: RatesSettings = record("rates")
     learns = Learns(settings.detection, settings.clutter, settings.newborn, settings.scores)
     wait = settings.wait + record("associate").delay / info.fps
-    known = replace(priors(model), cautious=settings.cautious)
-    return FollowRates(RatesRule(known, model.rate, settings.memory, wait, settings.every, learns), beside)
+    rule = RatesRule(priors(model), model.rate, settings.memory, wait, settings.every, learns, settings.cautious)
+    return FollowRates(rule, beside)
 
 
 def initial_mixture(kinds: Mapping[str, str], record: Record, values: Boxes | Places) -> GaussianMixture:

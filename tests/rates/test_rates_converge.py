@@ -7,6 +7,11 @@ from phdtrack import config, pipeline
 from phdtrack.simulate import DetectorModel, constant, detect
 
 FRAMES = 300
+LEARNED = (
+    "rates.kind=learned",
+    "rates.cautious=false",
+    *(f"rates.{name}=true" for name in ("detection", "clutter", "newborn")),
+)
 
 
 def course(filter_name, seed, sets=(), frames=FRAMES, **detector):
@@ -15,7 +20,7 @@ def course(filter_name, seed, sets=(), frames=FRAMES, **detector):
     rng = np.random.default_rng(seed)
     truth = scene.figures(rng)
     found = detect(truth, scene.info, rng, DetectorModel(**detector)).table
-    stages = config.build(config.load(None, ("rates.kind=learned", "rates.cautious=false", *sets)), scene.info, filter_name)
+    stages = config.build(config.load(None, (*LEARNED, *sets)), scene.info, filter_name)
     state, rates = pipeline.start(stages, rng), []
     for number in range(1, frames + 1):
         state, _ = pipeline.advance(stages, state, found.at(number), number, (number - 1) / scene.fps, rng)
@@ -65,7 +70,7 @@ def test_what_is_fixed_stays():
     sets = ("rates.detection=false", "sensor.detection=0.6", "rates.newborn=false")
     rng = np.random.default_rng(0)
     info = constant(10).info
-    stages = config.build(config.load(None, ("rates.kind=learned", "rates.cautious=false", *sets)), info, "gm-phd")
+    stages = config.build(config.load(None, (*LEARNED, *sets)), info, "gm-phd")
     _, _, learned = course("gm-phd", 1, sets, frames=100, p_detect=0.95, clutter_rate=10.0)
     state = pipeline.start(stages, rng).learned
     model = stages.learning.model(type(state)(learned), stages.model)

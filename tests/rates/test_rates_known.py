@@ -81,10 +81,3 @@ def test_the_estimate_of_drawn_waits_is_right():
         tracks = [walk(k, 1 + np.flatnonzero(rng.random(80) < p), 5) for k in range(1, 60)]
         _, known = Counted().counting(Known(), sightings(*tracks))
         assert known.hits / known.span == pytest.approx(p, abs=0.02)
-
-
-def test_cautious_estimates_follow_what_nothing_else_explains():
-    cautious = Priors(0.8, 5.0, 0.02, False, False, cautious=True)
-    more, less = Known(hits=1e4, span=1.05e4, false=20, frames=100), Known(hits=5e3, span=1e4, false=2000, frames=100)
-    assert (rates(more, cautious).detection, rates(more, cautious).clutter) == (0.8, 5.0)
-    assert rates(less, cautious) == rates(less)

@@ -14,12 +14,17 @@ from phdtrack.rates import Scale
 from phdtrack.simulate import DetectorModel, constant, detect
 from phdtrack.types import Detections, GaussianMixture, SequenceInfo
 
+LEARNED = (
+    "rates.kind=learned",
+    "rates.cautious=false",
+    *(f"rates.{name}=true" for name in ("detection", "clutter", "newborn")),
+)
 INFO = SequenceInfo(640, 480, 25.0)
 SIGMOID = Scale(np.array([0.2, 0.8]), np.log([0.1, 10.0]))
 
 
 def stages(*sets, filter_name="gm-phd"):
-    return config.build(config.load(None, ("rates.kind=learned", "rates.cautious=false", *sets)), INFO, filter_name)
+    return config.build(config.load(None, (*LEARNED, *sets)), INFO, filter_name)
 
 
 def boxes(n, rng):
@@ -114,7 +119,9 @@ def test_a_saved_tracker_goes_on_bit_by_bit():
     rng = np.random.default_rng(5)
     found = detect(scene.figures(rng), scene.info, rng, DetectorModel(p_detect=0.8, scores="informative")).table
     size = (scene.width, scene.height)
-    whole, first, second = (Tracker(size, filter="gm-phd", rates={"kind": "learned"}) for _ in range(3))
+    whole, first, second = (
+        Tracker(size, filter="gm-phd", rates={"kind": "learned", "detection": True, "clutter": True}) for _ in range(3)
+    )
     for number in range(1, 81):
         rows = whole.update(found.at(number))
         if number <= 50:
@@ -148,3 +155,22 @@ def test_rates_and_a_scene_are_learned_beside_each_other():
         state, _ = pipeline.advance(built, state, found, number, number / 25, rng)
     assert state.learned.beside.followed.last is not None
     assert state.learned.learned.known.frames > 0
+
+
+def test_as_shipped_estimates_are_made_and_scores_are_used():
+    built = config.build(config.load(None, ("rates.kind=learned",)), INFO, "gm-phd")
+    state = knowing(built, detection=0.6, clutter=0.9, births=0.002)
+    assert built.learning.model(state, built.model).sensor == built.model.sensor
+    found = Detections.of(boxes(2, np.random.default_rng(8)), [0.1, 0.9])
+    assert isinstance(built.learning.weighed(state, built.model, found).clutter, ScoredClutter)
+
+
+def test_cautious_estimates_are_used_where_nothing_else_explains_them():
+    built = stages("rates.cautious=true")
+    set_to, rates = built.model, built.learning.start().learned.rates
+    higher, lower = {"detection": 0.95, "clutter": 0.05}, {"detection": 0.6, "clutter": 0.9}
+    model = built.learning.model(knowing(built, **higher), set_to)
+    assert (model.sensor.detection, model.clutter.rate) == (rates.detection, rates.clutter)
+    model = built.learning.model(knowing(built, **lower), set_to)
+    assert model.sensor.detection == pytest.approx(0.6)
+    assert model.clutter.rate == pytest.approx(0.9, rel=0.03)

@@ -55,23 +55,19 @@ class RatesCompanion:
         """What is known at the end."""
         if not self._told:
             return ("no rates were learned: the run is too short",)
-        last, learns, priors = self._told[-1], self._rule.learns, self._rule.priors
-        said = []
-        if learns.detection:
-            said.append(
-                f"objects are detected in {100 * last.detection:.0f} % of frames (set: {100 * priors.detection:.0f} %)"
-            )
-        if learns.clutter and priors.clutter_each:
-            said.append(f"{last.clutter:.2f} of the detections are false alarms (set: {priors.clutter:g})")
-        elif learns.clutter:
+        last, priors = self._told[-1], self._rule.priors
+        said = [f"objects are detected in {100 * last.detection:.0f} % of frames (set: {100 * priors.detection:.0f} %)"]
+        if priors.clutter_each:
+            said.append(f"{100 * last.clutter:.0f} % of the detections are false alarms")
+        else:
             said.append(f"{last.clutter:.2f} false alarms a frame (set: {priors.clutter:g})")
-        if learns.scores and last.lowest != last.highest:
-            said.append(f"the best scores speak {last.highest:.0f} : 1 for an object, the worst 1 : {1 / last.lowest:.0f}")
+        if last.lowest < 1 < last.highest:
+            said.append(f"the best scores count {last.highest:.2f} : 1 for an object, the worst 1 : {1 / last.lowest:.2f}")
         limits = f"; kept within limits: {', '.join(last.limited)}" if last.limited else ""
-        return (f"learned of the stream: {'; '.join(said)}{limits}",) if said else ()
+        return (f"estimated from the stream: {'; '.join(said)}{limits}",)
 
     def document(self) -> dict[str, object]:
         """Their course, thinned to 500 entries."""
         every = len(self._told) // _MOST_TOLD + 1
         course = [asdict(one) for k, one in enumerate(self._told) if k % every == 0 or k == len(self._told) - 1]
-        return {"rates": {"set": asdict(self._rule.priors), "learns": asdict(self._rule.learns), "course": course}}
+        return {"rates": {"set": asdict(self._rule.priors), "used": asdict(self._rule.learns), "course": course}}

@@ -53,6 +53,8 @@ class FollowRates:
     def model(self, state: RatesState, model: Model) -> Model:
         """The model with what was learned."""
         learns, rates = self.rule.learns, state.learned.rates
+        if self.rule.cautious:
+            rates = rates.cautious(self.rule.priors)
         sensor, birth, clutter = model.sensor, model.birth, model.clutter
         if learns.detection:
             sensor = with_detection(sensor, STEP * round(rates.detection / STEP))

@@ -19,7 +19,7 @@ from phdtrack.types import F8, Step, Tracks
 
 @dataclass(frozen=True, slots=True)
 class Learns:
-    """Which of the rates are learned; the others stay as they are set."""
+    """Which of the estimates are used; the others are made all the same, and the settings hold."""
 
     detection: bool = True
     clutter: bool = True
@@ -30,7 +30,7 @@ class Learns:
 @dataclass(frozen=True, slots=True)
 class Following:
     """How rates are followed: ``rate`` time units a second; ``memory`` seconds after which a frame counts for 37 %; ``wait``
-    seconds until a detection is judged; ``every`` so many seconds something is learned."""
+    seconds until a detection is judged; ``every`` so many seconds something is learned; ``cautious``: see `rates.known`."""
 
     priors: Priors
     rate: float
@@ -38,6 +38,7 @@ class Following:
     wait: float
     every: float
     learns: Learns = Learns()
+    cautious: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,8 +74,7 @@ def advance(rule: Following, state: Learned, step: Step) -> Learned:
         return replace(state, learned=step.time)
     if step.time < state.learned + rule.every or not state.watch.looks:
         return state
-    if rule.learns.scores:
-        state = replace(state, successive=_followed(state))
+    state = replace(state, successive=_followed(state))
     watch, verdict = judged(state.watch, step.time - rule.wait, state.rates.detection, rule.rate)
     return _learned(rule, replace(state, watch=watch, learned=step.time), verdict, step)
 
@@ -97,7 +97,7 @@ def _learned(rule: Following, state: Learned, verdict: Verdict, step: Step) -> L
         known.chances + many * units / max(frames, 1),
     )
     told, table = state.judged, state.scale
-    if rule.learns.scores and frames:
+    if frames:
         told = told.joined(np.concatenate(state.scores[:frames]), verdict.false)
         table = scale(told, state.successive.share)
     ends = (float(np.exp(table.worth[0])), float(np.exp(table.worth[-1]))) if len(table.at) > 1 else (1.0, 1.0)

@@ -9,8 +9,9 @@ The false alarms of a frame are those among its detections, a sum of probabiliti
 are the first states of tracks that were believed later.
 
 Both err to one side where objects are not as the model has them. A track that breaks at a long gap hides the gap, so that
-p_D comes out too high; false alarms that come again in one place pass for objects, so that their rate comes out too low. An
-estimate that is ``cautious`` therefore follows only what cannot be explained so: p_D below the setting, false alarms above.
+p_D comes out too high; false alarms that come again in one place pass for objects, so that their rate comes out too low. Who
+is ``cautious`` (`Rates.cautious`) therefore follows only what cannot be explained so: p_D below the setting, false alarms
+above it.
 
 Every estimate is the mean under a prior about the setting (Beta for p_D, Gamma for rates) that is worth a stated number of
 frames, detections or seconds, and it is kept within limits.
@@ -30,22 +31,18 @@ TRACKED, WATCHED, DETECTED, BORN = 10.0, 2.0, 50.0, 5.0
 # Limits of p_D; of the rates as multiples of the settings; of a share of the detections.
 DETECTION = (0.3, 0.99)
 CLUTTER, BIRTHS = 300.0, 30.0
-SHARE = (0.01, 1.5)
+SHARE = (0.01, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Priors:
-    """The settings: p_D, false alarms and births per time unit, each of a frame or (``each``) around every detection.
-
-    ``cautious``: p_D is at most, and the rate of false alarms at least, what is set.
-    """
+    """The settings: p_D, false alarms and births per time unit, each of a frame or (``each``) around every detection."""
 
     detection: float
     clutter: float
     births: float
     clutter_each: bool
     births_each: bool
-    cautious: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +62,10 @@ class Rates:
     lowest: float = 1.0
     highest: float = 1.0
     limited: tuple[str, ...] = ()
+
+    def cautious(self, priors: Priors) -> Rates:
+        """With p_D at most, and the rate of false alarms at least, as it is set."""
+        return replace(self, detection=min(self.detection, priors.detection), clutter=max(self.clutter, priors.clutter))
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,11 +95,11 @@ class Known:
         detection = (worth + self.hits) / (TRACKED + self.span)
         detection = _within(detection, *DETECTION, "detection", limited)
         over, least = (self.detections, DETECTED) if priors.clutter_each else (self.frames, WATCHED)
-        clutter = (least * priors.clutter + self.false) / (least + over)
+        # Of a rate around each detection no more than all of them can be false alarms.
+        begun = min(priors.clutter, 1.0) if priors.clutter_each else priors.clutter
+        clutter = (least * begun + self.false) / (least + over)
         low, high = SHARE if priors.clutter_each else (priors.clutter / CLUTTER, max(priors.clutter, 1.0) * CLUTTER)
         clutter = _within(clutter, low, high, "clutter", limited)
-        if priors.cautious:
-            detection, clutter = min(detection, priors.detection), max(clutter, priors.clutter)
         births = priors.births
         if births > 0:
             chances = self.chances if priors.births_each else self.units

@@ -18,13 +18,16 @@ def rates_section(told: Sequence[Rates], rule: Following) -> Html:
     if not told:
         return NOTHING
     intro = paragraph(
-        "What the filter takes for granted was learned from the run itself, beginning with the settings. A rate stays as it "
-        "is set where it is fixed, for example with --set rates.detection=false sensor.detection=0.9."
+        "What the filter otherwise takes for granted was estimated from the run itself, beginning with the settings. It "
+        "uses an estimate where it is told to, as with --set rates.detection=true, and else what is set."
     )
-    caption = "Estimates in use. Left: probabilities and shares; right: what the best and the worst score are worth."
+    caption = "Estimates. Left: probabilities and shares; right: what the best and the worst score are worth."
     chart = figure(rates_picture(told, rule), "Estimated rates over time.", caption, "chart")
     return section(
-        "Rates learned from the stream", intro, chart, table(("", "set", "at the end", "learned"), _rows(told[-1], rule))
+        "Rates learned from the stream",
+        intro,
+        chart,
+        table(("", "set", "estimated at the end", "used"), _rows(told[-1], rule)),
     )
 
 
@@ -34,15 +37,15 @@ def _rows(last: Rates, rule: Following) -> list[tuple[str, ...]]:
     around, units = ("of the detections" if priors.clutter_each else "a frame"), rule.rate
     each = " around each detection" if priors.births_each else ""
     return [
-        ("probability of detection", f"{priors.detection:.2f}", f"{last.detection:.2f}", _learned(learns.detection)),
-        (f"false alarms {around}", f"{priors.clutter:.3g}", f"{last.clutter:.3g}", _learned(learns.clutter)),
-        (f"births a second{each}", f"{priors.births * units:.3g}", f"{last.births * units:.3g}", _learned(learns.births)),
-        ("odds of the worst score", "1", f"{last.lowest:.2g}", _learned(learns.scores)),
-        ("odds of the best score", "1", f"{last.highest:.3g}", _learned(learns.scores)),
+        ("probability of detection", f"{priors.detection:.2f}", f"{last.detection:.2f}", _used(learns.detection)),
+        (f"false alarms {around}", f"{priors.clutter:.3g}", f"{last.clutter:.3g}", _used(learns.clutter)),
+        (f"births a second{each}", f"{priors.births * units:.3g}", f"{last.births * units:.3g}", _used(learns.births)),
+        ("odds of the worst score", "1", f"{last.lowest:.2g}", _used(learns.scores)),
+        ("odds of the best score", "1", f"{last.highest:.3g}", _used(learns.scores)),
     ]
 
 
-def _learned(yes: bool) -> str:
+def _used(yes: bool) -> str:
     return "yes" if yes else "no"
 
 
