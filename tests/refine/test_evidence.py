@@ -20,7 +20,7 @@ def test_it_is_the_ratio_of_one_trajectorys_density_to_two(seed: int):
     tracks, measured = sequence([piece(walked, 1, (1, 9)), piece(walked, 1, (15, n))], n, model)
     seen = Seen.of(measured.z, model.sensor)
     paths = paths_of(tracks, measured)
-    terms = Terms(hidden=10.0, longest=50.0, back=0.25)
+    terms = Terms(hidden=10.0, longest=50.0, beside=0.0, back=0.25)
     pairs = candidates(paths, smooth(paths, measured, seen, model.motion), measured, seen, model.motion, terms)
     assert (pairs.before.tolist(), pairs.after.tolist()) == ([0], [1])
     one = np.concatenate([np.arange(9), np.full(5, -1), np.arange(9, 19)])

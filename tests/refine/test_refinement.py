@@ -169,3 +169,33 @@ def test_wrong_settings_are_told():
         Refinement(back=1.0)
     with pytest.raises(InputError, match=r"Refinement\.hidden"):
         Refinement(hidden=0.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_second_track_that_begins_before_the_first_ends_is_the_same(seed: int):
+    """The detector fires twice on one object in frames 25 to 32, and only on the second box from then on."""
+    rng = np.random.default_rng(seed)
+    a, twice, b = walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (600, 60), (-1, 3))
+    pieces = [piece(a, 1, (1, 32)), piece(twice, 1, (25, 60)), piece(b, 1, (1, 60))]
+    tracks = refined(pieces)
+    assert names(tracks) == {1: list(range(1, 61)), 2: list(range(1, 61))}
+    # Of the two boxes the first track's is taken up to the middle of the time they share, frame 28, the second's from 29 on.
+    own = tracks.take(tracks.identity == 1)
+    assert own.detection[own.frame == 28].item() == 0
+    assert own.detection[own.frame == 29].item() == 1
+    assert len(names(refined(pieces, beside=0))) == 3
+    # Frames 25 to 32 are 7 intervals of 1/25 s.
+    assert len(names(refined(pieces, beside=0.28))) == 2
+    assert len(names(refined(pieces, beside=0.27))) == 3
+
+
+def test_two_who_walk_beside_each_other_for_a_while_stay_two(rng):
+    """One width apart, one leaves when the other has just come."""
+    a, b = walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (100, 240), (4, 0))
+    assert len(names(refined([piece(a, 1, (1, 35)), piece(b, 1, (20, 60))]))) == 2
+
+
+def test_two_who_meet_while_one_comes_and_one_goes_stay_two(rng):
+    """They meet in frame 30, face to face, when both are there."""
+    a, b = walk(rng, 60, (100, 240), (5, 0)), walk(rng, 60, (400, 240), (-5, 0))
+    assert len(names(refined([piece(a, 1, (1, 34)), piece(b, 1, (26, 60))]))) == 2

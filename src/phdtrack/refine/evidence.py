@@ -22,8 +22,8 @@ from phdtrack.types import F8, I8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Beginnings:
-    """How each of K trajectories begins, by its own measurements: ``mean`` (K, d), ``inverse`` covariance (K, d, d) and its
+class Others:
+    """States of K trajectories by their own measurements: ``mean`` (K, d), ``inverse`` covariance (K, d, d) and its
     log-determinant; the same of the prior, which is 0 in observed rows."""
 
     mean: F8
@@ -35,23 +35,23 @@ class Beginnings:
     shown: int
 
 
-def beginnings(paths: Paths, states: Smoothed, seen: Seen, kept: I8) -> Beginnings:
-    """The trajectories' beginnings in the ``kept`` rows of the state."""
-    first, column = paths.first, paths.measurement[paths.first]
-    inverse = _inverse(states.covariance[first][:, kept[:, None], kept])
+def others(paths: Paths, states: Smoothed, seen: Seen, kept: I8, whose: I8, place: I8) -> Others:
+    """The states of the paths ``whose`` (K,) in the rows ``place`` (K,), as far as components are ``kept``."""
+    column = paths.measurement[paths.first[whose]]
+    inverse = _inverse(states.covariance[place][:, kept[:, None], kept])
     hidden = np.setdiff1d(kept, seen.observed)
     at = np.searchsorted(kept, hidden)
     block = _inverse(seen.covariance[column][:, hidden[:, None], hidden])
-    prior, prior_inverse = np.zeros((len(first), len(kept))), np.zeros_like(inverse)
+    prior, prior_inverse = np.zeros((len(place), len(kept))), np.zeros_like(inverse)
     prior[:, at] = seen.state[hidden[:, None], column].T
     prior_inverse[:, at[:, None], at] = block
-    mean = states.mean[first][:, kept]
+    mean = states.mean[place][:, kept]
     shown = len(kept) - len(hidden)
-    return Beginnings(mean, inverse, _log_det(inverse), prior, prior_inverse, _log_det(block), shown)
+    return Others(mean, inverse, _log_det(inverse), prior, prior_inverse, _log_det(block), shown)
 
 
-def log_evidence(mean: F8, covariance: F8, begin: Beginnings, which: I8) -> F8:
-    """(P,) log p(B|A)/p(B) of predictions (P, k), (P, k, k) for the beginnings ``which`` (P,)."""
+def log_evidence(mean: F8, covariance: F8, begin: Others, which: I8) -> F8:
+    """(P,) log p(B|A)/p(B) of states (P, k), (P, k, k) by A for those by B ``which`` (P,) are at the same time."""
     inverse = _inverse(covariance)
     own, prior = begin.inverse[which], begin.prior_inverse[which]
     total = inverse + own - prior

@@ -93,16 +93,30 @@ def paths_of(tracks: Tracks, measured: Measured) -> Paths:
 
 
 def joined(paths: Paths, chain: I8) -> Paths:
-    """Paths of one ``chain`` (K,), numbered from 0, end to end, each as one; rows between them rest on nothing."""
-    begin, end = np.full((2, chain.max(initial=-1) + 1), -1, np.int64)
-    np.maximum.at(end, chain, paths.frame[paths.last])
-    begin[:] = end
-    np.minimum.at(begin, chain, paths.frame[paths.first])
-    return _laid_out(begin, end, chain[paths.owner], paths.frame, paths.measurement, paths.row)
+    """Paths of one ``chain`` (K,), numbered from 0, each chain as one path; rows between its paths rest on nothing.
+
+    Where two go on beside each other, a measurement goes before none, and of two measurements the earlier path's is taken up
+    to the middle of what they share, and the later one's from there on.
+    """
+    begin, end = paths.frame[paths.first], paths.frame[paths.last]
+    order = np.lexsort((begin, chain))
+    follows = chain[order][1:] == chain[order][:-1]
+    since, until = begin.copy(), end + 1
+    before, after = order[:-1][follows], order[1:][follows]
+    middle = (begin[after] + end[before] + 1) // 2
+    since[after], until[before] = np.maximum(since[after], middle), np.minimum(until[before], middle)
+    owner = paths.owner
+    own = (paths.frame >= since[owner]) & (paths.frame < until[owner])
+    rank = np.argsort(2 * (paths.measurement >= 0) + own, kind="stable")
+    first, last = np.full((2, chain.max(initial=-1) + 1), len(paths.frame), np.int64)
+    last[:] = -1
+    np.minimum.at(first, chain, begin)
+    np.maximum.at(last, chain, end)
+    return _laid_out(first, last, chain[owner][rank], paths.frame[rank], paths.measurement[rank], paths.row[rank])
 
 
 def _laid_out(begin: I8, end: I8, owner: I8, frame: I8, measurement: I8, row: I8) -> Paths:
-    """Paths from ``begin`` to ``end`` (K,) with what is known of some of their rows: whose it is, and the columns of it."""
+    """Paths from ``begin`` to ``end`` (K,) with what is known of some of their rows, the last of it where there is more."""
     start = np.concatenate(([0], np.cumsum(end - begin + 1)))
     at = start[owner] + frame - begin[owner]
     frames = np.arange(start[-1]) - np.repeat(start[:-1] - begin, end - begin + 1)

@@ -24,6 +24,8 @@ class Refinement:
     stitch : join tracks that are one object's, lost out of sight and found again.
     smooth : put each row where all measurements of its track say together, instead of where the filter had it.
     hidden : seconds for which somebody lost is out of sight on average.
+    beside : seconds for which at most two tracks of one object may go on beside each other before the first ends; they are
+        joined too.
     longest : seconds after which nobody is taken for one who was lost.
     back : probability that a track that ends was lost and comes back.
     sure : fill the gap between joined tracks where the object's place in it is known to within this many deviations of a
@@ -34,6 +36,7 @@ class Refinement:
     smooth: bool = True
     hidden: Positive = 2.0
     longest: NonNegative = 6.0
+    beside: NonNegative = 4.0
     back: Share = 0.5
     sure: NonNegative = 1.0
 
@@ -49,7 +52,7 @@ class Refinement:
             return tracks
         seen, rate = Seen.of(measured.z, model.sensor), model.rate
         if self.stitch:
-            terms = Terms(self.hidden * rate, self.longest * rate, self.back)
+            terms = Terms(self.hidden * rate, self.longest * rate, self.beside * rate, self.back)
             paths, states = stitched(paths, measured, seen, model.motion, terms)
         else:
             states = smooth(paths, measured, seen, model.motion)

@@ -6,7 +6,9 @@ which trajectories begin in this very stream, anywhere among its measurements. S
 
     log p(B|A)/p(B) + log p_S(T) + log back/(1 − back) + log (1/hidden) e^(−T/hidden) − log births
 
-with `evidence` for the first term, and births per time unit and unit of measurement volume. Trajectories are joined so that
+with `evidence` for the first term, and births per time unit and unit of measurement volume. A detector that fires twice on
+one object may begin its second track before the first has ended: such a pair is asked for as well, with the time that both
+go on for T and p_S = 1. Trajectories are joined so that
 the sum over all pairs is the largest, each with one successor at most; then they are smoothed anew, because a short piece
 between two others says more once it is joined, and so on until nothing changes.
 """
@@ -20,7 +22,7 @@ import numpy as np
 
 from phdtrack.protocols import Motion
 from phdtrack.refine.ahead import ahead
-from phdtrack.refine.evidence import beginnings, log_evidence
+from phdtrack.refine.evidence import log_evidence, others
 from phdtrack.refine.paths import Paths, Seen, chains, joined
 from phdtrack.refine.smooth import Smoothed, smooth
 from phdtrack.types import F8, I8, Bool, Measured
@@ -28,10 +30,12 @@ from phdtrack.types import F8, I8, Bool, Measured
 
 @dataclass(frozen=True, slots=True)
 class Terms:
-    """``hidden`` mean and ``longest`` time out of sight, in model time; ``back`` the probability that an end is no end."""
+    """Mean and ``longest`` time out of sight, longest time that two tracks of one object go on ``beside`` each other, all in
+    model time; ``back`` the probability that an end is no end."""
 
     hidden: float
     longest: float
+    beside: float
     back: float
 
 
@@ -76,8 +80,9 @@ def candidates(paths: Paths, states: Smoothed, measured: Measured, seen: Seen, m
     time, last = measured.time, paths.last
     end, begin = paths.frame[last], paths.frame[paths.first]
     kept = remembered(seen, motion)
-    starts, found = beginnings(paths, states, seen, kept), [Pairs(_NOBODY, _NOBODY, np.zeros(0))]
     loose = math.log(_births(paths, measured, seen) * terms.hidden * (1 - terms.back) / terms.back)
+    starts = others(paths, states, seen, kept, np.arange(len(paths)), paths.first)
+    found = [_beside(paths, states, measured, seen, kept, terms, loose)]
     lost, alive = np.zeros(0, np.int64), np.zeros(0)
     mean, cov = np.zeros((0, len(seen.state))), np.zeros((0, len(seen.state), len(seen.state)))
     for p in range(1, len(time)):
@@ -100,7 +105,28 @@ def candidates(paths: Paths, states: Smoothed, measured: Measured, seen: Seen, m
     return Pairs(*(np.concatenate([getattr(part, name) for part in found]) for name in ("before", "after", "odds")))
 
 
-_NOBODY = np.zeros(0, np.int64)
+def _beside(paths: Paths, states: Smoothed, measured: Measured, seen: Seen, kept: I8, terms: Terms, loose: float) -> Pairs:
+    """All pairs of which one begins while the other still goes on, for ``beside`` at most, and ends later.
+
+    They are asked for in the middle of the time that they share, where both know most.
+    """
+    begin, end = paths.frame[paths.first], paths.frame[paths.last]
+    order = np.argsort(end, kind="stable")
+    latest = np.searchsorted(measured.time, measured.time[begin] + terms.beside + 1e-9, side="right")
+    low, high = np.searchsorted(end[order], begin), np.searchsorted(end[order], np.minimum(latest, end))
+    count = np.maximum(high - low, 0)
+    b = np.repeat(np.arange(len(paths)), count)
+    a = order[np.repeat(low, count) + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)]
+    earlier = begin[a] < begin[b]
+    a, b = a[earlier], b[earlier]
+    middle = (begin[b] + end[a] + 1) // 2
+    here = paths.first[a] + middle - begin[a]
+    starts = others(paths, states, seen, kept, b, paths.first[b] + middle - begin[b])
+    odds = log_evidence(
+        states.mean[here][:, kept], states.covariance[here][:, kept[:, None], kept], starts, np.arange(len(b))
+    )
+    shared = measured.time[end[a]] - measured.time[begin[b]]
+    return Pairs(a, b, odds - shared / terms.hidden - loose)
 
 
 def remembered(seen: Seen, motion: Motion) -> I8:
