@@ -155,14 +155,14 @@ def explained(rules: Rules, targets: Expected, detections: Detections, model: Mo
     """The best explanation of a frame's blobs. The order in which blobs or targets come does not matter."""
     sensor, rows = model.sensor, list(model.sensor.observed)
     z = sensor.measure(detections)
-    usable = np.isfinite(z).all(axis=0)
+    usable: Bool = np.asarray(np.isfinite(z).all(axis=0), np.bool_)
     boxes = to_xyxy(sensor.expected(targets.state)[:4])
     prior = edge_covariance(targets.covariance[:, rows][:, :, rows])
     reach = _REACH * np.sqrt(np.maximum(np.einsum("nii->ni", prior), 0.0))
     blob, target = contacts(detections.xyxy, boxes, reach)
     blob, target = blob[usable[blob]], target[usable[blob]]
     who = np.full(len(detections), -1)
-    alone: Bool = np.asarray(np.bincount(target, minlength=len(targets)) < 2)
+    alone: Bool = np.less(np.bincount(target, minlength=len(targets)), 2)
     if alone.all() and np.bincount(blob, minlength=1).max() < 2:
         who[blob] = target
         return Found(who, alone, {}, {})

@@ -40,7 +40,7 @@ class Explained:
     """
 
     merge: Probability = 0.5
-    split: Probability = 0.2
+    split: Probability = 0.005
     known: NonNegative = 0.4
     patience: NonNegative = 3.0
     torn: NonNegative = 1.0
