@@ -13,7 +13,7 @@ from phdtrack.errors import InputError
 from phdtrack.metrics import evaluate
 from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.types import Tracks
-from tracker_cases import equal
+from tracker_cases import equal, two_people
 
 FRAMES = 120
 SETTINGS = {
@@ -113,3 +113,23 @@ def test_settings_that_a_loop_cannot_follow_and_matrices_that_are_none_are_told(
     with pytest.raises(InputError, match=r"^frame 2, update\(warp=…\): expected 3 x 3"):
         tracker.update(np.zeros((0, 4)), warp=np.eye(2))
     assert len(tracker.update(np.zeros((0, 4)), warp=np.eye(3)[:2])) == 0
+
+
+@pytest.mark.parametrize("kind", ["gm-phd", "mht", "pmb", "gm-cphd"])
+def test_a_shift_of_the_camera_shifts_all_rows_and_nothing_else(kind: str):
+    """Online, and corrected with pieces joined and rows smoothed: to rounding what they are where the camera stands."""
+    path = np.cumsum(np.random.default_rng(4).normal(0, 20, (70, 2)).round(), axis=0)
+    results = []
+    for shifts, told in ((np.zeros((70, 2)), False), (path, True)):
+        tracker, online = Tracker((4000, 3000), filter=kind, associate={"delay": 2}), []
+        for k, boxes in enumerate(two_people(70)):
+            warp = np.eye(3)
+            warp[:2, 2] = shifts[k] - shifts[max(k - 1, 0)]
+            online.append(tracker.update(boxes + np.tile(shifts[k] + [1700, 1300], 2), warp=warp if told else None))
+        rows = [Tracks.concatenate([*online, tracker.flush()]), tracker.tracks()]
+        results.append([(r, r.xyxy - np.tile(shifts[r.frame - 1], 2)) for r in rows])
+    for (stands, home), (moves, brought) in zip(*results, strict=True):
+        assert len(stands) > 80
+        for name in ("frame", "identity", "detection", "confirmed"):
+            np.testing.assert_array_equal(getattr(moves, name), getattr(stands, name))
+        np.testing.assert_allclose(brought, home, atol=1e-5)
