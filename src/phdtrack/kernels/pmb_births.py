@@ -56,7 +56,7 @@ def births_at(scene: Scene, b: BoxNumbers, crowded: F8, births: F8, gate: float)
     n = len(scene.boxes)
     none = 0 * n
     density = _flat(scene, b, crowded, b.p_detect if len(births) == 0 else 1.0)
-    if len(births) == 0:
+    if len(births) == 0 or n == 0:
         return Births(
             density, np.empty((0, D)), np.empty((0, ENTRIES)), np.empty((0, 2), np.int64), np.empty((0, PAIR)), none
         )
