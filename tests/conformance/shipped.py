@@ -7,9 +7,11 @@ import inspect
 import numpy as np
 
 from phdtrack.associate import GraphMatching, Labelled
+from phdtrack.bernoullis import Bernoullis, Layer
 from phdtrack.boxes import to_cxcywh
 from phdtrack.context import ContextDensity
 from phdtrack.extract import (
+    BestBernoullis,
     BestHypothesis,
     Components,
     CountedComponents,
@@ -20,7 +22,7 @@ from phdtrack.extract import (
     Mixture,
     Raw,
 )
-from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, PMB, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.hypotheses import Cluster, Hypotheses, Nodes
 from phdtrack.intensities import Cardinalised, JointSamples
 from phdtrack.models import (
@@ -124,6 +126,9 @@ FILTERS = {
     "particle-cphd, started": ParticleCPHD(per_target=200, initial=mixture(6)),
     "mht": MHT(),
     "mht, started": MHT(initial=mixture(6), most=20, depth=3),
+    "pmb": PMB(),
+    "pmb, started": PMB(initial=mixture(6), depth=3),
+    "pmb, plain": PMB(in_view=0.0, sources=0.0),
     "mcmc": MCMC(samples=200),
     "mcmc, alone": MCMC(samples=200, strength=0.0, thin=2),
     "mcmc, started": MCMC(samples=200, initial=mixture(6)),
@@ -138,6 +143,7 @@ EXTRACTORS = {
     "counted-components": CountedComponents(),
     "joint": Joint(),
     "hypotheses": BestHypothesis(),
+    "bernoullis": BestBernoullis(),
     "raw": Raw(),
 }
 ASSOCIATORS = {
@@ -184,6 +190,8 @@ def intensity_for(extractor: object, x: np.ndarray, each: int, rng: np.random.Ge
     """What the extractor can read about every column of ``x``: Gaussians or ``each`` particles, and their number."""
     if isinstance(extractor, BestHypothesis):
         return certain(x, mass)
+    if isinstance(extractor, BestBernoullis):
+        return believed(x, mass)
     if isinstance(extractor, Joint):
         n = x.shape[1]
         return JointSamples(about(x, each, rng).state, np.full((n, each), mass), np.arange(n), n, x[:, :0])
@@ -199,6 +207,15 @@ def certain(x: np.ndarray, mass: float = 1.0) -> Hypotheses:
     none = np.full(n, -1)
     nodes = Nodes(x, np.tile(np.eye(d), (n, 1, 1)), np.full(n, mass), none, none, np.arange(n), np.zeros(n, np.int64))
     return Hypotheses((nodes,), np.arange(n), (), n)
+
+
+def believed(x: np.ndarray, mass: float = 1.0) -> Bernoullis:
+    """A target about every column of ``x``, of one hypothesis, with this probability that it is there."""
+    d, n = x.shape
+    each, none, one = np.arange(n), np.full(n, -1), np.full(n, mass)
+    no, unit = np.zeros(n, np.bool_), np.tile(np.eye(d), (n, 1, 1))
+    layer = Layer(one, each, np.arange(n + 1), np.ones(n), x, unit, no, np.zeros(n), none, none, each, one, one)
+    return Bernoullis((layer,), np.zeros((2, 0), np.int64), n)
 
 
 def about(x: np.ndarray, each: int, rng: np.random.Generator, mass: float = 1.0) -> Particles:
@@ -217,7 +234,7 @@ def frozen(record):
             frozen(value)
         elif isinstance(value, tuple):
             for item in value:
-                if isinstance(item, Nodes | Cluster):
+                if isinstance(item, Nodes | Cluster | Layer):
                     frozen(item)
     return record
 
