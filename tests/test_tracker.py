@@ -17,7 +17,7 @@ from phdtrack.extract import Raw
 from phdtrack.filters import NoFilter
 from phdtrack.presets import PRESETS
 from phdtrack.types import Detections, SequenceInfo
-from tracker_cases import SIZE, boxes, equal, feed, street, tracker_of
+from tracker_cases import PARTICLES, SIZE, boxes, equal, feed, street, tracker_of
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,8 @@ def test_frames_come_in_order(arguments, says: str):
     ({"seed": "a"}, "number"),
     ({"filter": "kalman"}, "kind of filter"),
     ({"filter": "particle_phd"}, "Did you mean particle-phd"),
-    ({"filter": {"per_targt": 3}}, "Did you mean per_target"),
+    ({"filter": {"gat": 3}}, "Did you mean gate"),
+    ({"filter": {**PARTICLES, "per_targt": 3}}, "Did you mean per_target"),
     ({"filter": 3}, "filter"),
     ({"preset": "m08"}, "preset"),
     ({"settings": "nowhere.toml"}, "nowhere.toml"),
@@ -145,14 +146,18 @@ def test_whole_numbers_may_be_floats():
 # What it gives
 
 
-def settled(count: int) -> float:
-    """The mass of targets that are always detected: 1/(1 − p_M p_S) of each, as what a miss would leave adds up."""
-    missed = 1 - PRESETS["default"]["sensor"]["detection"]
+def settled(count: int, kind: str) -> float:
+    """The mass of targets that are always detected.
+
+    Of a PHD filter 1/(1 − p_M p_S) of each, as what a miss would leave adds up; of one with labels one of each.
+    """
+    missed = 1 - PRESETS["default"]["sensor"]["detection"] if kind == "particle-phd" else 0.0
     return count / (1 - missed * PRESETS["default"]["motion"]["survival"])
 
 
-def test_rows_name_frame_identity_box_and_detection():
-    tracker = tracker_of()
+@pytest.mark.parametrize("kind", ["pmb", "particle-phd"])
+def test_rows_name_frame_identity_box_and_detection(kind: str):
+    tracker = tracker_of(filter={"kind": kind})
     rows = feed(tracker, [boxes(k) for k in range(15)])[-1]
     assert rows.frame.tolist() == [15, 15]
     assert sorted(rows.identity.tolist()) == [1, 2]
@@ -161,14 +166,14 @@ def test_rows_name_frame_identity_box_and_detection():
     for name, box in rows:
         assert np.abs(box - boxes(14)[rows.detection[rows.identity == name][0]]).max() < 15
     assert tracker.step.number == 15
-    assert tracker.step.info.mass == pytest.approx(settled(2), rel=0.05)
+    assert tracker.step.info.mass == pytest.approx(settled(2, kind), rel=0.05)
     assert tracker.state.number == 15
 
 
-@pytest.mark.parametrize("filter_name", ["particle-phd", "none"])
+@pytest.mark.parametrize("filter_name", ["pmb", "particle-phd", "none"])
 def test_frames_that_were_dropped_count_as_time(filter_name: str):
     """A target at constant speed, every third frame: intervals are three units, and the track holds."""
-    tracker = tracker_of(filter={"kind": filter_name, "per_target": 500})
+    tracker = tracker_of(filter={"kind": filter_name})
     for k in range(0, 45, 3):
         tracker.update(boxes(k), frame=k + 1)
         assert tracker.step.time == pytest.approx(k / 25)
@@ -195,18 +200,20 @@ def test_after_a_timestamp_frames_go_on_from_it():
     assert tracker.step.time == pytest.approx(100.4)
 
 
-def test_a_frame_that_nobody_looked_at_keeps_the_targets():
-    tracker = tracker_of()
+@pytest.mark.parametrize("kind", ["pmb", "particle-phd"])
+def test_a_frame_that_nobody_looked_at_keeps_the_targets(kind: str):
+    tracker = tracker_of(filter={"kind": kind})
     feed(tracker, [boxes(k) for k in range(15)])
     for _ in range(3):
         rows = tracker.update(Detections.empty(observed=False))
         assert rows.detection.tolist() == [-1, -1]
         assert sorted(rows.identity.tolist()) == [1, 2]
-    assert tracker.step.info.mass == pytest.approx(settled(2), rel=0.05)
+    assert tracker.step.info.mass == pytest.approx(settled(2, kind), rel=0.05)
 
 
-def test_tracks_can_be_asked_for_at_any_time(scene):
-    asked, plain = tracker_of(), tracker_of()
+@pytest.mark.parametrize("kind", ["pmb", "particle-phd"])
+def test_tracks_can_be_asked_for_at_any_time(kind: str, scene):
+    asked, plain = tracker_of(filter={"kind": kind}), tracker_of(filter={"kind": kind})
     assert len(asked.tracks()) == len(asked.flush()) == 0
     assert asked.step is None
     for found in scene[:30]:
@@ -226,14 +233,17 @@ def test_delay_and_flush(scene):
     assert len(tracker.flush()) > 0
 
 
-def test_the_same_seed_gives_the_same_and_another_does_not(scene):
-    a, b, c = (feed(tracker_of(seed=s), scene[:25]) for s in (7, 7, 8))
+@pytest.mark.parametrize("kind", ["pmb", "particle-phd"])
+def test_the_same_seed_gives_the_same_and_another_does_not(kind: str, scene):
+    """But where nothing is drawn at random."""
+    a, b, c = (feed(tracker_of(seed=s, filter={"kind": kind}), scene[:25]) for s in (7, 7, 8))
     assert all(equal(x, y) for x, y in zip(a, b, strict=True))
-    assert not all(equal(x, y) for x, y in zip(a, c, strict=True))
+    assert all(equal(x, y) for x, y in zip(a, c, strict=True)) == (kind == "pmb")
 
 
-def test_reset_begins_again(scene):
-    tracker = tracker_of()
+@pytest.mark.parametrize("kind", ["pmb", "particle-phd"])
+def test_reset_begins_again(kind: str, scene):
+    tracker = tracker_of(filter={"kind": kind})
     first = feed(tracker, scene[:25])
     corrected = tracker.tracks()
     tracker.reset()
@@ -244,9 +254,10 @@ def test_reset_begins_again(scene):
     assert equal(tracker.tracks(), corrected)
 
 
-def test_two_trackers_share_nothing(scene):
-    alone = feed(tracker_of(), scene[:15])
-    a, b = tracker_of(), tracker_of(seed=5)
+@pytest.mark.parametrize("kind", ["pmb", "particle-phd"])
+def test_two_trackers_share_nothing(kind: str, scene):
+    alone = feed(tracker_of(filter={"kind": kind}), scene[:15])
+    a, b = tracker_of(filter={"kind": kind}), tracker_of(filter={"kind": kind}, seed=5)
     for found, wanted in zip(scene[:15], alone, strict=True):
         assert equal(a.update(found), wanted)
         b.update(boxes(3))
@@ -272,10 +283,10 @@ def test_after_emptiness_targets_are_found():
 
 @settings(max_examples=15, deadline=None)
 @given(st.lists(st.lists(st.tuples(st.floats(-50, 650), st.floats(-50, 500), st.floats(1, 300), st.floats(1, 300)),
-                         max_size=4), max_size=6), st.sampled_from(["particle-phd", "none"]))  # fmt: skip
+                         max_size=4), max_size=6), st.sampled_from(["pmb", "particle-phd", "none"]))  # fmt: skip
 def test_any_boxes_are_survived(frames, filter_name: str):
     """Tiny, huge and outside of the picture: rows are finite, identities unique, confidence a share."""
-    tracker = tracker_of(filter={"kind": filter_name, "per_target": 50})
+    tracker = tracker_of(filter={"kind": filter_name} | ({"per_target": 50} if filter_name == "particle-phd" else {}))
     for found in frames:
         xywh = np.array(found).reshape(-1, 4)
         rows = tracker.update(np.hstack([xywh[:, :2], xywh[:, :2] + xywh[:, 2:]]))
@@ -286,9 +297,10 @@ def test_any_boxes_are_survived(frames, filter_name: str):
     tracker.tracks()
 
 
-def test_what_is_done_to_rows_and_boxes_afterwards_has_no_effect(scene):
+@pytest.mark.parametrize("kind", ["pmb", "particle-phd"])
+def test_what_is_done_to_rows_and_boxes_afterwards_has_no_effect(kind: str, scene):
     """Rows are scaled in place, and a detector may use one buffer for all frames."""
-    plain, abused = tracker_of(), tracker_of()
+    plain, abused = tracker_of(filter={"kind": kind}), tracker_of(filter={"kind": kind})
     wanted = feed(plain, scene[:20])
     buffer = np.zeros((200, 4))
     for found, expected in zip(scene[:20], wanted, strict=True):
@@ -315,14 +327,14 @@ def test_without_filter_detections_are_the_states():
 
 
 # That of the ground plane is tested where there is a camera, that of points below.
-@pytest.mark.parametrize("preset", [*sorted({*PRESETS} - {"e13", "d14"}), "mht"])
+@pytest.mark.parametrize("preset", [*sorted({*PRESETS} - {"e13", "d14"}), "particle-phd", "mht"])
 def test_every_preset_finds_two_people(preset: str):
+    """And the default's with another filter."""
     fewer = {"filter": {"per_target": 500}, "birth": {"most": 500}}
-    tracker = (
-        Tracker(SIZE, filter="mht")
-        if preset == "mht"
-        else Tracker(SIZE, preset=preset, **({} if preset == "m09-mht" else fewer))
-    )
+    if preset in PRESETS:
+        tracker = Tracker(SIZE, preset=preset, **(fewer if preset in ("m07", "m09", "fv") else {}))
+    else:
+        tracker = tracker_of(filter={"kind": preset})
     feed(tracker, [boxes(k) for k in range(25)])
     tracks = tracker.tracks()
     assert set(tracks.identity) == {1, 2}
@@ -356,7 +368,7 @@ def test_settings_come_from_file_preset_and_sections(tmp_path):
 
 
 def test_stages_of_ones_own():
-    made = config.build(config.load(), SequenceInfo(*SIZE, 25.0))
+    made = config.build(config.load(sets=["filter.kind=particle-phd"]), SequenceInfo(*SIZE, 25.0))
     own = replace(made, filter=NoFilter(), extractor=Raw())
     tracker, plain = Tracker(stages=own), Tracker(SIZE, filter="none")
     for k in range(8):

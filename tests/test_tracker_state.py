@@ -12,7 +12,7 @@ from phdtrack import Tracker, config
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
 from phdtrack.types import SequenceInfo
-from tracker_cases import SIZE, boxes, equal, feed, street, tracker_of
+from tracker_cases import PARTICLES, SIZE, boxes, equal, feed, street, tracker_of
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,14 @@ def scene():
     {"filter": {"kind": "none"}},
     {"filter": {"kind": "mht"}, "associate": {"delay": 3}},
     {"learn": {"kind": "online", "memory": 0.05, "wait": 0.3}},
-], ids=["default", "delay", "previous size", "none", "mht", "learning"])  # fmt: skip
+    {"filter": PARTICLES},
+    {"filter": PARTICLES, "associate": {"delay": 3}},
+    {"filter": PARTICLES, "sensor": {"scaling": "previous"}},
+    {"filter": PARTICLES, "learn": {"kind": "online", "memory": 0.05, "wait": 0.3}},
+], ids=[
+    "default", "delay", "previous size", "none", "mht", "learning",
+    "particles", "particles, delay", "particles, previous size", "particles, learning",
+])  # fmt: skip
 @pytest.mark.parametrize("carry", [lambda d: d, lambda d: pickle.loads(pickle.dumps(d))], ids=["dict", "pickled"])
 def test_a_resumed_run_is_bit_identical(section, carry, scene):
     whole, first, second = (tracker_of(**section) for _ in range(3))
@@ -44,13 +51,14 @@ def test_a_resumed_run_is_bit_identical(section, carry, scene):
     assert equal(second.flush(), whole.flush())
 
 
-def test_a_saved_state_may_be_used_twice_and_written_into(scene):
-    tracker = tracker_of()
+@pytest.mark.parametrize("kind", ["pmb", "particle-phd"])
+def test_a_saved_state_may_be_used_twice_and_written_into(kind: str, scene):
+    tracker = tracker_of(filter={"kind": kind})
     feed(tracker, scene[:20])
     saved = tracker.state_dict()
     results = []
     for _ in range(2):
-        other = tracker_of()
+        other = tracker_of(filter={"kind": kind})
         other.load_state_dict(saved)
         results.append(feed(other, scene[20:30]))
     assert all(equal(a, b) for a, b in zip(*results, strict=True))
@@ -66,8 +74,9 @@ def overwrite(value) -> None:
         overwrite(item)
 
 
-def test_a_saved_state_holds_plain_values_only(scene):
-    tracker = tracker_of()
+@pytest.mark.parametrize("kind", ["pmb", "particle-phd"])
+def test_a_saved_state_holds_plain_values_only(kind: str, scene):
+    tracker = tracker_of(filter={"kind": kind})
     feed(tracker, scene[:10])
 
     def check(value):
@@ -126,7 +135,7 @@ def test_what_is_no_saved_state_is_told_and_changes_nothing(how: str):
     assert equal(tracker.update(boxes(10)), plain.update(boxes(10)))
 
 
-@pytest.mark.parametrize("filter_", ["particle-phd", "gm-phd", "gm-cphd", "mht", "mcmc"])
+@pytest.mark.parametrize("filter_", ["pmb", "particle-phd", "gm-phd", "gm-cphd", "mht", "mcmc"])
 def test_a_state_of_other_settings_is_told(filter_: str):
     saved, other = (tracker_of(filter={"kind": filter_}, sensor={"scaling": s}) for s in ("previous", "particle"))
     saved.update(boxes(0))

@@ -9,18 +9,17 @@ from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.types import Detections, Tracks
 
 SIZE = (640, 480)
+# Few particles, so that tests are quick.
 FEW = {"filter": {"per_target": 500}, "birth": {"most": 400}}
+PARTICLES = {"kind": "particle-phd"}
 FIELDS = ("frame", "identity", "xyxy", "confidence", "detection", "confirmed")
 
 
 def tracker_of(*, seed: int = 0, fps: float = 25.0, **sections) -> Tracker:
-    """A tracker with few particles, and other settings by section."""
-    merged = {name: FEW.get(name, {}) | sections.get(name, {}) for name in {*FEW, *sections}}
-    if merged["filter"].get("kind") == "none":
-        merged["filter"] = {"kind": "none"}
-    elif "kind" in merged["filter"]:
-        merged["filter"] = sections["filter"]
-    return Tracker(SIZE, seed=seed, fps=fps, **merged)
+    """A tracker with other settings by section, and with few particles where the filter has any."""
+    if sections.get("filter", {}).get("kind", "").startswith("particle"):
+        sections = sections | {name: few | sections.get(name, {}) for name, few in FEW.items()}
+    return Tracker(SIZE, seed=seed, fps=fps, **sections)
 
 
 def boxes(k: int) -> np.ndarray:

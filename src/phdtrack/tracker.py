@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phdtrack import config, pipeline
+from phdtrack.bernoullis import Bernoullis
 from phdtrack.camera.warp import as_warp
 from phdtrack.detections import as_detections
 from phdtrack.errors import InputError
@@ -210,6 +211,8 @@ def _components(intensity: Any) -> int | None:
         return len(intensity.state)
     if isinstance(intensity, Hypotheses):
         return len(intensity.leaves.mean)
+    if isinstance(intensity, Bernoullis):
+        return len(intensity.present.mean)
     return len(intensity.mean) if isinstance(intensity, GaussianMixture) else None
 
 
