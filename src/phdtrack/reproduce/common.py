@@ -107,8 +107,13 @@ def mot15(sequence: str, kind: str) -> Case:
 
 def track(case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), preset: str = "") -> tuple[Tracks, float]:
     """Corrected tracks of a case, and the seconds that a frame took in filter, extraction and association."""
-    run = followed(config.build(config.load(None, sets, preset), case.info, filter_name), case, seed)
+    run = followed(built(case.info, filter_name, sets, preset), case, seed)
     return run.corrected, run.seconds
+
+
+def built(info: SequenceInfo, filter_name: str, sets: Sequence[str] = (), preset: str = "") -> AnyStages:
+    """The stages of a filter, with ``sets``, which may be settings that no other filter has."""
+    return config.build(config.load(None, (f"filter.kind={filter_name}", *sets), preset), info)
 
 
 def followed(stages: AnyStages, case: Case, seed: int) -> Run:

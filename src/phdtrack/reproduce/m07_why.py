@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack import config, pipeline
+from phdtrack import pipeline
 from phdtrack.boxes import iou
 from phdtrack.metrics import Scores, evaluate, pool
 from phdtrack.metrics.assignment import above, assign
 from phdtrack.reproduce.cases import MADE, SCENES, Named, drawn
-from phdtrack.reproduce.common import Case, table
+from phdtrack.reproduce.common import Case, built, table
 from phdtrack.types import Bool, DetectionTable, Tracks, Truth
 
 # Which annotated boxes are missed: of an object that is never found, before its first match, between two, after its last.
@@ -86,7 +86,7 @@ def trials_of(cases: Sequence[Named]) -> list[Trial]:
 def tried(trial: Trial) -> Tried:
     """One run of it, scored."""
     case = drawn(trial.case, trial.seed)
-    stages = config.build(config.load(None, trial.sets), case.info, trial.method)
+    stages = built(case.info, trial.method, trial.sets)
     frames = ((number, (number - 1) / case.info.fps, case.table.at(number)) for number in range(1, case.info.frames + 1))
     run = list(pipeline.run(stages, frames, np.random.default_rng(trial.seed)))
     corrected, online = pipeline.finish(stages, run[-1][0]), Tracks.concatenate([step.tracks for _, step in run])

@@ -20,11 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-from phdtrack import config
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_seqinfo, read_truth
 from phdtrack.metrics import Scores, evaluate, pool
-from phdtrack.reproduce.common import Case, Options, followed, in_parallel, need_data, table, write
+from phdtrack.reproduce.common import Case, Options, built, followed, in_parallel, need_data, table, write
 from phdtrack.types import Truth
 
 MADE: tuple[str, ...] = ("PETS09-S2L1", "TUD-Campus")
@@ -115,8 +114,7 @@ def work(job: Job) -> Outcome:
         found = folder / f"det_{job.case}" / "det.txt"
     else:
         found = Path(_made().name) / job.case / job.sequence / "det" / "det.txt"
-    stages = config.build(config.load(None, job.sets), info, job.method)
-    run = followed(stages, Case(job.sequence, info, truth, read_detections(found)), job.seed)
+    run = followed(built(info, job.method, job.sets), Case(job.sequence, info, truth, read_detections(found)), job.seed)
     online = evaluate(truth, run.online.take(run.online.confirmed), frames=info.frames)
     return Outcome(online, evaluate(truth, run.corrected, frames=info.frames), 1e3 * run.seconds)
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from phdtrack import config, pipeline
+from phdtrack import pipeline
 from phdtrack.camera import CountedFrom, read_camera
 from phdtrack.metrics import evaluate
 from phdtrack.metrics.clear import count_tracking
@@ -25,7 +25,7 @@ from phdtrack.metrics.groups import nearest
 from phdtrack.metrics.identity import count_identities
 from phdtrack.metrics.matching import tracking_mapping
 from phdtrack.metrics.scene import FramePair, Scene
-from phdtrack.reproduce.common import Case, Options, in_parallel, mot15, need_data, table, write
+from phdtrack.reproduce.common import Case, Options, built, in_parallel, mot15, need_data, table, write
 from phdtrack.types import F8, I8, DetectionTable, Tracks
 
 SEQUENCE, KINDS = "PETS09-S2L1", ("public", "frcnn")
@@ -211,7 +211,7 @@ def sets_of(variant: Variant) -> tuple[str, ...]:
 def work(job: Job) -> Outcome:
     """One run over the sequence."""
     given, variant = case(job.kind), VARIANTS[job.variant]
-    stages = config.build(config.load(None, sets_of(variant)), given.info, variant.filter)
+    stages = built(given.info, variant.filter, sets_of(variant))
     rng = np.random.default_rng(job.seed)
     state = pipeline.start(stages, rng)
     mass, states = np.zeros(given.info.frames), np.zeros(given.info.frames)
