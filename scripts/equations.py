@@ -34,6 +34,10 @@ PAPERS = {
     "R65": "Rauch, Tung, Striebel: Maximum likelihood estimates of linear dynamic systems. AIAA Journal, 1965",
     "R79": "Reid: An algorithm for tracking multiple targets. IEEE Trans. Automatic Control, 1979",
     "C96": "Cox, Hingorani: An efficient implementation of Reid's multiple hypothesis tracking algorithm. IEEE PAMI, 1996",
+    "W15": "Williams: Marginal multi-Bernoulli filters: RFS derivation of MHT, JIPDA, and association-based MeMBer. "
+    "IEEE Trans. AES, 2015",
+    "W14": "Williams, Lau: Approximate evaluation of marginal association probabilities with belief propagation. "
+    "IEEE Trans. AES, 2014",
     "C04": "Cavallaro, Ebrahimi: Interaction between high-level and low-level image analysis for video objects. 2004",
     "Z04": "Zivkovic, van der Heijden: Recursive unsupervised learning of finite mixture models. IEEE Trans. PAMI, 2004",
     "B08": "Bernardin, Stiefelhagen: Evaluating multiple object tracking performance: the CLEAR MOT metrics. 2008",

@@ -1,11 +1,11 @@
-"""Marginal probabilities of which target has which measurement, by loopy belief propagation [W14 §IV; W15 (35)–(37)].
+"""Marginal probabilities of which target has which measurement, by loopy belief propagation [W14; W15].
 
 Each target has one measurement at most and each measurement one target at most. With ψ_e the odds of a pair e = (target,
 measurement) against the target being missed and the measurement being nobody's, messages go to and fro:
 
     μ_e = ψ_e / (1 + Σ_{other pairs of the target} ψ ν)      ν_e = 1 / (1 + Σ_{other pairs of the measurement} μ)
 
-They converge, whatever ψ [W14 Th. 1], and are exact where pairs form a tree; a round costs as much as there are pairs
+They converge, whatever ψ [W14], and are exact where pairs form a tree; a round costs as much as there are pairs
 where messages still change.
 """
 

@@ -149,7 +149,7 @@ def weighed(
     exist: F8, first: I8, weight: F8, seen: F8, point: I8, which: I8, density: F8, alone: F8, least: float, share: float,
     most: int,
 ) -> tuple[I8, F8, I8, I8, I8, F8, F8, F8]:  # fmt: skip
-    """Update the probabilities of targets and hypotheses, and drop the least of both [W15 (28)–(34)].
+    """Update the probabilities of targets and hypotheses, and drop the least of both [W15].
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ hypothesis i of a target is detected,
 
 The probability of each pair over all ways to give every target one measurement at most, and every measurement one target,
 is found by loopy belief propagation (`kernels.marginals`). Then r is the probability of all hypotheses of the target that
-are left, and they are weighed by theirs: the product of Bernoulli densities that is nearest to the posterior [W15 §IV],
+are left, and they are weighed by theirs: the product of Bernoulli densities that is nearest to the posterior [W15],
 but that the hypotheses of a target are kept apart, each with its past, instead of their mean. So who cannot be told apart
 for some frames is not blurred, and what happened is read from the hypothesis that wins.
 
