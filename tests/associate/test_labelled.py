@@ -178,3 +178,13 @@ def test_a_camera_that_runs_for_days_forgets():
     corrected = forgetful.finish(run(forgetful, frames)[0], MODEL)
     assert corrected.frame.min() <= 600 - 50
     assert corrected.frame.min() > 400
+
+
+@pytest.mark.parametrize("settled", [False, True])
+def test_who_is_not_told_of_for_a_while_keeps_his_identity_where_little_is_remembered(settled: bool):
+    """His states are in frames that may still be revised, and none is settled yet; the past stands, or is told again."""
+    frames = [seen((1, 10.0), *([(2, 300.0)] if k % 4 == 0 else [])) for k in range(20)]
+    given = with_past(frames, 5) if not settled else [replace(e, past=(None,) * min(k, 5)) for k, e in enumerate(frames)]
+    _, rows = run(replace(PLAIN, remember=2.0, coast=0.0), given)
+    assert {tuple(r.identity.tolist()) for r in rows[::4]} == {(1, 2)}
+    assert {tuple(r.identity.tolist()) for k, r in enumerate(rows) if k % 4} == {(1,)}

@@ -7,7 +7,7 @@ online rows that are held back by ``delay`` show it as it is seen at last.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,8 +17,9 @@ from phdtrack.associate.offline import gaps, rows_of
 from phdtrack.associate.window import NO_LINKS
 from phdtrack.checks import Count, NonNegative, PositiveCount, check
 from phdtrack.errors import InputError
+from phdtrack.measured import Measured
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, Bool, Estimates, Measured, Tracks
+from phdtrack.types import F8, I8, Bool, Estimates, Tracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,26 +33,40 @@ class Lives:
     last: F8 = field(default_factory=lambda: np.zeros(0))
     confirmed: Bool = field(default_factory=lambda: np.zeros(0, np.bool_))
 
-    def including(self, moments: Iterable[Moment]) -> Lives:
+    def including(self, moments: Sequence[Moment]) -> Lives:
         """With a place for every label of the moments."""
-        fresh = np.setdiff1d(np.concatenate([m.estimates.tag for m in moments]), self.label)
-        at = np.searchsorted(self.label, fresh)
+        tag = np.concatenate([m.estimates.tag for m in moments])
+        fresh = np.unique(tag[~self._knows(tag)])
+        if len(fresh) == 0:
+            return self
+        label, none = np.concatenate([self.label, fresh]), np.zeros(len(fresh), np.int64)
+        order = np.argsort(label, kind="stable")
         return Lives(
-            np.insert(self.label, at, fresh),
-            np.insert(self.identity, at, 0),
-            np.insert(self.count, at, 0),
-            np.insert(self.last, at, -np.inf),
-            np.insert(self.confirmed, at, False),
+            label[order],
+            np.concatenate([self.identity, none])[order],
+            np.concatenate([self.count, none])[order],
+            np.concatenate([self.last, np.full(len(fresh), -np.inf)])[order],
+            np.concatenate([self.confirmed, none > 0])[order],
         )
 
-    def counting(self, moments: Iterable[Moment]) -> Lives:
+    def _knows(self, labels: I8) -> Bool:
+        """Which of the labels have a place."""
+        if len(self.label) == 0:
+            return np.zeros(len(labels), np.bool_)
+        found: Bool = self.label[np.minimum(self.places(labels), len(self.label) - 1)] == labels
+        return found
+
+    def counting(self, moments: Sequence[Moment]) -> Lives:
         """With the states of the moments counted, whose labels all have a place."""
-        count, last = self.count.copy(), self.last.copy()
-        for moment in moments:
-            place = self.places(moment.estimates.tag[moment.estimates.detection >= 0])
-            count[place] += 1
-            last[place] = np.maximum(last[place], moment.time)
-        return replace(self, count=count, last=last)
+        if not moments:
+            return self
+        resting = np.concatenate([m.estimates.detection for m in moments]) >= 0
+        place = self.places(np.concatenate([m.estimates.tag for m in moments])[resting])
+        time = np.repeat([m.time for m in moments], [len(m.estimates) for m in moments])[resting]
+        last = self.last.copy()
+        np.maximum.at(last, place, time)
+        count = self.count + np.bincount(place, minlength=len(self.label))
+        return Lives(self.label, self.identity, count, last, self.confirmed)
 
     def places(self, labels: I8) -> I8:
         """Where the labels are."""
@@ -126,12 +141,12 @@ class Labelled:
         settled, revised = state.recent[: len(state.recent) - reach], state.recent[len(state.recent) - reach :]
         seen = estimates.past[len(estimates.past) - reach :]
         now = Moment(number, time, 0, _one_each(estimates), NO_LINKS, z, model.warp)
-        again = (m if e is None else replace(m, estimates=_one_each(e)) for m, e in zip(revised, seen, strict=True))
-        recent = (*again, now)
+        again = tuple(m if e is None else _told_anew(m, e) for m, e in zip(revised, seen, strict=True))
         history = state.history
         for moment in settled:
             history = history.append(moment)
-        lives = state.lives.including((*settled, *recent)).counting(settled)
+        told = (now, *(m for m, e in zip(again, seen, strict=True) if e is not None))
+        lives, recent = state.lives.including(told).counting(settled), (*again, now)
         extended = LabelledState(history, recent, lives, time, state.used)
         due = len(extended) - 1 - self.delay
         if due < 0:
@@ -174,28 +189,32 @@ class Labelled:
         confirmed = present.confirmed[place] | (present.count[place] >= self.shortest)
         coasting = self.bridge & confirmed & (moment.time - present.last[place] <= self.coast * model.rate + 1e-9)
         shown = np.flatnonzero((estimates.detection >= 0) | coasting)
-        place, confirmed, estimates = place[shown], confirmed[shown], estimates.take(shown)
+        place, confirmed = place[shown], confirmed[shown]
         fresh = place[present.identity[place] == 0]
         identity, believed = present.identity.copy(), present.confirmed.copy()
         identity[fresh] = state.used + 1 + np.arange(len(fresh))
         believed[place] = confirmed
-        lives = replace(known, identity=identity, confirmed=believed)
+        lives = Lives(known.label, identity, known.count, known.last, believed)
+        order = np.argsort(identity[place])
+        shown = shown[order]
         rows = Tracks(
             np.full(len(shown), moment.number),
-            identity[place],
-            estimates.xyxy,
-            np.minimum(1.0, estimates.weight),
-            estimates.detection,
-            confirmed,
+            identity[place[order]],
+            estimates.xyxy[shown],
+            np.minimum(1.0, estimates.weight[shown]),
+            estimates.detection[shown],
+            confirmed[order],
         )
-        return replace(state, lives=lives, used=state.used + len(fresh)), rows.take(np.argsort(rows.identity))
+        return LabelledState(state.history, state.recent, lives, state.time, state.used + len(fresh)), rows
 
     def _recent(self, state: LabelledState, due: int, model: Model) -> LabelledState:
         """The state without what is past remembering; rows still due stay."""
         if self.remember == 0:
             return state
         since = min(state.time - self.remember * model.rate, state[due].time)
-        here = np.concatenate([state[k].estimates.tag for k in range(due, len(state))])
+        # Who is told of in a frame that may still be revised has a place.
+        first = min(due, len(state.history))
+        here = np.concatenate([state[k].estimates.tag for k in range(first, len(state))])
         kept = (state.lives.last >= since) | np.isin(state.lives.label, here)
         return replace(state, history=state.history.since(since), lives=state.lives.take(kept))
 
@@ -208,7 +227,15 @@ def _one_each(estimates: Estimates) -> Estimates:
             where="associate.kind=labelled",
             cure="Use associate.kind=graph, or a filter that labels targets",
         )
-    alone = replace(estimates, past=())
-    heaviest = np.argsort(-estimates.weight, kind="stable")
-    _, first = np.unique(estimates.tag[heaviest], return_index=True)
-    return alone if len(first) == len(estimates) else alone.take(np.sort(heaviest[first]))
+    e = estimates
+    alone = Estimates(e.state, e.covariance, e.weight, e.xyxy, e.detection, e.tag) if e.past else e
+    if (e.tag[1:] > e.tag[:-1]).all():
+        return alone
+    heaviest = np.argsort(-e.weight, kind="stable")
+    _, first = np.unique(e.tag[heaviest], return_index=True)
+    return alone if len(first) == len(e) else alone.take(np.sort(heaviest[first]))
+
+
+def _told_anew(m: Moment, estimates: Estimates) -> Moment:
+    """The moment with these states instead of its own."""
+    return Moment(m.number, m.time, m.first, _one_each(estimates), m.final, m.z, m.warp)
