@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+from phdtrack.blobs import Explained
 from phdtrack.blobs.edges import union
 from phdtrack.boxes import intersection
+from phdtrack.commands.configured import Choice, chosen, prepare
+from phdtrack.commands.wanted import Wanted
 from phdtrack.metrics import evaluate
 from phdtrack.reproduce.blobs_outcomes import outcome
 from phdtrack.reproduce.blobs_scenes import PARTINGS, in_pieces, meeting
@@ -113,3 +118,30 @@ def test_frames_that_nobody_looked_at_and_empty_ones_pass() -> None:
             found = Detections.empty()
         tracker.update(found)
     assert len(np.unique(tracker.tracks().identity)) >= 2
+
+
+@pytest.mark.parametrize(
+    ("detector", "detections", "sets", "kind"),
+    [
+        ("", False, (), "explained"),
+        ("mog2", False, (), "explained"),
+        ("person", False, (), "none"),
+        ("", True, (), "none"),
+        ("", False, ("blobs.kind=none",), "none"),
+        ("", False, ("filter.kind=none",), "none"),
+    ],
+)
+def test_blobs_are_explained_where_a_background_model_finds_them(
+    tmp_path: Path, detector: str, detections: bool, sets: tuple[str, ...], kind: str
+) -> None:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for number in range(3):
+        cv2.imwrite(str(folder / f"{number:03d}.png"), np.full((48, 64, 3), 90, np.uint8))
+    file = tmp_path / "det.txt"
+    file.write_text("1,-1,10,10,20,30,0.9\n", encoding="utf-8")
+    wanted = Wanted(str(folder), file if detections else None, detector, fps=25.0)
+    choice = Choice(sets=sets)
+    job = prepare(wanted, choice, chosen(choice), "phdtrack track", video=False)
+    assert job.configured("blobs", "kind") == kind
+    assert isinstance(job.stages.explainer, Explained) == (kind == "explained")

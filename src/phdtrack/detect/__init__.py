@@ -10,11 +10,12 @@ from phdtrack.detect.given import CallableDetector, TableDetector
 from phdtrack.detect.mean_background import MeanBackgroundDetector, MeanBackgroundSettings
 from phdtrack.detect.parameters import typed
 from phdtrack.detect.person import PersonDetector, PersonSettings
-from phdtrack.detect.registry import DETECTORS, detector_names, detector_parameters, make_detector
+from phdtrack.detect.registry import BACKGROUND, DETECTORS, detector_names, detector_parameters, make_detector
 from phdtrack.detect.subtractors import SubtractorDetector, SubtractorSettings
 from phdtrack.detect.wrappers import Masked, Rescaled
 
 __all__ = [
+    "BACKGROUND",
     "DETECTORS",
     "BlobSettings",
     "CallableDetector",

@@ -43,6 +43,8 @@ _ENTRIES = {
 _GIVEN: dict[str, Callable[..., Detector]] = {"file": TableDetector, "callable": CallableDetector}
 
 DETECTORS = (*_ENTRIES, *_GIVEN)
+# Those whose detections are blobs of what differs from the background, one or several objects, or a piece of one.
+BACKGROUND = ("change", "mean-background", "mog2", "knn")
 
 
 def detector_names() -> tuple[tuple[str, str], ...]:
