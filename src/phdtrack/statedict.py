@@ -29,7 +29,7 @@ from phdtrack.models.followed_rates import RatesState
 from phdtrack.models.followed_scene import SceneState
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.pipeline import TrackingState
-from phdtrack.rates import Counted, Judged, Known, Learned, Rates, Scale, Successive
+from phdtrack.rates import Counted, Judged, Known, Learned, Moments, Noise, Rates, Scale, Successive
 from phdtrack.types import Estimates, GaussianMixture, ParticleBlocks, Particles, Tracks
 
 _RECORDS: dict[str, type[Any]] = {
@@ -71,6 +71,8 @@ _RECORDS: dict[str, type[Any]] = {
         Rates,
         Scale,
         Successive,
+        Moments,
+        Noise,
         Followed,
         Relearned,
         Mode,

@@ -201,8 +201,11 @@ class RatesSettings:
     clutter : whether the rate of false alarms is; otherwise ``clutter.rate`` holds.
     newborn : whether the rate of births is; otherwise ``birth.rate`` holds.
     scores : whether what the detector's scores are worth is used; otherwise they are not looked at.
-    cautious : whether p_D is used only where it is lower, and the rate of false alarms where it is higher, than is set:
-        tracks that break make p_D look too high, false alarms that come again in one place make themselves look too few.
+    noise : whether the noises of measurements and motion are; otherwise ``sensor.spread``, ``motion.acceleration`` and
+        ``motion.resize`` hold, which are made for links that are hard as well as for those that are easy.
+    cautious : whether p_D is used only where it is lower, and the rates of false alarms and births where they are higher,
+        than is set: tracks that break make p_D look too high, false alarms that come again in one place make themselves
+        look too few, and who was never believed is not among the births.
     memory : seconds after which a frame counts for 37 %.
     wait : seconds until a detection is judged, beyond ``associate.delay``.
     every : seconds between two times of learning.
@@ -212,6 +215,7 @@ class RatesSettings:
     clutter: bool = False
     newborn: bool = False
     scores: bool = True
+    noise: bool = False
     cautious: bool = True
     memory: Positive = 120.0
     wait: NonNegative = 1.0
@@ -275,7 +279,7 @@ def build_rates(record: Record, kind: str, model: Model, beside: Learning[Any], 
     if kind == "none":
         return beside
     settings: RatesSettings = record("rates")
-    learns = Learns(settings.detection, settings.clutter, settings.newborn, settings.scores)
+    learns = Learns(settings.detection, settings.clutter, settings.newborn, settings.scores, settings.noise)
     wait = settings.wait + record("associate").delay / info.fps
     rule = RatesRule(priors(model), model.rate, settings.memory, wait, settings.every, learns, settings.cautious)
     return FollowRates(rule, beside)

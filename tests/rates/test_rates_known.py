@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phdtrack.context.sightings import Sightings
-from phdtrack.rates import Counted, Known, Priors
+from phdtrack.rates import Counted, Known, Noise, Priors
 from phdtrack.rates.known import DETECTION, TRACKED, WATCHED
 from phdtrack.types import Tracks
 
@@ -12,7 +12,7 @@ PRIORS = Priors(0.8, 5.0, 0.02, False, False)
 
 
 def rates(known, priors=PRIORS):
-    return known.rates(priors, 1, 1.0, (1.0, 1.0))
+    return known.rates(priors, Noise(), (1.0, 1.0), 1, 1.0)
 
 
 def walk(identity, frames, speed, confirmed=True):

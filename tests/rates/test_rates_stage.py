@@ -10,7 +10,7 @@ from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD, MHT, ParticlePHD
 from phdtrack.models import FixedBirth, LocalClutter, ScoredClutter, UniformClutter
 from phdtrack.models.followed_rates import RatesState, with_births, with_clutter, with_detection
-from phdtrack.rates import Scale
+from phdtrack.rates import Noise, Scale
 from phdtrack.simulate import DetectorModel, constant, detect
 from phdtrack.types import Detections, GaussianMixture, SequenceInfo
 
@@ -168,9 +168,19 @@ def test_as_shipped_estimates_are_made_and_scores_are_used():
 def test_cautious_estimates_are_used_where_nothing_else_explains_them():
     built = stages("rates.cautious=true")
     set_to, rates = built.model, built.learning.start().learned.rates
-    higher, lower = {"detection": 0.95, "clutter": 0.05}, {"detection": 0.6, "clutter": 0.9}
+    higher, lower = {"detection": 0.95, "clutter": 0.05, "births": 1e-4}, {"detection": 0.6, "clutter": 0.9, "births": 0.05}
     model = built.learning.model(knowing(built, **higher), set_to)
-    assert (model.sensor.detection, model.clutter.rate) == (rates.detection, rates.clutter)
+    assert (model.sensor.detection, model.clutter.rate, model.birth.rate) == (rates.detection, rates.clutter, rates.births)
     model = built.learning.model(knowing(built, **lower), set_to)
     assert model.sensor.detection == pytest.approx(0.6)
-    assert model.clutter.rate == pytest.approx(0.9, rel=0.03)
+    assert (model.clutter.rate, model.birth.rate) == pytest.approx((0.9, 0.05), rel=0.03)
+
+
+def test_noises_replace_those_of_boxes_where_asked_for():
+    built = stages("rates.noise=true")
+    found = Noise(0.08, 0.01, 0.03)
+    model = built.learning.model(knowing(built, noise=found), built.model)
+    assert model.sensor.spread == pytest.approx(0.08, rel=0.03)
+    assert (model.motion.acceleration, model.motion.resize) == pytest.approx((0.01, 0.03), rel=0.03)
+    kept = stages().learning.model(knowing(stages(), noise=found), built.model)
+    assert kept.motion == built.model.motion

@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 from phdtrack.models.births import MeasurementBirth
+from phdtrack.models.box_motion import BoxMotion
 from phdtrack.models.box_sensor import BoxSensor
 from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, ScoredClutter, UniformClutter
 from phdtrack.models.plane_birth import PlaneBirth
@@ -19,7 +20,7 @@ from phdtrack.models.plane_sensor import PlaneSensor
 from phdtrack.models.point_birth import PointBirth
 from phdtrack.models.point_sensor import PointSensor
 from phdtrack.protocols import Birth, Clutter, Learning, Model, NoLearning, Sensor
-from phdtrack.rates import Following, Learned, Priors, advance, begin
+from phdtrack.rates import Following, Learned, Noise, Priors, advance, begin
 from phdtrack.types import Detections, Step
 
 # p_D is put into the model in steps of this size, rates in steps of this ratio.
@@ -55,14 +56,22 @@ class FollowRates:
         learns, rates = self.rule.learns, state.learned.rates
         if self.rule.cautious:
             rates = rates.cautious(self.rule.priors)
-        sensor, birth, clutter = model.sensor, model.birth, model.clutter
+        motion, sensor, birth, clutter = model.motion, model.sensor, model.birth, model.clutter
+        if learns.noise and isinstance(motion, BoxMotion) and isinstance(sensor, BoxSensor):
+            set_to = self.rule.priors.noise
+            sensor = _measuring(sensor, _rounded(rates.noise.spread, set_to.spread))
+            motion = _moving(
+                motion,
+                _rounded(rates.noise.acceleration, set_to.acceleration),
+                _rounded(rates.noise.resize, set_to.resize),
+            )
         if learns.detection:
             sensor = with_detection(sensor, STEP * round(rates.detection / STEP))
         if learns.clutter:
             clutter = with_clutter(clutter, _rounded(rates.clutter, self.rule.priors.clutter))
         if learns.births:
             birth = with_births(birth, _rounded(rates.births, self.rule.priors.births))
-        return self.beside.model(state.beside, replace(model, sensor=sensor, birth=birth, clutter=clutter))
+        return self.beside.model(state.beside, replace(model, motion=motion, sensor=sensor, birth=birth, clutter=clutter))
 
     def weighed(self, state: RatesState, model: Model, detections: Detections) -> Model:
         """The model with the false alarms of a frame by the scores of its detections."""
@@ -109,6 +118,17 @@ def _detecting(sensor: BoxSensor | PlaneSensor | PointSensor, detection: float) 
 
 
 @lru_cache(maxsize=256)
+def _measuring(sensor: BoxSensor, spread: float) -> BoxSensor:
+    return sensor if sensor.spread == spread else replace(sensor, spread=spread)
+
+
+@lru_cache(maxsize=256)
+def _moving(motion: BoxMotion, acceleration: float, resize: float) -> BoxMotion:
+    same = (motion.acceleration, motion.resize) == (acceleration, resize)
+    return motion if same else replace(motion, acceleration=acceleration, resize=resize)
+
+
+@lru_cache(maxsize=256)
 def _false(clutter: UniformClutter | LocalClutter | LocalPlaneClutter, rate: float) -> Clutter:
     return clutter if clutter.rate == rate else replace(clutter, rate=rate)
 
@@ -129,4 +149,14 @@ def priors(model: Model) -> Priors:
         births, births_each = model.birth.rate, model.birth.volume == "local"
     elif isinstance(model.birth, PointBirth):
         births = model.birth.rate
-    return Priors(detection, clutter, births, clutter_each, births_each)
+    return Priors(detection, clutter, births, clutter_each, births_each, _noise(model))
+
+
+def _noise(model: Model) -> Noise:
+    """What a model of boxes says of its noises; nothing where they are no shares of the size."""
+    motion, sensor = model.motion, model.sensor
+    if not (isinstance(motion, BoxMotion) and isinstance(sensor, BoxSensor)):
+        return Noise()
+    if not motion.scaled or sensor.scaling in ("fixed", "given"):
+        return Noise()
+    return Noise(sensor.spread, motion.acceleration, motion.resize)

@@ -2,6 +2,7 @@
 
 from phdtrack.rates.following import Following, Learned, Learns, advance, begin
 from phdtrack.rates.known import Counted, Known, Priors, Rates
+from phdtrack.rates.noise import Moments, Noise
 from phdtrack.rates.scores import Judged, Scale, Successive
 
 __all__ = [
@@ -11,6 +12,8 @@ __all__ = [
     "Known",
     "Learned",
     "Learns",
+    "Moments",
+    "Noise",
     "Priors",
     "Rates",
     "Scale",

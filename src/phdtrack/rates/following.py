@@ -13,6 +13,7 @@ import numpy as np
 
 from phdtrack.context.verdict import Verdict, Watch, judged, look_of
 from phdtrack.rates.known import Counted, Known, Priors, Rates
+from phdtrack.rates.noise import Moments
 from phdtrack.rates.scores import Judged, Scale, Successive, scale
 from phdtrack.types import F8, Step, Tracks
 
@@ -25,6 +26,7 @@ class Learns:
     clutter: bool = True
     births: bool = True
     scores: bool = True
+    noise: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +58,13 @@ class Learned:
     judged: Judged = field(default_factory=Judged)
     successive: Successive = field(default_factory=Successive)
     scale: Scale = field(default_factory=Scale)
+    moments: Moments = field(default_factory=Moments)
     learned: float = math.nan
 
 
 def begin(rule: Following) -> Learned:
     """Knowing what the settings say."""
-    return Learned(Known().rates(rule.priors, 0, 0.0, (1.0, 1.0)))
+    return Learned(Known().rates(rule.priors, rule.priors.noise, (1.0, 1.0), 0, 0.0))
 
 
 def advance(rule: Following, state: Learned, step: Step) -> Learned:
@@ -75,7 +78,9 @@ def advance(rule: Following, state: Learned, step: Step) -> Learned:
     if step.time < state.learned + rule.every or not state.watch.looks:
         return state
     state = replace(state, successive=_followed(state))
+    looks = state.watch.looks
     watch, verdict = judged(state.watch, step.time - rule.wait, state.rates.detection, rule.rate)
+    state = replace(state, moments=state.moments.joined(looks, verdict.frames, rule.rate))
     return _learned(rule, replace(state, watch=watch, learned=step.time), verdict, step)
 
 
@@ -101,7 +106,8 @@ def _learned(rule: Following, state: Learned, verdict: Verdict, step: Step) -> L
         told = told.joined(np.concatenate(state.scores[:frames]), verdict.false)
         table = scale(told, state.successive.share)
     ends = (float(np.exp(table.worth[0])), float(np.exp(table.worth[-1]))) if len(table.at) > 1 else (1.0, 1.0)
-    rates = _waiting(known, state.watch).rates(rule.priors, step.number, step.time, ends)
+    noise = state.moments.noise(rule.priors.noise)
+    rates = _waiting(known, state.watch).rates(rule.priors, noise, ends, step.number, step.time)
     return replace(state, rates=rates, known=known, counted=counted, scores=state.scores[frames:], judged=told, scale=table)
 
 

@@ -9,9 +9,9 @@ The false alarms of a frame are those among its detections, a sum of probabiliti
 are the first states of tracks that were believed later.
 
 Both err to one side where objects are not as the model has them. A track that breaks at a long gap hides the gap, so that
-p_D comes out too high; false alarms that come again in one place pass for objects, so that their rate comes out too low. Who
-is ``cautious`` (`Rates.cautious`) therefore follows only what cannot be explained so: p_D below the setting, false alarms
-above it.
+p_D comes out too high; false alarms that come again in one place pass for objects, so that their rate comes out too low; who
+was never believed is not among the births, and with fewer births fewer are believed. Who is ``cautious`` (`Rates.cautious`)
+therefore follows only what cannot be explained so: p_D below the setting, false alarms and births above it.
 
 Every estimate is the mean under a prior about the setting (Beta for p_D, Gamma for rates) that is worth a stated number of
 frames, detections or seconds, and it is kept within limits.
@@ -24,6 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from phdtrack.context.sightings import Sightings
+from phdtrack.rates.noise import Noise
 from phdtrack.types import F8, I8
 
 # What the settings are worth: frames of one track; frames, or detections where a rate is one of each; births.
@@ -36,13 +37,15 @@ SHARE = (0.01, 1.0)
 
 @dataclass(frozen=True, slots=True)
 class Priors:
-    """The settings: p_D, false alarms and births per time unit, each of a frame or (``each``) around every detection."""
+    """The settings: p_D, false alarms and births per time unit, each of a frame or (``each``) around every detection; noises
+    of boxes, where the model has them as shares of the size."""
 
     detection: float
     clutter: float
     births: float
     clutter_each: bool
     births_each: bool
+    noise: Noise = field(default_factory=Noise)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +53,8 @@ class Rates:
     """What is believed with frame ``number``, at ``time`` seconds.
 
     ``detection`` p_D; ``clutter`` false alarms a frame, ``births`` a time unit, or both around each detection where the
-    model has them so. ``lowest`` and ``highest``: what the worst and the best score are worth, p(s|object)/p(s|false alarm).
+    model has them so. ``noise`` of measurements and motion. ``lowest`` and ``highest``: what the worst and the best score
+    are worth, p(s|object)/p(s|false alarm).
     ``limited``: the names of those that were kept within limits.
     """
 
@@ -59,13 +63,19 @@ class Rates:
     detection: float
     clutter: float
     births: float
+    noise: Noise = field(default_factory=Noise)
     lowest: float = 1.0
     highest: float = 1.0
     limited: tuple[str, ...] = ()
 
     def cautious(self, priors: Priors) -> Rates:
-        """With p_D at most, and the rate of false alarms at least, as it is set."""
-        return replace(self, detection=min(self.detection, priors.detection), clutter=max(self.clutter, priors.clutter))
+        """With p_D at most, and the rates of false alarms and births at least, as they are set."""
+        return replace(
+            self,
+            detection=min(self.detection, priors.detection),
+            clutter=max(self.clutter, priors.clutter),
+            births=max(self.births, priors.births),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +98,8 @@ class Known:
             self.hits, self.span, self.false, self.detections, self.frames, self.births, self.units, self.chances
         )))  # fmt: skip
 
-    def rates(self, priors: Priors, number: int, time: float, odds: tuple[float, float]) -> Rates:
-        """The estimates."""
+    def rates(self, priors: Priors, noise: Noise, odds: tuple[float, float], number: int, time: float) -> Rates:
+        """The estimates, beside those of noises and odds."""
         limited = list[str]()
         worth = TRACKED * priors.detection
         detection = (worth + self.hits) / (TRACKED + self.span)
@@ -106,7 +116,7 @@ class Known:
             births = _within(
                 (BORN + self.births) / (BORN / births + chances), births / BIRTHS, births * BIRTHS, "births", limited
             )
-        return Rates(number, time, detection, clutter, births, *odds, tuple(limited))
+        return Rates(number, time, detection, clutter, births, noise, *odds, tuple(limited))
 
 
 def _within(value: float, low: float, high: float, name: str, limited: list[str]) -> float:

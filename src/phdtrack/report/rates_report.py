@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from phdtrack.rates import Following, Rates
+from phdtrack.rates import Following, Noise, Rates
 from phdtrack.report.canvas import Picture, chart_axes, legend, new_figure, thinned, to_svg
 from phdtrack.report.markup import NOTHING, Html, figure, paragraph, section, table
 
@@ -40,8 +40,20 @@ def _rows(last: Rates, rule: Following) -> list[tuple[str, ...]]:
         ("probability of detection", f"{priors.detection:.2f}", f"{last.detection:.2f}", _used(learns.detection)),
         (f"false alarms {around}", f"{priors.clutter:.3g}", f"{last.clutter:.3g}", _used(learns.clutter)),
         (f"births a second{each}", f"{priors.births * units:.3g}", f"{last.births * units:.3g}", _used(learns.births)),
+        *_noises(priors.noise, last.noise, _used(learns.noise)),
         ("odds of the worst score", "1", f"{last.lowest:.2g}", _used(learns.scores)),
         ("odds of the best score", "1", f"{last.highest:.3g}", _used(learns.scores)),
+    ]
+
+
+def _noises(before: Noise, found: Noise, used: str) -> list[tuple[str, ...]]:
+    """Rows of the noises, where there are any."""
+    if before.spread <= 0:
+        return []
+    return [
+        ("noise of the width, in widths", f"{before.spread:.3f}", f"{found.spread:.3f}", used),
+        ("acceleration, in widths per time unit²", f"{before.acceleration:.4f}", f"{found.acceleration:.4f}", used),
+        ("change of the width, in widths", f"{before.resize:.3f}", f"{found.resize:.3f}", used),
     ]
 
 
