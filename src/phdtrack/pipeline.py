@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,13 @@ import numpy as np
 from phdtrack.camera.warp import as_warp
 from phdtrack.errors import InputError
 from phdtrack.protocols import AnyStages, Model
-from phdtrack.types import F8, I8, STILL, Detections, Estimates, Explanation, Step, Tracks, UpdateInfo
+from phdtrack.types import F4, F8, I8, STILL, Detections, Estimates, Explanation, Step, Tracks, UpdateInfo
 
 NOBODY: F8 = np.zeros((0, 0))
 # Where measurements are put that tell nothing of any state: no state is near.
 NOWHERE = 1e9
 ALL: I8 = np.zeros(0, np.int64)
+NOT_LOOKED: Mapping[int, F4] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +176,10 @@ def run(
         yield state, step
 
 
-def finish(stages: AnyStages, state: TrackingState) -> Tracks:
-    """The corrected tracks of everything seen so far, refined by its measurements."""
+def finish(stages: AnyStages, state: TrackingState, looks: Mapping[int, F4] = NOT_LOOKED) -> Tracks:
+    """The corrected tracks of everything seen so far, refined by its measurements.
+
+    ``looks`` (N, B) by a frame's number are what its detections look like, from `Refiner.look`.
+    """
     tracks = stages.associator.finish(state.association, stages.model)
-    return stages.refiner.refine(tracks, stages.associator.measured(state.association), stages.model)
+    return stages.refiner.refine(tracks, stages.associator.measured(state.association).looked(looks), stages.model)

@@ -18,14 +18,17 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 
 from phdtrack.errors import InputError
+from phdtrack.measured import Measured
 from phdtrack.types import (
+    F4,
     F8,
     STILL,
     Detections,
     Estimates,
+    Explanation,
     Frame,
     GaussianMixture,
-    Measured,
+    Image,
     Particles,
     SequenceInfo,
     Step,
@@ -238,6 +241,9 @@ class Associator(Protocol[A]):
 class Refiner(Protocol):
     """From corrected tracks to better ones, with everything known at the end."""
 
+    def look(self, image: Image, xyxy: F8) -> F4:
+        """(N, B) what the boxes (N, 4) of a frame look like, as far as `refine` asks for it; (N, 0) where it does not."""
+
     def refine(self, tracks: Tracks, measured: Measured, model: Model) -> Tracks:
         """The tracks, of which each row rests on a measurement of ``measured``, or on none."""
 
@@ -246,9 +252,45 @@ class Refiner(Protocol):
 class AsAssociated:
     """Corrected tracks stay as they are."""
 
+    def look(self, image: Image, xyxy: F8) -> F4:
+        """Nobody asks."""
+        return np.zeros((len(xyxy), 0), np.float32)
+
     def refine(self, tracks: Tracks, measured: Measured, model: Model) -> Tracks:
         """The same."""
         return tracks
+
+
+E = TypeVar("E")
+
+
+class Explainer(Protocol[E]):
+    """Which detections are which targets', where it is not one of each: between detector and filter."""
+
+    def start(self) -> E:
+        """The state before the first frame."""
+
+    def explain(self, state: E, detections: Detections, model: Model, dt: float) -> tuple[E, Explanation]:
+        """The detections that the filter is to be given of a frame, ``dt`` after the last."""
+
+    def advance(self, state: E, explanation: Explanation, estimates: Estimates, model: Model, dt: float) -> E:
+        """Take in what the filter made of them: ``estimates``, whose numbers of detections are the explanation's."""
+
+
+@dataclass(frozen=True, slots=True)
+class AsDetected:
+    """Every detection goes to the filter as it is."""
+
+    def start(self) -> None:
+        """There is no state."""
+
+    def explain(self, state: None, detections: Detections, model: Model, dt: float) -> tuple[None, Explanation]:
+        """The same detections."""
+        own = np.arange(len(detections))
+        return None, Explanation(detections, own, own, np.full(len(own), -1))
+
+    def advance(self, state: None, explanation: Explanation, estimates: Estimates, model: Model, dt: float) -> None:
+        """Nobody is expected."""
 
 
 C = TypeVar("C")
@@ -356,6 +398,7 @@ class Stages(Generic[S, A]):
     extractor: Extractor[S]
     associator: Associator[A]
     learning: Learning[Any] = field(default_factory=NoLearning)
+    explainer: Explainer[Any] = field(default_factory=AsDetected)
     refiner: Refiner = field(default_factory=AsAssociated)
 
 

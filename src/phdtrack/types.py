@@ -398,24 +398,6 @@ class Tracks:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
-    """The measurements of a sequence, frame by frame: what is remembered of them when it has ended.
-
-    Attributes
-    ----------
-    number, time : (F,) the frames' numbers, ascending, and their times in the model's time units.
-    start : (F + 1,) frame f has the columns start[f] … start[f + 1] − 1 of ``z`` (m, Z), in the order of its detections.
-    warp : (F, 3, 3) how the camera moved since the frame before; (0, 3, 3) where it stood.
-    """
-
-    number: I8
-    time: F8
-    start: I8
-    z: F8
-    warp: F8
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """Everything that one frame brought: what a pipeline yields and what sinks and reports read.
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from phdtrack import config
 from phdtrack.filters.composed import composed_step
+from phdtrack.measured import Measured
 from phdtrack.protocols import AnyStages, Stages
-from phdtrack.types import Estimates, Measured, SequenceInfo, Tracks, UpdateInfo
+from phdtrack.types import Estimates, SequenceInfo, Tracks, UpdateInfo
 
 INFO = SequenceInfo(640, 480, 25.0)
 
@@ -57,6 +58,9 @@ class SpyExtractor:
         return Estimates(x, cov, np.ones(len(cov)), model.sensor.boxes(x), np.arange(len(cov)))
 
 
+NO_LOOK = np.zeros((0, 0), np.float32)
+
+
 @dataclass
 class SpyAssociator:
     """Gives every state the identity 1 more than its place, and remembers the frames and intervals."""
@@ -81,7 +85,8 @@ class SpyAssociator:
         return Tracks.empty()
 
     def measured(self, state):
-        return Measured(np.zeros(0, np.int64), np.zeros(0), np.zeros(1, np.int64), np.zeros((4, 0)), np.zeros((0, 3, 3)))
+        none, start = np.zeros(0, np.int64), np.zeros(1, np.int64)
+        return Measured(none, np.zeros(0), start, np.zeros((4, 0)), np.zeros((0, 3, 3)), NO_LOOK)
 
 
 def spying(rate: float = 25.0) -> tuple[AnyStages, SpyFilter, SpyExtractor, SpyAssociator]:

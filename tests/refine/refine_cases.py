@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from phdtrack.measured import Measured
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.protocols import Model
-from phdtrack.types import Measured, Tracks
+from phdtrack.types import Tracks
 
 WIDTH, HEIGHT = 640.0, 480.0
 
@@ -56,7 +57,13 @@ def sequence(pieces, frames: int, model: Model, warp: np.ndarray | None = None) 
     n = len(rows)
     tracks = Tracks(np.array(number), np.array(identity), xyxy, np.full(n, 0.9), np.array(detection), np.ones(n, np.bool_))
     warps = np.zeros((0, 3, 3)) if warp is None else warp
-    return tracks, Measured(np.arange(1, frames + 1), np.arange(frames, dtype=float), start, np.array(z).T, warps)
+    return tracks, Measured(
+        np.arange(1, frames + 1), np.arange(frames, dtype=float), start, np.array(z).T, warps, no_look(len(z))
+    )
+
+
+def no_look(n: int) -> np.ndarray:
+    return np.zeros((n, 0), np.float32)
 
 
 def piece(walked: np.ndarray, first: int, *shown: tuple[int, int]) -> dict:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from refine_cases import model_of, piece, sequence, walk
+from refine_cases import model_of, no_look, piece, sequence, walk
 
 from phdtrack.errors import InputError
+from phdtrack.measured import Measured
 from phdtrack.refine import Refinement
-from phdtrack.types import Measured, Tracks
+from phdtrack.types import Tracks
 
 MODEL = model_of(scaled=True, acceleration=0.005, resize=0.05)
 
@@ -156,7 +157,9 @@ def test_a_measurement_that_two_share_places_neither(rng):
 
 
 def test_nothing_comes_of_nothing():
-    empty = Measured(np.zeros(0, np.int64), np.zeros(0), np.zeros(1, np.int64), np.zeros((4, 0)), np.zeros((0, 3, 3)))
+    empty = Measured(
+        np.zeros(0, np.int64), np.zeros(0), np.zeros(1, np.int64), np.zeros((4, 0)), np.zeros((0, 3, 3)), no_look(0)
+    )
     assert len(Refinement().refine(Tracks.empty(), empty, MODEL)) == 0
     tracks, measured = sequence([{1: np.array([50.0, 50, 20, 40])}], 1, MODEL)
     np.testing.assert_allclose(Refinement().refine(tracks, measured, MODEL).xyxy, tracks.xyxy)

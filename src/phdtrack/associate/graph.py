@@ -24,8 +24,9 @@ from phdtrack.associate.predict import carried, predicted
 from phdtrack.associate.triangle import block
 from phdtrack.associate.window import Terms, Window, empty_window, extend
 from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, Share, check
+from phdtrack.measured import Measured
 from phdtrack.protocols import Model
-from phdtrack.types import F8, Estimates, Measured, Tracks
+from phdtrack.types import F8, Estimates, Tracks
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,8 @@ import numpy as np
 
 from phdtrack.associate.triangle import lower, whole
 from phdtrack.associate.window import Links
-from phdtrack.types import F8, I8, STILL, Estimates, Measured
+from phdtrack.measured import Measured
+from phdtrack.types import F8, I8, STILL, Estimates
 
 # Twice as many moments are held as they came before the older half is joined: what was just seen is asked for most.
 CHUNK = 32
@@ -122,6 +123,7 @@ def measured(moments: Iterable[Moment]) -> Measured:
         _ends([m.z.shape[1] for m in held]),
         np.hstack(shown),
         np.array([m.warp if len(m.warp) else np.eye(3) for m in held if moved]).reshape(-1, 3, 3),
+        np.zeros((sum(m.z.shape[1] for m in held), 0), np.float32),
     )
 
 

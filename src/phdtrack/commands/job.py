@@ -215,6 +215,8 @@ def _loop(job: Job, source: VideoSource, directory: RunDirectory) -> _Progress:
             with ahead(source) as frames, ahead(moved(job.mover, detected(inputs.detector, frames))) as looked:
                 for frame, found, warp, seconds in looked:
                     step = job.steps.advance(frame.number, frame.time, found, warp)
+                    if inputs.pictures:
+                        job.steps.look(frame, found)
                     detections.append(frame.number, found)
                     states.append(frame.number, frame.time, step.estimates)
                     online.append(step.tracks, places(job.stages.model.sensor, step.tracks.xyxy))

@@ -12,7 +12,7 @@ from phdtrack.models.followed_rates import RatesState
 from phdtrack.models.followed_scene import SceneState
 from phdtrack.protocols import AnyStages
 from phdtrack.rates import Rates
-from phdtrack.types import F8, STILL, Detections, ParticleBlocks, Particles, Step, Tracks
+from phdtrack.types import F4, F8, STILL, Detections, Frame, ParticleBlocks, Particles, Step, Tracks
 
 
 class Steps:
@@ -21,6 +21,13 @@ class Steps:
     def __init__(self, stages: AnyStages, rng: np.random.Generator) -> None:
         self._stages, self._rng = stages, rng
         self._state = pipeline.start(stages, rng)
+        self._looks: dict[int, F4] = {}
+
+    def look(self, frame: Frame, detections: Detections) -> None:
+        """Remember what the detections of a frame look like, if anybody will ask."""
+        looks = self._stages.refiner.look(frame.image, detections.xyxy)
+        if looks.shape[1]:
+            self._looks[frame.number] = looks
 
     def advance(self, number: int, time: float, detections: Detections, warp: F8 = STILL) -> Step:
         """Take in the detections of frame ``number`` at ``time`` seconds; ``warp`` is how the camera has moved."""
@@ -64,4 +71,4 @@ class Steps:
 
     def finish(self) -> Tracks:
         """The corrected tracks of everything taken in so far."""
-        return pipeline.finish(self._stages, self._state)
+        return pipeline.finish(self._stages, self._state, self._looks)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phdtrack.measured import Measured
 from phdtrack.protocols import Motion
-from phdtrack.types import F8, STILL, Measured
+from phdtrack.types import F8, STILL
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phdtrack.measured import Measured
 from phdtrack.protocols import Sensor
-from phdtrack.types import F8, I8, Bool, Measured, Tracks
+from phdtrack.types import F8, I8, Bool, Tracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)

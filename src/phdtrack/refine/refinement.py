@@ -8,11 +8,13 @@ import numpy as np
 
 from phdtrack.checks import NonNegative, Positive, Share, check
 from phdtrack.errors import InputError
+from phdtrack.measured import Measured
 from phdtrack.protocols import Model
+from phdtrack.refine.appearance import histograms
 from phdtrack.refine.paths import Paths, Seen, paths_of
 from phdtrack.refine.smooth import Smoothed, smooth
 from phdtrack.refine.stitch import Terms, stitched
-from phdtrack.types import F8, I8, Bool, Measured, Tracks
+from phdtrack.types import F4, F8, I8, Bool, Image, Tracks
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +30,7 @@ class Refinement:
         joined too.
     longest : seconds after which nobody is taken for one who was lost.
     back : probability that a track that ends was lost and comes back.
+    appearance : where there are pictures, let colours have a say in what is joined, see `refine.appearance`.
     sure : fill the gap between joined tracks where the object's place in it is known to within this many deviations of a
         single measurement. 0: such gaps stay open.
     """
@@ -39,11 +42,16 @@ class Refinement:
     beside: NonNegative = 4.0
     back: Share = 0.5
     sure: NonNegative = 1.0
+    appearance: bool = False
 
     def __post_init__(self) -> None:
         check(self)
         if self.back == 1:
             raise InputError("expected a probability below 1, as some tracks end for good", where="Refinement.back")
+
+    def look(self, image: Image, xyxy: F8) -> F4:
+        """(N, B) colour histograms of the boxes (N, 4) with ``appearance``, (N, 0) without."""
+        return histograms(image, xyxy) if self.stitch and self.appearance else np.zeros((len(xyxy), 0), np.float32)
 
     def refine(self, tracks: Tracks, measured: Measured, model: Model) -> Tracks:
         """The tracks refined by the measurements that they rest on; identities from 1 in order of appearance."""

@@ -16,10 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phdtrack.measured import Measured
 from phdtrack.protocols import Motion
 from phdtrack.refine.ahead import ahead
 from phdtrack.refine.paths import Paths, Seen
-from phdtrack.types import F8, I8, Bool, Measured
+from phdtrack.types import F8, I8, Bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,16 +16,18 @@ between two others says more once it is joined, and so on until nothing changes.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from phdtrack.measured import Measured
 from phdtrack.protocols import Motion
 from phdtrack.refine.ahead import ahead
+from phdtrack.refine.appearance import likeness
 from phdtrack.refine.evidence import log_evidence, others
 from phdtrack.refine.paths import Paths, Seen, chains, joined
 from phdtrack.refine.smooth import Smoothed, smooth
-from phdtrack.types import F8, I8, Bool, Measured
+from phdtrack.types import F8, I8, Bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,10 @@ def stitched(paths: Paths, measured: Measured, seen: Seen, motion: Motion, terms
     """The paths with those joined that are one object's, and their states."""
     states = smooth(paths, measured, seen, motion)
     while len(paths) > 1:
-        after = matched(candidates(paths, states, measured, seen, motion, terms), len(paths))
+        pairs = candidates(paths, states, measured, seen, motion, terms)
+        if measured.look.shape[1]:
+            pairs = replace(pairs, odds=pairs.odds + likeness(paths, measured.look, pairs.before, pairs.after))
+        after = matched(pairs, len(paths))
         if (after < 0).all():
             break
         chain = chains(after)
