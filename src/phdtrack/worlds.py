@@ -219,7 +219,7 @@ class RatesSettings:
     cautious: bool = True
     memory: Positive = 120.0
     wait: NonNegative = 1.0
-    every: NonNegative = 0.4
+    every: NonNegative = 1.0
 
     def __post_init__(self) -> None:
         check(self)

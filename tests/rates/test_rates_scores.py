@@ -18,7 +18,7 @@ def judged(rng, n=2000, share=0.4):
 def test_the_odds_are_those_of_the_two_densities():
     found = scale(judged(np.random.default_rng(0), NEWEST))
     s = np.linspace(-0.7, 1.8, 11)
-    assert np.log(found.odds(s)) == pytest.approx(s - 0.5, abs=0.4)
+    assert np.log(found.odds(s)) == pytest.approx(s - 0.5, abs=0.55)
     assert np.mean(np.log(found.odds(s)) - (s - 0.5)) == pytest.approx(0, abs=0.12)
 
 
@@ -99,10 +99,10 @@ def series(rng, tracks, frames, correlation):
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
 def test_scores_that_are_alike_from_frame_to_frame_count_less(correlation):
     found = Successive().joined(*series(np.random.default_rng(0), 50, 60, correlation))
-    assert len(found.first) == 50 * 59
+    assert len(found.first) == min(NEWEST, 50 * 59)
     # Ranks of a Gaussian series are correlated by 6/π asin(ρ/2).
     ranks = 6 / math.pi * math.asin(correlation / 2)
-    assert found.share == pytest.approx((1 - ranks) / (1 + ranks), abs=0.09)
+    assert found.share == pytest.approx((1 - ranks) / (1 + ranks), abs=0.12)
 
 
 def test_pairs_are_the_same_whether_frames_come_at_once_or_one_by_one():

@@ -22,7 +22,7 @@ from phdtrack.types import F8, I8
 # Parts that the scores are cut into, and detections of the average that each has beside its own.
 PARTS, ADDED = 12, 8.0
 # Newest detections that are learned from.
-NEWEST = 3000
+NEWEST = 1500
 # Pairs of detections from which their correlation is known: before it counts as if there were so many of correlation 1.
 PAIRED = 30.0
 # The evidence of one score at most, in nats either way: a factor of 30.
