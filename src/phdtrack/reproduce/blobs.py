@@ -24,7 +24,7 @@ from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.types import Detections, DetectionTable
 from phdtrack.video import open_source
 
-FILTERS = ("pmb", "mht", "gm-phd")
+FILTERS = ("pmb", "gm-phd")
 EXPLAINED = "blobs.kind=explained"
 # Settings by the name that the page gives them.
 WAYS = {"as detected": (), "explained": (EXPLAINED,)}
@@ -144,7 +144,7 @@ def _written(options: Options, folder: Path) -> Path:
         f"{seeds} rendered meetings of each kind through the change detector: one blob for 1 to 3 seconds. Share of pairs "
         "that leave with the identities that they came with, by the corrected tracks (in brackets online); what became of "
         "the others: swapped, a new identity for one or both, or one not followed before or after.\n\n"
-        + table(("filter", "blobs", "parting", *_LEAVES, "MOTA", "IDF1", "HOTA"), _meeting_rows(meetings, found))
+        + table(("filter", "blobs", "parting", *_LEAVES, "MOTA", "IDF1", "HOTA"), meeting_rows(meetings, found))
         + "\n![One meeting](blobs.png)\n\nWhere the blobs of a meeting lie along the picture (grey), the truth (black), and "
         "the online rows by identity.\n\n"
         "## Objects in pieces\n\n"
@@ -170,9 +170,10 @@ def _scored(outcomes: list[Outcome]) -> list[object]:
     return [*first, online.MOTA, online.IDF1, online.HOTA]
 
 
-def _meeting_rows(jobs: list[Job], found: dict[Job, Outcome]) -> list[list[object]]:
+def meeting_rows(jobs: list[Job], found: dict[Job, Outcome]) -> list[list[object]]:
+    """How pairs left, by filter, way and parting; partings without a job are left out."""
     rows: list[list[object]] = []
-    for name, (way, sets), parting in _each(jobs, WAYS, PARTINGS):
+    for name, (way, sets), parting in _each(jobs, WAYS, tuple(dict.fromkeys(job.name for job in jobs))):
         those = [found[j] for j in jobs if (j.filter, j.sets, j.name) == (name, sets, parting)]
         left = [o.leave for o in those if o.leave is not None]
         shares: list[object] = []
