@@ -8,6 +8,7 @@ the centres of the components of weight ≥ 0.5 and the true ones.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,25 +18,30 @@ from benchmarks.timing import Spread, clock, took
 from benchmarks.workload import Crowd, Stream, draw, stages
 from phdtrack.filters import GMPHD
 from phdtrack.metrics import ospa
-from phdtrack.protocols import Model
+from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, GaussianMixture
 
 REPEATS = 10
+# From a filter's state to the positions (2, n) that it would report.
+Points = Callable[[Any], F8]
 
 
 def measure(targets: int, seed: int = 1, frames: int = 60) -> dict[str, Any]:
+    """The GM-PHD filter's step, see `steps`."""
+    crowd = Crowd(targets, frames)
+    return steps(GMPHD(), stages(crowd).model, crowd, seed, _heavy)
+
+
+def steps(recursion: Filter[Any], model: Model, crowd: Crowd, seed: int, points: Points) -> dict[str, Any]:
     """Median µs per step over the second half of the frames and all repeats, with what was tracked.
 
     ``least`` is the median over the frames of each one's fastest repeat, ``cpu`` the median of the thread's processor time.
     """
-    crowd = Crowd(targets, frames)
-    stream = draw(crowd, seed)
-    model = stages(crowd).model
-    recursion = GMPHD()
+    stream, frames = draw(crowd, seed), crowd.frames
     measured = [model.sensor.measure(found) for found in stream.detections()]
-    spent = [_run(recursion, model, measured, None)[0] for _ in range(REPEATS)]
+    spent = [_run(recursion, model, measured, None, points)[0] for _ in range(REPEATS)]
     wall, cpu = np.moveaxis(np.array(spent)[:, frames // 2 :], 2, 0)
-    _, components, mass, distance = _run(recursion, model, measured, stream)
+    _, components, mass, distance = _run(recursion, model, measured, stream, points)
     return {
         "us": float(np.median(wall) * 1e6),
         "least": float(np.median(wall.min(axis=0)) * 1e6),
@@ -50,7 +56,9 @@ def measure(targets: int, seed: int = 1, frames: int = 60) -> dict[str, Any]:
     }
 
 
-def _run(recursion: GMPHD, model: Model, measured: list[F8], stream: Stream | None) -> tuple[list[Any], ...]:
+def _run(
+    recursion: Filter[Any], model: Model, measured: list[F8], stream: Stream | None, points: Points
+) -> tuple[list[Any], ...]:
     """Seconds on the wall and of the processor, components and mass of every frame, and with the ``stream`` OSPA."""
     rng = np.random.default_rng(0)
     state = recursion.start(model, rng)
@@ -63,15 +71,20 @@ def _run(recursion: GMPHD, model: Model, measured: list[F8], stream: Stream | No
         mass.append(info.mass)
         # The assignment of a thousand to a thousand is slow: a few frames tell.
         if stream is not None and (len(measured[number - 1][0]) < 600 or number % TURN == 0):
-            distance.append(_ospa(state, stream, number))
+            distance.append(_ospa(points(state), stream, number))
     return spent, components, mass, distance
 
 
-def _ospa(state: GaussianMixture, stream: Stream, number: int) -> float:
-    """OSPA of order 1 of the heavy components, pixels."""
+def _heavy(state: GaussianMixture) -> F8:
+    """Positions (2, n) of the heavy components."""
+    return state.mean[:2, state.weight >= 0.5]
+
+
+def _ospa(found: F8, stream: Stream, number: int) -> float:
+    """OSPA of order 1 of positions (2, n), pixels."""
     boxes = stream.truth_at(number)
     true = (boxes[:, :2] + boxes[:, 2:]).T / 2
-    return ospa(state.mean[:2, state.weight >= 0.5], true, CUTOFF)
+    return ospa(found, true, CUTOFF)
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Parts that are measured by one function each: the GM-PHD filter, extraction, association, detectors, the whole process."""
+"""Parts that are measured by one function each: Gaussian filters, extraction, association, detectors, the whole process."""
 
 from __future__ import annotations
 
@@ -22,7 +22,19 @@ def _module(name: str) -> Any:
 
 def gm_phd(scale: Scale, say: Callable[[str], None]) -> Outcome:
     """µs per step of the GM-PHD filter at every size."""
-    measure = _module("gm_phd").measure
+    return _steps("gm_phd", "GM-PHD", GM_LIMIT_US, None, scale, say)
+
+
+def pmb(scale: Scale, say: Callable[[str], None]) -> Outcome:
+    """µs per step of the PMB filter at every size."""
+    return _steps("pmb", "PMB", {}, 1.1, scale, say)
+
+
+def _steps(
+    name: str, title: str, limits: dict[int, float], most: float | None, scale: Scale, say: Callable[[str], None]
+) -> Outcome:
+    """µs per step of the filter that the module ``name`` measures, and how they grow, by no more than to the ``most``-th."""
+    measure = _module(name).measure
     rows, us, details = [], {}, {}
     for targets in scale.sizes:
         say(f"{targets} targets")
@@ -31,18 +43,18 @@ def gm_phd(scale: Scale, say: Callable[[str], None]) -> Outcome:
         details[str(targets)] = found
         rows.append(
             Row(
-                f"GM-PHD, {targets} targets",
+                f"{title}, {targets} targets",
                 found["us"],
                 "µs",
                 Spread(**found["spread"]),
-                GM_LIMIT_US.get(targets),
+                limits.get(targets),
                 note=_rest(found, "us", "cpu"),
                 cpu=found["cpu"],
             )
         )
     growth = exponent([float(n) for n in us], list(us.values()))
-    rows.append(Row(f"GM-PHD, growth exponent, {scale.sizes[0]} … {scale.sizes[-1]} targets", growth, ""))
-    return Outcome(tuple(rows), {"gm_phd_us": us, "gm_phd": {"growth_exponent": growth, "runs": details}})
+    rows.append(Row(f"{title}, growth exponent, {scale.sizes[0]} … {scale.sizes[-1]} targets", growth, "", most=most))
+    return Outcome(tuple(rows), {f"{name}_us": us, name: {"growth_exponent": growth, "runs": details}})
 
 
 def extraction(scale: Scale, say: Callable[[str], None]) -> Outcome:

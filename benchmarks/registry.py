@@ -24,6 +24,7 @@ PARTS: tuple[Part, ...] = (
     Part("roofline", "What the machine allows", roofline.run, roofline.KEYS),
     Part("memory", "Memory", memory.run, memory.KEYS),
     Part("gm-phd", "GM-PHD filter, µs per step", others.gm_phd, ("gm_phd_us", "gm_phd")),
+    Part("pmb", "PMB filter, µs per step", others.pmb, ("pmb_us", "pmb")),
     Part("mht", "Multiple hypotheses, ms per frame", mht.run, mht.KEYS),
     Part("scene", "Learned scene against uniform densities, per frame", scene.run, scene.KEYS),
     Part("d14", "D14's sequence, s", d14.run, d14.KEYS),

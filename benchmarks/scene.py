@@ -28,7 +28,7 @@ from phdtrack.protocols import AnyStages
 from phdtrack.types import F8
 
 KEYS = ("scene_ratio", "scene")
-FILTERS = ("particle-phd", "gm-phd", "gm-cphd", "mht", "mcmc")
+FILTERS = ("pmb", "particle-phd", "gm-phd", "gm-cphd", "mht", "mcmc")
 SLOW = ("mht", "mcmc")
 TARGETS = 15
 BIRTHS, ALARMS = 0.1, 5.0
