@@ -88,17 +88,21 @@ def candidates(paths: Paths, states: Smoothed, measured: Measured, seen: Seen, m
     loose = math.log(_births(paths, measured, seen) * terms.hidden * (1 - terms.back) / terms.back)
     starts = others(paths, states, seen, kept, np.arange(len(paths)), paths.first)
     found = [_beside(paths, states, measured, seen, kept, terms, loose)]
+    # The last frame in which a path begins that each may go on in.
+    beginning = np.unique(begin)
+    reach = np.searchsorted(time[beginning], time[end] + terms.longest + 1e-9, side="right") - 1
+    until = beginning[reach]
     lost, alive = np.zeros(0, np.int64), np.zeros(0)
     mean, cov = np.zeros((0, len(seen.state))), np.zeros((0, len(seen.state), len(seen.state)))
     for p in range(1, len(time)):
-        fresh = np.flatnonzero(end == p - 1)
+        fresh = np.flatnonzero((end == p - 1) & (until >= p))
         lost, alive = np.concatenate((lost, fresh)), np.concatenate((alive, np.zeros(len(fresh))))
         mean, cov = (np.concatenate((a, b[last[fresh]])) for a, b in ((mean, states.mean), (cov, states.covariance)))
         if len(lost) == 0:
             continue
         now = ahead(mean, cov, p, measured, motion)
         survive = motion.p_survive(np.ascontiguousarray(now.mean.T), float(time[p] - time[p - 1]))
-        stay = (survive > 0) & (time[p] - time[end[lost]] <= terms.longest + 1e-9)
+        stay = (survive > 0) & (until[lost] >= p)
         lost, alive = lost[stay], alive[stay] + np.log(survive[stay])
         mean, cov = now.mean[stay], now.covariance[stay]
         come = np.flatnonzero(begin == p)
