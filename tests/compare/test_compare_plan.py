@@ -53,7 +53,7 @@ def test_variants_start_from_the_first_filter_or_from_a_preset(tmp_path: Path) -
 
 
 def test_without_names_the_filter_of_the_settings_is_compared_to_none(tmp_path: Path) -> None:
-    assert [method.name for method in small(tmp_path, filters=[]).methods] == ["particle-phd", "none"]
+    assert [method.name for method in small(tmp_path, filters=[]).methods] == ["pmb", "none"]
     assert [method.name for method in small(tmp_path, filters=[], sets=["filter.kind=gm-phd"]).methods] == ["gm-phd", "none"]
 
 

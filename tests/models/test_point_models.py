@@ -128,7 +128,7 @@ def test_the_preset_is_d14s():
     assert len(recursion.reduce(waiting, rng)) == 500
 
 
-@pytest.mark.parametrize("filter_name", ["gm-phd", "gm-cphd", "particle-cphd", "particle-phd", "none"])
+@pytest.mark.parametrize("filter_name", ["pmb", "gm-phd", "gm-cphd", "particle-cphd", "particle-phd", "none"])
 def test_every_filter_can_do_with_points(filter_name: str, rng):
     """Two points seen for fifteen frames among clutter are found; the world brings its own parts."""
     stages = config.build(config.load(sets=["motion.kind=point"]), INFO, filter_name)

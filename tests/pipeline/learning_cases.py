@@ -49,9 +49,14 @@ def joined(parts):
 def tracked(info: SequenceInfo, table: DetectionTable, *sets: str) -> Run:
     """``sets`` are settings of the section learn; without any nothing is learned.
 
-    Tracks are not joined: those that false alarms of one place make would be one, and their number would say nothing.
+    By the particle PHD filter, which has nothing of its own against places that fire. Tracks are not joined: those that
+    false alarms of one place make would be one, and their number would say nothing.
     """
-    options = ["refine.stitch=false", *(f"learn.{text}" for text in ("kind=online", *sets) if sets)]
+    options = [
+        "filter.kind=particle-phd",
+        "refine.stitch=false",
+        *(f"learn.{text}" for text in ("kind=online", *sets) if sets),
+    ]
     stages, rng = config.build(config.load(sets=options), info), np.random.default_rng(0)
     frames = ((k, (k - 1) / info.fps, table.at(k)) for k in range(1, info.frames + 1))
     course, state = [], pipeline.start(stages, rng)

@@ -25,9 +25,9 @@ def scores(filter_name: str, seeds=(1, 5), frames: int = 150) -> tuple[Scores, S
     return pool(corrected), pool(online)
 
 
-@pytest.fixture(scope="module")
-def filtered():
-    return scores("particle-phd")
+@pytest.fixture(scope="module", params=["pmb", "particle-phd"])
+def filtered(request):
+    return scores(request.param)
 
 
 @pytest.fixture(scope="module")

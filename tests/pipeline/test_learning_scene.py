@@ -16,7 +16,7 @@ from phdtrack.types import Detections, SequenceInfo, Truth
 
 def test_the_signal_is_right_where_the_filter_alone_is_not():
     scene = street(1, 1500)
-    stages, rng = config.build(config.load(), scene.info), np.random.default_rng(0)
+    stages, rng = config.build(config.load(), scene.info, "particle-phd"), np.random.default_rng(0)
     state, seen, chance = pipeline.start(stages, rng), [], []
     for k in range(1, 1501):
         state, step = pipeline.advance(stages, state, scene.detections.at(k), k, (k - 1) / 25, rng)
@@ -144,7 +144,7 @@ def test_frames_that_nobody_saw_teach_nothing():
 
 
 # What is tracked when learning begins goes on for a while.
-@pytest.mark.parametrize("kind", ["gm-phd", "mht"])
+@pytest.mark.parametrize("kind", ["pmb", "gm-phd", "mht"])
 def test_other_filters_learn_too(kind):
     scene = street(3, 1000)
     found = {}

@@ -9,8 +9,8 @@ import pytest
 
 from phdtrack import pipeline
 from phdtrack.associate import GraphMatching, Labelled
-from phdtrack.extract import BestHypothesis, Components, KMeans, Raw
-from phdtrack.filters import GMPHD, MHT, NoFilter, ParticlePHD
+from phdtrack.extract import BestBernoullis, BestHypothesis, Components, KMeans, Raw
+from phdtrack.filters import GMPHD, MHT, PMB, NoFilter, ParticlePHD
 from phdtrack.models import PlaneBirth, PlaneMotion, PlaneSensor, UniformClutter
 from phdtrack.protocols import Model, Stages
 from phdtrack.types import Detections
@@ -22,7 +22,7 @@ ABOVE = np.array([[100.0, 2, 120, 35], [300, 0, 310, 20]])
 def stages(filter_, extractor) -> Stages:
     sensor = PlaneSensor(camera=LevelCamera(), frame_size=FRAME)
     model = Model(PlaneMotion(), sensor, PlaneBirth(volume="local"), UniformClutter(0.1, 500.0), rate=1.0, first=0.1)
-    return Stages(model, filter_, extractor, Labelled() if isinstance(filter_, MHT) else GraphMatching(miss=0.3))
+    return Stages(model, filter_, extractor, Labelled() if isinstance(filter_, MHT | PMB) else GraphMatching(miss=0.3))
 
 
 def run(world: Stages, frames: list[np.ndarray]):
@@ -40,9 +40,10 @@ def run(world: Stages, frames: list[np.ndarray]):
         (GMPHD(region=9.21), Components()),
         (ParticlePHD(200, region=9.21), KMeans()),
         (MHT(), BestHypothesis()),
+        (PMB(), BestBernoullis()),
         (NoFilter(), Raw()),
     ],
-    ids=["gm-phd", "particle-phd", "mht", "none"],
+    ids=["gm-phd", "particle-phd", "mht", "pmb", "none"],
 )
 def test_they_change_nothing_but_the_numbers_of_the_detections(filter_, extractor):
     world = stages(filter_, extractor)

@@ -59,13 +59,14 @@ def tracked(tracker: Tracker, seed: int) -> tuple[Scores, np.ndarray]:
 @pytest.mark.parametrize(
     ("filter_", "extract"),
     [
+        ({"kind": "pmb"}, {}),
         ({"kind": "gm-phd"}, {}),
         ({"kind": "gm-cphd"}, {}),
         ({"kind": "particle-phd", "per_target": 400}, {"kind": "kmeans"}),
         ({"kind": "particle-phd", "per_target": 400}, {"kind": "mixture"}),
         ({"kind": "particle-cphd", "per_target": 400}, {}),
     ],
-    ids=["gm-phd", "gm-cphd", "kmeans", "mixture", "particle-cphd"],
+    ids=["pmb", "gm-phd", "gm-cphd", "kmeans", "mixture", "particle-cphd"],
 )
 def test_walkers_are_followed(filter_, extract, camera_file):
     """Mean of two realisations: four people are found, and counted to 15 % on average."""
@@ -85,7 +86,7 @@ def test_walkers_are_followed(filter_, extract, camera_file):
     assert np.mean([mass[5:].mean() for mass in masses]) == pytest.approx(4, rel=0.15)
 
 
-@pytest.mark.parametrize("kind", ["gm-phd", "particle-phd"])
+@pytest.mark.parametrize("kind", ["pmb", "gm-phd", "particle-phd"])
 def test_the_preset_of_e13_runs_with_any_filter(kind: str, camera_file):
     """Births are at E13's places, so that walkers elsewhere are none of its; with births about detections they are."""
     given = {"preset": "e13", "camera": {"file": str(camera_file)}, "filter": kind}
@@ -105,11 +106,11 @@ def test_the_preset_of_e13_runs_with_any_filter(kind: str, camera_file):
     assert np.median(away) < 0.5
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_runners_are_not_lost_at_their_birth(seed: int):
+@pytest.mark.parametrize(("kind", "seed"), [("pmb", 0), *(("particle-phd", seed) for seed in range(8))])
+def test_runners_are_not_lost_at_their_birth(kind: str, seed: int):
     """Two who cross the frame at 5 pixels a frame, seen clearly: the particle filter keeps two identities at any seed."""
     noise = np.random.default_rng(3).normal(0, 1, (40, 2, 2))
-    tracker = Tracker((320, 240), seed=seed)
+    tracker = Tracker((320, 240), seed=seed, filter=kind)
     for k in range(1, 41):
         corner = np.array([[20.0 + 5 * k, 60], [270.0 - 5 * k, 150]]) + noise[k - 1]
         tracker.update(np.hstack([corner, corner + np.array([24, 60])]))
