@@ -16,8 +16,9 @@ import numpy as np
 
 from phdtrack.camera.warp import as_warp
 from phdtrack.errors import InputError
+from phdtrack.explanation import Explanation
 from phdtrack.protocols import AnyStages, Model
-from phdtrack.types import F4, F8, I8, STILL, Detections, Estimates, Explanation, Step, Tracks, UpdateInfo
+from phdtrack.types import F4, F8, I8, STILL, Detections, Estimates, Step, Tracks, UpdateInfo
 
 NOBODY: F8 = np.zeros((0, 0))
 # Where measurements are put that tell nothing of any state: no state is near.

@@ -18,6 +18,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 
 from phdtrack.errors import InputError
+from phdtrack.explanation import Explanation
 from phdtrack.measured import Measured
 from phdtrack.types import (
     F4,
@@ -25,7 +26,6 @@ from phdtrack.types import (
     STILL,
     Detections,
     Estimates,
-    Explanation,
     Frame,
     GaussianMixture,
     Image,
@@ -213,6 +213,7 @@ class Extractor(Protocol[S_contra]):
 
 
 A = TypeVar("A")
+C = TypeVar("C")
 
 
 class Associator(Protocol[A]):
@@ -261,19 +262,16 @@ class AsAssociated:
         return tracks
 
 
-E = TypeVar("E")
-
-
-class Explainer(Protocol[E]):
+class Explainer(Protocol[C]):
     """Which detections are which targets', where it is not one of each: between detector and filter."""
 
-    def start(self) -> E:
+    def start(self) -> C:
         """The state before the first frame."""
 
-    def explain(self, state: E, detections: Detections, model: Model, dt: float) -> tuple[E, Explanation]:
+    def explain(self, state: C, detections: Detections, model: Model, dt: float) -> tuple[C, Explanation]:
         """The detections that the filter is to be given of a frame, ``dt`` after the last."""
 
-    def advance(self, state: E, explanation: Explanation, estimates: Estimates, model: Model, dt: float) -> E:
+    def advance(self, state: C, explanation: Explanation, estimates: Estimates, model: Model, dt: float) -> C:
         """Take in what the filter made of them: ``estimates``, whose numbers of detections are the explanation's."""
 
 
@@ -286,14 +284,10 @@ class AsDetected:
 
     def explain(self, state: None, detections: Detections, model: Model, dt: float) -> tuple[None, Explanation]:
         """The same detections."""
-        own = np.arange(len(detections))
-        return None, Explanation(detections, own, own, np.full(len(own), -1))
+        return None, Explanation.unchanged(detections)
 
     def advance(self, state: None, explanation: Explanation, estimates: Estimates, model: Model, dt: float) -> None:
         """Nobody is expected."""
-
-
-C = TypeVar("C")
 
 
 class Learning(Protocol[C]):

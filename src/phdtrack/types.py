@@ -99,26 +99,6 @@ class Detections:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Explanation:
-    """What the filter is given in the place of a frame's N detections: one of each target, see `protocols.Explainer`.
-
-    Attributes
-    ----------
-    detections : those N′ that the filter is given.
-    source : (N′,) the detection that each rests on; several rest on one that they share.
-    part : (N,) the first of the N′ that each detection went into.
-    who : (N′,) the expected target that each belongs to, −1 for none.
-    changed : False where these are the frame's detections as they were.
-    """
-
-    detections: Detections
-    source: I8
-    part: I8
-    who: I8
-    changed: bool = False
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class DetectionTable:
     """The detections of a whole sequence: ``frame`` (M,) int64 from 1, ascending, beside ``detections`` with M rows."""
 

@@ -11,8 +11,9 @@ from phdtrack import config
 from phdtrack.blobs import Expected, Explained
 from phdtrack.boxes import to_cxcywh
 from phdtrack.errors import InputError
+from phdtrack.explanation import Explanation
 from phdtrack.protocols import Model
-from phdtrack.types import F8, Detections, Explanation, SequenceInfo
+from phdtrack.types import F8, Detections, SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0)
 MODEL: Model = config.build(config.load(), INFO).model

@@ -19,8 +19,9 @@ from phdtrack.blobs.edges import fitted, union
 from phdtrack.blobs.expected import Expected, predicted, seen
 from phdtrack.boxes import to_xyxy
 from phdtrack.checks import NonNegative, Positive, Probability, check
+from phdtrack.explanation import Explanation
 from phdtrack.protocols import Model
-from phdtrack.types import F8, Detections, Estimates, Explanation
+from phdtrack.types import F8, Detections, Estimates
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +65,7 @@ class Explained:
             may = May(targets.alone >= self.known, targets.hidden <= self.patience, targets.pieces <= self.torn)
             found = explained(rules, targets, detections, model, may)
         if found is None:
-            return targets, Explanation(detections, np.arange(n), np.arange(n), np.full(n, -1), changed=False)
+            return targets, Explanation.unchanged(detections)
         boxes = to_xyxy(model.sensor.expected(targets.state)[:4])
         return _timed(targets, found, boxes, dt / model.rate), _told(detections, found, boxes)
 
