@@ -26,7 +26,7 @@ def test_both_runs_and_where_to_look(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert ["with", "filter", "without"] in lines
     assert next(line for line in lines if line[:1] == ["frames"])[1:3] == ["60", "60"]
     runs = [said.object["with_filter"], said.object["without_filter"]]
-    assert [run["configuration"]["filter"]["kind"] for run in runs] == ["particle-phd", "none"]
+    assert [run["configuration"]["filter"]["kind"] for run in runs] == ["pmb", "none"]
     assert runs[0]["detections"] == runs[1]["detections"]
     assert "--overwrite" in refused("demo", "--out", out)
 

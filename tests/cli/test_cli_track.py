@@ -77,10 +77,12 @@ def test_size_and_rate_from_the_options(tmp_path: Path) -> None:
     assert said.object["source"] == {"name": "det", "width": 320, "height": 240, "fps": 12.5}
 
 
-def test_the_same_seed_gives_the_same_files(sequence: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["pmb", "particle-phd"])
+def test_the_same_seed_gives_the_same_files(kind: str, sequence: Path, tmp_path: Path) -> None:
     texts = []
+    given = ("--detections", sequence / "det" / "det.txt", "--filter", kind, "--seed", 5)
     for name in ("a", "b"):
-        phdtrack("track", "--detections", sequence / "det" / "det.txt", "--out", tmp_path / name, "--seed", 5)
+        phdtrack("track", *given, "--out", tmp_path / name)
         texts.append([(tmp_path / name / file).read_bytes() for file in (rundir.TRACKS, rundir.STATES)])
     assert texts[0] == texts[1]
 
@@ -90,7 +92,8 @@ def test_threads_reach_the_filter_and_change_nothing(sequence: Path, tmp_path: P
     for threads in (1, 3, 0):
         out = tmp_path / str(threads)
         found = sequence / "det" / "det.txt"
-        said = phdtrack("track", "--detections", found, "--out", out, "--threads", threads, "--json")
+        given = ("--detections", found, "--filter", "particle-phd", "--threads", threads)
+        said = phdtrack("track", *given, "--out", out, "--json")
         assert said.status == 0, said.err
         assert said.object["configuration"]["filter"]["threads"] == threads
         assert said.object["configuration"]["extract"]["threads"] == threads
@@ -98,9 +101,14 @@ def test_threads_reach_the_filter_and_change_nothing(sequence: Path, tmp_path: P
     assert texts[0] == texts[1] == texts[2]
 
 
-def test_threads_for_a_filter_that_has_none(sequence: Path, tmp_path: Path) -> None:
-    options = ["--out", tmp_path / "run", "--filter", "none", "--threads", 2]
-    assert "threads" in refused("track", "--detections", sequence / "det" / "det.txt", *options)
+@pytest.mark.parametrize("kind", ["pmb", "none"])
+def test_threads_go_to_who_has_some_and_are_no_mistake_elsewhere(kind: str, sequence: Path, tmp_path: Path) -> None:
+    given = ("track", "--detections", sequence / "det" / "det.txt", "--filter", kind)
+    assert phdtrack(*given, "--out", tmp_path / "one").status == 0
+    said = phdtrack(*given, "--threads", 2, "--out", tmp_path / "two", "--json")
+    assert said.status == 0, said.err
+    assert not any("threads" in values for values in said.object["configuration"].values() if isinstance(values, dict))
+    assert (tmp_path / "one" / rundir.TRACKS).read_bytes() == (tmp_path / "two" / rundir.TRACKS).read_bytes()
 
 
 def test_a_video(clip: Path, tmp_path: Path) -> None:
@@ -186,11 +194,11 @@ def test_an_empty_file_of_detections_is_an_empty_run(tmp_path: Path) -> None:
     assert (said.object["frames"], said.object["tracks"]) == (40, 0)
 
 
-def test_the_configuration_of_a_run_can_be_run_again(sequence: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("kind", "setting"), [("pmb", "filter.depth=7"), ("particle-phd", "filter.per_target=300")])
+def test_the_configuration_of_a_run_can_be_run_again(kind: str, setting: str, sequence: Path, tmp_path: Path) -> None:
     given = ["--detections", sequence / "det" / "det.txt", "--seed", 3]
-    first = phdtrack(
-        "track", *given, "--set", "sensor.detection=0.8", "--set", "filter.per_target=300", "--out", tmp_path / "a", "--json"
-    )
+    chosen = ("--filter", kind, "--set", "sensor.detection=0.75", "--set", setting)
+    first = phdtrack("track", *given, *chosen, "--out", tmp_path / "a", "--json")
     config = tmp_path / "again.toml"
     config.write_text(as_toml(first.object["configuration"]))
     second = phdtrack("track", *given, "--config", config, "--out", tmp_path / "b", "--json")
@@ -295,10 +303,16 @@ def test_an_output_that_cannot_be_written(sequence: Path, tmp_path: Path) -> Non
 
 def test_a_mistake_in_the_configuration_names_the_nearest(clip: Path, tmp_path: Path) -> None:
     config = tmp_path / "my.toml"
-    config.write_text("[filter]\nper_taget = 300\n")
+    config.write_text("[filter]\ndepht = 7\n")
     sentence = refused("track", clip, "--config", config, "--out", tmp_path / "run")
-    assert "per_taget" in sentence
-    assert "per_target" in sentence
+    assert "depht" in sentence
+    assert "Did you mean depth" in sentence
+
+
+def test_a_setting_of_another_filter_says_whose_it_is(sequence: Path, tmp_path: Path) -> None:
+    options = ("--detections", sequence / "det" / "det.txt", "--set", "filter.per_target=300", "--out", tmp_path / "run")
+    assert "It goes with filter.kind=particle-phd" in refused("track", *options)
+    assert phdtrack("track", *options, "--filter", "particle-phd").status == 0
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX systems")
@@ -335,7 +349,7 @@ def test_settings_of_the_filter_that_the_option_names(sequence: Path, tmp_path: 
     ).object
     settings = run["configuration"]["filter"]
     assert (settings["kind"], settings["depth"], settings["most"]) == ("mht", 3, 7)
-    assert "There are most, ratio, depth" in refused(*options, "--filter", "mht", "--set", "filter.per_target=3")
+    assert "here there are most, ratio, depth" in refused(*options, "--filter", "mht", "--set", "filter.per_target=3")
     assert "two filters" in refused(*options, "--filter", "mht", "--set", "filter.kind=mcmc")
     assert "--filter" in refused(*options, "--filter", "mhd")
 
