@@ -184,3 +184,16 @@ def test_noises_replace_those_of_boxes_where_asked_for():
     assert (model.motion.acceleration, model.motion.resize) == pytest.approx((0.01, 0.03), rel=0.03)
     kept = stages().learning.model(knowing(stages(), noise=found), built.model)
     assert kept.motion == built.model.motion
+
+
+def test_there_are_no_more_false_alarms_than_detections():
+    built = stages("clutter.volume=image", "clutter.rate=90.0")
+    state = built.learning.start()
+    model = built.learning.model(state, built.model)
+    assert model.clutter.rate == 90
+    seven = built.learning.weighed(state, model, Detections.of(boxes(7, np.random.default_rng(9))))
+    assert seven.clutter.rate == pytest.approx(7, rel=0.03)
+    many = built.learning.weighed(state, model, Detections.of(boxes(200, np.random.default_rng(9))))
+    assert many.clutter.rate == 90
+    cautious = stages("clutter.volume=image", "clutter.rate=90.0", "rates.cautious=true")
+    assert cautious.learning.weighed(state, model, Detections.of(boxes(7, np.random.default_rng(9)))) is model

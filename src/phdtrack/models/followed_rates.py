@@ -74,12 +74,21 @@ class FollowRates:
         return self.beside.model(state.beside, replace(model, motion=motion, sensor=sensor, birth=birth, clutter=clutter))
 
     def weighed(self, state: RatesState, model: Model, detections: Detections) -> Model:
-        """The model with the false alarms of a frame by the scores of its detections."""
+        """The model with the false alarms of a frame by the number and the scores of its detections."""
         model = self.beside.weighed(state.beside, model, detections)
+        if len(detections) == 0:
+            return model
+        if self.rule.learns.clutter and not (self.rule.cautious or self.rule.priors.clutter_each):
+            model = self._bounded(state.learned, model, len(detections))
         scale = state.learned.scale
-        if not self.rule.learns.scores or len(scale.at) < 2 or len(detections) == 0:
+        if not self.rule.learns.scores or len(scale.at) < 2:
             return model
         return replace(model, clutter=ScoredClutter(model.clutter, scale.odds(detections.confidence)))
+
+    def _bounded(self, learned: Learned, model: Model, now: int) -> Model:
+        """With no more false alarms a frame than there are detections: at first that is all that is known."""
+        rate = min(learned.rates.clutter, learned.most(now))
+        return replace(model, clutter=with_clutter(model.clutter, _rounded(rate, self.rule.priors.clutter)))
 
     def advance(self, state: RatesState, step: Step) -> RatesState:
         """Take in one frame."""

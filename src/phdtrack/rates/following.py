@@ -61,6 +61,11 @@ class Learned:
     moments: Moments = field(default_factory=Moments)
     learned: float = math.nan
 
+    def most(self, now: int) -> float:
+        """Detections a frame, ``now`` in the one at hand: false alarms cannot be more."""
+        known = _waiting(self.known, self.watch)
+        return (known.detections + now) / (known.frames + 1)
+
 
 def begin(rule: Following) -> Learned:
     """Knowing what the settings say."""
