@@ -15,6 +15,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from phdtrack.detect import BACKGROUND
 from phdtrack.reproduce.common import ROOT, Options, in_parallel, need_data, table, write
 
 FILTERS = ("none", "particle-phd")
@@ -68,7 +69,17 @@ def work(job: Job) -> dict[str, object]:
     """One run of the command line on the video and its detections; its JSON."""
     video, filter_name, found = job.video, job.filter, job.found
     data = need_data()
-    given = ("--detections", str(found / "detections.csv"), "--truth", str(data / video.truth), "--filter", filter_name)
+    given: tuple[str, ...] = (
+        "--detections",
+        str(found / "detections.csv"),
+        "--truth",
+        str(data / video.truth),
+        "--filter",
+        filter_name,
+    )
+    if video.detector in BACKGROUND and filter_name != "none":
+        # As `phdtrack track` does with such a detector; of a file it does not know what made it.
+        given = (*given, "--set", "blobs.kind=explained")
     text = _phdtrack("track", str(data / video.source), *given, "--out", str(found / filter_name), "--overwrite", "--json")
     document: dict[str, object] = json.loads(text)
     return document
