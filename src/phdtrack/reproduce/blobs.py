@@ -161,7 +161,7 @@ _MEANING = """
 Parting merged blobs is on with background detectors (`change`, `mog2`, `knn`, `mean-background`). Who crosses slowly inside
 a blob is told from who turns back by motion alone, and where both cover each other nothing shows which is which: half of
 those who cross come out swapped or new. Pieces are rare behind these detectors, which join them themselves: φ is small, and
-with the GM-PHD filter on TUD-Campus even that costs more than it brings. For a detector that tears objects, set `blobs.split`.
+with the GM-PHD filter on TUD-Campus even that costs more than it brings. Set `blobs.split` where a detector tears objects.
 """
 _SCORES = ("MOTA", "IDF1", "HOTA", "switches", "MOTA online", "IDF1 online", "HOTA online")
 
