@@ -34,11 +34,13 @@ def rates_section(told: Sequence[Rates], rule: Following) -> Html:
 def _rows(last: Rates, rule: Following) -> list[tuple[str, ...]]:
     """What was set and what is known at the end."""
     priors, learns = rule.priors, rule.learns
-    around, units = ("of the detections" if priors.clutter_each else "a frame"), rule.rate
+    units, alarms = rule.rate, "false alarms a frame"
+    if priors.clutter_each:
+        alarms = "false alarms around each detection"
     each = " around each detection" if priors.births_each else ""
     return [
         ("probability of detection", f"{priors.detection:.2f}", f"{last.detection:.2f}", _used(learns.detection)),
-        (f"false alarms {around}", f"{priors.clutter:.3g}", f"{last.clutter:.3g}", _used(learns.clutter)),
+        (alarms, f"{priors.clutter:.3g}", f"{last.clutter:.3g}", _used(learns.clutter)),
         (f"births a second{each}", f"{priors.births * units:.3g}", f"{last.births * units:.3g}", _used(learns.births)),
         *_noises(priors.noise, last.noise, _used(learns.noise)),
         ("odds of the worst score", "1", f"{last.lowest:.2g}", _used(learns.scores)),
@@ -74,6 +76,6 @@ def rates_picture(told: Sequence[Rates], rule: Following) -> Picture:
     right = chart_axes(chart, "time in seconds", "odds of a score", position=122)
     right.plot(time, thinned(np.array([one.highest for one in told]), _POINTS), color="#2a9d74", label="best")
     right.plot(time, thinned(np.array([one.lowest for one in told]), _POINTS), color="#8a6d3b", label="worst")
-    right.set_yscale("log")
+    right.set_ylim(bottom=0)
     legend(right)
     return to_svg(chart)
