@@ -26,6 +26,7 @@ from phdtrack.models import (
     UniformBirth,
 )
 from phdtrack.protocols import AsDetected, NoLearning
+from phdtrack.rates import RatesSettings
 from phdtrack.refine import Refinement
 
 # section → kind → record; the first kind is the default.
@@ -73,7 +74,7 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
     },
     "associate": {"labelled": Labelled, "graph": GraphMatching},
     "learn": {"none": NoLearning, "online": worlds.LearnSettings},
-    "rates": {"none": NoLearning, "learned": worlds.RatesSettings},
+    "rates": {"none": NoLearning, "learned": RatesSettings},
     "blobs": {"none": AsDetected, "explained": Explained},
     "camera_motion": {"none": Standing, "flow": SparseFlow, "file": GivenWarps},
     "refine": {"": Refinement},

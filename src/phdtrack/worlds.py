@@ -35,8 +35,7 @@ from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, area, check_region
 from phdtrack.models.volume import Volume, image_area, image_volume
 from phdtrack.protocols import Birth, Camera, Clutter, Learning, Model, NoLearning
-from phdtrack.rates import Following as RatesRule
-from phdtrack.rates import Learns
+from phdtrack.rates import RatesSettings
 from phdtrack.types import F8, GaussianMixture, SequenceInfo
 
 Boxes = list[tuple[float, float, float, float]]
@@ -189,42 +188,6 @@ class LearnSettings:
             raise InputError("modes are chosen by evidence or by time of day", where="learn.switch", cure="Leave one out")
 
 
-@dataclass(frozen=True, slots=True)
-class RatesSettings:
-    """Rates that are learned from the stream while tracking, from those of the other sections on, see `rates`.
-
-    All are estimated and reported; which of them the filter uses is said here. As shipped it uses what the scores are worth.
-
-    Parameters
-    ----------
-    detection : whether the p_D that is learned is used; otherwise ``sensor.detection`` holds.
-    clutter : whether the rate of false alarms is; otherwise ``clutter.rate`` holds.
-    newborn : whether the rate of births is; otherwise ``birth.rate`` holds.
-    scores : whether what the detector's scores are worth is used; otherwise they are not looked at.
-    noise : whether the noises of measurements and motion are; otherwise ``sensor.spread``, ``motion.acceleration`` and
-        ``motion.resize`` hold, which are made for links that are hard as well as for those that are easy.
-    cautious : whether p_D is used only where it is lower, and the rates of false alarms and births where they are higher,
-        than is set: tracks that break make p_D look too high, false alarms that come again in one place make themselves
-        look too few, and who was never believed is not among the births.
-    memory : seconds after which a frame counts for 37 %.
-    wait : seconds until a detection is judged, beyond ``associate.delay``.
-    every : seconds between two times of learning.
-    """
-
-    detection: bool = False
-    clutter: bool = False
-    newborn: bool = False
-    scores: bool = True
-    noise: bool = False
-    cautious: bool = True
-    memory: Positive = 120.0
-    wait: NonNegative = 1.0
-    every: NonNegative = 1.0
-
-    def __post_init__(self) -> None:
-        check(self)
-
-
 class Record(Protocol):
     """What makes the record of a section from its settings and from values that are none."""
 
@@ -279,10 +242,7 @@ def build_rates(record: Record, kind: str, model: Model, beside: Learning[Any], 
     if kind == "none":
         return beside
     settings: RatesSettings = record("rates")
-    learns = Learns(settings.detection, settings.clutter, settings.newborn, settings.scores, settings.noise)
-    wait = settings.wait + record("associate").delay / info.fps
-    rule = RatesRule(priors(model), model.rate, settings.memory, wait, settings.every, learns, settings.cautious)
-    return FollowRates(rule, beside)
+    return FollowRates(settings.rule(priors(model), model.rate, record("associate").delay / info.fps), beside)
 
 
 def initial_mixture(kinds: Mapping[str, str], record: Record, values: Boxes | Places) -> GaussianMixture:

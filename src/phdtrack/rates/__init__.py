@@ -4,6 +4,7 @@ from phdtrack.rates.following import Following, Learned, Learns, advance, begin
 from phdtrack.rates.known import Counted, Known, Priors, Rates
 from phdtrack.rates.noise import Moments, Noise
 from phdtrack.rates.scores import Judged, Scale, Successive
+from phdtrack.rates.settings import RatesSettings
 
 __all__ = [
     "Counted",
@@ -16,6 +17,7 @@ __all__ = [
     "Noise",
     "Priors",
     "Rates",
+    "RatesSettings",
     "Scale",
     "Successive",
     "advance",
