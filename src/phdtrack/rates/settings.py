@@ -45,6 +45,6 @@ class RatesSettings:
         check(self)
 
     def rule(self, priors: Priors, rate: float, delay: float) -> Following:
-        """How rates are followed from ``priors``, with ``rate`` time units a second and rows that are ``delay`` seconds late."""
+        """How rates are followed, with ``rate`` time units a second and rows that come ``delay`` seconds late."""
         learns = Learns(self.detection, self.clutter, self.newborn, self.scores, self.noise)
         return Following(priors, rate, self.memory, self.wait + delay, self.every, learns, self.cautious)
