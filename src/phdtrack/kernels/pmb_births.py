@@ -1,21 +1,31 @@
-"""First states of new targets, for the fused step: from their measurement alone, or from Gaussians of births that are given.
+"""First states of new targets where births are given, or learned, for the fused step of the box model.
 
-With births given, or learned, γ is their Gaussians and its flat part as Gaussians about the measurements. Then γ̂(z) sums
-over them, and the first state is their posteriors' mean and covariance.
+γ is their Gaussians, and its flat part as Gaussians about the measurements: γ̂(z) sums over all, and the first state has the
+mean and covariance of their posteriors. A kernel of its own, so that only who needs it compiles it.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import INNER
-from phdtrack.kernels.gm_model import ENTRIES, LOCAL, NOWHERE, ROWS, BoxNumbers, D, M, Scene, entry, newborn
+from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.gm_model import (
+    ENTRIES,
+    NOWHERE,
+    ROWS,
+    BoxNumbers,
+    D,
+    M,
+    Scene,
+    box_numbers,
+    entry,
+    newborn,
+    sorted_boxes,
+)
 from phdtrack.kernels.gm_step import DENSITY, FACTOR, PAIR, Y, given, paired
-from phdtrack.kernels.pmb_rows import MIXED, VARIANCE, told_alone
+from phdtrack.kernels.pmb_rows import MIXED, ROW, VARIANCE, told_alone
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -23,104 +33,93 @@ I8 = NDArray[np.int64]
 TINY = float(np.finfo(np.float64).tiny)
 
 
-class Births(NamedTuple):
-    """γ̂ of each measurement (N,) in the scene's order; Gaussians and their ``found`` pairs with measurements.
-
-    ``mean`` (B, d), ``triangle`` (B, 21), ``pair`` (P, 2), ``value`` (P, PAIR) as in `gm_step`, but that in the place of a
-    pair's density stands its part of γ̂.
-    """
-
-    density: F8
-    mean: F8
-    triangle: F8
-    pair: I8
-    value: F8
-    found: int
-
-
 @njit(**INNER)
-def _flat(scene: Scene, b: BoxNumbers, crowded: F8, scale: float) -> F8:
-    """(N,) the flat part of γ about each measurement, times ``scale``."""
-    gamma = np.empty(len(scene.boxes))
-    for j in range(gamma.size):
-        possible = True
-        for a in range(M):
-            possible &= b.low[a] <= scene.boxes[j, a] <= b.high[a]
-        gamma[j] = scale * b.born * (crowded[j] if b.birth == LOCAL else 1.0) if possible else 0.0
-    return gamma
-
-
-@njit(**INNER)
-def births_at(scene: Scene, b: BoxNumbers, crowded: F8, births: F8, gate: float) -> Births:
-    """Of the model's flat births, or where Gaussians (B, 1 + d + 21) are given of all of them."""
+def _paired(scene: Scene, b: BoxNumbers, births: F8, gate: float) -> tuple[F8, F8, I8, F8, int, F8]:
+    """Means (B', d) and triangles (B', 21) of the Gaussians; pairs of them and measurements, their values and how many there
+    are as in `gm_step`, but that in the place of a pair's density stands its part of γ̂; (N,) γ̂ in the scene's order."""
     n = len(scene.boxes)
-    none = 0 * n
-    density = _flat(scene, b, crowded, b.p_detect if len(births) == 0 else 1.0)
-    if len(births) == 0 or n == 0:
-        return Births(
-            density, np.empty((0, D)), np.empty((0, ENTRIES)), np.empty((0, 2), np.int64), np.empty((0, PAIR)), none
-        )
-    room = len(births) + n
+    room, none = len(births) + n, 0 * n
     w, x, p, t = np.empty(room), np.empty((room, D)), np.empty((room, ENTRIES)), np.empty(room, np.int64)
     used = given(births, w, x, p, t, none, none)
+    density = np.zeros(n)
     if b.birth != NOWHERE:
-        covered = np.zeros(n)
-        used = newborn(scene, b, density, covered, w, x, p, t, used, used)
+        gamma = np.empty(n)
+        for j in range(n):
+            possible = True
+            for a in range(M):
+                possible &= b.low[a] <= scene.boxes[j, a] <= b.high[a]
+            gamma[j] = b.born if possible else 0.0
+        used = newborn(scene, b, gamma, density, w, x, p, t, used, used)
     index, value = np.empty((4 * n + 16, 2), np.int64), np.empty((4 * n + 16, PAIR))
     index, value, found = paired(x, p, none, used, scene, b, gate, index, value, none)
-    for j in range(n):
-        density[j] = 0.0
     for q in range(found):
         value[q, DENSITY] *= b.p_detect * w[index[q, 0]]
         density[index[q, 1]] += value[q, DENSITY]
-    return Births(density, x, p, index, value, found)
+    return x, p, index, value, found, density
+
+
+@njit(**ENTRY)
+def birth_states(z: F8, births: F8, gate: float, model: F8) -> tuple[F8, F8]:
+    """γ̂ (N,) at the measurements ``z`` (m, N), and rows (N, 14) of what targets are that begin with them.
+
+    ``births`` (B, 1 + d + 21) weight, mean and triangle of the covariance of each Gaussian; ``model`` the values of
+    `BoxNumbers`. Raises ValueError where the position of a measurement is NaN or infinite.
+    """
+    n = z.shape[1]
+    if n == 0:
+        return np.empty(0), np.empty((0, ROW))
+    b, scene = box_numbers(model), sorted_boxes(z)
+    x, p, index, value, found, density = _paired(scene, b, births, gate)
+    out = np.empty((n, ROW))
+    for j in range(n):
+        told_alone(scene.boxes, j, b, out, j)
+        if density[j] > 0.0:
+            for e in range(VARIANCE, ROW):
+                out[j, e] = 0.0
+    _posteriors(x, p, index, value, found, density, out)
+    rate, rows = np.empty(n), np.empty((n, ROW))
+    for j in range(n):
+        rate[scene.order[j]] = density[j]
+        for r in range(ROW):
+            rows[scene.order[j], r] = out[j, r]
+    return rate, rows
 
 
 @njit(**INNER)
-def first_states(scene: Scene, b: BoxNumbers, births: Births, place: I8, out: F8) -> None:
-    """The first state of a target that begins with measurement j into the row place[j] of ``out``; −1: none does."""
-    for j in range(place.size):
-        if place[j] >= 0:
-            told_alone(scene.boxes, j, b, out, place[j])
-            if births.found > 0 and births.density[j] > 0.0:
-                for e in range(VARIANCE, out.shape[1]):
-                    out[place[j], e] = 0.0
+def _posteriors(x: F8, p: F8, index: I8, value: F8, found: int, density: F8, out: F8) -> None:
+    """Mean and covariance of all posteriors of each measurement, weighed, into ``out``, which holds what it tells alone."""
     # Moments about what the measurement shows, so that nothing is lost when their squares are subtracted.
     step, w = np.empty(D), np.empty((M, D))
-    about = np.zeros((place.size if births.found > 0 else 0, D))
-    for q in range(births.found):
-        j = births.pair[q, 1]
-        k = place[j]
-        if k < 0:
-            continue
-        part = births.value[q, DENSITY] / max(births.density[j], TINY)
-        i, x, p = births.pair[q, 0], births.mean, births.triangle
+    about = np.zeros((len(out), D))
+    for q in range(found):
+        j = index[q, 1]
+        part = value[q, DENSITY] / max(density[j], TINY)
+        i = index[q, 0]
         for r in range(D):
-            step[r] = x[i, r] - out[k, r]
+            step[r] = x[i, r] - out[j, r]
         for a in range(M):
             for r in range(D):
                 total = p[i, entry(max(ROWS[a], r), min(ROWS[a], r))]
                 for e in range(a):
-                    total -= births.value[q, FACTOR + entry(a, e)] * w[e, r]
+                    total -= value[q, FACTOR + entry(a, e)] * w[e, r]
                 w[a, r] = total
-                step[r] += total * births.value[q, FACTOR + entry(a, a)] * births.value[q, Y + a]
+                step[r] += total * value[q, FACTOR + entry(a, a)] * value[q, Y + a]
         for r in range(D):
             about[j, r] += part * step[r]
             left = p[i, entry(r, r)] + step[r] * step[r]
             for a in range(M):
-                left -= w[a, r] * w[a, r] * births.value[q, FACTOR + entry(a, a)]
-            out[k, VARIANCE + r] += part * left
+                left -= w[a, r] * w[a, r] * value[q, FACTOR + entry(a, a)]
+            out[j, VARIANCE + r] += part * left
         for c in range(2):
             left = p[i, entry(c + 2, c)] + step[c] * step[c + 2]
             for a in range(M):
-                left -= w[a, c] * w[a, c + 2] * births.value[q, FACTOR + entry(a, a)]
-            out[k, MIXED + c] += part * left
+                left -= w[a, c] * w[a, c + 2] * value[q, FACTOR + entry(a, a)]
+            out[j, MIXED + c] += part * left
     for j in range(len(about)):
-        k = place[j]
-        if k < 0 or not births.density[j] > 0.0:
+        if not density[j] > 0.0:
             continue
         for r in range(D):
-            out[k, r] += about[j, r]
-            out[k, VARIANCE + r] -= about[j, r] * about[j, r]
+            out[j, r] += about[j, r]
+            out[j, VARIANCE + r] -= about[j, r] * about[j, r]
         for c in range(2):
-            out[k, MIXED + c] -= about[j, c] * about[j, c + 2]
+            out[j, MIXED + c] -= about[j, c] * about[j, c + 2]

@@ -13,14 +13,15 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gm_model import LOCAL, PLACES, BoxNumbers, D, Scene, box_numbers, crowding, sorted_boxes
-from phdtrack.kernels.pmb_births import TINY, Births, births_at, first_states
-from phdtrack.kernels.pmb_rows import ROW, gaussians, in_rows, moved, paired, taken
+from phdtrack.kernels.gm_model import LOCAL, PLACES, BoxNumbers, D, M, Scene, box_numbers, crowding, sorted_boxes
+from phdtrack.kernels.pmb_rows import ROW, gaussians, in_rows, moved, paired, taken, told_alone
 from phdtrack.kernels.pmb_update import BELIEVED, Pruning, Survivors, best_of, merged, survivors
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 B1 = NDArray[np.bool_]
+
+TINY = float(np.finfo(np.float64).tiny)
 
 
 class Settings(NamedTuple):
@@ -95,15 +96,22 @@ def _predicted(exist: F8, first: I8, weight: F8, rows: F8, static: B1, hidden: F
 
 
 @njit(**INNER)
-def _clutter(scene: Scene, b: BoxNumbers, crowded: F8, given: F8) -> F8:
-    """κ at the measurements, in the scene's order; ``given`` (N,) in theirs, or (0,)."""
-    kappa = np.empty(len(scene.boxes))
-    for j in range(kappa.size):
+def _densities(scene: Scene, b: BoxNumbers, crowded: F8, births: F8, given: F8) -> tuple[F8, F8]:
+    """κ and γ̂ at the measurements, in the scene's order; ``given`` and ``births`` (N,) in theirs, or (0,): flat ones."""
+    n = len(scene.boxes)
+    kappa, born = np.empty(n), np.empty(n)
+    for j in range(n):
+        possible = True
+        for a in range(M):
+            possible &= b.low[a] <= scene.boxes[j, a] <= b.high[a]
+        born[j] = b.p_detect * b.born * (crowded[j] if b.birth == LOCAL else 1.0) if possible else 0.0
+        if births.size > 0:
+            born[j] = births[scene.order[j]]
         if b.clutter == PLACES:
             kappa[j] = given[scene.order[j]]
         else:
             kappa[j] = b.false * (crowded[j] if b.clutter == LOCAL else 1.0)
-    return kappa
+    return kappa, born
 
 
 @njit(**INNER)
@@ -127,35 +135,33 @@ def _kept(kept: Survivors, rows: F8, seen: F8, static: B1, hidden: F8, scene: Sc
 
 @njit(**INNER)
 def _started(
-    own: F8, alone: F8, scene: Scene, births: Births, b: BoxNumbers, s: Settings, out: Hypotheses, t: int, k: int
+    own: F8, alone: F8, born: F8, states: F8, scene: Scene, b: BoxNumbers, s: Settings, out: Hypotheses, t: int, k: int
 ) -> tuple[int, int]:
     """New targets behind the first t, and k hypotheses; how many there are of both then.
 
     They come in the order of the measurements and not of the scene: labels follow it.
     """
     n, kinds = own.size, 2 if s.sources > 0.0 else 1
-    place, sorted_at = np.empty(n, np.int64), np.empty(n, np.int64)
+    place = np.empty(n, np.int64)
     for j in range(n):
-        sorted_at[scene.order[j]] = j
+        place[scene.order[j]] = j
     for number in range(n):
-        j = sorted_at[number]
-        place[j] = -1
-        exist = own[j] * (births.density[j] / alone[j])
+        j = place[number]
+        exist = own[j] * (born[j] / alone[j])
         if exist < s.least:
             continue
-        out.which[t], out.exist[t], place[j] = -1, exist, k
+        out.which[t], out.exist[t] = -1, exist
         for kind in range(kinds):
             out.static[k], out.hidden[k], out.detection[k], out.parent[k] = kind == 1, 0.0, number, -1
             out.weight[k] = s.sources if kind == 1 else 1.0 - s.sources
+            if len(states) == 0:
+                told_alone(scene.boxes, j, b, out.rows, k)
+            else:
+                for r in range(ROW):
+                    out.rows[k, r] = states[number, r]
             k += 1
         t += 1
         out.first[t] = k
-    first_states(scene, b, births, place, out.rows)
-    if kinds == 2:
-        for j in range(n):
-            if place[j] >= 0:
-                for r in range(ROW):
-                    out.rows[place[j] + 1, r] = out.rows[place[j], r]
     return t, k
 
 
@@ -219,7 +225,7 @@ def _labels(label: I8, believed: F8, presence: F8, which: I8, fresh: int) -> tup
 @njit(**ENTRY)
 def pmb_box_step(
     exist: F8, label: I8, first: I8, weight: F8, mean: F8, cov: F8, static: B1, hidden: F8, best: I8, believed: F8,
-    ended: I8, fresh: int, z: F8, births: F8, given: F8, model: F8, settings: F8,
+    ended: I8, fresh: int, z: F8, births: F8, states: F8, given: F8, model: F8, settings: F8,
 ) -> tuple[
     F8, I8, I8, F8, F8, F8, B1, F8, I8, I8, I8, F8, F8, I8, int, F8, float, float, float, int
 ]:  # fmt: skip
@@ -230,7 +236,7 @@ def pmb_box_step(
     exist, label, first, weight, mean, cov, static, hidden, best, believed : see `bernoullis.Layer`.
     ended, fresh : see `bernoullis.Bernoullis`.
     z : (m, N) measurements.
-    births : Gaussians of births that are given: (B, 1 + d + 21) weight, mean and triangle of the covariance of each.
+    births, states : where births are given γ̂ (N,) at the measurements and (N, 14) what begins there, else (0,), (0, 14).
     given : (N,) κ at the measurements where the model says that it is given, else (0,).
     model, settings : the values of `BoxNumbers` and of `Settings`.
 
@@ -256,17 +262,17 @@ def pmb_box_step(
         scene = Scene(np.empty((0, 4)), first[:0], first[:0], 0.0, 0.0, 0.0, 0.0, n, n)
         point, which, density, pairs = first[:0], first[:0], weight[:0], 0 * n
     crowded = crowding(scene, b) if n > 0 and (b.birth == LOCAL or b.clutter == LOCAL) else weight
-    kappa, born = _clutter(scene, b, crowded, given), births_at(scene, b, crowded, births, s.gate)
+    kappa, born = _densities(scene, b, crowded, births, given)
     alone = np.empty(n)
     for j in range(n):
-        alone[j] = max(kappa[j] + born.density[j], TINY)
+        alone[j] = max(kappa[j] + born[j], TINY)
     kept = survivors(exist, first, weight, seen, point, which, density, pairs, alone, Pruning(s.least, s.share, s.most))
     old, many = kept.target.size, kept.source.size
     out = _room(old + n, many + 2 * n)
     _kept(kept, rows, seen, static, hidden, scene, b, out)
-    t, k = _started(kept.own, alone, scene, born, b, s, out, old, many)
+    t, k = _started(kept.own, alone, born, states, scene, b, s, out, old, many)
     table, appeared = _table(
-        exist, first, weight, seen, static, point, which, density, pairs, kept, kappa, born.density, alone, scene.order,
+        exist, first, weight, seen, static, point, which, density, pairs, kept, kappa, born, alone, scene.order,
         s.sources,
     )  # fmt: skip
     begin, chosen, heavier = merged(out.first[: t + 1], out.weight[:k], out.rows, D, out.static, s.merge * s.merge)

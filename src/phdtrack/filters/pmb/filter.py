@@ -180,7 +180,7 @@ class PMB:
         settings = settings_of(
             self.least, self.share, self.most, self.merge, self.gate, self.sources, self.firing, self.depth, lost, found
         )
-        return fused_step(state, now, z, box, settings, self.depth)
+        return fused_step(state, now, z, box, settings, self.gate, self.depth)
 
 
 def given_up(before: Layer, layer: Layer) -> I8:

@@ -8,10 +8,12 @@ import numpy as np
 
 from phdtrack.bernoullis import Bernoullis, Layer
 from phdtrack.filters.gm_box import BoxModel
+from phdtrack.kernels.pmb_births import birth_states
+from phdtrack.kernels.pmb_rows import ROW
 from phdtrack.kernels.pmb_step import Settings, pmb_box_step
 from phdtrack.types import F8, UpdateInfo
 
-_UNASKED = np.zeros(0)
+_UNASKED, _ALONE = np.zeros(0), np.zeros((0, ROW))
 
 
 @lru_cache(maxsize=64)
@@ -21,15 +23,18 @@ def settings_of(*settings: float) -> F8:
 
 
 def fused_step(
-    state: Bernoullis, now: Layer, z: F8, box: BoxModel, settings: F8, depth: int
+    state: Bernoullis, now: Layer, z: F8, box: BoxModel, settings: F8, gate: float, depth: int
 ) -> tuple[Bernoullis, UpdateInfo]:
     """The targets ``now``, those of ``state`` in the frame's pixels, after a frame of the box model."""
     kappa = _UNASKED if box.clutter is None else box.clutter.intensity(z)
     # The kernel is compiled for arrays row by row.
     ordered = np.ascontiguousarray
+    z, births, states = ordered(z), _UNASKED, _ALONE
+    if len(box.births):
+        births, states = birth_states(z, box.births, gate, box.numbers)
     found = pmb_box_step(
         now.exist, now.label, now.first, now.weight, ordered(now.mean), ordered(now.covariance), now.static, now.hidden,
-        now.best, now.believed, ordered(state.ended), state.fresh, ordered(z), box.births, kappa, box.numbers, settings,
+        now.best, now.believed, ordered(state.ended), state.fresh, z, births, states, kappa, box.numbers, settings,
     )  # fmt: skip
     layer = Layer(*found[:13])
     ended, fresh, table, predicted, born, mass, vanished = found[13:]
