@@ -118,8 +118,8 @@ def test_false_alarms_unattended(street, tmp_path):
     assert flag == pytest.approx([612, 52, 24, 24], abs=3)
     assert (scene.notes["first"], scene.notes["last"], scene.notes["clutter from"]) == (100, 899, "unattended")
     assert "Nobody has looked at them" in (tmp_path / "scene.html").read_text()
-    # A second of a flag is no evidence.
-    said = phdtrack(*options(street)[:-2], "--clutter", "unattended", "--last", "25", "--out", tmp_path / "short.json")
+    # Half a second of a flag is no evidence.
+    said = phdtrack(*options(street)[:-2], "--clutter", "unattended", "--last", "12", "--out", tmp_path / "short.json")
     assert said.status == 2
     assert "false alarms stay uniform: learning: expected at least 10 detections" in said.out
     assert "Look yourself" in said.out

@@ -157,13 +157,15 @@ def _births(paths: Paths, measured: Measured, seen: Seen) -> float:
 
 def matched(pairs: Pairs, count: int) -> I8:
     """(K,) the successor of each of ``count`` paths, −1 for none: the sum of the log-odds is the largest that there is."""
-    # Importing it takes most of a second, which a run that ends without tracks need not wait for.
+    after = np.full(count, -1, np.int64)
+    good = np.flatnonzero(pairs.odds > 0)
+    if len(good) == 0:
+        return after
+    # Importing it takes most of a second, which a run in which nothing can be joined need not wait for.
     from scipy.optimize import linear_sum_assignment
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    after = np.full(count, -1, np.int64)
-    good = np.flatnonzero(pairs.odds > 0)
     a, b, odds = pairs.before[good], pairs.after[good], pairs.odds[good]
     graph = coo_array((np.ones(len(a)), (a, b + count)), shape=(2 * count, 2 * count))
     _, part = connected_components(graph, directed=False)
