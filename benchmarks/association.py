@@ -54,7 +54,7 @@ def measure(targets: int, frames: int = 0, seed: int = 1, clutter: float = -1.0)
     """
     frames = frames or max(120, min(400, 20_000 // max(targets, 1)))
     rng = np.random.default_rng(seed)
-    stages = config.build(config.load(), SequenceInfo(720, 480, RATE))
+    stages = config.build(config.load(sets=["filter.kind=particle-phd"]), SequenceInfo(720, 480, RATE))
     matching, model = stages.associator, stages.model
     state, spent = matching.start(), []
     states = stream(stages, targets, frames, 0.1 * targets if clutter < 0 else clutter, rng)

@@ -24,7 +24,7 @@ from benchmarks.compile import detections  # noqa: E402
 
 from phdtrack.commands.precompile import TABLE, table  # noqa: E402
 
-FILTERS = ("particle-phd", "gm-phd", "none", "gm-cphd", "mht", "mcmc")
+FILTERS = ("pmb", "particle-phd", "gm-phd", "none", "gm-cphd", "mht", "mcmc")
 # `precompile` is set aside: the table is to say what a run calls, not what an older table said.
 PROGRAM = """
 import json, sys

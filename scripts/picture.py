@@ -23,7 +23,7 @@ def main() -> None:
     """Track the scene up to one frame and draw it three times."""
     scene = make_scene("street", SEED, DetectorModel(p_detect=0.9, clutter_rate=CLUTTER), frames=FRAME + 20)
     info = scene.info
-    tracker = Tracker((info.width, info.height), fps=info.fps, seed=SEED)
+    tracker = Tracker((info.width, info.height), fps=info.fps, seed=SEED, filter="particle-phd")
     annotate, none = Annotator(info), Tracks.empty()
     heat = np.zeros((1, 1))
     pictures = []
