@@ -75,7 +75,7 @@ FILTERED: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
         "motion": {"resize": 0.05},
         "sensor": {"spread": 0.25},
         "birth": {"rate": 0.005},
-        "clutter": {"rate": 2.0},
+        "clutter": {"rate": 1.5},
     },
     "particle-phd": _PARTICLES,
     "particle-cphd": _PARTICLES,

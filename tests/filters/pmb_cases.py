@@ -88,7 +88,11 @@ def moved_on(ways: list[One], model: Model, dt: float, turns: F8) -> list[One]:
     for way in ways:
         weight = way.weight * float(model.motion.p_survive(way.mean[:, None], dt)[0])
         if way.static:
-            out.append(replace(way, weight=weight))
+            # Where a source fires is never known better than half the variance of one measurement says.
+            cov, noise = way.cov.copy(), model.sensor.noise(way.mean[:, None])[:, 0]
+            for row in model.sensor.observed:
+                cov[row, row] = max(cov[row, row], 0.5 * noise[row] ** 2)
+            out.append(replace(way, weight=weight, cov=cov))
             continue
         mean, cov = kalman(model, way.mean, way.cov, None, dt)
         out += [replace(way, weight=weight * turns[int(way.hidden), k], hidden=bool(k), mean=mean, cov=cov) for k in (0, 1)]

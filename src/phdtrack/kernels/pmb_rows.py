@@ -22,6 +22,8 @@ I8 = NDArray[np.int64]
 NORM = 1.0 / (2.0 * math.pi) ** 2
 # Where in a row the variances begin, where the two covariances, how long it is.
 VARIANCE, MIXED, ROW = D, 2 * D, 2 * D + 2
+# How well a source's place can be known, as a share of the variance of one measurement.
+SURE = 0.5
 
 
 @njit(**INNER)
@@ -63,6 +65,16 @@ def moved(rows: F8, i: int, b: BoxNumbers) -> None:
         rows[i, MIXED + a] += dt * rows[i, VARIANCE + v] + a2 * mixed
         rows[i, VARIANCE + v] += a2 * dt
         rows[i, VARIANCE + s] += b2 * dt
+
+
+@njit(**INNER)
+def left_alone(rows: F8, i: int, b: BoxNumbers) -> None:
+    """Row i, that of a source, in place: where it fires is never known better than `SURE` of one measurement's variance."""
+    for a in range(2):
+        size = max(b.spread * rows[i, a + 4], b.floor)
+        position2, size2 = (b.fixed_position, b.fixed_size) if b.scaling == FIXED else (0.25 * size * size, size * size)
+        rows[i, VARIANCE + a] = max(rows[i, VARIANCE + a], SURE * position2)
+        rows[i, VARIANCE + a + 4] = max(rows[i, VARIANCE + a + 4], SURE * size2)
 
 
 @njit(**INNER)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gm_model import LOCAL, PLACES, BoxNumbers, D, M, Scene, box_numbers, crowding, sorted_boxes
-from phdtrack.kernels.pmb_rows import ROW, gaussians, in_rows, moved, paired, taken, told_alone
+from phdtrack.kernels.pmb_rows import ROW, gaussians, in_rows, left_alone, moved, paired, taken, told_alone
 from phdtrack.kernels.pmb_update import BELIEVED, Pruning, Survivors, best_of, merged, survivors
 
 F8 = NDArray[np.float64]
@@ -88,6 +88,7 @@ def _predicted(exist: F8, first: I8, weight: F8, rows: F8, static: B1, hidden: F
                 weight[c] = seen[c] / stay
             if static[c]:
                 seen[c] = s.firing
+                left_alone(rows, c, b)
                 continue
             hidden[c] = hidden[c] * (1.0 - s.found) + (1.0 - hidden[c]) * s.lost
             seen[c] = (1.0 - hidden[c]) * b.p_detect
@@ -147,8 +148,9 @@ def _started(
         place[scene.order[j]] = j
     for number in range(n):
         j = place[number]
-        exist = own[j] * (born[j] / alone[j])
-        if exist < s.least:
+        new = born[j] / alone[j]
+        exist = own[j] * new
+        if not exist >= min(s.least, 0.5 * new) or not exist > 0.0:
             continue
         out.which[t], out.exist[t] = -1, exist
         for kind in range(kinds):

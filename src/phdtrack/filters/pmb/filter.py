@@ -23,8 +23,9 @@ detected with the sensor's p_D, hidden never; it gets hidden and comes into view
 Markov chain in continuous time that starts in view at a first detection.
 
 A **source** of false alarms fires again and again in one place. It is no target that moves: a first detection is a source's
-with probability ``sources``, it stays where it is, and fires with probability ``firing``. Who moves, or is seen more
-steadily than that, is soon known to be a target. Sources compete for measurements like targets do and are never reported.
+with probability ``sources``, it stays where it is, which is never known for sure, and fires with probability
+``firing``. Who moves, or is seen more steadily than that, is soon known to be a target. Sources compete for measurements
+like targets do and are never reported.
 
 This file is the definition, for any model that keeps the protocols; for the shipped box model `PMB.step` is the same in one
 kernel (`kernels.pmb_step`).
@@ -46,8 +47,9 @@ from phdtrack.filters.gm_box import box_model
 from phdtrack.filters.pmb.fused import fused_step, settings_of
 from phdtrack.filters.pmb.update import Terms, measured, merged
 from phdtrack.filters.transforms import Transform, moved
+from phdtrack.kernels.pmb_rows import SURE
 from phdtrack.kernels.pmb_update import BELIEVED
-from phdtrack.protocols import Model
+from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8, GaussianMixture, Particles, UpdateInfo
 
 
@@ -57,7 +59,8 @@ class PMB:
 
     Parameters
     ----------
-    least : targets that are there with less probability are given up.
+    least : targets that are there with less probability are given up. However rare births are beside false alarms, what
+        is more probably nobody else's can be seen a second time.
     share : hypotheses of a target that are less probable are dropped.
     most : hypotheses kept of a target, the most probable.
     merge : hypotheses of a target within so many deviations of a heavier one, all in all, are taken for it.
@@ -118,6 +121,7 @@ class PMB:
                     "the PMB filter has no spawning", where="motion.births", cure="Use NoSpawn, or the particle filter"
                 )
             mean[:, moving], cov[moving] = moved(x, cov[moving], model.motion, dt, self.transform)
+        _left_alone(mean, cov, np.flatnonzero(now.static), model.sensor)
         target = now.target
         stay = sum_by(target, now.weight * survive, len(now.exist))
         weight = np.where(stay[target] > 0, now.weight * survive / np.where(stay > 0, stay, 1.0)[target], now.weight)
@@ -181,6 +185,18 @@ class PMB:
             self.least, self.share, self.most, self.merge, self.gate, self.sources, self.firing, self.depth, lost, found
         )
         return fused_step(state, now, z, box, settings, self.gate, self.depth)
+
+
+def _left_alone(mean: F8, cov: F8, static: I8, sensor: Sensor) -> None:
+    """Predict the ``static`` hypotheses, in place: where a source fires is never known better than `SURE` allows.
+
+    A target's place is not either, because it moves. Were a source's known better and better, whoever stands still would
+    be explained by one better and better, however steadily he is detected.
+    """
+    if len(static):
+        noise = sensor.noise(np.ascontiguousarray(mean[:, static]))
+        for row in sensor.observed:
+            cov[static, row, row] = np.maximum(cov[static, row, row], SURE * noise[row] ** 2)
 
 
 def given_up(before: Layer, layer: Layer) -> I8:

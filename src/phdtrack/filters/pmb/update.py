@@ -81,8 +81,9 @@ def first_states(z: F8, model: Model, dt: float, terms: Terms) -> Newborn:
 
 def _new(own: F8, born: Newborn, kappa: F8, terms: Terms, fresh: int) -> Layer:
     """A target for every measurement that may be the first of one: itself, or a source."""
-    exist = own * np.divide(born.density, kappa + born.density, out=np.zeros_like(own), where=born.density > 0)
-    new = np.flatnonzero(exist >= terms.least)
+    alone = np.divide(born.density, kappa + born.density, out=np.zeros_like(own), where=born.density > 0)
+    exist = own * alone
+    new = np.flatnonzero((exist >= np.minimum(terms.least, 0.5 * alone)) & (exist > 0))
     n, kinds = len(new), np.array([False, True]) if terms.sources > 0 else np.zeros(1, np.bool_)
     k = len(kinds)
     of = np.repeat(new, k)
