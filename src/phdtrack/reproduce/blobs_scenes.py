@@ -146,4 +146,5 @@ def _torn(box: F8, rng: np.random.Generator) -> F8:
     inset[:, int(rng.integers(len(tops)))] = 0.0
     tall = bottoms - tops > 2.0
     pieces: F8 = np.stack([left + inset[0], tops, right - inset[1], bottoms], axis=1)
-    return pieces[tall]
+    out: F8 = pieces[tall]
+    return out
