@@ -141,6 +141,15 @@ def test_a_track_says_once_where_it_is(rng):
     assert len(set(zip(tracks.frame, tracks.identity, strict=True))) == len(tracks)
 
 
+def test_two_tracks_of_one_that_both_go_on_unseen_go_on_once(rng):
+    """The second piece begins before the first ends; both have rows without measurements behind their last."""
+    a = walk(rng, 60, (60, 240), (4, 0))
+    first = piece(a, 1, (1, 30)) | dict.fromkeys(range(31, 46))
+    second = piece(a, 1, (31, 40)) | dict.fromkeys(range(41, 46))
+    tracks = refined([first, second])
+    assert names(tracks) == {1: list(range(1, 46))}
+
+
 def test_a_measurement_that_two_share_places_neither(rng):
     """In frames 11 to 13 one box stands for two people."""
     a, b = walk(rng, 30, (100, 240), (4, 0), noise=0.5), walk(rng, 30, (100, 340), (4, 0), noise=0.5)

@@ -132,7 +132,9 @@ def _known(states: Smoothed, noise: F8, sides: I8, most: float) -> Bool:
 
 
 def _doubled(tracks: Tracks, paths: Paths, measured: Measured, name: I8) -> Bool:
-    """(T,) the rows that rest on nothing, before or behind their own measurements, where another's of that name are."""
+    """(T,) the rows that rest on nothing of their own, before or behind their own measurements, where that name has another:
+    one of its path, or a row like it (two tracks that are one may both go on with a detection that they share).
+    """
     outside = np.ones(len(tracks), np.bool_)
     outside[paths.row[paths.row >= 0]] = False
     who = name[paths.row[paths.first]]
@@ -140,5 +142,9 @@ def _doubled(tracks: Tracks, paths: Paths, measured: Measured, name: I8) -> Bool
     at = np.minimum(np.searchsorted(who[order], name), len(order) - 1)
     path = order[at]
     begin, end = measured.number[paths.frame[paths.first]][path], measured.number[paths.frame[paths.last]][path]
-    out: Bool = outside & (who[path] == name) & (tracks.frame >= begin) & (tracks.frame <= end)
+    within: Bool = (who[path] == name) & (tracks.frame >= begin) & (tracks.frame <= end)
+    _, first = np.unique(np.stack([name, tracks.frame]), axis=1, return_index=True)
+    again = np.ones(len(tracks), np.bool_)
+    again[first] = False
+    out: Bool = outside & (within | again)
     return out
