@@ -83,7 +83,7 @@ def test_targets_of_a_learned_scene_are_followed_alike():
     at = births("learned", 1, mixed=False).density.mean[:, 3]
     for k in range(15):
         box = np.array([at[0] + k * at[2], at[1] + k * at[3], at[4], at[5]])
-        z = (box * (1 + 0.03 * rng.standard_normal((3, 4))) + np.array([[0.0], [60], [-90]])).T
+        z = (box * (1 + 0.03 * rng.standard_normal((3, 4))) + np.array([[0.0, 0, 0, 0], [60, 60, 0, 0], [-90, -90, 0, 0]])).T
         fused, _ = settings.step(fused, np.ascontiguousarray(z), model, 1.0, rng)
         general, _ = composed_step(settings, general, np.ascontiguousarray(z), model, 1.0, rng)
         assert fused.present.label.tolist() == general.present.label.tolist()

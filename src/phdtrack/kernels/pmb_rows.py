@@ -151,7 +151,7 @@ def taken(rows: F8, i: int, boxes: F8, j: int, b: BoxNumbers, out: F8, k: int) -
 def told_alone(boxes: F8, j: int, b: BoxNumbers, out: F8, k: int) -> None:
     """What measurement j tells alone, in the k-th place of ``out``."""
     here = noise(b, boxes[j, 2], boxes[j, 3], boxes, j)
-    size = np.sqrt(max(boxes[j, 2] * boxes[j, 3], 0.0))
+    size = np.sqrt(boxes[j, 2] * boxes[j, 3])
     speed = max(b.deviation_fixed if b.scaling == FIXED else b.deviation_scaled * size, 1e-6)
     for a in range(2):
         out[k, a], out[k, a + 2], out[k, a + 4] = boxes[j, a], 0.0, boxes[j, a + 2]
