@@ -76,7 +76,7 @@ def test_first_states_and_evidence_are_those_of_the_definition(kind: str, clutte
 
 
 def test_targets_of_a_learned_scene_are_followed_alike():
-    """Frames of somebody who comes in where births were learned: who is there, and where, to a tenth of a deviation."""
+    """Frames of somebody who comes in where births were learned: who is there, and where, soon to a hundredth of a deviation."""
     model = Model(BoxMotion(frame_size=SIZE), BoxSensor(), births("learned", 1, mixed=False), CLUTTER["everywhere"])
     settings, rng = PMB(), np.random.default_rng(0)
     fused = general = settings.start(model, rng)
@@ -92,7 +92,7 @@ def test_targets_of_a_learned_scene_are_followed_alike():
         one, other = fused.present.best[there], general.present.best[there]
         step = fused.present.mean[:, one] - general.present.mean[:, other]
         deviation = np.sqrt(np.diagonal(general.present.covariance[other], axis1=1, axis2=2).T)
-        assert (np.abs(step) < 0.1 * deviation).all()
+        assert (np.abs(step) < (0.2 if k < 10 else 0.01) * deviation).all()
     assert (general.present.presence > 0.5).sum() >= 1
 
 
