@@ -76,7 +76,7 @@ def test_first_states_and_evidence_are_those_of_the_definition(kind: str, clutte
 
 
 def test_targets_of_a_learned_scene_are_followed_alike():
-    """Frames of somebody who comes in where births were learned: who is there, and where, soon to a hundredth of a deviation."""
+    """Somebody comes in where births were learned: who is there, and where, soon to a hundredth of a deviation."""
     model = Model(BoxMotion(frame_size=SIZE), BoxSensor(), births("learned", 1, mixed=False), CLUTTER["everywhere"])
     settings, rng = PMB(), np.random.default_rng(0)
     fused = general = settings.start(model, rng)
