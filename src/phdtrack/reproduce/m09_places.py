@@ -27,7 +27,7 @@ from phdtrack.reproduce.m09_scenes import stretch
 from phdtrack.simulate import DetectorModel, detect, make_scene
 from phdtrack.types import F8, Bool, Tracks, Truth
 
-FILTERS = ("particle-phd", "gm-phd")
+FILTERS = ("particle-phd", "gm-phd", "pmb")
 REAL, MADE = ("PETS09-S2L1", "TUD-Campus"), ("street", "corridor", "crowd")
 RATES = (0.0, 5.0, 20.0)
 SCENE_FRAMES = 1500

@@ -82,7 +82,7 @@ class PMB:
     transform: Transform = "linear"
     in_view: NonNegative = 2.0
     hidden: Positive = 0.4
-    sources: Probability = 0.02
+    sources: Probability = 0.05
     firing: Probability = 0.5
     depth: PositiveCount = 10
     initial: GaussianMixture | None = None
