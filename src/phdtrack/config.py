@@ -28,6 +28,7 @@ from typing import Any, get_type_hints
 
 from phdtrack import extract, worlds
 from phdtrack.camera_motion import GivenWarps, SparseFlow, Standing
+from phdtrack.detect import BACKGROUND
 from phdtrack.errors import InputError
 from phdtrack.files import read_toml
 from phdtrack.filters import NoFilter
@@ -190,6 +191,15 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     learning = worlds.build_rates(record, kinds["rates"], model, learning, info)
     parts = record("filter", initial=initial, frame_size=size), record("extract"), associator
     return Stages(model, *parts, learning, record("blobs"), refiner=record("refine"))
+
+
+def seen_by(settings: Settings, detector: str) -> Settings:
+    """Blobs are explained where a background model finds them, unless the settings say otherwise or cannot."""
+    kinds = {name: _kind(settings.sections, name) for name in ("motion", "sensor", "filter")}
+    plain = kinds["motion"] == "box" and kinds["sensor"] == "box" and kinds["filter"] != "none"
+    if detector not in BACKGROUND or not plain or "blobs" in settings.sections:
+        return settings
+    return overlay(settings, {"blobs": {"kind": "explained"}}, "--detector")
 
 
 def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupStages:

@@ -71,7 +71,7 @@ def still(dt_border: bool = True, **sensor) -> Model:
 
 
 def preset(name: str, *sets: str) -> Model:
-    return config.build(config.load(preset=name, sets=list(sets)), INFO).model
+    return config.build(config.load(preset=name, sets=["filter.kind=particle-phd", *sets]), INFO).model
 
 
 def level(rng, targets: int, each: int, mass: float = 1.0, **kind) -> ParticleBlocks:

@@ -192,7 +192,7 @@ def run(stages, form, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("name", PRESETS)
 def test_estimates_of_a_scene(name: str):
     """The same walkers are found as often, as near, with the same covariance: paired by scene, over eight of them."""
-    sets = ["filter.per_target=400", "birth.most=200"]
+    sets = ["filter.kind=particle-phd", "filter.per_target=400", "birth.most=200"]
     stages = config.build(config.load(preset=name, sets=sets), SequenceInfo(int(FRAME[0]), int(FRAME[1]), 25.0))
     ours, theirs = (np.array([run(stages, f, s) for s in range(8)]) for f in (stages.filter, Composed(stages.filter)))
     assert ours[:, 2].mean() < 8, "the walkers are found"

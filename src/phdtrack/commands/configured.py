@@ -20,7 +20,6 @@ from phdtrack.commands.rates_companion import RatesCompanion
 from phdtrack.commands.steps import Steps
 from phdtrack.commands.wanted import DEFAULT_DETECTOR, Wanted
 from phdtrack.context import read_scene
-from phdtrack.detect import BACKGROUND
 from phdtrack.errors import InputError
 from phdtrack.formats import read_truth
 from phdtrack.models.followed_rates import FollowRates
@@ -114,7 +113,8 @@ def prepare(wanted: Wanted, choice: Choice, settings: config.Settings, command: 
     InputError : an input that cannot be read, options that do not go together.
     """
     truth = None if choice.truth is None else read_truth(choice.truth)
-    settings = _with_blobs(wanted, settings)
+    if wanted.detections is None:
+        settings = config.seen_by(settings, wanted.detector or DEFAULT_DETECTOR)
     inputs = open_inputs(_at_least(wanted, truth), settings.detector)
     stages = config.build(settings, inputs.info, moving=True)
     check_moving(settings, stages.model)
@@ -134,21 +134,6 @@ def prepare(wanted: Wanted, choice: Choice, settings: config.Settings, command: 
         companion=together([*_moving(settings, inputs), *_learning(stages.learning, steps, inputs.name)]),
         mover=mover_of(settings, inputs),
     )
-
-
-def _with_blobs(wanted: Wanted, settings: config.Settings) -> config.Settings:
-    """Blobs are explained where a background model finds them, unless the settings say otherwise or cannot."""
-    found = wanted.detections is None and (wanted.detector or DEFAULT_DETECTOR) in BACKGROUND
-    kinds = settings.as_dict()
-    plain = all(_kind_of(kinds, name) == kind for name, kind in (("motion", "box"), ("sensor", "box")))
-    if not found or not plain or _kind_of(kinds, "filter") == "none" or "blobs" in settings.sections:
-        return settings
-    return config.overlay(settings, {"blobs": {"kind": "explained"}}, "--detector")
-
-
-def _kind_of(sections: dict[str, object], name: str) -> str:
-    values = sections[name]
-    return str(values["kind"]) if isinstance(values, dict) else ""
 
 
 def _moving(settings: config.Settings, inputs: Inputs) -> list[Companion]:

@@ -136,7 +136,9 @@ class Track:
 
 def tracked(run: Run, given: Material) -> tuple[Tracks, bool, float]:
     """Corrected tracks, whether anything was drawn at random, and the median of the seconds per frame."""
-    stages = config.build(run.cell.method.settings, given.info)
+    seen = run.cell.case.seen
+    settings = config.seen_by(run.cell.method.settings, seen.name if isinstance(seen, Detecting) else "")
+    stages = config.build(settings, given.info)
     rng = np.random.default_rng(run.seed)
     state, seconds = pipeline.start(stages, rng), list[float]()
     for number, moment in zip(given.numbers.tolist(), given.times.tolist(), strict=True):
