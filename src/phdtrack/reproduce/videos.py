@@ -18,7 +18,7 @@ from pathlib import Path
 from phdtrack.detect import BACKGROUND
 from phdtrack.reproduce.common import ROOT, Options, in_parallel, need_data, table, write
 
-FILTERS = ("none", "particle-phd")
+FILTERS = ("none", "pmb")
 # The short form's.
 SHORT = "TUD-Campus"
 
