@@ -69,7 +69,7 @@ def weighed(targets, pairs, alone, least, share, most, rounds, settled):
         r = sum(p for *_, p in options)
         options = [o for o in options if o[2] > 0 and o[2] >= share * r]
         options = sorted(options, key=lambda o: -o[2])[:most]
-        if r < least or not options:
+        if (r < least and not r > exist) or not options:
             continue
         whole = sum(p for *_, p in options)
         kept.append((t, min(r, 1.0), [(c, j, p / whole) for c, j, p in options]))

@@ -114,7 +114,8 @@ def survivors(
             share = weight[c] * (1.0 - seen[c]) / unseen if unseen > 0.0 else 0.0
             option[options], value[options] = -1 - c, nothing[t] * kept[t] * share
             options += 1
-        if there < limits.least:
+        # Who has become more probable may be at the beginning, however rare births are beside false alarms.
+        if there < limits.least and not there > exist[t]:
             continue
         # The heaviest in turn: there are few.
         total, begin = 0.0, k

@@ -59,8 +59,8 @@ class PMB:
 
     Parameters
     ----------
-    least : targets that are there with less probability are given up. However rare births are beside false alarms, what
-        is more probably nobody else's can be seen a second time.
+    least : targets that are there with less probability are given up, unless that has just risen: however rare births are
+        beside false alarms, what is more probably nobody else's can be seen again.
     share : hypotheses of a target that are less probable are dropped.
     most : hypotheses kept of a target, the most probable.
     merge : hypotheses of a target within so many deviations of a heavier one, all in all, are taken for it.
