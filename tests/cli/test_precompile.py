@@ -154,6 +154,6 @@ def test_the_table_has_what_a_run_calls(tmp_path: Path) -> None:
         arguments = [sys.executable, "-c", program, *options]
         done = subprocess.run(arguments, env=environment, capture_output=True, text=True, timeout=600, check=True)
     called = {(name, types) for name, types in json.loads(done.stdout.splitlines()[-1])}
-    listed = {(row.name, row.types) for row in table() if "particle-phd" in row.filters}
+    listed = {(row.name, row.types) for row in table() if "pmb" in row.filters}
     assert called - listed == set(), "python scripts/called_kernels.py writes the table anew"
     assert listed - called == set(), "python scripts/called_kernels.py writes the table anew"

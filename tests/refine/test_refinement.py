@@ -150,6 +150,13 @@ def test_two_tracks_of_one_that_both_go_on_unseen_go_on_once(rng):
     assert names(tracks) == {1: list(range(1, 46))}
 
 
+def test_few_rows_late_in_a_long_sequence(rng):
+    """Frames may be more than there are rows of tracks."""
+    a, b = walk(rng, 400, (60, 240), (1, 0)), walk(rng, 400, (60, 60), (0, 0.5))
+    tracks = refined([piece(a, 1, (370, 380)), piece(a, 1, (386, 396)), piece(b, 1, (371, 396))], 400)
+    assert names(tracks) == {1: list(range(370, 397)), 2: list(range(371, 397))}
+
+
 def test_a_measurement_that_two_share_places_neither(rng):
     """In frames 11 to 13 one box stands for two people."""
     a, b = walk(rng, 30, (100, 240), (4, 0), noise=0.5), walk(rng, 30, (100, 340), (4, 0), noise=0.5)

@@ -109,7 +109,7 @@ def joined(paths: Paths, chain: I8) -> Paths:
     owner = paths.owner
     own = (paths.frame >= since[owner]) & (paths.frame < until[owner])
     rank = np.argsort(2 * (paths.measurement >= 0) + own, kind="stable")
-    first, last = np.full((2, chain.max(initial=-1) + 1), len(paths.frame), np.int64)
+    first, last = np.full((2, chain.max(initial=-1) + 1), end.max(initial=0) + 1, np.int64)
     last[:] = -1
     np.minimum.at(first, chain, begin)
     np.maximum.at(last, chain, end)
