@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from box_scans import box_scans
 
 from phdtrack.context import ContextDensity, marginal
 from phdtrack.filters import GMPHD
@@ -70,21 +71,7 @@ FILTERS = {
 
 
 def scans(seed: int, count: int) -> list[np.ndarray]:
-    """(8, N) measurements with variances: targets that walk and come close, misses, doubles, clutter; some are empty."""
-    rng = np.random.default_rng(seed)
-    at, velocity = rng.uniform([100, 100], [540, 380], (6, 2)), rng.normal(0, 4, (6, 2))
-    at[1], velocity[1] = at[0] + 15, -velocity[0]
-    size = rng.uniform(20, 90, (6, 2))
-    out = []
-    for k in range(count):
-        here = np.hstack([at + k * velocity, size])
-        seen = here[rng.random(6) < 0.85]
-        clutter = np.hstack([rng.uniform([0, 0], SIZE, (4, 2)), rng.uniform(10, 120, (4, 2))])
-        boxes = np.vstack([seen, seen[:1] + 3, clutter])
-        boxes = boxes + rng.normal(0, 0.05, boxes.shape) * np.hstack([boxes[:, 2:], boxes[:, 2:]])
-        boxes = boxes[: 0 if k % 5 == 4 else 1 if k % 7 == 6 else None]
-        out.append(np.ascontiguousarray(np.hstack([boxes, rng.uniform(2, 30, boxes.shape)]).T))
-    return out
+    return box_scans(seed, count, SIZE, 100.0, 4.0)
 
 
 def ordered(mixture: GaussianMixture) -> GaussianMixture:

@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from box_scans import box_scans
 from test_gm_step_kernel import scene
 
 from phdtrack.bernoullis import Bernoullis
@@ -55,21 +56,7 @@ FILTERS = {
 
 
 def scans(seed: int, count: int) -> list[np.ndarray]:
-    """(8, N) measurements with variances: who walks, comes close and leaves, misses, doubles, clutter; some are empty."""
-    rng = np.random.default_rng(seed)
-    at, velocity = rng.uniform([60, 60], [580, 420], (6, 2)), rng.normal(0, 6, (6, 2))
-    at[1], velocity[1] = at[0] + 15, -velocity[0]
-    size = rng.uniform(20, 90, (6, 2))
-    out = []
-    for k in range(count):
-        here = np.hstack([at + k * velocity, size])
-        seen = here[rng.random(6) < 0.85]
-        clutter = np.hstack([rng.uniform([0, 0], SIZE, (4, 2)), rng.uniform(10, 120, (4, 2))])
-        found = np.vstack([seen, seen[:1] + 3, clutter])
-        found = found + rng.normal(0, 0.05, found.shape) * np.hstack([found[:, 2:], found[:, 2:]])
-        found = found[: 0 if k % 5 == 4 else 1 if k % 7 == 6 else None]
-        out.append(np.ascontiguousarray(np.hstack([found, rng.uniform(2, 30, found.shape)]).T))
-    return out
+    return box_scans(seed, count, SIZE, 60.0, 6.0)
 
 
 def measured(model: Model, seed: int, count: int) -> list[np.ndarray]:

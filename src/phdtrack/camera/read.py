@@ -169,7 +169,8 @@ def _storage(path: Path, text: str) -> dict[str, Any]:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = storage.root()
         # OpenCV's nodes are no mappings: they cannot be gone through themselves.
-        return {name: _value(root.getNode(name)) for name in root.keys()}  # noqa: SIM118
+        names = root.keys()
+        return {name: _value(root.getNode(name)) for name in names}
     except (cv2.error, SystemError) as error:
         reason = str(error.__cause__ or error).strip().splitlines()[0]
         place = re.search(r"\((\d+)\): ", reason)

@@ -162,6 +162,17 @@ def noise(b: BoxNumbers, w: float, h: float, z: F8, j: int) -> tuple[float, floa
 
 
 @njit(**INNER)
+def widest(boxes: F8, b: BoxNumbers) -> tuple[float, float]:
+    """The largest variances of position that a measurement brings; 0 where they follow the state."""
+    vx, vy = 0.0, 0.0
+    if b.scaling == DETECTION or b.scaling == GIVEN:
+        for j in range(len(boxes)):
+            here = noise(b, 0.0, 0.0, boxes, j)
+            vx, vy = max(vx, here[0]), max(vy, here[1])
+    return vx, vy
+
+
+@njit(**INNER)
 def cell(value: float, origin: float, scale: float, count: int) -> int:
     """Index of the cell that holds ``value``, clamped to the grid; ``scale`` is the inverse of a cell's size."""
     position = (value - origin) * scale

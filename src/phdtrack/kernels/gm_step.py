@@ -35,6 +35,7 @@ from phdtrack.kernels.gm_model import (
     noise,
     predicted,
     sorted_boxes,
+    widest,
 )
 from phdtrack.kernels.gm_reduce import reduced
 
@@ -90,17 +91,6 @@ def _factor(p: F8, i: int, variance: tuple[float, float, float, float], u: F8, r
 
 
 @njit(**INNER)
-def _widest(boxes: F8, b: BoxNumbers) -> tuple[float, float]:
-    """The largest variances of position that a measurement brings; 0 where they follow the state."""
-    vx, vy = 0.0, 0.0
-    if b.scaling == DETECTION or b.scaling == GIVEN:
-        for j in range(len(boxes)):
-            here = noise(b, 0.0, 0.0, boxes, j)
-            vx, vy = max(vx, here[0]), max(vy, here[1])
-    return vx, vy
-
-
-@njit(**INNER)
 def _longer(index: I8, value: F8, used: int, more: int) -> tuple[I8, F8]:
     """The tables, of which so many rows are used, copied into ones that have room for ``more`` and for as many again."""
     longer, wider = np.empty((2 * used + more, 2), np.int64), np.empty((2 * used + more, PAIR))
@@ -121,7 +111,7 @@ def paired(
     tables, or longer ones, and how many pairs there are then.
     """
     boxes, start, nx = scene.boxes, scene.start, scene.nx
-    widest_x, widest_y = _widest(boxes, b)
+    widest_x, widest_y = widest(boxes, b)
     own = not (b.scaling == DETECTION or b.scaling == GIVEN)
     u, root, scale = np.empty((M, M)), np.empty(PAIR), 0.0
     limit = gate * gate

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import INNER
-from phdtrack.kernels.gm_model import DETECTION, FIXED, GIVEN, BoxNumbers, D, Scene, cells, noise
+from phdtrack.kernels.gm_model import DETECTION, FIXED, GIVEN, BoxNumbers, D, Scene, cells, noise, widest
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -87,29 +87,18 @@ def _longer(point: I8, which: I8, density: F8, used: int, more: int) -> tuple[I8
 
 
 @njit(**INNER)
-def _widest(boxes: F8, b: BoxNumbers) -> tuple[float, float]:
-    """The largest variances of position that a measurement brings; 0 where they follow the state."""
-    vx, vy = 0.0, 0.0
-    if b.scaling == DETECTION or b.scaling == GIVEN:
-        for j in range(len(boxes)):
-            here = noise(b, 0.0, 0.0, boxes, j)
-            vx, vy = max(vx, here[0]), max(vy, here[1])
-    return vx, vy
-
-
-@njit(**INNER)
 def paired(rows: F8, scene: Scene, b: BoxNumbers, gate: float) -> tuple[I8, I8, F8, int]:
     """Pairs (row, measurement in the scene's order) within the gate, with q(z), and how many there are."""
     boxes, start, nx, count = scene.boxes, scene.start, scene.nx, len(rows)
     own = not (b.scaling == DETECTION or b.scaling == GIVEN)
-    widest = _widest(boxes, b)
+    most = widest(boxes, b)
     point, which, density = np.empty(4 * count + 16, np.int64), np.empty(4 * count + 16, np.int64), np.empty(4 * count + 16)
     found, limit = 0 * count, gate * gate
     for i in range(count):
         x, y, w, h = rows[i, 0], rows[i, 1], rows[i, 4], rows[i, 5]
         px, py, pw, ph = rows[i, VARIANCE], rows[i, VARIANCE + 1], rows[i, VARIANCE + 4], rows[i, VARIANCE + 5]
         here = noise(b, w, h, boxes, 0)
-        vx, vy = (here[0], here[1]) if own else widest
+        vx, vy = (here[0], here[1]) if own else most
         half_x, half_y = gate * np.sqrt(px + vx), gate * np.sqrt(py + vy)
         left, right, top, bottom = cells(x, y, half_x, half_y, scene)
         for line in range(top, bottom + 1):

@@ -18,6 +18,7 @@ from phdtrack.models import BearingSensor, FixedBirth, TurningMotion, UniformClu
 from phdtrack.protocols import Model
 from phdtrack.reproduce.common import Options, table
 from phdtrack.reproduce.scans import (
+    COMPARED,
     HEADER,
     PARTICLES,
     Found,
@@ -49,13 +50,6 @@ CASES = {
 }
 FIRST_CASE = next(iter(CASES))
 PER_TARGET, NEWBORN = 1500, 500
-COMPARED = (
-    ("gm-cphd", "gm-phd"),
-    ("particle-phd", "gm-phd"),
-    ("particle-cphd", "gm-cphd"),
-    ("mht", "gm-cphd"),
-    ("pmb", "mht"),
-)
 FILTERS: dict[str, Stages] = {
     "gm-phd": (GMPHD(1e-5, 2.0, 100, transform="unscented"), Components(repeat=True)),
     "gm-cphd": (GMCPHD(1e-5, 2.0, 100, transform="unscented"), CountedComponents(overlap=1.0)),

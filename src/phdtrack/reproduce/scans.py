@@ -147,6 +147,8 @@ HEADER = ("runs", "OSPA", "place", "number", "mean count error", "bias", "ms per
 CLOSE = 0.05
 PARTICLES = (("particle-phd", "gm-phd"), ("particle-cphd", "gm-cphd"))
 """The particle forms, each beside the Gaussian one that it should come near."""
+COMPARED = (("gm-cphd", "gm-phd"), *PARTICLES, ("mht", "gm-cphd"), ("pmb", "mht"))
+"""The pairs of filters whose difference is told."""
 
 
 def apart(ours: Sequence[Outcome], theirs: Sequence[Outcome]) -> Interval:

@@ -14,6 +14,7 @@ from phdtrack.models import FixedBirth, PlaneMotion, PlaneSensor, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.reproduce.common import Options, table
 from phdtrack.reproduce.scans import (
+    COMPARED,
     HEADER,
     PARTICLES,
     Found,
@@ -45,13 +46,6 @@ ELSEWHERE = {
     (HIDDEN, "gm-phd"): "41.7",
     (EASY, "gm-cphd"): "about 16.2",
 }
-COMPARED = (
-    ("gm-cphd", "gm-phd"),
-    ("particle-phd", "gm-phd"),
-    ("particle-cphd", "gm-cphd"),
-    ("mht", "gm-cphd"),
-    ("pmb", "mht"),
-)
 PER_TARGET, NEWBORN = 1500, 500
 # What more particles change where targets are missed.
 MORE, MORE_RUNS = 6000, 8

@@ -30,7 +30,8 @@ from phdtrack.errors import InputError
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.mht.branching import Branches, Limits, branched
 from phdtrack.filters.mht.pruning import compact, decided, ended, parted
-from phdtrack.filters.mht.scores import Newborn, Scores, newborn, newborn_anywhere, scores
+from phdtrack.filters.mht.scores import Scores, scores
+from phdtrack.filters.newborn import Newborn, newborn, newborn_anywhere
 from phdtrack.filters.transforms import Transform, moved, posteriors
 from phdtrack.hypotheses import Cluster, Hypotheses, Nodes
 from phdtrack.protocols import Model

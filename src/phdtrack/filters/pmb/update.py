@@ -9,7 +9,7 @@ import numpy as np
 from phdtrack.arrays import sum_by
 from phdtrack.bernoullis import Layer
 from phdtrack.filters.gated import gated_gaussians
-from phdtrack.filters.mht.scores import Newborn, newborn
+from phdtrack.filters.newborn import Newborn, newborn
 from phdtrack.filters.transforms import Transform, posteriors
 from phdtrack.kernels.pmb_update import foremost, united, weighed
 from phdtrack.models import MeasurementBirth
