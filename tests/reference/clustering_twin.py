@@ -144,3 +144,31 @@ def em(x, weight, amount, mean, cov, scale):
     share = np.exp(log - top) * inside
     total = share.sum(1, keepdims=True)
     return moments(x, np.divide(share, total, out=np.zeros_like(share), where=total > 0) * weight[:, None], k)
+
+
+def join_alike(boxes, overlap, mass, mean, cov):
+    """Masses, means, covariances of what is left once no two boxes overlap by more, and the heaviest part of each.
+
+    All pairs are looked at anew after every union.
+    """
+    left = [([i], m, x, c, b) for i, (m, x, c, b) in enumerate(zip(mass, mean.T, cov, boxes, strict=True))]
+    while True:
+        shared = {(i, j): _shared(left[i][4], left[j][4]) for j in range(len(left)) for i in range(j)}
+        above = {pair: s for pair, s in shared.items() if s > overlap}
+        if not above:
+            break
+        i, j = min(above, key=lambda pair: (-above[pair], pair))
+        (one, a, x, c, b), (other, e, y, f, g) = left[i], left[j]
+        total, middle = a + e, (a * x + e * y) / (a + e)
+        spread = sum(w * (s + np.outer(p - middle, p - middle)) for w, p, s in ((a, x, c), (e, y, f))) / total
+        left[i] = (one + other, total, middle, spread, (a * b + e * g) / total)
+        del left[j]
+    part = [max(parts, key=lambda i: mass[i]) for parts, *_ in left]
+    return [m for _, m, *_ in left], [x for _, _, x, *_ in left], [c for *_, c, _ in left], part
+
+
+def _shared(a, b):
+    """Intersection over union of two boxes."""
+    sides = np.clip(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0, None)
+    union = np.prod(a[2:] - a[:2]) + np.prod(b[2:] - b[:2]) - np.prod(sides)
+    return np.prod(sides) / union if union > 0 else 0.0

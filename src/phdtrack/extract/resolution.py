@@ -8,11 +8,10 @@ association bridges that gap.
 
 from __future__ import annotations
 
-import heapq
-
 import numpy as np
 
 from phdtrack.kernels.joining import likeness
+from phdtrack.kernels.unresolved import join_alike
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, I8
 
@@ -20,7 +19,8 @@ from phdtrack.types import F8, I8
 def join_unresolved(mass: F8, mean: F8, cov: F8, sensor: Sensor, overlap: float) -> tuple[F8, F8, F8]:
     """Clusters (k,), (d, k), (k, d, d) with those joined whose boxes overlap by more than ``overlap`` (IoU), most first.
 
-    A union keeps mass, mean and covariance of its parts (moment matching).
+    A union keeps mass, mean and covariance of its parts (moment matching); its box is taken for the mean of theirs by mass,
+    which for states that hold the box it is.
     """
     return joined(mass, mean, cov, sensor, overlap)[:3]
 
@@ -34,31 +34,8 @@ def joined(mass: F8, mean: F8, cov: F8, sensor: Sensor, overlap: float) -> tuple
     first, second, shared = likeness(boxes, overlap)
     if len(first) == 0:
         return mass, mean, cov, part
-    single = mass
-    mass, mean, cov, boxes = mass.copy(), mean.copy(), cov.copy(), boxes.copy()
-    # The pair that overlaps most comes first; ``version`` tells the boxes that have been joined since.
-    version = np.zeros(len(mass), np.int64)
-    alive = np.ones(len(mass), np.bool_)
-    waiting = [(-s, i, j, 0, 0) for s, i, j in zip(shared.tolist(), first.tolist(), second.tolist(), strict=True)]
-    heapq.heapify(waiting)
-    while waiting:
-        _, i, j, known_i, known_j = heapq.heappop(waiting)
-        if version[i] != known_i or version[j] != known_j:
-            continue
-        _merge(mass, mean, cov, i, j)
-        part[i] = max(part[i], part[j], key=single.__getitem__)
-        alive[j] = False
-        version[i] += 1
-        version[j] = -1
-        boxes[i] = sensor.boxes(mean.take([i], axis=1))[0]
-        shared = _iou(boxes, boxes[i])
-        alive[i] = False
-        others = (alive & (shared > overlap)).nonzero()[0]
-        alive[i] = True
-        for other, s in zip(others.tolist(), shared[others].tolist(), strict=True):
-            a, b = min(i, other), max(i, other)
-            heapq.heappush(waiting, (-s, a, b, int(version[a]), int(version[b])))
-    return mass[alive], mean.compress(alive, axis=1), cov[alive], part[alive]
+    found: tuple[F8, F8, F8, I8] = join_alike(first, second, shared, boxes, overlap, mass, mean, cov)
+    return found
 
 
 def resolved(boxes: F8, overlap: float) -> I8:
@@ -70,22 +47,3 @@ def resolved(boxes: F8, overlap: float) -> I8:
         for i, j in zip(first[order].tolist(), second[order].tolist(), strict=True):
             left[j] &= not left[i]
     return np.flatnonzero(left)
-
-
-def _iou(a: F8, b: F8) -> F8:
-    """(n,) intersection over union of boxes (n, 4), row by row; 0 where both have no area."""
-    side = np.minimum(a[:, 2:], b[..., 2:]) - np.maximum(a[:, :2], b[..., :2])
-    shared = side.clip(0.0).prod(axis=-1)
-    union = (a[:, 2:] - a[:, :2]).prod(axis=-1) + (b[..., 2:] - b[..., :2]).prod(axis=-1) - shared
-    out: F8 = np.divide(shared, union, out=np.zeros_like(shared), where=union > 0.0)
-    return out
-
-
-def _merge(mass: F8, mean: F8, cov: F8, i: int, j: int) -> None:
-    """Put the union of clusters i and j in the place of i, in the arrays given, which the caller owns."""
-    total = mass[i] + mass[j]
-    share = mass[j] / total
-    step = mean[:, j] - mean[:, i]
-    cov[i] = (1 - share) * cov[i] + share * cov[j] + share * (1 - share) * np.outer(step, step)
-    mean[:, i] += share * step
-    mass[i] = total

@@ -88,9 +88,7 @@ def fused_step(
         born.gain_start, born.base, born.gains, kappa, p_detect,
     )  # fmt: skip
     info = UpdateInfo(before + newborn, newborn, after, evidence, kappa, vanished)
-    count = round(settings.per_target * after)
-    if settings.most:
-        count = min(count, settings.most)
+    count = settings.particles(after)
     if count == 0:
         return ParticleBlocks.empty(6), info
     extents = np.concatenate([old.extents, frame.extents])

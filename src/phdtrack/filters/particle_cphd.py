@@ -30,12 +30,13 @@ class ParticleCPHD:
     Parameters
     ----------
     per_target : ρ, particles per expected target after resampling.
-    most : upper bound on the number of particles; 0 for none.
+    fewest, most : bounds on the number of particles, 0 for none.
     region : squared Mahalanobis radius around a detection in which predicted mass counts as explaining it, M(z).
     initial : the intensity before the first frame; its number is Poisson distributed.
     """
 
     per_target: PositiveCount = 1500
+    fewest: Count = 0
     most: Count = 0
     region: Positive = 13.28
     initial: Particles | GaussianMixture | None = None
@@ -86,4 +87,4 @@ class ParticleCPHD:
 def _intensity(settings: ParticleCPHD) -> ParticlePHD:
     """The recursion of the particles."""
     s = settings
-    return ParticlePHD(per_target=s.per_target, most=s.most, region=s.region, initial=s.initial)
+    return ParticlePHD(per_target=s.per_target, fewest=s.fewest, most=s.most, region=s.region, initial=s.initial)

@@ -41,6 +41,8 @@ class ParticlePHD:
     Parameters
     ----------
     per_target : ρ, particles per expected target after resampling.
+    fewest : lower bound on the number of particles while there are any. At first, when hardly any target is expected, ρ
+        would leave a handful to each that has just begun, too few to hold its velocity.
     most : upper bound on the number of particles; 0 for none.
     region : squared Mahalanobis radius around a detection in which predicted mass counts as explaining it, M(z); 13.28 is
         the 99 % region of a Gaussian in four dimensions.
@@ -51,6 +53,7 @@ class ParticlePHD:
     """
 
     per_target: PositiveCount = 1500
+    fewest: Count = 0
     most: Count = 0
     region: Positive = 13.28
     skip_empty: bool = False
@@ -116,13 +119,19 @@ class ParticlePHD:
         """Systematic resampling to ρ particles per expected target, which keeps the mass exactly [M07 §2]."""
         state = plain(state)
         mass = state.mass
-        count = round(self.per_target * mass)
-        if self.most:
-            count = min(count, self.most)
+        count = self.particles(mass)
         if count == 0:
             return Particles(state.state[:, :0], np.zeros(0))
         chosen = systematic(state.weight, count, rng.random())
         return Particles(np.ascontiguousarray(state.state[:, chosen]), np.full(count, mass / count))
+
+    def particles(self, mass: float) -> int:
+        """How many particles carry this mass: round(ρ·M̂) [M07 §2] within the bounds, 0 where that is 0."""
+        count = round(self.per_target * mass)
+        if count == 0:
+            return 0
+        count = max(count, self.fewest)
+        return min(count, self.most) if self.most else count
 
     def step(
         self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator
