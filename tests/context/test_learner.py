@@ -51,10 +51,11 @@ def batch_em(p: ContextDensity, samples: F8, iterations: int = 300) -> ContextDe
 
 
 @pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("uniform", [1e-3, 0.1])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_components_weights_and_means_come_out(case, seed):
+def test_components_weights_and_means_come_out(case, uniform, seed):
     dim, counts, n = CASES[case]
-    p = known(dim)
+    p = known(dim, uniform)
     samples = p.sample(n, np.random.default_rng(seed))
     found = RecursiveEM().learn(begin(p, counts, samples), samples)
     heavy = np.flatnonzero(found.weight > 0.03)

@@ -15,6 +15,8 @@ the same rule with τ = 0, the Gaussians do not depend on it. What the paper lea
   rises as components go, up to the one at which the prior counts against n samples. Then the estimate settles: without
   the prior, with β that falls like 1/k, and a sample moves the Gaussians by the probability that it is not the uniform
   part's. That is maximum likelihood with the components that the rule has left.
+* Which are left depends on the start: `context.moves` then looks for those that are missing, or one too many, which may be
+  where the uniform part explains as much.
 * β o_m/π_m is kept below 1, and F, a small diagonal, keeps every covariance above itself.
 * A sample may be worth less than one, or more: β is multiplied by that. A sample may not show every component (a birth
   that a person marked has a place and no velocity): o_m is of what it shows, and the rest is replaced by its mean and its
@@ -30,7 +32,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.checks import Count, Share, check
+from phdtrack.context.batch_em import Samples, parameters
 from phdtrack.context.density import ContextDensity
+from phdtrack.context.moves import improved
 from phdtrack.errors import InputError
 from phdtrack.kernels.recursive_em import recursive_em
 from phdtrack.types import F8
@@ -52,12 +56,15 @@ class RecursiveEM:
         same one has gone, which takes a multiple of n/2τ passes, or a million samples have been taken.
     floor : F, its standard deviations as parts of the samples' own.
     seed : of the orders in which the samples are taken.
+    moves : components that are removed, parted or begun afterwards at most, where that explains the samples better for its
+        price (`context.moves`); 0: none, for samples of which more are to come.
     """
 
     memory: Count = 0
     passes: Count = 0
-    floor: Share = 0.02
+    floor: Share = 0.01
     seed: int = 0
+    moves: Count = 20
 
     def __post_init__(self) -> None:
         check(self)
@@ -81,13 +88,17 @@ class RecursiveEM:
         rng = np.random.default_rng(self.seed)
         order = np.concatenate([rng.permutation(n) for _ in range(passes + min(passes, _SETTLING))])
         left, mean, cov = density.weight.copy(), np.ascontiguousarray(density.mean.T), density.covariance.copy()
+        floor = self._floor(density, x, worth)
         settings = np.array([tau, self.memory or total, LEAST_UNIFORM])
         alive, uniform = recursive_em(
             left, mean, cov, len(left), min(density.uniform, 1 - LEAST_UNIFORM), x, worth, order, settings,
-            np.log(density.high - density.low), self._floor(density, x, worth), passes * n,
+            np.log(density.high - density.low), floor, passes * n,
         )  # fmt: skip
         kept = left[:alive] / left[:alive].sum()
-        return ContextDensity(density.low, density.high, uniform, kept, mean[:alive].T.copy(), cov[:alive].copy())
+        found = ContextDensity(density.low, density.high, uniform, kept, mean[:alive].T.copy(), cov[:alive].copy())
+        if self.moves:
+            found = improved(found, Samples.of(np.ascontiguousarray(x.T), worth, floor, LEAST_UNIFORM), self.moves)
+        return found
 
     def _floor(self, density: ContextDensity, x: F8, worth: F8) -> F8:
         """(d,) F: a part of the samples' variance, and, where that is nothing, of the volume's extent."""
@@ -98,11 +109,6 @@ class RecursiveEM:
         variance = (counts * (values - (counts * values).sum(axis=0) / total) ** 2).sum(axis=0) / total
         out: F8 = np.maximum(self.floor**2 * variance, (1e-4 * extent) ** 2)
         return out
-
-
-def parameters(dim: int) -> int:
-    """N, the parameters of a component: mean and covariance; 27 in six dimensions, 14 in four."""
-    return dim + dim * (dim + 1) // 2
 
 
 def grid(

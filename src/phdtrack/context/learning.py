@@ -4,7 +4,8 @@ What a density is worth is the log-likelihood of samples that it has not seen, a
 sample is left out, a density learned from the others, and asked; where there are few samples each is left out once. The
 density that is kept learns from all. Its uniform part has at least the share α_u that makes the unseen samples likeliest: by
 the samples that Gaussians were fitted to they explain everything, also where the next one will lie elsewhere, and a
-dozen samples would leave less than nothing for it. Of samples that do not show everything (births by hand of unknown
+dozen samples would leave less than nothing for it. For the same reason every Gaussian is made wider than the samples that it
+was fitted to lie: as wide as the next one is uncertain. Of samples that do not show everything (births by hand of unknown
 velocity) something is learned, but they are not asked.
 """
 
@@ -15,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from phdtrack.context.batch_em import parameters
 from phdtrack.context.density import ContextDensity
 from phdtrack.context.learner import LEAST_UNIFORM, RecursiveEM, grid
 from phdtrack.context.samples import measurement_volume, state_volume
@@ -98,7 +100,7 @@ def _lesson(start: ContextDensity, samples: F8, worth: F8, rate: float, learner:
     shown = np.where(np.isnan(samples), start.low[:, None], samples)
     counts = start.contains(shown)
     inside, worth = np.ascontiguousarray(samples[:, counts]), worth[counts]
-    density = learner.learn(start, inside, worth)
+    density = _learned(start, inside, worth, learner)
     unseen, log_ratio = _unseen(start, inside, worth, learner)
     gain = math.nan
     if len(unseen) >= 2 and worth[unseen].sum() > 0:
@@ -117,11 +119,23 @@ def _unseen(start: ContextDensity, samples: F8, worth: F8, learner: RecursiveEM)
         out = complete[fold::_FOLD]
         others = np.delete(np.arange(samples.shape[1]), out)
         if len(out) and worth[others].sum() > 0:
-            tried = learner.learn(start, np.ascontiguousarray(samples[:, others]), worth[others])
+            tried = _learned(start, np.ascontiguousarray(samples[:, others]), worth[others], learner)
             parts = tried.parts(np.ascontiguousarray(samples[:, out]))[1:]
             log_ratio.append(np.logaddexp.reduce(parts, axis=0) - math.log((1 - tried.uniform) / start.volume))
             left_out.append(out)
     return np.concatenate(left_out), np.concatenate(log_ratio)
+
+
+def _learned(start: ContextDensity, samples: F8, worth: F8, learner: RecursiveEM) -> ContextDensity:
+    """What the samples tell of the next one [G13 §3.6].
+
+    After n samples in d dimensions of a Gaussian that is not known the next one has Student's density with n − d degrees of
+    freedom. The Gaussian nearest to that has its covariance, (n + 1)/(n − d − 2) times that of the samples. A component
+    explains more than τ of them, so that it exists.
+    """
+    p = learner.learn(start, samples, worth)
+    n = np.maximum(float(worth.sum()) * (1 - p.uniform) * p.weight, parameters(p.dim) / 2)
+    return replace(p, covariance=p.covariance * ((n + 1) / (n - p.dim - 2))[:, None, None])
 
 
 def _share(log_ratio: F8, worth: F8) -> float:

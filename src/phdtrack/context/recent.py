@@ -13,14 +13,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from phdtrack.context.batch_em import parameters
 from phdtrack.context.density import ContextDensity
-from phdtrack.context.learner import LEAST_UNIFORM, RecursiveEM, parameters
+from phdtrack.context.learner import LEAST_UNIFORM, RecursiveEM
 from phdtrack.types import F8, Bool
 
 # Memories after which a sample is dropped: it is worth 14 % then.
 OLDEST = 2.0
 # Passes over the samples each time: the density begins where it was.
-_LEARNER = RecursiveEM(passes=3, floor=0.005)
+_LEARNER = RecursiveEM(passes=3, floor=0.005, moves=0)
 # New components a time, and samples that are looked at for them.
 _NEW, _LOOKED_AT = 4, 200
 # Steps of EM for the share of the uniform part.
