@@ -8,9 +8,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import ENTRY
+from phdtrack.kernels.fast32 import ENTRY, INNER
 
 F8 = NDArray[np.float64]
+I8 = NDArray[np.int64]
 ROOT_2, LEAST_SPEED = math.sqrt(2.0), 1e-6
 
 
@@ -66,3 +67,46 @@ def box_corners(x: F8) -> F8:
         for r in range(2):
             out[i, r], out[i, 2 + r] = x[r, i] - 0.5 * x[4 + r, i], x[r, i] + 0.5 * x[4 + r, i]
     return out
+
+
+@njit(**ENTRY)
+def apart(boxes: F8, order: I8, overlap: float) -> I8:
+    """(k,) which of the boxes (n, 4) are left if each goes that overlaps one left before it by more than ``overlap`` (IoU).
+
+    ``order`` (n,): their numbers by left sides, rising. Who is compared begins left of a box's end, and somebody from there
+    on reaches it.
+    """
+    n = order.size
+    place, reach, left = np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64)
+    farthest, k = -np.inf, 0 * n
+    for p in range(n):
+        right = boxes[order[p], 2]
+        farthest = right if right > farthest else farthest
+        place[order[p]], reach[p] = p, farthest
+    for j in range(n):
+        p = place[j]
+        while p > 0 and reach[p - 1] > boxes[j, 0]:
+            p -= 1
+        while p < n and boxes[order[p], 0] < boxes[j, 2]:
+            i = order[p]
+            if i < j and place[i] >= 0 and _overlap(boxes, i, j) > overlap:
+                place[j] = -1
+                break
+            p += 1
+        if place[j] >= 0:
+            left[k] = j
+            k += 1
+    return left[:k].copy()
+
+
+@njit(**INNER)
+def _overlap(boxes: F8, i: int, j: int) -> float:
+    """IoU of two boxes; 0 of such as have no area."""
+    wide = min(boxes[i, 2], boxes[j, 2]) - max(boxes[i, 0], boxes[j, 0])
+    high = min(boxes[i, 3], boxes[j, 3]) - max(boxes[i, 1], boxes[j, 1])
+    if not (wide > 0.0 and high > 0.0):
+        return 0.0
+    union = (boxes[i, 2] - boxes[i, 0]) * (boxes[i, 3] - boxes[i, 1])
+    union += (boxes[j, 2] - boxes[j, 0]) * (boxes[j, 3] - boxes[j, 1])
+    share: float = wide * high / (union - wide * high)
+    return share

@@ -173,6 +173,15 @@ def widest(boxes: F8, b: BoxNumbers) -> tuple[float, float]:
 
 
 @njit(**INNER)
+def possible(b: BoxNumbers, boxes: F8, j: int) -> bool:
+    """Whether a birth about measurement ``j`` is."""
+    inside = True
+    for a in range(M):
+        inside &= b.low[a] <= boxes[j, a] <= b.high[a]
+    return inside
+
+
+@njit(**INNER)
 def cell(value: float, origin: float, scale: float, count: int) -> int:
     """Index of the cell that holds ``value``, clamped to the grid; ``scale`` is the inverse of a cell's size."""
     position = (value - origin) * scale
@@ -183,12 +192,14 @@ def cell(value: float, origin: float, scale: float, count: int) -> int:
 
 @njit(**INNER)
 def sorted_boxes(z: F8) -> Scene:
-    """The measurements ``z`` (m, N), N > 0, in a grid with about one of them a cell.
+    """The measurements ``z`` (m, N) in a grid with about one of them a cell.
 
     Raises ValueError where a position is NaN or infinite.
     """
     m, n = z.shape
-    x0, x1, y0, y1, total = z[0, 0], z[0, 0], z[1, 0], z[1, 0], 0.0
+    x0, x1, y0, y1, total = 0.0, 0.0, 0.0, 0.0, 0.0
+    if n > 0:
+        x0, x1, y0, y1 = z[0, 0], z[0, 0], z[1, 0], z[1, 0]
     for j in range(n):
         x0, x1 = min(x0, z[0, j]), max(x1, z[0, j])
         y0, y1 = min(y0, z[1, j]), max(y1, z[1, j])
@@ -196,14 +207,12 @@ def sorted_boxes(z: F8) -> Scene:
     if not np.isfinite(total):
         raise ValueError("positions must be finite")
     wide, high = x1 - x0 + 1e-9, y1 - y0 + 1e-9
-    nx = int(min(max(np.sqrt(n * (wide / high)), 1.0), n))
+    nx = int(max(min(np.sqrt(n * (wide / high)), float(n)), 1.0))
     ny = max(1, n // nx)
     sx, sy = nx / wide, ny / high
     # A counting sort. ``start`` is shifted by one while it is filled.
-    start, home = np.empty(nx * ny + 2, np.int64), np.empty(n, np.int64)
+    start, home = np.zeros(nx * ny + 2, np.int64), np.empty(n, np.int64)
     order, boxes = np.empty(n, np.int64), np.empty((n, m))
-    for c in range(start.size):
-        start[c] = 0
     for j in range(n):
         home[j] = cell(z[1, j], y0, sy, ny) * nx + cell(z[0, j], x0, sx, nx)
         start[home[j] + 2] += 1
@@ -230,12 +239,10 @@ def cells(x: float, y: float, half_x: float, half_y: float, scene: Scene) -> tup
 def crowding(scene: Scene, b: BoxNumbers) -> F8:
     """(N,) Σ_i 1/V_i over the neighbourhoods in which each measurement lies: a local density per rate of one."""
     boxes, start, nx = scene.boxes, scene.start, scene.nx
-    out = np.empty(len(boxes))
-    for i in range(len(boxes)):
-        out[i] = 0.0
+    out = np.zeros(len(boxes))
     for i in range(len(boxes)):
         x, y, w, h = boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3]
-        density = 1.0 / (b.local_volume * (w * h) ** 2)
+        density = 1.0 / (b.local_volume * (w * h * (w * h)))
         left, right, top, bottom = cells(x, y, b.reach * w, b.reach * h, scene)
         for line in range(top, bottom + 1):
             for k in range(start[line * nx + left], start[line * nx + right + 1]):
@@ -255,9 +262,7 @@ def newborn(scene: Scene, b: BoxNumbers, gamma: F8, covered: F8, w: F8, x: F8, p
     boxes, start, nx = scene.boxes, scene.start, scene.nx
     n, first = len(boxes), k
     parent, deviation2 = np.empty(n, np.int64), np.empty((n, M))
-    shared = np.empty(n)
-    for j in range(n):
-        shared[j] = 0.0
+    shared, number = np.zeros(n), np.zeros(n, np.int64)
     for j in range(n):
         if not (covered[j] < 1.0 and gamma[j] > 0.0):
             continue
@@ -276,9 +281,6 @@ def newborn(scene: Scene, b: BoxNumbers, gamma: F8, covered: F8, w: F8, x: F8, p
                     shared[i] += gamma[j] * np.exp(-0.5 * distance2)
         parent[k - first] = j
         k += 1
-    number = np.empty(n, np.int64)
-    for j in range(n):
-        number[j] = 0
     for i in range(first, k):
         number[scene.order[parent[i - first]]] = 1
     for j in range(1, n):

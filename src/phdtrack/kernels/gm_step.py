@@ -33,6 +33,7 @@ from phdtrack.kernels.gm_model import (
     entry,
     newborn,
     noise,
+    possible,
     predicted,
     sorted_boxes,
     widest,
@@ -201,13 +202,10 @@ def _births(
 ) -> int:  # fmt: skip
     """Put newborn about what no mass within ``region`` explains behind the first ``used``; how many there are then."""
     n = len(scene.boxes)
-    covered, gamma = np.empty(n), np.empty(n)
+    covered, gamma = np.zeros(n), np.empty(n)
     for j in range(n):
-        possible = True
-        for a in range(M):
-            possible &= b.low[a] <= scene.boxes[j, a] <= b.high[a]
         density = b.born * crowded[j] if b.birth == LOCAL else b.born
-        gamma[j], covered[j] = density if possible else 0.0, 0.0
+        gamma[j] = density if possible(b, scene.boxes, j) else 0.0
     for q in range(found):
         if value[q, DISTANCE2] <= region:
             covered[index[q, 1]] += w[index[q, 0]]
@@ -224,9 +222,7 @@ def _weighed(
     C(z) and κ(z) go to the rows of ``table`` (2, N), as they were measured; ``kappa`` is κ where it is given.
     """
     n = order.size
-    total, explained, after, vanished = np.empty(n), np.empty(n), 0.0, 0
-    for j in range(n):
-        total[j] = 0.0
+    total, explained, after, vanished = np.zeros(n), np.empty(n), 0.0, 0
     for q in range(found):
         value[q, DENSITY] *= b.p_detect * w[index[q, 0]]
         total[index[q, 1]] += value[q, DENSITY]

@@ -22,6 +22,7 @@ from phdtrack.kernels.gm_model import (
     box_numbers,
     entry,
     newborn,
+    possible,
     sorted_boxes,
 )
 from phdtrack.kernels.gm_step import DENSITY, FACTOR, PAIR, Y, given, paired
@@ -45,10 +46,7 @@ def _paired(scene: Scene, b: BoxNumbers, births: F8, gate: float) -> tuple[F8, F
     if b.birth != NOWHERE:
         gamma = np.empty(n)
         for j in range(n):
-            possible = True
-            for a in range(M):
-                possible &= b.low[a] <= scene.boxes[j, a] <= b.high[a]
-            gamma[j] = b.born if possible else 0.0
+            gamma[j] = b.born if possible(b, scene.boxes, j) else 0.0
         used = newborn(scene, b, gamma, density, w, x, p, t, used, used)
     index, value = np.empty((4 * n + 16, 2), np.int64), np.empty((4 * n + 16, PAIR))
     index, value, found = paired(x, p, none, used, scene, b, gate, index, value, none)
@@ -59,15 +57,15 @@ def _paired(scene: Scene, b: BoxNumbers, births: F8, gate: float) -> tuple[F8, F
 
 
 @njit(**ENTRY)
-def birth_states(z: F8, births: F8, gate: float, model: F8) -> tuple[F8, F8]:
-    """γ̂ (N,) at the measurements ``z`` (m, N), and rows (N, 14) of what targets are that begin with them.
+def birth_states(z: F8, births: F8, gate: float, model: F8) -> F8:
+    """Rows (N, 15) of what targets are that begin with the measurements ``z`` (m, N), behind each γ̂ there.
 
     ``births`` (B, 1 + d + 21) weight, mean and triangle of the covariance of each Gaussian; ``model`` the values of
     `BoxNumbers`. Raises ValueError where the position of a measurement is NaN or infinite.
     """
     n = z.shape[1]
     if n == 0:
-        return np.empty(0), np.empty((0, ROW))
+        return np.empty((0, ROW + 1))
     b, scene = box_numbers(model), sorted_boxes(z)
     x, p, index, value, found, density = _paired(scene, b, births, gate)
     out = np.empty((n, ROW))
@@ -77,12 +75,12 @@ def birth_states(z: F8, births: F8, gate: float, model: F8) -> tuple[F8, F8]:
             for e in range(VARIANCE, ROW):
                 out[j, e] = 0.0
     _posteriors(x, p, index, value, found, density, out)
-    rate, rows = np.empty(n), np.empty((n, ROW))
+    rows = np.empty((n, ROW + 1))
     for j in range(n):
-        rate[scene.order[j]] = density[j]
+        rows[scene.order[j], ROW] = density[j]
         for r in range(ROW):
             rows[scene.order[j], r] = out[j, r]
-    return rate, rows
+    return rows
 
 
 @njit(**INNER)

@@ -1,8 +1,9 @@
 """Hypotheses of the box model as rows: prediction, measurements within the gate, posteriors.
 
 In the box model the two axes and the two sizes do not mix: a covariance is two of position and velocity and two variances.
-A row (14,) is the state (px, py, vx, vy, w, h), the variances of the same, and the covariances of px and vx, py and vy. What
-else stands in a covariance, where a camera that turns has mixed them or the initial one was given so, is left out.
+A row begins with the state (px, py, vx, vy, w, h), the variances of the same, and the covariances of px and vx, py and vy:
+(14,); what else it holds is the caller's. What else stands in a covariance, where a camera that turns has mixed them or the
+initial one was given so, is left out.
 """
 
 from __future__ import annotations
@@ -22,33 +23,9 @@ I8 = NDArray[np.int64]
 NORM = 1.0 / (2.0 * math.pi) ** 2
 # Where in a row the variances begin, where the two covariances, how long it is.
 VARIANCE, MIXED, ROW = D, 2 * D, 2 * D + 2
+NOTHING = (0.0, 0.0, 0.0, 0.0)
 # How well a source's place can be known, as a share of the variance of one measurement.
 SURE = 0.5
-
-
-@njit(**INNER)
-def in_rows(mean: F8, cov: F8) -> F8:
-    """(C, 14) of means (d, C) and covariances (C, d, d)."""
-    rows = np.empty((mean.shape[1], ROW))
-    for i in range(len(rows)):
-        for r in range(D):
-            rows[i, r], rows[i, VARIANCE + r] = mean[r, i], cov[i, r, r]
-        for a in range(2):
-            rows[i, MIXED + a] = cov[i, a + 2, a]
-    return rows
-
-
-@njit(**INNER)
-def gaussians(rows: F8, chosen: I8) -> tuple[F8, F8]:
-    """Means (d, m) and covariances (m, d, d) of the ``chosen`` (m,) rows."""
-    mean, cov = np.empty((D, chosen.size)), np.zeros((chosen.size, D, D))
-    for k in range(chosen.size):
-        i = chosen[k]
-        for r in range(D):
-            mean[r, k], cov[k, r, r] = rows[i, r], rows[i, VARIANCE + r]
-        for a in range(2):
-            cov[k, a, a + 2], cov[k, a + 2, a] = rows[i, MIXED + a], rows[i, MIXED + a]
-    return mean, cov
 
 
 @njit(**INNER)
@@ -59,7 +36,7 @@ def moved(rows: F8, i: int, b: BoxNumbers) -> None:
     for a in range(2):
         v, s = a + 2, a + 4
         unit = max(rows[i, s], b.smallest) if b.scaled > 0.0 else 1.0
-        a2, b2 = (b.acceleration * unit) ** 2, (b.resize * unit) ** 2
+        a2, b2 = b.acceleration * unit * (b.acceleration * unit), b.resize * unit * (b.resize * unit)
         rows[i, a] += dt * rows[i, v]
         rows[i, VARIANCE + a] += dt * (2.0 * rows[i, MIXED + a] + dt * rows[i, VARIANCE + v]) + a2 * position
         rows[i, MIXED + a] += dt * rows[i, VARIANCE + v] + a2 * mixed
@@ -97,7 +74,7 @@ def paired(rows: F8, scene: Scene, b: BoxNumbers, gate: float) -> tuple[I8, I8, 
     for i in range(count):
         x, y, w, h = rows[i, 0], rows[i, 1], rows[i, 4], rows[i, 5]
         px, py, pw, ph = rows[i, VARIANCE], rows[i, VARIANCE + 1], rows[i, VARIANCE + 4], rows[i, VARIANCE + 5]
-        here = noise(b, w, h, boxes, 0)
+        here = noise(b, w, h, boxes, 0) if own else NOTHING
         vx, vy = (here[0], here[1]) if own else most
         half_x, half_y = gate * np.sqrt(px + vx), gate * np.sqrt(py + vy)
         left, right, top, bottom = cells(x, y, half_x, half_y, scene)

@@ -13,8 +13,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gm_model import LOCAL, PLACES, BoxNumbers, D, M, Scene, box_numbers, crowding, sorted_boxes
-from phdtrack.kernels.pmb_rows import ROW, gaussians, in_rows, left_alone, moved, paired, taken, told_alone
+from phdtrack.kernels.gm_model import LOCAL, PLACES, BoxNumbers, D, Scene, box_numbers, crowding, possible, sorted_boxes
+from phdtrack.kernels.pmb_rows import MIXED, ROW, VARIANCE, left_alone, moved, paired, taken, told_alone
 from phdtrack.kernels.pmb_update import BELIEVED, Pruning, Survivors, best_of, merged, survivors
 
 F8 = NDArray[np.float64]
@@ -22,6 +22,8 @@ I8 = NDArray[np.int64]
 B1 = NDArray[np.bool_]
 
 TINY = float(np.finfo(np.float64).tiny)
+# The probability to be hidden stands behind a row.
+HIDDEN = ROW
 
 
 class Settings(NamedTuple):
@@ -47,7 +49,7 @@ def _settings(t: F8) -> Settings:
 
 class Hypotheses(NamedTuple):
     """Targets and their hypotheses, in places that are counted on: of targets ``which`` each was, −1: new, ``exist`` and
-    ``first``; of hypotheses ``weight``, ``rows`` (C, 14), ``static``, ``hidden``, ``detection`` and ``parent``."""
+    ``first``; of hypotheses ``weight``, ``rows`` (C, 15), ``static``, and ``origin`` (C, 2) detection and parent."""
 
     which: I8
     exist: F8
@@ -55,9 +57,7 @@ class Hypotheses(NamedTuple):
     weight: F8
     rows: F8
     static: B1
-    hidden: F8
-    detection: I8
-    parent: I8
+    origin: I8
 
 
 @njit(**INNER)
@@ -65,15 +65,26 @@ def _room(targets: int, hypotheses: int) -> Hypotheses:
     """Places for so many."""
     return Hypotheses(
         np.empty(targets, np.int64), np.empty(targets), np.empty(targets + 1, np.int64), np.empty(hypotheses),
-        np.empty((hypotheses, ROW)), np.empty(hypotheses, np.bool_), np.empty(hypotheses),
-        np.empty(hypotheses, np.int64), np.empty(hypotheses, np.int64),
+        np.empty((hypotheses, ROW + 1)), np.empty(hypotheses, np.bool_), np.empty((hypotheses, 2), np.int64),
     )  # fmt: skip
 
 
 @njit(**INNER)
-def _predicted(exist: F8, first: I8, weight: F8, rows: F8, static: B1, hidden: F8, b: BoxNumbers, s: Settings) -> F8:
-    """Predict targets in place; the probability (C,) that each hypothesis is detected."""
-    seen = np.empty(weight.size)
+def _in_rows(mean: F8, cov: F8, hidden: F8) -> F8:
+    """(C, 15) of means (d, C), covariances (C, d, d) and (C,)."""
+    rows = np.empty((hidden.size, ROW + 1))
+    for i in range(hidden.size):
+        # As many axes as there are and not 6: the compiler would write the loop out.
+        for r in range(mean.shape[0]):
+            rows[i, r], rows[i, VARIANCE + r] = mean[r, i], cov[i, r, r]
+        rows[i, MIXED], rows[i, MIXED + 1], rows[i, HIDDEN] = cov[i, 2, 0], cov[i, 3, 1], hidden[i]
+    return rows
+
+
+@njit(**INNER)
+def _predicted(exist: F8, first: I8, weight: F8, rows: F8, static: B1, b: BoxNumbers, s: Settings) -> tuple[F8, float]:
+    """Predict targets in place; the probability (C,) that each hypothesis is detected, and the mass of who is no source."""
+    seen, mass = np.empty(weight.size), 0.0
     bordered = b.frame_width > 0.0 and b.frame_height > 0.0
     for t in range(exist.size):
         stay = 0.0
@@ -90,77 +101,83 @@ def _predicted(exist: F8, first: I8, weight: F8, rows: F8, static: B1, hidden: F
                 seen[c] = s.firing
                 left_alone(rows, c, b)
                 continue
-            hidden[c] = hidden[c] * (1.0 - s.found) + (1.0 - hidden[c]) * s.lost
-            seen[c] = (1.0 - hidden[c]) * b.p_detect
+            rows[c, HIDDEN] = rows[c, HIDDEN] * (1.0 - s.found) + (1.0 - rows[c, HIDDEN]) * s.lost
+            seen[c] = (1.0 - rows[c, HIDDEN]) * b.p_detect
+            mass += exist[t] * weight[c]
             moved(rows, c, b)
-    return seen
+    return seen, mass
 
 
 @njit(**INNER)
-def _densities(scene: Scene, b: BoxNumbers, crowded: F8, births: F8, given: F8) -> tuple[F8, F8]:
-    """κ and γ̂ at the measurements, in the scene's order; ``given`` and ``births`` (N,) in theirs, or (0,): flat ones."""
+def _densities(scene: Scene, b: BoxNumbers, births: F8, given: F8) -> tuple[F8, F8, F8]:
+    """κ, γ̂ and what they are together at the measurements, in the scene's order.
+
+    ``given`` (N,) and ``births`` (N, 15) are in theirs, or of length 0: flat ones.
+    """
     n = len(scene.boxes)
-    kappa, born = np.empty(n), np.empty(n)
+    kappa, born, alone = np.empty(n), np.empty(n), np.empty(n)
+    crowded = crowding(scene, b) if b.birth == LOCAL or b.clutter == LOCAL else alone
     for j in range(n):
-        possible = True
-        for a in range(M):
-            possible &= b.low[a] <= scene.boxes[j, a] <= b.high[a]
-        born[j] = b.p_detect * b.born * (crowded[j] if b.birth == LOCAL else 1.0) if possible else 0.0
-        if births.size > 0:
-            born[j] = births[scene.order[j]]
-        if b.clutter == PLACES:
-            kappa[j] = given[scene.order[j]]
+        number, near, far = scene.order[j], 1.0, 1.0
+        if b.birth == LOCAL:
+            near = crowded[j]
+        if b.clutter == LOCAL:
+            far = crowded[j]
+        kappa[j] = given[number] if b.clutter == PLACES else b.false * far
+        if len(births) > 0:
+            born[j] = births[number, ROW]
         else:
-            kappa[j] = b.false * (crowded[j] if b.clutter == LOCAL else 1.0)
-    return kappa, born
+            born[j] = b.p_detect * b.born * near if possible(b, scene.boxes, j) else 0.0
+        alone[j] = max(kappa[j] + born[j], TINY)
+    return kappa, born, alone
 
 
 @njit(**INNER)
-def _kept(kept: Survivors, rows: F8, seen: F8, static: B1, hidden: F8, scene: Scene, b: BoxNumbers, out: Hypotheses) -> None:
+def _kept(kept: Survivors, rows: F8, seen: F8, static: B1, scene: Scene, b: BoxNumbers, out: Hypotheses) -> None:
     """The targets and hypotheses that survive, into the first places."""
     out.first[0] = 0
-    for t in range(kept.target.size):
+    for t in range(kept.targets):
         out.which[t], out.exist[t], out.first[t + 1] = kept.target[t], kept.exist[t], kept.first[t + 1]
-    for k in range(kept.source.size):
+    for k in range(kept.hypotheses):
         i, j = kept.source[k], kept.which[k]
-        out.weight[k], out.parent[k], out.static[k], out.hidden[k] = kept.weight[k], i, static[i], 0.0
-        out.detection[k] = scene.order[j] if j >= 0 else -1
+        out.weight[k], out.static[k], out.origin[k, 0], out.origin[k, 1] = kept.weight[k], static[i], -1, i
         if j >= 0:
+            out.origin[k, 0], out.rows[k, HIDDEN] = scene.order[j], 0.0
             taken(rows, i, scene.boxes, j, b, out.rows, k)
             continue
-        for r in range(ROW):
+        for r in range(rows.shape[1]):
             out.rows[k, r] = rows[i, r]
-        if not static[i]:
-            out.hidden[k] = min(hidden[i] / max(1.0 - seen[i], TINY), 1.0)
+        out.rows[k, HIDDEN] = 0.0 if static[i] else min(rows[i, HIDDEN] / max(1.0 - seen[i], TINY), 1.0)
 
 
 @njit(**INNER)
 def _started(
-    own: F8, alone: F8, born: F8, states: F8, scene: Scene, b: BoxNumbers, s: Settings, out: Hypotheses, t: int, k: int
+    kept: Survivors, alone: F8, born: F8, states: F8, scene: Scene, b: BoxNumbers, s: Settings, out: Hypotheses
 ) -> tuple[int, int]:
-    """New targets behind the first t, and k hypotheses; how many there are of both then.
+    """New targets behind those kept, and hypotheses; how many there are of both then.
 
     They come in the order of the measurements and not of the scene: labels follow it.
     """
-    n, kinds = own.size, 2 if s.sources > 0.0 else 1
+    n, kinds, t, k = alone.size, 2 if s.sources > 0.0 else 1, kept.targets, kept.hypotheses
     place = np.empty(n, np.int64)
     for j in range(n):
         place[scene.order[j]] = j
     for number in range(n):
         j = place[number]
         new = born[j] / alone[j]
-        exist = own[j] * new
+        exist = kept.own[j] * new
         if not exist >= min(s.least, 0.5 * new) or not exist > 0.0:
             continue
         out.which[t], out.exist[t] = -1, exist
         for kind in range(kinds):
-            out.static[k], out.hidden[k], out.detection[k], out.parent[k] = kind == 1, 0.0, number, -1
+            out.static[k], out.origin[k, 0], out.origin[k, 1] = kind == 1, number, -1
             out.weight[k] = s.sources if kind == 1 else 1.0 - s.sources
             if len(states) == 0:
                 told_alone(scene.boxes, j, b, out.rows, k)
             else:
-                for r in range(ROW):
+                for r in range(states.shape[1]):
                     out.rows[k, r] = states[number, r]
+            out.rows[k, HIDDEN] = 0.0
             k += 1
         t += 1
         out.first[t] = k
@@ -171,10 +188,10 @@ def _started(
 def _table(
     exist: F8, first: I8, weight: F8, seen: F8, static: B1, point: I8, which: I8, density: F8, pairs: int, kept: Survivors,
     kappa: F8, born: F8, alone: F8, order: I8, sources: float,
-) -> tuple[F8, float]:  # fmt: skip
-    """(2, N) C(z) and κ(z) as `UpdateInfo` has them, by measurement, and the mass born."""
+) -> tuple[F8, float, int]:  # fmt: skip
+    """(2, N) C(z) and κ(z) as `UpdateInfo` has them, by measurement, the mass born, and how many have κ + C = 0."""
     n = kappa.size
-    table, appeared = np.empty((2, n)), 0.0
+    table, appeared, vanished = np.empty((2, n)), 0.0, 0 * n
     for j in range(n):
         new, number = born[j] / alone[j], order[j]
         appeared += kept.own[j] * new * (1.0 - sources)
@@ -191,7 +208,8 @@ def _table(
     for number in range(n):
         total, false = table[0, number], table[1, number]
         table[0, number], table[1, number] = (1.0 - false) * total, false * total
-    return table, appeared
+        vanished += table[0, number] + table[1, number] == 0.0
+    return table, appeared, vanished
 
 
 @njit(**INNER)
@@ -212,25 +230,48 @@ def _given_up(ended: I8, believed: F8, best: I8, which: I8, old: int, depth: flo
 
 
 @njit(**INNER)
-def _labels(label: I8, believed: F8, presence: F8, which: I8, fresh: int) -> tuple[I8, F8, int]:
-    """Labels, the greatest presence ever, and the label that is free next."""
-    name, most = np.empty(which.size, np.int64), np.empty(which.size)
-    for t in range(which.size):
-        if which[t] >= 0:
-            name[t], most[t] = label[which[t]], max(believed[which[t]], presence[t])
-        else:
-            name[t], most[t] = fresh, presence[t]
+def _chosen(out: Hypotheses, kept: I8, heavier: F8, dim: int) -> tuple[F8, F8, F8, I8, B1]:
+    """Of those ``kept`` (C,) the means (d, C), covariances (C, d, d), (2, C) weight and probability to be hidden, (2, C)
+    detection and parent, and (C,) whether static."""
+    mean, cov = np.empty((dim, kept.size)), np.zeros((kept.size, dim, dim))
+    shares, origin, static = np.empty((2, kept.size)), np.empty((2, kept.size), np.int64), np.empty(kept.size, np.bool_)
+    for k in range(kept.size):
+        i = kept[k]
+        shares[0, k], shares[1, k], static[k] = heavier[i], out.rows[i, HIDDEN], out.static[i]
+        origin[0, k], origin[1, k] = out.origin[i, 0], out.origin[i, 1]
+        for r in range(dim):
+            mean[r, k], cov[k, r, r] = out.rows[i, r], out.rows[i, VARIANCE + r]
+        for a in range(2):
+            cov[k, a, a + 2], cov[k, a + 2, a] = out.rows[i, MIXED + a], out.rows[i, MIXED + a]
+    return mean, cov, shares, origin, static
+
+
+@njit(**INNER)
+def _named(
+    out: Hypotheses, begin: I8, weight: F8, static: B1, label: I8, believed: F8, fresh: int
+) -> tuple[F8, I8, float, int]:
+    """(3, T) probability to be there, presence and its greatest ever, (2, T) label and best hypothesis; the mass of all who
+    are present, and the label that is free next."""
+    targets = begin.size - 1
+    told, name, mass = np.empty((3, targets)), np.empty((2, targets), np.int64), 0.0
+    best, presence = best_of(out.exist[:targets], begin, weight, static)
+    for t in range(targets):
+        told[0, t], told[1, t], told[2, t] = out.exist[t], presence[t], presence[t]
+        name[0, t], name[1, t] = fresh, best[t]
+        mass += presence[t]
+        before = out.which[t]
+        if before < 0:
             fresh += 1
-    return name, most, fresh
+        else:
+            name[0, t], told[2, t] = label[before], max(believed[before], presence[t])
+    return told, name, mass, fresh
 
 
 @njit(**ENTRY)
 def pmb_box_step(
     exist: F8, label: I8, first: I8, weight: F8, mean: F8, cov: F8, static: B1, hidden: F8, best: I8, believed: F8,
-    ended: I8, fresh: int, z: F8, births: F8, states: F8, given: F8, model: F8, settings: F8,
-) -> tuple[
-    F8, I8, I8, F8, F8, F8, B1, F8, I8, I8, I8, F8, F8, I8, int, F8, float, float, float, int
-]:  # fmt: skip
+    ended: I8, fresh: int, z: F8, births: F8, given: F8, model: F8, settings: F8,
+) -> tuple[F8, I8, I8, F8, F8, F8, B1, I8, I8, int, F8, F8]:  # fmt: skip
     """Predict, update, start new targets, prune and merge.
 
     Parameters
@@ -238,56 +279,33 @@ def pmb_box_step(
     exist, label, first, weight, mean, cov, static, hidden, best, believed : see `bernoullis.Layer`.
     ended, fresh : see `bernoullis.Bernoullis`.
     z : (m, N) measurements.
-    births, states : where births are given γ̂ (N,) at the measurements and (N, 14) what begins there, else (0,), (0, 14).
+    births : (N, 15) where births are given, see `pmb_births.birth_states`, else (0, 15).
     given : (N,) κ at the measurements where the model says that it is given, else (0,).
     model, settings : the values of `BoxNumbers` and of `Settings`.
 
     Returns
     -------
-    ``exist``, ``label``, ``first``, ``weight``, ``mean``, ``cov``, ``static``, ``hidden``, ``detection``, ``parent``,
-    ``best``, ``presence``, ``believed``; ``ended``, ``fresh``; table (2, N) of C(z) and κ(z) as `UpdateInfo` has them; the
-    masses predicted, without births, born, and after the update; the number of measurements with κ + C = 0.
+    (3, T) ``exist``, ``presence``, ``believed``; (2, T) ``label``, ``best``; ``first``; (2, C) ``weight``, ``hidden``;
+    ``mean``; ``cov``; ``static``; (2, C) ``detection``, ``parent``; ``ended``; ``fresh``; (2, N) C(z) and κ(z) as
+    `UpdateInfo` has them; (4,) the masses predicted, without births, born, and after the update, and the number of
+    measurements with κ + C = 0. Every array that is handed over takes time to compile: there are few.
     """
-    b, s = box_numbers(model), _settings(settings)
-    n = z.shape[1]
-    exist, weight, rows, hidden = exist.copy(), weight.copy(), in_rows(mean, cov), hidden.copy()
-    seen = _predicted(exist, first, weight, rows, static, hidden, b, s)
-    before, after, vanished = 0.0, 0.0, 0 * n
-    for t in range(exist.size):
-        for c in range(first[t], first[t + 1]):
-            if not static[c]:
-                before += exist[t] * weight[c]
-    if n > 0:
-        scene = sorted_boxes(z)
-        point, which, density, pairs = paired(rows, scene, b, s.gate)
-    else:
-        scene = Scene(np.empty((0, 4)), first[:0], first[:0], 0.0, 0.0, 0.0, 0.0, n, n)
-        point, which, density, pairs = first[:0], first[:0], weight[:0], 0 * n
-    crowded = crowding(scene, b) if n > 0 and (b.birth == LOCAL or b.clutter == LOCAL) else weight
-    kappa, born = _densities(scene, b, crowded, births, given)
-    alone = np.empty(n)
-    for j in range(n):
-        alone[j] = max(kappa[j] + born[j], TINY)
+    b, s, total = box_numbers(model), _settings(settings), np.empty(4)
+    exist, weight, rows = exist.copy(), weight.copy(), _in_rows(mean, cov, hidden)
+    seen, total[0] = _predicted(exist, first, weight, rows, static, b, s)
+    scene = sorted_boxes(z)
+    point, which, density, pairs = paired(rows, scene, b, s.gate)
+    kappa, born, alone = _densities(scene, b, births, given)
     kept = survivors(exist, first, weight, seen, point, which, density, pairs, alone, Pruning(s.least, s.share, s.most))
-    old, many = kept.target.size, kept.source.size
-    out = _room(old + n, many + 2 * n)
-    _kept(kept, rows, seen, static, hidden, scene, b, out)
-    t, k = _started(kept.own, alone, born, states, scene, b, s, out, old, many)
-    table, appeared = _table(
+    out = _room(kept.targets + alone.size, kept.hypotheses + 2 * alone.size)
+    _kept(kept, rows, seen, static, scene, b, out)
+    t, k = _started(kept, alone, born, births, scene, b, s, out)
+    table, total[1], total[3] = _table(
         exist, first, weight, seen, static, point, which, density, pairs, kept, kappa, born, alone, scene.order,
         s.sources,
     )  # fmt: skip
     begin, chosen, heavier = merged(out.first[: t + 1], out.weight[:k], out.rows, D, out.static, s.merge * s.merge)
-    there, kind = out.exist[:t].copy(), out.static[chosen]
-    front, presence = best_of(there, begin, heavier, kind)
-    name, most, fresh = _labels(label, believed, presence, out.which[:t], fresh)
-    for i in range(t):
-        after += presence[i]
-    for j in range(n):
-        vanished += table[0, j] + table[1, j] == 0.0
-    mean, cov = gaussians(out.rows, chosen)
-    return (
-        there, name, begin, heavier, mean, cov, kind, out.hidden[chosen], out.detection[chosen], out.parent[chosen], front,
-        presence, most, _given_up(ended, believed, best, out.which, old, s.depth), fresh, table, before, appeared, after,
-        vanished,
-    )  # fmt: skip
+    mean, cov, shares, origin, kind = _chosen(out, chosen, heavier, mean.shape[0])
+    told, name, total[2], fresh = _named(out, begin, shares[0], kind, label, believed, fresh)
+    gone = _given_up(ended, believed, best, out.which, kept.targets, s.depth)
+    return told, name, begin, shares, mean, cov, kind, origin, gone, fresh, table, total

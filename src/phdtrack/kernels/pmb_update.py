@@ -33,13 +33,15 @@ class Pruning(NamedTuple):
 
 
 class Survivors(NamedTuple):
-    """Targets and hypotheses after a measurement.
+    """Targets and hypotheses after a measurement, in arrays that may be longer.
 
-    ``target`` (T',) which each was, ``exist`` (T',), ``first`` (T' + 1,). Of the hypotheses (K,): ``source`` the one before,
-    ``which`` the measurement, −1: missed; ``weight``. ``own`` (N,) the probability that a measurement is no earlier
-    target's, ``told`` (P,) that of each pair.
+    ``targets``, ``hypotheses``: how many there are, T' and K. ``target`` (T',) which each was, ``exist`` (T',), ``first``
+    (T' + 1,). Of the hypotheses (K,): ``source`` the one before, ``which`` the measurement, −1: missed; ``weight``. ``own``
+    (N,) the probability that a measurement is no earlier target's, ``told`` (P,) that of each pair.
     """
 
+    targets: int
+    hypotheses: int
     target: I8
     exist: F8
     first: I8
@@ -50,27 +52,45 @@ class Survivors(NamedTuple):
     told: F8
 
 
+class Odds(NamedTuple):
+    """Of ``edges`` pairs (E,) of targets and measurements, those of hypotheses joined, ``target``, ``column`` and ``odds``.
+
+    ``edge`` (P,) that of each pair of a hypothesis, ``gain`` (P,) its part of the odds; ``kept`` (T,) probability of who was
+    missed that he is there.
+    """
+
+    kept: F8
+    gain: F8
+    edge: I8
+    target: I8
+    column: I8
+    odds: F8
+    edges: int
+
+
 @njit(**INNER)
-def _edges(first: I8, point: I8, which: I8, gain: F8, pairs: int, n: int) -> tuple[I8, I8, I8, F8, int]:
-    """Pairs of hypotheses joined to pairs of targets: of each pair its edge, of each edge target, measurement, Σ gain."""
-    edge, target, column, total = (
-        np.empty(pairs, np.int64), np.empty(pairs, np.int64), np.empty(pairs, np.int64), np.empty(pairs)
-    )  # fmt: skip
-    place = np.empty(n, np.int64)
-    for j in range(n):
-        place[j] = -1
+def _odds(exist: F8, first: I8, weight: F8, seen: F8, point: I8, which: I8, density: F8, pairs: int, alone: F8) -> Odds:
+    """How much more likely each target's detection by each measurement is than that it was missed."""
+    kept, gain, odds, edge = np.empty(exist.size), np.empty(pairs), np.zeros(pairs), np.empty(pairs, np.int64)
+    target, column, place = np.empty(pairs, np.int64), np.empty(pairs, np.int64), np.full(alone.size, -1)
+    # A literal zero is a type of its own.
     count, q = 0 * pairs, 0 * pairs
-    for t in range(first.size - 1):
-        begun = count
+    for t in range(exist.size):
+        detected, begun = 0.0, count
+        for c in range(first[t], first[t + 1]):
+            detected += weight[c] * seen[c]
+        missed = max(1.0 - exist[t] * detected, NEVER)
+        kept[t] = min(max(exist[t] * (1.0 - detected), 0.0) / missed, 1.0)
         while q < pairs and point[q] < first[t + 1]:
-            j = which[q]
+            c, j = point[q], which[q]
             if place[j] < begun:
-                place[j], target[count], column[count], total[count] = count, t, j, 0.0
+                place[j], target[count], column[count] = count, t, j
                 count += 1
             edge[q] = place[j]
-            total[place[j]] += gain[q]
+            gain[q] = exist[t] * weight[c] * seen[c] * density[q] / (missed * alone[j])
+            odds[edge[q]] += gain[q]
             q += 1
-    return edge, target, column, total, count
+    return Odds(kept, gain, edge, target, column, odds, count)
 
 
 @njit(**INNER)
@@ -78,41 +98,29 @@ def survivors(
     exist: F8, first: I8, weight: F8, seen: F8, point: I8, which: I8, density: F8, pairs: int, alone: F8, limits: Pruning
 ) -> Survivors:
     """As `weighed`, of the first ``pairs`` rows of ``point``, ``which`` and ``density``."""
-    targets, count, n = exist.size, weight.size, alone.size
-    missed, kept, gain, told = np.empty(targets), np.empty(targets), np.empty(pairs), np.empty(pairs)
-    for t in range(targets):
-        detected = 0.0
-        for c in range(first[t], first[t + 1]):
-            detected += weight[c] * seen[c]
-        missed[t] = max(1.0 - exist[t] * detected, NEVER)
-        kept[t] = min(max(exist[t] * (1.0 - detected), 0.0) / missed[t], 1.0)
-    t = 0 * pairs
-    for q in range(pairs):
-        while point[q] >= first[t + 1]:
-            t += 1
-        gain[q] = exist[t] * weight[point[q]] * seen[point[q]] * density[q] / (missed[t] * alone[which[q]])
-    edge, target, column, odds, edges = _edges(first, point, which, gain, pairs, n)
-    belief, nothing, own = beliefs(odds, target, column, edges, targets, n)
-    for q in range(pairs):
-        told[q] = belief[edge[q]] * gain[q] / odds[edge[q]] if odds[edge[q]] > 0.0 else 0.0
-    room, most = count + pairs, int(limits.most)
-    out_target, out_exist, out_first = np.empty(targets, np.int64), np.empty(targets), np.empty(targets + 1, np.int64)
+    before = _odds(exist, first, weight, seen, point, which, density, pairs, alone)
+    belief, nothing, own = beliefs(before.odds, before.target, before.column, before.edges, exist.size, alone.size)
+    room, most, told = weight.size + pairs, int(limits.most), np.empty(pairs)
+    out_target, out_exist = np.empty(exist.size, np.int64), np.empty(exist.size)
+    out_first = np.empty(exist.size + 1, np.int64)
     source, taken, heavy = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
     option, value = np.empty(room, np.int64), np.empty(room)
     out_first[0] = 0
     used, k, q = 0 * pairs, 0 * pairs, 0 * pairs
-    for t in range(targets):
-        there, options = nothing[t] * kept[t], 0 * pairs
+    for t in range(exist.size):
+        unseen, alive = 0.0, nothing[t] * before.kept[t]
+        there, options = alive, 0 * pairs
         while q < pairs and point[q] < first[t + 1]:
+            e = before.edge[q]
+            told[q] = belief[e] * before.gain[q] / before.odds[e] if before.odds[e] > 0.0 else 0.0
             option[options], value[options] = q, told[q]
             there += told[q]
             options, q = options + 1, q + 1
-        unseen = 0.0
         for c in range(first[t], first[t + 1]):
             unseen += weight[c] * (1.0 - seen[c])
         for c in range(first[t], first[t + 1]):
             share = weight[c] * (1.0 - seen[c]) / unseen if unseen > 0.0 else 0.0
-            option[options], value[options] = -1 - c, nothing[t] * kept[t] * share
+            option[options], value[options] = -1 - c, alive * share
             options += 1
         # Who has become more probable may be at the beginning, however rare births are beside false alarms.
         if there < limits.least and not there > exist[t]:
@@ -140,9 +148,7 @@ def survivors(
         out_target[used], out_exist[used] = t, min(there, 1.0)
         used += 1
         out_first[used] = k
-    return Survivors(
-        out_target[:used], out_exist[:used], out_first[: used + 1], source[:k], taken[:k], heavy[:k], own, told
-    )  # fmt: skip
+    return Survivors(used, k, out_target, out_exist, out_first, source, taken, heavy, own, told)
 
 
 @njit(**ENTRY)
@@ -161,10 +167,11 @@ def weighed(
 
     Returns
     -------
-    The fields of `Survivors`.
+    The arrays of `Survivors`.
     """
     s = survivors(exist, first, weight, seen, point, which, density, len(point), alone, Pruning(least, share, float(most)))
-    return s.target, s.exist, s.first, s.source, s.which, s.weight, s.own, s.told
+    t, k = s.targets, s.hypotheses
+    return s.target[:t], s.exist[:t], s.first[: t + 1], s.source[:k], s.which[:k], s.weight[:k], s.own, s.told
 
 
 @njit(**INNER)
@@ -181,7 +188,7 @@ def alike(rows: F8, dim: int, static: B1, i: int, k: int, limit: float) -> bool:
 
 @njit(**INNER)
 def merged(first: I8, weight: F8, rows: F8, dim: int, static: B1, limit: float) -> tuple[I8, I8, F8]:
-    """As `united`; the rows may be longer."""
+    """As `united`, of the first hypotheses; the rows may be longer. All weights are returned, by hypothesis before."""
     kept, heavier = np.empty(weight.size, np.int64), weight.copy()
     begin = np.empty(first.size, np.int64)
     begin[0] = 0
@@ -198,10 +205,7 @@ def merged(first: I8, weight: F8, rows: F8, dim: int, static: B1, limit: float) 
                 kept[k] = c
                 k += 1
         begin[t + 1] = k
-    out = np.empty(k)
-    for i in range(k):
-        out[i] = heavier[kept[i]]
-    return begin, kept[:k].copy(), out
+    return begin, kept[:k].copy(), heavier
 
 
 @njit(**ENTRY)
@@ -211,8 +215,8 @@ def united(first: I8, weight: F8, rows: F8, static: B1, limit: float) -> tuple[I
     ``first`` (T + 1,); of hypotheses (C,), heaviest first within a target: ``weight``, ``rows`` (C, 2d) of means and
     variances, ``static``. Returns ``first``, which are kept, and their weights. See `alike` for what is the same.
     """
-    out: tuple[I8, I8, F8] = merged(first, weight, rows, rows.shape[1] // 2, static, limit)
-    return out
+    begin, kept, heavier = merged(first, weight, rows, rows.shape[1] // 2, static, limit)
+    return begin, kept, heavier[kept]
 
 
 @njit(**INNER)

@@ -13,7 +13,7 @@ from phdtrack.kernels.pmb_rows import ROW
 from phdtrack.kernels.pmb_step import Settings, pmb_box_step
 from phdtrack.types import F8, UpdateInfo
 
-_UNASKED, _ALONE = np.zeros(0), np.zeros((0, ROW))
+_UNASKED, _ALONE = np.zeros(0), np.zeros((0, ROW + 1))
 
 
 @lru_cache(maxsize=64)
@@ -29,14 +29,18 @@ def fused_step(
     kappa = _UNASKED if box.clutter is None else box.clutter.intensity(z)
     # The kernel is compiled for arrays row by row.
     ordered = np.ascontiguousarray
-    z, births, states = ordered(z), _UNASKED, _ALONE
+    z, births = ordered(z), _ALONE
     if len(box.births):
-        births, states = birth_states(z, box.births, gate, box.numbers)
-    found = pmb_box_step(
+        births = birth_states(z, box.births, gate, box.numbers)
+    told, name, first, shares, mean, cov, static, origin, ended, fresh, table, total = pmb_box_step(
         now.exist, now.label, now.first, now.weight, ordered(now.mean), ordered(now.covariance), now.static, now.hidden,
-        now.best, now.believed, ordered(state.ended), state.fresh, z, births, states, kappa, box.numbers, settings,
+        now.best, now.believed, ordered(state.ended), state.fresh, z, births, kappa, box.numbers, settings,
     )  # fmt: skip
-    layer = Layer(*found[:13])
-    ended, fresh, table, predicted, born, mass, vanished = found[13:]
-    info = UpdateInfo(predicted + born, born, mass, table[0], table[1], vanished)
+    exist, presence, believed = told
+    (label, best), (weight, hidden), (detection, parent) = name, shares, origin
+    layer = Layer(
+        exist, label, first, weight, mean, cov, static, hidden, detection, parent, best, presence, believed
+    )  # fmt: skip
+    predicted, born, mass, vanished = total.tolist()
+    info = UpdateInfo(predicted + born, born, mass, table[0], table[1], int(vanished))
     return Bernoullis((*state.layers[-depth:], layer), ended, fresh), info

@@ -1,0 +1,58 @@
+"""Which boxes are left of those that overlap, against all pairs in turn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phdtrack.kernels.box import apart
+
+
+def iou(a: np.ndarray, b: np.ndarray) -> float:
+    low, high = np.maximum(a[:2], b[:2]), np.minimum(a[2:], b[2:])
+    shared = np.prod(np.maximum(high - low, 0))
+    union = np.prod(a[2:] - a[:2]) + np.prod(b[2:] - b[:2]) - shared
+    return shared / union if union > 0 else 0.0
+
+
+def left_of(boxes: np.ndarray, overlap: float) -> list[int]:
+    """Each box in turn is left unless one left before it is in its place."""
+    left: list[int] = []
+    for j in range(len(boxes)):
+        if not any(iou(boxes[i], boxes[j]) > overlap for i in left):
+            left.append(j)
+    return left
+
+
+def crowd(rng: np.random.Generator, count: int, room: float) -> np.ndarray:
+    """Boxes of many sizes, some of them twice, some without area, one as wide as the image."""
+    corner, size = rng.uniform(0, room, (count, 2)), rng.uniform(5, 60, (count, 2))
+    size[::7] *= [1.0, 0.0]
+    boxes = np.hstack([corner, corner + size])
+    boxes[1::5] = boxes[: len(boxes[1::5])]
+    boxes[count // 2, [0, 2]] = [-10, room + 10]
+    return boxes
+
+
+@pytest.mark.parametrize("overlap", [0.0, 0.2, 0.5, 0.9])
+@pytest.mark.parametrize("count", [1, 2, 17, 120])
+def test_they_are_those_of_the_definition(count: int, overlap: float):
+    went = 0
+    for seed in range(6):
+        boxes = crowd(np.random.default_rng(seed), count, 40.0 + 4 * count * (seed % 3))
+        found = apart(boxes, boxes[:, 0].argsort(), overlap).tolist()
+        assert found == left_of(boxes, overlap)
+        went += count - len(found)
+    assert went or count < 17
+
+
+def test_who_has_gone_takes_nobody_along():
+    """Each overlaps the next: the second goes for the first, and the third stays because the second has gone."""
+    boxes = np.array([[10.0 * k, 0, 10.0 * k + 25, 20] for k in range(5)])
+    assert apart(boxes, np.arange(5), 0.3).tolist() == [0, 2, 4]
+    turned = boxes[::-1].copy()
+    assert apart(turned, turned[:, 0].argsort(), 0.3).tolist() == [0, 2, 4]
+
+
+def test_nobody():
+    assert apart(np.zeros((0, 4)), np.zeros(0, np.int64), 0.5).tolist() == []
