@@ -107,7 +107,7 @@ def test_the_criterion_is_what_it_says():
     seen = samples_of(p.sample(50, np.random.default_rng(4)))
     assert parameters(4) == 14
     explained = 50 * 0.95 * p.weight
-    prices = [7 * np.log(n) * n / (n - 6) + 0.5 * np.log(50) for n in explained]
+    prices = [7 * (np.log(n) + 6 / (n - 6)) + 0.5 * np.log(50) for n in explained]
     expected = sum(prices) - likelihood(p, seen)
     assert criterion(p, seen) == pytest.approx(expected)
 

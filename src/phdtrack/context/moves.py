@@ -5,11 +5,12 @@ one, or one stands where the uniform part explains as much, which the rule, whos
 cannot know. So moves are tried in turn. A component goes; or it is parted along its longest axis; or a new one begins where
 samples crowd in one position. After each comes EM for the whole model, and the move that makes
 
-    −log p(x_1 … x_n) + Σ_m [τ log(n_m) n_m / (n_m − d − 2) + ½ log n]
+    −log p(x_1 … x_n) + Σ_m τ [log n_m + (d + 2)/(n_m − d − 2)] + M/2 log n
 
 smallest stays, if it makes it smaller: the N = 2τ parameters of a component are known from the n_m samples in d dimensions
-that it explains, and its share from all [S78]; n_m/(n_m − d − 2) is how much too well few samples are explained by what was
-fitted to them [B94]. The recursive rule has the same prior, but for that [Z04].
+that it explains, and its share from all [S78]. The fraction is how much too well few samples are explained by what was fitted
+to them, beyond what many are: half of the correction of [B94], whose other half is about samples to come. The recursive rule
+has the same prior, but for that [Z04].
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def criterion(p: ContextDensity, samples: Samples) -> float:
     """What moves make smaller, nats [S78; B94]."""
     tau = parameters(p.dim) / 2
     n = np.maximum(samples.total * (1 - p.uniform) * p.weight, tau)
-    price = tau * np.log(n) * n / (n - p.dim - 2) + 0.5 * math.log(samples.total)
+    price = tau * (np.log(n) + (p.dim + 2) / (n - p.dim - 2)) + 0.5 * math.log(samples.total)
     return float(price.sum()) - likelihood(p, samples)
 
 
