@@ -31,7 +31,8 @@ class Explained:
     Parameters
     ----------
     merge : probability ρ that targets that touch are reported as one blob; 0: blobs are never parted.
-    split : probability φ that a target falls into one more piece; 0: pieces are never joined.
+    split : probability φ that a target falls into one more piece; 0: pieces are never joined. Background detectors join
+        theirs themselves, and those of another are joined wrongly now and then.
     known : seconds for which a target must have had a blob of its own before it may share one.
     patience : seconds for which a target may be hidden in a blob, between the edges of others.
     torn : seconds for which the pieces of a target may follow it; what is in pieces for longer is several.
@@ -41,7 +42,7 @@ class Explained:
     """
 
     merge: Probability = 0.5
-    split: Probability = 0.005
+    split: Probability = 0.0
     known: NonNegative = 0.4
     patience: NonNegative = 3.0
     torn: NonNegative = 1.0

@@ -28,8 +28,16 @@ FILTERS = ("pmb", "gm-phd")
 EXPLAINED = "blobs.kind=explained"
 # Settings by the name that the page gives them.
 WAYS = {"as detected": (), "explained": (EXPLAINED,)}
-PIECES = WAYS | {"explained, φ = 0.3": (EXPLAINED, "blobs.split=0.3")}
-PARTS = WAYS | {"merged only": (EXPLAINED, "blobs.split=0"), "pieces only": (EXPLAINED, "blobs.merge=0")}
+FEW, MANY = 0.005, 0.3
+PIECES = {
+    "as detected": (),
+    f"explained, φ = {FEW}": (EXPLAINED, f"blobs.split={FEW}"),
+    f"explained, φ = {MANY}": (EXPLAINED, f"blobs.split={MANY}"),
+}
+PARTS = WAYS | {
+    "pieces too": (EXPLAINED, f"blobs.split={FEW}"),
+    "pieces only": (EXPLAINED, "blobs.merge=0", f"blobs.split={FEW}"),
+}
 VIDEOS = (("PETS09-S2L1", "change"), ("PETS09-S2L1", "mog2"), ("TUD-Campus", "change"))
 SHARE = 0.3
 _LEAVES: tuple[Leave, ...] = ("right", "swapped", "new", "lost")
@@ -150,7 +158,8 @@ def _written(options: Options, folder: Path) -> Path:
         "## Objects in pieces\n\n"
         f"Simulated detections of the street, each in two or three pieces with probability {SHARE}. φ is `blobs.split`.\n\n"
         + table(("filter", "blobs", *_SCORES), _rows(streets, PIECES, found))
-        + "\n## Videos with background detectors\n\n*Merged only*: `blobs.split=0`; *pieces only*: `blobs.merge=0`.\n\n"
+        + "\n## Videos with background detectors\n\n"
+        f"*Pieces too*: `blobs.split={FEW}`; *pieces only*: `blobs.merge=0` beside it.\n\n"
         + table(("video, detector", "filter", "blobs", *_SCORES), _film_rows(films, found))
         + _MEANING
     )
@@ -160,8 +169,9 @@ def _written(options: Options, folder: Path) -> Path:
 _MEANING = """
 Parting merged blobs is on with background detectors (`change`, `mog2`, `knn`, `mean-background`). Who crosses slowly inside
 a blob is told from who turns back by motion alone, and where both cover each other nothing shows which is which: half of
-those who cross come out swapped or new. Pieces are rare behind these detectors, which join them themselves: φ is small, and
-with the GM-PHD filter on TUD-Campus even that costs more than it brings. Set `blobs.split` where a detector tears objects.
+those who cross come out swapped or new. Joining pieces is off: they are rare behind these detectors, which join them
+themselves, and with the GM-PHD filter on TUD-Campus even a small φ costs more than it brings. Set `blobs.split` where a
+detector tears objects.
 """
 _SCORES = ("MOTA", "IDF1", "HOTA", "switches", "MOTA online", "IDF1 online", "HOTA online")
 
