@@ -8,9 +8,9 @@ samples crowd in one position. After each comes EM for the whole model, and the 
     −log p(x_1 … x_n) + Σ_m τ [log n_m + (d + 2)/(n_m − d − 2)] + M/2 log n
 
 smallest stays, if it makes it smaller: the N = 2τ parameters of a component are known from the n_m samples in d dimensions
-that it explains, and its share from all [S78]. The fraction is how much too well few samples are explained by what was fitted
-to them, beyond what many are: half of the correction of [B94], whose other half is about samples to come. The recursive rule
-has the same prior, but for that [Z04].
+that it explains, and its share from all [S78]. The recursive rule has the same prior [Z04]. The fraction is half of the
+correction for few samples [B94]: without it eight samples that lie together by chance become a place, with all of it a place
+of eight marks is none, and unseen false alarms are explained best with half of it.
 """
 
 from __future__ import annotations
