@@ -185,6 +185,13 @@ def test_who_is_mapped_and_in_which_share_of_his_frames() -> None:
     np.testing.assert_allclose(m09_places.shares_of(truth, (frame == 1) & (identity == 2), mapped), [0.0])
 
 
+def test_learning_alone_is_the_default_filter_without_what_it_knows_of_places(street) -> None:
+    info = street[0].info
+    alone, shipped = (m09_places.stages_of(name, info).filter for name in (m09_places.ALONE, "pmb"))
+    assert shipped.sources > 0
+    assert alone == dataclasses.replace(shipped, sources=0.0)
+
+
 def test_places_that_fire_are_forgotten_and_nobody_with_them() -> None:
     """40 marked frames: most of what false tracks hold there is gone, and who crosses the places is still tracked."""
     found = [m09_places.work(m09_places.Job("street", 2.0, "gm-phd", seed)) for seed in (1, 2)]

@@ -41,8 +41,8 @@ SEEDS, LONG_SEEDS, LEARNER_SEEDS = 3, 1, 8
 QUARTER = 2500
 RUNS = (UM, IMAGE, GM, *ABLATIONS)
 # Filter and run; nothing else than the filter differs.
-RIVALS = ((UM, "none"), (UM, "mht"), (GM, "mht"), (UM, "gm-phd"), (GM, "gm-phd"))
-RACES = (PHD, "gm-phd", "mht")
+RIVALS = ((UM, "none"), (UM, "mht"), (GM, "mht"), (UM, "gm-phd"), (GM, "gm-phd"), (UM, "pmb"), (GM, "pmb"))
+RACES = (PHD, "gm-phd", "mht", "pmb")
 SCORES = ("MODA", "MODP", "MOTA", "MOTP")
 
 
@@ -168,7 +168,11 @@ def _main(options: Options, folder: Path) -> Path:
 def races_of(scenes: Sequence[Footage], quick: bool) -> list[Race]:
     """Which filters are timed on which scenes: one at a time, each alone on the machine as far as this command goes."""
     timed = [scene for scene in scenes if scene.name in (RENDERED[0], REAL[0])]
-    return [Race(Course(scene, 1), name, 400 if quick else 1000) for scene in timed for name in RACES[: 1 if quick else 3]]
+    return [
+        Race(Course(scene, 1), name, 400 if quick else 1000)
+        for scene in timed
+        for name in RACES[: 1 if quick else len(RACES)]
+    ]
 
 
 def draw(found: Found, out: Path) -> None:

@@ -24,7 +24,7 @@ from phdtrack.reproduce.common import Case, built, followed, mot15, table
 from phdtrack.reproduce.m09_lessons import anywhere, births_of, learned_alarms, marked_false, own_births
 from phdtrack.reproduce.m09_scenes import stretch
 from phdtrack.simulate import DetectorModel, detect, make_scene
-from phdtrack.types import F8, Bool, Tracks, Truth
+from phdtrack.types import F8, Bool, SequenceInfo, Tracks, Truth
 
 # The default filter knows that false alarms come back in one place before anything is learned; without that learning does
 # all there is to do.
@@ -95,7 +95,7 @@ def work(job: Job) -> Outcome:
     train = test = case
     if case.info.frames >= SHORTEST:
         train, test = stretch(case, 1, middle), stretch(case, middle + 1, case.info.frames)
-    uniform = built(test.info, "pmb", ("filter.sources=0",)) if job.filter == ALONE else built(test.info, job.filter)
+    uniform = stages_of(job.filter, test.info)
     runs = [followed(stages, test, job.seed).corrected for stages in (uniform, learned(uniform, train, job.seed))]
     false, boxes, other = zip(*(false_tracks(test.truth, tracks, places) for tracks in runs), strict=True)
     mapped = [mapped_rows(test.truth, tracks) for tracks in runs]
@@ -115,6 +115,11 @@ def work(job: Job) -> Outcome:
         int((mostly[1] & ~mostly[0]).sum()),
         int((found[0] & ~found[1]).sum()),
     )
+
+
+def stages_of(name: str, info: SequenceInfo) -> AnyStages:
+    """The stages of one of `FILTERS`, as shipped but for what its name says."""
+    return built(info, "pmb", ("filter.sources=0",)) if name == ALONE else built(info, name)
 
 
 def learned(stages: AnyStages, train: Case, seed: int) -> AnyStages:
