@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from inner_kernels import from_python
 from phdtrack.boxes import iou
 from phdtrack.kernels.blocks import cut, summarise
-from phdtrack.kernels.box import box_corners, box_gate, box_noise, resting
+from phdtrack.kernels.box import box_corners, box_gate, box_noise
 from phdtrack.kernels.clustering import outside
 from phdtrack.kernels.em import whitening
 from phdtrack.kernels.islands import islands, united
@@ -21,6 +21,7 @@ from phdtrack.kernels.joining import claim, heavy_enough, likeness, meeting, nea
 from phdtrack.kernels.kmeans import kmeans
 from phdtrack.kernels.nearest import MIXED, ROOM
 from phdtrack.kernels.overlaps import rectangle_grid
+from phdtrack.models import BoxSensor
 from reference import clustering_twin as twin
 
 nearest_first, whitening = from_python(nearest_first, whitening)
@@ -297,7 +298,7 @@ def test_whitening(seed: int, d: int, count: int):
 @pytest.mark.parametrize("d", [6, 8])
 def test_box_states(d: int, rng):
     z = rng.uniform(5, 90, (4, 7))
-    x = resting(z, d)
+    x, _ = BoxSensor(scaling="previous" if d == 8 else "particle").states(z)
     np.testing.assert_array_equal(x[[0, 1, 4, 5]], z)
     np.testing.assert_array_equal(x[2:4], 0)
     np.testing.assert_array_equal(x[6:], z[2:] if d == 8 else np.zeros((0, 7)))

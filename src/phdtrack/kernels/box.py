@@ -35,18 +35,6 @@ def box_noise(x: F8, size_row: int, spread: float, floor: float, speed: float) -
 
 
 @njit(**ENTRY)
-def resting(z: F8, d: int) -> F8:
-    """(d, n) box states at rest that show z: centre, velocity 0, size, and the size once more where d is 8."""
-    n = z.shape[1]
-    out = np.empty((d, n))
-    for i in range(n):
-        out[0, i], out[1, i], out[2, i], out[3, i] = z[0, i], z[1, i], 0.0, 0.0
-        for r in range(4, d, 2):
-            out[r, i], out[r + 1, i] = z[2, i], z[3, i]
-    return out
-
-
-@njit(**ENTRY)
 def box_gate(z: F8, factor: float, least: float) -> tuple[F8, F8]:
     """Corners (2, n) of the rectangles that reach ``factor`` sizes, but at least ``least``, from the centre of z."""
     n = z.shape[1]

@@ -21,7 +21,7 @@ def _noises(
 ) -> tuple[float, float, float, float]:
     """Along one axis, of one box: variances of position, with velocity, of velocity and of size [M09 (11)]."""
     unit = 1.0 if not scaled else smallest if size < smallest else size
-    pushed, resized = (acceleration * unit) ** 2, (resize * unit) ** 2
+    pushed, resized = acceleration * unit * (acceleration * unit), resize * unit * (resize * unit)
     position = dt * dt * dt / 3.0 - (dt if dt > 1.0 else dt * dt * dt) / 12.0
     return pushed * position, pushed * dt * dt / 2.0, pushed * dt, resized * dt
 

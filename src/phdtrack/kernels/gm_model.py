@@ -211,8 +211,10 @@ def sorted_boxes(z: F8) -> Scene:
     ny = max(1, n // nx)
     sx, sy = nx / wide, ny / high
     # A counting sort. ``start`` is shifted by one while it is filled.
-    start, home = np.zeros(nx * ny + 2, np.int64), np.empty(n, np.int64)
+    start, home = np.empty(nx * ny + 2, np.int64), np.empty(n, np.int64)
     order, boxes = np.empty(n, np.int64), np.empty((n, m))
+    for c in range(start.size):
+        start[c] = 0
     for j in range(n):
         home[j] = cell(z[1, j], y0, sy, ny) * nx + cell(z[0, j], x0, sx, nx)
         start[home[j] + 2] += 1

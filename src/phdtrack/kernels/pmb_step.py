@@ -233,13 +233,15 @@ def _given_up(ended: I8, believed: F8, best: I8, which: I8, old: int, depth: flo
 def _chosen(out: Hypotheses, kept: I8, heavier: F8, dim: int) -> tuple[F8, F8, F8, I8, B1]:
     """Of those ``kept`` (C,) the means (d, C), covariances (C, d, d), (2, C) weight and probability to be hidden, (2, C)
     detection and parent, and (C,) whether static."""
-    mean, cov = np.empty((dim, kept.size)), np.zeros((kept.size, dim, dim))
+    mean, cov = np.empty((dim, kept.size)), np.empty((kept.size, dim, dim))
     shares, origin, static = np.empty((2, kept.size)), np.empty((2, kept.size), np.int64), np.empty(kept.size, np.bool_)
     for k in range(kept.size):
         i = kept[k]
         shares[0, k], shares[1, k], static[k] = heavier[i], out.rows[i, HIDDEN], out.static[i]
         origin[0, k], origin[1, k] = out.origin[i, 0], out.origin[i, 1]
         for r in range(dim):
+            for c in range(dim):
+                cov[k, r, c] = 0.0
             mean[r, k], cov[k, r, r] = out.rows[i, r], out.rows[i, VARIANCE + r]
         for a in range(2):
             cov[k, a, a + 2], cov[k, a + 2, a] = out.rows[i, MIXED + a], out.rows[i, MIXED + a]

@@ -72,7 +72,9 @@ class Odds(NamedTuple):
 def _odds(exist: F8, first: I8, weight: F8, seen: F8, point: I8, which: I8, density: F8, pairs: int, alone: F8) -> Odds:
     """How much more likely each target's detection by each measurement is than that it was missed."""
     kept, gain, odds, edge = np.empty(exist.size), np.empty(pairs), np.zeros(pairs), np.empty(pairs, np.int64)
-    target, column, place = np.empty(pairs, np.int64), np.empty(pairs, np.int64), np.full(alone.size, -1)
+    target, column, place = np.empty(pairs, np.int64), np.empty(pairs, np.int64), np.empty(alone.size, np.int64)
+    for j in range(place.size):
+        place[j] = -1
     # A literal zero is a type of its own.
     count, q = 0 * pairs, 0 * pairs
     for t in range(exist.size):

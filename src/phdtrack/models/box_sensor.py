@@ -27,7 +27,7 @@ import numpy as np
 from phdtrack.boxes import to_cxcywh
 from phdtrack.checks import NonNegative, Positive, Probability, check
 from phdtrack.errors import InputError
-from phdtrack.kernels.box import box_corners, box_gate, box_noise, resting
+from phdtrack.kernels.box import box_corners, box_gate, box_noise
 from phdtrack.models.occlusion import NOBODY, Hiders, seen_part
 from phdtrack.types import F8, Detections
 
@@ -195,8 +195,8 @@ class BoxSensor:
         The velocity of uniform direction and Gaussian amplitude a has variance a²/2 per axis.
         """
         n, d = z.shape[1], 8 if self.scaling == "previous" else 6
-        # As rows: one kind of array, one kernel.
-        x = resting(np.ascontiguousarray(z), d)
+        x = np.zeros((d, n))
+        x[:2], x[4:6], x[6:] = z[:2], z[2:4], z[2 : d - 4]
         cov = np.zeros((n, d, d))
         np.einsum("nrr->nr", cov)[...] = np.square(self.noise(x, z)).T
         return x, cov
