@@ -108,7 +108,7 @@ def add_masked(
         j = nobody
         for i in range(U(n)):
             now = own[at + i]
-            j = now if (now > last) & (now < j) else j
+            j = min(j, now if now > last else nobody)
         if j == nobody:
             break
         for i in range(U(n)):

@@ -95,6 +95,7 @@ def divide(state: Real, k: int, rows: int, table: F8, flags: I8) -> int:
         for r in range(d):
             table[k, CENTRE + 2 * d + r] = state[r, flags[j, FARTHEST]]
             table[k, CENTRE + r], table[k, CENTRE + d + r] = table[k, CENTRE + 2 * d + r], table[j, CENTRE + d + r]
+            table[k, CENTRE + 4 * d + r] = table[j, CENTRE + 4 * d + r]
         begin_cluster(k, j, flags)
         flags[j, STEPS] = 0
         k += 1

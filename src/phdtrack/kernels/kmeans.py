@@ -207,7 +207,7 @@ def begin_island(
             table[j, c] = 0.0
         for r in range(d):
             table[j, CENTRE + r], table[j, CENTRE + 2 * d + r] = centres[r, at], centres[r, at]
-            table[j, CENTRE + d + r] = scales[r, at]
+            table[j, CENTRE + d + r], table[j, CENTRE + 4 * d + r] = scales[r, at], 1.0 / scales[r, at]
         table[j, X], table[j, Y] = centres[0, at], centres[1, at]
         begin_cluster(j, j, flags)
     used = 0
@@ -331,7 +331,7 @@ def kmeans(
         # As many as there could be if every division parted as little as does not count as a stray.
         rows[i - lo] = centre_start[i + 1] - centre_start[i] + 10 * divisions(mass, split)
         most, longest = max(most, rows[i - lo]), max(longest, blocks)
-    table, flags = np.empty((most, CENTRE + 4 * d)), np.empty((most, 7), np.int64)
+    table, flags = np.empty((most, CENTRE + 5 * d)), np.empty((most, 7), np.int64)
     mass_of, mean, cov, reference = np.empty(most), np.empty((d, most)), np.empty((most, d, d)), np.empty((d, most))
     one, two, shift = np.empty(d), np.empty((even, even)), np.empty(d)
     near, head = np.empty(max(most, start.size), np.int64), np.empty(longest, np.int64)

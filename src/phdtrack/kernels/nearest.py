@@ -3,8 +3,8 @@
 Tables, one row each, so that what is known of one block or cluster lies together in memory:
 
 * ``known`` (B, 1 + 4d) of `blocks.summarise`: mass, then the box's low and high corner, a point in the middle, Σw·x.
-* ``table`` (room, 4 + 4d) of clusters: mass, the position where the centre was filed (2), the distance² of its farthest
-  particle, then centre, scale, mean, Σw·x.
+* ``table`` (room, 4 + 5d) of clusters: mass, the position where the centre was filed (2), the distance² of its farthest
+  particle, then centre, scale, mean, Σw·x, one over the scale.
 * ``flags`` (room, 7) of clusters: see the names below.
 * ``link`` (2, E), ``head`` (B,): lists of the centres near each block: entry e stands for centre link[0, e] and is followed
   by entry link[1, e]; block b's list begins with head[b], and ends with −1.
@@ -40,8 +40,8 @@ def least_excess(d: int, table: F8, a: int, b: int, known: F8, block: int) -> fl
     """
     total = 0.0
     for r in range(d):
-        sa, sb = table[a, CENTRE + d + r], table[b, CENTRE + d + r]
-        pa, pb = 1.0 / (sa * sa), 1.0 / (sb * sb)
+        sa, sb = table[a, CENTRE + 4 * d + r], table[b, CENTRE + 4 * d + r]
+        pa, pb = sa * sa, sb * sb
         ca, cb = table[a, CENTRE + r], table[b, CENTRE + r]
         left, right = known[block, 1 + r], known[block, 1 + d + r]
         least = pb * (left - cb) * (left - cb) - pa * (left - ca) * (left - ca)
@@ -112,10 +112,12 @@ def contenders(
         count += 1
     # An integer, not a literal: `least_excess` would be compiled for both.
     best, first = np.inf, int(NOBODY)
-    for c in range(count):
+    if count == 1:
+        first = near[0]
+    for c in range(count if count > 1 else 0):
         j, distance2 = near[c], 0.0
         for r in range(d):
-            step = (known[b, 1 + 2 * d + r] - table[j, CENTRE + r]) / table[j, CENTRE + d + r]
+            step = (known[b, 1 + 2 * d + r] - table[j, CENTRE + r]) * table[j, CENTRE + 4 * d + r]
             distance2 += step * step
         if distance2 < best or first < 0:
             best, first = distance2, j
@@ -145,7 +147,7 @@ def squares(scratch: Real, n: int, d: int, table: F8, j: int, known: F8, b: int)
         # Two components at a time: what is summed is read and written half as often.
         s = r + 1 if r + 1 < d else r
         x, y = real(table[j, CENTRE + r] - known[b, 1 + 2 * d + r]), real(table[j, CENTRE + s] - known[b, 1 + 2 * d + s])
-        per_x, per_y = real(1.0 / table[j, CENTRE + d + r]), real(1.0 / table[j, CENTRE + d + s] if s > r else 0.0)
+        per_x, per_y = real(table[j, CENTRE + 4 * d + r]), real(table[j, CENTRE + 4 * d + s] if s > r else 0.0)
         if r == 0:
             for i in range(U(n)):
                 p, q = (scratch[r, i] - x) * per_x, (scratch[r + 1, i] - y) * per_y
