@@ -174,7 +174,7 @@ def _cache() -> str:
     if not CACHE.lasting:
         raise RuntimeError("no folder can be written into, so every run compiles anew")
     kept = CACHE.kept
-    state = f"warm, {kept} kernels" if kept else "cold, the first run compiles for about half a minute"
+    state = f"warm, {kept} kernels" if kept else "cold, the first run compiles for ten seconds to half a minute"
     return f"{CACHE.folder} ({state})"
 
 

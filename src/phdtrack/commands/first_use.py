@@ -11,10 +11,10 @@ from phdtrack.commands.precompile import precompile
 from phdtrack.compiling import Compiled, watched
 from phdtrack.kernels import CACHE
 
-FIRST = "compiling kernels (first use on this machine, about half a minute; they are kept for the next runs) ..."
+FIRST = "compiling kernels (first use on this machine, ten seconds to half a minute; they are kept for the next runs) ..."
 ALWAYS = (
-    "kernels are compiled anew in every run (about half a minute): neither the installation nor the home folder can be "
-    "written into; set NUMBA_CACHE_DIR to a folder that can"
+    "kernels are compiled anew in every run (ten seconds to half a minute): neither the installation nor the home folder can "
+    "be written into; set NUMBA_CACHE_DIR to a folder that can"
 )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from phdtrack.bernoullis import Bernoullis, Layer
 from phdtrack.checks import Share, check
-from phdtrack.kernels.box import apart
+from phdtrack.extract.resolution import resolved
 from phdtrack.kernels.pmb_past import earlier, reported
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Estimates
@@ -63,8 +63,5 @@ class BestBernoullis:
         boxes = model.sensor.boxes(mean)
         found = Estimates(mean, covariance, weight, boxes, detection, label)
         # Labels rise with the frame in which a target began.
-        if self.overlap >= 1 or len(boxes) < 2:
-            return found
-        boxes = np.ascontiguousarray(boxes)
-        kept = apart(boxes, boxes[:, 0].argsort(), self.overlap)
+        kept = resolved(boxes, self.overlap)
         return found if len(kept) == len(boxes) else found.take(kept)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from phdtrack.kernels.box import apart
 from phdtrack.kernels.joining import likeness
 from phdtrack.kernels.unresolved import join_alike
 from phdtrack.protocols import Sensor
@@ -39,11 +40,9 @@ def joined(mass: F8, mean: F8, cov: F8, sensor: Sensor, overlap: float) -> tuple
 
 
 def resolved(boxes: F8, overlap: float) -> I8:
-    """Which of the (n, 4) boxes are left if each goes that overlaps one before it by more than ``overlap`` (IoU)."""
-    left = np.ones(len(boxes), np.bool_)
-    if overlap < 1 and len(boxes) > 1:
-        first, second, _ = likeness(boxes, overlap)
-        order = np.lexsort((second, first))
-        for i, j in zip(first[order].tolist(), second[order].tolist(), strict=True):
-            left[j] &= not left[i]
-    return np.flatnonzero(left)
+    """Which of the (n, 4) boxes are left if each goes that overlaps one left before it by more than ``overlap`` (IoU)."""
+    if overlap >= 1 or len(boxes) < 2:
+        return np.arange(len(boxes))
+    boxes = np.ascontiguousarray(boxes)
+    left: I8 = apart(boxes, boxes[:, 0].argsort(), overlap)
+    return left
