@@ -13,8 +13,8 @@ from phdtrack.kernels import CACHE
 
 FIRST = "compiling kernels (first use on this machine, ten seconds to half a minute; they are kept for the next runs) ..."
 ALWAYS = (
-    "kernels are compiled anew in every run (ten seconds to half a minute): neither the installation nor the home folder can "
-    "be written into; set NUMBA_CACHE_DIR to a folder that can"
+    "kernels are compiled anew in every run (ten seconds to half a minute): neither the installation nor the home folder "
+    "can be written into; set NUMBA_CACHE_DIR to a folder that can"
 )
 
 
