@@ -5,21 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from phdtrack.boxes import iou
 from phdtrack.kernels.box import apart
-
-
-def iou(a: np.ndarray, b: np.ndarray) -> float:
-    low, high = np.maximum(a[:2], b[:2]), np.minimum(a[2:], b[2:])
-    shared = np.prod(np.maximum(high - low, 0))
-    union = np.prod(a[2:] - a[:2]) + np.prod(b[2:] - b[:2]) - shared
-    return shared / union if union > 0 else 0.0
 
 
 def left_of(boxes: np.ndarray, overlap: float) -> list[int]:
     """Each box in turn is left unless one left before it is in its place."""
+    table = iou(boxes, boxes)
     left: list[int] = []
     for j in range(len(boxes)):
-        if not any(iou(boxes[i], boxes[j]) > overlap for i in left):
+        if not (table[left, j] > overlap).any():
             left.append(j)
     return left
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from phdtrack.boxes import iou
 from phdtrack.kernels.dividing import PATIENCE, STRAY
 from phdtrack.kernels.kmeans import STILL
 
@@ -153,7 +154,9 @@ def join_alike(boxes, overlap, mass, mean, cov):
     """
     left = [([i], m, x, c, b) for i, (m, x, c, b) in enumerate(zip(mass, mean.T, cov, boxes, strict=True))]
     while True:
-        shared = {(i, j): _shared(left[i][4], left[j][4]) for j in range(len(left)) for i in range(j)}
+        box = np.array([b for *_, b in left])
+        overlaps = iou(box, box)
+        shared = {(i, j): overlaps[i, j] for j in range(len(left)) for i in range(j)}
         above = {pair: s for pair, s in shared.items() if s > overlap}
         if not above:
             break
@@ -165,10 +168,3 @@ def join_alike(boxes, overlap, mass, mean, cov):
         del left[j]
     part = [max(parts, key=lambda i: mass[i]) for parts, *_ in left]
     return [m for _, m, *_ in left], [x for _, _, x, *_ in left], [c for *_, c, _ in left], part
-
-
-def _shared(a, b):
-    """Intersection over union of two boxes."""
-    sides = np.clip(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0, None)
-    union = np.prod(a[2:] - a[:2]) + np.prod(b[2:] - b[:2]) - np.prod(sides)
-    return np.prod(sides) / union if union > 0 else 0.0

@@ -9,8 +9,8 @@ samples crowd in one position. After each comes EM for the whole model, and the 
 
 smallest stays, if it makes it smaller: the N = 2τ parameters of a component are known from the n_m samples in d dimensions
 that it explains, and its share from all [S78]. The recursive rule has the same prior [Z04]. The fraction is half of the
-correction for few samples [B94]: without it eight samples that lie together by chance become a place, with all of it a place
-of eight marks is none, and unseen false alarms are explained best with half of it.
+correction for few samples [B94]; half, because with all of it eight marks are no place, and with none eight samples that lie
+together by chance are one.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ def apart(boxes: F8, order: I8, overlap: float) -> I8:
             p -= 1
         while p < n and boxes[order[p], 0] < boxes[j, 2]:
             i = order[p]
-            if i < j and place[i] >= 0 and _overlap(boxes, i, j) > overlap:
+            if i < j and place[i] >= 0 and overlap_of(boxes, i, j) > overlap:
                 place[j] = -1
                 break
             p += 1
@@ -88,8 +88,8 @@ def apart(boxes: F8, order: I8, overlap: float) -> I8:
 
 
 @njit(**INNER)
-def _overlap(boxes: F8, i: int, j: int) -> float:
-    """IoU of two boxes; 0 of such as have no area."""
+def overlap_of(boxes: F8, i: int, j: int) -> float:
+    """IoU of two of the boxes (n, 4); 0 of such as have no area."""
     wide = min(boxes[i, 2], boxes[j, 2]) - max(boxes[i, 0], boxes[j, 0])
     high = min(boxes[i, 3], boxes[j, 3]) - max(boxes[i, 1], boxes[j, 1])
     if not (wide > 0.0 and high > 0.0):

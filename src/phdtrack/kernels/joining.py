@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.box import overlap_of
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.overlaps import overlapping, rectangle_grid
 
@@ -173,15 +174,7 @@ def likeness(boxes: F8, least: float) -> tuple[I8, I8, F8]:
     shared = np.empty(first.size)
     for p in range(first.size):
         i, j = first[p], second[p]
-        inter, own, other = 1.0, 1.0, 1.0
-        for r in range(2):
-            left = boxes[i, r] if boxes[i, r] > boxes[j, r] else boxes[j, r]
-            right = boxes[i, 2 + r] if boxes[i, 2 + r] < boxes[j, 2 + r] else boxes[j, 2 + r]
-            inter *= right - left if right > left else 0.0
-            own *= boxes[i, 2 + r] - boxes[i, r]
-            other *= boxes[j, 2 + r] - boxes[j, r]
-        union = own + other - inter
-        share = inter / union if union > 0.0 else 0.0
+        share = overlap_of(boxes, i, j)
         if i < j and share > least:
             first[count], second[count], shared[count] = i, j, share
             count += 1

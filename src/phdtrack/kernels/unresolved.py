@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.box import overlap_of
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.joining import join
 
@@ -46,7 +47,7 @@ def join_alike(
         # All that are left, and not only the neighbours of its parts: there are few unions.
         count = kept
         for a in range(k):
-            share = _overlap(box, a, i) if alive[a] and a != i else 0.0
+            share = overlap_of(box, a, i) if alive[a] and a != i else 0.0
             if share > overlap:
                 first[count], second[count], shared[count] = min(a, i), max(a, i), share
                 count += 1
@@ -86,16 +87,3 @@ def _longer(first: I8, second: I8, shared: F8, count: int, more: int) -> tuple[I
     for p in range(count):
         a[p], b[p], c[p] = first[p], second[p], shared[p]
     return a, b, c
-
-
-@njit(**INNER)
-def _overlap(box: F8, i: int, j: int) -> float:
-    """Intersection over union of two of the boxes (k, 4); 0 where both have no area."""
-    inter, own, other = 1.0, 1.0, 1.0
-    for r in range(2):
-        left, right = max(box[i, r], box[j, r]), min(box[i, 2 + r], box[j, 2 + r])
-        inter *= max(right - left, 0.0)
-        own *= box[i, 2 + r] - box[i, r]
-        other *= box[j, 2 + r] - box[j, r]
-    union = own + other - inter
-    return inter / union if union > 0.0 else 0.0
