@@ -2,10 +2,11 @@
 
 from phdtrack.context.density import ContextDensity, marginal, uniform_density
 from phdtrack.context.learner import RecursiveEM, grid
-from phdtrack.context.scene_file import Learned, Scene, read_scene, write_scene
+from phdtrack.context.scene_file import Followed, Learned, Scene, read_scene, write_scene
 
 __all__ = [
     "ContextDensity",
+    "Followed",
     "Learned",
     "RecursiveEM",
     "Scene",

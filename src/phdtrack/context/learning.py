@@ -54,9 +54,10 @@ def learn_births(
 
     States without a size are (4, n); on the ground ``frame_size`` and ``corner`` are the region's, metres. Velocities may be
     NaN, unknown. The volume holds every velocity seen, doubled. Raises `InputError` where there are fewer than ten births,
-    no time, or no velocity at all.
+    or fewer than a component needs to exist (τ: 14 with a size), no time, or no velocity at all.
     """
-    _enough(states.shape[1], "births while the scene was watched", "Learn from a longer stretch, or mark more of them")
+    what, cure = "births while the scene was watched", "Learn from a longer stretch, or mark more of them"
+    _enough(states.shape[1], what, cure, math.ceil(parameters(len(states)) / 2))
     if not time_units > 0:
         raise InputError(f"expected a stretch of some length, got {time_units:g} time units", where="learning births")
     speeds = np.abs(states[2:4][np.isfinite(states[2:4])])
@@ -83,6 +84,18 @@ def learn_clutter(
     if frames < 1:
         raise InputError(f"expected frames on which detections were marked, got {frames}", where="learning clutter")
     return _lesson(_before(boxes, worth, frame_size), boxes, worth, float(worth.sum()) / frames, learner)
+
+
+def learn_objects(boxes: F8, frames: int, frame_size: tuple[float, float], learner: RecursiveEM) -> Lesson:
+    """Where objects are detected, from the boxes (4, n) on ``frames`` frames that nobody marked as false; how many a frame.
+
+    Raises `InputError` where there are fewer than ten boxes, or no frames.
+    """
+    one = np.ones(boxes.shape[1])
+    _enough(boxes.shape[1], "detections of objects on the frames that were looked at", "Look at more frames")
+    if frames < 1:
+        raise InputError(f"expected frames that were looked at, got {frames}", where="learning objects")
+    return _lesson(_before(boxes, one, frame_size), boxes, one, boxes.shape[1] / frames, learner)
 
 
 def box_density(boxes: F8, frame_size: tuple[float, float], learner: RecursiveEM) -> ContextDensity:
@@ -162,6 +175,6 @@ def _usual(samples: F8, worth: F8, extent: F8) -> tuple[F8, F8]:
     return mean, np.maximum(np.sqrt(variance), 0.01 * extent)
 
 
-def _enough(count: int, what: str, cure: str) -> None:
-    if count < _FEWEST:
-        raise InputError(f"expected at least {_FEWEST} {what}, got {count}", where="learning", cure=cure)
+def _enough(count: int, what: str, cure: str, least: int = _FEWEST) -> None:
+    if count < max(least, _FEWEST):
+        raise InputError(f"expected at least {max(least, _FEWEST)} {what}, got {count}", where="learning", cure=cure)

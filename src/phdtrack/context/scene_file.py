@@ -3,10 +3,11 @@
     {"format": 1, "width": 768, "height": 576, "rate": 25, "source": "…",
      "births": {"rate": s̄, "samples": n, "low": […], "high": […], "uniform": α_u,
                 "weight": […], "mean": [[…] per Gaussian], "covariance": [[[…]] per Gaussian]},
-     "clutter": the same with r̄ and four components, "notes": {…}}
+     "clutter": the same with r̄ and four components, "followed": {"share": λ, "objects": the same}, "notes": {…}}
 
 Births have six components (boxes), or four: points in the image, pixels, or places on the ground, metres.
-Rates are births per time unit, of which ``rate`` make a second, and false alarms per frame. Either part may be missing.
+Rates are births per time unit, of which ``rate`` make a second, and false alarms, or detections of objects, per frame. Every
+part may be missing.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ FORMAT = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Learned:
-    """A density with its magnitude: ``rate`` is s̄ (births per time unit) or r̄ (false alarms per frame).
+    """A density with its magnitude: ``rate`` is s̄ (births per time unit), r̄ (false alarms per frame), or how many detections
+    of objects there are per frame.
 
     ``samples``: the number that it was learned from.
     """
@@ -35,6 +37,14 @@ class Learned:
     rate: float
     density: ContextDensity
     samples: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """What a tracker follows: the ``share`` of the false alarms that it takes for somebody, and where ``objects`` are."""
+
+    share: float
+    objects: Learned
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +57,7 @@ class Scene:
     rate : time units per second of the births.
     source : the video or the detections that it was learned from.
     births, clutter : what was learned; None for nothing.
+    followed : of false alarms and of objects, what the tracker follows; None where nobody has looked at enough of them.
     notes : figures beside, such as held-out log-likelihoods: names and plain values.
     """
 
@@ -57,6 +68,7 @@ class Scene:
     births: Learned | None = None
     clutter: Learned | None = None
     notes: Mapping[str, float | int | str] = field(default_factory=dict)
+    followed: Followed | None = None
 
 
 def write_scene(path: Path, scene: Scene) -> None:
@@ -69,6 +81,9 @@ def write_scene(path: Path, scene: Scene) -> None:
         "source": scene.source,
         "births": None if scene.births is None else _plain(scene.births),
         "clutter": None if scene.clutter is None else _plain(scene.clutter),
+        "followed": None
+        if scene.followed is None
+        else {"share": scene.followed.share, "objects": _plain(scene.followed.objects)},
         "notes": dict(scene.notes),
     }
     part = path.with_name(path.name + ".part")
@@ -98,6 +113,7 @@ def read_scene(path: Path) -> Scene:
             _learned(document["births"], 6, 4),
             _learned(document["clutter"], 4),
             dict(document["notes"]),
+            _followed(document.get("followed")),
         )
     except InputError as error:
         raise InputError(f"no learned scene: {error}", where=path, cure="Learn it again") from None
@@ -117,6 +133,18 @@ def _plain(learned: Learned) -> dict[str, Any]:
         "mean": p.mean.T.tolist(),
         "covariance": p.covariance.tolist(),
     }
+
+
+def _followed(document: Any) -> Followed | None:
+    """None for scenes too that were learned before there was any."""
+    objects = None if document is None else _learned(document["objects"], 4)
+    return None if objects is None else Followed(_share(float(document["share"])), objects)
+
+
+def _share(share: float) -> float:
+    if not 0 <= share <= 1:
+        raise InputError(f"expected a share from 0 to 1, got {share:g}")
+    return share
 
 
 def _learned(document: Any, *dims: int) -> Learned | None:

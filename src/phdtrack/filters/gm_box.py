@@ -44,13 +44,14 @@ _POSITIVE = math.ulp(0.0)
 class BoxModel:
     """The model over one interval: ``numbers`` (35,), see `gm_model.BoxNumbers`, and what they do not say.
 
-    ``births`` (B, 1 + d + 21) are those that are given: weight, mean and triangle of the covariance of each; ``clutter``
-    says κ where it is a density by place.
+    ``births`` (B, 1 + d + 21) are those that are given: weight, mean and triangle of the covariance of each; ``about`` says
+    γ where it is spread around the detections by place, ``clutter`` κ where it is a density by place.
     """
 
     numbers: F8
     births: F8
     clutter: ContextClutter | ScoredClutter | None
+    about: ContextBirth | None = None
 
 
 def box_model(model: Model, dt: float) -> BoxModel | None:
@@ -123,7 +124,8 @@ def _in_numbers(
         high=high,
     )
     scene = false if isinstance(false, ContextClutter) else None
-    return BoxModel(np.hstack(numbers), birth[2], scene)
+    about = births if isinstance(births, ContextBirth) and births.beside > 0 else None
+    return BoxModel(np.hstack(numbers), birth[2], scene, about)
 
 
 def _birth(birth: Birth, dt: float) -> tuple[float, float, F8] | None:
@@ -131,6 +133,8 @@ def _birth(birth: Birth, dt: float) -> tuple[float, float, F8] | None:
     if type(birth) is FixedBirth and len(birth.mixture.mean) == gm_model.D:
         return gm_model.NOWHERE, 0.0, _table(birth.mixture, dt)
     if type(birth) is ContextBirth and birth.density.dim == gm_model.D and birth.observed == gm_model.ROWS:
+        if birth.beside > 0:
+            return gm_model.NOWHERE, 0.0, _NOBODY
         return gm_model.IMAGE, float(birth.flat * dt), _table(birth.given, dt)
     if type(birth) is not MeasurementBirth:
         return None

@@ -18,7 +18,7 @@ from phdtrack.label.background import Ready, Suggester
 from phdtrack.label.hand import clip, everything
 from phdtrack.label.store import Label, LabelStore, Mark
 from phdtrack.label.suggest import ALIKE, NOTHING, REASONS, TICKED
-from phdtrack.types import F8, DetectionTable, Image, SequenceInfo
+from phdtrack.types import F8, DetectionTable, Image, SequenceInfo, Tracks
 
 _FEWEST = 10
 _MAP_WIDTH = 320
@@ -189,6 +189,31 @@ def false_boxes(store: LabelStore, table: DetectionTable, stretch: range | None 
     """
     done = set(looked_at(store, stretch))
     return marked_boxes([label for label in store.labels() if label.frame in done], table, "false")
+
+
+def object_boxes(store: LabelStore, table: DetectionTable, stretch: range | None = None) -> F8:
+    """(4, n) centres and sizes of all boxes of ``table`` that are not marked as false on frames that were `looked_at`."""
+    false = _false(store)
+    found = [
+        box
+        for number in looked_at(store, stretch)
+        for k, box in enumerate(table.at(number).xyxy)
+        if (number, k) not in false
+    ]
+    return to_cxcywh(np.array(found).reshape(-1, 4))
+
+
+def share_followed(store: LabelStore, tracks: Tracks, stretch: range | None = None) -> float:
+    """The share of the false alarms, marked on frames that were `looked_at`, on which rows of ``tracks`` rest; 0 of none."""
+    done = set(looked_at(store, stretch))
+    false = {pair for pair in _false(store) if pair[0] in done}
+    followed = set(zip(tracks.frame.tolist(), tracks.detection.tolist(), strict=True)) & false
+    return len(followed) / max(len(false), 1)
+
+
+def _false(store: LabelStore) -> set[tuple[int, int]]:
+    """Frame and box of what is marked as false."""
+    return {(label.frame, label.box) for label in store.labels() if label.mark == "false"}
 
 
 def marked_boxes(labels: Sequence[Label], table: DetectionTable, mark: Mark) -> F8:

@@ -190,8 +190,12 @@ def particles_about(
     return Particles(state, density * np.exp(-log_proposal))
 
 
-def gaussians_about(z: F8, covered: F8, sensor: Sensor, gamma: Callable[[F8], F8]) -> GaussianMixture:
-    """A Gaussian about each detection with M_j < 1, at rest; two conditions choose its mass m and covariance aR.
+def gaussians_about(
+    z: F8, covered: F8, sensor: Sensor, gamma: Callable[[F8], F8], seen: tuple[F8, F8] | None = None
+) -> GaussianMixture:
+    """A Gaussian about each detection with M_j < 1; two conditions choose its mass m and covariance aR.
+
+    It is at rest, unless states and covariances like those of `Sensor.states` are given, ``seen``, with other velocities.
 
     Seen through the noise R it has the density of the flat γ at the detection, and its mass is that of γ in the 99 %
     region {r² ≤ r₀²}, as of the particles. In n dimensions, V_n the volume of the unit ball,
@@ -201,7 +205,7 @@ def gaussians_about(z: F8, covered: F8, sensor: Sensor, gamma: Callable[[F8], F8
     (a = 3.70 for boxes, 3.61 for points). Where regions overlap the Gaussians share γ: each is divided by
     Σ_i γ_i exp(−d²_ij/2) / γ_j over those whose region reaches its detection, d in (1 + a) R_i.
     """
-    mean, cov = sensor.states(z)
+    mean, cov = seen or sensor.states(z)
     rows = list(sensor.observed)
     density = gamma(z[: len(rows)])
     fresh = np.flatnonzero((covered < 1.0) & (density > 0))
@@ -211,9 +215,9 @@ def gaussians_about(z: F8, covered: F8, sensor: Sensor, gamma: Callable[[F8], F8
     wide = stretch * noise
     limit = _chi2_quantile(len(rows))
     reach = np.sqrt(limit * np.stack([wide[:, 0, 0], wide[:, 1, 1]]))
-    seen = np.ascontiguousarray(mean[rows])
-    point, which = gated_pairs(seen[0], seen[1], seen[:2] - reach, seen[:2] + reach)
-    distance2 = quadratic_form(seen, seen, np.linalg.inv(wide), point, which)
+    shown = np.ascontiguousarray(mean[rows])
+    point, which = gated_pairs(shown[0], shown[1], shown[:2] - reach, shown[:2] + reach)
+    distance2 = quadratic_form(shown, shown, np.linalg.inv(wide), point, which)
     inside = distance2 <= limit
     shared = sum_by(point[inside], (density[which] * np.exp(-0.5 * distance2))[inside], len(fresh))
     mass = density * volume * np.sqrt(np.linalg.det(noise)) * density / shared

@@ -8,20 +8,33 @@ is taken as flat, with the value that makes the evidence of what is born there e
 for a sensor that shows some components of the state with noise R. Velocities have the mean and covariance of the same
 mixture given z, with uniform direction and Gaussian amplitude; of the uniform part those of the sensor. So α_u = 1 is
 `MeasurementBirth` over the same volume. The Gaussian-mixture filters take the Gaussians themselves.
+
+**Beside what is shipped.** The shipped γ and κ are no densities of a scene: they are spread around each detection, and are
+therefore high where much is detected. That is what a filter lives by where people stand close: with κ alone as thin as a
+whole frame makes it, targets take whatever is near. A learned scene can be laid over them: with ``beside``, the shipped
+rates around each detection, l(z) the density per rate around the detections, and p(z|o) that of where objects are detected,
+
+    κ(z) = beside l(z) + r̄ p(z|c)      γ(z) = beside l(z) p(z|b) / p(z|o)
+
+so that a scene of which nothing is known is the shipped model, false alarms come on top, and of the detections of objects
+as many are births as before, but those where births were seen. This is ours, not M09's; ``beside`` of 0 is M09's.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
-from phdtrack.context import ContextDensity, marginal
+from phdtrack.context import ContextDensity, Followed, Learned, marginal
 from phdtrack.kernels.context_density import COARSE, given_detections, mixture_density, newborn_about
-from phdtrack.models.births import gaussians_about, particles_about
-from phdtrack.protocols import Sensor
+from phdtrack.kernels.neighbourhoods import summed_densities
+from phdtrack.models.births import MeasurementBirth, gaussians_about, particles_about
+from phdtrack.models.clutter import LocalClutter
+from phdtrack.models.volume import REACH, SIZES, local_volume
+from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F4, F8, I8, GaussianMixture, Particles
 
 
@@ -54,12 +67,16 @@ class ContextBirth:
     density : p(x|b) on states (d).
     observed : the rows of the state that measurements show; the others are velocities.
     most : Jmax, particles drawn around a detection of which nothing is predicted.
+    beside : births a time unit around each detection, of boxes, where nothing is known; 0: s̄ p(x|b) alone.
+    among : p(z|o), for births beside others; None: uniform over the volume.
     """
 
     rate: NonNegative
     density: ContextDensity
     observed: tuple[int, ...] = (0, 1, 4, 5)
     most: PositiveCount = 1000
+    beside: NonNegative = 0.0
+    among: ContextDensity | None = None
 
     def __post_init__(self) -> None:
         check(self)
@@ -78,15 +95,26 @@ class ContextBirth:
     def around(self, seen: tuple[F8, F8], dt: float) -> Around:
         """What γT is around detections whose states and covariances, as `Sensor.states` gives them, are ``seen``."""
         density, state, cov = given_detections(*seen, *self._table)
-        return Around(state, cov, self.rate * dt * density)
+        return Around(state, cov, self._births(state, density) * dt)
+
+    def _births(self, state: F8, density: F8) -> F8:
+        """(N,) γ at detections with these states (d, N), where p is ``density`` (N,), 0 beyond the volume.
+
+        Those around each detection reach beyond it: nothing says that there are none.
+        """
+        if self.beside == 0:
+            return self.rate * density
+        z = np.ascontiguousarray(state[list(self.observed)])
+        there = 1 / self.shown.volume if self.among is None else np.maximum(self.among(z), self.among.flat)
+        return self.beside * around_each(z) * np.maximum(density, self.shown.flat) / there
 
     def about(self, state: F8, deviation: F8, dt: float) -> tuple[F4, F4]:
         """`around` in single precision for noise without correlations: densities (N,), and velocities (5, N).
 
         ``state`` (d, N) are those at rest, ``deviation`` (d, N) the noise's; velocities as `newborn_about` gives them.
         """
-        out: tuple[F4, F4] = newborn_about(state, deviation, self.rate * dt, *self._table)
-        return out
+        density, velocity = newborn_about(state, deviation, 1.0, *self._table)
+        return np.asarray(self._births(state, density.astype(np.float64)) * dt, np.float32), velocity
 
     @cached_property
     def _table(self) -> tuple[I8, int, F8, F8, float, F8, F8, F8, F8]:
@@ -116,8 +144,12 @@ class ContextBirth:
     def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
         """The learned Gaussians as they are, and the uniform part as Gaussians about the detections (`gaussians_about`).
 
-        What of a Gaussian lies beyond the volume is not cut off here; the parts inside have the masses of γT.
+        What of a Gaussian lies beyond the volume is not cut off here; the parts inside have the masses of γT. Births that
+        are spread around each detection are Gaussians about the detections, with the velocities that were learned.
         """
+        if self.beside > 0:
+            at = self.around(sensor.states(z), dt)
+            return gaussians_about(z, covered, sensor, lambda x: at.density, (at.mean, at.covariance))
         given = self.given
         spread = gaussians_about(z, covered, sensor, lambda x: np.where(self.shown.contains(x), self.flat * dt, 0.0))
         return GaussianMixture(
@@ -127,8 +159,8 @@ class ContextBirth:
         )
 
     def expected(self, z: F8, dt: float) -> float:
-        """s̄T."""
-        return self.rate * dt
+        """s̄T, or so many of each detection as there are beside."""
+        return self.beside * dt * z.shape[1] if self.beside > 0 else self.rate * dt
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,10 +172,12 @@ class ContextClutter:
     rate : r̄, expected false alarms per frame.
     density : p(z|c) on what measurements show (r). Where it does not reach, κ is that of its uniform part: a detection
         beyond the volume is no more certain to be a target than one in an empty place.
+    beside : false alarms a frame around each detection, of boxes, that come to these; 0: none.
     """
 
     rate: NonNegative
     density: ContextDensity
+    beside: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         check(self)
@@ -151,9 +185,35 @@ class ContextClutter:
     def intensity(self, z: F8) -> F8:
         """(N,) κ per frame and unit of measurement space."""
         out: F8 = mixture_density(np.ascontiguousarray(z), float(self.rate), *self._table)
-        return out
+        return out + self.beside * around_each(z) if self.beside > 0 and z.shape[1] else out
 
     @cached_property
     def _table(self) -> tuple[F8, F8, F8, F8, F8, F8]:
         """The density as `mixture_density` takes it, nowhere below its uniform part."""
         return self.density.low, self.density.high, np.full(2, self.density.flat), *self.density.table
+
+
+def laid_over(model: Model, births: Learned | None, clutter: Learned | None, followed: Followed | None, most: int) -> Model:
+    """The model with what a scene has taught, beside its own births and false alarms where these are spread around each
+    detection; None: as they are. ``most`` is Jmax."""
+    birth, false = model.birth, model.clutter
+    if births is not None:
+        own = birth.rate if isinstance(birth, MeasurementBirth) and birth.volume == "local" else 0.0
+        birth = ContextBirth(births.rate, births.density, most=most, beside=own, among=objects_of(followed))
+    if clutter is not None:
+        own = false.rate if isinstance(false, LocalClutter) else 0.0
+        false = ContextClutter(clutter.rate, clutter.density, own)
+    return replace(model, birth=birth, clutter=false)
+
+
+def objects_of(followed: Followed | None) -> ContextDensity | None:
+    """p(z|o), None where it is not known."""
+    return None if followed is None else followed.objects.density
+
+
+def around_each(z: F8) -> F8:
+    """(N,) l(z) = Σ_i 1/V_i over the detections z_i in whose neighbourhood z (m, N) lies, its own included, pixel⁻⁴."""
+    if z.shape[1] == 0:
+        return np.zeros(0)
+    out: F8 = summed_densities(np.ascontiguousarray(z[:4]), 1 / local_volume(z), REACH, *SIZES)
+    return out

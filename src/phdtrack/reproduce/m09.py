@@ -22,6 +22,7 @@ from phdtrack.reproduce.m09_lessons import Course, Taught, learn
 from phdtrack.reproduce.m09_runs import (
     ABLATIONS,
     GM,
+    GM_IMAGE,
     IMAGE,
     IMAGE_SWEEP,
     LOCAL_SWEEP,
@@ -39,7 +40,7 @@ from phdtrack.reproduce.m09_scenes import FRAMES, PETS, REAL, RENDERED, SHORT, F
 SEEDS, LONG_SEEDS, LEARNER_SEEDS = 3, 1, 8
 # Of the second half of a rendered scene, for the sweep and for other filters.
 QUARTER = 2500
-RUNS = (UM, IMAGE, GM, *ABLATIONS)
+RUNS = (UM, IMAGE, GM, GM_IMAGE, *ABLATIONS)
 # Filter and run; nothing else than the filter differs.
 RIVALS = ((UM, "none"), (UM, "mht"), (GM, "mht"), (UM, "gm-phd"), (GM, "gm-phd"), (UM, "pmb"), (GM, "pmb"))
 RACES = (PHD, "gm-phd", "mht", "pmb")

@@ -14,28 +14,29 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from phdtrack import config
+from phdtrack.associate.vetted import Vetted, believed
 from phdtrack.boxes import iou, to_cxcywh
-from phdtrack.context import Learned, RecursiveEM, prior
-from phdtrack.context.learning import Lesson, learn_births, learn_clutter
+from phdtrack.context import Followed, Learned, RecursiveEM
+from phdtrack.context.learning import Lesson, learn_births, learn_clutter, learn_objects
+from phdtrack.context.odds import Odds
 from phdtrack.context.prior import Sizes, detected_sizes, humbled
 from phdtrack.context.samples import births_in
 from phdtrack.errors import InputError
 from phdtrack.label import Label, LabelStore
 from phdtrack.label.hand import REACH, birth_states, time_watched
-from phdtrack.label.session import false_boxes, sampled
+from phdtrack.label.session import false_boxes, object_boxes, sampled, share_followed
 from phdtrack.metrics import first_output_delays
-from phdtrack.models import MeasurementBirth
-from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.models.learned_scene import laid_over
 from phdtrack.protocols import AnyStages
 from phdtrack.reproduce.common import Case, followed
 from phdtrack.reproduce.m09_scenes import Footage, halves
-from phdtrack.types import F8, I8, SequenceInfo, Tracks
+from phdtrack.types import F8, I8, Tracks
 
 MARKED = 40
 # Nobody: a detection that overlaps everybody by less. Somebody's: one that overlaps him by as much as a match needs.
 NOBODY, SOMEBODY = 0.3, 0.5
-BIRTHS, MOST = 0.01, 500
-"""The shipped magnitude of births a time unit, here uniform over the image, and the shipped most particles a detection."""
+MOST = 500
+"""The shipped most particles a detection."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +51,13 @@ class Course:
 class Taught:
     """What was learned; births of fewer than ten tracks or marks are not, and None.
 
+    ``seen``: what the tracker followed, None for too little.
     ``gains``: held-out nats above uniform, of clutter, births, and births by hand; NaN where nothing was learned.
     ``entered``: how many came in, in the half that was learned from.
     """
 
     clutter: Learned
+    seen: Followed | None
     births: Learned | None
     hand: Learned | None
     gains: tuple[float, float, float]
@@ -64,22 +67,22 @@ class Taught:
 def learn(course: Course) -> Taught:
     """Everything that the runs of a scene need."""
     case = halves(course.footage).train
-    stages = config.build(config.load(), case.info, "particle-phd")
+    stages = config.build(config.load(), case.info)
     rate = stages.model.rate
     with TemporaryDirectory() as folder:
-        alarms = marked_false(case, Path(folder) / "false.sqlite", course.seed)
-        clutter = learned_alarms(case, alarms)
+        marks = marked_false(case, Path(folder) / "false.sqlite", course.seed)
+        clutter = learned_alarms(case, marks)
+        run = followed(told(stages, None, clutter.learned, None), case, course.seed).corrected
+        seen = learned_followed(run, case, marks)
         entries = marked_births(case, Path(folder) / "births.sqlite")
         by_hand = birth_states(entries, case.table, case.info, rate)
         watched = time_watched(entries, case.table, case.info, rate)
-    # Uniform births, over as much as the learned false alarms: around each detection they would be believed at once.
-    alarms_there = ContextClutter(clutter.learned.rate, clutter.learned.density)
-    model = replace(stages.model, birth=anywhere(case), clutter=alarms_there)
-    births = own_births(replace(stages, model=model), case, course.seed)
+    births = own_births(believed(run, Odds(clutter.learned, seen)) if seen else run, case, rate)
     hand = _lesson(by_hand, watched, case)
     gains = tuple(lesson.gain if lesson else np.nan for lesson in (clutter, births, hand))
     return Taught(
         clutter.learned,
+        seen,
         births.learned if births else None,
         hand.learned if hand else None,
         (gains[0], gains[1], gains[2]),
@@ -87,11 +90,17 @@ def learn(course: Course) -> Taught:
     )
 
 
-def own_births(stages: AnyStages, case: Case, seed: int) -> Lesson | None:
+def told(stages: AnyStages, births: Learned | None, clutter: Learned | None, seen: Followed | None) -> AnyStages:
+    """The stages with what a scene has taught; None: as shipped."""
+    model = laid_over(stages.model, births, clutter, seen, MOST)
+    if clutter is None or seen is None:
+        return replace(stages, model=model)
+    return replace(stages, model=model, associator=Vetted(stages.associator, Odds(clutter, seen, births)))
+
+
+def own_births(tracks: Tracks, case: Case, rate: float) -> Lesson | None:
     """Births from the tracks that the tracker itself makes [M09 §IV]; None where there are too few."""
-    tracks = followed(stages, case, seed).corrected
-    states = births_in(tracks, case.info.fps, stages.model.rate)
-    return _lesson(states, case.info.frames / case.info.fps * stages.model.rate, case)
+    return _lesson(births_in(tracks, case.info.fps, rate), case.info.frames / case.info.fps * rate, case)
 
 
 def learned_alarms(case: Case, labels: LabelStore) -> Lesson:
@@ -99,6 +108,16 @@ def learned_alarms(case: Case, labels: LabelStore) -> Lesson:
     size = float(case.info.width), float(case.info.height)
     lesson = learn_clutter(false_boxes(labels, case.table), labels.progress().done, size, RecursiveEM())
     return _humbled(lesson, case)
+
+
+def learned_followed(tracks: Tracks, case: Case, labels: LabelStore) -> Followed | None:
+    """What the tracker follows of what was marked and of what was not; None where too little was not."""
+    size, frames = (float(case.info.width), float(case.info.height)), labels.progress().done
+    try:
+        objects = learn_objects(object_boxes(labels, case.table), frames, size, RecursiveEM())
+    except InputError:
+        return None
+    return Followed(share_followed(labels, tracks), _humbled(objects, case).learned)
 
 
 def _lesson(states: F8, time_units: float, case: Case) -> Lesson | None:
@@ -116,25 +135,6 @@ def _humbled(lesson: Lesson, case: Case) -> Lesson:
 
 def _sizes(case: Case) -> Sizes:
     return detected_sizes(to_cxcywh(case.table.detections.xyxy)[2:])
-
-
-def everywhere(info: SequenceInfo, rate: float) -> MeasurementBirth:
-    """Births spread over the image, all places and all sizes, as M09's uniform ones: ``rate`` a time unit."""
-    return MeasurementBirth(rate, MOST, "image", (float(info.width), float(info.height)))
-
-
-def anywhere(case: Case) -> ContextBirth:
-    """Births of which nothing is known but the sizes that are detected: uniform over all places and those sizes.
-
-    Over all sizes of the image births would be much thinner than false alarms that are known to be of people's sizes.
-    """
-    births = prior.anywhere(_sizes(case), (float(case.info.width), float(case.info.height)), BIRTHS)
-    return ContextBirth(births.rate, births.density, most=MOST)
-
-
-def births_of(learned: Learned | None, train: Case) -> ContextBirth:
-    """Learned births; where too few were seen to learn them, those anywhere."""
-    return ContextBirth(learned.rate, learned.density, most=MOST) if learned else anywhere(train)
 
 
 def marked_false(case: Case, path: Path, seed: int, count: int = MARKED) -> LabelStore:

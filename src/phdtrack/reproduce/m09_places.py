@@ -14,14 +14,15 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from phdtrack.associate.vetted import believed
 from phdtrack.boxes import iou
+from phdtrack.context.odds import Odds
 from phdtrack.metrics import evaluate
 from phdtrack.metrics.matching import tracking_mapping
 from phdtrack.metrics.scene import build
-from phdtrack.models.learned_scene import ContextClutter
 from phdtrack.protocols import AnyStages
 from phdtrack.reproduce.common import Case, built, followed, mot15, table
-from phdtrack.reproduce.m09_lessons import anywhere, births_of, learned_alarms, marked_false, own_births
+from phdtrack.reproduce.m09_lessons import learned_alarms, learned_followed, marked_false, own_births, told
 from phdtrack.reproduce.m09_scenes import stretch
 from phdtrack.simulate import DetectorModel, detect, make_scene
 from phdtrack.types import F8, Bool, SequenceInfo, Tracks, Truth
@@ -125,12 +126,12 @@ def stages_of(name: str, info: SequenceInfo) -> AnyStages:
 def learned(stages: AnyStages, train: Case, seed: int) -> AnyStages:
     """The stages with false alarms from 40 marked frames and births from the tracker's own run."""
     with TemporaryDirectory() as folder:
-        alarms = learned_alarms(train, marked_false(train, Path(folder) / "false.sqlite", seed)).learned
-    clutter = ContextClutter(alarms.rate, alarms.density)
-    begin = replace(stages, model=replace(stages.model, birth=anywhere(train), clutter=clutter))
-    births = own_births(begin, train, seed)
-    model = replace(stages.model, birth=births_of(births.learned if births else None, train), clutter=clutter)
-    return replace(stages, model=model)
+        marks = marked_false(train, Path(folder) / "false.sqlite", seed)
+        alarms = learned_alarms(train, marks).learned
+        run = followed(told(stages, None, alarms, None), train, seed).corrected
+        seen = learned_followed(run, train, marks)
+    births = own_births(believed(run, Odds(alarms, seen)) if seen else run, train, stages.model.rate)
+    return told(stages, births.learned if births else None, alarms, seen)
 
 
 def false_tracks(truth: Truth, tracks: Tracks, places: F8) -> tuple[int, int, int]:

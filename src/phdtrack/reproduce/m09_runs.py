@@ -10,24 +10,22 @@ import numpy as np
 
 from phdtrack import config, pipeline
 from phdtrack.metrics import Scores, evaluate, first_output_delays
-from phdtrack.models.clutter import UniformClutter
-from phdtrack.models.learned_scene import ContextClutter
+from phdtrack.models import MeasurementBirth
+from phdtrack.models.clutter import LocalClutter, UniformClutter
 from phdtrack.models.volume import image_volume
-from phdtrack.protocols import AnyStages, Birth, Clutter, Model
+from phdtrack.protocols import AnyStages, Model
 from phdtrack.reproduce.common import Case, Kept, followed
-from phdtrack.reproduce.m09_lessons import BIRTHS, Course, Taught, births_of, everywhere, learn
+from phdtrack.reproduce.m09_lessons import Course, Taught, learn, told
 from phdtrack.reproduce.m09_scenes import halves, stretch
 from phdtrack.types import F8, SequenceInfo, Tracks, Truth
 
-PHD = "particle-phd"
-# As shipped, births and clutter are spread around each detection; M09's uniform ones are over the image.
-UM, IMAGE, GM = "UM", "UM, image", "GM"
+PHD = "pmb"
+# As shipped, births and clutter are spread around each detection; M09's are over the image.
+UM, IMAGE, GM, GM_IMAGE = "UM", "UM, image", "GM", "GM, image"
 ABLATIONS = ("A1", "A2", "A3", "A4", "A5", "A6")
-CLUTTER = 0.3
-"""The shipped magnitude of clutter a frame."""
 # What the sweep of the uniform model goes through: births a time unit and false alarms a frame, around each detection or
 # over the image. Around detections it is their ratio alone that counts, but for what it costs to draw births.
-LOCAL_SWEEP = tuple((BIRTHS, rate) for rate in (0.1, 1.0, 3.0, 10.0, 30.0))
+LOCAL_SWEEP = tuple((0.01, rate) for rate in (0.1, 1.0, 3.0, 10.0, 30.0))
 IMAGE_SWEEP = tuple((births, rate) for births in (0.003, 0.03) for rate in (1.0, 10.0, 100.0))
 # Quarters of the stretch, each scored for itself too.
 BLOCKS = 4
@@ -94,8 +92,13 @@ def stages_of(job: Job, info: SequenceInfo) -> AnyStages:
         return swept(job, info)
     if job.run == UM:
         return stages
-    train = halves(job.course.footage).train
-    return replace(stages, model=model_of(job.run, stages.model, taught(job.course), train))
+    scene, train = taught(job.course), halves(job.course.footage).train
+    if job.run in (IMAGE, GM_IMAGE, "A3", "A4", "A5"):
+        stages = replace(stages, model=uniform_of(job.run, stages.model, scene, train))
+    births = {GM: scene.births, GM_IMAGE: scene.births, "A1": scene.births, "A4": scene.births, "A6": scene.hand}
+    clutter = scene.clutter if job.run in (GM, GM_IMAGE, "A2", "A5", "A6") else None
+    # M09 knows of no false alarms that last.
+    return told(stages, births.get(job.run), clutter, None if job.run == GM_IMAGE else scene.seen)
 
 
 def swept(job: Job, info: SequenceInfo) -> AnyStages:
@@ -113,29 +116,22 @@ def taught(course: Course) -> Taught:
     return Kept(learn, Path(folder))(course) if folder else learn(course)
 
 
-def model_of(run: str, model: Model, scene: Taught, train: Case) -> Model:
-    """The model with the births and the clutter of a run [M09 §V]; what is uniform is so over the image.
-
-    UM, image: the shipped magnitudes; A3, A4, A5: magnitudes as learned.
-    """
-    info = train.info
-    volume = image_volume((float(info.width), float(info.height)))
-    learned = ContextClutter(scene.clutter.rate, scene.clutter.density)
-    estimated = UniformClutter(scene.clutter.rate, volume)
-    births = births_of(scene.births, train)
-    usual = everywhere(info, BIRTHS), UniformClutter(CLUTTER, volume)
-    uniform = everywhere(info, scene.births.rate if scene.births else BIRTHS)
-    pairs: dict[str, tuple[Birth, Clutter]] = {
-        IMAGE: usual,
-        GM: (births, learned),
-        "A1": (births, usual[1]),
-        "A2": (usual[0], learned),
-        "A3": (uniform, estimated),
-        "A4": (births, estimated),
-        "A5": (uniform, learned),
-        "A6": (births_of(scene.hand, train), learned),
-    }
-    birth, clutter = pairs[run]
+def uniform_of(run: str, model: Model, scene: Taught, train: Case) -> Model:
+    """The uniform births and clutter of a run [M09 §V]: over the image with the shipped magnitudes, as M09's are, or around
+    each detection with those that were learned."""
+    birth, clutter = model.birth, model.clutter
+    assert isinstance(birth, MeasurementBirth)
+    assert isinstance(clutter, LocalClutter)
+    if run in (IMAGE, GM_IMAGE):
+        size = float(train.info.width), float(train.info.height)
+        everywhere = replace(birth, volume="image", frame_size=size)
+        return replace(model, birth=everywhere, clutter=UniformClutter(clutter.rate, image_volume(size)))
+    # So many of each detection that they are as many as were learned.
+    each = train.info.frames / max(len(train.table.frame), 1)
+    if run in ("A3", "A5"):
+        birth = replace(birth, rate=each * (scene.births.rate if scene.births else birth.rate))
+    if run in ("A3", "A4"):
+        clutter = LocalClutter(each * scene.clutter.rate)
     return replace(model, birth=birth, clutter=clutter)
 
 

@@ -8,9 +8,12 @@ import numpy as np
 
 from phdtrack.bernoullis import Bernoullis, Layer
 from phdtrack.filters.gm_box import BoxModel
+from phdtrack.filters.pmb.update import first_about
 from phdtrack.kernels.pmb_births import birth_states
-from phdtrack.kernels.pmb_rows import ROW
+from phdtrack.kernels.pmb_rows import MIXED, ROW, VARIANCE
 from phdtrack.kernels.pmb_step import Settings, pmb_box_step
+from phdtrack.models.learned_scene import ContextBirth
+from phdtrack.protocols import Sensor
 from phdtrack.types import F8, UpdateInfo
 
 _UNASKED, _ALONE = np.zeros(0), np.zeros((0, ROW + 1))
@@ -23,14 +26,19 @@ def settings_of(*settings: float) -> F8:
 
 
 def fused_step(
-    state: Bernoullis, now: Layer, z: F8, box: BoxModel, settings: F8, gate: float, depth: int
+    state: Bernoullis, now: Layer, z: F8, box: BoxModel, settings: F8, gate: float, depth: int, sensor: Sensor, dt: float
 ) -> tuple[Bernoullis, UpdateInfo]:
-    """The targets ``now``, those of ``state`` in the frame's pixels, after a frame of the box model."""
+    """The targets ``now``, those of ``state`` in the frame's pixels, after a frame of the box model.
+
+    ``sensor`` and ``dt`` are asked for births that are spread around the detections by place.
+    """
     kappa = _UNASKED if box.clutter is None else box.clutter.intensity(z)
     # The kernel is compiled for arrays row by row.
     ordered = np.ascontiguousarray
     z, births = ordered(z), _ALONE
-    if len(box.births):
+    if box.about is not None:
+        births = _about(z, box.about, sensor, dt)
+    elif len(box.births):
         births = birth_states(z, box.births, gate, box.numbers)
     told, name, first, shares, mean, cov, static, origin, ended, fresh, table, total = pmb_box_step(
         now.exist, now.label, now.first, now.weight, ordered(now.mean), ordered(now.covariance), now.static, now.hidden,
@@ -44,3 +52,13 @@ def fused_step(
     predicted, born, mass, vanished = total.tolist()
     info = UpdateInfo(predicted + born, born, mass, table[0], table[1], int(vanished))
     return Bernoullis((*state.layers[-depth:], layer), ended, fresh), info
+
+
+def _about(z: F8, birth: ContextBirth, sensor: Sensor, dt: float) -> F8:
+    """Births around each detection as the kernel takes them, see `pmb_births.birth_states`."""
+    first = first_about(z, birth, sensor, dt)
+    rows = np.empty((z.shape[1], ROW + 1))
+    rows[:, :VARIANCE], rows[:, ROW] = first.mean.T, first.density
+    rows[:, VARIANCE:MIXED] = np.einsum("nrr->nr", first.covariance)
+    rows[:, MIXED], rows[:, MIXED + 1] = first.covariance[:, 2, 0], first.covariance[:, 3, 1]
+    return rows

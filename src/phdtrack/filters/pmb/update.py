@@ -13,7 +13,8 @@ from phdtrack.filters.newborn import Newborn, newborn
 from phdtrack.filters.transforms import Transform, posteriors
 from phdtrack.kernels.pmb_update import foremost, united, weighed
 from phdtrack.models import MeasurementBirth
-from phdtrack.protocols import Model
+from phdtrack.models.learned_scene import ContextBirth
+from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, GaussianMixture, UpdateInfo
 
 TINY = float(np.finfo(np.float64).tiny)
@@ -71,12 +72,22 @@ def measured(before: Layer, z: F8, model: Model, dt: float, terms: Terms, fresh:
 def first_states(z: F8, model: Model, dt: float, terms: Terms) -> Newborn:
     """What new targets are whose first measurements these are.
 
-    Births that are flat about every measurement have γ̂ = p_D γ(z) and the state that z alone tells; others are updated.
+    Births that are flat about every measurement have γ̂ = p_D γ(z) and the state that z alone tells, with the velocity that
+    was learned there; others are updated.
     """
-    if not isinstance(model.birth, MeasurementBirth):
+    birth = model.birth
+    if isinstance(birth, ContextBirth) and birth.beside > 0:
+        return first_about(z, birth, model.sensor, dt)
+    if not isinstance(birth, MeasurementBirth):
         return newborn(z, model, dt, terms.gate, terms.transform)
     mean, cov = model.sensor.states(z)
-    return Newborn(model.sensor.p_detect(mean) * model.birth.density(z) * dt, mean, cov)
+    return Newborn(model.sensor.p_detect(mean) * birth.density(z) * dt, mean, cov)
+
+
+def first_about(z: F8, birth: ContextBirth, sensor: Sensor, dt: float) -> Newborn:
+    """What new targets are where births are spread around the measurements by place, γ̂ = p_D γ(z)."""
+    at = birth.around(sensor.states(z), dt)
+    return Newborn(sensor.p_detect(at.mean) * at.density, at.mean, at.covariance)
 
 
 def _new(own: F8, born: Newborn, kappa: F8, terms: Terms, fresh: int) -> Layer:
