@@ -46,6 +46,12 @@ def scene(seed: int, count: int = 12) -> tuple[ContextBirth, ContextClutter]:
     return ContextBirth(0.2, p), ContextClutter(4.0, marginal(p, (0, 1, 4, 5)))
 
 
+def laid_over(seed: int) -> tuple[ContextBirth, ContextClutter]:
+    """The same beside births and false alarms around each detection, among objects that are elsewhere."""
+    birth, clutter = scene(seed)
+    return replace(birth, beside=0.1, among=scene(seed + 1)[1].density), replace(clutter, beside=0.4)
+
+
 LOCAL = MeasurementBirth(volume="local")
 MODELS = {
     "particle": Model(BoxMotion(frame_size=SIZE), BoxSensor(), MeasurementBirth(frame_size=SIZE), CLUTTER),
@@ -59,6 +65,8 @@ MODELS = {
     "given births": Model(BoxMotion(frame_size=SIZE), BoxSensor(), FixedBirth(given_births()), CLUTTER),
     "no clutter": Model(BoxMotion(), BoxSensor(detection=1.0), FixedBirth(given_births()), UniformClutter(0.0, 1.0)),
     "scene": Model(BoxMotion(frame_size=SIZE), BoxSensor(), *scene(1)),
+    "laid over": Model(BoxMotion(frame_size=SIZE), BoxSensor(), *laid_over(4)),
+    "laid over, given": Model(BoxMotion(), BoxSensor(scaling="given"), laid_over(5)[0], LocalClutter(0.4)),
     "learned births": Model(BoxMotion(), BoxSensor(scaling="given"), scene(2)[0], LocalClutter(0.4)),
     "learned clutter": Model(BoxMotion(), BoxSensor(scaling="fixed"), LOCAL, scene(3)[1]),
 }

@@ -23,9 +23,9 @@ from phdtrack.models import (
     UniformClutter,
 )
 from phdtrack.models.births import newborn_shape, region
-from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.models.learned_scene import Around, ContextBirth, ContextClutter
 from phdtrack.models.volume import REACH, SIZES, image_volume
-from phdtrack.protocols import Birth, Clutter, Model
+from phdtrack.protocols import Birth, Clutter, Model, Sensor
 from phdtrack.types import F8, GaussianMixture, UpdateInfo
 
 _SCALINGS = {
@@ -35,7 +35,7 @@ _SCALINGS = {
     "given": gm_model.GIVEN,
 }
 _NOBODY = np.zeros((0, 1 + gm_model.D + gm_model.ENTRIES))
-_UNASKED = np.zeros(0)
+_UNASKED, _NOWHERE = np.zeros(0), np.zeros((0, gm_model.ABOUT))
 # The smallest number above 0: at least this is positive.
 _POSITIVE = math.ulp(0.0)
 
@@ -134,7 +134,7 @@ def _birth(birth: Birth, dt: float) -> tuple[float, float, F8] | None:
         return gm_model.NOWHERE, 0.0, _table(birth.mixture, dt)
     if type(birth) is ContextBirth and birth.density.dim == gm_model.D and birth.observed == gm_model.ROWS:
         if birth.beside > 0:
-            return gm_model.NOWHERE, 0.0, _NOBODY
+            return gm_model.PLACES, 0.0, _NOBODY
         return gm_model.IMAGE, float(birth.flat * dt), _table(birth.given, dt)
     if type(birth) is not MeasurementBirth:
         return None
@@ -175,12 +175,26 @@ def limits(*settings: float) -> F8:
     return np.array(Limits(*settings), dtype=np.float64)
 
 
-def fused_step(state: GaussianMixture, z: F8, box: BoxModel, settings: F8) -> tuple[GaussianMixture, UpdateInfo]:
-    """A frame of the box model [V06 (24)–(38), Table II]; ``settings`` as `limits` gives them."""
+def fused_step(
+    state: GaussianMixture, z: F8, box: BoxModel, settings: F8, sensor: Sensor, dt: float
+) -> tuple[GaussianMixture, UpdateInfo]:
+    """A frame of the box model [V06 (24)–(38), Table II]; ``settings`` as `limits` gives them.
+
+    ``sensor`` and ``dt`` are asked for births that are spread around the detections by place.
+    """
     kappa = _UNASKED if box.clutter is None else box.clutter.intensity(z)
+    about = _NOWHERE if box.about is None else _about(box.about.around(sensor.states(z), dt))
     weight, mean, cov, tag, table, predicted, newborn, mass, vanished, fresh = box_step(
-        state.weight, state.mean, state.covariance, state.tag, np.ascontiguousarray(z), box.births, kappa, box.numbers,
-        settings, state.fresh,
+        state.weight, state.mean, state.covariance, state.tag, np.ascontiguousarray(z), box.births, about, kappa,
+        box.numbers, settings, state.fresh,
     )  # fmt: skip
     evidence, kappa = table
     return GaussianMixture(weight, mean, cov, tag, fresh), UpdateInfo(predicted, newborn, mass, evidence, kappa, vanished)
+
+
+def _about(at: Around) -> F8:
+    """(N, 6) births by place as `gm_step.box_step` takes them."""
+    rows = np.empty((len(at.density), gm_model.ABOUT))
+    rows[:, 0], rows[:, 1:3] = at.density, at.mean[2:4].T
+    rows[:, 3], rows[:, 4], rows[:, 5] = at.covariance[:, 2, 2], at.covariance[:, 3, 2], at.covariance[:, 3, 3]
+    return rows

@@ -168,12 +168,12 @@ class GMPHD:
         """Predict, update and reduce; in one kernel where the model is the shipped box model."""
         # Sigma points are for what is not linear; boxes are.
         box = box_model(model, dt) if self.transform == "linear" else None
-        if box is None or box.about is not None:
+        if box is None:
             return composed_step(self, state, z, model, dt, rng)
         settings = limits(
             self.gate, self.region, self.prune, self.merge, self.most, self.redistribute, self.split, self.skip_empty
         )
-        return fused_step(tagged(carried_mixture(state, model)), z, box, settings)
+        return fused_step(tagged(carried_mixture(state, model)), z, box, settings, model.sensor, dt)
 
 
 def tagged(mixture: GaussianMixture) -> GaussianMixture:

@@ -25,6 +25,8 @@ ROWS = (0, 1, 4, 5)
 # Names are floats too, because all numbers are handed over in one array.
 PARTICLE, DETECTION, FIXED, GIVEN = 0.0, 1.0, 2.0, 3.0
 NOWHERE, IMAGE, LOCAL, PLACES = 0.0, 1.0, 2.0, 3.0
+# Of births by place: γ at a measurement, mean and covariance (three numbers) of the velocities there.
+ABOUT = 6
 TINY_VARIANCE = 1e-12
 
 
@@ -51,8 +53,8 @@ class BoxNumbers(NamedTuple):
 
     ``survival`` is p_S^dt, ``frame_*`` 0 where there is no border; ``scaling`` one of the four names above; ``deviation_*``
     those of a newborn velocity, relative to √(wh) or in pixels; ``birth`` and ``clutter`` say what γ and κ are spread over:
-    ``born`` and ``false`` are densities (``IMAGE``), or rates around each detection (``LOCAL``) of 4w²h² pixel⁴; where κ is
-    a density by place (``PLACES``) it is handed in. Births about a measurement need one from ``low`` to ``high``.
+    ``born`` and ``false`` are densities (``IMAGE``), or rates around each detection (``LOCAL``) of 4w²h² pixel⁴; where γ or κ
+    at the measurements is by place (``PLACES``) it is handed in. Other births about one need it from ``low`` to ``high``.
     """
 
     dt: float
@@ -256,10 +258,13 @@ def crowding(scene: Scene, b: BoxNumbers) -> F8:
 
 
 @njit(**INNER)
-def newborn(scene: Scene, b: BoxNumbers, gamma: F8, covered: F8, w: F8, x: F8, p: F8, t: I8, k: int, fresh: int) -> int:
+def newborn(
+    scene: Scene, b: BoxNumbers, gamma: F8, about: F8, covered: F8, w: F8, x: F8, p: F8, t: I8, k: int, fresh: int
+) -> int:
     """Put Gaussians about what nothing covers behind the first ``k`` of ``w``, ``x``, ``p``, ``t``; how many there are then.
 
-    ``gamma`` (N,) is the density of births at each, per interval. Tags from ``fresh`` on, in the order of the measurements.
+    ``gamma`` (N,) is the density of births at each, per interval; ``about`` (N, 6), by measurement, the velocities, where
+    births are by place. Tags from ``fresh`` on, in the order of the measurements.
     """
     boxes, start, nx = scene.boxes, scene.start, scene.nx
     n, first = len(boxes), k
@@ -303,6 +308,10 @@ def newborn(scene: Scene, b: BoxNumbers, gamma: F8, covered: F8, w: F8, x: F8, p
             volume *= np.sqrt(here2)
         for a in range(2):
             p[i, entry(a + 2, a + 2)] = max(speed, 1e-6) ** 2
+        if b.birth == PLACES:
+            of = scene.order[j]
+            x[i, 2], x[i, 3], p[i, entry(2, 2)] = about[of, 1], about[of, 2], about[of, 3]
+            p[i, entry(3, 2)], p[i, entry(3, 3)] = about[of, 4], about[of, 5]
         t[i] = fresh + number[scene.order[j]] - 1
         w[i] = gamma[j] * volume * gamma[j] / shared[j]
     return k

@@ -197,19 +197,22 @@ def given(births: F8, w: F8, x: F8, p: F8, t: I8, used: int, fresh: int) -> int:
 
 @njit(**INNER)
 def _births(
-    index: I8, value: F8, found: int, scene: Scene, b: BoxNumbers, region: float, crowded: F8,
+    index: I8, value: F8, found: int, scene: Scene, b: BoxNumbers, region: float, crowded: F8, about: F8,
     w: F8, x: F8, p: F8, t: I8, used: int, fresh: int,
 ) -> int:  # fmt: skip
     """Put newborn about what no mass within ``region`` explains behind the first ``used``; how many there are then."""
     n = len(scene.boxes)
     covered, gamma = np.zeros(n), np.empty(n)
     for j in range(n):
+        if b.birth == PLACES:
+            gamma[j] = about[scene.order[j], 0]
+            continue
         density = b.born * crowded[j] if b.birth == LOCAL else b.born
         gamma[j] = density if possible(b, scene.boxes, j) else 0.0
     for q in range(found):
         if value[q, DISTANCE2] <= region:
             covered[index[q, 1]] += w[index[q, 0]]
-    count: int = newborn(scene, b, gamma, covered, w, x, p, t, used, fresh)
+    count: int = newborn(scene, b, gamma, about, covered, w, x, p, t, used, fresh)
     return count
 
 
@@ -285,7 +288,7 @@ def _sum(w: F8, first: int, last: int) -> float:
 
 @njit(**ENTRY)
 def box_step(
-    weight: F8, mean: F8, cov: F8, tag: I8, z: F8, births: F8, kappa: F8, model: F8, settings: F8, fresh: int
+    weight: F8, mean: F8, cov: F8, tag: I8, z: F8, births: F8, about: F8, kappa: F8, model: F8, settings: F8, fresh: int
 ) -> tuple[F8, F8, F8, I8, F8, float, float, float, int, int]:
     """Predict, births, update, prune, merge and cap.
 
@@ -294,6 +297,8 @@ def box_step(
     weight, mean, cov, tag : (J,), (d, J), (J, d, d), (J,) the mixture before the frame.
     z : (m, N) measurements.
     births : a mixture of births that is given: (B, 1 + d + 21) weight, mean and triangle of the covariance of each.
+    about : (N, 6) γ at the measurements, and mean and covariance of the velocities there, where the model says that they
+        are given, else (0, 6).
     kappa : (N,) κ at the measurements where the model says that it is given, else (0,).
     model, settings : the values of `BoxNumbers` and of `Limits`.
     fresh : the next new tag.
@@ -325,7 +330,9 @@ def box_step(
         crowded = crowding(scene, b) if b.birth == LOCAL or b.clutter == LOCAL else w
         index, value, found = paired(x, p, none, old, scene, b, limits.gate, index, value, found)
         if b.birth != NOWHERE:
-            used = _births(index, value, found, scene, b, limits.region, crowded, w, x, p, t, used, fresh + used - old)
+            used = _births(
+                index, value, found, scene, b, limits.region, crowded, about, w, x, p, t, used, fresh + used - old
+            )
         index, value, found = paired(x, p, old, used, scene, b, limits.gate, index, value, found)
         after, vanished = _weighed(index, value, found, scene.order, b, crowded, kappa, w, table)
     elif limits.skip_empty > 0.0:

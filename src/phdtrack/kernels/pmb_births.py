@@ -47,7 +47,8 @@ def _paired(scene: Scene, b: BoxNumbers, births: F8, gate: float) -> tuple[F8, F
         gamma = np.empty(n)
         for j in range(n):
             gamma[j] = b.born if possible(b, scene.boxes, j) else 0.0
-        used = newborn(scene, b, gamma, density, w, x, p, t, used, used)
+        # Births by place are told otherwise: there are no rows about the measurements.
+        used = newborn(scene, b, gamma, births[:0], density, w, x, p, t, used, used)
     index, value = np.empty((4 * n + 16, 2), np.int64), np.empty((4 * n + 16, PAIR))
     index, value, found = paired(x, p, none, used, scene, b, gate, index, value, none)
     for q in range(found):
