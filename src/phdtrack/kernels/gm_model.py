@@ -53,8 +53,8 @@ class BoxNumbers(NamedTuple):
 
     ``survival`` is p_S^dt, ``frame_*`` 0 where there is no border; ``scaling`` one of the four names above; ``deviation_*``
     those of a newborn velocity, relative to √(wh) or in pixels; ``birth`` and ``clutter`` say what γ and κ are spread over:
-    ``born`` and ``false`` are densities (``IMAGE``), or rates around each detection (``LOCAL``) of 4w²h² pixel⁴; where γ or κ
-    at the measurements is by place (``PLACES``) it is handed in. Other births about one need it from ``low`` to ``high``.
+    ``born`` and ``false`` are densities (``IMAGE``), or rates around each detection (``LOCAL``) of 4w²h² pixel⁴; where γ or
+    κ at the measurements is by place (``PLACES``) it is handed in. Other births about one need it from ``low`` to ``high``.
     """
 
     dt: float

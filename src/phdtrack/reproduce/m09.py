@@ -42,8 +42,8 @@ SEEDS, LONG_SEEDS, LEARNER_SEEDS = 3, 1, 8
 QUARTER = 2500
 RUNS = (UM, IMAGE, GM, GM_IMAGE, *ABLATIONS)
 # Filter and run; nothing else than the filter differs.
-RIVALS = ((UM, "none"), (UM, "mht"), (GM, "mht"), (UM, "gm-phd"), (GM, "gm-phd"), (UM, "pmb"), (GM, "pmb"))
-RACES = (PHD, "gm-phd", "mht", "pmb")
+RIVALS = ((UM, "none"), (UM, "mht"), (GM, "mht"), (UM, "gm-phd"), (GM, "gm-phd"), (UM, "particle-phd"), (GM, "particle-phd"))
+RACES = (PHD, "gm-phd", "mht", "particle-phd")
 SCORES = ("MODA", "MODP", "MOTA", "MOTP")
 
 
@@ -65,7 +65,7 @@ class Found:
         return sum(course.footage == self.scenes[scene] for course in self.taught)
 
     def runs(self, scene: str, run: str) -> list[Outcome]:
-        """The outcomes of a run of the particle filter on the whole second half, one for each seed."""
+        """The outcomes of a run of the default filter on the whole second half, one for each seed."""
         return [self.outcomes[Job(self.course(scene, seed), run)] for seed in range(1, self.seeds(scene) + 1)]
 
     def beside(self, scene: str, run: str, filter_: str = PHD) -> Outcome:
