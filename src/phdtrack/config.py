@@ -116,13 +116,15 @@ def _checked(settings: Settings, where: str) -> Settings:
 
 
 def _usual(settings: Settings, section: str, record: type[Any]) -> Values:
-    """What is usual with the filter, of what the section's record knows: the default of boxes in the image."""
-    first = next(iter(SECTIONS[section].values()))
+    """What is usual with the filter, of what the section's record knows: the default of boxes in the image.
+
+    What the section's first kind knows is usual with that one alone: a rate is another's with other kinds.
+    """
     if settings.preset != "default" or _kind(settings.sections, "motion") != "box":
         return {}
+    first, known = next(iter(SECTIONS[section].values())), {f.name for f in fields(record)}
     if section != "filter" and record is not first:
-        return {}
-    known = {f.name for f in fields(record)}
+        known -= {f.name for f in fields(first)}
     usual = FILTERED[_kind(settings.sections, "filter")].get(section, {})
     return {key: value for key, value in usual.items() if key in known}
 
@@ -181,7 +183,7 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
         settings = overlay(settings, {"filter": {"kind": filter_name}}, "--filter")
     kinds = {name: _kind(settings.sections, name) for name in SECTIONS}
     record = partial(_record, settings)
-    model, associator = worlds.build_model(record, kinds, info), record("associate")
+    model, associator = worlds.build_model(record, kinds, info), worlds.build_associator(record, kinds, info)
     if kinds["filter"] == "none":
         return Stages(model, NoFilter(), extract.Raw(), associator, refiner=record("refine"))
     values = settings.sections.get("filter", {}).get("initial", [])

@@ -61,22 +61,22 @@ POINT: Mapping[str, Mapping[str, Any]] = {"filter": {"region": 9.21}, "extract":
 # What is usual in each world beside the defaults.
 USUAL: Mapping[str, Mapping[str, Mapping[str, Any]]] = {"plane": PLANE, "point": POINT}
 
+
+def _around(births: float, alarms: float) -> Mapping[str, Mapping[str, float]]:
+    """So many births and false alarms around each detection, and as many beside those that a scene has taught."""
+    return {"birth": {"rate": births, "beside": births}, "clutter": {"rate": alarms, "beside": alarms}}
+
+
 # What is usual with a filter where boxes are followed in the image and the preset is the default. A PHD filter has no
 # labels: where the sensor is wide, neighbours share their measurements, and what is near is taken for the same.
 _INTENSITY: Mapping[str, Mapping[str, Any]] = {
     "motion": {"resize": 0.07},
     "sensor": {"spread": 0.15},
-    "birth": {"rate": 0.01},
-    "clutter": {"rate": 0.3},
+    **_around(0.01, 0.3),
 }
 _PARTICLES: Mapping[str, Mapping[str, Any]] = {**_INTENSITY, "filter": {"per_target": 750}}
 FILTERED: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
-    "pmb": {
-        "motion": {"resize": 0.05},
-        "sensor": {"spread": 0.25},
-        "birth": {"rate": 0.005},
-        "clutter": {"rate": 1.5},
-    },
+    "pmb": {"motion": {"resize": 0.05}, "sensor": {"spread": 0.25}, **_around(0.005, 1.5)},
     "particle-phd": _PARTICLES,
     "particle-cphd": _PARTICLES,
     "gm-phd": _INTENSITY,

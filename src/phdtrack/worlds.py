@@ -13,11 +13,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from phdtrack.associate.vetted import Vetted
 from phdtrack.boxes import to_cxcywh
 from phdtrack.camera import CountedFrom, footprint, read_camera
 from phdtrack.checks import NonNegative, Positive, PositiveCount, check
 from phdtrack.context import Scene, read_scene
 from phdtrack.context.clock import clock
+from phdtrack.context.odds import Odds
 from phdtrack.context.online import Following
 from phdtrack.errors import InputError
 from phdtrack.models import (
@@ -31,10 +33,10 @@ from phdtrack.models import (
 )
 from phdtrack.models.followed_rates import FollowRates, priors
 from phdtrack.models.followed_scene import FollowScene
-from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.models.learned_scene import ContextBirth, ContextClutter, objects_of
 from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, area, check_region
 from phdtrack.models.volume import Volume, image_area, image_volume
-from phdtrack.protocols import Birth, Camera, Clutter, Learning, Model, NoLearning
+from phdtrack.protocols import Associator, Birth, Camera, Clutter, Learning, Model, NoLearning
 from phdtrack.rates import RatesSettings
 from phdtrack.types import F8, GaussianMixture, SequenceInfo
 
@@ -139,10 +141,14 @@ class PlacesBirthSettings:
 
 @dataclass(frozen=True, slots=True)
 class SceneBirthSettings:
-    """``file``: births as `phdtrack learn` has learned them in this scene; ``most``: Jmax, see MeasurementBirth."""
+    """``file``: births as `phdtrack learn` has learned them in this scene; ``most``: Jmax, see MeasurementBirth.
+
+    ``beside``: births a time unit around each detection of a box where nothing is known of it, see ContextBirth; 0: none.
+    """
 
     file: str
     most: PositiveCount = 500
+    beside: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         check(self)
@@ -150,9 +156,15 @@ class SceneBirthSettings:
 
 @dataclass(frozen=True, slots=True)
 class SceneClutterSettings:
-    """``file``: false alarms as `phdtrack learn` has learned them in this scene."""
+    """``file``: false alarms as `phdtrack learn` has learned them in this scene.
+
+    ``beside``: false alarms a frame around each detection that come to these, see ContextClutter. ``vet``: tracks that stay
+    where false alarms are followed are held back, as far as `phdtrack learn` has seen what is followed (`associate.vetted`).
+    """
 
     file: str
+    beside: NonNegative = 0.0
+    vet: bool = True
 
     def __post_init__(self) -> None:
         check(self)
@@ -219,6 +231,19 @@ def build_model(record: Record, kinds: Mapping[str, str], info: SequenceInfo) ->
     motion = record("motion", births=record("spawn"), borders=region if person.view else EVERYWHERE)
     birth = _ground_birth(record, kinds["birth"], person, region, size)
     return Model(motion, person, birth, _ground_clutter(record, region), rate, first=rate / info.fps)
+
+
+def build_associator(record: Record, kinds: Mapping[str, str], info: SequenceInfo) -> Associator[Any]:
+    """What gives identities; where a scene has taught which false alarms are followed, whoever stays there is held back."""
+    associator: Associator[Any] = record("associate")
+    if kinds["clutter"] != "scene":
+        return associator
+    given: SceneClutterSettings = record("clutter")
+    scene = _scene(given.file, (float(info.width), float(info.height)))
+    if not given.vet or scene.clutter is None or scene.followed is None:
+        return associator
+    same = kinds["birth"] == "scene" and record("birth").file == given.file
+    return Vetted(associator, Odds(scene.clutter, scene.followed, scene.births if same else None))
 
 
 def build_learning(record: Record, kind: str, info: SequenceInfo) -> Learning[Any]:
@@ -296,7 +321,11 @@ def _scene_birth(
             where=settings.file,
             cure="Learn them with the motion.kind that they are used with",
         )
-    return ContextBirth(scene.births.rate, scene.births.density, observed, settings.most)
+    if settings.beside > 0 and len(observed) != 4:
+        raise InputError("births beside others are of boxes only", where="birth.beside", cure="Leave it out")
+    return ContextBirth(
+        scene.births.rate, scene.births.density, observed, settings.most, settings.beside, objects_of(scene.followed)
+    )
 
 
 def _scene(file: str, size: tuple[float, float]) -> Scene:
@@ -337,7 +366,7 @@ def _box_clutter(record: Record, kind: str, size: tuple[float, float]) -> Clutte
         scene = _scene(given.file, size)
         if scene.clutter is None:
             raise InputError("false alarms were not learned in this scene", where=given.file, cure="Leave clutter.kind out")
-        return ContextClutter(scene.clutter.rate, scene.clutter.density)
+        return ContextClutter(scene.clutter.rate, scene.clutter.density, given.beside)
     clutter: ClutterSettings = record("clutter")
     if clutter.volume == "local":
         return LocalClutter(clutter.rate)

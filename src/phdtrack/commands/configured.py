@@ -53,11 +53,10 @@ def chosen(choice: Choice) -> config.Settings:
     """
     online = ("learn.kind=online",) if choice.learn_online else ()
     moving = _camera_motion(choice.camera_motion)
-    settings = config.load(choice.config, (*_filter(choice), *online, *moving, *choice.sets), choice.preset)
+    taught = scene_sets(choice.scene, choice) if choice.scene is not None and not choice.learn_online else ()
+    settings = config.load(choice.config, (*_filter(choice), *online, *moving, *taught, *choice.sets), choice.preset)
     if choice.scene is not None and choice.learn_online:
         settings = config.overlay(settings, {"learn": {"file": str(choice.scene)}}, "--scene")
-    elif choice.scene is not None:
-        settings = config.overlay(settings, _learned(choice.scene), "--scene")
     if choice.threads is not None:
         settings = config.overlay(settings, _sharing(settings, choice.threads), "--threads")
     return settings

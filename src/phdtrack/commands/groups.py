@@ -180,7 +180,6 @@ def ground_settings(choice: Choice, camera: Path | None) -> Settings:
 
 def accompanied(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
     """The job with the groups beside it."""
-    from phdtrack.associate import GraphMatching, Labelled
     from phdtrack.camera import footprint
     from phdtrack.commands.companions import together
     from phdtrack.commands.group_companion import GroupCompanion
@@ -189,12 +188,11 @@ def accompanied(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
     from phdtrack.models import PlaneSensor
 
     stages, info = job.stages, job.inputs.info
-    sensor, associator = stages.model.sensor, stages.associator
+    sensor, delay = stages.model.sensor, int(str(job.configured("associate", "delay")))
     around = Around(edges=edges)
     if isinstance(sensor, PlaneSensor) and sensor.camera is not None:
         far = float(str(job.configured("camera", "far")))
         around = Around(sensor.camera, footprint(sensor.camera, (info.width, info.height), far), edges)
-    delay = associator.delay if isinstance(associator, GraphMatching | Labelled) else 0
     groups = GroupCompanion(build_groups(settings, stages), stages, info, around, delay)
     return replace(job, companion=together([*([job.companion] if job.companion else []), groups]))
 

@@ -2,7 +2,7 @@
 
     phdtrack reproduce m09
 
-Scenes of 20 000 rendered frames and PETS09-S2L1, seen by the change detector; the first half teaches, the second tests.
+Scenes of 20 000 rendered frames and real sequences; the first half teaches, the second tests.
 """
 
 from __future__ import annotations
@@ -34,7 +34,18 @@ from phdtrack.reproduce.m09_runs import (
     race,
     work,
 )
-from phdtrack.reproduce.m09_scenes import FRAMES, PETS, REAL, RENDERED, SHORT, Footage, detected_in, picture, rendered
+from phdtrack.reproduce.m09_scenes import (
+    FRAMES,
+    HELD_OUT,
+    PETS,
+    REAL,
+    RENDERED,
+    SHORT,
+    Footage,
+    detected_in,
+    picture,
+    rendered,
+)
 
 # Rendered scenes are long: one seed, whose intervals are over quarters of the stretch.
 SEEDS, LONG_SEEDS, LEARNER_SEEDS = 3, 1, 8
@@ -108,9 +119,9 @@ class Found:
         return {job.rates: self.outcomes[job].scores for job in swept if job.rates is not None}
 
     def groups(self) -> dict[str, tuple[str, ...]]:
-        """The scenes one by one, then the rendered ones together and the real ones."""
+        """The scenes one by one, then the rendered ones together, PETS09-S2L1, and those that nothing was chosen on."""
         single: dict[str, tuple[str, ...]] = {name: (name,) for name in self.scenes}
-        both = {"all rendered": RENDERED, "all PETS09-S2L1": REAL}
+        both = {"all rendered": RENDERED, "all PETS09-S2L1": REAL, "all held out": HELD_OUT}
         return single | {name: some for name, some in both.items() if set(some) <= set(self.scenes)}
 
 
@@ -147,7 +158,7 @@ def _main(options: Options, folder: Path) -> Path:
     scenes = [Footage(name, frames, str(folder)) for name in RENDERED[: 1 if quick else 3]]
     if not quick:
         in_parallel(detected_in, [PETS], "m09, detecting", folder)
-        scenes += [Footage(name, 0, str(folder)) for name in REAL]
+        scenes += [Footage(name, 0, str(folder)) for name in (*REAL, *HELD_OUT)]
     courses = [
         Course(scene, seed)
         for scene in scenes
@@ -324,9 +335,11 @@ def _lessons(found: Found) -> str:
             for part in (one.births, one.hand)
         )
         gains = (number(gain) for gain in one.gains)
-        rows.append((name, f"{one.clutter.rate:.2f}", one.clutter.samples, len(one.clutter.density), *births, *hand, *gains))
+        followed = f"{one.seen.share:.0%}" if one.seen else "–"
+        clutter = (f"{one.clutter.rate:.2f}", one.clutter.samples, len(one.clutter.density))
+        rows.append((name, *clutter, followed, *births, *hand, *gains))
     header = (
-        "scene", "r̄", "boxes marked", "places", "s̄", "tracks", "places", "s̄ by hand", "marks", "places",
+        "scene", "r̄", "boxes marked", "places", "followed", "s̄", "tracks", "places", "s̄ by hand", "marks", "places",
         "gain of false alarms", "of births", "by hand",
     )  # fmt: skip
     return table(header, rows)

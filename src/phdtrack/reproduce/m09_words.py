@@ -48,7 +48,7 @@ def _little(found: Found) -> str:
         if min(found.gain([name], GM, score).mean for score in ("MODA", "MOTA")) > 0:
             continue
         scene = found.taught[found.course(name)]
-        births = f"{scene.births.samples} tracks" if scene.births else "too few tracks"
+        births = f"{scene.births.samples} tracks" if scene.births else "no births, of which there were too few"
         false = found.mean(name, UM, "false_tracks")
         told.append(f"{name}: UM makes {false:.1f} false tracks; learned from {scene.clutter.samples} marks and {births}")
     return f"**Where it is not, there is little to gain and little to learn from**: {'; '.join(told)}" if told else ""
