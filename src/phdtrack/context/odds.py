@@ -52,7 +52,7 @@ class Odds:
 
 
 def _per_frame(learned: Learned, z: F8, flat: float) -> F8:
-    """(N,) density per frame, with a uniform part of ``flat``, which there is beyond the volume too."""
+    """(N,) density per frame, with a uniform part of ``flat``, which there is beyond the volume too; 0: next to none."""
     p = learned.density
-    out: F8 = mixture_density(z, float(learned.rate), p.low, p.high, np.full(2, flat), *p.table)
+    out: F8 = mixture_density(z, float(learned.rate), p.low, p.high, np.full(2, max(flat, _TINY)), *p.table)
     return out
