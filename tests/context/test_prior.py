@@ -1,10 +1,10 @@
-"""What stands beside little that was learned, and in its place."""
+"""What stands beside little that was learned."""
 
 import numpy as np
 import pytest
 
 from phdtrack.context import ContextDensity, Learned
-from phdtrack.context.prior import FASTEST, PRIOR, WIDER, anywhere, detected_sizes, humbled
+from phdtrack.context.prior import PRIOR, WIDER, detected_sizes, humbled
 from phdtrack.errors import InputError
 
 SIZES = np.array([20.0, 40.0]), np.array([60.0, 120.0])
@@ -49,11 +49,3 @@ def test_a_humbled_density_integrates_to_one_over_its_sizes():
     x = rng.uniform(p.low[:, None], p.high[:, None], (4, 400_000))
     values = p(x) * p.volume
     assert values.mean() == pytest.approx(1, abs=5 * values.std() / np.sqrt(x.shape[1]))
-
-
-def test_births_anywhere_have_the_volume_of_frame_and_sizes():
-    births = anywhere(SIZES, (640.0, 480.0))
-    assert births.samples == 0
-    assert births.density.volume == pytest.approx(640 * 480 * (2 * FASTEST) ** 2 * 40 * 80)
-    assert births.density.contains(np.array([[1.0, 470, 5, -5, 30, 100]]).T).all()
-    assert not births.density.contains(np.array([[1.0, 470, 5, -5, 300, 100]]).T).any()

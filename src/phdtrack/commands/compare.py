@@ -89,7 +89,7 @@ def compare(
     every filter. A run that fails is told in the table, the others go on, and the exit status is 1.
     """
     from phdtrack.commands.compare_results import Results, tell, write
-    from phdtrack.commands.configured import scene_sets
+    from phdtrack.commands.configured import taught
     from phdtrack.compare import check_scores, plan, run, steps, summary
     from phdtrack.compare.worst import worst_frames
     from phdtrack.report import write_run
@@ -109,7 +109,7 @@ def compare(
         variants=variants or (),
         preset=preset,
         file=config,
-        sets=(*(scene_sets(scene) if scene is not None else ()), *(sets or ())),
+        sets=tuple(sets or ()) if scene is None else taught(scene, config, tuple(sets or ()), preset),
         truth=truth,
         max_width=max_width,
         iou=iou,

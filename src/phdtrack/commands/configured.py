@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -53,8 +54,10 @@ def chosen(choice: Choice) -> config.Settings:
     """
     online = ("learn.kind=online",) if choice.learn_online else ()
     moving = _camera_motion(choice.camera_motion)
-    taught = scene_sets(choice.scene, choice) if choice.scene is not None and not choice.learn_online else ()
-    settings = config.load(choice.config, (*_filter(choice), *online, *moving, *taught, *choice.sets), choice.preset)
+    sets = (*_filter(choice), *online, *moving, *choice.sets)
+    if choice.scene is not None and not choice.learn_online:
+        sets = taught(choice.scene, choice.config, sets, choice.preset)
+    settings = config.load(choice.config, sets, choice.preset)
     if choice.scene is not None and choice.learn_online:
         settings = config.overlay(settings, {"learn": {"file": str(choice.scene)}}, "--scene")
     if choice.threads is not None:
@@ -67,8 +70,8 @@ def _filter(choice: Choice) -> tuple[str, ...]:
     name = choice.filter_name
     if not name:
         return ()
-    others = [text for text in choice.sets if text.partition("=")[0].strip() == "filter.kind"]
-    if any(text.partition("=")[2].strip().strip("'\"") != name for text in others):
+    others = [text for text in choice.sets if _halves(text)[0] == "filter.kind"]
+    if any(_halves(text)[1] != name for text in others):
         raise InputError(f"--filter {name} and --set {others[0]} name two filters", where="--filter", cure="Leave one out")
     # Names are checked where they were given.
     config.overlay(config.load(preset=choice.preset), {"filter": {"kind": name}}, "--filter")
@@ -82,20 +85,25 @@ def _camera_motion(said: str) -> tuple[str, ...]:
     return "camera_motion.kind=file", f"camera_motion.file={json.dumps(said)}"
 
 
-def _learned(file: Path) -> dict[str, dict[str, str]]:
-    """The sections that take what a scene has taught; false alarms that were not learned are spread like the births."""
-    scene = read_scene(file)
-    given = {"kind": "scene", "file": str(file)}
+def taught(file: Path, settings: Path | None, sets: Sequence[str], preset: str) -> tuple[str, ...]:
+    """The assignments ``sets``, as ``--set`` takes them, after those of what a scene has taught; a kind in ``sets`` wins.
+
+    A part that is learned is a density of the whole frame. Where nothing is laid beside it around each detection, the other
+    one, if it was not learned, is spread over the frame too: else one of the two would explain everything.
+    """
+    scene, chosen = read_scene(file), dict(_halves(text) for text in sets)
     parts = {"birth": scene.births, "clutter": scene.clutter}
-    out = {name: given for name, learned in parts.items() if learned is not None}
-    if scene.clutter is None and scene.births is not None and scene.births.density.dim == 6:
-        out["clutter"] = {"volume": "image"}
-    return out
+    learned = [name for name, part in parts.items() if part is not None and chosen.get(f"{name}.kind", "scene") == "scene"]
+    given = [text for name in learned for text in (f"{name}.kind=scene", f"{name}.file={json.dumps(str(file))}")]
+    values: Any = config.load(settings, (*given, *sets), preset).as_dict()
+    whole = values["motion"]["kind"] == "box" and any(values[name]["beside"] == 0 for name in learned)
+    spread = [f"{name}.volume=image" for name in parts if whole and "volume" in values[name]]
+    return (*given, *spread, *sets)
 
 
-def scene_sets(file: Path) -> tuple[str, ...]:
-    """The same as assignments, as ``--set`` takes them."""
-    return tuple(f"{section}.{name}={value}" for section, given in _learned(file).items() for name, value in given.items())
+def _halves(assignment: str) -> tuple[str, str]:
+    name, _, value = assignment.partition("=")
+    return name.strip(), value.strip().strip("'\"")
 
 
 def _sharing(settings: config.Settings, threads: int) -> dict[str, dict[str, Any]]:

@@ -65,7 +65,14 @@ def learn(
     false alarms from the marks that a person made (`phdtrack label`), or unattended."""
     from phdtrack.commands.configured import detector_parameters
     from phdtrack.commands.label_inputs import beside, stills, to_label
-    from phdtrack.commands.lessons import Classroom, births_by_hand, births_of_tracks, clutter_of_labels, clutter_unattended
+    from phdtrack.commands.lessons import (
+        Classroom,
+        births_by_hand,
+        births_of_tracks,
+        clutter_of_labels,
+        clutter_unattended,
+        watched_tracks,
+    )
     from phdtrack.config import build, load
     from phdtrack.context import Scene, write_scene
     from phdtrack.report.scene_report import Lessons, scene_page
@@ -87,7 +94,11 @@ def learn(
     room = Classroom(found, stretch, build(settings, found.info), seed, file)
     alarms = clutter_unattended(room) if clutter == "unattended" else clutter_of_labels(room)
     result.say(alarms.sentence)
-    born = births_by_hand(room, alarms.lesson) if births == "hand" else births_of_tracks(room, alarms.lesson)
+    marked = clutter == "labels" and alarms.lesson is not None
+    seen = watched_tracks(room, alarms.lesson, marked=marked) if marked or births == "tracks" else None
+    if seen is not None and seen.sentence:
+        result.say(seen.sentence)
+    born = births_by_hand(room) if seen is None or births == "hand" else births_of_tracks(room, seen.tracks)
     result.say(born.sentence)
     if born.lesson is None and alarms.lesson is None:
         raise InputError(
@@ -103,6 +114,7 @@ def learn(
         born.lesson.learned if born.lesson else None,
         alarms.lesson.learned if alarms.lesson else None,
         notes | {"births from": births, "clutter from": clutter, "first": stretch.start, "last": stretch.stop - 1},
+        seen.followed if seen is not None else None,
     )
     write_scene(target, scene)
     page = target.with_name(target.name.removesuffix(".json") + ".html")

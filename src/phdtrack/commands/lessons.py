@@ -1,4 +1,9 @@
-"""The ways in which `phdtrack learn` is taught: births by tracks or by hand, false alarms by a person or by nobody."""
+"""The ways in which `phdtrack learn` is taught: births by tracks or by hand, false alarms by a person or by nobody.
+
+What the tracker makes of false alarms that it knows is seen where a person has marked them. Light that trembles moves as
+somebody who stands does, so that some are followed all the same; tracks that stay among them are held back, and are no
+births.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from phdtrack.commands.output import counted, progress
-from phdtrack.context import RecursiveEM
-from phdtrack.context.learning import Lesson, learn_births, learn_clutter
-from phdtrack.context.prior import Sizes, anywhere, detected_sizes, humbled
+from phdtrack.context import Followed, RecursiveEM
+from phdtrack.context.learning import Lesson, learn_births, learn_clutter, learn_objects
+from phdtrack.context.prior import Sizes, detected_sizes, humbled
 from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,8 +26,9 @@ if TYPE_CHECKING:
     from phdtrack.label import LabelStore
     from phdtrack.label.suggest import Evidence, Suggestions
     from phdtrack.protocols import AnyStages
+    from phdtrack.types import Tracks
 
-_ONLY_BOXES = "false alarms stay uniform: a density of them is learned for boxes in the image only (motion.kind=box)"
+_ONLY_BOXES = "false alarms stay as shipped: a density of them is learned for boxes in the image only (motion.kind=box)"
 # Frames, drawn at random, whose suggestions are taken where nobody labels: M09's false alarms were of as many.
 UNATTENDED = 200
 LIMITS = (
@@ -45,6 +51,16 @@ class Taught:
     def gain(self) -> float:
         """Nats per unseen sample above the uniform density; NaN where that is not known."""
         return self.lesson.gain if self.lesson is not None else math.nan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What a tracker made of the stretch that knew its false alarms: the ``tracks`` that are believed, and what of the false
+    alarms it ``followed``, None where that is not known, with what is said of it."""
+
+    tracks: Tracks
+    followed: Followed | None = None
+    sentence: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,10 +117,15 @@ class Classroom:
 
         return LabelStore.open(self.labels, self.found.source, self.found.digest, []) if self.labels.exists() else None
 
-    def tracked(self, stages: AnyStages) -> Evidence:
-        """What a tracker makes of the stretch."""
+    def tracked(self, alarms: Lesson | None = None) -> Evidence:
+        """What a tracker makes of the stretch that knows these false alarms."""
         from phdtrack.commands.tracked import tracked
+        from phdtrack.models.learned_scene import laid_over
 
+        stages = self.stages
+        if alarms is not None:
+            # Jmax is of learned births, and there are none yet.
+            stages = replace(stages, model=laid_over(stages.model, None, alarms.learned, None, most=1))
         with progress("tracking", len(self.stretch)) as advance:
             return tracked(self.found.table, self.found.info.fps, stages, self.stretch, self.seed, advance)
 
@@ -117,12 +138,12 @@ def clutter_of_labels(room: Classroom) -> Taught:
         return Taught(None, _ONLY_BOXES)
     store = room.store()
     if store is None:
-        return Taught(None, f"false alarms stay uniform: nobody has marked any (phdtrack label, kept in {room.labels})")
+        return Taught(None, f"false alarms stay as shipped: nobody has marked any (phdtrack label, kept in {room.labels})")
     boxes, frames = false_boxes(store, room.found.table, room.stretch), len(looked_at(store, room.stretch))
     try:
         lesson = room.humbled(learn_clutter(boxes, frames, room.size, RecursiveEM()))
     except InputError as error:
-        return Taught(None, f"false alarms stay uniform: {error}")
+        return Taught(None, f"false alarms stay as shipped: {error}")
     told = f"{counted(lesson.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
     return Taught(lesson, f"false alarms: {told}; {worth(lesson)}", f"{told} by a person.")
 
@@ -135,64 +156,73 @@ def clutter_unattended(room: Classroom) -> Taught:
     if not room.of_boxes:
         return Taught(None, _ONLY_BOXES)
     frames = [room.stretch.start + k - 1 for k in sampled(len(room.stretch), UNATTENDED, room.seed)]
-    found = suggest(room.tracked(room.stages), frames, room.found.info.fps)
+    found = suggest(room.tracked(), frames, room.found.info.fps)
     taken = np.flatnonzero(found.score >= TICKED)
     try:
         lesson = room.humbled(learn_clutter(_boxes(room, found, taken), len(frames), room.size, RecursiveEM()))
     except InputError as error:
         cure = "Look yourself: phdtrack label"
-        return Taught(None, f"false alarms stay uniform: {InputError(error.problem, where=error.where, cure=cure)}")
+        return Taught(None, f"false alarms stay as shipped: {InputError(error.problem, where=error.where, cure=cure)}")
     told = (
         f"{counted(lesson.learned.samples, 'box')} of {counted(len(frames), 'frame')} taken for false ({_why(found, taken)})"
     )
     return Taught(lesson, f"false alarms: {told}; {worth(lesson)}. {LIMITS}", f"{told}. {LIMITS}")
 
 
-def births_of_tracks(room: Classroom, clutter: Lesson | None) -> Taught:
-    """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]; why not, where they cannot be.
+def watched_tracks(room: Classroom, alarms: Lesson | None, *, marked: bool) -> Seen:
+    """One run behind the false alarms that were learned; ``marked``: a person looked at them, so that it shows what of them
+    is followed all the same. Tracks that stay among these are not believed."""
+    from phdtrack.associate.vetted import believed
+    from phdtrack.context.odds import Odds
+    from phdtrack.label.session import looked_at, object_boxes, share_followed
 
-    Behind learned false alarms, and with births anywhere: tracks that only the scene's false alarms make are no births.
-    """
+    tracks, store = room.tracked(alarms).tracks, room.store() if marked else None
+    if alarms is None or store is None:
+        return Seen(tracks)
+    boxes, frames = object_boxes(store, room.found.table, room.stretch), len(looked_at(store, room.stretch))
+    try:
+        objects = room.humbled(learn_objects(boxes, frames, room.size, RecursiveEM()))
+    except InputError as error:
+        return Seen(tracks, None, f"no track is held back: {error}")
+    followed = Followed(share_followed(store, tracks, room.stretch), objects.learned)
+    if followed.share == 0:
+        return Seen(tracks, followed, "the tracker follows none of the false alarms now that it knows them")
+    told = f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it knows them"
+    kept = believed(tracks, Odds(alarms.learned, followed))
+    return Seen(kept, followed, f"{told}; tracks that stay among them are held back")
+
+
+def births_of_tracks(room: Classroom, tracks: Tracks) -> Taught:
+    """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]; why not, where there are too few."""
     from phdtrack.context.samples import births_in
-    from phdtrack.models.learned_scene import ContextBirth, ContextClutter
     from phdtrack.types import Detections
 
-    stages, info = room.stages, room.found.info
-    if clutter is not None:
-        alarms, births = clutter.learned, anywhere(room.sizes(), room.size)
-        model = replace(
-            stages.model,
-            birth=ContextBirth(births.rate, births.density),
-            clutter=ContextClutter(alarms.rate, alarms.density),
-        )
-        stages = replace(stages, model=model)
-    rate = stages.model.rate
-    tracks, shown = room.tracked(stages).tracks, None
+    info, rate, shown = room.found.info, room.stages.model.rate, None
     if not room.of_boxes:
-        sensor = stages.model.sensor
+        sensor = room.stages.model.sensor
         shown = sensor.measure(Detections.of(tracks.xyxy))[: len(sensor.observed)]
     states = births_in(tracks, info.fps, rate, shown)
     # Feet that no ground is under.
     states = states[:, np.isfinite(states).all(axis=0)]
     time = len(room.stretch) / info.fps * rate
-    return _births(room, states, time, "track", f"began in {_frames(room)}", clutter)
+    return _births(room, states, time, "track", f"began in {counted(len(room.stretch), 'frame')}")
 
 
-def births_by_hand(room: Classroom, clutter: Lesson | None) -> Taught:
+def births_by_hand(room: Classroom) -> Taught:
     """Births from marks on the clips about the frames that a person has looked at; why not, where they are too few."""
     from phdtrack.label.hand import birth_states, time_watched, watched
 
     if not room.of_boxes:
-        return Taught(None, "births stay uniform: those marked by hand are boxes in the image (--births tracks)")
+        return Taught(None, "births stay as shipped: those marked by hand are boxes in the image (--births tracks)")
     store = room.store()
     if store is None:
-        return Taught(None, f"births stay uniform: nobody has marked any (phdtrack label, kept in {room.labels})")
+        return Taught(None, f"births stay as shipped: nobody has marked any (phdtrack label, kept in {room.labels})")
     table, info, rate = room.found.table, room.found.info, room.stages.model.rate
     states = birth_states(store, table, info, rate, room.stretch)
     seen = counted(len(watched(store, room.stretch)), "frame")
     unknown = int(np.isnan(states[2]).sum())
     told = f"marked by a person on {seen}" + (f" ({unknown} of unknown velocity)" if unknown else "")
-    return _births(room, states, time_watched(store, table, info, rate, room.stretch), "birth", told, clutter)
+    return _births(room, states, time_watched(store, table, info, rate, room.stretch), "birth", told)
 
 
 def worth(lesson: Lesson) -> str:
@@ -202,23 +232,15 @@ def worth(lesson: Lesson) -> str:
     return f"samples not learned from are {lesson.gain:+.2f} nats likelier than under a uniform density"
 
 
-def _births(room: Classroom, states: np.ndarray, time: float, noun: str, where: str, clutter: Lesson | None) -> Taught:
-    """Births from first states; where they are too few, anywhere: around each detection, as without a scene, people would
-    be believed at once beside learned false alarms, whose density is that of a whole frame."""
+def _births(room: Classroom, states: np.ndarray, time: float, noun: str, where: str) -> Taught:
+    """Births from first states; why not, where they are too few."""
     try:
         size, corner = room.region()
         lesson = room.humbled(learn_births(states, time, size, RecursiveEM(), corner))
     except InputError as error:
-        if clutter is None or not room.of_boxes:
-            return Taught(None, f"births stay uniform: {error}")
-        told = "births may be anywhere in the frame, of the sizes that are detected"
-        return Taught(Lesson(anywhere(room.sizes(), room.size), math.nan), f"{told}: {error}", f"{told.capitalize()}.")
+        return Taught(None, f"births stay as shipped: {error}")
     told = f"{counted(states.shape[1], noun)} {where}"
     return Taught(lesson, f"births: {told}; {worth(lesson)}", f"{told}.")
-
-
-def _frames(room: Classroom) -> str:
-    return counted(len(room.stretch), "frame")
 
 
 def _boxes(room: Classroom, found: Suggestions, taken: np.ndarray) -> np.ndarray:

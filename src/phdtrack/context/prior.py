@@ -1,4 +1,4 @@
-"""What is believed of a scene before anything is seen of it, and beside little that is: anywhere, of the sizes that appear.
+"""What is believed of a scene beside little that is seen of it: anywhere, of the sizes that appear.
 
 A density learned from few samples is too sure of the places that it has not seen. It is held beside `PRIOR` samples that
 might have been anywhere: α_u is at least PRIOR / (n + PRIOR) for n samples, which is Laplace's rule with a prior of that
@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from phdtrack.context.density import uniform_density
 from phdtrack.context.scene_file import Learned
 from phdtrack.errors import InputError
 from phdtrack.types import F8
@@ -22,8 +21,6 @@ PRIOR = 10
 # How much wider than the sizes that were detected the range of those that may be is, and which of the detected count.
 WIDER = 1.5
 _COUNTED = (0.01, 0.99)
-# Births anywhere: expected per time unit as shipped, and pixels a time unit on an axis at most.
-RATE, FASTEST = 0.01, 20.0
 
 Sizes = tuple[F8, F8]
 """Smallest and largest width and height, (2,) each, pixels."""
@@ -47,11 +44,3 @@ def humbled(learned: Learned, sizes: Sizes) -> Learned:
     low[-2:], high[-2:] = sizes
     uniform = max(density.uniform, PRIOR / (n + PRIOR))
     return replace(learned, density=replace(density, low=low, high=high, uniform=uniform))
-
-
-def anywhere(sizes: Sizes, frame_size: tuple[float, float], rate: float = RATE) -> Learned:
-    """Births of which nothing is known but sizes: uniform over the frame and them; no samples."""
-    (smallest, largest), (width, height) = sizes, frame_size
-    low = np.concatenate([[0.0, 0.0, -FASTEST, -FASTEST], smallest])
-    high = np.concatenate([[width, height, FASTEST, FASTEST], largest])
-    return Learned(rate, uniform_density(low, high))
