@@ -11,6 +11,7 @@ from phdtrack.associate.graph import GraphState
 from phdtrack.associate.history import Chunk, History, Moment
 from phdtrack.associate.labelled import LabelledState, Lives
 from phdtrack.associate.online import Carried, Given
+from phdtrack.associate.vetted import VettedState
 from phdtrack.associate.window import Columns, Edges, Links, Rows, Window
 from phdtrack.bernoullis import Bernoullis, Layer
 from phdtrack.blobs import Expected
@@ -50,6 +51,7 @@ _RECORDS: dict[str, type[Any]] = {
         Expected,
         GraphState,
         LabelledState,
+        VettedState,
         Lives,
         History,
         Chunk,

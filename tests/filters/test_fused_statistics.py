@@ -201,8 +201,9 @@ def test_estimates_of_a_scene(name: str):
     assert (np.abs(off.mean(0)) < [0.1, 0.15, 1.0, 0.5]).all(), off.mean(0)
 
 
+@pytest.mark.parametrize("beside", [False, True], ids=["alone", "laid over"])
 @pytest.mark.parametrize("dt", [1.0, 3.0])
-def test_one_step_with_births_that_were_learned(dt: float):
+def test_one_step_with_births_that_were_learned(dt: float, beside: bool):
     """An entrance where people walk to the right reaches some of the newcomers, and false alarms were learned too."""
     low, high = np.array([0.0, 0, -40, -40, 0, 0]), np.array([640.0, 480, 40, 40, 640, 480])
     cov = np.diag([900.0, 1600, 1.0, 0.5, 16, 64])
@@ -211,7 +212,13 @@ def test_one_step_with_births_that_were_learned(dt: float):
     entrance = ContextDensity(low, high, 0.3, np.ones(1), np.array([[70.0, 430, 5, -1, 24, 52]]).T, cov[None])
     alarms = marginal(entrance, (0, 1, 4, 5))
     model = preset("default", "birth.most=150")
-    model = replace(model, birth=ContextBirth(0.3, entrance, most=150), clutter=ContextClutter(1.0, alarms))
+    birth, clutter = ContextBirth(0.3, entrance, most=150), ContextClutter(1.0, alarms)
+    if beside:
+        # Births and false alarms around each detection too, among objects that are seen in the middle.
+        centre = np.array([[300.0, 200, 40, 90]]).T
+        people = ContextDensity(alarms.low, alarms.high, 0.4, np.ones(1), centre, np.diag([8000.0, 4000, 200, 900])[None])
+        birth, clutter = replace(birth, beside=0.2, among=people), replace(clutter, beside=0.5)
+    model = replace(model, birth=birth, clutter=clutter)
     state, z, about = world(7)
     ours = sample(PHD, state, z, model, dt, about, range(SEEDS))
     theirs = sample(Composed(PHD), state, z, model, dt, about, range(1000, 1000 + SEEDS))

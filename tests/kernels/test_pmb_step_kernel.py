@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from box_scans import box_scans
-from test_gm_step_kernel import scene
+from test_gm_step_kernel import laid_over, scene
 
 from phdtrack.bernoullis import Bernoullis
 from phdtrack.filters import PMB
@@ -42,6 +42,8 @@ MODELS = {
     "given births": Model(BoxMotion(frame_size=SIZE), BoxSensor(), FixedBirth(wide_births()), EVERYWHERE),
     "learned births": Model(BoxMotion(), BoxSensor(scaling="given"), scene(2)[0], UniformClutter(0.1, 1e11)),
     "learned clutter": Model(BoxMotion(), BoxSensor(scaling="fixed"), LOCAL, scene(3)[1]),
+    "laid over": Model(BoxMotion(frame_size=SIZE), BoxSensor(), *laid_over(4)),
+    "laid over, given": Model(BoxMotion(), BoxSensor(scaling="given"), laid_over(5)[0], LocalClutter(0.4)),
     "no births": Model(BoxMotion(), BoxSensor(), MeasurementBirth(rate=0.0, frame_size=SIZE), EVERYWHERE),
 }
 FILTERS = {

@@ -19,7 +19,7 @@ from phdtrack.protocols import Associator, Model
 from phdtrack.types import F8, I8, Bool, Estimates, Tracks
 
 A = TypeVar("A")
-# So many identities are remembered online, the last: cameras run for days.
+# So many identities are remembered online, those seen last: cameras run for days.
 KEPT = 10_000
 
 
@@ -32,7 +32,8 @@ class FalseOdds(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class VettedState(Generic[A]):
-    """The associator's state, and of the identities given online (a,), ascending, the least odds on their way."""
+    """The associator's state, and of the identities given online (a,) the least odds on their way; those seen last come
+    last."""
 
     inner: A
     identity: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -80,12 +81,13 @@ class Vetted(Generic[A]):
 
     def _counted(self, state: VettedState[A], rows: Tracks) -> tuple[VettedState[A], F8]:
         """The state with the rows of a frame, and the least odds of each row's identity."""
-        identity = np.union1d(state.identity, rows.identity)
-        odds = np.full(len(identity), np.inf)
-        odds[np.searchsorted(identity, state.identity)] = state.odds
-        place = np.searchsorted(identity, rows.identity)
-        odds[place] = np.minimum(odds[place], _odds(rows, np.isinf(odds[place]), self.false))
-        return VettedState(state.inner, identity[-KEPT:], odds[-KEPT:]), odds[place]
+        _, known, here = np.intersect1d(state.identity, rows.identity, assume_unique=True, return_indices=True)
+        odds = np.full(len(rows), np.inf)
+        odds[here] = state.odds[known]
+        odds = np.minimum(odds, _odds(rows, np.isinf(odds), self.false))
+        identity = np.concatenate([np.delete(state.identity, known), rows.identity])
+        least = np.concatenate([np.delete(state.odds, known), odds])
+        return VettedState(state.inner, identity[-KEPT:], least[-KEPT:]), odds
 
 
 def believed(tracks: Tracks, false: FalseOdds) -> Tracks:
@@ -93,7 +95,9 @@ def believed(tracks: Tracks, false: FalseOdds) -> Tracks:
     kept = np.zeros(len(tracks), np.bool_)
     order = np.lexsort((tracks.frame, tracks.identity))
     for rows in np.split(order, np.flatnonzero(np.diff(tracks.identity[order])) + 1):
-        kept[rows] = np.minimum.accumulate(_odds(tracks.take(rows), np.arange(len(rows)) == 0, false)) < 0
+        way = tracks.take(rows)
+        first = ~way.predicted & (np.cumsum(~way.predicted) == 1)
+        kept[rows] = np.minimum.accumulate(_odds(way, first, false)) < 0
     left = tracks.take(kept)
     _, name = np.unique(left.identity, return_inverse=True)
     return replace(left, identity=name.astype(np.int64) + 1)

@@ -1,0 +1,205 @@
+"""Tracks that stay where false alarms are: never believed; who walks out of there is, from there on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from association_cases import FIELDS, matching_of, model_of, states
+from hypothesis import given
+from hypothesis import strategies as st
+
+from phdtrack.associate import Labelled, vetted
+from phdtrack.associate.vetted import Vetted, believed
+from phdtrack.boxes import to_xyxy
+from phdtrack.statedict import pack, unpack
+from phdtrack.types import Estimates, Tracks
+
+MODEL = model_of()
+Z = np.zeros((4, 0))
+
+
+@dataclass(frozen=True)
+class Strip:
+    """False alarms are left of ``end``, the surer the further; who begins left of ``door`` is an object."""
+
+    end: float = 200.0
+    door: float = -1e9
+
+    def log(self, z, first):
+        return np.where(first & (z[0] < self.door), -1.0, (self.end - z[0]) / 10)
+
+
+STRIP = Strip()
+INNER = {
+    "graph": matching_of(shortest=3, backfill=0),
+    "graph, delayed": matching_of(shortest=3, delay=3),
+    "labelled": Labelled(shortest=3),
+    "labelled, delayed": Labelled(shortest=3, delay=3),
+}
+each = pytest.mark.parametrize("inner", INNER.values(), ids=INNER)
+
+
+def frame(*targets: tuple[int, float] | tuple[int, float, float]) -> Estimates:
+    """States of targets (label, x[, velocity]), at rest unless said otherwise, each label on its own height."""
+    label = np.array([t[0] for t in targets], np.int64)
+    points = np.column_stack([[t[1] for t in targets], 60.0 * label])
+    velocity = [(t[2] if len(t) == 3 else 0.0, 0.0) for t in targets]
+    return replace(states(points, velocity=velocity), tag=label)
+
+
+def run(associator, frames, state=None, first: int = 1):
+    state, out = associator.start() if state is None else state, []
+    for number, estimates in enumerate(frames, start=first):
+        z = estimates.state[list(MODEL.sensor.observed)]
+        state, rows = associator.extend(state, estimates, np.ascontiguousarray(z), number, 1.0, MODEL)
+        out.append(rows)
+    return state, out
+
+
+def online(associator, frames) -> Tracks:
+    state, out = run(associator, frames)
+    return Tracks.concatenate([*out, associator.flush(state, MODEL)])
+
+
+def centre(tracks: Tracks) -> np.ndarray:
+    return tracks.xyxy[:, [0, 2]].mean(axis=1)
+
+
+def equal(a: Tracks, b: Tracks) -> None:
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+
+
+# 1 trembles where alarms are, 2 walks out of there, 3 walks beside it, 4 walks in from the right.
+STREET = [
+    frame((1, 100.0 + k % 2), (2, 150.0 + 5 * k, 5.0), (3, 400.0 + 5 * k, 5.0), (4, 280.0 - 5 * k, -5.0)) for k in range(25)
+]
+
+
+@each
+def test_who_stays_where_false_alarms_are_is_nobody(inner):
+    frames = [frame((1, 100.0 + k % 2)) for k in range(25)]
+    assert online(inner, frames).confirmed.any()
+    rows = online(Vetted(inner, STRIP), frames)
+    assert len(rows) == 25
+    assert not rows.confirmed.any()
+    assert len(Vetted(inner, STRIP).finish(run(Vetted(inner, STRIP), frames)[0], MODEL)) == 0
+
+
+@each
+def test_online_rows_are_those_of_the_associator_and_confirmed_where_both_say_so(inner):
+    plain, rows = online(inner, STREET), online(Vetted(inner, STRIP), STREET)
+    for name in ("frame", "identity", "xyxy", "confidence", "detection"):
+        np.testing.assert_array_equal(getattr(rows, name), getattr(plain, name))
+    pairs = zip(rows.identity, rows.frame, strict=True)
+    furthest = np.array([centre(plain.take((plain.identity == i) & (plain.frame <= k))).max() for i, k in pairs])
+    np.testing.assert_array_equal(rows.confirmed, plain.confirmed & (furthest > 200))
+    assert 0 < rows.confirmed.sum() < plain.confirmed.sum()
+
+
+@each
+def test_corrected_tracks_begin_where_they_are_believed(inner):
+    associator = Vetted(inner, STRIP)
+    state, _ = run(associator, STREET)
+    tracks, plain = associator.finish(state, MODEL), inner.finish(state.inner, MODEL)
+    assert set(plain.identity) == {1, 2, 3, 4}
+    assert set(tracks.identity) == {1, 2, 3}, "identities from 1"
+    # Who walks out is believed from the first place on at which an object is the likelier, who walks in to the end.
+    assert np.count_nonzero(tracks.frame == 1) == 2
+    assert centre(tracks).min() == pytest.approx(280 - 5 * 24, abs=2)
+    out = tracks.take(tracks.identity == 1)
+    np.testing.assert_allclose(centre(out), 205 + 5 * np.arange(len(out)), atol=0.5)
+    equal(tracks, believed(plain, STRIP))
+    assert associator.measured(state).z.shape == (4, 100)
+
+
+@each
+def test_who_begins_at_a_door_is_believed_there(inner):
+    frames = [frame((1, 100.0 + k % 2)) for k in range(12)]
+    associator = Vetted(inner, Strip(door=150.0))
+    assert len(associator.finish(run(associator, frames)[0], MODEL)) == 12
+    plain = online(inner, frames)
+    equal(online(associator, frames), plain)
+    # Whom nobody saw begin there is not.
+    frames = [frame((1, 190.0 - 5 * k, -5.0)) for k in range(12)]
+    assert not online(associator, frames).confirmed.any()
+
+
+@each
+def test_what_is_remembered_can_be_saved_in_the_middle(inner):
+    associator = Vetted(inner, STRIP)
+    wanted, rows = run(associator, STREET)
+    state, _ = run(associator, STREET[:13])
+    back, rest = run(associator, STREET[13:], unpack(pack(state)), 14)
+    for a, b in zip(rest, rows[13:], strict=True):
+        equal(a, b)
+    np.testing.assert_array_equal(back.identity, wanted.identity)
+    np.testing.assert_array_equal(back.odds, wanted.odds)
+    equal(associator.flush(back, MODEL), associator.flush(wanted, MODEL))
+    equal(associator.finish(back, MODEL), associator.finish(wanted, MODEL))
+
+
+def test_states_are_values():
+    """To ask for the rest changes nothing, and a state may be gone on from twice."""
+    associator = Vetted(Labelled(shortest=3, delay=3), STRIP)
+    state, _ = run(associator, STREET[:13])
+    equal(associator.flush(state, MODEL), associator.flush(state, MODEL))
+    (_, a), (_, b) = (run(associator, STREET[13:], state, 14) for _ in range(2))
+    equal(Tracks.concatenate(a), Tracks.concatenate(b))
+
+
+def test_so_many_are_remembered_and_those_seen_last(monkeypatch):
+    """Who stays while others come and go was believed once, and still is."""
+    monkeypatch.setattr(vetted, "KEPT", 5)
+    associator = Vetted(Labelled(shortest=1), STRIP)
+    frames = [frame((1, 300.0 - 10 * k, -10.0), (2 + k // 2, 400.0), (50 + k // 2, 90.0)) for k in range(40)]
+    state, rows = run(associator, frames)
+    assert len(state.identity) == len(state.odds) == 5
+    assert 1 in state.identity
+    assert all(bool(r.confirmed[r.identity == 1].all()) for r in rows)
+    others = Tracks.concatenate(rows)
+    assert (others.confirmed == ((others.identity == 1) | (centre(others) > 200))).all()
+
+
+def test_nothing_in_an_empty_table():
+    assert len(believed(Tracks.empty(), STRIP)) == 0
+    associator = Vetted(Labelled(), STRIP)
+    state, rows = associator.extend(associator.start(), states(np.zeros((0, 2))), Z, 1, 1.0, MODEL)
+    assert len(rows) == len(associator.flush(state, MODEL)) == len(associator.finish(state, MODEL)) == 0
+
+
+row = st.tuples(st.integers(1, 9), st.integers(1, 4), st.sampled_from([100.0, 190.0, 210.0, 400.0]), st.booleans())
+tables = st.lists(row, max_size=25, unique_by=lambda r: r[:2])
+
+
+def table(rows) -> Tracks:
+    """Rows (frame, identity, x, whether detected); identities are 3 apart."""
+    frames, identity, x, seen = (np.array(column) for column in zip(*rows, strict=True)) if rows else [np.zeros(0)] * 4
+    n = len(rows)
+    xyxy = to_xyxy(np.stack([x, np.full(n, 90.0), np.full(n, 40.0), np.full(n, 80.0)]))
+    detection = np.where(seen, np.arange(n), -1).astype(np.int64)
+    return Tracks(
+        frames.astype(np.int64), 3 * identity.astype(np.int64), xyxy, np.full(n, 0.9), detection, np.ones(n, np.bool_)
+    )
+
+
+@given(rows=tables, door=st.sampled_from([-1e9, 150.0]), order=st.randoms())
+def test_each_is_believed_from_the_first_detection_on_that_is_more_likely_an_objects(rows, door, order):
+    """Against the definition, row by row; the order of the rows says nothing, rows without detections decide nothing."""
+    wanted, names = [], {}
+    for k, (number, who, _, _) in enumerate(rows):
+        way = sorted((r for r in rows if r[1] == who and r[0] <= number and r[3]), key=lambda r: r[0])
+        if any(x > 200 or (i == 0 and x < door) for i, (_, _, x, _) in enumerate(way)):
+            wanted.append(k)
+            names[who] = 0
+    names = {who: name for name, who in enumerate(sorted(names), start=1)}
+    found = believed(table(rows), Strip(door=door))
+    equal(found, replace(table(rows).take(np.array(wanted, np.int64)), identity=found.identity))
+    assert found.identity.tolist() == [names[rows[k][1]] for k in wanted]
+    mixed = [*range(len(rows))]
+    order.shuffle(mixed)
+    index = np.array(mixed, np.int64)
+    other = believed(table(rows).take(index), Strip(door=door))
+    equal(Tracks.concatenate([other]), Tracks.concatenate([found]))
