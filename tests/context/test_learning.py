@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from phdtrack.context import RecursiveEM
-from phdtrack.context.learning import learn_births, learn_clutter
+from phdtrack.context.learning import learn_births, learn_clutter, learn_objects
 from phdtrack.errors import InputError
 
 SIZE = (640.0, 480.0)
@@ -44,10 +44,40 @@ def test_samples_spread_evenly_teach_nothing():
     assert -0.5 < lesson.gain < 0.2
 
 
-@pytest.mark.parametrize(("n", "time", "words"), [(3, 100, "at least 10 births"), (50, 0, "some length")])
+@pytest.mark.parametrize(("n", "time", "words"), [(13, 100, "at least 14 births"), (50, 0, "some length")])
 def test_too_little_is_told(n, time, words):
     with pytest.raises(InputError, match=words):
         learn_births(door(np.random.default_rng(3), n), time, SIZE, RecursiveEM())
+
+
+def test_fourteen_births_are_enough_and_ten_without_a_size():
+    """As many as a component needs to exist: half the numbers that it is told by, 27 with a size and 14 without."""
+    rng = np.random.default_rng(3)
+    assert learn_births(door(rng, 14), 100, SIZE, RecursiveEM()).learned.samples == 14
+    on_ground = door(rng, 10)[:4] * 0.01
+    assert learn_births(on_ground, 100, (30.0, 40.0), RecursiveEM(), (-15.0, -20.0)).learned.rate == 0.1
+    with pytest.raises(InputError, match="at least 10 births while the scene was watched, got 9"):
+        learn_births(on_ground[:, 1:], 100, (30.0, 40.0), RecursiveEM(), (-15.0, -20.0))
+
+
+def test_objects_are_where_they_were_detected_so_many_a_frame():
+    rng = np.random.default_rng(8)
+    boxes = door(rng, 300)[[0, 1, 4, 5]]
+    lesson = learn_objects(boxes, 40, SIZE, RecursiveEM())
+    assert (lesson.learned.rate, lesson.learned.samples) == (7.5, 300)
+    density = lesson.learned.density
+    assert density.mean[:, np.argmax(density.weight)] == pytest.approx([100, 300, 40, 90], abs=3)
+    # As what is learned of the same boxes as false alarms: the places of both can be compared.
+    false = learn_clutter(boxes, 40, SIZE, RecursiveEM()).learned.density
+    np.testing.assert_array_equal(density.covariance, false.covariance)
+    np.testing.assert_array_equal((density.low, density.high), (false.low, false.high))
+
+
+def test_too_few_objects_are_told():
+    with pytest.raises(InputError, match=r"at least 10 detections of objects on the frames .*, got 9.* Look at more frames"):
+        learn_objects(np.ones((4, 9)), 40, SIZE, RecursiveEM())
+    with pytest.raises(InputError, match="expected frames that were looked at, got 0"):
+        learn_objects(np.ones((4, 20)), 0, SIZE, RecursiveEM())
 
 
 def test_too_few_false_boxes_are_told():
