@@ -193,7 +193,7 @@ def watched_tracks(room: Classroom, alarms: Lesson | None, *, marked: bool) -> S
 
 
 def births_of_tracks(room: Classroom, tracks: Tracks) -> Taught:
-    """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]; why not, where there are too few."""
+    """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]; why not, if they are too few."""
     from phdtrack.context.samples import births_in
     from phdtrack.types import Detections
 
