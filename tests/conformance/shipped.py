@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from phdtrack.associate import GraphMatching, Labelled
+from phdtrack.associate.vetted import Vetted
 from phdtrack.bernoullis import Bernoullis, Layer
 from phdtrack.boxes import to_cxcywh
-from phdtrack.context import ContextDensity
+from phdtrack.context import ContextDensity, Followed, Learned, uniform_density
+from phdtrack.context.odds import Odds
 from phdtrack.extract import (
     BestBernoullis,
     BestHypothesis,
@@ -158,6 +160,8 @@ ASSOCIATORS = {
     "labelled, delayed": Labelled(delay=3, remember=0.4),
     "labelled, plain": Labelled(bridge=False, shortest=1),
 }
+SCENE_ODDS = Odds(Learned(2.0, PEOPLE), Followed(0.5, Learned(3.0, uniform_density(PEOPLE.low, PEOPLE.high))))
+ASSOCIATORS |= {f"vetted, {name}": Vetted(ASSOCIATORS[name], SCENE_ODDS) for name in ("delayed", "labelled, delayed")}
 
 
 def model_of(sensor: BoxSensor | None = None) -> Model:
