@@ -147,7 +147,7 @@ def test_nothing_comes_of_nothing(filter_, rng):
 def test_every_learned_scene_will_do(filter_, scene: str):
     """A step is what it is defined as, on average over seeds to 4.5 standard errors, and who is seen again is there.
 
-    PMB's kernel knows no covariances between the axes in the first states of given births, so that of these the steps differ.
+    PMB's kernel knows no covariances between the axes in first states of given births, so that of these the steps differ.
     """
     model = replace(model_of(), birth=BIRTHS[scene], clutter=CLUTTERS[scene])
     ours, theirs = (averages(advance, filter_, model, 1.0, seeds) for advance, seeds in (
