@@ -1,10 +1,11 @@
-"""What a learned scene costs: ms per frame of each filter with learned births and false alarms, against uniform ones.
+"""What a learned scene costs: ms per frame of each filter with learned births and false alarms, against the shipped ones.
 
-`benchmarks.workload`'s boxes, detections in and tracks out, under the default settings of each filter. Rates are the same on
-both sides, and half of what is born and of the false alarms comes from Gaussians: as many as said at places drawn over the
-whole area, or M09's grids from which learning begins (12 × 10 for births, 16 × 14 for false alarms), of which each is felt
-by most detections. Of what is learned a Gaussian needs 14 tracks, or 7 false alarms, to stay: M09's 320 tracks leave 23 at
-most. The sides take turns; a frame counts with its fastest run.
+`benchmarks.workload`'s boxes, detections in and tracks out, under the default settings of each filter. The scene is laid
+over the shipped births and false alarms as `track --scene` does it, with tracks held back where false alarms last. Half of
+what it knows are Gaussians: as many as said at places drawn over the whole area, or M09's grids from which learning begins
+(12 × 10 for births, 16 × 14 for false alarms), of which each is felt by most detections. Of what is learned a Gaussian needs
+14 tracks, or 7 false alarms, to stay: M09's 320 tracks leave 23 at most. The sides take turns; a frame counts with its
+fastest run.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from benchmarks.parts import Outcome, Row, Scale
 from benchmarks.timing import Spread, clock, took
 from benchmarks.workload import Crowd, Stream, draw
 from phdtrack import config, pipeline
-from phdtrack.context import ContextDensity, grid, marginal
+from phdtrack.associate.vetted import Vetted
+from phdtrack.context import ContextDensity, Followed, Learned, grid, marginal
+from phdtrack.context.odds import Odds
 from phdtrack.context.samples import state_volume
-from phdtrack.models import MeasurementBirth, UniformClutter
-from phdtrack.models.learned_scene import ContextBirth, ContextClutter
-from phdtrack.models.volume import image_volume
+from phdtrack.models.learned_scene import laid_over
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8
 
@@ -68,8 +69,7 @@ def _measured(name: str, stream: Stream, repeats: int) -> Iterator[tuple[Row, di
     """Row and details of each case."""
     plain = config.build(config.load(sets=[f"filter.kind={name}"]), stream.info)
     size = (float(stream.info.width), float(stream.info.height))
-    uniform = _with(plain, MeasurementBirth(BIRTHS, 500, "image", size), UniformClutter(ALARMS, image_volume(size)))
-    whole, step = _fastest([uniform, *(_learned(plain, size, places) for places in CASES)], stream, repeats)
+    whole, step = _fastest([plain, *(_learned(plain, size, places) for places in CASES)], stream, repeats)
     for places, frame, alone in zip(CASES, whole[1:], step[1:], strict=True):
         ratio, of_step = float(frame.sum() / whole[0].sum()), float(alone.sum() / step[0].sum())
         note = f"uniform {1e3 * whole[0].mean():.3g} ms; the filter alone {of_step:.2f} × {1e3 * step[0].mean():.3g} ms"
@@ -78,19 +78,20 @@ def _measured(name: str, stream: Stream, repeats: int) -> Iterator[tuple[Row, di
         yield row, {"filter": name, "case": places.name} | detail
 
 
-def _with(stages: AnyStages, birth: Any, clutter: Any) -> AnyStages:
-    return replace(stages, model=replace(stages.model, birth=birth, clutter=clutter))
-
-
 def _learned(stages: AnyStages, size: tuple[float, float], places: Places) -> AnyStages:
-    births, alarms = _density(size, places.births, (12, 10)), marginal(_density(size, places.alarms, (16, 14)), SHOWN)
-    return _with(stages, ContextBirth(BIRTHS, births, most=500), ContextClutter(ALARMS, alarms))
+    births = Learned(BIRTHS, _density(size, places.births, (12, 10)))
+    alarms = Learned(ALARMS, marginal(_density(size, places.alarms, (16, 14)), SHOWN))
+    # People are everywhere.
+    objects = Learned(float(TARGETS), marginal(_density(size, 1, (1, 1), size[0] / 3), SHOWN))
+    seen = Followed(0.1, objects)
+    model = laid_over(stages.model, births, alarms, seen, 500)
+    return replace(stages, model=model, associator=Vetted(stages.associator, Odds(alarms, seen, births)))
 
 
-def _density(size: tuple[float, float], count: int, counts: tuple[int, int]) -> ContextDensity:
-    """Of states: ``count`` places about 30 pixels wide, or the grid."""
+def _density(size: tuple[float, float], count: int, counts: tuple[int, int], wide: float = 30.0) -> ContextDensity:
+    """Of states: ``count`` places about so many pixels ``wide``, or the grid."""
     low, high = state_volume(*size, 20.0)
-    usual, spread = np.array([0.0, 0, 0, 0, 35, 70]), np.array([30.0, 30, 2, 2, 9, 18])
+    usual, spread = np.array([0.0, 0, 0, 0, 35, 70]), np.array([wide, wide, 2, 2, 9, 18])
     if not count:
         return grid(low, high, counts, usual, spread, uniform=0.5)
     rng = np.random.default_rng(count)

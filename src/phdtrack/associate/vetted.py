@@ -72,12 +72,19 @@ class Vetted(Generic[A]):
 
     def _judged(self, state: VettedState[A], rows: Tracks) -> tuple[VettedState[A], Tracks]:
         """The rows with who is not believed unconfirmed; of several frames in their order."""
+        if self._settled(state, rows):
+            return state, rows
         confirmed = rows.confirmed.copy()
         for frame in np.unique(rows.frame):
             here = np.flatnonzero(rows.frame == frame)
             state, odds = self._counted(state, rows.take(here))
             confirmed[here] &= odds < 0
         return state, replace(rows, confirmed=confirmed)
+
+    def _settled(self, state: VettedState[A], rows: Tracks) -> bool:
+        """Whether nothing is to be judged, as who is believed stays so, and nobody's turn to be forgotten comes nearer."""
+        few = len(state.identity) + len(rows) <= KEPT
+        return few and bool(np.isin(rows.identity, state.identity[state.odds < 0]).all())
 
     def _counted(self, state: VettedState[A], rows: Tracks) -> tuple[VettedState[A], F8]:
         """The state with the rows of a frame, and the least odds of each row's identity."""

@@ -28,14 +28,17 @@ from functools import cached_property
 import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
-from phdtrack.context import ContextDensity, Followed, Learned, marginal
+from phdtrack.context import ContextDensity, Followed, Learned, marginal, uniform_density
 from phdtrack.kernels.context_density import COARSE, given_detections, mixture_density, newborn_about
-from phdtrack.kernels.neighbourhoods import summed_densities
+from phdtrack.kernels.laid_over import laid_births, laid_clutter
 from phdtrack.models.births import MeasurementBirth, gaussians_about, particles_about
 from phdtrack.models.clutter import LocalClutter
-from phdtrack.models.volume import REACH, SIZES, local_volume
+from phdtrack.models.volume import REACH, SIZES
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F4, F8, I8, GaussianMixture, Particles
+
+# What `models.volume` calls local: the volume in w²h², how far it reaches in boxes, the sizes in it.
+_NEIGHBOURHOOD = ((2 * REACH) ** 2 * (SIZES[1] - SIZES[0]) ** 2, REACH, *SIZES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,27 +97,22 @@ class ContextBirth:
 
     def around(self, seen: tuple[F8, F8], dt: float) -> Around:
         """What γT is around detections whose states and covariances, as `Sensor.states` gives them, are ``seen``."""
+        if self.beside > 0:
+            density, state, cov = laid_births(*seen, *self._table, *self._among, self.beside * dt, *_NEIGHBOURHOOD)
+            return Around(state, cov, density)
         density, state, cov = given_detections(*seen, *self._table)
-        return Around(state, cov, self._births(state, density) * dt)
-
-    def _births(self, state: F8, density: F8) -> F8:
-        """(N,) γ at detections with these states (d, N), where p is ``density`` (N,), 0 beyond the volume.
-
-        Those around each detection reach beyond it: nothing says that there are none.
-        """
-        if self.beside == 0:
-            return self.rate * density
-        z = np.ascontiguousarray(state[list(self.observed)])
-        there = 1 / self.shown.volume if self.among is None else np.maximum(self.among(z), self.among.flat)
-        return self.beside * around_each(z) * np.maximum(density, self.shown.flat) / there
+        return Around(state, cov, self.rate * dt * density)
 
     def about(self, state: F8, deviation: F8, dt: float) -> tuple[F4, F4]:
         """`around` in single precision for noise without correlations: densities (N,), and velocities (5, N).
 
         ``state`` (d, N) are those at rest, ``deviation`` (d, N) the noise's; velocities as `newborn_about` gives them.
         """
-        density, velocity = newborn_about(state, deviation, 1.0, *self._table)
-        return np.asarray(self._births(state, density.astype(np.float64)) * dt, np.float32), velocity
+        scale = self.rate * dt if self.beside == 0 else 1.0
+        density, velocity = newborn_about(state, deviation, scale, *self._table)
+        if self.beside > 0:
+            density = self.around((state, _diagonal(deviation)), dt).density.astype(np.float32)
+        return density, velocity
 
     @cached_property
     def _table(self) -> tuple[I8, int, F8, F8, float, F8, F8, F8, F8]:
@@ -130,6 +128,12 @@ class ContextBirth:
         reach = 2 * np.maximum(log_peak - np.log(shown.flat) + COARSE, -1.0)
         triangles = np.ascontiguousarray(cov[:, *lower].T)
         return order, r, shown.low, shown.high, shown.flat, p.mean[order], triangles, peak2, reach
+
+    @cached_property
+    def _among(self) -> tuple[F8, F8, F8, F8, F8, F8]:
+        """p(z|o) as `mixture_density` takes it, nowhere below its uniform part."""
+        p = self.among or uniform_density(self.shown.low, self.shown.high)
+        return p.low, p.high, np.full(2, p.flat), *p.table
 
     @property
     def flat(self) -> float:
@@ -184,8 +188,12 @@ class ContextClutter:
 
     def intensity(self, z: F8) -> F8:
         """(N,) κ per frame and unit of measurement space."""
-        out: F8 = mixture_density(np.ascontiguousarray(z), float(self.rate), *self._table)
-        return out + self.beside * around_each(z) if self.beside > 0 and z.shape[1] else out
+        z, rate = np.ascontiguousarray(z), float(self.rate)
+        if self.beside > 0 and z.shape[1]:
+            laid: F8 = laid_clutter(z, rate, *self._table, float(self.beside), *_NEIGHBOURHOOD)
+            return laid
+        out: F8 = mixture_density(z, rate, *self._table)
+        return out
 
     @cached_property
     def _table(self) -> tuple[F8, F8, F8, F8, F8, F8]:
@@ -211,9 +219,14 @@ def objects_of(followed: Followed | None) -> ContextDensity | None:
     return None if followed is None else followed.objects.density
 
 
+def _diagonal(deviation: F8) -> F8:
+    """(N, d, d) covariances of noise with these deviations (d, N) and without correlations."""
+    d, n = deviation.shape
+    cov = np.zeros((n, d, d))
+    np.einsum("nrr->nr", cov)[...] = np.square(deviation).T
+    return cov
+
+
 def around_each(z: F8) -> F8:
     """(N,) l(z) = Σ_i 1/V_i over the detections z_i in whose neighbourhood z (m, N) lies, its own included, pixel⁻⁴."""
-    if z.shape[1] == 0:
-        return np.zeros(0)
-    out: F8 = summed_densities(np.ascontiguousarray(z[:4]), 1 / local_volume(z), REACH, *SIZES)
-    return out
+    return LocalClutter(1.0).intensity(z)
