@@ -132,7 +132,7 @@ class ContextBirth:
     @cached_property
     def _among(self) -> tuple[F8, F8, F8, F8, F8, F8]:
         """p(z|o) as `mixture_density` takes it, nowhere below its uniform part."""
-        p = self.among or uniform_density(self.shown.low, self.shown.high)
+        p = uniform_density(self.shown.low, self.shown.high) if self.among is None else self.among
         return p.low, p.high, np.full(2, p.flat), *p.table
 
     @property
