@@ -35,28 +35,3 @@ def given_detections(state, noise, rows, low, high, uniform, weight, mean, cov):
         states[hidden, j] = about
         covs[np.ix_([j], hidden, hidden)] = within
     return np.array(densities), states, covs
-
-
-def around_each(z, volume=4.0, reach=1.0, sizes=(0.5, 1.5)):
-    """l(z) (n,): the sum of 1/V over all boxes z (4, n) in whose neighbourhood each lies."""
-    out = []
-    for x, y, w, h in z[:4].T:
-        total = 0.0
-        for a, b, c, d in z[:4].T:
-            beside = abs(x - a) <= reach * c and abs(y - b) <= reach * d
-            if beside and sizes[0] * c <= w <= sizes[1] * c and sizes[0] * d <= h <= sizes[1] * d:
-                total += 1 / (volume * (c * d) ** 2)
-        out.append(total)
-    return np.array(out)
-
-
-def laid_births(state, noise, rows, births, among, beside):
-    """Densities (n,) of births beside others, means and covariances of the states.
-
-    ``births`` are low, high, uniform, weight, mean, cov of p(x|b), ``among`` the same of p(z|o).
-    """
-    density, mean, cov = given_detections(state, noise, rows, *births)
-    z, flat = state[rows], births[2]
-    low, high, uniform, *gaussians = among
-    objects = mixture_density(z, low, high, uniform, uniform, *gaussians)
-    return beside * around_each(z) * np.maximum(density, flat) / objects, mean, cov
