@@ -203,3 +203,35 @@ def test_each_is_believed_from_the_first_detection_on_that_is_more_likely_an_obj
     index = np.array(mixed, np.int64)
     other = believed(table(rows).take(index), Strip(door=door))
     equal(Tracks.concatenate([other]), Tracks.concatenate([found]))
+
+
+@dataclass(frozen=True)
+class Told:
+    """An associator that gives the rows of a table, each ``delay`` frames late; its state is the frame's number."""
+
+    rows: Tracks
+    delay: int
+
+    def start(self) -> int:
+        return 0
+
+    def extend(self, state, estimates, z, number, dt, model):
+        return number, self.rows.take(self.rows.frame == number - self.delay)
+
+    def flush(self, state, model):
+        return self.rows.take(self.rows.frame > state - self.delay)
+
+    def finish(self, state, model):
+        return self.rows
+
+
+@given(rows=tables, door=st.sampled_from([-1e9, 150.0]), delay=st.integers(0, 9))
+def test_online_the_same_rows_are_believed(rows, door, delay):
+    """With any delay: those that are kept of the corrected tracks, where both are the same rows."""
+    tracks = Tracks.concatenate([table(rows)])
+    associator = Vetted(Told(tracks, delay), Strip(door=door))
+    state, out = run(associator, [states(np.zeros((0, 2)))] * 9)
+    found = Tracks.concatenate([*out, associator.flush(state, MODEL)])
+    equal(replace(found, confirmed=tracks.confirmed), tracks)
+    kept, left = found.take(found.confirmed), associator.finish(state, MODEL)
+    equal(replace(kept, identity=left.identity), left)
