@@ -124,7 +124,9 @@ def learn(
     lessons = Lessons(scene, _picture(stills(source, fps, [1])), born.gain, alarms.gain, born.source, alarms.source)
     page.write_text(scene_page(lessons, lead, use), encoding="utf-8")
     result.say(f"{target}, with its maps in {page}; use it: {use}")
-    result.document({"scene": str(target), "report": str(page), "gain": gains, "births": births, "clutter": clutter})
+    followed = scene.followed.share if scene.followed is not None else None
+    told = {"gain": gains, "births": births, "clutter": clutter, "followed": followed}
+    result.document({"scene": str(target), "report": str(page)} | told)
 
 
 def _one_of(value: str, known: tuple[str, ...], option: str) -> None:

@@ -41,6 +41,7 @@ def scene_page(lessons: Lessons, lead: str, command: str) -> str:
         bare_header(text("What was learned of the scene"), scene.source, lead),
         _part("Births", "expected births per second", scene.births, lessons, scene.rate),
         _part("False alarms", "expected false alarms per frame", scene.clutter, lessons, 1.0),
+        _followed(scene),
         section("How to use it", paragraph(command)),
     ]
     return page(text("Learned scene"), join(body))
@@ -78,7 +79,7 @@ def map_picture(learned: Learned, scene: Scene, image: Image, *, births: bool) -
 
 def _part(title: str, rate: str, learned: Learned | None, lessons: Lessons, per: float) -> Html:
     if learned is None:
-        return section(title, paragraph("Not learned: uniform, as without a scene."))
+        return section(title, paragraph("Not learned: as without a scene."))
     p, births = learned.density, learned is lessons.scene.births
     gain = lessons.births_gain if births else lessons.clutter_gain
     origin = lessons.births_from if births else lessons.clutter_from
@@ -95,6 +96,24 @@ def _part(title: str, rate: str, learned: Learned | None, lessons: Lessons, per:
     return section(
         title, told, table(("", ""), rows), figure(picture, f"Map of {title.lower()}", caption, "wide") or NOTHING
     )
+
+
+def _followed(scene: Scene) -> Html:
+    """What is known of the false alarms that the tracker follows."""
+    if scene.clutter is None:
+        return NOTHING
+    title = "Who is held back"
+    if scene.followed is None:
+        return section(title, paragraph("Nobody: nobody has looked at what of the false alarms the tracker follows."))
+    rows = [
+        ("false alarms that the tracker follows although it knows them", f"{100 * scene.followed.share:.2g} %"),
+        ("detections of objects a frame", f"{scene.followed.objects.rate:.3g}"),
+    ]
+    told = paragraph(
+        "Tracks that stay where false alarms are followed, until they have been where an object is the likelier. "
+        "Who enters there is therefore reported later."
+    )
+    return section(title, told, table(("", ""), rows))
 
 
 def _nats(gain: float) -> str:
