@@ -248,10 +248,9 @@ def build_associator(record: Record, kinds: Mapping[str, str], info: SequenceInf
 
 def build_learning(record: Record, kind: str, info: SequenceInfo) -> Learning[Any]:
     """What learns while tracking; it begins with what the named files know. Raises `InputError` where one does not fit."""
-    settings = record("learn")
     if kind == "none":
-        none: NoLearning = settings
-        return none
+        return NoLearning()
+    settings: LearnSettings = record("learn")
     sensor: BoxSensor = record("sensor")
     size, rate = (float(info.width), float(info.height)), record("time").rate
     wait = settings.wait + record("associate").delay / info.fps
@@ -297,14 +296,13 @@ def _image_birth(record: Record, kind: str, sensor: BoxSensor | PointSensor, siz
         fixed: FixedBirthSettings = record("birth")
         return FixedBirth(_boxes(sensor, fixed.boxes, fixed.rate), fixed.count)
     if kind == "scene":
-        return _scene_birth(record("birth"), size, record("time").rate, sensor.observed)
+        return _scene_birth(record, size, sensor.observed)
     birth: Birth = record("birth", frame_size=size)
     return birth
 
 
-def _scene_birth(
-    settings: SceneBirthSettings, size: tuple[float, float], rate: float, observed: tuple[int, ...]
-) -> ContextBirth:
+def _scene_birth(record: Record, size: tuple[float, float], observed: tuple[int, ...]) -> ContextBirth:
+    settings, rate = record("birth"), record("time").rate
     scene = _scene(settings.file, size)
     if scene.births is None:
         raise InputError("births were not learned in this scene", where=settings.file, cure="Leave birth.kind out")
@@ -323,9 +321,8 @@ def _scene_birth(
         )
     if settings.beside > 0 and len(observed) != 4:
         raise InputError("births beside others are of boxes only", where="birth.beside", cure="Leave it out")
-    return ContextBirth(
-        scene.births.rate, scene.births.density, observed, settings.most, settings.beside, objects_of(scene.followed)
-    )
+    among = objects_of(scene.followed)
+    return ContextBirth(scene.births.rate, scene.births.density, observed, settings.most, settings.beside, among)
 
 
 def _scene(file: str, size: tuple[float, float]) -> Scene:
@@ -355,7 +352,7 @@ def _ground_birth(record: Record, kind: str, person: PlaneSensor, region: Region
         fixed: PlacesBirthSettings = record("birth")
         return FixedBirth(_places(fixed.places), fixed.count)
     if kind == "scene":
-        return _scene_birth(record("birth"), size, record("time").rate, person.observed)
+        return _scene_birth(record, size, person.observed)
     birth: Birth = record("birth", borders=region)
     return birth
 
@@ -368,9 +365,7 @@ def _box_clutter(record: Record, kind: str, size: tuple[float, float]) -> Clutte
             raise InputError("false alarms were not learned in this scene", where=given.file, cure="Leave clutter.kind out")
         return ContextClutter(scene.clutter.rate, scene.clutter.density, given.beside)
     clutter: ClutterSettings = record("clutter")
-    if clutter.volume == "local":
-        return LocalClutter(clutter.rate)
-    return UniformClutter(clutter.rate, image_volume(size))
+    return LocalClutter(clutter.rate) if clutter.volume == "local" else UniformClutter(clutter.rate, image_volume(size))
 
 
 def _ground_clutter(record: Record, region: Region) -> Clutter:
