@@ -84,6 +84,19 @@ def birth_states(z: F8, births: F8, gate: float, model: F8) -> F8:
     return rows
 
 
+@njit(**ENTRY)
+def given_states(density: F8, mean: F8, cov: F8) -> F8:
+    """The same rows of γ̂ (N,), states (d, N) and covariances (N, d, d) that are given."""
+    rows = np.empty((density.size, ROW + 1))
+    for j in range(density.size):
+        for r in range(D):
+            rows[j, r], rows[j, VARIANCE + r] = mean[r, j], cov[j, r, r]
+        for c in range(2):
+            rows[j, MIXED + c] = cov[j, c + 2, c]
+        rows[j, ROW] = density[j]
+    return rows
+
+
 @njit(**INNER)
 def _posteriors(x: F8, p: F8, index: I8, value: F8, found: int, density: F8, out: F8) -> None:
     """Mean and covariance of all posteriors of each measurement, weighed, into ``out``, which holds what it tells alone."""

@@ -204,11 +204,14 @@ def object_boxes(store: LabelStore, table: DetectionTable, stretch: range | None
 
 
 def share_followed(store: LabelStore, tracks: Tracks, stretch: range | None = None) -> float:
-    """The share of the false alarms, marked on frames that were `looked_at`, on which rows of ``tracks`` rest; 0 of none."""
+    """The share of the false alarms on which rows of ``tracks`` rest, of those marked on frames that were `looked_at`.
+
+    By Laplace's rule: (k + 1)/(n + 2) for k of n, because of none of few it is not known that none ever will be.
+    """
     done = set(looked_at(store, stretch))
     false = {pair for pair in _false(store) if pair[0] in done}
     followed = set(zip(tracks.frame.tolist(), tracks.detection.tolist(), strict=True)) & false
-    return len(followed) / max(len(false), 1)
+    return (len(followed) + 1) / (len(false) + 2)
 
 
 def _false(store: LabelStore) -> set[tuple[int, int]]:

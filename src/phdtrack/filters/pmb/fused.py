@@ -9,8 +9,8 @@ import numpy as np
 from phdtrack.bernoullis import Bernoullis, Layer
 from phdtrack.filters.gm_box import BoxModel
 from phdtrack.filters.pmb.update import first_about
-from phdtrack.kernels.pmb_births import birth_states
-from phdtrack.kernels.pmb_rows import MIXED, ROW, VARIANCE
+from phdtrack.kernels.pmb_births import birth_states, given_states
+from phdtrack.kernels.pmb_rows import ROW
 from phdtrack.kernels.pmb_step import Settings, pmb_box_step
 from phdtrack.models.learned_scene import ContextBirth
 from phdtrack.protocols import Sensor
@@ -57,8 +57,5 @@ def fused_step(
 def _about(z: F8, birth: ContextBirth, sensor: Sensor, dt: float) -> F8:
     """Births around each detection as the kernel takes them, see `pmb_births.birth_states`."""
     first = first_about(z, birth, sensor, dt)
-    rows = np.empty((z.shape[1], ROW + 1))
-    rows[:, :VARIANCE], rows[:, ROW] = first.mean.T, first.density
-    rows[:, VARIANCE:MIXED] = np.einsum("nrr->nr", first.covariance)
-    rows[:, MIXED], rows[:, MIXED + 1] = first.covariance[:, 2, 0], first.covariance[:, 3, 1]
+    rows: F8 = given_states(first.density, first.mean, first.covariance)
     return rows
