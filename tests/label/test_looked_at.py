@@ -57,8 +57,8 @@ def test_of_a_stretch_only_its_frames_count(tmp_path):
     )
     assert object_boxes(store, TABLE, range(3, 4)).shape == (4, 0)
     run = resting((2, 0), (4, 0), (5, 2))
-    assert share_followed(store, run, range(4, 6)) == 0.5
-    assert share_followed(store, run, range(3, 4)) == 0
+    assert share_followed(store, run, range(4, 6)) == (1 + 1) / (2 + 2)
+    assert share_followed(store, run, range(3, 4)) == 0.5
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -73,20 +73,20 @@ def test_false_alarms_and_objects_are_all_that_was_detected_there(tmp_path, seed
 def test_nothing_was_looked_at(tmp_path):
     store = marked(tmp_path, *FALSE, looked=())
     assert object_boxes(store, TABLE).shape == false_boxes(store, TABLE).shape == (4, 0)
-    assert share_followed(store, resting((2, 0)), None) == 0
+    assert share_followed(store, resting((2, 0)), None) == 0.5
 
 
 def test_the_share_of_false_alarms_on_which_tracks_rest(tmp_path):
-    """By hand: of three on frames 2 and 4 two are followed; of others, and of objects, nothing is asked."""
+    """By hand: of three on frames 2 and 4 two are followed, (2 + 1)/(3 + 2); of others, and of objects, nothing is asked."""
     store = marked(tmp_path, *FALSE)
-    assert share_followed(store, resting((2, 0), (4, 0), (2, 2), (3, 2), (5, 1))) == pytest.approx(2 / 3)
+    assert share_followed(store, resting((2, 0), (4, 0), (2, 2), (3, 2), (5, 1))) == pytest.approx(3 / 5)
     # Two tracks on one detection count once, rows that rest on none not at all.
-    assert share_followed(store, resting((2, 0), (2, 0), (4, -1))) == pytest.approx(1 / 3)
-    assert share_followed(store, resting(*FALSE)) == 1
-    assert share_followed(store, Tracks.empty()) == 0
+    assert share_followed(store, resting((2, 0), (2, 0), (4, -1))) == pytest.approx(2 / 5)
+    assert share_followed(store, resting(*FALSE)) == pytest.approx(4 / 5)
+    assert share_followed(store, Tracks.empty()) == pytest.approx(1 / 5)
 
 
-def test_where_nothing_is_false_everything_is_an_object_and_nothing_is_followed(tmp_path):
+def test_where_nothing_is_false_everything_is_an_object_and_nobody_knows_what_is_followed(tmp_path):
     store = marked(tmp_path)
     assert object_boxes(store, TABLE).shape == (4, 6)
-    assert share_followed(store, resting((2, 0), (4, 0))) == 0
+    assert share_followed(store, resting((2, 0), (4, 0))) == 0.5
