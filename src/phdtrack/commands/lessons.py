@@ -185,8 +185,6 @@ def watched_tracks(room: Classroom, alarms: Lesson | None, *, marked: bool) -> S
     except InputError as error:
         return Seen(tracks, None, f"no track is held back: {error}")
     followed = Followed(share_followed(store, tracks, room.stretch), objects.learned)
-    if followed.share == 0:
-        return Seen(tracks, followed, "the tracker follows none of the false alarms now that it knows them")
     told = f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it knows them"
     kept = believed(tracks, Odds(alarms.learned, followed))
     return Seen(kept, followed, f"{told}; tracks that stay among them are held back")
