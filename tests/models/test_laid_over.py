@@ -10,8 +10,8 @@ from phdtrack.context import ContextDensity, Followed, Learned, marginal, unifor
 from phdtrack.filters import GMPHD, PMB
 from phdtrack.filters.composed import composed_step
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
-from phdtrack.models.learned_scene import ContextBirth, ContextClutter, around_each, laid_over
-from phdtrack.models.volume import in_neighbourhood, local_volume
+from phdtrack.models.learned_scene import ContextBirth, ContextClutter, laid_over
+from phdtrack.models.volume import local_volume
 from phdtrack.protocols import Model
 from phdtrack.types import SequenceInfo
 
@@ -105,7 +105,7 @@ def test_births_are_as_those_that_were_seen_and_fewer_where_objects_are(rng):
     seen = SENSOR.states(z)
     shown = np.maximum(ContextBirth(1.0, gate()).around(seen, 1.0).density, 0.2 / ANY_BOX.volume)
     alone = ContextBirth(0.01, gate(), beside=0.05).around(seen, 1.0).density
-    np.testing.assert_allclose(alone, 0.05 * around_each(z) * shown * ANY_BOX.volume, rtol=1e-9)
+    np.testing.assert_allclose(alone, 0.05 * LocalClutter(1.0).intensity(z) * shown * ANY_BOX.volume, rtol=1e-9)
     among = ContextBirth(0.01, gate(), beside=0.05, among=square()).around(seen, 1.0).density
     there = np.maximum(square()(z), square().flat)
     np.testing.assert_allclose(among / alone, 1 / (there * ANY_BOX.volume), rtol=1e-9)
@@ -139,16 +139,6 @@ def test_kappa_is_the_sum(rng):
     np.testing.assert_allclose(both, parts[0] + parts[1], rtol=1e-12)
     assert all((part > 0).all() for part in parts)
     assert ContextClutter(3.0, p, beside=0.4).intensity(z[:, :0]).shape == (0,)
-
-
-def test_around_each_adds_up_where_neighbourhoods_overlap(rng):
-    z = np.stack([rng.uniform(0, 150, 40), rng.uniform(0, 150, 40), rng.uniform(15, 40, 40), rng.uniform(30, 90, 40)])
-    near_to = [[j for j in range(40) if in_neighbourhood(z[:, [i]], z[:, [j]])[0]] for i in range(40)]
-    assert max(map(len, near_to)) > 3
-    np.testing.assert_allclose(around_each(z), [(1 / local_volume(z[:, js])).sum() for js in near_to])
-    assert around_each(z[:, :0]).shape == (0,)
-    # Of measurements that show their own noise too the boxes count.
-    np.testing.assert_array_equal(around_each(np.vstack([z, np.ones((4, 40))])), around_each(z))
 
 
 def test_in_single_precision_it_is_the_same(rng):

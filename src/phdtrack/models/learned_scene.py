@@ -225,8 +225,3 @@ def _diagonal(deviation: F8) -> F8:
     cov = np.zeros((n, d, d))
     np.einsum("nrr->nr", cov)[...] = np.square(deviation).T
     return cov
-
-
-def around_each(z: F8) -> F8:
-    """(N,) l(z) = Σ_i 1/V_i over the detections z_i in whose neighbourhood z (m, N) lies, its own included, pixel⁻⁴."""
-    return LocalClutter(1.0).intensity(z)
