@@ -19,7 +19,7 @@ from phdtrack.protocols import Associator, Model
 from phdtrack.types import F8, I8, Bool, Estimates, Tracks
 
 A = TypeVar("A")
-# So many identities are remembered online, those seen last: cameras run for days.
+# So many identities are remembered online, those in view and the newest: cameras run for days.
 KEPT = 10_000
 
 
@@ -32,8 +32,7 @@ class FalseOdds(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class VettedState(Generic[A]):
-    """The associator's state, and of the identities given online (a,) the least odds on their way; those seen last come
-    last."""
+    """The associator's state, and of the identities given online (a,), ascending, the least odds on their way."""
 
     inner: A
     identity: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -72,7 +71,8 @@ class Vetted(Generic[A]):
 
     def _judged(self, state: VettedState[A], rows: Tracks) -> tuple[VettedState[A], Tracks]:
         """The rows with who is not believed unconfirmed; of several frames in their order."""
-        if self._settled(state, rows):
+        # Who is believed stays so, and mostly everybody is.
+        if (_known(state, rows.identity) < 0).all():
             return state, rows
         confirmed = rows.confirmed.copy()
         for frame in np.unique(rows.frame):
@@ -81,20 +81,23 @@ class Vetted(Generic[A]):
             confirmed[here] &= odds < 0
         return state, replace(rows, confirmed=confirmed)
 
-    def _settled(self, state: VettedState[A], rows: Tracks) -> bool:
-        """Whether nothing is to be judged, as who is believed stays so, and nobody's turn to be forgotten comes nearer."""
-        few = len(state.identity) + len(rows) <= KEPT
-        return few and bool(np.isin(rows.identity, state.identity[state.odds < 0]).all())
-
     def _counted(self, state: VettedState[A], rows: Tracks) -> tuple[VettedState[A], F8]:
         """The state with the rows of a frame, and the least odds of each row's identity."""
-        _, known, here = np.intersect1d(state.identity, rows.identity, assume_unique=True, return_indices=True)
-        odds = np.full(len(rows), np.inf)
-        odds[here] = state.odds[known]
-        odds = np.minimum(odds, _odds(rows, np.isinf(odds), self.false))
-        identity = np.concatenate([np.delete(state.identity, known), rows.identity])
-        least = np.concatenate([np.delete(state.odds, known), odds])
-        return VettedState(state.inner, identity[-KEPT:], least[-KEPT:]), odds
+        before = _known(state, rows.identity)
+        odds = np.minimum(before, _odds(rows, np.isinf(before), self.false))
+        others = np.flatnonzero(~np.isin(state.identity, rows.identity))[-max(KEPT - len(rows), 1) :]
+        identity = np.concatenate([state.identity[others], rows.identity])
+        least = np.concatenate([state.odds[others], odds])
+        order = np.argsort(identity)
+        return VettedState(state.inner, identity[order], least[order]), odds
+
+
+def _known(state: VettedState[A], identity: I8) -> F8:
+    """(M,) the least odds so far of these identities; ∞ of those that are not remembered."""
+    if len(state.identity) == 0:
+        return np.full(len(identity), np.inf)
+    place = np.minimum(np.searchsorted(state.identity, identity), len(state.identity) - 1)
+    return np.where(state.identity[place] == identity, state.odds[place], np.inf)
 
 
 def believed(tracks: Tracks, false: FalseOdds) -> Tracks:
