@@ -24,7 +24,7 @@ PHD = "pmb"
 UM, IMAGE, GM, GM_IMAGE = "UM", "UM, image", "GM", "GM, image"
 ABLATIONS = ("A1", "A2", "A3", "A4", "A5", "A6")
 # What the sweep of the uniform model goes through: births a time unit and false alarms a frame, around each detection or
-# over the image. Around detections it is their ratio alone that counts, but for what it costs to draw births.
+# over the image. Around detections their ratio counts most.
 LOCAL_SWEEP = tuple((0.01, rate) for rate in (0.1, 1.0, 3.0, 10.0, 30.0))
 IMAGE_SWEEP = tuple((births, rate) for births in (0.003, 0.03) for rate in (1.0, 10.0, 100.0))
 # Quarters of the stretch, each scored for itself too.
