@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from phdtrack.metrics import pool
 from phdtrack.reproduce import m09_places
 from phdtrack.reproduce.m09_runs import GM, IMAGE, UM
@@ -79,11 +81,10 @@ def _fewer(found: Found) -> str:
 
 def _earlier(found: Found) -> str:
     late = {name: [found.delay(name, run, "inside") for run in (UM, GM)] for name in found.scenes}
+    late = {name: both for name, both in late.items() if np.isfinite(both).all()}
     fine = [name for name, (uniform, learned) in late.items() if learned < uniform]
     each = ", ".join(f"{name} {uniform:.1f} → {learned:.1f}" for name, (uniform, learned) in late.items())
-    return (
-        f"**First output earlier where people enter**: {_of(fine, found.scenes)}; frames after the first detection: {each}"
-    )
+    return f"**First output earlier where people enter**: {_of(fine, late)}; frames after the first detection: {each}"
 
 
 def _best_uniform(found: Found) -> str:
