@@ -1,4 +1,4 @@
-"""The scene's benchmark: both sides have the same rates, and what it compares is finite."""
+"""The scene's benchmark: a scene is laid over the shipped model, and what it compares is finite."""
 
 from __future__ import annotations
 
@@ -9,16 +9,19 @@ from benchmarks.workload import Crowd, draw
 
 from benchmarks import scene
 from phdtrack import config
+from phdtrack.associate.vetted import Vetted
 
 
 def test_the_densities_have_as_many_places_as_said() -> None:
     stream = draw(Crowd(4, 3), 1)
     plain = config.build(config.load(), stream.info)
     for places in scene.CASES:
-        model = scene._learned(plain, (float(stream.info.width), float(stream.info.height)), places).model
+        stages = scene._learned(plain, (float(stream.info.width), float(stream.info.height)), places)
+        model = stages.model
         assert len(model.birth.density) == (places.births or 120)
         assert len(model.clutter.density) == (places.alarms or 224)
-        assert model.birth.expected(np.zeros((4, 0)), 1.0) == scene.BIRTHS
+        assert (model.birth.beside, model.clutter.beside) == (plain.model.birth.rate, plain.model.clutter.rate)
+        assert isinstance(stages.associator, Vetted)
 
 
 def test_ratios_of_a_filter(monkeypatch: pytest.MonkeyPatch) -> None:
