@@ -76,7 +76,7 @@ def test_objects_are_where_they_were_detected_so_many_a_frame():
 def test_too_few_objects_are_told():
     with pytest.raises(InputError, match=r"at least 10 detections of objects on the frames .*, got 9.* Look at more frames"):
         learn_objects(np.ones((4, 9)), 40, SIZE, RecursiveEM())
-    with pytest.raises(InputError, match="expected frames that were looked at, got 0"):
+    with pytest.raises(InputError, match="expected frames on which detections were looked at, got 0"):
         learn_objects(np.ones((4, 20)), 0, SIZE, RecursiveEM())
 
 

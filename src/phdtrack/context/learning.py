@@ -81,9 +81,7 @@ def learn_clutter(
     """
     worth = np.ones(boxes.shape[1]) if weight is None else weight
     _enough(round(float(worth.sum())), "detections marked as false", "Mark more of them")
-    if frames < 1:
-        raise InputError(f"expected frames on which detections were marked, got {frames}", where="learning clutter")
-    return _lesson(_before(boxes, worth, frame_size), boxes, worth, float(worth.sum()) / frames, learner)
+    return _of_boxes(boxes, worth, frames, frame_size, learner)
 
 
 def learn_objects(boxes: F8, frames: int, frame_size: tuple[float, float], learner: RecursiveEM) -> Lesson:
@@ -91,16 +89,20 @@ def learn_objects(boxes: F8, frames: int, frame_size: tuple[float, float], learn
 
     Raises `InputError` where there are fewer than ten boxes, or no frames.
     """
-    one = np.ones(boxes.shape[1])
     _enough(boxes.shape[1], "detections of objects on the frames that were looked at", "Look at more frames")
-    if frames < 1:
-        raise InputError(f"expected frames that were looked at, got {frames}", where="learning objects")
-    return _lesson(_before(boxes, one, frame_size), boxes, one, boxes.shape[1] / frames, learner)
+    return _of_boxes(boxes, np.ones(boxes.shape[1]), frames, frame_size, learner)
 
 
 def box_density(boxes: F8, frame_size: tuple[float, float], learner: RecursiveEM) -> ContextDensity:
     """The density of boxes (4, n) alone, for a picture of it: what it is worth is not asked, which takes the most time."""
     return learner.learn(_before(boxes, np.ones(boxes.shape[1]), frame_size), boxes)
+
+
+def _of_boxes(boxes: F8, worth: F8, frames: int, frame_size: tuple[float, float], learner: RecursiveEM) -> Lesson:
+    """From boxes (4, n) of worth (n,) on so many frames. Raises `InputError` where there are no frames."""
+    if frames < 1:
+        raise InputError(f"expected frames on which detections were looked at, got {frames}", where="learning from boxes")
+    return _lesson(_before(boxes, worth, frame_size), boxes, worth, float(worth.sum()) / frames, learner)
 
 
 def _before(boxes: F8, worth: F8, frame_size: tuple[float, float]) -> ContextDensity:

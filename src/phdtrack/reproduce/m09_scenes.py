@@ -19,7 +19,7 @@ from phdtrack.video import open_source
 RENDERED = ("yard", "garden", "arcade")
 PETS = "PETS09-S2L1"
 REAL = (f"{PETS} change", f"{PETS} frcnn", f"{PETS} public")
-# Seen for the first time when everything was chosen.
+# Nothing was chosen on these.
 HELD_OUT = ("ADL-Rundle-6 frcnn", "KITTI-17 frcnn", "KITTI-17 public")
 FRAMES, SHORT = 20_000, 1_500
 # How far from a place where people enter an object begins that counts as entering there: mean body widths.
