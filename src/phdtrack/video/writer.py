@@ -23,6 +23,9 @@ ENCODERS = (
     "h264_v4l2m2m",
 )
 _LARGEST_DENOMINATOR = 1001
+# x264 paints other pictures with another number of threads, and a rendered scene is to be the same on every machine: so
+# many, whatever the cores are.
+_THREADS = 4
 
 
 class VideoWriter:
@@ -104,7 +107,9 @@ class VideoWriter:
 
 
 def _options(encoder: str, quality: int) -> dict[str, str]:
-    return {"crf": str(quality), "preset": "veryfast"} if encoder == "libx264" else {}
+    if encoder != "libx264":
+        return {}
+    return {"crf": str(quality), "preset": "veryfast", "threads": str(_THREADS)}
 
 
 def _working_encoder(width: int, height: int, rate: Fraction) -> str:
