@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -72,8 +74,9 @@ def test_nobody_and_nothing(rng):
     assert ContextClutter(1.0, marginal(p, (0, 1, 4, 5))).intensity(np.zeros((8, 0))).shape == (0,)
 
 
+@pytest.mark.parametrize("beside", [False, True])
 @pytest.mark.parametrize("scaling", ["particle", "detection", "fixed"])
-def test_as_the_fused_filter_reads_it(scaling: str, rng):
+def test_as_the_fused_filter_reads_it(scaling: str, beside: bool, rng):
     """Densities, means and roots of the velocities are those of `ContextBirth.around` for the sensor's states."""
     low, high = np.array([0.0, 0, -9, -9, 0, 0]), np.array([640.0, 480, 9, 9, 640, 480])
     root = rng.normal(0, 1, (8, 6, 6)) * np.array([30, 30, 1, 1, 5, 5])[:, None]
@@ -82,9 +85,12 @@ def test_as_the_fused_filter_reads_it(scaling: str, rng):
     birth, sensor = ContextBirth(0.3, p), BoxSensor(scaling=scaling)
     z = np.ascontiguousarray(rng.uniform([50, 50, 20, 40], [700, 430, 90, 140], (40, 4)).T)
     state, cov = sensor.states(z)
+    if beside:
+        birth = replace(birth, beside=0.05, among=marginal(replace(p, mean=p.mean[:, ::-1].copy()), (0, 1, 4, 5)))
     expected = birth.around((state, cov), 1.5)
     density, velocity = birth.about(state, sensor.noise(state), 1.5)
     np.testing.assert_allclose(density, expected.density, rtol=1e-5)
+    assert density.max() > 5 * density.min() > 0 or not beside, "places count, and births are everywhere"
     np.testing.assert_allclose(velocity[:2], expected.mean[2:4], rtol=1e-5, atol=1e-5)
     square = np.sqrt(2) * np.linalg.cholesky(expected.covariance[:, 2:4, 2:4])
     np.testing.assert_allclose(velocity[2:], square[:, [0, 1, 1], [0, 0, 1]].T, rtol=1e-5, atol=1e-5)

@@ -67,6 +67,9 @@ MODELS = {
     "scene": Model(BoxMotion(frame_size=SIZE), BoxSensor(), *scene(1)),
     "laid over": Model(BoxMotion(frame_size=SIZE), BoxSensor(), *laid_over(4)),
     "laid over, given": Model(BoxMotion(), BoxSensor(scaling="given"), laid_over(5)[0], LocalClutter(0.4)),
+    "laid over, fixed": Model(BoxMotion(1.2, 2.0, scaled=False), BoxSensor(scaling="fixed"), *laid_over(6)),
+    "clutter laid over": Model(BoxMotion(), BoxSensor(scaling="detection"), LOCAL, laid_over(7)[1]),
+    "beside a scene": Model(BoxMotion(), BoxSensor(), scene(8)[0], laid_over(8)[1]),
     "learned births": Model(BoxMotion(), BoxSensor(scaling="given"), scene(2)[0], LocalClutter(0.4)),
     "learned clutter": Model(BoxMotion(), BoxSensor(scaling="fixed"), LOCAL, scene(3)[1]),
 }

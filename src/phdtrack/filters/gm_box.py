@@ -12,6 +12,7 @@ from phdtrack.kernels import gm_model
 from phdtrack.kernels.gm_model import BoxNumbers
 from phdtrack.kernels.gm_reduce import triangles
 from phdtrack.kernels.gm_step import Limits, box_step
+from phdtrack.kernels.laid_over import scene_about
 from phdtrack.models import (
     BoxMotion,
     BoxSensor,
@@ -23,9 +24,9 @@ from phdtrack.models import (
     UniformClutter,
 )
 from phdtrack.models.births import newborn_shape, region
-from phdtrack.models.learned_scene import Around, ContextBirth, ContextClutter
+from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.models.volume import REACH, SIZES, image_volume
-from phdtrack.protocols import Birth, Clutter, Model, Sensor
+from phdtrack.protocols import Birth, Clutter, Model
 from phdtrack.types import F8, GaussianMixture, UpdateInfo
 
 _SCALINGS = {
@@ -36,6 +37,7 @@ _SCALINGS = {
 }
 _NOBODY = np.zeros((0, 1 + gm_model.D + gm_model.ENTRIES))
 _UNASKED, _NOWHERE = np.zeros(0), np.zeros((0, gm_model.ABOUT))
+_NO_BIRTHS, _NO_CLUTTER = (np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))), (np.zeros(0), np.zeros((0, 0)))
 # The smallest number above 0: at least this is positive.
 _POSITIVE = math.ulp(0.0)
 
@@ -44,14 +46,19 @@ _POSITIVE = math.ulp(0.0)
 class BoxModel:
     """The model over one interval: ``numbers`` (35,), see `gm_model.BoxNumbers`, and what they do not say.
 
-    ``births`` (B, 1 + d + 21) are those that are given: weight, mean and triangle of the covariance of each; ``about`` says
-    γ where it is spread around the detections by place, ``clutter`` κ where it is a density by place.
+    ``births`` (B, 1 + d + 21) are those that are given: weight, mean and triangle of the covariance of each; ``clutter``
+    says κ where it is of one frame's values; ``scene`` is what a scene has taught of births that are spread around the
+    detections by place, and of false alarms, as `kernels.laid_over.scene_about` takes it, None for neither.
     """
 
     numbers: F8
     births: F8
-    clutter: ContextClutter | ScoredClutter | None
-    about: ContextBirth | None = None
+    clutter: ScoredClutter | None = None
+    scene: tuple[F8, F8, F8, F8, F8] | None = None
+
+    def kappa(self, z: F8) -> F8:
+        """(N,) κ at the measurements ``z`` (m, N) as the kernels take it where it is not of the numbers; else (0,)."""
+        return _UNASKED if self.clutter is None else self.clutter.intensity(z)
 
 
 def box_model(model: Model, dt: float) -> BoxModel | None:
@@ -123,9 +130,7 @@ def _in_numbers(
         low=low,
         high=high,
     )
-    scene = false if isinstance(false, ContextClutter) else None
-    about = births if isinstance(births, ContextBirth) and births.beside > 0 else None
-    return BoxModel(np.hstack(numbers), birth[2], scene, about)
+    return BoxModel(np.hstack(numbers), birth[2], scene=_scene(births, false))
 
 
 def _birth(birth: Birth, dt: float) -> tuple[float, float, F8] | None:
@@ -134,7 +139,7 @@ def _birth(birth: Birth, dt: float) -> tuple[float, float, F8] | None:
         return gm_model.NOWHERE, 0.0, _table(birth.mixture, dt)
     if type(birth) is ContextBirth and birth.density.dim == gm_model.D and birth.observed == gm_model.ROWS:
         if birth.beside > 0:
-            return gm_model.PLACES, 0.0, _NOBODY
+            return gm_model.PLACES, float(birth.beside * dt), _NOBODY
         return gm_model.IMAGE, float(birth.flat * dt), _table(birth.given, dt)
     if type(birth) is not MeasurementBirth:
         return None
@@ -148,6 +153,13 @@ def _table(given: GaussianMixture, dt: float) -> F8:
     return np.hstack([given.weight[:, None] * dt, given.mean.T, triangles(np.ascontiguousarray(given.covariance))])
 
 
+def _scene(birth: Birth, clutter: Clutter | None) -> tuple[F8, F8, F8, F8, F8] | None:
+    """`BoxModel.scene`."""
+    births = birth.rows if isinstance(birth, ContextBirth) and birth.beside > 0 else None
+    alarms = clutter.rows if isinstance(clutter, ContextClutter) else None
+    return None if births is None and alarms is None else (*(births or _NO_BIRTHS), *(alarms or _NO_CLUTTER))
+
+
 def _bounds(birth: Birth) -> tuple[gm_model.Box, gm_model.Box]:
     """Where a detection must lie for a birth about it: in the volume that was learned, or any of positive size."""
     if isinstance(birth, ContextBirth):
@@ -157,11 +169,11 @@ def _bounds(birth: Birth) -> tuple[gm_model.Box, gm_model.Box]:
 
 
 def _clutter(clutter: Clutter | None) -> tuple[float, float] | None:
-    """What κ is spread over, and its density or rate; of one that is a density by place nothing. None: κ is given."""
+    """What κ is spread over, and its density or rate, by place that of what is beside. None: κ is given."""
     if clutter is None:
         return gm_model.PLACES, 0.0
     if type(clutter) is ContextClutter:
-        return (gm_model.PLACES, 0.0) if clutter.density.dim == gm_model.M else None
+        return (gm_model.PLACES, float(clutter.beside)) if clutter.density.dim == gm_model.M else None
     if type(clutter) is LocalClutter:
         return gm_model.LOCAL, float(clutter.rate)
     if type(clutter) is UniformClutter:
@@ -175,26 +187,14 @@ def limits(*settings: float) -> F8:
     return np.array(Limits(*settings), dtype=np.float64)
 
 
-def fused_step(
-    state: GaussianMixture, z: F8, box: BoxModel, settings: F8, sensor: Sensor, dt: float
-) -> tuple[GaussianMixture, UpdateInfo]:
-    """A frame of the box model [V06 (24)–(38), Table II]; ``settings`` as `limits` gives them.
-
-    ``sensor`` and ``dt`` are asked for births that are spread around the detections by place.
-    """
-    kappa = _UNASKED if box.clutter is None else box.clutter.intensity(z)
-    about = _NOWHERE if box.about is None else _about(box.about.around(sensor.states(z), dt))
+def fused_step(state: GaussianMixture, z: F8, box: BoxModel, settings: F8) -> tuple[GaussianMixture, UpdateInfo]:
+    """A frame of the box model [V06 (24)–(38), Table II]; ``settings`` as `limits` gives them."""
+    z, about, kappa = np.ascontiguousarray(z), _NOWHERE, box.kappa(z)
+    if box.scene is not None:
+        about, kappa = scene_about(z, about, kappa, box.numbers, *box.scene)
     weight, mean, cov, tag, table, predicted, newborn, mass, vanished, fresh = box_step(
-        state.weight, state.mean, state.covariance, state.tag, np.ascontiguousarray(z), box.births, about, kappa,
-        box.numbers, settings, state.fresh,
+        state.weight, state.mean, state.covariance, state.tag, z, box.births, about, kappa, box.numbers, settings,
+        state.fresh,
     )  # fmt: skip
     evidence, kappa = table
     return GaussianMixture(weight, mean, cov, tag, fresh), UpdateInfo(predicted, newborn, mass, evidence, kappa, vanished)
-
-
-def _about(at: Around) -> F8:
-    """(N, 6) births by place as `gm_step.box_step` takes them."""
-    rows = np.empty((len(at.density), gm_model.ABOUT))
-    rows[:, 0], rows[:, 1:3] = at.density, at.mean[2:4].T
-    rows[:, 3], rows[:, 4], rows[:, 5] = at.covariance[:, 2, 2], at.covariance[:, 3, 2], at.covariance[:, 3, 3]
-    return rows

@@ -173,7 +173,7 @@ class GMPHD:
         settings = limits(
             self.gate, self.region, self.prune, self.merge, self.most, self.redistribute, self.split, self.skip_empty
         )
-        return fused_step(tagged(carried_mixture(state, model)), z, box, settings, model.sensor, dt)
+        return fused_step(tagged(carried_mixture(state, model)), z, box, settings)
 
 
 def tagged(mixture: GaussianMixture) -> GaussianMixture:

@@ -258,6 +258,35 @@ def given_detections(
     return total, x, p
 
 
+@njit(**INNER)
+def uncorrelated(deviation: F8) -> F8:
+    """(n, d, d) covariances of noise with these deviations (d, n)."""
+    d, n = deviation.shape
+    noise = np.empty((n, d, d))
+    for j in range(n):
+        for a in range(d):
+            for c in range(d):
+                noise[j, a, c] = 0.0
+            noise[j, a, a] = deviation[a, j] * deviation[a, j]
+    return noise
+
+
+@njit(**INNER)
+def newborn_velocities(x: F8, p: F8, first: int, second: int) -> F4:
+    """(5, n) of two components of states (d, n), (n, d, d): their means, and the lower triangle that turns a velocity of
+    uniform direction and standard Gaussian amplitude into one of their covariance."""
+    n = x.shape[1]
+    velocity = np.empty((5, n), np.float32)
+    for j in range(n):
+        velocity[0, j], velocity[1, j] = x[first, j], x[second, j]
+        # Amplitude times direction has half the variance an axis.
+        root = np.sqrt(2.0 * p[j, first, first])
+        slope = 2.0 * p[j, second, first] / root
+        velocity[2, j], velocity[3, j] = root, slope
+        velocity[4, j] = np.sqrt(max(2.0 * p[j, second, second] - slope * slope, 0.0))
+    return velocity
+
+
 @njit(**ENTRY)
 def newborn_about(
     state: F8, deviation: F8, scale: float, order: I8, r: int, low: F8, high: F8, flat: float, mean: F8, cov: F8,
@@ -266,25 +295,10 @@ def newborn_about(
     """`given_detections` in one call for noise without correlations, as the fused particle filter reads it.
 
     ``deviation`` (d, n) are its standard deviations; the others are as there. Returns ``scale`` times the densities (n,),
-    and of the two components that are not shown (5, n): their means, and the lower triangle that turns a velocity of
-    uniform direction and standard Gaussian amplitude into one of their covariance.
+    and (5, n) `newborn_velocities` of the two components that are not shown.
     """
-    d, n = state.shape
-    noise = np.empty((n, d, d))
-    for j in range(n):
-        for a in range(d):
-            for c in range(d):
-                noise[j, a, c] = 0.0
-            noise[j, a, a] = deviation[a, j] * deviation[a, j]
-    total, x, p = given_detections(state, noise, order, r, low, high, flat, mean, cov, peak2, reach)
-    density, velocity = np.empty(n, np.float32), np.empty((5, n), np.float32)
-    first, second = order[r], order[r + 1]
-    for j in range(n):
+    total, x, p = given_detections(state, uncorrelated(deviation), order, r, low, high, flat, mean, cov, peak2, reach)
+    density = np.empty(total.size, np.float32)
+    for j in range(total.size):
         density[j] = scale * total[j]
-        velocity[0, j], velocity[1, j] = x[first, j], x[second, j]
-        # Amplitude times direction has half the variance an axis.
-        root = np.sqrt(2.0 * p[j, first, first])
-        slope = 2.0 * p[j, second, first] / root
-        velocity[2, j], velocity[3, j] = root, slope
-        velocity[4, j] = np.sqrt(max(2.0 * p[j, second, second] - slope * slope, 0.0))
-    return density, velocity
+    return density, newborn_velocities(x, p, order[r], order[r + 1])

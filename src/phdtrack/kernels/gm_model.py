@@ -25,7 +25,8 @@ ROWS = (0, 1, 4, 5)
 # Names are floats too, because all numbers are handed over in one array.
 PARTICLE, DETECTION, FIXED, GIVEN = 0.0, 1.0, 2.0, 3.0
 NOWHERE, IMAGE, LOCAL, PLACES = 0.0, 1.0, 2.0, 3.0
-# Of births by place: γ at a measurement, mean and covariance (three numbers) of the velocities there.
+# Of births by place: how many times as many they are at a measurement, mean and covariance (three numbers) of the
+# velocities there.
 ABOUT = 6
 TINY_VARIANCE = 1e-12
 
@@ -53,8 +54,9 @@ class BoxNumbers(NamedTuple):
 
     ``survival`` is p_S^dt, ``frame_*`` 0 where there is no border; ``scaling`` one of the four names above; ``deviation_*``
     those of a newborn velocity, relative to √(wh) or in pixels; ``birth`` and ``clutter`` say what γ and κ are spread over:
-    ``born`` and ``false`` are densities (``IMAGE``), or rates around each detection (``LOCAL``) of 4w²h² pixel⁴; where γ or
-    κ at the measurements is by place (``PLACES``) it is handed in. Other births about one need it from ``low`` to ``high``.
+    ``born`` and ``false`` are densities (``IMAGE``), or rates around each detection (``LOCAL``) of 4w²h² pixel⁴. By place
+    (``PLACES``) both are rates around each too: γ is as many times what is handed in, and what is handed in comes to κ.
+    Births about a measurement need it from ``low`` to ``high``, but for those by place.
     """
 
     dt: float
@@ -237,6 +239,13 @@ def cells(x: float, y: float, half_x: float, half_y: float, scene: Scene) -> tup
     left, right = cell(x - half_x, scene.x0, scene.sx, scene.nx), cell(x + half_x, scene.x0, scene.sx, scene.nx)
     top, bottom = cell(y - half_y, scene.y0, scene.sy, scene.ny), cell(y + half_y, scene.y0, scene.sy, scene.ny)
     return left, right, top, bottom
+
+
+@njit(**INNER)
+def around_each(b: BoxNumbers) -> bool:
+    """Whether anything is spread around each detection."""
+    births = b.birth == LOCAL or b.birth == PLACES
+    return births or b.clutter == LOCAL or (b.clutter == PLACES and b.false > 0.0)
 
 
 @njit(**INNER)

@@ -27,6 +27,7 @@ from phdtrack.kernels.gm_model import (
     D,
     M,
     Scene,
+    around_each,
     box_numbers,
     cells,
     crowding,
@@ -205,7 +206,7 @@ def _births(
     covered, gamma = np.zeros(n), np.empty(n)
     for j in range(n):
         if b.birth == PLACES:
-            gamma[j] = about[scene.order[j], 0]
+            gamma[j] = b.born * crowded[j] * about[scene.order[j], 0]
             continue
         density = b.born * crowded[j] if b.birth == LOCAL else b.born
         gamma[j] = density if possible(b, scene.boxes, j) else 0.0
@@ -222,7 +223,7 @@ def _weighed(
 ) -> tuple[float, int]:
     """The weight of each pair's posterior in the place of its density; their sum, and measurements with κ + C = 0.
 
-    C(z) and κ(z) go to the rows of ``table`` (2, N), as they were measured; ``kappa`` is κ where it is given.
+    C(z) and κ(z) go to the rows of ``table`` (2, N), as they were measured; ``kappa`` comes to κ where that is by place.
     """
     n = order.size
     total, explained, after, vanished = np.zeros(n), np.empty(n), 0.0, 0
@@ -234,7 +235,7 @@ def _weighed(
         if b.clutter == LOCAL:
             clutter *= crowded[j]
         elif b.clutter == PLACES:
-            clutter = kappa[order[j]]
+            clutter = kappa[order[j]] + (clutter * crowded[j] if clutter > 0.0 else 0.0)
         known = clutter + total[j] >= SMALLEST
         explained[j] = 1.0 / (clutter + total[j]) if known else 0.0
         vanished += not known
@@ -297,9 +298,9 @@ def box_step(
     weight, mean, cov, tag : (J,), (d, J), (J, d, d), (J,) the mixture before the frame.
     z : (m, N) measurements.
     births : a mixture of births that is given: (B, 1 + d + 21) weight, mean and triangle of the covariance of each.
-    about : (N, 6) γ at the measurements, and mean and covariance of the velocities there, where the model says that they
-        are given, else (0, 6).
-    kappa : (N,) κ at the measurements where the model says that it is given, else (0,).
+    about : (N, 6) how many times as many births there are at the measurements, and mean and covariance of the velocities
+        there, where the model says that they are by place, else (0, 6).
+    kappa : (N,) what comes to κ at the measurements where the model says that it is by place, else (0,).
     model, settings : the values of `BoxNumbers` and of `Limits`.
     fresh : the next new tag.
 
@@ -327,7 +328,7 @@ def box_step(
     table, missed, after = np.empty((2, n)), 1.0 - b.p_detect, 0.0
     if n > 0:
         scene = sorted_boxes(z)
-        crowded = crowding(scene, b) if b.birth == LOCAL or b.clutter == LOCAL else w
+        crowded = crowding(scene, b) if around_each(b) else w
         index, value, found = paired(x, p, none, old, scene, b, limits.gate, index, value, found)
         if b.birth != NOWHERE:
             used = _births(

@@ -1,7 +1,8 @@
 """First states of new targets where births are given, or learned, for the fused step of the box model.
 
-γ is their Gaussians, and its flat part as Gaussians about the measurements: γ̂(z) sums over all, and the first state has the
-mean and covariance of their posteriors. A kernel of its own, so that only who needs it compiles it.
+By place, they are those around the measurements, with the velocities that were learned. Else γ is their Gaussians, and its
+flat part as Gaussians about the measurements: γ̂(z) sums over all, and the first state has the mean and covariance of their
+posteriors. Kernels of their own, so that only who needs them compiles them.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gm_model import (
     ENTRIES,
     NOWHERE,
+    PLACES,
     ROWS,
     BoxNumbers,
     D,
@@ -26,6 +28,7 @@ from phdtrack.kernels.gm_model import (
     sorted_boxes,
 )
 from phdtrack.kernels.gm_step import DENSITY, FACTOR, PAIR, Y, given, paired
+from phdtrack.kernels.laid_over import births_by_place, clutter_by_place
 from phdtrack.kernels.pmb_rows import MIXED, ROW, VARIANCE, told_alone
 
 F8 = NDArray[np.float64]
@@ -85,16 +88,29 @@ def birth_states(z: F8, births: F8, gate: float, model: F8) -> F8:
 
 
 @njit(**ENTRY)
-def given_states(density: F8, mean: F8, cov: F8) -> F8:
-    """The same rows of γ̂ (N,), states (d, N) and covariances (N, d, d) that are given."""
-    rows = np.empty((density.size, ROW + 1))
-    for j in range(density.size):
+def scene_states(
+    z: F8, births: F8, given: F8, model: F8, bounds: F8, entrances: F8, objects: F8, around: F8, alarms: F8
+) -> tuple[F8, F8]:
+    """What `pmb_step.pmb_box_step` is given of a learned scene at the boxes ``z`` (m, N), in one call.
+
+    ``bounds`` to ``alarms`` are as in `laid_over.scene_about`. Returns rows of what targets are that begin there, behind
+    each how many times as many do (N, 15), ``births`` where they are not by place; and r̄ p(z|c) (N,), ``given`` where false
+    alarms are not.
+    """
+    b = box_numbers(model)
+    if around.size > 0:
+        given = clutter_by_place(z, around, alarms)
+    if b.birth != PLACES:
+        return births, given
+    ratio, x, p = births_by_place(z, b, bounds, entrances, objects)
+    rows = np.empty((ratio.size, ROW + 1))
+    for j in range(ratio.size):
         for r in range(D):
-            rows[j, r], rows[j, VARIANCE + r] = mean[r, j], cov[j, r, r]
+            rows[j, r], rows[j, VARIANCE + r] = x[r, j], p[j, r, r]
         for c in range(2):
-            rows[j, MIXED + c] = cov[j, c + 2, c]
-        rows[j, ROW] = density[j]
-    return rows
+            rows[j, MIXED + c] = p[j, c + 2, c]
+        rows[j, ROW] = ratio[j]
+    return rows, given
 
 
 @njit(**INNER)

@@ -13,7 +13,18 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gm_model import LOCAL, PLACES, BoxNumbers, D, Scene, box_numbers, crowding, possible, sorted_boxes
+from phdtrack.kernels.gm_model import (
+    LOCAL,
+    PLACES,
+    BoxNumbers,
+    D,
+    Scene,
+    around_each,
+    box_numbers,
+    crowding,
+    possible,
+    sorted_boxes,
+)
 from phdtrack.kernels.pmb_rows import MIXED, ROW, VARIANCE, left_alone, moved, paired, taken, told_alone
 from phdtrack.kernels.pmb_update import BELIEVED, Pruning, Survivors, best_of, merged, survivors
 
@@ -112,22 +123,24 @@ def _predicted(exist: F8, first: I8, weight: F8, rows: F8, static: B1, b: BoxNum
 def _densities(scene: Scene, b: BoxNumbers, births: F8, given: F8) -> tuple[F8, F8, F8]:
     """κ, γ̂ and what they are together at the measurements, in the scene's order.
 
-    ``given`` (N,) and ``births`` (N, 15) are in theirs, or of length 0: flat ones.
+    ``given`` (N,) and ``births`` (N, 15) are in theirs, or of length 0: flat ones, or those around each measurement.
     """
     n = len(scene.boxes)
     kappa, born, alone = np.empty(n), np.empty(n), np.empty(n)
-    crowded = crowding(scene, b) if b.birth == LOCAL or b.clutter == LOCAL else alone
+    around = around_each(b)
+    crowded = crowding(scene, b) if around else alone
     for j in range(n):
-        number, near, far = scene.order[j], 1.0, 1.0
-        if b.birth == LOCAL:
-            near = crowded[j]
-        if b.clutter == LOCAL:
-            far = crowded[j]
-        kappa[j] = given[number] if b.clutter == PLACES else b.false * far
-        if len(births) > 0:
+        number, near = scene.order[j], crowded[j] if around else 0.0
+        kappa[j] = b.false * (near if b.clutter == LOCAL or b.clutter == PLACES else 1.0)
+        if b.clutter == PLACES:
+            kappa[j] += given[number]
+        flat = b.p_detect * b.born * (near if b.birth == LOCAL or b.birth == PLACES else 1.0)
+        if b.birth == PLACES:
+            born[j] = flat * births[number, ROW]
+        elif len(births) > 0:
             born[j] = births[number, ROW]
         else:
-            born[j] = b.p_detect * b.born * near if possible(b, scene.boxes, j) else 0.0
+            born[j] = flat if possible(b, scene.boxes, j) else 0.0
         alone[j] = max(kappa[j] + born[j], TINY)
     return kappa, born, alone
 
@@ -281,8 +294,8 @@ def pmb_box_step(
     exist, label, first, weight, mean, cov, static, hidden, best, believed : see `bernoullis.Layer`.
     ended, fresh : see `bernoullis.Bernoullis`.
     z : (m, N) measurements.
-    births : (N, 15) where births are given, see `pmb_births.birth_states`, else (0, 15).
-    given : (N,) κ at the measurements where the model says that it is given, else (0,).
+    births : (N, 15) where births are given, or are by place, see `pmb_births`, else (0, 15).
+    given : (N,) what comes to κ at the measurements where the model says that it is by place, else (0,).
     model, settings : the values of `BoxNumbers` and of `Settings`.
 
     Returns

@@ -30,7 +30,7 @@ import numpy as np
 from phdtrack.checks import NonNegative, PositiveCount, check
 from phdtrack.context import ContextDensity, Followed, Learned, marginal, uniform_density
 from phdtrack.kernels.context_density import COARSE, given_detections, mixture_density, newborn_about
-from phdtrack.kernels.laid_over import laid_births, laid_clutter
+from phdtrack.kernels.laid_over import laid_about, laid_births, laid_clutter
 from phdtrack.models.births import MeasurementBirth, gaussians_about, particles_about
 from phdtrack.models.clutter import LocalClutter
 from phdtrack.models.volume import REACH, SIZES
@@ -108,11 +108,11 @@ class ContextBirth:
 
         ``state`` (d, N) are those at rest, ``deviation`` (d, N) the noise's; velocities as `newborn_about` gives them.
         """
-        scale = self.rate * dt if self.beside == 0 else 1.0
-        density, velocity = newborn_about(state, deviation, scale, *self._table)
         if self.beside > 0:
-            density = self.around((state, _diagonal(deviation)), dt).density.astype(np.float32)
-        return density, velocity
+            laid: tuple[F4, F4] = laid_about(state, deviation, *self._table, *self._among, self.beside * dt, *_NEIGHBOURHOOD)
+            return laid
+        alone: tuple[F4, F4] = newborn_about(state, deviation, self.rate * dt, *self._table)
+        return alone
 
     @cached_property
     def _table(self) -> tuple[I8, int, F8, F8, float, F8, F8, F8, F8]:
@@ -134,6 +134,14 @@ class ContextBirth:
         """p(z|o) as `mixture_density` takes it, nowhere below its uniform part."""
         p = uniform_density(self.shown.low, self.shown.high) if self.among is None else self.among
         return p.low, p.high, np.full(2, p.flat), *p.table
+
+    @cached_property
+    def rows(self) -> tuple[F8, F8, F8]:
+        """The same of boxes as `kernels.laid_over.births_by_place` takes it: bounds, births, objects."""
+        _, _, low, high, flat, *births = self._table
+        among_low, among_high, among_flat, *objects = self._among
+        bounds = np.concatenate([[flat], low, high, among_flat, among_low, among_high])
+        return bounds, np.vstack(births), np.vstack(objects)
 
     @property
     def flat(self) -> float:
@@ -200,6 +208,12 @@ class ContextClutter:
         """The density as `mixture_density` takes it, nowhere below its uniform part."""
         return self.density.low, self.density.high, np.full(2, self.density.flat), *self.density.table
 
+    @cached_property
+    def rows(self) -> tuple[F8, F8]:
+        """The same of boxes as `kernels.laid_over.clutter_by_place` takes it: bounds, and false alarms."""
+        low, high, flat, *alarms = self._table
+        return np.concatenate([[float(self.rate)], flat, low, high]), np.vstack(alarms)
+
 
 def laid_over(model: Model, births: Learned | None, clutter: Learned | None, followed: Followed | None, most: int) -> Model:
     """The model with what a scene has taught, beside its own births and false alarms where these are spread around each
@@ -217,11 +231,3 @@ def laid_over(model: Model, births: Learned | None, clutter: Learned | None, fol
 def objects_of(followed: Followed | None) -> ContextDensity | None:
     """p(z|o), None where it is not known."""
     return None if followed is None else followed.objects.density
-
-
-def _diagonal(deviation: F8) -> F8:
-    """(N, d, d) covariances of noise with these deviations (d, N) and without correlations."""
-    d, n = deviation.shape
-    cov = np.zeros((n, d, d))
-    np.einsum("nrr->nr", cov)[...] = np.square(deviation).T
-    return cov

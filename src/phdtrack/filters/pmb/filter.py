@@ -184,7 +184,7 @@ class PMB:
         settings = settings_of(
             self.least, self.share, self.most, self.merge, self.gate, self.sources, self.firing, self.depth, lost, found
         )
-        return fused_step(state, now, z, box, settings, self.gate, self.depth, model.sensor, dt)
+        return fused_step(state, now, z, box, settings, self.gate, self.depth)
 
 
 def _left_alone(mean: F8, cov: F8, static: I8, sensor: Sensor) -> None:

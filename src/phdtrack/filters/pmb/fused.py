@@ -8,15 +8,12 @@ import numpy as np
 
 from phdtrack.bernoullis import Bernoullis, Layer
 from phdtrack.filters.gm_box import BoxModel
-from phdtrack.filters.pmb.update import first_about
-from phdtrack.kernels.pmb_births import birth_states, given_states
+from phdtrack.kernels.pmb_births import birth_states, scene_states
 from phdtrack.kernels.pmb_rows import ROW
 from phdtrack.kernels.pmb_step import Settings, pmb_box_step
-from phdtrack.models.learned_scene import ContextBirth
-from phdtrack.protocols import Sensor
 from phdtrack.types import F8, UpdateInfo
 
-_UNASKED, _ALONE = np.zeros(0), np.zeros((0, ROW + 1))
+_ALONE = np.zeros((0, ROW + 1))
 
 
 @lru_cache(maxsize=64)
@@ -26,20 +23,16 @@ def settings_of(*settings: float) -> F8:
 
 
 def fused_step(
-    state: Bernoullis, now: Layer, z: F8, box: BoxModel, settings: F8, gate: float, depth: int, sensor: Sensor, dt: float
+    state: Bernoullis, now: Layer, z: F8, box: BoxModel, settings: F8, gate: float, depth: int
 ) -> tuple[Bernoullis, UpdateInfo]:
-    """The targets ``now``, those of ``state`` in the frame's pixels, after a frame of the box model.
-
-    ``sensor`` and ``dt`` are asked for births that are spread around the detections by place.
-    """
-    kappa = _UNASKED if box.clutter is None else box.clutter.intensity(z)
+    """The targets ``now``, those of ``state`` in the frame's pixels, after a frame of the box model."""
     # The kernel is compiled for arrays row by row.
     ordered = np.ascontiguousarray
-    z, births = ordered(z), _ALONE
-    if box.about is not None:
-        births = _about(z, box.about, sensor, dt)
-    elif len(box.births):
-        births = birth_states(z, box.births, gate, box.numbers)
+    z = ordered(z)
+    births = birth_states(z, box.births, gate, box.numbers) if len(box.births) else _ALONE
+    kappa = box.kappa(z)
+    if box.scene is not None:
+        births, kappa = scene_states(z, births, kappa, box.numbers, *box.scene)
     told, name, first, shares, mean, cov, static, origin, ended, fresh, table, total = pmb_box_step(
         now.exist, now.label, now.first, now.weight, ordered(now.mean), ordered(now.covariance), now.static, now.hidden,
         now.best, now.believed, ordered(state.ended), state.fresh, z, births, kappa, box.numbers, settings,
@@ -52,10 +45,3 @@ def fused_step(
     predicted, born, mass, vanished = total.tolist()
     info = UpdateInfo(predicted + born, born, mass, table[0], table[1], int(vanished))
     return Bernoullis((*state.layers[-depth:], layer), ended, fresh), info
-
-
-def _about(z: F8, birth: ContextBirth, sensor: Sensor, dt: float) -> F8:
-    """Births around each detection as the kernel takes them, see `pmb_births.birth_states`."""
-    first = first_about(z, birth, sensor, dt)
-    rows: F8 = given_states(first.density, first.mean, first.covariance)
-    return rows
