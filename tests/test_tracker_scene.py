@@ -33,13 +33,14 @@ ENTRY = np.array([[90.0, 320, 6, 0, 40, 100]]).T, np.diag(np.square([30.0, 40, 2
 BIRTHS = Learned(0.01, ContextDensity(LOW, HIGH, 0.2, np.ones(1), *ENTRY))
 
 
-def tracker_of(held_back: bool = True, **sections) -> Tracker:
+def tracker_of(held_back: bool = True, sure: float = 0.0, **sections) -> Tracker:
     values = {"filter": PARTICLES | {"per_target": 400}, "birth": {"most": 300}} if "particles" in sections else {}
     delay = {"associate": {"delay": sections.get("delay", 0)}}
     stages = config.build(config.overlay(config.load(), values | delay, "a test"), SequenceInfo(*SIZE, 25.0))
     if held_back:
         model = laid_over(stages.model, BIRTHS, CLUTTER, OBJECTS, 300)
-        stages = replace(stages, model=model, associator=Vetted(stages.associator, Odds(CLUTTER, OBJECTS, BIRTHS)))
+        odds = Odds(CLUTTER, OBJECTS, BIRTHS)
+        stages = replace(stages, model=model, associator=Vetted(stages.associator, odds, odds.of_all(sure)))
     return Tracker(stages=stages, seed=3)
 
 
@@ -72,6 +73,17 @@ def test_a_flag_is_nobody_and_who_walks_past_is_somebody(section):
     assert near(corrected, WALK).all()
     assert len(corrected) > 50
     assert set(corrected.identity) == {1}
+
+
+@pytest.mark.parametrize("section", [{}, {"particles": True}], ids=["default", "particles"])
+def test_who_enters_where_nothing_is_false_is_reported_at_once(section):
+    """The walker as soon as there is a state of him; the flag is nobody all the same, and corrected tracks are the same."""
+    trackers = [tracker_of(sure=odds, **section) for odds in (0.0, 0.1)]
+    slow, early = (Tracks.concatenate([*feed(tracker, scans()), tracker.flush()]) for tracker in trackers)
+    first = [int(rows.frame[rows.confirmed & near(rows, WALK)].min()) for rows in (slow, early)]
+    assert first[1] == slow.frame[near(slow, WALK)].min() < first[0]
+    assert not near(early.take(early.confirmed), FLAG).any()
+    assert equal(trackers[0].tracks(), trackers[1].tracks())
 
 
 @pytest.mark.parametrize("section", [{}, {"delay": 3}, {"particles": True}], ids=["default", "delay", "particles"])

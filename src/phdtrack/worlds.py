@@ -160,11 +160,13 @@ class SceneClutterSettings:
 
     ``beside``: false alarms a frame around each detection that come to these, see ContextClutter. ``vet``: tracks that stay
     where false alarms are followed are held back, as far as `phdtrack learn` has seen what is followed (`associate.vetted`).
+    ``sure``: then, too, a live track is confirmed at once where there are so many false alarms for each object, or fewer.
     """
 
     file: str
     beside: NonNegative = 0.0
     vet: bool = True
+    sure: NonNegative = 0.1
 
     def __post_init__(self) -> None:
         check(self)
@@ -243,7 +245,8 @@ def build_associator(record: Record, kinds: Mapping[str, str], info: SequenceInf
     if not given.vet or scene.clutter is None or scene.followed is None:
         return associator
     same = kinds["birth"] == "scene" and record("birth").file == given.file
-    return Vetted(associator, Odds(scene.clutter, scene.followed, scene.births if same else None))
+    odds = Odds(scene.clutter, scene.followed, scene.births if same else None)
+    return Vetted(associator, odds, odds.of_all(given.sure))
 
 
 def build_learning(record: Record, kind: str, info: SequenceInfo) -> Learning[Any]:

@@ -100,6 +100,21 @@ def test_online_rows_are_those_of_the_associator_and_confirmed_where_both_say_so
 
 
 @each
+def test_who_is_surely_an_object_is_confirmed_at_once(inner):
+    """As soon as he has been there, and from then on; the others as before, and so are corrected tracks."""
+    plain, slow = online(inner, STREET), online(Vetted(inner, STRIP), STREET)
+    associator = Vetted(inner, STRIP, sure=-15.0)
+    rows = online(associator, STREET)
+    pairs = zip(rows.identity, rows.frame, strict=True)
+    furthest = np.array([centre(plain.take((plain.identity == i) & (plain.frame <= k))).max() for i, k in pairs])
+    np.testing.assert_array_equal(rows.confirmed, slow.confirmed | (furthest > 350))
+    first = rows.confirmed & ~slow.confirmed
+    assert first.any() == (inner.delay == 0), "who is confirmed by what followed need not be surely"
+    states = (run(a, STREET)[0] for a in (associator, Vetted(inner, STRIP)))
+    equal(*(associator.finish(state, MODEL) for state in states))
+
+
+@each
 def test_corrected_tracks_begin_where_they_are_believed(inner):
     associator = Vetted(inner, STRIP)
     state, _ = run(associator, STREET)

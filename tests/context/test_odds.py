@@ -106,3 +106,18 @@ def test_each_box_is_judged_by_itself(rng):
 def test_a_scene_of_which_only_uniform_parts_are_known_holds_nobody_back():
     odds = Odds(Learned(3.0, uniform_density(LOW, HIGH)), Followed(1.0, Learned(1e-3, uniform_density(LOW, HIGH))))
     assert (odds.log(np.hstack([FLAG, STREET, BEYOND]), np.zeros(3, np.bool_)) < 0).all()
+
+
+@given(odds=st.floats(1e-6, 10), share=st.floats(0.01, 1))
+def test_odds_of_all_false_alarms_are_those_of_all_that_are_followed(odds, share):
+    """Below it are the same places as if every false alarm were followed."""
+    z = np.hstack([FLAG + 0.5 * k for k in range(20)])
+    some, every = (Odds(FLAGS, Followed(part, PEOPLE)) for part in (share, 1.0))
+    no = np.zeros(20, np.bool_)
+    below = every.log(z, no) - np.log(odds)
+    clear = np.abs(below) > 1e-9
+    assert ((some.log(z, no) < some.of_all(odds)) == (below < 0))[clear].all()
+
+
+def test_no_odds_are_low_enough_to_be_sure_where_none_are_asked_for():
+    assert ODDS.of_all(0.0) == -np.inf

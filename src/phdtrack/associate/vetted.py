@@ -4,6 +4,9 @@ Whether a track is a false alarm's or an object's never changes, and false alarm
 track is a false alarm's are those of the place on its way where false alarms are the rarest, and it is believed from the
 first row on at which an object is the likelier. What an object's track tells before is left out, as is what a false alarm's
 told before somebody took it over.
+
+Online, tracks are confirmed after some states, because most of what is seen once or twice is false. Where the scene says
+that it is not, this need not be waited for: who has been where false alarms are rare among objects is confirmed at once.
 """
 
 from __future__ import annotations
@@ -41,10 +44,14 @@ class VettedState(Generic[A]):
 
 @dataclass(frozen=True, slots=True)
 class Vetted(Generic[A]):
-    """An associator whose tracks are believed once they have been where objects are likelier than false alarms."""
+    """An associator whose tracks are believed once they have been where objects are likelier than false alarms.
+
+    ``sure``: the logarithm of the odds below which who is followed online is confirmed at once, before the associator does.
+    """
 
     associator: Associator[A]
     false: FalseOdds
+    sure: float = -np.inf
 
     def start(self) -> VettedState[A]:
         """Nothing seen."""
@@ -53,7 +60,7 @@ class Vetted(Generic[A]):
     def extend(
         self, state: VettedState[A], estimates: Estimates, z: F8, number: int, dt: float, model: Model
     ) -> tuple[VettedState[A], Tracks]:
-        """The online rows, confirmed where the track is believed too."""
+        """The online rows, confirmed where the track is believed too, or is surely an object's."""
         inner, rows = self.associator.extend(state.inner, estimates, z, number, dt, model)
         return self._judged(replace(state, inner=inner), rows)
 
@@ -70,15 +77,16 @@ class Vetted(Generic[A]):
         return self.associator.measured(state.inner)
 
     def _judged(self, state: VettedState[A], rows: Tracks) -> tuple[VettedState[A], Tracks]:
-        """The rows with who is not believed unconfirmed; of several frames in their order."""
+        """The rows, confirmed or not as their tracks' odds say; of several frames in their order."""
         # Who is believed stays so, and mostly everybody is.
-        if (_known(state, rows.identity) < 0).all():
-            return state, rows
+        known = _known(state, rows.identity)
+        if ((known < self.sure) | (rows.confirmed & (known < 0))).all():
+            return state, replace(rows, confirmed=np.ones(len(rows), np.bool_))
         confirmed = rows.confirmed.copy()
         for frame in np.unique(rows.frame):
             here = np.flatnonzero(rows.frame == frame)
             state, odds = self._counted(state, rows.take(here))
-            confirmed[here] &= odds < 0
+            confirmed[here] = (odds < self.sure) | (confirmed[here] & (odds < 0))
         return state, replace(rows, confirmed=confirmed)
 
     def _counted(self, state: VettedState[A], rows: Tracks) -> tuple[VettedState[A], F8]:

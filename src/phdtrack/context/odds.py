@@ -7,11 +7,15 @@ takes for somebody although it knows κ, and with T(z), the density per frame of
 false alarm are F(z)/T(z). For who is followed for the first time births count too, as people are then where they come in: as
 many detections as people bring, all in all, spread as p(z|b).
 
+λ is of those that were followed for long. Of all false alarms, those that are seen once as well, the odds are F/(λ T): where
+these are small, whoever is seen for the first time is somebody.
+
 This is ours, not M09's, whose κ is that of alarms which come and go alone.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -44,6 +48,11 @@ class Odds:
             true[first] += objects.rate * self._entered(np.ascontiguousarray(z[:, first]))
         out: F8 = np.log(np.maximum(false, _TINY)) - np.log(np.maximum(true, _TINY))
         return out
+
+    def of_all(self, odds: float) -> float:
+        """log F/T where those of any false alarm, F/(λ T), are ``odds``; −∞ for 0."""
+        share = self.followed.share
+        return math.log(odds * share) if odds * share > 0 else -math.inf
 
     @cached_property
     def _entered(self) -> ContextDensity | None:

@@ -110,8 +110,15 @@ class Found:
 
     def delay(self, scene: str, run: str, where: str) -> float:
         """Mean delay over all objects and seeds, ``inside`` or ``outside`` the places where people enter; NaN of nobody."""
-        each = [delay for one in self.runs(scene, run) for delay in getattr(one, where)]
+        each = [delay for one in self.runs(scene, run) for delay in getattr(one, where).values()]
         return float(np.mean(each)) if each else float("nan")
+
+    def delayed(self, scene: str) -> tuple[float, float, int, int]:
+        """Of those who enter and whom UM and GM both find: mean delays of both, how many each finds, over all seeds."""
+        pairs = [(a.inside, b.inside) for a, b in zip(self.runs(scene, UM), self.runs(scene, GM), strict=True)]
+        both = np.array([(a[who], b[who]) for a, b in pairs for who in a.keys() & b.keys()]).reshape(-1, 2)
+        late = both.mean(axis=0) if len(both) else np.full(2, np.nan)
+        return float(late[0]), float(late[1]), sum(len(a) for a, _ in pairs), sum(len(b) for _, b in pairs)
 
     def sweep(self, scene: str, run: str) -> dict[tuple[float, float], Scores]:
         """Scores of the uniform model by its rates, of the first seed."""
@@ -278,8 +285,10 @@ def _delays(found: Found) -> str:
             each = found.runs(scene, run)
             counts = (round(float(np.mean([len(getattr(one, where)) for one in each]))) for where in ("inside", "outside"))
             late = (number(found.delay(scene, run, where)) for where in ("inside", "outside"))
-            rows.append((scene, run, *late, *counts))
-    return table(("scene", "run", "delay inside", "outside", "people found, inside", "outside"), rows)
+            live = (float(np.mean([getattr(one.live, score) for one in each])) for score in ("MOTA", "false_positives"))
+            rows.append((scene, run, *late, *counts, next(live), round(next(live))))
+    header = ("scene", "run", "delay inside", "outside", "people found, inside", "outside", "live MOTA", "live false boxes")
+    return table(header, rows)
 
 
 def _sweep(found: Found) -> str:

@@ -37,6 +37,8 @@ MARKED = 40
 NOBODY, SOMEBODY = 0.3, 0.5
 MOST = 500
 """The shipped most particles a detection."""
+SURE = 0.1
+"""The shipped false alarms for an object where who is seen is confirmed at once, `SceneClutterSettings.sure`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +97,8 @@ def told(stages: AnyStages, births: Learned | None, clutter: Learned | None, see
     model = laid_over(stages.model, births, clutter, seen, MOST)
     if clutter is None or seen is None:
         return replace(stages, model=model)
-    return replace(stages, model=model, associator=Vetted(stages.associator, Odds(clutter, seen, births)))
+    odds = Odds(clutter, seen, births)
+    return replace(stages, model=model, associator=Vetted(stages.associator, odds, odds.of_all(SURE)))
 
 
 def own_births(tracks: Tracks, case: Case, rate: float) -> Lesson | None:

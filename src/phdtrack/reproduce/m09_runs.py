@@ -50,15 +50,17 @@ class Outcome:
     Attributes
     ----------
     scores : of the corrected tracks.     blocks : of the same in a quarter of the stretch each.
-    inside, outside : delay of each object found, frames from its first detection to its first confirmed online row; of
-        those who are first detected where people enter, and elsewhere.
+    live : scores of the confirmed online rows.
+    inside, outside : delay of each object found, by its identity: frames from its first detection to its first confirmed
+        online row; of those who are first detected where people enter, and elsewhere.
     seconds : a frame took.
     """
 
     scores: Scores
     blocks: tuple[Scores, ...]
-    inside: tuple[float, ...]
-    outside: tuple[float, ...]
+    live: Scores
+    inside: dict[int, float]
+    outside: dict[int, float]
     seconds: float
 
 
@@ -69,8 +71,8 @@ def work(job: Job) -> Outcome:
     run = followed(stages_of(job, case.info), case, job.course.seed)
     online = run.online.take(np.flatnonzero(run.online.confirmed))
     inside, outside = delays(case, online, halved.entries)
-    scores = evaluate(case.truth, run.corrected, frames=case.info.frames)
-    return Outcome(scores, blocks(case, run.corrected), inside, outside, run.seconds)
+    scores, live = (evaluate(case.truth, tracks, frames=case.info.frames) for tracks in (run.corrected, online))
+    return Outcome(scores, blocks(case, run.corrected), live, inside, outside, run.seconds)
 
 
 def blocks(case: Case, tracks: Tracks) -> tuple[Scores, ...]:
@@ -135,16 +137,16 @@ def uniform_of(run: str, model: Model, scene: Taught, train: Case) -> Model:
     return replace(model, birth=birth, clutter=clutter)
 
 
-def delays(case: Case, tracks: Tracks, entries: F8) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def delays(case: Case, tracks: Tracks, entries: F8) -> tuple[dict[int, float], dict[int, float]]:
     """Frames from first detection to first row of the objects first detected inside and outside of ``entries`` (n, 4)."""
     found = first_output_delays(case.truth, tracks, case.table)
-    inside: list[float] = []
-    outside: list[float] = []
-    for identity, frame, delay in zip(found.identity, found.detected, found.delay, strict=True):
+    inside: dict[int, float] = {}
+    outside: dict[int, float] = {}
+    for identity, frame, delay in zip(found.identity.tolist(), found.detected.tolist(), found.delay, strict=True):
         if np.isfinite(delay):
-            within = entered(case.truth, int(identity), int(frame), entries)
-            (inside if within else outside).append(float(delay))
-    return tuple(inside), tuple(outside)
+            within = entered(case.truth, identity, frame, entries)
+            (inside if within else outside)[identity] = float(delay)
+    return inside, outside
 
 
 def entered(truth: Truth, identity: int, frame: int, entries: F8) -> bool:

@@ -80,11 +80,12 @@ def _fewer(found: Found) -> str:
 
 
 def _earlier(found: Found) -> str:
-    late = {name: [found.delay(name, run, "inside") for run in (UM, GM)] for name in found.scenes}
-    late = {name: both for name, both in late.items() if np.isfinite(both).all()}
-    fine = [name for name, (uniform, learned) in late.items() if learned < uniform]
-    each = ", ".join(f"{name} {uniform:.1f} → {learned:.1f}" for name, (uniform, learned) in late.items())
-    return f"**First output earlier where people enter**: {_of(fine, late)}; frames after the first detection: {each}"
+    late = {name: found.delayed(name) for name in found.scenes}
+    late = {name: both for name, both in late.items() if np.isfinite(both[0])}
+    fine = [name for name, (uniform, learned, _, _) in late.items() if learned < uniform]
+    each = ", ".join(f"{name} {a:.1f} → {b:.1f} (found: {m} → {n})" for name, (a, b, m, n) in late.items())
+    told = "frames after the first detection, of those whom both find"
+    return f"**First output earlier where people enter**: {_of(fine, late)}; {told}: {each}"
 
 
 def _best_uniform(found: Found) -> str:
