@@ -292,9 +292,8 @@ def test_delays_are_compared_of_those_whom_both_find(found: m09.Found) -> None:
     changed = dataclasses.replace(found, outcomes=found.outcomes | {job: late})
     assert changed.delayed("garden") == (6.0, 4.0, 1, 2)
     assert changed.delay("garden", GM, "inside") == 47.0
-    assert np.isnan(
-        dataclasses.replace(changed, outcomes=changed.outcomes | {job: replace(late, inside={7: 90.0})}).delayed("garden")[0]
-    )
+    alone = dataclasses.replace(late, inside={7: 90.0})
+    assert np.isnan(dataclasses.replace(changed, outcomes=changed.outcomes | {job: alone}).delayed("garden")[0])
 
 
 def test_the_papers_findings_are_confirmed_or_not(found: m09.Found) -> None:
