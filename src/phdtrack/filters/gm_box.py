@@ -56,10 +56,6 @@ class BoxModel:
     clutter: ScoredClutter | None = None
     scene: tuple[F8, F8, F8, F8, F8] | None = None
 
-    def kappa(self, z: F8) -> F8:
-        """(N,) κ at the measurements ``z`` (m, N) as the kernels take it where it is not of the numbers; else (0,)."""
-        return _UNASKED if self.clutter is None else self.clutter.intensity(z)
-
 
 def box_model(model: Model, dt: float) -> BoxModel | None:
     """The model in numbers, where its parts are shipped ones that the kernel knows; None where any is another's.
@@ -189,9 +185,11 @@ def limits(*settings: float) -> F8:
 
 def fused_step(state: GaussianMixture, z: F8, box: BoxModel, settings: F8) -> tuple[GaussianMixture, UpdateInfo]:
     """A frame of the box model [V06 (24)–(38), Table II]; ``settings`` as `limits` gives them."""
-    z, about, kappa = np.ascontiguousarray(z), _NOWHERE, box.kappa(z)
+    z, about, kappa = np.ascontiguousarray(z), _NOWHERE, _UNASKED
     if box.scene is not None:
-        about, kappa = scene_about(z, about, kappa, box.numbers, *box.scene)
+        about, kappa = scene_about(z, box.numbers, *box.scene)
+    if box.clutter is not None:
+        kappa = box.clutter.intensity(z)
     weight, mean, cov, tag, table, predicted, newborn, mass, vanished, fresh = box_step(
         state.weight, state.mean, state.covariance, state.tag, z, box.births, about, kappa, box.numbers, settings,
         state.fresh,

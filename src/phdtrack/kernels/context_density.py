@@ -19,6 +19,8 @@ I8 = NDArray[np.int64]
 # precision are drawn, e^-16, 1e-7.
 NEGLIGIBLE, COARSE = 30.0, 16.0
 BATCH = 96
+# Components of a box.
+BOX = 4
 
 
 @njit(**VECTOR)
@@ -36,6 +38,18 @@ def _distances2(x: F8, j: int, mean: F8, whiten: F8, step: F8, row: F8, out: F8)
                 row[m] += whiten[r * (r + 1) // 2 + s, m] * step[s, m]
         for m in range(out.size):
             out[m] += row[m] * row[m]
+
+
+@njit(**VECTOR)
+def _box_distances2(x: F8, j: int, mean: F8, whiten: F8, out: F8) -> None:
+    """The same of four components, as boxes have them, in one loop: few Gaussians are not worth the start of many."""
+    for m in range(out.size):
+        a, b = x[0, j] - mean[0, m], x[1, j] - mean[1, m]
+        c, d = x[2, j] - mean[2, m], x[3, j] - mean[3, m]
+        first, second = whiten[0, m] * a, whiten[1, m] * a + whiten[2, m] * b
+        third = whiten[3, m] * a + whiten[4, m] * b + whiten[5, m] * c
+        fourth = whiten[6, m] * a + whiten[7, m] * b + whiten[8, m] * c + whiten[9, m] * d
+        out[m] = first * first + second * second + third * third + fourth * fourth
 
 
 @njit(**ENTRY)
@@ -57,7 +71,10 @@ def mixture_density(x: F8, scale: float, low: F8, high: F8, flat: F8, mean: F8, 
         if out[j] < 0.0:
             out[j] = scale * flat[1]
             continue
-        _distances2(x, j, mean, whiten, step, row, distance2)
+        if d == BOX:
+            _box_distances2(x, j, mean, whiten, distance2)
+        else:
+            _distances2(x, j, mean, whiten, step, row, distance2)
         for m in range(many):
             log = log_peak[m] - 0.5 * distance2[m]
             if log > cut:
@@ -72,6 +89,16 @@ def _beyond(place: float, noise: float, a: int, mean: F8, cov: F8, reach: F8, ou
     for m in range(reach.size):
         step = place - mean[a, m]
         out[m] = max(out[m], step * step - reach[m] * (cov[a * (a + 3) // 2, m] + noise))
+
+
+@njit(**VECTOR)
+def _beyond_box(z: F8, r: F8, mean: F8, cov: F8, reach: F8, out: F8) -> None:
+    """All of it of four components ``z`` with variances ``r`` (4,), in one loop: few Gaussians are not worth more."""
+    for m in range(reach.size):
+        a, b, c, d = z[0] - mean[0, m], z[1] - mean[1, m], z[2] - mean[2, m], z[3] - mean[3, m]
+        far = max(a * a - reach[m] * (cov[0, m] + r[0]), b * b - reach[m] * (cov[2, m] + r[1]))
+        far = max(far, max(c * c - reach[m] * (cov[5, m] + r[2]), d * d - reach[m] * (cov[9, m] + r[3])))
+        out[m] = max(far, -reach[m])
 
 
 @njit(**VECTOR)
@@ -137,13 +164,22 @@ def _eliminated(work: F8, r: int, d: int, inverse: F8, factor: F8, peak2: F8, di
 
 @njit(**INNER)
 def _felt(
-    x: F8, noise: F8, j: int, order: I8, r: int, mean: F8, cov: F8, reach: F8, far: F8, which: I8, of: I8, count: int
-) -> int:
-    """Put detection ``j`` with the Gaussians that no component alone puts out of its reach behind the pairs; how many."""
-    for m in range(reach.size):
-        far[m] = -reach[m]
-    for a in range(r):
-        _beyond(x[order[a], j], noise[j, order[a], order[a]], a, mean, cov, reach, far)
+    x: F8, noise: F8, j: int, order: I8, r: int, mean: F8, cov: F8, reach: F8, far: F8, shown: F8, which: I8, of: I8,
+    count: int,
+) -> int:  # fmt: skip
+    """Put detection ``j`` with the Gaussians that no component alone puts out of its reach behind the pairs; how many.
+
+    ``far`` (M,) and ``shown`` (2, r) are scratch.
+    """
+    if r == BOX:
+        for a in range(r):
+            shown[0, a], shown[1, a] = x[order[a], j], noise[j, order[a], order[a]]
+        _beyond_box(shown[0], shown[1], mean, cov, reach, far)
+    else:
+        for m in range(reach.size):
+            far[m] = -reach[m]
+        for a in range(r):
+            _beyond(x[order[a], j], noise[j, order[a], order[a]], a, mean, cov, reach, far)
     for m in range(reach.size):
         which[count], of[count] = m, j
         count += not far[m] > 0.0
@@ -231,7 +267,7 @@ def given_detections(
     (n,) densities; (d, n), (n, d, d) states and covariances with those of what is not shown.
     """
     (d, n), many = state.shape, reach.size
-    x, p, total, far = state.copy(), noise.copy(), np.empty(n), np.empty(many)
+    x, p, total, far, shown = state.copy(), noise.copy(), np.empty(n), np.empty(many), np.empty((2, r))
     # Several detections at a time: loops over few Gaussians are not worth their start.
     room = many + BATCH
     work, which, of = np.empty((d * (d + 3) // 2, room)), np.empty(room, np.int64), np.empty(room, np.int64)
@@ -239,8 +275,8 @@ def given_detections(
     _uniform(x, p, order, r, flat, total)
     count = 0 * n
     for j in range(n):
-        count = _felt(state, noise, j, order, r, mean, cov, reach, far, which, of, count)
-        if count < BATCH and j < n - 1:
+        count = _felt(state, noise, j, order, r, mean, cov, reach, far, shown, which, of, count)
+        if count == 0 or (count < BATCH and j < n - 1):
             continue
         _gathered(state, noise, order, r, mean, cov, which, of, count, work)
         for k in range(count):

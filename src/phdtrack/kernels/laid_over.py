@@ -153,11 +153,13 @@ def births_by_place(z: F8, b: BoxNumbers, bounds: F8, births: F8, objects: F8) -
 
 @njit(**INNER)
 def clutter_by_place(z: F8, bounds: F8, alarms: F8) -> F8:
-    """(N,) r̄ p(z|c) at boxes ``z`` (4 or more, N).
+    """(N,) r̄ p(z|c) at boxes ``z`` (4 or more, N); (0,) where it was not learned.
 
     ``alarms`` (15, M) are as objects are in `births_by_place`; ``bounds`` (11,): the rate, what is flat, twice, low and
-    high.
+    high; not learned: (0,).
     """
+    if bounds.size == 0:
+        return np.empty(0)
     out: F8 = mixture_density(
         z, bounds[0], bounds[3 : 3 + M], bounds[3 + M :], bounds[1:3], alarms[:M], alarms[M : MIXTURE_ROWS - 1],
         alarms[MIXTURE_ROWS - 1],
@@ -166,21 +168,16 @@ def clutter_by_place(z: F8, bounds: F8, alarms: F8) -> F8:
 
 
 @njit(**ENTRY)
-def scene_about(
-    z: F8, about: F8, kappa: F8, model: F8, bounds: F8, entrances: F8, objects: F8, around: F8, alarms: F8
-) -> tuple[F8, F8]:
+def scene_about(z: F8, model: F8, bounds: F8, entrances: F8, objects: F8, around: F8, alarms: F8) -> tuple[F8, F8]:
     """What `gm_step.box_step` is given of a learned scene at the boxes ``z`` (m, N), in one call.
 
     ``bounds``, ``entrances`` and ``objects`` are those of `births_by_place`, ``around`` and ``alarms`` those of
-    `clutter_by_place`, of length 0 where false alarms were not learned. Returns how many times as many births there are,
-    with the velocities (N, 6), ``about`` where births are not by place; and r̄ p(z|c) (N,), ``kappa`` where false alarms are
-    not.
+    `clutter_by_place`. Returns how many times as many births there are, with the velocities (N, 6), (0, 6) where births are
+    not by place; and r̄ p(z|c) (N,), (0,) where false alarms are not.
     """
-    b = box_numbers(model)
-    if around.size > 0:
-        kappa = clutter_by_place(z, around, alarms)
+    b, kappa = box_numbers(model), clutter_by_place(z, around, alarms)
     if b.birth != PLACES:
-        return about, kappa
+        return np.empty((0, ABOUT)), kappa
     ratio, x, p = births_by_place(z, b, bounds, entrances, objects)
     rows = np.empty((ratio.size, ABOUT))
     for j in range(ratio.size):

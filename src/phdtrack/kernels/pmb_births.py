@@ -88,20 +88,15 @@ def birth_states(z: F8, births: F8, gate: float, model: F8) -> F8:
 
 
 @njit(**ENTRY)
-def scene_states(
-    z: F8, births: F8, given: F8, model: F8, bounds: F8, entrances: F8, objects: F8, around: F8, alarms: F8
-) -> tuple[F8, F8]:
+def scene_states(z: F8, model: F8, bounds: F8, entrances: F8, objects: F8, around: F8, alarms: F8) -> tuple[F8, F8]:
     """What `pmb_step.pmb_box_step` is given of a learned scene at the boxes ``z`` (m, N), in one call.
 
     ``bounds`` to ``alarms`` are as in `laid_over.scene_about`. Returns rows of what targets are that begin there, behind
-    each how many times as many do (N, 15), ``births`` where they are not by place; and r̄ p(z|c) (N,), ``given`` where false
-    alarms are not.
+    each how many times as many do (N, 15), (0, 15) where they are not by place; and r̄ p(z|c) as is there.
     """
-    b = box_numbers(model)
-    if around.size > 0:
-        given = clutter_by_place(z, around, alarms)
+    b, given = box_numbers(model), clutter_by_place(z, around, alarms)
     if b.birth != PLACES:
-        return births, given
+        return np.empty((0, ROW + 1)), given
     ratio, x, p = births_by_place(z, b, bounds, entrances, objects)
     rows = np.empty((ratio.size, ROW + 1))
     for j in range(ratio.size):

@@ -13,7 +13,7 @@ from phdtrack.kernels.pmb_rows import ROW
 from phdtrack.kernels.pmb_step import Settings, pmb_box_step
 from phdtrack.types import F8, UpdateInfo
 
-_ALONE = np.zeros((0, ROW + 1))
+_UNASKED, _ALONE = np.zeros(0), np.zeros((0, ROW + 1))
 
 
 @lru_cache(maxsize=64)
@@ -28,11 +28,13 @@ def fused_step(
     """The targets ``now``, those of ``state`` in the frame's pixels, after a frame of the box model."""
     # The kernel is compiled for arrays row by row.
     ordered = np.ascontiguousarray
-    z = ordered(z)
-    births = birth_states(z, box.births, gate, box.numbers) if len(box.births) else _ALONE
-    kappa = box.kappa(z)
+    z, births, kappa = ordered(z), _ALONE, _UNASKED
     if box.scene is not None:
-        births, kappa = scene_states(z, births, kappa, box.numbers, *box.scene)
+        births, kappa = scene_states(z, box.numbers, *box.scene)
+    if len(box.births):
+        births = birth_states(z, box.births, gate, box.numbers)
+    if box.clutter is not None:
+        kappa = box.clutter.intensity(z)
     told, name, first, shares, mean, cov, static, origin, ended, fresh, table, total = pmb_box_step(
         now.exist, now.label, now.first, now.weight, ordered(now.mean), ordered(now.covariance), now.static, now.hidden,
         now.best, now.believed, ordered(state.ended), state.fresh, z, births, kappa, box.numbers, settings,
