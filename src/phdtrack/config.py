@@ -21,7 +21,7 @@ import itertools
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -36,13 +36,15 @@ from phdtrack.grouped import GroupStages
 from phdtrack.groups import Grouping
 from phdtrack.kinds import DECIDING, FITTING, FROM_SEQUENCE, MISFITS, SECTIONS
 from phdtrack.presets import FILTERED, PRESETS, UNFILTERED, USUAL
-from phdtrack.protocols import AnyStages, Stages
+from phdtrack.protocols import AnyStages, NoLearning, Stages
 from phdtrack.types import SequenceInfo
 
 Values = dict[str, Any]
 
 # The share of the weight of a person just missed that a Gaussian must have to count as one: E13's 0.25 of 0.297.
 _MISSED = 0.84
+# Seconds that a run remembers of whose tracks only the newest rows count: longer than anybody is out of sight.
+_KEPT = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,10 +191,13 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     values = settings.sections.get("filter", {}).get("initial", [])
     initial = worlds.initial_mixture(kinds, record, values) if values else None
     size = (float(info.width), float(info.height))
-    learning = worlds.build_learning(record, kinds["learn"], info)
-    learning = worlds.build_rates(record, kinds["rates"], model, learning, info)
+    rates = worlds.build_rates(record, kinds["rates"], model, NoLearning(), info)
     parts = record("filter", initial=initial, frame_size=size), record("extract"), associator
-    return Stages(model, *parts, learning, record("blobs"), refiner=record("refine"))
+    stages = Stages(model, *parts, rates, record("blobs"), refiner=record("refine"))
+    if kinds["learn"] == "none":
+        return stages
+    scene = worlds.build_learning(record, replace(stages, associator=replace(record("associate"), remember=_KEPT)), info)
+    return replace(stages, learning=worlds.build_rates(record, kinds["rates"], model, scene, info))
 
 
 def seen_by(settings: Settings, detector: str) -> Settings:

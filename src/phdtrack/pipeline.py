@@ -177,6 +177,22 @@ def run(
         yield state, step
 
 
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """The same frames once more, by ``stages`` of their own."""
+
+    stages: AnyStages
+
+    def start(self) -> TrackingState:
+        """Before the first frame."""
+        return start(self.stages, np.random.default_rng(0))
+
+    def advance(self, state: TrackingState, step: Step) -> tuple[TrackingState, Step]:
+        """What these stages make of the detections that ``step`` took in; chance is that of the frame's number."""
+        rng = np.random.default_rng(step.number)
+        return advance(self.stages, state, step.detections, step.number, step.time, rng)
+
+
 def finish(stages: AnyStages, state: TrackingState, looks: Mapping[int, F4] = NOT_LOOKED) -> Tracks:
     """The corrected tracks of everything seen so far, refined by its measurements.
 

@@ -18,7 +18,7 @@ from phdtrack.blobs import Expected
 from phdtrack.context import ContextDensity
 from phdtrack.context.evidence import Evidence
 from phdtrack.context.modes import Mode
-from phdtrack.context.online import Followed, Relearned
+from phdtrack.context.online import Knowledge, Relearned
 from phdtrack.context.part import Part
 from phdtrack.context.recent import Recent
 from phdtrack.context.sightings import Sightings
@@ -75,7 +75,7 @@ _RECORDS: dict[str, type[Any]] = {
         Successive,
         Moments,
         Noise,
-        Followed,
+        Knowledge,
         Relearned,
         Mode,
         Part,

@@ -36,7 +36,8 @@ from phdtrack.models.followed_scene import FollowScene
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter, objects_of
 from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, area, check_region
 from phdtrack.models.volume import Volume, image_area, image_volume
-from phdtrack.protocols import Associator, Birth, Camera, Clutter, Learning, Model, NoLearning
+from phdtrack.pipeline import Beside
+from phdtrack.protocols import AnyStages, Associator, Birth, Camera, Clutter, Learning, Model
 from phdtrack.rates import RatesSettings
 from phdtrack.types import F8, GaussianMixture, SequenceInfo
 
@@ -242,26 +243,23 @@ def build_associator(record: Record, kinds: Mapping[str, str], info: SequenceInf
         return associator
     given: SceneClutterSettings = record("clutter")
     scene = _scene(given.file, (float(info.width), float(info.height)))
-    if not given.vet or scene.clutter is None or scene.followed is None:
+    if not given.vet or scene.clutter is None or scene.followed is None or not scene.followed.share:
         return associator
     same = kinds["birth"] == "scene" and record("birth").file == given.file
     odds = Odds(scene.clutter, scene.followed, scene.births if same else None)
     return Vetted(associator, odds, odds.of_all(given.sure))
 
 
-def build_learning(record: Record, kind: str, info: SequenceInfo) -> Learning[Any]:
-    """What learns while tracking; it begins with what the named files know. Raises `InputError` where one does not fit."""
-    if kind == "none":
-        return NoLearning()
+def build_learning(record: Record, alone: AnyStages, info: SequenceInfo) -> FollowScene:
+    """What learns the scene from what ``alone`` makes of it. Raises `InputError` where a file to begin with does not fit."""
     settings: LearnSettings = record("learn")
-    sensor: BoxSensor = record("sensor")
     size, rate = (float(info.width), float(info.height)), record("time").rate
     wait = settings.wait + record("associate").delay / info.fps
-    rule = Following(*size, rate, 60 * settings.memory, wait, sensor.detection, settings.switch)
+    rule = Following(*size, rate, 60 * settings.memory, wait, record("sensor").detection, settings.switch)
     scenes = tuple(_scene(file, size) for file in _scene_files(settings.file))
     if any(scene.births is not None and scene.rate != rate for scene in scenes):
         raise InputError(f"births were not learned with {rate:g} time units a second", where=settings.file)
-    return FollowScene(rule, settings.most, scenes, clock(settings.schedule, settings.starts))
+    return FollowScene(rule, alone.model, Beside(alone), settings.most, scenes, clock(settings.schedule, settings.starts))
 
 
 def build_rates(record: Record, kind: str, model: Model, beside: Learning[Any], info: SequenceInfo) -> Learning[Any]:

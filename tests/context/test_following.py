@@ -9,8 +9,10 @@ from phdtrack.boxes import to_xyxy
 from phdtrack.context import ContextDensity, Learned
 from phdtrack.context.clock import clock
 from phdtrack.context.evidence import Evidence
-from phdtrack.context.modes import Mode, alike, best
+from phdtrack.context.modes import Lesson, Mode, alike, asked, best, taught
+from phdtrack.context.modes import judged as judged_by
 from phdtrack.context.part import MOST, Batch, Part
+from phdtrack.context.prior import PRIOR
 from phdtrack.context.recent import Recent, relearned, thinned
 from phdtrack.context.samples import measurement_volume, state_volume
 from phdtrack.context.verdict import Look, Watch, judged
@@ -245,7 +247,8 @@ def mode(name, place, rng, clock=100.0):
     part = Part.unknown(LOW, HIGH)
     for k in range(20):
         part = part.taught(batch(boxes(place, 20, rng)), float(k), 60.0)
-    return Mode(name, Part.unknown(*state_volume(640, 360, 20)), replace(part, trusted=True), clock)
+    births, objects = Part.unknown(*state_volume(640, 360, 20)), Part.unknown(LOW, HIGH)
+    return Mode(name, births, replace(part, trusted=True), objects, clock)
 
 
 def test_the_mode_that_explains_what_comes_is_chosen_and_a_tie_changes_nothing():
@@ -278,3 +281,78 @@ def test_modes_by_time_of_day():
     ):
         with pytest.raises(InputError, match=words):
             clock(schedule, start)
+
+
+# Births against detections of objects
+
+
+WALK = np.array([320.0, 180, 30, 80])
+
+
+def walkers(n, rng):
+    """First states, or boxes with velocities of people anywhere along the image's middle."""
+    box = boxes(WALK, n, rng)
+    box[0] = rng.uniform(20, 620, n)
+    return box
+
+
+def states(box):
+    return np.stack([box[0], box[1], np.zeros(box.shape[1]), np.zeros(box.shape[1]), box[2], box[3]])
+
+
+def lived(entered, rounds, rng):
+    """A mode after so many lessons of 40 boxes of people and 4 births where ``entered`` says."""
+    unknown = Part.unknown(*state_volume(640, 360, 20)), Part.unknown(LOW, HIGH), Part.unknown(LOW, HIGH)
+    now, nothing = Mode("day", *unknown), Batch(np.zeros((4, 0)), np.zeros(0), 25, 25.0)
+    for _ in range(rounds):
+        lesson = Lesson(batch(states(entered(4, rng))), nothing, batch(walkers(40, rng)), 1.0)
+        now = taught(judged_by(asked(now, lesson, 60.0)), lesson, 60.0)
+    return now
+
+
+def door(n, rng):
+    return boxes(np.array([40.0, 180, 30, 80]), n, rng)
+
+
+def test_births_are_used_where_people_come_in_otherwise_than_they_are():
+    rng = np.random.default_rng(12)
+    at_door, anywhere = lived(door, 25, rng), lived(walkers, 25, rng)
+    assert at_door.births_used
+    # At the door births have a deviation of 3 pixels, and on 600 pixels of the way people are anywhere: log(600/12.4).
+    assert at_door.births.evidence.mean == pytest.approx(np.log(600 / 12.4), abs=1.5)
+    assert not anywhere.births_used
+    assert anywhere.births.evidence.mean < 0.2
+    # The door is closed, and a dozen people come in anywhere.
+    nothing = Batch(np.zeros((4, 0)), np.zeros(0), 25, 25.0)
+    lesson = Lesson(batch(states(walkers(12, rng))), nothing, nothing, 1.0)
+    assert not judged_by(asked(at_door, lesson, 60.0)).births_used
+
+
+def test_births_are_not_used_before_it_is_known_where_objects_are():
+    rng = np.random.default_rng(13)
+    known = lived(door, 25, rng)
+    alone = replace(known, objects=Part.unknown(LOW, HIGH))
+    assert known.used.births is not None
+    assert alone.births.trusted
+    assert alone.used.births is None
+    assert alone.humble.entering is None
+
+
+def after(rng, n):
+    """What is used of false alarms after two lessons of ``n`` boxes of a place."""
+    part = Part.unknown(LOW, HIGH)
+    for now in (1.0, 2.0):
+        part = part.taught(batch(boxes(PLACES[0], n, rng)), now, 60.0)
+    return Mode("day", Part.unknown(*state_volume(640, 360, 20)), part, Part.unknown(LOW, HIGH)).humble.clutter
+
+
+def test_what_is_used_is_no_surer_than_its_samples():
+    rng = np.random.default_rng(14)
+    few, many = (after(rng, n) for n in (6, 12))
+    for learned, n in ((few, 12), (many, 24)):
+        assert learned.samples == n
+        assert learned.density.uniform >= PRIOR / (n + PRIOR)
+        wide = np.sqrt(np.diag(learned.density.covariance[0])) / (0.1 * np.tile(PLACES[0, 2:], 2))
+        # All are of one component: (n + 1)/(n − 6) of their covariance.
+        assert 0.6 * np.sqrt((n + 1) / (n - 6)) < wide.mean() < 2 * np.sqrt((n + 1) / (n - 6))
+    assert few.density.covariance[0, 0, 0] > many.density.covariance[0, 0, 0]

@@ -62,7 +62,7 @@ def tracked(info: SequenceInfo, table: DetectionTable, *sets: str) -> Run:
     course, state = [], pipeline.start(stages, rng)
     for number, time, seen in frames:
         state, _ = pipeline.advance(stages, state, seen, number, time, rng)
-        last = None if state.learned is None else state.learned.followed.last
+        last = None if state.learned is None else state.learned.known.last
         if last is not None and (not course or last is not course[-1]):
             course.append(last)
     return Run(pipeline.finish(stages, state), state.learned, course)

@@ -153,7 +153,7 @@ def test_rates_and_a_scene_are_learned_beside_each_other():
     for number in range(1, 120):
         found = Detections.of(place + rng.normal(size=(5, 4)), rng.random(5))
         state, _ = pipeline.advance(built, state, found, number, number / 25, rng)
-    assert state.learned.beside.followed.last is not None
+    assert state.learned.beside.known.last is not None
     assert state.learned.learned.known.frames > 0
 
 

@@ -38,7 +38,7 @@ class LearningCompanion:
 
     def take(self, step: Step, intensity: object) -> None:
         """Take down what this frame taught."""
-        last = self._steps.learned.followed.last
+        last = self._steps.learned.known.last
         if last is not None and last.number == step.number:
             self._told.append(last)
 
@@ -54,9 +54,9 @@ class LearningCompanion:
 
     def _modes(self) -> list[Mode]:
         """All that know something, the active one first."""
-        followed = self._steps.learned.followed
-        others = [mode for k, mode in enumerate(followed.modes) if k != followed.active]
-        return [mode for mode in (followed.mode, *others) if len(mode.births.density) or len(mode.clutter.density)]
+        known = self._steps.learned.known
+        others = [mode for k, mode in enumerate(known.modes) if k != known.active]
+        return [mode for mode in (known.mode, *others) if mode.trusted]
 
     def drawing(self, directory: RunDirectory, *, pictures: bool) -> AbstractContextManager[Draw]:
         """There is no video of it."""

@@ -1,8 +1,8 @@
 """What a density is worth, from samples that it was asked about before it learned them (prequentially).
 
-The gain of a sample is log p(x) + log V, nats above the uniform density over the volume V. Its mean over the recent samples,
-with the standard error of that mean, decides between the two: a difference of less than two standard errors decides nothing,
-so that what was chosen stays chosen.
+The gain of a sample is log p(x) − log q(x), nats above another density: of false alarms the uniform one over the volume, of
+births that of objects' detections. Its mean over the recent samples, with the standard error of that mean, decides between
+the two: a difference of less than two standard errors decides nothing, so that what was chosen stays chosen.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Evidence:
 
     @property
     def for_it(self) -> bool:
-        """Whether the density explains what comes better than the uniform one."""
+        """Whether the density explains what comes better than the other one."""
         return self.count >= FEWEST and self.mean > ERRORS * self.error
 
     @property

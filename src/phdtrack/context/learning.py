@@ -19,6 +19,7 @@ import numpy as np
 from phdtrack.context.batch_em import parameters
 from phdtrack.context.density import ContextDensity
 from phdtrack.context.learner import LEAST_UNIFORM, RecursiveEM, grid
+from phdtrack.context.prior import of_the_next
 from phdtrack.context.samples import measurement_volume, state_volume
 from phdtrack.context.scene_file import Learned
 from phdtrack.errors import InputError
@@ -115,7 +116,7 @@ def _lesson(start: ContextDensity, samples: F8, worth: F8, rate: float, learner:
     shown = np.where(np.isnan(samples), start.low[:, None], samples)
     counts = start.contains(shown)
     inside, worth = np.ascontiguousarray(samples[:, counts]), worth[counts]
-    density = _learned(start, inside, worth, learner)
+    density = of_the_next(learner.learn(start, inside, worth), float(worth.sum()))
     unseen, log_ratio = _unseen(start, inside, worth, learner)
     gain = math.nan
     if len(unseen) >= 2 and worth[unseen].sum() > 0:
@@ -134,23 +135,12 @@ def _unseen(start: ContextDensity, samples: F8, worth: F8, learner: RecursiveEM)
         out = complete[fold::_FOLD]
         others = np.delete(np.arange(samples.shape[1]), out)
         if len(out) and worth[others].sum() > 0:
-            tried = _learned(start, np.ascontiguousarray(samples[:, others]), worth[others], learner)
+            left = learner.learn(start, np.ascontiguousarray(samples[:, others]), worth[others])
+            tried = of_the_next(left, float(worth[others].sum()))
             parts = tried.parts(np.ascontiguousarray(samples[:, out]))[1:]
             log_ratio.append(np.logaddexp.reduce(parts, axis=0) - math.log((1 - tried.uniform) / start.volume))
             left_out.append(out)
     return np.concatenate(left_out), np.concatenate(log_ratio)
-
-
-def _learned(start: ContextDensity, samples: F8, worth: F8, learner: RecursiveEM) -> ContextDensity:
-    """What the samples tell of the next one [G13 §3.6].
-
-    After n samples in d dimensions of a Gaussian that is not known the next one has Student's density with n − d degrees of
-    freedom. The Gaussian nearest to that has its covariance, (n + 1)/(n − d − 2) times that of the samples. A component
-    explains more than τ of them, so that it exists.
-    """
-    p = learner.learn(start, samples, worth)
-    n = np.maximum(float(worth.sum()) * (1 - p.uniform) * p.weight, parameters(p.dim) / 2)
-    return replace(p, covariance=p.covariance * ((n + 1) / (n - p.dim - 2))[:, None, None])
 
 
 def _share(log_ratio: F8, worth: F8) -> float:

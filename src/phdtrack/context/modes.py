@@ -1,10 +1,10 @@
 """Several states of one scene side by side, such as day and night: each with its own births and false alarms.
 
-One is active: it is in use, and it learns. What comes is asked of all of them before it is learned, and the gains above the
-uniform density (`evidence`) decide which one is active: another one where it explains what comes better by 0.2 nats a
-sample and by two standard errors of both; a new one, which begins with a fifth of what the active one knows, where that one
-explains it worse than it used to, by one nat and three standard errors, and no other explains it better. Two that explain
-each other's samples as well as their own are one.
+One is active: it is in use, and it learns. What comes is asked of all of them before it is learned, and the gains
+(`evidence`) decide which one is active: another one where it explains what comes better by 0.2 nats a sample and by two
+standard errors of both; a new one, which begins with a fifth of what the active one knows, where that one explains it worse
+than it used to, by one nat and three standard errors, and no other explains it better. Two that explain each other's samples
+as well as their own are one.
 """
 
 from __future__ import annotations
@@ -12,10 +12,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from phdtrack.context.evidence import ERRORS, FEWEST, Evidence
+from phdtrack.context.humble import Humble, humble
 from phdtrack.context.part import Batch, Part
 
 # Nats a sample by which another mode must be better; below which two are the same; that one must have lost.
@@ -28,14 +30,34 @@ _YOUNG = 1 / 8
 _ENOUGH = 100
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Mode:
-    """One state of the scene: its ``name``, what it knows, and for how many seconds it was active (``clock``)."""
+    """One state of the scene: its ``name``, what it knows of births, of false alarms and of detections of objects, and for
+    how many seconds it was active (``clock``)."""
 
     name: str
     births: Part
     clutter: Part
+    objects: Part
     clock: float = 0.0
+
+    @cached_property
+    def humble(self) -> Humble:
+        """What it knows, as it is used."""
+        return humble(self.births, self.clutter, self.objects)
+
+    @property
+    def used(self) -> Humble:
+        """What of it is in use: births and false alarms that are trusted, and objects."""
+        known = self.humble
+        return Humble(
+            known.births if self.births_used else None, known.clutter if self.clutter.trusted else None, known.objects
+        )
+
+    @property
+    def births_used(self) -> bool:
+        """Whether births are in use: they are trusted, and it is known where objects are."""
+        return self.births.trusted and len(self.objects.density) > 0
 
     @property
     def evidence(self) -> Evidence:
@@ -61,28 +83,31 @@ class Mode:
     @property
     def trusted(self) -> bool:
         """Whether anything of it is in use."""
-        return self.births.trusted or self.clutter.trusted
+        return self.births_used or self.clutter.trusted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lesson:
-    """What the last ``seconds`` taught: births and false alarms."""
+    """What the last ``seconds`` taught: births, false alarms, detections of objects."""
 
     births: Batch
     clutter: Batch
+    objects: Batch
     seconds: float
 
 
 def asked(mode: Mode, lesson: Lesson, memory: float) -> Mode:
     """With the evidence of samples that it has not learned; ``memory`` in seconds."""
-    return replace(mode, births=mode.births.asked(lesson.births, memory), clutter=mode.clutter.asked(lesson.clutter, memory))
+    entering = mode.humble.entering
+    births = mode.births if entering is None else mode.births.asked(lesson.births, memory, entering)
+    return replace(mode, births=births, clutter=mode.clutter.asked(lesson.clutter, memory))
 
 
 def taught(mode: Mode, lesson: Lesson, memory: float) -> Mode:
     """After learning them."""
     now = mode.clock + lesson.seconds
     births, clutter = mode.births.taught(lesson.births, now, memory), mode.clutter.taught(lesson.clutter, now, memory)
-    return replace(mode, births=births, clutter=clutter, clock=now)
+    return replace(mode, births=births, clutter=clutter, objects=mode.objects.taught(lesson.objects, now, memory), clock=now)
 
 
 def judged(mode: Mode) -> Mode:
@@ -92,7 +117,7 @@ def judged(mode: Mode) -> Mode:
 
 def forked(mode: Mode, name: str) -> Mode:
     """A new mode that begins with some of what another one knows."""
-    return Mode(name, mode.births.forked(), mode.clutter.forked())
+    return Mode(name, mode.births.forked(), mode.clutter.forked(), mode.objects.forked())
 
 
 def unlearned(mode: Mode, seconds: float) -> Mode:
@@ -102,7 +127,7 @@ def unlearned(mode: Mode, seconds: float) -> Mode:
     def part(it: Part) -> Part:
         return replace(it, recent=it.recent.take(it.recent.time <= until), evidence=Evidence())
 
-    return replace(mode, births=part(mode.births), clutter=part(mode.clutter))
+    return replace(mode, births=part(mode.births), clutter=part(mode.clutter), objects=part(mode.objects))
 
 
 def best(evidence: Sequence[Evidence], active: int) -> int:

@@ -2,7 +2,12 @@
 
 Frames wait until it is known what became of their detections (`verdict`). Every so often those that are due are judged, and
 what they teach is asked of every mode, then learned by the active one (`modes`), with a memory of some minutes (`part`,
-`recent`). What explains new samples worse than a uniform density is not used until it explains them better (`evidence`).
+`recent`). Beside births and false alarms it is learned where objects are detected at all: boxes that are no false alarms.
+
+**The guard.** What explains new samples no better than what would be used without it is not used until it does (`evidence`).
+Of births that is p(z|b) against p(z|o), by which they are laid over those that are shipped (`models.learned_scene`): the
+likelihood of the new ones, as there are as many of either. False alarms come to those that are shipped, which are no density
+over the image; whether anything is known of where they come is asked against the uniform one. Out of use is as shipped.
 
 Everything is a value: a state goes in and comes out, and the same frames give the same state.
 """
@@ -18,7 +23,7 @@ from phdtrack.context import modes as mode_by
 from phdtrack.context.modes import Lesson, Mode
 from phdtrack.context.part import Batch, Part
 from phdtrack.context.samples import measurement_volume, state_volume
-from phdtrack.context.scene_file import Scene
+from phdtrack.context.scene_file import Followed, Learned, Scene
 from phdtrack.context.verdict import Verdict, Watch, judged, look_of
 from phdtrack.types import Step
 
@@ -65,8 +70,9 @@ class Relearned:
     ----------
     mode : name of the mode that learns (day, night).
     births, clutter : their rates: births per time unit, false alarms per frame.
-    birth_gain, clutter_gain : nats by which samples that were not learned yet were likelier than under a uniform density.
-    births_used, clutter_used : whether what was learned is in use; otherwise the model is that without learning.
+    birth_gain, clutter_gain : nats by which samples that were not learned yet were likelier than under another density: as
+        detections of objects, and under a uniform one.
+    births_used, clutter_used : whether what was learned is in use; otherwise that part of the model is as without learning.
     said : what has changed, in sentences; mostly nothing.
     """
 
@@ -83,7 +89,7 @@ class Relearned:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Followed:
+class Knowledge:
     """What is known of a scene, and the frames that wait; ``learned``: when something was last learned, ``last``: what."""
 
     modes: tuple[Mode, ...]
@@ -98,12 +104,12 @@ class Followed:
         return self.modes[self.active]
 
 
-def begin(rule: Following, scenes: tuple[Scene, ...] = ()) -> Followed:
+def begin(rule: Following, scenes: tuple[Scene, ...] = ()) -> Knowledge:
     """Knowing nothing, or what was learned before: each scene is a mode, the first of them is active."""
-    return Followed(tuple(_mode(rule, scene) for scene in scenes) or (_new(rule, FIRST),))
+    return Knowledge(tuple(_mode(rule, scene) for scene in scenes) or (_new(rule, FIRST),))
 
 
-def named(rule: Following, state: Followed, name: str) -> Followed:
+def named(rule: Following, state: Knowledge, name: str) -> Knowledge:
     """With the mode of this name active; a new one where there is none."""
     names = [mode.name for mode in state.modes]
     if name in names:
@@ -111,13 +117,13 @@ def named(rule: Following, state: Followed, name: str) -> Followed:
     return replace(state, modes=(*state.modes, _new(rule, name)), active=len(names))
 
 
-def advance(rule: Following, state: Followed, step: Step) -> Followed:
+def advance(rule: Following, state: Knowledge, step: Step) -> Knowledge:
     """Take in one frame, and learn where it is time to. Frames that nobody observed teach nothing."""
     begun = step.time if math.isnan(state.learned) else state.learned
     if step.detections.observed:
         watch = state.watch
         watch = Watch((*watch.looks, look_of(step)), watch.place, watch.met, watch.sightings)
-        state = Followed(state.modes, state.active, watch, state.learned, state.last)
+        state = Knowledge(state.modes, state.active, watch, state.learned, state.last)
     if step.time < begun + rule.interval(state.mode.clock) or not state.watch.looks:
         return state if state.learned == begun else replace(state, learned=begun)
     watch, verdict = judged(state.watch, step.time - rule.wait, rule.detection, rule.rate)
@@ -127,14 +133,15 @@ def advance(rule: Following, state: Followed, step: Step) -> Followed:
 
 def _lesson(rule: Following, verdict: Verdict) -> Lesson:
     """A verdict as samples, births per time unit, false alarms per frame."""
-    possible = verdict.false > 0
+    possible, seen = verdict.false > 0, verdict.false < 1
     per_second = verdict.frames / verdict.seconds
     births = Batch(verdict.births, np.ones(verdict.births.shape[1]), verdict.seconds * rule.rate, rule.rate)
     clutter = Batch(verdict.box[:, possible], verdict.false[possible], verdict.frames, per_second)
-    return Lesson(births, clutter, verdict.seconds)
+    objects = Batch(verdict.box[:, seen], 1 - verdict.false[seen], verdict.frames, per_second)
+    return Lesson(births, clutter, objects, verdict.seconds)
 
 
-def _learned(rule: Following, state: Followed, lesson: Lesson, step: Step) -> Followed:
+def _learned(rule: Following, state: Knowledge, lesson: Lesson, step: Step) -> Knowledge:
     """Ask all modes, choose one, and have it learn."""
     before = state.mode
     every = tuple(mode_by.asked(mode, lesson, rule.memory) for mode in state.modes)
@@ -190,10 +197,13 @@ def _merged(modes: tuple[Mode, ...], active: int, said: list[str]) -> tuple[tupl
 def _turned(before: Mode, now: Mode) -> list[str]:
     """What is in use now and was not, or no longer is."""
     said = []
-    for what, old, new in (("births", before.births, now.births), ("false alarms", before.clutter, now.clutter)):
+    for what, old, new, than in (
+        ("births", before.births, now.births, "as any detection of an object"),
+        ("false alarms", before.clutter, now.clutter, "under uniform ones"),
+    ):
         if new.trusted != old.trusted:
-            gain = f"the last samples are {new.newest.mean:+.2f} nats likelier than under uniform ones"
-            said.append(f"learned {what} {'in use' if new.trusted else 'out of use: uniform ones instead'} ({gain})")
+            gain = f"the last samples are {new.newest.mean:+.2f} nats likelier than {than}"
+            said.append(f"learned {what} {'in use' if new.trusted else 'out of use: as without learning'} ({gain})")
     return said
 
 
@@ -207,7 +217,7 @@ def _told(mode: Mode, step: Step, said: tuple[str, ...]) -> Relearned:
         clutter.rate,
         births.evidence.mean,
         clutter.evidence.mean,
-        births.trusted,
+        mode.births_used,
         clutter.trusted,
         said,
     )
@@ -217,26 +227,41 @@ def _new(rule: Following, name: str) -> Mode:
     """A mode that knows nothing. Births may be as fast as the image is wide in a second."""
     fastest = max(rule.width, rule.height) / rule.rate
     births = Part.unknown(*state_volume(rule.width, rule.height, fastest))
-    return Mode(name, births, Part.unknown(*measurement_volume(rule.width, rule.height)))
+    boxes = Part.unknown(*measurement_volume(rule.width, rule.height))
+    return Mode(name, births, boxes, boxes)
 
 
 def _mode(rule: Following, scene: Scene) -> Mode:
     """What was learned before. False alarms a second are those of 25 frames, until frames are counted."""
     new = _new(rule, str(scene.notes.get("mode", FIRST)))
-    births = new.births if scene.births is None else Part.of(scene.births, rule.memory, rule.rate)
-    clutter = new.clutter if scene.clutter is None else Part.of(scene.clutter, rule.memory, 25.0)
-    return replace(new, births=births, clutter=clutter)
+    objects = None if scene.followed is None else scene.followed.objects
+    return replace(
+        new,
+        births=_known(new.births, scene.births, rule.memory, rule.rate),
+        clutter=_known(new.clutter, scene.clutter, rule.memory, 25.0),
+        objects=_known(new.objects, objects, rule.memory, 25.0),
+    )
+
+
+def _known(unknown: Part, learned: Learned | None, memory: float, rate: float) -> Part:
+    """The part of a mode that nothing is ``unknown`` of, with what was learned before; any size may come."""
+    if learned is None:
+        return unknown
+    part = Part.of(learned, memory, rate)
+    return replace(part, density=replace(part.density, low=unknown.density.low, high=unknown.density.high))
 
 
 def scene_of(rule: Following, mode: Mode, source: str) -> Scene:
-    """What a mode knows, as it is written to a file; parts that no sample was learned of are left out."""
-    births, clutter = mode.births, mode.clutter
+    """What of a mode is in use, as it is written to a file. Which false alarms are followed nobody has seen."""
+    used = mode.used
+    followed = None if used.objects is None else Followed(0.0, used.objects)
     return Scene(
         round(rule.width),
         round(rule.height),
         rule.rate,
         source,
-        births.learned if len(births.density) else None,
-        clutter.learned if len(clutter.density) else None,
+        used.births,
+        used.clutter,
         {"mode": mode.name},
+        followed,
     )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from phdtrack.context.density import ContextDensity, uniform_density
 from phdtrack.context.evidence import Evidence
+from phdtrack.context.learner import LEAST_UNIFORM
 from phdtrack.context.recent import OLDEST, Recent, relearned, thinned
 from phdtrack.context.scene_file import Learned
 from phdtrack.types import F8
@@ -44,8 +46,8 @@ class Part:
     ----------
     density : what was learned; the uniform one at first.     recent : of what.
     amount, exposure : samples and the time in which they came, both fading: their ratio is the rate.
-    evidence : for the density against the uniform one, of the last samples; ``usual`` : of those of the memory; ``newest`` :
-        of the last batch.
+    evidence : for the density against another one, of the last samples; ``usual`` : of those of the memory; ``newest`` : of
+        the last batch.
     trusted : whether it is in use.
     """
 
@@ -67,10 +69,11 @@ class Part:
     def of(cls, learned: Learned, memory: float, rate: float) -> Part:
         """What was learned before, as if it had come within the ``memory`` (s) before now; ``rate`` as of `Batch`.
 
-        Draws of the density stand for its samples.
+        Draws of its Gaussians stand for the samples: the uniform part is mostly what nobody has seen (`context.prior`).
         """
         count = max(1, min(_PRIOR, learned.samples))
-        drawn = learned.density.sample(count, np.random.default_rng(0))
+        seen = replace(learned.density, uniform=LEAST_UNIFORM) if len(learned.density) else learned.density
+        drawn = seen.sample(count, np.random.default_rng(0))
         amount = learned.rate * memory * rate
         recent = Recent(drawn, np.full(count, amount / count), np.zeros(count))
         return cls(learned.density, recent, amount, memory * rate, trusted=True)
@@ -80,23 +83,26 @@ class Part:
         """s̄ or r̄, 0 before anything was seen."""
         return self.amount / self.exposure if self.exposure > 0 else 0.0
 
-    @property
-    def learned(self) -> Learned:
-        """As it is written to a file."""
-        return Learned(self.rate, self.density, len(self.recent))
+    def asked(self, batch: Batch, memory: float, gain: Callable[[F8], F8] | None = None) -> Part:
+        """With the evidence of a batch that it has not learned.
 
-    def asked(self, batch: Batch, memory: float) -> Part:
-        """With the evidence of a batch that it has not learned."""
+        ``gain`` tells by how many nats samples (d, k) are likelier than under another density; None: the uniform one.
+        """
         inside = self.density.contains(batch.samples)
         samples, weight = batch.samples[:, inside], batch.weight[inside]
-        gain = self.density.log(samples) + math.log(self.density.volume)
+        ahead = self.above_uniform(samples) if gain is None else gain(samples)
         lasting = memory * batch.rate * self.rate
         return replace(
             self,
-            evidence=self.evidence.seen(gain, weight, max(_LASTING, _PART * lasting)),
-            usual=self.usual.seen(gain, weight, max(_LASTING, lasting)),
-            newest=Evidence().seen(gain, weight, math.inf),
+            evidence=self.evidence.seen(ahead, weight, max(_LASTING, _PART * lasting)),
+            usual=self.usual.seen(ahead, weight, max(_LASTING, lasting)),
+            newest=Evidence().seen(ahead, weight, math.inf),
         )
+
+    def above_uniform(self, samples: F8) -> F8:
+        """(k,) nats by which samples (d, k) inside the volume are likelier than under the uniform density over it."""
+        out: F8 = self.density.log(samples) + math.log(self.density.volume)
+        return out
 
     def forked(self) -> Part:
         """The same, worth a fifth of what it was, and with nothing said for it yet."""

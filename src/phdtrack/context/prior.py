@@ -3,7 +3,8 @@
 A density learned from few samples is too sure of the places that it has not seen. It is held beside `PRIOR` samples that
 might have been anywhere: α_u is at least PRIOR / (n + PRIOR) for n samples, which is Laplace's rule with a prior of that
 weight. And anywhere means sizes that the detector reports: over all sizes of the image the uniform part would be so thin
-that nothing new is believed.
+that nothing new is believed. And a Gaussian is as wide as the next sample is uncertain: wider than lie those that it was
+fitted to.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from phdtrack.context.batch_em import parameters
+from phdtrack.context.density import ContextDensity
 from phdtrack.context.scene_file import Learned
 from phdtrack.errors import InputError
 from phdtrack.types import F8
@@ -35,6 +38,17 @@ def detected_sizes(size: F8) -> Sizes:
         raise InputError("there are no detections whose sizes could be known", where="sizes")
     smallest, largest = np.quantile(size, _COUNTED, axis=1)
     return smallest / WIDER, largest * WIDER
+
+
+def of_the_next(p: ContextDensity, samples: float) -> ContextDensity:
+    """What a density that was fitted to so many samples tells of the next one [G13 §3.6].
+
+    After n samples in d dimensions of a Gaussian that is not known the next one has Student's density with n − d degrees of
+    freedom. The Gaussian nearest to that has its covariance, (n + 1)/(n − d − 2) times that of the samples. A component
+    explains more than τ of them, so that it exists.
+    """
+    n = np.maximum(samples * (1 - p.uniform) * p.weight, parameters(p.dim) / 2)
+    return replace(p, covariance=p.covariance * ((n + 1) / (n - p.dim - 2))[:, None, None])
 
 
 def humbled(learned: Learned, sizes: Sizes) -> Learned:

@@ -46,6 +46,12 @@ class Recent:
     def __len__(self) -> int:
         return len(self.weight)
 
+    @property
+    def many(self) -> float:
+        """The number of equal samples that say as much, where none is old."""
+        squares = float(np.square(self.weight).sum())
+        return float(self.weight.sum()) ** 2 / squares if squares > 0 else 0.0
+
     def take(self, which: Bool) -> Recent:
         """The samples of a mask (n,)."""
         return Recent(self.samples[:, which], self.weight[which], self.time[which])

@@ -41,7 +41,10 @@ class Learned:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """What a tracker follows: the ``share`` of the false alarms that it takes for somebody, and where ``objects`` are."""
+    """What a tracker follows: the ``share`` of the false alarms that it takes for somebody, and where ``objects`` are.
+
+    A share of 0 is that of a scene in which nobody has looked: then no track is held back.
+    """
 
     share: float
     objects: Learned

@@ -1,6 +1,6 @@
 """Which detections were false alarms, and where targets were born, judged some seconds later.
 
-When a detection comes, the filter gives it a probability κ/(κ + C) to be a false alarm. That alone teaches the wrong thing,
+When a detection comes, a filter gives it a probability κ/(κ + C) to be a false alarm. That alone teaches the wrong thing,
 twice over. The first detections of everybody who comes in are doubted, so that entrances would be learned as places of
 false alarms, and doubted more; and a place that fires often enough is believed, so that it would never be learned. So
 judgement waits a few seconds, until it is known what became of a detection:

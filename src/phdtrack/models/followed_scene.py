@@ -1,26 +1,43 @@
-"""The scene as it is learned while tracking: `context.online` as a stage, and what it has learned as γ and κ."""
+"""The scene as it is learned while tracking: `context.online` as a stage, and what it has learned laid over γ and κ.
+
+What is learned from is what a second run says of the same frames, a *witness* that knows nothing of what was learned. By the
+run itself who is doubted once, as he stands where a false alarm came, is learned as false, and doubted more. So nothing that
+is learned rests on itself, and a scene of which nothing is in use is tracked as without learning.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
 
-from phdtrack.context import Scene
+from phdtrack.context import Followed, Scene
 from phdtrack.context.clock import Clock
 from phdtrack.context.modes import Mode
-from phdtrack.context.online import Followed, Following, advance, begin, named, scene_of
-from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.context.online import Following, Knowledge, advance, begin, named, scene_of
+from phdtrack.models.learned_scene import laid_over
 from phdtrack.models.standing import not_standing
-from phdtrack.protocols import Model
+from phdtrack.protocols import Birth, Clutter, Model
 from phdtrack.types import Detections, Step
+
+
+class Witness(Protocol):
+    """A run beside, which knows nothing of what is learned."""
+
+    def start(self) -> Any:
+        """The state before the first frame."""
+
+    def advance(self, state: Any, step: Step) -> tuple[Any, Step]:
+        """The state after one frame, and what it makes of the detections in ``step``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneState:
-    """What is known (``followed``), and what of it is in use: births and false alarms, None for those of the model."""
+    """What is ``known``, the ``witness``'s state, and what is in use: births and false alarms, None for the model's own."""
 
-    followed: Followed
-    birth: ContextBirth | None = None
-    clutter: ContextClutter | None = None
+    known: Knowledge
+    witness: Any = None
+    birth: Birth | None = None
+    clutter: Clutter | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,21 +46,24 @@ class FollowScene:
 
     Attributes
     ----------
-    rule : how the scene is followed.     most : Jmax, see `ContextBirth`.
+    rule : how the scene is followed.     shipped : the model over which what is learned is laid.
+    witness : what is learned from.     most : Jmax, see `ContextBirth`.
     scenes : what was learned before, one for each mode.     clock : which mode it is by time of day.
     """
 
     rule: Following
+    shipped: Model
+    witness: Witness
     most: int = 500
     scenes: tuple[Scene, ...] = ()
     clock: Clock = field(default_factory=Clock)
 
     def start(self) -> SceneState:
         """Before the first frame."""
-        state = begin(self.rule, self.scenes)
+        known = begin(self.rule, self.scenes)
         if self.clock.names:
-            state = named(self.rule, state, self.clock.name(0.0))
-        return self._in_use(state)
+            known = named(self.rule, known, self.clock.name(0.0))
+        return self._in_use(known, self.witness.start())
 
     def model(self, state: SceneState, model: Model) -> Model:
         """The model with what was learned, where that is in use.
@@ -62,26 +82,25 @@ class FollowScene:
 
     def advance(self, state: SceneState, step: Step) -> SceneState:
         """Take in one frame."""
-        before = state.followed
-        followed = advance(self.rule, before, step)
-        if followed.last is before.last:
-            return SceneState(followed, state.birth, state.clutter)
+        witness, told = self.witness.advance(state.witness, step)
+        known = advance(self.rule, state.known, told)
+        if known.last is state.known.last:
+            return SceneState(known, witness, state.birth, state.clutter)
         if self.clock.names:
-            followed = named(self.rule, followed, self.clock.name(step.time))
-        return self._in_use(followed)
+            known = named(self.rule, known, self.clock.name(step.time))
+        return self._in_use(known, witness)
 
     def mode(self, state: SceneState, name: str) -> SceneState:
         """With the mode of this name in use from now on; a new one, which knows nothing, where there is none."""
-        return self._in_use(named(self.rule, state.followed, name))
+        return self._in_use(named(self.rule, state.known, name), state.witness)
 
     def scene(self, mode: Mode, source: str) -> Scene:
         """What a mode knows, to be written to a file."""
         return scene_of(self.rule, mode, source)
 
-    def _in_use(self, followed: Followed) -> SceneState:
-        births, clutter = followed.mode.births, followed.mode.clutter
-        return SceneState(
-            followed,
-            ContextBirth(births.rate, births.density, most=self.most) if births.trusted else None,
-            ContextClutter(clutter.rate, clutter.density) if clutter.trusted else None,
-        )
+    def _in_use(self, known: Knowledge, witness: Any) -> SceneState:
+        used = known.mode.used
+        objects = None if used.objects is None else Followed(0.0, used.objects)
+        laid = laid_over(self.shipped, used.births, used.clutter, objects, self.most)
+        birth = None if used.births is None else laid.birth
+        return SceneState(known, witness, birth, None if used.clutter is None else laid.clutter)

@@ -19,7 +19,8 @@ def learning_section(told: Sequence[Relearned], memory: float, rate: float) -> H
         return NOTHING
     intro = paragraph(
         f"Where false alarms come and where people enter was learned from the run itself; what is {memory:g} minutes old "
-        "counts for 37 %. It is in use while new samples are likelier under it than under a uniform density."
+        "counts for 37 %. False alarms are in use while new ones are likelier under what was learned than under a uniform "
+        "density, births while new ones are likelier as births than as any detection of an object."
     )
     caption = "Estimated rates. Bars below: when what was learned was in use."
     chart = figure(rate_picture(told, rate), "False alarms a frame and births a minute over time.", caption, "chart")
