@@ -39,8 +39,7 @@ def tracker_of(held_back: bool = True, sure: float = 0.0, **sections) -> Tracker
     stages = config.build(config.overlay(config.load(), values | delay, "a test"), SequenceInfo(*SIZE, 25.0))
     if held_back:
         model = laid_over(stages.model, BIRTHS, CLUTTER, OBJECTS, 300)
-        odds = Odds(CLUTTER, OBJECTS, BIRTHS)
-        stages = replace(stages, model=model, associator=Vetted(stages.associator, odds, odds.of_all(sure)))
+        stages = replace(stages, model=model, associator=Vetted(stages.associator, Odds(CLUTTER, OBJECTS), sure))
     return Tracker(stages=stages, seed=3)
 
 

@@ -245,9 +245,7 @@ def build_associator(record: Record, kinds: Mapping[str, str], info: SequenceInf
     scene = _scene(given.file, (float(info.width), float(info.height)))
     if not given.vet or scene.clutter is None or scene.followed is None or not scene.followed.share:
         return associator
-    same = kinds["birth"] == "scene" and record("birth").file == given.file
-    odds = Odds(scene.clutter, scene.followed, scene.births if same else None)
-    return Vetted(associator, odds, odds.of_all(given.sure))
+    return Vetted(associator, Odds(scene.clutter, scene.followed), given.sure, record("associate").shortest)
 
 
 def build_learning(record: Record, alone: AnyStages, info: SequenceInfo) -> FollowScene:

@@ -22,13 +22,12 @@ Z = np.zeros((4, 0))
 
 @dataclass(frozen=True)
 class Strip:
-    """False alarms are left of ``end``, the surer the further; who begins left of ``door`` is an object."""
+    """Those that are followed are left of ``end``, the surer the further; of any there are twenty times as many."""
 
     end: float = 200.0
-    door: float = -1e9
 
-    def log(self, z, first):
-        return np.where(first & (z[0] < self.door), -1.0, (self.end - z[0]) / 10)
+    def log(self, z):
+        return (self.end - z[0]) / 10 + np.array([[0.0], [np.log(20)]])
 
 
 STRIP = Strip()
@@ -103,7 +102,7 @@ def test_online_rows_are_those_of_the_associator_and_confirmed_where_both_say_so
 def test_who_is_surely_an_object_is_confirmed_at_once(inner):
     """As soon as he has been there, and from then on; the others as before, and so are corrected tracks."""
     plain, slow = online(inner, STREET), online(Vetted(inner, STRIP), STREET)
-    associator = Vetted(inner, STRIP, sure=-15.0)
+    associator = Vetted(inner, STRIP, sure=20 * np.exp(-15.0))
     rows = online(associator, STREET)
     pairs = zip(rows.identity, rows.frame, strict=True)
     furthest = np.array([centre(plain.take((plain.identity == i) & (plain.frame <= k))).max() for i, k in pairs])
@@ -128,18 +127,6 @@ def test_corrected_tracks_begin_where_they_are_believed(inner):
     np.testing.assert_allclose(centre(out), 205 + 5 * np.arange(len(out)), atol=0.5)
     equal(tracks, believed(plain, STRIP))
     assert associator.measured(state).z.shape == (4, 100)
-
-
-@each
-def test_who_begins_at_a_door_is_believed_there(inner):
-    frames = [frame((1, 100.0 + k % 2)) for k in range(12)]
-    associator = Vetted(inner, Strip(door=150.0))
-    assert len(associator.finish(run(associator, frames)[0], MODEL)) == 12
-    plain = online(inner, frames)
-    equal(online(associator, frames), plain)
-    # Whom nobody saw begin there is not.
-    frames = [frame((1, 190.0 - 5 * k, -5.0)) for k in range(12)]
-    assert not online(associator, frames).confirmed.any()
 
 
 @each
@@ -171,11 +158,21 @@ def test_so_many_are_remembered_and_those_seen_last(monkeypatch):
     associator = Vetted(Labelled(shortest=1), STRIP)
     frames = [frame((1, 300.0 - 10 * k, -10.0), (2 + k // 2, 400.0), (50 + k // 2, 90.0)) for k in range(40)]
     state, rows = run(associator, frames)
-    assert len(state.identity) == len(state.odds) == 5
+    assert len(state.identity) == 5
+    assert state.odds.shape == (2, 5)
     assert 1 in state.identity
     assert all(bool(r.confirmed[r.identity == 1].all()) for r in rows)
     others = Tracks.concatenate(rows)
     assert (others.confirmed == ((others.identity == 1) | (centre(others) > 200))).all()
+
+
+@each
+def test_who_is_believed_for_too_few_rows_is_nobody(inner):
+    """As is who was seen too few times."""
+    frames = [frame((1, 150.0 + 5 * k, 5.0)) for k in range(13)]
+    state, _ = run(Vetted(inner, STRIP), frames)
+    found = {n: Vetted(inner, STRIP, shortest=n).finish(state, MODEL) for n in (1, 2, 3)}
+    assert [len(tracks) for tracks in found.values()] == [2, 2, 0]
 
 
 def test_nothing_in_an_empty_table():
@@ -200,23 +197,25 @@ def table(rows) -> Tracks:
     )
 
 
-@given(rows=tables, door=st.sampled_from([-1e9, 150.0]), order=st.randoms())
-def test_each_is_believed_from_the_first_detection_on_that_is_more_likely_an_objects(rows, door, order):
+@given(rows=tables, shortest=st.integers(1, 3), order=st.randoms())
+def test_each_is_believed_from_the_first_detection_on_that_is_more_likely_an_objects(rows, shortest, order):
     """Against the definition, row by row; the order of the rows says nothing, rows without detections decide nothing."""
-    wanted, names = [], {}
+    wanted = []
     for k, (number, who, _, _) in enumerate(rows):
         way = sorted((r for r in rows if r[1] == who and r[0] <= number and r[3]), key=lambda r: r[0])
-        if any(x > 200 or (i == 0 and x < door) for i, (_, _, x, _) in enumerate(way)):
+        if any(x > 200 for _, _, x, _ in way):
             wanted.append(k)
-            names[who] = 0
+    left = [rows[k][1] for k in wanted if rows[k][3]]
+    wanted = [k for k in wanted if left.count(rows[k][1]) >= shortest]
+    names = {rows[k][1]: 0 for k in wanted}
     names = {who: name for name, who in enumerate(sorted(names), start=1)}
-    found = believed(table(rows), Strip(door=door))
+    found = believed(table(rows), STRIP, shortest)
     equal(found, replace(table(rows).take(np.array(wanted, np.int64)), identity=found.identity))
     assert found.identity.tolist() == [names[rows[k][1]] for k in wanted]
     mixed = [*range(len(rows))]
     order.shuffle(mixed)
     index = np.array(mixed, np.int64)
-    other = believed(table(rows).take(index), Strip(door=door))
+    other = believed(table(rows).take(index), STRIP, shortest)
     equal(Tracks.concatenate([other]), Tracks.concatenate([found]))
 
 
@@ -240,11 +239,11 @@ class Told:
         return self.rows
 
 
-@given(rows=tables, door=st.sampled_from([-1e9, 150.0]), delay=st.integers(0, 9))
-def test_online_the_same_rows_are_believed(rows, door, delay):
+@given(rows=tables, delay=st.integers(0, 9))
+def test_online_the_same_rows_are_believed(rows, delay):
     """With any delay: those that are kept of the corrected tracks, where both are the same rows."""
     tracks = Tracks.concatenate([table(rows)])
-    associator = Vetted(Told(tracks, delay), Strip(door=door))
+    associator = Vetted(Told(tracks, delay), STRIP)
     state, out = run(associator, [states(np.zeros((0, 2)))] * 9)
     found = Tracks.concatenate([*out, associator.flush(state, MODEL)])
     equal(replace(found, confirmed=tracks.confirmed), tracks)

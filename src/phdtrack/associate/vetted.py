@@ -11,12 +11,14 @@ that it is not, this need not be waited for: who has been where false alarms are
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from phdtrack.boxes import to_cxcywh
+from phdtrack.checks import NonNegative, PositiveCount, check
 from phdtrack.measured import Measured
 from phdtrack.protocols import Associator, Model
 from phdtrack.types import F8, I8, Bool, Estimates, Tracks
@@ -29,29 +31,36 @@ KEPT = 10_000
 class FalseOdds(Protocol):
     """How likely what lies somewhere is a false alarm."""
 
-    def log(self, z: F8, first: Bool) -> F8:
-        """(N,) logarithms of the odds at boxes ``z`` (4, N) as centres and sizes; ``first``: seen for the first time."""
+    def log(self, z: F8) -> F8:
+        """(2, N) logarithms of the odds at boxes ``z`` (4, N), centres and sizes: of those that are followed, and of any."""
 
 
 @dataclass(frozen=True, slots=True)
 class VettedState(Generic[A]):
-    """The associator's state, and of the identities given online (a,), ascending, the least odds on their way."""
+    """The associator's state, and of the identities given online (a,), ascending, the least odds (2, a) on their way."""
 
     inner: A
     identity: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
-    odds: F8 = field(default_factory=lambda: np.zeros(0))
+    odds: F8 = field(default_factory=lambda: np.zeros((2, 0)))
 
 
 @dataclass(frozen=True, slots=True)
 class Vetted(Generic[A]):
     """An associator whose tracks are believed once they have been where objects are likelier than false alarms.
 
-    ``sure``: the logarithm of the odds below which who is followed online is confirmed at once, before the associator does.
+    Parameters
+    ----------
+    sure : odds of any false alarm below which who is followed online is confirmed at once, before the associator does.
+    shortest : corrected tracks of which fewer rows that rest on detections are believed are left out.
     """
 
     associator: Associator[A]
     false: FalseOdds
-    sure: float = -np.inf
+    sure: NonNegative = 0.0
+    shortest: PositiveCount = 1
+
+    def __post_init__(self) -> None:
+        check(self)
 
     def start(self) -> VettedState[A]:
         """Nothing seen."""
@@ -70,7 +79,7 @@ class Vetted(Generic[A]):
 
     def finish(self, state: VettedState[A], model: Model) -> Tracks:
         """The corrected tracks, each from where it is believed on; identities from 1, in the associator's order."""
-        return believed(self.associator.finish(state.inner, model), self.false)
+        return believed(self.associator.finish(state.inner, model), self.false, self.shortest)
 
     def measured(self, state: VettedState[A]) -> Measured:
         """The measurements of everything that is remembered."""
@@ -79,51 +88,57 @@ class Vetted(Generic[A]):
     def _judged(self, state: VettedState[A], rows: Tracks) -> tuple[VettedState[A], Tracks]:
         """The rows, confirmed or not as their tracks' odds say; of several frames in their order."""
         # Who is believed stays so, and mostly everybody is.
-        known = _known(state, rows.identity)
-        if ((known < self.sure) | (rows.confirmed & (known < 0))).all():
-            return state, replace(rows, confirmed=np.ones(len(rows), np.bool_))
+        known = self._confirmed(rows, _known(state, rows.identity))
+        if known.all():
+            return state, replace(rows, confirmed=known)
         confirmed = rows.confirmed.copy()
         for frame in np.unique(rows.frame):
             here = np.flatnonzero(rows.frame == frame)
             state, odds = self._counted(state, rows.take(here))
-            confirmed[here] = (odds < self.sure) | (confirmed[here] & (odds < 0))
+            confirmed[here] = self._confirmed(rows.take(here), odds)
         return state, replace(rows, confirmed=confirmed)
 
+    def _confirmed(self, rows: Tracks, odds: F8) -> Bool:
+        """(M,) who is believed and confirmed by the associator, or is surely somebody, of odds (2, M)."""
+        followed, every = odds
+        least = math.log(self.sure) if self.sure > 0 else -math.inf
+        out: Bool = (rows.confirmed & (followed < 0)) | (every < least)
+        return out
+
     def _counted(self, state: VettedState[A], rows: Tracks) -> tuple[VettedState[A], F8]:
-        """The state with the rows of a frame, and the least odds of each row's identity."""
-        before = _known(state, rows.identity)
-        odds = np.minimum(before, _odds(rows, np.isinf(before), self.false))
+        """The state with the rows of a frame, and the least odds (2, M) of each row's identity."""
+        odds = np.minimum(_known(state, rows.identity), _odds(rows, self.false))
         others = np.flatnonzero(~np.isin(state.identity, rows.identity))[-max(KEPT - len(rows), 1) :]
         identity = np.concatenate([state.identity[others], rows.identity])
-        least = np.concatenate([state.odds[others], odds])
+        least = np.concatenate([state.odds[:, others], odds], axis=1)
         order = np.argsort(identity)
-        return VettedState(state.inner, identity[order], least[order]), odds
+        return VettedState(state.inner, identity[order], least[:, order]), odds
 
 
 def _known(state: VettedState[A], identity: I8) -> F8:
-    """(M,) the least odds so far of these identities; ∞ of those that are not remembered."""
+    """(2, M) the least odds so far of these identities; ∞ of those that are not remembered."""
     if len(state.identity) == 0:
-        return np.full(len(identity), np.inf)
+        return np.full((2, len(identity)), np.inf)
     place = np.minimum(np.searchsorted(state.identity, identity), len(state.identity) - 1)
-    return np.where(state.identity[place] == identity, state.odds[place], np.inf)
+    return np.where(state.identity[place] == identity, state.odds[:, place], np.inf)
 
 
-def believed(tracks: Tracks, false: FalseOdds) -> Tracks:
-    """Tracks, each from where it is believed on; identities from 1, in the order that they had."""
+def believed(tracks: Tracks, false: FalseOdds, shortest: int = 1) -> Tracks:
+    """Tracks, each from where it is believed on, if so many rows on detections are left; identities from 1, in order."""
     kept = np.zeros(len(tracks), np.bool_)
     order = np.lexsort((tracks.frame, tracks.identity))
     for rows in np.split(order, np.flatnonzero(np.diff(tracks.identity[order])) + 1):
         way = tracks.take(rows)
-        first = ~way.predicted & (np.cumsum(~way.predicted) == 1)
-        kept[rows] = np.minimum.accumulate(_odds(way, first, false)) < 0
+        trusted = np.minimum.accumulate(_odds(way, false)[0]) < 0
+        kept[rows] = trusted & (np.count_nonzero(trusted & (way.detection >= 0)) >= shortest)
     left = tracks.take(kept)
     _, name = np.unique(left.identity, return_inverse=True)
     return replace(left, identity=name.astype(np.int64) + 1)
 
 
-def _odds(rows: Tracks, first: Bool, false: FalseOdds) -> F8:
-    """(M,) of rows that rest on a detection; of others nothing is known."""
-    odds = np.full(len(rows), np.inf)
+def _odds(rows: Tracks, false: FalseOdds) -> F8:
+    """(2, M) of rows that rest on a detection; of others nothing is known."""
+    odds = np.full((2, len(rows)), np.inf)
     seen = np.flatnonzero(rows.detection >= 0)
-    odds[seen] = false.log(to_cxcywh(rows.xyxy[seen]), first[seen])
+    odds[:, seen] = false.log(to_cxcywh(rows.xyxy[seen]))
     return odds

@@ -35,10 +35,8 @@ from phdtrack.types import F8, I8, Tracks
 MARKED = 40
 # Nobody: a detection that overlaps everybody by less. Somebody's: one that overlaps him by as much as a match needs.
 NOBODY, SOMEBODY = 0.3, 0.5
-MOST = 500
-"""The shipped most particles a detection."""
-SURE = 0.1
-"""The shipped false alarms for an object where who is seen is confirmed at once, `SceneClutterSettings.sure`."""
+# As shipped: most particles a detection, odds of a false alarm where who is seen is confirmed at once, rows of a track.
+MOST, SURE, SHORTEST = 500, 0.1, 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +95,7 @@ def told(stages: AnyStages, births: Learned | None, clutter: Learned | None, see
     model = laid_over(stages.model, births, clutter, seen, MOST)
     if clutter is None or seen is None:
         return replace(stages, model=model)
-    odds = Odds(clutter, seen, births)
-    return replace(stages, model=model, associator=Vetted(stages.associator, odds, odds.of_all(SURE)))
+    return replace(stages, model=model, associator=Vetted(stages.associator, Odds(clutter, seen), SURE, SHORTEST))
 
 
 def own_births(tracks: Tracks, case: Case, rate: float) -> Lesson | None:
