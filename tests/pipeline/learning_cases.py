@@ -46,14 +46,14 @@ def joined(parts):
     return DetectionTable(np.concatenate(frames), Detections.of(np.concatenate(boxes)))
 
 
-def tracked(info: SequenceInfo, table: DetectionTable, *sets: str) -> Run:
+def tracked(info: SequenceInfo, table: DetectionTable, *sets: str, kind: str = "gm-phd") -> Run:
     """``sets`` are settings of the section learn; without any nothing is learned.
 
-    By the particle PHD filter, which has nothing of its own against places that fire. Tracks are not joined: those that
-    false alarms of one place make would be one, and their number would say nothing.
+    By a PHD filter, which has nothing of its own against places that fire. Tracks are not joined: those that false alarms of
+    one place make would be one, and their number would say nothing.
     """
     options = [
-        "filter.kind=particle-phd",
+        f"filter.kind={kind}",
         "refine.stitch=false",
         *(f"learn.{text}" for text in ("kind=online", *sets) if sets),
     ]

@@ -40,8 +40,8 @@ def sources(source):
 @pytest.mark.parametrize("seed", [1, 2])
 def test_false_tracks_go_and_true_ones_stay(seed):
     scene = street(seed, 3000)
-    uniform = scores(scene.truth, tracked(scene.info, scene.detections).tracks, 1501, 3000)
-    run = tracked(scene.info, scene.detections, "memory=2.0")
+    uniform = scores(scene.truth, tracked(scene.info, scene.detections, kind="particle-phd").tracks, 1501, 3000)
+    run = tracked(scene.info, scene.detections, "memory=2.0", kind="particle-phd")
     learned = scores(scene.truth, run.tracks, 1501, 3000)
     assert uniform.false_tracks >= 10
     assert learned.false_tracks <= 0.1 * uniform.false_tracks
@@ -144,7 +144,7 @@ def test_frames_that_nobody_saw_teach_nothing():
 
 
 # What is tracked when learning begins goes on for a while. The PMB filter knows sources of its own: little is left to learn.
-@pytest.mark.parametrize(("kind", "left"), [("pmb", 1.0), ("gm-phd", 0.35), ("mht", 0.35)])
+@pytest.mark.parametrize(("kind", "left"), [("pmb", 1.0), ("particle-phd", 0.35), ("mht", 0.35)])
 def test_other_filters_learn_too(kind: str, left: float):
     scene = street(3, 1000)
     found = {}
