@@ -85,7 +85,7 @@ def _learned(stages: AnyStages, size: tuple[float, float], places: Places) -> An
     objects = Learned(float(TARGETS), marginal(_density(size, 1, (1, 1), size[0] / 3), SHOWN))
     seen = Followed(0.1, objects)
     model = laid_over(stages.model, births, alarms, seen, 500)
-    return replace(stages, model=model, associator=Vetted(stages.associator, Odds(alarms, seen, births)))
+    return replace(stages, model=model, associator=Vetted(stages.associator, Odds(alarms, seen)))
 
 
 def _density(size: tuple[float, float], count: int, counts: tuple[int, int], wide: float = 30.0) -> ContextDensity:
