@@ -19,6 +19,7 @@ import numpy as np
 
 from phdtrack.boxes import to_cxcywh
 from phdtrack.checks import NonNegative, PositiveCount, check
+from phdtrack.kernels.vetting import remembered, unbelieved
 from phdtrack.measured import Measured
 from phdtrack.protocols import Associator, Model
 from phdtrack.types import F8, I8, Bool, Estimates, Tracks
@@ -71,7 +72,7 @@ class Vetted(Generic[A]):
     ) -> tuple[VettedState[A], Tracks]:
         """The online rows, confirmed where the track is believed too, or is surely an object's."""
         inner, rows = self.associator.extend(state.inner, estimates, z, number, dt, model)
-        return self._judged(replace(state, inner=inner), rows)
+        return self._judged(VettedState(inner, state.identity, state.odds), rows)
 
     def flush(self, state: VettedState[A], model: Model) -> Tracks:
         """The online rows still held back by the output delay."""
@@ -87,40 +88,30 @@ class Vetted(Generic[A]):
 
     def _judged(self, state: VettedState[A], rows: Tracks) -> tuple[VettedState[A], Tracks]:
         """The rows, confirmed or not as their tracks' odds say; of several frames in their order."""
-        # Who is believed stays so, and mostly everybody is.
-        known = self._confirmed(rows, _known(state, rows.identity))
-        if known.all():
-            return state, replace(rows, confirmed=known)
-        confirmed = rows.confirmed.copy()
-        for frame in np.unique(rows.frame):
-            here = np.flatnonzero(rows.frame == frame)
-            state, odds = self._counted(state, rows.take(here))
-            confirmed[here] = self._confirmed(rows.take(here), odds)
-        return state, replace(rows, confirmed=confirmed)
+        if len(rows) == 0 or rows.frame[0] == rows.frame[-1]:
+            state, confirmed = self._confirmed(state, rows)
+        else:
+            confirmed = rows.confirmed.copy()
+            for frame in np.unique(rows.frame):
+                here = np.flatnonzero(rows.frame == frame)
+                state, confirmed[here] = self._confirmed(state, rows.take(here))
+        return state, Tracks(rows.frame, rows.identity, rows.xyxy, rows.confidence, rows.detection, confirmed)
 
-    def _confirmed(self, rows: Tracks, odds: F8) -> Bool:
-        """(M,) who is believed and confirmed by the associator, or is surely somebody, of odds (2, M)."""
-        followed, every = odds
-        least = math.log(self.sure) if self.sure > 0 else -math.inf
-        out: Bool = (rows.confirmed & (followed < 0)) | (every < least)
-        return out
+    def _confirmed(self, state: VettedState[A], rows: Tracks) -> tuple[VettedState[A], Bool]:
+        """The state with the rows of a frame, and who is believed and confirmed by the associator, or surely somebody.
 
-    def _counted(self, state: VettedState[A], rows: Tracks) -> tuple[VettedState[A], F8]:
-        """The state with the rows of a frame, and the least odds (2, M) of each row's identity."""
-        odds = np.minimum(_known(state, rows.identity), _odds(rows, self.false))
-        others = np.flatnonzero(~np.isin(state.identity, rows.identity))[-max(KEPT - len(rows), 1) :]
-        identity = np.concatenate([state.identity[others], rows.identity])
-        least = np.concatenate([state.odds[:, others], odds], axis=1)
-        order = np.argsort(identity)
-        return VettedState(state.inner, identity[order], least[:, order]), odds
-
-
-def _known(state: VettedState[A], identity: I8) -> F8:
-    """(2, M) the least odds so far of these identities; ∞ of those that are not remembered."""
-    if len(state.identity) == 0:
-        return np.full((2, len(identity)), np.inf)
-    place = np.minimum(np.searchsorted(state.identity, identity), len(state.identity) - 1)
-    return np.where(state.identity[place] == identity, state.odds[:, place], np.inf)
+        Who is so already is not asked again.
+        """
+        sure = math.log(self.sure) if self.sure > 0 else -math.inf
+        confirmed, which, least, z = unbelieved(
+            state.identity, state.odds, rows.identity, rows.detection, rows.confirmed, rows.xyxy, sure
+        )
+        if len(which) == 0:
+            return state, confirmed
+        identity, odds, confirmed = remembered(
+            state.identity, state.odds, rows.identity, rows.confirmed, confirmed, which, least, self.false.log(z), sure, KEPT
+        )
+        return VettedState(state.inner, identity, odds), confirmed
 
 
 def believed(tracks: Tracks, false: FalseOdds, shortest: int = 1) -> Tracks:

@@ -15,17 +15,16 @@ This is ours, not M09's, whose κ is that of alarms which come and go alone.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from phdtrack.context.scene_file import Followed, Learned
-from phdtrack.kernels.context_density import mixture_density
+from phdtrack.kernels.vetting import TINY, false_odds
 from phdtrack.types import F8
 
-_TINY = float(np.finfo(np.float64).tiny)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Odds:
     """λG/T and κ/T of a scene: false alarms, and what of them and of objects is followed."""
 
@@ -34,16 +33,18 @@ class Odds:
 
     def log(self, z: F8) -> F8:
         """(2, N) logarithms of λG/T and of κ/T at boxes ``z`` (4, N)."""
-        z, objects, flat = np.ascontiguousarray(z), self.followed.objects, self.clutter.density.flat
-        places = _per_frame(self.clutter, z, 0.0)
-        false = np.stack([self.followed.share * places, places + self.clutter.rate * flat])
-        true = _per_frame(objects, z, objects.density.flat)
-        out: F8 = np.log(np.maximum(false, _TINY)) - np.log(np.maximum(true, _TINY))
+        out: F8 = false_odds(np.ascontiguousarray(z), *self._tables)
         return out
 
+    @cached_property
+    def _tables(self) -> tuple[F8, F8, F8, F8, float, float]:
+        """What `false_odds` takes. The uniform part of objects is beyond the volume too."""
+        clutter, objects = self.clutter, self.followed.objects
+        alarms, people = _table(clutter, TINY), _table(objects, objects.density.flat)
+        return *alarms, *people, float(self.followed.share), float(clutter.rate * clutter.density.flat)
 
-def _per_frame(learned: Learned, z: F8, flat: float) -> F8:
-    """(N,) density per frame, with a uniform part of ``flat``, which there is beyond the volume too; 0: next to none."""
+
+def _table(learned: Learned, flat: float) -> tuple[F8, F8]:
+    """Bounds and Gaussians of a density per frame, whose uniform part is ``flat`` everywhere."""
     p = learned.density
-    out: F8 = mixture_density(z, float(learned.rate), p.low, p.high, np.full(2, max(flat, _TINY)), *p.table)
-    return out
+    return np.concatenate([[learned.rate, flat, flat], p.low, p.high]), np.vstack(p.table)
