@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -257,7 +258,7 @@ def found(street) -> m09.Found:
         outcomes[job] = outcome(*errors.get(kind, errors[UM]))
         if job.rates == m09_runs.LOCAL_SWEEP[2]:
             outcomes[job] = outcome(2, 2, 3.0)
-    races = {Race(courses[0], PHD): (1e-3, 1.02e-3), Race(courses[0], "mht"): (1e-3, 1.2e-3)}
+    races = {Race(courses[0], PHD): (1e-3, 1.02e-3, 4e-3), Race(courses[0], "mht"): (1e-3, 1.2e-3, 4e-3)}
     return m09.Found(scenes, outcomes, dict.fromkeys(courses, taught(m09_scenes.stretch(street[0], 1, 300))), races)
 
 
@@ -282,7 +283,10 @@ def test_what_was_not_reached_is_said(found: m09.Found) -> None:
     assert said[3].endswith("whom both find: garden 6.0 → 3.0 (found: 1 → 1), arcade 3.0 → 4.0 (found: 1 → 1)")
     # The best of the sweep has four errors, GM eight and seven.
     assert said[4].endswith("on 0 of 2; not on garden (-0.100), arcade (-0.075)")
-    assert said[7].startswith("- **A frame costs the same to 5%, or less**: on 1 of 2")
+    assert said[7].startswith(
+        "- **A frame costs the same to 5%, or less**: on 1 of 2 by the filter alone, on 2 of 2 with the"
+    )
+    assert "(1.040 at most); time of GM over that of UM, alone: garden, pmb 1.02, garden, mht 1.20" in said[7]
 
 
 def test_delays_are_compared_of_those_whom_both_find(found: m09.Found) -> None:
@@ -294,6 +298,13 @@ def test_delays_are_compared_of_those_whom_both_find(found: m09.Found) -> None:
     assert changed.delay("garden", GM, "inside") == 47.0
     alone = dataclasses.replace(late, inside={7: 90.0})
     assert np.isnan(dataclasses.replace(changed, outcomes=changed.outcomes | {job: alone}).delayed("garden")[0])
+
+
+def test_the_detector_is_timed_on_the_scenes_own_pictures(monkeypatch) -> None:
+    monkeypatch.setattr(m09_scenes, "LOOKS", 3)
+    frames = [*itertools.islice(m09_scenes.frames_of(Footage("yard", 50)), 2)]
+    assert [frame.number for frame in frames] == [1, 2]
+    assert 0 < m09_scenes.looking(Footage("yard", 50)) < 60
 
 
 def test_the_papers_findings_are_confirmed_or_not(found: m09.Found) -> None:
@@ -332,7 +343,7 @@ def test_the_page_has_every_table(found: m09.Found) -> None:
     ] in lines
     assert ["garden", GM, "3.0", "4.0", "1", "1", "0.800", "4"] in lines
     assert ["arcade", "around detections", "5", "0.01", "3", "0.900", "0.825", "-0.075", "0.050", "0.150"] in lines
-    assert ["garden", "mht", "1.00", "1.20", "1.20"] in lines
+    assert ["garden", "mht", "1.00", "1.20", "4.00", "1.20", "1.040"] in lines
     assert [line[:3] for line in lines if line[:2] == ["garden", "none"]] == [["garden", "none", "–"]]
 
 

@@ -65,7 +65,7 @@ class Found:
     scenes: dict[str, Footage]
     outcomes: dict[Job, Outcome]
     taught: dict[Course, Taught]
-    races: dict[Race, tuple[float, float]]
+    races: dict[Race, tuple[float, float, float]]
 
     def course(self, scene: str, seed: int = 1) -> Course:
         """What is learned of a scene at a seed."""
@@ -328,11 +328,14 @@ def _rivals(found: Found) -> str:
 
 
 def _rates(found: Found) -> str:
-    rows = [
-        (one.course.footage.name, one.filter, f"{1e3 * uniform:.2f}", f"{1e3 * learned:.2f}", f"{learned / uniform:.2f}")
-        for one, (uniform, learned) in found.races.items()
-    ]
-    return table(("scene", "filter", "UM, ms a frame", "GM, ms a frame", "GM over UM"), rows)
+    rows = []
+    for one, seconds in found.races.items():
+        uniform, learned, detector = seconds
+        times = (f"{1e3 * each:.2f}" for each in seconds)
+        whole = (detector + learned) / (detector + uniform)
+        rows.append((one.course.footage.name, one.filter, *times, f"{learned / uniform:.2f}", f"{whole:.3f}"))
+    header = ("scene", "filter", "UM, ms a frame", "GM, ms a frame", "the detector", "GM over UM", "with the detector")
+    return table(header, rows)
 
 
 def _lessons(found: Found) -> str:

@@ -16,7 +16,7 @@ from phdtrack.models.volume import image_volume
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.reproduce.common import Case, Kept, followed
 from phdtrack.reproduce.m09_lessons import Course, Taught, learn, told
-from phdtrack.reproduce.m09_scenes import halves, stretch
+from phdtrack.reproduce.m09_scenes import halves, looking, stretch
 from phdtrack.types import F8, SequenceInfo, Tracks, Truth
 
 PHD = "pmb"
@@ -168,8 +168,8 @@ class Race:
 TURN = 50
 
 
-def race(job: Race) -> tuple[float, float]:
-    """Median seconds that a frame took, over blocks, uniform and learned; what is compiled is compiled before."""
+def race(job: Race) -> tuple[float, float, float]:
+    """Median seconds that a frame took, over blocks, uniform and learned, and the detector; compiling comes before."""
     case = halves(job.course.footage).test
     both = [stages_of(Job(job.course, run, job.filter), case.info) for run in (UM, GM)]
     rngs = [np.random.default_rng(job.course.seed) for _ in both]
@@ -188,4 +188,4 @@ def race(job: Race) -> tuple[float, float]:
     # The first blocks compile, and load what is compiled.
     warm = slice(2, None) if len(spent[0]) > 4 else slice(None)
     uniform, learned = (float(np.median(each[warm])) for each in spent)
-    return uniform, learned
+    return uniform, learned, looking(job.course.footage)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -25,8 +27,8 @@ FRAMES, SHORT = 20_000, 1_500
 # How far from a place where people enter an object begins that counts as entering there: mean body widths.
 _ENTRY_MARGIN = 1.0
 SEED = 1
-# The frame that pictures show.
-SHOWN = 100
+# The frame that pictures show, and how many the detector is timed on.
+SHOWN, LOOKS = 100, 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +90,7 @@ def filmed(name: str, folder: str) -> tuple[Case, F8]:
 
 def detected_in(sequence: str) -> DetectionTable:
     """What the change detector finds in the video of a MOT15 sequence."""
-    return detected(open_source(need_data() / "mot15" / sequence / f"{sequence}.mp4"))
+    return detected(open_source(video_of(sequence)))
 
 
 def detected(frames: Iterable[Frame]) -> DetectionTable:
@@ -131,7 +133,28 @@ def stretch(case: Case, first: int, last: int) -> Case:
 
 def picture(footage: Footage) -> Image:
     """(H, W, 3) a frame of a rendered scene, BGR."""
+    return next(frame.image for frame in frames_of(footage) if frame.number == SHOWN)
+
+
+def looking(footage: Footage) -> float:
+    """Median seconds that the change detector takes for a frame of a scene that it sees, over the first of them."""
+    detector, seconds = make_detector("change"), []
+    for frame in itertools.islice(frames_of(footage), LOOKS):
+        began = time.perf_counter()
+        detector(frame)
+        seconds.append(time.perf_counter() - began)
+    return float(np.median(seconds))
+
+
+def frames_of(footage: Footage) -> Iterable[Frame]:
+    """The pictures of a rendered scene, or of a real sequence's video."""
+    if footage.name not in RENDERED:
+        return open_source(video_of(footage.name.rpartition(" ")[0]))
     world = replace(NAMED[footage.name], frames=footage.frames)
     scene = build_scene(world, SEED, default_detector(world))
-    frames = render(scene, np.random.default_rng(SEED), default_look(footage.name))
-    return next(frame.image for frame in frames if frame.number == SHOWN)
+    return render(scene, np.random.default_rng(SEED), default_look(footage.name))
+
+
+def video_of(sequence: str) -> Path:
+    """The video of a MOT15 sequence."""
+    return need_data() / "mot15" / sequence / f"{sequence}.mp4"

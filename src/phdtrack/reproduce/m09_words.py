@@ -109,10 +109,16 @@ def _above_rival(found: Found, name: str) -> str:
 
 
 def _rate(found: Found) -> str:
-    slower = {f"{one.course.footage.name}, {one.filter}": b / a for one, (a, b) in found.races.items()}
-    fine = [name for name, ratio in slower.items() if ratio <= 1 + SAME_RATE]
-    each = ", ".join(f"{name} {ratio:.2f}" for name, ratio in slower.items())
-    return f"**A frame costs the same to {SAME_RATE:.0%}, or less**: {_of(fine, slower)}; time of GM over that of UM: {each}"
+    times = {f"{one.course.footage.name}, {one.filter}": seconds for one, seconds in found.races.items()}
+    alone = {name: learned / uniform for name, (uniform, learned, _) in times.items()}
+    whole = {name: (looking + learned) / (looking + uniform) for name, (uniform, learned, looking) in times.items()}
+    same, together = ([name for name, ratio in each.items() if ratio <= 1 + SAME_RATE] for each in (alone, whole))
+    each = ", ".join(f"{name} {ratio:.2f}" for name, ratio in alone.items())
+    most = f"with the detector that sees these scenes ({max(whole.values()):.3f} at most)"
+    return (
+        f"**A frame costs the same to {SAME_RATE:.0%}, or less**: {_of(same, alone)} by the filter alone, "
+        f"{_of(together, whole)} {most}; time of GM over that of UM, alone: {each}"
+    )
 
 
 def findings(found: Found) -> str:
