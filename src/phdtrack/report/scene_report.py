@@ -103,7 +103,7 @@ def _followed(scene: Scene) -> Html:
     if scene.clutter is None:
         return NOTHING
     title = "Who is held back"
-    if scene.followed is None:
+    if scene.followed is None or not scene.followed.share:
         return section(title, paragraph("Nobody: nobody has looked at what of the false alarms the tracker follows."))
     rows = [
         ("false alarms that the tracker follows although it knows them", f"{100 * scene.followed.share:.2g} %"),
@@ -111,7 +111,8 @@ def _followed(scene: Scene) -> Html:
     ]
     told = paragraph(
         "Tracks that stay where false alarms are followed, until they have been where an object is the likelier. "
-        "Who enters there is therefore reported later."
+        "Who enters there is therefore reported later. Where false alarms are rare among objects, live tracks are confirmed "
+        "with their first state."
     )
     return section(title, told, table(("", ""), rows))
 
