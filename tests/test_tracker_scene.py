@@ -39,7 +39,7 @@ def tracker_of(held_back: bool = True, sure: float = 0.0, **sections) -> Tracker
     stages = config.build(config.overlay(config.load(), values | delay, "a test"), SequenceInfo(*SIZE, 25.0))
     if held_back:
         model = laid_over(stages.model, BIRTHS, CLUTTER, OBJECTS, 300)
-        stages = replace(stages, model=model, associator=Vetted(stages.associator, Odds(CLUTTER, OBJECTS), sure))
+        stages = replace(stages, model=model, associator=Vetted(stages.associator, Odds(CLUTTER, OBJECTS, BIRTHS), sure))
     return Tracker(stages=stages, seed=3)
 
 

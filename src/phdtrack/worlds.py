@@ -245,7 +245,8 @@ def build_associator(record: Record, kinds: Mapping[str, str], info: SequenceInf
     scene = _scene(given.file, (float(info.width), float(info.height)))
     if not given.vet or scene.clutter is None or scene.followed is None or not scene.followed.share:
         return associator
-    return Vetted(associator, Odds(scene.clutter, scene.followed), given.sure, record("associate").shortest)
+    births = scene.births if kinds["birth"] == "scene" and record("birth").file == given.file else None
+    return Vetted(associator, Odds(scene.clutter, scene.followed, births), given.sure, record("associate").shortest)
 
 
 def build_learning(record: Record, alone: AnyStages, info: SequenceInfo) -> FollowScene:

@@ -31,6 +31,13 @@ PEOPLE = Learned(5.0, at(STREET, 20.0, 0.3))
 ODDS = Odds(FLAGS, Followed(0.4, PEOPLE))
 
 
+# With the velocities, of which the odds know nothing.
+ENTRY = ContextDensity(
+    np.array([0.0, 0, -9, -9, 0, 0]), np.array([640.0, 480, 9, 9, 640, 480]), 0.2, np.ones(1),
+    np.vstack([DOOR[:2], [[3], [0]], DOOR[2:]]), np.diag([25.0, 25, 1, 1, 25, 25])[None],
+)  # fmt: skip
+
+
 def followed(z, odds: Odds = ODDS) -> np.ndarray:
     """(N,) of those that are followed."""
     return odds.log(z)[0]
@@ -54,6 +61,17 @@ def test_of_any_false_alarm_the_uniform_part_counts_and_not_whether_it_is_follow
     np.testing.assert_allclose(ODDS.log(z)[1], np.log(false / (5.0 * 0.3 / VOLUME)), rtol=1e-6)
     assert ODDS.log(BEYOND)[1] == pytest.approx(np.log(3.0 * 0.1 / (5.0 * 0.3)))
     np.testing.assert_array_equal(ODDS.log(z)[1], Odds(FLAGS, Followed(0.1, PEOPLE)).log(z)[1])
+
+
+def test_who_comes_in_where_others_did_is_no_false_alarm_that_is_seen_once():
+    """As many detections as objects have, spread as places of births: not their uniform part, nor of who is followed."""
+    odds = Odds(FLAGS, Followed(0.4, PEOPLE), Learned(0.02, ENTRY))
+    z, flat = np.hstack([DOOR, FLAG, ANYWHERE, BEYOND]), 5.0 * 0.3 / VOLUME
+    people = flat + 5.0 * 0.7 * peak(20.0) * np.exp(-0.5 * ((DOOR - STREET) ** 2).sum() / 400)
+    wanted = 3.0 * 0.1 / VOLUME / (people + 5.0 * 0.8 * peak(5.0))
+    assert odds.log(z)[1, 0] == pytest.approx(np.log(wanted), rel=1e-6)
+    np.testing.assert_allclose(odds.log(z)[1, 1:], ODDS.log(z)[1, 1:])
+    np.testing.assert_array_equal(odds.log(z)[0], ODDS.log(z)[0])
 
 
 def test_false_alarms_are_where_they_were_marked_and_nowhere_else():

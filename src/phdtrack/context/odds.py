@@ -6,8 +6,10 @@ other. With G(z) = r̄ α_g Σ_m π_m N(z; μ_m, Σ_m), the places of the false 
 takes for somebody although it knows κ, and with T(z), the density per frame of the detections that are none, the odds of a
 false alarm that is followed are λ G(z)/T(z). Its uniform part tells of no place.
 
-Of any false alarm, of those that are seen once as well, they are κ(z)/T(z): where these are small, whoever is seen for the
-first time is somebody.
+Of any false alarm, of those that are seen once as well, they are κ(z)/(T(z) + B(z)): where these are small, whoever is seen
+for the first time is somebody. People come in where others did, which many more frames have shown: B are as many detections
+as objects have, spread as the Gaussians of p(z|b). To what lasts, births tell nothing: the tracker's own tracks begin where
+trees stand at an entrance, too.
 
 This is ours, not M09's, whose κ is that of alarms which come and go alone.
 """
@@ -19,32 +21,41 @@ from functools import cached_property
 
 import numpy as np
 
+from phdtrack.context.density import ContextDensity, marginal
 from phdtrack.context.scene_file import Followed, Learned
 from phdtrack.kernels.vetting import TINY, false_odds
 from phdtrack.types import F8
 
+# Of births what detections show: all but the two velocities.
+_SHOWN = (0, 1, 4, 5)
+
 
 @dataclass(frozen=True, eq=False)
 class Odds:
-    """λG/T and κ/T of a scene: false alarms, and what of them and of objects is followed."""
+    """λG/T and κ/(T + B) of a scene: false alarms, what of them and of objects is followed, births if they were learned."""
 
     clutter: Learned
     followed: Followed
+    births: Learned | None = None
 
     def log(self, z: F8) -> F8:
-        """(2, N) logarithms of λG/T and of κ/T at boxes ``z`` (4, N)."""
+        """(2, N) logarithms of λG/T and of κ/(T + B) at boxes ``z`` (4, N)."""
         out: F8 = false_odds(np.ascontiguousarray(z), *self._tables)
         return out
 
     @cached_property
-    def _tables(self) -> tuple[F8, F8, F8, F8, float, float]:
+    def _tables(self) -> tuple[F8, F8, F8, F8, F8, F8, float, float]:
         """What `false_odds` takes. The uniform part of objects is beyond the volume too."""
         clutter, objects = self.clutter, self.followed.objects
-        alarms, people = _table(clutter, TINY), _table(objects, objects.density.flat)
-        return *alarms, *people, float(self.followed.share), float(clutter.rate * clutter.density.flat)
+        alarms = _table(clutter.rate, clutter.density, TINY)
+        people = _table(objects.rate, objects.density, objects.density.flat)
+        # No place at all, where births were not learned.
+        births = np.concatenate([[0.0, TINY, TINY], people[0][3:]]), np.zeros((len(people[1]), 0))
+        if self.births is not None:
+            births = _table(objects.rate, marginal(self.births.density, _SHOWN), TINY)
+        return *alarms, *people, *births, float(self.followed.share), float(clutter.rate * clutter.density.flat)
 
 
-def _table(learned: Learned, flat: float) -> tuple[F8, F8]:
+def _table(rate: float, p: ContextDensity, flat: float) -> tuple[F8, F8]:
     """Bounds and Gaussians of a density per frame, whose uniform part is ``flat`` everywhere."""
-    p = learned.density
-    return np.concatenate([[learned.rate, flat, flat], p.low, p.high]), np.vstack(p.table)
+    return np.concatenate([[rate, flat, flat], p.low, p.high]), np.vstack(p.table)

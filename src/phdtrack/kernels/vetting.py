@@ -109,16 +109,17 @@ def remembered(
 
 
 @njit(**ENTRY)
-def false_odds(z: F8, around: F8, alarms: F8, among: F8, objects: F8, share: float, flat: float) -> F8:
+def false_odds(
+    z: F8, around: F8, alarms: F8, among: F8, objects: F8, entry: F8, births: F8, share: float, flat: float
+) -> F8:
     """(2, N) logarithms of false alarms over objects at boxes ``z`` (4, N), see `context.odds`: of who is followed, of any.
 
-    Bounds (11,) and tables (15, M) of the places of false alarms and of objects, as `laid_over.clutter_by_place` takes them;
-    ``share`` of false alarms is followed, and ``flat`` of them are anywhere.
+    Bounds (11,) and tables (15, M) of the places of false alarms, of objects and of their entries, as
+    `laid_over.clutter_by_place` takes them; ``share`` of false alarms is followed, and ``flat`` of them are anywhere.
     """
-    places: F8 = clutter_by_place(z, around, alarms)
+    places, born = clutter_by_place(z, around, alarms), clutter_by_place(z, entry, births)
     true, out = clutter_by_place(z, among, objects), np.empty((2, places.size))
     for j in range(places.size):
-        log = np.log(max(true[j], TINY))
-        out[0, j] = np.log(max(share * places[j], TINY)) - log
-        out[1, j] = np.log(max(places[j] + flat, TINY)) - log
+        out[0, j] = np.log(max(share * places[j], TINY)) - np.log(max(true[j], TINY))
+        out[1, j] = np.log(max(places[j] + flat, TINY)) - np.log(max(true[j] + born[j], TINY))
     return out

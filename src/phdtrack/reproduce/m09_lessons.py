@@ -95,7 +95,7 @@ def told(stages: AnyStages, births: Learned | None, clutter: Learned | None, see
     model = laid_over(stages.model, births, clutter, seen, MOST)
     if clutter is None or seen is None:
         return replace(stages, model=model)
-    return replace(stages, model=model, associator=Vetted(stages.associator, Odds(clutter, seen), SURE, SHORTEST))
+    return replace(stages, model=model, associator=Vetted(stages.associator, Odds(clutter, seen, births), SURE, SHORTEST))
 
 
 def own_births(tracks: Tracks, case: Case, rate: float) -> Lesson | None:
