@@ -215,7 +215,8 @@ def test_a_learned_scene_is_every_methods(folder: Path, tmp_path: Path) -> None:
     assert said.status == 0, said.err
     for row in rows(out / "runs.csv"):
         configuration = json.loads((out / row["folder"] / "run.json").read_text())["configuration"]
-        assert configuration["clutter"] == {"kind": "scene", "file": str(scene), "beside": 0.3, "vet": True}
+        told = {"kind": "scene", "file": str(scene), "beside": 0.3, "vet": True, "sure": 0.1}
+        assert configuration["clutter"] == told
     # What is learned anew makes runs anew.
     write_scene(scene, Scene(320, 240, 25.0, "yard", clutter=replace(learned, rate=4.0)))
     again = phdtrack("compare", folder, *QUICK, "--clutter", "4", "--scene", scene, "--out", out)
