@@ -22,6 +22,7 @@ from benchmarks.workload import Crowd, Stream, draw
 from phdtrack import config, pipeline
 from phdtrack.associate.vetted import Vetted
 from phdtrack.context import ContextDensity, Followed, Learned, grid, marginal
+from phdtrack.context.density import SHOWN
 from phdtrack.context.odds import Odds
 from phdtrack.context.samples import state_volume
 from phdtrack.models.learned_scene import laid_over
@@ -34,7 +35,6 @@ SLOW = ("mht", "mcmc")
 TARGETS = 15
 BIRTHS, ALARMS = 0.1, 5.0
 LIMIT = 1.05
-SHOWN = (0, 1, 4, 5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ def _learned(stages: AnyStages, size: tuple[float, float], places: Places) -> An
     objects = Learned(float(TARGETS), marginal(_density(size, 1, (1, 1), size[0] / 3), SHOWN))
     seen = Followed(0.1, objects)
     model = laid_over(stages.model, births, alarms, seen, 500)
-    return replace(stages, model=model, associator=Vetted(stages.associator, Odds(alarms, seen)))
+    return replace(stages, model=model, associator=Vetted(stages.associator, Odds(alarms, seen, births), 0.1, 5))
 
 
 def _density(size: tuple[float, float], count: int, counts: tuple[int, int], wide: float = 30.0) -> ContextDensity:

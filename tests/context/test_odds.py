@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from phdtrack.context import ContextDensity, Followed, Learned, uniform_density
+from phdtrack.context.density import SHOWN, marginal
 from phdtrack.context.odds import Odds
+from reference import vetting_twin as twin
 
 LOW, HIGH = np.zeros(4), np.array([640.0, 480, 640, 480])
 VOLUME = (640.0 * 480) ** 2
@@ -109,3 +111,15 @@ def test_each_box_is_judged_by_itself(rng):
 def test_a_scene_of_which_only_uniform_parts_are_known_holds_nobody_back():
     odds = Odds(Learned(3.0, uniform_density(LOW, HIGH)), Followed(1.0, Learned(1e-3, uniform_density(LOW, HIGH))))
     assert (followed(np.hstack([FLAG, STREET, BEYOND]), odds) < 0).all()
+
+
+def test_it_is_what_the_densities_say(rng):
+    """Near all places at once, against the densities one by one."""
+    z = np.hstack([place + rng.normal(0, 4, (4, 30)) for place in (FLAG, DOOR, STREET)])
+    births = Learned(0.02, ENTRY)
+    alarms = Learned(3.0, ContextDensity(LOW, HIGH, 0.1, np.ones(1), STREET, 900 * np.eye(4)[None]))
+    wanted = twin.false_odds(z, alarms, PEOPLE, marginal(ENTRY, SHOWN), 0.4)
+    np.testing.assert_allclose(Odds(alarms, Followed(0.4, PEOPLE), births).log(z)[1], wanted[1], rtol=1e-6)
+    near = wanted[0] > -20
+    assert near.sum() >= 25
+    np.testing.assert_allclose(Odds(alarms, Followed(0.4, PEOPLE)).log(z)[0, near], wanted[0, near], rtol=1e-4)

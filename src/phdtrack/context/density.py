@@ -21,6 +21,8 @@ from phdtrack.types import F8, Bool
 
 # A Gaussian of which less than this lies inside is as good as outside, and never divided by less.
 LEAST_INSIDE = 1e-6
+# Of births, on states of boxes, what detections show: all but the two velocities.
+SHOWN = (0, 1, 4, 5)
 
 
 @dataclass(frozen=True, eq=False)

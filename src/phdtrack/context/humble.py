@@ -8,14 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.context.density import ContextDensity, marginal
+from phdtrack.context.density import SHOWN, ContextDensity, marginal
 from phdtrack.context.part import Part
 from phdtrack.context.prior import Sizes, detected_sizes, humbled, of_the_next
 from phdtrack.context.scene_file import Learned
 from phdtrack.types import F8
-
-# Of births what detections show: all but the two velocities.
-SHOWN = (0, 1, 4, 5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,13 +21,10 @@ from functools import cached_property
 
 import numpy as np
 
-from phdtrack.context.density import ContextDensity, marginal
+from phdtrack.context.density import SHOWN, ContextDensity, marginal
 from phdtrack.context.scene_file import Followed, Learned
 from phdtrack.kernels.vetting import TINY, false_odds
 from phdtrack.types import F8
-
-# Of births what detections show: all but the two velocities.
-_SHOWN = (0, 1, 4, 5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +49,7 @@ class Odds:
         # No place at all, where births were not learned.
         births = np.concatenate([[0.0, TINY, TINY], people[0][3:]]), np.zeros((len(people[1]), 0))
         if self.births is not None:
-            births = _table(objects.rate, marginal(self.births.density, _SHOWN), TINY)
+            births = _table(objects.rate, marginal(self.births.density, SHOWN), TINY)
         return *alarms, *people, *births, float(self.followed.share), float(clutter.rate * clutter.density.flat)
 
 

@@ -29,6 +29,7 @@ import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
 from phdtrack.context import ContextDensity, Followed, Learned, marginal, uniform_density
+from phdtrack.context.density import SHOWN
 from phdtrack.kernels.context_density import COARSE, given_detections, mixture_density, newborn_about
 from phdtrack.kernels.laid_over import laid_about, laid_births, laid_clutter
 from phdtrack.models.births import MeasurementBirth, gaussians_about, particles_about
@@ -76,7 +77,7 @@ class ContextBirth:
 
     rate: NonNegative
     density: ContextDensity
-    observed: tuple[int, ...] = (0, 1, 4, 5)
+    observed: tuple[int, ...] = SHOWN
     most: PositiveCount = 1000
     beside: NonNegative = 0.0
     among: ContextDensity | None = None
