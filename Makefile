@@ -17,7 +17,7 @@ PY := $(VENV)/bin/python
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PEERS := .venv-peers
-CODE := src tests scripts $(wildcard benchmarks)
+CODE := src tests experiments scripts benchmarks
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
@@ -62,7 +62,7 @@ demo: env
 	$(BIN)/phdtrack demo --out demo-run --overwrite
 
 experiments: env
-	$(PY) -m phdtrack.reproduce
+	$(PY) -m experiments
 
 bench: env peers
 	$(PY) -m benchmarks

@@ -22,8 +22,8 @@ import numpy as np
 # ended by the time their processor time is asked for.
 PROGRAM = """
 import json, os, sys, time
-from phdtrack.commands import steps
-from phdtrack.compiling import watched
+from phdtrack.cli import steps
+from phdtrack.cli.compiling import watched
 
 report, path, advance = {}, sys.argv.pop(1), steps.Steps.advance
 
@@ -33,7 +33,7 @@ def first(self, *frame):
     return step
 
 steps.Steps.advance = first
-from phdtrack.cli import main
+from phdtrack.cli.app import main
 with watched(lambda: None) as compiled:
     try:
         main()

@@ -18,7 +18,7 @@ NAMES = {"mcmc": "MCMC joint", "mcmc_each": "MCMC", "particle-phd": "SMC PHD"}
 
 def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
     """Seconds for the whole sequence; the filters take turns."""
-    from phdtrack.reproduce.d14_runs import Job, track
+    from experiments.d14_runs import Job, track
 
     number = 4000 if scale.others else 100
     spent: dict[str, list[tuple[float, float]]] = {key: [] for key in NAMES}

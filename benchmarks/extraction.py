@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.timing import Spread, in_turns, seconds
 from benchmarks.workload import Crowd, draw, stages
-from phdtrack.extract import KMeans, Mixture
+from phdtrack.filters.extract import KMeans, Mixture
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import F8, Estimates
 

@@ -13,7 +13,7 @@ from benchmarks.parts import Outcome, Row, Scale
 from benchmarks.timing import Spread, clock, took
 from benchmarks.workload import Crowd, Stream, draw
 from phdtrack import config, pipeline
-from phdtrack.hypotheses import Hypotheses
+from phdtrack.filters.hypotheses import Hypotheses
 
 KEYS = ("mht_ms", "mht")
 TARGETS = 10

@@ -11,7 +11,7 @@ from typing import Any
 from benchmarks.gm_phd import steps
 from benchmarks.workload import Crowd
 from phdtrack import config
-from phdtrack.bernoullis import Bernoullis
+from phdtrack.filters.bernoullis import Bernoullis
 from phdtrack.types import F8
 
 

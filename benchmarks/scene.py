@@ -21,12 +21,12 @@ from benchmarks.timing import Spread, clock, took
 from benchmarks.workload import Crowd, Stream, draw
 from phdtrack import config, pipeline
 from phdtrack.associate.vetted import Vetted
-from phdtrack.context import ContextDensity, Followed, Learned, grid, marginal
-from phdtrack.context.density import SHOWN
-from phdtrack.context.odds import Odds
-from phdtrack.context.samples import state_volume
 from phdtrack.models.learned_scene import laid_over
 from phdtrack.protocols import AnyStages
+from phdtrack.scene import ContextDensity, Followed, Learned, grid, marginal
+from phdtrack.scene.density import SHOWN
+from phdtrack.scene.odds import Odds
+from phdtrack.scene.samples import state_volume
 from phdtrack.types import F8
 
 KEYS = ("scene_ratio", "scene")

@@ -17,7 +17,7 @@ from scipy.special import chdtri
 
 from benchmarks.timing import Took, clock, took
 from benchmarks.workload import Crowd
-from phdtrack.boxes import to_cxcywh
+from phdtrack.arrays import to_cxcywh
 from phdtrack.types import F8, Detections
 
 I8 = NDArray[np.int64]

@@ -21,19 +21,18 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.compile import detections  # noqa: E402
-
-from phdtrack.commands.precompile import TABLE, table  # noqa: E402
+from phdtrack.cli.precompile import TABLE, table  # noqa: E402
 
 FILTERS = ("pmb", "particle-phd", "gm-phd", "none", "gm-cphd", "mht", "mcmc")
 # `precompile` is set aside: the table is to say what a run calls, not what an older table said.
 PROGRAM = """
 import json, sys
-from phdtrack.commands import first_use, precompile
-from phdtrack.compiling import watched
+from phdtrack.cli import first_use, precompile
+from phdtrack.cli.compiling import watched
 
 first_use.precompile = lambda filter_name: None
 report = sys.argv.pop(1)
-from phdtrack.cli import main
+from phdtrack.cli.app import main
 with watched(lambda: None) as compiled:
     try:
         main()

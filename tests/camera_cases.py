@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.camera import CountedFrom, Flat, HomographyCamera, OpenCVLens, PosedCamera, Surface, Terrain, TsaiLens
+from phdtrack.ground import CountedFrom, Flat, HomographyCamera, OpenCVLens, PosedCamera, Surface, Terrain, TsaiLens
 
 SIZE = (768.0, 576.0)
 MATRIX = np.array([[850.0, 0, 380], [0, 870, 290], [0, 0, 1]])

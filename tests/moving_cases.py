@@ -7,8 +7,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from phdtrack.boxes import to_cxcywh
-from phdtrack.camera import warp as warp_of
+from phdtrack.arrays import to_cxcywh
+from phdtrack.ground import warp as warp_of
 from phdtrack.simulate import Scene
 from phdtrack.types import DetectionTable, Frame
 

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, Share, bounds, check
+from phdtrack.config.kinds import SECTIONS
 from phdtrack.errors import InputError
-from phdtrack.kinds import SECTIONS
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,11 @@ import pytest
 from config_cases import toml, written
 from phdtrack import config
 from phdtrack.associate import GraphMatching, Labelled
+from phdtrack.config.kinds import SECTIONS
+from phdtrack.config.presets import FILTERED, PRESETS
 from phdtrack.errors import InputError
-from phdtrack.extract import BestBernoullis, KMeans, Mixture
 from phdtrack.filters import PMB, ParticlePHD
-from phdtrack.kinds import SECTIONS
+from phdtrack.filters.extract import BestBernoullis, KMeans, Mixture
 from phdtrack.models import (
     FixedBirth,
     LocalClutter,
@@ -23,7 +24,6 @@ from phdtrack.models import (
     UniformBirth,
     UniformClutter,
 )
-from phdtrack.presets import FILTERED, PRESETS
 from phdtrack.types import GaussianMixture, SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0)

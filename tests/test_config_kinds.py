@@ -7,11 +7,19 @@ import pytest
 
 from phdtrack import config
 from phdtrack.associate import GraphMatching, Labelled
+from phdtrack.config.presets import PRESETS
 from phdtrack.errors import InputError
-from phdtrack.extract import BestBernoullis, BestHypothesis, Components, CountedComponents, CountedMixture, KMeans, Raw
 from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.filters.extract import (
+    BestBernoullis,
+    BestHypothesis,
+    Components,
+    CountedComponents,
+    CountedMixture,
+    KMeans,
+    Raw,
+)
 from phdtrack.models import LocalPlaneClutter, PlaneBirth, PlaneMotion, PlaneSensor
-from phdtrack.presets import PRESETS
 from phdtrack.types import SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0)

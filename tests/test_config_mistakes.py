@@ -9,8 +9,8 @@ import pytest
 from config_cases import toml, written
 from phdtrack import config
 from phdtrack.checks import bounds
+from phdtrack.config.kinds import SECTIONS
 from phdtrack.errors import InputError
-from phdtrack.kinds import SECTIONS
 from phdtrack.types import SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0)

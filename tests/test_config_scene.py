@@ -8,11 +8,11 @@ import pytest
 from phdtrack import config
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.associate.vetted import Vetted
-from phdtrack.commands.configured import Choice, chosen
-from phdtrack.context import ContextDensity, Followed, Learned, Scene, read_scene, uniform_density, write_scene
+from phdtrack.cli.configured import Choice, chosen
+from phdtrack.config.presets import FILTERED
 from phdtrack.errors import InputError
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
-from phdtrack.presets import FILTERED
+from phdtrack.scene import ContextDensity, Followed, Learned, Scene, read_scene, uniform_density, write_scene
 from phdtrack.types import SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0, 100)

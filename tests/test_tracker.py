@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack import Tracker, config
+from phdtrack.config.presets import PRESETS
 from phdtrack.errors import InputError
-from phdtrack.extract import Raw
 from phdtrack.filters import NoFilter
-from phdtrack.presets import PRESETS
+from phdtrack.filters.extract import Raw
 from phdtrack.types import Detections, SequenceInfo
 from tracker_cases import PARTICLES, SIZE, boxes, equal, feed, street, tracker_of
 

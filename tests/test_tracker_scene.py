@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from phdtrack import Tracker, config
+from phdtrack.arrays import to_xyxy
 from phdtrack.associate.vetted import Vetted
-from phdtrack.boxes import to_xyxy
-from phdtrack.context import ContextDensity, Followed, Learned
-from phdtrack.context.odds import Odds
 from phdtrack.models.learned_scene import laid_over
+from phdtrack.scene import ContextDensity, Followed, Learned
+from phdtrack.scene.odds import Odds
 from phdtrack.types import Detections, SequenceInfo, Tracks
 from tracker_cases import PARTICLES, SIZE, equal, feed
 

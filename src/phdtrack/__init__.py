@@ -9,17 +9,17 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from phdtrack._version import __version__
+__version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from phdtrack.camera_motion import CameraMotion
     from phdtrack.errors import InputError
     from phdtrack.metrics import evaluate
     from phdtrack.tracker import Tracker
     from phdtrack.types import Detections, Tracks
+    from phdtrack.video.ego_motion import CameraMotion
 
 _HOMES = {
-    "CameraMotion": "phdtrack.camera_motion",
+    "CameraMotion": "phdtrack.video.ego_motion",
     "Detections": "phdtrack.types",
     "InputError": "phdtrack.errors",
     "Tracker": "phdtrack.tracker",

@@ -1,6 +1,6 @@
 """``python -m phdtrack``: the same as the command ``phdtrack``."""
 
-from phdtrack.cli import main
+from phdtrack.cli.app import main
 
 if __name__ == "__main__":
     main()

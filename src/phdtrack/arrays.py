@@ -1,12 +1,58 @@
-"""Small array operations that several stages share."""
+"""Small array operations that several packages share: sums by index, boxes, draws from mixtures.
+
+Boxes are written in two ways. ``xyxy`` is (N, 4): left, top, right, bottom. ``cxcywh`` is (4, N): centre x, centre y, width,
+height as columns, the measurement vector z = (px, py, w, h) of M07 and M09.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.types import F8, I8
+from phdtrack.types import F8, I8, GaussianMixture, Particles
 
 
 def sum_by(index: I8, value: F8, count: int) -> F8:
     """(count,) sums of ``value`` over equal ``index``, in float64."""
     return np.asarray(np.bincount(index, value, count), dtype=np.float64)
+
+
+def to_cxcywh(xyxy: F8) -> F8:
+    """(4, N) centre x, centre y, width, height of the (N, 4) boxes."""
+    left, top, right, bottom = xyxy.T
+    return np.stack([(left + right) / 2, (top + bottom) / 2, right - left, bottom - top])
+
+
+def to_xyxy(cxcywh: F8) -> F8:
+    """(N, 4) left, top, right, bottom of the (4, N) centres and sizes."""
+    x, y, w, h = cxcywh
+    return np.stack([x - w / 2, y - h / 2, x + w / 2, y + h / 2], axis=1)
+
+
+def area(xyxy: F8) -> F8:
+    """(N,) areas in pixels²."""
+    return (xyxy[:, 2] - xyxy[:, 0]) * (xyxy[:, 3] - xyxy[:, 1])
+
+
+def intersection(a: F8, b: F8) -> F8:
+    """(N, M) areas that the boxes ``a`` (N, 4) and ``b`` (M, 4) share, in pixels²."""
+    width = np.minimum(a[:, None, 2], b[None, :, 2]) - np.maximum(a[:, None, 0], b[None, :, 0])
+    height = np.minimum(a[:, None, 3], b[None, :, 3]) - np.maximum(a[:, None, 1], b[None, :, 1])
+    shared: F8 = np.maximum(width, 0) * np.maximum(height, 0)
+    return shared
+
+
+def iou(a: F8, b: F8) -> F8:
+    """(N, M) intersection over union of the boxes ``a`` (N, 4) and ``b`` (M, 4); 0 where both have no area."""
+    shared = intersection(a, b)
+    union = area(a)[:, None] + area(b)[None, :] - shared
+    return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
+
+
+def draw(mixture: GaussianMixture, count: int, scale: float, rng: np.random.Generator) -> Particles:
+    """``count`` particles from each component, of total mass ``scale`` times its weight."""
+    d, k = mixture.mean.shape
+    root = np.linalg.cholesky(mixture.covariance)
+    noise = rng.standard_normal((k, d, count))
+    state = mixture.mean.T[:, :, None] + root @ noise
+    weight = np.repeat(mixture.weight * scale / max(1, count), count)
+    return Particles(np.ascontiguousarray(state.transpose(1, 0, 2).reshape(d, k * count)), weight)

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from phdtrack.camera.warp import as_warp
 from phdtrack.errors import InputError
 from phdtrack.explanation import Explanation
+from phdtrack.ground.warp import as_warp
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import F4, F8, I8, STILL, Detections, Estimates, Step, Tracks, UpdateInfo
 

@@ -19,17 +19,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phdtrack import config, pipeline
-from phdtrack.bernoullis import Bernoullis
-from phdtrack.camera.warp import as_warp
-from phdtrack.detections import as_detections
+from phdtrack.config.state_dict import pack, unpack
+from phdtrack.detect.convert import as_detections
 from phdtrack.errors import InputError
-from phdtrack.hypotheses import Hypotheses
-from phdtrack.intensities import Cardinalised, JointSamples
+from phdtrack.filters.bernoullis import Bernoullis
+from phdtrack.filters.hypotheses import Hypotheses
+from phdtrack.filters.intensities import Cardinalised, JointSamples
+from phdtrack.ground.warp import as_warp
 from phdtrack.models.followed_rates import RatesState
 from phdtrack.models.standing import refuse_standing
 from phdtrack.protocols import AnyStages
-from phdtrack.rates import Rates
-from phdtrack.statedict import pack, unpack
+from phdtrack.scene.rates import Rates
 from phdtrack.types import STILL, Detections, GaussianMixture, ParticleBlocks, Particles, SequenceInfo, Step, Tracks
 
 # Of a saved state: it changes when a record of the state does.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from association_cases import matching_of, model_of, states
 
-from phdtrack.boxes import to_cxcywh, to_xyxy
+from phdtrack.arrays import to_cxcywh, to_xyxy
 from phdtrack.types import Estimates, Tracks
 from reference import graph_twin as twin
 

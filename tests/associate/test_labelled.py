@@ -9,8 +9,8 @@ import pytest
 from association_cases import FIELDS, model_of, states
 
 from phdtrack.associate import Labelled
+from phdtrack.config.state_dict import pack, unpack
 from phdtrack.errors import InputError
-from phdtrack.statedict import pack, unpack
 from phdtrack.types import Estimates, Tracks
 
 MODEL = model_of()

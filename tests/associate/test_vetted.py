@@ -10,10 +10,10 @@ from association_cases import FIELDS, matching_of, model_of, states
 from hypothesis import given
 from hypothesis import strategies as st
 
+from phdtrack.arrays import to_xyxy
 from phdtrack.associate import Labelled, vetted
 from phdtrack.associate.vetted import Vetted, believed
-from phdtrack.boxes import to_xyxy
-from phdtrack.statedict import pack, unpack
+from phdtrack.config.state_dict import pack, unpack
 from phdtrack.types import Estimates, Tracks
 
 MODEL = model_of()

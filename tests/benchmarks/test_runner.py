@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
+
+from benchmarks import c_kernel, d14, mht, particle_phd
 from benchmarks.__main__ import measure
 from benchmarks.parts import SMOKE, Outcome, Part, Row, Skipped
 from benchmarks.registry import PARTS
 from benchmarks.report import Paper, write
 from benchmarks.timing import Spread, exponent, in_turns
-from rich.console import Console
-
-from benchmarks import c_kernel, d14, mht, particle_phd
 
 REQUIRED = {
     "particle_phd_ms",

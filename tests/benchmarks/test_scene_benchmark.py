@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks.parts import SMOKE
-from benchmarks.workload import Crowd, draw
 
 from benchmarks import scene
+from benchmarks.parts import SMOKE
+from benchmarks.workload import Crowd, draw
 from phdtrack import config
 from phdtrack.associate.vetted import Vetted
 

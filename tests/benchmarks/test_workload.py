@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from benchmarks.loops import Ours, race
 from benchmarks.stone_soup import batch_error
 from benchmarks.twins import Twin, World, in_rectangles
 from benchmarks.workload import Crowd, draw, stages
-
-from phdtrack.boxes import to_cxcywh
+from phdtrack.arrays import to_cxcywh
 from phdtrack.models.volume import image_volume
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from typer.testing import CliRunner
 
-from phdtrack.cli import app
+from phdtrack.cli.app import app
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import pytest
 from cli_runner import phdtrack, refused
 
 from camera_cases import PLANE
-from phdtrack.camera import HomographyCamera, read_camera
+from phdtrack.ground import HomographyCamera, read_camera
 
 WORLD = np.array([[0.0, 12, 10, -8, 3, -2], [-8, -3, 10, 12, 2, -9]])
 

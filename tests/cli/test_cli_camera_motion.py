@@ -9,8 +9,8 @@ import pytest
 from cli_runner import phdtrack, refused
 
 from moving_cases import filmed, handheld, moving, step
-from phdtrack.camera import warp as warp_of
 from phdtrack.formats import read_warps, write_detections, write_truth
+from phdtrack.ground import warp as warp_of
 from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.simulate.renderer import render
 from phdtrack.video import VideoWriter

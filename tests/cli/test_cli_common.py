@@ -12,7 +12,7 @@ import typer
 from cli_runner import phdtrack
 
 from phdtrack import __version__
-from phdtrack.cli import guarded
+from phdtrack.cli.app import guarded
 from phdtrack.errors import InputError
 
 COMMANDS = ("demo", "track", "detect", "evaluate", "simulate", "calibrate", "doctor", "reproduce")
@@ -36,7 +36,7 @@ def test_help_names_every_command_and_starts_quickly() -> None:
 
 
 def test_nothing_heavy_is_imported_before_a_command_runs() -> None:
-    code = f"import sys, phdtrack.cli; print([name for name in {HEAVY} if name in sys.modules])"
+    code = f"import sys, phdtrack.cli.app; print([name for name in {HEAVY} if name in sys.modules])"
     assert run(sys.executable, "-c", code).stdout.strip() == "[]"
 
 

@@ -16,7 +16,7 @@ import pytest
 from cli_runner import phdtrack, refused, walkers
 
 from phdtrack.compare import work
-from phdtrack.context import Learned, Scene, uniform_density, write_scene
+from phdtrack.scene import Learned, Scene, uniform_density, write_scene
 
 FILES = {"report.html", "compare.csv", "runs.csv", "compare.json"}
 QUICK = ("--filters", "gm-phd,none", "--seeds", 2, "--jobs", 1)

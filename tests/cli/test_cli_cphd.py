@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack, walkers
 
-from phdtrack import Tracker, rundir
+from phdtrack import Tracker
+from phdtrack.cli import run_directory as rundir
 
 
 @pytest.mark.parametrize(("name", "extraction"), [("gm-cphd", "counted-components"), ("particle-cphd", "counted-mixture")])

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from cli_runner import phdtrack
 
-from phdtrack import doctor, kernels
+from phdtrack import kernels
+from phdtrack.cli import doctor_checks as doctor
 
 
 def test_all_is_well_here() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cli_runner import phdtrack, refused, walkers
 
-from phdtrack import rundir
+from phdtrack.cli import run_directory as rundir
 
 
 def test_the_gaussian_mixture_filter_by_name(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack, refused
 
-from phdtrack import rundir
-from phdtrack.commands.groups import NAMES
+from phdtrack.cli import run_directory as rundir
+from phdtrack.cli.groups import NAMES
 from phdtrack.formats import read_tracks
 from phdtrack.types import Step
 from phdtrack.video import VideoWriter, open_source
@@ -225,7 +225,7 @@ def test_an_earlier_run_is_kept(tmp_path: Path) -> None:
 
 
 def test_ctrl_c_leaves_the_groups_up_to_there(street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from phdtrack.commands.group_companion import GroupCompanion
+    from phdtrack.cli.group_companion import GroupCompanion
 
     whole = GroupCompanion.take
 

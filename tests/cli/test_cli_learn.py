@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack, refused
 
-from phdtrack.commands.label_inputs import to_label
-from phdtrack.commands.output import Output
-from phdtrack.commands.wanted import Wanted
-from phdtrack.context import read_scene
+from phdtrack.cli.label_inputs import to_label
+from phdtrack.cli.output import Output
+from phdtrack.cli.wanted import Wanted
 from phdtrack.label import Label, LabelStore
+from phdtrack.scene import read_scene
 
 FRAMES = 900
 

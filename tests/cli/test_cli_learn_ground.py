@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack
 
-from phdtrack.context import read_scene
 from phdtrack.models import PlaneSensor
+from phdtrack.scene import read_scene
 from plane_cases import LevelCamera
 
 CAMERA, RATE, FRAMES, EVERY, STAY = LevelCamera(), 7.0, 560, 8, 26

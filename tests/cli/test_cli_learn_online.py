@@ -5,8 +5,8 @@ import json
 import pytest
 from cli_runner import phdtrack
 
-from phdtrack.context import read_scene
 from phdtrack.formats import write_detections, write_truth
+from phdtrack.scene import read_scene
 from phdtrack.simulate import DetectorModel, make_scene
 
 

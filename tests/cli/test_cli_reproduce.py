@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from cli_runner import phdtrack, refused
 
-from phdtrack.reproduce import common, count
-from phdtrack.reproduce.experiments import EXPERIMENTS
+from experiments import common, count
+from experiments.registry import EXPERIMENTS
 
 
 def test_the_list_names_every_experiment_and_what_it_answers() -> None:
@@ -21,7 +21,7 @@ def test_the_list_names_every_experiment_and_what_it_answers() -> None:
 
 
 def test_every_experiment_is_known_by_the_name_of_its_module() -> None:
-    assert all(one.run.__module__ == f"phdtrack.reproduce.{name}" for name, one in EXPERIMENTS.items())
+    assert all(one.run.__module__ == f"experiments.{name}" for name, one in EXPERIMENTS.items())
 
 
 @pytest.fixture

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from cli_runner import phdtrack
 
-from phdtrack.boxes import iou
-from phdtrack.commands.label_inputs import to_label
-from phdtrack.commands.output import Output
-from phdtrack.commands.wanted import Wanted
+from phdtrack.arrays import iou
+from phdtrack.cli.label_inputs import to_label
+from phdtrack.cli.output import Output
+from phdtrack.cli.wanted import Wanted
 from phdtrack.formats import read_truth
 from phdtrack.label import Label, LabelStore
 from phdtrack.label.session import sampled

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack, refused, walkers
 
-from phdtrack import rundir
+from phdtrack.cli import run_directory as rundir
 from phdtrack.errors import interrupted
 from phdtrack.formats import read_detections, read_tracks
 from phdtrack.video import VideoWriter, open_source

@@ -26,8 +26,8 @@ CALLER = (
 )
 PROGRAM = """
 import json, sys
-from phdtrack.commands.first_use import announced
-from phdtrack.commands.output import Output
+from phdtrack.cli.first_use import announced
+from phdtrack.cli.output import Output
 from phdtrack.kernels import CACHE
 from phdtrack.kernels.caller import caller
 sys.stderr.isatty = lambda: {terminal}

@@ -14,19 +14,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phdtrack import config, rundir
+from phdtrack import config
 from phdtrack.associate import GraphMatching
-from phdtrack.commands.inputs import Blank, Inputs
-from phdtrack.commands.job import Job, Outcome, run
-from phdtrack.commands.spool import rereadable
-from phdtrack.commands.steps import Steps
+from phdtrack.cli import run_directory as rundir
+from phdtrack.cli.inputs import Blank, Inputs
+from phdtrack.cli.job import Job, Outcome, run
+from phdtrack.cli.pipeline_threads import DEPTH
+from phdtrack.cli.spool import rereadable
+from phdtrack.cli.steps import Steps
 from phdtrack.detect import make_detector
 from phdtrack.errors import InputError
-from phdtrack.extract import Raw
 from phdtrack.filters import NoFilter
+from phdtrack.filters.extract import Raw
 from phdtrack.formats import DetectionsWriter, TracksWriter, read_detections, read_tracks, write_tracks
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth
-from phdtrack.overlap import DEPTH
 from phdtrack.protocols import Model, Stages
 from phdtrack.report import Annotator
 from phdtrack.types import Detections, Frame, Image, SequenceInfo, Truth
@@ -240,7 +241,7 @@ def test_overlap_changes_no_result(job: Job, directory: rundir.RunDirectory) -> 
 def test_few_frames_live_however_long_the_video(
     job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch, slow: str
 ) -> None:
-    from phdtrack.commands import job as module
+    from phdtrack.cli import job as module
 
     living: list[weakref.ref[object]] = []
     most = 0
@@ -295,7 +296,7 @@ def test_an_interrupt_in_the_loop_stops_the_stages(job: Job, directory: rundir.R
 
 
 def test_stopped_while_drawing(job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch) -> None:
-    from phdtrack.commands import job as module
+    from phdtrack.cli import job as module
 
     real: Callable[..., object] = module.Annotator
 

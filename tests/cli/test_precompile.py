@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from benchmarks.compile import detections
 
 import phdtrack
-from phdtrack.commands.precompile import shares, table
+from benchmarks.compile import detections
+from phdtrack.cli.precompile import shares, table
 
 SOURCES = Path(phdtrack.__file__).parent
 KERNEL = "from numba import njit\n\n\n@njit(cache=True)\ndef {0}(x):\n    return x.sum() + {1}\n"
@@ -30,8 +30,8 @@ ROWS = [
 PROGRAM = """
 import json, sys
 import numpy as np
-from phdtrack.commands import precompile
-from phdtrack.compiling import watched
+from phdtrack.cli import precompile
+from phdtrack.cli.compiling import watched
 from phdtrack.kernels.one import one
 from phdtrack.kernels.two import two
 precompile._cores = lambda: {cores}
@@ -142,7 +142,7 @@ def test_shares_are_stretches_of_about_equal_cost(count: int) -> None:
 def test_the_table_has_what_a_run_calls(tmp_path: Path) -> None:
     detections(tmp_path / "det.txt")
     program = (
-        "import json, sys\nfrom phdtrack.cli import main\nfrom phdtrack.commands import first_use, precompile\n"
+        "import json, sys\nfrom phdtrack.cli.app import main\nfrom phdtrack.cli import first_use, precompile\n"
         "first_use.precompile = lambda filter_name: None\n"
         "try:\n    main()\nfinally:\n    print(json.dumps(list(precompile.called())))\n"
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from phdtrack import rundir
+from phdtrack.cli import run_directory as rundir
 from phdtrack.errors import InputError
 
 

@@ -14,7 +14,7 @@ HEAVY = {"numpy", "scipy", "numba", "cv2", "av", "matplotlib", "rich", "pyarrow"
 # What nobody needs for tracking, whoever brought it along.
 NEVER = {"scipy.optimize", "scipy.stats", "scipy.spatial", "scipy.ndimage", "sklearn", "torch", "pandas", "stonesoup", "PIL"}
 TRACKING = """
-from phdtrack.commands import steps
+from phdtrack.cli import steps
 
 advance, loaded = steps.Steps.advance, []
 
@@ -25,7 +25,7 @@ def first(self, *frame):
     return step
 
 steps.Steps.advance = first
-from phdtrack.cli import main
+from phdtrack.cli.app import main
 try:
     main()
 finally:
@@ -49,9 +49,9 @@ def test_importing_phdtrack_loads_nothing_heavy() -> None:
 
 @pytest.mark.parametrize("asked", [["--version"], ["--help"], ["track", "--help"]])
 def test_version_and_help_load_nothing_heavy(asked: list[str]) -> None:
-    program = "from phdtrack.cli import main\ntry:\n    main()\nfinally:\n    print(*sys.modules, sep='\\n')"
+    program = "from phdtrack.cli.app import main\ntry:\n    main()\nfinally:\n    print(*sys.modules, sep='\\n')"
     loaded = modules(program, *asked)
-    assert "phdtrack.commands.track" in loaded
+    assert "phdtrack.cli.track" in loaded
     assert HEAVY.isdisjoint(loaded)
 
 

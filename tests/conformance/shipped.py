@@ -7,13 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from phdtrack.arrays import to_cxcywh
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.associate.vetted import Vetted
-from phdtrack.bernoullis import Bernoullis, Layer
-from phdtrack.boxes import to_cxcywh
-from phdtrack.context import ContextDensity, Followed, Learned, uniform_density
-from phdtrack.context.odds import Odds
-from phdtrack.extract import (
+from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, PMB, NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.filters.bernoullis import Bernoullis, Layer
+from phdtrack.filters.extract import (
     BestBernoullis,
     BestHypothesis,
     Components,
@@ -25,9 +24,8 @@ from phdtrack.extract import (
     Mixture,
     Raw,
 )
-from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, PMB, NoFilter, ParticleCPHD, ParticlePHD
-from phdtrack.hypotheses import Cluster, Hypotheses, Nodes
-from phdtrack.intensities import Cardinalised, JointSamples
+from phdtrack.filters.hypotheses import Cluster, Hypotheses, Nodes
+from phdtrack.filters.intensities import Cardinalised, JointSamples
 from phdtrack.models import (
     BearingSensor,
     BoxMotion,
@@ -49,6 +47,8 @@ from phdtrack.models import (
 )
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.protocols import Model
+from phdtrack.scene import ContextDensity, Followed, Learned, uniform_density
+from phdtrack.scene.odds import Odds
 from phdtrack.types import Detections, Estimates, GaussianMixture, Particles
 from plane_cases import FRAME, LevelCamera
 

@@ -7,7 +7,7 @@ import pytest
 from shipped import fixed, keeps
 
 from camera_cases import CAMERAS, pixels
-from phdtrack.camera import PosedCamera
+from phdtrack.ground import PosedCamera
 from phdtrack.protocols import Camera
 
 pytestmark = pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)

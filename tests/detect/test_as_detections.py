@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from phdtrack.detections import as_detections, check_inside, clip_to_frame
+from phdtrack.detect.convert import as_detections, check_inside, clip_to_frame
 from phdtrack.errors import InputError
 from phdtrack.types import Detections
 

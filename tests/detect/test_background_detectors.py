@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from detect_scenes import HEIGHT, WIDTH, Scene
 
-from phdtrack.boxes import iou
+from phdtrack.arrays import iou
 from phdtrack.detect import ChangeDetector, MeanBackgroundDetector, MeanBackgroundSettings, make_detector
 from phdtrack.detect.change import chi2_quantile
 from phdtrack.detect.illumination import relit

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from phdtrack.detect import BlobSettings
-from phdtrack.detect.blobs import clean, components, detections
-from phdtrack.detections import as_detections, check_inside
+from phdtrack.detect.components import clean, components, detections
+from phdtrack.detect.convert import as_detections, check_inside
 from phdtrack.types import Image
 
 SHAPE = (144, 176)

@@ -11,7 +11,7 @@ from detect_scenes import Scene
 from hypothesis import given
 from hypothesis import strategies as st
 
-from phdtrack.boxes import iou
+from phdtrack.arrays import iou
 from phdtrack.detect import (
     DETECTORS,
     CallableDetector,

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import pytest
 from typer.testing import CliRunner
 
-from phdtrack.cli import app
+from phdtrack.cli.app import app
 
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "how-to"
 NAMES = sorted(page.name for page in PAGES.glob("*.md"))

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 
 from phdtrack.filters import MHT
-from phdtrack.hypotheses import Hypotheses, before
+from phdtrack.filters.hypotheses import Hypotheses, before
 from phdtrack.models import BoxMotion, BoxSensor, FixedBirth, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import F8, GaussianMixture, UpdateInfo

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phdtrack.bernoullis import Bernoullis
-from phdtrack.extract import BestBernoullis
 from phdtrack.filters import PMB
+from phdtrack.filters.bernoullis import Bernoullis
+from phdtrack.filters.extract import BestBernoullis
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import F8, Estimates, UpdateInfo

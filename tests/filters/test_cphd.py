@@ -11,7 +11,7 @@ from phd_cases import FRAME, crowd, seen_by, with_births, world
 from phdtrack.errors import InputError
 from phdtrack.filters import GMCPHD, GMPHD, ParticleCPHD, ParticlePHD
 from phdtrack.filters.cardinality import poisson
-from phdtrack.intensities import Cardinalised
+from phdtrack.filters.intensities import Cardinalised
 from phdtrack.models import BoxMotion, BoxSensor, FixedBirth, MeasurementBirth, SplitSpawn, UniformClutter
 from phdtrack.models.volume import image_volume
 from phdtrack.types import GaussianMixture, Particles

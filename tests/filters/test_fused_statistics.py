@@ -14,10 +14,10 @@ from fused_cases import NOTHING, Composed, check, level, preset, seen_by
 from phd_cases import FRAME
 
 from phdtrack import config, pipeline
-from phdtrack.context import ContextDensity, marginal
 from phdtrack.filters import ParticlePHD
 from phdtrack.filters.blocks import plain
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.scene import ContextDensity, marginal
 from phdtrack.types import Detections, ParticleBlocks, SequenceInfo
 
 SEEDS = 120

@@ -9,8 +9,8 @@ import pytest
 from fused_cases import check, identical, level, model_of, same_info, seen_by
 
 from phdtrack.filters import ParticlePHD
+from phdtrack.filters.threads import in_ranges
 from phdtrack.models import BoxMotion, MeasurementBirth
-from phdtrack.threads import in_ranges
 
 
 @pytest.mark.parametrize("scaling", ["particle", "detection"])

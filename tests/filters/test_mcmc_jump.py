@@ -9,9 +9,9 @@ import pytest
 from mcmc_cases import apart, joint_law, ring, variation
 
 from inner_kernels import from_python
+from phdtrack.filters.intensities import JointSamples
 from phdtrack.filters.mcmc_jump import jump_update
 from phdtrack.filters.mcmc_settings import Chain, Interaction, Jumps
-from phdtrack.intensities import JointSamples
 from phdtrack.kernels.mcmc_jump import Options, jump_chain, option_tables, redraw_one, redraw_two
 
 PAIRS = [(0, 1), (0, 2), (1, 2)]

@@ -9,9 +9,9 @@ import pytest
 from mht_cases import FRAME, boxes, histories, run, world
 
 from phdtrack import config
-from phdtrack.extract import BestHypothesis
 from phdtrack.filters import MHT
-from phdtrack.hypotheses import Hypotheses
+from phdtrack.filters.extract import BestHypothesis
+from phdtrack.filters.hypotheses import Hypotheses
 from phdtrack.models import BearingSensor, FixedBirth, LocalClutter, MeasurementBirth, TurningMotion, UniformClutter
 from phdtrack.types import Detections, GaussianMixture, SequenceInfo
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from phdtrack.boxes import to_cxcywh
+from experiments import count
+from phdtrack.arrays import to_cxcywh
 from phdtrack.models import BoxSensor
-from phdtrack.reproduce import count
 from phdtrack.simulate import constant
 from phdtrack.simulate.clutter import poisson_boxes
 

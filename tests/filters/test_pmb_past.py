@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from pmb_cases import FRAME, RNG, run, told, walk, world
 
-from phdtrack.bernoullis import Bernoullis
-from phdtrack.extract import BestBernoullis
-from phdtrack.extract.resolution import resolved
 from phdtrack.filters import PMB
+from phdtrack.filters.bernoullis import Bernoullis
+from phdtrack.filters.extract import BestBernoullis
+from phdtrack.filters.extract.resolution import resolved
 
 boxes = mht_cases.boxes
 

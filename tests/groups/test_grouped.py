@@ -9,9 +9,9 @@ import pytest
 from group_cases import people
 
 from phdtrack.config import build, build_groups, load, overlay
-from phdtrack.grouped import REACH, GroupStages, carriers, known_people, mixture_of
+from phdtrack.filters.intensities import Cardinalised
 from phdtrack.groups import Grouping, Living, Observed
-from phdtrack.intensities import Cardinalised
+from phdtrack.groups.pipeline import REACH, GroupStages, carriers, known_people, mixture_of
 from phdtrack.types import Detections, Estimates, GaussianMixture, SequenceInfo, Step, Tracks, UpdateInfo
 
 STAGES = GroupStages(living=Living(hold=0.0))
@@ -95,7 +95,7 @@ class Walk:
 
 @pytest.mark.parametrize("name", ["gm-phd", "gm-cphd", "particle-phd", "particle-cphd"])
 def test_one_miss_drops_nobody_whatever_the_filter(name: str) -> None:
-    from phdtrack.commands.steps import Steps
+    from phdtrack.cli.steps import Steps
 
     info = SequenceInfo(60, 60, 5.0)
     sets = ["motion.kind=plane", "sensor.scaling=fixed", "sensor.fixed=0.3", "camera.region=[-30, -30, 30, 30]"]

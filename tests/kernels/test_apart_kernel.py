@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.boxes import iou
+from phdtrack.arrays import iou
 from phdtrack.kernels.box import apart
 
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phdtrack.context import ContextDensity, marginal
 from phdtrack.errors import InputError
 from phdtrack.kernels.context_density import given_detections
 from phdtrack.models import BoxSensor
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.scene import ContextDensity, marginal
 from reference import context_twin as twin
 
 KINDS = {"boxes": (6, (0, 1, 4, 5)), "ground": (4, (0, 1)), "shown first": (3, (0, 1)), "nothing hidden": (2, (0, 1))}

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inner_kernels import from_python
-from phdtrack.boxes import iou
+from phdtrack.arrays import iou
 from phdtrack.kernels.blocks import cut, summarise
 from phdtrack.kernels.box import box_corners, box_gate, box_noise
 from phdtrack.kernels.clustering import outside

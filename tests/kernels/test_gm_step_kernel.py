@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from box_scans import box_scans
 
-from phdtrack.context import ContextDensity, marginal
 from phdtrack.filters import GMPHD
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.gm_box import box_model
@@ -23,6 +22,7 @@ from phdtrack.models import (
 )
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.protocols import Model
+from phdtrack.scene import ContextDensity, marginal
 from phdtrack.types import GaussianMixture
 
 SIZE = (640.0, 480.0)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from test_gm_step_kernel import scene
 
-from phdtrack.context import ContextDensity, marginal, uniform_density
 from phdtrack.models import BoxSensor
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.scene import ContextDensity, marginal, uniform_density
 from phdtrack.types import F8
 from reference import context_twin as twin
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.context import ContextDensity
 from phdtrack.filters import PMB
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.gm_box import box_model
 from phdtrack.models import BoxMotion, BoxSensor, FixedBirth, LocalClutter, UniformClutter
 from phdtrack.models.learned_scene import ContextBirth
 from phdtrack.protocols import Model
+from phdtrack.scene import ContextDensity
 from phdtrack.types import GaussianMixture
 
 SIZE = (640.0, 480.0)

@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
-from phdtrack.bernoullis import Bernoullis, Layer
-from phdtrack.extract import BestBernoullis
+from phdtrack.filters.bernoullis import Bernoullis, Layer
+from phdtrack.filters.extract import BestBernoullis
 from phdtrack.kernels.pmb_past import earlier, reported
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth
 from phdtrack.protocols import Model

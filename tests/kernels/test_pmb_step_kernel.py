@@ -9,8 +9,8 @@ import pytest
 from box_scans import box_scans
 from test_gm_step_kernel import laid_over, scene
 
-from phdtrack.bernoullis import Bernoullis
 from phdtrack.filters import PMB
+from phdtrack.filters.bernoullis import Bernoullis
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.gm_box import box_model
 from phdtrack.models import BoxMotion, BoxSensor, FixedBirth, LocalClutter, MeasurementBirth, ScoredClutter, UniformClutter

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from phdtrack.boxes import iou, to_cxcywh
+from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.label import Label, LabelStore
 from phdtrack.label.hand import REACH, birth_states, clip, time_watched, watched
 from phdtrack.simulate import make_scene

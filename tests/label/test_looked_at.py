@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.boxes import to_cxcywh
+from phdtrack.arrays import to_cxcywh
 from phdtrack.label import Label, LabelStore
 from phdtrack.label.session import false_boxes, object_boxes, share_followed
 from phdtrack.types import Detections, DetectionTable, Tracks

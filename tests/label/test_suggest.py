@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from phdtrack import config
-from phdtrack.boxes import iou
-from phdtrack.commands.tracked import tracked
+from phdtrack.arrays import iou
+from phdtrack.cli.tracked import tracked
 from phdtrack.label.suggest import REASONS, SHOWN, TICKED, Evidence, suggest
 from phdtrack.simulate import NAMED, default_detector, make_scene
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
@@ -72,7 +72,7 @@ def test_in_a_crowd_who_is_hidden_is_rejected_too():
 @pytest.mark.data
 def test_where_no_place_fires_hardly_anything_is_ticked():
     """PETS09-S2L1, people who stop and talk: 1.5 % of the detections at most, and no place."""
-    from phdtrack.reproduce.common import mot15
+    from experiments.common import mot15
 
     case = mot15("PETS09-S2L1", "frcnn")
     found = measured(case.table, case.truth, case.info)

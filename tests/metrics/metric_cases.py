@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phdtrack.boxes import iou
+from phdtrack.arrays import iou
 from phdtrack.types import Detections, DetectionTable, Tracks, Truth
 
 REAL = [

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from metric_cases import close, crude_tracks, perfect, random_case, real_detections, real_truth
 
-from phdtrack.boxes import iou
+from phdtrack.arrays import iou
 from phdtrack.errors import InputError
 from phdtrack.metrics import (
     evaluate,

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from metric_cases import close, crude_tracks, perfect, random_case, real_detections, real_truth, tracks_of, truth_of
 
-from phdtrack.boxes import iou
+from phdtrack.arrays import iou
 from phdtrack.metrics import evaluate, first_output_delays
 from phdtrack.types import Detections, DetectionTable
 from reference import metrics_twins as twins

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from phdtrack import config
-from phdtrack.context import ContextDensity, Followed, Learned, marginal, uniform_density
 from phdtrack.filters import GMPHD, PMB
 from phdtrack.filters.composed import composed_step
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter, laid_over
 from phdtrack.models.volume import local_volume
 from phdtrack.protocols import Model
+from phdtrack.scene import ContextDensity, Followed, Learned, marginal, uniform_density
 from phdtrack.types import SequenceInfo
 
 SIZE = (640.0, 480.0)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from phdtrack.context import ContextDensity, marginal, uniform_density
 from phdtrack.models import BoxSensor, MeasurementBirth
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.models.volume import image_volume
+from phdtrack.scene import ContextDensity, marginal, uniform_density
 
 SIZE = (640.0, 480.0)
 LOW, HIGH = np.array([0.0, 0, -30, -30, 0, 0]), np.array([640.0, 480, 30, 30, 640, 480])

@@ -7,8 +7,8 @@ import pytest
 
 from phdtrack import pipeline
 from phdtrack.associate import GraphMatching
-from phdtrack.extract import Components
 from phdtrack.filters import GMPHD
+from phdtrack.filters.extract import Components
 from phdtrack.models import LocalPlaneClutter, PlaneBirth, PlaneMotion, PlaneSensor
 from phdtrack.models.region import local_density
 from phdtrack.protocols import Model, Stages

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 
 from phdtrack import config, pipeline
-from phdtrack.context.online import Relearned
 from phdtrack.metrics import evaluate
 from phdtrack.models.followed_scene import SceneState
+from phdtrack.scene.online import Relearned
 from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.simulate.detector import detect
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth

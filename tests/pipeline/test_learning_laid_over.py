@@ -7,11 +7,11 @@ import pytest
 from learning_cases import scores, street
 
 from phdtrack import config, pipeline
+from phdtrack.arrays import to_cxcywh
 from phdtrack.associate.vetted import Vetted
-from phdtrack.boxes import to_cxcywh
-from phdtrack.context import read_scene, write_scene
 from phdtrack.formats import read_detections, read_truth
 from phdtrack.models.clutter import LocalClutter
+from phdtrack.scene import read_scene, write_scene
 from phdtrack.types import SequenceInfo
 
 

@@ -7,8 +7,8 @@ import pytest
 from learning_cases import DETECTOR, joined, scores, seen_again, street, tracked
 
 from phdtrack import Tracker, config, pipeline
-from phdtrack.context.verdict import Watch, judged, look_of
 from phdtrack.errors import InputError
+from phdtrack.scene.verdict import Watch, judged, look_of
 from phdtrack.simulate import DetectorModel
 from phdtrack.simulate.detector import detect
 from phdtrack.types import Detections, SequenceInfo, Truth

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from phdtrack import Tracker, evaluate
+from phdtrack.filters.intensities import JointSamples
 from phdtrack.formats import read_detections, read_truth
-from phdtrack.intensities import JointSamples
 from phdtrack.types import Detections
 from tracker_cases import two_people
 

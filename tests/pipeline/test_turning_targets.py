@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from phdtrack import pipeline
+from phdtrack.arrays import to_cxcywh
 from phdtrack.associate import GraphMatching, Labelled
-from phdtrack.boxes import to_cxcywh
-from phdtrack.extract import BestHypothesis, Components, KMeans
 from phdtrack.filters import GMPHD, MHT, ParticlePHD
+from phdtrack.filters.extract import BestHypothesis, Components, KMeans
 from phdtrack.models import BearingSensor, FixedBirth, TurningMotion, UniformClutter
 from phdtrack.protocols import Model, Stages
 from phdtrack.simulate import turning

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.boxes import iou
+from phdtrack.arrays import iou
 from phdtrack.kernels.dividing import PATIENCE, STRAY
 from phdtrack.kernels.kmeans import STILL
 

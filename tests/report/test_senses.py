@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.commands.scoring import BY_TRAJECTORY
+from phdtrack.cli.scoring import BY_TRAJECTORY
 from phdtrack.compare.summary import OTHERS
 from phdtrack.metrics import evaluate
 from phdtrack.report.senses import HIGHER, LOWER, sense

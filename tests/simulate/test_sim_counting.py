@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.boxes import to_cxcywh
+from phdtrack.arrays import to_cxcywh
 from phdtrack.errors import InputError
 from phdtrack.simulate import Counting, constant, make_scene
 from phdtrack.simulate.counting import counts

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phdtrack.boxes import to_cxcywh, to_xyxy
+from phdtrack.arrays import to_cxcywh, to_xyxy
 from phdtrack.errors import InputError
 from phdtrack.simulate import Detected, DetectorModel, add_clutter, detect
 from phdtrack.simulate.records import rows

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from phdtrack.boxes import iou, to_cxcywh
+from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.errors import InputError
 from phdtrack.simulate import NAMED, DetectorModel, Entrance, Scenario, Walk, build_scene, make_scene
 from phdtrack.simulate.cover import covered

@@ -17,7 +17,7 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from phdtrack.boxes import to_cxcywh
+from phdtrack.arrays import to_cxcywh
 from phdtrack.checks import NonNegative, PositiveCount, check
 from phdtrack.kernels.vetting import remembered, unbelieved
 from phdtrack.measured import Measured

@@ -13,7 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import phdtrack
-from phdtrack._version import __version__
+from phdtrack import __version__
 from phdtrack.compare.records import Case, Detecting, Run
 from phdtrack.report.run_json import json_value
 from phdtrack.video.images import SUFFIXES

@@ -13,7 +13,7 @@ from typing import Any
 
 from phdtrack.compare.records import Case, Detecting, Footage, Given
 from phdtrack.detect import DETECTORS, detector_names, detector_parameters, make_detector, typed
-from phdtrack.detections import within_frame
+from phdtrack.detect.convert import within_frame
 from phdtrack.errors import InputError
 from phdtrack.formats import find_seqinfo, read_detections, read_truth
 from phdtrack.types import SequenceInfo

@@ -14,7 +14,7 @@ from phdtrack import config, pipeline
 from phdtrack.compare.records import Case, Detecting, Run
 from phdtrack.compare.store import DETECTIONS, TRACKS, Outcome, read_about, whole, write_about
 from phdtrack.detect import make_detector
-from phdtrack.detections import within_frame
+from phdtrack.detect.convert import within_frame
 from phdtrack.errors import InputError
 from phdtrack.formats import DetectionsWriter, read_detections, read_truth, write_tracks
 from phdtrack.metrics.scene import build

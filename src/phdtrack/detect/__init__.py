@@ -3,9 +3,9 @@
 `make_detector` builds one by name. `change` is the default: it needs no model and finds whatever differs from the scene.
 """
 
-from phdtrack.detect.blobs import BlobSettings
 from phdtrack.detect.cascade import FaceDetector, FaceSettings
 from phdtrack.detect.change import ChangeDetector, ChangeSettings
+from phdtrack.detect.components import BlobSettings
 from phdtrack.detect.given import CallableDetector, TableDetector
 from phdtrack.detect.mean_background import MeanBackgroundDetector, MeanBackgroundSettings
 from phdtrack.detect.parameters import typed

@@ -31,9 +31,9 @@ import numpy as np
 from annotated_types import Gt, Lt
 
 from phdtrack.checks import Positive, PositiveCount, check
-from phdtrack.detect import blobs
-from phdtrack.detect.blobs import BlobSettings, Contour
+from phdtrack.detect import components as blobs
 from phdtrack.detect.checks import check_odd, check_same_size
+from phdtrack.detect.components import BlobSettings, Contour
 from phdtrack.detect.illumination import relit
 from phdtrack.detect.reference import F4, Reference
 from phdtrack.types import F8, Detections, Frame, Image

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from phdtrack.detections import as_detections, check_inside
+from phdtrack.detect.convert import as_detections, check_inside
 from phdtrack.types import Detections, DetectionTable, Frame, Image
 
 

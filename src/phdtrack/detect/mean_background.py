@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 
 from phdtrack.checks import NonNegative, Positive, PositiveCount, check
-from phdtrack.detect import blobs
-from phdtrack.detect.blobs import BlobSettings
+from phdtrack.detect import components as blobs
 from phdtrack.detect.checks import check_same_size
+from phdtrack.detect.components import BlobSettings
 from phdtrack.detect.reference import F4
 from phdtrack.types import Detections, Frame, Image
 

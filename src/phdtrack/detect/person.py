@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from phdtrack.boxes import iou
+from phdtrack.arrays import iou
 from phdtrack.checks import Positive, PositiveCount, Probability, check
 from phdtrack.detect.cascade import SearchStep
 from phdtrack.detect.opencv import shipped

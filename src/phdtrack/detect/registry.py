@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from phdtrack.detect.blobs import BlobSettings
 from phdtrack.detect.cascade import FaceDetector, FaceSettings
 from phdtrack.detect.change import ChangeDetector, ChangeSettings
+from phdtrack.detect.components import BlobSettings
 from phdtrack.detect.given import CallableDetector, TableDetector
 from phdtrack.detect.mean_background import MeanBackgroundDetector, MeanBackgroundSettings
 from phdtrack.detect.person import PersonDetector, PersonSettings

@@ -9,9 +9,9 @@ from typing import Any
 import cv2
 
 from phdtrack.checks import NonNegative, Positive, check
-from phdtrack.detect import blobs
-from phdtrack.detect.blobs import BlobSettings
+from phdtrack.detect import components as blobs
 from phdtrack.detect.checks import check_same_size
+from phdtrack.detect.components import BlobSettings
 from phdtrack.errors import InputError
 from phdtrack.types import Detections, Frame
 

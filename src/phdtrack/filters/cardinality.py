@@ -28,8 +28,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phdtrack.filters.intensities import Points
 from phdtrack.filters.meeting import Meeting
-from phdtrack.intensities import Points
 from phdtrack.kernels.esf import log_products, log_sums_without, thinned
 from phdtrack.types import F8
 

@@ -16,6 +16,7 @@ import numpy as np
 from phdtrack.filters.blocks import REACH, blocked
 from phdtrack.filters.box_tables import BoxModel, Seen, motion_numbers, seen
 from phdtrack.filters.memory import empty
+from phdtrack.filters.threads import in_ranges
 from phdtrack.kernels.account import account, births
 from phdtrack.kernels.box_blocks import LANES
 from phdtrack.kernels.comb import by_cells, comb, cut
@@ -24,7 +25,6 @@ from phdtrack.kernels.offspring import sweep_offspring
 from phdtrack.kernels.sweeps import EXTENTS, sweep_born, sweep_old
 from phdtrack.models.births import KEPT, region
 from phdtrack.protocols import Model
-from phdtrack.threads import in_ranges
 from phdtrack.types import F4, F8, I8, ParticleBlocks, Particles, UpdateInfo
 
 if TYPE_CHECKING:

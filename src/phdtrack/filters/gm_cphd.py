@@ -16,8 +16,8 @@ from phdtrack.checks import Count, NonNegative, Positive, check
 from phdtrack.filters.cardinality import nobody, poisson, survived, weigh
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.gm_phd import GMPHD
+from phdtrack.filters.intensities import Cardinalised
 from phdtrack.filters.transforms import Transform
-from phdtrack.intensities import Cardinalised
 from phdtrack.protocols import Model
 from phdtrack.types import F8, GaussianMixture, UpdateInfo
 

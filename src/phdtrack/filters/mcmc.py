@@ -19,14 +19,14 @@ from typing import Literal
 
 import numpy as np
 
+from phdtrack.arrays import draw
 from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, check
 from phdtrack.errors import InputError
+from phdtrack.filters.intensities import JointSamples
 from phdtrack.filters.mcmc_given import given_update
 from phdtrack.filters.mcmc_jump import jump_update
 from phdtrack.filters.mcmc_settings import Ancestry, Chain, Interaction, Jumps
-from phdtrack.intensities import JointSamples
 from phdtrack.protocols import Model
-from phdtrack.sampling import draw
 from phdtrack.types import F8, GaussianMixture, UpdateInfo
 
 

@@ -22,15 +22,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from phdtrack.arrays import draw
 from phdtrack.errors import InputError
+from phdtrack.filters.intensities import JointSamples
 from phdtrack.filters.mcmc_ancestors import Proposal, choose, proposals
 from phdtrack.filters.mcmc_linear import linear_parts
 from phdtrack.filters.mcmc_settings import Ancestry, Chain, effective_samples
-from phdtrack.intensities import JointSamples
 from phdtrack.kernels.mcmc_apart import total_penalty
 from phdtrack.kernels.mcmc_given import independent_chain, linear_chain
 from phdtrack.protocols import Model
-from phdtrack.sampling import draw
 from phdtrack.types import F8, I8, Bool, ChainInfo, GaussianMixture, UpdateInfo
 
 MOVES = ("redraw", "ancestor")

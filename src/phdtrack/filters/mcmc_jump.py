@@ -30,8 +30,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.arrays import sum_by
+from phdtrack.filters.intensities import JointSamples
 from phdtrack.filters.mcmc_settings import Chain, Jumps, effective_samples
-from phdtrack.intensities import JointSamples
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.mcmc_jump import Options, jump_chain, option_tables
 from phdtrack.protocols import Model

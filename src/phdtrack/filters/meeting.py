@@ -14,7 +14,7 @@ from typing import Generic
 
 import numpy as np
 
-from phdtrack.intensities import Points
+from phdtrack.filters.intensities import Points
 from phdtrack.types import F8, I8, UpdateInfo
 
 

@@ -15,8 +15,8 @@ from phdtrack.checks import Count, Positive, PositiveCount, check
 from phdtrack.errors import InputError
 from phdtrack.filters.cardinality import nobody, poisson, survived, weigh
 from phdtrack.filters.composed import composed_step
+from phdtrack.filters.intensities import Cardinalised
 from phdtrack.filters.particle_phd import ParticlePHD, weighed
-from phdtrack.intensities import Cardinalised
 from phdtrack.protocols import Model
 from phdtrack.types import F8, GaussianMixture, Particles, UpdateInfo
 

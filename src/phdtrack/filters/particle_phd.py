@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.arrays import sum_by
+from phdtrack.arrays import draw, sum_by
 from phdtrack.checks import Count, Positive, PositiveCount, check
 from phdtrack.filters.blocks import plain
 from phdtrack.filters.box_tables import box_model
@@ -27,7 +27,6 @@ from phdtrack.filters.meeting import Meeting, explained
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.resample import systematic
 from phdtrack.protocols import Model
-from phdtrack.sampling import draw
 from phdtrack.types import F8, I8, GaussianMixture, ParticleBlocks, Particles, UpdateInfo
 
 # Plain particles, or the blocks of the fused form.

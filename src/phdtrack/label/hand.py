@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from phdtrack.boxes import to_cxcywh
+from phdtrack.arrays import to_cxcywh
 from phdtrack.label.store import LabelStore
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo
 

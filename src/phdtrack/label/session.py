@@ -9,15 +9,15 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from phdtrack.boxes import iou, to_cxcywh
-from phdtrack.context import RecursiveEM
-from phdtrack.context.learning import box_density
-from phdtrack.context.maps import place_map
+from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.errors import InputError
 from phdtrack.label.background import Ready, Suggester
 from phdtrack.label.hand import clip, everything
 from phdtrack.label.store import Label, LabelStore, Mark
 from phdtrack.label.suggest import ALIKE, NOTHING, REASONS, TICKED
+from phdtrack.scene import RecursiveEM
+from phdtrack.scene.learning import box_density
+from phdtrack.scene.maps import place_map
 from phdtrack.types import F8, DetectionTable, Image, SequenceInfo, Tracks
 
 _FEWEST = 10

@@ -25,7 +25,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from phdtrack.boxes import iou, to_cxcywh
+from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks
 
 Reason = Literal["place", "rejected", "short"]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.boxes import iou as overlaps
+from phdtrack.arrays import iou as overlaps
 from phdtrack.errors import InputError
 from phdtrack.metrics.assignment import ROUNDING
 from phdtrack.metrics.matching import Matches, tracking_mapping

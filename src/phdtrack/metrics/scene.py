@@ -21,7 +21,7 @@ from typing import Protocol
 
 import numpy as np
 
-from phdtrack.boxes import iou
+from phdtrack.arrays import iou
 from phdtrack.errors import InputError
 from phdtrack.metrics.assignment import above, assign
 from phdtrack.types import F8, I8, Tracks, Truth

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.boxes import to_cxcywh
+from phdtrack.arrays import to_cxcywh
 from phdtrack.checks import NonNegative, Positive, Probability, check
 from phdtrack.types import F8, Bool, Detections
 

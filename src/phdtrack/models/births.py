@@ -13,14 +13,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from phdtrack.arrays import sum_by
+from phdtrack.arrays import draw, sum_by
 from phdtrack.checks import NonNegative, PositiveCount, Probability, Share, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.pairs import quadratic_form
 from phdtrack.models.volume import Volume, image_volume, in_neighbourhood, local_volume
 from phdtrack.protocols import Sensor
-from phdtrack.sampling import draw
 from phdtrack.types import F4, F8, I8, GaussianMixture, Particles
 
 # The part of a Gaussian proposal that newborn particles are drawn from. Outside, the importance ratio of a flat γ to the

@@ -24,7 +24,7 @@ from typing import Literal
 
 import numpy as np
 
-from phdtrack.boxes import to_cxcywh
+from phdtrack.arrays import to_cxcywh
 from phdtrack.checks import NonNegative, Positive, Probability, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.box import box_corners, box_gate, box_noise

@@ -20,7 +20,7 @@ from phdtrack.models.plane_sensor import PlaneSensor
 from phdtrack.models.point_birth import PointBirth
 from phdtrack.models.point_sensor import PointSensor
 from phdtrack.protocols import Birth, Clutter, Learning, Model, NoLearning, Sensor
-from phdtrack.rates import Following, Learned, Noise, Priors, advance, begin
+from phdtrack.scene.rates import Following, Learned, Noise, Priors, advance, begin
 from phdtrack.types import Detections, Step
 
 # p_D is put into the model in steps of this size, rates in steps of this ratio.

@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-from phdtrack.context import Followed, Scene
-from phdtrack.context.clock import Clock
-from phdtrack.context.modes import Mode
-from phdtrack.context.online import Following, Knowledge, advance, begin, named, scene_of
 from phdtrack.models.learned_scene import laid_over
 from phdtrack.models.standing import not_standing
 from phdtrack.protocols import Birth, Clutter, Model
+from phdtrack.scene import Followed, Scene
+from phdtrack.scene.clock import Clock
+from phdtrack.scene.modes import Mode
+from phdtrack.scene.online import Following, Knowledge, advance, begin, named, scene_of
 from phdtrack.types import Detections, Step
 
 

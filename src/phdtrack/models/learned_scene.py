@@ -28,14 +28,14 @@ from functools import cached_property
 import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
-from phdtrack.context import ContextDensity, Followed, Learned, marginal, uniform_density
-from phdtrack.context.density import SHOWN
 from phdtrack.kernels.context_density import COARSE, given_detections, mixture_density, newborn_about
 from phdtrack.kernels.laid_over import laid_about, laid_births, laid_clutter
 from phdtrack.models.births import MeasurementBirth, gaussians_about, particles_about
 from phdtrack.models.clutter import LocalClutter
 from phdtrack.models.volume import REACH, SIZES
 from phdtrack.protocols import Model, Sensor
+from phdtrack.scene import ContextDensity, Followed, Learned, marginal, uniform_density
+from phdtrack.scene.density import SHOWN
 from phdtrack.types import F4, F8, I8, GaussianMixture, Particles
 
 # What `models.volume` calls local: the volume in w²h², how far it reaches in boxes, the sizes in it.

@@ -24,10 +24,10 @@ from typing import Literal
 
 import numpy as np
 
-from phdtrack.boxes import to_cxcywh
-from phdtrack.camera import ground_covariance
+from phdtrack.arrays import to_cxcywh
 from phdtrack.checks import Positive, Probability, check
 from phdtrack.errors import InputError
+from phdtrack.ground import ground_covariance
 from phdtrack.kernels.hidden import parts_inside
 from phdtrack.models.occlusion import NOBODY, Hiders, seen_part
 from phdtrack.models.region import EVERYWHERE, Region, check_region, inside

@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from phdtrack.camera import warp as warp_of
 from phdtrack.checks import NonNegative, Probability, check
+from phdtrack.ground import warp as warp_of
 from phdtrack.models.spawning import NoSpawn, Spawn
 from phdtrack.types import F8, Particles
 

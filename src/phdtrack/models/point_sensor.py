@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.boxes import to_cxcywh
+from phdtrack.arrays import to_cxcywh
 from phdtrack.checks import Positive, Probability, check
 from phdtrack.errors import InputError
 from phdtrack.types import F8, Detections

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from phdtrack.rates import Following, Noise, Rates
 from phdtrack.report.canvas import Picture, chart_axes, legend, new_figure, thinned, to_svg
 from phdtrack.report.markup import NOTHING, Html, figure, paragraph, section, table
+from phdtrack.scene.rates import Following, Noise, Rates
 
 _POINTS = 600
 

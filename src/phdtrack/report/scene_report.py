@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.context import Learned, Scene
-from phdtrack.context.maps import place_map
 from phdtrack.report.canvas import Picture, chart_axes, new_figure, to_jpeg
 from phdtrack.report.html import bare_header, page
 from phdtrack.report.markup import NOTHING, Html, figure, join, paragraph, section, table, text
 from phdtrack.report.scenes import opacity, over_scene
+from phdtrack.scene import Learned, Scene
+from phdtrack.scene.maps import place_map
 from phdtrack.types import Image, SequenceInfo
 
 _WIDTH = 8.2

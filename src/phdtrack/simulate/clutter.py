@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from phdtrack.boxes import to_xyxy
+from phdtrack.arrays import to_xyxy
 from phdtrack.errors import InputError
 from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from phdtrack.boxes import to_cxcywh, to_xyxy
+from phdtrack.arrays import to_cxcywh, to_xyxy
 from phdtrack.errors import InputError
 from phdtrack.protocols import Motion
 from phdtrack.simulate.ground import Walk

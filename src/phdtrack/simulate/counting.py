@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from phdtrack.boxes import to_xyxy
+from phdtrack.arrays import to_xyxy
 from phdtrack.errors import InputError
 from phdtrack.simulate.clutter import log_uniform
 from phdtrack.simulate.detector import DetectorModel

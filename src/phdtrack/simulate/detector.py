@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from phdtrack.boxes import to_cxcywh, to_xyxy
+from phdtrack.arrays import to_cxcywh, to_xyxy
 from phdtrack.errors import InputError
 from phdtrack.simulate.clutter import Sizes, place_boxes, poisson_boxes, shuffled
 from phdtrack.simulate.cover import covered

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.arrays import sum_by
+from phdtrack.filters.hypotheses import Cluster, Hypotheses
 from phdtrack.filters.mht.scores import Scores
-from phdtrack.hypotheses import Cluster, Hypotheses
 from phdtrack.kernels.linkage import components
 from phdtrack.kernels.murty import best_assignments
 from phdtrack.types import F8, I8

@@ -28,12 +28,12 @@ from phdtrack.arrays import sum_by
 from phdtrack.checks import NonNegative, Positive, PositiveCount, Share, check
 from phdtrack.errors import InputError
 from phdtrack.filters.composed import composed_step
+from phdtrack.filters.hypotheses import Cluster, Hypotheses, Nodes
 from phdtrack.filters.mht.branching import Branches, Limits, branched
 from phdtrack.filters.mht.pruning import compact, decided, ended, parted
 from phdtrack.filters.mht.scores import Scores, scores
 from phdtrack.filters.newborn import Newborn, newborn, newborn_anywhere
 from phdtrack.filters.transforms import Transform, moved, posteriors
-from phdtrack.hypotheses import Cluster, Hypotheses, Nodes
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, GaussianMixture, Particles, UpdateInfo
 

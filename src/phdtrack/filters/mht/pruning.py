@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from phdtrack.arrays import sum_by
-from phdtrack.hypotheses import Cluster, Hypotheses, Nodes, before
+from phdtrack.filters.hypotheses import Cluster, Hypotheses, Nodes, before
 from phdtrack.kernels.linkage import competing
 from phdtrack.types import F8, I8, Bool
 

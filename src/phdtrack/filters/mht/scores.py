@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.filters.gated import gated_gaussians
+from phdtrack.filters.hypotheses import Nodes
 from phdtrack.filters.newborn import Newborn
 from phdtrack.filters.transforms import Transform
-from phdtrack.hypotheses import Nodes
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, I8, GaussianMixture
 

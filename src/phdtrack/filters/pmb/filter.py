@@ -39,9 +39,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.arrays import sum_by
-from phdtrack.bernoullis import Bernoullis, Layer, nobody
 from phdtrack.checks import NonNegative, Positive, PositiveCount, Probability, Share, check
 from phdtrack.errors import InputError
+from phdtrack.filters.bernoullis import Bernoullis, Layer, nobody
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.gm_box import box_model
 from phdtrack.filters.pmb.fused import fused_step, settings_of

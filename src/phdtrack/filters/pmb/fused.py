@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from phdtrack.bernoullis import Bernoullis, Layer
+from phdtrack.filters.bernoullis import Bernoullis, Layer
 from phdtrack.filters.gm_box import BoxModel
 from phdtrack.kernels.pmb_births import birth_states, scene_states
 from phdtrack.kernels.pmb_rows import ROW

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.arrays import sum_by
-from phdtrack.bernoullis import Layer
+from phdtrack.filters.bernoullis import Layer
 from phdtrack.filters.gated import gated_gaussians
 from phdtrack.filters.newborn import Newborn, newborn
 from phdtrack.filters.transforms import Transform, posteriors

@@ -1,0 +1,368 @@
+"""Annotated groups of pedestrians, found among true positions and behind a filter, with a grid over both thresholds.
+
+    phdtrack reproduce groups
+
+seq_eth and zara01, people seen from above every 0.4 s. A detector is made of the annotated positions: noise of 0.2 m, one
+of ten missed, clutter Poisson over the ground that is walked on. The GM-PHD filter on the plane is given these rates and
+shipped settings else; it runs once a seed and its people are grouped under every pair of thresholds. No threshold is chosen:
+E13's own 2 m and 1 m/s are marked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from experiments.common import Options, in_parallel, need_data, table, write
+from experiments.plane import spread
+from phdtrack import config, pipeline
+from phdtrack.config import build_groups
+from phdtrack.formats.positions import Positions, read_groups, read_positions
+from phdtrack.groups import Grouping, Living, Observed
+from phdtrack.groups.pipeline import carriers, known_people
+from phdtrack.metrics.groups import GroupScores, LabelledFrame, nearest, score_groups
+from phdtrack.protocols import AnyStages
+from phdtrack.types import F8, I8, Detections, GaussianMixture, SequenceInfo, Step, Tracks
+
+# Frames per second of the annotated video; every sixth and every tenth is annotated.
+SEQUENCES = {"seq_eth": 15.0, "zara01": 25.0}
+INTERVAL = 0.4
+SEEDS = 5
+NEAR, SLOW = (1.0, 1.5, 2.0, 2.5, 3.0), (0.25, 0.5, 0.75, 1.0, 1.5)
+OWN = (2.0, 1.0)
+HOLDS = (0.0, 0.5, 1.0)
+# The detector: deviation in metres, detection probability, false alarms a frame, margin around where people walk.
+NOISE, DETECTION, CLUTTER, MARGIN = 0.2, 0.9, 0.5, 1.0
+# People farther from the true ones are somebody else, metres.
+WITHIN = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One run: a sequence and the seed of its detections; seed −1: the true positions."""
+
+    sequence: str
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """How well people are known: the ``share`` of the annotated who are found within `WITHIN`, ``false`` ones a frame, and
+    the roots of the mean squared errors in ``place`` (m) and ``velocity`` (m/s) of those who are found."""
+
+    share: float
+    false: float
+    place: float
+    velocity: float
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """``people``: how well each kind of them is known, by name; ``grid``: scores of frames under each pair of thresholds;
+    ``held``: those of lives under E13's thresholds, by kind of people with an identity and hold."""
+
+    people: dict[str, Found]
+    grid: dict[tuple[float, float], GroupScores]
+    held: dict[tuple[str, float], GroupScores]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A sequence: people, the annotated ``group`` (M,) of each row, 0 for none, number and seconds (F,) of its frames."""
+
+    people: Positions
+    group: I8
+    number: I8
+    time: F8
+
+    @property
+    def region(self) -> tuple[float, float, float, float]:
+        """Left, low, right and high border of the ground that is walked on, with a margin."""
+        low, high = self.people.state[:2].min(axis=1) - MARGIN, self.people.state[:2].max(axis=1) + MARGIN
+        return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class People:
+    """Of one frame: ``member`` (n,) identities, ``place`` (2, n) metres, and the Gaussian that carries each, −1 for none."""
+
+    member: I8
+    place: F8
+    carrier: I8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What is known of one frame: Gaussians, and people by kind; the first kind is grouped frame by frame, the others, which
+    have identities, over time."""
+
+    mixture: GaussianMixture
+    people: dict[str, People]
+
+
+KNOWN, STATES, ONLINE, CORRECTED = "true positions", "states", "online rows", "corrected tracks"
+
+
+@lru_cache(maxsize=2)
+def scene(name: str) -> Scene:
+    """A sequence with its groups."""
+    folder = need_data() / "groups" / name
+    people = read_positions(folder / "obsmat.txt")
+    number = np.unique(people.frame)
+    return Scene(
+        people,
+        membership(people.identity, read_groups(folder / "groups.txt")),
+        number,
+        (number - number[0]) / SEQUENCES[name],
+    )
+
+
+def membership(identity: I8, groups: Sequence[Sequence[int]]) -> I8:
+    """(M,) the group from 1 of each identity, 0 where it is in none."""
+    of = {who: number for number, group in enumerate(groups, start=1) for who in group}
+    return np.array([of.get(who, 0) for who in identity.tolist()], np.int64)
+
+
+def detected(place: F8, region: tuple[float, float, float, float], rng: np.random.Generator) -> Detections:
+    """Detections in metres, with covariances, of people at ``place`` (2, n)."""
+    seen = place[:, rng.random(place.shape[1]) < DETECTION]
+    seen = seen + NOISE * rng.standard_normal(seen.shape)
+    false = rng.uniform(np.array(region[:2]), np.array(region[2:]), (rng.poisson(CLUTTER), 2)).T
+    point = np.concatenate([seen, false], axis=1).T
+    point = point[rng.permutation(len(point))]
+    n = len(point)
+    covariance = np.tile(NOISE**2 * np.eye(4), (n, 1, 1))
+    return Detections(np.hstack([point - 0.3, point + 0.3]), np.ones(n), np.zeros(n, np.int64), covariance)
+
+
+def settings_of(where: Scene) -> config.Settings:
+    """Shipped settings on the ground, with the detector's own rates."""
+    sets = (
+        "motion.kind=plane",
+        f"camera.region={list(where.region)}",
+        f"sensor.detection={DETECTION}",
+        f"clutter.rate={CLUTTER}",
+        "clutter.volume=region",
+        # What comes in metres has no boxes that could overlap.
+        "extract.overlap=1.0",
+    )
+    return config.load(None, sets)
+
+
+def known(where: Scene) -> list[Seen]:
+    """Frames of people whose positions, velocities and identities are known."""
+    out = []
+    for number in where.number.tolist():
+        here = where.people.at(number)
+        out.append(Seen(known_people(here.state), {KNOWN: People(here.identity, here.state[:2], np.arange(len(here)))}))
+    return out
+
+
+def filtered(where: Scene, stages: AnyStages, lightest: float, seed: int) -> list[Seen]:
+    """Frames as the filter sees them: its extracted states, the confirmed online rows and the corrected tracks."""
+    drawn, rng = np.random.default_rng([seed, 1]), np.random.default_rng(seed)
+    state = pipeline.start(stages, rng)
+    steps: list[tuple[GaussianMixture, Step]] = []
+    for k, (number, time) in enumerate(zip(where.number.tolist(), where.time.tolist(), strict=True), start=1):
+        found = detected(where.people.at(number).state[:2], where.region, drawn)
+        state, step = pipeline.advance(stages, state, found, k, time, rng)
+        steps.append((state.intensity, step))
+    tracks, out = pipeline.finish(stages, state), []
+    for mixture, step in steps:
+        here = {
+            STATES: (np.arange(len(step.estimates)), step.estimates.state[:2]),
+            ONLINE: _rows(step.tracks.take(step.tracks.confirmed)),
+            CORRECTED: _rows(tracks.take(tracks.frame == step.number)),
+        }
+        people = {name: People(who, at, carriers(mixture, at, lightest)) for name, (who, at) in here.items()}
+        out.append(Seen(mixture, people))
+    return out
+
+
+def _rows(rows: Tracks) -> tuple[I8, F8]:
+    return rows.identity, middles(rows)
+
+
+def middles(rows: Tracks) -> F8:
+    """(2, M) metres: where tracks stand, as detections in metres have it."""
+    return np.stack([rows.xyxy[:, 0] + rows.xyxy[:, 2], rows.xyxy[:, 1] + rows.xyxy[:, 3]]) / 2
+
+
+def by_frame(where: Scene, frames: Sequence[Seen], grouping: Grouping) -> GroupScores:
+    """Who is together, frame by frame for itself."""
+    return score_groups(_clusters(where, frames, grouping), WITHIN)
+
+
+def _clusters(where: Scene, frames: Sequence[Seen], grouping: Grouping) -> Iterator[LabelledFrame]:
+    for k, seen in enumerate(frames):
+        people = next(iter(seen.people.values()))
+        yield LabelledFrame(*_truth(where, k), _group(grouping.groups(seen.mixture).label, people.carrier), people.place)
+
+
+def over_time(where: Scene, frames: Sequence[Seen], name: str, grouping: Grouping, hold: float) -> GroupScores:
+    """Who is together by the groups that people of kind ``name`` have accepted."""
+    return score_groups(_lives(where, frames, name, grouping, Living(hold)), WITHIN)
+
+
+def _lives(where: Scene, frames: Sequence[Seen], name: str, grouping: Grouping, living: Living) -> Iterator[LabelledFrame]:
+    state = Observed()
+    for k, seen in enumerate(frames):
+        people, label = seen.people[name], grouping.groups(seen.mixture).label
+        used = _group(label, people.carrier) > 0
+        member, carrier = people.member[used], people.carrier[used]
+        weight, time = seen.mixture.weight[carrier], float(where.time[k])
+        state, accepted, _ = living.extend(state, member, label[carrier], weight, k + 1, time)
+        yield LabelledFrame(*_truth(where, k), accepted, people.place[:, used])
+
+
+def found_of(where: Scene, frames: Sequence[Seen], name: str) -> Found:
+    """How well the people of kind ``name`` are known."""
+    place, velocity, false = [np.zeros(0)], [np.zeros(0)], 0
+    for k, seen in enumerate(frames):
+        people, here = seen.people[name], where.people.at(int(where.number[k]))
+        rows, columns = nearest(here.state[:2], people.place, WITHIN)
+        place.append(((here.state[:2, rows] - people.place[:, columns]) ** 2).sum(axis=0))
+        false += people.place.shape[1] - len(columns)
+        carried = people.carrier[columns] >= 0
+        means = seen.mixture.mean[2:, people.carrier[columns[carried]]]
+        velocity.append(((here.state[2:, rows[carried]] - means) ** 2).sum(axis=0))
+    off, slip = np.concatenate(place), np.concatenate(velocity)
+    rms = float(np.sqrt(off.mean())), float(np.sqrt(slip.mean()))
+    return Found(len(off) / len(where.people), false / len(where.number), *rms)
+
+
+def _truth(where: Scene, k: int) -> tuple[I8, F8]:
+    """Annotated groups and places in the frame at place ``k``."""
+    lo, hi = np.searchsorted(where.people.frame, [where.number[k], where.number[k] + 1])
+    return where.group[lo:hi], where.people.state[:2, lo:hi]
+
+
+def _group(label: I8, carrier: I8) -> I8:
+    """(n,) the cluster from 1 of who is carried by a Gaussian; 0 for nobody's, and where it is too light."""
+    return np.where(carrier >= 0, np.append(label, -1)[carrier] + 1, 0)
+
+
+def work(job: Job) -> Outcome:
+    """One run: the filter once, then all groupings."""
+    where = scene(job.sequence)
+    lightest = Grouping().lightest
+    if job.seed < 0:
+        frames = known(where)
+    else:
+        settings = settings_of(where)
+        info = SequenceInfo(0, 0, 1 / INTERVAL, len(where.number), job.sequence)
+        stages = config.build(settings, info, "gm-phd")
+        # As the product: so low that one miss drops nobody.
+        lightest = build_groups(config.overlay(settings, {"filter": {"kind": "gm-phd"}}), stages).grouping.lightest
+        frames = filtered(where, stages, lightest, job.seed)
+    grid = {(near, slow): by_frame(where, frames, Grouping(near, slow, lightest)) for near in NEAR for slow in SLOW}
+    names = tuple(frames[0].people)
+    held = {
+        (name, hold): over_time(where, frames, name, Grouping(*OWN, lightest), hold)
+        for name in names
+        if name != STATES
+        for hold in HOLDS
+    }
+    return Outcome({name: found_of(where, frames, name) for name in names}, grid, held)
+
+
+def main(options: Options | None = None) -> Path:
+    """Run everything and write groups.md."""
+    options = options or Options()
+    seeds = options.number(SEEDS, 1)
+    jobs = [Job(name, seed) for name in SEQUENCES for seed in range(-1, seeds)]
+    outcomes = dict(zip(jobs, in_parallel(work, jobs, "groups", options.folder), strict=True))
+    return write("groups.md", page(outcomes, seeds), options.out)
+
+
+def page(outcomes: dict[Job, Outcome], seeds: int) -> str:
+    """The page of results."""
+    sources = _sources(outcomes, seeds)
+    text = (Path(__file__).parent / "groups.md").read_text(encoding="utf-8")
+    return text.format(
+        seeds=seeds,
+        noise=NOISE,
+        detection=DETECTION,
+        clutter=CLUTTER,
+        margin=MARGIN,
+        within=WITHIN,
+        scenes=table(("sequence", "frames", "people", "groups", "pairs in all frames"), [_size(name) for name in SEQUENCES]),
+        people=table(
+            ("sequence", "people", "found", "false a frame", "place, m", "velocity, m/s"),
+            [(name, kind, *_known_by(kind, found)) for name, _, found in sources for kind in found[0].people],
+        ),
+        grids="\n".join(f"### {name}, {source}\n\n{_grid(found)}" for name, source, found in sources),
+        lives=table(
+            ("sequence", "people", "hold, s", "F1", "precision", "recall", "identity switches"),
+            [
+                (name, kind, f"{hold:g}", *_means([out.held[kind, hold] for out in found]), _switches(found, kind, hold))
+                for name, _, found in sources
+                for kind, hold in found[0].held
+            ],
+        ),
+    )
+
+
+def _sources(outcomes: dict[Job, Outcome], seeds: int) -> list[tuple[str, str, list[Outcome]]]:
+    """Sequence, where people come from, and the outcomes of all seeds."""
+    out = []
+    for name in SEQUENCES:
+        out.append((name, "true positions and velocities", [outcomes[Job(name, -1)]]))
+        out.append((name, "filtered", [outcomes[Job(name, seed)] for seed in range(seeds)]))
+    return out
+
+
+def _known_by(kind: str, found: Sequence[Outcome]) -> list[str]:
+    parts = [out.people[kind] for out in found]
+    return [
+        spread([getattr(part, name) for part in parts], digits)
+        for name, digits in (("share", 3), ("false", 2), ("place", 3), ("velocity", 3))
+    ]
+
+
+def _grid(found: Sequence[Outcome]) -> str:
+    """F1, and precision and recall behind it, under each pair of thresholds; E13's own in bold."""
+    rows = []
+    for near in NEAR:
+        cells = []
+        for slow in SLOW:
+            scores = [outcome.grid[near, slow] for outcome in found]
+            precision, recall = np.mean([one.precision() for one in scores]), np.mean([one.recall() for one in scores])
+            cell = f"{spread([one.f1() for one in scores])} ({precision:.2f}, {recall:.2f})"
+            cells.append(f"**{cell}**" if (near, slow) == OWN else cell)
+        rows.append((f"{near:g} m", *cells))
+    return table(("T_p, T_v", *(f"{slow:g} m/s" for slow in SLOW)), rows)
+
+
+def _means(found: Sequence[GroupScores]) -> tuple[str, str, str]:
+    """F1, precision and recall."""
+    return (
+        spread([scores.f1() for scores in found]),
+        spread([scores.precision() for scores in found]),
+        spread([scores.recall() for scores in found]),
+    )
+
+
+def _switches(found: Sequence[Outcome], kind: str, hold: float) -> str:
+    return spread([float(outcome.held[kind, hold].switches) for outcome in found], 1)
+
+
+def _size(name: str) -> tuple[object, ...]:
+    where = scene(name)
+    groups = len(np.unique(where.group[where.group > 0]))
+    pairs = sum(_pairs(_truth(where, k)[0]) for k in range(len(where.number)))
+    return name, len(where.number), len(np.unique(where.people.identity)), groups, pairs
+
+
+def _pairs(group: I8) -> int:
+    """Number of pairs of one frame that are of one group."""
+    size = np.bincount(group[group > 0])
+    return int((size * (size - 1)).sum()) // 2
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,173 @@
+"""What is learned of a scene from its first half, as M09 does: false alarms from marks, births from tracks or from marks.
+
+The truth stands for the person: a detection that overlaps nobody by 0.3 is marked as false, on 40 frames drawn at random;
+the first detection of whoever comes in is marked as a birth, on every frame of the half. Marks go through the file of
+labels, as a person's clicks do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from experiments.common import Case, followed
+from experiments.m09_scenes import Footage, halves
+from phdtrack import config
+from phdtrack.arrays import iou, to_cxcywh
+from phdtrack.associate.vetted import Vetted, believed
+from phdtrack.errors import InputError
+from phdtrack.label import Label, LabelStore
+from phdtrack.label.hand import REACH, birth_states, time_watched
+from phdtrack.label.session import false_boxes, object_boxes, sampled, share_followed
+from phdtrack.metrics import first_output_delays
+from phdtrack.models.learned_scene import laid_over
+from phdtrack.protocols import AnyStages
+from phdtrack.scene import Followed, Learned, RecursiveEM
+from phdtrack.scene.learning import Lesson, learn_births, learn_clutter, learn_objects
+from phdtrack.scene.odds import Odds
+from phdtrack.scene.prior import Sizes, detected_sizes, humbled
+from phdtrack.scene.samples import births_in
+from phdtrack.types import F8, I8, Tracks
+
+MARKED = 40
+# Nobody: a detection that overlaps everybody by less. Somebody's: one that overlaps him by as much as a match needs.
+NOBODY, SOMEBODY = 0.3, 0.5
+# As shipped: most particles a detection, odds of a false alarm where who is seen is confirmed at once, rows of a track.
+MOST, SURE, SHORTEST = 500, 0.1, 5
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """What is learned of a scene; ``seed`` draws the frames that are marked and the particles of the tracker's own run."""
+
+    footage: Footage
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Taught:
+    """What was learned; births of fewer than ten tracks or marks are not, and None.
+
+    ``seen``: what the tracker followed, None for too little.
+    ``gains``: held-out nats above uniform, of clutter, births, and births by hand; NaN where nothing was learned.
+    ``entered``: how many came in, in the half that was learned from.
+    """
+
+    clutter: Learned
+    seen: Followed | None
+    births: Learned | None
+    hand: Learned | None
+    gains: tuple[float, float, float]
+    entered: int
+
+
+def learn(course: Course) -> Taught:
+    """Everything that the runs of a scene need."""
+    case = halves(course.footage).train
+    stages = config.build(config.load(), case.info)
+    rate = stages.model.rate
+    with TemporaryDirectory() as folder:
+        marks = marked_false(case, Path(folder) / "false.sqlite", course.seed)
+        clutter = learned_alarms(case, marks)
+        run = followed(told(stages, None, clutter.learned, None), case, course.seed).corrected
+        seen = learned_followed(run, case, marks)
+        entries = marked_births(case, Path(folder) / "births.sqlite")
+        by_hand = birth_states(entries, case.table, case.info, rate)
+        watched = time_watched(entries, case.table, case.info, rate)
+    births = own_births(believed(run, Odds(clutter.learned, seen)) if seen else run, case, rate)
+    hand = _lesson(by_hand, watched, case)
+    gains = tuple(lesson.gain if lesson else np.nan for lesson in (clutter, births, hand))
+    return Taught(
+        clutter.learned,
+        seen,
+        births.learned if births else None,
+        hand.learned if hand else None,
+        (gains[0], gains[1], gains[2]),
+        by_hand.shape[1],
+    )
+
+
+def told(stages: AnyStages, births: Learned | None, clutter: Learned | None, seen: Followed | None) -> AnyStages:
+    """The stages with what a scene has taught; None: as shipped."""
+    model = laid_over(stages.model, births, clutter, seen, MOST)
+    if clutter is None or seen is None:
+        return replace(stages, model=model)
+    return replace(stages, model=model, associator=Vetted(stages.associator, Odds(clutter, seen, births), SURE, SHORTEST))
+
+
+def own_births(tracks: Tracks, case: Case, rate: float) -> Lesson | None:
+    """Births from the tracks that the tracker itself makes [M09 §IV]; None where there are too few."""
+    return _lesson(births_in(tracks, case.info.fps, rate), case.info.frames / case.info.fps * rate, case)
+
+
+def learned_alarms(case: Case, labels: LabelStore) -> Lesson:
+    """False alarms from marks."""
+    size = float(case.info.width), float(case.info.height)
+    lesson = learn_clutter(false_boxes(labels, case.table), labels.progress().done, size, RecursiveEM())
+    return _humbled(lesson, case)
+
+
+def learned_followed(tracks: Tracks, case: Case, labels: LabelStore) -> Followed | None:
+    """What the tracker follows of what was marked and of what was not; None where too little was not."""
+    size, frames = (float(case.info.width), float(case.info.height)), labels.progress().done
+    try:
+        objects = learn_objects(object_boxes(labels, case.table), frames, size, RecursiveEM())
+    except InputError:
+        return None
+    return Followed(share_followed(labels, tracks), _humbled(objects, case).learned)
+
+
+def _lesson(states: F8, time_units: float, case: Case) -> Lesson | None:
+    """Births from first states; None where there are too few."""
+    try:
+        lesson = learn_births(states, time_units, (float(case.info.width), float(case.info.height)), RecursiveEM())
+    except InputError:
+        return None
+    return _humbled(lesson, case)
+
+
+def _humbled(lesson: Lesson, case: Case) -> Lesson:
+    return replace(lesson, learned=humbled(lesson.learned, _sizes(case)))
+
+
+def _sizes(case: Case) -> Sizes:
+    return detected_sizes(to_cxcywh(case.table.detections.xyxy)[2:])
+
+
+def marked_false(case: Case, path: Path, seed: int, count: int = MARKED) -> LabelStore:
+    """Labels in which everything that is nobody is marked as false, on ``count`` frames drawn at random."""
+    store = LabelStore.open(path, case.name, "truth", sampled(case.info.frames, count, seed))
+    for number, _ in store.frames():
+        boxes = case.table.at(number).xyxy
+        people = case.truth.xyxy[case.truth.frame == number]
+        false = np.flatnonzero(iou(boxes, people).max(axis=1, initial=0) < NOBODY)
+        if len(false):
+            store.mark(number, [Label(number, int(k), "false") for k in false])
+        store.finish(number)
+    return store
+
+
+def marked_births(case: Case, path: Path) -> LabelStore:
+    """Labels in which the first detection of everybody is marked as a birth, on clips that cover all frames."""
+    last = case.info.frames
+    store = LabelStore.open(path, case.name, "truth", list(range(1 + REACH, last + REACH, 2 * REACH)))
+    number, box = first_boxes(case)
+    for frame, index in zip(number.tolist(), box.tolist(), strict=True):
+        store.mark(frame, [Label(frame, index, "birth")])
+    for frame, _ in store.frames():
+        store.finish(frame)
+    return store
+
+
+def first_boxes(case: Case) -> tuple[I8, I8]:
+    """(G,) frame and index of the first detection of each object that is ever detected."""
+    found = first_output_delays(case.truth, Tracks.empty(), case.table, SOMEBODY)
+    seen = found.detected > 0
+    boxes = []
+    for identity, frame in zip(found.identity[seen].tolist(), found.detected[seen].tolist(), strict=True):
+        own = case.truth.xyxy[(case.truth.frame == frame) & (case.truth.identity == identity)]
+        boxes.append(int(np.argmax(iou(own, case.table.at(frame).xyxy)[0])))
+    return found.detected[seen], np.array(boxes, np.int64)

@@ -1,0 +1,191 @@
+"""M09's runs: uniform, learned, and in between, on the second half of a scene; the sweep of the uniform rates."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from experiments.common import Case, Kept, followed
+from experiments.m09_lessons import Course, Taught, learn, told
+from experiments.m09_scenes import halves, looking, stretch
+from phdtrack import config, pipeline
+from phdtrack.metrics import Scores, evaluate, first_output_delays
+from phdtrack.models import MeasurementBirth
+from phdtrack.models.clutter import LocalClutter, UniformClutter
+from phdtrack.models.volume import image_volume
+from phdtrack.protocols import AnyStages, Model
+from phdtrack.types import F8, SequenceInfo, Tracks, Truth
+
+PHD = "pmb"
+# As shipped, births and clutter are spread around each detection; M09's are over the image.
+UM, IMAGE, GM, GM_IMAGE = "UM", "UM, image", "GM", "GM, image"
+ABLATIONS = ("A1", "A2", "A3", "A4", "A5", "A6")
+# What the sweep of the uniform model goes through: births a time unit and false alarms a frame, around each detection or
+# over the image. Around detections their ratio counts most.
+LOCAL_SWEEP = tuple((0.01, rate) for rate in (0.1, 1.0, 3.0, 10.0, 30.0))
+IMAGE_SWEEP = tuple((births, rate) for births in (0.003, 0.03) for rate in (1.0, 10.0, 100.0))
+# Quarters of the stretch, each scored for itself too.
+BLOCKS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One run on the first ``frames`` of the second half of a scene, 0: all; ``rates`` (births, clutter) of a sweep of the
+    uniform model, around detections or over the image."""
+
+    course: Course
+    run: str
+    filter: str = PHD
+    rates: tuple[float, float] | None = None
+    frames: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What a run gave.
+
+    Attributes
+    ----------
+    scores : of the corrected tracks.     blocks : of the same in a quarter of the stretch each.
+    live : scores of the confirmed online rows.
+    inside, outside : delay of each object found, by its identity: frames from its first detection to its first confirmed
+        online row; of those who are first detected where people enter, and elsewhere.
+    seconds : a frame took.
+    """
+
+    scores: Scores
+    blocks: tuple[Scores, ...]
+    live: Scores
+    inside: dict[int, float]
+    outside: dict[int, float]
+    seconds: float
+
+
+def work(job: Job) -> Outcome:
+    """One run, scored."""
+    halved = halves(job.course.footage)
+    case = stretch(halved.test, 1, job.frames) if job.frames else halved.test
+    run = followed(stages_of(job, case.info), case, job.course.seed)
+    online = run.online.take(np.flatnonzero(run.online.confirmed))
+    inside, outside = delays(case, online, halved.entries)
+    scores, live = (evaluate(case.truth, tracks, frames=case.info.frames) for tracks in (run.corrected, online))
+    return Outcome(scores, blocks(case, run.corrected), live, inside, outside, run.seconds)
+
+
+def blocks(case: Case, tracks: Tracks) -> tuple[Scores, ...]:
+    """The scores of each quarter of the stretch for itself."""
+    edges = np.linspace(0, case.info.frames, BLOCKS + 1).astype(np.int64)
+    found = []
+    for begin, end in itertools.pairwise(edges.tolist()):
+        part = stretch(case, begin + 1, end)
+        rows = np.flatnonzero((tracks.frame > begin) & (tracks.frame <= end))
+        some = tracks.take(rows)
+        found.append(evaluate(part.truth, replace(some, frame=some.frame - begin), frames=part.info.frames))
+    return tuple(found)
+
+
+def stages_of(job: Job, info: SequenceInfo) -> AnyStages:
+    """The stages as shipped, with the births and the clutter of the run."""
+    stages = config.build(config.load(), info, job.filter)
+    if job.rates is not None:
+        return swept(job, info)
+    if job.run == UM:
+        return stages
+    scene, train = taught(job.course), halves(job.course.footage).train
+    if job.run in (IMAGE, GM_IMAGE, "A3", "A4", "A5"):
+        stages = replace(stages, model=uniform_of(job.run, stages.model, scene, train))
+    births = {GM: scene.births, GM_IMAGE: scene.births, "A1": scene.births, "A4": scene.births, "A6": scene.hand}
+    clutter = scene.clutter if job.run in (GM, GM_IMAGE, "A2", "A5", "A6") else None
+    # M09 knows of no false alarms that last.
+    return told(stages, births.get(job.run), clutter, None if job.run == GM_IMAGE else scene.seen)
+
+
+def swept(job: Job, info: SequenceInfo) -> AnyStages:
+    """The uniform model with the rates of a sweep."""
+    assert job.rates is not None
+    births, clutter = job.rates
+    volume = "local" if job.run == UM else "image"
+    sets = (f"birth.rate={births}", f"clutter.rate={clutter}", f"birth.volume={volume}", f"clutter.volume={volume}")
+    return config.build(config.load(None, sets), info, job.filter)
+
+
+def taught(course: Course) -> Taught:
+    """What the scene has taught, kept where the footage is."""
+    folder = course.footage.folder
+    return Kept(learn, Path(folder))(course) if folder else learn(course)
+
+
+def uniform_of(run: str, model: Model, scene: Taught, train: Case) -> Model:
+    """The uniform births and clutter of a run [M09 §V]: over the image with the shipped magnitudes, as M09's are, or around
+    each detection with those that were learned."""
+    birth, clutter = model.birth, model.clutter
+    assert isinstance(birth, MeasurementBirth)
+    assert isinstance(clutter, LocalClutter)
+    if run in (IMAGE, GM_IMAGE):
+        size = float(train.info.width), float(train.info.height)
+        everywhere = replace(birth, volume="image", frame_size=size)
+        return replace(model, birth=everywhere, clutter=UniformClutter(clutter.rate, image_volume(size)))
+    # So many of each detection that they are as many as were learned.
+    each = train.info.frames / max(len(train.table.frame), 1)
+    if run in ("A3", "A5"):
+        birth = replace(birth, rate=each * (scene.births.rate if scene.births else birth.rate))
+    if run in ("A3", "A4"):
+        clutter = LocalClutter(each * scene.clutter.rate)
+    return replace(model, birth=birth, clutter=clutter)
+
+
+def delays(case: Case, tracks: Tracks, entries: F8) -> tuple[dict[int, float], dict[int, float]]:
+    """Frames from first detection to first row of the objects first detected inside and outside of ``entries`` (n, 4)."""
+    found = first_output_delays(case.truth, tracks, case.table)
+    inside: dict[int, float] = {}
+    outside: dict[int, float] = {}
+    for identity, frame, delay in zip(found.identity.tolist(), found.detected.tolist(), found.delay, strict=True):
+        if np.isfinite(delay):
+            within = entered(case.truth, identity, frame, entries)
+            (inside if within else outside)[identity] = float(delay)
+    return inside, outside
+
+
+def entered(truth: Truth, identity: int, frame: int, entries: F8) -> bool:
+    """Whether the centre of an object's box lies in one of the ``entries`` in a frame."""
+    box = truth.xyxy[(truth.frame == frame) & (truth.identity == identity)][0]
+    x, y = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
+    return bool(((entries[:, 0] <= x) & (x <= entries[:, 2]) & (entries[:, 1] <= y) & (y <= entries[:, 3])).any())
+
+
+@dataclass(frozen=True, slots=True)
+class Race:
+    """UM and GM of one filter, block by block in turn on the same frames, so that what else a machine does slows both."""
+
+    course: Course
+    filter: str
+    frames: int = 2000
+
+
+TURN = 50
+
+
+def race(job: Race) -> tuple[float, float, float]:
+    """Median seconds that a frame took, over blocks, uniform and learned, and the detector; compiling comes before."""
+    case = halves(job.course.footage).test
+    both = [stages_of(Job(job.course, run, job.filter), case.info) for run in (UM, GM)]
+    rngs = [np.random.default_rng(job.course.seed) for _ in both]
+    states = [pipeline.start(stages, rng) for stages, rng in zip(both, rngs, strict=True)]
+    spent: list[list[float]] = [[], []]
+    for first in range(1, min(job.frames, case.info.frames) + 1, TURN):
+        for which, stages in enumerate(both):
+            seconds = []
+            for number in range(first, min(first + TURN, case.info.frames + 1)):
+                time = (number - 1) / case.info.fps
+                states[which], step = pipeline.advance(
+                    stages, states[which], case.table.at(number), number, time, rngs[which]
+                )
+                seconds.append(sum(step.seconds))
+            spent[which].append(float(np.mean(seconds)))
+    # The first blocks compile, and load what is compiled.
+    warm = slice(2, None) if len(spent[0]) > 4 else slice(None)
+    uniform, learned = (float(np.median(each[warm])) for each in spent)
+    return uniform, learned, looking(job.course.footage)

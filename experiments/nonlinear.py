@@ -1,0 +1,155 @@
+"""The standard nonlinear scenario, targets that turn: OSPA of the particle filters and of the Gaussian ones by sigma points.
+
+The scenario is `phdtrack.simulate.turning`: ten targets over 100 scans, seen by bearing and range, with the noises that the
+literature uses. Every filter is given the scenario's model. A section of the page of `reproduce.vo`.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.common import Options, table
+from experiments.scans import (
+    COMPARED,
+    HEADER,
+    PARTICLES,
+    Found,
+    Job,
+    Outcome,
+    Realisation,
+    Stages,
+    Summary,
+    beyond,
+    curves,
+    differences,
+    fill,
+    followed,
+    measure,
+    measured,
+    pyplot,
+)
+from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, ParticleCPHD, ParticlePHD
+from phdtrack.filters.extract import BestBernoullis, BestHypothesis, Components, CountedComponents, CountedMixture, KMeans
+from phdtrack.models import BearingSensor, FixedBirth, TurningMotion, UniformClutter
+from phdtrack.protocols import Model
+from phdtrack.simulate.turning import DEGREE, LAST, START, Turning, turning, turning_states
+from phdtrack.types import F8, GaussianMixture
+
+# Runs of the first case, of the others, and in the short form.
+RUNS, SIDE, FEW = 100, 50, 3
+# The noises that the literature gives this scene, see `simulate.turning`.
+CASES = {
+    "σ_w 5, σ_θ 2°, σ_r 10, λ 20": Turning(),
+    "σ_w 15, σ_θ 2°, σ_r 20, λ 20": Turning(sd_acceleration=15.0, sd_range=20.0),
+    "σ_w 15, σ_θ 1°, σ_r 5, λ 10": Turning(sd_acceleration=15.0, sd_bearing=DEGREE, sd_range=5.0, clutter_rate=10.0),
+    "as the first, p_D falling": Turning(fade=2000.0),
+}
+FIRST_CASE = next(iter(CASES))
+PER_TARGET, NEWBORN = 1500, 500
+FILTERS: dict[str, Stages] = {
+    "gm-phd": (GMPHD(1e-5, 2.0, 100, transform="unscented"), Components(repeat=True)),
+    "gm-cphd": (GMCPHD(1e-5, 2.0, 100, transform="unscented"), CountedComponents(overlap=1.0)),
+    "particle-phd": (ParticlePHD(PER_TARGET), KMeans(lightest=0.5, overlap=1.0)),
+    "particle-cphd": (ParticleCPHD(PER_TARGET), CountedMixture(overlap=1.0)),
+    "mht": (MHT(transform="unscented"), BestHypothesis()),
+    "pmb": (PMB(in_view=0.0, sources=0.0, transform="unscented"), BestBernoullis()),
+}
+
+
+def world(given: Turning) -> Model:
+    """The scenario's parameters as a model; metres, radians, seconds."""
+    mean, sd = given.birth_mean, np.array(given.birth_sd)
+    spread = np.tile(np.diag(sd**2), (mean.shape[1], 1, 1))
+    sensor = BearingSensor(
+        given.sd_bearing, given.sd_range, given.p_detect, given.fade, speed=2**0.5 * float(sd[2]), turn=float(sd[4])
+    )
+    return Model(
+        TurningMotion(given.sd_acceleration, given.sd_turn, given.p_survive, given.interval, "piecewise"),
+        sensor,
+        FixedBirth(GaussianMixture(np.array(given.birth_weight), mean, spread), NEWBORN),
+        UniformClutter(given.clutter_rate, given.clutter_volume),
+        rate=1.0,
+    )
+
+
+def realisation(case: str, seed: int) -> Realisation:
+    """The scans of one seed."""
+    scene = turning(np.random.default_rng(seed), CASES[case])
+    given = scene.model
+    return Realisation(world(given), scene.measurement, scene.state, given.interval, given.ospa_cutoff)
+
+
+def run(job: Job) -> Outcome:
+    """One filter over one realisation."""
+    given = realisation(job.case, job.seed)
+    return measured(given, followed(given, FILTERS[job.filter], job.seed))
+
+
+def text(found: Found) -> str:
+    """The section of the page."""
+    rows, claims = [], []
+    for case in CASES:
+        outcomes = {name: found[case, name] for name in FILTERS}
+        rows += [(case, name, *Summary.of(each).cells()) for name, each in outcomes.items()]
+        claims += [(case, *cells) for cells in differences(outcomes, COMPARED)]
+    return fill(
+        "nonlinear.md",
+        rows=table(("", "filter", *HEADER), rows),
+        beyond=beyond(found, tuple(CASES), PARTICLES),
+        claims=table(("", "", "difference of OSPA", "share"), claims),
+    )
+
+
+def picture(path: Path, seed: int = 0) -> None:
+    """Draw one realisation on the targets' ways: all that is measured, and the states that each filter makes of it."""
+    plt = pyplot()
+    given = realisation(FIRST_CASE, seed)
+    rows = math.ceil((1 + len(FILTERS)) / 2)
+    figure, grid = plt.subplots(rows, 2, figsize=(11, 3.1 * rows), layout="constrained", squeeze=False)
+    axes = grid.ravel()
+    places = {"measured": [given.model.sensor.states(z)[0][:2] for z in given.scans]}
+    for name, stages in FILTERS.items():
+        places[name] = [found[:2] for found, _ in followed(given, stages, seed)]
+    for axis, (name, each) in zip(axes, places.items(), strict=False):
+        _ways(axis)
+        axis.plot(
+            *np.hstack(each), ".", ms=2.5, color="C3" if name in FILTERS else "0.6", zorder=3 if name in FILTERS else 1
+        )
+        axis.set(title=name, aspect="equal", xlim=(-2050, 2050), ylim=(-50, 2100))
+    for axis in axes[len(places) :]:
+        axis.set_axis_off()
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _ways(axis: Any) -> None:
+    """The half disc that is looked at, and the targets' ways, from their circles."""
+    angle = np.linspace(0, math.pi, 181)
+    axis.plot(Turning().radius * np.cos(angle), Turning().radius * np.sin(angle), color="0.8", lw=1)
+    for who, way in ways().items():
+        axis.plot(*way, color="0.35", lw=1)
+        axis.plot(*START[who - 1, :2], "o", ms=4, mfc="none", mec="0.35")
+
+
+def ways() -> dict[int, F8]:
+    """(2, scans) where each target was, from its first scan to its last."""
+    places: dict[int, list[F8]] = {}
+    for scan in range(1, LAST.max() + 1):
+        state, identity = turning_states(scan)
+        for who, x in zip(identity.tolist(), state.T, strict=True):
+            places.setdefault(who, []).append(x[:2])
+    return {who: np.array(place).T for who, place in places.items()}
+
+
+def section(options: Options) -> str:
+    """Measure and draw; the section of the page."""
+    runs = {case: options.number(RUNS if case == FIRST_CASE else SIDE, FEW) for case in CASES}
+    found = measure(run, {(case, name): runs[case] for case in CASES for name in FILTERS}, "turning", options.folder)
+    number = np.array([truth.shape[1] for truth in realisation(FIRST_CASE, 0).truth])
+    curves({name: found[FIRST_CASE, name] for name in FILTERS}, number, options.out / "vo-turning-ospa.png")
+    picture(options.out / "vo-turning-states.png")
+    return text(found)

@@ -1,0 +1,345 @@
+"""Beside the trackers that people use today: same detections, no score threshold, one parameter set, TrackEval's scores.
+
+    phdtrack reproduce peers
+
+Writes two pages: peers.md, and defaults.md, which says what speaks for the default filter and what its parts are worth.
+
+Peers' scores come from `bench/peers.csv` beside the real sequences, and so do the clutter cases (`bench/make_clutter.py`,
+run as it is): nothing of a peer is measured here. Every filter has the shipped defaults. Truth that the benchmark marks as
+not to be counted is left out, as TrackEval does for MOT15, so that scores compare.
+"""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+
+from experiments.common import Case, Options, built, followed, in_parallel, need_data, table, write
+from phdtrack.errors import InputError
+from phdtrack.formats import read_detections, read_seqinfo, read_truth
+from phdtrack.metrics import Scores, evaluate, pool
+from phdtrack.types import Truth
+
+MADE: tuple[str, ...] = ("PETS09-S2L1", "TUD-Campus")
+SEQUENCES: Mapping[str, tuple[str, ...]] = {
+    "frcnn": ("PETS09-S2L1", "TUD-Campus", "ETH-Sunnyday", "KITTI-17", "ADL-Rundle-6"),
+    "public": ("PETS09-S2L1", "TUD-Campus", "ETH-Sunnyday", "KITTI-17"),
+}
+RATES = (0, 5, 20)
+# Uniform clutter, and the same with five places that fire.
+CLUTTER = tuple(f"{kind}{rate}" for kind in "up" for rate in RATES)
+# Peers have been scored on the first.
+SEEDS = 3
+# Name, filter, and settings that are not the defaults.
+TRACKERS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "pmb": ("pmb", ()),
+    "pmb, 3 frames late": ("pmb", ("associate.delay=3",)),
+    "particle-phd": ("particle-phd", ()),
+    "gm-phd": ("gm-phd", ()),
+    "mht": ("mht", ()),
+    "none": ("none", ()),
+}
+SHOWN = ("HOTA", "MOTA", "IDF1")
+# What the shipped defaults are made of: parts switched off,
+PARTS: Mapping[str, tuple[str, ...]] = {
+    "as shipped": (),
+    "corrected tracks not smoothed": ("refine.smooth=false",),
+    "corrected tracks not stitched": ("refine.stitch=false",),
+    "neither": ("refine.smooth=false", "refine.stitch=false"),
+    "targets never hidden": ("filter.in_view=0",),
+    "no sources": ("filter.sources=0",),
+    "one hypothesis a target": ("filter.most=1",),
+    "the past not revised": ("filter.depth=1",),
+    "targets that overlap stand apart": ("extract.overlap=1",),
+    "association by graph, not by label": ("associate.kind=graph",),
+}
+# and numbers changed.
+NUMBERS: Mapping[str, tuple[str, ...]] = {
+    "sensor half as wide (0.125)": ("sensor.spread=0.125",),
+    "sensor of the other filters (0.15)": ("sensor.spread=0.15",),
+    "acceleration twice (0.01)": ("motion.acceleration=0.01",),
+    "acceleration half (0.0025)": ("motion.acceleration=0.0025",),
+    "sizes twice as unsteady (0.1)": ("motion.resize=0.1",),
+    "survival of M07 (0.99)": ("motion.survival=0.99",),
+    "p_D 0.9": ("sensor.detection=0.9",),
+    "p_D 0.7": ("sensor.detection=0.7",),
+    "false alarms as of the other filters (0.3)": ("clutter.rate=0.3",),
+    "false alarms twice (3)": ("clutter.rate=3",),
+    "births twice (0.01)": ("birth.rate=0.01",),
+    "hidden twice as long (0.8 s)": ("filter.hidden=0.8",),
+    "sources fire less (0.3)": ("filter.firing=0.3",),
+}
+ABLATED = "pmb"
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One run on one sequence; ``case``: frcnn, public, or a clutter case with its seed, as peers.csv names them."""
+
+    case: str
+    sequence: str
+    method: str
+    seed: int = 1
+    sets: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """Scores of what was given online, at once and for good, and of the corrected tracks; milliseconds a frame."""
+
+    online: Scores
+    offline: Scores
+    ms: float
+
+
+def bench() -> Path:
+    """The folder of the comparison; `InputError` where it is missing."""
+    folder = need_data().parent / "bench"
+    if not (folder / "peers.csv").is_file():
+        raise InputError(
+            "the peers' scores are missing", where=folder, cure="Put bench/ with peers.csv and make_clutter.py there"
+        )
+    return folder
+
+
+@lru_cache(maxsize=1)
+def _made() -> tempfile.TemporaryDirectory[str]:
+    """The clutter cases, made once a process; they go with it."""
+    folder = tempfile.TemporaryDirectory()
+    given = (bench() / "make_clutter.py", "--gt-root", need_data() / "mot15", "--out", folder.name)
+    rates, seeds = map(str, RATES), map(str, range(1, SEEDS + 1))
+    wanted = ("--seqs", *MADE, "--lambdas", *rates, "--seeds", *seeds)
+    subprocess.run([sys.executable, *map(str, given), *wanted], check=True, stdout=subprocess.DEVNULL)
+    return folder
+
+
+def work(job: Job) -> Outcome:
+    """One run, scored."""
+    folder = need_data() / "mot15" / job.sequence
+    info, truth = read_seqinfo(folder), counted(read_truth(folder / "gt" / "gt.txt"))
+    if job.case in SEQUENCES:
+        found = folder / f"det_{job.case}" / "det.txt"
+    else:
+        found = Path(_made().name) / job.case / job.sequence / "det" / "det.txt"
+    run = followed(built(info, job.method, job.sets), Case(job.sequence, info, truth, read_detections(found)), job.seed)
+    online = evaluate(truth, run.online.take(run.online.confirmed), frames=info.frames)
+    return Outcome(online, evaluate(truth, run.corrected, frames=info.frames), 1e3 * run.seconds)
+
+
+def counted(truth: Truth) -> Truth:
+    """The rows that count."""
+    rows = ~truth.distractor
+    return Truth(truth.frame[rows], truth.identity[rows], truth.xyxy[rows], truth.distractor[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """All runs; the peers' rows by case and sequence; ``sequences`` of each case, ``trackers`` and number of ``seeds``."""
+
+    results: Mapping[Job, Outcome]
+    peers: Mapping[tuple[str, str], Sequence[Mapping[str, str]]]
+    sequences: Mapping[str, tuple[str, ...]]
+    trackers: tuple[str, ...]
+    seeds: int
+
+    def runs(self, case: str, sequence: str, method: str, sets: tuple[str, ...] = ()) -> list[Outcome]:
+        """One outcome for each seed."""
+        return [self.results[_job(case, sequence, method, seed, sets)] for seed in range(1, self.seeds + 1)]
+
+    def mean(self, case: str, method: str, kind: str, score: str, sets: tuple[str, ...] = ()) -> float:
+        """A score pooled over all sequences of a case, its mean over the seeds, in points."""
+        runs = zip(*(self.runs(case, sequence, method, sets) for sequence in self.sequences[case]), strict=True)
+        pooled = (pool([getattr(run, kind) for run in each]) for each in runs)
+        return float(np.mean([100 * getattr(one, score) for one in pooled]))
+
+    def best(self, case: str, sequence: str, score: str) -> tuple[float, str]:
+        """The best peer's score in points, and its name; NaN where none was scored."""
+        rows = [row for row in self.peers.get((_peers_case(case), sequence), ()) if row["name"] != "oracle"]
+        return max(((float(row[score]), row["name"]) for row in rows), default=(float("nan"), "–"))
+
+
+def _peers_case(case: str) -> str:
+    return case if case in SEQUENCES else f"{case}-s1"
+
+
+def _job(case: str, sequence: str, method: str, seed: int, sets: tuple[str, ...] = ()) -> Job:
+    """The run that stands for a seed: real detections and filters that draw nothing need one only."""
+    if case not in SEQUENCES:
+        return Job(f"{case}-s{seed}", sequence, method, seed if method == "particle-phd" else 1, sets)
+    return Job(case, sequence, method, seed if method == "particle-phd" else 1, sets)
+
+
+def main(options: Options | None = None) -> Path:
+    """Run everything and write peers.md."""
+    options = options or Options()
+    quick = options.quick
+    sequences = dict.fromkeys(SEQUENCES, ("TUD-Campus",)) if quick else dict(SEQUENCES)
+    sequences |= dict.fromkeys(CLUTTER[:1] if quick else CLUTTER, MADE[1:] if quick else MADE)
+    trackers, seeds = (tuple(TRACKERS)[:2] if quick else tuple(TRACKERS)), 1 if quick else SEEDS
+    changes = [*PARTS.values(), *([] if quick else NUMBERS.values())]
+    wanted = [TRACKERS[name] for name in trackers] + [(ABLATED, sets) for sets in changes]
+    every = (
+        _job(case, sequence, method, seed, sets)
+        for method, sets in wanted
+        for case, names in sequences.items()
+        for sequence in names
+        for seed in range(1, seeds + 1)
+    )
+    jobs = list(dict.fromkeys(every))
+    results = dict(zip(jobs, in_parallel(work, jobs, "peers", options.folder), strict=True))
+    found = Found(results, read_peers(), sequences, trackers, seeds)
+    write("defaults.md", defaults(found, {} if quick else NUMBERS), options.out)
+    return write("peers.md", page(found), options.out)
+
+
+def read_peers() -> dict[tuple[str, str], list[Mapping[str, str]]]:
+    """The rows of peers.csv by case and sequence (``ALL``: pooled)."""
+    out: dict[tuple[str, str], list[Mapping[str, str]]] = {}
+    with (bench() / "peers.csv").open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            out.setdefault((row["case"], row["seq"]), []).append(row)
+    return out
+
+
+def page(found: Found) -> str:
+    """The page of results."""
+    text = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
+    real = [case for case in found.sequences if case in SEQUENCES]
+    return text.format(
+        seeds=counted_seeds(found.seeds),
+        real=_pooled_table(found, real),
+        clutter=_pooled_table(found, [case for case in found.sequences if case not in SEQUENCES]),
+        sequences=_sequence_table(found, real),
+    )
+
+
+def defaults(found: Found, numbers: Mapping[str, tuple[str, ...]]) -> str:
+    """The page of the defaults."""
+    text = Path(__file__).with_name("defaults.md").read_text(encoding="utf-8")
+    return text.format(
+        seeds=counted_seeds(found.seeds),
+        filters=_filters_table(found),
+        parts=_parts_table(found, PARTS),
+        numbers=_parts_table(found, numbers),
+    )
+
+
+def counted_seeds(seeds: int) -> str:
+    """How many, in words."""
+    return "one seed" if seeds == 1 else f"{seeds} seeds"
+
+
+def _pooled_table(found: Found, cases: Sequence[str]) -> str:
+    header = ("case", "tracker", *(f"{score} {kind}" for kind in ("online", "corrected") for score in SHOWN), "ms")
+    rows: list[tuple[object, ...]] = []
+    for case in cases:
+        best = (f"{value:.1f} {name}" for value, name in (found.best(case, "ALL", score) for score in SHOWN))
+        rows.append((case, "best peer in each", *best, "", "", "", ""))
+        for name in found.trackers:
+            method, sets = TRACKERS[name]
+            kinds = ((kind, score) for kind in ("online", "offline") for score in SHOWN)
+            cells = (f"{found.mean(case, method, kind, score, sets):.1f}" for kind, score in kinds)
+            rows.append((case, name, *cells, f"{_ms(found, case, method, sets):.2f}"))
+    return table(header, rows)
+
+
+def _ms(found: Found, case: str, method: str, sets: tuple[str, ...]) -> float:
+    runs = (run for sequence in found.sequences[case] for run in found.runs(case, sequence, method, sets))
+    return float(np.median([run.ms for run in runs]))
+
+
+def _sequence_table(found: Found, cases: Sequence[str]) -> str:
+    """Corrected tracks less the best peer in each score, sequence by sequence."""
+    header = ("case", "sequence", "tracker", *(f"{score} (less the best peer's)" for score in SHOWN))
+    rows = []
+    for case in cases:
+        for sequence in found.sequences[case]:
+            for name in found.trackers:
+                method, sets = TRACKERS[name]
+                if sets:
+                    continue
+                cells = []
+                for score in SHOWN:
+                    runs = found.runs(case, sequence, method)
+                    ours = float(np.mean([100 * getattr(run.offline, score) for run in runs]))
+                    cells.append(f"{ours:.1f} ({ours - found.best(case, sequence, score)[0]:+.1f})")
+                rows.append((case, sequence, method, *cells))
+    return table(header, rows)
+
+
+def _filters_table(found: Found) -> str:
+    """All filters: the means over kinds of detections, and the time of a frame."""
+    cases = {
+        "real": [case for case in found.sequences if case in SEQUENCES],
+        "uniform clutter": [case for case in found.sequences if case.startswith("u")],
+        "places": [case for case in found.sequences if case.startswith("p") and case not in SEQUENCES],
+    }
+    kinds = {name: group for name, group in cases.items() if group}
+    header = ("filter", *(f"{name} {score}" for name in kinds for score in SHOWN), "online, real IDF1", "ms")
+    rows = []
+    for name in found.trackers:
+        method, sets = TRACKERS[name]
+        if sets:
+            continue
+        means = ((group, "offline", score) for group in kinds.values() for score in SHOWN)
+        cells = [np.mean([found.mean(case, method, kind, score) for case in group]) for group, kind, score in means]
+        online = np.mean([found.mean(case, method, "online", "IDF1") for case in kinds["real"]])
+        ms = np.median([_ms(found, case, method, ()) for case in found.sequences])
+        rows.append((name, *(f"{cell:.1f}" for cell in (*cells, online)), f"{ms:.2f}"))
+    return table(header, rows)
+
+
+def _parts_table(found: Found, parts: Mapping[str, tuple[str, ...]]) -> str:
+    """Corrected tracks with each part changed, as differences from the shipped defaults."""
+    groups = {"real": [case for case in found.sequences if case in SEQUENCES]}
+    groups |= {case: [case] for case in found.sequences if case in ("u20", "p20")}
+    header = ("change", *(f"{name} {score}" for name in groups for score in SHOWN))
+    rows = []
+    for name, sets in parts.items():
+        cells = []
+        for group in groups.values():
+            for score in SHOWN:
+                value, half = _gain(found, group, score, sets)
+                cells.append(f"{value:+.1f} ± {half:.1f}" if sets else f"{value:.1f}")
+        rows.append((name, *cells))
+    return table(header, rows)
+
+
+def _gain(found: Found, cases: Sequence[str], score: str, sets: tuple[str, ...]) -> tuple[float, float]:
+    """What a change gains over the defaults, pooled, in points, and half the width of its 95 % interval over the runs.
+
+    By the jackknife: how far the difference moves when one sequence (with drawn clutter: in one seed) is left out (Efron and
+    Tibshirani 1993, 11.5). Of the defaults themselves the score.
+    """
+    given = {
+        which: [
+            run.offline
+            for case in cases
+            for sequence in found.sequences[case]
+            for run in found.runs(case, sequence, ABLATED, which)[: 1 if case in SEQUENCES else found.seeds]
+        ]
+        for which in {(), sets}
+    }
+
+    def pooled(which: tuple[str, ...], out: int = -1) -> float:
+        return 100 * float(getattr(pool([one for k, one in enumerate(given[which]) if k != out]), score))
+
+    if not sets:
+        return pooled(()), 0.0
+    n = len(given[sets])
+    without = np.array([pooled(sets, out) - pooled((), out) for out in range(n)]) if n > 1 else np.full(1, np.nan)
+    deviation = float(np.sqrt((n - 1) / n * ((without - without.mean()) ** 2).sum()))
+    return pooled(sets) - pooled(()), float(stats.t.ppf(0.975, max(n - 1, 1))) * deviation
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,381 @@
+"""Tracks on the ground plane: PETS09-S2L1 with its real detections and its camera.
+
+    phdtrack reproduce plane
+
+World-plane tracks of the Gaussian-mixture filters and of the particle filter, with and without occlusion in p_D, beside the
+tracker in the image as shipped. Foot points are led to the ground by the camera and compared with the truth's own columns
+X, Y (metres). Settings are the shipped ones, ``motion.kind=plane`` and the camera aside.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from experiments.common import Case, Options, built, in_parallel, mot15, need_data, table, write
+from phdtrack import pipeline
+from phdtrack.ground import CountedFrom, read_camera
+from phdtrack.metrics import evaluate
+from phdtrack.metrics.clear import count_tracking
+from phdtrack.metrics.groups import nearest
+from phdtrack.metrics.identity import count_identities
+from phdtrack.metrics.matching import tracking_mapping
+from phdtrack.metrics.scene import FramePair, Scene
+from phdtrack.types import F8, I8, DetectionTable, Tracks
+
+SEQUENCE, KINDS = "PETS09-S2L1", ("public", "frcnn")
+SEEDS = 3
+# Metres: how near is a match, and up to where errors of matched rows are looked at.
+NEAR, FAR = 1.0, 2.0
+# The overlap above which the shipped tracker takes two states for one.
+JOINED = 0.4
+# MOTChallenge counts pixels from 1.
+FIRST_PIXEL = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """A way to track: a filter, on the ground or in the image, with or without occlusion in p_D.
+
+    ``joined``: states whose boxes overlap by more than `JOINED` are one; without, no states are. ``random``: it has seeds.
+    """
+
+    name: str
+    filter: str
+    plane: bool
+    occlusion: bool
+    joined: bool = True
+    random: bool = False
+
+
+VARIANTS = (
+    Variant("GM-PHD", "gm-phd", plane=True, occlusion=True),
+    Variant("GM-PHD", "gm-phd", plane=True, occlusion=False),
+    Variant("GM-CPHD", "gm-cphd", plane=True, occlusion=True),
+    Variant("GM-CPHD", "gm-cphd", plane=True, occlusion=False),
+    Variant("particle PHD", "particle-phd", plane=True, occlusion=True, random=True),
+    Variant("particle PHD", "particle-phd", plane=True, occlusion=False, random=True),
+    Variant("GM-PHD, not joined", "gm-phd", plane=True, occlusion=True, joined=False),
+    Variant("GM-PHD, not joined", "gm-phd", plane=True, occlusion=False, joined=False),
+    Variant("GM-PHD", "gm-phd", plane=False, occlusion=True),
+    Variant("GM-PHD", "gm-phd", plane=False, occlusion=False),
+    Variant("particle PHD", "particle-phd", plane=False, occlusion=False, random=True),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One run: the detections, a variant by its place in `VARIANTS`, and a seed."""
+
+    kind: str
+    variant: int
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """How near rows are to the truth's places: MOTA and IDF1 with matches within `NEAR`; of the rows matched one to one
+    within `FAR`, the root of the mean squared distance, the median, and the share of all annotated rows within `NEAR`."""
+
+    mota: float
+    idf1: float
+    rmse: float
+    median: float
+    within: float
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One run: in the image with the tracks' boxes (``own``) and with the detections' boxes where a row rests on one
+    (``taken``), each MOTA, IDF1; on the ground; mean absolute errors of the mass, of the number of states, and the bias of
+    the mass."""
+
+    own: tuple[float, float]
+    taken: tuple[float, float]
+    ground: Ground
+    mass: float
+    states: float
+    bias: float
+
+    def numbers(self) -> tuple[float, ...]:
+        """In the order of the tables: image, ground, counts."""
+        g = self.ground
+        return (*self.own, *self.taken, g.mota, g.idf1, g.rmse, g.median, g.within, self.mass, self.states, self.bias)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """People on the ground: ``frame`` (M,), ``identity`` (M,), ``point`` (2, M) metres, NaN where the ground is not met."""
+
+    frame: I8
+    identity: I8
+    point: F8
+
+
+@lru_cache(maxsize=2)
+def case(kind: str) -> Case:
+    """The sequence with one set of detections."""
+    return mot15(SEQUENCE, kind)
+
+
+@lru_cache(maxsize=1)
+def camera() -> CountedFrom:
+    """The camera of view 1."""
+    return CountedFrom(read_camera(camera_file()), FIRST_PIXEL)
+
+
+def camera_file() -> str:
+    """Its file."""
+    return str(need_data() / "pets2009" / "View_001.xml")
+
+
+@lru_cache(maxsize=1)
+def true_places() -> Places:
+    """The columns X, Y of the annotation, of the rows that count."""
+    rows = np.loadtxt(need_data() / "mot15" / SEQUENCE / "gt" / "gt.txt", delimiter=",")
+    rows = rows[rows[:, 6] != 0]
+    return Places(rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), np.ascontiguousarray(rows[:, 7:9].T))
+
+
+def feet(xyxy: F8) -> F8:
+    """(2, n) metres: the ground under the middle of each box's lower edge."""
+    return camera().ground(np.stack([(xyxy[:, 0] + xyxy[:, 2]) / 2, xyxy[:, 3]]))
+
+
+def places_of(rows: Tracks) -> Places:
+    """Where tracks stand."""
+    return Places(rows.frame, rows.identity, feet(rows.xyxy))
+
+
+def ground_scene(truth: Places, found: Places, frames: int, near: float) -> Scene:
+    """Truth and output side by side as for boxes, with 1 − d/(2 near) of the distance d in place of the overlap (not below
+    0): an overlap of a half is a distance of ``near``."""
+    names, who = np.unique(truth.identity, return_inverse=True)
+    outputs, which = np.unique(found.identity, return_inverse=True)
+    pairs = []
+    for number in np.union1d(truth.frame, found.frame).tolist():
+        t, o = np.flatnonzero(truth.frame == number), np.flatnonzero(found.frame == number)
+        apart = np.hypot(*(truth.point[:, t, None] - found.point[:, None, o]))
+        closeness = np.maximum(1 - np.nan_to_num(apart, nan=np.inf) / (2 * near), 0.0)
+        pairs.append(FramePair(number, who[t], which[o], closeness))
+    return Scene(tuple(pairs), frames, names, outputs, _sizes(pairs, 0), _sizes(pairs, 1))
+
+
+def errors(truth: Places, found: Places, far: float) -> F8:
+    """(K,) distances of the pairs matched one to one within ``far`` metres, each frame for itself."""
+    out = []
+    for number in np.intersect1d(truth.frame, found.frame).tolist():
+        a, b = truth.point[:, truth.frame == number], found.point[:, found.frame == number]
+        b = b[:, np.isfinite(b).all(axis=0)]
+        rows, columns = nearest(a, b, far)
+        out.append(np.hypot(*(a[:, rows] - b[:, columns])))
+    return np.concatenate([np.zeros(0), *out])
+
+
+def on_the_ground(truth: Places, found: Places, frames: int) -> Ground:
+    """All scores on the ground."""
+    scene = ground_scene(truth, found, frames, NEAR)
+    counted = count_tracking(scene, tracking_mapping(scene, 0.5))
+    off = errors(truth, found, FAR)
+    return Ground(
+        counted.mota(1.0, 1.0),
+        count_identities(scene, 0.5).idf1(),
+        math.sqrt(float((off**2).mean())),
+        float(np.median(off)),
+        float(np.count_nonzero(off <= NEAR) / len(truth.frame)),
+    )
+
+
+def with_detections(tracks: Tracks, found: DetectionTable) -> Tracks:
+    """Rows that rest on a detection take its box."""
+    xyxy = tracks.xyxy.copy()
+    held = np.flatnonzero(tracks.detection >= 0)
+    first = np.searchsorted(found.frame, tracks.frame[held])
+    xyxy[held] = found.detections.xyxy[first + tracks.detection[held]]
+    return replace(tracks, xyxy=xyxy)
+
+
+def sets_of(variant: Variant) -> tuple[str, ...]:
+    """What a variant changes of the shipped settings."""
+    shown = (f"sensor.occlusion={str(variant.occlusion).lower()}", f"extract.overlap={JOINED if variant.joined else 1.0}")
+    if not variant.plane:
+        return shown
+    return ("motion.kind=plane", f"camera.file={camera_file()}", f"camera.first_pixel={FIRST_PIXEL}", *shown)
+
+
+def work(job: Job) -> Outcome:
+    """One run over the sequence."""
+    given, variant = case(job.kind), VARIANTS[job.variant]
+    stages = built(given.info, variant.filter, sets_of(variant))
+    rng = np.random.default_rng(job.seed)
+    state = pipeline.start(stages, rng)
+    mass, states = np.zeros(given.info.frames), np.zeros(given.info.frames)
+    for k in range(given.info.frames):
+        state, step = pipeline.advance(stages, state, given.table.at(k + 1), k + 1, k / given.info.fps, rng)
+        mass[k], states[k] = step.info.mass, len(step.estimates)
+    tracks = pipeline.finish(stages, state)
+    people = numbers(given.truth.frame, given.info.frames)
+    return Outcome(
+        in_the_image(given, tracks),
+        in_the_image(given, with_detections(tracks, given.table)),
+        on_the_ground(true_places(), places_of(tracks), given.info.frames),
+        float(np.abs(mass - people).mean()),
+        float(np.abs(states - people).mean()),
+        float((mass - people).mean()),
+    )
+
+
+def in_the_image(given: Case, tracks: Tracks) -> tuple[float, float]:
+    """MOTA and IDF1 at IoU 0.5."""
+    scores = evaluate(given.truth, tracks, frames=given.info.frames)
+    return scores.MOTA, scores.IDF1
+
+
+def numbers(frame: I8, frames: int) -> F8:
+    """(frames,) rows in each frame from 1."""
+    return np.bincount(frame, minlength=frames + 1)[1 : frames + 1].astype(np.float64)
+
+
+def _sizes(pairs: Sequence[FramePair], side: int) -> I8:
+    """(F,) how many the truth (0) or the output (1) has in each frame."""
+    return np.array([pair.iou.shape[side] for pair in pairs], np.int64)
+
+
+def spread(values: Sequence[float], digits: int = 3) -> str:
+    """Mean ± standard error; of one value the value."""
+    mean = f"{np.mean(values):.{digits}f}"
+    return mean if len(values) < 2 else f"{mean} ± {np.std(values, ddof=1) / math.sqrt(len(values)):.{digits}f}"
+
+
+def main(options: Options | None = None) -> Path:
+    """Run everything and write plane.md."""
+    options = options or Options()
+    seeds = options.number(SEEDS, 1)
+    jobs = [Job(kind, i, seed) for kind in KINDS for i, v in enumerate(VARIANTS) for seed in range(seeds if v.random else 1)]
+    outcomes = dict(zip(jobs, in_parallel(work, jobs, "plane", options.folder), strict=True))
+    return write("plane.md", page(outcomes, seeds), options.out)
+
+
+def page(outcomes: dict[Job, Outcome], seeds: int) -> str:
+    """The page of results."""
+    rows = [
+        (_head(kind, v), _means([outcomes[Job(kind, i, seed)] for seed in range(seeds if v.random else 1)]))
+        for kind in KINDS
+        for i, v in enumerate(VARIANTS)
+    ]
+    image = [(*head, *cells[:4]) for head, cells in rows]
+    ground = [*_references(), *((*head, *cells[4:9]) for head, cells in rows)]
+    counts = [*_raw(), *((*head, *cells[9:]) for head, cells in rows)]
+    return _PAGE.format(
+        seeds=seeds,
+        joined=JOINED,
+        near=NEAR,
+        far=FAR,
+        image=table((*_HEAD, "MOTA", "IDF1", "MOTA, detections' boxes", "IDF1, detections' boxes"), image),
+        ground=table((*_HEAD, "MOTA", "IDF1", "RMSE, m", "median, m", f"within {NEAR:g} m"), ground),
+        counts=table((*_HEAD, "mass", "states", "bias of the mass"), counts),
+    )
+
+
+_HEAD = ("detections", "world", "filter", "occlusion")
+
+
+def _head(kind: str, variant: Variant) -> tuple[str, ...]:
+    """The first cells of a row."""
+    return (kind, "ground" if variant.plane else "image", variant.name, "on" if variant.occlusion else "off")
+
+
+def _means(outcomes: Sequence[Outcome]) -> list[str]:
+    """Means over the seeds, with their standard errors."""
+    return [spread(column) for column in zip(*(outcome.numbers() for outcome in outcomes), strict=True)]
+
+
+def _references() -> list[tuple[str, ...]]:
+    """What is in the truth's boxes and in the detections before anything is tracked: places without identities."""
+    truth, out = true_places(), []
+    given = case(KINDS[0]).truth
+    boxes = Places(given.frame, given.identity, feet(given.xyxy))
+    for name, found in (("annotated boxes", boxes), *((f"{kind}, all", _seen(kind)) for kind in KINDS)):
+        off = errors(truth, found, FAR)
+        near = np.count_nonzero(off <= NEAR) / len(truth.frame)
+        numbers_ = (math.sqrt(float((off**2).mean())), float(np.median(off)), float(near))
+        out.append((name, "", "none", "", "", "", *(f"{number:.3f}" for number in numbers_)))
+    return out
+
+
+def _seen(kind: str) -> Places:
+    """Every detection's place; their identities are their numbers."""
+    found = case(kind).table
+    return Places(found.frame, np.arange(1, len(found) + 1), feet(found.detections.xyxy))
+
+
+def _raw() -> list[tuple[str, ...]]:
+    """Errors of the number of detections as a count."""
+    out: list[tuple[str, ...]] = []
+    for kind in KINDS:
+        given = case(kind)
+        off = numbers(given.table.frame, given.info.frames) - numbers(given.truth.frame, given.info.frames)
+        out.append((kind, "", "number of detections", "", "", f"{np.abs(off).mean():.3f}", f"{off.mean():.3f}"))
+    return out
+
+
+_PAGE = """# Tracks on the ground plane
+
+PETS09-S2L1 (795 frames, 19 people) with its public and its Faster R-CNN detections and the Tsai camera of view 1, pixels
+counted from 1. Shipped settings with `motion.kind=plane` and the camera; *world* image: the shipped tracker without a
+camera. The settings for the image were chosen on seven cases, of which these are two; those for the ground were not, but
+that states are joined there as in the image was decided by this page. *occlusion*: whether p_D falls where nearer people
+cover a person; shipped is on for the ground, off for the image. States whose boxes overlap by more than {joined:g} are taken
+for one; *not joined*: none are. Particle filters: mean of {seeds} seeds ± its standard error; what Gaussians do is not
+random. Corrected tracks. Written by `phdtrack reproduce plane`.
+
+## On the ground
+
+Places of tracks are those under the middle of their boxes' lower edges, against the annotation's own X, Y. MOTA and IDF1: a
+match is nearer than {near:g} m. *RMSE* and *median* are of the rows matched one to one within {far:g} m; *within* is the
+share of all annotated rows that are matched within {near:g} m. Rows without a filter: the annotated boxes' own feet, and the
+feet of all detections, which have no identities.
+
+{ground}
+## In the image
+
+IoU 0.5. On the ground a track's box is that of a person of 0.6 m by 1.75 m who stands there; with *detections' boxes*, rows
+that rest on a detection take its box.
+
+{image}
+## Counts
+
+Mean absolute error per frame of the number of people: of the intensity's mass, of the number of extracted states, and of the
+raw number of detections; bias: signed.
+
+{counts}
+## What is better, and what is worse
+
+* **Identities are kept better on the ground.** IDF1 in the image is 0.73, where the same filter in the image as shipped has
+  0.46 (public detections), and 0.57 against 0.35 (Faster R-CNN). MOTA in the image is 0.03 less on the public detections
+  with GM-PHD, the same with particles, and 0.06 more on the others.
+* **Places are better than the detections' own** (RMSE 0.33 m and 0.39 m against 0.38 m and 0.51 m), and more annotated rows
+  have a track within a metre than have a detection. The annotation's X, Y are its own boxes' feet to 5 cm.
+* **A detector that fires twice on one person makes two people on the ground** where states are not joined. On the
+  public detections, many of which are doubles, joining lifts MOTA on the ground from 0.47 to 0.85, and costs nothing on the
+  other detections.
+* **Occlusion** changes little here: MOTA on the ground by −0.004 to +0.009, IDF1 by up to ±0.07 with no clear sign. The
+  mass comes nearer to the truth by 0.01 to 0.04 people on the Faster R-CNN detections; with the PHD filters it goes farther
+  off by 0.05 to 0.10 on the public ones, where there is too much of it already.
+* **The cardinalised filter** counts better on the Faster R-CNN detections (states 0.72 against 1.02), at 0.03 to 0.04 less
+  MOTA, and is worse in both on the public ones, of whose double boxes it counts more (MOTA 0.72 against 0.85).
+* **Counts.** The raw number of Faster R-CNN detections is nearer to the truth (0.68) than any filter's on the ground: misses
+  and false alarms cancel in it. On the public detections the number of states is less than half as wrong as the raw number
+  (1.50) with the PHD filters. The mass is not: a double detection weighs as much as a person.
+* **Boxes of a nominal size** match as well as the detections' own on the public detections, and better, by 0.06 of MOTA, on
+  the others.
+"""
+
+
+if __name__ == "__main__":
+    main()

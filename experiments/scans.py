@@ -1,0 +1,218 @@
+"""What the simulated scenarios of points share: one filter over one realisation, many runs, what they come to.
+
+Every scan's OSPA has two parts, where the states are and how many: with order 1 it is the sum of the cut-off distances of
+the pairs, and of c for each state too many or too few, both over the larger number.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.common import in_parallel
+from phdtrack.compare.statistics import Interval, interval
+from phdtrack.metrics import ospa
+from phdtrack.protocols import Extractor, Filter, Model
+from phdtrack.types import F8, I8
+
+Stages = tuple[Filter[Any], Extractor[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One run of one ``filter`` in one ``case`` of a scenario; ``seed`` decides the scans, whatever the filter."""
+
+    filter: str
+    case: str
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Realisation:
+    """Scans of a scenario: (m, N) measurements and (d, n) true states of each, and the model that filters are given.
+
+    ``interval`` seconds between scans, ``cutoff`` metres of the OSPA distance.
+    """
+
+    model: Model
+    scans: tuple[F8, ...]
+    truth: tuple[F8, ...]
+    interval: float
+    cutoff: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """Per scan: ``ospa`` and its part ``number`` in metres, ``error`` the number of states less that of targets.
+
+    ``seconds`` of processor time that filter and extraction took for a scan.
+    """
+
+    ospa: F8
+    number: F8
+    error: F8
+    seconds: float
+
+
+def followed(given: Realisation, stages: Stages, seed: int) -> Iterator[tuple[F8, float]]:
+    """(d, n) states that a filter reports of each scan, and the seconds of processor time that they took."""
+    recursion, extractor = stages
+    rng = np.random.default_rng([seed, 1])
+    state = recursion.start(given.model, rng)
+    for z in given.scans:
+        began = time.thread_time()
+        state, _ = recursion.step(state, z, given.model, given.interval, rng)
+        found = extractor.extract(state, z, given.model).state
+        yield found, time.thread_time() - began
+
+
+def measured(given: Realisation, states: Iterable[tuple[F8, float]]) -> Outcome:
+    """What the ``states`` of the scans, as `followed` gives them, come to."""
+    scans = len(given.scans)
+    distance, number, error, seconds = (np.zeros(scans) for _ in range(4))
+    for k, (found, spent) in enumerate(states):
+        truth = given.truth[k]
+        n, m = truth.shape[1], found.shape[1]
+        distance[k] = ospa(found[:2], truth[:2], given.cutoff)
+        number[k] = given.cutoff * abs(n - m) / max(n, m, 1)
+        error[k], seconds[k] = m - n, spent
+    # The first scans compile.
+    return Outcome(distance, number, error, float(np.median(seconds)))
+
+
+Found = dict[tuple[str, str], list[Outcome]]
+"""By case and filter, one outcome for each seed."""
+
+
+def measure(run: Callable[[Job], Outcome], runs: Mapping[tuple[str, str], int], label: str, folder: Path | None) -> Found:
+    """So many ``runs`` of every pair of a case and a filter, from seed 0; kept in ``folder`` if there is one."""
+    jobs = [Job(name, case, seed) for (case, name), number in runs.items() for seed in range(number)]
+    outcomes = iter(in_parallel(run, jobs, label, folder))
+    return {pair: list(islice(outcomes, number)) for pair, number in runs.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Over ``runs``: mean OSPA with half the width of its 95 % interval, its parts, count errors, milliseconds a scan."""
+
+    runs: int
+    ospa: float
+    within: float
+    place: float
+    number: float
+    count: float
+    bias: float
+    milliseconds: float
+
+    @classmethod
+    def of(cls, outcomes: Sequence[Outcome]) -> Summary:
+        """Means over scans and runs; the time is the median of the runs'."""
+        distance = interval([outcome.ospa.mean() for outcome in outcomes])
+        number = float(np.mean([outcome.number for outcome in outcomes]))
+        counts = np.concatenate([outcome.error for outcome in outcomes])
+        spent = 1000 * float(np.median([outcome.seconds for outcome in outcomes]))
+        return cls(
+            len(outcomes),
+            distance.mean,
+            distance.half,
+            distance.mean - number,
+            number,
+            float(np.abs(counts).mean()),
+            float(counts.mean()),
+            spent,
+        )
+
+    def cells(self) -> tuple[str, ...]:
+        """Of a table's row, beside `HEADER`."""
+        return (
+            str(self.runs),
+            f"{self.ospa:.2f} ± {self.within:.2f}",
+            f"{self.place:.2f}",
+            f"{self.number:.2f}",
+            f"{self.count:.2f}",
+            f"{self.bias:+.2f}",
+            f"{self.milliseconds:.1f}",
+        )
+
+
+HEADER = ("runs", "OSPA", "place", "number", "mean count error", "bias", "ms per scan")
+
+
+CLOSE = 0.05
+PARTICLES = (("particle-phd", "gm-phd"), ("particle-cphd", "gm-cphd"))
+"""The particle forms, each beside the Gaussian one that it should come near."""
+COMPARED = (("gm-cphd", "gm-phd"), *PARTICLES, ("mht", "gm-cphd"), ("pmb", "mht"))
+"""The pairs of filters whose difference is told."""
+
+
+def apart(ours: Sequence[Outcome], theirs: Sequence[Outcome]) -> Interval:
+    """Mean difference of the OSPA, run by run where both have one on the same scans, and its 95 % interval."""
+    return interval([a.ospa.mean() - b.ospa.mean() for a, b in zip(ours, theirs, strict=False)])
+
+
+def differences(outcomes: dict[str, list[Outcome]], pairs: Sequence[tuple[str, str]]) -> Iterator[tuple[str, str, str]]:
+    """Of each pair of filters that ran: who beside whom, how far apart in metres, and as a share."""
+    for ours, theirs in pairs:
+        if ours in outcomes and theirs in outcomes:
+            difference = apart(outcomes[ours], outcomes[theirs])
+            share = 100 * difference.mean / _level(outcomes[theirs][: len(outcomes[ours])])
+            yield f"{ours} beside {theirs}", f"{difference.mean:+.2f} ± {difference.half:.2f}", f"{share:+.1f} %"
+
+
+def _level(outcomes: Sequence[Outcome]) -> float:
+    return float(np.mean([outcome.ospa.mean() for outcome in outcomes]))
+
+
+def beyond(found: Found, cases: Sequence[str], pairs: Sequence[tuple[str, str]]) -> str:
+    """A sentence on the pairs of filters of which the first's OSPA is more than `CLOSE` above the other's, case by case."""
+    far = []
+    for case in cases:
+        for ours, theirs in pairs:
+            if (case, ours) in found and (case, theirs) in found:
+                share = apart(found[case, ours], found[case, theirs]).mean / _level(found[case, theirs])
+                far += [f"{ours} beside {theirs} by {100 * share:.1f} % ({case})"] if share > CLOSE else []
+    if not far:
+        return f"None of the particle forms is more than {100 * CLOSE:.0f} % above its Gaussian one.\n"
+    return f"More than {100 * CLOSE:.0f} % above the Gaussian ones are, of the particle forms: {'; '.join(far)}.\n"
+
+
+def fill(template: str, **values: object) -> str:
+    """The text beside a module, ``NAME.md``, with its places filled."""
+    return Path(__file__).with_name(template).read_text(encoding="utf-8").format(**values)
+
+
+def curves(outcomes: dict[str, list[Outcome]], number: I8, path: Path) -> None:
+    """Draw OSPA and number of states over the scans, means over runs, beside the true ``number`` (scans,)."""
+    plt = pyplot()
+    figure, axes = plt.subplots(2, 1, figsize=(9, 6), sharex=True, layout="constrained")
+    scans = np.arange(1, len(number) + 1)
+    axes[1].step(scans, number, "k", where="mid", lw=1.5, label="targets")
+    for k, (name, each) in enumerate(outcomes.items()):
+        axes[0].plot(scans, np.mean([o.ospa for o in each], axis=0), f"C{k}", lw=1.2, label=name)
+        axes[1].plot(scans, number + np.mean([o.error for o in each], axis=0), f"C{k}", lw=1)
+    axes[0].set(ylabel="OSPA, m", ylim=(0, None))
+    axes[1].set(xlabel="scan", ylabel="number", ylim=(0, None))
+    axes[0].legend(fontsize=8, ncols=len(outcomes), loc="upper center")
+    axes[1].legend(fontsize=8, loc="upper left")
+    for axis in axes:
+        axis.grid(alpha=0.3)
+    axes[0].set_ylim(0, axes[0].get_ylim()[1] * 1.15)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def pyplot() -> Any:
+    """Matplotlib's plotting module, drawing to files."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    return plt

@@ -1,0 +1,131 @@
+"""The standard linear-Gaussian scenario: OSPA of the PHD and the cardinalised PHD filters, by Gaussians and by particles.
+
+The scenario is `phdtrack.simulate.linear_gaussian`: twelve targets over 100 scans, clutter uniform over the region. Every
+filter is given its true parameters. A section of the page of `reproduce.vo`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from experiments.common import Options, table
+from experiments.scans import (
+    COMPARED,
+    HEADER,
+    PARTICLES,
+    Found,
+    Job,
+    Outcome,
+    Realisation,
+    Stages,
+    Summary,
+    beyond,
+    curves,
+    differences,
+    fill,
+    followed,
+    measure,
+    measured,
+)
+from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, ParticleCPHD, ParticlePHD
+from phdtrack.filters.extract import BestBernoullis, BestHypothesis, Components, CountedComponents, CountedMixture, KMeans
+from phdtrack.models import FixedBirth, PlaneMotion, PlaneSensor, UniformClutter
+from phdtrack.protocols import Model
+from phdtrack.simulate.points import LinearGaussian, linear_gaussian
+from phdtrack.types import GaussianMixture
+
+# Runs of the first case, of the others, and in the short form.
+RUNS, SIDE, FEW = 100, 50, 3
+# Clutter points per scan, and p_D.
+CASES = {"λ 30, p_D 0.98": (30.0, 0.98), "λ 60, p_D 0.98": (60.0, 0.98), "λ 30, p_D 0.7": (30.0, 0.7)}
+EASY, CLUTTERED, HIDDEN = CASES
+# The mean OSPA of other implementations.
+ELSEWHERE = {
+    (EASY, "gm-phd"): "17.6",
+    (CLUTTERED, "gm-phd"): "20.7",
+    (HIDDEN, "gm-phd"): "41.7",
+    (EASY, "gm-cphd"): "about 16.2",
+}
+PER_TARGET, NEWBORN = 1500, 500
+# What more particles change where targets are missed.
+MORE, MORE_RUNS = 6000, 8
+MANY_PHD, MANY_CPHD = f"particle-phd, {MORE}", f"particle-cphd, {MORE}"
+MANY = ((MANY_PHD, "particle-phd"), (MANY_PHD, "gm-phd"), (MANY_CPHD, "particle-cphd"), (MANY_CPHD, "gm-cphd"))
+
+# Targets that start together lie in one place: without a number a peak counts as often as its mass says.
+FILTERS: dict[str, Stages] = {
+    "gm-phd": (GMPHD(1e-5, 2.0, 100), Components(repeat=True)),
+    "gm-cphd": (GMCPHD(1e-5, 2.0, 100), CountedComponents()),
+    "particle-phd": (ParticlePHD(PER_TARGET), KMeans(lightest=0.5, overlap=1.0)),
+    "particle-cphd": (ParticleCPHD(PER_TARGET), CountedMixture(overlap=1.0)),
+    "mht": (MHT(), BestHypothesis()),
+    # Of points p_D is constant, and nothing fires in one place.
+    "pmb": (PMB(in_view=0.0, sources=0.0), BestBernoullis()),
+}
+WITH_MORE: dict[str, Stages] = {
+    MANY_PHD: (ParticlePHD(MORE), FILTERS["particle-phd"][1]),
+    MANY_CPHD: (ParticleCPHD(MORE), FILTERS["particle-cphd"][1]),
+}
+
+
+def world(given: LinearGaussian) -> Model:
+    """The scenario's parameters as a model; metres, seconds."""
+    mean = given.birth_mean
+    spread = np.tile(given.birth_sd**2 * np.eye(4), (mean.shape[1], 1, 1))
+    birth = GaussianMixture(np.full(mean.shape[1], given.birth_weight), mean, spread)
+    return Model(
+        PlaneMotion(given.sd_acceleration, given.p_survive, given.interval, "piecewise"),
+        PlaneSensor(given.p_detect, "fixed", given.sd_position, speed=2**0.5 * given.birth_sd),
+        FixedBirth(birth, NEWBORN),
+        UniformClutter(given.clutter_rate, (2 * given.half_width) ** 2),
+        rate=1.0,
+    )
+
+
+def realisation(case: str, seed: int) -> Realisation:
+    """The scans of one seed, each measurement with its covariance as the plane's sensor takes it."""
+    scene = linear_gaussian(np.random.default_rng(seed), *CASES[case])
+    given = scene.model
+    variance = np.array([[given.sd_position**2], [0.0], [given.sd_position**2]])
+    scans = tuple(np.vstack([place, np.tile(variance, place.shape[1])]) for place in scene.measurement)
+    return Realisation(world(given), scans, scene.state, given.interval, given.ospa_cutoff)
+
+
+def run(job: Job) -> Outcome:
+    """One filter over one realisation."""
+    given = realisation(job.case, job.seed)
+    return measured(given, followed(given, (FILTERS | WITH_MORE)[job.filter], job.seed))
+
+
+def text(found: Found, more: Found) -> str:
+    """The section of the page."""
+    rows, claims = [], []
+    for case in CASES:
+        outcomes = {name: found[case, name] for name in FILTERS}
+        rows += [(case, name, ELSEWHERE.get((case, name), ""), *Summary.of(each).cells()) for name, each in outcomes.items()]
+        claims += [(case, *cells) for cells in differences(outcomes, COMPARED)]
+    few = len(more[HIDDEN, MANY_PHD])
+    hidden = {name: found[HIDDEN, name][:few] for name in FILTERS} | {name: more[HIDDEN, name] for name in WITH_MORE}
+    return fill(
+        "standard.md",
+        rows=table(("", "filter", "elsewhere", *HEADER), rows),
+        beyond=beyond(found, tuple(CASES), PARTICLES),
+        claims=table(("", "", "difference of OSPA", "share"), claims),
+        particles=PER_TARGET,
+        more=MORE,
+        few=few,
+        many=table(("filter", *HEADER), [(name, *Summary.of(hidden[name]).cells()) for name in hidden]),
+        gains=table(("", "difference of OSPA", "share"), list(differences(hidden, MANY))),
+    )
+
+
+def section(options: Options) -> str:
+    """Measure and draw; the section of the page."""
+    number = {case: options.number(RUNS if case == EASY else SIDE, FEW) for case in CASES}
+    runs = {(case, name): number[case] for case in CASES for name in FILTERS}
+    found = measure(run, runs, "linear", options.folder)
+    many = {(HIDDEN, name): options.number(MORE_RUNS, FEW) for name in WITH_MORE}
+    more = measure(run, many, "linear, more particles", options.folder)
+    targets = np.array([truth.shape[1] for truth in realisation(EASY, 0).truth])
+    curves({name: found[EASY, name] for name in FILTERS}, targets, options.out / "vo-linear-ospa.png")
+    return text(found, more)

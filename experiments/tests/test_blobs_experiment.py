@@ -1,0 +1,100 @@
+"""What the experiment with blobs films, tears and counts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import blobs
+from experiments.blobs_outcomes import Leave, outcome, touching
+from experiments.blobs_pictures import meeting_picture
+from experiments.blobs_scenes import APART, ASPECT, PARTINGS, TALL, Parting, filmed, in_pieces, meeting
+from experiments.common import Case
+from phdtrack.metrics import evaluate
+from phdtrack.simulate import DetectorModel, make_scene
+from phdtrack.types import I8, Tracks
+
+
+@pytest.fixture(scope="module", params=PARTINGS)
+def case(request: pytest.FixtureRequest) -> Case:
+    return filmed((request.param, 3))
+
+
+def centres(case: Case) -> tuple[np.ndarray, np.ndarray]:
+    """Where both are along the picture, in the frames in which both are."""
+    truth = case.truth
+    both = np.intersect1d(truth.frame[truth.identity == 1], truth.frame[truth.identity == 2])
+    one, two = (truth.xyxy[(truth.identity == who) & np.isin(truth.frame, both)] for who in (1, 2))
+    return one[:, [0, 2]].mean(axis=1), two[:, [0, 2]].mean(axis=1)
+
+
+@pytest.mark.parametrize("parting", PARTINGS)
+@pytest.mark.parametrize("seed", range(3))
+def test_two_meet_walk_as_one_and_part(parting: Parting, seed: int) -> None:
+    one, two = centres(filmed((parting, seed), detector=False))
+    distance, wide = two - one, ASPECT * TALL
+    assert distance[0] > 3 * wide
+    assert abs(distance[-1]) > 3 * wide
+    # Who crosses leaves on the other side.
+    assert (distance[-1] < 0) == (parting == "crossing")
+    together = (np.abs(distance) < (APART[1] + 0.1) * wide).sum() / 25
+    assert meeting(parting, seed).together - 0.5 < together < meeting(parting, seed).together + 1.0
+
+
+def test_the_detector_sees_two_then_one_then_two(case: Case) -> None:
+    first, last = touching(case.truth)
+    count = np.array([len(case.table.at(number)) for number in range(1, case.info.frames + 1)])
+    assert np.median(count[first - 25 : first - 5]) == 2
+    assert (count[first + 10 : last - 10] == 1).mean() > 0.5
+    assert np.median(count[last + 5 : last + 20]) == 2
+
+
+def named(case: Case, identity: I8) -> Tracks:
+    """Tracks where the truth is, of other names."""
+    truth, n = case.truth, len(case.truth)
+    return Tracks(truth.frame, identity, truth.xyxy, np.ones(n), np.full(n, -1), np.ones(n, np.bool_))
+
+
+def test_identities_after_a_blob_are_told_apart(case: Case) -> None:
+    true, frame = case.truth.identity, case.truth.frame
+    late = frame > touching(case.truth)[1] - 5
+    expected: dict[Leave, I8] = {
+        "right": true + 4,
+        "swapped": np.where(late, 3 - true, true),
+        "new": np.where(late & (true == 2), 9, true),
+    }
+    for told, identity in expected.items():
+        assert outcome(case, named(case, identity)) == told
+    rows = named(case, true)
+    assert outcome(case, rows.take(~late | (true == 1))) == "lost"
+
+
+def test_pieces_lie_in_their_object_and_some_are_whole() -> None:
+    scene = make_scene("street", 2, DetectorModel(clutter_rate=0.0), frames=60)
+    whole = Case("street", scene.info, scene.truth, scene.detections)
+    torn = in_pieces(whole, 0.3, 2)
+    same = 0
+    for number in np.unique(whole.table.frame).tolist():
+        boxes, pieces = whole.table.at(number).xyxy, torn.table.at(number).xyxy
+        inside = (pieces[:, None, :2] >= boxes[None, :, :2] - 1e-9) & (pieces[:, None, 2:] <= boxes[None, :, 2:] + 1e-9)
+        assert inside.all(axis=2).any(axis=1).all()
+        same += int((pieces[:, None] == boxes[None]).all(axis=2).any(axis=0).sum())
+    assert 0.5 < same / len(whole.table) < 0.9
+    np.testing.assert_array_equal(in_pieces(whole, 0.0, 2).table.detections.xyxy, whole.table.detections.xyxy)
+
+
+def test_rows_of_the_page_count_who_left_how(case: Case) -> None:
+    scores = evaluate(case.truth, named(case, case.truth.identity), frames=case.info.frames)
+    jobs = [blobs.Job("meeting", "crossing", seed, "pmb", sets) for sets in blobs.WAYS.values() for seed in range(2)]
+    leaves: list[tuple[Leave, Leave]] = [("new", "new"), ("right", "lost"), ("right", "right"), ("right", "new")]
+    found = {job: blobs.Outcome(scores, scores, leave) for job, leave in zip(jobs, leaves, strict=True)}
+    rows = blobs.meeting_rows(jobs, found)
+    assert rows[0][:7] == ["pmb", "as detected", "crossing", "0.50 (0.00)", "0.00 (0.00)", "0.50 (0.50)", "0.00 (0.50)"]
+    assert rows[1][:7] == ["pmb", "explained", "crossing", "1.00 (0.50)", "0.00 (0.00)", "0.00 (0.50)", "0.00 (0.00)"]
+
+
+def test_the_picture_shows_every_way(case: Case, tmp_path: Path) -> None:
+    meeting_picture(case, "gm-phd", blobs.WAYS, tmp_path / "blobs.png")
+    assert (tmp_path / "blobs.png").stat().st_size > 10_000

@@ -1,0 +1,46 @@
+"""The made detections of the E13 experiment: who is covered, how often a person is detected, where clutter stands."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from experiments import e13
+
+
+def test_the_nearer_box_covers_and_the_farther_does_not():
+    boxes = np.array([[0.0, 0, 10, 20], [5, 5, 15, 30], [100, 0, 110, 20]])
+    np.testing.assert_allclose(e13.covered(boxes), [5 * 15 / 200, 0, 0])
+    assert len(e13.covered(np.zeros((0, 4)))) == 0
+
+
+@pytest.fixture
+def sequence(data, monkeypatch):
+    """The real sequence of the fixture ``data``."""
+    monkeypatch.setattr(e13, "need_data", lambda: data)
+    e13.truth.cache_clear()
+    return e13.truth()
+
+
+def test_seven_of_ten_are_detected_as_e13_says(sequence):
+    """The mean of the drop model over the sequence, and the number of detections drawn by it."""
+    assert e13.recall() == pytest.approx(0.69, abs=0.01)
+    expected = e13.recall() * len(sequence)
+    rng = np.random.default_rng(2)
+    found = sum(len(e13.detected(number, 1.0, rng)) for number in range(1, e13.INFO.frames + 1))
+    # Bernoulli people and Poisson clutter: the variance is below the mean.
+    assert found == pytest.approx(expected + e13.INFO.frames, abs=4 * expected**0.5)
+
+
+def test_the_truth_changes_by_a_third_of_a_person_a_frame(sequence):
+    """What the page sets the filters' jumps against."""
+    people = np.bincount(sequence.frame, minlength=e13.INFO.frames + 1)[1:]
+    assert np.abs(np.diff(people)).mean() == pytest.approx(0.31, abs=0.01)
+
+
+def test_every_filter_of_the_table_runs(sequence, monkeypatch):
+    monkeypatch.setattr(e13, "INFO", e13.SequenceInfo(768, 576, 7.0, 5, e13.INFO.name))
+    for name in e13.FILTERS:
+        outcome = e13.work(e13.Job(name, 1.0, 0))
+        assert outcome.mass.shape == (5,)
+        assert 1 < outcome.mass[-1] < 20

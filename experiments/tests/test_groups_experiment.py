@@ -1,0 +1,82 @@
+"""The detector that is made of annotated positions, and who is counted as together."""
+
+import numpy as np
+
+from experiments.groups import (
+    CLUTTER,
+    DETECTION,
+    KNOWN,
+    NOISE,
+    People,
+    Scene,
+    Seen,
+    by_frame,
+    detected,
+    found_of,
+    known,
+    membership,
+    middles,
+    over_time,
+)
+from phdtrack.formats.positions import Positions
+from phdtrack.groups import Grouping
+from phdtrack.types import Tracks
+
+
+def two_walks() -> Scene:
+    """Two frames: 1 and 2 walk together, 3 stands beside them, 4 is far away."""
+    state = np.array([[0.0, 1.0, 1.0, 40.0], [0, 0, 1, 0], [1.2, 1.2, 0.0, 1.2], [0, 0, 0, 0]])
+    people = Positions(np.repeat([10, 16], 4), np.tile([1, 2, 3, 4], 2), np.tile(state, 2))
+    return Scene(people, membership(people.identity, [(1, 2)]), np.array([10, 16]), np.array([0.0, 0.4]))
+
+
+def test_membership_is_by_identity() -> None:
+    assert membership(np.array([5, 2, 9, 5]), [(2, 3), (9, 5)]).tolist() == [2, 1, 2, 2]
+    assert membership(np.array([1]), []).tolist() == [0]
+
+
+def test_the_detector_has_the_stated_rates_and_noise() -> None:
+    rng, place = np.random.default_rng(0), np.tile([[100.0], [100.0]], 20)
+    frames = [detected(place, (0.0, 0.0, 10.0, 10.0), rng) for _ in range(500)]
+    middle = np.concatenate([(found.xyxy[:, :2] + found.xyxy[:, 2:]) / 2 for found in frames])
+    true = middle[:, 0] > 50
+    assert abs(true.sum() / 10000 - DETECTION) < 0.02
+    assert abs((~true).sum() / 500 - CLUTTER) < 0.15
+    assert abs(middle[true].std() - NOISE) < 0.01
+    assert (middle[~true] >= 0).all()
+    assert (middle[~true] <= 10).all()
+    assert frames[0].covariance is not None
+    assert np.allclose(frames[0].covariance[:, 0, 0], NOISE**2)
+
+
+def test_true_positions_are_grouped_by_place_and_velocity() -> None:
+    scene = two_walks()
+    frames = known(scene)
+    assert by_frame(scene, frames, Grouping(2.0, 1.0)).f1() == 1.0
+    # Who stands beside them belongs to them once his velocity does not count: two of three pairs are false.
+    loose = by_frame(scene, frames, Grouping(2.0, 5.0))
+    assert (loose.true_positives, loose.false_positives) == (2, 4)
+    assert by_frame(scene, frames, Grouping(0.5, 1.0)).recall() == 0.0
+
+
+def test_groups_over_time_keep_their_identity() -> None:
+    scores = over_time(two_walks(), known(two_walks()), KNOWN, Grouping(2.0, 1.0), hold=0.5)
+    assert (scores.f1(), scores.switches) == (1.0, 0)
+
+
+def test_places_of_tracks_are_the_middles_of_their_boxes() -> None:
+    rows = Tracks(np.array([1]), np.array([1]), np.array([[0, 2, 2, 6.0]]), np.ones(1), np.array([0]), np.ones(1, np.bool_))
+    assert middles(rows).tolist() == [[1.0], [4.0]]
+
+
+def test_people_who_are_known_have_no_errors() -> None:
+    found = found_of(two_walks(), known(two_walks()), KNOWN)
+    assert (found.share, found.false, found.place, found.velocity) == (1.0, 0.0, 0.0, 0.0)
+
+
+def test_who_is_elsewhere_is_false_and_missed() -> None:
+    frames = known(two_walks())
+    first = frames[0].people[KNOWN]
+    far = People(first.member, first.place + [[0.5], [5.0]] * np.array([1, 1, 1, 0]), first.carrier)
+    found = found_of(two_walks(), [Seen(frames[0].mixture, {KNOWN: far}), frames[1]], KNOWN)
+    assert (found.share, found.false) == (5 / 8, 1.5)

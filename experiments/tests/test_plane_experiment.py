@@ -1,0 +1,52 @@
+"""How rows on the ground are compared with true places."""
+
+import numpy as np
+import pytest
+
+from experiments.plane import Places, errors, ground_scene, numbers, spread, with_detections
+from phdtrack.metrics.clear import count_tracking
+from phdtrack.metrics.matching import tracking_mapping
+from phdtrack.types import Detections, DetectionTable, Tracks
+
+
+def places(frame, identity, *points):
+    return Places(np.array(frame), np.array(identity), np.array(points, np.float64).T)
+
+
+def test_half_an_overlap_is_the_distance_of_a_match() -> None:
+    truth = places([1, 1, 2], [7, 9, 9], (0, 0), (10, 0), (10, 0))
+    found = places([1, 2, 3], [4, 4, 5], (0.5, 0), (10, 1.0), (np.nan, np.nan))
+    scene = ground_scene(truth, found, 3, 1.0)
+    assert [pair.iou.tolist() for pair in scene.pairs] == [[[0.75], [0.0]], [[0.5]], []]
+    counted = count_tracking(scene, tracking_mapping(scene, 0.5))
+    assert (counted.matches, counted.misses, counted.false_positives) == (2, 1, 1)
+
+
+def test_a_match_is_no_farther_than_near() -> None:
+    scene = ground_scene(places([1], [1], (0, 0)), places([1], [1], (0, 1.01)), 1, 1.0)
+    assert count_tracking(scene, tracking_mapping(scene, 0.5)).matches == 0
+
+
+def test_errors_are_of_pairs_one_to_one_of_the_same_frame() -> None:
+    truth = places([1, 1, 2], [1, 2, 1], (0, 0), (1, 0), (5, 5))
+    found = places([1, 1, 1, 3], [1, 2, 3, 1], (0.5, 0), (1.5, 0), (np.nan, 0), (5, 5))
+    assert errors(truth, found, 2.0) == pytest.approx([0.5, 0.5])
+    assert len(errors(truth, found, 0.4)) == 0
+
+
+def test_rows_take_the_boxes_of_their_detections() -> None:
+    boxes = np.array([[0, 0, 1, 1], [5, 5, 6, 6], [8, 8, 9, 9]], np.float64)
+    found = DetectionTable(np.array([1, 2, 2]), Detections.of(boxes))
+    own = np.full((3, 4), 3.0)
+    tracks = Tracks(np.array([1, 2, 3]), np.array([1, 1, 1]), own, np.ones(3), np.array([0, 1, -1]), np.ones(3, np.bool_))
+    assert with_detections(tracks, found).xyxy.tolist() == [boxes[0].tolist(), boxes[2].tolist(), own[2].tolist()]
+    assert (own == 3.0).all()
+
+
+def test_numbers_count_rows_by_frame() -> None:
+    assert numbers(np.array([1, 1, 3, 9]), 4).tolist() == [2, 0, 1, 0]
+
+
+def test_spread_is_the_standard_error_of_the_mean() -> None:
+    assert spread([0.25]) == "0.250"
+    assert spread([1.0, 3.0], 1) == "2.0 ± 1.0"

@@ -1,0 +1,128 @@
+"""The standard linear-Gaussian scenario with p_D and λ unknown, or λ wrong by a factor of three: a section of vo.md.
+
+The filter begins with wrong rates and learns them from the scans (`rates`), or keeps them. Which detections are whose, which
+p_D is learned from, tracks say: of the association, or, of the MHT, the filter's own.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from experiments import standard
+from experiments.common import Options, table
+from experiments.scans import Job, Outcome, Realisation, Stages, apart, fill, measure, measured
+from phdtrack import pipeline
+from phdtrack.associate import GraphMatching, Labelled
+from phdtrack.models import UniformClutter
+from phdtrack.models.followed_rates import FollowRates, priors, with_clutter, with_detection
+from phdtrack.protocols import AnyStages, Learning, Model, NoLearning
+from phdtrack.protocols import Stages as Whole
+from phdtrack.scene.rates import Following, Learns
+from phdtrack.types import F8, Detections
+
+RUNS, FEW = 8, 2
+# What an image-based tracker begins with where nobody knows better: the package's own p_D, ten false alarms a scan.
+P_DETECT, CLUTTER = 0.8, 10.0
+FILTERS = ("gm-phd", "gm-cphd", "particle-phd", "mht", "pmb")
+LABELLED = ("mht", "pmb")
+# Scans until a detection is judged and after which one counts for 37 %; over which tracks are linked, and the probability
+# that a target goes on for another scan without a state.
+WAIT, MEMORY, SPAN, MISS = 3.0, 600.0, 5.0, 0.5
+# Half the side of a target's box, metres: any.
+_HALF = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """What the filter begins with: p_D (0: the true one), λ (0: a multiple of the true one); whether it learns."""
+
+    p_detect: float
+    clutter: float
+    multiple: float
+    learns: bool
+
+
+STARTS = {
+    "known": Start(0.0, 0.0, 1.0, False),
+    "unknown, learned": Start(P_DETECT, CLUTTER, 1.0, True),
+    "unknown, kept": Start(P_DETECT, CLUTTER, 1.0, False),
+    "λ a third, learned": Start(0.0, 0.0, 1 / 3, True),
+    "λ a third, kept": Start(0.0, 0.0, 1 / 3, False),
+    "λ three times, learned": Start(0.0, 0.0, 3.0, True),
+    "λ three times, kept": Start(0.0, 0.0, 3.0, False),
+}
+KNOWN, UNKNOWN = "known", "unknown, learned"
+# How far from the filter that knows those that learn may be.
+ASKED = {UNKNOWN: 0.05, "λ a third, learned": 0.1, "λ three times, learned": 0.1}
+
+
+def begun(model: Model, start: Start) -> Model:
+    """The model that the filter begins with."""
+    if start.p_detect:
+        model = replace(model, sensor=with_detection(model.sensor, start.p_detect))
+    if isinstance(model.clutter, UniformClutter):
+        rate = start.clutter or start.multiple * model.clutter.rate
+        model = replace(model, clutter=with_clutter(model.clutter, rate))
+    return model
+
+
+def whole(model: Model, stages: Stages, learns: bool, labelled: bool) -> AnyStages:
+    """Filter and extraction with tracks and, where it ``learns``, rates."""
+    learning: Learning[Any] = NoLearning()
+    if learns:
+        learning = FollowRates(Following(priors(model), model.rate, MEMORY, WAIT, 0.0, Learns(scores=False)))
+    associator = Labelled() if labelled else GraphMatching(span=SPAN, miss=MISS)
+    return Whole(model, *stages, associator, learning)
+
+
+def followed(given: Realisation, stages: AnyStages, seed: int) -> Iterator[tuple[F8, float]]:
+    """(d, n) states of each scan, and the seconds of processor time that they took."""
+    rng = np.random.default_rng([seed, 1])
+    state = pipeline.start(stages, rng)
+    for k, z in enumerate(given.scans, start=1):
+        began = time.thread_time()
+        place = z[:2].T
+        found = Detections.of(np.hstack([place - _HALF, place + _HALF]))
+        state, step = pipeline.advance(stages, state, found, k, k * given.interval, rng)
+        yield step.estimates.state, time.thread_time() - began
+
+
+def run(job: Job) -> Outcome:
+    """One filter from one start over one realisation."""
+    case, start = job.case.split(" | ")
+    given = standard.realisation(case, job.seed)
+    wanted = STARTS[start]
+    stages = whole(begun(given.model, wanted), standard.FILTERS[job.filter], wanted.learns, job.filter in LABELLED)
+    return measured(given, followed(given, stages, job.seed))
+
+
+def section(options: Options) -> str:
+    """Measure; the section of the page."""
+    number = options.number(RUNS, FEW)
+    pairs = [(case, name, start) for case in standard.CASES for name in FILTERS for start in STARTS]
+    found = measure(run, {(f"{c} | {s}", f): number for c, f, s in pairs}, "rates unknown", options.folder)
+    rows, far = [], list[str]()
+    for case in standard.CASES:
+        for name in FILTERS:
+            known = found[f"{case} | {KNOWN}", name]
+            level = float(np.mean([outcome.ospa.mean() for outcome in known]))
+            cells = [case, name, f"{level:.2f}"]
+            for start in [s for s in STARTS if s != KNOWN]:
+                gap = apart(found[f"{case} | {start}", name], known)
+                if gap.mean / level > ASKED.get(start, np.inf):
+                    far.append(f"{name} by {100 * gap.mean / level:.0f} % ({case}; {start})")
+                cells.append(f"{100 * gap.mean / level:+.1f} ± {100 * gap.half / level:.1f} %")
+            rows.append(tuple(cells))
+    return fill(
+        "unknown.md",
+        runs=number,
+        rows=table(("", "filter", KNOWN, *[s for s in STARTS if s != KNOWN]), rows),
+        far=f"Farther than that are {'; '.join(far)}." if far else "All that learn are within that.",
+        p_detect=P_DETECT,
+        clutter=f"{CLUTTER:g}",
+    )

@@ -1,0 +1,163 @@
+"""``phdtrack calibrate``: a camera from points whose pixels and places on the ground are known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from phdtrack.cli.options import Json
+from phdtrack.cli.output import Output, counted
+from phdtrack.errors import InputError
+
+if TYPE_CHECKING:
+    from phdtrack.formats.source import Origin
+    from phdtrack.ground import Calibration
+    from phdtrack.types import F8
+
+# The names by which a header may call a column; a point is a line of these, in this order where there is no header.
+COLUMNS = (
+    ("u", "pixel_x", "image_x", "column", "col"),
+    ("v", "pixel_y", "image_y", "row"),
+    ("x", "world_x", "ground_x"),
+    ("y", "world_y", "ground_y"),
+    ("z", "world_z", "ground_z"),
+)
+LIMIT = 100.0
+
+
+def calibrate(
+    points: Annotated[
+        Path,
+        typer.Argument(metavar="POINTS", help="Text or CSV, a line a point: u v X Y (pixels, metres on the ground)."),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where to write the camera.")] = Path("camera.toml"),
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a camera that is there already.")] = False,
+    image_size: Annotated[
+        str,
+        typer.Option("--image-size", "--frame-size", metavar="WxH", help="Size of the frames: no point may lie outside."),
+    ] = "",
+    json: Json = False,
+) -> None:
+    """Make a camera of four or more points of flat ground, and say how well it fits each of them.
+
+    The file that it writes is what --camera of other commands takes.
+    """
+    from phdtrack.cli.inputs import frame_size
+    from phdtrack.ground import fit_homography
+    from phdtrack.ground.described import calibration_text
+
+    size = frame_size(image_size) if image_size else None
+    if out.exists() and not overwrite:
+        raise InputError("the file is there already", where=f"--out {out}", cure="Say --overwrite, or choose another --out.")
+    pixel, world, origin = read_points(points)
+    if size:
+        check_inside(pixel, size, origin)
+    try:
+        fitted = fit_homography(pixel, world)
+    except InputError as error:
+        raise InputError(error.problem, where=points, cure=error.cure) from None
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(calibration_text(fitted, size), encoding="utf-8")
+    report(Output(json), fitted, pixel, world, out, size)
+
+
+def read_points(path: Path) -> tuple[F8, F8, Origin]:
+    """(2, N) pixels, (2, N) places on the ground in metres, and where each stands in the file.
+
+    Raises
+    ------
+    InputError : there is no such file, a column is missing, a number is none, or a point is not at height 0.
+    """
+    import numpy as np
+
+    from phdtrack.files import load
+    from phdtrack.formats.text import numbers, scan
+
+    text = scan(path, load(path))
+    columns = named(path, text.header) if text.header else list(range(text.width))
+    if len(columns) not in (4, 5) and len(text):
+        raise InputError(
+            f"expected 4 or 5 numbers a line, u v X Y and maybe Z, came {len(columns)}", where=text.origin.at(0)
+        )
+    table = numbers(text, columns, ["u", "v", "X", "Y", "Z"][: len(columns)]) if len(text) else np.zeros((0, 4))
+    for row in np.flatnonzero(~np.isfinite(table).all(axis=1)):
+        raise InputError("expected finite numbers", where=text.origin.at(int(row)))
+    for row in np.flatnonzero(table[:, 4:].any(axis=1)):
+        raise InputError(
+            f"expected points of the ground, Z = 0, came Z = {table[row, 4]:g}",
+            where=text.origin.at(int(row)),
+            cure="A homography knows flat ground only: leave out points above it, or calibrate with OpenCV.",
+        )
+    return np.ascontiguousarray(table[:, :2].T), np.ascontiguousarray(table[:, 2:4].T), text.origin
+
+
+def named(path: Path, header: tuple[str, ...]) -> list[int]:
+    """The columns of u, v, X, Y, and Z where there is one."""
+    found = []
+    for names in COLUMNS:
+        places = [i for i, name in enumerate(header) if name in names]
+        if len(places) > 1 or (not places and names[0] != "z"):
+            raise InputError(
+                f"expected one column {names[0]}, came {'none' if not places else len(places)}",
+                where=path,
+                cure="The header names u and v, pixels, and X and Y, metres.",
+            )
+        found += places
+    return found
+
+
+def check_inside(pixel: F8, size: tuple[int, int], origin: Origin) -> None:
+    """Raise `InputError` for a pixel (2, N) that lies outside of the image."""
+    for row, (u, v) in enumerate(pixel.T):
+        if not (0 <= u <= size[0] and 0 <= v <= size[1]):
+            raise InputError(
+                f"expected a pixel inside of {size[0]}x{size[1]}, came ({u:g}, {v:g})",
+                where=origin.at(row),
+                cure="The first two numbers are the pixel, the others its place in metres; or is --image-size another?",
+            )
+
+
+def report(out: Output, fitted: Calibration, pixel: F8, world: F8, file: Path, size: tuple[int, int] | None) -> None:
+    """The residuals of all points in pixels and metres, and what the camera can tell of the ground."""
+    import numpy as np
+
+    from phdtrack.ground import footprint
+
+    count, metres = pixel.shape[1], np.linalg.norm(fitted.camera.jacobian(pixel), ord=2, axis=(1, 2))
+    rows = [
+        [str(i + 1), f"{u:g}", f"{v:g}", f"{x:g}", f"{y:g}", f"{missed:.2f}", f"{off:.3f}", f"{coarse:.3f}"]
+        for i, ((u, v), (x, y), missed, off, coarse) in enumerate(
+            zip(pixel.T, world.T, fitted.pixel_error, fitted.ground_error, metres, strict=True)
+        )
+    ]
+    out.table(["point", "u", "v", "X", "Y", "off, px", "off, m", "m per px"], rows, words=())
+    rms = {"px": float(np.sqrt((fitted.pixel_error**2).mean())), "m": float(np.sqrt((fitted.ground_error**2).mean()))}
+    out.say(f"{counted(count, 'point')}: {rms['px']:.2f} pixels and {rms['m']:.3f} m off (root mean square)")
+    if count == 4:
+        out.warn("four points are always fitted exactly: how good the camera is, only more points can tell")
+    seen = area(footprint(fitted.camera, size, LIMIT)) if size else None
+    if seen is not None:
+        out.say(f"the image shows {seen:.0f} m² of ground within {LIMIT:g} m")
+    out.say(str(file))
+    keys = ("u", "v", "X", "Y", "pixels", "metres", "metres_per_pixel")
+    table = np.vstack([pixel, world, fitted.pixel_error, fitted.ground_error, metres]).T.tolist()
+    out.document(
+        {
+            "camera": str(file),
+            "homography": fitted.matrix.tolist(),
+            "points": [dict(zip(keys, row, strict=True)) for row in table],
+            "rms_pixels": rms["px"],
+            "rms_metres": rms["m"],
+            "ground_area": seen,
+        }
+    )
+
+
+def area(polygon: F8) -> float:
+    """Square metres inside of a polygon (2, K)."""
+    import numpy as np
+
+    x, y = polygon
+    return float(abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2)

@@ -1,0 +1,199 @@
+"""What a run reads: a video, a video with detections beside it, or detections alone.
+
+Every source becomes the same thing, frames and a detector, so that the loop behind it knows one case only. Without a
+video the frames have empty pictures, and the detector looks its boxes up by frame number.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from phdtrack.cli.wanted import DEFAULT_DETECTOR, Wanted
+from phdtrack.detect.convert import within_frame
+from phdtrack.errors import InputError
+from phdtrack.protocols import Detector
+from phdtrack.types import Detections, DetectionTable, Frame, Image, SequenceInfo
+
+if TYPE_CHECKING:
+    from phdtrack.video import VideoSource
+
+NO_PICTURE: Image = np.zeros((0, 0, 3), np.uint8)
+TABLES = (".txt", ".csv", ".tsv", ".json", ".xml", ".parquet")
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """What a run reads.
+
+    ``pictures``: the frames have any. ``again``: they can be read a second time (a camera's cannot). ``name`` is for
+    people and for the name of the run's directory; ``described`` says where the detections come from.
+    """
+
+    info: SequenceInfo
+    source: VideoSource
+    detector: Detector
+    name: str
+    described: str
+    pictures: bool
+    again: bool
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Blank:
+    """Frames without pictures: ``info.frames`` of them, at the rate of ``info``. Nothing can go wrong with them."""
+
+    info: SequenceInfo
+    note: str = ""
+    problem: str = ""
+
+    def __iter__(self) -> Iterator[Frame]:
+        for number in range(1, self.info.frames + 1):
+            yield Frame(number, (number - 1) / self.info.fps, NO_PICTURE)
+
+
+def detected(detector: Detector, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Detections, float]]:
+    """Each frame with what ``detector`` sees in it and how many seconds it looked."""
+    for frame in frames:
+        clock = time.perf_counter()
+        found = detector(frame)
+        yield frame, found, time.perf_counter() - clock
+
+
+def open_inputs(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
+    """Open what the options name; ``parameters`` are the detector's own settings.
+
+    Raises
+    ------
+    InputError : options that do not go together, or anything that cannot be read.
+    """
+    if not 0 <= wanted.fps < math.inf:
+        raise InputError(f"expected frames per second above 0, got {wanted.fps:g}", where="--fps")
+    if wanted.detections is None:
+        return _from_video(wanted, parameters)
+    given = (("--detector", wanted.detector not in ("", "file")), ("--max-width", wanted.max_width), ("--mask", wanted.mask))
+    for option, used in given:
+        if used:
+            raise _no_work(option, wanted)
+    return _with_video(wanted, wanted.detections) if wanted.source else _from_file(wanted, wanted.detections)
+
+
+def frame_size(text: str) -> tuple[int, int]:
+    """Width and height in pixels from ``WxH``.
+
+    Raises
+    ------
+    InputError : the text is no size.
+    """
+    match = re.fullmatch(r"\s*(\d+)\s*[x×X*]\s*(\d+)\s*", text)
+    if not match or not int(match[1]) or not int(match[2]):
+        raise InputError(f"expected a size as 1920x1080, got {text!r}", where="--frame-size")
+    return int(match[1]), int(match[2])
+
+
+def _from_video(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
+    from phdtrack.detect import make_detector, typed
+    from phdtrack.video import open_source
+
+    if wanted.detector == "file":
+        raise InputError("the detector file reads a file of detections", where="--detector", cure="Say --detections FILE.")
+    if wanted.detector == "callable":
+        raise InputError(
+            "a callable is a function of your own program", where="--detector", cure="Use phdtrack.Tracker there."
+        )
+    if not wanted.source:
+        raise InputError(
+            "nothing to work on",
+            where="SOURCE",
+            cure="Name a video, a folder of images or a camera's number; or say --detections FILE.",
+        )
+    if Path(wanted.source).suffix.lower() in TABLES:
+        raise InputError(
+            "expected a video, and by its name this is a table",
+            where=wanted.source,
+            cure=f"For detections say --detections {wanted.source}.",
+        )
+    name = wanted.detector or DEFAULT_DETECTOR
+    try:
+        detector = make_detector(name, max_width=wanted.max_width, mask=wanted.mask, **typed(name, parameters))
+    except InputError as error:
+        raise _as_typed(error, parameters) from error
+    source = open_source(wanted.source, fps=wanted.fps)
+    _same_size(wanted, source.info)
+    return Inputs(source.info, source, detector, wanted.source, name, True, comes_again(wanted.source))
+
+
+def _as_typed(error: InputError, parameters: dict[str, Any]) -> InputError:
+    """The error in the user's own words: ``detector.min_area``, not the record of settings that refused the value."""
+    setting = error.where.rpartition(".")[2]
+    where = f"detector.{setting}" if setting in parameters else error.where or "--detector"
+    return InputError(error.problem, where=where, cure=error.cure)
+
+
+def _no_work(option: str, wanted: Wanted) -> InputError:
+    """The error for an option that changes what a detector does, where the detections are given."""
+    problem = f"the detections come from {wanted.detections}, so there is no detector that this could change"
+    return InputError(problem, where=option, cure=f"Leave out {option} or --detections.")
+
+
+def _with_video(wanted: Wanted, path: Path) -> Inputs:
+    from phdtrack.detect import TableDetector
+    from phdtrack.formats import read_detections
+    from phdtrack.video import open_source
+
+    table = read_detections(path)
+    source = open_source(wanted.source, fps=wanted.fps)
+    _same_size(wanted, source.info)
+    seen, left_out = within_frame(table, source.info, path)
+    again = comes_again(wanted.source)
+    return Inputs(source.info, source, TableDetector(seen), wanted.source, str(path), True, again, left_out)
+
+
+def _from_file(wanted: Wanted, path: Path) -> Inputs:
+    from phdtrack.detect import TableDetector
+    from phdtrack.formats import read_detections
+
+    table = read_detections(path)
+    info = _sequence(wanted, path, table)
+    seen, left_out = within_frame(table, info, path)
+    return Inputs(info, Blank(info), TableDetector(seen), str(path), str(path), False, True, left_out)
+
+
+def _sequence(wanted: Wanted, path: Path, table: DetectionTable) -> SequenceInfo:
+    """Size, rate and length of a sequence of which there are detections only: options first, then seqinfo.ini."""
+    from phdtrack.formats import find_seqinfo
+
+    found = find_seqinfo(path) or SequenceInfo(0, 0, 0.0, 0, path.stem)
+    if wanted.frame_size:
+        width, height = frame_size(wanted.frame_size)
+        found = replace(found, width=width, height=height)
+    found = replace(found, fps=wanted.fps or found.fps, frames=max(found.frames, table.last, wanted.last))
+    beside = "or put a seqinfo.ini beside the file or one folder up, or name the video."
+    if not found.width or not found.height:
+        raise InputError("the size of the frames is not known", where=path, cure=f"Say --frame-size WxH, {beside}")
+    if not found.fps:
+        raise InputError("the rate of the frames is not known", where=path, cure=f"Say --fps F, {beside}")
+    return found
+
+
+def _same_size(wanted: Wanted, info: SequenceInfo) -> None:
+    """With a video its own size holds, and another one in the options is a mistake."""
+    if wanted.frame_size and frame_size(wanted.frame_size) != (info.width, info.height):
+        raise InputError(
+            f"{wanted.source} has frames of {info.width}x{info.height} pixels, not {wanted.frame_size}",
+            where="--frame-size",
+            cure="Leave it out: it is for detections without a video.",
+        )
+
+
+def comes_again(source: str) -> bool:
+    """Whether the frames can be read a second time: not those of a camera or of a stream on the network."""
+    return "://" not in source and not (source.isdecimal() and not Path(source).exists())

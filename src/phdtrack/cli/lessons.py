@@ -1,0 +1,263 @@
+"""The ways in which `phdtrack learn` is taught: births by tracks or by hand, false alarms by a person or by nobody.
+
+What the tracker makes of false alarms that it knows is seen where a person has marked them. Light that trembles moves as
+somebody who stands does, so that some are followed all the same; tracks that stay among them are held back, and are no
+births.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from phdtrack.cli.output import counted, progress
+from phdtrack.errors import InputError
+from phdtrack.scene import Followed, RecursiveEM
+from phdtrack.scene.learning import Lesson, learn_births, learn_clutter, learn_objects
+from phdtrack.scene.prior import Sizes, detected_sizes, humbled
+
+if TYPE_CHECKING:
+    from phdtrack.cli.label_inputs import Labelled
+    from phdtrack.label import LabelStore
+    from phdtrack.label.suggest import Evidence, Suggestions
+    from phdtrack.protocols import AnyStages
+    from phdtrack.types import Tracks
+
+_ONLY_BOXES = "false alarms stay as shipped: a density of them is learned for boxes in the image only (motion.kind=box)"
+# Frames, drawn at random, whose suggestions are taken where nobody labels: M09's false alarms were of as many.
+UNATTENDED = 200
+LIMITS = (
+    "Nobody has looked at them. Who sits or stands in one place for nine tenths of the stretch, or for two thirds of it "
+    "where he is seen every other time only, is taken for a false alarm there, and in a crowd so are people whom others "
+    "hide (in a simulated one a quarter of what was taken were people, in streets 3 %). To look at them: phdtrack label "
+    "suggests the same boxes."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Taught:
+    """What was learned of one part, None for nothing; what is said of it; ``source``, where it comes from, in words."""
+
+    lesson: Lesson | None
+    sentence: str
+    source: str = ""
+
+    @property
+    def gain(self) -> float:
+        """Nats per unseen sample above the uniform density; NaN where that is not known."""
+        return self.lesson.gain if self.lesson is not None else math.nan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What a tracker made of the stretch that knew its false alarms: the ``tracks`` that are believed, and what of the false
+    alarms it ``followed``, None where that is not known, with what is said of it."""
+
+    tracks: Tracks
+    followed: Followed | None = None
+    sentence: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Classroom:
+    """What is learned from: the detections, the ``stretch`` of frames, how to track, and the file of ``labels``."""
+
+    found: Labelled
+    stretch: range
+    stages: AnyStages
+    seed: int
+    labels: Path
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height of a frame in pixels."""
+        return float(self.found.info.width), float(self.found.info.height)
+
+    @property
+    def of_boxes(self) -> bool:
+        """Whether targets are boxes in the image, and not points in it or people on the ground."""
+        return len(self.stages.model.sensor.observed) == 4
+
+    def region(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Size and corner of what births are spread over: the frame, pixels, or a region of the ground, metres.
+
+        Raises `InputError` where the ground has no region.
+        """
+        from phdtrack.models import PlaneSensor
+        from phdtrack.models.region import EVERYWHERE
+
+        sensor = self.stages.model.sensor
+        if not isinstance(sensor, PlaneSensor):
+            return self.size, (0.0, 0.0)
+        if sensor.borders == EVERYWHERE:
+            raise InputError("the ground has no region", where="births", cure="Give camera.file, or camera.region")
+        left, low, right, high = sensor.borders
+        return (right - left, high - low), (left, low)
+
+    def sizes(self) -> Sizes:
+        """The sizes that are detected in the stretch, widened."""
+        from phdtrack.arrays import to_cxcywh
+
+        table = self.found.table
+        rows = slice(*np.searchsorted(table.frame, [self.stretch.start, self.stretch.stop]))
+        return detected_sizes(to_cxcywh(table.detections.xyxy[rows])[2:])
+
+    def humbled(self, lesson: Lesson) -> Lesson:
+        """What was learned beside what might be anywhere; on the ground, where nothing has a size, as it is."""
+        return replace(lesson, learned=humbled(lesson.learned, self.sizes())) if self.of_boxes else lesson
+
+    def store(self) -> LabelStore | None:
+        """The labels of these detections, where there are any. Raises `InputError` where they are of others."""
+        from phdtrack.label import LabelStore
+
+        return LabelStore.open(self.labels, self.found.source, self.found.digest, []) if self.labels.exists() else None
+
+    def tracked(self, alarms: Lesson | None = None) -> Evidence:
+        """What a tracker makes of the stretch that knows these false alarms."""
+        from phdtrack.cli.tracked import tracked
+        from phdtrack.models.learned_scene import laid_over
+
+        stages = self.stages
+        if alarms is not None:
+            # Jmax is of learned births, and there are none yet.
+            stages = replace(stages, model=laid_over(stages.model, None, alarms.learned, None, most=1))
+        with progress("tracking", len(self.stretch)) as advance:
+            return tracked(self.found.table, self.found.info.fps, stages, self.stretch, self.seed, advance)
+
+
+def clutter_of_labels(room: Classroom) -> Taught:
+    """False alarms from marks [M09 §IV]; why not, where there are none to learn from."""
+    from phdtrack.label.session import false_boxes, looked_at
+
+    if not room.of_boxes:
+        return Taught(None, _ONLY_BOXES)
+    store = room.store()
+    if store is None:
+        return Taught(None, f"false alarms stay as shipped: nobody has marked any (phdtrack label, kept in {room.labels})")
+    boxes, frames = false_boxes(store, room.found.table, room.stretch), len(looked_at(store, room.stretch))
+    try:
+        lesson = room.humbled(learn_clutter(boxes, frames, room.size, RecursiveEM()))
+    except InputError as error:
+        return Taught(None, f"false alarms stay as shipped: {error}")
+    told = f"{counted(lesson.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
+    return Taught(lesson, f"false alarms: {told}; {worth(lesson)}", f"{told} by a person.")
+
+
+def clutter_unattended(room: Classroom) -> Taught:
+    """False alarms from what would be suggested to a person; why not, where that is too little."""
+    from phdtrack.label.session import sampled
+    from phdtrack.label.suggest import TICKED, suggest
+
+    if not room.of_boxes:
+        return Taught(None, _ONLY_BOXES)
+    frames = [room.stretch.start + k - 1 for k in sampled(len(room.stretch), UNATTENDED, room.seed)]
+    found = suggest(room.tracked(), frames, room.found.info.fps)
+    taken = np.flatnonzero(found.score >= TICKED)
+    try:
+        lesson = room.humbled(learn_clutter(_boxes(room, found, taken), len(frames), room.size, RecursiveEM()))
+    except InputError as error:
+        cure = "Look yourself: phdtrack label"
+        return Taught(None, f"false alarms stay as shipped: {InputError(error.problem, where=error.where, cure=cure)}")
+    told = (
+        f"{counted(lesson.learned.samples, 'box')} of {counted(len(frames), 'frame')} taken for false ({_why(found, taken)})"
+    )
+    return Taught(lesson, f"false alarms: {told}; {worth(lesson)}. {LIMITS}", f"{told}. {LIMITS}")
+
+
+def watched_tracks(room: Classroom, alarms: Lesson | None, *, marked: bool) -> Seen:
+    """One run behind the false alarms that were learned; ``marked``: a person looked at them, so that it shows what of them
+    is followed all the same. Tracks that stay among these are not believed."""
+    from phdtrack.associate.vetted import believed
+    from phdtrack.label.session import looked_at, object_boxes, share_followed
+    from phdtrack.scene.odds import Odds
+
+    tracks, store = room.tracked(alarms).tracks, room.store() if marked else None
+    if alarms is None or store is None:
+        return Seen(tracks)
+    boxes, frames = object_boxes(store, room.found.table, room.stretch), len(looked_at(store, room.stretch))
+    try:
+        objects = room.humbled(learn_objects(boxes, frames, room.size, RecursiveEM()))
+    except InputError as error:
+        return Seen(tracks, None, f"no track is held back: {error}")
+    followed = Followed(share_followed(store, tracks, room.stretch), objects.learned)
+    told = f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it knows them"
+    kept = believed(tracks, Odds(alarms.learned, followed))
+    return Seen(kept, followed, f"{told}; tracks that stay among them are held back")
+
+
+def births_of_tracks(room: Classroom, tracks: Tracks) -> Taught:
+    """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]; why not, if they are too few."""
+    from phdtrack.scene.samples import births_in
+    from phdtrack.types import Detections
+
+    info, rate, shown = room.found.info, room.stages.model.rate, None
+    if not room.of_boxes:
+        sensor = room.stages.model.sensor
+        shown = sensor.measure(Detections.of(tracks.xyxy))[: len(sensor.observed)]
+    states = births_in(tracks, info.fps, rate, shown)
+    # Feet that no ground is under.
+    states = states[:, np.isfinite(states).all(axis=0)]
+    time = len(room.stretch) / info.fps * rate
+    return _births(room, states, time, "track", f"began in {counted(len(room.stretch), 'frame')}")
+
+
+def births_by_hand(room: Classroom) -> Taught:
+    """Births from marks on the clips about the frames that a person has looked at; why not, where they are too few."""
+    from phdtrack.label.hand import birth_states, time_watched, watched
+
+    if not room.of_boxes:
+        return Taught(None, "births stay as shipped: those marked by hand are boxes in the image (--births tracks)")
+    store = room.store()
+    if store is None:
+        return Taught(None, f"births stay as shipped: nobody has marked any (phdtrack label, kept in {room.labels})")
+    table, info, rate = room.found.table, room.found.info, room.stages.model.rate
+    states = birth_states(store, table, info, rate, room.stretch)
+    seen = counted(len(watched(store, room.stretch)), "frame")
+    unknown = int(np.isnan(states[2]).sum())
+    told = f"marked by a person on {seen}" + (f" ({unknown} of unknown velocity)" if unknown else "")
+    return _births(room, states, time_watched(store, table, info, rate, room.stretch), "birth", told)
+
+
+def worth(lesson: Lesson) -> str:
+    """What a lesson is worth, in words."""
+    if not math.isfinite(lesson.gain):
+        return "too few to tell what it is worth"
+    return f"samples not learned from are {lesson.gain:+.2f} nats likelier than under a uniform density"
+
+
+def _births(room: Classroom, states: np.ndarray, time: float, noun: str, where: str) -> Taught:
+    """Births from first states; why not, where they are too few."""
+    try:
+        size, corner = room.region()
+        lesson = room.humbled(learn_births(states, time, size, RecursiveEM(), corner))
+    except InputError as error:
+        return Taught(None, f"births stay as shipped: {error}")
+    told = f"{counted(states.shape[1], noun)} {where}"
+    return Taught(lesson, f"births: {told}; {worth(lesson)}", f"{told}.")
+
+
+def _boxes(room: Classroom, found: Suggestions, taken: np.ndarray) -> np.ndarray:
+    """(4, n) centres and sizes of the suggested boxes ``taken``."""
+    from phdtrack.arrays import to_cxcywh
+
+    rows = np.searchsorted(room.found.table.frame, found.frame[taken]) + found.box[taken]
+    return to_cxcywh(room.found.table.detections.xyxy[rows])
+
+
+def _why(found: Suggestions, taken: np.ndarray) -> str:
+    """How many were taken for which reason."""
+    from phdtrack.label.suggest import REASONS
+
+    many = Counter(REASONS[k] for k in found.reason[taken])
+    places = len(np.unique(found.place[taken][found.place[taken] >= 0]))
+    said = []
+    if many["place"]:
+        said.append(f"{many['place']} at {counted(places, 'place')} that fire too often")
+    if many["rejected"]:
+        said.append(f"{many['rejected']} that the filter rejected")
+    return ", ".join(said)

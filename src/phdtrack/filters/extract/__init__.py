@@ -1,0 +1,26 @@
+"""From an intensity to states: modified K-means, EM, the components of a mixture, or the detections themselves.
+
+Where the filter knows the distribution of the number of targets, as many peaks as it says; where it knows each, those.
+"""
+
+from phdtrack.filters.extract.bernoullis import BestBernoullis
+from phdtrack.filters.extract.components import Components
+from phdtrack.filters.extract.counted import CountedComponents, CountedKMeans, CountedMixture
+from phdtrack.filters.extract.hypotheses import BestHypothesis
+from phdtrack.filters.extract.joint import Joint
+from phdtrack.filters.extract.kmeans import KMeans
+from phdtrack.filters.extract.mixture import Mixture
+from phdtrack.filters.extract.raw import Raw
+
+__all__ = [
+    "BestBernoullis",
+    "BestHypothesis",
+    "Components",
+    "CountedComponents",
+    "CountedKMeans",
+    "CountedMixture",
+    "Joint",
+    "KMeans",
+    "Mixture",
+    "Raw",
+]

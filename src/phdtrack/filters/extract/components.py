@@ -1,0 +1,57 @@
+"""Peaks of a Gaussian mixture: its heavy components [V06 Table III, E13 §4].
+
+The filter has merged what lies together, so a component is a target, or several that no measurement has parted yet: one of
+weight 2.3 stands for two. Vo and Ma report it twice; two states in one place are of no use to a tracker, which is why it is
+reported once unless ``repeat`` says otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from phdtrack.checks import Positive, Share, check
+from phdtrack.filters.extract import clusters
+from phdtrack.filters.extract.resolution import joined
+from phdtrack.protocols import Model
+from phdtrack.types import F8, Estimates, GaussianMixture
+
+
+@dataclass(frozen=True, slots=True)
+class Components:
+    """Settings of the extraction from a mixture.
+
+    Parameters
+    ----------
+    lightest : components of less weight are not targets; Vo and Ma's 0.5.
+    repeat : report a component as often as its weight says, rounded, as Vo and Ma do. Joining is off then.
+    region : squared Mahalanobis radius within which a state counts as resting on a detection.
+    overlap : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
+    """
+
+    lightest: Positive = 0.5
+    repeat: bool = False
+    region: Positive = 13.28
+    overlap: Share = 0.4
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def extract(self, state: GaussianMixture, z: F8, model: Model) -> Estimates:
+        """The means of the components heavy enough to be targets [V06 Table III], and their tags [P09 §III]."""
+        heavy = np.flatnonzero(state.weight >= self.lightest)
+        if self.repeat:
+            times = np.maximum(np.rint(state.weight[heavy]).astype(np.int64), 1)
+            weight = np.repeat(state.weight[heavy] / times, times)
+            heavy = np.repeat(heavy, times)
+            mean, cov = np.ascontiguousarray(state.mean[:, heavy]), state.covariance[heavy]
+        else:
+            weight, mean, cov, part = joined(
+                state.weight[heavy], np.ascontiguousarray(state.mean[:, heavy]), state.covariance[heavy],
+                model.sensor, self.overlap,
+            )  # fmt: skip
+            heavy = heavy[part]
+        found = clusters.finish(weight, mean, cov, z, model, self.region)
+        # A mixture that no filter has touched has no tags.
+        return replace(found, tag=state.tag[heavy]) if len(state.tag) else found

@@ -1,0 +1,140 @@
+"""A homography from points that somebody clicked: pixels and their places on the ground.
+
+The direct linear transform in normalised coordinates gives a first matrix, least squares on the distances in the image,
+where the clicks err, the final one. Layouts that leave the matrix open, all points near one
+line, or all but one, are refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from phdtrack.errors import InputError
+from phdtrack.ground.homography import HomographyCamera
+from phdtrack.types import F8
+
+# Points whose spread across is this small beside that along lie on a line, as far as clicks can tell.
+_LINE = 0.01
+# The second smallest singular value beside the largest, below which more than one homography fits.
+_OPEN = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """A fitted camera and how well it fits.
+
+    ``camera``; ``matrix`` (3, 3) from columns [u, v, 1]ᵀ to metres; ``inside`` the middle of the points, pixels;
+    ``pixel_error`` (N,) distances in the image, pixels; ``ground_error`` (N,) distances on the ground, metres.
+    """
+
+    camera: HomographyCamera
+    matrix: F8
+    inside: tuple[float, float]
+    pixel_error: F8
+    ground_error: F8
+
+
+def fit_homography(pixel: F8, world: F8) -> Calibration:
+    """The homography with the least sum of squared distances in the image from four or more pairs.
+
+    Parameters
+    ----------
+    pixel : (2, N) clicked pixels.
+    world : (2, N) their places on the ground, metres.
+
+    Raises
+    ------
+    InputError : fewer than four pairs, shapes that differ, a layout that leaves the matrix open, or pairs that no camera
+        in front of a plane can show.
+    """
+    pixel, world = np.asarray(pixel, dtype=np.float64), np.asarray(world, dtype=np.float64)
+    _check(pixel, world)
+    to_image, to_ground = _normaliser(pixel), _normaliser(world)
+    image, ground = _moved(to_image, pixel), _moved(to_ground, world)
+    forward = _refine(_transform(ground, image), ground, image)
+    if not _same_side(forward, ground):
+        raise InputError(
+            "expected points that one camera sees in front of it, came points on both sides of the horizon",
+            where="points",
+            cure="Are two pairs mixed up, or x and y, or the signs of X and Y?",
+        )
+    matrix = np.linalg.inv(to_ground) @ np.linalg.inv(forward) @ to_image
+    matrix /= np.abs(matrix).max()
+    inside = (float(pixel[0].mean()), float(pixel[1].mean()))
+    camera = HomographyCamera(matrix, inside)
+    missed, off = camera.pixels(world) - pixel, camera.ground(pixel) - world
+    return Calibration(camera, matrix, inside, np.hypot(*missed), np.hypot(*off))
+
+
+def _check(pixel: F8, world: F8) -> None:
+    if pixel.ndim != 2 or len(pixel) != 2 or pixel.shape != world.shape:
+        raise InputError(f"expected two arrays (2, N), came {pixel.shape} and {world.shape}", where="points")
+    if not (np.isfinite(pixel).all() and np.isfinite(world).all()):
+        raise InputError("expected finite numbers", where="points")
+    if pixel.shape[1] < 4:
+        raise InputError(
+            f"expected four points or more, came {pixel.shape[1]}", where="points", cure="Click more points of the ground."
+        )
+    for name, points in (("in the image", pixel), ("on the ground", world)):
+        spread = np.linalg.svd(points - points.mean(axis=1, keepdims=True), compute_uv=False)
+        if spread[1] <= _LINE * spread[0]:
+            raise InputError(
+                f"expected points that spread over an area, came points on one line {name}",
+                where="points",
+                cure="Add points to both sides of the line, far from it.",
+            )
+
+
+def _normaliser(points: F8) -> F8:
+    """(3, 3) the shift and scale that bring the points (2, N) about 0, at a mean distance of √2."""
+    middle = points.mean(axis=1)
+    scale = np.sqrt(2) / np.hypot(*(points - middle[:, None])).mean()
+    return np.array([[scale, 0, -scale * middle[0]], [0, scale, -scale * middle[1]], [0, 0, 1]])
+
+
+def _moved(h: F8, point: F8) -> F8:
+    """(2, N) the points (2, N) through the homography."""
+    x = h @ np.vstack([point, np.ones(point.shape[1])])
+    return np.asarray(x[:2] / x[2])
+
+
+def _transform(source: F8, target: F8) -> F8:
+    """(3, 3) the direct linear transform of the points (2, N)."""
+    x = np.vstack([source, np.ones(source.shape[1])]).T
+    none = np.zeros_like(x)
+    rows = np.vstack([np.hstack([x, none, -target[0][:, None] * x]), np.hstack([none, x, -target[1][:, None] * x])])
+    _, values, axes = np.linalg.svd(rows)
+    h = axes[-1].reshape(3, 3)
+    if values[7] <= _OPEN * values[0] or np.linalg.cond(h) > 1 / _OPEN:
+        raise InputError(
+            "expected four points of which no three lie on a line, came a layout that leaves the camera open",
+            where="points",
+            cure="Add points away from the line that most of them lie on.",
+        )
+    return np.asarray(h)
+
+
+def _same_side(h: F8, source: F8) -> bool:
+    w = h[2] @ np.vstack([source, np.ones(source.shape[1])])
+    return bool((w > 0).all() or (w < 0).all())
+
+
+def _refine(h: F8, source: F8, target: F8) -> F8:
+    """(3, 3) the homography nearest to ``h`` with the least squared distances to the target points (2, N)."""
+    from scipy.optimize import least_squares  # takes long to import
+
+    if not _same_side(h, source):
+        return h  # through the horizon there is no way to better ones, and the caller refuses it
+    fixed = int(np.argmax(np.abs(h)))
+    free = np.delete(np.arange(9), fixed)
+
+    def full(parameters: F8) -> F8:
+        return np.insert(parameters, fixed, 1.0).reshape(3, 3)
+
+    def distance(parameters: F8) -> F8:
+        return np.asarray((_moved(full(parameters), source) - target).ravel())
+
+    found = least_squares(distance, h.ravel()[free] / h.ravel()[fixed], method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    return full(found.x)

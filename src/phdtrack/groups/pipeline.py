@@ -1,0 +1,172 @@
+"""The groups of a sequence, frame by frame: between a filter's intensity, or known positions, and what is told of groups.
+
+`mixture_of` makes one form of what is known of a frame, `carriers` says which Gaussians carry whom, and
+`GroupStages.advance` is one frame as a pure function: clusters, identities, contours, events and warnings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from phdtrack.filters.extract import KMeans, Mixture
+from phdtrack.filters.intensities import Cardinalised
+from phdtrack.groups import Contours, Event, Grouping, Groups, Living, Meetings, Observed, Warned
+from phdtrack.groups.cluster import summarised
+from phdtrack.protocols import AnyStages
+from phdtrack.types import F8, I8, GaussianMixture, Step
+
+# Heads from which on a cluster without anybody known is a group: Vo and Ma's weight of a target.
+UNNAMED = 0.5
+# Squared Mahalanobis radius of the 99 % region in two dimensions: within it a Gaussian carries a track.
+REACH = 9.21
+# Deviations of a person whose position and velocity are known, metres and metres per second: his own width, his gait.
+BODY, GAIT = 0.3, 0.1
+# Metres, and metres per second: no cluster of particles is known better, few of them may lie in one place.
+_FINEST = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroupFrame:
+    """What is told of one frame.
+
+    Attributes
+    ----------
+    identity : (G,) of each group; 0 where nobody in it has an identity yet. ``groups`` has their counts and places, and in
+        ``label`` the group of every Gaussian.
+    contours : for each group its level curves, (2, K) metres.
+    member, membership : (n,) the people with an identity and the group of each.
+    events, warnings : what became certain with this frame, and who is expected to meet.
+    """
+
+    number: int
+    time: float
+    identity: I8
+    groups: Groups
+    contours: tuple[tuple[F8, ...], ...]
+    member: I8
+    membership: I8
+    events: tuple[Event, ...]
+    warnings: tuple[Warned, ...]
+
+    def __len__(self) -> int:
+        return len(self.identity)
+
+    @property
+    def people(self) -> float:
+        """Expected number of people in all groups."""
+        return float(self.groups.count.sum())
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of that number."""
+        return float(np.sqrt((self.groups.deviation**2).sum()))
+
+
+@dataclass(frozen=True, slots=True)
+class GroupStages:
+    """The settings of everything that is done with groups."""
+
+    grouping: Grouping = field(default_factory=Grouping)
+    contours: Contours = field(default_factory=Contours)
+    living: Living = field(default_factory=Living)
+    meetings: Meetings = field(default_factory=Meetings)
+
+    def advance(
+        self, state: Observed, mixture: GaussianMixture, member: I8, carrier: I8, number: int, time: float
+    ) -> tuple[Observed, GroupFrame]:
+        """Take in the mixture over (px, py, vx, vy) of frame ``number`` (from 1) at ``time`` seconds.
+
+        Parameters
+        ----------
+        member, carrier : (n,) identities of people, and the Gaussian that carries each. Who is carried by none, or
+            by one too light to count, has no group in this frame.
+
+        People with an identity are in the group that they have accepted (see `groups.identity`). A Gaussian without any
+        goes with the heaviest person of its cluster; a cluster of such alone is a group without identity, so that no head
+        is lost, from half a head on: what weighs less there is rather a false alarm.
+        """
+        clusters = self.grouping.groups(mixture)
+        counted = carrier >= 0
+        counted[counted] = clusters.label[carrier[counted]] >= 0
+        member, carrier = member[counted], carrier[counted]
+        state, membership, events = self.living.extend(
+            state, member, clusters.label[carrier], mixture.weight[carrier], number, time
+        )
+        label, identity = _groups(clusters.label, mixture.weight, carrier, membership)
+        groups = summarised(mixture, label, len(identity))
+        contours = tuple(self.contours.of(mixture, label, group) for group in range(len(identity)))
+        known = label >= 0
+        known[known] = identity[label[known]] > 0
+        warned = self.meetings.expected(
+            identity[label[known]], np.ascontiguousarray(mixture.mean[:4, known]), mixture.covariance[known]
+        )
+        return state, GroupFrame(number, time, identity, groups, contours, member, membership, events, warned)
+
+
+def _groups(label: I8, weight: F8, carrier: I8, membership: I8) -> tuple[I8, I8]:
+    """The group (J,) of each Gaussian, −1 where it is too light, and the identities (G,), 0 for a group without.
+
+    ``label`` (J,) are the clusters, ``carrier`` and ``membership`` (n,) the Gaussians of people and their groups.
+    """
+    identity = np.zeros(len(label), np.int64)
+    # Written from the last to the first: of several people on one Gaussian the first counts.
+    identity[carrier[::-1]] = membership[::-1]
+    leader: dict[int, int] = {}
+    for j in np.argsort(-weight, kind="stable").tolist():
+        if identity[j] > 0:
+            leader.setdefault(int(label[j]), int(identity[j]))
+    orphans = np.flatnonzero((label >= 0) & (identity == 0))
+    identity[orphans] = [leader.get(int(cluster), -1 - int(cluster)) for cluster in label[orphans]]
+    heavy = label >= 0
+    heads = np.bincount(label[heavy], weight[heavy])
+    heavy[heavy] = (identity[heavy] > 0) | (heads[label[heavy]] >= UNNAMED)
+    names, group = np.unique(identity[heavy], return_inverse=True)
+    out = np.full(len(label), -1, np.int64)
+    out[heavy] = group
+    return out, np.maximum(names, 0)
+
+
+def mixture_of(intensity: Any, step: Step, z: F8, stages: AnyStages, lightest: float) -> GaussianMixture:
+    """What is known after a step as Gaussians over (px, py, vx, vy).
+
+    A filter of Gaussians has them. Of particles the clusters of the extraction are taken, here also those that are too
+    light to be reported as people, down to ``lightest``: else one miss would drop a person from his group. Extractions
+    that go by the number of targets hold on to him by themselves.
+    """
+    points = intensity.intensity if isinstance(intensity, Cardinalised) else intensity
+    if isinstance(points, GaussianMixture):
+        return points
+    found = step.estimates
+    if isinstance(stages.extractor, KMeans | Mixture) and lightest < stages.extractor.lightest:
+        found = replace(stages.extractor, lightest=lightest).extract(points, z, stages.model)
+    return GaussianMixture(found.weight, found.state, found.covariance + _FINEST**2 * np.eye(len(found.state)))
+
+
+def known_people(state: F8) -> GaussianMixture:
+    """People whose position and velocity (4, n) are known: weight 1 each, as wide as a body."""
+    n = state.shape[1]
+    cov = np.diag(np.array([BODY, BODY, GAIT, GAIT]) ** 2)
+    return GaussianMixture(np.ones(n), state, np.tile(cov, (n, 1, 1)))
+
+
+def carriers(mixture: GaussianMixture, place: F8, lightest: float) -> I8:
+    """(M,) the Gaussian that carries each track at ``place`` (2, M) metres: the nearest in its covariance of those that
+    weigh ``lightest`` or more; −1 where none is near enough, or the place is not known.
+
+    A track's row rests on the mean of a Gaussian, whose distance is 0; a row that was only predicted finds the one that
+    the filter still has for it.
+    """
+    heavy = np.flatnonzero(mixture.weight >= lightest)
+    if len(heavy) == 0 or place.shape[1] == 0:
+        return np.full(place.shape[1], -1, np.int64)
+    off = np.nan_to_num(place, nan=np.inf)[:, :, None] - mixture.mean[:2, None, heavy]
+    finite = np.isfinite(off).all(axis=0)
+    off = np.where(finite, off, 0.0)
+    inverse = np.linalg.inv(mixture.covariance[heavy][:, :2, :2])
+    distance = np.where(finite, np.einsum("imj,jik,kmj->mj", off, inverse, off), np.inf)
+    nearest = distance.argmin(axis=1)
+    near = distance[np.arange(len(nearest)), nearest] <= REACH
+    return np.where(near, heavy[nearest], -1)

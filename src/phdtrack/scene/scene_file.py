@@ -1,0 +1,164 @@
+"""A learned scene as one file: ``scene.json``.
+
+    {"format": 1, "width": 768, "height": 576, "rate": 25, "source": "…",
+     "births": {"rate": s̄, "samples": n, "low": […], "high": […], "uniform": α_u,
+                "weight": […], "mean": [[…] per Gaussian], "covariance": [[[…]] per Gaussian]},
+     "clutter": the same with r̄ and four components, "followed": {"share": λ, "objects": the same}, "notes": {…}}
+
+Births have six components (boxes), or four: points in the image, pixels, or places on the ground, metres.
+Rates are births per time unit, of which ``rate`` make a second, and false alarms, or detections of objects, per frame. Every
+part may be missing.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phdtrack.errors import InputError
+from phdtrack.scene.density import ContextDensity
+
+FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Learned:
+    """A density with its magnitude: ``rate`` is s̄ (births per time unit), r̄ (false alarms per frame), or how many detections
+    of objects there are per frame.
+
+    ``samples``: the number that it was learned from.
+    """
+
+    rate: float
+    density: ContextDensity
+    samples: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """What a tracker follows: the ``share`` of the false alarms that it takes for somebody, and where ``objects`` are.
+
+    A share of 0 is that of a scene in which nobody has looked: then no track is held back.
+    """
+
+    share: float
+    objects: Learned
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What was learned of a scene.
+
+    Attributes
+    ----------
+    width, height : of the video in pixels.
+    rate : time units per second of the births.
+    source : the video or the detections that it was learned from.
+    births, clutter : what was learned; None for nothing.
+    followed : of false alarms and of objects, what the tracker follows; None where nobody has looked at enough of them.
+    notes : figures beside, such as held-out log-likelihoods: names and plain values.
+    """
+
+    width: int
+    height: int
+    rate: float
+    source: str
+    births: Learned | None = None
+    clutter: Learned | None = None
+    notes: Mapping[str, float | int | str] = field(default_factory=dict)
+    followed: Followed | None = None
+
+
+def write_scene(path: Path, scene: Scene) -> None:
+    """Write a scene, whole or not at all."""
+    document = {
+        "format": FORMAT,
+        "width": scene.width,
+        "height": scene.height,
+        "rate": scene.rate,
+        "source": scene.source,
+        "births": None if scene.births is None else _plain(scene.births),
+        "clutter": None if scene.clutter is None else _plain(scene.clutter),
+        "followed": None
+        if scene.followed is None
+        else {"share": scene.followed.share, "objects": _plain(scene.followed.objects)},
+        "notes": dict(scene.notes),
+    }
+    part = path.with_name(path.name + ".part")
+    part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    part.replace(path)
+
+
+def read_scene(path: Path) -> Scene:
+    """The scene in a file. Raises `InputError` where there is none, or it is no scene."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", where=path) from None
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(
+            f"expected a learned scene as JSON ({error})", where=path, cure="Make one: phdtrack learn"
+        ) from None
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        found = document.get("format") if isinstance(document, dict) else type(document).__name__
+        raise InputError(f"expected a learned scene of format {FORMAT}, got {found!r}", where=path, cure="Learn it again")
+    try:
+        return Scene(
+            int(document["width"]),
+            int(document["height"]),
+            float(document["rate"]),
+            str(document["source"]),
+            _learned(document["births"], 6, 4),
+            _learned(document["clutter"], 4),
+            dict(document["notes"]),
+            _followed(document.get("followed")),
+        )
+    except InputError as error:
+        raise InputError(f"no learned scene: {error}", where=path, cure="Learn it again") from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"no learned scene: {type(error).__name__} {error}", where=path, cure="Learn it again") from None
+
+
+def _plain(learned: Learned) -> dict[str, Any]:
+    p = learned.density
+    return {
+        "rate": learned.rate,
+        "samples": learned.samples,
+        "low": p.low.tolist(),
+        "high": p.high.tolist(),
+        "uniform": p.uniform,
+        "weight": p.weight.tolist(),
+        "mean": p.mean.T.tolist(),
+        "covariance": p.covariance.tolist(),
+    }
+
+
+def _followed(document: Any) -> Followed | None:
+    """None for scenes too that were learned before there was any."""
+    objects = None if document is None else _learned(document["objects"], 4)
+    return None if objects is None else Followed(_share(float(document["share"])), objects)
+
+
+def _share(share: float) -> float:
+    if not 0 <= share <= 1:
+        raise InputError(f"expected a share from 0 to 1, got {share:g}")
+    return share
+
+
+def _learned(document: Any, *dims: int) -> Learned | None:
+    if document is None:
+        return None
+    low, high, weight = (np.array(document[name], np.float64) for name in ("low", "high", "weight"))
+    mean = np.array(document["mean"], np.float64).reshape(-1, len(low)).T
+    cov = np.array(document["covariance"], np.float64).reshape(-1, len(low), len(low))
+    rate = float(document["rate"])
+    if not 0 <= rate < np.inf or len(low) not in dims:
+        wanted = " or ".join(str(dim) for dim in dims)
+        raise InputError(f"expected a rate from 0 and {wanted} components, got {rate:g} and {len(low)}")
+    density = ContextDensity(low, high, float(document["uniform"]), weight, np.ascontiguousarray(mean), cov)
+    return Learned(rate, density, int(document["samples"]))

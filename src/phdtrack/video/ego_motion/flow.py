@@ -1,0 +1,173 @@
+"""The motion of the camera between two pictures, from points of the background that are followed.
+
+Corners (Shi and Tomasi) of the earlier picture, outside the boxes of what was detected there, are followed by pyramids of
+Lucas and Kanade's method into the later one and back; those that do not come back to where they began are dropped. RANSAC
+finds the similarity, or homography, that most of the others agree on. Its random numbers are OpenCV's own, begun anew in
+every call: the same pictures give the same map.
+
+Pictures are scaled down first. What moves in them and was not detected is outvoted as long as it is less than the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from phdtrack.errors import InputError
+from phdtrack.types import F8, Image
+from phdtrack.video.ego_motion.settings import SparseFlow
+
+# Corners weaker than this share of the best are none; they keep this share of the width apart.
+_QUALITY, _APART = 0.01, 0.012
+# Around a box as much of its size is left out besides: shadows, and limbs that the box has not.
+_MARGIN = 0.1
+# No camera zooms by more from one frame to the next, or moves the picture by more than this share of its width.
+_ZOOM, _JUMP = 1.5, 0.6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """One picture as the flow sees it: ``gray`` (h, w) uint8, scaled by ``scale``, with ``boxes`` (n, 4) in its pixels."""
+
+    gray: Image
+    scale: float
+    boxes: F8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flow:
+    """What was measured between two pictures.
+
+    ``warp`` (3, 3) takes pixels of the earlier to those of the later; the identity where it was not ``measured``.
+    ``followed`` points came back to where they began, ``fitting`` of them agree with the map.
+    """
+
+    warp: F8
+    measured: bool
+    followed: int = 0
+    fitting: int = 0
+
+
+def view(image: Image, xyxy: F8, settings: SparseFlow) -> View:
+    """The picture (H, W, 3) BGR, or (H, W) gray, uint8, with the boxes (n, 4) that were detected in it."""
+    import cv2
+
+    if image.ndim not in (2, 3) or not image.size:
+        raise InputError(f"expected a picture (H, W, 3), got an array of shape {image.shape}", where="camera motion")
+    gray = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    scale = min(1.0, settings.width / gray.shape[1])
+    if scale < 1:
+        size = settings.width, max(1, round(scale * gray.shape[0]))
+        gray = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
+    return View(gray, scale, scale * np.asarray(xyxy, np.float64).reshape(-1, 4))
+
+
+def between(before: View, after: View, settings: SparseFlow) -> Flow:
+    """How the camera moved between two views."""
+    found, arrived = _followed(before, after, settings)
+    if len(found) < settings.least:
+        return Flow(np.eye(3), False, len(found))
+    small, fitting = _fitted(found, arrived, settings)
+    if small is None or fitting < max(settings.least, settings.share * len(found)):
+        return Flow(np.eye(3), False, len(found), fitting)
+    warp = _unscaled(small, before.scale)
+    if not _credible(warp, before):
+        return Flow(np.eye(3), False, len(found), fitting)
+    return Flow(warp, True, len(found), fitting)
+
+
+def _followed(before: View, after: View, settings: SparseFlow) -> tuple[F8, F8]:
+    """(n, 2) points of the earlier view, and where they are in the later one."""
+    import cv2
+
+    none = np.zeros((0, 2))
+    if before.gray.shape != after.gray.shape:
+        return none, none
+    apart = max(3.0, _APART * before.gray.shape[1])
+    corners = cv2.goodFeaturesToTrack(before.gray, settings.points, _QUALITY, apart, mask=_background(before))
+    if corners is None:
+        return none, none
+    there, arrived, _ = cv2.calcOpticalFlowPyrLK(before.gray, after.gray, corners, None, winSize=(21, 21), maxLevel=4)
+    back, returned, _ = cv2.calcOpticalFlowPyrLK(after.gray, before.gray, there, None, winSize=(21, 21), maxLevel=4)
+    good = (arrived.ravel() == 1) & (returned.ravel() == 1)
+    good &= np.linalg.norm((back - corners).reshape(-1, 2), axis=1) <= settings.error
+    return corners.reshape(-1, 2)[good].astype(np.float64), there.reshape(-1, 2)[good].astype(np.float64)
+
+
+def _background(before: View) -> Image:
+    """(h, w) 255 where no box is, and a margin about it."""
+    high, wide = before.gray.shape
+    mask: Image = np.full((high, wide), 255, np.uint8)
+    for left, top, right, bottom in before.boxes:
+        margin = _MARGIN * max(right - left, bottom - top)
+        x = np.clip([left - margin, right + margin], 0, wide).astype(int)
+        y = np.clip([top - margin, bottom + margin], 0, high).astype(int)
+        mask[y[0] : y[1], x[0] : x[1]] = 0
+    return mask
+
+
+def _fitted(found: F8, arrived: F8, settings: SparseFlow) -> tuple[F8 | None, int]:
+    """The map (3, 3) between the points that most agree on, and how many do; None where there is none."""
+    import cv2
+
+    if settings.form == "homography":
+        matrix, inside = cv2.findHomography(found, arrived, cv2.RANSAC, settings.error, maxIters=2000, confidence=0.999)
+    else:
+        matrix, inside = cv2.estimateAffinePartial2D(
+            found, arrived, method=cv2.RANSAC, ransacReprojThreshold=settings.error, maxIters=2000, confidence=0.999
+        )
+    if matrix is None or not np.isfinite(matrix).all():
+        return None, 0
+    whole = np.vstack([matrix, [0.0, 0.0, 1.0]]) if len(matrix) == 2 else np.asarray(matrix)
+    return whole, int(np.count_nonzero(inside))
+
+
+def _unscaled(small: F8, scale: float) -> F8:
+    """The map in the pixels of the video, whose boxes count from a pixel's edge and not, as OpenCV does, from its middle."""
+    to_small = np.array([[scale, 0.0, -0.5], [0.0, scale, -0.5], [0.0, 0.0, 1.0]])
+    warp = np.linalg.inv(to_small) @ small @ to_small
+    return np.asarray(warp / warp[2, 2])
+
+
+def _credible(warp: F8, before: View) -> bool:
+    """Whether a camera may have moved so: the corners of the picture stay in order and near where they were."""
+    high, wide = (side / before.scale for side in before.gray.shape)
+    corners = np.array([[0, wide, wide, 0], [0, 0, high, high], [1, 1, 1, 1]])
+    moved = warp @ corners
+    if (moved[2] <= 0.2).any():
+        return False
+    place = moved[:2] / moved[2]
+    sides = np.linalg.norm(place - np.roll(place, 1, axis=1), axis=0) / [high, wide, high, wide]
+    jump = np.linalg.norm(place.mean(axis=1) - [wide / 2, high / 2])
+    return bool((sides < _ZOOM).all() and (sides > 1 / _ZOOM).all() and jump < _JUMP * wide)
+
+
+class CameraMotion:
+    """How the camera moved since the picture before; it remembers that one.
+
+    motion = CameraMotion()
+    warp = motion(image, boxes)                 # the identity for the first
+    rows = tracker.update(boxes, warp=warp)
+
+    Call it once for every `Tracker.update`, with the picture that the boxes are from.
+    """
+
+    def __init__(self, settings: SparseFlow | None = None) -> None:
+        self.settings = SparseFlow() if settings is None else settings
+        self.reset()
+
+    def reset(self) -> None:
+        """The next picture is the first of a new sequence."""
+        self._before: View | None = None
+        self.flow = Flow(np.eye(3), True)
+
+    def __call__(self, image: Image, xyxy: F8) -> F8:
+        """(3, 3) map from the pixels of the picture before to this one's (H, W, 3), in which ``xyxy`` (n, 4) were detected.
+
+        `flow` then says what it rests on. Raises `InputError` where ``image`` is no picture.
+        """
+        now = view(image, xyxy, self.settings)
+        self.flow = Flow(np.eye(3), True) if self._before is None else between(self._before, now, self.settings)
+        self._before = now
+        return self.flow.warp

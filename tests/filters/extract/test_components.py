@@ -1,0 +1,64 @@
+"""Heavy components of a mixture as states."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from phdtrack.errors import InputError
+from phdtrack.filters.extract import Components
+from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
+from phdtrack.protocols import Model
+from phdtrack.types import GaussianMixture
+
+MODEL = Model(BoxMotion(), BoxSensor(), MeasurementBirth(volume="local"), UniformClutter(1.0, 1e10))
+MEAN = np.array([[100.0, 100, 2, 0, 40, 80], [300, 120, 0, 1, 40, 80], [306, 120, 0, 1, 40, 80], [500, 90, 0, 0, 30, 70]]).T
+MIXTURE = GaussianMixture(np.array([0.9, 2.2, 0.6, 0.49]), MEAN, np.tile(np.eye(6), (4, 1, 1)))
+Z = MEAN[[0, 1, 4, 5]][:, [1, 0]] + 1.0
+
+
+def test_components_of_half_a_target_or_more_are_states():
+    found = Components(overlap=1.0).extract(MIXTURE, Z, MODEL)
+    np.testing.assert_array_equal(found.state, MEAN[:, :3])
+    np.testing.assert_array_equal(found.weight, MIXTURE.weight[:3])
+    np.testing.assert_array_equal(found.detection, [1, 0, -1])
+    np.testing.assert_allclose(found.xyxy[0], [80, 60, 120, 140])
+    assert len(Components(lightest=0.3, overlap=1.0).extract(MIXTURE, Z, MODEL)) == 4
+
+
+def test_those_that_no_sensor_could_tell_apart_are_one():
+    found = Components().extract(MIXTURE, Z, MODEL)
+    np.testing.assert_allclose(found.weight, [0.9, 2.8])
+    np.testing.assert_allclose(found.state[0], [100, (2.2 * 300 + 0.6 * 306) / 2.8])
+
+
+def test_repeated_as_vo_and_ma_do():
+    """Each as often as its rounded weight; the mass is shared, and a detection serves one of them."""
+    found = Components(repeat=True).extract(MIXTURE, Z, MODEL)
+    np.testing.assert_array_equal(found.state, MEAN[:, [0, 1, 1, 2]])
+    np.testing.assert_allclose(found.weight, [0.9, 1.1, 1.1, 0.6])
+    assert sorted(found.detection.tolist()) == [-1, -1, 0, 1]
+    halves = GaussianMixture(np.full(4, 0.5), MEAN, MIXTURE.covariance)
+    assert len(Components(repeat=True).extract(halves, Z, MODEL)) == 4
+
+
+def test_states_have_the_tags_of_their_components():
+    """Of the heaviest where some were joined; twice the same where one is reported twice; none where there is none."""
+    tags = np.array([7, 3, 9, 4])
+    mixture = replace(MIXTURE, tag=tags, fresh=10)
+    np.testing.assert_array_equal(Components(overlap=1.0).extract(mixture, Z, MODEL).tag, [7, 3, 9])
+    np.testing.assert_array_equal(Components().extract(mixture, Z, MODEL).tag, [7, 3])
+    np.testing.assert_array_equal(Components(repeat=True).extract(mixture, Z, MODEL).tag, [7, 3, 3, 9])
+    other = replace(mixture, weight=np.array([0.9, 0.6, 2.2, 0.49]))
+    found = Components().extract(other, Z, MODEL)
+    np.testing.assert_array_equal(found.tag, [7, 9])
+    np.testing.assert_array_equal(found.take(np.array([1])).tag, [9])
+    assert len(Components().extract(MIXTURE, Z, MODEL).tag) == 0
+
+
+def test_settings_out_of_bounds():
+    for wrong in ({"lightest": 0.0}, {"region": 0.0}, {"overlap": 0.0}):
+        with pytest.raises(InputError, match=next(iter(wrong))):
+            Components(**wrong)

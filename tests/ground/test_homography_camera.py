@@ -1,0 +1,67 @@
+"""The homography camera: the same as the pinhole that it stands for, horizon, depth, mistakes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from camera_cases import MATRIX, PLANE, pixels, posed
+from phdtrack.errors import InputError
+from phdtrack.ground import HomographyCamera, OpenCVLens
+
+
+def test_it_is_the_undistorted_camera_on_flat_ground(rng: np.random.Generator) -> None:
+    pinhole, camera = posed(OpenCVLens(MATRIX)), HomographyCamera(PLANE)
+    pixel = pixels(rng, 500)
+    theirs, ours = pinhole.ground(pixel), camera.ground(pixel)
+    np.testing.assert_array_equal(np.isnan(ours), np.isnan(theirs))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-8)
+    np.testing.assert_allclose(camera.jacobian(pixel), pinhole.jacobian(pixel), rtol=1e-7)
+
+
+def test_depth_is_the_distance_along_the_ground() -> None:
+    """Of the pinhole's camera: its horizontal distance along the direction that it looks into, from below it."""
+    pinhole, camera = posed(OpenCVLens(MATRIX)), HomographyCamera(PLANE)
+    world = np.array([[0.0, 10, -5, -40], [0, -8, 30, -50]])
+    ahead = pinhole.rotation[2, :2] / np.linalg.norm(pinhole.rotation[2, :2])
+    # The line on which the camera's own plane meets the ground lies behind the point below it.
+    origin = pinhole.translation[2] / np.linalg.norm(pinhole.rotation[2, :2])
+    np.testing.assert_allclose(camera.depth(world), ahead @ world + origin, rtol=1e-9)
+
+
+def test_straight_down_all_is_equally_far() -> None:
+    camera = HomographyCamera(np.array([[0.02, 0, 1], [0, 0.03, 2], [0, 0, 1]]))
+    world = np.array([[0.0, 500], [3, -200]])
+    np.testing.assert_array_equal(camera.depth(world), [1, 1])
+    np.testing.assert_allclose(camera.ground(camera.pixels(world)), world)
+
+
+def test_heights_are_not_known() -> None:
+    camera = HomographyCamera(PLANE)
+    world = np.array([[0.0, 0], [5, 5], [0, 1.8]])
+    assert np.isfinite(camera.pixels(world)[:, 0]).all()
+    assert np.isnan(camera.pixels(world)[:, 1]).all()
+
+
+def test_the_side_of_the_horizon_can_be_said() -> None:
+    """A picture upside down: what is above shows ground."""
+    turned = PLANE @ np.array([[-1.0, 0, 768], [0, -1, 576], [0, 0, 1]])
+    pixel = np.array([[380.0], [40]])
+    assert np.isnan(HomographyCamera(turned).ground(pixel)).all()
+    seen = HomographyCamera(turned, inside=(380.0, 40.0))
+    np.testing.assert_allclose(seen.ground(pixel), HomographyCamera(PLANE).ground(np.array([[388.0], [536]])))
+
+
+@pytest.mark.parametrize(
+    ("matrix", "inside", "words"),
+    [
+        (np.eye(2), None, "3 x 3"),
+        (np.full((3, 3), np.nan), None, "finite"),
+        (np.ones((3, 3)), None, "can be inverted"),
+        (np.diag([1.0, 1, 0]), None, "can be inverted"),
+        (np.array([[1.0, 0, 0], [0, 0, 1], [0, 1, -100]]), (50.0, 100.0), "on the horizon"),
+    ],
+)
+def test_mistakes(matrix: np.ndarray, inside: tuple[float, float] | None, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        HomographyCamera(matrix, inside)

@@ -1,0 +1,125 @@
+"""Tsai's lens against the two linear equations of the paper; OpenCV's against OpenCV."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from camera_cases import BARREL, MATRIX, PRISM, RATIONAL, ROTATION, TRANSLATION, posed, tsai
+from phdtrack.errors import InputError
+from phdtrack.ground import OpenCVLens, PosedCamera, TsaiLens
+from phdtrack.ground.tsai import rotation_zyx
+
+
+def test_tsai_is_the_solution_of_the_two_linear_equations(rng: np.random.Generator) -> None:
+    """E13 (6), (7), pixel by pixel in millimetres, as the calibration files have it."""
+    camera, lens = posed(tsai(5e-3)), tsai(5e-3)
+    translation = 1000 * TRANSLATION
+    for xf, yf in rng.uniform([0, 300], [768, 576], (40, 2)):
+        xd, yd = 5.1e-3 * (xf - lens.cx) / lens.sx, 4.6e-3 * (yf - lens.cy)
+        factor = (1 + 5e-3 * (xd**2 + yd**2)) / 5.5
+        u, v = xd * factor, yd * factor
+        equations = np.array([ROTATION[0, :2] - u * ROTATION[2, :2], ROTATION[1, :2] - v * ROTATION[2, :2]])
+        right = np.array([u * translation[2] - translation[0], v * translation[2] - translation[1]])
+        place = np.linalg.solve(equations, right) / 1000
+        np.testing.assert_allclose(camera.ground(np.array([[xf], [yf]]))[:, 0], place, atol=1e-9)
+
+
+def test_the_cubic_has_its_root_however_strong_the_distortion(rng: np.random.Generator) -> None:
+    pixel = rng.uniform([[0], [0]], [[768], [576]], (2, 500))
+    for kappa in (1e-9, 1e-4, 0.3, 40.0, -1e-9, -1e-4, -2e-2):
+        lens = tsai(kappa)
+        ray = lens.rays(pixel)
+        assert np.isfinite(ray).all()
+        np.testing.assert_allclose(lens.project(ray), pixel, atol=1e-9)
+
+
+def test_beyond_the_fold_is_outside_of_the_lens() -> None:
+    """κ = −0.05: the fold is 2.58 mm from the axis, and the undistorted radius there is two thirds of that."""
+    lens = tsai(-0.05)
+    fold = 1e-3 / np.sqrt(3 * 0.05)
+    edge = 2 / 3 * fold / lens.focal
+    ray = np.array([[0.999 * edge, 1.001 * edge, 0.0], [0, 0, 0.5 * edge]])
+    pixel = lens.project(ray)
+    assert np.isnan(pixel[:, 1]).all()
+    np.testing.assert_allclose(lens.rays(pixel)[:, [0, 2]], ray[:, [0, 2]], rtol=1e-9)
+    across = lens.cy + np.array([0.999, 1.001]) * fold / lens.dy
+    seen = lens.rays(np.stack([np.full(2, lens.cx), across]))
+    assert np.isfinite(seen[:, 0]).all()
+    assert np.isnan(seen[:, 1]).all()
+
+
+def test_units_do_not_matter_when_kappa_goes_with_them() -> None:
+    metres = tsai(5e-3)
+    millimetres = TsaiLens(focal=5.5, dx=5.1e-3, dy=4.6e-3, kappa=5e-3, cx=370.0, cy=280.0, sx=1.08)
+    pixel = np.array([[0.0, 700], [570, 30]])
+    np.testing.assert_allclose(metres.rays(pixel), millimetres.rays(pixel), rtol=1e-13)
+
+
+def test_the_rotation_of_the_angles() -> None:
+    rx, ry, rz = 2.0, -0.9, -0.4
+    np.testing.assert_allclose(
+        rotation_zyx(rx, ry, rz),
+        cv2.Rodrigues(np.array([0, 0, rz]))[0]
+        @ cv2.Rodrigues(np.array([0, ry, 0]))[0]
+        @ cv2.Rodrigues(np.array([rx, 0, 0]))[0],
+        atol=1e-15,
+    )
+
+
+@pytest.mark.parametrize("distortion", [np.zeros(0), BARREL[:4], BARREL, RATIONAL, PRISM], ids=["0", "4", "5", "8", "12"])
+def test_pixels_are_those_of_opencv(distortion: np.ndarray, rng: np.random.Generator) -> None:
+    camera = PosedCamera(OpenCVLens(MATRIX, distortion), ROTATION, TRANSLATION)
+    world = np.vstack([rng.uniform(-12, 12, (2, 300)), rng.uniform(0, 2, 300)])
+    theirs, _ = cv2.projectPoints(world.T, cv2.Rodrigues(ROTATION)[0], TRANSLATION, MATRIX, distortion)
+    ours = camera.pixels(world)
+    seen = np.isfinite(ours).all(axis=0)
+    assert seen.mean() > 0.9
+    np.testing.assert_allclose(ours[:, seen], theirs[:, 0].T[:, seen], atol=1e-9)
+
+
+def test_a_fold_of_opencvs_lens_is_outside() -> None:
+    """r(1 + k1 r²) grows up to r = (−3 k1)^(−1/2)."""
+    lens = OpenCVLens(MATRIX, np.array([-0.3, 0, 0, 0]))
+    fold = (3 * 0.3) ** -0.5
+    assert lens.fold == pytest.approx(fold)
+    assert OpenCVLens(MATRIX, np.array([0.3, 0.1, 0, 0])).fold == np.inf
+    pixel = lens.project(np.array([[0.999 * fold, 1.001 * fold, 1.7 * fold], [0, 0, 0]]))
+    assert np.isfinite(pixel[:, 0]).all()
+    assert np.isnan(pixel[:, 1:]).all()
+    beyond = MATRIX[0, 2] + MATRIX[0, 0] * fold * 2 / 3 * np.array([0.999, 1.001])
+    ray = lens.rays(np.stack([beyond, np.full(2, MATRIX[1, 2])]))
+    assert ray[0, 0] < fold
+    assert np.isnan(ray[:, 1]).all()
+
+
+@pytest.mark.parametrize(
+    ("matrix", "distortion", "words"),
+    [
+        (np.eye(2), np.zeros(0), "camera matrix"),
+        (np.diag([800.0, -800, 1]), np.zeros(0), "focal lengths above 0"),
+        (MATRIX + np.array([[0, 0.3, 0], [0, 0, 0], [0, 0, 0]]), np.zeros(0), "other entries"),
+        (MATRIX, np.zeros(3), "0, 4, 5, 8 or 12"),
+        (MATRIX, np.zeros(14), "tilted sensor"),
+        (MATRIX, np.array([0, 0, np.nan, 0]), "finite"),
+    ],
+)
+def test_bad_lenses(matrix: np.ndarray, distortion: np.ndarray, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        OpenCVLens(matrix, distortion)
+
+
+def test_bad_poses_and_bad_tsai() -> None:
+    with pytest.raises(InputError, match="stretches or mirrors"):
+        posed_with(2 * np.eye(3))
+    with pytest.raises(InputError, match="stretches or mirrors"):
+        posed_with(np.diag([1.0, 1, -1]))
+    with pytest.raises(InputError, match=r"rotation matrix \(3, 3\)"):
+        posed_with(np.eye(2))
+    with pytest.raises(InputError, match=r"TsaiLens\.focal: expected a value above 0"):
+        TsaiLens(focal=0.0, dx=1e-6, dy=1e-6, kappa=0, cx=0, cy=0)
+
+
+def posed_with(rotation: np.ndarray) -> PosedCamera:
+    return PosedCamera(tsai(0), rotation, np.zeros(3))

@@ -1,0 +1,230 @@
+"""Camera files: what they mean, and what is said of those that mean nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from camera_cases import BARREL, MATRIX, PLANE, ROTATION, TRANSLATION, hills, posed, tsai
+from phdtrack.errors import InputError
+from phdtrack.ground import Flat, MatrixForm, OpenCVLens, PosedCamera, Terrain, fit_homography, read_camera
+from phdtrack.ground.described import calibration_text
+from phdtrack.protocols import Camera
+
+PIXEL = np.array([[100.0, 400, 700, 380], [350, 420, 560, -500]])
+VECTOR = cv2.Rodrigues(ROTATION)[0].ravel()
+TSAI = """<?xml version="1.0" encoding="UTF-8"?>
+<Camera name="View">
+  <Geometry width="768" height="576" ncx="795" nfx="750" dx="4.811320754716981e-3" dy="4.6e-3" dpx="5.1e-3" dpy="4.6e-3"/>
+  <Intrinsic focal="5.5" kappa1="5e-3" cx="370" cy="280" sx="1.08"/>
+  <Extrinsic tx="828.7" ty="-3175.5" tz="35469.3" rx="2.04" ry="-0.893" rz="-0.43"/>
+</Camera>
+"""
+
+
+def put(folder: Path, name: str, text: str) -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def same(one: Camera, other: Camera, pixel: np.ndarray = PIXEL) -> None:
+    np.testing.assert_allclose(one.ground(pixel), other.ground(pixel), rtol=1e-7)
+    assert np.isfinite(one.ground(pixel)[:, :3]).all()
+
+
+def rows(matrix: np.ndarray) -> str:
+    return "\n".join(" ".join(f"{value:.17g}" for value in row) for row in matrix)
+
+
+def test_tsai_in_millimetres(tmp_path: Path) -> None:
+    camera = read_camera(put(tmp_path, "view.xml", TSAI))
+    assert isinstance(camera, PosedCamera)
+    pixel = np.array([[100.0, 700], [300, 500]])
+    np.testing.assert_allclose(camera.lens.rays(pixel), tsai(5e-3).rays(pixel), rtol=1e-12)
+    np.testing.assert_allclose(camera.translation, [0.8287, -3.1755, 35.4693])
+    without = TSAI.replace('dpx="5.1e-3" dpy="4.6e-3"', "")
+    same(read_camera(put(tmp_path, "b.xml", without)), camera, np.array([[100.0, 400, 700], [350, 420, 560]]))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "words"),
+    [
+        ('focal="5.5" ', "", 4, "<Intrinsic> with a value for focal"),
+        ('kappa1="5e-3"', 'kappa1="five"', 4, "number for kappa1 of <Intrinsic>, came 'five'"),
+        ('rx="2.04"', 'rx="nan"', 5, "finite number for rx"),
+        ("  <Extrinsic", "  <Outside", 0, "an element <Extrinsic>"),
+        ("</Camera>", "", 7, "XML, which breaks here"),
+        ('focal="5.5"', 'focal="-5.5"', 0, "TsaiLens.focal: expected a value above 0"),
+        ('encoding="UTF-8"', 'encoding="UTF-88"', 1, "XML in UTF-8"),
+        ("<Camera", "<dataset", 2, "XML with <dataset>|breaks"),
+        ("<Camera name", '<!DOCTYPE Camera [<!ENTITY a "b">]><Camera name', 2, "document type"),
+    ],
+)
+def test_tsai_mistakes(tmp_path: Path, old: str, new: str, line: int, words: str) -> None:
+    assert old in TSAI
+    path = put(tmp_path, "view.xml", TSAI.replace(old, new))
+    with pytest.raises(InputError, match=words) as caught:
+        read_camera(path)
+    if line:
+        assert caught.value.where.startswith(f"{path}, line ")
+    assert str(path) in str(caught.value)
+
+
+def test_a_homography_in_text_by_every_convention(tmp_path: Path) -> None:
+    """The same camera, said in eight ways."""
+    swap = np.eye(3)[[1, 0, 2]]
+    for maps in ("pixel-to-ground", "ground-to-pixel"):
+        for vectors in ("column", "row"):
+            for pixel in ("xy", "row-column"):
+                for unit, scale in (("m", 1.0), ("cm", 100.0), ("mm", 1000.0)):
+                    matrix = np.diag([scale, scale, 1]) @ PLANE @ (np.eye(3) if pixel == "xy" else swap)
+                    matrix = matrix if maps == "pixel-to-ground" else np.linalg.inv(matrix)
+                    matrix = matrix if vectors == "column" else matrix.T
+                    path = put(tmp_path, "h.txt", f"# a camera\n{rows(matrix)}\n")
+                    form = MatrixForm(maps, vectors, pixel, unit)  # type: ignore[arg-type]
+                    same(read_camera(path, form), posed(OpenCVLens(MATRIX)))
+                    said = f'file = "h.txt"\nmaps = "{maps}"\nvectors = "{vectors}"\npixel = "{pixel}"\nunit = "{unit}"\n'
+                    same(read_camera(put(tmp_path, "camera.toml", said)), posed(OpenCVLens(MATRIX)))
+
+
+def test_the_layout_of_eth_and_ucy_is_known(tmp_path: Path) -> None:
+    path = put(tmp_path, "H.txt", rows(PLANE[:, [1, 0, 2]]).replace(" ", ",\t"))
+    with pytest.raises(AssertionError):
+        same(read_camera(path), posed(OpenCVLens(MATRIX)))
+    put(tmp_path, "obsmat.txt", "1 1 0 0 0 0 0 0\n")
+    same(read_camera(path), posed(OpenCVLens(MATRIX)))
+
+
+def test_matlab(tmp_path: Path) -> None:
+    path = tmp_path / "h.mat"
+    transform = {"tdata": {"T": 100 * PLANE.T @ np.diag([1, 1, 0.01]), "Tinv": np.eye(3)}}
+    savemat(path, {"c2b": transform, "plain": np.eye(3), "other": np.zeros((2, 5))})
+    with pytest.raises(InputError, match="came c2b, plain") as caught:
+        read_camera(path)
+    assert 'variable = "c2b"' in caught.value.cure
+    with pytest.raises(InputError, match="by the name c3b, came none"):
+        read_camera(path, MatrixForm(variable="c3b"))
+    with pytest.raises(InputError, match="the unit of its lengths"):
+        read_camera(path, MatrixForm(variable="c2b"))
+    said = put(tmp_path, "camera.toml", 'file = "h.mat"\nvariable = "c2b"\nunit = "cm"\n')
+    same(read_camera(said), posed(OpenCVLens(MATRIX)))
+    savemat(path, {"plain": PLANE})
+    same(read_camera(path, MatrixForm(unit="m", vectors="column")), posed(OpenCVLens(MATRIX)))
+    path.write_bytes(path.read_bytes()[:150])
+    with pytest.raises(InputError, match=r"cannot be read|came none"):
+        read_camera(path)
+
+
+def opencv(folder: Path, name: str) -> Path:
+    storage = cv2.FileStorage(str(folder / name), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", 768)
+    storage.write("camera_matrix", MATRIX)
+    storage.write("distortion_coefficients", BARREL[:, None])
+    storage.write("rvec", VECTOR[:, None])
+    storage.write("tvec", TRANSLATION[:, None])
+    storage.release()
+    return folder / name
+
+
+@pytest.mark.parametrize("name", ["camera.yml", "camera.xml", "camera.json"])
+def test_opencvs_own_files(tmp_path: Path, name: str) -> None:
+    if name.endswith("json"):
+        keys = {"mtx": MATRIX, "dist": BARREL[None], "rvec": VECTOR, "tvec": TRANSLATION}
+        path = put(tmp_path, name, json.dumps({key: value.tolist() for key, value in keys.items()} | {"error": 0.3}))
+    else:
+        path = opencv(tmp_path, name)
+    same(read_camera(path), posed(OpenCVLens(MATRIX, BARREL)))
+    with_terrain = read_camera(path, surface=hills())
+    same(with_terrain, posed(OpenCVLens(MATRIX, BARREL), hills()))
+
+
+DESCRIBED = f"""
+camera_matrix = {MATRIX.tolist()}
+distortion_coefficients = {BARREL.tolist()}
+R = {ROTATION.tolist()}
+tvec = {(1000 * TRANSLATION).tolist()}
+unit = "mm"
+"""
+
+
+def test_described_in_toml_with_terrain(tmp_path: Path) -> None:
+    same(read_camera(put(tmp_path, "camera.toml", DESCRIBED)), posed(OpenCVLens(MATRIX, BARREL)))
+    ground = hills()
+    np.savez(tmp_path / "hills.npz", heights=ground.heights, origin=ground.origin, step=ground.step)
+    path = put(tmp_path, "camera.toml", DESCRIBED + 'terrain = "hills.npz"\n')
+    same(read_camera(path), posed(OpenCVLens(MATRIX, BARREL), ground))
+    put(tmp_path, "view.xml", TSAI)
+    camera = read_camera(put(tmp_path, "other.toml", 'file = "view.xml"\nterrain = "hills.npz"\n'))
+    assert isinstance(camera, PosedCamera)
+    assert isinstance(camera.surface, Terrain)
+    np.testing.assert_array_equal(camera.surface.heights, ground.heights)
+
+
+def test_what_calibrate_writes_is_read_to_the_last_bit(tmp_path: Path, rng: np.random.Generator) -> None:
+    world = np.array([[0.0, 12, 10, -8, 3], [-8, -3, 10, 12, 2]])
+    fitted = fit_homography(posed(OpenCVLens(MATRIX)).pixels(world) + rng.normal(0, 1, world.shape), world)
+    for size in (None, (768, 576)):
+        camera = read_camera(put(tmp_path, "camera.toml", calibration_text(fitted, size)))
+        np.testing.assert_array_equal(camera.ground(PIXEL), fitted.camera.ground(PIXEL))
+        np.testing.assert_array_equal(camera.pixels(world), fitted.camera.pixels(world))
+
+
+HOMOGRAPHY = f"homography = {PLANE.tolist()}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "where", "words"),
+    [
+        ("homografy = 3\n", "", "no setting homografy. Did you mean homography"),
+        ("homography = [[1, 2], [3, 4]]\n", ", homography", "3 x 3 numbers, came 2 x 2"),
+        ("homography = [[1, 2, 3], [4, 5], [6]]\n", ", homography", "3 x 3 numbers"),
+        (HOMOGRAPHY + 'maps = "sideways"\n', "", "maps = pixel-to-ground or ground-to-pixel"),
+        (HOMOGRAPHY + "unit = 3\n", "", "a text for unit, came 3"),
+        (HOMOGRAPHY + "inside = [3]\n", ", inside", "2 numbers, came 1"),
+        (HOMOGRAPHY + 'terrain = "x.npz"\n', "", "flat ground only"),
+        (HOMOGRAPHY + 'file = "x.txt"\n', "", "came file and homography"),
+        ('file = "gone.xml"\n', "", "there is no such file"),
+        ('file = "camera.toml"\n', "", "yet another file"),
+        ("file = 3\n", ", file", "name of a file"),
+        ("homography = [\n1,\n", "", "as TOML it breaks here"),
+        ("", "", "one of file, homography and camera_matrix, came none"),
+        ("homography = 3 4\n", ", line 1", "as TOML it breaks here"),
+        (DESCRIBED.replace("distortion_coefficients", "dist_coeff"), "", "no setting dist_coeff"),
+        (DESCRIBED.replace('"mm"', '"inch"'), "", "unit = m or cm or mm"),
+        ("\n".join(x for x in DESCRIBED.splitlines() if not x.startswith("R ")), "", "the pose of the camera"),
+        ("\n".join(x for x in DESCRIBED.splitlines() if not x.startswith("dist")), "", "distortion_coefficients = \\[\\]"),
+        (DESCRIBED.replace("tvec = [", "tvec = [1, "), ", tvec", "3 numbers, came 4"),
+        ("1 2 3\n4 5 6\n", "", "three lines of three numbers, came 2"),
+        ("1 2 3\n4 5\n", ", line 2", "came 2 numbers"),
+        ("1 2 3\n4 5 6\n7 8 x\n", ", line 3", "three numbers of a homography, came '7 8 x'"),
+        ("1 2 3\n4 5 6\n7 8 9\n1 2 3\n", ", line 4", "a fourth line"),
+        ("1 2 3\n2 4 6\n7 8 9\n", "", "can be inverted"),
+        ('{"camera_matrix": \n [}', ", line 2", "JSON, which breaks here"),
+        ("%YAML:1.0\n---\ncamera_matrix: [1,\n  }", "", "cv2.FileStorage"),
+        ("%YAML:1.0\n---\na: 1\n", "", "came none of them"),
+    ],
+)
+def test_mistakes(tmp_path: Path, text: str, where: str, words: str) -> None:
+    path = put(tmp_path, "camera.toml", text)
+    with pytest.raises(InputError, match=words) as caught:
+        read_camera(path)
+    if where:
+        assert caught.value.where.startswith(f"{path}{where}")
+    assert str(tmp_path) in str(caught.value)
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no such file"):
+        read_camera(tmp_path / "none.xml")
+    (tmp_path / "x").write_bytes(b"\xff\xfe\x00\x81 no text")
+    with pytest.raises(InputError, match="no UTF-8 text"):
+        read_camera(tmp_path / "x")
+    path = put(tmp_path, "h.txt", rows(PLANE))
+    with pytest.raises(InputError, match="flat ground only"):
+        read_camera(path, surface=Flat(2.0))

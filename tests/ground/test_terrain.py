@@ -1,0 +1,155 @@
+"""Elevation maps: flat ones are flat ground, slopes are planes, hills hide what lies behind them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from camera_cases import ROTATION, TRANSLATION, hills, pixels, posed, tsai
+from phdtrack.errors import InputError
+from phdtrack.ground import Flat, PosedCamera, Terrain, read_terrain
+
+ORIGIN, STEP = np.array([-100.0, -100]), np.array([2.0, 2])
+
+
+def terrain(height: np.ndarray) -> Terrain:
+    return Terrain(ORIGIN, STEP, height)
+
+
+def test_flat_terrain_is_flat_ground(rng: np.random.Generator) -> None:
+    pixel = pixels(rng, 1000)
+    for level in (0.0, 2.5):
+        flat = posed(tsai(5e-3), Flat(level))
+        map_ = posed(tsai(5e-3), terrain(np.full((101, 101), level)))
+        expected, found = flat.ground(pixel), map_.ground(pixel)
+        on_map = (np.abs(expected) <= 100).all(axis=0)
+        assert on_map.sum() > 400
+        np.testing.assert_allclose(found[:, on_map], expected[:, on_map], rtol=1e-12)
+        assert np.isnan(found[:, ~on_map]).all(), "beyond the map nothing is known"
+        np.testing.assert_allclose(map_.jacobian(pixel)[on_map], flat.jacobian(pixel)[on_map], rtol=1e-9)
+        np.testing.assert_allclose(map_.pixels(expected[:, on_map]), flat.pixels(expected[:, on_map]))
+
+
+def test_a_slope_is_a_plane(rng: np.random.Generator) -> None:
+    """Where a ray meets z = 0.1 x − 0.05 y + 1 has a closed form, and bilinear interpolation is exact on planes."""
+    y, x = np.mgrid[-100:101:2.0, -100:101:2.0]
+    camera = posed(tsai(5e-3), terrain(0.1 * x - 0.05 * y + 1))
+    pixel = rng.uniform([[0], [330]], [[768], [576]], (2, 300))
+    ray = np.vstack([camera.lens.rays(pixel), np.ones(300)])
+    direction, origin, normal = ROTATION.T @ ray, -ROTATION.T @ TRANSLATION, np.array([-0.1, 0.05, 1])
+    s = (1 - normal @ origin) / (normal @ direction)
+    np.testing.assert_allclose(camera.ground(pixel), (origin[:, None] + s * direction)[:2], atol=1e-9)
+
+
+def test_the_point_found_is_the_first_on_the_line_of_sight(rng: np.random.Generator) -> None:
+    """Steep hills: no point of the ray before it is below the ground, and it lies on the ground."""
+    ground = hills(4.0)
+    camera = posed(tsai(5e-3), ground)
+    pixel = pixels(rng, 600)
+    place = camera.ground(pixel)
+    seen = np.isfinite(place).all(axis=0)
+    assert seen.sum() > 200
+    world = np.vstack([place, ground.height(place)])[:, seen]
+    np.testing.assert_allclose(camera.pixels(world), pixel[:, seen], atol=1e-7)
+    for share in np.linspace(0.0, 0.995, 200):
+        way = camera.position[:, None] + share * (world - camera.position[:, None])
+        height = ground.height(way[:2])
+        assert not (way[2] < height - 0.02).any()
+
+
+def test_a_wall_hides_what_the_flat_solution_would_show() -> None:
+    """A ridge across the view, 5 m high: the flat point behind it is not what is seen, the ridge is."""
+    y, x = np.mgrid[-100:101:2.0, -100:101:2.0]
+    ridge = np.where(np.abs(x + y) < 8, 5.0, 0.0)
+    flat, walled = posed(tsai(5e-3)), posed(tsai(5e-3), terrain(ridge))
+    behind = np.array([[15.0], [18.0]])
+    pixel = flat.pixels(behind)
+    seen = walled.ground(pixel)
+    assert np.isfinite(seen).all()
+    assert (seen + 10 < behind).all()
+    world = np.vstack([seen, walled.surface.height(seen)])
+    np.testing.assert_allclose(walled.pixels(world), pixel, atol=1e-7)
+
+
+def test_what_comes_onto_the_map_below_its_ground_shows_nothing_known() -> None:
+    """A plateau at the map's edge, higher than the camera: it bars the view of the valley behind it, from outside."""
+    y, x = np.mgrid[-10:191:2.0, -10:191:2.0]
+    plateau = np.where(x + y < 10, 9.0, 0.0)
+    camera = posed(tsai(5e-3), Terrain(np.array([-10.0, -10]), STEP, plateau))
+    assert camera.position[2] < 9
+    pixel = posed(tsai(5e-3)).pixels(np.array([[20.0, 30], [25, 25]]))
+    assert np.isfinite(pixel).all()
+    assert np.isnan(camera.ground(pixel)).all()
+
+
+def test_beside_unknown_heights_nothing_is_known() -> None:
+    heights = np.zeros((101, 101))
+    heights[50, 50] = np.nan  # at (0, 0)
+    camera = posed(tsai(5e-3), terrain(heights))
+    world = np.array([[0.5, 5.0], [0.5, 5.0]])
+    assert np.isnan(camera.surface.height(world)[0])
+    assert np.isnan(camera.pixels(world)[:, 0]).all()
+    place = camera.ground(posed(tsai(5e-3)).pixels(world))
+    assert np.isnan(place[:, 0]).all()
+    np.testing.assert_allclose(place[:, 1], world[:, 1], atol=1e-9)
+
+
+def test_a_camera_whose_world_points_down_sees_the_same(rng: np.random.Generator) -> None:
+    """z downwards, y mirrored: hills become negative heights."""
+    mirror = np.diag([1.0, -1, -1])
+    up = hills(1.5)
+    down = Terrain(np.array([-100.0, -100]), STEP, -up.heights[::-1])
+    one = PosedCamera(tsai(5e-3), ROTATION, TRANSLATION, up)
+    other = PosedCamera(tsai(5e-3), ROTATION @ mirror, TRANSLATION, down)
+    pixel = pixels(rng, 300)
+    np.testing.assert_allclose(other.ground(pixel) * np.array([[1], [-1]]), one.ground(pixel), atol=1e-8)
+
+
+def test_files(tmp_path: Path) -> None:
+    heights = np.arange(12.0).reshape(3, 4)
+    np.savez(tmp_path / "a.npz", heights=heights, origin=np.array([-1.0, 5]), step=2.0)
+    read = read_terrain(tmp_path / "a.npz")
+    np.testing.assert_array_equal(read.heights, heights)
+    assert (read.origin.tolist(), read.step.tolist()) == ([-1, 5], [2, 2])
+    text = "ncols 4\nnrows 3\nxllcorner -2\nYLLCENTER 5\ncellsize 2\nNODATA_value -9999\n8 9 10 11\n4 -9999 6 7\n0 1 2 3\n"
+    (tmp_path / "a.asc").write_text(text)
+    grid = read_terrain(tmp_path / "a.asc")
+    assert (grid.origin.tolist(), grid.step.tolist()) == ([-1, 5], [2, 2])
+    assert np.isnan(grid.heights[1, 1])
+    np.testing.assert_array_equal(np.nan_to_num(grid.heights, nan=5), heights)
+
+
+@pytest.mark.parametrize(
+    ("text", "where", "words"),
+    [
+        ("hello world\n", "", "ASCII grid that states ncols"),
+        ("ncols 2\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 1\n1 2\n", "", "2 rows of heights, came 1"),
+        ("ncols 2\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 1\n1 2\n1 x\n", ", line 7", "2 numbers, came '1 x'"),
+        ("ncols 2\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 1\n1 2 3\n1 2\n", ", line 6", "2 numbers, came 3"),
+        ("ncols 2\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 0\n1 2\n3 4\n", "", "steps"),
+        ("ncols 1\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 1\n1\n3\n", "", "2 x 2 heights or more"),
+        ("ncols inf\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 1\n", "", "whole number for ncols, came inf"),
+        ("ncols two\n", ", line 1", "1 numbers, came 'two'"),
+    ],
+)
+def test_bad_grids(tmp_path: Path, text: str, where: str, words: str) -> None:
+    path = tmp_path / "bad.asc"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words) as caught:
+        read_terrain(path)
+    assert caught.value.where == f"{path}{where}"
+
+
+def test_bad_arrays(tmp_path: Path) -> None:
+    path = tmp_path / "bad.npz"
+    np.savez(path, heights=np.zeros((3, 3)), origin=np.zeros(2))
+    with pytest.raises(InputError, match="without step"):
+        read_terrain(path)
+    np.savez(path, heights=np.zeros((3, 3)), origin=np.zeros(2), step=np.array([1.0, -1]))
+    with pytest.raises(InputError, match="above 0"):
+        read_terrain(path)
+    path.write_bytes(b"PK\x03\x04 and no more")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_terrain(path)

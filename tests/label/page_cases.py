@@ -1,0 +1,104 @@
+"""A labelling page in a process of its own, and a browser to look at it with."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+# Debian's and others' names of the same browser.
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
+needs_browser = pytest.mark.skipif(not CHROMIUM, reason="needs Chromium (Debian: apt-get install chromium)")
+FLAGS = ("--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update", "--disable-sync")
+SIZE = (640, 480)
+FRAMES = 40
+
+PROGRAM = """
+import sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from page_cases import session
+from phdtrack.label.app import label_app
+from phdtrack.label.serve import listen, serve
+address = listen(port={port})
+print(address.url, flush=True)
+serve(label_app(session(Path({labels!r}), {boxes}, {waiting_for!r} and Path({waiting_for!r}))), address)
+"""
+
+
+def session(labels: Path, boxes: int, waiting_for: Path | None = None):
+    """A session on drawn frames: on each ``boxes`` detections on a grid, and a small one inside the first.
+
+    Of box 3 it is suggested that its place fires, of box 4 that it was rejected; of the latter on every other frame only,
+    and with a score below that of ticked ones on the frames behind 20. The suggestions are there when the file
+    ``waiting_for`` is.
+    """
+    import cv2
+
+    from phdtrack.label import LabelStore
+    from phdtrack.label.background import Background, Ready
+    from phdtrack.label.session import Session
+    from phdtrack.label.suggest import Suggestions
+    from phdtrack.types import Detections, DetectionTable, SequenceInfo
+
+    across = int(np.ceil(np.sqrt(boxes * 4 / 3)))
+    step = 600 / across
+    corner = np.array([(20 + step * (k % across), 20 + step * (k // across)) for k in range(boxes)])
+    one = np.vstack([np.hstack([corner, corner + 0.8 * step]), [[20 + 0.2 * step] * 2 + [20 + 0.5 * step] * 2]])
+    frame = np.repeat(np.arange(1, FRAMES + 1), len(one))
+    table = DetectionTable(frame, Detections.of(np.tile(one, (FRAMES, 1)), np.full(len(frame), 0.5)))
+    stills = {}
+    for number in range(1, FRAMES + 1):
+        image = np.full((SIZE[1], SIZE[0], 3), 60, np.uint8)
+        cv2.putText(image, str(number), (250, 260), cv2.FONT_HERSHEY_SIMPLEX, 3, (200, 200, 200), 4)
+        stills[number] = cv2.imencode(".jpg", image)[1].tobytes()
+    store = LabelStore.open(labels, "drawn", "digest", list(range(1, FRAMES + 1)))
+    places, rejected = np.arange(1, FRAMES + 1), np.arange(1, FRAMES + 1, 2)
+    kind = np.repeat([0, 1], [len(places), len(rejected)])
+    score = np.concatenate([np.full(len(places), 0.99), np.where(rejected <= 20, 0.95, 0.5)])
+    found = Suggestions(np.concatenate([places, rejected]), 3 + kind, kind, score, -kind)
+
+    def waits(told):
+        told(0.25)
+        while not waiting_for.exists():
+            time.sleep(0.02)
+        return found
+
+    suggester = Ready(found) if waiting_for is None else Background(waits)
+    return Session(store, table, stills, SequenceInfo(*SIZE, 25.0, FRAMES, "drawn"), suggester)
+
+
+@contextlib.contextmanager
+def server(
+    labels: Path, boxes: int = 12, port: int = 0, waiting_for: Path | None = None
+) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """The page's address and the process that serves it, which may be killed inside."""
+    program = PROGRAM.format(
+        tests=str(Path(__file__).parent),
+        labels=str(labels),
+        boxes=boxes,
+        port=port,
+        waiting_for=waiting_for and str(waiting_for),
+    )
+    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        url = process.stdout.readline().strip()
+        assert url.startswith("http://127.0.0.1:")
+        for _ in range(100):
+            with contextlib.suppress(OSError), urllib.request.urlopen(url, timeout=5):
+                break
+            time.sleep(0.05)
+        yield url, process
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()

@@ -1,0 +1,141 @@
+"""What the page asks for and what is answered."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from page_cases import FRAMES, SIZE, session
+from starlette.testclient import TestClient
+
+from phdtrack.label import LabelStore
+from phdtrack.label.app import label_app
+
+
+@pytest.fixture
+def page(tmp_path):
+    return TestClient(label_app(session(tmp_path / "labels.sqlite", 12)))
+
+
+def marks(*boxes, frame=1, mark="false"):
+    return {"marks": [{"frame": frame, "box": box, "mark": mark} for box in boxes]}
+
+
+def test_frames_and_their_boxes(page):
+    overview = page.get("/api/overview").json()
+    assert (overview["width"], overview["height"], len(overview["frames"])) == (*SIZE, FRAMES)
+    frame = page.get("/api/frame/3").json()
+    assert len(frame["boxes"]) == 13
+    assert frame["boxes"][0][4] == 0.5
+    assert (frame["marks"], frame["undo"], frame["redo"]) == ({}, 0, 0)
+
+
+def test_marks_are_kept_undone_and_redone(page):
+    answer = page.post("/api/frame/1/marks", json=marks(0, 12) | {"who": "me", "key": "k"}).json()
+    assert answer["marks"] == {"0": "false", "12": "false"}
+    assert answer["progress"]["false"] == 2
+    assert (answer["undo"], answer["redo"]) == (1, 0)
+    answer = page.post("/api/frame/1/undo", json={}).json()
+    assert (answer["marks"], answer["undo"], answer["redo"]) == ({}, 0, 1)
+    assert page.post("/api/frame/1/redo", json={}).json()["progress"]["false"] == 2
+    assert page.post("/api/frame/1/done", json={"done": True}).json()["progress"]["done"] == 1
+    assert page.get("/api/labels.csv").text.split() == ["frame,box,mark", "1,0,false", "1,12,false"]
+
+
+def test_all_like_one_leaves_out_what_is_marked(page):
+    assert page.get("/api/frame/1/alike/12").json() == [[number, 12] for number in range(1, FRAMES + 1)]
+    page.post("/api/frame/5/marks", json=marks(12, frame=5))
+    assert [5, 12] not in page.get("/api/frame/1/alike/12").json()
+
+
+def test_pictures(page):
+    still, crop = (
+        cv2.imdecode(np.frombuffer(page.get(path).content, np.uint8), 1) for path in ("/still/2.jpg", "/crop/2/0.jpg")
+    )
+    assert still.shape == (SIZE[1], SIZE[0], 3)
+    assert max(crop.shape[:2]) == 96
+
+
+def test_the_map_shows_where_false_boxes_were_marked(page):
+    def red():
+        return cv2.imdecode(np.frombuffer(page.get("/api/map/false.png").content, np.uint8), cv2.IMREAD_UNCHANGED)[..., 3]
+
+    assert red().max() == 0
+    page.post("/api/frame/1/marks", json={"marks": [{"frame": k, "box": 0, "mark": "false"} for k in range(1, 21)]})
+    shown = red()
+    assert shown.max() > 150
+    # The box's centre, at half the size; the far corner stays clear.
+    down, across = np.unravel_index(np.argmax(shown), shown.shape)
+    box = page.get("/api/frame/1").json()["boxes"][0]
+    assert (2 * across, 2 * down) == pytest.approx(((box[0] + box[2]) / 2, (box[1] + box[3]) / 2), abs=6)
+    assert shown[-40:, -40:].max() == 0
+
+
+@pytest.mark.parametrize(
+    ("path", "sent", "words"),
+    [
+        ("marks", marks(0, mark="perhaps"), "expected one of false, birth, none"),
+        ("marks", marks(13), "13 detections, and no number 13"),
+        ("marks", marks(-1), "no number -1"),
+        ("marks", marks(0, frame=77), "frame 77 is not one"),
+        ("marks", {"marks": ["x"]}, "objects with frame, box and mark"),
+        ("marks", {"marks": []}, "a mark or more"),
+        ("marks", marks(0) | {"key": "x" * 200}, "a short text as key"),
+        ("undo", [1], "a JSON object"),
+    ],
+)
+def test_what_cannot_be_used_is_told_and_changes_nothing(page, path, sent, words):
+    answer = page.post(f"/api/frame/1/{path}", json=sent)
+    assert answer.status_code == 400
+    assert words in answer.json()["error"]
+    assert page.get("/api/overview").json()["progress"]["false"] == 0
+
+
+def test_unknown_orders_and_endless_bodies(page):
+    assert page.post("/api/frame/1/erase", json={}).status_code == 404
+    answer = page.post("/api/frame/1/marks", content=b"x" * 5_000_000)
+    assert answer.status_code == 400
+    assert "at most" in answer.json()["error"]
+
+
+def test_suggestions_leave_out_what_is_marked(page):
+    told = page.get("/api/suggestions").json()
+    assert (told["ready"], told["share"], told["problem"], told["more"]) == (True, 1.0, "", 0)
+    assert len(told["items"]) == FRAMES + FRAMES // 2
+    assert told["items"][0] == [1, 3, "place", 0.99, 0]
+    assert told["items"][FRAMES] == [1, 4, "rejected", 0.95, -1]
+    page.post("/api/frame/1/marks", json={"marks": [{"frame": k, "box": 3, "mark": "false"} for k in (1, 2)]})
+    assert len(page.get("/api/suggestions").json()["items"]) == FRAMES + FRAMES // 2 - 2
+    page.post("/api/frame/1/undo", json={})
+    assert len(page.get("/api/suggestions").json()["items"]) == FRAMES + FRAMES // 2
+
+
+def test_births_have_a_map_of_their_own(page):
+    def drawn(mark):
+        return cv2.imdecode(np.frombuffer(page.get(f"/api/map/{mark}.png").content, np.uint8), cv2.IMREAD_UNCHANGED)
+
+    births = [{"frame": k, "box": 5, "mark": "birth"} for k in range(2, 22)]
+    page.post("/api/frame/2/marks", json={"marks": births})
+    assert drawn("false")[..., 3].max() == 0
+    assert drawn("birth")[..., 3].max() > 150
+    assert drawn("birth")[0, 0, 1] > drawn("birth")[0, 0, 2]
+    assert page.get("/api/labels.csv").text.count("birth") == 20
+    assert page.get("/api/overview").json()["progress"]["births"] == 20
+
+
+def test_frames_of_a_clip_are_answered_and_marked(tmp_path):
+    made = session(tmp_path / "labels.sqlite", 12)
+    store = LabelStore.open(tmp_path / "few.sqlite", "drawn", "digest", [20])
+    # A frame of a clip is kept small: its boxes are those of the whole frame all the same.
+    small = np.zeros((SIZE[1] // 4, SIZE[0] // 4, 3), np.uint8)
+    left, top, right, bottom = (round(v / 4) for v in made.table.at(25).xyxy[0])
+    small[top:bottom, left:right] = 255
+    stills = {**made.stills, 25: cv2.imencode(".jpg", small)[1].tobytes()}
+    page = TestClient(label_app(replace(made, store=store, stills=stills)))
+    assert page.get("/api/overview").json()["frames"] == [{"number": 20, "done": False, "clip": [10, 30]}]
+    assert len(page.get("/api/frame/25").json()["boxes"]) == 13
+    crop = cv2.imdecode(np.frombuffer(page.get("/crop/25/0.jpg").content, np.uint8), 0)
+    assert (crop > 128).mean() == pytest.approx(1 / 1.4**2, abs=0.08)
+    assert page.get("/api/frame/31").status_code == 400
+    assert page.post("/api/frame/20/marks", json=marks(0, frame=25, mark="birth")).status_code == 200
+    assert page.post("/api/frame/20/marks", json=marks(0, frame=31, mark="birth")).status_code == 400

@@ -1,0 +1,83 @@
+"""Sums over judged frames and the estimates they give: priors, limits, which tracks teach p_D."""
+
+import numpy as np
+import pytest
+
+from phdtrack.scene.rates import Counted, Known, Noise, Priors
+from phdtrack.scene.rates.known import DETECTION, TRACKED, WATCHED
+from phdtrack.scene.sightings import Sightings
+from phdtrack.types import Tracks
+
+PRIORS = Priors(0.8, 5.0, 0.02, False, False)
+
+
+def rates(known, priors=PRIORS):
+    return known.rates(priors, Noise(), (1.0, 1.0), 1, 1.0)
+
+
+def walk(identity, frames, speed, confirmed=True):
+    """Rows of a track that was detected in these frames, in a box of 20 × 50 that goes ``speed`` pixels a frame."""
+    frames = np.asarray(frames)
+    left = 100.0 + speed * frames
+    boxes = np.stack([left, np.full(len(frames), 50.0), left + 20, np.full(len(frames), 100.0)], axis=1)
+    n = len(frames)
+    return Tracks(frames, np.full(n, identity), boxes, np.ones(n), np.zeros(n, np.int64), np.full(n, confirmed))
+
+
+def sightings(*tracks):
+    rows = Tracks.concatenate(list(tracks))
+    return Sightings.none().met(rows, rows.frame)
+
+
+def test_without_frames_the_settings_hold():
+    found = rates(Known())
+    assert (found.detection, found.clutter, found.births, found.limited) == (0.8, 5.0, 0.02, ())
+
+
+def test_estimates_are_posterior_means():
+    known = Known(hits=90, span=100, false=200, detections=400, frames=20, births=4, units=100, chances=2000)
+    found = rates(known)
+    assert found.detection == pytest.approx((TRACKED * 0.8 + 90) / (TRACKED + 100))
+    assert found.clutter == pytest.approx((WATCHED * 5 + 200) / (WATCHED + 20))
+    assert found.births == pytest.approx((5 + 4) / (5 / 0.02 + 100))
+    around = rates(known, Priors(0.8, 0.3, 0.01, True, True))
+    assert around.clutter == pytest.approx((50 * 0.3 + 200) / (50 + 400))
+    assert around.births == pytest.approx((5 + 4) / (5 / 0.01 + 2000))
+
+
+def test_much_evidence_outweighs_any_setting_and_limits_are_told():
+    assert rates(Known(hits=5e5, span=1e6)).detection == pytest.approx(0.5, abs=1e-4)
+    low, high = rates(Known(hits=1, span=1e6)), rates(Known(hits=1e6, span=1e6))
+    assert (low.detection, high.detection) == DETECTION
+    assert low.limited == high.limited == ("detection",)
+    assert "clutter" in rates(Known(false=1e9, frames=10)).limited
+
+
+def test_frames_between_first_and_last_detection_teach():
+    # Detected in 6 of the 9 frames after the first, up to the last.
+    counted, known = Counted().counting(Known(), sightings(walk(1, [1, 2, 3, 5, 7, 8, 10], 5)))
+    assert (known.hits, known.span) == (6, 9)
+    # Asked again, it has nothing more to tell.
+    assert counted.counting(known, sightings(walk(1, [1, 2, 3, 5, 7, 8, 10], 5)))[1] == known
+    more = counted.counting(known, sightings(walk(1, [1, 2, 3, 5, 7, 8, 10, 12], 5)))[1]
+    assert (more.hits, more.span) == (7, 11)
+
+
+def test_what_stays_in_its_place_and_what_was_not_confirmed_teaches_nothing():
+    standing, doubtful = walk(1, [1, 4, 9, 20], 0), walk(2, np.arange(1, 30, 3), 5, confirmed=False)
+    assert Counted().counting(Known(), sightings(standing, doubtful))[1] == Known()
+
+
+def test_fading_keeps_shares():
+    known = Known(hits=90, span=100, false=200, detections=400, frames=20, births=4, units=100, chances=2000)
+    faded = known.faded(0.25)
+    assert faded.hits / faded.span == known.hits / known.span
+    assert faded.frames == 5
+
+
+def test_the_estimate_of_drawn_waits_is_right():
+    rng = np.random.default_rng(0)
+    for p in (0.4, 0.7, 0.95):
+        tracks = [walk(k, 1 + np.flatnonzero(rng.random(80) < p), 5) for k in range(1, 60)]
+        _, known = Counted().counting(Known(), sightings(*tracks))
+        assert known.hits / known.span == pytest.approx(p, abs=0.02)

@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+
+from phdtrack.errors import InputError
+from phdtrack.scene import ContextDensity, uniform_density
+from phdtrack.scene.inside import mass_inside
+
+LOW, HIGH = np.array([0.0, 0.0, -2.0]), np.array([10.0, 6.0, 2.0])
+
+
+def leaking():
+    """Two Gaussians with correlated components, of which a good part lies outside."""
+    cov = np.array([[[4.0, 1.5, 0.3], [1.5, 2.0, -0.4], [0.3, -0.4, 0.5]], [[1.0, 0, 0], [0, 1, 0], [0, 0, 4.0]]])
+    mean = np.array([[0.5, 9.5], [3.0, 1.0], [1.5, 0.0]])
+    return ContextDensity(LOW, HIGH, 0.2, np.array([0.7, 0.3]), mean, cov)
+
+
+def cells(count):
+    """Midpoints of count³ equal cells of the volume, and the volume of one."""
+    axes = [lo + (hi - lo) * (np.arange(count) + 0.5) / count for lo, hi in zip(LOW, HIGH, strict=True)]
+    points = np.stack([part.ravel() for part in np.meshgrid(*axes, indexing="ij")])
+    return points, np.prod(HIGH - LOW) / count**3
+
+
+def test_integrates_to_one_over_the_volume_and_is_nothing_outside():
+    points, cell = cells(80)
+    assert leaking()(points).sum() * cell == pytest.approx(1, abs=2e-3)
+    assert leaking()(np.array([[-0.1, 5.0], [3.0, 6.1], [0.0, 0.0]])).tolist() == [0, 0]
+
+
+def test_mass_inside_against_drawing():
+    p = leaking()
+    rng = np.random.default_rng(0)
+    for m in range(2):
+        drawn = rng.multivariate_normal(p.mean[:, m], p.covariance[m], 400_000).T
+        part = ((drawn >= LOW[:, None]) & (drawn <= HIGH[:, None])).all(axis=0).mean()
+        # Four standard errors of the drawing, and what the lattice may be off.
+        assert p.inside[m] == pytest.approx(part, abs=4 * np.sqrt(part * (1 - part) / 400_000) + 1e-3)
+
+
+def test_mass_inside_is_exact_for_independent_components():
+    from scipy.stats import norm
+
+    mean, deviation = np.array([[1.0], [2.0], [0.5]]), np.array([3.0, 1.0, 2.0])
+    expected = np.prod(norm.cdf(HIGH, mean[:, 0], deviation) - norm.cdf(LOW, mean[:, 0], deviation))
+    assert mass_inside(mean, np.diag(deviation**2)[None], LOW, HIGH)[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_draws_follow_the_density():
+    p, rng = leaking(), np.random.default_rng(1)
+    drawn = p.sample(200_000, rng)
+    assert ((drawn >= LOW[:, None]) & (drawn <= HIGH[:, None])).all()
+    points, cell = cells(80)
+    density = p(points) * cell
+    for r in range(3):
+        mean = (density * points[r]).sum()
+        deviation = np.sqrt((density * points[r] ** 2).sum() - mean**2)
+        assert drawn[r].mean() == pytest.approx(mean, abs=5 * deviation / np.sqrt(200_000) + 2e-3 * (HIGH - LOW)[r])
+
+
+def test_uniform_alone():
+    p = uniform_density(LOW, HIGH)
+    np.testing.assert_allclose(p(np.array([[1.0], [1.0], [1.0]])), 1 / 240)
+    assert len(p) == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"high": np.array([0.0, 6, 2])}, "exceed"),
+        ({"uniform": 0.0}, "share of the uniform part"),
+        ({"weight": np.array([0.7, 0.7])}, "of sum 1"),
+        ({"weight": np.array([1.0])}, "do not fit"),
+        ({"mean": np.full((3, 2), np.nan)}, "finite"),
+        ({"covariance": np.zeros((2, 3, 3))}, "positive definite"),
+    ],
+)
+def test_mistakes_are_told(change, words):
+    p = leaking()
+    parts = {name: getattr(p, name) for name in ("low", "high", "uniform", "weight", "mean", "covariance")}
+    with pytest.raises(InputError, match=words):
+        ContextDensity(**(parts | change))

@@ -1,0 +1,219 @@
+"""The learner on samples from known mixtures, at the sizes and with the grids of the paper."""
+
+import numpy as np
+import pytest
+
+from phdtrack.errors import InputError
+from phdtrack.scene import ContextDensity, RecursiveEM, grid, marginal
+from phdtrack.types import F8
+
+PLACES = np.array([[100.0, 300, 500, 650], [100, 350, 250, 430]])
+SPEEDS = np.array([[3.0, -3, 0, 2], [0, 1, -4, 2]])
+SIZES = np.array([[40.0, 40, 50, 30], [90, 100, 120, 80]])
+WEIGHTS = np.array([0.4, 0.3, 0.2, 0.1])
+DEVIATION = np.array([25.0, 20, 1, 1, 6, 12])
+# Births in six dimensions from a 12 x 10 grid, false alarms in four from 16 x 14; samples as many as M09's.
+CASES = {"births": (6, (12, 10), 320), "clutter": (4, (16, 14), 1800)}
+
+
+def known(dim: int, uniform: float = 1e-3) -> ContextDensity:
+    """Four places well apart, with a uniform part beside them."""
+    rows = [0, 1, 2, 3, 4, 5] if dim == 6 else [0, 1, 4, 5]
+    low, high = np.array([0.0, 0, -20, -20, 0, 0])[rows], np.array([720.0, 480, 20, 20, 120, 200])[rows]
+    mean, cov = np.vstack([PLACES, SPEEDS, SIZES])[rows], np.diag(DEVIATION[rows] ** 2)
+    return ContextDensity(low, high, uniform, WEIGHTS, mean, np.tile(cov, (4, 1, 1)))
+
+
+def begin(p: ContextDensity, counts: tuple[int, int], samples: F8) -> ContextDensity:
+    """The paper's start: a grid, zero speed, mean size."""
+    centre, spread = samples.mean(axis=1), samples.std(axis=1)
+    if p.dim == 6:
+        centre[2:4] = 0
+    return grid(p.low, p.high, counts, centre, spread)
+
+
+def batch_em(p: ContextDensity, samples: F8, iterations: int = 300) -> ContextDensity:
+    """Maximum likelihood of the whole model by batch EM, begun at the truth."""
+    uniform, weight, mean, cov = p.uniform, p.weight, p.mean, p.covariance
+    flat = np.log(1 / p.volume)
+    for _ in range(iterations):
+        logs = [np.full(samples.shape[1], np.log(uniform) + flat)]
+        for w, m, c in zip(weight, mean.T, cov, strict=True):
+            step = samples - m[:, None]
+            distance2 = np.einsum("rn,rn->n", step, np.linalg.solve(c, step))
+            logs.append(np.log((1 - uniform) * w) - 0.5 * (distance2 + np.linalg.slogdet(2 * np.pi * c)[1]))
+        share = np.exp(np.array(logs) - np.logaddexp.reduce(logs, axis=0))
+        uniform = max(1e-3, share[0].mean())
+        mass = share[1:].sum(axis=1)
+        weight, mean = mass / mass.sum(), samples @ share[1:].T / mass
+        cov = np.array([(s * (d := samples - m[:, None])) @ d.T / s.sum() for s, m in zip(share[1:], mean.T, strict=True)])
+    return ContextDensity(p.low, p.high, uniform, weight, mean, cov)
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("uniform", [1e-3, 0.1])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_components_weights_and_means_come_out(case, uniform, seed):
+    dim, counts, n = CASES[case]
+    p = known(dim, uniform)
+    samples = p.sample(n, np.random.default_rng(seed))
+    found = RecursiveEM().learn(begin(p, counts, samples), samples)
+    heavy = np.flatnonzero(found.weight > 0.03)
+    assert len(heavy) == 4
+    for m in range(4):
+        distance = np.hypot(*(found.mean[:2, heavy] - p.mean[:2, m, None]))
+        nearest = heavy[np.argmin(distance)]
+        # Four standard errors of a share and of a mean estimated from so many samples.
+        share = p.weight[m]
+        assert found.weight[nearest] == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / n) + 0.01)
+        error = np.abs(found.mean[:, nearest] - p.mean[:, m]) / np.sqrt(np.diag(p.covariance[m]))
+        assert (error < 4.5 / np.sqrt(share * n)).all()
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("uniform", [1e-3, 0.1])
+def test_explains_what_it_has_not_seen(case, uniform):
+    dim, counts, n = CASES[case]
+    behind = []
+    for seed in range(4, 8):
+        p, rng = known(dim, uniform), np.random.default_rng(seed)
+        samples, unseen = p.sample(n, rng), p.sample(4000, rng)
+        found = RecursiveEM().learn(begin(p, counts, samples), samples)
+        ours, batch = found.log(unseen).mean(), batch_em(p, samples).log(unseen).mean()
+        # In nats per sample; the truth itself is 4 (clutter) and 8 to 10 (births) above the uniform density.
+        assert ours > -np.log(p.volume) + (3 if dim == 4 else 7)
+        behind.append(batch - ours)
+    # Of 320 births the smallest place has 32: single sets may keep a component more or less, and lose 0.2.
+    assert np.mean(behind) < 0.1
+    assert np.max(behind) < 0.3
+
+
+def test_the_density_integrates_to_one_after_every_update():
+    dim, counts, _ = CASES["clutter"]
+    p, rng = known(dim), np.random.default_rng(5)
+    samples = p.sample(300, rng)
+    now = begin(p, counts, samples)
+    points = p.sample(20_000, np.random.default_rng(6))
+    proposal = p(points)
+    for part in np.split(samples, 6, axis=1):
+        now = RecursiveEM(memory=300, passes=3).learn(now, part)
+        assert now.weight.sum() == pytest.approx(1, abs=1e-9)
+        assert (np.linalg.eigvalsh(now.covariance) > 0).all()
+        # Importance sampling from the truth with a uniform part: the standard error is stated by the sample itself.
+        mixed = np.concatenate([points, rng.uniform(p.low[:, None], p.high[:, None], points.shape)], axis=1)
+        ratio = now(mixed) / (0.5 * p(mixed) + 0.5 / p.volume)
+        assert ratio.mean() == pytest.approx(1, abs=5 * ratio.std() / np.sqrt(ratio.size) + 2e-3)
+    assert proposal.min() > 0
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_grids_of_the_paper_thin_out(case):
+    dim, counts, n = CASES[case]
+    p = known(dim)
+    samples = p.sample(n, np.random.default_rng(7))
+    start = begin(p, counts, samples)
+    assert len(start) == counts[0] * counts[1]
+    found = RecursiveEM().learn(start, samples)
+    assert 4 <= len(found) <= 8
+    assert found.uniform < 0.05
+
+
+def test_a_few_samples_in_one_place_leave_nothing_elsewhere():
+    p = known(4)
+    samples = p.mean[:, :1] + 2 * np.random.default_rng(3).standard_normal((4, 20))
+    found = RecursiveEM().learn(begin(p, (16, 14), samples), samples)
+    assert len(found) == 1
+    assert found.mean[:, 0] == pytest.approx(samples.mean(axis=1), abs=0.5)
+
+
+def test_is_the_same_for_the_same_samples_and_changes_nothing_given():
+    dim, counts, n = CASES["births"]
+    p = known(dim)
+    samples = p.sample(n, np.random.default_rng(8))
+    start = begin(p, counts, samples)
+    before = (start.weight.copy(), start.mean.copy(), start.covariance.copy(), samples.copy())
+    first, second = (RecursiveEM().learn(start, samples) for _ in range(2))
+    np.testing.assert_array_equal(first.mean, second.mean)
+    np.testing.assert_array_equal(first.covariance, second.covariance)
+    for was, now in zip(before, (start.weight, start.mean, start.covariance, samples), strict=True):
+        np.testing.assert_array_equal(was, now)
+
+
+def test_equal_samples_keep_the_covariances_above_the_floor():
+    p = known(4)
+    samples = np.tile(p.mean[:, :1], 200)
+    found = RecursiveEM().learn(begin(p, (4, 4), p.sample(200, np.random.default_rng(9))), samples)
+    extent = p.high - p.low
+    assert (np.linalg.eigvalsh(found.covariance) >= 0.99 * (1e-4 * extent.min()) ** 2).all()
+    assert np.isfinite(found.log(samples)).all()
+
+
+def test_samples_outside_count_for_nothing_and_none_change_nothing():
+    p = known(4)
+    start = grid(p.low, p.high, (4, 4), p.mean[:, 0], np.sqrt(np.diag(p.covariance[0])))
+    outside = np.tile(p.high[:, None] + 1, 50)
+    assert RecursiveEM().learn(start, outside) is start
+    assert RecursiveEM().learn(start, np.zeros((4, 0))) is start
+
+
+def test_mistakes_are_told():
+    p = known(4)
+    with pytest.raises(InputError, match=r"expected samples \(4, n\)"):
+        RecursiveEM().learn(p, np.zeros((6, 3)))
+    with pytest.raises(InputError, match="show something"):
+        RecursiveEM().learn(p, np.full((4, 3), np.nan))
+    with pytest.raises(InputError, match="finite"):
+        RecursiveEM().learn(p, np.full((4, 3), np.inf))
+    for weight in (np.ones(2), np.array([1, -1, 1.0]), np.array([1, np.nan, 1])):
+        with pytest.raises(InputError, match="weights from 0, one for each of 3"):
+            RecursiveEM().learn(p, np.ones((4, 3)), weight)
+
+
+def test_a_sample_worth_two_counts_like_two_and_one_worth_nothing_like_none():
+    dim, counts, _ = CASES["clutter"]
+    p, rng = known(dim), np.random.default_rng(10)
+    samples = p.sample(600, rng)
+    start = begin(p, counts, samples)
+    worth = rng.integers(0, 3, 600).astype(float)
+    twice = np.repeat(samples, worth.astype(int), axis=1)
+    ours, theirs = RecursiveEM().learn(start, samples, worth), RecursiveEM().learn(start, twice)
+    unseen = p.sample(4000, rng)
+    # The orders of the samples differ; batch EM would give the same.
+    assert ours.log(unseen).mean() == pytest.approx(theirs.log(unseen).mean(), abs=0.1)
+    beside = np.concatenate([samples, rng.uniform(p.low[:, None], p.high[:, None], (4, 300))], axis=1)
+    ignored = RecursiveEM().learn(start, beside, np.repeat([1.0, 0.0], [600, 300]))
+    np.testing.assert_array_equal(ignored.mean, RecursiveEM().learn(start, samples).mean)
+
+
+def test_births_of_which_some_have_no_velocity():
+    dim, counts, n = CASES["births"]
+    p, rng = known(dim), np.random.default_rng(11)
+    samples, unseen = p.sample(2 * n, rng), p.sample(4000, rng)
+    start = begin(p, counts, samples)
+    some = samples.copy()
+    some[2:4, ::2] = np.nan
+    found = RecursiveEM().learn(start, some)
+    # As good as from complete ones alone, and in what they all show nearly as good as from all, complete.
+    half = RecursiveEM().learn(start, np.ascontiguousarray(samples[:, 1::2]))
+    assert found.log(unseen).mean() > half.log(unseen).mean() - 0.1
+    place, full = (marginal(q, (0, 1, 4, 5)) for q in (found, RecursiveEM().learn(start, samples)))
+    shown = unseen[[0, 1, 4, 5]]
+    assert place.log(shown).mean() == pytest.approx(full.log(shown).mean(), abs=0.1)
+    for m in range(4):
+        nearest = np.argmin(np.hypot(*(found.mean[:2] - p.mean[:2, m, None])))
+        deviation = np.sqrt(np.diag(p.covariance[m]))[2:4]
+        error = np.abs(found.mean[2:4, nearest] - p.mean[2:4, m]) / deviation
+        assert (error < 4.5 / np.sqrt(p.weight[m] * n)).all()
+        spread = np.sqrt(np.diag(found.covariance[nearest]))[2:4]
+        assert spread == pytest.approx(deviation, rel=5 / np.sqrt(2 * p.weight[m] * n))
+
+
+def test_what_no_sample_shows_stays():
+    dim, counts, n = CASES["births"]
+    p, rng = known(dim), np.random.default_rng(12)
+    samples = p.sample(n, rng)
+    start = begin(p, counts, samples)
+    samples[2:4] = np.nan
+    found = RecursiveEM().learn(start, samples)
+    np.testing.assert_allclose(found.mean[2:4], 0, atol=1e-9)
+    np.testing.assert_allclose(found.covariance[:, 2:4, 2:4], np.tile(start.covariance[0][2:4, 2:4], (len(found), 1, 1)))

@@ -1,0 +1,94 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from phdtrack.errors import InputError
+from phdtrack.scene import ContextDensity, Followed, Learned, Scene, read_scene, uniform_density, write_scene
+
+
+def scene():
+    cov = np.array([[[9.0, 1, 0, 0], [1, 4, 0, 0], [0, 0, 2, 0], [0, 0, 0, 3]]])
+    clutter = ContextDensity(np.zeros(4), np.full(4, 100.0), 0.3, np.ones(1), np.full((4, 1), 50.0), cov)
+    births = uniform_density(np.full(6, -10.0), np.full(6, 10.0))
+    followed = Followed(
+        0.35, Learned(4.25, ContextDensity(clutter.low, clutter.high, 0.6, np.ones(1), clutter.mean, cov), 170)
+    )
+    learned = Learned(0.02, births, 320), Learned(1.5, clutter, 1800)
+    return Scene(640, 480, 25.0, "street.mp4", *learned, {"held out": -17.25}, followed)
+
+
+def test_what_is_written_is_read_back(tmp_path):
+    path = tmp_path / "scene.json"
+    write_scene(path, scene())
+    back = read_scene(path)
+    assert (back.width, back.height, back.rate, back.source) == (640, 480, 25.0, "street.mp4")
+    assert back.notes == {"held out": -17.25}
+    assert back.followed.share == 0.35
+    parts = [(s.births, s.clutter, s.followed.objects) for s in (scene(), back)]
+    for mine, read in zip(*parts, strict=True):
+        assert (read.rate, read.samples) == (mine.rate, mine.samples)
+        for name in ("low", "high", "uniform", "weight", "mean", "covariance"):
+            np.testing.assert_array_equal(getattr(read.density, name), getattr(mine.density, name))
+    assert [file.name for file in tmp_path.iterdir()] == ["scene.json"]
+
+
+def test_a_part_may_be_missing(tmp_path):
+    write_scene(tmp_path / "scene.json", Scene(640, 480, 25.0, "street.mp4"))
+    back = read_scene(tmp_path / "scene.json")
+    assert back.births is None
+    assert back.clutter is None
+    assert back.followed is None
+
+
+def test_scenes_that_know_nothing_of_what_is_followed_are_read(tmp_path):
+    """As they were written before there was any."""
+    path = tmp_path / "scene.json"
+    write_scene(path, scene())
+    document = json.loads(path.read_text())
+    del document["followed"]
+    path.write_text(json.dumps(document))
+    back = read_scene(path)
+    assert back.followed is None
+    assert (back.births.rate, back.clutter.rate, back.notes) == (0.02, 1.5, {"held out": -17.25})
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_all_or_nothing_may_be_followed(tmp_path, share):
+    path = tmp_path / "scene.json"
+    write_scene(path, replace(scene(), followed=replace(scene().followed, share=share)))
+    assert read_scene(path).followed.share == share
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda document: document.update(format=7), "format 1, got 7"),
+        (lambda document: document.pop("width"), "KeyError 'width'"),
+        (lambda document: document["clutter"].update(rate=-1), "a rate from 0"),
+        (lambda document: document["clutter"].update(weight=[0.4]), "of sum 1"),
+        (lambda document: document["births"].update(low=[0, 0]), "6 or 4 components, got 0.02 and 2"),
+        (lambda document: document["followed"].update(share=1.5), "a share from 0 to 1, got 1.5"),
+        (lambda document: document["followed"].update(share=-0.1), "a share from 0 to 1, got -0.1"),
+        (lambda document: document["followed"].update(share=float("nan")), "a share from 0 to 1, got nan"),
+        (lambda document: document["followed"].update(objects=document["births"]), "and 4 components, got 0.02 and 6"),
+        (lambda document: document["followed"].pop("share"), "KeyError 'share'"),
+    ],
+)
+def test_what_is_no_scene_is_told(tmp_path, spoil, words):
+    path = tmp_path / "scene.json"
+    write_scene(path, scene())
+    document = json.loads(path.read_text())
+    spoil(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=words):
+        read_scene(path)
+
+
+def test_files_that_are_no_json(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        read_scene(tmp_path / "none.json")
+    (tmp_path / "text.json").write_text("hello")
+    with pytest.raises(InputError, match="expected a learned scene as JSON"):
+        read_scene(tmp_path / "text.json")

@@ -1,0 +1,105 @@
+"""The smoother against the joint density of everything at once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from refine_cases import model_of, piece, sequence, walk
+
+from phdtrack.measured import Measured
+from phdtrack.smooth.paths import Seen, paths_of
+from phdtrack.smooth.smooth import smooth
+from reference import refine_twin as twin
+
+
+def smoothed(tracks, measured, model):
+    seen = Seen.of(measured.z, model.sensor)
+    paths = paths_of(tracks, measured)
+    return paths, smooth(paths, measured, seen, model.motion), seen
+
+
+@given(st.integers(0, 2**32 - 1), st.lists(st.booleans(), min_size=0, max_size=12), st.floats(0.2, 3.0))
+@settings(max_examples=40, deadline=None)
+def test_states_are_those_of_the_joint_density(seed: int, missed: list[bool], dt: float):
+    rng, model = np.random.default_rng(seed), model_of()
+    n = len(missed) + 2
+    walked = walk(rng, n, (100, 200), rng.normal(0, 3, 2))
+    shown = {k + 1: walked[k] for k in range(n) if k in (0, n - 1) or not missed[k - 1]}
+    tracks, even = sequence([shown], n, model)
+    measured = Measured(even.number, dt * even.time, even.start, even.z, even.warp, even.look)
+    paths, states, seen = smoothed(tracks, measured, model)
+    mean, cov = twin.joint(model.motion, measured.time, seen, paths.measurement)
+    np.testing.assert_allclose(states.mean, mean, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(states.covariance, cov, rtol=1e-6, atol=1e-6)
+
+
+def test_paths_side_by_side_are_what_each_is_alone(rng):
+    model = model_of(scaled=True, acceleration=0.005, resize=0.07)
+    a, b = walk(rng, 30, (100, 200), (2, 0)), walk(rng, 30, (400, 100), (-1, 1))
+    pieces = [piece(a, 1, (1, 10), (14, 30)), piece(b, 1, (6, 25))]
+    both = smoothed(*sequence(pieces, 30, model), model)
+    for k, alone in enumerate(pieces):
+        _, states, _ = smoothed(*sequence([alone], 30, model), model)
+        rows = slice(both[0].start[k], both[0].start[k + 1])
+        np.testing.assert_allclose(both[1].mean[rows], states.mean, rtol=1e-9)
+        np.testing.assert_allclose(both[1].covariance[rows], states.covariance, rtol=1e-9, atol=1e-9)
+
+
+def test_a_camera_that_moves_changes_nothing_but_where_pixels_are(rng):
+    model, n = model_of(), 20
+    walked = walk(rng, n, (300, 200), (2, 1))
+    shifts = np.cumsum(rng.normal(0, 6, (n, 2)), axis=0)
+    still = smoothed(*sequence([piece(walked, 1, (1, 8), (12, n))], n, model), model)[1]
+    seen = walked.copy()
+    seen[:, :2] += shifts
+    warp = np.tile(np.eye(3), (n, 1, 1))
+    warp[1:, :2, 2] = np.diff(shifts, axis=0)
+    moved = smoothed(*sequence([piece(seen, 1, (1, 8), (12, n))], n, model, warp), model)[1]
+    np.testing.assert_allclose(moved.mean[:, :2] - shifts, still.mean[:, :2], atol=1e-6)
+    np.testing.assert_allclose(moved.mean[:, 2:], still.mean[:, 2:], atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_smoothed_states_are_nearer_to_the_truth_than_measurements(seed: int):
+    """Constant velocity, noise of 2 pixels: states stay within half of it, the velocity in the middle within 0.4 a frame."""
+    rng, model = np.random.default_rng(seed), model_of(scaled=True, acceleration=0.005, resize=0.02)
+    n, noise = 60, 2.0
+    truth = np.array([100.0, 200.0]) + np.arange(n)[:, None] * [3.0, 1.0]
+    walked = walk(rng, n, (100, 200), (3, 1), noise=noise)
+    states = smoothed(*sequence([piece(walked, 1, (1, 25), (29, n))], n, model), model)[1]
+    error = np.sqrt(np.mean((states.mean[:, :2] - truth) ** 2))
+    assert error < 0.5 * noise
+    assert error < 0.5 * np.sqrt(np.mean((walked[:, :2] - truth) ** 2))
+    np.testing.assert_allclose(states.mean[20:40, 2:4], np.tile([3.0, 1.0], (20, 1)), atol=0.4)
+
+
+def test_errors_are_as_large_as_the_covariance_says():
+    """The normalised squared error of what was drawn from the model itself has the mean of its dimension."""
+    rng, model = np.random.default_rng(3), model_of()
+    errors, n = [], 20
+    for _ in range(150):
+        start = np.array([320.0, 240.0, 0, 0, 60, 90])
+        # An unknown velocity's prior is what the model says.
+        start[2:4] = rng.normal(0, 4 / np.sqrt(2), 2)
+        course = [start]
+        for _ in range(n - 1):
+            mean, _, q = model.motion.transition(course[-1][:, None], 1.0)
+            course.append(rng.multivariate_normal(mean[:, 0], q[0], check_valid="ignore"))
+        x = np.array(course)
+        z = x[:, [0, 1, 4, 5]] + rng.normal(0, [2, 2, 3, 3], (n, 4))
+        _, states, _ = smoothed(*sequence([{k + 1: z[k] for k in range(n)}], n, model), model)
+        for k in (0, 10, n - 1):
+            step = states.mean[k] - x[k]
+            errors.append(step @ np.linalg.solve(states.covariance[k], step))
+    # 450 values of mean 6 and variance 12.
+    assert np.mean(errors) == pytest.approx(6, abs=5 * np.sqrt(12 / 450))
+
+
+def test_a_size_that_is_remembered_does_no_harm(rng):
+    model = model_of(remember=True, scaled=True, acceleration=0.005, resize=0.05)
+    walked = walk(rng, 12, (100, 200), (3, 1))
+    _, states, _ = smoothed(*sequence([piece(walked, 1, (1, 5), (9, 12))], 12, model), model)
+    assert np.isfinite(states.mean).all()
+    assert np.linalg.eigvalsh(states.covariance).min() > -1e-6
