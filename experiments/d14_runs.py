@@ -22,7 +22,7 @@ import numpy as np
 from experiments.common import need_data
 from phdtrack import config
 from phdtrack.formats import read_truth
-from phdtrack.metrics.rmse import TargetErrors, rmse_per_target
+from phdtrack.metrics.trajectories import TargetErrors, rmse_per_target
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.simulate.corridor import PATHS, centroids, measured, paths, wandering
 from phdtrack.types import F8, I8, SequenceInfo, Truth

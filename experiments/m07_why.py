@@ -12,7 +12,7 @@ from experiments.common import Case, built, table
 from phdtrack import pipeline
 from phdtrack.arrays import iou
 from phdtrack.metrics import Scores, evaluate, pool
-from phdtrack.metrics.assignment import above, assign
+from phdtrack.metrics.matching import above, assign
 from phdtrack.types import Bool, DetectionTable, Tracks, Truth
 
 # Which annotated boxes are missed: of an object that is never found, before its first match, between two, after its last.

@@ -20,8 +20,7 @@ from experiments.m09_scenes import stretch
 from phdtrack.arrays import iou
 from phdtrack.associate.vetted import believed
 from phdtrack.metrics import evaluate
-from phdtrack.metrics.matching import tracking_mapping
-from phdtrack.metrics.scene import build
+from phdtrack.metrics.matching import build, tracking_mapping
 from phdtrack.protocols import AnyStages
 from phdtrack.scene.odds import Odds
 from phdtrack.simulate import DetectorModel, detect, make_scene

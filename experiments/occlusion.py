@@ -18,7 +18,7 @@ from experiments.cases import CASES, short
 from experiments.common import Case, Options, Result, in_parallel, measure, mot15, table, write
 from experiments.e13 import covered
 from phdtrack.arrays import iou
-from phdtrack.metrics.assignment import above, assign
+from phdtrack.metrics.matching import above, assign
 from phdtrack.models.occlusion import SHAPE
 from phdtrack.types import F8
 

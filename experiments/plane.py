@@ -24,8 +24,7 @@ from phdtrack.metrics import evaluate
 from phdtrack.metrics.clear import count_tracking
 from phdtrack.metrics.groups import nearest
 from phdtrack.metrics.identity import count_identities
-from phdtrack.metrics.matching import tracking_mapping
-from phdtrack.metrics.scene import FramePair, Scene
+from phdtrack.metrics.matching import FramePair, Scene, tracking_mapping
 from phdtrack.types import F8, I8, DetectionTable, Tracks
 
 SEQUENCE, KINDS = "PETS09-S2L1", ("public", "frcnn")

@@ -9,9 +9,7 @@ from detect_scenes import HEIGHT, WIDTH, Scene
 
 from phdtrack.arrays import iou
 from phdtrack.detect import ChangeDetector, MeanBackgroundDetector, MeanBackgroundSettings, make_detector
-from phdtrack.detect.change import chi2_quantile
-from phdtrack.detect.illumination import relit
-from phdtrack.detect.reference import Reference, median_image
+from phdtrack.detect.change import Reference, chi2_quantile, median_image, relit
 from phdtrack.errors import InputError
 from phdtrack.protocols import Detector
 from phdtrack.types import Detections, Frame, Image

@@ -9,7 +9,7 @@ import pytest
 from camera_cases import BARREL, MATRIX, PRISM, RATIONAL, ROTATION, TRANSLATION, posed, tsai
 from phdtrack.errors import InputError
 from phdtrack.ground import OpenCVLens, PosedCamera, TsaiLens
-from phdtrack.ground.tsai import rotation_zyx
+from phdtrack.ground.lenses import rotation_zyx
 
 
 def test_tsai_is_the_solution_of_the_two_linear_equations(rng: np.random.Generator) -> None:

@@ -13,7 +13,7 @@ from scipy.io import savemat
 from camera_cases import BARREL, MATRIX, PLANE, ROTATION, TRANSLATION, hills, posed, tsai
 from phdtrack.errors import InputError
 from phdtrack.ground import Flat, MatrixForm, OpenCVLens, PosedCamera, Terrain, fit_homography, read_camera
-from phdtrack.ground.described import calibration_text
+from phdtrack.ground.read import calibration_text
 from phdtrack.protocols import Camera
 
 PIXEL = np.array([[100.0, 400, 700, 380], [350, 420, 560, -500]])

@@ -14,7 +14,7 @@ from video_clips import picture
 
 from phdtrack.errors import InputError
 from phdtrack.video import open_source
-from phdtrack.video.images import frame_numbers, natural_key
+from phdtrack.video.sources import frame_numbers, natural_key
 
 
 def save(folder: Path, names: list[str]) -> None:

@@ -11,7 +11,7 @@ from video_clips import encode, picture
 from phdtrack.errors import InputError
 from phdtrack.types import Image
 from phdtrack.video import VideoWriter, open_source
-from phdtrack.video.source import Clock
+from phdtrack.video.stream import Clock
 
 
 def test_a_written_clip_reads_back(clip: Path) -> None:

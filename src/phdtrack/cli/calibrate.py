@@ -46,7 +46,7 @@ def calibrate(
     """
     from phdtrack.cli.inputs import frame_size
     from phdtrack.ground import fit_homography
-    from phdtrack.ground.described import calibration_text
+    from phdtrack.ground.read import calibration_text
 
     size = frame_size(image_size) if image_size else None
     if out.exists() and not overwrite:
@@ -123,7 +123,7 @@ def report(out: Output, fitted: Calibration, pixel: F8, world: F8, file: Path, s
     """The residuals of all points in pixels and metres, and what the camera can tell of the ground."""
     import numpy as np
 
-    from phdtrack.ground import footprint
+    from phdtrack.ground.uncertainty import footprint
 
     count, metres = pixel.shape[1], np.linalg.norm(fitted.camera.jacobian(pixel), ord=2, axis=(1, 2))
     rows = [

@@ -184,7 +184,7 @@ def accompanied(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
     from phdtrack.cli.group_companion import GroupCompanion
     from phdtrack.cli.group_story import Around
     from phdtrack.config import build_groups
-    from phdtrack.ground import footprint
+    from phdtrack.ground.uncertainty import footprint
     from phdtrack.models import PlaneSensor
 
     stages, info = job.stages, job.inputs.info

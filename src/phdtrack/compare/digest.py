@@ -16,7 +16,7 @@ import phdtrack
 from phdtrack import __version__
 from phdtrack.compare.records import Case, Detecting, Run
 from phdtrack.report.run_json import json_value
-from phdtrack.video.images import SUFFIXES
+from phdtrack.video.sources import SUFFIXES
 
 # Of this package, what makes detections, clutter, tracks and scores.
 _WORK = "compare/work.py"

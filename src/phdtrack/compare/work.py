@@ -17,7 +17,7 @@ from phdtrack.detect import make_detector
 from phdtrack.detect.convert import within_frame
 from phdtrack.errors import InputError
 from phdtrack.formats import DetectionsWriter, read_detections, read_truth, write_tracks
-from phdtrack.metrics.scene import build
+from phdtrack.metrics.matching import build
 from phdtrack.metrics.scores import count
 from phdtrack.simulate import add_clutter
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Tracks, Truth

@@ -17,8 +17,7 @@ from phdtrack.compare.work import Material, material
 from phdtrack.errors import InputError
 from phdtrack.formats import read_tracks
 from phdtrack.metrics.clear import switches
-from phdtrack.metrics.matching import Matches, tracking_mapping
-from phdtrack.metrics.scene import Scene, build
+from phdtrack.metrics.matching import Matches, Scene, build, tracking_mapping
 from phdtrack.report.mistakes import Mistakes, side_by_side
 from phdtrack.types import F8, I8, Image, Tracks, Truth
 from phdtrack.video import open_source

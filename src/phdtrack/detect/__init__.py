@@ -3,16 +3,12 @@
 `make_detector` builds one by name. `change` is the default: it needs no model and finds whatever differs from the scene.
 """
 
-from phdtrack.detect.cascade import FaceDetector, FaceSettings
+from phdtrack.detect.background import MeanBackgroundDetector, MeanBackgroundSettings, SubtractorDetector, SubtractorSettings
 from phdtrack.detect.change import ChangeDetector, ChangeSettings
 from phdtrack.detect.components import BlobSettings
-from phdtrack.detect.given import CallableDetector, TableDetector
-from phdtrack.detect.mean_background import MeanBackgroundDetector, MeanBackgroundSettings
-from phdtrack.detect.parameters import typed
-from phdtrack.detect.person import PersonDetector, PersonSettings
-from phdtrack.detect.registry import BACKGROUND, DETECTORS, detector_names, detector_parameters, make_detector
-from phdtrack.detect.subtractors import SubtractorDetector, SubtractorSettings
-from phdtrack.detect.wrappers import Masked, Rescaled
+from phdtrack.detect.person import FaceDetector, FaceSettings, PersonDetector, PersonSettings
+from phdtrack.detect.registry import BACKGROUND, DETECTORS, detector_names, detector_parameters, make_detector, typed
+from phdtrack.detect.wrappers import CallableDetector, Masked, Rescaled, TableDetector
 
 __all__ = [
     "BACKGROUND",

@@ -1,4 +1,17 @@
-"""Statistical colour change detection against a reference that adapts [M07] [M09], after Cavallaro and Ebrahimi (2004).
+"""Global illumination: how the light of a frame differs from the light in which the reference was learned.
+
+Clouds, mains flicker and the camera's automatic exposure change all pixels of a channel alike, to good approximation by a
+gain and an offset. They are fitted robustly (median ratio, then least squares on what lies near the line) on a sparse grid
+of background pixels, and the reference is brought into the frame's light; what differs then is a change in the scene.
+
+The reference image of a scene: learned quickly at the start, adapted slowly ever after.
+
+At the start the reference is the per-pixel median of samples spread over the first seconds: it shows the background
+wherever that was seen more than half of the time, though objects move about from the first frame on. It is there from the
+second frame on and gets better with every second sample. Then it adapts exponentially, on background with one time
+constant and on foreground with a much longer one, so that an object that stops stays an object for a while.
+
+Statistical colour change detection against a reference that adapts [M07] [M09], after Cavallaro and Ebrahimi (2004).
 
 Without change, frame and reference differ by noise. The difference of each pixel is taken in three channels c that keep
 brightness apart from colour (logarithm of luma; the two chroma differences), divided by the deviation that noise explains
@@ -22,6 +35,7 @@ it in.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from statistics import NormalDist
 from typing import Annotated
@@ -29,14 +43,124 @@ from typing import Annotated
 import cv2
 import numpy as np
 from annotated_types import Gt, Lt
+from numpy.typing import NDArray
 
 from phdtrack.checks import Positive, PositiveCount, check
 from phdtrack.detect import components as blobs
-from phdtrack.detect.checks import check_odd, check_same_size
-from phdtrack.detect.components import BlobSettings, Contour
-from phdtrack.detect.illumination import relit
-from phdtrack.detect.reference import F4, Reference
-from phdtrack.types import F8, Detections, Frame, Image
+from phdtrack.detect.components import BlobSettings, Contour, check_odd, check_same_size
+from phdtrack.types import F8, Bool, Detections, Frame, Image
+
+_GRID_POINTS = 4000
+_DARKEST, _BRIGHTEST = 8, 245
+_FEWEST = 50
+_NEAR = 2.5
+_ROUNDS = 3
+
+
+def relit(reference: Image, frame: Image, foreground: Image) -> Image:
+    """``reference`` (H, W, 3) in the light of ``frame`` (H, W, 3); ``foreground`` (H, W) is left out where it is not 0."""
+    table = np.empty((1, 256, 3), np.uint8)
+    level = np.arange(256, dtype=np.float64)
+    step = max(1, round((foreground.size / _GRID_POINTS) ** 0.5))
+    grid = slice(step // 2, None, step)
+    background = foreground[grid, grid].ravel() == 0
+    for channel in range(3):
+        x = reference[grid, grid, channel].ravel().astype(np.float64)
+        y = frame[grid, grid, channel].ravel().astype(np.float64)
+        gain, offset = _line(x, y, background)
+        table[0, :, channel] = np.rint(np.clip(gain * level + offset, 0, 255))
+    adapted: Image = cv2.LUT(reference, table)
+    return adapted
+
+
+def _line(x: F8, y: F8, background: Bool) -> tuple[float, float]:
+    """Gain and offset of y ≈ gain·x + offset over unsaturated background; 1 and 0 where there is too little of it."""
+    exposed = background & (x > _DARKEST) & (y > _DARKEST) & (x < _BRIGHTEST) & (y < _BRIGHTEST)
+    if exposed.sum() < _FEWEST:
+        return 1.0, 0.0
+    x, y = x[exposed], y[exposed]
+    gain, offset = float(np.median(y / x)), 0.0
+    for _ in range(_ROUNDS):
+        residual = y - gain * x - offset
+        scale = 1.4826 * float(np.median(np.abs(residual))) + 0.5
+        near = np.abs(residual) < _NEAR * scale
+        spread = float(x[near].var()) if near.any() else 0.0
+        # A scene of one brightness does not tell gain from offset: keep the gain and move the offset alone.
+        if spread > 100.0:
+            gain = float(((x[near] - x[near].mean()) * (y[near] - y[near].mean())).mean() / spread)
+        offset = float(np.median(y[near] - gain * x[near])) if near.any() else 0.0
+    return gain, offset
+
+
+F4 = NDArray[np.float32]
+
+
+def median_image(images: Sequence[Image]) -> Image:
+    """Per-pixel median of an odd number of images of one shape, uint8.
+
+    By exchanges of neighbours until the upper half has sunk: minimum and maximum of whole images are vectorised, which
+    makes this several times faster than sorting each pixel's values.
+    """
+    ranked = list(images)
+    middle = len(ranked) // 2
+    for last in range(len(ranked) - 1, middle - 1, -1):
+        for i in range(last):
+            ranked[i], ranked[i + 1] = cv2.min(ranked[i], ranked[i + 1]), cv2.max(ranked[i], ranked[i + 1])
+    return ranked[middle]
+
+
+class Reference:
+    """The learned background of one camera.
+
+    Parameters
+    ----------
+    first : (H, W, 3) uint8, the frame seen at ``time`` seconds.
+    learn : seconds over which samples for the median are taken.
+    samples : how many; odd.
+    """
+
+    def __init__(self, first: Image, time: float, learn: float, samples: int) -> None:
+        self._samples = [first]
+        self._missing = samples - 1
+        self._spacing = learn / samples
+        self._due = time + self._spacing
+        self._mean: F4 = first.astype(np.float32)
+
+    @property
+    def image(self) -> Image:
+        """(H, W, 3) uint8."""
+        rounded: Image = cv2.convertScaleAbs(self._mean)
+        return rounded
+
+    @property
+    def learning(self) -> bool:
+        """Whether samples for the median are still to be taken."""
+        return self._missing > 0
+
+    @property
+    def samples(self) -> tuple[Image, ...]:
+        """The samples of the latest median."""
+        return tuple(self._samples)
+
+    def sample(self, image: Image, time: float) -> bool:
+        """Take ``image`` as a sample if one is due at ``time`` seconds; True where that gave a new median."""
+        if not self.learning:
+            self._samples.clear()
+            return False
+        if time < self._due:
+            return False
+        self._due += self._spacing
+        self._missing -= 1
+        self._samples.append(image)
+        if len(self._samples) % 2 == 0:
+            return False
+        self._mean = median_image(self._samples).astype(np.float32)
+        return True
+
+    def blend(self, image: Image, share: float, where: Image) -> None:
+        """Move ``share`` (0 to 1) of the way to ``image`` where the mask ``where`` (H, W) is not 0."""
+        cv2.accumulateWeighted(image, self._mean, min(1.0, share), where)
+
 
 OpenShare = Annotated[float, Gt(0), Lt(1)]
 CHANNELS = 3

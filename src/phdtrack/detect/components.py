@@ -1,4 +1,6 @@
-"""From a foreground mask to boxes: clean-up, connected components, parting of what touches, joining of fragments.
+"""Checks that several detectors make beside the bounds of their settings.
+
+From a foreground mask to boxes: clean-up, connected components, parting of what touches, joining of fragments.
 
 All background detectors share this. Sizes are fractions of the frame, so that one setting serves every resolution:
 
@@ -23,7 +25,28 @@ from annotated_types import Ge, Lt
 from numpy.typing import NDArray
 
 from phdtrack.checks import check
-from phdtrack.types import F8, Detections, Image
+from phdtrack.errors import InputError
+from phdtrack.types import F8, Detections, Frame, Image
+
+
+def check_odd(settings: object, *names: str) -> None:
+    """Raise InputError unless each of the named settings is an odd whole number."""
+    for name in names:
+        value = getattr(settings, name)
+        if value % 2 != 1:
+            raise InputError(f"expected an odd whole number, got {value!r}", where=f"{type(settings).__name__}.{name}")
+
+
+def check_same_size(frame: Frame, shape: tuple[int, ...]) -> None:
+    """Raise InputError where ``frame`` is not of the (H, W) ``shape`` that the detector has learned."""
+    if frame.image.shape[:2] != shape[:2]:
+        got, learned = (f"{size[1]}x{size[0]}" for size in (frame.image.shape, shape))
+        raise InputError(
+            f"this frame is {got} pixels, the background was learned at {learned}",
+            where=f"frame {frame.number}",
+            cure="Call reset() before another video.",
+        )
+
 
 Contour = NDArray[np.int32]
 FrameShare = Annotated[float, Ge(0), Lt(1)]

@@ -1,4 +1,8 @@
-"""Pedestrians on single images: histograms of oriented gradients with the support vector machine that OpenCV ships.
+"""What OpenCV 4 ships and 5 dropped: asked for when it is used, with the line that mends its absence.
+
+Faces by a Viola–Jones cascade of boosted classifiers [M07], trained files as OpenCV ships them.
+
+Pedestrians on single images: histograms of oriented gradients with the support vector machine that OpenCV ships.
 
 It was trained on windows of 64×128 pixels in which the person is 96 high, so the frame is enlarged for smaller people. Its
 hits are windows with a margin, which is cut off; overlapping ones are reduced to the strongest. Confidence is the margin
@@ -8,17 +12,102 @@ of the support vector machine, which is not bounded.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
+from annotated_types import Gt
 
 from phdtrack.arrays import iou
 from phdtrack.checks import Positive, PositiveCount, Probability, check
-from phdtrack.detect.cascade import SearchStep
-from phdtrack.detect.opencv import shipped
 from phdtrack.errors import InputError
 from phdtrack.types import F8, I8, Detections, Frame
+
+MEND = "python -m pip uninstall -y opencv-python opencv-contrib-python; python -m pip install --force-reinstall "
+MEND += '"opencv-python-headless>=4.8,<5"'
+
+
+def shipped(name: str) -> Any:
+    """``cv2.<name>``; InputError with the pip line where this OpenCV has none."""
+    found = getattr(cv2, name, None)
+    if found is None:
+        raise InputError(
+            f"OpenCV {cv2.__version__} has no {name}, which this detector needs; OpenCV 4 has it",
+            cure=f"Another package may have replaced it. Mend it by: {MEND}",
+        )
+    return found
+
+
+def cascade_file(name: str) -> Path:
+    """The path of a cascade that OpenCV ships, or of the user's own; InputError where there is none."""
+    own = Path(name)
+    if own.suffix == ".xml" and own.is_file():
+        return own
+    folder = Path(shipped("data").haarcascades)
+    path = folder / f"haarcascade_{name}.xml"
+    if not path.is_file():
+        names = sorted(file.stem.removeprefix("haarcascade_") for file in folder.glob("haarcascade_*.xml"))
+        known = f"Shipped are {', '.join(names)}." if names else f"This OpenCV ships none. Mend it by: {MEND}"
+        raise InputError(
+            f"there is no cascade {name!r}", where="cascade", cure=f"{known} An .xml file of your own works too."
+        )
+    return path
+
+
+SearchStep = Annotated[float, Gt(1)]
+
+
+@dataclass(frozen=True, slots=True)
+class FaceSettings:
+    """How the `FaceDetector` searches.
+
+    Attributes
+    ----------
+    cascade : name of a cascade that OpenCV ships ("frontalface_alt2", "profileface", "fullbody", …) or an .xml file.
+    scale : the frame is enlarged by this factor before the search, so that small faces are found.
+    step : ratio of successive sizes in the search, above 1; smaller is slower and finds more.
+    neighbours : how many overlapping hits make a face.
+    min_size : smallest face, fraction of the frame's height.
+    """
+
+    cascade: str = "frontalface_alt2"
+    scale: Positive = 1.0
+    step: SearchStep = 1.1
+    neighbours: PositiveCount = 3
+    min_size: Probability = 0.04
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+class FaceDetector:
+    """Boxes around what the cascade accepts, face by face; it remembers nothing."""
+
+    def __init__(self, settings: FaceSettings | None = None) -> None:
+        self.settings = settings or FaceSettings()
+        path = cascade_file(self.settings.cascade)
+        self._classifier: Any = shipped("CascadeClassifier")(str(path))
+        if self._classifier.empty():
+            raise InputError("this is not a cascade that OpenCV can read", where=path)
+
+    def reset(self) -> None:
+        """Nothing to forget."""
+
+    def __call__(self, frame: Frame) -> Detections:
+        """[M07] The faces in ``frame``."""
+        settings = self.settings
+        grey = cv2.equalizeHist(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY))
+        if settings.scale != 1:
+            grey = cv2.resize(grey, None, fx=settings.scale, fy=settings.scale, interpolation=cv2.INTER_LINEAR)
+        least = max(1, round(settings.min_size * grey.shape[0]))
+        found = self._classifier.detectMultiScale(
+            grey, scaleFactor=settings.step, minNeighbors=settings.neighbours, minSize=(least, least)
+        )
+        boxes = np.array(found, np.float64).reshape(-1, 4) / settings.scale
+        boxes[:, 2:] += boxes[:, :2]
+        return Detections.of(boxes[np.lexsort((boxes[:, 0], boxes[:, 1]))])
+
 
 _WINDOW = (64, 128)
 _BODY = (0.55, 0.8)

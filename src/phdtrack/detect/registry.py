@@ -1,25 +1,46 @@
-"""Detectors by name: the one list of what there is, and how options of that name become settings."""
+"""A detector's own settings from files and options: their types, which the detector itself takes for granted.
+
+Detectors by name: the one list of what there is, and how options of that name become settings.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import difflib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from phdtrack.detect.cascade import FaceDetector, FaceSettings
+from phdtrack.detect.background import MeanBackgroundDetector, MeanBackgroundSettings, SubtractorDetector, SubtractorSettings
 from phdtrack.detect.change import ChangeDetector, ChangeSettings
 from phdtrack.detect.components import BlobSettings
-from phdtrack.detect.given import CallableDetector, TableDetector
-from phdtrack.detect.mean_background import MeanBackgroundDetector, MeanBackgroundSettings
-from phdtrack.detect.person import PersonDetector, PersonSettings
-from phdtrack.detect.subtractors import SubtractorDetector, SubtractorSettings
-from phdtrack.detect.wrappers import Masked, Rescaled
+from phdtrack.detect.person import FaceDetector, FaceSettings, PersonDetector, PersonSettings
+from phdtrack.detect.wrappers import CallableDetector, Masked, Rescaled, TableDetector
 from phdtrack.errors import InputError
 from phdtrack.protocols import Detector
 from phdtrack.types import Bool, Image
+
+_WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
+
+
+def typed(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """``parameters`` of detector ``name`` in the types of its defaults; unknown ones are left for `make_detector` to refuse.
+
+    Raises
+    ------
+    InputError : a value of another type.
+    """
+    defaults = {field.name: field.default for field in detector_parameters(name)}
+    return {key: _as(type(defaults[key]), key, value) if key in defaults else value for key, value in parameters.items()}
+
+
+def _as(kind: type, key: str, value: Any) -> Any:
+    if kind is float and type(value) is int:
+        return float(value)
+    if kind in _WORDS and type(value) is not kind:
+        raise InputError(f"expected {_WORDS[kind]}, got {value!r}", where=f"detector.{key}")
+    return value
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.ground.homography import HomographyCamera
+from phdtrack.ground.cameras import HomographyCamera
 from phdtrack.types import F8
 
 # Points whose spread across is this small beside that along lie on a line, as far as clicks can tell.

@@ -14,7 +14,7 @@ import numpy as np
 from phdtrack.filters.extract import KMeans, Mixture
 from phdtrack.filters.intensities import Cardinalised
 from phdtrack.groups import Contours, Event, Grouping, Groups, Living, Meetings, Observed, Warned
-from phdtrack.groups.cluster import summarised
+from phdtrack.groups.clusters import summarised
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, GaussianMixture, Step
 

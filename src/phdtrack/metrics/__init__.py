@@ -1,13 +1,20 @@
 """How good are tracks: VACE and CLEAR scores, IDF1, HOTA, OSPA, GOSPA, T-GOSPA, OSPA(2), RMSE, lives of tracks."""
 
-from phdtrack.metrics.gospa import GospaParts, gospa, gospa_of, gospa_parts, gospa_parts_of
 from phdtrack.metrics.lifetimes import Delays, first_output_delays
-from phdtrack.metrics.ospa import ospa, ospa_of
-from phdtrack.metrics.ospa2 import ospa2_boxes, ospa2_of, ospa2_points
-from phdtrack.metrics.rmse import TargetErrors, rmse_per_target
 from phdtrack.metrics.scores import Scores, Settings, evaluate, pool
-from phdtrack.metrics.tgospa import TGospaParts, tgospa_boxes, tgospa_of, tgospa_points
-from phdtrack.metrics.trajectories import PointRows
+from phdtrack.metrics.sets import GospaParts, gospa, gospa_of, gospa_parts, gospa_parts_of, ospa, ospa_of
+from phdtrack.metrics.trajectories import (
+    PointRows,
+    TargetErrors,
+    TGospaParts,
+    ospa2_boxes,
+    ospa2_of,
+    ospa2_points,
+    rmse_per_target,
+    tgospa_boxes,
+    tgospa_of,
+    tgospa_points,
+)
 
 __all__ = [
     "Delays",

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.metrics.assignment import assign
-from phdtrack.metrics.sums import ratio
+from phdtrack.metrics.matching import assign, ratio
 from phdtrack.types import F8, I8
 
 

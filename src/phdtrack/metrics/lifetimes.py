@@ -15,10 +15,7 @@ import numpy as np
 
 from phdtrack.arrays import iou as overlaps
 from phdtrack.errors import InputError
-from phdtrack.metrics.assignment import ROUNDING
-from phdtrack.metrics.matching import Matches, tracking_mapping
-from phdtrack.metrics.scene import Scene, build
-from phdtrack.metrics.sums import ratio
+from phdtrack.metrics.matching import ROUNDING, Matches, Scene, build, ratio, tracking_mapping
 from phdtrack.types import F8, I8, DetectionTable, Tracks, Truth
 
 

@@ -15,15 +15,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 
 from phdtrack.errors import InputError
-from phdtrack.metrics.clear import DetectionCounts, TrackingCounts, count_detections, count_tracking
-from phdtrack.metrics.hota import HotaCounts, count_hota
-from phdtrack.metrics.identity import IdentityCounts, count_identities
+from phdtrack.metrics.clear import (
+    DetectionCounts,
+    TrackCounts,
+    TrackingCounts,
+    count_detections,
+    count_tracking,
+    count_whole_tracks,
+)
+from phdtrack.metrics.identity import HotaCounts, IdentityCounts, count_hota, count_identities
 from phdtrack.metrics.lifetimes import LifetimeCounts, check_threshold, count_lifetimes
-from phdtrack.metrics.matching import detection_mapping, tracking_mapping
-from phdtrack.metrics.scene import Scene, build
+from phdtrack.metrics.matching import Scene, build, detection_mapping, total, tracking_mapping
 from phdtrack.metrics.sets import SetCounts, count_sets
-from phdtrack.metrics.sums import total
-from phdtrack.metrics.vace import TrackCounts, count_whole_tracks
 from phdtrack.types import Tracks, Truth
 
 

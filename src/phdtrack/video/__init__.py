@@ -12,10 +12,8 @@ Numbers and times, for every kind of source:
   frames give the true intervals); where the stream says nothing, or goes back, one frame interval is added to the last.
 """
 
-from phdtrack.video.images import ImageSequence
-from phdtrack.video.opening import open_source
-from phdtrack.video.source import VideoSource
-from phdtrack.video.stream import VideoFile
+from phdtrack.video.sources import ImageSequence, open_source
+from phdtrack.video.stream import VideoFile, VideoSource
 from phdtrack.video.writer import VideoWriter
 
 __all__ = ["ImageSequence", "VideoFile", "VideoSource", "VideoWriter", "open_source"]

@@ -2,15 +2,23 @@
 
 Components of the mixture above a weight are the nodes of a graph. Two are connected when they are closer than T_p and move
 relative to each other slower than T_v; a group is a connected component, and its head count the sum of its weights.
+
+The shape of a group: the level curve of its position intensity, velocity integrated out [E13 §4.3].
+
+    v(p) = Σ_i w_i N(p; m_i, P_i)  over position alone,   contour = {p : v(p) = level}
+
+At E13's level of 0.1 people per square metre a lone person has a contour while w/(2π√|P|) exceeds it, and none where he is
+less certain than that; a loose group may have several.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.checks import NonNegative, Positive, check
+from phdtrack.checks import NonNegative, Positive, PositiveCount, check
 from phdtrack.kernels.gating import gated_pairs
 from phdtrack.types import F8, I8, GaussianMixture
 
@@ -104,3 +112,83 @@ def summarised(mixture: GaussianMixture, label: I8, number: int) -> Groups:
     spread = np.zeros((number, 4, 4))
     np.add.at(spread, of, share[:, None, None] * (cov + off[:, :, None] * off[:, None, :]))
     return Groups(label, count, deviation, centre, spread)
+
+
+@dataclass(frozen=True, slots=True)
+class Contours:
+    """How the level curves are drawn.
+
+    Parameters
+    ----------
+    level : people per square metre on the curve.
+    fineness : grid points per standard deviation of the narrowest component of a group.
+    most : grid points along each side at most; a group that is wider than it is sharp gets a coarser grid.
+    tolerance : metres by which a polygon may stray from the curve on the grid, to have fewer corners (Douglas and Peucker).
+    """
+
+    level: Positive = 0.1
+    fineness: Positive = 4.0
+    most: PositiveCount = 160
+    tolerance: NonNegative = 0.02
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def of(self, mixture: GaussianMixture, label: I8, group: int) -> tuple[F8, ...]:
+        """Closed polygons (2, K), metres, first point = last, of one group of ``label`` (J,); holes among them, if any.
+
+        They run counter-clockwise around what is inside (x to the right, y up) and clockwise around holes.
+        """
+        members = label == group
+        weight, mean, cov = mixture.weight[members], mixture.mean[:2, members], mixture.covariance[members][:, :2, :2]
+        if not self._may_reach(weight, cov):
+            return ()
+        x, y = self._grid(weight, mean, cov)
+        from contourpy import contour_generator
+
+        found = contour_generator(x, y, position_intensity(weight, mean, cov, x, y)).lines(self.level)
+        return tuple(self._simpler(np.asarray(line, np.float64)) for line in found)
+
+    def _simpler(self, line: F8) -> F8:
+        """The closed polygon (2, K) of a closed line (L, 2) with as few corners as the tolerance permits."""
+        import cv2
+
+        # Single precision about the line's own place keeps micrometres.
+        first = line[0]
+        kept = cv2.approxPolyDP((line[:-1] - first).astype(np.float32)[:, None], self.tolerance, True)[:, 0] + first
+        return np.ascontiguousarray(np.vstack([kept, kept[:1]]).T, dtype=np.float64)
+
+    def _may_reach(self, weight: F8, cov: F8) -> bool:
+        """Whether the sum of the components' peaks comes up to the level."""
+        return len(weight) > 0 and float((weight / (2 * math.pi * np.sqrt(np.linalg.det(cov)))).sum()) > self.level
+
+    def _grid(self, weight: F8, mean: F8, cov: F8) -> tuple[F8, F8]:
+        """Coordinates of a grid on whose rim the intensity is below the level."""
+        # Outside of radius r of every component each is below its share of the level.
+        peak = weight / (2 * math.pi * np.sqrt(np.linalg.det(cov)))
+        radius = np.sqrt(2 * np.log(np.maximum(peak * len(weight) / self.level, 1.0)))
+        half = (radius + 0.5) * np.sqrt(np.stack([cov[:, 0, 0], cov[:, 1, 1]]))
+        narrowest = math.sqrt(float(np.linalg.eigvalsh(cov)[:, 0].min()))
+        axes = []
+        for low, high in zip((mean - half).min(1), (mean + half).max(1), strict=True):
+            points = int(np.clip(math.ceil((high - low) * self.fineness / narrowest) + 1, 8, self.most))
+            axes.append(np.linspace(low, high, points))
+        return axes[0], axes[1]
+
+
+def position_intensity(weight: F8, mean: F8, cov: F8, x: F8, y: F8) -> F8:
+    """(len(y), len(x)) people per square metre on a grid, of Gaussians with means (2, J) and covariances (J, 2, 2)."""
+    inverse, norm = np.linalg.inv(cov), weight / (2 * math.pi * np.sqrt(np.linalg.det(cov)))
+    total = np.zeros((len(y), len(x)))
+    for i in range(len(weight)):
+        dx, dy = x - mean[0, i], (y - mean[1, i])[:, None]
+        total += norm[i] * np.exp(
+            -0.5 * (inverse[i, 0, 0] * dx**2 + 2 * inverse[i, 0, 1] * dx * dy + inverse[i, 1, 1] * dy**2)
+        )
+    return total
+
+
+def polygon_area(polygon: F8) -> float:
+    """Square metres inside a closed polygon (2, K); negative where it runs clockwise."""
+    x, y = polygon
+    return 0.5 * float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))

@@ -1,4 +1,8 @@
-"""The motion of the camera between two pictures, from points of the background that are followed.
+"""Settings of the camera's motion: none, measured by sparse optical flow, or given in a file.
+
+How far a camera went: what is told of its motion at the end of a run.
+
+The motion of the camera between two pictures, from points of the background that are followed.
 
 Corners (Shi and Tomasi) of the earlier picture, outside the boxes of what was detected there, are followed by pyramids of
 Lucas and Kanade's method into the later one and back; those that do not come back to where they began are dropped. RANSAC
@@ -10,13 +14,120 @@ Pictures are scaled down first. What moves in them and was not detected is outvo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
+from phdtrack.checks import Positive, PositiveCount, Share, check
 from phdtrack.errors import InputError
+from phdtrack.ground import warp as warp_of
 from phdtrack.types import F8, Image
-from phdtrack.video.ego_motion.settings import SparseFlow
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """The camera stands still."""
+
+
+@dataclass(frozen=True, slots=True)
+class GivenWarps:
+    """Motion from a file.
+
+    Parameters
+    ----------
+    file : a row for each frame, ``frame,g11,g12,g13,g21,g22,g23[,g31,g32,g33]``: see `formats.read_warps`.
+    """
+
+    file: str
+
+
+@dataclass(frozen=True, slots=True)
+class SparseFlow:
+    """Motion measured by points that are followed from one picture to the next.
+
+    Corners outside the detected boxes are followed by Lucas and Kanade's method, forth and back, and a map is fitted to them
+    by RANSAC: most of what is seen belongs to the background, or it cannot be measured so.
+
+    Parameters
+    ----------
+    width : pictures are scaled down to this many pixels before they are looked at.
+    points : corners that are followed at most.
+    form : ``similarity`` (shift, turn, zoom), which few points determine well; ``homography`` for a camera that pans with a
+        wide lens, or a scene that is one plane.
+    error : pixels of the scaled picture by which a point may miss the map, and its way back its beginning.
+    least : points that must fit the map; with fewer the camera is taken to stand still in that frame.
+    share : share of the points followed that must fit it.
+    """
+
+    width: PositiveCount = 640
+    points: PositiveCount = 300
+    form: Literal["similarity", "homography"] = "similarity"
+    error: Positive = 1.0
+    least: PositiveCount = 20
+    share: Share = 0.4
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(slots=True)
+class CameraPath:
+    """Sums over the frames so far, for pictures of ``width`` and ``height`` pixels.
+
+    Attributes
+    ----------
+    frames : motions added; ``unmeasured`` of them are not known and count as none.
+    pixels : way of what is in the middle of the picture, frame by frame.      largest : the longest such step.
+    turned : degrees turned about the line of sight, either way.    zoomed : factor by which sizes have changed in all.
+    """
+
+    width: float
+    height: float
+    frames: int = 0
+    unmeasured: int = 0
+    pixels: float = 0.0
+    largest: float = 0.0
+    turned: float = 0.0
+    zoomed: float = 1.0
+
+    def add(self, warp: F8) -> None:
+        """One more frame, whose pixels ``warp`` (3, 3) leads to; `types.STILL` where it is not known."""
+        self.frames += 1
+        if len(warp) == 0:
+            self.unmeasured += 1
+            return
+        middle = np.array([[self.width / 2], [self.height / 2]])
+        # A unit step to the right, as a state's velocity.
+        moved = warp_of.carried(np.vstack([middle, [[1.0], [0.0], [1.0]]]), warp, (4,))[:, 0]
+        step = float(np.hypot(*(moved[:2] - middle[:, 0])))
+        self.pixels += step
+        self.largest = max(self.largest, step)
+        self.turned += abs(math.degrees(math.atan2(moved[3], moved[2])))
+        self.zoomed *= float(moved[4])
+
+    def sentence(self) -> str:
+        """In plain words."""
+        if not self.frames:
+            return "the camera's motion: there is only one frame"
+        lost = f"; in {self.unmeasured} of {self.frames} frames it could not be measured and was taken for none"
+        return (
+            f"the camera moved by {self.pixels:.0f} pixels in all in the middle of the picture, at most "
+            f"{self.largest:.1f} from one frame to the next{lost if self.unmeasured else ''}"
+        )
+
+    def document(self) -> dict[str, object]:
+        """The same for programs."""
+        return {
+            "frames": self.frames,
+            "frames_unmeasured": self.unmeasured,
+            "pixels": self.pixels,
+            "largest_step_pixels": self.largest,
+            "degrees_turned": self.turned,
+            "zoomed": self.zoomed,
+        }
+
 
 # Corners weaker than this share of the best are none; they keep this share of the width apart.
 _QUALITY, _APART = 0.01, 0.012
