@@ -143,8 +143,8 @@ def stages(crowd: Crowd, *, worst: bool = False, sets: tuple[str, ...] = (), pre
         # 0.01 births per frame in an area of 720 × 480.
         f"birth.rate={0.01 * density}",
         "extract.kind=kmeans",
-        "extract.lightest=0.6",
-        "extract.overlap=1.0",
+        "extract.min_weight=0.6",
+        "extract.merge_iou=1.0",
     ]
     if worst:
         values.append("filter.region=1e-12")

@@ -148,7 +148,7 @@ def settings_of(where: Scene) -> config.Settings:
         f"clutter.rate={CLUTTER}",
         "clutter.volume=region",
         # What comes in metres has no boxes that could overlap.
-        "extract.overlap=1.0",
+        "extract.merge_iou=1.0",
     )
     return config.load(None, sets)
 

@@ -20,7 +20,7 @@ PLACES = ("never found", "before", "between", "after")
 SHIPPED = "as shipped"
 # Rows without hindsight and with it.
 KINDS = ("online", "corrected")
-_JOINED, _GAPS, _POOR = ("extract.overlap=1.0",), ("associate.miss=1.0",), ("associate.worth=0.0",)
+_JOINED, _GAPS, _POOR = ("extract.merge_iou=1.0",), ("associate.miss=1.0",), ("associate.worth=0.0",)
 # Filter, what is changed, and how: one setting at a time. None of these decided a default.
 CHANGES: dict[str, dict[str, tuple[str, ...]]] = {
     "particle-phd": {
@@ -35,7 +35,7 @@ CHANGES: dict[str, dict[str, tuple[str, ...]]] = {
         "gaps cost nothing": _GAPS,
         "poor links kept": _POOR,
         "nobody joined": _JOINED,
-        "lighter states": ("extract.lightest=0.3",),
+        "lighter states": ("extract.min_weight=0.3",),
         "p_D 0.7": ("sensor.detection=0.7",),
         "led back 20 frames": ("associate.backfill=20",),
     },

@@ -119,7 +119,7 @@ def work(job: Job) -> Outcome:
 
 def stages_of(name: str, info: SequenceInfo) -> AnyStages:
     """The stages of one of `FILTERS`, as shipped but for what its name says."""
-    return built(info, "pmb", ("filter.sources=0",)) if name == ALONE else built(info, name)
+    return built(info, "pmb", ("filter.static_clutter_prior=0",)) if name == ALONE else built(info, name)
 
 
 def learned(stages: AnyStages, train: Case, seed: int) -> AnyStages:

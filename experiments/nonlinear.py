@@ -52,11 +52,11 @@ FIRST_CASE = next(iter(CASES))
 PER_TARGET, NEWBORN = 1500, 500
 FILTERS: dict[str, Stages] = {
     "gm-phd": (GMPHD(1e-5, 2.0, 100, transform="unscented"), Components(repeat=True)),
-    "gm-cphd": (GMCPHD(1e-5, 2.0, 100, transform="unscented"), CountedComponents(overlap=1.0)),
-    "particle-phd": (ParticlePHD(PER_TARGET), KMeans(lightest=0.5, overlap=1.0)),
-    "particle-cphd": (ParticleCPHD(PER_TARGET), CountedMixture(overlap=1.0)),
+    "gm-cphd": (GMCPHD(1e-5, 2.0, 100, transform="unscented"), CountedComponents(merge_iou=1.0)),
+    "particle-phd": (ParticlePHD(PER_TARGET), KMeans(min_weight=0.5, merge_iou=1.0)),
+    "particle-cphd": (ParticleCPHD(PER_TARGET), CountedMixture(merge_iou=1.0)),
     "mht": (MHT(transform="unscented"), BestHypothesis()),
-    "pmb": (PMB(in_view=0.0, sources=0.0, transform="unscented"), BestBernoullis()),
+    "pmb": (PMB(mean_visible_time=0.0, static_clutter_prior=0.0, transform="unscented"), BestBernoullis()),
 }
 
 

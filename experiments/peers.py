@@ -55,11 +55,11 @@ PARTS: Mapping[str, tuple[str, ...]] = {
     "corrected tracks not smoothed": ("refine.smooth=false",),
     "corrected tracks not stitched": ("refine.stitch=false",),
     "neither": ("refine.smooth=false", "refine.stitch=false"),
-    "targets never hidden": ("filter.in_view=0",),
-    "no sources": ("filter.sources=0",),
-    "one hypothesis a target": ("filter.most=1",),
-    "the past not revised": ("filter.depth=1",),
-    "targets that overlap stand apart": ("extract.overlap=1",),
+    "targets never hidden": ("filter.mean_visible_time=0",),
+    "no sources": ("filter.static_clutter_prior=0",),
+    "one hypothesis a target": ("filter.max_hypotheses=1",),
+    "the past not revised": ("filter.history=1",),
+    "targets that overlap stand apart": ("extract.merge_iou=1",),
     "association by graph, not by label": ("associate.kind=graph",),
 }
 # and numbers changed.
@@ -75,8 +75,8 @@ NUMBERS: Mapping[str, tuple[str, ...]] = {
     "false alarms as of the other filters (0.3)": ("clutter.rate=0.3",),
     "false alarms twice (3)": ("clutter.rate=3",),
     "births twice (0.01)": ("birth.rate=0.01",),
-    "hidden twice as long (0.8 s)": ("filter.hidden=0.8",),
-    "sources fire less (0.3)": ("filter.firing=0.3",),
+    "hidden twice as long (0.8 s)": ("filter.mean_occluded_time=0.8",),
+    "sources fire less (0.3)": ("filter.static_clutter_detection_probability=0.3",),
 }
 ABLATED = "pmb"
 

@@ -201,7 +201,7 @@ def with_detections(tracks: Tracks, found: DetectionTable) -> Tracks:
 
 def sets_of(variant: Variant) -> tuple[str, ...]:
     """What a variant changes of the shipped settings."""
-    shown = (f"sensor.occlusion={str(variant.occlusion).lower()}", f"extract.overlap={JOINED if variant.joined else 1.0}")
+    shown = (f"sensor.occlusion={str(variant.occlusion).lower()}", f"extract.merge_iou={JOINED if variant.joined else 1.0}")
     if not variant.plane:
         return shown
     return ("motion.kind=plane", f"camera.file={camera_file()}", f"camera.first_pixel={FIRST_PIXEL}", *shown)

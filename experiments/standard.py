@@ -56,11 +56,11 @@ MANY = ((MANY_PHD, "particle-phd"), (MANY_PHD, "gm-phd"), (MANY_CPHD, "particle-
 FILTERS: dict[str, Stages] = {
     "gm-phd": (GMPHD(1e-5, 2.0, 100), Components(repeat=True)),
     "gm-cphd": (GMCPHD(1e-5, 2.0, 100), CountedComponents()),
-    "particle-phd": (ParticlePHD(PER_TARGET), KMeans(lightest=0.5, overlap=1.0)),
-    "particle-cphd": (ParticleCPHD(PER_TARGET), CountedMixture(overlap=1.0)),
+    "particle-phd": (ParticlePHD(PER_TARGET), KMeans(min_weight=0.5, merge_iou=1.0)),
+    "particle-cphd": (ParticleCPHD(PER_TARGET), CountedMixture(merge_iou=1.0)),
     "mht": (MHT(), BestHypothesis()),
     # Of points p_D is constant, and nothing fires in one place.
-    "pmb": (PMB(in_view=0.0, sources=0.0), BestBernoullis()),
+    "pmb": (PMB(mean_visible_time=0.0, static_clutter_prior=0.0), BestBernoullis()),
 }
 WITH_MORE: dict[str, Stages] = {
     MANY_PHD: (ParticlePHD(MORE), FILTERS["particle-phd"][1]),

@@ -197,7 +197,7 @@ def test_as_dict_written_as_toml_loads_to_the_same(preset: str, sets: list[str],
     if preset == "d14" and any(name in option for option in sets for name in ("kind=uniform", "sensor", "gm-phd")):
         sets = ["birth.kind=point", "filter.kind=gm-phd", "sensor.size=[10, 20]", "clutter.rate=2"]
     if preset == "m09-mht" and any("kind=uniform" in option for option in sets):
-        sets = ["filter.initial=[[1, 2, 10, 20]]", "filter.depth=3", "extract.overlap=0.3", "associate.delay=2"]
+        sets = ["filter.initial=[[1, 2, 10, 20]]", "filter.history=3", "extract.merge_iou=0.3", "associate.delay=2"]
     settings = config.load(sets=sets, preset=preset)
     again = config.load(written(tmp_path / "all.toml", settings.as_dict()))
     assert again.as_dict() == settings.as_dict()
@@ -219,7 +219,7 @@ def test_the_last_named_wins(tmp_path):
 def test_loading_does_not_change_the_presets():
     before = repr(PRESETS)
     config.load(sets=["motion.acceleration=0.5", "birth.kind=ground"], preset="e13")
-    config.load(sets=["sensor.detection=0.5", "birth.rate=2", "filter.most=7"], preset="m09-mht")
+    config.load(sets=["sensor.detection=0.5", "birth.rate=2", "filter.max_hypotheses=7"], preset="m09-mht")
     for preset in {*IN_THE_IMAGE} - {"m09-mht"}:
         config.load(sets=[*PARTICLES, "sensor.detection=0.5", "birth.kind=uniform", "clutter.rate=7"], preset=preset)
     assert repr(PRESETS) == before

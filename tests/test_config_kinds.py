@@ -52,13 +52,13 @@ def test_a_named_filter_wins(configured: str, named: str, kind: type):
 def test_a_filter_brings_an_extraction_that_fits_it(preset: str, tmp_path):
     """By option, by a file and by name; what both kinds of extraction have stays."""
     path = tmp_path / "mine.toml"
-    path.write_text("[extract]\noverlap = 0.7\n[filter]\nkind = 'gm-phd'\n", encoding="utf-8")
+    path.write_text("[extract]\nmerge_iou = 0.7\n[filter]\nkind = 'gm-phd'\n", encoding="utf-8")
     for settings, overlap in (
-        (config.load(sets=["extract.overlap=0.3", "filter.kind=gm-phd"], preset=preset), 0.3),
+        (config.load(sets=["extract.merge_iou=0.3", "filter.kind=gm-phd"], preset=preset), 0.3),
         (config.load(path, preset=preset), 0.7),
-        (config.overlay(config.load(preset=preset), {"extract": {"overlap": 0.6}, "filter": {"kind": "gm-phd"}}), 0.6),
+        (config.overlay(config.load(preset=preset), {"extract": {"merge_iou": 0.6}, "filter": {"kind": "gm-phd"}}), 0.6),
     ):
-        assert settings.as_dict()["extract"] == {**settings.as_dict()["extract"], "kind": "components", "overlap": overlap}
+        assert settings.as_dict()["extract"] == {**settings.as_dict()["extract"], "kind": "components", "merge_iou": overlap}
     assert isinstance(config.build(config.load(preset=preset), INFO, "gm-phd").extractor, Components)
 
 
@@ -175,12 +175,17 @@ def test_m09s_rival_has_its_printed_parameters():
     stages = config.build(config.load(preset="m09-mht"), SequenceInfo(360, 288, 25.0))
     model, z = stages.model, np.array([[100.0], [80], [20], [40]])
     assert model.sensor.detection == 0.97
-    assert (stages.filter.most, stages.filter.ratio, stages.filter.depth, stages.filter.patience) == (300, 0.001, 10, 150)
+    assert (
+        stages.filter.max_hypotheses,
+        stages.filter.hypothesis_threshold,
+        stages.filter.history,
+        stages.filter.termination_frames,
+    ) == (300, 0.001, 10, 150)
     np.testing.assert_allclose(np.diag(model.sensor.covariance(z, model.sensor.states(z)[0])[0]), [3, 3, 6, 6])
     state, info = stages.filter.step(stages.filter.start(model, None), z, model, 1.0, None)
     # Of 0.0025 new targets and 0.00007 false alarms.
     assert info.clutter_probability[0] == pytest.approx(0.00007 / 0.00257)
     assert state.mass == pytest.approx(0.0025 / 0.00257)
     assert (info.clutter + info.evidence)[0] == pytest.approx(0.00257 / (360 * 288))
-    with pytest.raises(InputError, match=r"^filter\.new: .* frame's size, not 0x0"):
-        MHT(new=0.1).step(state, z, model, 1.0, None)
+    with pytest.raises(InputError, match=r"^filter\.new_target_density: .* frame's size, not 0x0"):
+        MHT(new_target_density=0.1).step(state, z, model, 1.0, None)

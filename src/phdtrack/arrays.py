@@ -6,9 +6,31 @@ height as columns, the measurement vector z = (px, py, w, h) of M07 and M09.
 
 from __future__ import annotations
 
+import math
+from functools import lru_cache
+
 import numpy as np
 
 from phdtrack.types import F8, I8, GaussianMixture, Particles
+
+# The part of the measurements of a box inside the usual gate: five deviations in four dimensions.
+GATE = 0.99995
+
+
+@lru_cache(maxsize=64)
+def chi2_quantile(dof: int, probability: float) -> float:
+    """The squared radius that holds this part of a standard Gaussian in ``dof`` dimensions; 1e8, farther than any, for 1."""
+    if probability >= 1:
+        return 1e8
+    low, high = 0.0, 1500.0
+    for _ in range(80):
+        middle = (low + high) / 2
+        half, odd = middle / 2, 0.5 * (dof % 2)
+        # 1 − F, in closed form for whole and half degrees.
+        outside = math.erfc(math.sqrt(half)) if dof % 2 else 0.0
+        outside += sum(math.exp(-half) * half ** (k + odd) / math.gamma(k + odd + 1) for k in range(dof // 2))
+        low, high = (middle, high) if outside > 1 - probability else (low, middle)
+    return (low + high) / 2
 
 
 def sum_by(index: I8, value: F8, count: int) -> F8:

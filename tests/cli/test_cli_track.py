@@ -194,7 +194,7 @@ def test_an_empty_file_of_detections_is_an_empty_run(tmp_path: Path) -> None:
     assert (said.object["frames"], said.object["tracks"]) == (40, 0)
 
 
-@pytest.mark.parametrize(("kind", "setting"), [("pmb", "filter.depth=7"), ("particle-phd", "filter.per_target=300")])
+@pytest.mark.parametrize(("kind", "setting"), [("pmb", "filter.history=7"), ("particle-phd", "filter.per_target=300")])
 def test_the_configuration_of_a_run_can_be_run_again(kind: str, setting: str, sequence: Path, tmp_path: Path) -> None:
     given = ["--detections", sequence / "det" / "det.txt", "--seed", 3]
     chosen = ("--filter", kind, "--set", "sensor.detection=0.75", "--set", setting)
@@ -345,10 +345,18 @@ def test_ctrl_c_finishes_what_was_done(tmp_path: Path) -> None:
 def test_settings_of_the_filter_that_the_option_names(sequence: Path, tmp_path: Path) -> None:
     options = ("track", "--detections", sequence / "det" / "det.txt", "--no-video", "--json")
     run = phdtrack(
-        *options, "--out", tmp_path / "run", "--filter", "mht", "--set", "filter.depth=3", "--set", "filter.most=7"
+        *options,
+        "--out",
+        tmp_path / "run",
+        "--filter",
+        "mht",
+        "--set",
+        "filter.history=3",
+        "--set",
+        "filter.max_hypotheses=7",
     ).object
     settings = run["configuration"]["filter"]
-    assert (settings["kind"], settings["depth"], settings["most"]) == ("mht", 3, 7)
+    assert (settings["kind"], settings["history"], settings["max_hypotheses"]) == ("mht", 3, 7)
     assert "here there are most, ratio, depth" in refused(*options, "--filter", "mht", "--set", "filter.per_target=3")
     assert "two filters" in refused(*options, "--filter", "mht", "--set", "filter.kind=mcmc")
     assert "--filter" in refused(*options, "--filter", "mhd")

@@ -125,7 +125,7 @@ def test_a_step_without_a_faster_form_is_exactly_that(filter_):
 def test_two_steady_targets_count_as_two(filter_, rng):
     if isinstance(filter_, PMB):
         # What does not move by a pixel would be a source of false alarms.
-        filter_ = replace(filter_, sources=0.0)
+        filter_ = replace(filter_, static_clutter_prior=0.0)
     model = model_of()
     state = filter_.start(model, rng)
     z = model.sensor.measure(detections(np.random.default_rng(2), 2))

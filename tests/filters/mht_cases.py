@@ -14,7 +14,9 @@ from phdtrack.types import F8, GaussianMixture, UpdateInfo
 
 FRAME = (640.0, 480.0)
 # Nothing is cut, pruned or decided.
-EVERYTHING = MHT(most=20000, ratio=1e-290, depth=30, least=1e-290, gate=60.0)
+EVERYTHING = MHT(
+    max_hypotheses=20000, hypothesis_threshold=1e-290, history=30, existence_threshold=1e-290, gate_probability=1.0
+)
 
 
 def world(*, detection: float = 0.8, clutter: float = 1e-9, birth: float = 0.05, survival: float = 0.9) -> Model:

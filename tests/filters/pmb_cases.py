@@ -16,8 +16,10 @@ from phdtrack.types import F8, Estimates, UpdateInfo
 FRAME = (640.0, 480.0)
 RNG = np.random.default_rng(0)
 # Neither hidden states nor sources, and nothing is dropped.
-PLAIN = PMB(in_view=0.0, sources=0.0)
-EVERYTHING = PMB(least=1e-200, share=1e-200, most=10**6, merge=0.0, gate=60.0)
+PLAIN = PMB(mean_visible_time=0.0, static_clutter_prior=0.0)
+EVERYTHING = PMB(
+    existence_threshold=1e-200, hypothesis_threshold=1e-200, max_hypotheses=10**6, merge_distance=0.0, gate_probability=1.0
+)
 
 
 def world(
@@ -45,7 +47,7 @@ def run(filter_: PMB, scans: list[F8], model: Model, dt: float = 1.0) -> tuple[B
 
 def told(state: Bernoullis, model: Model, **settings) -> Estimates:
     """What is reported, with nobody left out for another's sake."""
-    return BestBernoullis(**{"overlap": 1.0, **settings}).extract(state, np.zeros((4, 0)), model)
+    return BestBernoullis(**{"merge_iou": 1.0, **settings}).extract(state, np.zeros((4, 0)), model)
 
 
 def walk(start, velocity, count: int, rng=None, noise: float = 3.0) -> np.ndarray:

@@ -19,7 +19,7 @@ RNG = np.random.default_rng(0)
 
 
 def told(state: Hypotheses, model, overlap: float = 1.0):
-    return BestHypothesis(overlap=overlap).extract(state, np.zeros((4, 0)), model)
+    return BestHypothesis(merge_iou=overlap).extract(state, np.zeros((4, 0)), model)
 
 
 def walk(start, velocity, count: int, rng=None, noise: float = 2.0) -> np.ndarray:
@@ -145,7 +145,7 @@ def test_an_ended_track_is_still_told_of_where_it_was():
 @pytest.mark.parametrize("depth", [1, 4])
 def test_what_is_older_than_the_depth_is_decided(depth: int):
     model, rng = world(clutter=3e-8), np.random.default_rng(5)
-    filter_, state, doubted = MHT(depth=depth), MHT().start(world(), RNG), 0
+    filter_, state, doubted = MHT(history=depth), MHT().start(world(), RNG), 0
     for z in scene(rng, 25, targets=6):
         state, _ = filter_.step(state, z, model, 1.0, RNG)
         assert len(state.layers) <= depth + 1
@@ -174,7 +174,7 @@ def test_a_frame_that_nobody_observed_is_predicted_and_told_of():
 
 def test_the_longer_a_target_is_missed_the_less_patience_there_is():
     """λ_x: e^(−k/λ_x) of those missed k times in a row."""
-    model, filter_ = world(detection=0.5, survival=0.9), MHT(patience=4.0)
+    model, filter_ = world(detection=0.5, survival=0.9), MHT(termination_frames=4.0)
     state, _ = run(filter_, [boxes((200 + 2 * k, 200)) for k in range(8)], model)
     for k in (1, 2, 3):
         before = state.mass
@@ -256,7 +256,7 @@ def test_limits_hold_where_everything_competes():
     rng = np.random.default_rng(6)
     model = replace(world(detection=0.5, survival=0.99), birth=MeasurementBirth(0.3, 100, "image", FRAME),
                     clutter=UniformClutter(3.0, (640.0 * 480) ** 2))  # fmt: skip
-    filter_, state, largest = MHT(most=40, depth=4), MHT().start(model, RNG), 0
+    filter_, state, largest = MHT(max_hypotheses=40, history=4), MHT().start(model, RNG), 0
     for _ in range(12):
         z = boxes(*(np.array([300.0, 200]) + 6 * rng.standard_normal((int(rng.integers(6, 12)), 2))))
         state, _ = filter_.step(state, z, model, 1.0, RNG)

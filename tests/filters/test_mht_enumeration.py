@@ -56,7 +56,7 @@ def test_far_targets_are_in_clusters_of_their_own():
     """No gate: every measurement is near every track, and all hang together; with one, what is far apart is independent."""
     model, scans = world(), SCANS["far apart"]
     whole = partitions(run(EVERYTHING, scans, model)[0], scans)
-    gated, _ = run(replace(EVERYTHING, gate=6.0), scans, model)
+    gated, _ = run(replace(EVERYTHING, gate_probability=0.9999998), scans, model)
     assert len(gated.clusters) == 2
     for key, (weight, _) in partitions(gated, scans).items():
         assert weight == pytest.approx(whole[key][0], rel=1e-6)
@@ -70,10 +70,10 @@ def test_the_best_few_are_the_first_of_all(name: str):
     rng = np.random.default_rng(0)
     every = sorted((w for w, _ in partitions(run(EVERYTHING, scans, model)[0], scans).values()), reverse=True)
     for most in (1, 3, 7):
-        few, _ = replace(EVERYTHING, most=most).step(before, scans[-1], model, 1.0, rng)
+        few, _ = replace(EVERYTHING, max_hypotheses=most).step(before, scans[-1], model, 1.0, rng)
         kept = sorted((w for w, _ in partitions(few, scans).values()), reverse=True)
         np.testing.assert_allclose(kept, np.array(every[:most]) / sum(every[:most]), rtol=1e-8)
-    sparse, _ = replace(EVERYTHING, ratio=0.01).step(before, scans[-1], model, 1.0, rng)
+    sparse, _ = replace(EVERYTHING, hypothesis_threshold=0.01).step(before, scans[-1], model, 1.0, rng)
     kept = [w for w in every if w >= 0.01 * every[0]]
     assert len(partitions(sparse, scans)) == len(kept) < len(every)
 

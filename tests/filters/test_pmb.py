@@ -32,13 +32,19 @@ def test_an_empty_scan_makes_a_target_less_believed():
 
 def chain(hidden: float, filter_: PMB, seconds: float) -> float:
     """Probability of the second state of a two-state Markov chain after ``seconds``."""
-    rate, settled = 1 / filter_.in_view + 1 / filter_.hidden, filter_.hidden / (filter_.in_view + filter_.hidden)
+    rate, settled = (
+        1 / filter_.mean_visible_time + 1 / filter_.mean_occluded_time,
+        filter_.mean_occluded_time / (filter_.mean_visible_time + filter_.mean_occluded_time),
+    )
     return settled + (hidden - settled) * np.exp(-rate * seconds)
 
 
-@pytest.mark.parametrize("settings", [{}, {"in_view": 0.3, "hidden": 5.0}, {"in_view": 100.0, "hidden": 0.01}])
+@pytest.mark.parametrize(
+    "settings",
+    [{}, {"mean_visible_time": 0.3, "mean_occluded_time": 5.0}, {"mean_visible_time": 100.0, "mean_occluded_time": 0.01}],
+)
 def test_who_is_in_view_gets_hidden_as_a_markov_chain(settings: dict):
-    filter_, model = replace(PMB(sources=0.0), **settings), world(survival=1.0)
+    filter_, model = replace(PMB(static_clutter_prior=0.0), **settings), world(survival=1.0)
     state, _ = run(filter_, [boxes((200, 200))], model)
     assert state.present.hidden.tolist() == [0]
     whole = filter_.predict(state, model, 5.0, RNG)
@@ -46,8 +52,10 @@ def test_who_is_in_view_gets_hidden_as_a_markov_chain(settings: dict):
     halves = filter_.predict(filter_.predict(state, model, 2.5, RNG), model, 2.5, RNG)
     assert halves.present.hidden[0] == pytest.approx(whole.present.hidden[0], rel=1e-12)
     late = filter_.predict(whole, model, 1e6, RNG)
-    assert late.present.hidden[0] == pytest.approx(filter_.hidden / (filter_.in_view + filter_.hidden))
-    assert replace(filter_, in_view=0.0).predict(state, model, 5.0, RNG).present.hidden[0] == 0
+    assert late.present.hidden[0] == pytest.approx(
+        filter_.mean_occluded_time / (filter_.mean_visible_time + filter_.mean_occluded_time)
+    )
+    assert replace(filter_, mean_visible_time=0.0).predict(state, model, 5.0, RNG).present.hidden[0] == 0
 
 
 def test_misses_in_a_row_are_believed_where_targets_get_hidden():
@@ -55,10 +63,12 @@ def test_misses_in_a_row_are_believed_where_targets_get_hidden():
     model, path = world(detection=0.95, survival=0.999), walk((200, 200), (2, 1), 30, np.random.default_rng(1))
     scans = [boxes(here) for here in path]
     scans[12:24] = [boxes()] * 12
-    gone, waiting = (run(f, scans[:24], model)[0].mass for f in (PLAIN, replace(PMB(), in_view=1.0, hidden=2.0)))
+    gone, waiting = (
+        run(f, scans[:24], model)[0].mass for f in (PLAIN, replace(PMB(), mean_visible_time=1.0, mean_occluded_time=2.0))
+    )
     assert gone < 1e-6
     assert waiting > 0.5
-    state, _ = run(replace(PMB(), in_view=1.0, hidden=2.0), scans, model)
+    state, _ = run(replace(PMB(), mean_visible_time=1.0, mean_occluded_time=2.0), scans, model)
     assert told(state, model).tag.tolist() == [0]
 
 
@@ -133,7 +143,10 @@ def seen_by_a_source(seed: int, frames: int = 150) -> list[np.ndarray]:
 @pytest.mark.parametrize("seed", range(5))
 def test_a_source_of_false_alarms_is_soon_not_reported(seed: int):
     """It fires half of the time in one place; three seconds later nobody is reported there for the three that follow."""
-    model, filter_ = world(detection=0.95, clutter=1e-9, birth=1e-10, survival=0.9999), PMB(in_view=4.0, hidden=0.2)
+    model, filter_ = (
+        world(detection=0.95, clutter=1e-9, birth=1e-10, survival=0.9999),
+        PMB(mean_visible_time=4.0, mean_occluded_time=0.2),
+    )
     state, reported = filter_.start(model, RNG), []
     for z in seen_by_a_source(seed):
         state, info = filter_.step(state, z, model, 1.0, RNG)
@@ -146,7 +159,10 @@ def test_a_source_of_false_alarms_is_soon_not_reported(seed: int):
 
 
 def test_who_walks_through_a_source_keeps_his_label():
-    model, filter_ = world(detection=0.95, clutter=1e-9, birth=1e-10, survival=0.9999), PMB(in_view=4.0, hidden=0.2)
+    model, filter_ = (
+        world(detection=0.95, clutter=1e-9, birth=1e-10, survival=0.9999),
+        PMB(mean_visible_time=4.0, mean_occluded_time=0.2),
+    )
     scans, rng = seen_by_a_source(7, 220), np.random.default_rng(7)
     path = walk((300 - 4 * 150, 200), (4, 0), 220, rng, 2.0)
     state, labels = filter_.start(model, RNG), []
@@ -181,7 +197,7 @@ def test_a_person_who_stands_still_is_reported(seed: int, share: float):
 
 def test_the_past_that_is_kept_and_the_number_of_hypotheses_are_bounded():
     rng, model, sizes = np.random.default_rng(5), world(clutter=3e-9, birth=3e-9), []
-    filter_ = PMB(depth=4, most=5)
+    filter_ = PMB(history=4, max_hypotheses=5)
     state = filter_.start(model, RNG)
     for z in scene(rng, 60, targets=8, clutter=20):
         state, _ = filter_.step(state, z, model, 1.0, RNG)
@@ -201,7 +217,16 @@ def test_spawning_has_no_form():
         PMB().step(state, boxes((301, 200)), model, 1.0, RNG)
 
 
-@pytest.mark.parametrize("wrong", [{"sources": 1.5}, {"hidden": 0.0}, {"most": 0}, {"in_view": -1.0}, {"least": 0.0}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"static_clutter_prior": 1.5},
+        {"mean_occluded_time": 0.0},
+        {"max_hypotheses": 0},
+        {"mean_visible_time": -1.0},
+        {"existence_threshold": 0.0},
+    ],
+)
 def test_settings_out_of_bounds_are_refused(wrong: dict):
     with pytest.raises(InputError, match=next(iter(wrong))):
         PMB(**wrong)
@@ -209,9 +234,9 @@ def test_settings_out_of_bounds_are_refused(wrong: dict):
 
 def test_rare_births_among_much_clutter_are_seen_a_second_time():
     """A first detection is a new target's once in 10 000: less than ``least``, and yet who stays is found."""
-    model, filter_ = world(clutter=1e-6, birth=1e-10), PMB(in_view=0.0, sources=0.0)
+    model, filter_ = world(clutter=1e-6, birth=1e-10), PMB(mean_visible_time=0.0, static_clutter_prior=0.0)
     state = filter_.start(model, RNG)
     for k in range(25):
         state, _ = filter_.step(state, boxes((100 + 2 * k, 200)), model, 1.0, RNG)
     assert told(state, model).tag.tolist() == [0]
-    assert filter_.least > 1e-4
+    assert filter_.existence_threshold > 1e-4

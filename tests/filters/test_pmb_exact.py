@@ -56,7 +56,12 @@ def test_on_clean_data_it_is_a_kalman_filter(transform: str, dt: float):
 
 def turns(filter_: PMB, seconds: float) -> np.ndarray:
     """(2, 2) the exponential of the chain's generator, summed as its series."""
-    rates = np.array([[-1 / filter_.in_view, 1 / filter_.in_view], [1 / filter_.hidden, -1 / filter_.hidden]])
+    rates = np.array(
+        [
+            [-1 / filter_.mean_visible_time, 1 / filter_.mean_visible_time],
+            [1 / filter_.mean_occluded_time, -1 / filter_.mean_occluded_time],
+        ]
+    )
     out = term = np.eye(2)
     for k in range(1, 60):
         term = term @ rates * (seconds / k)
@@ -73,7 +78,14 @@ SCANS = {
 
 
 @pytest.mark.parametrize("dt", [1.0, 4.0])
-@pytest.mark.parametrize("settings", [{"sources": 0.0}, {"sources": 0.3, "firing": 0.4}, {"in_view": 0.5, "hidden": 1.0}])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"static_clutter_prior": 0.0},
+        {"static_clutter_prior": 0.3, "static_clutter_detection_probability": 0.4},
+        {"mean_visible_time": 0.5, "mean_occluded_time": 1.0},
+    ],
+)
 @pytest.mark.parametrize("name", SCANS)
 def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float):
     """Every past, what the target is, and whether it is hidden, enumerated: existence, weights, states, hidden chain."""
@@ -83,15 +95,17 @@ def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float):
     born = 0.8 * 2e-8 * dt
     r = born / (born + 3e-8)
     mean, cov = model.sensor.states(boxes(first))
-    kinds = [(False, 1 - filter_.sources), (True, filter_.sources)]
+    kinds = [(False, 1 - filter_.static_clutter_prior), (True, filter_.static_clutter_prior)]
     nobody, ways = 1 - r, [One(r * w, (0,), kind, False, mean[:, 0], cov[0]) for kind, w in kinds if w > 0]
-    assert info.mass == pytest.approx(r * (1 - filter_.sources))
+    assert info.mass == pytest.approx(r * (1 - filter_.static_clutter_prior))
     model, chain = without_births(model), turns(filter_, dt / 25)
     for points in rest:
         z = boxes(*points)
         before = sum(w.weight for w in ways)
         ways = moved_on(ways, model, dt, chain)
-        nobody, ways = bernoulli(nobody + before - sum(w.weight for w in ways), ways, z, model, filter_.firing)
+        nobody, ways = bernoulli(
+            nobody + before - sum(w.weight for w in ways), ways, z, model, filter_.static_clutter_detection_probability
+        )
         state, info = filter_.step(state, z, model, dt, RNG)
     now = state.present
     assert now.exist[0] == pytest.approx(1 - nobody, rel=1e-9)
@@ -112,11 +126,11 @@ def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float):
 def test_a_false_alarm_is_as_probable_as_bayes_has_it():
     """One target that is there or not, one measurement: it is its, a new target's or nobody's."""
     model = world(clutter=3e-8, birth=2e-8, detection=0.8, survival=0.95)
-    state, _ = run(replace(PLAIN, gate=60.0), [boxes((300, 200))], model)
+    state, _ = run(replace(PLAIN, gate_probability=1.0), [boxes((300, 200))], model)
     mean, cov = kalman(model, state.present.mean[:, 0], state.present.covariance[0], None, 1.0)
     r, q = 0.95 * state.present.exist[0], corrected(mean, cov, boxes((303, 204))[:, 0])[2]
     its, born, false = r * 0.8 * q, (1 - r * 0.8) * 0.8 * 2e-8, (1 - r * 0.8) * 3e-8
-    state, info = replace(PLAIN, gate=60.0).step(state, boxes((303, 204)), model, 1.0, RNG)
+    state, info = replace(PLAIN, gate_probability=1.0).step(state, boxes((303, 204)), model, 1.0, RNG)
     total = its + born + false
     assert info.clutter_probability[0] == pytest.approx(false / total, rel=1e-9)
     assert info.mass_born == pytest.approx(born / total, rel=1e-9)
@@ -138,7 +152,7 @@ def test_several_targets_have_the_probabilities_of_all_histories(name: str, sett
     model, scans = mht_cases.world(**settings), HISTORIES[name]
     histories = enumerate_histories(scans, model, 1.0)
     total = sum(w for w, *_ in histories)
-    state, info = run(replace(EVERYTHING, in_view=0.0, sources=0.0), scans, model)
+    state, info = run(replace(EVERYTHING, mean_visible_time=0.0, static_clutter_prior=0.0), scans, model)
     wanted: dict[tuple, float] = {}
     for w, _, tracks in histories:
         for track in tracks:
@@ -165,7 +179,7 @@ def test_later_doubts_are_nearly_those_of_all_histories(name: str):
     model, scans = mht_cases.world(detection=0.95), test_mht_enumeration.SCANS[name]
     weight, there, _ = summed(enumerate_histories(scans, model, 1.0))
     expected = sum(weight[key] * p for (key, _), p in there.items())
-    state, _ = run(replace(EVERYTHING, in_view=0.0, sources=0.0), scans, model)
+    state, _ = run(replace(EVERYTHING, mean_visible_time=0.0, static_clutter_prior=0.0), scans, model)
     assert state.mass == pytest.approx(expected, rel=0.02)
 
 

@@ -99,7 +99,7 @@ def test_bearings_and_range_with_sigma_points():
     def alarms() -> np.ndarray:
         return rng.uniform([[-np.pi / 2], [0]], [[np.pi / 2], [2000]], (2, 1))
 
-    filter_ = PMB(transform="unscented", in_view=0.0, sources=0.0)
+    filter_ = PMB(transform="unscented", mean_visible_time=0.0, static_clutter_prior=0.0)
     _, found, truth = follow(filter_, model, x, noisy, alarms, 20)
     stays_with(found[5:], truth[5:], 60)
 
@@ -110,7 +110,7 @@ def test_a_camera_that_pans_keeps_every_label():
     place = np.array([[200.0, 200], [235, 210], [400, 300]])
     shifts = np.cumsum(rng.choice([-20.0, 20.0], (30, 2)), axis=0)
     for aware in (True, False):
-        filter_, labels, before = PMB(sources=0.0), [], np.zeros(2)
+        filter_, labels, before = PMB(static_clutter_prior=0.0), [], np.zeros(2)
         state = filter_.start(model, RNG)
         for shift in shifts:
             warp = np.eye(3)

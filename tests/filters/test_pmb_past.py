@@ -61,7 +61,7 @@ def test_replaying_what_is_told_gives_what_tracing_back_gives(seed: int, depth: 
     rng = np.random.default_rng(seed)
     detection = (0.6, 0.75, 0.9)[seed % 3]
     model = world(detection=detection, clutter=1e-8, birth=1e-8, survival=0.95)
-    filter_, extractor = PMB(depth=depth, least=1e-2), BestBernoullis(overlap=(1.0, 0.5)[seed % 2])
+    filter_, extractor = PMB(history=depth, existence_threshold=1e-2), BestBernoullis(merge_iou=(1.0, 0.5)[seed % 2])
     state, shown, revised, silent = filter_.start(model, RNG), [], 0, 0
     for k, z in enumerate(scene(rng, 60, detection, (60, 300)[seed % 2])):
         state = filter_.predict(state, model, 1.0, RNG) if k % 17 == 16 else filter_.step(state, z, model, 1.0, RNG)[0]
@@ -73,7 +73,7 @@ def test_replaying_what_is_told_gives_what_tracing_back_gives(seed: int, depth: 
             elif len(shown) > back:
                 revised += back > 0
                 shown[-1 - back] = past
-        for past, wanted in zip(reversed(shown), reversed(traced(state, model, 0.5, extractor.overlap)), strict=False):
+        for past, wanted in zip(reversed(shown), reversed(traced(state, model, 0.5, extractor.merge_iou)), strict=False):
             assert past.tag.tolist() == list(wanted), k
             assert past.detection.tolist() == [d for _, d in wanted.values()], k
             np.testing.assert_array_equal(past.state.T, np.array([x for x, _ in wanted.values()]).reshape(-1, 6))
@@ -99,7 +99,7 @@ def test_an_ended_target_is_still_told_of_where_it_was():
     """Soon after the last detection nobody is there; the frames before show him until they are no longer told of."""
     model, path = world(detection=0.9, survival=0.8), walk((200, 200), (2, 2), 12)
     scans = [boxes(here) for here in path] + [boxes()] * 20
-    filter_ = PMB(in_view=0.0)
+    filter_ = PMB(mean_visible_time=0.0)
     for n in range(18, 33):
         state, _ = run(filter_, scans[:n], model)
         seen = [frame for frame in traced(state, model, 0.5, 1.0) if any(d >= 0 for _, d in frame.values())]

@@ -57,7 +57,7 @@ def test_first_states_and_evidence_are_those_of_the_definition(kind: str, clutte
         sensor = BoxSensor(scaling=("particle", "detection", "fixed", "particle")[seed])
         model = Model(BoxMotion(frame_size=SIZE), sensor, births(kind, seed, mixed), CLUTTER[clutter])
         assert len(box_model(model, 1.0).births) == 8, "the fused path is tested"
-        settings, rng = PMB(least=1e-12), np.random.default_rng(0)
+        settings, rng = PMB(existence_threshold=1e-12), np.random.default_rng(0)
         state, z = settings.start(model, rng), measured(seed, 12)
         fused, info = settings.step(state, z, model, 1.0, rng)
         general, expected = composed_step(settings, state, z, model, 1.0, rng)

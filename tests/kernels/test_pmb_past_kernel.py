@@ -68,7 +68,7 @@ def test_the_past_is_that_of_the_twin(seed: int, stubborn: float):
     least, total = 0.5, 0
     state = history(np.random.default_rng(seed), 7, stubborn)
     wanted = twin.told(as_lists(state), [tuple(x) for x in state.ended.T.tolist()], least)
-    found = BestBernoullis(least, overlap=1.0).extract(state, np.zeros((4, 0)), MODEL)
+    found = BestBernoullis(least, merge_iou=1.0).extract(state, np.zeros((4, 0)), MODEL)
     assert len(found.past) == 6
     assert [e is None for e in found.past[::-1]] == [k >= len(wanted) for k in range(6)]
     for told, layer, estimates in zip(wanted, state.layers[-2::-1], found.past[::-1], strict=False):

@@ -51,12 +51,14 @@ MODELS = {
 }
 FILTERS = {
     "default": PMB(),
-    "always in view": PMB(in_view=0.0, sources=0.0),
-    "no sources": PMB(sources=0.0, depth=3),
-    "sources": PMB(sources=0.5, firing=0.9, in_view=1.0, hidden=1.0),
-    "few": PMB(most=2, share=0.2, least=5e-3, gate=3.0),
-    "all": PMB(most=30, share=1e-4, least=1e-5, merge=0.0),
-    "merging": PMB(merge=3.0),
+    "always in view": PMB(mean_visible_time=0.0, static_clutter_prior=0.0),
+    "no sources": PMB(static_clutter_prior=0.0, history=3),
+    "sources": PMB(
+        static_clutter_prior=0.5, static_clutter_detection_probability=0.9, mean_visible_time=1.0, mean_occluded_time=1.0
+    ),
+    "few": PMB(max_hypotheses=2, hypothesis_threshold=0.2, existence_threshold=5e-3, gate_probability=0.94),
+    "all": PMB(max_hypotheses=30, hypothesis_threshold=1e-4, existence_threshold=1e-5, merge_distance=0.0),
+    "merging": PMB(merge_distance=3.0),
 }
 
 

@@ -61,7 +61,10 @@ def test_multiple_hypotheses_keep_the_identities_of_ten_targets():
 
 @pytest.mark.parametrize(
     ("recursion", "extractor"),
-    [(GMPHD(transform="unscented", most=100), Components(overlap=1.0)), (ParticlePHD(per_target=500), KMeans(overlap=1.0))],
+    [
+        (GMPHD(transform="unscented", most=100), Components(merge_iou=1.0)),
+        (ParticlePHD(per_target=500), KMeans(merge_iou=1.0)),
+    ],
     ids=["gm-phd", "particle-phd"],
 )
 def test_intensities_follow_them_too(recursion, extractor):

@@ -33,13 +33,13 @@ _PAPER: Mapping[str, Mapping[str, Any]] = {
     "filter": {"kind": "particle-phd", "per_target": 1500},
     "associate": {"kind": "graph"},
     # No paper joins states that overlap, or touches tracks that have ended.
-    "extract": {"kind": "kmeans", "lightest": 0.6, "overlap": 1.0},
+    "extract": {"kind": "kmeans", "min_weight": 0.6, "merge_iou": 1.0},
     "refine": NO_REFINEMENT,
 }
 _M09: Mapping[str, Mapping[str, Any]] = {
     **_PAPER,
     "sensor": {**_PAPER["sensor"], "floor": 0.0, "scaling": "particle"},
-    "extract": {"kind": "mixture", "lightest": 0.5, "overlap": 1.0},
+    "extract": {"kind": "mixture", "min_weight": 0.5, "merge_iou": 1.0},
 }
 _FV: Mapping[str, Mapping[str, Any]] = {
     **_M09,
@@ -111,15 +111,16 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
         "sensor": {"detection": 0.97, "scaling": "fixed"},
         "filter": {
             "kind": "mht",
-            "new": 0.0025,
-            "false": 0.00007,
-            "patience": 150.0,
-            "gate": 20**0.5,
-            "depth": 10,
-            "ratio": 0.001,
-            "most": 300,
+            "new_target_density": 0.0025,
+            "false_alarm_density": 0.00007,
+            "termination_frames": 150.0,
+            # A squared distance of 20 in four dimensions.
+            "gate_probability": 0.9995,
+            "history": 10,
+            "hypothesis_threshold": 0.001,
+            "max_hypotheses": 300,
         },
-        "extract": {"kind": "hypotheses", "lightest": 0.5, "overlap": 1.0},
+        "extract": {"kind": "hypotheses", "min_weight": 0.5, "merge_iou": 1.0},
         "associate": {"kind": "labelled"},
     },
     "e13": {
@@ -153,7 +154,7 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
                 (-7.9414, 4.3781, 1.0, 0.1**0.5, 1.0),
             ],
         },
-        "extract": {"kind": "components", "lightest": 0.5, "region": 9.21, "overlap": 1.0},
+        "extract": {"kind": "components", "min_weight": 0.5, "region": 9.21, "merge_iou": 1.0},
         "refine": NO_REFINEMENT,
     },
     "d14": {
@@ -162,7 +163,7 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
         "birth": {"kind": "uniform", "rate": 0.1, "count": 10},
         "clutter": {"kind": "point", "rate": 0.0},
         "filter": {"kind": "particle-phd", "per_target": 4000, "most": 4000, "skip_empty": True, "region": 9.21},
-        "extract": {"kind": "kmeans", "lightest": 0.6, "region": 9.21, "overlap": 1.0},
+        "extract": {"kind": "kmeans", "min_weight": 0.6, "region": 9.21, "merge_iou": 1.0},
         "associate": {"kind": "graph"},
         "refine": NO_REFINEMENT,
     },

@@ -140,7 +140,7 @@ def mixture_of(intensity: Any, step: Step, z: F8, stages: AnyStages, lightest: f
     if isinstance(points, GaussianMixture):
         return points
     found = step.estimates
-    if isinstance(stages.extractor, KMeans | Mixture) and lightest < stages.extractor.lightest:
+    if isinstance(stages.extractor, KMeans | Mixture) and lightest < stages.extractor.min_weight:
         found = replace(stages.extractor, lightest=lightest).extract(points, z, stages.model)
     return GaussianMixture(found.weight, found.state, found.covariance + _FINEST**2 * np.eye(len(found.state)))
 

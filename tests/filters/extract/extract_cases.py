@@ -14,7 +14,7 @@ from phdtrack.types import Particles
 
 ROWS = [0, 1, 4, 5]
 FRAME = (4000.0, 4000.0)
-EXTRACTORS = [KMeans(lightest=0.6, overlap=1.0), Mixture(lightest=0.5, overlap=1.0)]
+EXTRACTORS = [KMeans(min_weight=0.6, merge_iou=1.0), Mixture(min_weight=0.5, merge_iou=1.0)]
 NAMES = ["kmeans", "mixture"]
 HERE = np.array([300.0, 200, 1, 0, 40, 100])
 THERE = np.array([1300.0, 900, -1, 0, 50, 90])

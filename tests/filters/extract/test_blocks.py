@@ -70,12 +70,12 @@ def test_clusters_are_the_twins(seed: int, targets: int, alarms: int, width: flo
     """From the same seeds on the same particles, in float64 to rounding."""
     rng = np.random.default_rng(seed)
     state, z = scene(rng, targets, alarms, width)
-    extractor, sensor = KMeans(overlap=1.0), MODEL.sensor
-    if state.mass < extractor.lightest:
+    extractor, sensor = KMeans(merge_iou=1.0), MODEL.sensor
+    if state.mass < extractor.min_weight:
         return
-    centres = seeds(Cloud.of(state), z, sensor, extractor.lightest).centre
+    centres = seeds(Cloud.of(state), z, sensor, extractor.min_weight).centre
     x, weight, _ = cut(state.state, state.weight, 256)
-    mass, mean, cov = twin.kmeans(x, weight, centres, sensor.noise, extractor.lightest, extractor.split)
+    mass, mean, cov = twin.kmeans(x, weight, centres, sensor.noise, extractor.min_weight, extractor.split)
     found = extractor.extract(state, z, MODEL)
     mine, other = np.lexsort(found.state), np.lexsort(mean)
     found, mass, mean, cov = found.take(mine), mass[other], mean[:, other], cov[other]
@@ -128,7 +128,7 @@ def test_threads_do_not_change_a_bit(threads: int, rng):
 @pytest.mark.parametrize("most", [1, 7, 256])
 def test_the_size_of_blocks_does_not_matter(most: int, rng):
     state, z = scene(rng, 6, 4, 500.0)
-    a, b = (KMeans(overlap=1.0).extract(blocks(state, most=m), z, MODEL) for m in (64, most))
+    a, b = (KMeans(merge_iou=1.0).extract(blocks(state, most=m), z, MODEL) for m in (64, most))
     np.testing.assert_allclose(np.sort(b.state[0]), np.sort(a.state[0]), atol=1e-2)
     assert b.weight.sum() == pytest.approx(a.weight.sum(), rel=1e-5)
 

@@ -20,12 +20,12 @@ Z = MEAN[[0, 1, 4, 5]][:, [1, 0]] + 1.0
 
 
 def test_components_of_half_a_target_or_more_are_states():
-    found = Components(overlap=1.0).extract(MIXTURE, Z, MODEL)
+    found = Components(merge_iou=1.0).extract(MIXTURE, Z, MODEL)
     np.testing.assert_array_equal(found.state, MEAN[:, :3])
     np.testing.assert_array_equal(found.weight, MIXTURE.weight[:3])
     np.testing.assert_array_equal(found.detection, [1, 0, -1])
     np.testing.assert_allclose(found.xyxy[0], [80, 60, 120, 140])
-    assert len(Components(lightest=0.3, overlap=1.0).extract(MIXTURE, Z, MODEL)) == 4
+    assert len(Components(min_weight=0.3, merge_iou=1.0).extract(MIXTURE, Z, MODEL)) == 4
 
 
 def test_those_that_no_sensor_could_tell_apart_are_one():
@@ -48,7 +48,7 @@ def test_states_have_the_tags_of_their_components():
     """Of the heaviest where some were joined; twice the same where one is reported twice; none where there is none."""
     tags = np.array([7, 3, 9, 4])
     mixture = replace(MIXTURE, tag=tags, fresh=10)
-    np.testing.assert_array_equal(Components(overlap=1.0).extract(mixture, Z, MODEL).tag, [7, 3, 9])
+    np.testing.assert_array_equal(Components(merge_iou=1.0).extract(mixture, Z, MODEL).tag, [7, 3, 9])
     np.testing.assert_array_equal(Components().extract(mixture, Z, MODEL).tag, [7, 3])
     np.testing.assert_array_equal(Components(repeat=True).extract(mixture, Z, MODEL).tag, [7, 3, 3, 9])
     other = replace(mixture, weight=np.array([0.9, 0.6, 2.2, 0.49]))
@@ -59,6 +59,6 @@ def test_states_have_the_tags_of_their_components():
 
 
 def test_settings_out_of_bounds():
-    for wrong in ({"lightest": 0.0}, {"region": 0.0}, {"overlap": 0.0}):
+    for wrong in ({"min_weight": 0.0}, {"region": 0.0}, {"merge_iou": 0.0}):
         with pytest.raises(InputError, match=next(iter(wrong))):
             Components(**wrong)

@@ -62,6 +62,6 @@ def test_ties_and_rounding():
 
 @pytest.mark.parametrize("kind", [CountedComponents, CountedKMeans, CountedMixture])
 def test_settings_out_of_bounds(kind):
-    for wrong in ({"candidate": 0.0}, {"overlap": 2.0}):
+    for wrong in ({"candidate": 0.0}, {"merge_iou": 2.0}):
         with pytest.raises(InputError, match=next(iter(wrong))):
             kind(**wrong)

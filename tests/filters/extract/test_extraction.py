@@ -37,7 +37,7 @@ def test_one_target_is_always_one_state(extractor, p_detect: float):
             state = recursion.reduce(state, rng)
             heaviest = max(heaviest, state.mass)
             found = extractor.extract(state, z, model)
-            assert len(found) == (state.mass >= extractor.lightest)
+            assert len(found) == (state.mass >= extractor.min_weight)
             believed += len(found)
     assert believed > 100
     assert heaviest <= 1 / (1 - (1 - p_detect) * 0.99) + 0.01
@@ -133,12 +133,12 @@ def test_detected_twice_and_joined_by_overlap(extractor):
         beside = moved(5, 8, 0, 0, 3, -6)
         state = together(cloud(rng, HERE, 1.0), cloud(rng, beside, 1.0))
         z = seen(HERE, beside)
-        joined = replace(extractor, overlap=0.4).extract(state, z, MODEL)
+        joined = replace(extractor, merge_iou=0.4).extract(state, z, MODEL)
         assert len(joined) == 1
         assert joined.weight[0] == pytest.approx(2.0)
         np.testing.assert_allclose(joined.state[:, 0], state.state.mean(1), rtol=1e-6)
         assert joined.detection[0] in (0, 1)
-        apart = replace(extractor, overlap=0.4).extract(together(cloud(rng, HERE, 1.0), cloud(rng, THERE, 1.0)), z, MODEL)
+        apart = replace(extractor, merge_iou=0.4).extract(together(cloud(rng, HERE, 1.0), cloud(rng, THERE, 1.0)), z, MODEL)
         assert len(apart) == 2
 
 
@@ -245,7 +245,7 @@ def test_kmeans_agrees_with_looking_at_everything(seed: int):
     z = seen(*at)
     scale = MODEL.sensor.noise(at[0][:, None])[:, 0]
     mass, mean, cov = twin.kmeans(state.state, state.weight, MODEL.sensor.states(z)[0], scale, 0.6, 1.5)
-    extractor = KMeans(lightest=0.6, split=1.5, iterations=40, overlap=1.0)
+    extractor = KMeans(min_weight=0.6, split=1.5, iterations=40, merge_iou=1.0)
     found = extractor.extract(state, z, MODEL)
     assert len(found) == len(mass) == 6
     mine, others = np.argsort(found.state[0]), np.argsort(mean[0])
@@ -259,7 +259,7 @@ def test_the_mixture_finds_means_and_shares_of_overlapping_targets(rng):
     """Two clouds that touch: K-means cuts between them and pushes the means apart, EM does not."""
     beside = moved(14)
     state = together(cloud(rng, HERE, 1.2, 4000, spread=1.0), cloud(rng, beside, 0.8, 4000, spread=1.0))
-    found = Mixture(overlap=1.0, iterations=60).extract(state, seen(HERE, beside), MODEL)
+    found = Mixture(merge_iou=1.0, iterations=60).extract(state, seen(HERE, beside), MODEL)
     assert len(found) == 2
     order = np.argsort(found.state[0])
     np.testing.assert_allclose(found.weight[order], [1.2, 0.8], atol=0.1)
@@ -281,7 +281,7 @@ def test_remembered_sizes_pass_through(extractor, rng):
 def test_inputs_are_left_alone(extractor, rng):
     state, z = together(cloud(rng, HERE, 1.0), cloud(rng, THERE, 2.0)), seen(HERE)
     state.state.flags.writeable = state.weight.flags.writeable = z.flags.writeable = False
-    assert len(replace(extractor, overlap=0.3).extract(state, z, MODEL)) >= 2
+    assert len(replace(extractor, merge_iou=0.3).extract(state, z, MODEL)) >= 2
 
 
 def test_raw_detections_are_states():
@@ -293,7 +293,9 @@ def test_raw_detections_are_states():
 
 
 @pytest.mark.parametrize("kind", [KMeans, Mixture])
-@pytest.mark.parametrize("wrong", [{"lightest": 0.0}, {"split": -1.0}, {"iterations": 0}, {"overlap": 0.0}, {"region": 0.0}])
+@pytest.mark.parametrize(
+    "wrong", [{"min_weight": 0.0}, {"split": -1.0}, {"iterations": 0}, {"merge_iou": 0.0}, {"region": 0.0}]
+)
 def test_settings_out_of_bounds(kind, wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         kind(**wrong)

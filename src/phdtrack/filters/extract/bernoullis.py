@@ -20,13 +20,13 @@ class BestBernoullis:
 
     Parameters
     ----------
-    lightest : targets that are there with less probability are not reported. A target that was measured again later was
+    min_weight : targets that are there with less probability are not reported. A target that was measured again later was
         there.
-    overlap : of targets whose boxes overlap by more (IoU) the one that has been followed for longer is reported; 1: all.
+    merge_iou : of targets whose boxes overlap by more (IoU) the one that has been followed for longer is reported; 1: all.
     """
 
-    lightest: Share = 0.5
-    overlap: Share = 0.5
+    min_weight: Share = 0.5
+    merge_iou: Share = 0.5
 
     def __post_init__(self) -> None:
         check(self)
@@ -47,7 +47,7 @@ class BestBernoullis:
             layer, then = layers[-back], layers[-back - 1]
             place, presence, known, before, same = earlier(
                 place, presence, known, before, layer.parent, then.first, then.presence, then.believed, ended, back,
-                self.lightest,
+                self.min_weight,
             )  # fmt: skip
             if same:
                 break
@@ -57,11 +57,11 @@ class BestBernoullis:
     def _estimates(self, layer: Layer, place: I8, presence: F8, model: Model) -> Estimates:
         """Those of enough presence, but for those in each other's places."""
         mean, covariance, weight, detection, label = reported(
-            place, presence, self.lightest, np.ascontiguousarray(layer.mean), np.ascontiguousarray(layer.covariance),
+            place, presence, self.min_weight, np.ascontiguousarray(layer.mean), np.ascontiguousarray(layer.covariance),
             layer.detection, layer.label,
         )  # fmt: skip
         boxes = model.sensor.boxes(mean)
         found = Estimates(mean, covariance, weight, boxes, detection, label)
         # Labels rise with the frame in which a target began.
-        kept = resolved(boxes, self.overlap)
+        kept = resolved(boxes, self.merge_iou)
         return found if len(kept) == len(boxes) else found.take(kept)

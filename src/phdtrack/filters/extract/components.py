@@ -24,23 +24,23 @@ class Components:
 
     Parameters
     ----------
-    lightest : components of less weight are not targets; Vo and Ma's 0.5.
+    min_weight : components of less weight are not targets; Vo and Ma's 0.5.
     repeat : report a component as often as its weight says, rounded, as Vo and Ma do. Joining is off then.
     region : squared Mahalanobis radius within which a state counts as resting on a detection.
-    overlap : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
+    merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
     """
 
-    lightest: Positive = 0.5
+    min_weight: Positive = 0.5
     repeat: bool = False
     region: Positive = 13.28
-    overlap: Share = 0.4
+    merge_iou: Share = 0.4
 
     def __post_init__(self) -> None:
         check(self)
 
     def extract(self, state: GaussianMixture, z: F8, model: Model) -> Estimates:
         """The means of the components heavy enough to be targets [V06 Table III], and their tags [P09 §III]."""
-        heavy = np.flatnonzero(state.weight >= self.lightest)
+        heavy = np.flatnonzero(state.weight >= self.min_weight)
         if self.repeat:
             times = np.maximum(np.rint(state.weight[heavy]).astype(np.int64), 1)
             weight = np.repeat(state.weight[heavy] / times, times)
@@ -49,7 +49,7 @@ class Components:
         else:
             weight, mean, cov, part = joined(
                 state.weight[heavy], np.ascontiguousarray(state.mean[:, heavy]), state.covariance[heavy],
-                model.sensor, self.overlap,
+                model.sensor, self.merge_iou,
             )  # fmt: skip
             heavy = heavy[part]
         found = clusters.finish(weight, mean, cov, z, model, self.region)

@@ -34,13 +34,13 @@ class CountedComponents:
     count : ``map``, the most probable number of targets, or ``eap``, the mean, rounded.
     candidate : components of less weight are no candidates.
     region : squared Mahalanobis radius within which a state counts as resting on a detection.
-    overlap : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
+    merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
     """
 
     count: Count = "map"
     candidate: Positive = 0.05
     region: Positive = 13.28
-    overlap: Share = 0.4
+    merge_iou: Share = 0.4
 
     def __post_init__(self) -> None:
         check(self)
@@ -60,7 +60,7 @@ class CountedMixture:
     candidate : components of less mass are no candidates.
     merge : Mahalanobis distance up to which a component is part of a heavier one, in the covariance of that, as the
         Gaussian-mixture filters have it.
-    iterations, region, overlap : as in `Mixture`.
+    iterations, region, merge_iou : as in `Mixture`.
     """
 
     count: Count = "map"
@@ -68,7 +68,7 @@ class CountedMixture:
     merge: NonNegative = 2.0
     iterations: PositiveCount = 6
     region: Positive = 13.28
-    overlap: Share = 0.4
+    merge_iou: Share = 0.4
 
     def __post_init__(self) -> None:
         check(self)
@@ -87,14 +87,14 @@ class CountedKMeans:
     ----------
     count : ``map``, the most probable number of targets, or ``eap``, the mean, rounded.
     candidate : clusters of less mass are no candidates.
-    iterations, region, overlap : as in `KMeans`.
+    iterations, region, merge_iou : as in `KMeans`.
     """
 
     count: Count = "map"
     candidate: Positive = 0.1
     iterations: PositiveCount = 5
     region: Positive = 13.28
-    overlap: Share = 0.4
+    merge_iou: Share = 0.4
 
     def __post_init__(self) -> None:
         check(self)
@@ -110,17 +110,17 @@ _NEVER = 1e9
 
 @lru_cache(maxsize=8)
 def _components(settings: CountedComponents) -> Components:
-    return Components(settings.candidate, region=settings.region, overlap=settings.overlap)
+    return Components(settings.candidate, region=settings.region, merge_iou=settings.merge_iou)
 
 
 @lru_cache(maxsize=8)
 def _mixture(settings: CountedMixture) -> Mixture:
-    return Mixture(settings.candidate, _NEVER, settings.iterations, settings.region, settings.overlap)
+    return Mixture(settings.candidate, _NEVER, settings.iterations, settings.region, settings.merge_iou)
 
 
 @lru_cache(maxsize=8)
 def _kmeans(settings: CountedKMeans) -> KMeans:
-    return KMeans(settings.candidate, _NEVER, settings.iterations, settings.region, settings.overlap)
+    return KMeans(settings.candidate, _NEVER, settings.iterations, settings.region, settings.merge_iou)
 
 
 def expected(cardinality: F8, count: Count) -> int:

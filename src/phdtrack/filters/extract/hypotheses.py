@@ -19,13 +19,13 @@ class BestHypothesis:
 
     Parameters
     ----------
-    lightest : targets that are there with less probability, if the hypothesis is true, are not reported. A target that was
+    min_weight : targets that are there with less probability, if the hypothesis is true, are not reported. A target that was
         measured again later was there.
-    overlap : of targets whose boxes overlap by more (IoU) the one that has been followed for longer is reported; 1: all.
+    merge_iou : of targets whose boxes overlap by more (IoU) the one that has been followed for longer is reported; 1: all.
     """
 
-    lightest: Share = 0.5
-    overlap: Share = 0.4
+    min_weight: Share = 0.5
+    merge_iou: Share = 0.4
 
     def __post_init__(self) -> None:
         check(self)
@@ -40,11 +40,11 @@ class BestHypothesis:
         for nodes in reversed(state.layers):
             known = np.flatnonzero(at >= 0)
             weight[known] = np.maximum(weight[known], nodes.exist[at[known]])
-            told = known[weight[known] >= self.lightest]
+            told = known[weight[known] >= self.min_weight]
             here = nodes.take(at[told])
             boxes = model.sensor.boxes(here.mean)
             found = Estimates(here.mean, here.covariance, weight[told], boxes, here.detection, here.label)
             # Labels rise with the frame in which a track began.
-            frames.append(found.take(resolved(boxes, self.overlap)))
+            frames.append(found.take(resolved(boxes, self.merge_iou)))
             at = before(nodes, at)
         return replace(frames[0], past=tuple(frames[:0:-1]))

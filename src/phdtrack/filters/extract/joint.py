@@ -20,14 +20,14 @@ class Joint:
 
     Parameters
     ----------
-    lightest : targets that are there with less probability are not reported.
+    min_weight : targets that are there with less probability are not reported.
     region : squared Mahalanobis radius within which a state counts as resting on a detection.
-    overlap : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
+    merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
     """
 
-    lightest: Positive = 0.5
+    min_weight: Positive = 0.5
     region: Positive = 13.28
-    overlap: Share = 0.4
+    merge_iou: Share = 0.4
 
     def __post_init__(self) -> None:
         check(self)
@@ -35,9 +35,9 @@ class Joint:
     def extract(self, state: JointSamples, z: F8, model: Model) -> Estimates:
         """Mean and covariance of the samples of every target that is there, with its label [K05]."""
         weight = state.existence
-        there = np.flatnonzero(weight >= self.lightest)
+        there = np.flatnonzero(weight >= self.min_weight)
         mean, cov = _moments(state, there)
-        weight, mean, cov, part = joined(weight[there], mean, cov, model.sensor, self.overlap)
+        weight, mean, cov, part = joined(weight[there], mean, cov, model.sensor, self.merge_iou)
         found = clusters.finish(weight, mean, cov, z, model, self.region)
         return replace(found, tag=state.label[there[part]])
 

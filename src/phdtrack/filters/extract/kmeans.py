@@ -27,19 +27,19 @@ class KMeans:
 
     Parameters
     ----------
-    lightest : T, clusters of less mass are not targets; M07's 0.6.
+    min_weight : T, clusters of less mass are not targets; M07's 0.6.
     split : clusters of more mass are several targets.
     iterations : how often a cluster's centre may move, and again after each split of it.
     region : squared Mahalanobis radius within which a state counts as resting on a detection (99 % in four dimensions).
-    overlap : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
+    merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
     threads : threads that share a frame's work, 0 for one per core; the result is the same to the bit.
     """
 
-    lightest: Positive = 0.6
+    min_weight: Positive = 0.6
     split: Positive = 1.5
     iterations: PositiveCount = 5
     region: Positive = 13.28
-    overlap: Share = 0.4
+    merge_iou: Share = 0.4
     threads: Count = 1
 
     def __post_init__(self) -> None:
@@ -47,10 +47,10 @@ class KMeans:
 
     def extract(self, state: Particles | ParticleBlocks, z: F8, model: Model) -> Estimates:
         """The centres of the clusters heavy enough to be targets: weighted means of full states [M07 §3]."""
-        if state.mass < self.lightest:
+        if state.mass < self.min_weight:
             return Estimates.empty(model.motion.dim)
         sensor, cloud = model.sensor, Cloud.of(state, self.threads, settling.FEW)
-        start = clusters.seeds(cloud, z, sensor, self.lightest)
+        start = clusters.seeds(cloud, z, sensor, self.min_weight)
         found = settling.cluster(cloud, start, self.split, self.iterations)
-        heavy = clusters.heavy_enough(found, sensor, self.lightest, self.split)
-        return clusters.finish(*join_unresolved(*heavy, sensor, self.overlap), z, model, self.region)
+        heavy = clusters.heavy_enough(found, sensor, self.min_weight, self.split)
+        return clusters.finish(*join_unresolved(*heavy, sensor, self.merge_iou), z, model, self.region)

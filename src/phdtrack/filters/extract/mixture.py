@@ -28,28 +28,28 @@ class Mixture:
 
     Parameters
     ----------
-    lightest : components of less mass are not targets; M09's 0.5.
+    min_weight : components of less mass are not targets; M09's 0.5.
     split : components of more mass are several targets (see `extract.kmeans`).
     iterations : EM iterations after the start and after each split.
     region : squared Mahalanobis radius within which a state counts as resting on a detection.
-    overlap : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
+    merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
     """
 
-    lightest: Positive = 0.5
+    min_weight: Positive = 0.5
     split: Positive = 1.5
     iterations: PositiveCount = 6
     region: Positive = 13.28
-    overlap: Share = 0.4
+    merge_iou: Share = 0.4
 
     def __post_init__(self) -> None:
         check(self)
 
     def extract(self, state: Particles | ParticleBlocks, z: F8, model: Model) -> Estimates:
         """The means of the components heavy enough to be targets [M09 §III-B]."""
-        if state.mass < self.lightest:
+        if state.mass < self.min_weight:
             return Estimates.empty(model.motion.dim)
         sensor, cloud = model.sensor, Cloud.of(state)
-        start = clusters.seeds(cloud, z, sensor, self.lightest)
+        start = clusters.seeds(cloud, z, sensor, self.min_weight)
         parts = _parts(cloud)
         mixture, scale = self._fit(cloud, parts, *_start(cloud, start, sensor), sensor)
         for _ in range(math.ceil(2 * state.mass / self.split)):
@@ -57,9 +57,9 @@ class Mixture:
                 break
             divided = _divide(mixture, scale, self.split)
             mixture, scale = self._fit(cloud, parts, divided, sensor.noise(divided.mean), sensor)
-        kept = mixture.weight >= self.lightest
+        kept = mixture.weight >= self.min_weight
         found = join_unresolved(
-            mixture.weight[kept], mixture.mean.compress(kept, axis=1), mixture.covariance[kept], sensor, self.overlap
+            mixture.weight[kept], mixture.mean.compress(kept, axis=1), mixture.covariance[kept], sensor, self.merge_iou
         )
         return clusters.finish(*found, z, model, self.region)
 

@@ -14,18 +14,20 @@ probabilities are the same, but 50 false alarms make 50 short tracks of little w
 
 Tracks that compete for no measurement stand in different clusters, whose hypotheses are independent. Where a measurement is
 near tracks of several, they become one; where the tracks of one no longer share a measurement of the window, it falls apart.
-In each cluster the best assignments over all its hypotheses are found in order (`kernels.murty`), up to ``most`` and down to
-``ratio`` of the best. What the best hypothesis says of the frame ``depth`` frames back is then decided: others are dropped.
+In each cluster the best assignments over all its hypotheses are found in order (`kernels.murty`), up to ``max_hypotheses``
+and down to ``hypothesis_threshold`` of the best. What the best hypothesis says of the frame ``history`` frames back is then
+decided: others are dropped.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phdtrack.arrays import sum_by
-from phdtrack.checks import NonNegative, Positive, PositiveCount, Share, check
+from phdtrack.arrays import GATE, chi2_quantile, sum_by
+from phdtrack.checks import NonNegative, PositiveCount, Share, check
 from phdtrack.errors import InputError
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.hypotheses import Cluster, Hypotheses, Nodes
@@ -44,30 +46,30 @@ class MHT:
 
     Parameters
     ----------
-    most : hypotheses kept of a cluster, the most probable [M09 §V].
-    ratio : hypotheses less probable than this share of their cluster's best are dropped [M09 §V].
-    depth : N, frames after which what the best hypothesis says is decided [M09 §V].
-    least : targets that are there with less probability are given up.
-    gate : a measurement further than this many deviations of the innovation from a track is not its.
+    max_hypotheses : hypotheses kept of a cluster, the most probable [M09 §V].
+    hypothesis_threshold : hypotheses less probable than this share of their cluster's best are dropped [M09 §V].
+    history : N, frames after which what the best hypothesis says is decided [M09 §V].
+    existence_threshold : targets that are there with less probability are given up.
+    gate_probability : part of the measurements of a track inside its gate; 1: no gate.
     transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
-    new : density of new targets' first measurements per frame and unit of area (pixel², m²), with any size up to the
-        frame's; 0: as the model's births have it.
-    false : the same of false alarms; 0: as the model's clutter has it.
-    patience : λ_x, a target survives the k-th frame in a row in which it is not measured with probability e^(−k/λ_x), as
-        Cox and Hingorani have it; 0: with the motion's p_S. Where p_S is 0 it does not survive.
-    frame_size : the image's width and height in pixels, which ``new`` and ``false`` need where sizes are measured.
+    new_target_density : density of new targets' first measurements per frame and unit of area (pixel², m²), with any size
+        up to the frame's; 0: as the model's births have it.
+    false_alarm_density : the same of false alarms; 0: as the model's clutter has it.
+    termination_frames : λ_x, a target survives the k-th frame in a row in which it is not measured with probability
+        e^(−k/λ_x), as Cox and Hingorani have it; 0: with the motion's p_S. Where p_S is 0 it does not survive.
+    frame_size : the image's width and height in pixels, which both densities need where sizes are measured.
     initial : targets before the first frame; a weight is the probability that there is one.
     """
 
-    most: PositiveCount = 300
-    ratio: Share = 0.001
-    depth: PositiveCount = 10
-    least: Share = 1e-4
-    gate: Positive = 5.0
+    max_hypotheses: PositiveCount = 300
+    hypothesis_threshold: Share = 0.001
+    history: PositiveCount = 10
+    existence_threshold: Share = 1e-4
+    gate_probability: Share = GATE
     transform: Transform = "linear"
-    new: NonNegative = 0.0
-    false: NonNegative = 0.0
-    patience: NonNegative = 0.0
+    new_target_density: NonNegative = 0.0
+    false_alarm_density: NonNegative = 0.0
+    termination_frames: NonNegative = 0.0
     frame_size: tuple[float, float] = (0.0, 0.0)
     initial: GaussianMixture | None = None
 
@@ -102,40 +104,48 @@ class MHT:
             exist[there] = leaves.exist[there] * self._survive(x, leaves.since[there] + 1, model, dt)
             mean[:, there], cov[there] = moved(x, spread, model.motion, dt, self.transform)
         nodes = Nodes(mean, cov, exist, np.full(n, -1), np.arange(n), leaves.label, leaves.since + 1)
-        return replace(state, layers=(*state.layers[-self.depth :], nodes))
+        return replace(state, layers=(*state.layers[-self.history :], nodes))
 
     def _survive(self, x: F8, missed: I8, model: Model, dt: float) -> F8:
         """(L,) probability to survive, of targets that have not been measured for so many frames, this one included."""
         survive = model.motion.p_survive(x, dt)
-        if self.patience == 0:
+        if self.termination_frames == 0:
             return survive
-        lasting: F8 = np.where(survive > 0, np.exp(-missed / self.patience), 0.0)
+        lasting: F8 = np.where(survive > 0, np.exp(-missed / self.termination_frames), 0.0)
         return lasting
 
     def update(
         self, state: Hypotheses, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[Hypotheses, UpdateInfo]:
-        """The best assignments of the measurements, and the decision about the frame ``depth`` frames back.
+        """The best assignments of the measurements, and the decision about the frame ``history`` frames back.
 
         In the information returned the newborn are the new targets among the measurements, and ``evidence`` and ``clutter``
         are scaled so that `UpdateInfo.clutter_probability` is the probability of a false alarm over all hypotheses.
         """
-        limits = Limits(self.most, self.ratio, self.least)
+        limits = Limits(self.max_hypotheses, self.hypothesis_threshold, self.existence_threshold)
         born, clutter = self._born(z, model, dt), self._clutter(z, model)
-        terms = scores(state.leaves, z, born, clutter, model.sensor, self.gate, self.transform)
+        terms = scores(state.leaves, z, born, clutter, model.sensor, self._gate(model), self.transform)
         branches = branched(state, terms, limits)
         grown = self._grown(state, branches, terms, z, model)
-        if len(grown.layers) > self.depth:
+        if len(grown.layers) > self.history:
             grown = decided(grown)
         return grown, _info(state, grown, branches, terms)
 
     def _born(self, z: F8, model: Model, dt: float) -> Newborn:
-        if self.new == 0:
-            return newborn(z, model, dt, self.gate, self.transform)
-        return newborn_anywhere(z, self.new / self._sizes(model), model.sensor)
+        if self.new_target_density == 0:
+            return newborn(z, model, dt, self._gate(model), self.transform)
+        return newborn_anywhere(z, self.new_target_density / self._sizes(model), model.sensor)
 
     def _clutter(self, z: F8, model: Model) -> F8:
-        return model.clutter.intensity(z) if self.false == 0 else np.full(z.shape[1], self.false / self._sizes(model))
+        return (
+            model.clutter.intensity(z)
+            if self.false_alarm_density == 0
+            else np.full(z.shape[1], self.false_alarm_density / self._sizes(model))
+        )
+
+    def _gate(self, model: Model) -> float:
+        """The gate in deviations of the innovation."""
+        return math.sqrt(chi2_quantile(len(model.sensor.observed), self.gate_probability))
 
     def _sizes(self, model: Model) -> float:
         """The volume of what a measurement shows beside a position."""
@@ -145,7 +155,7 @@ class MHT:
         if width <= 0 or height <= 0:
             raise InputError(
                 f"densities of new targets and false alarms need the frame's size, not {width:g}x{height:g}",
-                where="filter.new",
+                where="filter.new_target_density",
                 cure="Give --frame-size WxH, or 0 for the rates of the model",
             )
         return width * height
@@ -178,7 +188,7 @@ class MHT:
 
     def reduce(self, state: Hypotheses, rng: np.random.Generator) -> Hypotheses:
         """Ended tracks are forgotten, clusters that have become independent part, nodes that nothing rests on go."""
-        return compact(parted(ended(state, self.least)))
+        return compact(parted(ended(state, self.existence_threshold)))
 
     def step(
         self, state: Hypotheses, z: F8, model: Model, dt: float, rng: np.random.Generator

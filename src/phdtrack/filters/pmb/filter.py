@@ -19,13 +19,13 @@ for some frames is not blurred, and what happened is read from the hypothesis th
 Two things are known of detectors that a constant p_D does not say, and both are hidden states of a hypothesis.
 
 A target is **hidden** for a while, behind another or for the detector's own reasons: misses come in rows. In view it is
-detected with the sensor's p_D, hidden never; it gets hidden and comes into view at rates 1/``in_view`` and 1/``hidden``, a
-Markov chain in continuous time that starts in view at a first detection.
+detected with the sensor's p_D, hidden never; it gets hidden and comes into view at rates 1/``mean_visible_time`` and
+1/``mean_occluded_time``, a Markov chain in continuous time that starts in view at a first detection.
 
 A **source** of false alarms fires again and again in one place. It is no target that moves: a first detection is a source's
-with probability ``sources``, it stays where it is, which is never known for sure, and fires with probability
-``firing``. Who moves, or is seen more steadily than that, is soon known to be a target. Sources compete for measurements
-like targets do and are never reported.
+with probability ``static_clutter_prior``, it stays where it is, which is never known for sure, and fires with probability
+``static_clutter_detection_probability``. Who moves, or is seen more steadily than that, is soon known to be a target.
+Sources compete for measurements like targets do and are never reported.
 
 This file is the definition, for any model that keeps the protocols; for the shipped box model `PMB.step` is the same in one
 kernel (`kernels.pmb_step`).
@@ -38,7 +38,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phdtrack.arrays import sum_by
+from phdtrack.arrays import GATE, chi2_quantile, sum_by
 from phdtrack.checks import NonNegative, Positive, PositiveCount, Probability, Share, check
 from phdtrack.errors import InputError
 from phdtrack.filters.bernoullis import Bernoullis, Layer, nobody
@@ -59,32 +59,32 @@ class PMB:
 
     Parameters
     ----------
-    least : targets that are there with less probability are given up, unless that has just risen: however rare births are
-        beside false alarms, what is more probably nobody else's can be seen again.
-    share : hypotheses of a target that are less probable are dropped.
-    most : hypotheses kept of a target, the most probable.
-    merge : hypotheses of a target within so many deviations of a heavier one, all in all, are taken for it.
-    gate : a measurement further than this many deviations of the innovation from a hypothesis is not its.
+    existence_threshold : targets that exist with less probability are deleted, unless that probability has just risen: a
+        detection that no existing target explains better may start a target, however rare births are.
+    hypothesis_threshold : hypotheses of a target that are less probable are dropped.
+    max_hypotheses : hypotheses kept of a target, the most probable.
+    merge_distance : hypotheses of a target within so many deviations of a heavier one, all in all, are taken for it.
+    gate_probability : part of the measurements of a hypothesis inside its gate; 1: no gate.
     transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
-    in_view : seconds for which, on average, a target can be detected at a stretch; 0: for ever.
-    hidden : seconds for which, on average, it then cannot.
-    sources : probability that the first detection of what is no single false alarm is that of a source of them.
-    firing : probability that a source is detected in a frame.
-    depth : frames for which the hypotheses of the past are kept: so far back the past is revised.
+    mean_visible_time : seconds for which, on average, a target can be detected at a stretch; 0: for ever.
+    mean_occluded_time : seconds for which, on average, it then cannot.
+    static_clutter_prior : probability that the first detection of what is no single false alarm is that of a static source.
+    static_clutter_detection_probability : probability that a source is detected in a frame.
+    history : frames for which the hypotheses of the past are kept: so far back the past is revised.
     initial : targets before the first frame; a weight is the probability that there is one.
     """
 
-    least: Share = 1e-3
-    share: Share = 0.01
-    most: PositiveCount = 10
-    merge: NonNegative = 0.1
-    gate: Positive = 5.0
+    existence_threshold: Share = 1e-3
+    hypothesis_threshold: Share = 0.01
+    max_hypotheses: PositiveCount = 10
+    merge_distance: NonNegative = 0.1
+    gate_probability: Share = GATE
     transform: Transform = "linear"
-    in_view: NonNegative = 2.0
-    hidden: Positive = 0.4
-    sources: Probability = 0.05
-    firing: Probability = 0.5
-    depth: PositiveCount = 10
+    mean_visible_time: NonNegative = 2.0
+    mean_occluded_time: Positive = 0.4
+    static_clutter_prior: Probability = 0.05
+    static_clutter_detection_probability: Probability = 0.5
+    history: PositiveCount = 10
     initial: GaussianMixture | None = None
 
     def __post_init__(self) -> None:
@@ -135,18 +135,22 @@ class PMB:
         )  # fmt: skip
         return self._further(state, layer)
 
+    def _gate(self, model: Model) -> float:
+        """The gate in deviations of the innovation."""
+        return math.sqrt(chi2_quantile(len(model.sensor.observed), self.gate_probability))
+
     def _further(self, state: Bernoullis, layer: Layer) -> Bernoullis:
         """With one more layer, and what is too far back forgotten."""
         ended = state.ended + np.array([[1], [0]])
-        return Bernoullis((*state.layers[-self.depth :], layer), ended[:, ended[0] <= self.depth], state.fresh)
+        return Bernoullis((*state.layers[-self.history :], layer), ended[:, ended[0] <= self.history], state.fresh)
 
     def _turns(self, seconds: float) -> tuple[float, float]:
         """Probabilities to be hidden ``seconds`` after being in view, and in view after being hidden."""
-        if self.in_view == 0:
+        if self.mean_visible_time == 0:
             return 0.0, 1.0
-        rate = 1 / self.in_view + 1 / self.hidden
+        rate = 1 / self.mean_visible_time + 1 / self.mean_occluded_time
         turned = -math.expm1(-rate * seconds) / rate
-        return turned / self.in_view, turned / self.hidden
+        return turned / self.mean_visible_time, turned / self.mean_occluded_time
 
     def update(
         self, state: Bernoullis, z: F8, model: Model, dt: float, rng: np.random.Generator
@@ -156,14 +160,22 @@ class PMB:
         In the information returned ``evidence`` and ``clutter`` are scaled so that `UpdateInfo.clutter_probability` is the
         probability that a detection is a false alarm, a source's included.
         """
-        terms = Terms(self.least, self.share, self.most, self.gate, self.transform, self.sources, self.firing)
+        terms = Terms(
+            self.existence_threshold,
+            self.hypothesis_threshold,
+            self.max_hypotheses,
+            self._gate(model),
+            self.transform,
+            self.static_clutter_prior,
+            self.static_clutter_detection_probability,
+        )
         layer, info, fresh = measured(state.present, z, model, dt, terms, state.fresh)
         ended = np.hstack([state.ended, given_up(state.present, layer)])
         return Bernoullis((*state.layers[:-1], layer), ended, fresh), info
 
     def reduce(self, state: Bernoullis, rng: np.random.Generator) -> Bernoullis:
         """Hypotheses of one target that have become the same are one."""
-        return Bernoullis((*state.layers[:-1], merged(state.present, self.merge)), state.ended, state.fresh)
+        return Bernoullis((*state.layers[:-1], merged(state.present, self.merge_distance)), state.ended, state.fresh)
 
     def step(
         self, state: Bernoullis, z: F8, model: Model, dt: float, rng: np.random.Generator
@@ -182,9 +194,18 @@ class PMB:
             mean, cov = model.carried_gaussians(now.mean, now.covariance)
             now = replace(now, mean=mean, covariance=cov)
         settings = settings_of(
-            self.least, self.share, self.most, self.merge, self.gate, self.sources, self.firing, self.depth, lost, found
+            self.existence_threshold,
+            self.hypothesis_threshold,
+            self.max_hypotheses,
+            self.merge_distance,
+            self._gate(model),
+            self.static_clutter_prior,
+            self.static_clutter_detection_probability,
+            self.history,
+            lost,
+            found,
         )
-        return fused_step(state, now, z, box, settings, self.gate, self.depth)
+        return fused_step(state, now, z, box, settings, self._gate(model), self.history)
 
 
 def _left_alone(mean: F8, cov: F8, static: I8, sensor: Sensor) -> None:
