@@ -122,7 +122,7 @@ def test_frames_come_in_order(arguments, says: str):
     ({"seed": "a"}, "number"),
     ({"filter": "kalman"}, "kind of filter"),
     ({"filter": "particle_phd"}, "Did you mean particle-phd"),
-    ({"filter": {"gat": 3}}, "Did you mean gate"),
+    ({"filter": {"histori": 3}}, "Did you mean history"),
     ({"filter": {**PARTICLES, "per_targt": 3}}, "Did you mean per_target"),
     ({"filter": 3}, "filter"),
     ({"preset": "m08"}, "preset"),
