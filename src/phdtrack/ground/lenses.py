@@ -1,8 +1,10 @@
-"""Tsai's lens, as the calibration files of PETS describe it.
+"""Lenses, from pixels to rays and back: Tsai's, and OpenCV's.
+
+Tsai's lens, as the calibration files of PETS describe it.
 
 From a pixel (xf, yf) to the distorted sensor plane, and from there to the undistorted one:
 
-    xd = dx (xf − Cx)/sx     yd = dy (yf − Cy)     r² = xd² + yd²     xu = xd (1 + κ r²)     yu = yd (1 + κ r²)    [E13 §2]
+    xd = dx (xf − Cx)/sx     yd = dy (yf − Cy)     r² = xd² + yd²     xu = xd (1 + κ r²)     yu = yd (1 + κ r²)    [E13 §3.2]
 
 The way back is the root of κ r_d³ + r_d = r_u, which has a closed form in hyperbolic (κ > 0) or circular functions (κ < 0).
 For κ < 0 the formula folds the plane at r_d = (−3κ)^(−1/2): what lies beyond is outside of the lens.
@@ -18,19 +20,20 @@ With the slopes (x, y) of a ray and r² = x² + y²,
     y' = y q(r²) + p1 (r² + 2y²) + 2 p2 x y + s3 r² + s4 r⁴        v = fy y' + cy
     q(t) = (1 + k1 t + k2 t² + k3 t³)/(1 + k4 t + k5 t² + k6 t³)
 
-The way back has no closed form: Newton's method, if need be from the root of the radial part. That part grows with r up to a
-fold, where its slope is 0, and rays from there on are outside of the lens: the formula would show them a second time.
+OpenCV computes this and its derivatives; the way back is found by Newton's method. The radial part grows with r up to a fold,
+where its slope is 0, and rays from there on are outside of the lens: the formula would show them a second time.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 
 from phdtrack.checks import Positive, check
 from phdtrack.errors import InputError
-from phdtrack.types import F8
+from phdtrack.types import F8, Bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +65,7 @@ class TsaiLens:
         check(self)
 
     def rays(self, pixel: F8) -> F8:
-        """(2, N) slopes (xu/f, yu/f) of the pixels (2, N); NaN beyond the fold [E13 §2]."""
+        """(2, N) slopes (xu/f, yu/f) of the pixels (2, N); NaN beyond the fold [E13 §3.2]."""
         distorted, r2 = self._sensor(pixel)
         return np.asarray(distorted * (1 + self.kappa * r2) / self.focal)
 
@@ -112,11 +115,10 @@ def rotation_zyx(rx: float, ry: float, rz: float) -> F8:
     return np.asarray(about_z @ about_y @ about_x)
 
 
-Mask = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-
 _SIZES = (0, 4, 5, 8, 12)
-# Halvings that bring an interval down to the spacing of float64, steps of Newton that are plenty after them.
-_HALVINGS, _STEPS = 40, 12
+# Newton's steps, the error in pixels that counts as solved, and where it starts: shares of the fold's slope at most.
+_STEPS, _REACHED, _STARTS = 12, 1e-9, (0.5, 0.8, 0.95)
+_TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,101 +156,54 @@ class OpenCVLens:
                 where="lens of the camera",
                 cure="The two of a tilted sensor (14 coefficients) are not understood; leave them out where they are 0.",
             )
-        object.__setattr__(self, "fold", _fold(self._coefficients))
+        object.__setattr__(self, "fold", _fold(np.concatenate([d, np.zeros(12 - len(d))])))
 
     def rays(self, pixel: F8) -> F8:
         """(2, N) slopes of the rays of the pixels (2, N); NaN where the lens reaches no such pixel."""
-        target = self._scaled(pixel)
+        pixel = np.asarray(pixel, dtype=np.float64)
+        k = self.matrix
+        target = np.stack([(pixel[0] - k[0, 2]) / k[0, 0], (pixel[1] - k[1, 2]) / k[1, 1]])
         if not self.distortion.any():
             return target
-        # From the pixel itself a few steps do, mostly; where they lead nowhere, the radial root is a better start.
-        ray, kept = self._newton(target, target)
-        lost = ~kept & np.isfinite(target).all(axis=0)
-        if lost.any():
-            ray[:, lost], kept[lost] = self._newton(self._radial_root(target[:, lost]), target[:, lost])
-        return np.where(kept, ray, np.nan)
+        # Newton's method with OpenCV's derivatives: its own inverse is a fixed-point iteration that fails near the edge.
+        # Later starts lie nearer to the fold, for strong lenses, where the first ones run beyond it.
+        ray, reached = np.full_like(target, np.nan), np.zeros(target.shape[1], np.bool_)
+        for share in _STARTS:
+            left = np.flatnonzero(~reached & np.isfinite(target).all(axis=0))
+            radius = np.hypot(*target[:, left])
+            start = target[:, left] * np.minimum(1.0, share * self.fold / np.maximum(radius, _TINY))
+            ray[:, left], reached[left] = self._newton(start, pixel[:, left])
+        return np.where(reached, ray, np.nan)
 
     def project(self, ray: F8) -> F8:
         """(2, N) pixels of rays with slopes (2, N); NaN for rays outside of the lens."""
         ray = np.asarray(ray, dtype=np.float64)
-        bent = self._distort(np.where(self._inside(ray), ray, np.nan))
-        return np.stack([self.matrix[0, 0] * bent[0] + self.matrix[0, 2], self.matrix[1, 1] * bent[1] + self.matrix[1, 2]])
+        return self._project(np.where(np.hypot(ray[0], ray[1]) < self.fold, ray, np.nan))[0]
 
     def slope(self, pixel: F8) -> F8:
         """(N, 2, 2) derivatives of `rays` at the pixels (2, N)."""
-        scale = np.array([1 / self.matrix[0, 0], 1 / self.matrix[1, 1]])
-        return np.asarray(_inverse(self._derivative(self.rays(pixel))) * scale)
+        return _inverse(self._project(self.rays(pixel))[1])
 
-    @property
-    def _coefficients(self) -> F8:
-        return np.concatenate([self.distortion, np.zeros(12 - len(self.distortion))])
+    def _project(self, ray: F8) -> tuple[F8, F8]:
+        """(2, N) pixels and (N, 2, 2) their derivatives by the slopes (2, N) of the rays; NaN where these are NaN."""
+        known = np.isfinite(ray).all(axis=0)
+        pixel, slope = np.full(ray.shape, np.nan), np.full((ray.shape[1], 2, 2), np.nan)
+        if known.any():
+            points = np.vstack([ray[:, known], np.ones(np.count_nonzero(known))]).T
+            none = np.zeros(3)
+            shown, derivatives = cv2.projectPoints(points, none, none, self.matrix, self.distortion)
+            pixel[:, known] = shown[:, 0].T
+            # Columns 3 and 4 are the derivatives by a shift along x and y: at depth 1 those by the slopes.
+            slope[known] = derivatives[:, 3:5].reshape(-1, 2, 2)
+        return pixel, slope
 
-    def _scaled(self, pixel: F8) -> F8:
-        k = self.matrix
-        return np.stack([(pixel[0] - k[0, 2]) / k[0, 0], (pixel[1] - k[1, 2]) / k[1, 1]])
-
-    def _inside(self, ray: F8) -> Mask:
-        return np.asarray(np.hypot(ray[0], ray[1]) < self.fold)
-
-    def _radial(self, t: F8) -> tuple[F8, F8]:
-        """q and dq/dt at the squared radii t."""
-        k1, k2, _, _, k3, k4, k5, k6, *_ = self._coefficients
-        above, below = 1 + t * (k1 + t * (k2 + t * k3)), 1 + t * (k4 + t * (k5 + t * k6))
-        rise, fall = k1 + t * (2 * k2 + t * 3 * k3), k4 + t * (2 * k5 + t * 3 * k6)
-        return above / below, (rise - above / below * fall) / below
-
-    def _distort(self, ray: F8) -> F8:
-        """(2, N) the slopes as the pinhole behind the lens sees them."""
-        _, _, p1, p2, _, _, _, _, s1, s2, s3, s4 = self._coefficients
-        x, y = ray
-        t = x**2 + y**2
-        q, _ = self._radial(t)
-        return np.stack(
-            [
-                x * q + 2 * p1 * x * y + p2 * (t + 2 * x**2) + t * (s1 + t * s2),
-                y * q + p1 * (t + 2 * y**2) + 2 * p2 * x * y + t * (s3 + t * s4),
-            ]
-        )
-
-    def _derivative(self, ray: F8) -> F8:
-        """(N, 2, 2) derivatives of `_distort`."""
-        _, _, p1, p2, _, _, _, _, s1, s2, s3, s4 = self._coefficients
-        x, y = ray
-        t = x**2 + y**2
-        q, grows = self._radial(t)
-        prism_x, prism_y = 2 * (s1 + 2 * t * s2), 2 * (s3 + 2 * t * s4)
-        xx = q + 2 * x**2 * grows + 2 * p1 * y + 6 * p2 * x + prism_x * x
-        xy = 2 * x * y * grows + 2 * p1 * x + 2 * p2 * y
-        yy = q + 2 * y**2 * grows + 6 * p1 * y + 2 * p2 * x + prism_y * y
-        return np.moveaxis(np.array([[xx, xy + prism_x * y], [xy + prism_y * x, yy]]), 2, 0)
-
-    def _newton(self, ray: F8, target: F8) -> tuple[F8, Mask]:
-        """(2, N) rays that bend into ``target`` (2, N), from those near by; and whether (N,) they do, inside of the lens."""
-        enough = 1e-14 * (1 + np.abs(target).max(axis=0, initial=0))
+    def _newton(self, ray: F8, pixel: F8) -> tuple[F8, Bool]:
+        """(2, N) rays that give the pixels (2, N), from those near by; and whether (N,) they do, inside of the lens."""
         for _ in range(_STEPS):
-            step = self._distort(ray) - target
-            # Each stops on its own, so that none depends on its neighbours; NaN is never far.
-            far = np.abs(step).max(axis=0, initial=0) > enough
-            if not far.any():
-                break
-            ray = np.where(far, ray - np.einsum("nij,jn->in", _inverse(self._derivative(ray)), step), ray)
-        missed = np.abs(self._distort(ray) - target).max(axis=0, initial=0)
-        return np.array(ray), (missed <= 100 * enough) & self._inside(ray)
-
-    def _radial_root(self, target: F8) -> F8:
-        """(2, N) the rays that the radial part alone would bend into ``target`` (2, N), by halving."""
-        radius = np.hypot(target[0], target[1])
-        low, high = np.zeros_like(radius), np.minimum(2 * radius, self.fold)
-        for _ in range(_HALVINGS):  # grows until the root lies below, or the fold is reached
-            short = (high * self._radial(high**2)[0] < radius) & (high < self.fold)
-            if not short.any():
-                break
-            high = np.where(short, np.minimum(2 * high, self.fold), high)
-        for _ in range(_HALVINGS):
-            middle = (low + high) / 2
-            short = middle * self._radial(middle**2)[0] < radius
-            low, high = np.where(short, middle, low), np.where(short, high, middle)
-        return np.asarray(target * np.divide(low + high, 2 * radius, out=np.ones_like(radius), where=radius != 0))
+            shown, slope = self._project(ray)
+            ray = ray - np.einsum("nij,jn->in", _inverse(slope), shown - pixel)
+        missed = np.abs(self._project(ray)[0] - pixel).max(axis=0, initial=0)
+        return ray, (missed < _REACHED) & (np.hypot(ray[0], ray[1]) < self.fold)
 
 
 def _fold(coefficients: F8) -> float:
