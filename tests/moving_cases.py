@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh
-from phdtrack.ground import warp as warp_of
+from phdtrack.models import warp as warp_of
 from phdtrack.simulate import Scene
 from phdtrack.types import DetectionTable, Frame
 

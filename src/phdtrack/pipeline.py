@@ -16,7 +16,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.explanation import Explanation
-from phdtrack.ground.warp import as_warp
+from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import F4, F8, I8, STILL, Detections, Estimates, Step, Tracks, UpdateInfo
 

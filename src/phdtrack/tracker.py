@@ -25,7 +25,7 @@ from phdtrack.errors import InputError
 from phdtrack.filters.bernoullis import Bernoullis
 from phdtrack.filters.hypotheses import Hypotheses
 from phdtrack.filters.intensities import Cardinalised, JointSamples
-from phdtrack.ground.warp import as_warp
+from phdtrack.models.warp import as_warp
 from phdtrack.models.followed_rates import RatesState
 from phdtrack.models.standing import refuse_standing
 from phdtrack.protocols import AnyStages

@@ -10,7 +10,7 @@ from association_cases import matching_of, model_of, states
 
 from phdtrack.associate import Labelled
 from phdtrack.associate.bridge import bridge
-from phdtrack.ground import warp as warp_of
+from phdtrack.models import warp as warp_of
 from phdtrack.types import STILL, Estimates, Tracks
 
 SIZES = (4, 5)

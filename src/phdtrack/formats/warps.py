@@ -18,7 +18,7 @@ from phdtrack.errors import InputError
 from phdtrack.formats.source import AnyPath, load
 from phdtrack.formats.text import Text, numbers, scan
 from phdtrack.formats.write import Lines
-from phdtrack.ground.warp import after, as_warp
+from phdtrack.models.warp import after, as_warp
 from phdtrack.types import F8, I8
 
 _NAMES = ("frame", *(f"g{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)))

@@ -20,7 +20,7 @@ With the slopes (x, y) of a ray and r² = x² + y²,
     y' = y q(r²) + p1 (r² + 2y²) + 2 p2 x y + s3 r² + s4 r⁴        v = fy y' + cy
     q(t) = (1 + k1 t + k2 t² + k3 t³)/(1 + k4 t + k5 t² + k6 t³)
 
-OpenCV computes this and its derivatives; the way back is found by Newton's method. The radial part grows with r up to a fold,
+OpenCV computes this and its derivatives; Newton's method finds the way back. The radial part grows with r up to a fold,
 where its slope is 0, and rays from there on are outside of the lens: the formula would show them a second time.
 """
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack.checks import NonNegative, Probability, check
-from phdtrack.ground import warp as warp_of
+from phdtrack.models import warp as warp_of
 from phdtrack.models.spawning import NoSpawn, Spawn
 from phdtrack.types import F8, Particles
 

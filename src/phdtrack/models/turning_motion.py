@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack.checks import NonNegative, Positive, Probability, check
-from phdtrack.ground.warp import no_image
+from phdtrack.models.warp import no_image
 from phdtrack.models.plane_motion import Form, fill, push, variances
 from phdtrack.models.region import EVERYWHERE, Region, check_region, inside
 from phdtrack.models.spawning import NoSpawn, Spawn

@@ -22,7 +22,7 @@ import numpy as np
 
 from phdtrack.checks import Positive, PositiveCount, Share, check
 from phdtrack.errors import InputError
-from phdtrack.ground import warp as warp_of
+from phdtrack.models import warp as warp_of
 from phdtrack.types import F8, Image
 
 

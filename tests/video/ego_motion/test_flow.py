@@ -8,7 +8,7 @@ import pytest
 
 from moving_cases import filmed, handheld, moving, step
 from phdtrack.errors import InputError
-from phdtrack.ground import warp as warp_of
+from phdtrack.models import warp as warp_of
 from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.simulate.renderer import render
 from phdtrack.video.ego_motion import CameraMotion, SparseFlow

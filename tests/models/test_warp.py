@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.ground import warp as warp_of
+from phdtrack.models import warp as warp_of
 
 SIZES = (4, 5)
 STEEP = np.array([[1.02, 0.03, 5.0], [-0.02, 0.97, -3.0], [2e-4, -1e-4, 1.0]])
