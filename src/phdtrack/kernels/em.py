@@ -1,195 +1,351 @@
-"""Expectation and maximisation over blocks of particles: one iteration for a Gaussian mixture [M09 §III-B].
+"""Expectation-maximisation for Gaussian mixtures: one batch step, and the recursive form [M09 §III-B, (16)-(20)].
 
-A block that only one component reaches belongs to it wholly, and its sums are known. In the others each particle is shared
-in the ratio of the components' densities there.
+The mixture may stand beside a background density of known value at every sample (a uniform part, other components). Samples
+are weighted, and may come in blocks of which each names the components that it can belong to.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.blocks import Real, load_steps, load_weight, products, sums, weigh, whole
-from phdtrack.kernels.clustering import add_part, centred
-from phdtrack.kernels.fast32 import ENTRY, FAST, VECTOR, exp32
-from phdtrack.kernels.overlaps import overlapping, rectangle_grid
+from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR
+from phdtrack.kernels.gaussian import factor, norm2
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
+Real = NDArray[np.floating[Any]]
+
+# Samples that are shared among their components at a time.
+CHUNK = 128
+# A share of a sample below which nothing of a component moves by more than rounding.
+NEGLIGIBLE = 1e-14
+# The largest value of M·τ·β: at 1 the recursive rule for the weights divides by 0.
+MAX_PRIOR = 0.5
 
 
-@njit(**VECTOR)
-def reaches(centre: F8, scale: F8, reach: float, alive: F8) -> tuple[F8, F8]:
-    """Corners (2, k) of the rectangles that the centres reach."""
-    k = centre.shape[1]
-    lower, upper = np.empty((2, k)), np.empty((2, k))
-    for j in range(k):
-        for r in range(2):
-            half = reach * scale[r, j] if alive[j] > 0.0 else 0.0
-            lower[r, j], upper[r, j] = centre[r, j] - half, centre[r, j] + half
-    if not np.isfinite(lower.sum() + upper.sum()):
-        raise ValueError("centres and their deviations must be finite")
-    return lower, upper
+class Gaussians(NamedTuple):
+    """k weighted Gaussians: ``weight`` (k,), ``mean`` (d, k), ``covariance`` (k, d, d)."""
+
+    weight: F8
+    mean: F8
+    covariance: F8
 
 
-@njit(**VECTOR)
-def reaching(
-    known: F8, b: int, d: int, lower: F8, upper: F8, frame: F8, cells: I8, item: I8, corner: I8, alive: F8, near: I8
-) -> int:
-    """Write into ``near`` (k,) the living components that reach into block b's box, ascending; how many."""
-    left, top, right, bottom = known[b, 1], known[b, 2], known[b, 1 + d], known[b, 2 + d]
-    found = overlapping(left, top, right, bottom, lower, upper, frame, cells, item, corner, near)
-    count = 0
-    for c in range(found):
-        j = near[c]
-        if alive[j] > 0.0:
-            at = count
-            while at > 0 and near[at - 1] > j:
-                near[at] = near[at - 1]
-                at -= 1
-            near[at] = j
-            count += 1
-    return count
+class Candidates(NamedTuple):
+    """The components that each of B blocks of samples may belong to.
+
+    ``start`` (B + 1,): block b holds the samples from start[b] to start[b + 1]. ``first`` (B + 1,) and ``component`` (P,): its
+    components are component[first[b]:first[b + 1]].
+    """
+
+    start: I8
+    first: I8
+    component: I8
 
 
-@njit(**VECTOR)
-def holds(lower: F8, upper: F8, j: int, known: F8, b: int, d: int) -> bool:
-    """Whether rectangle j holds all of block b's box."""
-    inside: bool = lower[0, j] <= known[b, 1] and known[b, 1 + d] <= upper[0, j]
-    return inside and lower[1, j] <= known[b, 2] and known[b, 2 + d] <= upper[1, j]
+class Moments(NamedTuple):
+    """What one step of EM makes of the samples.
+
+    ``mass`` (k,): Σ of the samples' weights times responsibilities. ``mean`` (d, k), ``covariance`` (k, d, d): of each
+    component's samples; those of a component without mass are as before. ``background``: mass of the background density.
+    ``log_likelihood``: Σ weight · log density, nats.
+    """
+
+    mass: F8
+    mean: F8
+    covariance: F8
+    background: float
+    log_likelihood: float
 
 
-@njit(**VECTOR)
-def whitening(cov: F8) -> tuple[F8, F8]:
-    """A = L⁻¹ (k, d, d) with Σ = L·Lᵀ, so that |A(x − m)|² = (x − m)ᵀ Σ⁻¹ (x − m), and −½ log|Σ| (k,)."""
-    k, d = cov.shape[0], cov.shape[1]
-    inverse, log_scale = np.zeros((k, d, d)), np.zeros(k)
-    factor = np.zeros((d, d))
-    for j in range(k):
+class Recursion(NamedTuple):
+    """How the recursive form learns.
+
+    ``prior``: τ, half the number of parameters of a component. ``memory``: samples 1/β that are remembered at most.
+    ``min_uniform``: smallest share of the uniform density. ``log_volume``: logarithm of the volume of the uniform density.
+    ``steady``: number of samples taken at the constant rate; later ones have a rate that falls like 1/k, without the prior.
+    ``floor`` (d,): variances added to every sample's scatter, so that no covariance vanishes.
+    """
+
+    prior: float
+    memory: float
+    min_uniform: float
+    log_volume: float
+    steady: int
+    floor: F8
+
+
+def one_block(samples: int, components: int) -> Candidates:
+    """Candidates where every sample may belong to every component."""
+    return Candidates(np.array([0, samples]), np.array([0, components]), np.arange(components))
+
+
+@njit(**INNER)
+def _whitened(mixture: Gaussians) -> tuple[F8, F8]:
+    """L⁻¹ (k, d, d) of the covariances L Lᵀ, and (k,) logarithms of weight times peak density."""
+    count, d = mixture.covariance.shape[0], mixture.covariance.shape[1]
+    inverse, log_peak, root = np.zeros((count, d, d)), np.empty(count), np.zeros((d, d))
+    for j in range(count):
+        log_det = factor(mixture.covariance[j], root)
+        log_weight = math.log(mixture.weight[j]) if mixture.weight[j] > 0.0 else -math.inf
+        log_peak[j] = log_weight - 0.5 * (log_det + d * math.log(2.0 * math.pi))
         for r in range(d):
-            for s in range(r + 1):
-                rest = cov[j, r, s]
-                for q in range(s):
-                    rest -= factor[r, q] * factor[s, q]
-                # A covariance that rounding left without a direction is as thin there as a number can tell.
-                factor[r, s] = math.sqrt(max(rest, 1e-300)) if r == s else rest / factor[s, s]
-            log_scale[j] -= math.log(factor[r, r])
-            inverse[j, r, r] = 1.0 / factor[r, r]
+            inverse[j, r, r] = 1.0 / root[r, r]
             for s in range(r):
                 total = 0.0
                 for q in range(s, r):
-                    total += factor[r, q] * inverse[j, q, s]
-                inverse[j, r, s] = -total / factor[r, r]
-    return inverse, log_scale
+                    total += root[r, q] * inverse[j, q, s]
+                inverse[j, r, s] = -total / root[r, r]
+    return inverse, log_peak
 
 
 @njit(**VECTOR)
-def log_density(
-    step: Real, n: int, centre: F8, known: F8, b: int, inverse: F8, constant: float, half: F8, j: int, shifted: Real,
-    part: Real, out: Real,
-) -> None:  # fmt: skip
-    """log(wⱼ·N(x; mⱼ, Σⱼ)) up to a common constant for n particles; −∞ where they are out of reach."""
+def _steps(x: Real, begin: int, size: int, mean: F8, j: int, step: Real) -> None:
+    """Write x − m of component ``j`` into ``step`` (d, ≥ size)."""
+    real = x.dtype.type
+    for r in range(x.shape[0]):
+        row, to, at = x[r], step[r], real(mean[r, j])
+        for i in range(size):
+            to[i] = row[begin + i] - at
+
+
+@njit(**VECTOR)
+def _log_density(step: Real, size: int, inverse: F8, log_peak: float, part: Real, out: Real) -> None:
+    """log(weight · N(x; m, Σ)) of ``size`` samples whose x − m is in ``step``; ``part`` is scratch."""
     real = step.dtype.type
-    d = centre.shape[0]
-    for i in range(n):
+    for i in range(size):
         out[i] = real(0)
-    for r in range(d):
-        row, to, at = step[r], shifted[r], real(centre[r, j] - known[b, 1 + 2 * d + r])
-        for i in range(n):
-            to[i] = row[i] - at
-        for i in range(n):
+    for r in range(step.shape[0]):
+        for i in range(size):
             part[i] = real(0)
         for s in range(r + 1):
-            row, factor = shifted[s], real(inverse[j, r, s])
-            for i in range(n):
-                part[i] += factor * row[i]
-        for i in range(n):
+            row, scale = step[s], real(inverse[r, s])
+            for i in range(size):
+                part[i] += scale * row[i]
+        for i in range(size):
             out[i] += part[i] * part[i]
-    x, y, rx, ry = shifted[0], shifted[1], real(half[0, j]), real(half[1, j])
-    top, minus, nothing = real(constant), real(-0.5), real(-np.inf)
-    for i in range(n):
-        out[i] = top + minus * out[i] if (abs(x[i]) <= rx) & (abs(y[i]) <= ry) else nothing
+    top, half = real(log_peak), real(-0.5)
+    for i in range(size):
+        out[i] = top + half * out[i]
+
+
+@njit(**INNER)
+def _responsibilities(table: Real, count: int, begin: int, size: int, weight: F8, log_background: F8, total: F8) -> float:
+    """Turn log densities in ``table`` (≥ count, ≥ size) into weight times responsibility; gives Σ weight · log density.
+
+    ``total`` (≥ size,) becomes the weight times the responsibility of the background.
+    """
+    log_likelihood = 0.0
+    for i in range(size):
+        top = log_background[begin + i] if log_background.size else -math.inf
+        background = top
+        for c in range(count):
+            top = max(top, table[c, i])
+        if top == -math.inf:
+            total[i] = 0.0
+            for c in range(count):
+                table[c, i] = 0.0
+            continue
+        sum_ = math.exp(background - top)
+        total[i] = sum_
+        for c in range(count):
+            table[c, i] = math.exp(table[c, i] - top)
+            sum_ += table[c, i]
+        w = weight[begin + i] if weight.size > 1 else weight[0]
+        log_likelihood += w * (top + math.log(sum_))
+        total[i] *= w / sum_
+        for c in range(count):
+            table[c, i] *= w / sum_
+    return log_likelihood
 
 
 @njit(**VECTOR)
-def responsibilities(table: Real, count: int, n: int, weight: Real, top: Real, total: Real) -> None:
-    """Turn the log densities in ``table`` (≥ count, ≥ n) into the weight of each particle that each component has."""
-    real = table.dtype.type
-    for i in range(n):
-        top[i] = table[0, i]
-        total[i] = real(0)
-    for c in range(1, count):
-        row = table[c]
-        for i in range(n):
-            top[i] = row[i] if row[i] > top[i] else top[i]
-    for c in range(count):
-        row = table[c]
-        for i in range(n):
-            # Nobody reaches the particle where the best is −∞; nobody shall have it.
-            near = row[i] > real(-np.inf)
-            row[i] = real(exp32(np.float32(row[i] - top[i]))) if near else real(0)
-            total[i] += row[i]
-    for i in range(n):
-        total[i] = weight[i] / total[i] if total[i] > real(0) else real(0)
-    for c in range(count):
-        row = table[c]
-        for i in range(n):
-            row[i] *= total[i]
+def _add_moments(step: Real, share: Real, size: int, j: int, mass: F8, first: F8, second: F8) -> None:
+    """Add the sums over samples of share, share · step and share · step · stepᵀ to component ``j``'s."""
+    zero = step.dtype.type(0)
+    total = zero
+    for i in range(size):
+        total += share[i]
+    mass[j] += total
+    for r in range(step.shape[0]):
+        row = step[r]
+        total = zero
+        for i in range(size):
+            total += share[i] * row[i]
+        first[j, r] += total
+        for s in range(r + 1):
+            other = step[s]
+            total = zero
+            for i in range(size):
+                total += share[i] * row[i] * other[i]
+            second[j, r, s] += total
+
+
+@njit(**INNER)
+def _from_sums(mixture: Gaussians, mass: F8, first: F8, second: F8) -> tuple[F8, F8]:
+    """Means (d, k) and covariances (k, d, d) from sums of steps from the old means."""
+    mean, cov = mixture.mean.copy(), mixture.covariance.copy()
+    for j in range(mass.size):
+        if mass[j] <= 0.0:
+            continue
+        for r in range(mean.shape[0]):
+            mean[r, j] += first[j, r] / mass[j]
+            for s in range(r + 1):
+                cov[j, r, s] = second[j, r, s] / mass[j] - first[j, r] * first[j, s] / (mass[j] * mass[j])
+                cov[j, s, r] = cov[j, r, s]
+    return mean, cov
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
-def em_step(
-    state: Real, weight: Real, start: I8, known: F8, most: int, first: F8, second: F8,
-    amount: F8, centre: F8, cov: F8, scale: F8, reach: float,
-) -> tuple[F8, F8, F8]:  # fmt: skip
-    """Masses (k,), means (d, k) and covariances (k, d, d) after one iteration from ``amount``, ``centre`` and ``cov``.
+def em_step(x: Real, weight: F8, log_background: F8, mixture: Gaussians, candidates: Candidates) -> Moments:
+    """Expectation and the sums of maximisation for weighted samples [M09 §III-B].
 
-    ``scale`` (d, k): a component reaches ``reach`` of these deviations in position. The blocks: ``known`` and ``second`` of
-    `blocks.summarise`, ``first`` (B, d) the sums of s that belong to ``second``, at most ``most`` particles in each.
+    The new weights, a floor under covariances and a prior are left to the caller. Samples of blocks without candidates count
+    for no component. Those of a block with one candidate and no background are all that component's: their densities are not
+    computed and not in ``log_likelihood``.
+
+    Parameters
+    ----------
+    x : (d, n) samples, in float32 or float64.
+    weight : (n,) of the samples, or (1,) for all of them.
+    log_background : (n,) logarithm of the density beside the mixture at each sample; (0,) for none.
+    mixture : the Gaussians, whose weights count the background in: density = background + Σ weight · N(x).
+    candidates : the components that each block of samples may belong to (`one_block` for all).
     """
-    d, k = centre.shape
-    lower, upper = reaches(centre, scale, reach, amount)
-    half = 0.5 * (upper - lower)
-    frame, cells, item, corner = rectangle_grid(lower, upper)
-    inverse, log_scale = whitening(cov)
-    even = second.shape[1]
-    near, table, width = np.empty(k, np.int64), np.empty((k, most), state.dtype), whole(most)
-    scratch, shifted = np.zeros((2 * even + 1, width), state.dtype), np.zeros((even, most), state.dtype)
-    w, part = np.empty((1, width), state.dtype), np.empty(most, state.dtype)
-    total, mean, out = np.zeros(k), np.zeros((d, k)), np.zeros((k, d, d))
-    shift, one, two, nothing = np.empty(d), np.empty(d), np.empty((even, even)), state.dtype.type(0)
+    d, (start, first_of, component) = x.shape[0], candidates
+    inverse, log_peak = _whitened(mixture)
+    count = mixture.weight.size
+    mass, first, second = np.zeros(count), np.zeros((count, d)), np.zeros((count, d, d))
+    widest = np.max(np.diff(first_of)) if first_of.size > 1 else 0
+    step, table = np.empty((d, CHUNK), x.dtype), np.empty((widest, CHUNK), x.dtype)
+    part, total = np.empty(CHUNK, x.dtype), np.empty(CHUNK)
+    background, log_likelihood = 0.0, 0.0
     for b in range(start.size - 1):
-        begin, n = start[b], start[b + 1] - start[b]
-        if n == 0:
-            continue
-        count = reaching(known, b, d, lower, upper, frame, cells, item, corner, amount, near)
-        if count == 1 and holds(lower, upper, near[0], known, b, d):
-            j = near[0]
+        near = component[first_of[b] : first_of[b + 1]]
+        for begin in range(start[b], start[b + 1], CHUNK):
+            size = min(CHUNK, start[b + 1] - begin)
+            if near.size == 1 and log_background.size == 0:
+                for i in range(size):
+                    table[0, i] = weight[begin + i] if weight.size > 1 else weight[0]
+                _steps(x, begin, size, mixture.mean, near[0], step)
+                _add_moments(step, table[0], size, near[0], mass, first, second)
+                continue
+            for c in range(near.size):
+                _steps(x, begin, size, mixture.mean, near[c], step)
+                _log_density(step, size, inverse[near[c]], log_peak[near[c]], part, table[c])
+            log_likelihood += _responsibilities(table, near.size, begin, size, weight, log_background, total)
+            for i in range(size):
+                background += total[i]
+            for c in range(near.size):
+                _steps(x, begin, size, mixture.mean, near[c], step)
+                _add_moments(step, table[c], size, near[c], mass, first, second)
+    mean, cov = _from_sums(mixture, mass, first, second)
+    return Moments(mass, mean, cov, background, log_likelihood)
+
+
+@njit(**INNER)
+def _shares(weight: F8, alive: int, log_density: F8) -> float:
+    """Turn log N_m(x) into o_m = π_m N_m(x) / Σ_j π_j N_j(x) in place; gives the logarithm of the sum."""
+    largest = -math.inf
+    for m in range(alive):
+        log_density[m] = log_density[m] + math.log(weight[m]) if weight[m] > 0.0 else -math.inf
+        largest = max(largest, log_density[m])
+    total = 0.0
+    for m in range(alive):
+        log_density[m] = math.exp(log_density[m] - largest)
+        total += log_density[m]
+    for m in range(alive):
+        log_density[m] /= total
+    return largest + math.log(total)
+
+
+@njit(**INNER)
+def _refactor(cov: F8, root: F8, log_peak: F8, m: int) -> None:
+    """Write Cholesky's factor of component ``m`` and the logarithm of its peak density."""
+    log_peak[m] = -0.5 * (factor(cov[m], root[m]) + cov.shape[1] * math.log(2.0 * math.pi))
+
+
+@njit(**INNER)
+def _move(mean: F8, cov: F8, x: F8, floor: F8, m: int, rate: float) -> None:
+    """Move component ``m`` by a part ``rate`` of the way to the sample, in place [M09 (19), (20)]."""
+    for r in range(x.size):
+        for s in range(r + 1):
+            scatter = (x[r] - mean[m, r]) * (x[s] - mean[m, s]) + (floor[r] if r == s else 0.0)
+            cov[m, r, s] += rate * (scatter - cov[m, r, s])
+            cov[m, s, r] = cov[m, r, s]
+    for r in range(x.size):
+        mean[m, r] += rate * (x[r] - mean[m, r])
+
+
+@njit(**INNER)
+def _without_empty(weight: F8, mean: F8, cov: F8, root: F8, log_peak: F8, alive: int) -> int:
+    """Overwrite components of no positive weight by the last ones and normalise the weights; how many are left, ≥ 1."""
+    m, total = 0, 0.0
+    while m < alive:
+        if weight[m] <= 0.0 and alive > 1:
+            alive -= 1
+            weight[m], log_peak[m] = weight[alive], log_peak[alive]
+            mean[m], cov[m], root[m] = mean[alive], cov[alive], root[alive]
+        else:
+            total += weight[m]
+            m += 1
+    for m in range(alive):
+        weight[m] /= total
+    return alive
+
+
+@njit(**ENTRY)
+def recursive_em(
+    mixture: Gaussians, uniform: float, samples: F8, weight: F8, order: I8, rule: Recursion
+) -> tuple[Gaussians, float]:
+    """The mixture and the share of a uniform density after one sample at a time [M09 (16)-(20)].
+
+    A component whose weight turns negative is removed. After the steady samples, each one counts for the Gaussians by the
+    probability that it did not come from the uniform density.
+
+    Parameters
+    ----------
+    mixture : weights of sum 1, beside the uniform density.
+    uniform : share of the uniform density at first.
+    samples : (n, d), without gaps.
+    weight : (n,), by which β is multiplied for each sample.
+    order : (K,) indices of the samples in the order in which they are taken; they may repeat.
+    rule : rate, prior and limits.
+    """
+    left, mean, cov = mixture.weight.copy(), np.ascontiguousarray(mixture.mean.T), mixture.covariance.copy()
+    alive, d = left.size, mean.shape[1]
+    root, log_peak, share = np.zeros(cov.shape), np.empty(alive), np.empty(alive)
+    step, y = np.empty(d), np.empty(d)
+    for m in range(alive):
+        _refactor(cov, root, log_peak, m)
+    late = 0.0
+    for k in range(order.size):
+        x, w = samples[order[k]], weight[order[k]]
+        for m in range(alive):
             for r in range(d):
-                shift[r] = known[b, 1 + 2 * d + r] - centre[r, j]
-            add_part(known[b, 0], first[b], second[b], shift, j, total, mean, out)
-        elif count > 0:
-            load_steps(state, begin, n, known, b, scratch)
-            load_weight(weight, begin, n, w, 0)
-            for c in range(count):
-                j = near[c]
-                constant = math.log(amount[j]) + log_scale[j]
-                log_density(scratch, n, centre, known, b, inverse, constant, half, j, shifted, part, table[c])
-            responsibilities(table, count, n, w[0], shifted[0], shifted[1])
-            for c in range(count):
-                j = near[c]
-                for i in range(n):
-                    scratch[2 * even, i] = table[c, i]
-                for i in range(n, whole(n)):
-                    scratch[2 * even, i] = nothing
-                m = weigh(scratch, whole(n), d)
-                sums(scratch, whole(n), even, one)
-                products(scratch, whole(n), even, two)
-                for r in range(d):
-                    shift[r] = known[b, 1 + 2 * d + r] - centre[r, j]
-                add_part(m, one, two, shift, j, total, mean, out)
-    centred(k, total, mean, out, centre)
-    return total, mean, out
+                step[r] = x[r] - mean[m, r]
+            share[m] = log_peak[m] - 0.5 * norm2(step, root[m], y)
+        log_mixture = _shares(left, alive, share)
+        ratio = math.exp(min(700.0, log_mixture + rule.log_volume)) * (1.0 - uniform) / uniform
+        flat, settling = 1.0 / (1.0 + ratio), k >= rule.steady
+        rate = min(1.0 / rule.memory, MAX_PRIOR / (rule.prior * alive))
+        prior, beta = rule.prior * rate, min(1.0, rate * w)
+        if settling:
+            late += rate * w
+            prior, beta = 0.0, beta / (1.0 + late)
+        uniform = min(1.0 - rule.min_uniform, max(rule.min_uniform, uniform + beta * (flat - uniform)))
+        beta *= 1.0 - flat if settling else 1.0
+        for m in range(alive):
+            before = left[m]
+            left[m] += beta * ((share[m] - prior) / (1.0 - alive * prior) - before)
+            moved = min(1.0, beta * share[m] / before)
+            if moved > NEGLIGIBLE:
+                _move(mean, cov, x, rule.floor, m, moved)
+                _refactor(cov, root, log_peak, m)
+        alive = _without_empty(left, mean, cov, root, log_peak, alive)
+    return Gaussians(left[:alive].copy(), mean[:alive].T.copy(), cov[:alive].copy()), uniform

@@ -17,7 +17,7 @@ from phdtrack.filters.extract import clusters
 from phdtrack.filters.extract.cloud import Cloud
 from phdtrack.filters.extract.resolution import join_unresolved
 from phdtrack.filters.extract.settling import REACH, Start, cluster
-from phdtrack.kernels.em import em_step
+from phdtrack.kernels.block_em import em_step
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, Estimates, GaussianMixture, ParticleBlocks, Particles
 
