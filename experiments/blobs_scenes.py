@@ -10,8 +10,7 @@ import numpy as np
 from experiments.common import Case
 from experiments.m09_scenes import detected
 from phdtrack.simulate import DetectorModel, Look, build_scene, render
-from phdtrack.simulate.records import rows
-from phdtrack.simulate.scenario import clip, visible
+from phdtrack.simulate.scenario import clip, truth_rows, visible
 from phdtrack.types import F8, Detections, DetectionTable, SequenceInfo, Truth
 
 Parting = Literal["crossing", "turning back"]
@@ -84,12 +83,12 @@ class Meeting:
         frame = np.tile(np.arange(1, len(time) + 1), 2)
         xyxy = np.concatenate(boxes)
         inside = visible(xyxy, self.info) > 0
-        return rows(frame[inside], np.repeat([1, 2], len(time))[inside], xyxy[inside])
+        return truth_rows(frame[inside], np.repeat([1, 2], len(time))[inside], xyxy[inside])
 
     def truth(self, figures: Truth) -> Truth:
         """Those of whom enough is in the frame."""
         kept = np.flatnonzero(visible(figures.xyxy, self.info) >= _VISIBLE)
-        return rows(figures.frame[kept], figures.identity[kept], clip(figures.xyxy[kept], self.info))
+        return truth_rows(figures.frame[kept], figures.identity[kept], clip(figures.xyxy[kept], self.info))
 
 
 def _smooth(way: F8) -> F8:

@@ -26,9 +26,9 @@ from phdtrack.filters.particle_phd import Intensity
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.models.volume import image_volume
 from phdtrack.protocols import Birth, Clutter, Model, Sensor
-from phdtrack.simulate import Counting, DetectorModel, constant, detect
-from phdtrack.simulate.clutter import ASPECTS, HEIGHTS
-from phdtrack.simulate.counting import PAPER_DETECTOR, counts
+from phdtrack.simulate import Counting, DetectorModel, detect
+from phdtrack.simulate.counting import PAPER_DETECTOR
+from phdtrack.simulate.detector import ASPECTS, HEIGHTS
 from phdtrack.types import F8, I8, GaussianMixture, Particles
 
 Laws = Literal["known", "shipped"]
@@ -168,7 +168,7 @@ def run(
     p_detect: float, clutter: float, seed: int, frames: int = FRAMES, laws: Laws = "known", per_target: int = PER_TARGET
 ) -> F8:
     """(3, frames) the true number, the mass of the intensity and the number of states, frame by frame."""
-    scene = constant(10, frames=frames)
+    scene = Counting(10, frames=frames)
     rng = np.random.default_rng([seed, round(100 * p_detect), round(clutter)])
     truth = scene.figures(rng)
     alarms = DetectorModel(clutter_rate=clutter, clutter_sizes="log-uniform" if laws == "known" else "truth")
@@ -178,7 +178,7 @@ def run(
     recursion, extractor = ParticlePHD(per_target), KMeans()
     state: Intensity = recursion.start(model, rng)
     out = np.zeros((3, frames))
-    out[0] = counts(truth, frames)
+    out[0] = np.bincount(truth.frame, minlength=frames + 1)[1 : frames + 1]
     for k in range(frames):
         now = model if k else first
         z = model.sensor.measure(found.at(k + 1))

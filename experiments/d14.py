@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.common import Options, in_parallel, table, write
+from experiments.corridor import centroids
 from experiments.d14_pictures import footage, pictures
 from experiments.d14_runs import (
     BURN,
@@ -33,7 +34,6 @@ from experiments.d14_runs import (
     work,
 )
 from phdtrack.compare.statistics import interval
-from phdtrack.simulate.corridor import centroids
 from phdtrack.types import F8
 
 SEEDS = 20

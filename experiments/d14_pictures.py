@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from experiments.common import need_data
+from experiments.corridor import PATHS, centroids
 from experiments.d14_runs import (
     FILTERS,
     INFOS,
@@ -28,7 +29,6 @@ from experiments.d14_runs import (
 )
 from phdtrack.arrays import to_cxcywh
 from phdtrack.simulate import DetectorModel, Look, build_scene, render
-from phdtrack.simulate.corridor import PATHS, centroids
 from phdtrack.types import F8, Frame
 from phdtrack.video import open_source
 

@@ -20,11 +20,11 @@ from functools import lru_cache
 import numpy as np
 
 from experiments.common import need_data
+from experiments.corridor import PATHS, centroids, measured, paths, wandering
 from phdtrack import config
 from phdtrack.formats import read_truth
 from phdtrack.metrics.trajectories import TargetErrors, rmse_per_target
 from phdtrack.protocols import AnyStages, Model
-from phdtrack.simulate.corridor import PATHS, centroids, measured, paths, wandering
 from phdtrack.types import F8, I8, SequenceInfo, Truth
 
 VARIANCES = (0.5, 1.0, 2.0)

@@ -14,7 +14,7 @@ import numpy as np
 from experiments.common import Case, Kept, mot15, need_data
 from phdtrack.detect import make_detector
 from phdtrack.simulate import build_scene, default_detector, default_look, render
-from phdtrack.simulate.named import NAMED
+from phdtrack.simulate.scenes import NAMED
 from phdtrack.types import F8, Detections, DetectionTable, Frame, Image, SequenceInfo, Truth
 from phdtrack.video import open_source
 

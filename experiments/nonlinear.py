@@ -1,6 +1,6 @@
 """The standard nonlinear scenario, targets that turn: OSPA of the particle filters and of the Gaussian ones by sigma points.
 
-The scenario is `phdtrack.simulate.turning`: ten targets over 100 scans, seen by bearing and range, with the noises that the
+The scenario is `standard_scenes.turning`: ten targets over 100 scans, seen by bearing and range, with the noises that the
 literature uses. Every filter is given the scenario's model. A section of the page of `reproduce.vo`.
 """
 
@@ -32,16 +32,16 @@ from experiments.scans import (
     measured,
     pyplot,
 )
+from experiments.standard_scenes import DEGREE, TURNING_LAST, TURNING_START, Turning, turning, turning_states
 from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, ParticleCPHD, ParticlePHD
 from phdtrack.filters.extract import BestBernoullis, BestHypothesis, Components, CountedComponents, CountedMixture, KMeans
 from phdtrack.models import BearingSensor, FixedBirth, TurningMotion, UniformClutter
 from phdtrack.protocols import Model
-from phdtrack.simulate.turning import DEGREE, LAST, START, Turning, turning, turning_states
 from phdtrack.types import F8, GaussianMixture
 
 # Runs of the first case, of the others, and in the short form.
 RUNS, SIDE, FEW = 100, 50, 3
-# The noises that the literature gives this scene, see `simulate.turning`.
+# The noises that the literature gives this scene, see `standard_scenes`.
 CASES = {
     "σ_w 5, σ_θ 2°, σ_r 10, λ 20": Turning(),
     "σ_w 15, σ_θ 2°, σ_r 20, λ 20": Turning(sd_acceleration=15.0, sd_range=20.0),
@@ -132,13 +132,13 @@ def _ways(axis: Any) -> None:
     axis.plot(Turning().radius * np.cos(angle), Turning().radius * np.sin(angle), color="0.8", lw=1)
     for who, way in ways().items():
         axis.plot(*way, color="0.35", lw=1)
-        axis.plot(*START[who - 1, :2], "o", ms=4, mfc="none", mec="0.35")
+        axis.plot(*TURNING_START[who - 1, :2], "o", ms=4, mfc="none", mec="0.35")
 
 
 def ways() -> dict[int, F8]:
     """(2, scans) where each target was, from its first scan to its last."""
     places: dict[int, list[F8]] = {}
-    for scan in range(1, LAST.max() + 1):
+    for scan in range(1, TURNING_LAST.max() + 1):
         state, identity = turning_states(scan)
         for who, x in zip(identity.tolist(), state.T, strict=True):
             places.setdefault(who, []).append(x[:2])

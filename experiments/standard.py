@@ -27,11 +27,11 @@ from experiments.scans import (
     measure,
     measured,
 )
+from experiments.standard_scenes import LinearGaussian, linear_gaussian
 from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, ParticleCPHD, ParticlePHD
 from phdtrack.filters.extract import BestBernoullis, BestHypothesis, Components, CountedComponents, CountedMixture, KMeans
 from phdtrack.models import FixedBirth, PlaneMotion, PlaneSensor, UniformClutter
 from phdtrack.protocols import Model
-from phdtrack.simulate.points import LinearGaussian, linear_gaussian
 from phdtrack.types import GaussianMixture
 
 # Runs of the first case, of the others, and in the short form.

@@ -11,6 +11,7 @@ import pytest
 
 from experiments import d14, d14_pictures, d14_runs
 from experiments.common import Options
+from experiments.corridor import centroids
 from experiments.d14_runs import (
     FILTERS,
     GATE,
@@ -29,7 +30,6 @@ from experiments.d14_runs import (
     track,
     work,
 )
-from phdtrack.simulate.corridor import centroids
 
 
 def test_the_models_posterior_deviation_is_the_papers():

@@ -11,8 +11,7 @@ from cli_runner import phdtrack, refused
 from moving_cases import filmed, handheld, moving, step
 from phdtrack.formats import read_warps, write_detections, write_truth
 from phdtrack.models import warp as warp_of
-from phdtrack.simulate import DetectorModel, make_scene
-from phdtrack.simulate.renderer import render
+from phdtrack.simulate import DetectorModel, make_scene, render
 from phdtrack.video import VideoWriter
 
 FRAMES = 60

@@ -78,7 +78,7 @@ def test_the_look_of_the_video_is_the_scenes_own_and_can_be_changed(tmp_path: Pa
         (["street", "--set", "arrivals"], "NAME=VALUE"),
         (["street", "--set", "arrivals=many"], "expected a number, got 'many'"),
         (["street", "--set", "frames=2.5"], "expected a whole number"),
-        (["street", "--set", "speed=-1"], "must be positive"),
+        (["street", "--set", "speed=-1"], "a positive speed"),
         (["street", "--look", "waves=1"], "Did you mean wave?"),
         (["street", "--look", "lamps=2.5"], "expected a whole number"),
         (["street", "--look", "shadow=2"], "shadow not above 1"),

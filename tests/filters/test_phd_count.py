@@ -9,8 +9,8 @@ from scipy.integrate import quad
 from experiments import count
 from phdtrack.arrays import to_cxcywh
 from phdtrack.models import BoxSensor
-from phdtrack.simulate import constant
-from phdtrack.simulate.clutter import poisson_boxes
+from phdtrack.simulate import Counting
+from phdtrack.simulate.detector import poisson_boxes
 
 ASKED = 0.10
 
@@ -38,7 +38,7 @@ def test_the_same_seed_counts_the_same():
 
 def test_the_clutter_of_the_scene_is_what_the_simulator_draws(rng):
     """λ over expected values: E[1/κ] over drawn false alarms is the volume they occur in, over the rate."""
-    scene = constant(10, frames=4000)
+    scene = Counting(10, frames=4000)
     _, boxes = poisson_boxes(scene.info, 5.0, np.zeros((0, 2)), rng)
     z = to_cxcywh(boxes)
     density = count.SceneClutter(scene, 5.0).intensity(z)
@@ -52,7 +52,7 @@ def test_the_clutter_of_the_scene_is_what_the_simulator_draws(rng):
 
 def test_the_births_of_the_scene_have_the_mass_of_what_can_be_drawn(rng):
     """Detections all over the frame leave nothing out: the mass is the rate."""
-    scene = constant(10, width=120, height=90)
+    scene = Counting(10, width=120, height=90)
     x, y, h = np.meshgrid(np.arange(-2, 124, 3.0), np.arange(-2, 94, 4.0), np.array([42.0, 50, 60, 70, 78]))
     z = np.stack([x.ravel(), y.ravel(), 0.4 * h.ravel(), h.ravel()])
     z = z[:, rng.permutation(z.shape[1])[:1200]]

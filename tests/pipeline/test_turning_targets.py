@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from experiments.standard_scenes import TURNING_FIRST, TURNING_LAST, turning
 from phdtrack import pipeline
 from phdtrack.arrays import to_cxcywh
 from phdtrack.associate import GraphMatching, Labelled
@@ -12,8 +13,6 @@ from phdtrack.filters import GMPHD, MHT, ParticlePHD
 from phdtrack.filters.extract import BestHypothesis, Components, KMeans
 from phdtrack.models import BearingSensor, FixedBirth, TurningMotion, UniformClutter
 from phdtrack.protocols import Model, Stages
-from phdtrack.simulate import turning
-from phdtrack.simulate.turning import FIRST, LAST
 from phdtrack.types import Detections, GaussianMixture, Tracks
 
 SCENE = turning(np.random.default_rng(0))
@@ -44,13 +43,13 @@ def tracked(stages: Stages) -> Tracks:
 def kept(tracks: Tracks) -> np.ndarray:
     """(10,) the largest share of each target's scans that one identity spends within 150 m of it."""
     place = to_cxcywh(tracks.xyxy)[:2]
-    near = np.zeros((len(FIRST), tracks.identity.max() + 1))
+    near = np.zeros((len(TURNING_FIRST), tracks.identity.max() + 1))
     for scan, (state, identity) in enumerate(zip(SCENE.state, SCENE.identity, strict=True), 1):
         rows = np.flatnonzero(tracks.frame == scan)
         apart = np.hypot(*(place[:, rows][:, None, :] - state[:2, :, None]))
         target, row = np.nonzero(apart < 150)
         near[identity[target] - 1, tracks.identity[rows[row]]] += 1
-    return near.max(axis=1) / (LAST - FIRST + 1)
+    return near.max(axis=1) / (TURNING_LAST - TURNING_FIRST + 1)
 
 
 def test_multiple_hypotheses_keep_the_identities_of_ten_targets():

@@ -7,15 +7,20 @@ import pytest
 
 from phdtrack.arrays import to_cxcywh
 from phdtrack.errors import InputError
-from phdtrack.simulate import Counting, constant, make_scene
-from phdtrack.simulate.counting import counts
+from phdtrack.simulate import Counting, make_scene
+from phdtrack.types import Truth
+
+
+def counts(truth: Truth, frames: int) -> np.ndarray:
+    """(frames,) number of targets in each frame."""
+    return np.bincount(truth.frame, minlength=frames + 1)[1 : frames + 1]
 
 
 def test_noise_of_the_motion() -> None:
     """One step from equal states: mean, standard deviations and correlations as M09 (11) says."""
     n, w, h = 40000, 30.0, 80.0
     x = np.tile(np.array([[100.0], [200], [3], [-2], [w], [h]]), n)
-    y = constant(5).step(x, np.random.default_rng(0))
+    y = Counting(5).step(x, np.random.default_rng(0))
     mean = np.array([103, 198, 3, -2, w, h])
     sd = np.array([0.015 * w, 0.015 * h, 0.03 * w, 0.03 * h, 0.1 * w, 0.1 * h])
     assert (np.abs(y.mean(axis=1) - mean) < 4 * sd / np.sqrt(n)).all()
@@ -42,7 +47,7 @@ def test_second_differences_of_the_truth() -> None:
 
 def test_expected_number_stays() -> None:
     """The number is n in every frame on average: 60 runs, with the variance of survivors and Poisson births."""
-    world, n, runs = constant(10, frames=100), 10, 60
+    world, n, runs = Counting(10, frames=100), 10, 60
     number = np.array([counts(world.figures(np.random.default_rng(seed)), 100) for seed in range(runs)])
     assert (number[:, 0] == n).all()
     for frame in (49, 99):
@@ -53,7 +58,7 @@ def test_expected_number_stays() -> None:
 
 def test_lifetimes() -> None:
     """Survival from frame to frame happens with p_S."""
-    world = constant(50, frames=200, p_survive=0.95)
+    world = Counting(50, frames=200, p_survive=0.95)
     truth = world.figures(np.random.default_rng(1))
     key = truth.frame * 100000 + truth.identity
     before_last = truth.frame < 200
@@ -62,16 +67,16 @@ def test_lifetimes() -> None:
 
 
 def test_births_have_the_rate_that_was_asked_for() -> None:
-    world = constant(0, frames=1000, birth_rate=0.5)
+    world = Counting(0, frames=1000, birth_rate=0.5)
     truth = world.figures(np.random.default_rng(3))
     born = len(np.unique(truth.identity))
     assert abs(born - 0.5 * 999) < 4 * np.sqrt(0.5 * 999)
-    assert constant(0).births == 0
+    assert Counting(0).births == 0
 
 
 def test_leaving_targets_are_gone_and_others_go_on() -> None:
     for leaving in (True, False):
-        world = constant(30, width=200, height=200, leaving=leaving, frames=100)
+        world = Counting(30, width=200, height=200, leaving=leaving, frames=100)
         x, y, w, h = to_cxcywh(world.figures(np.random.default_rng(0)).xyxy)
         inside = (x >= 0) & (x < 200) & (y >= 0) & (y < 200)
         assert inside.all() == leaving
@@ -80,13 +85,13 @@ def test_leaving_targets_are_gone_and_others_go_on() -> None:
 
 
 def test_sizes_stay_positive_under_extreme_noise() -> None:
-    world = constant(20, sd_size=2.0, frames=50, leaving=True)
+    world = Counting(20, sd_size=2.0, frames=50, leaving=True)
     box = to_cxcywh(world.figures(np.random.default_rng(0)).xyxy)
     assert (box[2:] > 0).all()
 
 
 def test_fixed_number() -> None:
-    truth = constant(7, p_survive=1.0).figures(np.random.default_rng(0))
+    truth = Counting(7, p_survive=1.0).figures(np.random.default_rng(0))
     assert (counts(truth, 200) == 7).all()
 
 

@@ -10,7 +10,7 @@ import pytest
 from phdtrack.arrays import to_cxcywh, to_xyxy
 from phdtrack.errors import InputError
 from phdtrack.simulate import Detected, DetectorModel, add_clutter, detect
-from phdtrack.simulate.records import rows
+from phdtrack.simulate.scenario import truth_rows
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Truth
 
 INFO = SequenceInfo(640, 480, 25.0, 400, "test")
@@ -24,7 +24,7 @@ def truth() -> Truth:
     frame, identity = np.repeat(np.arange(1, 401), 10), np.tile(np.arange(1, 11), 400)
     size = np.repeat([[30.0], [80.0]], 4000, axis=1) * rng.uniform(0.5, 1.5, 4000)
     centre = rng.random((2, 4000)) * np.array([[640], [480]])
-    return rows(frame, identity, to_xyxy(np.concatenate([centre, size])))
+    return truth_rows(frame, identity, to_xyxy(np.concatenate([centre, size])))
 
 
 def run(truth: Truth, settings: DetectorModel, seed: int = 1) -> Detected:
@@ -150,7 +150,7 @@ def test_order_within_a_frame_is_random(truth: Truth) -> None:
 def test_occlusion_lowers_the_detection_probability() -> None:
     frame, identity = np.repeat(np.arange(1, 401), 2), np.tile([1, 2], 400)
     behind, before = [100.0, 100, 200, 300], [100.0, 100, 150, 310]
-    half_hidden = rows(frame, identity, np.tile([behind, before], (400, 1)))
+    half_hidden = truth_rows(frame, identity, np.tile([behind, before], (400, 1)))
     got = targets(run(half_hidden, replace(PERFECT, occlusion=2.0)))
     hidden_part = 4 / 9
     expected = (1 - hidden_part) ** 2
@@ -180,7 +180,7 @@ def test_nothing_received_is_written_to(truth: Truth) -> None:
 
 
 def test_no_targets_and_no_clutter_is_an_empty_table() -> None:
-    none = rows(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)))
+    none = truth_rows(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)))
     assert len(run(none, replace(CLUTTERED, clutter_rate=0.0, places=0)).table) == 0
     assert len(run(none, CLUTTERED).table) > 0
 

@@ -21,7 +21,7 @@ from phdtrack.simulate import (
     make_scene,
     render,
 )
-from phdtrack.simulate.paint.stage import Stage, gait
+from phdtrack.simulate.stage import Stage, gait, plant_boxes
 from phdtrack.types import F8, Image
 
 STILL = Look(noise=0.0, flicker=0.0, plants=0, wave=0.0, lamps=0)
@@ -187,7 +187,7 @@ def test_waving_plants_are_seen_as_change_often_but_not_always() -> None:
     scene = make_scene("empty", 0, frames=150, detector=NOTHING)
     look = replace(STILL, plants=5, wave=0.09)
     moving = changing(scene, look, 150)
-    boxes = video(scene, look).plants
+    boxes = plant_boxes(scene, look.plants, video(scene, look).seed)
     assert boxes.shape == (5, 4)
     fires = np.array([[part(frame, box).sum() > 40 for box in boxes] for frame in moving])
     assert (fires.mean(axis=0) > 0.1).sum() >= 4
@@ -202,7 +202,7 @@ def test_waving_plants_are_seen_as_change_often_but_not_always() -> None:
 
 def test_plants_grow_at_the_persistent_places() -> None:
     scene = make_scene("street", 0, frames=5, detector=replace(NOTHING, places=3))
-    assert (video(scene).plants == scene.places).all()
+    assert (plant_boxes(scene, 4, 1) == scene.places).all()
 
 
 def test_flicker_changes_the_whole_picture_by_its_strength() -> None:
@@ -260,7 +260,7 @@ def test_scenes_to_learn_have_plants_and_lights_of_their_own() -> None:
     plants = {}
     for name in ("yard", "garden", "arcade"):
         scene, look = make_scene(name, 1, frames=2), default_look(name)
-        plants[name] = len(render(scene, np.random.default_rng(1), look).plants)
+        plants[name] = len(plant_boxes(scene, look.plants, 1))
         assert look.wave > Look().wave
         assert look.lamps >= 3
     assert plants == {"yard": 3, "garden": 12, "arcade": 3}

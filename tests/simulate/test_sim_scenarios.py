@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.errors import InputError
 from phdtrack.simulate import NAMED, DetectorModel, Entrance, Scenario, Walk, build_scene, make_scene
-from phdtrack.simulate.cover import covered
-from phdtrack.simulate.ground import Camera, follow, rounded, walked_seconds
-from phdtrack.simulate.records import rows
+from phdtrack.simulate.detector import covered
+from phdtrack.simulate.scenario import Camera, rounded, truth_rows, walked_seconds
 from phdtrack.types import Truth
 
 PEOPLE = [name for name in NAMED if name not in ("empty", "constant")]
@@ -226,7 +225,7 @@ def test_rounding_keeps_the_ends_and_shortens_the_way() -> None:
 def test_follow_walks_at_constant_speed_on_the_ground() -> None:
     walk = Walk(((-0.1, 0.9), (0.5, 0.6), (1.1, 0.8)), at=1.0, speed=0.5)
     times = np.arange(0, 60, 0.04)
-    foot, index = follow(walk, CAMERA, (640, 360), times)
+    foot, index = walk.follow(CAMERA, (640, 360), times)
     assert times[index[0]] == pytest.approx(1.0)
     step = np.hypot(*np.diff(CAMERA.to_ground(foot), axis=0).T)
     assert np.allclose(step, 0.5 * 0.04, rtol=0.02)
@@ -242,14 +241,14 @@ def test_follow_walks_at_constant_speed_on_the_ground() -> None:
     ],
 )
 def test_covered_part(boxes: list[list[float]], expected: list[float]) -> None:
-    truth = rows(np.ones(len(boxes), np.int64), np.arange(1, len(boxes) + 1), np.array(boxes, float))
+    truth = truth_rows(np.ones(len(boxes), np.int64), np.arange(1, len(boxes) + 1), np.array(boxes, float))
     part = covered(truth, np.zeros((0, 4)))
     assert np.abs(part - expected).max() <= 1 / 9 + 1e-9
 
 
 def test_covered_looks_at_each_frame_alone() -> None:
     box = np.array([[0.0, 0, 10, 20], [0, 0, 10, 30]])
-    truth = rows(np.array([1, 2]), np.array([1, 2]), box)
+    truth = truth_rows(np.array([1, 2]), np.array([1, 2]), box)
     assert (covered(truth, np.zeros((0, 4))) == 0).all()
     assert (covered(truth, np.array([[0.0, 0, 10, 40]])) == 1).all()
 

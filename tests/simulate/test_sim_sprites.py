@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.simulate.paint.figure import PHASES, draw_clothes, walking
-from phdtrack.simulate.paint.sprite import premultiplied, put, put_scaled, pyramid
+from phdtrack.simulate.paint_figures import PHASES, draw_clothes, premultiplied, put, put_scaled, pyramid, walking
 
 
 def half_red() -> np.ndarray:

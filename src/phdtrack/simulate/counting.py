@@ -8,17 +8,15 @@ outside of the frame. With ``leaving`` they are gone then, the survival is p_S i
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from phdtrack.arrays import to_xyxy
 from phdtrack.errors import InputError
-from phdtrack.simulate.clutter import log_uniform
-from phdtrack.simulate.detector import DetectorModel
-from phdtrack.simulate.records import rows
-from phdtrack.types import F8, I8, Bool, SequenceInfo, Truth
+from phdtrack.simulate.detector import DetectorModel, log_uniform
+from phdtrack.simulate.scenario import check_sequence, truth_rows
+from phdtrack.types import F8, SequenceInfo, Truth
 
 PAPER_DETECTOR = DetectorModel(p_detect=0.95, jitter=0.075, jitter_size=0.15, clutter_rate=1.0)
 """p_M = 0.05, σ_size = 0.15 of the box, σ_position half of that, one clutter point a frame: the sensor of M07 and M09."""
@@ -58,26 +56,16 @@ class Counting:
     leaving: bool = False
 
     def __post_init__(self) -> None:
-        checks = [
-            (self.n >= 0, f"n is a number of targets, not {self.n}", "Give 0 or more"),
-            (self.frames >= 1, f"frames must be at least 1, not {self.frames}", "Ask for one frame or more"),
-            (self.fps > 0, f"fps must be positive, not {self.fps:g}", "25 is usual"),
-            (
-                min(self.width, self.height) >= 16,
-                f"the frame is too small: {self.width}x{self.height}",
-                "Give 16 pixels or more",
-            ),
-            (0 <= self.p_survive <= 1, f"p_survive is a probability, not {self.p_survive:g}", "0.99 is usual"),
-            (min(self.sd_velocity, self.sd_size) >= 0, "standard deviations must not be negative", "Give 0 or more"),
-            (
-                0 < self.birth_height[0] <= self.birth_height[1],
-                f"no heights between {self.birth_height}",
-                "Give (low, high)",
-            ),
-        ]
-        for fine, problem, cure in checks:
-            if not fine:
-                raise InputError(problem, where=f"scenario {self.name}", cure=cure)
+        check_sequence(self.info)
+        expected = {
+            f"n of 0 or more targets, got {self.n}": self.n >= 0,
+            f"a probability p_survive, got {self.p_survive:g}": 0 <= self.p_survive <= 1,
+            "standard deviations of 0 or more": min(self.sd_velocity, self.sd_size) >= 0,
+            f"birth_height (low, high), got {self.birth_height}": 0 < self.birth_height[0] <= self.birth_height[1],
+        }
+        for what, met in expected.items():
+            if not met:
+                raise InputError(f"expected {what}", where=f"scenario {self.name}", cure="Change this setting of the scene")
 
     @property
     def births(self) -> float:
@@ -104,17 +92,20 @@ class Counting:
         x, identity = self.newborn(self.n, rng), np.arange(1, self.n + 1)
         known = self.n
         parts = [(np.full(self.n, 1), identity, to_xyxy(x[[0, 1, 4, 5]]))]
+        edge = np.array([[self.width], [self.height]])
         for frame in range(2, self.frames + 1):
             stay = rng.random(len(identity)) < self.p_survive
             x, identity = self.step(x[:, stay], rng), identity[stay]
-            inside = self._inside(x)
+            if self.leaving:
+                inside = np.all((x[:2] >= 0) & (x[:2] < edge), axis=0)
+                x, identity = x[:, inside], identity[inside]
             born = int(rng.poisson(self.births))
-            x = np.concatenate([x[:, inside], self.newborn(born, rng)], axis=1)
-            identity = np.concatenate([identity[inside], np.arange(known + 1, known + born + 1)])
+            x = np.concatenate([x, self.newborn(born, rng)], axis=1)
+            identity = np.concatenate([identity, np.arange(known + 1, known + born + 1)])
             known += born
             parts.append((np.full(len(identity), frame), identity, to_xyxy(x[[0, 1, 4, 5]])))
         frames, identities, boxes = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return rows(frames, identities, boxes)
+        return truth_rows(frames, identities, boxes)
 
     def truth(self, figures: Truth) -> Truth:
         """The targets as they are: not clipped, so that the model holds exactly."""
@@ -133,19 +124,3 @@ class Counting:
         height = log_uniform(self.birth_height, n, rng)
         direction, speed = rng.uniform(0, 2 * np.pi, n), rng.normal(size=n) * self.birth_speed * self.aspect * height
         return np.stack([*centre, speed * np.cos(direction), speed * np.sin(direction), self.aspect * height, height])
-
-    def _inside(self, x: F8) -> Bool:
-        """(L,) which targets stay because their centre is in the frame."""
-        edge = np.array([[self.width], [self.height]])
-        inside: Bool = np.all((x[:2] >= 0) & (x[:2] < edge), axis=0)
-        return inside | (not self.leaving)
-
-
-def constant(n: int, **settings: Any) -> Counting:
-    """A scene for count experiments with ``n`` targets at its start; ``settings`` as in `Counting`."""
-    return replace(Counting(n), **settings)
-
-
-def counts(truth: Truth, frames: int) -> I8:
-    """(frames,) number of targets in each frame."""
-    return np.bincount(truth.frame, minlength=frames + 1)[1 : frames + 1]

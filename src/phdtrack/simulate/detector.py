@@ -1,4 +1,4 @@
-"""A detector's behaviour, simulated: it misses, it is not exact, and it reports what is not there.
+"""A simulated detector: it misses objects, its boxes are not exact, and it reports what is not there.
 
 Each object in the truth is detected with probability p_D (1 − c)^s, c its part hidden by nearer ones; the reported centre
 and size have Gaussian errors in proportion to the box. On top come Poisson clutter, uniform over the frame, and persistent
@@ -15,13 +15,16 @@ import numpy as np
 
 from phdtrack.arrays import to_cxcywh, to_xyxy
 from phdtrack.errors import InputError
-from phdtrack.simulate.clutter import Sizes, place_boxes, poisson_boxes, shuffled
-from phdtrack.simulate.cover import covered
-from phdtrack.simulate.records import Detected
 from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo, Truth
 
-SMALLEST = 0.2
+MIN_SIZE = 0.2
 """A jittered width or height stays above this part of the true one."""
+HEIGHTS = (0.08, 0.5)
+"""Log-uniform clutter: heights in frame heights."""
+ASPECTS = (1 / 3, 1.0)
+"""Log-uniform clutter: width over height."""
+GRID = 9
+"""Points a side at which it is seen how much of a box is hidden."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,116 +48,219 @@ class DetectorModel:
     jitter: float = 0.05
     jitter_size: float = 0.05
     clutter_rate: float = 2.0
-    clutter_sizes: Sizes = "truth"
+    clutter_sizes: Literal["truth", "log-uniform"] = "truth"
     places: int = 0
     place_fire: float = 0.5
     place_jitter: float = 0.1
     scores: Literal["constant", "informative"] = "constant"
 
     def __post_init__(self) -> None:
-        for name, value in (("p_detect", self.p_detect), ("place_fire", self.place_fire)):
-            if not 0 <= value <= 1:
-                raise InputError(
-                    f"{name} is a probability, not {value}", where="detector model", cure="Give a number from 0 to 1"
-                )
-        amounts = (self.occlusion, self.jitter, self.jitter_size, self.clutter_rate, self.places, self.place_jitter)
-        if not all(0 <= amount < np.inf for amount in amounts):
-            raise InputError(
-                f"occlusion, jitter, jitter_size, clutter_rate, places and place_jitter must not be negative, not {amounts}",
-                where="detector model",
-                cure="Give 0 or more",
-            )
-        if self.clutter_sizes not in ("truth", "log-uniform") or self.scores not in ("constant", "informative"):
-            raise InputError(
-                f"clutter_sizes {self.clutter_sizes!r} and scores {self.scores!r} are not both known",
-                where="detector model",
-                cure="clutter_sizes is 'truth' or 'log-uniform', scores 'constant' or 'informative'",
-            )
+        amounts = ("occlusion", "jitter", "jitter_size", "clutter_rate", "places", "place_jitter")
+        limits = dict.fromkeys(amounts, (np.inf, "a finite number, 0 or more"))
+        limits |= dict.fromkeys(("p_detect", "place_fire"), (1.0, "a probability"))
+        for name, (high, what) in limits.items():
+            value = getattr(self, name)
+            if not 0 <= value <= high or value == np.inf:
+                raise InputError(f"expected {what} for {name}, got {value}", where="detector model")
+        for name, known in (("clutter_sizes", ("truth", "log-uniform")), ("scores", ("constant", "informative"))):
+            if getattr(self, name) not in known:
+                problem = f"expected {name} to be {' or '.join(known)}, got {getattr(self, name)!r}"
+                raise InputError(problem, where="detector model")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """Detections of one origin: ``frame`` (M,), ``xyxy`` (M, 4), ``score`` (M,), ``source`` (M,)."""
+class Detected:
+    """Simulated detections and where each came from.
 
-    frame: I8
-    xyxy: F8
-    score: F8
+    Attributes
+    ----------
+    table : M detections, ascending in frame, in random order within a frame.
+    source : (M,) int64: the identity it came from, 0 for Poisson clutter, −1, −2, … for the persistent places.
+    places : (P, 4) xyxy of the persistent places, pixels: place p is ``source`` −(p + 1).
+    """
+
+    table: DetectionTable
     source: I8
+    places: F8
 
 
 def detect(
-    truth: Truth,
-    info: SequenceInfo,
-    rng: np.random.Generator,
-    settings: DetectorModel,
-    *,
-    obstacles: F8 | None = None,
+    truth: Truth, info: SequenceInfo, rng: np.random.Generator, model: DetectorModel, *, obstacles: F8 | None = None
 ) -> Detected:
-    """Simulate a detector on the truth in the frames 1 … ``info.frames``.
+    """Simulated detections of the truth in the frames 1 … ``info.frames``.
 
-    Rows of ``truth`` marked as distractors are not detected. ``obstacles`` (K, 4) hide what is behind them, for
-    ``settings.occlusion``. Draws from streams spawned from ``rng``: give a fresh generator of the same seed to get the same.
+    Parameters
+    ----------
+    truth : the objects; rows marked as distractors are not detected.
+    info : size and number of frames of the sequence.
+    rng : streams are spawned from it: a fresh generator of the same seed gives the same detections.
+    model : settings of the detector.
+    obstacles : (K, 4) xyxy of things that hide what is behind them, pixels; for ``model.occlusion``.
+
+    Returns
+    -------
+    detected : the detections, where each came from, and the persistent places.
 
     Raises
     ------
     InputError : the number of frames is not known, or the truth has rows outside of it.
     """
     if info.frames < 1 or (len(truth) and not 1 <= truth.frame.min() <= truth.frame.max() <= info.frames):
-        raise InputError(
-            f"the truth must lie within the frames 1 … {info.frames}",
-            where=info.name,
-            cure="Give the number of frames of the sequence in SequenceInfo.frames",
-        )
-    targets_rng, poisson_rng, places_rng, order_rng = rng.spawn(4)
-    real = np.flatnonzero(~truth.distractor)
-    sizes = to_cxcywh(truth.xyxy[real])[2:].T if settings.clutter_sizes == "truth" else np.zeros((0, 2))
-    persistent, places = _places(info, sizes, places_rng, settings)
-    parts = (
-        _targets(truth, np.zeros((0, 4)) if obstacles is None else obstacles, targets_rng, settings),
-        _poisson(info, sizes, poisson_rng, settings),
-        persistent,
+        problem = f"expected a truth within the frames 1 … {info.frames}"
+        raise InputError(problem, where=info.name, cure="Give the number of frames of the sequence in SequenceInfo.frames")
+    targets_rng, clutter_rng, places_rng, order_rng = rng.spawn(4)
+    sizes = to_cxcywh(truth.xyxy[~truth.distractor])[2:].T if model.clutter_sizes == "truth" else np.zeros((0, 2))
+    places = place_boxes(info, model.places, sizes, places_rng)
+
+    # Objects: a number drawn for each decides whether it is detected.
+    lot = targets_rng.random(len(truth))
+    boxes = _jittered(truth.xyxy, model.jitter, model.jitter_size, targets_rng)
+    score = _scores(len(truth), (6, 2), targets_rng, model)
+    p_detect = np.full(len(truth), model.p_detect)
+    if model.occlusion:
+        p_detect *= (1 - covered(truth, np.zeros((0, 4)) if obstacles is None else obstacles)) ** model.occlusion
+    kept = np.flatnonzero((lot < p_detect) & ~truth.distractor)
+
+    # Poisson clutter, and persistent places.
+    at, false = poisson_boxes(info, model.clutter_rate, sizes, clutter_rng)
+    false_score = _scores(len(at), (2, 4), clutter_rng, model)
+    fired, place = np.nonzero(places_rng.random((info.frames, model.places)) < model.place_fire)
+    place_box = _jittered(places[place], model.place_jitter, model.place_jitter, places_rng)
+    place_score = _scores(len(fired), (2, 4), places_rng, model)
+
+    frame = np.concatenate([truth.frame[kept], at, fired + 1])
+    source = np.concatenate([truth.identity[kept], np.zeros(len(at), np.int64), -(place + 1)])
+    found = np.concatenate([boxes[kept], false, place_box])
+    order = _shuffled(frame, order_rng)
+    detections = Detections.of(found, np.concatenate([score[kept], false_score, place_score]))
+    return Detected(DetectionTable(frame[order], detections.take(order)), source[order], places)
+
+
+def add_clutter(
+    table: DetectionTable, info: SequenceInfo, rate: float, rng: np.random.Generator, truth_sizes: F8
+) -> DetectionTable:
+    """``table`` with Poisson clutter mixed in, in all frames 1 … ``info.frames``.
+
+    Score, class and covariance of each false alarm are those of a detection drawn from the table, so that none of them gives
+    it away; 1 and 0 where the table is empty. Within a frame the order is random. The table's own detections keep their
+    values.
+
+    Parameters
+    ----------
+    table : detections, which may come from a real detector.
+    info : size and number of frames of the sequence.
+    rate : expected false alarms per frame.
+    rng : what draws them.
+    truth_sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
+
+    Returns
+    -------
+    table : the detections and the clutter, ascending in frame.
+
+    Raises
+    ------
+    InputError : the number of frames is not known, or ``rate`` is not a number of boxes.
+    """
+    if info.frames < 1:
+        raise InputError("expected a known number of frames to add clutter to", where=info.name, cure="Count the frames")
+    if not 0 <= rate < np.inf:
+        raise InputError(f"expected a clutter rate in boxes per frame, got {rate}", cure="Give 0 or more")
+    boxes_rng, donor_rng, order_rng = rng.spawn(3)
+    frame, boxes = poisson_boxes(info, rate, truth_sizes, boxes_rng)
+    old, new = table.detections, Detections.of(boxes)
+    if len(table):
+        donor = old.take(donor_rng.integers(len(table), size=len(frame)))
+        new = Detections(boxes, donor.confidence, donor.class_id, donor.covariance)
+    with_covariance = old.covariance is not None and new.covariance is not None
+    merged = Detections(
+        np.concatenate([old.xyxy, new.xyxy]),
+        np.concatenate([old.confidence, new.confidence]),
+        np.concatenate([old.class_id, new.class_id]),
+        np.concatenate([old.covariance, new.covariance]) if with_covariance else None,
     )
-    frame, source = np.concatenate([p.frame for p in parts]), np.concatenate([p.source for p in parts])
-    order = shuffled(frame, order_rng)
-    boxes = Detections.of(np.concatenate([p.xyxy for p in parts]), np.concatenate([p.score for p in parts]))
-    return Detected(DetectionTable(frame[order], boxes.take(order)), source[order], places)
+    frames = np.concatenate([table.frame, frame])
+    order = _shuffled(frames, order_rng)
+    return DetectionTable(frames[order], merged.take(order))
 
 
-def jittered(xyxy: F8, centre: float, size: float, rng: np.random.Generator) -> F8:
+def covered(truth: Truth, obstacles: F8) -> F8:
+    """(M,) part of each box that nearer boxes of its frame or ``obstacles`` (K, 4) hide, to within about 1/9 of its area.
+
+    A box with a lower edge is nearer to the camera. Estimated on a grid of points, so that what several boxes hide
+    together counts once.
+    """
+    hidden = np.zeros(len(truth))
+    starts = np.flatnonzero(np.diff(truth.frame, prepend=0))
+    steps = (np.arange(GRID) + 0.5) / GRID
+    for rows in np.split(np.arange(len(truth)), starts[1:]) if len(truth) else []:
+        boxes = truth.xyxy[rows]
+        hiders = np.concatenate([boxes, obstacles])
+        x = boxes[:, :1] + steps * (boxes[:, 2:3] - boxes[:, :1])
+        y = boxes[:, 1:2] + steps * (boxes[:, 3:4] - boxes[:, 1:2])
+        in_x = (x[:, :, None] > hiders[:, 0]) & (x[:, :, None] < hiders[:, 2])
+        in_y = (y[:, :, None] > hiders[:, 1]) & (y[:, :, None] < hiders[:, 3])
+        nearer = hiders[None, :, 3] > boxes[:, None, 3]
+        hidden[rows] = (in_x[:, :, None] & in_y[:, None] & nearer[:, None, None]).any(axis=3).mean(axis=(1, 2))
+    return hidden
+
+
+def poisson_boxes(info: SequenceInfo, rate: float, sizes: F8, rng: np.random.Generator) -> tuple[I8, F8]:
+    """Poisson false alarms, uniform over the frame.
+
+    Parameters
+    ----------
+    info : size and number of frames of the sequence.
+    rate : expected false alarms in each of the frames 1 … ``info.frames``.
+    sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
+    rng : what draws them.
+
+    Returns
+    -------
+    frame : (M,) int64, ascending.
+    boxes : (M, 4) xyxy, pixels.
+    """
+    frame = np.repeat(np.arange(1, info.frames + 1), rng.poisson(rate, info.frames))
+    centre = rng.random((len(frame), 2)) * np.array([info.width, info.height])
+    size = _draw_sizes(info, len(frame), sizes, rng)
+    return frame, to_xyxy(np.concatenate([centre, size], axis=1).T)
+
+
+def log_uniform(between: tuple[float, float], n: int, rng: np.random.Generator) -> F8:
+    """(n,) numbers whose logarithm is uniform between those of the two."""
+    low, high = between
+    return low * (high / low) ** rng.random(n)
+
+
+def _draw_sizes(info: SequenceInfo, n: int, sizes: F8, rng: np.random.Generator) -> F8:
+    """(n, 2) widths and heights, rows of ``sizes`` (S, 2) or, where it has none, log-uniform in height and in aspect."""
+    if len(sizes):
+        return sizes[rng.integers(len(sizes), size=n)]
+    height = log_uniform(HEIGHTS, n, rng) * info.height
+    return np.stack([height * log_uniform(ASPECTS, n, rng), height], axis=1)
+
+
+def place_boxes(info: SequenceInfo, n: int, sizes: F8, rng: np.random.Generator) -> F8:
+    """(n, 4) boxes of persistent places, each whole inside the frame."""
+    edge = np.array([info.width, info.height], dtype=np.float64)
+    size = np.minimum(_draw_sizes(info, n, sizes, rng), edge)
+    corner = rng.random((n, 2)) * (edge - size)
+    return np.concatenate([corner, corner + size], axis=1)
+
+
+def _jittered(xyxy: F8, centre: float, size: float, rng: np.random.Generator) -> F8:
     """(n, 4) the boxes with Gaussian errors: ``centre`` and ``size`` are standard deviations in widths and heights."""
     box = to_cxcywh(xyxy)
     extent = box[2:]
     moved = box[:2] + rng.normal(size=extent.shape) * centre * extent
-    scaled = np.maximum(1 + rng.normal(size=extent.shape) * size, SMALLEST) * extent
+    scaled = np.maximum(1 + rng.normal(size=extent.shape) * size, MIN_SIZE) * extent
     return to_xyxy(np.concatenate([moved, scaled]))
 
 
-def _targets(truth: Truth, obstacles: F8, rng: np.random.Generator, settings: DetectorModel) -> _Part:
-    """The detections of the objects."""
-    lot = rng.random(len(truth))
-    boxes = jittered(truth.xyxy, settings.jitter, settings.jitter_size, rng)
-    score = _score(len(truth), (6, 2), rng, settings)
-    p_detect = np.full(len(truth), settings.p_detect)
-    if settings.occlusion:
-        p_detect *= (1 - covered(truth, obstacles)) ** settings.occlusion
-    kept = np.flatnonzero((lot < p_detect) & ~truth.distractor)
-    return _Part(truth.frame[kept], boxes[kept], score[kept], truth.identity[kept])
-
-
-def _poisson(info: SequenceInfo, sizes: F8, rng: np.random.Generator, settings: DetectorModel) -> _Part:
-    """The false alarms that may be anywhere."""
-    frame, boxes = poisson_boxes(info, settings.clutter_rate, sizes, rng)
-    return _Part(frame, boxes, _score(len(frame), (2, 4), rng, settings), np.zeros(len(frame), np.int64))
-
-
-def _places(info: SequenceInfo, sizes: F8, rng: np.random.Generator, settings: DetectorModel) -> tuple[_Part, F8]:
-    """The false alarms of the persistent places, and the places (P, 4)."""
-    places = place_boxes(info, settings.places, sizes, rng)
-    frame, place = np.nonzero(rng.random((info.frames, settings.places)) < settings.place_fire)
-    boxes = jittered(places[place], settings.place_jitter, settings.place_jitter, rng)
-    return _Part(frame + 1, boxes, _score(len(frame), (2, 4), rng, settings), -(place + 1)), places
-
-
-def _score(n: int, beta: tuple[float, float], rng: np.random.Generator, settings: DetectorModel) -> F8:
+def _scores(n: int, beta: tuple[float, float], rng: np.random.Generator, model: DetectorModel) -> F8:
     """(n,) scores."""
-    return rng.beta(*beta, size=n) if settings.scores == "informative" else np.ones(n)
+    return rng.beta(*beta, size=n) if model.scores == "informative" else np.ones(n)
+
+
+def _shuffled(frame: I8, rng: np.random.Generator) -> I8:
+    """(M,) an order that sorts by frame and is random within each frame."""
+    return np.lexsort((rng.random(len(frame)), frame))

@@ -1,9 +1,16 @@
-"""Scenes with people: who comes when, from where, and walks where how fast.
+"""Scenes with people: who comes when, from where, and walks where how fast, over a flat ground seen by a level camera.
 
-Arrivals are a Poisson process in time. Each takes an entrance and another one as exit, walks from one to the other over
-a point between, stops now and then, and has a speed and a stature of its own. Walks can also be written down
-(`Scenario.walks`), for crossings that must happen. The truth is what lies in the frame, clipped to it, from the moment
-that a given part of the figure is inside; occluded figures stay in it, as annotators of benchmarks keep them.
+Arrivals are a Poisson process in time. Each person takes an entrance and another one as exit, walks from one to the other
+over a point between, pauses now and then, and has a speed and a stature of their own. Walks can also be written down
+(`Scenario.walks`), for crossings that must happen. The truth is what lies in the frame, clipped to it, from the moment that
+a given part of the figure is inside; occluded people stay in it, as annotators of benchmarks keep them.
+
+Lengths on the ground are in body heights. With focal length f (pixels), camera height c (body heights), horizon row y₀ and
+image centre x₀, a foot point at lateral X and depth Z is seen at
+
+    x = x₀ + f X / Z        y = y₀ + f c / Z        and a figure there is   f / Z = (y − y₀) / c   pixels tall:
+
+lower in the picture is larger, and straight walks on the ground are straight in the picture.
 """
 
 from __future__ import annotations
@@ -14,18 +21,108 @@ from typing import Literal
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.simulate.ground import Camera, Point, Walk, follow
-from phdtrack.simulate.records import rows
 from phdtrack.types import F8, I8, SequenceInfo, Truth
 
-Side = Literal["left", "right", "bottom", "door"]
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """``horizon`` and ``centre`` in pixels, ``focal`` in pixels, ``height`` above the ground in body heights."""
+
+    centre: float
+    horizon: float
+    focal: float
+    height: float
+
+    def to_ground(self, xy: F8) -> F8:
+        """(n, 2) lateral and depth of the foot points ``xy`` (n, 2) in pixels, which must lie below the horizon."""
+        depth = self.focal * self.height / (xy[:, 1] - self.horizon)
+        return np.stack([(xy[:, 0] - self.centre) * depth / self.focal, depth], axis=1)
+
+    def to_picture(self, ground: F8) -> F8:
+        """(n, 2) pixels of the ground points (n, 2)."""
+        x = self.centre + self.focal * ground[:, 0] / ground[:, 1]
+        return np.stack([x, self.horizon + self.focal * self.height / ground[:, 1]], axis=1)
+
+    def boxes(self, foot: F8, stature: float, aspect: float) -> F8:
+        """(n, 4) xyxy of figures standing at the pixels ``foot`` (n, 2); ``aspect`` is width over height."""
+        tall = stature * ((foot[:, 1] - self.horizon) / self.height)
+        half = aspect * tall / 2
+        return np.stack([foot[:, 0] - half, foot[:, 1] - tall, foot[:, 0] + half, foot[:, 1]], axis=1)
+
+    def row_below(self, bottom: float, stature: float) -> float:
+        """The foot row, in pixels, of a figure whose head just touches the lower edge ``bottom`` of the picture."""
+        return (bottom - stature * self.horizon / self.height) / (1 - stature / self.height)
+
+
+@dataclass(frozen=True, slots=True)
+class Walk:
+    """One person's way.
+
+    Attributes
+    ----------
+    points : two or more foot points (x, y) as fractions of the frame's width and height; corners are rounded.
+    at : second at which the walk begins; may be before the first frame.
+    speed : body heights per second on the ground.
+    stature : height relative to the scene's usual.
+    pauses : pairs (seconds walked until the pause, its length in seconds), ascending.
+    """
+
+    points: tuple[Point, ...]
+    at: float = 0.0
+    speed: float = 0.75
+    stature: float = 1.0
+    pauses: tuple[Point, ...] = ()
+
+    def follow(self, camera: Camera, size: Point, times: F8) -> tuple[F8, I8]:
+        """The foot points at those of the given times at which the walk is under way.
+
+        Parameters
+        ----------
+        camera : the camera that sees the ground.
+        size : width and height of the frame, pixels.
+        times : (T,) seconds.
+
+        Returns
+        -------
+        foot : (n, 2) foot points, pixels.
+        index : (n,) int64 which of the times they belong to.
+        """
+        corners = camera.to_ground(np.array(self.points) * np.array(size))
+        path = rounded(corners) if len(corners) > 2 else corners
+        length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+        gone = self.speed * walked_seconds(times - self.at, self.pauses)
+        index = np.flatnonzero((times >= self.at) & (gone <= length[-1]))
+        ground = np.stack([np.interp(gone[index], length, path[:, axis]) for axis in (0, 1)], axis=1)
+        return camera.to_picture(ground), index
+
+
+def walked_seconds(since: F8, pauses: tuple[Point, ...]) -> F8:
+    """How many of the seconds ``since`` the start of a walk were spent walking and not in its pauses."""
+    spent = np.zeros_like(since)
+    paused = 0.0
+    for walked, pause in pauses:
+        spent += np.clip(since - (walked + paused), 0, pause)
+        paused += pause
+    return since - spent
+
+
+def rounded(corners: F8) -> F8:
+    """The polyline ``corners`` (n, 2) with its corners cut four times (Chaikin); its ends stay."""
+    line = corners
+    for _ in range(4):
+        a, b = line[:-1], line[1:]
+        cut = np.stack([0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b], axis=1).reshape(-1, 2)
+        line = np.concatenate([line[:1], cut, line[-1:]])
+    return line
 
 
 @dataclass(frozen=True, slots=True)
 class Entrance:
-    """Where figures come and go: a border of the frame, or a door at ``foot`` (x, y in fractions of the frame)."""
+    """Where people come and go: a border of the frame, or a door at ``foot`` (x, y in fractions of the frame)."""
 
-    side: Side
+    side: Literal["left", "right", "bottom", "door"]
     foot: Point = (0.5, 0.5)
     weight: float = 1.0
 
@@ -44,8 +141,8 @@ class Scenario:
     speed, speed_spread : mean and standard deviation over people, in body heights per second.
     aspect, stature_spread : width over height of a figure; standard deviation of its relative height.
     pause_rate, pause_seconds : pauses per second of walking and their mean length.
-    walks : walks beside the arrivals.
-    obstacles : standing things (left, top, right, bottom) that hide who is behind them.
+    walks : walks in addition to the arrivals.
+    obstacles : standing things (left, top, right, bottom) that hide what is behind them.
     min_visible : part of a figure that must be in the frame for it to be in the truth.
     """
 
@@ -72,8 +169,22 @@ class Scenario:
     min_visible: float = 0.3
 
     def __post_init__(self) -> None:
-        for problem, cure in _problems(self):
-            raise InputError(problem, where=f"scenario {self.name}", cure=cure)
+        check_sequence(self.info)
+        low = min((y for walk in self.walks for _, y in walk.points), default=1.0)
+        expected = {
+            f"0 or more arrivals per second, got {self.arrivals:g}": 0 <= self.arrivals < np.inf,
+            f"a positive speed, got {self.speed:g} ± {self.speed_spread:g}": self.speed > 0 and self.speed_spread >= 0,
+            f"rows below the horizon {self.horizon:g}, got {self.rows}": self.horizon < self.rows[0] <= self.rows[1],
+            f"camera_height above the tallest head, 1.3, got {self.camera_height:g}": self.camera_height > 1.3,
+            f"aspect and focal above 0, got {self.aspect:g} and {self.focal:g}": min(self.aspect, self.focal) > 0,
+            f"min_visible in (0, 1], got {self.min_visible:g}": 0 < self.min_visible <= 1,
+            "pause_rate and pause_seconds of 0 or more": min(self.pause_rate, self.pause_seconds) >= 0,
+            "walks with two points or more and a positive speed": all(len(w.points) > 1 and w.speed > 0 for w in self.walks),
+            f"walks below the horizon {self.horizon:g}, got a foot at {low:g}": low > self.horizon,
+        }
+        for what, met in expected.items():
+            if not met:
+                raise InputError(f"expected {what}", where=f"scenario {self.name}", cure="Change this setting of the scene")
 
     @property
     def info(self) -> SequenceInfo:
@@ -94,7 +205,7 @@ class Scenario:
 
     @property
     def doors_px(self) -> F8:
-        """(D, 4) xyxy of the doors, pixels: a quarter taller than those who come through them, and half as wide as high."""
+        """(D, 4) xyxy of the doors, pixels: a quarter taller than the people, and half as wide as high."""
         feet = np.array([e.foot for e in self.entrances if e.side == "door"], dtype=np.float64).reshape(-1, 2)
         return self.camera.boxes(feet * np.array([self.width, self.height]), stature=1.25, aspect=0.5)
 
@@ -102,28 +213,23 @@ class Scenario:
         """All figures with any part in the frame, numbered in the order of their arrival; boxes not clipped."""
         walks = sorted((*self.walks, *self._arriving(rng)), key=lambda walk: walk.at)
         times = np.arange(self.frames) / self.fps
-        frame: list[I8] = [np.zeros(0, np.int64)]
-        identity: list[I8] = [np.zeros(0, np.int64)]
-        boxes: list[F8] = [np.zeros((0, 4))]
-        known = 0
+        parts = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)))]
         for walk in walks:
-            foot, index = follow(walk, self.camera, (self.width, self.height), times)
+            foot, index = walk.follow(self.camera, (self.width, self.height), times)
             box = self.camera.boxes(foot, walk.stature, self.aspect)
             seen = visible(box, self.info) > 0
             if seen.any():
-                known += 1
-                frame.append(index[seen] + 1)
-                identity.append(np.full(int(seen.sum()), known, np.int64))
-                boxes.append(box[seen])
-        return rows(np.concatenate(frame), np.concatenate(identity), np.concatenate(boxes))
+                parts.append((index[seen] + 1, np.full(int(seen.sum()), len(parts), np.int64), box[seen]))
+        frame, identity, boxes = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return truth_rows(frame, identity, boxes)
 
     def truth(self, figures: Truth) -> Truth:
         """The figures of which ``min_visible`` is in the frame, boxes clipped to it."""
         kept = np.flatnonzero(visible(figures.xyxy, self.info) >= self.min_visible)
-        return rows(figures.frame[kept], figures.identity[kept], clip(figures.xyxy[kept], self.info))
+        return truth_rows(figures.frame[kept], figures.identity[kept], clip(figures.xyxy[kept], self.info))
 
     def _arriving(self, rng: np.random.Generator) -> list[Walk]:
-        """The walks of those who arrive by chance."""
+        """The walks of the people who arrive by chance."""
         seconds = max(self.frames / self.fps - self.lead_in, 0)
         if not self.entrances or not self.arrivals:
             return []
@@ -131,7 +237,7 @@ class Scenario:
         return [self._draw_walk(float(at), person) for at, person in zip(begins, rng.spawn(len(begins)), strict=True)]
 
     def _draw_walk(self, at: float, rng: np.random.Generator) -> Walk:
-        """One person's way, speed, stature and pauses. A stream per person: one more arrival changes nobody else."""
+        """One person's way, speed, stature and pauses; a stream each, so that one more arrival changes no other."""
         stature = float(np.clip(rng.normal(1, self.stature_spread), 0.7, 1.3))
         speed = float(max(rng.normal(self.speed, self.speed_spread), 0.3 * self.speed))
         weight = np.array([e.weight for e in self.entrances])
@@ -161,6 +267,24 @@ class Scenario:
                 return entrance.foot
 
 
+def check_sequence(info: SequenceInfo) -> None:
+    """Raise `InputError` where a simulated sequence would have no frames, no rate or hardly any pixels."""
+    expected = {
+        f"1 frame or more, got {info.frames}": info.frames >= 1,
+        f"a positive fps, got {info.fps:g}": info.fps > 0,
+        f"at least 16x16 pixels, got {info.width}x{info.height}": min(info.width, info.height) >= 16,
+    }
+    for what, met in expected.items():
+        if not met:
+            raise InputError(f"expected {what}", where=f"scenario {info.name}", cure="Change this setting of the scene")
+
+
+def truth_rows(frame: I8, identity: I8, xyxy: F8) -> Truth:
+    """A `Truth` of the rows (M,), (M,), (M, 4), sorted by frame, then identity, in which every row counts."""
+    order = np.lexsort((identity, frame))
+    return Truth(frame[order], identity[order], xyxy[order], np.zeros(len(frame), np.bool_))
+
+
 def visible(xyxy: F8, info: SequenceInfo) -> F8:
     """(n,) part of each box's area that lies in the frame."""
     inside = clip(xyxy, info)
@@ -170,45 +294,4 @@ def visible(xyxy: F8, info: SequenceInfo) -> F8:
 
 def clip(xyxy: F8, info: SequenceInfo) -> F8:
     """(n, 4) the boxes cut at the frame's borders."""
-    edge = np.array([info.width, info.height, info.width, info.height], dtype=np.float64)
-    return np.clip(xyxy, 0, edge)
-
-
-def _problems(s: Scenario) -> list[tuple[str, str]]:
-    """What is impossible about the settings: pairs of problem and cure."""
-    below = [y > s.horizon for walk in s.walks for _, y in walk.points]
-    checks = [
-        (s.frames >= 1, f"frames must be at least 1, not {s.frames}", "Ask for one frame or more"),
-        (
-            min(s.width, s.height) >= 16,
-            f"the frame must be 16 pixels wide and high, not {s.width}x{s.height}",
-            "Make it larger",
-        ),
-        (s.fps > 0, f"fps must be positive, not {s.fps:g}", "25 is usual"),
-        (0 <= s.arrivals < np.inf, f"arrivals must be 0 or more, not {s.arrivals:g}", "0 gives a scene without arrivals"),
-        (
-            s.speed > 0 and s.speed_spread >= 0,
-            f"speed {s.speed:g} must be positive, its spread not negative",
-            "People walk at 0.75",
-        ),
-        (s.horizon < s.rows[0] <= s.rows[1], f"rows {s.rows} must lie below the horizon {s.horizon:g}", "Lower the rows"),
-        (
-            s.camera_height > 1.3,
-            f"camera_height must exceed the tallest head, 1.3, not {s.camera_height:g}",
-            "Raise the camera",
-        ),
-        (
-            s.aspect > 0 and s.focal > 0,
-            f"aspect and focal must be positive, not {s.aspect:g} and {s.focal:g}",
-            "0.4 and 0.9 are usual",
-        ),
-        (0 < s.min_visible <= 1, f"min_visible must be in (0, 1], not {s.min_visible:g}", "0.3 is usual"),
-        (min(s.pause_rate, s.pause_seconds) >= 0, "pause_rate and pause_seconds must not be negative", "0 means no pauses"),
-        (
-            all(len(w.points) > 1 and w.speed > 0 for w in s.walks),
-            "a walk needs two points and a positive speed",
-            "Add what lacks",
-        ),
-        (all(below), f"walks must stay below the horizon {s.horizon:g}", "Lower their points"),
-    ]
-    return [(problem, cure) for fine, problem, cure in checks if not fine]
+    return np.clip(xyxy, 0, np.array([info.width, info.height, info.width, info.height], dtype=np.float64))

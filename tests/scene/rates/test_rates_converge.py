@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phdtrack import config, pipeline
-from phdtrack.simulate import DetectorModel, constant, detect
+from phdtrack.simulate import Counting, DetectorModel, detect
 
 FRAMES = 300
 LEARNED = (
@@ -16,7 +16,7 @@ LEARNED = (
 
 def course(filter_name, seed, sets=(), frames=FRAMES, **detector):
     """The rates frame by frame, detections a frame, and the state at the end."""
-    scene = constant(10, frames=frames, sd_velocity=0.01, sd_size=0.03, p_survive=0.997, leaving=True)
+    scene = Counting(10, frames=frames, sd_velocity=0.01, sd_size=0.03, p_survive=0.997, leaving=True)
     rng = np.random.default_rng(seed)
     truth = scene.figures(rng)
     found = detect(truth, scene.info, rng, DetectorModel(**detector)).table
@@ -69,7 +69,7 @@ def test_scores_that_tell_objects_from_false_alarms_are_found_to():
 def test_what_is_fixed_stays():
     sets = ("rates.detection=false", "sensor.detection=0.6", "rates.newborn=false")
     rng = np.random.default_rng(0)
-    info = constant(10).info
+    info = Counting(10).info
     stages = config.build(config.load(None, (*LEARNED, *sets)), info, "gm-phd")
     _, _, learned = course("gm-phd", 1, sets, frames=100, p_detect=0.95, clutter_rate=10.0)
     state = pipeline.start(stages, rng).learned

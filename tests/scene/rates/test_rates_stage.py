@@ -11,7 +11,7 @@ from phdtrack.filters import GMPHD, MHT, ParticlePHD
 from phdtrack.models import FixedBirth, LocalClutter, ScoredClutter, UniformClutter
 from phdtrack.models.followed_rates import RatesState, with_births, with_clutter, with_detection
 from phdtrack.scene.rates import Noise, Scale
-from phdtrack.simulate import DetectorModel, constant, detect
+from phdtrack.simulate import Counting, DetectorModel, detect
 from phdtrack.types import Detections, GaussianMixture, SequenceInfo
 
 LEARNED = (
@@ -115,7 +115,7 @@ def test_a_low_score_confirms_but_starts_nobody(recursion):
 
 
 def test_a_saved_tracker_goes_on_bit_by_bit():
-    scene = constant(6, frames=80)
+    scene = Counting(6, frames=80)
     rng = np.random.default_rng(5)
     found = detect(scene.figures(rng), scene.info, rng, DetectorModel(p_detect=0.8, scores="informative")).table
     size = (scene.width, scene.height)

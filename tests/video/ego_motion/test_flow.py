@@ -9,8 +9,7 @@ import pytest
 from moving_cases import filmed, handheld, moving, step
 from phdtrack.errors import InputError
 from phdtrack.models import warp as warp_of
-from phdtrack.simulate import DetectorModel, make_scene
-from phdtrack.simulate.renderer import render
+from phdtrack.simulate import DetectorModel, make_scene, render
 from phdtrack.video.ego_motion import CameraMotion, SparseFlow
 
 WINDOW = (440, 260)

@@ -1,4 +1,8 @@
-"""The stage of one rendered scene: everything drawn beforehand, and the painting of one frame."""
+"""The stage of a rendered scene: everything drawn beforehand, and the painting of one frame.
+
+Painted from back to front: the backdrop, lights on it, shadows, then figures, obstacles and plants by the row of the foot;
+at last the camera adds flicker and noise. A frame costs a few milliseconds.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +10,10 @@ from functools import partial
 
 import numpy as np
 
-from phdtrack.simulate.clutter import place_boxes
-from phdtrack.simulate.look import Look
-from phdtrack.simulate.paint.backdrop import backdrop, obstacle
-from phdtrack.simulate.paint.blown import blown
-from phdtrack.simulate.paint.figure import PHASES, STRIDE, draw_clothes, walking
-from phdtrack.simulate.paint.leaves import grow, gusts
-from phdtrack.simulate.paint.light import SHIFT, blinking, exposed, flicker, lamps, noise_pool, shadow
-from phdtrack.simulate.paint.sprite import put, put_scaled, pyramid
-from phdtrack.simulate.records import Scene
+from phdtrack.simulate import paint_scenery as scenery
+from phdtrack.simulate.detector import place_boxes
+from phdtrack.simulate.paint_figures import PHASES, STRIDE, draw_clothes, put, put_scaled, pyramid, walking
+from phdtrack.simulate.scenes import Look, Scene
 from phdtrack.types import F8, I8, Bool, Image, Truth
 
 PARTS = 8
@@ -27,23 +26,21 @@ class Stage:
     def __init__(self, scene: Scene, look: Look, seed: int) -> None:
         _, backdrop_rng, things_rng, plants_rng, gusts_rng, light_rng, noise_rng, blown_rng = _streams(seed)
         info, frames = scene.info, scene.info.frames
-        self._scene, self._look, self._seed = scene, look, seed
+        self._scene, self._seed = scene, seed
         self._phase, self._leftward = gait(scene.figures)
         self._wardrobe: dict[int, tuple[tuple[Image, ...], ...]] = {}
-        self._backdrop = backdrop(info, _wall_base(scene), scene.doors, backdrop_rng)
+        self._backdrop = scenery.backdrop(info, _wall_base(scene), scene.doors, backdrop_rng)
         boxes = plant_boxes(scene, look.plants, seed)
-        self._plants = tuple(grow(box, rng) for box, rng in zip(boxes, plants_rng.spawn(len(boxes)), strict=True))
-        self._gusts = gusts(frames, info.fps, len(boxes), look.wave * (boxes[:, 3] - boxes[:, 1]), gusts_rng)
-        self._things = tuple(
-            obstacle(box, rng) for box, rng in zip(scene.obstacles, things_rng.spawn(len(scene.obstacles)), strict=True)
-        )
-        self._lamps = lamps(info, look.lamps, light_rng)
-        self._levels = blinking(frames, info.fps, look.lamps, light_rng)
-        self._gain = flicker(frames, info.fps, look.flicker, light_rng)
-        self._pool = noise_pool(info, look.noise, noise_rng)
-        self._corner = noise_rng.integers(0, SHIFT, (frames, 2))
-        self._blown = blown(info, look.blown, blown_rng)
-        self._shadow = pyramid(shadow(look.shadow))
+        self._plants = [scenery.grow(box, rng) for box, rng in zip(boxes, plants_rng.spawn(len(boxes)), strict=True)]
+        self._gusts = scenery.gusts(frames, info.fps, look.wave * (boxes[:, 3] - boxes[:, 1]), gusts_rng)
+        streams = things_rng.spawn(len(scene.obstacles))
+        self._things = [scenery.obstacle(box, rng) for box, rng in zip(scene.obstacles, streams, strict=True)]
+        self._lamps = scenery.lamps(info, look.lamps, light_rng)
+        self._levels = scenery.blinking(frames, info.fps, look.lamps, light_rng)
+        self._gain = scenery.flicker(frames, info.fps, look.flicker, light_rng)
+        self._exposed = scenery.camera_noise(info, look.noise, noise_rng)
+        self._blown = scenery.blown(info, look.blown, blown_rng)
+        self._shadow = pyramid(scenery.shadow(look.shadow))
 
     def paint(self, number: int) -> Image:
         """(H, W, 3) the picture of frame ``number``, from 1."""
@@ -54,22 +51,23 @@ class Stage:
         here = np.arange(*np.searchsorted(figures.frame, [number, number + 1]))
         for row in here:
             self._cast(canvas, figures.xyxy[row])
-        jobs = [(float(figures.xyxy[row, 3]), partial(self._figure, canvas, int(row))) for row in here]
-        for box, sprite in zip(self._scene.obstacles, self._things, strict=True):
-            jobs.append((float(box[3]), partial(put, canvas, sprite, round(float(box[0])), round(float(box[1])))))
+        strokes = [(float(figures.xyxy[row, 3]), partial(self._figure, canvas, int(row))) for row in here]
+        for (left, top, _, foot), sprite in zip(self._scene.obstacles.tolist(), self._things, strict=True):
+            strokes.append((foot, partial(put, canvas, sprite, round(left), round(top))))
         for plant, gust in zip(self._plants, self._gusts[number - 1], strict=True):
-            jobs.append((plant.foot, partial(plant.wave, canvas, number / self._scene.info.fps, float(gust))))
-        for _, job in sorted(jobs, key=lambda job: job[0]):
-            job()
+            strokes.append((plant.foot, partial(plant.wave, canvas, number / self._scene.info.fps, float(gust))))
+        for _, stroke in sorted(strokes, key=lambda pair: pair[0]):
+            stroke()
         self._blown.fly(canvas, number)
-        return exposed(canvas, float(self._gain[number - 1]), self._pool, self._corner[number - 1])
+        return self._exposed(canvas, float(self._gain[number - 1]), number)
 
     def _figure(self, canvas: Image, row: int) -> None:
         """Draw one figure."""
         box, identity = self._scene.figures.xyxy[row], int(self._scene.figures.identity[row])
         if identity not in self._wardrobe:
             aspect = float((box[2] - box[0]) / (box[3] - box[1]))
-            self._wardrobe[identity] = walking(draw_clothes(np.random.default_rng([self._seed, identity])), aspect)
+            clothes = draw_clothes(np.random.default_rng([self._seed, identity]))
+            self._wardrobe[identity] = walking(clothes, aspect)
         sprite = self._wardrobe[identity][self._phase[row]]
         put_scaled(canvas, sprite, box, mirrored=bool(self._leftward[row]))
 
@@ -77,7 +75,8 @@ class Stage:
         """Draw the shadow of the figure in ``box``: a little to the right of its feet."""
         left, _, right, bottom = box
         wide, deep = right - left, 0.16 * (right - left)
-        put_scaled(canvas, self._shadow, np.array([left + 0.1 * wide, bottom - deep, right + 0.25 * wide, bottom + deep]))
+        place = np.array([left + 0.1 * wide, bottom - deep, right + 0.25 * wide, bottom + deep])
+        put_scaled(canvas, self._shadow, place)
 
 
 def plant_boxes(scene: Scene, number: int, seed: int) -> F8:
@@ -92,7 +91,7 @@ def plant_boxes(scene: Scene, number: int, seed: int) -> F8:
 def gait(figures: Truth) -> tuple[I8, Bool]:
     """(M,) the phase of the step that each row shows, and whether it walks to the left.
 
-    The phase follows the way walked, in body heights, so that feet do not slide; who stands keeps it, and looks on.
+    The phase follows the way walked, in body heights, so that feet do not slide; a standing figure keeps it.
     """
     order = np.lexsort((figures.frame, figures.identity))
     identity, box = figures.identity[order], figures.xyxy[order]

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from experiments.standard_scenes import PointScene, linear_gaussian
 from phdtrack.errors import InputError
-from phdtrack.simulate import PointScene, linear_gaussian
 
 # start x, vx, y, vy, first and last scan, as printed in the literature
 TABLE = [

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from experiments.corridor import PATHS, centroids, measured, paths, wandering
 from phdtrack.errors import InputError
 from phdtrack.models import PointMotion
-from phdtrack.simulate.corridor import PATHS, centroids, measured, paths, wandering
 
 
 def test_four_people_three_at_a_time_in_475_frames():

@@ -18,9 +18,8 @@ import numpy as np
 from phdtrack.arrays import to_cxcywh, to_xyxy
 from phdtrack.errors import InputError
 from phdtrack.protocols import Motion
-from phdtrack.simulate.ground import Walk
-from phdtrack.simulate.named import CORRIDOR
-from phdtrack.simulate.records import rows
+from phdtrack.simulate.scenario import Walk, truth_rows
+from phdtrack.simulate.scenes import CORRIDOR
 from phdtrack.types import F8, Truth
 
 SIZE = (20.0, 50.0)
@@ -65,7 +64,7 @@ def wandering(motion: Motion, speed: float, rng: np.random.Generator) -> Truth:
     who = np.concatenate([np.flatnonzero(truth.identity == one) for one in np.unique(truth.identity)])
     everybody = np.hstack(found)
     boxes = to_xyxy(np.vstack([everybody, np.tile(np.array(SIZE)[:, None], len(who))]))
-    return rows(truth.frame[who], truth.identity[who], boxes)
+    return truth_rows(truth.frame[who], truth.identity[who], boxes)
 
 
 def centroids(truth: Truth) -> F8:

@@ -1,4 +1,7 @@
-"""Walking people, drawn once per phase of the step and then only scaled.
+"""Walking people, drawn once per phase of the step and then only scaled; and the sprites that all pictures are made of.
+
+A sprite is (h, w, 4) uint8: blue, green, red multiplied by the opacity, and the opacity. Premultiplied, it can be scaled and
+moved by parts of pixels without dark or bright seams, and put on a canvas by one multiplication and one addition.
 
 A figure is drawn in units of its height, from the side, walking to the right: y = 0 at the crown, y = 1 at the ground. One
 step cycle has `PHASES` pictures. The arms and legs swing as pendulums, the knee bends while a leg comes forward, and the
@@ -13,8 +16,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from phdtrack.simulate.paint.sprite import premultiplied, pyramid
-from phdtrack.types import Image
+from phdtrack.types import F8, Image
 
 PHASES = 12
 STRIDE = 0.85
@@ -29,25 +31,13 @@ Spot = tuple[float, float]
 SKIN: tuple[Colour, ...] = ((130, 160, 215), (110, 140, 200), (70, 100, 160), (50, 70, 110))
 HAIR: tuple[Colour, ...] = ((20, 25, 35), (30, 45, 70), (70, 120, 170), (150, 150, 150))
 COATS: tuple[Colour, ...] = (
-    (35, 30, 150),
-    (140, 60, 25),
-    (30, 25, 25),
-    (235, 235, 240),
-    (40, 120, 35),
-    (30, 160, 225),
-    (110, 35, 95),
-    (190, 150, 40),
+    *((35, 30, 150), (140, 60, 25), (30, 25, 25), (235, 235, 240)),
+    *((40, 120, 35), (30, 160, 225), (110, 35, 95), (190, 150, 40)),
 )
 TROUSERS: tuple[Colour, ...] = ((25, 25, 28), (85, 45, 25), (110, 75, 45), (40, 55, 75), (215, 215, 215))
 COAT: tuple[Spot, ...] = (
-    (-0.07, 0.16),
-    (0.06, 0.16),
-    (0.085, 0.22),
-    (0.075, 0.40),
-    (0.09, 0.55),
-    (-0.09, 0.55),
-    (-0.08, 0.40),
-    (-0.095, 0.22),
+    *((-0.07, 0.16), (0.06, 0.16), (0.085, 0.22), (0.075, 0.40)),
+    *((0.09, 0.55), (-0.09, 0.55), (-0.08, 0.40), (-0.095, 0.22)),
 )
 """The outline of a coat."""
 
@@ -165,3 +155,45 @@ def _pattern(clothes: Clothes, height: int, width: int) -> Image:
     if clothes.pattern == 2:
         cloth[:, (np.arange(width) // band) % 3 == 0] = other
     return cloth
+
+
+def premultiplied(colour: Image, opacity: Image) -> Image:
+    """The sprite of ``colour`` (h, w, 3) where ``opacity`` (h, w) says so."""
+    bgr = cv2.multiply(colour, cv2.merge([opacity] * 3), scale=1 / 255)
+    return np.dstack([bgr, opacity])
+
+
+def pyramid(sprite: Image, smallest: int = 12) -> tuple[Image, ...]:
+    """The sprite at full, half, quarter … size, as long as it is ``smallest`` pixels high."""
+    levels = [sprite]
+    while levels[-1].shape[0] // 2 >= smallest and levels[-1].shape[1] >= 4:
+        height, width = levels[-1].shape[:2]
+        levels.append(cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA))
+    return tuple(levels)
+
+
+def put(canvas: Image, sprite: Image, left: int, top: int) -> None:
+    """Put the sprite on the canvas, in place, with its corner at this pixel; what lies outside is cut."""
+    height, width = sprite.shape[:2]
+    x0, y0 = max(left, 0), max(top, 0)
+    x1, y1 = min(left + width, canvas.shape[1]), min(top + height, canvas.shape[0])
+    if x0 >= x1 or y0 >= y1:
+        return
+    part = sprite[y0 - top : y1 - top, x0 - left : x1 - left]
+    room = canvas[y0:y1, x0:x1]
+    clear = cv2.bitwise_not(part[:, :, 3])
+    below = cv2.multiply(room, cv2.merge((clear, clear, clear)), scale=1 / 255)
+    cv2.add(below, np.ascontiguousarray(part[:, :, :3]), dst=room)
+
+
+def put_scaled(canvas: Image, levels: tuple[Image, ...], box: F8, *, mirrored: bool = False) -> None:
+    """Put the sprite on the canvas, in place, so that it fills ``box`` (4,) exactly, parts of pixels included."""
+    left, top, right, bottom = (float(v) for v in box)
+    fitting = [level for level in levels if level.shape[0] >= bottom - top]
+    sprite = fitting[-1] if fitting else levels[0]
+    x0, y0 = int(np.floor(left)), int(np.floor(top))
+    size = (int(np.ceil(right)) - x0, int(np.ceil(bottom)) - y0)
+    across, down = (right - left) / sprite.shape[1], (bottom - top) / sprite.shape[0]
+    start = (right - across / 2 if mirrored else left + across / 2) - x0 - 0.5
+    move = np.array([[-across if mirrored else across, 0, start], [0, down, top + down / 2 - y0 - 0.5]])
+    put(canvas, cv2.warpAffine(sprite, move, size, flags=cv2.INTER_LINEAR), x0, y0)

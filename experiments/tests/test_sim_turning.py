@@ -8,22 +8,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.standard_scenes import TURNING_FIRST, TURNING_LAST, TURNING_START, Turning, turning, turning_states
 from phdtrack.errors import InputError
 from phdtrack.models import BearingSensor, TurningMotion
-from phdtrack.simulate import Turning, turning
-from phdtrack.simulate.turning import FIRST, LAST, START, turning_states
 
 
 def test_targets_follow_the_model_without_its_noise():
     """Scan by scan one step of f(x|ξ)'s mean, which another formula computes."""
     motion = TurningMotion()
     before, known = turning_states(1)
-    np.testing.assert_array_equal(before, START[:1].T)
+    np.testing.assert_array_equal(before, TURNING_START[:1].T)
     for scan in range(2, 101):
         state, identity = turning_states(scan)
         moved, _, _ = motion.transition(before, 1.0)
         for who, x in zip(identity.tolist(), state.T, strict=True):
-            expected = moved[:, list(known).index(who)] if who in known else START[who - 1]
+            expected = moved[:, list(known).index(who)] if who in known else TURNING_START[who - 1]
             np.testing.assert_allclose(x, expected, rtol=1e-9, atol=1e-9)
         before, known = state, identity
 
@@ -31,7 +30,7 @@ def test_targets_follow_the_model_without_its_noise():
 def test_number_of_targets_and_where_they_are():
     number = {scan: turning_states(scan)[0].shape[1] for scan in (1, 9, 10, 20, 40, 60, 66, 67, 80, 81, 100)}
     assert number == {1: 1, 9: 1, 10: 4, 20: 5, 40: 8, 60: 10, 66: 10, 67: 9, 80: 9, 81: 7, 100: 7}
-    assert ((FIRST >= 1) & (LAST <= 100)).all()
+    assert ((TURNING_FIRST >= 1) & (TURNING_LAST <= 100)).all()
     for scan in range(1, 101):
         x, _ = turning_states(scan)
         assert (x[1] > 0).all()
@@ -41,7 +40,7 @@ def test_number_of_targets_and_where_they_are():
 def test_births_are_where_targets_start():
     model = Turning()
     mean = model.birth_mean
-    for start in START:
+    for start in TURNING_START:
         step = np.abs(mean - start[:, None]) / np.array(model.birth_sd)[:, None]
         assert step.max(axis=0).min() < 1.01, "within a deviation of one of them in every component"
 

@@ -1,1 +1,0 @@
-"""Painting: the parts of a rendered scene. Needs OpenCV; imported by the renderer only."""

@@ -1,0 +1,262 @@
+"""Scenes by name, with truth, simulated detections and a video with what makes change detection hard."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from phdtrack.errors import InputError
+from phdtrack.simulate.counting import PAPER_DETECTOR, Counting
+from phdtrack.simulate.detector import DetectorModel, detect
+from phdtrack.simulate.scenario import Entrance, Scenario, Walk
+from phdtrack.types import F8, I8, DetectionTable, Frame, SequenceInfo, Truth
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A simulated sequence.
+
+    Attributes
+    ----------
+    info : size, rate, number of frames and name.
+    truth : what an annotator would mark, boxes clipped to the frame (not clipped in `constant`).
+    figures : what the renderer draws: all figures of which any part is in the frame, boxes not clipped.
+    detections : M simulated detections of the truth, with clutter.
+    source : (M,) int64 where each came from, as in `Detected`.
+    places : (P, 4) xyxy of the places with persistent clutter, where the renderer lets leaves wave.
+    obstacles : (K, 4) xyxy of standing things that hide what is behind them, pixels.
+    doors : (D, 4) xyxy of the doors in which figures appear or vanish, pixels.
+    """
+
+    info: SequenceInfo
+    truth: Truth
+    figures: Truth
+    detections: DetectionTable
+    source: I8
+    places: F8
+    obstacles: F8
+    doors: F8
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What the picture looks like, and how hard it is to see change in it.
+
+    Attributes
+    ----------
+    noise : standard deviation of the camera's noise, grey levels.
+    flicker : relative standard deviation of the brightness of the whole picture.
+    plants : number of waving plants where the scene has no persistent places; where it has, one grows at each.
+    wave : how far the top of a plant moves in a usual gust, in plant heights.
+    lamps : number of blinking lights and shimmering reflections.
+    shadow : darkness of the shadows, 0 to 1.
+    blown : leaves that the wind blows past the camera, expected number per frame; each is in one frame only.
+    """
+
+    noise: float = 2.0
+    flicker: float = 0.03
+    plants: int = 4
+    wave: float = 0.09
+    lamps: int = 3
+    shadow: float = 0.35
+    blown: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            high = 1.0 if name == "shadow" else np.finfo(float).max
+            if not 0 <= getattr(self, name) <= high:
+                problem = f"expected {name} {'from 0 to 1' if high == 1 else 'of 0 or more'}, got {getattr(self, name)}"
+                raise InputError(problem, where="look of the rendered scene", cure="Give 0 to leave it out")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendered:
+    """The video of a scene: a `Source` whose frames are painted when they are asked for, the same ones every time.
+
+    Every iteration starts its random streams anew from ``seed``.
+    """
+
+    scene: Scene
+    look: Look
+    seed: int
+
+    @property
+    def info(self) -> SequenceInfo:
+        """Size, rate, number of frames and name."""
+        return self.scene.info
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The frames, numbered from 1; ``image`` is (H, W, 3) BGR."""
+        # OpenCV is loaded when something is painted, not with the scenes.
+        from phdtrack.simulate.stage import Stage
+
+        stage = Stage(self.scene, self.look, self.seed)
+        for number in range(1, self.info.frames + 1):
+            yield Frame(number, (number - 1) / self.info.fps, stage.paint(number))
+
+
+def render(scene: Scene, rng: np.random.Generator, look: Look | None = None) -> Rendered:
+    """The video of ``scene``; one number drawn from ``rng`` decides everything that is random in it.
+
+    Parameters
+    ----------
+    scene : what to draw.
+    rng : draws the seed of the video.
+    look : noise, plants and lights; None for the usual ones.
+
+    Returns
+    -------
+    video : its frames are painted when they are asked for.
+    """
+    return Rendered(scene, look or Look(), int(rng.integers(2**62)))
+
+
+def _passing(row: float, lean: float, start: float, at: float, speed: float = 0.75, stature: float = 1.0) -> Walk:
+    """A walk across the whole frame, from foot row ``row`` to ``row + lean``, from the left (−0.1) or the right (1.1)."""
+    return Walk(((start, row), (_RIGHT if start < 0 else _LEFT, row + lean)), at, speed, stature)
+
+
+_LEFT, _RIGHT = -0.1, 1.1
+_PAIRS = (
+    _passing(0.70, 0.06, _LEFT, at=0.5),
+    _passing(0.74, -0.04, _RIGHT, at=0.5, stature=0.95),
+    _passing(0.90, -0.05, _LEFT, at=4.0, stature=1.05),
+    _passing(0.80, 0.06, _RIGHT, at=4.0),
+    _passing(0.60, 0.02, _LEFT, at=8.0, stature=0.95),
+    _passing(0.62, 0.0, _RIGHT, at=8.0, stature=1.05),
+)
+_BEHIND = (
+    _passing(0.66, 0.0, _LEFT, at=0.5),
+    _passing(0.72, 0.0, _RIGHT, at=2.5, speed=0.65),
+    _passing(0.62, 0.0, _LEFT, at=5.0, speed=0.9),
+    _passing(0.68, 0.0, _RIGHT, at=8.0, speed=0.8),
+    _passing(0.93, 0.0, _LEFT, at=9.0, speed=0.7),
+    _passing(0.70, 0.0, _LEFT, at=12.0),
+)
+
+STREET = Scenario()
+"""People cross a street in both directions and pause now and then."""
+CROSSING = Scenario("crossing", frames=450, arrivals=0.0, walks=_PAIRS)
+"""Three pairs that walk towards each other and pass close by, at three distances from the camera."""
+OCCLUSION = Scenario(
+    "occlusion", frames=500, arrivals=0.0, walks=_BEHIND, obstacles=((0.28, 0.25, 0.35, 0.84), (0.60, 0.38, 0.72, 0.80))
+)
+"""Six people who pass behind a column and a kiosk, and one of them in front."""
+CROWD = Scenario(
+    "crowd",
+    arrivals=1.8,
+    lead_in=-15.0,
+    speed_spread=0.2,
+    rows=(0.48, 0.97),
+    entrances=(*STREET.entrances, Entrance("bottom", weight=0.5)),
+)
+"""A dozen people or more at a time."""
+CORRIDOR = Scenario(
+    "corridor",
+    frames=750,
+    width=384,
+    height=288,
+    horizon=0.02,
+    focal=1.1,
+    camera_height=2.2,
+    rows=(0.45, 0.95),
+    arrivals=0.4,
+    lead_in=0.5,
+    entrances=(Entrance("door", (0.55, 0.30)), Entrance("door", (0.17, 0.52)), Entrance("bottom"), Entrance("right")),
+    pause_rate=0.15,
+    pause_seconds=2.5,
+)
+"""A shopping centre's corridor seen along its length, with the door of a shop, at CAVIAR's size and rate."""
+_WATCHED = Scenario("yard", frames=1000, width=384, height=288, rows=(0.55, 0.95), arrivals=0.3, lead_in=-10.0)
+YARD = replace(_WATCHED, entrances=(Entrance("left"), Entrance("right"), Entrance("door", (0.3, 0.53), 1.5)))
+"""A house with a door and a road before it, trees and blinking lights: a scene to learn, at CAVIAR's size."""
+GARDEN = replace(_WATCHED, name="garden", arrivals=0.12)
+"""Few people among a dozen trees in a strong wind: most detections are false, and always in the same places."""
+_COLUMNS = tuple((left, 0.3, left + 0.06, 0.86) for left in (0.15, 0.45, 0.75))
+ARCADE = replace(_WATCHED, name="arcade", rows=(0.56, 0.82), arrivals=0.25, obstacles=_COLUMNS)
+"""Everybody passes behind three columns, and tracks begin again next to them."""
+EMPTY = Scenario("empty", frames=300, arrivals=0.0)
+"""Nobody comes: every detection is false."""
+
+NAMED: MappingProxyType[str, Scenario | Counting] = MappingProxyType(
+    {w.name: w for w in (STREET, CROSSING, OCCLUSION, CROWD, CORRIDOR, YARD, GARDEN, ARCADE, EMPTY, Counting())}
+)
+"""All scenes by name."""
+# Where a scene is not as usual: places with persistent false alarms, at which plants grow, and the look of the video.
+_USUAL_PLACES = 5
+_PLACES = {"yard": 3, "garden": 12, "arcade": 3}
+_LOOKS = {"yard": Look(wave=0.12), "garden": Look(wave=0.30, lamps=10), "arcade": Look(wave=0.12, lamps=4)}
+
+
+def make_scene(name: str, seed: int, detector: DetectorModel | None = None, **settings: Any) -> Scene:
+    """The scene of that name.
+
+    World and detector draw from streams of their own: the truth does not depend on ``detector``.
+
+    Parameters
+    ----------
+    name : one of `NAMED`.
+    seed : what is drawn by chance is drawn from it.
+    detector : None for `default_detector`, with misses where people hide each other; for ``constant`` the papers' sensor.
+    **settings : other settings than the scene's own, as ``frames=100``.
+
+    Returns
+    -------
+    scene : truth, figures and detections.
+
+    Raises
+    ------
+    InputError : no scene has this name, it has no such setting, or the value is impossible.
+    """
+    if name not in NAMED:
+        raise InputError(f"no scene is called {name!r}", cure=f"There are {', '.join(NAMED)}{_nearest(name, list(NAMED))}")
+    world = NAMED[name]
+    known = [f.name for f in fields(world)]
+    for key in settings:
+        if key not in known:
+            cure = f"There are {', '.join(known)}{_nearest(key, known)}"
+            raise InputError(f"scene {world.name} has no setting {key!r}", cure=cure)
+    return build_scene(replace(world, **settings), seed, detector or default_detector(world))
+
+
+def build_scene(world: Scenario | Counting, seed: int, detector: DetectorModel) -> Scene:
+    """The scene of a world with any settings, detected by ``detector``.
+
+    Parameters
+    ----------
+    world : who comes when and walks where.
+    seed : what is drawn by chance is drawn from it.
+    detector : settings of the simulated detector.
+
+    Returns
+    -------
+    scene : truth, figures and detections.
+    """
+    world_rng, detector_rng = np.random.default_rng(seed).spawn(2)
+    figures = world.figures(world_rng)
+    truth = world.truth(figures)
+    found = detect(truth, world.info, detector_rng, detector, obstacles=world.obstacles_px)
+    return Scene(world.info, truth, figures, found.table, found.source, found.places, world.obstacles_px, world.doors_px)
+
+
+def default_detector(world: Scenario | Counting) -> DetectorModel:
+    """The detector that a scene is given where none is asked for."""
+    if isinstance(world, Counting):
+        return PAPER_DETECTOR
+    return DetectorModel(occlusion=2.0, places=_PLACES.get(world.name, _USUAL_PLACES))
+
+
+def default_look(name: str) -> Look:
+    """What the video of the scene ``name`` looks like where nothing else is asked for."""
+    return _LOOKS.get(name, Look())
+
+
+def _nearest(word: str, known: list[str]) -> str:
+    """A hint at the nearest known word."""
+    close = difflib.get_close_matches(word, known, 1)
+    return f"; did you mean {close[0]}?" if close else ""
