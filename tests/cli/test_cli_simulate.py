@@ -81,9 +81,9 @@ def test_the_look_of_the_video_is_the_scenes_own_and_can_be_changed(tmp_path: Pa
         (["street", "--set", "speed=-1"], "a positive speed"),
         (["street", "--look", "waves=1"], "Did you mean wave?"),
         (["street", "--look", "lamps=2.5"], "expected a whole number"),
-        (["street", "--look", "shadow=2"], "shadow not above 1"),
-        (["street", "--p-detect", "1.5"], "p_detect is a probability"),
-        (["street", "--clutter", "-1"], "must not be negative"),
+        (["street", "--look", "shadow=2"], "shadow from 0 to 1"),
+        (["street", "--p-detect", "1.5"], "a probability, for p_detect"),
+        (["street", "--clutter", "-1"], "0 or more, for clutter_rate"),
     ],
 )
 def test_mistakes_are_named(tmp_path: Path, arguments: list[str], words: str) -> None:

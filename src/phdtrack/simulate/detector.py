@@ -61,7 +61,7 @@ class DetectorModel:
         for name, (high, what) in limits.items():
             value = getattr(self, name)
             if not 0 <= value <= high or value == np.inf:
-                raise InputError(f"expected {what} for {name}, got {value}", where="detector model")
+                raise InputError(f"expected {what}, for {name}, got {value}", where="detector model")
         for name, known in (("clutter_sizes", ("truth", "log-uniform")), ("scores", ("constant", "informative"))):
             if getattr(self, name) not in known:
                 problem = f"expected {name} to be {' or '.join(known)}, got {getattr(self, name)!r}"
