@@ -22,7 +22,7 @@ from experiments.plane import spread
 from phdtrack import config, pipeline
 from phdtrack.config import build_groups
 from phdtrack.formats.positions import Positions, read_groups, read_positions
-from phdtrack.groups import Grouping, Living, Observed
+from phdtrack.groups import Grouping, GroupLifeCycle, LifeCycleState
 from phdtrack.groups.pipeline import carriers, known_people
 from phdtrack.metrics.groups import GroupScores, LabelledFrame, nearest, score_groups
 from phdtrack.protocols import AnyStages
@@ -205,11 +205,13 @@ def _clusters(where: Scene, frames: Sequence[Seen], grouping: Grouping) -> Itera
 
 def over_time(where: Scene, frames: Sequence[Seen], name: str, grouping: Grouping, hold: float) -> GroupScores:
     """Who is together by the groups that people of kind ``name`` have accepted."""
-    return score_groups(_lives(where, frames, name, grouping, Living(hold)), WITHIN)
+    return score_groups(_lives(where, frames, name, grouping, GroupLifeCycle(hold)), WITHIN)
 
 
-def _lives(where: Scene, frames: Sequence[Seen], name: str, grouping: Grouping, living: Living) -> Iterator[LabelledFrame]:
-    state = Observed()
+def _lives(
+    where: Scene, frames: Sequence[Seen], name: str, grouping: Grouping, living: GroupLifeCycle
+) -> Iterator[LabelledFrame]:
+    state = LifeCycleState()
     for k, seen in enumerate(frames):
         people, label = seen.people[name], grouping.groups(seen.mixture).label
         used = _group(label, people.carrier) > 0
@@ -249,7 +251,7 @@ def _group(label: I8, carrier: I8) -> I8:
 def work(job: Job) -> Outcome:
     """One run: the filter once, then all groupings."""
     where = scene(job.sequence)
-    lightest = Grouping().lightest
+    lightest = Grouping().min_weight
     if job.seed < 0:
         frames = known(where)
     else:
@@ -257,7 +259,7 @@ def work(job: Job) -> Outcome:
         info = SequenceInfo(0, 0, 1 / INTERVAL, len(where.number), job.sequence)
         stages = config.build(settings, info, "gm-phd")
         # As the product: so low that one miss drops nobody.
-        lightest = build_groups(config.overlay(settings, {"filter": {"kind": "gm-phd"}}), stages).grouping.lightest
+        lightest = build_groups(config.overlay(settings, {"filter": {"kind": "gm-phd"}}), stages).grouping.min_weight
         frames = filtered(where, stages, lightest, job.seed)
     grid = {(near, slow): by_frame(where, frames, Grouping(near, slow, lightest)) for near in NEAR for slow in SLOW}
     names = tuple(frames[0].people)

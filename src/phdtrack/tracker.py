@@ -25,9 +25,9 @@ from phdtrack.errors import InputError
 from phdtrack.filters.bernoullis import Bernoullis
 from phdtrack.filters.hypotheses import Hypotheses
 from phdtrack.filters.intensities import Cardinalised, JointSamples
-from phdtrack.models.warp import as_warp
 from phdtrack.models.followed_rates import RatesState
 from phdtrack.models.standing import refuse_standing
+from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages
 from phdtrack.scene.rates import Rates
 from phdtrack.types import STILL, Detections, GaussianMixture, ParticleBlocks, Particles, SequenceInfo, Step, Tracks

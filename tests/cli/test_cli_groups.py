@@ -173,7 +173,7 @@ def test_known_positions(tmp_path: Path) -> None:
 def test_the_rate_may_be_given_and_settings_too(tmp_path: Path) -> None:
     path = obsmat(tmp_path / "obsmat.txt")
     said = phdtrack(
-        "groups", "--positions", path, "--fps", 30, "--set", "groups.near=0.5", "--out", tmp_path / "a", "--no-video"
+        "groups", "--positions", path, "--fps", 30, "--set", "groups.max_distance=0.5", "--out", tmp_path / "a", "--no-video"
     )
     assert said.status == 0, said.err
     assert len({row["group"] for row in table(tmp_path / "a" / rundir.GROUPS)}) == 3
@@ -186,7 +186,7 @@ def test_the_rate_may_be_given_and_settings_too(tmp_path: Path) -> None:
         ([], "--camera"),
         (["--camera", "CAMERA", "--filter", "none"], "velocities"),
         (["--camera", "CAMERA", "--set", "motion.kind=box"], "on the ground"),
-        (["--camera", "CAMERA", "--set", "groups.nearer=1"], "near"),
+        (["--camera", "CAMERA", "--set", "groups.max_distanc=1"], "max_distance"),
         (["--camera", "CAMERA", "--edges", "EDGES"], "expected a point of an edge"),
         (["--camera", "det.txt"], "det.txt"),
         (["--positions", "POSITIONS"], "--positions"),

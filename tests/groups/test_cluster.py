@@ -63,7 +63,7 @@ def test_light_components_do_not_count_and_do_not_connect():
 
 def test_one_miss_does_not_drop_a_person_at_e13s_values():
     missed_once = (1 - 0.7) * 0.99
-    assert Grouping().lightest < missed_once
+    assert Grouping().min_weight < missed_once
 
 
 def test_the_deviation_is_that_of_people_who_are_there_with_their_weight():
@@ -83,5 +83,5 @@ def test_no_components_no_groups():
 
 
 def test_a_distance_of_nothing_is_refused():
-    with pytest.raises(InputError, match=r"Grouping\.near"):
-        Grouping(near=0)
+    with pytest.raises(InputError, match=r"Grouping\.max_distance"):
+        Grouping(max_distance=0)

@@ -9,7 +9,7 @@ from phdtrack.groups import Contours, polygon_area
 
 def test_a_lone_person_has_a_circle_whose_radius_is_known():
     sd = 0.5
-    (circle,) = Contours(fineness=8, tolerance=0).of(people([(3, -2, 1, 0)], sd=sd), np.zeros(1, np.int64), 0)
+    (circle,) = Contours(grid_density=8, tolerance=0).of(people([(3, -2, 1, 0)], sd=sd), np.zeros(1, np.int64), 0)
     radius = sd * np.sqrt(2 * np.log(1 / (2 * np.pi * sd**2 * 0.1)))
     assert np.hypot(circle[0] - 3, circle[1] + 2) == pytest.approx(np.full(circle.shape[1], radius), rel=0.01)
     assert (circle[:, 0] == circle[:, -1]).all()
@@ -39,7 +39,7 @@ def test_a_ring_of_people_has_a_hole_that_runs_the_other_way():
 def test_the_area_is_that_of_the_points_above_the_level():
     rng = np.random.default_rng(3)
     mixture = people([(0, 0, 0, 0), (1, 0.5, 0, 0), (0.3, 1.4, 0, 0)], [1.0, 0.6, 1.4], sd=0.5)
-    area = sum(polygon_area(p) for p in Contours(fineness=8).of(mixture, np.zeros(3, np.int64), 0))
+    area = sum(polygon_area(p) for p in Contours(grid_density=8).of(mixture, np.zeros(3, np.int64), 0))
     points = rng.uniform(-3, 5, (2, 400_000))
     density = sum(
         w * np.exp(-((points - m[:2, None]) ** 2).sum(0) / 0.5) / (np.pi * 0.5)
@@ -73,5 +73,5 @@ def test_every_curve_is_closed_whatever_the_grid(fineness):
         n = int(rng.integers(1, 8))
         states = [tuple(s) for s in rng.normal(0, 2, (n, 4))]
         mixture = people(states, rng.uniform(0.3, 2, n).tolist(), sd=float(rng.uniform(0.1, 1.2)))
-        for curve in Contours(fineness=fineness).of(mixture, np.zeros(n, np.int64), 0):
+        for curve in Contours(grid_density=fineness).of(mixture, np.zeros(n, np.int64), 0):
             assert (curve[:, 0] == curve[:, -1]).all()

@@ -10,18 +10,18 @@ from group_cases import people
 
 from phdtrack.config import build, build_groups, load, overlay
 from phdtrack.filters.intensities import Cardinalised
-from phdtrack.groups import Grouping, Living, Observed
+from phdtrack.groups import Grouping, GroupLifeCycle, LifeCycleState
 from phdtrack.groups.pipeline import REACH, GroupStages, carriers, known_people, mixture_of
 from phdtrack.types import Detections, Estimates, GaussianMixture, SequenceInfo, Step, Tracks, UpdateInfo
 
-STAGES = GroupStages(living=Living(hold=0.0))
+STAGES = GroupStages(life_cycle=GroupLifeCycle(hold_time=0.0))
 EVERYBODY = np.arange(5)
 # Two who walk together, one apart, and two together, of whom nobody has an identity.
 FIVE = people([(0, 0, 1, 0), (1, 0, 1, 0), (10, 0, 0, 0), (0, 20, 0, 1), (1, 20, 0, 1)], [1.0, 0.9, 0.8, 0.6, 0.3])
 
 
 def test_people_with_identities_lead_their_cluster() -> None:
-    _, frame = STAGES.advance(Observed(), FIVE, np.array([7, 9]), np.array([1, 2]), 1, 0.0)
+    _, frame = STAGES.advance(LifeCycleState(), FIVE, np.array([7, 9]), np.array([1, 2]), 1, 0.0)
     assert frame.identity.tolist() == [0, 1, 2]
     assert frame.groups.label.tolist() == [1, 1, 2, 0, 0]
     assert frame.groups.count == pytest.approx([0.9, 1.9, 0.8])
@@ -30,7 +30,7 @@ def test_people_with_identities_lead_their_cluster() -> None:
 
 
 def test_no_head_is_lost() -> None:
-    state = Observed()
+    state = LifeCycleState()
     for number, carried in enumerate(([0, 3], [1], [], [0, 1, 2, 3, 4]), start=1):
         carrier = np.array(carried, np.int64)
         state, frame = STAGES.advance(state, FIVE, carrier + 1, carrier, number, number / 10)
@@ -39,9 +39,9 @@ def test_no_head_is_lost() -> None:
 
 
 def test_several_people_on_one_gaussian_stay_members_and_the_first_names_the_group() -> None:
-    held = GroupStages(living=Living(hold=10.0))
+    held = GroupStages(life_cycle=GroupLifeCycle(hold_time=10.0))
     apart = people([(0, 0, 0, 0), (10, 0, 0, 0)])
-    state, _ = held.advance(Observed(), apart, np.array([1, 2]), np.array([0, 1]), 1, 0.0)
+    state, _ = held.advance(LifeCycleState(), apart, np.array([1, 2]), np.array([0, 1]), 1, 0.0)
     _, frame = held.advance(state, people([(0, 0, 0, 0)], [2.0]), np.array([1, 2]), np.array([0, 0]), 2, 0.1)
     assert frame.membership.tolist() == [1, 2]
     assert frame.identity.tolist() == [1]
@@ -50,19 +50,19 @@ def test_several_people_on_one_gaussian_stay_members_and_the_first_names_the_gro
 
 def test_who_is_carried_by_nothing_that_counts_is_in_no_group() -> None:
     light = replace(FIVE, weight=np.array([1.0, 0.1, 0.8, 0.6, 0.3]))
-    _, frame = STAGES.advance(Observed(), light, EVERYBODY[:3] + 1, np.array([0, 1, -1]), 1, 0.0)
+    _, frame = STAGES.advance(LifeCycleState(), light, EVERYBODY[:3] + 1, np.array([0, 1, -1]), 1, 0.0)
     assert frame.member.tolist() == [1]
     assert frame.groups.label[1] == -1
 
 
 def test_contours_and_warnings_belong_to_the_groups() -> None:
     towards = people([(0, 0, 1, 0), (6, 0, -1, 0)])
-    _, frame = STAGES.advance(Observed(), towards, np.array([1, 2]), np.array([0, 1]), 1, 0.0)
+    _, frame = STAGES.advance(LifeCycleState(), towards, np.array([1, 2]), np.array([0, 1]), 1, 0.0)
     assert [len(rings) for rings in frame.contours] == [1, 1]
     for centre, rings in zip(frame.groups.mean[:2].T, frame.contours, strict=True):
         assert np.abs(rings[0].mean(axis=1) - centre).max() < 0.1
     assert [(w.first, w.second) for w in frame.warnings] == [(1, 2)]
-    _, unnamed = STAGES.advance(Observed(), towards, np.array([1]), np.array([0]), 1, 0.0)
+    _, unnamed = STAGES.advance(LifeCycleState(), towards, np.array([1]), np.array([0]), 1, 0.0)
     assert unnamed.warnings == ()
 
 
@@ -102,12 +102,12 @@ def test_one_miss_drops_nobody_whatever_the_filter(name: str) -> None:
     settings = overlay(load(sets=sets), {"filter": {"kind": name}})
     stages, walk = build(settings, info), Walk()
     settings_of_groups = build_groups(settings, stages)
-    assert settings_of_groups.grouping.lightest < 0.1 * 0.99
+    assert settings_of_groups.grouping.min_weight < 0.1 * 0.99
     steps = Steps(stages, np.random.default_rng(0))
     for k in range(1, walk.frames + 1):
         step = steps.advance(k, k / info.fps, walk.detections(k))
     z = stages.model.sensor.measure(walk.detections(walk.frames))
-    lightest = settings_of_groups.grouping.lightest
+    lightest = settings_of_groups.grouping.min_weight
     mixture = mixture_of(steps.intensity, step, z, stages, lightest)
     heavy = mixture.mean[:2, mixture.weight >= lightest]
     missed = np.array([0.3 * walk.frames, 8.0])
@@ -125,20 +125,20 @@ def test_a_mixture_comes_as_it_is_with_a_number_or_without() -> None:
 
 
 def test_given_settings_hold() -> None:
-    settings = load(sets=["motion.kind=plane", "filter.kind=gm-phd", "groups.lightest=0.4", "contours.level=0.2"])
+    settings = load(sets=["motion.kind=plane", "filter.kind=gm-phd", "groups.min_weight=0.4", "contours.level=0.2"])
     stages = build(settings, SequenceInfo(60, 60, 5.0))
     told = build_groups(settings, stages)
-    assert told.grouping.lightest == 0.4
+    assert told.grouping.min_weight == 0.4
     assert told.contours.level == 0.2
     # E13's values give the usual number, and so does a run without a filter.
     e13 = load(preset="e13")
-    assert build_groups(e13, build(e13, SequenceInfo(60, 60, 7.0))).grouping.lightest == pytest.approx(0.25, abs=0.001)
-    assert build_groups(load()).grouping.lightest == 0.25
+    assert build_groups(e13, build(e13, SequenceInfo(60, 60, 7.0))).grouping.min_weight == pytest.approx(0.25, abs=0.001)
+    assert build_groups(load()).grouping.min_weight == 0.25
 
 
 def test_nobody() -> None:
     none = GaussianMixture(np.zeros(0), np.zeros((4, 0)), np.zeros((0, 4, 4)))
-    _, frame = STAGES.advance(Observed(), none, np.zeros(0, np.int64), np.zeros(0, np.int64), 1, 0.0)
+    _, frame = STAGES.advance(LifeCycleState(), none, np.zeros(0, np.int64), np.zeros(0, np.int64), 1, 0.0)
     assert len(frame) == 0
     assert frame.people == 0
     assert frame.warnings == ()

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from phdtrack.groups import Event, Living, Observed
+from phdtrack.groups import Event, GroupLifeCycle, LifeCycleState
 
 T = 0.1
 
 
 def play(frames, hold=0.5):
     """Groups by frame, {member: group}, and all events, of frames [{member: cluster}, …] that are T seconds apart."""
-    living, state, groups, told = Living(hold), Observed(), [], []
+    living, state, groups, told = GroupLifeCycle(hold), LifeCycleState(), [], []
     for number, clusters in enumerate(frames, 1):
         who, label = np.array(list(clusters), np.int64), np.array(list(clusters.values()), np.int64)
         state, accepted, events = living.extend(state, who, label, np.ones(len(who)), number, number * T)

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from phdtrack.groups import Meetings
+from phdtrack.groups import EncounterWarning
 
 SURE = np.zeros((2, 4, 4))
 
 
 def test_two_who_walk_towards_each_other_are_warned_of_in_time():
     mean = np.array([[0, 0, 1, 0], [10, 1, -1, 0]], float).T
-    (warned,) = Meetings(horizon=6).expected(np.array([4, 2]), mean, SURE)
+    (warned,) = EncounterWarning(horizon=6).expected(np.array([4, 2]), mean, SURE)
     assert (warned.first, warned.second) == (2, 4)
     assert warned.seconds == pytest.approx(5.0)
     assert warned.distance == pytest.approx(1.0)
@@ -30,18 +30,18 @@ def test_two_who_walk_towards_each_other_are_warned_of_in_time():
 )
 def test_nobody_is_warned_of_who_does_not_meet(first, second):
     mean = np.array([first, second], float).T
-    assert Meetings().expected(np.array([1, 2]), mean, SURE) == ()
+    assert EncounterWarning().expected(np.array([1, 2]), mean, SURE) == ()
 
 
 def test_members_of_one_group_do_not_meet():
     mean = np.array([[0, 0, 1, 0], [6, 0, -1, 0]], float).T
-    assert Meetings().expected(np.array([1, 1]), mean, SURE) == ()
+    assert EncounterWarning().expected(np.array([1, 1]), mean, SURE) == ()
 
 
 def test_the_deviation_and_the_probability_are_those_of_drawn_paths():
     cov = np.diag([0.04, 0.04, 0.01, 0.01])
     mean = np.array([[0, 0, 1, 0], [6, 1.8, -1, 0]], float).T
-    (warned,) = Meetings().expected(np.array([1, 2]), mean, np.stack([cov, cov]))
+    (warned,) = EncounterWarning().expected(np.array([1, 2]), mean, np.stack([cov, cov]))
     rng = np.random.default_rng(1)
     a, b = (rng.multivariate_normal(m, cov, 100_000).T for m in mean.T)
     apart = (a - b)[:2] + (a - b)[2:] * warned.seconds
@@ -52,5 +52,5 @@ def test_the_deviation_and_the_probability_are_those_of_drawn_paths():
 
 def test_the_likeliest_pair_of_members_speaks_for_two_groups():
     mean = np.array([[0, 0, 1, 0], [0, 6, 1, 0], [6, 6.5, -1, 0]], float).T
-    (warned,) = Meetings().expected(np.array([1, 1, 2]), mean, np.zeros((3, 4, 4)))
+    (warned,) = EncounterWarning().expected(np.array([1, 1, 2]), mean, np.zeros((3, 4, 4)))
     assert warned.distance == pytest.approx(0.5)

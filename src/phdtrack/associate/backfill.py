@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.associate.history import Moment
-from phdtrack.models import warp as warp_of
 from phdtrack.kernels.gaussian import gaussian_parts
+from phdtrack.models import warp as warp_of
 from phdtrack.protocols import Model
 from phdtrack.types import F8
 

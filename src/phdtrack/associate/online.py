@@ -14,8 +14,8 @@ import numpy as np
 from phdtrack.associate.bridge import bridge
 from phdtrack.associate.history import History, Moment
 from phdtrack.associate.window import NO_LINKS, Links, Window
-from phdtrack.models import warp as warp_of
 from phdtrack.kernels.identities import come_back, hand_on
+from phdtrack.models import warp as warp_of
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, STILL, Bool, Tracks
 

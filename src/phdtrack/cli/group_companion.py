@@ -14,7 +14,7 @@ from phdtrack.cli.group_files import GroupFiles
 from phdtrack.cli.group_story import Around, Story
 from phdtrack.cli.job import Draw
 from phdtrack.cli.run_directory import RunDirectory
-from phdtrack.groups import Observed
+from phdtrack.groups import LifeCycleState
 from phdtrack.groups.pipeline import GroupStages, carriers, mixture_of
 from phdtrack.protocols import AnyStages
 from phdtrack.report.markup import Html
@@ -46,7 +46,7 @@ class GroupCompanion:
         self._settings, self._stages, self._info, self._delay = settings, stages, info, delay
         self._story = Story(around, raw=True)
         self._camera = around.camera
-        self._state, self._waiting = Observed(), deque[_Waiting]()
+        self._state, self._waiting = LifeCycleState(), deque[_Waiting]()
         self._files: GroupFiles | None = None
 
     @contextmanager
@@ -58,7 +58,7 @@ class GroupCompanion:
 
     def take(self, step: Step, intensity: object) -> None:
         """Take in a step; the frame whose rows it brings is told."""
-        sensor, lightest = self._stages.model.sensor, self._settings.grouping.lightest
+        sensor, lightest = self._stages.model.sensor, self._settings.grouping.min_weight
         z = sensor.measure(step.detections)
         usable = np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)])
         mixture = mixture_of(intensity, step, usable, self._stages, lightest)
@@ -101,7 +101,7 @@ class GroupCompanion:
     def _tell(self, waiting: _Waiting, tracks: Tracks) -> None:
         rows = tracks.take((tracks.frame == waiting.number) & tracks.confirmed)
         place = places(self._stages.model.sensor, rows.xyxy)
-        carrier = carriers(waiting.mixture, place, self._settings.grouping.lightest)
+        carrier = carriers(waiting.mixture, place, self._settings.grouping.min_weight)
         self._state, frame = self._settings.advance(
             self._state, waiting.mixture, rows.identity, carrier, waiting.number, waiting.time
         )

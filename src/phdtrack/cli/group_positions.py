@@ -20,7 +20,7 @@ from phdtrack.cli.output import progress
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.errors import InputError
 from phdtrack.formats.positions import Positions, read_positions
-from phdtrack.groups import Observed
+from phdtrack.groups import LifeCycleState
 from phdtrack.groups.pipeline import GroupStages, known_people
 from phdtrack.report import About, write_run
 from phdtrack.report.group_report import positions_page
@@ -98,7 +98,7 @@ def run_positions(job: KnownPeople, directory: RunDirectory) -> tuple[dict[str, 
     return document, said
 
 
-GROUP_SECTIONS = ("groups", "contours", "lives", "meetings")
+GROUP_SECTIONS = ("groups", "contours", "life_cycle", "encounters")
 
 
 def _grouped(
@@ -106,7 +106,7 @@ def _grouped(
     directory: RunDirectory,
 ) -> None:  # fmt: skip
     """Every frame through the stages, into files and story."""
-    state, nothing = Observed(), np.zeros((2, 0))
+    state, nothing = LifeCycleState(), np.zeros((2, 0))
     with GroupFiles(directory, None) as files, progress("grouping", len(frames)) as advance:
         for done, number in enumerate(frames.tolist(), start=1):
             here = job.positions.at(number)

@@ -17,7 +17,7 @@ from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.group_files import in_image
 from phdtrack.cli.output import counted
 from phdtrack.cli.run_directory import RunDirectory
-from phdtrack.groups import Event, Warned
+from phdtrack.groups import Encounter, Event
 from phdtrack.groups.pipeline import GroupFrame
 from phdtrack.protocols import Camera
 from phdtrack.report.group_report import GroupSeries, group_sections
@@ -48,7 +48,7 @@ class Story:
         self._deviation: list[float] = []
         self._detected: list[int] = []
         self._events: list[Event] = []
-        self._warnings: list[tuple[float, Warned]] = []
+        self._warnings: list[tuple[float, Encounter]] = []
 
     @property
     def scenes(self) -> Sequence[PlanScene]:

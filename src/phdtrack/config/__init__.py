@@ -212,14 +212,14 @@ def seen_by(settings: Settings, detector: str) -> Settings:
 def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupStages:
     """What makes groups, lives and warnings; ``stages`` where a filter comes before, None for known positions.
 
-    Behind a filter ``groups.lightest`` is, unless given, no more than 0.84 of the weight (1 − p_D) p_S of a person just
+    Behind a filter ``groups.min_weight`` is, unless given, no more than 0.84 of the weight (1 − p_D) p_S of a person just
     missed once, so that one miss drops nobody whatever the detection probability. With E13's values that is the default.
     """
-    if stages is not None and "lightest" not in settings.sections.get("groups", {}):
+    if stages is not None and "min_weight" not in settings.sections.get("groups", {}):
         missed = (1 - _record(settings, "sensor").detection) * _record(settings, "motion").survival
-        settings = overlay(settings, {"groups": {"lightest": min(Grouping().lightest, _MISSED * missed)}})
+        settings = overlay(settings, {"groups": {"min_weight": min(Grouping().min_weight, _MISSED * missed)}})
     record = partial(_record, settings)
-    return GroupStages(record("groups"), record("contours"), record("lives"), record("meetings"))
+    return GroupStages(record("groups"), record("contours"), record("life_cycle"), record("encounters"))
 
 
 def _record(settings: Settings, section: str, where: str = "configuration", dry: bool = False, **more: Any) -> Any:

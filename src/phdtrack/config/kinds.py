@@ -9,7 +9,7 @@ from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.config import worlds
 from phdtrack.detect.merged import Explained
 from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, PMB, NoFilter, ParticleCPHD, ParticlePHD, extract
-from phdtrack.groups import Contours, Grouping, Living, Meetings
+from phdtrack.groups import Contours, EncounterWarning, Grouping, GroupLifeCycle
 from phdtrack.models import (
     BoxMotion,
     BoxSensor,
@@ -80,8 +80,8 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
     "refine": {"": Refinement},
     "groups": {"": Grouping},
     "contours": {"": Contours},
-    "lives": {"": Living},
-    "meetings": {"": Meetings},
+    "life_cycle": {"": GroupLifeCycle},
+    "encounters": {"": EncounterWarning},
     "detector": {"": worlds.DetectorSettings},
 }
 # Kinds of other sections that a kind goes together with, the default first. Without a filter nothing is extracted.

@@ -1,10 +1,20 @@
-"""Groups of people: who walks with whom, how many they are, where, and what becomes of them [E13 §4.3].
+"""Groups of people: who walks with whom, how many they are, where, and what becomes of them [E13 §5].
 
 intensity ─cluster→ Groups ─contours→ polygons
-                      └─identity→ groups with a life: appear, vanish, merge, split ─warnings→ who is about to meet
+                      └─life cycle→ identities and events ─encounters→ warnings
 """
 
 from phdtrack.groups.clusters import Contours, Grouping, Groups, polygon_area
-from phdtrack.groups.life_cycle import Event, Living, Meetings, Observed, Warned
+from phdtrack.groups.life_cycle import Encounter, EncounterWarning, Event, GroupLifeCycle, LifeCycleState
 
-__all__ = ["Contours", "Event", "Grouping", "Groups", "Living", "Meetings", "Observed", "Warned", "polygon_area"]
+__all__ = [
+    "Contours",
+    "Encounter",
+    "EncounterWarning",
+    "Event",
+    "GroupLifeCycle",
+    "Grouping",
+    "Groups",
+    "LifeCycleState",
+    "polygon_area",
+]

@@ -1,9 +1,9 @@
-"""From the intensity to groups: connected components in position and velocity [E13 §4.3].
+"""From the intensity to groups: connected components in position and velocity [E13 §5].
 
 Components of the mixture above a weight are the nodes of a graph. Two are connected when they are closer than T_p and move
 relative to each other slower than T_v; a group is a connected component, and its head count the sum of its weights.
 
-The shape of a group: the level curve of its position intensity, velocity integrated out [E13 §4.3].
+The shape of a group: the level curve of its position intensity, velocity integrated out [E13 §5].
 
     v(p) = Σ_i w_i N(p; m_i, P_i)  over position alone,   contour = {p : v(p) = level}
 
@@ -55,44 +55,44 @@ class Grouping:
 
     Parameters
     ----------
-    near : T_p, metres: connected components are closer.
-    slow : T_v, metres per second: and slower apart.
-    lightest : components of less weight do not count. No paper gives it. It must lie below p_M·p_S = 0.297 (E13's values),
+    max_distance : T_p, metres: connected components are closer.
+    max_speed_difference : T_v, metres per second: and slower apart.
+    min_weight : components of less weight do not count. No paper gives it. It must lie below p_M·p_S = 0.297 (E13's values),
         the weight of a person missed once, or one miss drops a person.
     """
 
-    near: Positive = 2.0
-    slow: Positive = 1.0
-    lightest: NonNegative = 0.25
+    max_distance: Positive = 2.0
+    max_speed_difference: Positive = 1.0
+    min_weight: NonNegative = 0.25
 
     def __post_init__(self) -> None:
         check(self)
 
     def groups(self, mixture: GaussianMixture) -> Groups:
-        """The groups of a mixture over (px, py, vx, vy): connected components of the graph [E13 §4.3]."""
+        """The groups of a mixture over (px, py, vx, vy): connected components of the graph [E13 §5]."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
-        heavy = np.flatnonzero(mixture.weight >= self.lightest)
+        heavy = np.flatnonzero(mixture.weight >= self.min_weight)
         a, b = self.connected(mixture.mean[:, heavy])
         n = len(heavy)
         graph = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(n, n))
         number, of_heavy = connected_components(graph, directed=False) if n else (0, np.zeros(0, np.int64))
         label = np.full(len(mixture), -1, np.int64)
         label[heavy] = of_heavy
-        return summarised(mixture, label, int(number))
+        return group_moments(mixture, label, int(number))
 
     def connected(self, mean: F8) -> tuple[I8, I8]:
         """Pairs (i, j), i < j, of columns of (4, n) states that are near and slow apart. Linear in n through a grid."""
         position = np.ascontiguousarray(mean[POSITION])
-        a, b = gated_pairs(position[0], position[1], position - self.near, position + self.near)
+        a, b = gated_pairs(position[0], position[1], position - self.max_distance, position + self.max_distance)
         a, b = a[a < b], b[a < b]
         apart2 = ((mean[:, a] - mean[:, b]) ** 2).reshape(2, 2, -1).sum(1)
-        joined = (apart2[0] < self.near**2) & (apart2[1] < self.slow**2)
+        joined = (apart2[0] < self.max_distance**2) & (apart2[1] < self.max_speed_difference**2)
         return a[joined], b[joined]
 
 
-def summarised(mixture: GaussianMixture, label: I8, number: int) -> Groups:
+def group_moments(mixture: GaussianMixture, label: I8, number: int) -> Groups:
     """The ``number`` groups that ``label`` (J,) makes of the mixture's components.
 
     A component of weight w is taken for a person who is there with probability w, independent of the others, and one above 1
@@ -121,14 +121,14 @@ class Contours:
     Parameters
     ----------
     level : people per square metre on the curve.
-    fineness : grid points per standard deviation of the narrowest component of a group.
-    most : grid points along each side at most; a group that is wider than it is sharp gets a coarser grid.
+    grid_density : grid points per standard deviation of the narrowest component of a group.
+    max_grid : grid points along each side at most; a group that is wider than it is sharp gets a coarser grid.
     tolerance : metres by which a polygon may stray from the curve on the grid, to have fewer corners (Douglas and Peucker).
     """
 
     level: Positive = 0.1
-    fineness: Positive = 4.0
-    most: PositiveCount = 160
+    grid_density: Positive = 4.0
+    max_grid: PositiveCount = 160
     tolerance: NonNegative = 0.02
 
     def __post_init__(self) -> None:
@@ -171,7 +171,7 @@ class Contours:
         narrowest = math.sqrt(float(np.linalg.eigvalsh(cov)[:, 0].min()))
         axes = []
         for low, high in zip((mean - half).min(1), (mean + half).max(1), strict=True):
-            points = int(np.clip(math.ceil((high - low) * self.fineness / narrowest) + 1, 8, self.most))
+            points = int(np.clip(math.ceil((high - low) * self.grid_density / narrowest) + 1, 8, self.max_grid))
             axes.append(np.linspace(low, high, points))
         return axes[0], axes[1]
 

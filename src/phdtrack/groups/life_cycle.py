@@ -1,16 +1,16 @@
 """Groups over time: identities, and the events of their lives.
 
-Groups flicker: two people at two metres are one group in one frame and two in the next. So a group's identity hangs on its
-members. Every frame each cluster proposes an identity to its members, that of the group from which most of them come, or a
-new one; a member accepts once the same has been proposed for ``hold`` seconds. What members have accepted are the groups,
-and how it changes are the events:
+Clusters flicker: two people at two metres are one group in one frame and two in the next. So a group's identity is kept by its
+members. In every frame each cluster proposes an identity to its members: that of the group from which most of them come, or a
+new one. A member accepts it once the same has been proposed for ``hold_time`` seconds. The accepted identities are the
+groups, and their changes are the events:
 
     appear   members who were in no group have one that is new
     split    some members leave for a new group while others stay
     merge    the last members leave for a group that was there before
-    vanish   the last members have not been seen for ``hold`` seconds
+    vanish   the last members have not been seen for ``hold_time`` seconds
 
-An event carries the time at which it began, ``hold`` earlier than it was certain. With hold 0 the groups are the clusters.
+An event carries the time at which it began, ``hold_time`` earlier than it was certain. With 0 the groups are the clusters.
 
 Early warning: groups that are about to meet (E13's conclusion asks for it).
 
@@ -59,7 +59,7 @@ class Member:
 
 
 @dataclass(frozen=True, slots=True)
-class Observed:
+class LifeCycleState:
     """The state between frames: members by identity, groups announced, groups to be announced, and the next number."""
 
     members: Mapping[int, Member] = field(default_factory=lambda: MappingProxyType({}))
@@ -69,17 +69,17 @@ class Observed:
 
 
 @dataclass(frozen=True, slots=True)
-class Living:
-    """``hold``: seconds for which something must last to be believed."""
+class GroupLifeCycle:
+    """``hold_time``: seconds for which something must last to be believed."""
 
-    hold: NonNegative = 0.5
+    hold_time: NonNegative = 0.5
 
     def __post_init__(self) -> None:
         check(self)
 
     def extend(
-        self, state: Observed, member: I8, label: I8, weight: F8, frame: int, time: float
-    ) -> tuple[Observed, I8, tuple[Event, ...]]:
+        self, state: LifeCycleState, member: I8, label: I8, weight: F8, frame: int, time: float
+    ) -> tuple[LifeCycleState, I8, tuple[Event, ...]]:
         """Take in one frame's clusters.
 
         Parameters
@@ -100,7 +100,7 @@ class Living:
             members[who], moved = self._considered(members.get(who), group, now)
             if moved is not None:
                 moves.append(moved)
-        lost = {who: m for who, m in members.items() if time - m.seen[1] > self.hold}
+        lost = {who: m for who, m in members.items() if time - m.seen[1] > self.hold_time}
         for who in lost:
             del members[who]
         living: dict[int, float] = {}
@@ -110,7 +110,7 @@ class Living:
         for group in living.keys() - state.announced:
             born.setdefault(group, now)
         announced, born, events = self._told(state, moves, lost, living, born, now)
-        after = Observed(MappingProxyType(members), announced, MappingProxyType(born), following)
+        after = LifeCycleState(MappingProxyType(members), announced, MappingProxyType(born), following)
         accepted = np.array([members[who].group for who in member.tolist()], np.int64)
         return after, accepted, events
 
@@ -121,13 +121,13 @@ class Living:
         if old is None:
             return Member(group, group, now, now), None
         since = old.since if group == old.proposed else now
-        if group != old.group and now[1] - since[1] >= self.hold:
+        if group != old.group and now[1] - since[1] >= self.hold_time:
             return Member(group, group, since, now), (old.group, group, since)
         return Member(old.group, group, since, now), None
 
     def _told(
         self,
-        state: Observed,
+        state: LifeCycleState,
         moves: list[tuple[int, int, tuple[int, float]]],
         lost: Mapping[int, Member],
         living: Mapping[int, float],
@@ -144,7 +144,7 @@ class Living:
                 told.append(Event(*since, "merge", source, target))
                 announced.discard(source)
         for group, at in sorted(born.items()):
-            if group not in announced and living[group] - at[1] >= self.hold:
+            if group not in announced and living[group] - at[1] >= self.hold_time:
                 told.append(Event(*at, "appear", group))
                 announced.add(group)
         last: dict[int, tuple[int, float]] = {}
@@ -157,7 +157,7 @@ class Living:
         return frozenset(announced), {g: at for g, at in born.items() if g not in announced}, tuple(told)
 
 
-def _proposals(state: Observed, member: I8, label: I8, weight: F8) -> tuple[I8, int]:
+def _proposals(state: LifeCycleState, member: I8, label: I8, weight: F8) -> tuple[I8, int]:
     """The identity that each member's cluster proposes to him, and the next number that is free.
 
     Clusters and groups are matched one to one with the largest total weight in common. A member speaks for the group last
@@ -186,7 +186,7 @@ def _proposals(state: Observed, member: I8, label: I8, weight: F8) -> tuple[I8, 
 
 
 @dataclass(frozen=True, slots=True)
-class Warned:
+class Encounter:
     """Groups ``first`` < ``second`` are expected to meet.
 
     Of the two members that are likeliest to: ``seconds`` from now until they are closest, ``distance`` then and its
@@ -203,24 +203,24 @@ class Warned:
 
 
 @dataclass(frozen=True, slots=True)
-class Meetings:
+class EncounterWarning:
     """When to warn.
 
     Parameters
     ----------
     horizon : seconds looked ahead; people turn, and straight lines say little about more.
-    near : metres; who comes closer has met.
+    max_distance : metres; who comes closer has met.
     probability : of coming so close, from which on it is worth a warning.
     """
 
     horizon: Positive = 4.0
-    near: Positive = 2.0
+    max_distance: Positive = 2.0
     probability: Share = 0.5
 
     def __post_init__(self) -> None:
         check(self)
 
-    def expected(self, group: I8, mean: F8, covariance: F8) -> tuple[Warned, ...]:
+    def expected(self, group: I8, mean: F8, covariance: F8) -> tuple[Encounter, ...]:
         """Warnings for members with states (4, n), covariances (n, 4, 4) and groups (n,); groups that are near do not count.
 
         The deviation is that of the distance along the line of closest approach, P_a + P_b carried on to that time.
@@ -236,16 +236,16 @@ class Meetings:
         distance = np.hypot(then[0], then[1])
         deviation = _deviation(covariance[i] + covariance[j], then, distance, after)
         pair = np.stack([np.minimum(group[i], group[j]), np.maximum(group[i], group[j])])
-        met = {(int(a), int(b)) for a, b in pair[:, np.hypot(*apart) < self.near].T}
-        best: dict[tuple[int, int], Warned] = {}
+        met = {(int(a), int(b)) for a, b in pair[:, np.hypot(*apart) < self.max_distance].T}
+        best: dict[tuple[int, int], Encounter] = {}
         for k in np.flatnonzero(after > 0):
             key = (int(pair[0, k]), int(pair[1, k]))
-            chance = _below(self.near, float(distance[k]), float(deviation[k]))
+            chance = _below(self.max_distance, float(distance[k]), float(deviation[k]))
             if key in met or chance < self.probability or (key in best and best[key].probability >= chance):
                 continue
             middle = 0.5 * (mean[:2, i[k]] + mean[:2, j[k]] + (mean[2:4, i[k]] + mean[2:4, j[k]]) * after[k])
             place = (float(middle[0]), float(middle[1]))
-            best[key] = Warned(*key, float(after[k]), float(distance[k]), float(deviation[k]), place, chance)
+            best[key] = Encounter(*key, float(after[k]), float(distance[k]), float(deviation[k]), place, chance)
         return tuple(best[key] for key in sorted(best))
 
 

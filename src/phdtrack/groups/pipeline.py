@@ -13,8 +13,8 @@ import numpy as np
 
 from phdtrack.filters.extract import KMeans, Mixture
 from phdtrack.filters.intensities import Cardinalised
-from phdtrack.groups import Contours, Event, Grouping, Groups, Living, Meetings, Observed, Warned
-from phdtrack.groups.clusters import summarised
+from phdtrack.groups import Contours, Encounter, EncounterWarning, Event, Grouping, GroupLifeCycle, Groups, LifeCycleState
+from phdtrack.groups.clusters import group_moments
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, GaussianMixture, Step
 
@@ -49,7 +49,7 @@ class GroupFrame:
     member: I8
     membership: I8
     events: tuple[Event, ...]
-    warnings: tuple[Warned, ...]
+    warnings: tuple[Encounter, ...]
 
     def __len__(self) -> int:
         return len(self.identity)
@@ -71,12 +71,12 @@ class GroupStages:
 
     grouping: Grouping = field(default_factory=Grouping)
     contours: Contours = field(default_factory=Contours)
-    living: Living = field(default_factory=Living)
-    meetings: Meetings = field(default_factory=Meetings)
+    life_cycle: GroupLifeCycle = field(default_factory=GroupLifeCycle)
+    encounters: EncounterWarning = field(default_factory=EncounterWarning)
 
     def advance(
-        self, state: Observed, mixture: GaussianMixture, member: I8, carrier: I8, number: int, time: float
-    ) -> tuple[Observed, GroupFrame]:
+        self, state: LifeCycleState, mixture: GaussianMixture, member: I8, carrier: I8, number: int, time: float
+    ) -> tuple[LifeCycleState, GroupFrame]:
         """Take in the mixture over (px, py, vx, vy) of frame ``number`` (from 1) at ``time`` seconds.
 
         Parameters
@@ -92,15 +92,15 @@ class GroupStages:
         counted = carrier >= 0
         counted[counted] = clusters.label[carrier[counted]] >= 0
         member, carrier = member[counted], carrier[counted]
-        state, membership, events = self.living.extend(
+        state, membership, events = self.life_cycle.extend(
             state, member, clusters.label[carrier], mixture.weight[carrier], number, time
         )
         label, identity = _groups(clusters.label, mixture.weight, carrier, membership)
-        groups = summarised(mixture, label, len(identity))
+        groups = group_moments(mixture, label, len(identity))
         contours = tuple(self.contours.of(mixture, label, group) for group in range(len(identity)))
         known = label >= 0
         known[known] = identity[label[known]] > 0
-        warned = self.meetings.expected(
+        warned = self.encounters.expected(
             identity[label[known]], np.ascontiguousarray(mixture.mean[:4, known]), mixture.covariance[known]
         )
         return state, GroupFrame(number, time, identity, groups, contours, member, membership, events, warned)
@@ -141,7 +141,7 @@ def mixture_of(intensity: Any, step: Step, z: F8, stages: AnyStages, lightest: f
         return points
     found = step.estimates
     if isinstance(stages.extractor, KMeans | Mixture) and lightest < stages.extractor.min_weight:
-        found = replace(stages.extractor, lightest=lightest).extract(points, z, stages.model)
+        found = replace(stages.extractor, min_weight=lightest).extract(points, z, stages.model)
     return GaussianMixture(found.weight, found.state, found.covariance + _FINEST**2 * np.eye(len(found.state)))
 
 

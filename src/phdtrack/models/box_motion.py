@@ -23,8 +23,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack.checks import NonNegative, Positive, Probability, check
-from phdtrack.models import warp as warp_of
 from phdtrack.kernels.constant_velocity import box_motion_noise
+from phdtrack.models import warp as warp_of
 from phdtrack.models.spawning import NoSpawn, Spawn
 from phdtrack.types import F8, Particles
 

@@ -20,9 +20,9 @@ from typing import Literal
 import numpy as np
 
 from phdtrack.checks import NonNegative, Positive, Probability, check
-from phdtrack.models.warp import no_image
 from phdtrack.models.region import EVERYWHERE, Region, check_region, inside
 from phdtrack.models.spawning import NoSpawn, Spawn
+from phdtrack.models.warp import no_image
 from phdtrack.types import F8, Particles
 
 Form = Literal["piecewise", "continuous"]

@@ -19,10 +19,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack.checks import NonNegative, Positive, Probability, check
-from phdtrack.models.warp import no_image
 from phdtrack.models.plane_motion import Form, fill, push, variances
 from phdtrack.models.region import EVERYWHERE, Region, check_region, inside
 from phdtrack.models.spawning import NoSpawn, Spawn
+from phdtrack.models.warp import no_image
 from phdtrack.types import F8, Particles
 
 # Below this angle the series of s' is exact to rounding, and its closed form is not.

@@ -53,20 +53,20 @@ class SparseFlow:
     Parameters
     ----------
     width : pictures are scaled down to this many pixels before they are looked at.
-    points : corners that are followed at most.
+    max_points : corners that are followed at most.
     form : ``similarity`` (shift, turn, zoom), which few points determine well; ``homography`` for a camera that pans with a
         wide lens, or a scene that is one plane.
-    error : pixels of the scaled picture by which a point may miss the map, and its way back its beginning.
-    least : points that must fit the map; with fewer the camera is taken to stand still in that frame.
-    share : share of the points followed that must fit it.
+    max_error : pixels of the scaled picture by which a point may miss the map, and its way back its beginning.
+    min_points : points that must fit the map; with fewer the camera is taken to stand still in that frame.
+    min_inlier_share : share of the points followed that must fit it.
     """
 
     width: PositiveCount = 640
-    points: PositiveCount = 300
+    max_points: PositiveCount = 300
     form: Literal["similarity", "homography"] = "similarity"
-    error: Positive = 1.0
-    least: PositiveCount = 20
-    share: Share = 0.4
+    max_error: Positive = 1.0
+    min_points: PositiveCount = 20
+    min_inlier_share: Share = 0.4
 
     def __post_init__(self) -> None:
         check(self)
@@ -177,10 +177,10 @@ def view(image: Image, xyxy: F8, settings: SparseFlow) -> View:
 def between(before: View, after: View, settings: SparseFlow) -> Flow:
     """How the camera moved between two views."""
     found, arrived = _followed(before, after, settings)
-    if len(found) < settings.least:
+    if len(found) < settings.min_points:
         return Flow(np.eye(3), False, len(found))
     small, fitting = _fitted(found, arrived, settings)
-    if small is None or fitting < max(settings.least, settings.share * len(found)):
+    if small is None or fitting < max(settings.min_points, settings.min_inlier_share * len(found)):
         return Flow(np.eye(3), False, len(found), fitting)
     warp = _unscaled(small, before.scale)
     if not _credible(warp, before):
@@ -196,13 +196,13 @@ def _followed(before: View, after: View, settings: SparseFlow) -> tuple[F8, F8]:
     if before.gray.shape != after.gray.shape:
         return none, none
     apart = max(3.0, _APART * before.gray.shape[1])
-    corners = cv2.goodFeaturesToTrack(before.gray, settings.points, _QUALITY, apart, mask=_background(before))
+    corners = cv2.goodFeaturesToTrack(before.gray, settings.max_points, _QUALITY, apart, mask=_background(before))
     if corners is None:
         return none, none
     there, arrived, _ = cv2.calcOpticalFlowPyrLK(before.gray, after.gray, corners, None, winSize=(21, 21), maxLevel=4)
     back, returned, _ = cv2.calcOpticalFlowPyrLK(after.gray, before.gray, there, None, winSize=(21, 21), maxLevel=4)
     good = (arrived.ravel() == 1) & (returned.ravel() == 1)
-    good &= np.linalg.norm((back - corners).reshape(-1, 2), axis=1) <= settings.error
+    good &= np.linalg.norm((back - corners).reshape(-1, 2), axis=1) <= settings.max_error
     return corners.reshape(-1, 2)[good].astype(np.float64), there.reshape(-1, 2)[good].astype(np.float64)
 
 
@@ -223,10 +223,10 @@ def _fitted(found: F8, arrived: F8, settings: SparseFlow) -> tuple[F8 | None, in
     import cv2
 
     if settings.form == "homography":
-        matrix, inside = cv2.findHomography(found, arrived, cv2.RANSAC, settings.error, maxIters=2000, confidence=0.999)
+        matrix, inside = cv2.findHomography(found, arrived, cv2.RANSAC, settings.max_error, maxIters=2000, confidence=0.999)
     else:
         matrix, inside = cv2.estimateAffinePartial2D(
-            found, arrived, method=cv2.RANSAC, ransacReprojThreshold=settings.error, maxIters=2000, confidence=0.999
+            found, arrived, method=cv2.RANSAC, ransacReprojThreshold=settings.max_error, maxIters=2000, confidence=0.999
         )
     if matrix is None or not np.isfinite(matrix).all():
         return None, 0

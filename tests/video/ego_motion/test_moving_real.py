@@ -10,8 +10,8 @@ import pytest
 from moving_cases import filmed, handheld, seen, step
 from phdtrack import CameraMotion, Tracker
 from phdtrack.formats import read_detections, read_truth
-from phdtrack.models import warp as warp_of
 from phdtrack.metrics import evaluate
+from phdtrack.models import warp as warp_of
 from phdtrack.types import DetectionTable
 from phdtrack.video import open_source
 
