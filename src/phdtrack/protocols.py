@@ -19,6 +19,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.explanation import Explanation
+from phdtrack.kernels.gaussian import Births
 from phdtrack.measured import Measured
 from phdtrack.types import (
     F4,
@@ -98,8 +99,18 @@ class Sensor(Protocol):
     def covariance(self, z: F8, x: F8) -> F8:
         """(P, r, r) noise covariance R of what `expected` gives, for pairs of columns of ``z`` (m, P) and ``x`` (d, P).
 
-        With `innovation` it is the Gaussian view of g that the Gaussian-mixture filters take.
+        With `innovation` it is the Gaussian view of g. It is the sum of `target_noise` and `measurement_noise`.
         """
+
+    @property
+    def angles(self) -> tuple[bool, ...]:
+        """(r,) which components of `expected` are angles in radians, compared the short way round."""
+
+    def target_noise(self, x: F8) -> F8:
+        """(L, r, r) part of R that belongs to targets at ``x`` (d, L); (0, r, r) where none does."""
+
+    def measurement_noise(self, z: F8) -> F8:
+        """(N, r, r) part of R that belongs to the measurements ``z`` (m, N); (0, r, r) where none does."""
 
     def p_detect(self, x: F8) -> F8:
         """(L,) detection probability of targets at ``x`` (d, L)."""
@@ -132,6 +143,9 @@ class Birth(Protocol):
 
     def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
         """γT as a Gaussian mixture, for the filters that carry one; `InputError` where γ has no such form."""
+
+    def gaussians(self, z: F8, sensor: Sensor, dt: float) -> Births:
+        """γT as Gaussians, one around each detection of ``z`` (m, N) or at given places; `InputError` where γ has none."""
 
     def expected(self, z: F8, dt: float) -> float:
         """∫γT over everything: the expected number of births, those that no measurement of ``z`` (m, N) shows included."""

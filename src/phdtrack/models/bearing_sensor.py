@@ -95,6 +95,19 @@ class BearingSensor:
         """(P, 2, 2) noise covariance of bearing and range, the same for all."""
         return np.tile(np.diag([self.bearing**2, self.reach**2]), (z.shape[1], 1, 1))
 
+    @property
+    def angles(self) -> tuple[bool, ...]:
+        """The bearing is an angle."""
+        return (True, False)
+
+    def target_noise(self, x: F8) -> F8:
+        """(L, 2, 2) R."""
+        return self.covariance(x, x)
+
+    def measurement_noise(self, z: F8) -> F8:
+        """(0, 2, 2): R belongs to the targets."""
+        return np.zeros((0, 2, 2))
+
     def p_detect(self, x: F8) -> F8:
         """p_D, falling with the range where ``fade`` says so."""
         if self.fade == 0:

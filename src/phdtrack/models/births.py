@@ -17,6 +17,7 @@ from phdtrack.arrays import draw, sum_by
 from phdtrack.checks import NonNegative, PositiveCount, Probability, Share, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.gating import gated_pairs
+from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.pairs import quadratic_form
 from phdtrack.models.volume import Volume, image_volume, in_neighbourhood, local_volume
 from phdtrack.protocols import Sensor
@@ -60,6 +61,10 @@ class MeasurementBirth:
     def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
         """Gaussians about the detections that have the density of γ there, see `gaussians_about`."""
         return gaussians_about(z, covered, sensor, lambda x: self._intensity(x, z[: len(x)]) * dt)
+
+    def gaussians(self, z: F8, sensor: Sensor, dt: float) -> Births:
+        """γT as Gaussians around the detections, see `births_around`."""
+        return births_around(sensor.states(z), sensor.observed, self.density(z) * dt)
 
     def density(self, z: F8) -> F8:
         """(N,) γ per time unit at the detections themselves."""
@@ -123,6 +128,11 @@ class UniformBirth:
             cure="Use births around the detections (birth.kind=measurement), at given places (fixed), or particles",
         )
 
+    def gaussians(self, z: F8, sensor: Sensor, dt: float) -> Births:
+        """There are none: raises `InputError`."""
+        self.components(z, z[0], sensor, dt)
+        raise NotImplementedError
+
     def expected(self, z: F8, dt: float) -> float:
         """rate·dt."""
         return self.rate * dt
@@ -145,6 +155,10 @@ class FixedBirth:
     def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
         """The given Gaussians, of total mass weight·dt, whatever was measured [V06 (22)]."""
         return GaussianMixture(self.mixture.weight * dt, self.mixture.mean, self.mixture.covariance)
+
+    def gaussians(self, z: F8, sensor: Sensor, dt: float) -> Births:
+        """The given Gaussians, of total mass weight·dt, whatever was measured [V06 (22)]."""
+        return births_at(self.mixture, dt)
 
     def expected(self, z: F8, dt: float) -> float:
         """The mixture's mass, over dt."""
@@ -187,6 +201,42 @@ def particles_about(
     state, density = state[:, possible], density[possible]
     log_proposal = _log_mixture(state[observed], mean[observed], observed_cov, counts, limit)
     return Particles(state, density * np.exp(-log_proposal))
+
+
+def births_at(mixture: GaussianMixture, dt: float) -> Births:
+    """The Gaussians of a mixture, whose weights are births per time unit, over the interval ``dt``."""
+    none = np.full(len(mixture), -1)
+    cov = np.ascontiguousarray(mixture.covariance)
+    mean = np.ascontiguousarray(mixture.mean.T)
+    return Births(mixture.weight * dt, mean, cov, none, np.zeros(len(mixture)), cov)
+
+
+def births_around(seen: tuple[F8, F8], rows: tuple[int, ...], density: F8) -> Births:
+    """A Gaussian around each detection where births are possible, of the flat density γT there.
+
+    Parameters
+    ----------
+    seen : states (d, N) and covariances (N, d, d) that the detections alone show, as `Sensor.states` gives them.
+    rows : `Sensor.observed`, the rows of the state that a detection shows, with covariance R.
+    density : (N,) γT at the detections, per unit of measurement volume; none is born where it is 0.
+
+    Two conditions choose the mass m of a Gaussian and its covariance aR in the observed rows. Seen through the noise R it
+    has the density of the flat γ at the detection, and its mass is that of γ in the 99 % region {r² ≤ r₀²}, as of particles.
+    In n dimensions, V_n the volume of the unit ball,
+
+        m = γ V_n r₀ⁿ √|R|,     m N(0; 0, (1 + a) R) = γ     ⇒     1 + a = (V_n r₀ⁿ)^(2/n) / 2π
+
+    (a = 3.70 for boxes, 3.61 for points). Filters divide m where Gaussians of several detections overlap.
+    """
+    mean, first = seen
+    fresh = np.flatnonzero(density > 0)
+    first, density, shown = first[fresh], density[fresh], list(rows)
+    noise = first[:, shown][:, :, shown]
+    volume, stretch = newborn_shape(len(rows))
+    cov = first.copy()
+    cov[np.ix_(range(len(fresh)), rows, rows)] = (stretch - 1) * noise
+    weight = density * volume * np.sqrt(np.linalg.det(noise))
+    return Births(weight, np.ascontiguousarray(mean[:, fresh].T), cov, fresh, density, first)
 
 
 def gaussians_about(

@@ -155,6 +155,19 @@ class BoxSensor:
             out[:, row, row] = np.maximum(np.square(sigma), TINY)
         return out
 
+    @property
+    def angles(self) -> tuple[bool, ...]:
+        """None of the components is an angle."""
+        return (False, False, False, False)
+
+    def target_noise(self, x: F8) -> F8:
+        """(L, 4, 4) R where it follows the target or is constant, else (0, 4, 4)."""
+        return np.zeros((0, 4, 4)) if self.scaling in ("detection", "given") else self.covariance(x, x)
+
+    def measurement_noise(self, z: F8) -> F8:
+        """(N, 4, 4) R where it follows the detection, else (0, 4, 4)."""
+        return self.covariance(z, z) if self.scaling in ("detection", "given") else np.zeros((0, 4, 4))
+
     def p_detect(self, x: F8) -> F8:
         """p_D, less where nearer targets cover x, see `models.occlusion`."""
         if not len(self.hiders):

@@ -29,8 +29,9 @@ import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
 from phdtrack.kernels.context_density import COARSE, given_detections, mixture_density, newborn_about
+from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.laid_over import laid_about, laid_births, laid_clutter
-from phdtrack.models.births import MeasurementBirth, gaussians_about, particles_about
+from phdtrack.models.births import MeasurementBirth, births_around, births_at, gaussians_about, particles_about
 from phdtrack.models.clutter import LocalClutter
 from phdtrack.models.volume import REACH, SIZES
 from phdtrack.protocols import Model, Sensor
@@ -170,6 +171,16 @@ class ContextBirth:
             np.hstack([given.mean, spread.mean]),
             np.concatenate([given.covariance, spread.covariance]),
         )
+
+    def gaussians(self, z: F8, sensor: Sensor, dt: float) -> Births:
+        """γT as Gaussians: around the detections, and without ``beside`` the learned ones too, see `components`."""
+        seen = sensor.states(z)
+        if self.beside > 0:
+            at = self.around(seen, dt)
+            return births_around((at.mean, at.covariance), self.observed, at.density)
+        given, observed = births_at(self.given, dt), z[: len(self.observed)]
+        spread = births_around(seen, self.observed, np.where(self.shown.contains(observed), self.flat * dt, 0.0))
+        return Births(*(np.concatenate(parts) for parts in zip(given, spread, strict=True)))
 
     def expected(self, z: F8, dt: float) -> float:
         """s̄T, or so many of each detection as there are beside."""

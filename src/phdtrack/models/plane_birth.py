@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
-from phdtrack.models.births import gaussians_about, particles_about
+from phdtrack.kernels.gaussian import Births
+from phdtrack.models.births import births_around, gaussians_about, particles_about
 from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, area, check_region, inside, local_density
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, GaussianMixture, Particles
@@ -43,6 +44,10 @@ class PlaneBirth:
     def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
         """Gaussians about the detections that have the density of γ there, see `births.gaussians_about`."""
         return gaussians_about(z, covered, sensor, lambda x: self._intensity(x, z) * dt)
+
+    def gaussians(self, z: F8, sensor: Sensor, dt: float) -> Births:
+        """γT as Gaussians around the detections, see `births.births_around`."""
+        return births_around(sensor.states(z), sensor.observed, self._intensity(z[:2], z) * dt)
 
     def expected(self, z: F8, dt: float) -> float:
         """rate·dt, of each detection where ``local``."""

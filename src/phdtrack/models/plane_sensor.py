@@ -165,6 +165,19 @@ class PlaneSensor:
         """(P, 2, 2) noise covariance of (px, py), that of the measurement."""
         return np.ascontiguousarray(z[[2, 3, 3, 4]].T).reshape(-1, 2, 2)
 
+    @property
+    def angles(self) -> tuple[bool, ...]:
+        """None of the components is an angle."""
+        return (False, False)
+
+    def target_noise(self, x: F8) -> F8:
+        """(0, 2, 2): all of R belongs to the measurements."""
+        return np.zeros((0, 2, 2))
+
+    def measurement_noise(self, z: F8) -> F8:
+        """(N, 2, 2) R, which measurements bring along."""
+        return self.covariance(z, z)
+
     def p_detect(self, x: F8) -> F8:
         """p_D · visible · max(1 − c^1.5, least)."""
         if self.camera is None:

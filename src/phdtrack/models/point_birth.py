@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
-from phdtrack.models.births import gaussians_about, particles_about
+from phdtrack.kernels.gaussian import Births
+from phdtrack.models.births import births_around, gaussians_about, particles_about
 from phdtrack.models.volume import image_area
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, GaussianMixture, Particles
@@ -43,6 +44,10 @@ class PointBirth:
     def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
         """Gaussians about the detections that have the density of γ there, see `births.gaussians_about`."""
         return gaussians_about(z, covered, sensor, lambda x: self._intensity(x) * dt)
+
+    def gaussians(self, z: F8, sensor: Sensor, dt: float) -> Births:
+        """γT as Gaussians around the detections, see `births.births_around`."""
+        return births_around(sensor.states(z), sensor.observed, self._intensity(z[:2]) * dt)
 
     def expected(self, z: F8, dt: float) -> float:
         """rate·dt."""

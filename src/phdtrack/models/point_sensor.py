@@ -80,6 +80,19 @@ class PointSensor:
         """(P, 2, 2) noise covariance r I of (px, py)."""
         return np.tile(self.variance * np.eye(2), (z.shape[1], 1, 1))
 
+    @property
+    def angles(self) -> tuple[bool, ...]:
+        """None of the components is an angle."""
+        return (False, False)
+
+    def target_noise(self, x: F8) -> F8:
+        """(L, 2, 2) R."""
+        return self.covariance(x, x)
+
+    def measurement_noise(self, z: F8) -> F8:
+        """(0, 2, 2): R belongs to the targets."""
+        return np.zeros((0, 2, 2))
+
     def p_detect(self, x: F8) -> F8:
         """p_D, everywhere."""
         return np.full(x.shape[1], self.detection)

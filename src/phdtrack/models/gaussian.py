@@ -1,0 +1,122 @@
+"""What a model answers to the Gaussian filters about one frame: the records of `kernels.gaussian`.
+
+Where f or h bends within a Gaussian's width, Gaussians go through it by sigma points; else by Jacobians.
+
+``linear``: f's Jacobian F at the mean, and H as a choice of rows, `Sensor.observed`, which only a linear sensor has
+[V06 (24)–(29), (35)–(38)].
+
+``unscented`` [V06 §IV-B]: 2d + 1 points go through the function and are weighed, by the scaled transform with c = α²(d + κ)
+
+    χ_0 = m,  χ_i = m ± (√(cP))_i,   W_i = 1/2c,  W_0 = 1 − d/c,   in covariances W_0 + 1 − α² + β
+
+at κ = 3 − d, α² = β = 2/3, so that c = 2. With this κ and β = 2 − 2α², mean and variance of a quadratic function of any one
+component are exact; with β ≥ α² no covariance is negative; α is the largest that has both. The sums with W_i about the mean
+are then the same as sums about the centre, e_i = f(χ_i) − f(m):
+
+    predict   m' = f(m) + Σ e_i/4,   P' = Σ e_i e_iᵀ/4 + Q(m)
+    update    ẑ = h(m) + Σ e_i/4,   H P Hᵀ → Σ e_i e_iᵀ/4,   P Hᵀ → Σ (χ_i − m) e_iᵀ/4
+
+For linear functions both are the same but for rounding. Differences of measurements are the sensor's (`Sensor.innovation`),
+so that angles are compared the short way round.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+
+from phdtrack.errors import InputError
+from phdtrack.kernels.gaussian import Expected, Measurements, Predicted
+from phdtrack.kernels.kalman import predicted_covariance
+from phdtrack.protocols import Clutter, Motion, Sensor
+from phdtrack.types import F8
+
+Transform = Literal["linear", "unscented"]
+# c, and the weight of each point beside the centre.
+SCALE, WEIGHT = 2.0, 0.25
+
+
+def predicted(motion: Motion, mean: F8, covariance: F8, dt: float, transform: Transform) -> Predicted:
+    """Gaussians after the interval ``dt`` [V06 (24)–(29), §IV-B].
+
+    Parameters
+    ----------
+    motion : the model's motion.
+    mean : (J, d).
+    covariance : (J, d, d).
+    dt : interval in the model's time unit.
+    transform : ``linear`` or ``unscented``, see above.
+    """
+    columns = np.ascontiguousarray(mean.T)
+    p_survive = motion.p_survive(columns, dt)
+    centre, f, q = motion.transition(columns, dt)
+    if transform == "linear":
+        return Predicted(np.ascontiguousarray(centre.T), predicted_covariance(covariance, f, q), p_survive)
+    points = sigma_points(columns, covariance)
+    d, many, count = points.shape
+    through = motion.transition(points.reshape(d, -1), dt)[0].reshape(-1, many, count)
+    step = through - through[:, :1]
+    return Predicted(np.ascontiguousarray(_mean(through[:, 0], step).T), _product(step, step) + q, p_survive)
+
+
+def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> Expected:
+    """What Gaussians say about measurements [V06 (36), §IV-B].
+
+    Parameters
+    ----------
+    sensor : the model's sensor.
+    mean : (J, d).
+    covariance : (J, d, d).
+    transform : ``linear`` or ``unscented``, see above.
+
+    Raises
+    ------
+    InputError : ``transform`` is ``linear`` and the sensor is not.
+    """
+    columns = np.ascontiguousarray(mean.T)
+    noise, p_detect = sensor.target_noise(columns), sensor.p_detect(columns)
+    if transform == "linear":
+        if not sensor.linear:
+            raise InputError(
+                "expected a linear sensor, got one whose measurements are no rows of the state",
+                where="filter.transform",
+                cure="Use filter.transform=unscented, or particles",
+            )
+        rows = list(sensor.observed)
+        cross = np.ascontiguousarray(covariance[:, :, rows])
+        return Expected(np.ascontiguousarray(mean[:, rows]), np.ascontiguousarray(cross[:, rows]), cross, noise, p_detect)
+    points = sigma_points(columns, covariance)
+    d, many, count = points.shape
+    through = sensor.expected(points.reshape(d, -1)).reshape(-1, many, count)
+    step = sensor.innovation(through, through[:, :1])
+    z = np.ascontiguousarray(_mean(through[:, 0], step).T)
+    return Expected(z, _product(step, step), _product(points - points[:, :1], step), noise, p_detect)
+
+
+def measurements(sensor: Sensor, clutter: Clutter, z: F8) -> Measurements:
+    """The measurements ``z`` (m, N) of a frame, with their noise and κ(z)."""
+    period = np.array([2 * math.pi if angle else 0.0 for angle in sensor.angles])
+    rows = np.ascontiguousarray(z[: len(period)].T)
+    return Measurements(rows, sensor.measurement_noise(z), clutter.intensity(z), period)
+
+
+def sigma_points(mean: F8, cov: F8) -> F8:
+    """(d, 2d + 1, J) points of Gaussians (d, J), (J, d, d), the means first."""
+    # The symmetric root exists where a variance is 0, too.
+    value, vector = np.linalg.eigh(cov)
+    root = (vector * np.sqrt(np.maximum(SCALE * value, 0.0))[:, None, :]) @ vector.transpose(0, 2, 1)
+    columns = root.transpose(1, 2, 0)
+    return np.concatenate([np.zeros((len(mean), 1, len(cov))), columns, -columns], axis=1) + mean[:, None, :]
+
+
+def _product(a: F8, b: F8) -> F8:
+    """(J, r, s) Σ a_i b_iᵀ/4 over differences from the centre, (r, 2d + 1, J) and (s, 2d + 1, J)."""
+    return np.ascontiguousarray(WEIGHT * np.einsum("akj,bkj->jab", a, b))
+
+
+def _mean(centre: F8, step: F8) -> F8:
+    """(r, J) f(m) + Σ e_i/4."""
+    out: F8 = centre + WEIGHT * step.sum(axis=1)
+    return out
