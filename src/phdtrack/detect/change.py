@@ -58,7 +58,14 @@ _ROUNDS = 3
 
 
 def relit(reference: Image, frame: Image, foreground: Image) -> Image:
-    """``reference`` (H, W, 3) in the light of ``frame`` (H, W, 3); ``foreground`` (H, W) is left out where it is not 0."""
+    """``reference`` (H, W, 3) in the light of ``frame`` (H, W, 3); ``foreground`` (H, W) is left out where it is not 0.
+
+    Parameters
+    ----------
+    reference : (H, W, 3) the picture of the empty scene.
+    frame : (H, W, 3) the present picture.
+    foreground : (H, W) mask; pixels where it is not 0 are left out.
+    """
     table = np.empty((1, 256, 3), np.uint8)
     level = np.arange(256, dtype=np.float64)
     step = max(1, round((foreground.size / _GRID_POINTS) ** 0.5))
@@ -158,7 +165,14 @@ class Reference:
         return True
 
     def blend(self, image: Image, share: float, where: Image) -> None:
-        """Move ``share`` (0 to 1) of the way to ``image`` where the mask ``where`` (H, W) is not 0."""
+        """Move ``share`` (0 to 1) of the way to ``image`` where the mask ``where`` (H, W) is not 0.
+
+        Parameters
+        ----------
+        image : (H, W, 3).
+        share : 0 to 1, of the way to ``image``.
+        where : (H, W) mask; pixels where it is 0 stay.
+        """
         cv2.accumulateWeighted(image, self._mean, min(1.0, share), where)
 
 
@@ -252,7 +266,7 @@ class ChangeDetector:
         energy = self._energy(channels, _Channels.of(expected))
         mask = blobs.clean(self._changed(energy), self.settings.blobs)
         found = blobs.components(mask, self.settings.blobs)
-        ghosts = [is_ghost(contour, frame.image, expected) for contour in found]
+        ghosts = [_is_ghost(contour, frame.image, expected) for contour in found]
         self._adapt(frame, energy, mask, [contour for contour, ghost in zip(found, ghosts, strict=True) if ghost])
         real = [contour for contour, ghost in zip(found, ghosts, strict=True) if not ghost]
         return Detections.of(blobs.boxes(real, mask.shape, self.settings.blobs))
@@ -342,7 +356,7 @@ class ChangeDetector:
         self._reference.blend(frame.image, 1.0, cv2.dilate(lasting, _MARGIN))
 
 
-def is_ghost(contour: Contour, image: Image, expected: Image) -> bool:
+def _is_ghost(contour: Contour, image: Image, expected: Image) -> bool:
     """Whether the outline of a component is more of an edge in the reference than in the frame: its object has left."""
     x, y, width, height = cv2.boundingRect(contour)
     left, top = max(0, x - 4), max(0, y - 4)

@@ -113,7 +113,14 @@ def components(mask: Image, settings: BlobSettings) -> list[Contour]:
 
 
 def boxes(contours: Sequence[Contour], shape: tuple[int, ...], settings: BlobSettings) -> F8:
-    """(N, 4) xyxy of the objects in the components, in a frame of ``shape`` (H, W, ...); from top to bottom."""
+    """(N, 4) xyxy of the objects in the components, in a frame of ``shape`` (H, W, ...); from top to bottom.
+
+    Parameters
+    ----------
+    contours : outlines of the components.
+    shape : (H, W, ...) of the frame.
+    settings : which components count.
+    """
     height, width = shape[:2]
     joined = _join([_box(contour) for contour in contours], settings.join)
     rows = np.array(sorted(joined, key=lambda box: (box.top, box.left)), np.float64).reshape(-1, 4)

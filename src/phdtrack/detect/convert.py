@@ -63,8 +63,15 @@ def check_inside(detections: Detections, width: int, height: int, *, where: str 
     """The detections of a frame of ``width`` x ``height`` pixels; boxes that overlap its edge are fine.
 
     A box wholly outside raises InputError that names its row, or is left out where ``drop`` is True.
+
+    Parameters
+    ----------
+    detections : of one frame.
+    width, height : of the frame, pixels.
+    where : what the message names.
+    drop : leave boxes outside out instead of raising.
     """
-    inside = overlaps_frame(detections.xyxy, width, height)
+    inside = _overlaps_frame(detections.xyxy, width, height)
     if inside.all():
         return detections
     if drop:
@@ -77,15 +84,7 @@ def check_inside(detections: Detections, width: int, height: int, *, where: str 
     )
 
 
-def clip_to_frame(detections: Detections, width: int, height: int) -> Detections:
-    """The detections cut to the frame; boxes wholly outside it are left out."""
-    kept = detections.take(overlaps_frame(detections.xyxy, width, height))
-    limit = np.array([width, height, width, height], np.float64)
-    cut = np.clip(kept.xyxy, 0.0, limit)
-    return Detections(cut, kept.confidence, kept.class_id, kept.covariance, kept.observed)
-
-
-def overlaps_frame(xyxy: F8, width: int, height: int) -> Bool:
+def _overlaps_frame(xyxy: F8, width: int, height: int) -> Bool:
     """(N,) True where a box shares some area with the frame."""
     left, top, right, bottom = xyxy.T
     inside: Bool = (left < width) & (top < height) & (right > 0) & (bottom > 0)
@@ -95,11 +94,17 @@ def overlaps_frame(xyxy: F8, width: int, height: int) -> Bool:
 def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple[DetectionTable, tuple[str, ...]]:
     """The detections of which any part is in the frame, and a sentence where some were left out.
 
+    Parameters
+    ----------
+    table : detections of a sequence.
+    info : its size.
+    path : their file, for messages.
+
     Raises
     ------
     InputError : all of them are outside: the size or the units are wrong.
     """
-    kept = overlaps_frame(table.detections.xyxy, info.width, info.height)
+    kept = _overlaps_frame(table.detections.xyxy, info.width, info.height)
     if kept.all():
         return table, ()
     outside = int((~kept).sum())

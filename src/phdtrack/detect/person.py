@@ -173,7 +173,14 @@ class PersonDetector:
 
 
 def strongest(boxes: F8, score: F8, overlap: float) -> I8:
-    """Indices of the (N, 4) boxes, by falling ``score`` (N,), that overlap no stronger kept one by more than ``overlap``."""
+    """Indices of the (N, 4) boxes, by falling ``score`` (N,), that overlap no stronger kept one by more than ``overlap``.
+
+    Parameters
+    ----------
+    boxes : (N, 4) xyxy.
+    score : (N,).
+    overlap : largest IoU with a stronger box that is kept.
+    """
     order = np.argsort(-score, kind="stable")
     shared = iou(boxes[order], boxes[order])
     kept = np.ones(len(order), np.bool_)

@@ -107,7 +107,12 @@ class TsaiLens:
 
 
 def rotation_zyx(rx: float, ry: float, rz: float) -> F8:
-    """(3, 3) the rotation Rz·Ry·Rx of Tsai's angles, radians."""
+    """(3, 3) the rotation Rz·Ry·Rx of Tsai's angles, radians.
+
+    Parameters
+    ----------
+    rx, ry, rz : angles about the axes, radians.
+    """
     (cx, cy, cz), (sx, sy, sz) = np.cos([rx, ry, rz]), np.sin([rx, ry, rz])
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])

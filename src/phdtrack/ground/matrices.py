@@ -128,6 +128,12 @@ def text_matrix(path: Path, text: str) -> F8:
 def matlab_matrix(path: Path, content: bytes, variable: str) -> F8:
     """(3, 3) the matrix ``variable`` of a MATLAB file, or of a transform (`maketform`) by that name.
 
+    Parameters
+    ----------
+    path : the file, for messages.
+    content : its bytes.
+    variable : name of the matrix; "" where there is only one.
+
     Raises
     ------
     InputError : the file cannot be read, or does not say which matrix is meant.
@@ -211,6 +217,12 @@ def elements(path: Path, content: bytes) -> Elements:
 
 def tsai_camera(path: Path, found: Elements, surface: Surface) -> PosedCamera:
     """The camera of the elements of a calibration file [E13 §2].
+
+    Parameters
+    ----------
+    path : the file, for messages.
+    found : its elements, see `elements`.
+    surface : the ground.
 
     Raises
     ------

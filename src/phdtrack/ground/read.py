@@ -105,7 +105,7 @@ def homography_camera(path: Path, said: Description) -> HomographyCamera:
     return located(path, lambda: HomographyCamera(homography(matrix, form), pair))
 
 
-def opencv_camera(path: Path, said: Description, surface: Surface | None) -> PosedCamera:
+def _opencv_camera(path: Path, said: Description, surface: Surface | None) -> PosedCamera:
     """The camera of a description with a camera matrix.
 
     Raises
@@ -278,7 +278,7 @@ def _described(path: Path, said: Description, surface: Surface | None, nested: b
         return _read(path.parent / _name(path, said, "file"), form_of(path, said), surface, nested=True)
     if kinds == ["homography"]:
         return _bare(path, surface, homography_camera(path, said))
-    return opencv_camera(path, said, surface)
+    return _opencv_camera(path, said, surface)
 
 
 def _name(path: Path, said: Description, key: str) -> str:

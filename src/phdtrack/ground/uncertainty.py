@@ -28,6 +28,17 @@ def ground_covariance(camera: Camera, pixel: F8, cov: F8, method: Method = "jaco
 
     ``cov`` (N, 2, 2) are the pixels' own. NaN for a point that shows no ground [E13 §2].
 
+    Parameters
+    ----------
+    camera : between pixels and ground.
+    pixel : (2, N) pixels.
+    cov : (N, 2, 2) covariances of the pixels, square pixels.
+    method : ``jacobian``, along the tangent, or ``unscented``, by sigma points.
+
+    Returns
+    -------
+    (N, 2, 2) square metres.
+
     Raises
     ------
     InputError : there is no such method, or ``cov`` has another shape.
@@ -39,6 +50,17 @@ def ground_gaussian(camera: Camera, pixel: F8, cov: F8, method: Method = "jacobi
     """Means (2, N), metres, and covariances (N, 2, 2) of the ground points: what `ground_covariance` is one half of.
 
     The mean is the pixel's own ground point by the Jacobian, that of the sigma points by the unscented transform.
+
+    Parameters
+    ----------
+    camera : between pixels and ground.
+    pixel : (2, N) pixels.
+    cov : (N, 2, 2) covariances of the pixels, square pixels.
+    method : ``jacobian``, along the tangent, or ``unscented``, by sigma points.
+
+    Returns
+    -------
+    (2, N) means, metres, and (N, 2, 2) covariances, square metres.
 
     Raises
     ------

@@ -98,6 +98,12 @@ def group_moments(mixture: GaussianMixture, label: I8, number: int) -> Groups:
     A component of weight w is taken for a person who is there with probability w, independent of the others, and one above 1
     for its whole part of people and one more with the rest: the variance of the number is Σ r(1 − r), r the part behind the
     point. (A Poisson point process, as which the filter treats the posterior, would have Σ w.)
+
+    Parameters
+    ----------
+    mixture : over (px, py, vx, vy), metres and metres per second.
+    label : (J,) group of each component, −1 for none.
+    number : of groups.
     """
     used = label >= 0
     of, weight = label[used], mixture.weight[used]
@@ -138,6 +144,12 @@ class Contours:
         """Closed polygons (2, K), metres, first point = last, of one group of ``label`` (J,); holes among them, if any.
 
         They run counter-clockwise around what is inside (x to the right, y up) and clockwise around holes.
+
+        Parameters
+        ----------
+        mixture : over (px, py, vx, vy).
+        label : (J,) group of each component.
+        group : the one to draw.
         """
         members = label == group
         weight, mean, cov = mixture.weight[members], mixture.mean[:2, members], mixture.covariance[members][:, :2, :2]
@@ -146,7 +158,7 @@ class Contours:
         x, y = self._grid(weight, mean, cov)
         from contourpy import contour_generator
 
-        found = contour_generator(x, y, position_intensity(weight, mean, cov, x, y)).lines(self.level)
+        found = contour_generator(x, y, _position_intensity(weight, mean, cov, x, y)).lines(self.level)
         return tuple(self._simpler(np.asarray(line, np.float64)) for line in found)
 
     def _simpler(self, line: F8) -> F8:
@@ -176,7 +188,7 @@ class Contours:
         return axes[0], axes[1]
 
 
-def position_intensity(weight: F8, mean: F8, cov: F8, x: F8, y: F8) -> F8:
+def _position_intensity(weight: F8, mean: F8, cov: F8, x: F8, y: F8) -> F8:
     """(len(y), len(x)) people per square metre on a grid, of Gaussians with means (2, J) and covariances (J, 2, 2)."""
     inverse, norm = np.linalg.inv(cov), weight / (2 * math.pi * np.sqrt(np.linalg.det(cov)))
     total = np.zeros((len(y), len(x)))

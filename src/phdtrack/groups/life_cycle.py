@@ -224,6 +224,12 @@ class EncounterWarning:
         """Warnings for members with states (4, n), covariances (n, 4, 4) and groups (n,); groups that are near do not count.
 
         The deviation is that of the distance along the line of closest approach, P_a + P_b carried on to that time.
+
+        Parameters
+        ----------
+        group : (n,) group of each member.
+        mean : (4, n) states, metres and metres per second.
+        covariance : (n, 4, 4).
         """
         i, j = np.triu_indices(len(group), 1)
         other = group[i] != group[j]

@@ -135,6 +135,14 @@ def mixture_of(intensity: Any, step: Step, z: F8, stages: AnyStages, lightest: f
     A filter of Gaussians has them. Of particles the clusters of the extraction are taken, here also those that are too
     light to be reported as people, down to ``lightest``: else one miss would drop a person from his group. Extractions
     that go by the number of targets hold on to him by themselves.
+
+    Parameters
+    ----------
+    intensity : the filter's state.
+    step : what the frame brought.
+    z : (m, N) measurements.
+    stages : of the run.
+    lightest : smallest weight of a cluster of particles.
     """
     points = intensity.intensity if isinstance(intensity, Cardinalised) else intensity
     if isinstance(points, GaussianMixture):
@@ -158,6 +166,12 @@ def carriers(mixture: GaussianMixture, place: F8, lightest: float) -> I8:
 
     A track's row rests on the mean of a Gaussian, whose distance is 0; a row that was only predicted finds the one that
     the filter still has for it.
+
+    Parameters
+    ----------
+    mixture : Gaussians over (px, py, vx, vy).
+    place : (2, M) of the tracks, metres; NaN where unknown.
+    lightest : lighter Gaussians carry no track.
     """
     heavy = np.flatnonzero(mixture.weight >= lightest)
     if len(heavy) == 0 or place.shape[1] == 0:

@@ -179,7 +179,13 @@ class TrackCounts:
 
 
 def fda_from(overlap: float, n: int, m: int) -> float:
-    """FDA of a frame of ``n`` and ``m`` boxes, not both 0, when the best mapping has the total ``overlap`` [K09 §3]."""
+    """FDA of a frame of ``n`` and ``m`` boxes, not both 0, when the best mapping has the total ``overlap`` [K09 §3].
+
+    Parameters
+    ----------
+    overlap : total IoU of the best mapping.
+    n, m : numbers of annotated and of output boxes, not both 0.
+    """
     return 2 * overlap / (n + m)
 
 

@@ -77,7 +77,17 @@ def score_groups(frames: Iterable[LabelledFrame], within: float = 1.0) -> GroupS
 
 
 def nearest(a: F8, b: F8, within: float) -> tuple[I8, I8]:
-    """Columns of ``a`` (2, n) and ``b`` (2, m) mapped one to one: as many and as near as can be, closer than ``within``."""
+    """Columns of ``a`` (2, n) and ``b`` (2, m) mapped one to one: as many and as near as can be, closer than ``within``.
+
+    Parameters
+    ----------
+    a, b : (2, n), (2, m) points, metres.
+    within : largest distance of a pair, metres.
+
+    Returns
+    -------
+    Indices (k,) into ``a`` and into ``b``.
+    """
     apart = np.hypot(a[0][:, None] - b[0], a[1][:, None] - b[1])
     # Every mapped pair outweighs any gain in distance.
     most = min(apart.shape) + 1 if apart.size else 1

@@ -144,6 +144,12 @@ class Scene:
 def build(truth: Truth, tracks: Tracks, frames: int = 0) -> Scene:
     """Lay ``truth`` beside ``tracks`` over the frames 1…``frames``, leaving later rows out; 0: all frames of either.
 
+    Parameters
+    ----------
+    truth : annotated boxes.
+    tracks : output boxes.
+    frames : number of frames of the sequence, later rows are left out; 0: up to the last row of either side.
+
     Raises
     ------
     InputError : for wrong shapes, frame numbers below 1, boxes without finite extent, or an identity twice in a frame.

@@ -79,8 +79,8 @@ def count_sets(scene: Scene) -> SetCounts:
         # With distance 1 − IoU the cheapest mapping is the one with most overlap, and serves all scores.
         overlap = float(pair.iou[assign(pair.iou)].sum())
         least = min(n, m) - overlap
-        ospa_sum += ospa_from(least, n, m, c=CUTOFF, p=ORDER)
-        gospa_sum += gospa_from(least, n, m, c=CUTOFF, p=ORDER, alpha=ALPHA)
+        ospa_sum += _ospa_from(least, n, m, c=CUTOFF, p=ORDER)
+        gospa_sum += _gospa_from(least, n, m, c=CUTOFF, p=ORDER, alpha=ALPHA)
         fda_sum += fda_from(overlap, n, m)
     error = scene.output_boxes - scene.truth_boxes
     sums = ospa_sum, gospa_sum, fda_sum
@@ -90,6 +90,12 @@ def count_sets(scene: Scene) -> SetCounts:
 def ospa(x: F8, y: F8, c: float, p: float = 1.0) -> float:
     """OSPA between the points ``x`` (d, n) and ``y`` (d, m), columns, under the Euclidean distance.
 
+    Parameters
+    ----------
+    x, y : (d, n), (d, m) points, columns.
+    c : cut-off distance, in the unit of the points.
+    p : order, from 1.
+
     Raises
     ------
     InputError : for points of different dimension or not finite, c ≤ 0, or p outside [1, ∞).
@@ -98,20 +104,27 @@ def ospa(x: F8, y: F8, c: float, p: float = 1.0) -> float:
 
 
 def ospa_of(distance: F8, c: float, p: float = 1.0) -> float:
-    """OSPA between two sets with the given ``distance`` (n, m) of each point of the one from each of the other."""
+    """OSPA between two sets with the given ``distance`` (n, m) of each point of the one from each of the other.
+
+    Parameters
+    ----------
+    distance : (n, m) between each point of the one set and each of the other.
+    c : cut-off distance, in the unit of the points.
+    p : order, from 1.
+    """
     check_order(c, p)
-    cost = cut(distance, c, p)
-    return ospa_from(float(cost[cheapest(cost)].sum()), *distance.shape, c=c, p=p)
+    cost = _cut(distance, c, p)
+    return _ospa_from(float(cost[cheapest(cost)].sum()), *distance.shape, c=c, p=p)
 
 
-def ospa_from(least: float, n: int, m: int, *, c: float, p: float) -> float:
+def _ospa_from(least: float, n: int, m: int, *, c: float, p: float) -> float:
     """OSPA of sets of ``n`` and ``m`` points, when the best mapping of one into the other costs ``least``."""
     if not max(n, m):
         return 0.0
     return float(((least + c**p * abs(n - m)) / max(n, m)) ** (1 / p))
 
 
-def cut(distance: F8, c: float, p: float) -> F8:
+def _cut(distance: F8, c: float, p: float) -> F8:
     """(n, m) min(d, c)^p."""
     cost: F8 = np.minimum(distance, c) ** p
     return cost
@@ -153,6 +166,13 @@ class GospaParts:
 def gospa(x: F8, y: F8, c: float, p: float = 1.0, alpha: float = 2.0) -> float:
     """GOSPA between the points ``x`` (d, n) and ``y`` (d, m), columns, under the Euclidean distance.
 
+    Parameters
+    ----------
+    x, y : (d, n), (d, m) points, columns.
+    c : cut-off distance, in the unit of the points.
+    p : order, from 1.
+    alpha : α; the price of a point too many is c^p/α.
+
     Raises
     ------
     InputError : for points of different dimension or not finite, c ≤ 0, p outside [1, ∞), or alpha outside (0, 2].
@@ -161,28 +181,50 @@ def gospa(x: F8, y: F8, c: float, p: float = 1.0, alpha: float = 2.0) -> float:
 
 
 def gospa_of(distance: F8, c: float, p: float = 1.0, alpha: float = 2.0) -> float:
-    """GOSPA between two sets with the given ``distance`` (n, m) of each point of the one from each of the other."""
+    """GOSPA between two sets with the given ``distance`` (n, m) of each point of the one from each of the other.
+
+    Parameters
+    ----------
+    distance : (n, m) between each point of the one set and each of the other.
+    c : cut-off distance, in the unit of the points.
+    p : order, from 1.
+    alpha : α; the price of a point too many is c^p/α.
+    """
     check_order(c, p)
     if not 0 < alpha <= 2:
         raise InputError(f"expected 0 < alpha ≤ 2, got {alpha}", where="alpha")
-    cost = cut(distance, c, p)
-    return gospa_from(float(cost[cheapest(cost)].sum()), *distance.shape, c=c, p=p, alpha=alpha)
+    cost = _cut(distance, c, p)
+    return _gospa_from(float(cost[cheapest(cost)].sum()), *distance.shape, c=c, p=p, alpha=alpha)
 
 
-def gospa_from(least: float, n: int, m: int, *, c: float, p: float, alpha: float) -> float:
+def _gospa_from(least: float, n: int, m: int, *, c: float, p: float, alpha: float) -> float:
     """GOSPA of sets of ``n`` and ``m`` points, when the best mapping of one into the other costs ``least``."""
     return float((least + c**p / alpha * abs(n - m)) ** (1 / p))
 
 
 def gospa_parts(truth: F8, output: F8, c: float, p: float = 1.0) -> GospaParts:
-    """GOSPA (α = 2) of ``output`` (d, m) against ``truth`` (d, n) by kind of error; a pair at distance ≥ c is apart."""
+    """GOSPA (α = 2) of ``output`` (d, m) against ``truth`` (d, n) by kind of error; a pair at distance ≥ c is apart.
+
+    Parameters
+    ----------
+    truth, output : (d, n), (d, m) points, columns.
+    c : cut-off distance, in the unit of the points.
+    p : order, from 1.
+    """
     return gospa_parts_of(euclidean(truth, output), c, p)
 
 
 def gospa_parts_of(distance: F8, c: float, p: float = 1.0) -> GospaParts:
-    """As `gospa_parts`, from the ``distance`` (n, m) of each true point from each output point."""
+    """As `gospa_parts`, from the ``distance`` (n, m) of each true point from each output point.
+
+    Parameters
+    ----------
+    distance : (n, m) between each point of the one set and each of the other.
+    c : cut-off distance, in the unit of the points.
+    p : order, from 1.
+    """
     check_order(c, p)
-    rows, columns = cheapest(cut(distance, c, p))
+    rows, columns = cheapest(_cut(distance, c, p))
     near = distance[rows, columns][distance[rows, columns] < c]
     localisation = float((near**p).sum())
     missed, false = distance.shape[0] - len(near), distance.shape[1] - len(near)

@@ -98,6 +98,12 @@ class Trajectories:
 def laid(distance: F8, there: Bool, given: Bool, c: float) -> Trajectories:
     """Frames 1…K of ``distance`` (K, n, m) between trajectories that are ``there`` (K, n) and ``given`` (K, m).
 
+    Parameters
+    ----------
+    distance : (K, n, m) in each frame.
+    there, given : (K, n), (K, m) whether the true and the output trajectory is present.
+    c : cut-off distance.
+
     Raises
     ------
     InputError : for shapes that do not fit.
@@ -114,6 +120,12 @@ def laid(distance: F8, there: Bool, given: Bool, c: float) -> Trajectories:
 def of_boxes(truth: Truth, tracks: Tracks, frames: int = 0) -> Trajectories:
     """By 1 − IoU with c = 1; rows after ``frames`` are left out, distractors are as in `evaluate`.
 
+    Parameters
+    ----------
+    truth : annotated boxes.
+    tracks : output boxes.
+    frames : later rows are left out; 0: all.
+
     Raises
     ------
     InputError : for rows that `evaluate` would refuse.
@@ -123,7 +135,7 @@ def of_boxes(truth: Truth, tracks: Tracks, frames: int = 0) -> Trajectories:
     return _gathered(parts, len(scene.truth_identity), len(scene.output_identity), 1.0)
 
 
-def of_points(truth: PointRows, output: PointRows, c: float) -> Trajectories:
+def _of_points(truth: PointRows, output: PointRows, c: float) -> Trajectories:
     """By the Euclidean distance, in the unit of the points.
 
     Raises
@@ -187,19 +199,35 @@ def ospa2_points(
 ) -> F8:
     """As `ospa2_boxes`, for points under the Euclidean distance, ``c`` in their unit.
 
+    Parameters
+    ----------
+    truth, output : rows of points.
+    c : cut-off distance, in the unit of the points.
+    p, q : orders over the trajectories and over time.
+    frames : later rows are left out; 0: all.
+    window : frames looked back; 0: all.
+
     Raises
     ------
     InputError : for points of different dimension or not finite, or settings out of range.
     """
     _check(c, p, q)
     last = frames or int(max(truth.frame.max(initial=0), output.frame.max(initial=0)))
-    return _over(of_points(truth, output, c), last, window, (c, p, q))
+    return _over(_of_points(truth, output, c), last, window, (c, p, q))
 
 
 def ospa2_of(distance: F8, there: Bool, given: Bool, c: float, p: float = 1.0, q: float = 1.0, window: int = 0) -> F8:
     """As `ospa2_boxes`, for trajectories with the given ``distance`` (K, n, m) in each frame, read where both are present.
 
     ``there`` (K, n) and ``given`` (K, m): whether the true, the output trajectory is present.
+
+    Parameters
+    ----------
+    distance : (K, n, m) between the trajectories in each frame, read where both are present.
+    there, given : (K, n), (K, m) whether the true and the output trajectory is present.
+    c : cut-off distance.
+    p, q : orders over the trajectories and over time.
+    window : frames looked back; 0: all.
 
     Raises
     ------
@@ -273,6 +301,13 @@ class TGospaParts:
 def tgospa_boxes(truth: Truth, tracks: Tracks, *, frames: int = 0, gamma: float = 1.0) -> TGospaParts:
     """T-GOSPA of ``tracks`` against ``truth`` with base distance 1 − IoU, c = 1, p = 1; distractors as in `evaluate`.
 
+    Parameters
+    ----------
+    truth : annotated boxes.
+    tracks : output boxes.
+    frames : later rows are left out; 0: all.
+    gamma : price of a switch of identity.
+
     Raises
     ------
     InputError : for rows that `evaluate` would refuse, or gamma < 0.
@@ -284,12 +319,19 @@ def tgospa_boxes(truth: Truth, tracks: Tracks, *, frames: int = 0, gamma: float 
 def tgospa_points(truth: PointRows, output: PointRows, c: float, p: float = 1.0, gamma: float = 1.0) -> TGospaParts:
     """T-GOSPA of trajectories of points under the Euclidean distance; ``c`` and ``gamma`` in the unit of the points.
 
+    Parameters
+    ----------
+    truth, output : rows of points.
+    c : cut-off distance, in the unit of the points.
+    p : order.
+    gamma : price of a switch of identity, in the unit of the points.
+
     Raises
     ------
     InputError : for points of different dimension or not finite, or settings out of range.
     """
     _check_tgospa(c, p, gamma)
-    return _least(of_points(truth, output, c), c, p, gamma)
+    return _least(_of_points(truth, output, c), c, p, gamma)
 
 
 def tgospa_of(distance: F8, there: Bool, given: Bool, c: float, p: float = 1.0, gamma: float = 1.0) -> TGospaParts:

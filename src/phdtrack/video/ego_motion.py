@@ -161,7 +161,14 @@ class Flow:
 
 
 def view(image: Image, xyxy: F8, settings: SparseFlow) -> View:
-    """The picture (H, W, 3) BGR, or (H, W) gray, uint8, with the boxes (n, 4) that were detected in it."""
+    """The picture (H, W, 3) BGR, or (H, W) gray, uint8, with the boxes (n, 4) that were detected in it.
+
+    Parameters
+    ----------
+    image : (H, W, 3) BGR, or (H, W) gray, uint8.
+    xyxy : (n, 4) boxes detected in it, pixels.
+    settings : of the flow.
+    """
     import cv2
 
     if image.ndim not in (2, 3) or not image.size:
@@ -175,7 +182,13 @@ def view(image: Image, xyxy: F8, settings: SparseFlow) -> View:
 
 
 def between(before: View, after: View, settings: SparseFlow) -> Flow:
-    """How the camera moved between two views."""
+    """How the camera moved between two views.
+
+    Parameters
+    ----------
+    before, after : two pictures.
+    settings : of the flow.
+    """
     found, arrived = _followed(before, after, settings)
     if len(found) < settings.min_points:
         return Flow(np.eye(3), False, len(found))

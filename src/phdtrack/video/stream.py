@@ -59,7 +59,14 @@ class Clock:
 
 
 def check_size(image: Image, width: int, height: int, where: str) -> None:
-    """Raise InputError where ``image`` (H, W, 3) is not ``width`` x ``height`` pixels like the first frame."""
+    """Raise InputError where ``image`` (H, W, 3) is not ``width`` x ``height`` pixels like the first frame.
+
+    Parameters
+    ----------
+    image : (H, W, 3).
+    width, height : of the first frame, pixels.
+    where : what the message names.
+    """
     got = (image.shape[1], image.shape[0])
     if got != (width, height):
         raise InputError(
