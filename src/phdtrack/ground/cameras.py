@@ -11,7 +11,7 @@ A camera with a lens and a pose, over flat ground or terrain.
 A lens turns a pixel into a ray (xu/f, yu/f, 1) in the camera's axes: x to the right, y down, z along the viewing direction.
 The pose turns the world into these axes, and the ray meets the ground where
 
-    z_c (xu/f, yu/f, 1)ᵀ = R [x, y, z(x, y)]ᵀ + T                                                           [E13 §2]
+    z_c (xu/f, yu/f, 1)ᵀ = R [x, y, z(x, y)]ᵀ + T                                                         [E13 §3.3]
 
 Written along the ray, [x, y, z]ᵀ = −RᵀT + z_c Rᵀ(xu/f, yu/f, 1)ᵀ: the one unknown is z_c, the depth. The pixel moves the
 ray, and the point with it in the tangent plane of the ground. With n the normal there and d = Rᵀ(xu/f, yu/f, 1)ᵀ,
@@ -176,7 +176,7 @@ class PosedCamera:
         return -self.rotation.T @ self.translation
 
     def ground(self, pixel: F8) -> F8:
-        """(2, N) points of the ground, metres, that the pixels (2, N) show; NaN where there are none [E13 (6)]."""
+        """(2, N) points of the ground, metres, that the pixels (2, N) show; NaN where there are none [E13 (7)]."""
         direction, depth = self._meet(pixel)
         return np.asarray(self.position[:2, None] + depth * direction[:2])
 

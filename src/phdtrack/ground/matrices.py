@@ -216,7 +216,7 @@ def elements(path: Path, content: bytes) -> Elements:
 
 
 def tsai_camera(path: Path, found: Elements, surface: Surface) -> PosedCamera:
-    """The camera of the elements of a calibration file [E13 §2].
+    """The camera of the elements of a calibration file [E13 §3.2].
 
     Parameters
     ----------

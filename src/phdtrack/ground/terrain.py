@@ -67,7 +67,7 @@ class Flat:
         return np.repeat([[0.0], [0.0], [1.0]], np.shape(xy)[1], axis=1)
 
     def meet(self, origin: F8, direction: F8) -> F8:
-        """(N,) the s > 0 at which the ray comes to the level; NaN at the horizon and beyond [E13 (6)]."""
+        """(N,) the s > 0 at which the ray comes to the level; NaN at the horizon and beyond [E13 (7)]."""
         fall = self.level - origin[2]
         length = np.linalg.norm(direction, axis=0)
         meets = (direction[2] * fall > 0) & (np.abs(direction[2]) > _LEVEL * length)
@@ -126,7 +126,7 @@ class Terrain:
         return np.stack([-slope_x, -slope_y, np.ones_like(slope_x)])
 
     def meet(self, origin: F8, direction: F8) -> F8:
-        """(N,) the least s > 0 at which the ray goes below the ground, by Gauss–Newton from the flat solution [E13 §2]."""
+        """(N,) the least s > 0 at which the ray goes below the ground, by Gauss–Newton from the flat solution [E13 §3.3]."""
         start = Flat(self._levels[1]).meet(origin, direction)
         found = self._newton(origin, direction, start)
         low, high, buried = self._first_crossing(origin, direction)

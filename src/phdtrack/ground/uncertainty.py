@@ -26,7 +26,7 @@ _SPREAD = 3.0
 def ground_covariance(camera: Camera, pixel: F8, cov: F8, method: Method = "jacobian") -> F8:
     """(N, 2, 2) covariances in square metres of the ground points that the pixels (2, N) show.
 
-    ``cov`` (N, 2, 2) are the pixels' own. NaN for a point that shows no ground [E13 §2].
+    ``cov`` (N, 2, 2) are the pixels' own. NaN for a point that shows no ground [E13 §3.3].
 
     Parameters
     ----------

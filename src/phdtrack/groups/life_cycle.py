@@ -1,8 +1,8 @@
 """Groups over time: identities, and the events of their lives.
 
-Clusters flicker: two people at two metres are one group in one frame and two in the next. So a group's identity is kept by its
-members. In every frame each cluster proposes an identity to its members: that of the group from which most of them come, or a
-new one. A member accepts it once the same has been proposed for ``hold_time`` seconds. The accepted identities are the
+Clusters flicker: two people at two metres are one group in one frame and two in the next. So a group's identity is kept by
+its members. In every frame each cluster proposes an identity to its members: that of the group from which most of them come,
+or a new one. A member accepts it once the same has been proposed for ``hold_time`` seconds. The accepted identities are the
 groups, and their changes are the events:
 
     appear   members who were in no group have one that is new
