@@ -1,8 +1,9 @@
 # Two commands on a fresh machine with Python 3.11 or later:  make demo   and   make test
 #
 #   make demo         a rendered scene, tracked with the filter and without; says where to look
-#   make test         everything that must hold: style, types, imports, generated pages, tests
-#   make experiments  the measured tables under docs/results/ (long)
+#   make test         style, types, imports, generated pages and the fast tests: some minutes on two cores
+#   make test-slow    the tests that take long: statistics over many seeds, and every experiment in its short form
+#   make experiments  the measured tables under docs/results/ (hours); ARGS="m07 --quick" for one of them, shortened
 #   make bench        speed and memory beside other libraries, below five minutes
 #   make bench-full   the same with all sizes, more frames and seeds
 #   make format       put the sources into the one style
@@ -23,7 +24,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help env test lint pytest pytest-plain demo experiments bench bench-full peers format docs clean
+.PHONY: help env test test-slow lint pytest pytest-plain demo experiments bench bench-full peers format docs clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -58,11 +59,14 @@ pytest-plain: env
 pytest: env
 	$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile $(PYTEST_ARGS)
 
+test-slow: env
+	$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile -m slow $(PYTEST_ARGS)
+
 demo: env
 	$(BIN)/phdtrack demo --out demo-run --overwrite
 
 experiments: env
-	$(PY) -m experiments
+	$(PY) -m experiments $(or $(ARGS),all)
 
 bench: env peers
 	$(PY) -m benchmarks

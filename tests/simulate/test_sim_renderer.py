@@ -21,7 +21,7 @@ from phdtrack.simulate import (
     make_scene,
     render,
 )
-from phdtrack.simulate.stage import Stage, gait, plant_boxes
+from phdtrack.simulate.render import Stage, gait, plant_boxes
 from phdtrack.types import F8, Image
 
 STILL = Look(noise=0.0, flicker=0.0, plants=0, wave=0.0, lamps=0)

@@ -7,17 +7,16 @@ change detector can work on.
 
 from phdtrack.simulate.counting import Counting
 from phdtrack.simulate.detector import Detected, DetectorModel, add_clutter, detect
+from phdtrack.simulate.render import Rendered, render
 from phdtrack.simulate.scenario import Entrance, Scenario, Walk
 from phdtrack.simulate.scenes import (
     NAMED,
     Look,
-    Rendered,
     Scene,
     build_scene,
     default_detector,
     default_look,
     make_scene,
-    render,
 )
 
 __all__ = [

@@ -1,9 +1,8 @@
-"""Scenes by name, with truth, simulated detections and a video with what makes change detection hard."""
+"""Scenes by name, with truth and simulated detections."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any
@@ -14,7 +13,7 @@ from phdtrack.errors import InputError
 from phdtrack.simulate.counting import PAPER_DETECTOR, Counting
 from phdtrack.simulate.detector import DetectorModel, detect
 from phdtrack.simulate.scenario import Entrance, Scenario, Walk
-from phdtrack.types import F8, I8, DetectionTable, Frame, SequenceInfo, Truth
+from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Truth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,48 +71,6 @@ class Look:
             if not 0 <= getattr(self, name) <= high:
                 problem = f"expected {name} {'from 0 to 1' if high == 1 else 'of 0 or more'}, got {getattr(self, name)}"
                 raise InputError(problem, where="look of the rendered scene", cure="Give 0 to leave it out")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rendered:
-    """The video of a scene: a `Source` whose frames are painted when they are asked for, the same ones every time.
-
-    Every iteration starts its random streams anew from ``seed``.
-    """
-
-    scene: Scene
-    look: Look
-    seed: int
-
-    @property
-    def info(self) -> SequenceInfo:
-        """Size, rate, number of frames and name."""
-        return self.scene.info
-
-    def __iter__(self) -> Iterator[Frame]:
-        """The frames, numbered from 1; ``image`` is (H, W, 3) BGR."""
-        # OpenCV is loaded when something is painted, not with the scenes.
-        from phdtrack.simulate.stage import Stage
-
-        stage = Stage(self.scene, self.look, self.seed)
-        for number in range(1, self.info.frames + 1):
-            yield Frame(number, (number - 1) / self.info.fps, stage.paint(number))
-
-
-def render(scene: Scene, rng: np.random.Generator, look: Look | None = None) -> Rendered:
-    """The video of ``scene``; one number drawn from ``rng`` decides everything that is random in it.
-
-    Parameters
-    ----------
-    scene : what to draw.
-    rng : draws the seed of the video.
-    look : noise, plants and lights; None for the usual ones.
-
-    Returns
-    -------
-    video : its frames are painted when they are asked for.
-    """
-    return Rendered(scene, look or Look(), int(rng.integers(2**62)))
 
 
 def _passing(row: float, lean: float, start: float, at: float, speed: float = 0.75, stature: float = 1.0) -> Walk:

@@ -1,11 +1,13 @@
-"""The stage of a rendered scene: everything drawn beforehand, and the painting of one frame.
+"""The renderer: from a scene to a video with what makes change detection hard.
 
 Painted from back to front: the backdrop, lights on it, shadows, then figures, obstacles and plants by the row of the foot;
-at last the camera adds flicker and noise. A frame costs a few milliseconds.
+at last the camera adds flicker and noise. Everything that can be drawn beforehand is; a frame costs a few milliseconds.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -14,10 +16,49 @@ from phdtrack.simulate import paint_scenery as scenery
 from phdtrack.simulate.detector import place_boxes
 from phdtrack.simulate.paint_figures import PHASES, STRIDE, draw_clothes, put, put_scaled, pyramid, walking
 from phdtrack.simulate.scenes import Look, Scene
-from phdtrack.types import F8, I8, Bool, Image, Truth
+from phdtrack.types import F8, I8, Bool, Frame, Image, SequenceInfo, Truth
 
 PARTS = 8
 """Random streams of a rendering: plants' places, backdrop, things, plants, gusts, light, noise, blown leaves."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendered:
+    """The video of a scene: a `Source` whose frames are painted when they are asked for, the same ones every time.
+
+    Every iteration starts its random streams anew from ``seed``.
+    """
+
+    scene: Scene
+    look: Look
+    seed: int
+
+    @property
+    def info(self) -> SequenceInfo:
+        """Size, rate, number of frames and name."""
+        return self.scene.info
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The frames, numbered from 1; ``image`` is (H, W, 3) BGR."""
+        stage = Stage(self.scene, self.look, self.seed)
+        for number in range(1, self.info.frames + 1):
+            yield Frame(number, (number - 1) / self.info.fps, stage.paint(number))
+
+
+def render(scene: Scene, rng: np.random.Generator, look: Look | None = None) -> Rendered:
+    """The video of ``scene``; one number drawn from ``rng`` decides everything that is random in it.
+
+    Parameters
+    ----------
+    scene : what to draw.
+    rng : draws the seed of the video.
+    look : noise, plants and lights; None for the usual ones.
+
+    Returns
+    -------
+    video : its frames are painted when they are asked for.
+    """
+    return Rendered(scene, look or Look(), int(rng.integers(2**62)))
 
 
 class Stage:

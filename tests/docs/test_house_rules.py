@@ -1,0 +1,269 @@
+"""The rules of the house that linters and the import contract cannot check: sizes, small files, circles, docstrings.
+
+`ALLOWED` says how many offenders each rule still has. A number may be lowered, never raised.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = ROOT / "src" / "phdtrack"
+MODULES = sorted(SOURCES.rglob("*.py"))
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+MAX_LINES, MAX_FILES, MAX_TOP_LEVEL = 30_000, 190, 9
+MAX_FILE, MIN_FILE, MAX_FUNCTION = 500, 60, 60
+MAX_PARAMETERS, MAX_KERNEL_PARAMETERS = 8, 10
+MAX_TEST_LINES, MAX_EXPERIMENT_LINES = 24_000, 4_000
+MAX_LOADED_MODULES, MAX_LOADED_LINES = 90, 11_000
+ALLOWED = {
+    "lines": 46_200,
+    "files": 360,
+    "test lines": 37_200,
+    "experiment lines": 5_800,
+    "top level": 10,
+    "long files": 0,
+    "small files": 14,
+    "long functions": 27,
+    "many parameters": 52,
+    "no sections": 520,
+    "circles": 1,
+    "hasattr": 1,
+    "loaded modules": 250,
+    "loaded lines": 30_000,
+}
+
+
+class Offender(NamedTuple):
+    """A place that breaks a rule, and by how much."""
+
+    place: str
+    amount: object
+
+
+def check(rule: str, offenders: list[Offender]) -> None:
+    listed = "\n".join(f"  {one.place}: {one.amount}" for one in offenders)
+    allowed = ALLOWED.get(rule, 0)
+    assert len(offenders) <= allowed, f"{rule}: {len(offenders)} offenders, at most {allowed} are allowed\n{listed}"
+
+
+@cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def lines(path: Path) -> int:
+    return len(path.read_text(encoding="utf-8").splitlines())
+
+
+def short(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def dotted(path: Path) -> str:
+    """``phdtrack.filters.pmb`` of its file; a package's name for its ``__init__``."""
+    return ".".join(path.relative_to(SOURCES.parent).with_suffix("").parts).removesuffix(".__init__")
+
+
+def imports(path: Path, *, types_too: bool) -> Iterator[str]:
+    """Full names that a file imports, at any depth; ``types_too``: also those under ``if TYPE_CHECKING``."""
+    for_types: set[ast.AST] = set()
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            for_types.update(child for part in node.body for child in ast.walk(part))
+    for node in ast.walk(tree(path)):
+        if node in for_types and not types_too:
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+@cache
+def importers() -> dict[str, set[str]]:
+    """For every module of the package those that import it, by full name; importing a name of it counts."""
+    known = {dotted(path) for path in MODULES}
+    found: dict[str, set[str]] = {name: set() for name in known}
+    for path in MODULES:
+        for name in imports(path, types_too=True):
+            module = name if name in known else name.rpartition(".")[0]
+            if module in known and module != dotted(path):
+                found[module].add(dotted(path))
+    return found
+
+
+def functions(path: Path) -> Iterator[tuple[str, Function, bool]]:
+    """Functions and methods of a file, not those inside functions: name with its class, node, whether it is public."""
+    for node in tree(path).body:
+        if isinstance(node, Function):
+            yield node.name, node, not node.name.startswith("_")
+        elif isinstance(node, ast.ClassDef):
+            for part in node.body:
+                if isinstance(part, Function):
+                    public = not node.name.startswith("_") and not part.name.startswith("_")
+                    yield f"{node.name}.{part.name}", part, public
+
+
+def parameters(node: Function) -> list[ast.arg]:
+    given = node.args
+    each = [*given.posonlyargs, *given.args, *given.kwonlyargs, *filter(None, (given.vararg, given.kwarg))]
+    return [one for one in each if one.arg not in ("self", "cls")]
+
+
+def commands(path: Path, node: Function) -> bool:
+    """A command of the command line: its parameters are options, its docstring is the help text."""
+    return "cli" in path.parts and any(
+        one.annotation is not None and re.search("Annotated|Json|Overwrite", ast.unparse(one.annotation))
+        for one in parameters(node)
+    )
+
+
+@pytest.mark.parametrize(
+    ("rule", "paths", "limit"),
+    [
+        ("lines", MODULES, MAX_LINES),
+        ("test lines", [*(ROOT / "tests").rglob("*.py"), *(ROOT / "experiments" / "tests").rglob("*.py")], MAX_TEST_LINES),
+        ("experiment lines", list((ROOT / "experiments").glob("*.py")), MAX_EXPERIMENT_LINES),
+    ],
+)
+def test_number_of_lines(rule: str, paths: list[Path], limit: int) -> None:
+    assert sum(lines(path) for path in paths) <= max(limit, ALLOWED.get(rule, 0))
+
+
+def test_number_of_files() -> None:
+    assert len(MODULES) <= max(MAX_FILES, ALLOWED.get("files", 0))
+
+
+def test_few_modules_stand_at_the_top() -> None:
+    top = [path.name for path in SOURCES.glob("*.py") if path.name not in ("__init__.py", "__main__.py")]
+    assert len(top) <= max(MAX_TOP_LEVEL, ALLOWED.get("top level", 0)), top
+
+
+def test_kernels_import_numpy_and_numba_only() -> None:
+    allowed = {"numpy", "numba", *sys.stdlib_module_names}
+    for path in (SOURCES / "kernels").rglob("*.py"):
+        for name in imports(path, types_too=True):
+            assert name.split(".")[0] in allowed or name.startswith("phdtrack.kernels"), f"{short(path)}: {name}"
+
+
+def test_no_file_is_very_long() -> None:
+    check("long files", [Offender(short(path), n) for path in MODULES if (n := lines(path)) > MAX_FILE])
+
+
+def test_no_small_file_serves_one_neighbour_only() -> None:
+    small = [path for path in MODULES if lines(path) < MIN_FILE and path.name not in ("__init__.py", "__main__.py")]
+    found = []
+    for path in small:
+        users = importers()[dotted(path)]
+        package = dotted(path).rpartition(".")[0]
+        if len(users) == 1 and next(iter(users)).rpartition(".")[0] == package:
+            found.append(Offender(short(path), next(iter(users))))
+    check("small files", found)
+
+
+def test_no_function_is_long() -> None:
+    found = []
+    for path in MODULES:
+        for name, node, _ in functions(path):
+            n = (node.end_lineno or 0) - node.lineno + 1
+            if n > MAX_FUNCTION:
+                found.append(Offender(f"{short(path)} {name}", n))
+    check("long functions", found)
+
+
+def test_no_function_takes_many_parameters() -> None:
+    found = []
+    for path in MODULES:
+        limit = MAX_KERNEL_PARAMETERS if "kernels" in path.parts else MAX_PARAMETERS
+        for name, node, _ in functions(path):
+            if len(parameters(node)) > limit and not commands(path, node):
+                found.append(Offender(f"{short(path)} {name}", len(parameters(node))))
+    check("many parameters", found)
+
+
+def test_public_functions_say_what_goes_in_and_what_comes_back() -> None:
+    found = []
+    for path in MODULES:
+        for name, node, public in functions(path):
+            if not public or len(parameters(node)) < 3 or commands(path, node):
+                continue
+            text = ast.get_docstring(node) or ""
+            returns = node.returns is not None and ast.unparse(node.returns) != "None"
+            wanted = ["Parameters\n-----", *(["Returns\n-----", "Yields\n-----"] if returns else [])]
+            if wanted[0] not in text or (returns and not any(one in text for one in wanted[1:])):
+                found.append(Offender(f"{short(path)}:{node.lineno} {name}", len(parameters(node))))
+    check("no sections", found)
+
+
+def test_no_import_goes_in_a_circle() -> None:
+    """Every import counts, at any depth of the code, but those for types only."""
+    known = {dotted(path): path for path in MODULES}
+    uses: dict[str, set[str]] = {}
+    for name, path in known.items():
+        named = imports(path, types_too=False)
+        uses[name] = {one if one in known else one.rpartition(".")[0] for one in named} & known.keys() - {name}
+    reached = {name: _reached(name, uses) for name in uses}
+    found = {frozenset(b for b in reached[a] if a in reached[b]) for a in uses if a in reached[a]}
+    check("circles", [Offender(" ↔ ".join(sorted(circle)), len(circle)) for circle in found])
+
+
+def _reached(start: str, uses: dict[str, set[str]]) -> set[str]:
+    seen: set[str] = set()
+    ahead = [start]
+    while ahead:
+        for name in uses.get(ahead.pop(), set()) - seen:
+            seen.add(name)
+            ahead.append(name)
+    return seen
+
+
+def test_nobody_asks_what_attributes_a_thing_has() -> None:
+    found = [
+        Offender(f"{short(path)}:{node.lineno}", "hasattr")
+        for path in MODULES
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.Name) and node.id == "hasattr"
+    ]
+    check("hasattr", found)
+
+
+def test_a_tracker_and_one_update_load_little() -> None:
+    """In a fresh interpreter: how many modules of the package are loaded, and how many lines they have."""
+    program = (
+        "import sys, numpy as np, phdtrack\n"
+        "tracker = phdtrack.Tracker((640, 480), fps=25)\n"
+        "tracker.update(np.array([[10.0, 10, 40, 90]]))\n"
+        "print(*(m.__file__ for n, m in sys.modules.items() if n.split('.')[0] == 'phdtrack'), sep='\\n')\n"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    paths = [Path(line) for line in run.stdout.split("\n") if line]
+    assert len(paths) <= max(MAX_LOADED_MODULES, ALLOWED.get("loaded modules", 0))
+    assert sum(lines(path) for path in paths) <= max(MAX_LOADED_LINES, ALLOWED.get("loaded lines", 0))
+
+
+def test_every_module_says_what_it_is() -> None:
+    check("no docstring", [Offender(short(path), "") for path in MODULES if len(ast.get_docstring(tree(path)) or "") < 20])
+
+
+def test_global_randomness_is_nowhere() -> None:
+    drawing = re.compile(r"np\.random\.(?!Generator|SeedSequence|default_rng|PCG64|Philox|BitGenerator)\w+")
+    found = [Offender(short(path), one) for path in MODULES for one in drawing.findall(path.read_text(encoding="utf-8"))]
+    check("global randomness", found)
+
+
+def test_constraints_pin_versions_without_addresses() -> None:
+    pinned = (ROOT / "constraints.txt").read_text(encoding="utf-8").split()
+    assert pinned
+    assert [line for line in pinned if not re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9_.]+", line)] == []
