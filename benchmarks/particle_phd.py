@@ -29,7 +29,7 @@ LIMIT_MS = {10: 0.4, 100: 4.0, 1000: 45.0}
 def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
     """All sizes, forms and thread numbers."""
     rows, details, worst, of_cpu = [], [], {}, {}
-    per_target = pairs_per_target(Crowd(min(100, max(scale.sizes)), 12))
+    particles_per_target = pairs_per_target(Crowd(min(100, max(scale.sizes)), 12))
     for targets in scale.sizes:
         say(f"{targets} targets")
         crowd = Crowd(targets, scale.frames)
@@ -38,7 +38,7 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
             loops = [Ours(stages(crowd, worst=worst), seed, link=True) for worst in (True, False)]
             laps = race(loops, draw(crowd, seed), warm, scale.budget)
             for form, lap, loop in zip(("worst", "specified"), laps, loops, strict=True):
-                details.append(_detail(targets, form, seed, lap, len(loop.state), per_target[form] * targets))
+                details.append(_detail(targets, form, seed, lap, len(loop.state), particles_per_target[form] * targets))
         for form in ("worst", "specified"):
             mine = [d for d in details if d["targets"] == targets and d["form"] == form]
             rows.append(_row(targets, form, mine))

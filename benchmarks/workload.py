@@ -8,14 +8,14 @@ unless ``life`` says so, so that the number of targets is what the row says.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from phdtrack import config
-from phdtrack.protocols import AnyStages
-from phdtrack.types import F8, Detections, DetectionTable, SequenceInfo, Truth
+from phdtrack.protocols import AnyStages, Birth, Sensor
+from phdtrack.types import F8, Detections, DetectionTable, GaussianMixture, Particles, SequenceInfo, Truth
 
 AREA = (720, 480)
 PER_AREA = 10
@@ -146,6 +146,26 @@ def stages(crowd: Crowd, *, worst: bool = False, sets: tuple[str, ...] = (), pre
         "extract.min_weight=0.6",
         "extract.merge_iou=1.0",
     ]
-    if worst:
-        values.append("filter.region=1e-12")
-    return config.build(config.load(preset=preset, sets=(*values, *sets)), crowd.info)
+    built = config.build(config.load(preset=preset, sets=(*values, *sets)), crowd.info)
+    if not worst:
+        return built
+    return replace(built, model=replace(built.model, birth=Uncovered(built.model.birth)))
+
+
+@dataclass(frozen=True, slots=True)
+class Uncovered:
+    """Births as if nothing predicted explained any detection: Jmax newborn particles at each."""
+
+    birth: Birth
+
+    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
+        """The newborn of the wrapped birth model where no mass is covered."""
+        return self.birth.sample(z, np.zeros_like(covered), sensor, dt, rng)
+
+    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+        """Those of the wrapped birth model."""
+        return self.birth.components(z, np.zeros_like(covered), sensor, dt)
+
+    def expected(self, z: F8, dt: float) -> float:
+        """That of the wrapped birth model."""
+        return self.birth.expected(z, dt)

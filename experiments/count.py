@@ -136,7 +136,7 @@ class Row:
     count: float
     states: float
     rms: float
-    per_target: int
+    particles_per_target: int
 
     @property
     def bias(self) -> float:
@@ -165,7 +165,12 @@ def _model(scene: Counting, p_detect: float, clutter: float, laws: Laws) -> tupl
 
 
 def run(
-    p_detect: float, clutter: float, seed: int, frames: int = FRAMES, laws: Laws = "known", per_target: int = PER_TARGET
+    p_detect: float,
+    clutter: float,
+    seed: int,
+    frames: int = FRAMES,
+    laws: Laws = "known",
+    particles_per_target: int = PER_TARGET,
 ) -> F8:
     """(3, frames) the true number, the mass of the intensity and the number of states, frame by frame."""
     scene = Counting(10, frames=frames)
@@ -175,7 +180,7 @@ def run(
     seen = replace(alarms, p_detect=p_detect, jitter=PAPER_DETECTOR.jitter, jitter_size=PAPER_DETECTOR.jitter_size)
     found = detect(truth, scene.info, rng, seen).table
     first, model = _model(scene, p_detect, clutter, laws)
-    recursion, extractor = ParticlePHD(per_target), KMeans()
+    recursion, extractor = ParticlePHD(particles_per_target), KMeans()
     state: Intensity = recursion.start(model, rng)
     out = np.zeros((3, frames))
     out[0] = np.bincount(truth.frame, minlength=frames + 1)[1 : frames + 1]
@@ -193,13 +198,13 @@ def row(
     seeds: Sequence[int] = range(SEEDS),
     frames: int = FRAMES,
     laws: Laws = "known",
-    per_target: int = PER_TARGET,
+    particles_per_target: int = PER_TARGET,
 ) -> Row:
     """One combination, over several seeds."""
-    out = np.stack([run(p_detect, clutter, seed, frames, laws, per_target) for seed in seeds])
+    out = np.stack([run(p_detect, clutter, seed, frames, laws, particles_per_target) for seed in seeds])
     truth, count, states = out.mean((0, 2))
     rms = float(np.sqrt(np.mean((out[:, 1] - out[:, 0]) ** 2)))
-    return Row(laws, p_detect, clutter, float(truth), float(count), float(states), rms, per_target)
+    return Row(laws, p_detect, clutter, float(truth), float(count), float(states), rms, particles_per_target)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,12 +215,12 @@ class Job:
     p_detect: float
     clutter: float
     seeds: int
-    per_target: int = PER_TARGET
+    particles_per_target: int = PER_TARGET
 
 
 def work(job: Job) -> Row:
     """One combination over its seeds."""
-    return row(job.p_detect, job.clutter, range(job.seeds), laws=job.laws, per_target=job.per_target)
+    return row(job.p_detect, job.clutter, range(job.seeds), laws=job.laws, particles_per_target=job.particles_per_target)
 
 
 def jobs_of(seeds: int, laws: Sequence[Laws] = ("known", "shipped")) -> list[Job]:
@@ -229,7 +234,17 @@ def _cells(found: Sequence[Row]) -> str:
     return table(
         header,
         [
-            (r.laws, f"{r.p_detect:g}", f"{r.clutter:g}", r.per_target, r.truth, r.count, f"{r.bias:+.3f}", r.rms, r.states)
+            (
+                r.laws,
+                f"{r.p_detect:g}",
+                f"{r.clutter:g}",
+                r.particles_per_target,
+                r.truth,
+                r.count,
+                f"{r.bias:+.3f}",
+                r.rms,
+                r.states,
+            )
             for r in found
         ],
     )
@@ -240,7 +255,7 @@ def main(options: Options | None = None) -> Path:
     options = options or Options()
     seeds, few_seeds = options.number(SEEDS, 1), options.number(FEW_SEEDS, 1)
     found = in_parallel(work, jobs_of(seeds), "count", options.folder)
-    fewer = [Job("known", *FEW_CASE, few_seeds, per_target) for per_target in FEW]
+    fewer = [Job("known", *FEW_CASE, few_seeds, particles_per_target) for particles_per_target in FEW]
     few = in_parallel(work, fewer, "particles", options.folder)
     worst = max(abs(r.bias) for r in found)
     return write(

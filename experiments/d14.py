@@ -162,7 +162,7 @@ def overview(found: Found) -> str:
     return table(("", "", *columns, "steps of N in which that falls"), rows)
 
 
-def per_target(found: Found) -> str:
+def particles_per_target(found: Found) -> str:
     """D14's tables, one for each world and variance: of every target the error to the truth and, behind it, to z."""
     parts = []
     for world, title in WORLDS.items():
@@ -282,7 +282,7 @@ def page(found: Found) -> str:
         truth=whole(found, overall, shares=True),
         missed=whole(found, with_misses),
         seen=whole(found, detected),
-        targets=per_target(found),
+        targets=particles_per_target(found),
         ranges=ranges(found),
         times=times(found),
         seeds=found.seeds,

@@ -33,7 +33,7 @@ GATE = 10.0
 BURN = 50
 INFOS = {"model": PATHS.info, "corridor": PATHS.info, "caviar": SequenceInfo(384, 288, 25.0, 295, "OneLeaveShop1cor")}
 KALMAN = "Kalman"
-_GIVEN = ("filter.kind=mcmc", f"filter.burn={BURN}", "filter.associations=given", "filter.strength=0")
+_GIVEN = ("filter.kind=mcmc", f"filter.burn_in={BURN}", "filter.associations=given", "filter.interaction_strength=0")
 FILTERS: dict[str, tuple[str, ...]] = {
     "SMC PHD": (),
     "MCMC joint": (*_GIVEN, "filter.ancestors=joint"),
@@ -115,7 +115,11 @@ def stages_of(job: Job) -> AnyStages:
     if job.filter == KALMAN:
         return config.build(config.load(None, (variance,), "d14"), INFOS[job.world])
     sets = FILTERS[job.filter]
-    particles = [f"filter.samples={job.number}"] if sets else [f"filter.{n}={job.number}" for n in ("per_target", "most")]
+    particles = (
+        [f"filter.samples={job.number}"]
+        if sets
+        else [f"filter.{n}={job.number}" for n in ("particles_per_target", "max_particles")]
+    )
     return config.build(config.load(None, (variance, *sets, *particles), "d14"), INFOS[job.world])
 
 

@@ -34,7 +34,7 @@ from experiments.scans import (
 )
 from experiments.standard_scenes import DEGREE, TURNING_LAST, TURNING_START, Turning, turning, turning_states
 from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, ParticleCPHD, ParticlePHD
-from phdtrack.filters.extract import BestBernoullis, BestHypothesis, Components, CountedComponents, CountedMixture, KMeans
+from phdtrack.filters.extract import BestBernoullis, BestHypothesis, Components, KMeans, Mixture
 from phdtrack.models import BearingSensor, FixedBirth, TurningMotion, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import F8, GaussianMixture
@@ -52,9 +52,9 @@ FIRST_CASE = next(iter(CASES))
 PER_TARGET, NEWBORN = 1500, 500
 FILTERS: dict[str, Stages] = {
     "gm-phd": (GMPHD(1e-5, 2.0, 100, transform="unscented"), Components(repeat=True)),
-    "gm-cphd": (GMCPHD(1e-5, 2.0, 100, transform="unscented"), CountedComponents(merge_iou=1.0)),
+    "gm-cphd": (GMCPHD(1e-5, 2.0, 100, transform="unscented"), Components(merge_iou=1.0)),
     "particle-phd": (ParticlePHD(PER_TARGET), KMeans(min_weight=0.5, merge_iou=1.0)),
-    "particle-cphd": (ParticleCPHD(PER_TARGET), CountedMixture(merge_iou=1.0)),
+    "particle-cphd": (ParticleCPHD(PER_TARGET), Mixture(merge_iou=1.0)),
     "mht": (MHT(transform="unscented"), BestHypothesis()),
     "pmb": (PMB(mean_visible_time=0.0, static_clutter_prior=0.0, transform="unscented"), BestBernoullis()),
 }

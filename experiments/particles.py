@@ -27,8 +27,8 @@ Job = tuple[str, str, int, int, int, int]
 
 def work(job: Job) -> Result:
     """One run."""
-    sequence, kind, rate, seed, per_target, most = job
-    sets = (f"filter.per_target={per_target}", f"birth.most={most}")
+    sequence, kind, rate, seed, particles_per_target, most = job
+    sets = (f"filter.particles_per_target={particles_per_target}", f"birth.most={most}")
     return measure(cluttered(given(sequence, kind), rate, seed), "particle-phd", seed, sets)
 
 

@@ -29,7 +29,7 @@ from experiments.scans import (
 )
 from experiments.standard_scenes import LinearGaussian, linear_gaussian
 from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, ParticleCPHD, ParticlePHD
-from phdtrack.filters.extract import BestBernoullis, BestHypothesis, Components, CountedComponents, CountedMixture, KMeans
+from phdtrack.filters.extract import BestBernoullis, BestHypothesis, Components, KMeans, Mixture
 from phdtrack.models import FixedBirth, PlaneMotion, PlaneSensor, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
@@ -55,9 +55,9 @@ MANY = ((MANY_PHD, "particle-phd"), (MANY_PHD, "gm-phd"), (MANY_CPHD, "particle-
 # Targets that start together lie in one place: without a number a peak counts as often as its mass says.
 FILTERS: dict[str, Stages] = {
     "gm-phd": (GMPHD(1e-5, 2.0, 100), Components(repeat=True)),
-    "gm-cphd": (GMCPHD(1e-5, 2.0, 100), CountedComponents()),
+    "gm-cphd": (GMCPHD(1e-5, 2.0, 100), Components()),
     "particle-phd": (ParticlePHD(PER_TARGET), KMeans(min_weight=0.5, merge_iou=1.0)),
-    "particle-cphd": (ParticleCPHD(PER_TARGET), CountedMixture(merge_iou=1.0)),
+    "particle-cphd": (ParticleCPHD(PER_TARGET), Mixture(merge_iou=1.0)),
     "mht": (MHT(), BestHypothesis()),
     # Of points p_D is constant, and nothing fires in one place.
     "pmb": (PMB(mean_visible_time=0.0, static_clutter_prior=0.0), BestBernoullis()),

@@ -46,9 +46,6 @@ NEEDED = {
     ("birth", "point"): ["motion.kind='point'"],
     ("clutter", "point"): ["motion.kind='point'"],
     ("extract", "components"): ["filter.kind='gm-phd'"],
-    ("extract", "counted-components"): ["filter.kind='gm-cphd'"],
-    ("extract", "counted-kmeans"): ["filter.kind='particle-cphd'"],
-    ("extract", "counted-mixture"): ["filter.kind='particle-cphd'"],
     ("extract", "hypotheses"): ["filter.kind='mht'"],
     ("extract", "joint"): ["filter.kind='mcmc'"],
     # Greedy acceptance is that of given associations.

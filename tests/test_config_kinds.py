@@ -14,9 +14,8 @@ from phdtrack.filters.extract import (
     BestBernoullis,
     BestHypothesis,
     Components,
-    CountedComponents,
-    CountedMixture,
     KMeans,
+    Mixture,
     Raw,
 )
 from phdtrack.models import LocalPlaneClutter, PlaneBirth, PlaneMotion, PlaneSensor
@@ -40,7 +39,7 @@ def test_a_named_filter_wins(configured: str, named: str, kind: type):
     stages = config.build(config.load(sets=[f"filter.kind={configured}"]), INFO, named)
     assert isinstance(stages.filter, kind)
     extractors = {
-        NoFilter: Raw, ParticlePHD: KMeans, GMPHD: Components, ParticleCPHD: CountedMixture, GMCPHD: CountedComponents,
+        NoFilter: Raw, ParticlePHD: KMeans, GMPHD: Components, ParticleCPHD: Mixture, GMCPHD: Components,
         MHT: BestHypothesis, PMB: BestBernoullis,
     }  # fmt: skip
     assert isinstance(stages.extractor, extractors[kind])
@@ -74,7 +73,7 @@ def test_a_filter_brings_an_extraction_that_fits_it(preset: str, tmp_path):
     (["filter.kind=gm-phd", "spawn.kind=split"], "spawn.kind=none"),
     (["filter.kind=gm-cphd", "birth.kind=uniform"], "birth.kind=measurement"),
     (["filter.kind=particle-cphd", "spawn.kind=split"], "spawn.kind=none"),
-    (["filter.kind=particle-cphd", "extract.kind=kmeans"], "use counted-mixture or counted-kmeans"),
+    (["filter.kind=particle-cphd", "extract.kind=components"], "use mixture or kmeans"),
 ])  # fmt: skip
 def test_kinds_that_do_not_go_together(sets: list[str], says: str):
     with pytest.raises(InputError, match=says):

@@ -123,7 +123,7 @@ def test_frames_come_in_order(arguments, says: str):
     ({"filter": "kalman"}, "kind of filter"),
     ({"filter": "particle_phd"}, "Did you mean particle-phd"),
     ({"filter": {"histori": 3}}, "Did you mean history"),
-    ({"filter": {**PARTICLES, "per_targt": 3}}, "Did you mean per_target"),
+    ({"filter": {**PARTICLES, "per_targt": 3}}, "Did you mean particles_per_target"),
     ({"filter": 3}, "filter"),
     ({"preset": "m08"}, "preset"),
     ({"settings": "nowhere.toml"}, "nowhere.toml"),
@@ -286,7 +286,9 @@ def test_after_emptiness_targets_are_found():
                          max_size=4), max_size=6), st.sampled_from(["pmb", "particle-phd", "none"]))  # fmt: skip
 def test_any_boxes_are_survived(frames, filter_name: str):
     """Tiny, huge and outside of the picture: rows are finite, identities unique, confidence a share."""
-    tracker = tracker_of(filter={"kind": filter_name} | ({"per_target": 50} if filter_name == "particle-phd" else {}))
+    tracker = tracker_of(
+        filter={"kind": filter_name} | ({"particles_per_target": 50} if filter_name == "particle-phd" else {})
+    )
     for found in frames:
         xywh = np.array(found).reshape(-1, 4)
         rows = tracker.update(np.hstack([xywh[:, :2], xywh[:, :2] + xywh[:, 2:]]))
@@ -330,7 +332,7 @@ def test_without_filter_detections_are_the_states():
 @pytest.mark.parametrize("preset", [*sorted({*PRESETS} - {"e13", "d14"}), "particle-phd", "mht"])
 def test_every_preset_finds_two_people(preset: str):
     """And the default's with another filter."""
-    fewer = {"filter": {"per_target": 500}, "birth": {"most": 500}}
+    fewer = {"filter": {"particles_per_target": 500}, "birth": {"most": 500}}
     if preset in PRESETS:
         tracker = Tracker(SIZE, preset=preset, **(fewer if preset in ("m07", "m09", "fv") else {}))
     else:
@@ -348,7 +350,9 @@ def test_every_preset_finds_two_people(preset: str):
 
 def test_the_preset_of_points_finds_two_centroids():
     """Its newborn are anywhere: it takes a while until one is near enough, and then it stays."""
-    tracker = Tracker(SIZE, preset="d14", filter={"per_target": 500, "most": 500}, sensor={"size": (40.0, 100.0)})
+    tracker = Tracker(
+        SIZE, preset="d14", filter={"particles_per_target": 500, "max_particles": 500}, sensor={"size": (40.0, 100.0)}
+    )
     feed(tracker, [boxes(k) for k in range(60)])
     tracks = tracker.tracks()
     assert set(tracks.identity) == {1, 2}

@@ -70,8 +70,8 @@ def test_all_filters_are_given_the_same_measurements_and_only_some_the_names():
         for a, b in zip(scans[0], other, strict=True):
             np.testing.assert_array_equal(a, b)
     phd, joint, true, greedy = (stages_of(Job("corridor", name, 300, 0.5, 4)) for name in FILTERS)
-    assert (phd.filter.per_target, phd.filter.most, phd.filter.skip_empty) == (300, 300, True)
-    assert (true.filter.samples, true.filter.burn, true.filter.thin, true.filter.greedy) == (300, 50, 1, False)
+    assert (phd.filter.particles_per_target, phd.filter.max_particles, phd.filter.skip_empty_frames) == (300, 300, True)
+    assert (true.filter.samples, true.filter.burn_in, true.filter.thin, true.filter.greedy) == (300, 50, 1, False)
     assert greedy.filter.greedy
     assert (true.filter.ancestors, joint.filter.ancestors) == ("each", "joint")
     assert all(stages.model.sensor.variance == 0.5 for stages in (phd, true, greedy, joint))

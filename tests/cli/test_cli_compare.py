@@ -78,7 +78,7 @@ def test_again_and_with_another_setting(folder: Path, tmp_path: Path) -> None:
 
 def test_a_run_is_what_track_does(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    settings = ("--set", "filter.per_target=80", "--preset", "m09")
+    settings = ("--set", "filter.particles_per_target=80", "--preset", "m09")
     assert (
         phdtrack("compare", folder, "--filters", "particle-phd", "--seeds", 2, *settings, "--out", out, "--jobs", 1).status
         == 0

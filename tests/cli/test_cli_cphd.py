@@ -12,7 +12,7 @@ from phdtrack import Tracker
 from phdtrack.cli import run_directory as rundir
 
 
-@pytest.mark.parametrize(("name", "extraction"), [("gm-cphd", "counted-components"), ("particle-cphd", "counted-mixture")])
+@pytest.mark.parametrize(("name", "extraction"), [("gm-cphd", "components"), ("particle-cphd", "mixture")])
 def test_the_cardinalised_filters_by_name(name: str, extraction: str, tmp_path: Path) -> None:
     sequence, out = walkers(tmp_path / "walkers", clutter=1), tmp_path / "run"
     truth, found = sequence / "gt" / "gt.txt", sequence / "det" / "det.txt"

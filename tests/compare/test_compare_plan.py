@@ -32,10 +32,12 @@ def test_a_folder_has_all_its_sets_and_its_name_decides(tmp_path: Path) -> None:
 
 
 def test_a_setting_stands_for_the_filters_that_have_it(tmp_path: Path) -> None:
-    made = small(tmp_path, filters=["particle-phd", "gm-phd", "none"], sets=["filter.per_target=77", "sensor.detection=0.7"])
+    made = small(
+        tmp_path, filters=["particle-phd", "gm-phd", "none"], sets=["filter.particles_per_target=77", "sensor.detection=0.7"]
+    )
     settings = {method.name: method.settings.as_dict() for method in made.methods}
-    assert settings["particle-phd"]["filter"]["per_target"] == 77  # type: ignore[index]
-    assert "per_target" not in settings["gm-phd"]["filter"]  # type: ignore[operator]
+    assert settings["particle-phd"]["filter"]["particles_per_target"] == 77  # type: ignore[index]
+    assert "particles_per_target" not in settings["gm-phd"]["filter"]  # type: ignore[operator]
     assert all(values["sensor"]["detection"] == 0.7 for values in settings.values())  # type: ignore[index]
 
 
@@ -62,11 +64,11 @@ def test_without_names_the_filter_of_the_settings_is_compared_to_none(tmp_path: 
     [
         ({"filters": ["gm"]}, "--filters: unknown kind of filter: gm"),
         ({"filters": ["gm-phd", "gm-phd"]}, "twice"),
-        ({"sets": ["filter.per_target=5"]}, "unknown setting of [filter]: per_target"),
+        ({"sets": ["filter.particles_per_target=5"]}, "unknown setting of [filter]: particles_per_target"),
         ({"sets": ["filter.kind=none"]}, "--filters says"),
         ({"sets": ["sensor.detection=7"]}, "sensor.detection"),
         ({"variants": ["few"]}, "--variant few"),
-        ({"variants": ["few=filter.per_target=5"]}, "--variant few"),
+        ({"variants": ["few=filter.particles_per_target=5"]}, "--variant few"),
         ({"variants": ["none=filter.most=5"]}, "twice"),
         ({"detections": ["public"]}, "no detections called public. There are det"),
         ({"detections": ["/nowhere/det.txt"]}, "cannot belong to 2 sequences"),

@@ -74,7 +74,7 @@ def test_the_same_plan_again_runs_nothing_and_gives_the_same(tmp_path: Path) -> 
 
 
 def test_any_number_of_jobs_gives_the_same(tmp_path: Path) -> None:
-    made = small(tmp_path, filters=["particle-phd", "none"], clutter=[0.0, 3.0], sets=["filter.per_target=60"])
+    made = small(tmp_path, filters=["particle-phd", "none"], clutter=[0.0, 3.0], sets=["filter.particles_per_target=60"])
     one, two = run(made, tmp_path / "one"), run(made, tmp_path / "two", 2)
     assert tracks(tmp_path / "one") == tracks(tmp_path / "two")
     assert digests(tmp_path / "one") == digests(tmp_path / "two")
@@ -83,7 +83,7 @@ def test_any_number_of_jobs_gives_the_same(tmp_path: Path) -> None:
 
 
 def test_where_nothing_is_random_one_run_stands_for_all_seeds(tmp_path: Path) -> None:
-    made = small(tmp_path, filters=["particle-phd", "gm-phd", "none"], seeds=3, sets=["filter.per_target=60"])
+    made = small(tmp_path, filters=["particle-phd", "gm-phd", "none"], seeds=3, sets=["filter.particles_per_target=60"])
     found = run(made, tmp_path / "out")
     drawn = {(one.cell.method.name, one.seed): outcome.drawn for one, outcome in found.runs if isinstance(outcome, Outcome)}
     assert drawn == {**{("particle-phd", seed): True for seed in (1, 2, 3)}, ("gm-phd", 1): False, ("none", 1): False}

@@ -17,7 +17,9 @@ from phdtrack.metrics import Scores, pool
 @pytest.fixture(scope="module")
 def comparison(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
     folder = tmp_path_factory.mktemp("summary")
-    made = small(folder, filters=["particle-phd", "none"], clutter=[0.0, 3.0], seeds=3, sets=["filter.per_target=60"])
+    made = small(
+        folder, filters=["particle-phd", "none"], clutter=[0.0, 3.0], seeds=3, sets=["filter.particles_per_target=60"]
+    )
     return run(made, folder / "out")
 
 

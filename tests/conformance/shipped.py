@@ -16,16 +16,13 @@ from phdtrack.filters.extract import (
     BestBernoullis,
     BestHypothesis,
     Components,
-    CountedComponents,
-    CountedKMeans,
-    CountedMixture,
     Joint,
     KMeans,
     Mixture,
     Raw,
 )
 from phdtrack.filters.hypotheses import Cluster, Hypotheses, Nodes
-from phdtrack.filters.intensities import Cardinalised, JointSamples
+from phdtrack.filters.intensities import JointSamples
 from phdtrack.models import (
     BearingSensor,
     BoxMotion,
@@ -120,23 +117,23 @@ CLUTTERS["learned"] = ContextClutter(2.0, PEOPLE)
 CLUTTERS["laid over"] = ContextClutter(2.0, PEOPLE, beside=0.5)
 PLANE_CLUTTERS = {"plane, region": UniformClutter(2.0, 800.0), "plane, local": LocalPlaneClutter(2.0)}
 FILTERS = {
-    "particle-phd": ParticlePHD(per_target=200),
-    "bounded": ParticlePHD(per_target=200, most=150),
-    "skipping": ParticlePHD(per_target=200, skip_empty=True),
-    "started": ParticlePHD(per_target=200, initial=mixture(6)),
+    "particle-phd": ParticlePHD(particles_per_target=200),
+    "bounded": ParticlePHD(particles_per_target=200, max_particles=150),
+    "skipping": ParticlePHD(particles_per_target=200, skip_empty_frames=True),
+    "started": ParticlePHD(particles_per_target=200, initial=mixture(6)),
     "gm-phd": GMPHD(),
     "gm-phd, started": GMPHD(initial=mixture(6), most=20, skip_empty=True),
     "gm-cphd": GMCPHD(),
     "gm-cphd, started": GMCPHD(initial=mixture(6), most=20),
-    "particle-cphd": ParticleCPHD(per_target=200),
-    "particle-cphd, started": ParticleCPHD(per_target=200, initial=mixture(6)),
+    "particle-cphd": ParticleCPHD(particles_per_target=200),
+    "particle-cphd, started": ParticleCPHD(particles_per_target=200, initial=mixture(6)),
     "mht": MHT(),
     "mht, started": MHT(initial=mixture(6), max_hypotheses=20, history=3),
     "pmb": PMB(),
     "pmb, started": PMB(initial=mixture(6), history=3),
     "pmb, plain": PMB(mean_visible_time=0.0, static_clutter_prior=0.0),
     "mcmc": MCMC(samples=200),
-    "mcmc, alone": MCMC(samples=200, strength=0.0, thin=2),
+    "mcmc, alone": MCMC(samples=200, interaction_strength=0.0, thin=2),
     "mcmc, started": MCMC(samples=200, initial=mixture(6)),
     "none": NoFilter(),
 }
@@ -144,9 +141,6 @@ EXTRACTORS = {
     "kmeans": KMeans(),
     "mixture": Mixture(),
     "components": Components(),
-    "counted-kmeans": CountedKMeans(),
-    "counted-mixture": CountedMixture(),
-    "counted-components": CountedComponents(),
     "joint": Joint(),
     "hypotheses": BestHypothesis(),
     "bernoullis": BestBernoullis(),
@@ -203,10 +197,7 @@ def intensity_for(extractor: object, x: np.ndarray, each: int, rng: np.random.Ge
     if isinstance(extractor, Joint):
         n = x.shape[1]
         return JointSamples(about(x, each, rng).state, np.full((n, each), mass), np.arange(n), n, x[:, :0])
-    wants_gaussians = isinstance(extractor, Components | CountedComponents)
-    intensity = gaussians(x, mass) if wants_gaussians else about(x, each, rng, mass)
-    counted = isinstance(extractor, CountedComponents | CountedKMeans | CountedMixture)
-    return Cardinalised(intensity, np.eye(100)[round(intensity.mass)]) if counted else intensity
+    return gaussians(x, mass) if isinstance(extractor, Components) else about(x, each, rng, mass)
 
 
 def certain(x: np.ndarray, mass: float = 1.0) -> Hypotheses:

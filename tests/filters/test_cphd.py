@@ -36,7 +36,7 @@ def case(kind: str, rng, model, targets: int = 7):
     z = np.hstack([seen_by(rng, particles, targets), [[900.0], [900], [30], [60]]])
     if kind == "gm":
         return GMCPHD(), GMPHD(redistribute=True), mixture_of(particles, rng), z
-    return ParticleCPHD(per_target=80), ParticlePHD(per_target=80), particles, z
+    return ParticleCPHD(particles_per_target=80), ParticlePHD(particles_per_target=80), particles, z
 
 
 def mean(p: np.ndarray) -> float:
@@ -202,7 +202,7 @@ def test_particles_and_gaussians_count_alike(rng):
     )
     scans = [birth.mixture.mean[ROWS][:, : 1 + (k % 3 > 0)] + rng.normal(0, 1.5, (4, 1 + (k % 3 > 0))) for k in range(8)]
     told = []
-    for recursion in (GMCPHD(), ParticleCPHD(per_target=8000)):
+    for recursion in (GMCPHD(), ParticleCPHD(particles_per_target=8000)):
         state = recursion.start(model, rng)
         for z in scans:
             state, info = recursion.step(state, z, model, 1.0, np.random.default_rng(4))
@@ -221,7 +221,7 @@ def test_spawning_is_refused(recursion, rng):
 
 def test_the_first_intensity_may_be_given(rng):
     given = mixture_of(crowd(rng, 4, 50), rng)
-    for recursion in (GMCPHD(initial=given), ParticleCPHD(per_target=100, initial=given)):
+    for recursion in (GMCPHD(initial=given), ParticleCPHD(particles_per_target=100, initial=given)):
         state = recursion.start(world(), rng)
         assert state.mass == pytest.approx(given.mass)
         assert mean(state.cardinality) == pytest.approx(given.mass)
@@ -229,8 +229,8 @@ def test_the_first_intensity_may_be_given(rng):
 
 @pytest.mark.parametrize("kind", [GMCPHD, ParticleCPHD])
 def test_settings_out_of_bounds(kind):
-    with pytest.raises(InputError, match="region"):
-        kind(region=-1.0)
+    with pytest.raises(InputError, match="least 1" if kind is ParticleCPHD else "region"):
+        kind(0) if kind is ParticleCPHD else kind(region=-1.0)
 
 
 def test_a_remembered_size_will_do(rng):
@@ -240,7 +240,7 @@ def test_a_remembered_size_will_do(rng):
         assert isinstance(model.sensor, BoxSensor)
         rows = 8 if scaling == "given" else 4
         z = np.vstack([seen_by(rng, crowd(rng, 3, 1), 3), np.full((4, 3), 9.0)])[:rows]
-        for recursion in (GMCPHD(), ParticleCPHD(per_target=200)):
+        for recursion in (GMCPHD(), ParticleCPHD(particles_per_target=200)):
             state = recursion.start(model, rng)
             for _ in range(4):
                 state, info = recursion.step(state, z, model, 1.0, rng)

@@ -16,7 +16,7 @@ from phdtrack.models import BoxMotion
 from phdtrack.types import ParticleBlocks, Particles
 
 SCALINGS = ("particle", "detection", "fixed")
-PHD = ParticlePHD(per_target=400)
+PHD = ParticlePHD(particles_per_target=400)
 
 
 def scene(seed: int = 1, targets: int = 9) -> tuple[ParticleBlocks, np.ndarray]:
@@ -95,7 +95,7 @@ def test_targets_keep_their_mass_mean_and_covariance(scaling: str):
     x = np.hstack([c[:, None] + scale * rng.standard_normal((6, 700)) for c in centre.T])
     state = ParticleBlocks(x.astype(np.float32), np.array([0, 250, 500, 700, 950, 1200, 1400, 1650, 1900, 2100]), 1 / 700)
     z = np.ascontiguousarray((centre + 0.5 * scale)[[0, 1, 4, 5]])
-    model, dense = still(scaling=scaling, detection=0.9), ParticlePHD(per_target=20_000)
+    model, dense = still(scaling=scaling, detection=0.9), ParticlePHD(particles_per_target=20_000)
     _, updated, _ = definition(state, z, model, 1.0)
     after, _ = dense.step(state, z, model, 1.0, Fixed(0.5))
     for c in centre.T:
@@ -118,7 +118,7 @@ def test_velocities_move_and_sizes_are_reflected():
     state = ParticleBlocks(x, state.start, state.unit)
     model = still(dt_border=False, scaling="fixed")
     predicted, _, _ = definition(state, np.zeros((4, 0)), model, 2.5)
-    after, _ = ParticlePHD(per_target=100_000).step(state, np.zeros((4, 0)), model, 2.5, Fixed(0.1))
+    after, _ = ParticlePHD(particles_per_target=100_000).step(state, np.zeros((4, 0)), model, 2.5, Fixed(0.1))
     assert (offspring(after, predicted) > 0).all()
     assert after.state[4].min() == pytest.approx(1.6)
 

@@ -27,7 +27,7 @@ from phdtrack.filters import ParticlePHD
 from phdtrack.models import BoxMotion, MeasurementBirth, UniformClutter
 from phdtrack.types import GaussianMixture, ParticleBlocks, Particles
 
-PHD = ParticlePHD(per_target=300)
+PHD = ParticlePHD(particles_per_target=300)
 seeds = st.integers(0, 2**32 - 1)
 IMAGE = MeasurementBirth(0.05, 200, "image", FRAME)
 
@@ -48,11 +48,11 @@ def test_an_empty_scan_leaves_what_survives_and_is_missed(p_detect: float, dt: f
 
 def test_an_empty_scan_can_be_skipped(rng):
     state = level(rng, 3, 200)
-    after, info = ParticlePHD(300, skip_empty=True).step(state, NO_BOXES, model_of(BoxMotion()), 1.0, rng)
+    after, info = ParticlePHD(300, skip_empty_frames=True).step(state, NO_BOXES, model_of(BoxMotion()), 1.0, rng)
     assert info.mass == info.mass_predicted == pytest.approx(state.mass * 0.99)
     assert after.mass == pytest.approx(info.mass)
     # A scan that is not empty is updated.
-    _, info = ParticlePHD(300, skip_empty=True).step(state, np.array([[1e5], [1e5], [9], [9]]), model_of(), 1.0, rng)
+    _, info = ParticlePHD(300, skip_empty_frames=True).step(state, np.array([[1e5], [1e5], [9], [9]]), model_of(), 1.0, rng)
     assert info.mass < 0.5
 
 
@@ -77,7 +77,7 @@ def test_the_number_of_particles_can_be_capped(rng):
     state = level(rng, 5, 200)
     z = seen_by(rng, state, 5)
     full, info = ParticlePHD(300).step(state, z, model_of(), 1.0, Fixed(0.5))
-    capped, same = ParticlePHD(300, most=700).step(state, z, model_of(), 1.0, Fixed(0.5))
+    capped, same = ParticlePHD(300, max_particles=700).step(state, z, model_of(), 1.0, Fixed(0.5))
     check(capped)
     assert len(capped) == 700 < len(full)
     assert capped.mass == pytest.approx(full.mass) == pytest.approx(info.mass) == pytest.approx(same.mass)

@@ -12,7 +12,7 @@ from phdtrack.filters import ParticlePHD
 from phdtrack.models import BoxMotion
 from phdtrack.types import ParticleBlocks
 
-PHD = ParticlePHD(per_target=400)
+PHD = ParticlePHD(particles_per_target=400)
 
 
 def scan(rng, k: int, targets: int = 5) -> np.ndarray:

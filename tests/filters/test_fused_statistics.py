@@ -21,7 +21,7 @@ from phdtrack.scene import ContextDensity, marginal
 from phdtrack.types import Detections, ParticleBlocks, SequenceInfo
 
 SEEDS = 120
-PHD = ParticlePHD(per_target=250)
+PHD = ParticlePHD(particles_per_target=250)
 PRESETS = ("default", "m07", "m09", "fv")
 BIRTHS = {"local": ("birth.volume=local", "clutter.volume=local"), "image": ("birth.volume=image", "clutter.volume=image")}
 
@@ -88,13 +88,13 @@ def test_one_step(name: str, births: str, dt: float):
 def test_motion_alone(scaled: bool, dt: float):
     """A cloud at one point, moved and nothing else: mean and covariance are those of `transition`, roughened."""
     kind = () if scaled else ("motion.scaled=false", "motion.acceleration=1.5", "motion.resize=2")
-    model = preset("default", "filter.per_target=20000", *kind)
+    model = preset("default", "filter.particles_per_target=20000", *kind)
     x = np.array([[300.0, 200, 3, -2, 60, 120]]).T
     count = 20_000
     start = np.append(np.arange(0, count, 250), count)
     state = ParticleBlocks(np.repeat(x, count, axis=1).astype(np.float32), start, 1 / count)
     # As many as there are, of what a miss leaves.
-    dense = ParticlePHD(per_target=round(count / (1 - model.sensor.detection)))
+    dense = ParticlePHD(particles_per_target=round(count / (1 - model.sensor.detection)))
     rougher = replace(model.motion, acceleration=model.motion.drawn, roughening=0.0)
     mean, _, cov = rougher.transition(x, dt)
     found, seeds = [], 6
@@ -117,7 +117,7 @@ def test_newborn_alone(births: str):
     model = preset("default", "birth.most=400", "birth.rate=0.3", *BIRTHS[births])
     z = np.array([[200.0], [150], [30], [70]])
     about = np.array([[200.0, 150, 0, 0, 30, 70]]).T
-    dense = ParticlePHD(per_target=3000)
+    dense = ParticlePHD(particles_per_target=3000)
     ours = sample(dense, NOTHING, z, model, 1.0, about, range(200))
     theirs = sample(Composed(dense), plain(NOTHING), z, model, 1.0, about, range(1000, 1200))
     agree(ours, theirs)
@@ -130,7 +130,7 @@ def test_newborn_velocities_have_uniform_direction_and_gaussian_amplitude():
     z = np.array([[200.0], [150], [30], [70]])
     speed = model.sensor.speed * np.sqrt(30 * 70)
     v = np.hstack([
-        ParticlePHD(per_target=4000).step(NOTHING, z, model, 1.0, np.random.default_rng(seed))[0].state[2:4]
+        ParticlePHD(particles_per_target=4000).step(NOTHING, z, model, 1.0, np.random.default_rng(seed))[0].state[2:4]
         for seed in range(40)
     ]).astype(np.float64)  # fmt: skip
     # Velocities of a frame repeat where a detection has more offspring than the frame has velocities.
@@ -192,7 +192,7 @@ def run(stages, form, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("name", PRESETS)
 def test_estimates_of_a_scene(name: str):
     """The same walkers are found as often, as near, with the same covariance: paired by scene, over eight of them."""
-    sets = ["filter.kind=particle-phd", "filter.per_target=400", "birth.most=200"]
+    sets = ["filter.kind=particle-phd", "filter.particles_per_target=400", "birth.most=200"]
     stages = config.build(config.load(preset=name, sets=sets), SequenceInfo(int(FRAME[0]), int(FRAME[1]), 25.0))
     ours, theirs = (np.array([run(stages, f, s) for s in range(8)]) for f in (stages.filter, Composed(stages.filter)))
     assert ours[:, 2].mean() < 8, "the walkers are found"

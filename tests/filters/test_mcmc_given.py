@@ -56,8 +56,8 @@ def test_the_chain_samples_the_posterior(ancestors: str, informed: bool, strengt
     """Two targets on a grid, total variation below 0.02; the step-by-step chain of any model for a joint ancestor."""
     count = 40_000 if ancestors == "joint" else 200_000
     filter_ = MCMC(
-        samples=count, associations="given", ancestors=ancestors, informed=informed, switch=0.5,
-        strength=strength, apart="distance",
+        samples=count, associations="given", ancestors=ancestors, informed=informed, ancestor_move_probability=0.5,
+        interaction_strength=strength, interaction="distance",
     )  # fmt: skip
     law = exact(ancestors, strength)
     assert variation(law, sampled(filter_, rng)) < 0.02
@@ -67,7 +67,7 @@ def test_the_chain_samples_the_posterior(ancestors: str, informed: bool, strengt
 
 def test_greedy_acceptance_does_not_sample(rng):
     """As D14 prints it the chain has another law than the posterior, however long it runs."""
-    cells = sampled(MCMC(samples=200_000, associations="given", greedy=True, strength=0), rng)
+    cells = sampled(MCMC(samples=200_000, associations="given", greedy=True, interaction_strength=0), rng)
     assert variation(exact("each", 0.0), cells) > 0.05
 
 
@@ -200,7 +200,7 @@ def test_ancestor_moves_sample_the_exact_mixture(world: str, informed: bool, rng
     assert np.abs(cov[:4, 4:]).max() > 0.02, "the targets are correlated"
     count = 400_000
     state = JointSamples(origin, np.ones((2, 5)), np.array([0, 1]), 2, origin[:, :0])
-    filter_ = MCMC(samples=count, associations="given", informed=informed, strength=0)
+    filter_ = MCMC(samples=count, associations="given", informed=informed, interaction_strength=0)
     after, info = filter_.step(state, z, model, 1.0, rng)
     x = after.state.reshape(4, 2, count).transpose(1, 0, 2).reshape(8, count)
     scale = np.sqrt(np.diag(cov)) + 1e-9
@@ -220,7 +220,7 @@ def test_the_fused_chain_is_the_general_one(rng):
     kept, counts = joint_chain(chain, rng.random(chain.steps) < 0.25, proposal, origin, 1.0, z, model, rng)
     x = kept.reshape(4, 2, -1).transpose(1, 0, 2).reshape(8, -1)
     np.testing.assert_array_less(np.abs(x.mean(1) - mean) / np.sqrt(np.diag(cov)), 0.1)
-    filter_ = MCMC(samples=30_000, associations="given", strength=0)
+    filter_ = MCMC(samples=30_000, associations="given", interaction_strength=0)
     state = JointSamples(origin, np.ones((2, 5)), np.array([0, 1]), 2, origin[:, :0])
     _, info = filter_.step(state, z, model, 1.0, rng)
     np.testing.assert_allclose(counts[:, 1] / counts[:, 0], info.chain.accepted / info.chain.proposed, rtol=0.08)
@@ -236,7 +236,12 @@ def test_interaction_keeps_apart(rng):
         distance = []
         for strength in (0.0, 3.0):
             filter_ = MCMC(
-                samples=3000, associations="given", ancestors=ancestors, strength=strength, apart="distance", reach=1.0
+                samples=3000,
+                associations="given",
+                ancestors=ancestors,
+                interaction_strength=strength,
+                interaction="distance",
+                interaction_distance=1.0,
             )
             x = filter_.step(state, z, model, 1.0, rng)[0].state.reshape(4, 2, -1)
             distance.append(np.hypot(*(x[:2, 0] - x[:2, 1])).mean())
@@ -244,7 +249,7 @@ def test_interaction_keeps_apart(rng):
 
 
 def test_targets_come_and_go_with_their_labels(rng):
-    model, filter_ = gaussian_worlds()["point"], MCMC(samples=300, associations="given", strength=0)
+    model, filter_ = gaussian_worlds()["point"], MCMC(samples=300, associations="given", interaction_strength=0)
     state = filter_.start(model, rng)
 
     def scan(**seen: float) -> np.ndarray:
@@ -282,7 +287,7 @@ def test_settings_that_do_not_go_together():
 
 def test_a_filter_that_follows_as_well_as_kalman(rng):
     """A target that moves as the model says: the error is within 5 % of the Kalman filter's at N = 2000."""
-    model, filter_ = gaussian_worlds()["point"], MCMC(samples=2000, associations="given", thin=3, strength=0)
+    model, filter_ = gaussian_worlds()["point"], MCMC(samples=2000, associations="given", thin=3, interaction_strength=0)
     x, ours, theirs = np.array([[50.0, 40, 0.5, 0]]).T, [], []
     f, h, q = np.eye(4) + np.eye(4, k=2), np.eye(2, 4), 2 * np.eye(4)
     state, m, p = filter_.start(model, rng), None, np.zeros((4, 4))

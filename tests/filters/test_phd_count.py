@@ -17,7 +17,7 @@ ASKED = 0.10
 
 @pytest.mark.parametrize(("p_detect", "clutter", "laws"), [(0.98, 0.0, "known"), (0.9, 5.0, "shipped")])
 def test_the_count_is_the_truth(p_detect: float, clutter: float, laws: count.Laws):
-    found = count.row(p_detect, clutter, seeds=range(3), frames=60, laws=laws, per_target=600)
+    found = count.row(p_detect, clutter, seeds=range(3), frames=60, laws=laws, particles_per_target=600)
     assert 5 < found.truth < 15
     assert abs(found.bias) <= ASKED
     assert found.rms < 0.2 * found.truth
@@ -32,7 +32,7 @@ def test_every_combination(p_detect: float, clutter: float, laws: count.Laws):
 
 
 def test_the_same_seed_counts_the_same():
-    runs = [count.run(0.9, 5.0, 3, frames=8, per_target=200) for _ in range(2)]
+    runs = [count.run(0.9, 5.0, 3, frames=8, particles_per_target=200) for _ in range(2)]
     np.testing.assert_array_equal(*runs)
 
 

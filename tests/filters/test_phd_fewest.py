@@ -18,20 +18,20 @@ from phdtrack.protocols import Model
 
 def test_there_are_as_many_where_there_is_anything(rng):
     state = crowd(rng, 5, 100)
-    few = ParticlePHD(100, fewest=700).reduce(state, rng)
+    few = ParticlePHD(100, min_particles=700).reduce(state, rng)
     assert len(few) == 700
     assert few.mass == pytest.approx(state.mass)
-    assert len(ParticlePHD(1000, fewest=700).reduce(state, rng)) == 5000
+    assert len(ParticlePHD(1000, min_particles=700).reduce(state, rng)) == 5000
     # The upper bound is the last word, and nothing stays nothing.
-    assert len(ParticlePHD(100, fewest=700, most=600).reduce(state, rng)) == 600
-    assert len(ParticlePHD(100, fewest=700).reduce(replace(state, weight=1e-6 * state.weight), rng)) == 0
+    assert len(ParticlePHD(100, min_particles=700, max_particles=600).reduce(state, rng)) == 600
+    assert len(ParticlePHD(100, min_particles=700).reduce(replace(state, weight=1e-6 * state.weight), rng)) == 0
 
 
 def test_so_it_is_in_the_fused_step(rng):
     state = level(rng, 5, 200)
     z = seen_by(rng, state, 5)
     usual, info = ParticlePHD(100).step(state, z, model_of(), 1.0, Fixed(0.5))
-    more, same = ParticlePHD(100, fewest=1700).step(state, z, model_of(), 1.0, Fixed(0.5))
+    more, same = ParticlePHD(100, min_particles=1700).step(state, z, model_of(), 1.0, Fixed(0.5))
     check(more)
     assert len(usual) < len(more) == 1700
     assert more.mass == pytest.approx(usual.mass) == pytest.approx(info.mass) == pytest.approx(same.mass)
@@ -41,7 +41,7 @@ def test_and_in_the_cardinalised_filter(rng):
     z = np.array([[200.0], [200.0], [30.0], [60.0]])
     sizes = []
     for fewest in (0, 900):
-        recursion = ParticleCPHD(100, fewest=fewest)
+        recursion = ParticleCPHD(100, min_particles=fewest)
         state, _ = recursion.step(recursion.start(model_of(), rng), z, model_of(), 1.0, rng)
         sizes.append(len(state.intensity))
     assert sizes[0] < sizes[1] == 900
@@ -54,7 +54,7 @@ def test_who_has_just_begun_is_placed_better(form):
     motion = BoxMotion(acceleration=0.3, resize=0.3, scaled=False, frame_size=FRAME)
     sensor = BoxSensor(scaling="fixed", fixed_speed=2.0)
     model = Model(motion, sensor, MeasurementBirth(0.01, 1000, "image", FRAME), UniformClutter(1.0, image_volume(FRAME)))
-    filters = [form(ParticlePHD(1500, fewest=fewest)) for fewest in (0, 1500)]
+    filters = [form(ParticlePHD(1500, min_particles=fewest)) for fewest in (0, 1500)]
     without, with_it = np.array([[_miss(one, model, seed) for seed in range(40)] for one in filters])
     # 4.0 and 1.7 pixels over 150 seeds; the means of 40 have errors of about 0.5 and 0.15.
     assert with_it.mean() < 0.75 * without.mean()

@@ -23,11 +23,11 @@ NO_BOXES = np.zeros((4, 0))
 
 @given(seeds, st.integers(0, 4), st.floats(0.01, 2), st.integers(1, 400))
 @settings(max_examples=60, deadline=None)
-def test_reducing_keeps_the_mass_in_equal_weights(seed: int, targets: int, mass: float, per_target: int):
+def test_reducing_keeps_the_mass_in_equal_weights(seed: int, targets: int, mass: float, particles_per_target: int):
     rng = np.random.default_rng(seed)
     state = crowd(rng, targets, 30, mass)
-    reduced = ParticlePHD(per_target).reduce(state, rng)
-    assert len(reduced) == round(per_target * state.mass)
+    reduced = ParticlePHD(particles_per_target).reduce(state, rng)
+    assert len(reduced) == round(particles_per_target * state.mass)
     if len(reduced):
         np.testing.assert_array_equal(reduced.weight, np.full(len(reduced), state.mass / len(reduced)))
         assert reduced.mass == pytest.approx(state.mass, rel=1e-12)
@@ -47,10 +47,10 @@ def test_reducing_keeps_the_intensity_in_expectation(rng):
 
 def test_the_number_of_particles_can_be_capped(rng):
     state = crowd(rng, 5, 100)
-    capped = ParticlePHD(1000, most=700).reduce(state, rng)
+    capped = ParticlePHD(1000, max_particles=700).reduce(state, rng)
     assert len(capped) == 700
     assert capped.mass == pytest.approx(state.mass)
-    assert len(ParticlePHD(100, most=700).reduce(state, rng)) == 500
+    assert len(ParticlePHD(100, max_particles=700).reduce(state, rng)) == 500
 
 
 @pytest.mark.parametrize("mass", [0.0, 1e-12, 1e-5])
@@ -103,7 +103,7 @@ def test_an_empty_scan_leaves_what_is_missed(p_detect: float, rng):
 
 def test_an_empty_scan_can_be_skipped(rng):
     state = crowd(rng, 3, 50)
-    updated, info = ParticlePHD(skip_empty=True).update(state, NO_BOXES, world(), 1.0, rng)
+    updated, info = ParticlePHD(skip_empty_frames=True).update(state, NO_BOXES, world(), 1.0, rng)
     same(updated, state)
     assert info.mass == info.mass_predicted == pytest.approx(3)
 
@@ -263,7 +263,7 @@ def test_given_covariances_and_fixed_births_pass_through(rng):
 
 
 def test_settings_out_of_bounds():
-    for wrong in ({"per_target": 0}, {"most": -1}, {"region": 0.0}):
+    for wrong in ({"particles_per_target": 0}, {"max_particles": -1}):
         with pytest.raises(InputError, match=next(iter(wrong))):
             ParticlePHD(**wrong)
 

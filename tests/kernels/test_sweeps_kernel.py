@@ -287,7 +287,7 @@ def test_the_whole_step_runs_as_plain_python(local: bool, n: int):
     parts = BoxModel(model.motion, model.sensor, MeasurementBirth(0.3, 40, model.birth.volume, (300.0, 200.0)))
     rng = np.random.default_rng(1)
     for _ in range(2):
-        state, info = fused_step(ParticlePHD(per_target=40), parts, state, z, model, 1.5, rng)
+        state, info = fused_step(ParticlePHD(particles_per_target=40), parts, state, z, model, 1.5, rng)
         assert np.isfinite(state.state).all()
         claimed = (info.evidence / (info.evidence + info.clutter)).sum()
         assert info.mass == pytest.approx(0.1 * info.mass_predicted + claimed, rel=1e-4)

@@ -109,7 +109,9 @@ def test_births_in_the_image_need_its_size():
 
 def test_the_preset_is_d14s():
     """p_D = p_S = 1, no clutter, J = 10 newborn anywhere, N particles in all, no update without detections."""
-    stages = config.build(config.load(preset="d14", sets=["filter.most=500", "filter.per_target=500"]), INFO)
+    stages = config.build(
+        config.load(preset="d14", sets=["filter.max_particles=500", "filter.particles_per_target=500"]), INFO
+    )
     model, recursion, rng = stages.model, stages.filter, np.random.default_rng(3)
     z = np.array([[100.0, 250], [100, 200]])
     near = np.vstack([np.repeat(z, 50, axis=1), np.zeros((2, 100))])

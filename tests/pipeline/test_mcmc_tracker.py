@@ -36,7 +36,7 @@ def test_two_people_are_two_tracks(preset: str, kind: str):
 
 
 def test_a_checkpoint_goes_on_as_if_nothing_had_been():
-    setting = {"kind": "mcmc", "samples": 100, "faintest": 0.01}
+    setting = {"kind": "mcmc", "samples": 100, "min_weight": 0.01}
     whole, first = (Tracker((640, 480), filter=setting) for _ in range(2))
     boxes = two_people(24)
     for found in boxes[:12]:

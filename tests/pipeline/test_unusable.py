@@ -38,7 +38,7 @@ def run(world: Stages, frames: list[np.ndarray]):
     ("filter_", "extractor"),
     [
         (GMPHD(region=9.21), Components()),
-        (ParticlePHD(200, region=9.21), KMeans()),
+        (ParticlePHD(200), KMeans()),
         (MHT(), BestHypothesis()),
         (PMB(), BestBernoullis()),
         (NoFilter(), Raw()),

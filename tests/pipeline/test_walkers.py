@@ -62,9 +62,9 @@ def tracked(tracker: Tracker, seed: int) -> tuple[Scores, np.ndarray]:
         ({"kind": "pmb"}, {}),
         ({"kind": "gm-phd"}, {}),
         ({"kind": "gm-cphd"}, {}),
-        ({"kind": "particle-phd", "per_target": 400}, {"kind": "kmeans"}),
-        ({"kind": "particle-phd", "per_target": 400}, {"kind": "mixture"}),
-        ({"kind": "particle-cphd", "per_target": 400}, {}),
+        ({"kind": "particle-phd", "particles_per_target": 400}, {"kind": "kmeans"}),
+        ({"kind": "particle-phd", "particles_per_target": 400}, {"kind": "mixture"}),
+        ({"kind": "particle-cphd", "particles_per_target": 400}, {}),
     ],
     ids=["pmb", "gm-phd", "gm-cphd", "kmeans", "mixture", "particle-cphd"],
 )

@@ -54,7 +54,8 @@ def compare(
         typer.Option(
             "--variant",
             metavar="NAME=SETTINGS",
-            help="Another method: the first filter with these settings, as few=filter.per_target=100,sensor.detection=0.8; "
+            help="Another method: the first filter with these settings, as "
+            "few=filter.particles_per_target=100,sensor.detection=0.8; "
             "filter.kind and preset may be among them. May be given again.",
         ),
     ] = None,

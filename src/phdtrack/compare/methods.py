@@ -61,7 +61,7 @@ def _chosen(name: str, preset: str, file: Path | None, sets: Sequence[str]) -> t
 def _variant(text: str, first: str, preset: str, file: Path | None, sets: Sequence[str]) -> Method:
     name, equals, rest = text.partition("=")
     if not name or not equals or "=" not in rest:
-        cure = "For example: --variant few=filter.per_target=100"
+        cure = "For example: --variant few=filter.particles_per_target=100"
         raise InputError("expected NAME=section.name=value", where=f"--variant {text}", cure=cure)
     own = _NEXT.split(rest)
     presets = [part.partition("=")[2].strip() for part in own if part.strip().startswith("preset")]

@@ -13,8 +13,8 @@ false alarms are read as per pixel² and frame, with any size up to the frame's,
 ``e13``: Edman et al. 2013: people on the ground plane, GM-PHD, with the places of its sequence (PETS 2009 S1.L1, 7 Hz). Its
 births are per frame of 1/7 s and stand here per second. It needs ``camera.file``, or detections in metres.
 ``d14``: D14's SMC PHD filter for point targets: p_D = p_S = 1, no clutter, ten newborn particles anywhere in each frame, no
-update where nothing is detected. Its N is the total number of particles, so ``per_target`` and ``most`` are both N: the mass
-is a whole number of targets, and never more than N particles are drawn. Without clutter whatever explains a detection best
+update where nothing is detected. Its N is the total number of particles, so ``particles_per_target`` and ``max_particles``
+are both N: the mass is a whole number of targets, and never more than N particles are drawn. Without clutter whatever explains a detection best
 explains it, however far it is, as long as its density is a number: the gate is where double precision ends (37.5 deviations
 at D14's variances). Detections of which nothing is that near are counted as vanished.
 """
@@ -30,7 +30,7 @@ _PAPER: Mapping[str, Mapping[str, Any]] = {
     "sensor": {"detection": 0.95, "spread": 0.15},
     "birth": {"rate": 0.01, "most": 1000},
     "clutter": {"rate": 1.0},
-    "filter": {"kind": "particle-phd", "per_target": 1500},
+    "filter": {"kind": "particle-phd", "particles_per_target": 1500},
     "associate": {"kind": "graph"},
     # No paper joins states that overlap, or touches tracks that have ended.
     "extract": {"kind": "kmeans", "min_weight": 0.6, "merge_iou": 1.0},
@@ -52,12 +52,11 @@ _FV: Mapping[str, Mapping[str, Any]] = {
 PLANE: Mapping[str, Mapping[str, Any]] = {
     "time": {"rate": 1.0},
     "filter": {"region": 9.21},
-    "extract": {"region": 9.21},
     "associate": {"miss": 0.2},
 }
 
 # Points in an image: 99 % regions in two dimensions.
-POINT: Mapping[str, Mapping[str, Any]] = {"filter": {"region": 9.21}, "extract": {"region": 9.21}}
+POINT: Mapping[str, Mapping[str, Any]] = {"filter": {"region": 9.21}}
 # What is usual in each world beside the defaults.
 USUAL: Mapping[str, Mapping[str, Mapping[str, Any]]] = {"plane": PLANE, "point": POINT}
 
@@ -74,7 +73,7 @@ _INTENSITY: Mapping[str, Mapping[str, Any]] = {
     "sensor": {"spread": 0.15},
     **_around(0.01, 0.3),
 }
-_PARTICLES: Mapping[str, Mapping[str, Any]] = {**_INTENSITY, "filter": {"per_target": 750}}
+_PARTICLES: Mapping[str, Mapping[str, Any]] = {**_INTENSITY, "filter": {"particles_per_target": 750}}
 FILTERED: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "pmb": {"motion": {"resize": 0.05}, "sensor": {"spread": 0.25}, **_around(0.005, 1.5)},
     "particle-phd": _PARTICLES,
@@ -154,7 +153,7 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
                 (-7.9414, 4.3781, 1.0, 0.1**0.5, 1.0),
             ],
         },
-        "extract": {"kind": "components", "min_weight": 0.5, "region": 9.21, "merge_iou": 1.0},
+        "extract": {"kind": "components", "min_weight": 0.5, "merge_iou": 1.0},
         "refine": NO_REFINEMENT,
     },
     "d14": {
@@ -162,8 +161,8 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
         "sensor": {"kind": "point", "detection": 1.0, "variance": 1.0, "gate_sigmas": 37.5},
         "birth": {"kind": "uniform", "rate": 0.1, "count": 10},
         "clutter": {"kind": "point", "rate": 0.0},
-        "filter": {"kind": "particle-phd", "per_target": 4000, "most": 4000, "skip_empty": True, "region": 9.21},
-        "extract": {"kind": "kmeans", "min_weight": 0.6, "region": 9.21, "merge_iou": 1.0},
+        "filter": {"kind": "particle-phd", "particles_per_target": 4000, "max_particles": 4000, "skip_empty_frames": True},
+        "extract": {"kind": "kmeans", "min_weight": 0.6, "merge_iou": 1.0},
         "associate": {"kind": "graph"},
         "refine": NO_REFINEMENT,
     },

@@ -17,15 +17,15 @@ def plain(state: Particles | ParticleBlocks) -> Particles:
     return state.particles() if isinstance(state, ParticleBlocks) else state
 
 
-def blocked(state: Particles | ParticleBlocks, per_target: int, rng: np.random.Generator) -> ParticleBlocks:
-    """The intensity in blocks; resampled to ``per_target`` particles per expected target where its weights are not equal."""
+def blocked(state: Particles | ParticleBlocks, particles_per_target: int, rng: np.random.Generator) -> ParticleBlocks:
+    """The intensity in blocks; resampled where its weights are not equal."""
     if isinstance(state, ParticleBlocks):
         return state
     if len(state) == 0:
         return ParticleBlocks.empty(len(state.state))
     unit, x = float(state.weight[0]), state.state
     if not (state.weight == unit).all():
-        count = round(per_target * state.mass)
+        count = round(particles_per_target * state.mass)
         x = x[:, systematic(state.weight, count, rng.random())]
         unit = state.mass / max(1, count)
     points = np.stack([x[0], x[1], x[0], x[1], x[4], x[5]], axis=1).astype(np.float32)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from phdtrack.arrays import region_radius2
 from phdtrack.filters.blocks import REACH, blocked
 from phdtrack.filters.box_tables import BoxModel, Seen, motion_numbers, seen
 from phdtrack.filters.memory import empty
@@ -74,15 +75,15 @@ def fused_step(
     rng: np.random.Generator,
 ) -> tuple[ParticleBlocks, UpdateInfo]:
     """Predict, update and resample [M07 (5), (6); M09 (6)]."""
-    blocks = blocked(state, settings.per_target, rng)
+    blocks = blocked(state, settings.particles_per_target, rng)
     # Words of 32 bits from `random`: `integers` takes ten times as long for so few.
     drawn = rng.random(3)
     draws = Draws((drawn[:2] * 2.0**32).astype(np.int64), float(drawn[2]))
-    frame = seen(parts, z, settings.region, dt)
+    frame = seen(parts, z, region_radius2(4), dt)
     old = _sweep_old(settings, parts, blocks, frame, dt, draws)
     born = _sweep_born(settings, parts, old, frame, dt, draws)
     kappa = model.clutter.intensity(z)
-    p_detect = 0.0 if settings.skip_empty and z.shape[1] == 0 else parts.sensor.detection
+    p_detect = 0.0 if settings.skip_empty_frames and z.shape[1] == 0 else parts.sensor.detection
     evidence, weight, mass, batch_mass, vanished, (before, newborn, after) = account(
         old.first, old.which, old.sums, old.alive, old.unit, born.batch_start, frame.near_start, frame.near, frame.touching,
         born.gain_start, born.base, born.gains, kappa, p_detect,

@@ -37,8 +37,8 @@ class MCMC:
     Parameters
     ----------
     samples : N, joint samples that are kept of a frame's chain.
-    burn : B, steps before the first that is kept; D14's is 50. Without given associations a step is a sweep, as many steps
-        as there are candidates: targets of the last frame and measurements.
+    burn_in : B, steps before the first that is kept; D14's is 50. Without given associations a step is a sweep, as
+        many steps as there are candidates: targets of the last frame and measurements.
     thin : steps, or sweeps, for each kept sample.
     associations : ``none``: which target gave which measurement is part of what is sampled, and targets come and go;
         ``given``: the last row of z is the label of the target that gave each measurement, whose others the sensor's g
@@ -46,34 +46,34 @@ class MCMC:
     ancestors : for ``given``. ``joint``: all targets of a sample come of the same sample of the frame before, which moves of
         the chain exchange; the chain's law is the posterior of the mixture of all of them. ``each``: every target has
         an ancestor of its own [K05], which takes what correlation there was between targets for none.
-    switch : for ``joint``, the share of steps that propose another ancestor.
+    ancestor_move_probability : for ``joint``, the share of steps that propose another ancestor.
     informed : for ``given``, propose ancestors by how well they predict the scan, with the ratio that this asks for; False:
         all alike [K05], of which few are accepted where there are many targets or precise measurements.
     greedy : for ``given``, D14's Alg. 1 as printed: only proposals of ratio 1 and above are accepted, and a rejected one's
         ratio takes the place of the target's likelihood. That does not sample, and because a likelihood is then compared
         with a ratio it depends on the unit of positions; ancestors are ``each``, all alike.
-    exchange : for ``none``, the share of steps that move two candidates that compete for a measurement.
-    strength : of the interaction; 0 for none, which is faster. Where the detector fires twice on one person it keeps the two
-        apart; where associations are given there is less need.
-    apart : what targets keep apart by: ``overlap`` of their boxes (intersection over union), or ``distance``.
-    reach : for ``distance``, the distance that counts as one, in units of the position.
-    faintest : for ``none``, targets less probable than that are dropped.
+    swap_probability : for ``none``, the share of steps that move two candidates that compete for a measurement.
+    interaction_strength : of the interaction; 0 for none, which is faster. Where the detector fires twice on one person it
+        keeps the two apart; where associations are given there is less need.
+    interaction : what targets keep apart by: ``overlap`` of their boxes (intersection over union), or ``distance``.
+    interaction_distance : for ``distance``, the distance that counts as one, in units of the position.
+    min_weight : for ``none``, targets less probable than that are dropped.
     initial : targets before the first frame, one a Gaussian, there with the probability that is its weight.
     """
 
     samples: PositiveCount = 1000
-    burn: Count = 50
+    burn_in: Count = 50
     thin: PositiveCount = 1
     associations: Literal["none", "given"] = "none"
     ancestors: Literal["joint", "each"] = "joint"
-    switch: Probability = 0.25
+    ancestor_move_probability: Probability = 0.25
     informed: bool = True
     greedy: bool = False
-    exchange: Probability = 0.2
-    strength: NonNegative = 4.0
-    apart: Literal["overlap", "distance"] = "overlap"
-    reach: Positive = 1.0
-    faintest: NonNegative = 1e-3
+    swap_probability: Probability = 0.2
+    interaction_strength: NonNegative = 4.0
+    interaction: Literal["overlap", "distance"] = "overlap"
+    interaction_distance: Positive = 1.0
+    min_weight: NonNegative = 1e-3
     initial: GaussianMixture | None = None
 
     def __post_init__(self) -> None:
@@ -93,8 +93,8 @@ class MCMC:
 
     @property
     def _chain(self) -> Chain:
-        interaction = Interaction(self.strength, self.apart == "overlap", self.reach)
-        return Chain(self.samples, self.burn, self.thin, interaction)
+        interaction = Interaction(self.interaction_strength, self.interaction == "overlap", self.interaction_distance)
+        return Chain(self.samples, self.burn_in, self.thin, interaction)
 
     def start(self, model: Model, rng: np.random.Generator) -> JointSamples:
         """The initial targets, N states each; none where none were given."""
@@ -119,9 +119,9 @@ class MCMC:
     ) -> tuple[JointSamples, UpdateInfo]:
         """N samples of the posterior by the chain [K05, D14 Alg. 1]."""
         if self.associations == "given":
-            ancestry = Ancestry(self.ancestors == "joint", self.switch, self.informed, self.greedy)
+            ancestry = Ancestry(self.ancestors == "joint", self.ancestor_move_probability, self.informed, self.greedy)
             return given_update(self._chain, ancestry, state, z, model, rng)
-        return jump_update(self._chain, Jumps(self.exchange, self.faintest), state, z, model, dt, rng)
+        return jump_update(self._chain, Jumps(self.swap_probability, self.min_weight), state, z, model, dt, rng)
 
     def reduce(self, state: JointSamples, rng: np.random.Generator) -> JointSamples:
         """There are N samples already."""

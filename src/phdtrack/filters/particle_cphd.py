@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from phdtrack.checks import Count, Positive, PositiveCount, check
+from phdtrack.checks import Count, PositiveCount, check
 from phdtrack.errors import InputError
 from phdtrack.filters.cardinality import nobody, poisson, survived, weigh
 from phdtrack.filters.composed import composed_step
@@ -29,16 +29,14 @@ class ParticleCPHD:
 
     Parameters
     ----------
-    per_target : ρ, particles per expected target after resampling.
-    fewest, most : bounds on the number of particles, 0 for none.
-    region : squared Mahalanobis radius around a detection in which predicted mass counts as explaining it, M(z).
+    particles_per_target : ρ, particles per expected target after resampling.
+    min_particles, max_particles : bounds on the number of particles, 0 for none.
     initial : the intensity before the first frame; its number is Poisson distributed.
     """
 
-    per_target: PositiveCount = 1500
-    fewest: Count = 0
-    most: Count = 0
-    region: Positive = 13.28
+    particles_per_target: PositiveCount = 1500
+    min_particles: Count = 0
+    max_particles: Count = 0
     initial: Particles | GaussianMixture | None = None
 
     def __post_init__(self) -> None:
@@ -87,4 +85,9 @@ class ParticleCPHD:
 def _intensity(settings: ParticleCPHD) -> ParticlePHD:
     """The recursion of the particles."""
     s = settings
-    return ParticlePHD(per_target=s.per_target, fewest=s.fewest, most=s.most, region=s.region, initial=s.initial)
+    return ParticlePHD(
+        particles_per_target=s.particles_per_target,
+        min_particles=s.min_particles,
+        max_particles=s.max_particles,
+        initial=s.initial,
+    )

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.arrays import draw, sum_by
-from phdtrack.checks import Count, Positive, PositiveCount, check
+from phdtrack.arrays import draw, region_radius2, sum_by
+from phdtrack.checks import Count, PositiveCount, check
 from phdtrack.filters.blocks import plain
 from phdtrack.filters.box_tables import box_model
 from phdtrack.filters.carrying import carried_particles
@@ -39,23 +39,21 @@ class ParticlePHD:
 
     Parameters
     ----------
-    per_target : ρ, particles per expected target after resampling.
-    fewest : lower bound on the number of particles while there are any. At first, when hardly any target is expected, ρ
-        would leave a handful to each that has just begun, too few to hold its velocity.
-    most : upper bound on the number of particles; 0 for none.
-    region : squared Mahalanobis radius around a detection in which predicted mass counts as explaining it, M(z); 13.28 is
+    particles_per_target : ρ, particles per expected target after resampling.
+    min_particles : lower bound on the number of particles while there are any. At first, when hardly any target is
+        expected, ρ would leave a handful to each that has just begun, too few to hold its velocity.
+    max_particles : upper bound on the number of particles; 0 for none.
         the 99 % region of a Gaussian in four dimensions.
-    skip_empty : leave the intensity as predicted when a frame brings no detection, as D14 does. The default is the
+    skip_empty_frames : leave the intensity as predicted when a frame brings no detection, as D14 does. The default is the
         filter's own update, (1 − p_D) D⁺.
     threads : threads that share a frame's work in `step`, 0 for one per core; the result is the same to the bit.
     initial : the intensity before the first frame.
     """
 
-    per_target: PositiveCount = 1500
-    fewest: Count = 0
-    most: Count = 0
-    region: Positive = 13.28
-    skip_empty: bool = False
+    particles_per_target: PositiveCount = 1500
+    min_particles: Count = 0
+    max_particles: Count = 0
+    skip_empty_frames: bool = False
     threads: Count = 1
     initial: Particles | GaussianMixture | None = None
 
@@ -65,7 +63,7 @@ class ParticlePHD:
     def start(self, model: Model, rng: np.random.Generator) -> Particles:
         """The initial intensity, a mixture as ρ particles per component; empty where none was given."""
         if isinstance(self.initial, GaussianMixture):
-            return draw(self.initial, self.per_target, 1.0, rng)
+            return draw(self.initial, self.particles_per_target, 1.0, rng)
         if self.initial is not None:
             return self.initial
         return Particles(np.zeros((model.motion.dim, 0)), np.zeros(0))
@@ -94,7 +92,7 @@ class ParticlePHD:
         detection's term is 0 and counted in ``info.vanished``.
         """
         meeting = self.meet(state, z, model, dt, rng)
-        if z.shape[1] == 0 and self.skip_empty:
+        if z.shape[1] == 0 and self.skip_empty_frames:
             return meeting.intensity, meeting.info(meeting.intensity.mass)
         factor, vanished = explained(meeting.evidence, meeting.clutter)
         result = weighed(meeting, 1.0, factor)
@@ -126,11 +124,11 @@ class ParticlePHD:
 
     def particles(self, mass: float) -> int:
         """How many particles carry this mass: round(ρ·M̂) [M07 §2] within the bounds, 0 where that is 0."""
-        count = round(self.per_target * mass)
+        count = round(self.particles_per_target * mass)
         if count == 0:
             return 0
-        count = max(count, self.fewest)
-        return min(count, self.most) if self.most else count
+        count = max(count, self.min_particles)
+        return min(count, self.max_particles) if self.max_particles else count
 
     def step(
         self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator
@@ -149,7 +147,7 @@ class ParticlePHD:
     def _covered(self, state: Particles, z: F8, model: Model) -> F8:
         """(N,) M(z): the predicted mass in the region around each detection [M07 §2]."""
         point, which = self._gated(state, z, model)
-        near = model.sensor.distance2(z[:, which], state.state[:, point]) <= self.region
+        near = model.sensor.distance2(z[:, which], state.state[:, point]) <= region_radius2(len(model.sensor.observed))
         return sum_by(which[near], state.weight[point[near]], z.shape[1])
 
 

@@ -75,7 +75,7 @@ def test_clusters_are_the_twins(seed: int, targets: int, alarms: int, width: flo
         return
     centres = seeds(Cloud.of(state), z, sensor, extractor.min_weight).centre
     x, weight, _ = cut(state.state, state.weight, 256)
-    mass, mean, cov = twin.kmeans(x, weight, centres, sensor.noise, extractor.min_weight, extractor.split)
+    mass, mean, cov = twin.kmeans(x, weight, centres, sensor.noise, extractor.min_weight, extractor.split_weight)
     found = extractor.extract(state, z, MODEL)
     mine, other = np.lexsort(found.state), np.lexsort(mean)
     found, mass, mean, cov = found.take(mine), mass[other], mean[:, other], cov[other]

@@ -59,6 +59,6 @@ def test_states_have_the_tags_of_their_components():
 
 
 def test_settings_out_of_bounds():
-    for wrong in ({"min_weight": 0.0}, {"region": 0.0}, {"merge_iou": 0.0}):
+    for wrong in ({"min_weight": 0.0}, {"merge_iou": 0.0}):
         with pytest.raises(InputError, match=next(iter(wrong))):
             Components(**wrong)

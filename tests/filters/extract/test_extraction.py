@@ -228,11 +228,11 @@ def test_a_detection_serves_the_closest_state_only():
     """Two states share one detection; and, the other way round, one state between two."""
     beside = moved(4)
     pair, cov = np.array([beside, HERE]).T.copy(), np.stack([np.eye(6)] * 2)
-    assert list(finish(np.ones(2), pair, cov, seen(moved(1)), MODEL, 13.28).detection) == [-1, 0]
-    assert list(finish(np.ones(2), pair, cov, seen(moved(1), moved(6)), MODEL, 13.28).detection) == [1, 0]
+    assert list(finish(np.ones(2), pair, cov, seen(moved(1)), MODEL).detection) == [-1, 0]
+    assert list(finish(np.ones(2), pair, cov, seen(moved(1), moved(6)), MODEL).detection) == [1, 0]
     # The closest pair goes first: the second detection is nearer to both, and the first is left to the other.
-    assert list(finish(np.ones(2), pair, cov, seen(moved(-3), moved(2.5)), MODEL, 13.28).detection) == [1, 0]
-    assert list(finish(np.ones(2), pair, cov, seen(), MODEL, 13.28).detection) == [-1, -1]
+    assert list(finish(np.ones(2), pair, cov, seen(moved(-3), moved(2.5)), MODEL).detection) == [1, 0]
+    assert list(finish(np.ones(2), pair, cov, seen(), MODEL).detection) == [-1, -1]
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -245,7 +245,7 @@ def test_kmeans_agrees_with_looking_at_everything(seed: int):
     z = seen(*at)
     scale = MODEL.sensor.noise(at[0][:, None])[:, 0]
     mass, mean, cov = twin.kmeans(state.state, state.weight, MODEL.sensor.states(z)[0], scale, 0.6, 1.5)
-    extractor = KMeans(min_weight=0.6, split=1.5, iterations=40, merge_iou=1.0)
+    extractor = KMeans(min_weight=0.6, split_weight=1.5, iterations=40, merge_iou=1.0)
     found = extractor.extract(state, z, MODEL)
     assert len(found) == len(mass) == 6
     mine, others = np.argsort(found.state[0]), np.argsort(mean[0])
@@ -293,9 +293,7 @@ def test_raw_detections_are_states():
 
 
 @pytest.mark.parametrize("kind", [KMeans, Mixture])
-@pytest.mark.parametrize(
-    "wrong", [{"min_weight": 0.0}, {"split": -1.0}, {"iterations": 0}, {"merge_iou": 0.0}, {"region": 0.0}]
-)
+@pytest.mark.parametrize("wrong", [{"min_weight": 0.0}, {"split_weight": -1.0}, {"iterations": 0}, {"merge_iou": 0.0}])
 def test_settings_out_of_bounds(kind, wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         kind(**wrong)

@@ -18,7 +18,7 @@ from tracker_cases import equal, two_people
 FRAMES = 120
 SETTINGS = {
     "gm-phd": {"filter": {"kind": "gm-phd"}},
-    "particle-phd": {"filter": {"kind": "particle-phd", "per_target": 500}},
+    "particle-phd": {"filter": {"kind": "particle-phd", "particles_per_target": 500}},
     "mht": {"filter": {"kind": "mht"}},
     "none": {"filter": {"kind": "none"}},
 }

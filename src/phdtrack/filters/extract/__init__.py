@@ -5,7 +5,6 @@ Where the filter knows the distribution of the number of targets, as many peaks 
 
 from phdtrack.filters.extract.bernoullis import BestBernoullis
 from phdtrack.filters.extract.components import Components
-from phdtrack.filters.extract.counted import CountedComponents, CountedKMeans, CountedMixture
 from phdtrack.filters.extract.hypotheses import BestHypothesis
 from phdtrack.filters.extract.joint import Joint
 from phdtrack.filters.extract.kmeans import KMeans
@@ -16,9 +15,6 @@ __all__ = [
     "BestBernoullis",
     "BestHypothesis",
     "Components",
-    "CountedComponents",
-    "CountedKMeans",
-    "CountedMixture",
     "Joint",
     "KMeans",
     "Mixture",

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from phdtrack.arrays import region_radius2
 from phdtrack.filters.extract.cloud import Cloud
 from phdtrack.filters.extract.settling import REACH, Clusters, Start
 from phdtrack.kernels import joining
@@ -78,13 +79,14 @@ def heavy_enough(found: Clusters, sensor: Sensor, lightest: float, split: float)
     return out
 
 
-def finish(mass: F8, mean: F8, cov: F8, z: F8, model: Model, region: float) -> Estimates:
+def finish(mass: F8, mean: F8, cov: F8, z: F8, model: Model) -> Estimates:
     """States from clusters: a floor under their covariances, their boxes, and the detection that each rests on.
 
     A state rests on the nearest detection in whose 99 % region it lies; a detection serves one state, the closest first.
     """
     sensor = model.sensor
     z_of, state_of = meeting(*sensor.gate(z), mean[:2], mean[:2])
+    region = region_radius2(len(sensor.observed))
     distance2 = sensor.distance2(z.take(z_of, axis=1), mean.take(state_of, axis=1))
     # Resampled particles can pile up on few points; a covariance of zero would claim certainty.
     detection, floored = serve(z_of, state_of, distance2, region, sensor.noise(mean), z.shape[1], cov)

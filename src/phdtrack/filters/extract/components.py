@@ -13,7 +13,9 @@ import numpy as np
 
 from phdtrack.checks import Positive, Share, check
 from phdtrack.filters.extract import clusters
+from phdtrack.filters.extract.counted import LIGHTEST_COMPONENT, heaviest
 from phdtrack.filters.extract.resolution import joined
+from phdtrack.filters.intensities import Cardinalised
 from phdtrack.protocols import Model
 from phdtrack.types import F8, Estimates, GaussianMixture
 
@@ -26,21 +28,29 @@ class Components:
     ----------
     min_weight : components of less weight are not targets; Vo and Ma's 0.5.
     repeat : report a component as often as its weight says, rounded, as Vo and Ma do. Joining is off then.
-    region : squared Mahalanobis radius within which a state counts as resting on a detection.
     merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
+    counted : of a cardinalised filter, report as many states as its number of targets says; of others it changes nothing.
     """
 
     min_weight: Positive = 0.5
     repeat: bool = False
-    region: Positive = 13.28
     merge_iou: Share = 0.4
+    counted: bool = True
 
     def __post_init__(self) -> None:
         check(self)
 
-    def extract(self, state: GaussianMixture, z: F8, model: Model) -> Estimates:
+    def extract(self, state: GaussianMixture | Cardinalised[GaussianMixture], z: F8, model: Model) -> Estimates:
         """The means of the components heavy enough to be targets [V06 Table III], and their tags [P09 §III]."""
-        heavy = np.flatnonzero(state.weight >= self.min_weight)
+        if isinstance(state, GaussianMixture):
+            return self._peaks(state, self.min_weight, z, model)
+        if not self.counted:
+            return self._peaks(state.intensity, self.min_weight, z, model)
+        return heaviest(self._peaks(state.intensity, LIGHTEST_COMPONENT, z, model), state.cardinality)
+
+    def _peaks(self, state: GaussianMixture, lightest: float, z: F8, model: Model) -> Estimates:
+        """The components of at least this weight."""
+        heavy = np.flatnonzero(state.weight >= lightest)
         if self.repeat:
             times = np.maximum(np.rint(state.weight[heavy]).astype(np.int64), 1)
             weight = np.repeat(state.weight[heavy] / times, times)
@@ -52,6 +62,6 @@ class Components:
                 model.sensor, self.merge_iou,
             )  # fmt: skip
             heavy = heavy[part]
-        found = clusters.finish(weight, mean, cov, z, model, self.region)
+        found = clusters.finish(weight, mean, cov, z, model)
         # A mixture that no filter has touched has no tags.
         return replace(found, tag=state.tag[heavy]) if len(state.tag) else found

@@ -21,12 +21,10 @@ class Joint:
     Parameters
     ----------
     min_weight : targets that are there with less probability are not reported.
-    region : squared Mahalanobis radius within which a state counts as resting on a detection.
     merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
     """
 
     min_weight: Positive = 0.5
-    region: Positive = 13.28
     merge_iou: Share = 0.4
 
     def __post_init__(self) -> None:
@@ -38,7 +36,7 @@ class Joint:
         there = np.flatnonzero(weight >= self.min_weight)
         mean, cov = _moments(state, there)
         weight, mean, cov, part = joined(weight[there], mean, cov, model.sensor, self.merge_iou)
-        found = clusters.finish(weight, mean, cov, z, model, self.region)
+        found = clusters.finish(weight, mean, cov, z, model)
         return replace(found, tag=state.label[there[part]])
 
 

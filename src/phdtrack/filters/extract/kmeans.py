@@ -16,9 +16,13 @@ from dataclasses import dataclass
 from phdtrack.checks import Count, Positive, PositiveCount, Share, check
 from phdtrack.filters.extract import clusters, settling
 from phdtrack.filters.extract.cloud import Cloud
+from phdtrack.filters.extract.counted import LIGHTEST_CLUSTER, NEVER_SPLIT, heaviest
 from phdtrack.filters.extract.resolution import join_unresolved
+from phdtrack.filters.intensities import Cardinalised
 from phdtrack.protocols import Model
 from phdtrack.types import F8, Estimates, ParticleBlocks, Particles
+
+Intensity = Particles | ParticleBlocks
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,29 +32,37 @@ class KMeans:
     Parameters
     ----------
     min_weight : T, clusters of less mass are not targets; M07's 0.6.
-    split : clusters of more mass are several targets.
+    split_weight : clusters of more mass are several targets.
     iterations : how often a cluster's centre may move, and again after each split of it.
-    region : squared Mahalanobis radius within which a state counts as resting on a detection (99 % in four dimensions).
     merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
     threads : threads that share a frame's work, 0 for one per core; the result is the same to the bit.
+    counted : of a cardinalised filter, report as many states as its number of targets says; of others it changes nothing.
     """
 
     min_weight: Positive = 0.6
-    split: Positive = 1.5
+    split_weight: Positive = 1.5
     iterations: PositiveCount = 5
-    region: Positive = 13.28
     merge_iou: Share = 0.4
     threads: Count = 1
+    counted: bool = True
 
     def __post_init__(self) -> None:
         check(self)
 
-    def extract(self, state: Particles | ParticleBlocks, z: F8, model: Model) -> Estimates:
+    def extract(self, state: Intensity | Cardinalised[Particles], z: F8, model: Model) -> Estimates:
         """The centres of the clusters heavy enough to be targets: weighted means of full states [M07 §3]."""
-        if state.mass < self.min_weight:
+        if not isinstance(state, Cardinalised):
+            return self._peaks(state, self.min_weight, self.split_weight, z, model)
+        if not self.counted:
+            return self._peaks(state.intensity, self.min_weight, self.split_weight, z, model)
+        return heaviest(self._peaks(state.intensity, LIGHTEST_CLUSTER, NEVER_SPLIT, z, model), state.cardinality)
+
+    def _peaks(self, state: Intensity, lightest: float, split: float, z: F8, model: Model) -> Estimates:
+        """The clusters of at least the mass ``lightest``; those above ``split`` are divided."""
+        if state.mass < lightest:
             return Estimates.empty(model.motion.dim)
         sensor, cloud = model.sensor, Cloud.of(state, self.threads, settling.FEW)
-        start = clusters.seeds(cloud, z, sensor, self.min_weight)
-        found = settling.cluster(cloud, start, self.split, self.iterations)
-        heavy = clusters.heavy_enough(found, sensor, self.min_weight, self.split)
-        return clusters.finish(*join_unresolved(*heavy, sensor, self.merge_iou), z, model, self.region)
+        start = clusters.seeds(cloud, z, sensor, lightest)
+        found = settling.cluster(cloud, start, split, self.iterations)
+        heavy = clusters.heavy_enough(found, sensor, lightest, split)
+        return clusters.finish(*join_unresolved(*heavy, sensor, self.merge_iou), z, model)

@@ -15,11 +15,15 @@ import numpy as np
 from phdtrack.checks import Positive, PositiveCount, Share, check
 from phdtrack.filters.extract import clusters
 from phdtrack.filters.extract.cloud import Cloud
+from phdtrack.filters.extract.counted import LIGHTEST_COMPONENT, NEVER_SPLIT, heaviest, united
 from phdtrack.filters.extract.resolution import join_unresolved
 from phdtrack.filters.extract.settling import REACH, Start, cluster
+from phdtrack.filters.intensities import Cardinalised
 from phdtrack.kernels.block_em import em_step
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, Estimates, GaussianMixture, ParticleBlocks, Particles
+
+Intensity = Particles | ParticleBlocks
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,39 +33,48 @@ class Mixture:
     Parameters
     ----------
     min_weight : components of less mass are not targets; M09's 0.5.
-    split : components of more mass are several targets (see `extract.kmeans`).
+    split_weight : components of more mass are several targets (see `extract.kmeans`).
     iterations : EM iterations after the start and after each split.
-    region : squared Mahalanobis radius within which a state counts as resting on a detection.
     merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
+    counted : of a cardinalised filter, report as many states as its number of targets says; of others it changes nothing.
     """
 
     min_weight: Positive = 0.5
-    split: Positive = 1.5
+    split_weight: Positive = 1.5
     iterations: PositiveCount = 6
-    region: Positive = 13.28
     merge_iou: Share = 0.4
+    counted: bool = True
 
     def __post_init__(self) -> None:
         check(self)
 
-    def extract(self, state: Particles | ParticleBlocks, z: F8, model: Model) -> Estimates:
+    def extract(self, state: Intensity | Cardinalised[Particles], z: F8, model: Model) -> Estimates:
         """The means of the components heavy enough to be targets [M09 §III-B]."""
-        if state.mass < self.min_weight:
+        if not isinstance(state, Cardinalised):
+            return self._peaks(state, self.min_weight, self.split_weight, z, model)
+        if not self.counted:
+            return self._peaks(state.intensity, self.min_weight, self.split_weight, z, model)
+        peaks = self._peaks(state.intensity, LIGHTEST_COMPONENT, NEVER_SPLIT, z, model)
+        return heaviest(united(peaks, model.sensor), state.cardinality)
+
+    def _peaks(self, state: Intensity, lightest: float, split: float, z: F8, model: Model) -> Estimates:
+        """The components of at least the mass ``lightest``; those above ``split`` are divided."""
+        if state.mass < lightest:
             return Estimates.empty(model.motion.dim)
         sensor, cloud = model.sensor, Cloud.of(state)
-        start = clusters.seeds(cloud, z, sensor, self.min_weight)
+        start = clusters.seeds(cloud, z, sensor, lightest)
         parts = _parts(cloud)
         mixture, scale = self._fit(cloud, parts, *_start(cloud, start, sensor), sensor)
-        for _ in range(math.ceil(2 * state.mass / self.split)):
-            if not (mixture.weight > self.split).any():
+        for _ in range(math.ceil(2 * state.mass / split)):
+            if not (mixture.weight > split).any():
                 break
-            divided = _divide(mixture, scale, self.split)
+            divided = _divide(mixture, scale, split)
             mixture, scale = self._fit(cloud, parts, divided, sensor.noise(divided.mean), sensor)
-        kept = mixture.weight >= self.min_weight
+        kept = mixture.weight >= lightest
         found = join_unresolved(
             mixture.weight[kept], mixture.mean.compress(kept, axis=1), mixture.covariance[kept], sensor, self.merge_iou
         )
-        return clusters.finish(*found, z, model, self.region)
+        return clusters.finish(*found, z, model)
 
     def _fit(
         self, cloud: Cloud, parts: tuple[F8, F8], mixture: GaussianMixture, scale: F8, sensor: Sensor
