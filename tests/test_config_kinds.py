@@ -94,8 +94,6 @@ def test_the_ground_plane_brings_what_fits_it(filter_: str, order: int):
     assert type(model.clutter) is LocalPlaneClutter
     if filter_ != "pmb":
         assert settings.as_dict()["associate"]["miss"] == 0.2
-    if filter_ not in ("pmb", "none"):
-        assert settings.as_dict()["filter"]["region"] == settings.as_dict()["extract"]["region"] == 9.21
     # What was asked for stays, also over a filter named later.
     linked = [*sets, "associate.kind=graph", "time.rate=2", "associate.miss=0.3"]
     mine = config.overlay(config.load(sets=linked), {"filter": {"kind": "gm-phd"}})

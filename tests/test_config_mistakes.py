@@ -40,7 +40,10 @@ MISTAKES = [
     ("associate.shortest=0", "greater than or equal to 1"),
     ("filter.gate_probability=0", "greater than 0"),
     ("filter.max_hypotheses=0", "greater than or equal to 1"),
-    ("filter.particles_per_target=500", "It goes with filter.kind=particle-phd or particle-cphd; here there are existence_threshold"),
+    (
+        "filter.particles_per_target=500",
+        "It goes with filter.kind=particle-phd or particle-cphd; here there are existence_threshold",
+    ),
     ("clutter.rate=-1", "greater than or equal to 0"),
     ("clutter.volume=frame", "'image'"),
     ("time.rate=0", "greater than 0"),

@@ -194,7 +194,9 @@ def test_an_empty_file_of_detections_is_an_empty_run(tmp_path: Path) -> None:
     assert (said.object["frames"], said.object["tracks"]) == (40, 0)
 
 
-@pytest.mark.parametrize(("kind", "setting"), [("pmb", "filter.history=7"), ("particle-phd", "filter.particles_per_target=300")])
+@pytest.mark.parametrize(
+    ("kind", "setting"), [("pmb", "filter.history=7"), ("particle-phd", "filter.particles_per_target=300")]
+)
 def test_the_configuration_of_a_run_can_be_run_again(kind: str, setting: str, sequence: Path, tmp_path: Path) -> None:
     given = ["--detections", sequence / "det" / "det.txt", "--seed", 3]
     chosen = ("--filter", kind, "--set", "sensor.detection=0.75", "--set", setting)
@@ -310,7 +312,14 @@ def test_a_mistake_in_the_configuration_names_the_nearest(clip: Path, tmp_path: 
 
 
 def test_a_setting_of_another_filter_says_whose_it_is(sequence: Path, tmp_path: Path) -> None:
-    options = ("--detections", sequence / "det" / "det.txt", "--set", "filter.particles_per_target=300", "--out", tmp_path / "run")
+    options = (
+        "--detections",
+        sequence / "det" / "det.txt",
+        "--set",
+        "filter.particles_per_target=300",
+        "--out",
+        tmp_path / "run",
+    )
     assert "It goes with filter.kind=particle-phd" in refused("track", *options)
     assert phdtrack("track", *options, "--filter", "particle-phd").status == 0
 
@@ -357,7 +366,9 @@ def test_settings_of_the_filter_that_the_option_names(sequence: Path, tmp_path: 
     ).object
     settings = run["configuration"]["filter"]
     assert (settings["kind"], settings["history"], settings["max_hypotheses"]) == ("mht", 3, 7)
-    assert "here there are most, ratio, depth" in refused(*options, "--filter", "mht", "--set", "filter.particles_per_target=3")
+    assert "here there are most, ratio, depth" in refused(
+        *options, "--filter", "mht", "--set", "filter.particles_per_target=3"
+    )
     assert "two filters" in refused(*options, "--filter", "mht", "--set", "filter.kind=mcmc")
     assert "--filter" in refused(*options, "--filter", "mhd")
 

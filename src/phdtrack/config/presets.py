@@ -14,9 +14,9 @@ false alarms are read as per pixel² and frame, with any size up to the frame's,
 births are per frame of 1/7 s and stand here per second. It needs ``camera.file``, or detections in metres.
 ``d14``: D14's SMC PHD filter for point targets: p_D = p_S = 1, no clutter, ten newborn particles anywhere in each frame, no
 update where nothing is detected. Its N is the total number of particles, so ``particles_per_target`` and ``max_particles``
-are both N: the mass is a whole number of targets, and never more than N particles are drawn. Without clutter whatever explains a detection best
-explains it, however far it is, as long as its density is a number: the gate is where double precision ends (37.5 deviations
-at D14's variances). Detections of which nothing is that near are counted as vanished.
+are both N: the mass is a whole number of targets, and never more than N particles are drawn. Without clutter whatever
+explains a detection best explains it, however far it is, as long as its density is a number: the gate is where
+double precision ends (37.5 deviations at D14's variances). Detections of which nothing is that near are counted as vanished.
 """
 
 from __future__ import annotations
