@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from inner_kernels import from_python
 from phdtrack.arrays import iou
+from phdtrack.kernels.block_em import whitening
 from phdtrack.kernels.blocks import cut, summarise
 from phdtrack.kernels.box import box_corners, box_gate, box_noise
 from phdtrack.kernels.clustering import outside
-from phdtrack.kernels.block_em import whitening
 from phdtrack.kernels.islands import islands, united
 from phdtrack.kernels.joining import claim, heavy_enough, likeness, meeting, nearest_first, serve
 from phdtrack.kernels.kmeans import kmeans

@@ -16,9 +16,9 @@ from phdtrack.filters.extract.cloud import Cloud
 from phdtrack.filters.extract.clusters import seeds, starting
 from phdtrack.filters.extract.mixture import _parts
 from phdtrack.filters.extract.settling import FEW, REACH, Clusters, cluster
+from phdtrack.kernels.block_em import em_step
 from phdtrack.kernels.blocks import cut
 from phdtrack.kernels.dividing import PATIENCE
-from phdtrack.kernels.block_em import em_step
 from phdtrack.kernels.joining import heavy_enough
 from phdtrack.kernels.nearest import MIXED
 from phdtrack.types import ParticleBlocks, Particles
