@@ -20,7 +20,7 @@ from benchmarks.parts import Outcome, Row, Scale
 from benchmarks.timing import Spread, clock, took
 from benchmarks.workload import Crowd, Stream, draw
 from phdtrack import config, pipeline
-from phdtrack.associate.vetted import Vetted
+from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.models.learned_scene import laid_over
 from phdtrack.protocols import AnyStages
 from phdtrack.scene import ContextDensity, Followed, Learned, grid, marginal
@@ -85,7 +85,9 @@ def _learned(stages: AnyStages, size: tuple[float, float], places: Places) -> An
     objects = Learned(float(TARGETS), marginal(_density(size, 1, (1, 1), size[0] / 3), SHOWN))
     seen = Followed(0.1, objects)
     model = laid_over(stages.model, births, alarms, seen, 500)
-    return replace(stages, model=model, associator=Vetted(stages.associator, Odds(alarms, seen, births), 0.1, 5))
+    return replace(
+        stages, model=model, associator=FalseTrackRejection(stages.associator, Odds(alarms, seen, births), 0.1, 5)
+    )
 
 
 def _density(size: tuple[float, float], count: int, counts: tuple[int, int], wide: float = 30.0) -> ContextDensity:

@@ -20,7 +20,7 @@ PLACES = ("never found", "before", "between", "after")
 SHIPPED = "as shipped"
 # Rows without hindsight and with it.
 KINDS = ("online", "corrected")
-_JOINED, _GAPS, _POOR = ("extract.merge_iou=1.0",), ("associate.miss=1.0",), ("associate.worth=0.0",)
+_JOINED, _GAPS, _POOR = ("extract.merge_iou=1.0",), ("associate.gap_cost=0.0",), ("associate.min_link_gain=0.0",)
 # Filter, what is changed, and how: one setting at a time. None of these decided a default.
 CHANGES: dict[str, dict[str, tuple[str, ...]]] = {
     "particle-phd": {
@@ -37,7 +37,7 @@ CHANGES: dict[str, dict[str, tuple[str, ...]]] = {
         "nobody joined": _JOINED,
         "lighter states": ("extract.min_weight=0.3",),
         "p_D 0.7": ("sensor.detection=0.7",),
-        "led back 20 frames": ("associate.backfill=20",),
+        "led back 20 frames": ("associate.back_dating=20",),
     },
     "mht": {SHIPPED: (), "states linked by the graph": ("associate.kind=graph",)},
     "none": {SHIPPED: ()},

@@ -17,7 +17,7 @@ from experiments.common import Case, followed
 from experiments.m09_scenes import Footage, halves
 from phdtrack import config
 from phdtrack.arrays import iou, to_cxcywh
-from phdtrack.associate.vetted import Vetted, believed
+from phdtrack.associate.rejection import FalseTrackRejection, believed
 from phdtrack.errors import InputError
 from phdtrack.label import Label, LabelStore
 from phdtrack.label.hand import REACH, birth_states, time_watched
@@ -95,7 +95,9 @@ def told(stages: AnyStages, births: Learned | None, clutter: Learned | None, see
     model = laid_over(stages.model, births, clutter, seen, MOST)
     if clutter is None or seen is None:
         return replace(stages, model=model)
-    return replace(stages, model=model, associator=Vetted(stages.associator, Odds(clutter, seen, births), SURE, SHORTEST))
+    return replace(
+        stages, model=model, associator=FalseTrackRejection(stages.associator, Odds(clutter, seen, births), SURE, SHORTEST)
+    )
 
 
 def own_births(tracks: Tracks, case: Case, rate: float) -> Lesson | None:

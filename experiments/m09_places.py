@@ -18,7 +18,7 @@ from experiments.common import Case, built, followed, mot15, table
 from experiments.m09_lessons import learned_alarms, learned_followed, marked_false, own_births, told
 from experiments.m09_scenes import stretch
 from phdtrack.arrays import iou
-from phdtrack.associate.vetted import believed
+from phdtrack.associate.rejection import believed
 from phdtrack.metrics import evaluate
 from phdtrack.metrics.matching import build, tracking_mapping
 from phdtrack.protocols import AnyStages

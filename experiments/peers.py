@@ -42,7 +42,7 @@ SEEDS = 3
 # Name, filter, and settings that are not the defaults.
 TRACKERS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "pmb": ("pmb", ()),
-    "pmb, 3 frames late": ("pmb", ("associate.delay=3",)),
+    "pmb, 3 frames late": ("pmb", ("associate.output_delay=3",)),
     "particle-phd": ("particle-phd", ()),
     "gm-phd": ("gm-phd", ()),
     "mht": ("mht", ()),
@@ -52,9 +52,9 @@ SHOWN = ("HOTA", "MOTA", "IDF1")
 # What the shipped defaults are made of: parts switched off,
 PARTS: Mapping[str, tuple[str, ...]] = {
     "as shipped": (),
-    "corrected tracks not smoothed": ("refine.smooth=false",),
-    "corrected tracks not stitched": ("refine.stitch=false",),
-    "neither": ("refine.smooth=false", "refine.stitch=false"),
+    "corrected tracks not smoothed": ("smooth.smoothing=false",),
+    "corrected tracks not stitched": ("smooth.stitching=false",),
+    "neither": ("smooth.smoothing=false", "smooth.stitching=false"),
     "targets never hidden": ("filter.mean_visible_time=0",),
     "no sources": ("filter.static_clutter_prior=0",),
     "one hypothesis a target": ("filter.max_hypotheses=1",),

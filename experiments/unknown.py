@@ -6,6 +6,7 @@ p_D is learned from, tracks say: of the association, or, of the MHT, the filter'
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -76,7 +77,7 @@ def whole(model: Model, stages: Stages, learns: bool, labelled: bool) -> AnyStag
     learning: Learning[Any] = NoLearning()
     if learns:
         learning = FollowRates(Following(priors(model), model.rate, MEMORY, WAIT, 0.0, Learns(scores=False)))
-    associator = Labelled() if labelled else GraphMatching(span=SPAN, miss=MISS)
+    associator = Labelled() if labelled else GraphMatching(window=SPAN, gap_cost=-model.rate * math.log(MISS))
     return Whole(model, *stages, associator, learning)
 
 

@@ -194,7 +194,7 @@ def test_as_dict_written_as_toml_loads_to_the_same(preset: str, sets: list[str],
     if preset == "d14" and any(name in option for option in sets for name in ("kind=uniform", "sensor", "gm-phd")):
         sets = ["birth.kind=point", "filter.kind=gm-phd", "sensor.size=[10, 20]", "clutter.rate=2"]
     if preset == "m09-mht" and any("kind=uniform" in option for option in sets):
-        sets = ["filter.initial=[[1, 2, 10, 20]]", "filter.history=3", "extract.merge_iou=0.3", "associate.delay=2"]
+        sets = ["filter.initial=[[1, 2, 10, 20]]", "filter.history=3", "extract.merge_iou=0.3", "associate.output_delay=2"]
     settings = config.load(sets=sets, preset=preset)
     again = config.load(written(tmp_path / "all.toml", settings.as_dict()))
     assert again.as_dict() == settings.as_dict()

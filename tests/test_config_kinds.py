@@ -93,11 +93,11 @@ def test_the_ground_plane_brings_what_fits_it(filter_: str, order: int):
     assert model.motion.borders == model.sensor.borders == model.birth.borders == (-10.0, 0.0, 10.0, 40.0)
     assert type(model.clutter) is LocalPlaneClutter
     if filter_ != "pmb":
-        assert settings.as_dict()["associate"]["miss"] == 0.2
+        assert settings.as_dict()["associate"]["gap_cost"] == 1.609
     # What was asked for stays, also over a filter named later.
-    linked = [*sets, "associate.kind=graph", "time.rate=2", "associate.miss=0.3"]
+    linked = [*sets, "associate.kind=graph", "time.rate=2", "associate.gap_cost=0.3"]
     mine = config.overlay(config.load(sets=linked), {"filter": {"kind": "gm-phd"}})
-    assert (mine.as_dict()["time"]["rate"], mine.as_dict()["associate"]["miss"]) == (2.0, 0.3)
+    assert (mine.as_dict()["time"]["rate"], mine.as_dict()["associate"]["gap_cost"]) == (2.0, 0.3)
     assert mine.as_dict()["filter"]["region"] == 9.21
 
 
@@ -153,19 +153,19 @@ def test_the_region_is_what_the_camera_shows(data):
 def test_who_labels_targets_is_asked_for_their_identities(named: str, tmp_path):
     """Unless somebody chose otherwise; what both kinds of association know is kept."""
     path = tmp_path / "mine.toml"
-    path.write_text('[filter]\nkind = "mht"\n[associate]\ndelay = 3\n', encoding="utf-8")
+    path.write_text('[filter]\nkind = "mht"\n[associate]\noutput_delay = 3\n', encoding="utf-8")
     settings = {
-        "option": lambda: config.load(sets=["associate.delay=3", "filter.kind=mht"]),
+        "option": lambda: config.load(sets=["associate.output_delay=3", "filter.kind=mht"]),
         "file": lambda: config.load(path),
-        "over": lambda: config.overlay(config.load(sets=["associate.delay=3"]), {"filter": {"kind": "mht"}}),
+        "over": lambda: config.overlay(config.load(sets=["associate.output_delay=3"]), {"filter": {"kind": "mht"}}),
     }[named]()
     stages = config.build(settings, INFO)
     assert (type(stages.filter), type(stages.extractor)) == (MHT, BestHypothesis)
-    assert stages.associator == Labelled(delay=3)
-    graph = config.load(sets=["filter.kind=mht", "associate.kind=graph", "associate.span=1"])
-    assert config.build(graph, INFO).associator == GraphMatching(span=1.0)
+    assert stages.associator == Labelled(output_delay=3)
+    graph = config.load(sets=["filter.kind=mht", "associate.kind=graph", "associate.window=1"])
+    assert config.build(graph, INFO).associator == GraphMatching(window=1.0)
     back = config.build(settings, INFO, "particle-phd")
-    assert back.associator == GraphMatching(delay=3)
+    assert back.associator == GraphMatching(output_delay=3)
 
 
 def test_m09s_rival_has_its_printed_parameters():

@@ -7,7 +7,7 @@ import pytest
 
 from phdtrack import config
 from phdtrack.associate import GraphMatching, Labelled
-from phdtrack.associate.vetted import Vetted
+from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.cli.configured import Choice, chosen
 from phdtrack.config.presets import FILTERED
 from phdtrack.errors import InputError
@@ -121,14 +121,14 @@ def test_only_what_is_of_boxes_is_laid_beside(tmp_path):
 @pytest.mark.parametrize(("name", "kind"), [("pmb", Labelled), ("gm-phd", GraphMatching), ("none", GraphMatching)])
 def test_who_stays_among_false_alarms_is_held_back(tmp_path, name, kind):
     sets = written(tmp_path / "scene.json", followed=FOLLOWED)
-    vetted = config.build(config.load(sets=[*sets, "associate.delay=3"]), INFO, name).associator
-    assert isinstance(vetted, Vetted)
+    vetted = config.build(config.load(sets=[*sets, "associate.output_delay=3"]), INFO, name).associator
+    assert isinstance(vetted, FalseTrackRejection)
     assert isinstance(vetted.associator, kind)
-    assert vetted.associator.delay == 3
+    assert vetted.associator.output_delay == 3
     assert (vetted.false.clutter.rate, vetted.false.followed.share, vetted.false.births.rate) == (1.5, 0.1, 0.05)
     # Births count where they are of the same scene.
     alone = config.build(config.load(sets=sets[2:]), INFO, name).associator
-    assert isinstance(alone, Vetted)
+    assert isinstance(alone, FalseTrackRejection)
     assert alone.false.births is None
     other = written(tmp_path / "other.json", followed=FOLLOWED)
     assert config.build(config.load(sets=[*other[:2], *sets[2:]]), INFO, name).associator.false.births is None

@@ -225,7 +225,7 @@ def test_tracks_can_be_asked_for_at_any_time(kind: str, scene):
 
 
 def test_delay_and_flush(scene):
-    tracker = tracker_of(associate={"delay": 4})
+    tracker = tracker_of(associate={"output_delay": 4})
     given = feed(tracker, scene[:20])
     for number, rows in enumerate(given, start=1):
         assert set(rows.frame) <= {number - 4}

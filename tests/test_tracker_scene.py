@@ -10,7 +10,7 @@ import pytest
 
 from phdtrack import Tracker, config
 from phdtrack.arrays import to_xyxy
-from phdtrack.associate.vetted import Vetted
+from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.models.learned_scene import laid_over
 from phdtrack.scene import ContextDensity, Followed, Learned
 from phdtrack.scene.odds import Odds
@@ -35,11 +35,13 @@ BIRTHS = Learned(0.01, ContextDensity(LOW, HIGH, 0.2, np.ones(1), *ENTRY))
 
 def tracker_of(held_back: bool = True, sure: float = 0.0, **sections) -> Tracker:
     values = {"filter": PARTICLES | {"particles_per_target": 400}, "birth": {"most": 300}} if "particles" in sections else {}
-    delay = {"associate": {"delay": sections.get("delay", 0)}}
+    delay = {"associate": {"output_delay": sections.get("delay", 0)}}
     stages = config.build(config.overlay(config.load(), values | delay, "a test"), SequenceInfo(*SIZE, 25.0))
     if held_back:
         model = laid_over(stages.model, BIRTHS, CLUTTER, OBJECTS, 300)
-        stages = replace(stages, model=model, associator=Vetted(stages.associator, Odds(CLUTTER, OBJECTS, BIRTHS), sure))
+        stages = replace(
+            stages, model=model, associator=FalseTrackRejection(stages.associator, Odds(CLUTTER, OBJECTS, BIRTHS), sure)
+        )
     return Tracker(stages=stages, seed=3)
 
 

@@ -23,13 +23,13 @@ def scene():
 
 @pytest.mark.parametrize("section", [
     {},
-    {"associate": {"delay": 3}},
+    {"associate": {"output_delay": 3}},
     {"sensor": {"scaling": "previous"}},
     {"filter": {"kind": "none"}},
-    {"filter": {"kind": "mht"}, "associate": {"delay": 3}},
+    {"filter": {"kind": "mht"}, "associate": {"output_delay": 3}},
     {"learn": {"kind": "online", "memory": 0.05, "wait": 0.3}},
     {"filter": PARTICLES},
-    {"filter": PARTICLES, "associate": {"delay": 3}},
+    {"filter": PARTICLES, "associate": {"output_delay": 3}},
     {"filter": PARTICLES, "sensor": {"scaling": "previous"}},
     {"filter": PARTICLES, "learn": {"kind": "online", "memory": 0.05, "wait": 0.3}},
 ], ids=[

@@ -117,7 +117,7 @@ def test_where_the_misses_are() -> None:
 
 
 def test_a_trial_is_a_run_with_its_settings() -> None:
-    shipped, bare = (m07_why.tried(m07_why.Trial(B, "gm-phd", sets, 1)) for sets in ((), ("associate.bridge=false",)))
+    shipped, bare = (m07_why.tried(m07_why.Trial(B, "gm-phd", sets, 1)) for sets in ((), ("associate.bridge_gaps=false",)))
     assert sum(shipped.missed) == shipped.corrected.misses
     assert bare.missed[2] > shipped.missed[2]
     assert shipped.online.misses > shipped.corrected.misses

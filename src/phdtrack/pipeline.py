@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.explanation import Explanation
 from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages, Model
-from phdtrack.types import F4, F8, I8, STILL, Detections, Estimates, Step, Tracks, UpdateInfo
+from phdtrack.types import F4, F8, I8, STILL, Detections, Estimates, Explanation, Step, Tracks, UpdateInfo
 
 NOBODY: F8 = np.zeros((0, 0))
 # Where measurements are put that tell nothing of any state: no state is near.
@@ -178,7 +177,7 @@ def run(
 
 
 @dataclass(frozen=True, slots=True)
-class Beside:
+class ShadowTracker:
     """The same frames once more, by ``stages`` of their own."""
 
     stages: AnyStages
@@ -194,9 +193,11 @@ class Beside:
 
 
 def finish(stages: AnyStages, state: TrackingState, looks: Mapping[int, F4] = NOT_LOOKED) -> Tracks:
-    """The corrected tracks of everything seen so far, refined by its measurements.
+    """The corrected tracks of everything seen so far, smoothed with its measurements.
 
-    ``looks`` (N, B) by a frame's number are what its detections look like, from `Refiner.look`.
+    ``looks`` (N, B) by a frame's number are what its detections look like, from `Smoother.describe`.
     """
     tracks = stages.associator.finish(state.association, stages.model)
-    return stages.refiner.refine(tracks, stages.associator.measured(state.association).looked(looks), stages.model)
+    return stages.smoother.smooth(
+        tracks, stages.associator.measurements(state.association).with_appearance(looks), stages.model
+    )

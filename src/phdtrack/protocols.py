@@ -18,18 +18,18 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.explanation import Explanation
 from phdtrack.kernels.gaussian import Births
-from phdtrack.measured import Measured
 from phdtrack.types import (
     F4,
     F8,
     STILL,
     Detections,
     Estimates,
+    Explanation,
     Frame,
     GaussianMixture,
     Image,
+    MeasurementHistory,
     Particles,
     SequenceInfo,
     Step,
@@ -249,29 +249,29 @@ class Associator(Protocol[A]):
     def finish(self, state: A, model: Model) -> Tracks:
         """The corrected, bridged and cleaned tracks of everything taken in so far."""
 
-    def measured(self, state: A) -> Measured:
+    def measurements(self, state: A) -> MeasurementHistory:
         """The measurements of everything that is remembered, with every frame of the corrected tracks."""
 
 
-class Refiner(Protocol):
+class Smoother(Protocol):
     """From corrected tracks to better ones, with everything known at the end."""
 
-    def look(self, image: Image, xyxy: F8) -> F4:
-        """(N, B) what the boxes (N, 4) of a frame look like, as far as `refine` asks for it; (N, 0) where it does not."""
+    def describe(self, image: Image, xyxy: F8) -> F4:
+        """(N, B) what the boxes (N, 4) of a frame look like, as far as `smooth` asks for it; (N, 0) where it does not."""
 
-    def refine(self, tracks: Tracks, measured: Measured, model: Model) -> Tracks:
-        """The tracks, of which each row rests on a measurement of ``measured``, or on none."""
+    def smooth(self, tracks: Tracks, measurements: MeasurementHistory, model: Model) -> Tracks:
+        """The tracks, of which each row rests on a measurement of ``measurements``, or on none."""
 
 
 @dataclass(frozen=True, slots=True)
-class AsAssociated:
+class NoSmoothing:
     """Corrected tracks stay as they are."""
 
-    def look(self, image: Image, xyxy: F8) -> F4:
+    def describe(self, image: Image, xyxy: F8) -> F4:
         """Nobody asks."""
         return np.zeros((len(xyxy), 0), np.float32)
 
-    def refine(self, tracks: Tracks, measured: Measured, model: Model) -> Tracks:
+    def smooth(self, tracks: Tracks, measurements: MeasurementHistory, model: Model) -> Tracks:
         """The same."""
         return tracks
 
@@ -407,7 +407,7 @@ class Stages(Generic[S, A]):
     associator: Associator[A]
     learning: Learning[Any] = field(default_factory=NoLearning)
     explainer: Explainer[Any] = field(default_factory=AsDetected)
-    refiner: Refiner = field(default_factory=AsAssociated)
+    smoother: Smoother = field(default_factory=NoSmoothing)
 
 
 AnyStages = Stages[Any, Any]

@@ -14,8 +14,8 @@ Conventions, stated once:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -264,6 +264,32 @@ class UpdateInfo:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Explanation:
+    """The detections that the filter is given in place of a frame's N: merged measurements divided, fragments united.
+
+    Attributes
+    ----------
+    detections : the N′ detections that the filter is given, one for each target.
+    source : (N′,) the detection that each rests on; several rest on a merged one.
+    part : (N,) the first of the N′ that each detection went into.
+    target : (N′,) the expected target that each belongs to, −1 for none.
+    changed : False where these are the frame's detections as they were.
+    """
+
+    detections: Detections
+    source: I8
+    part: I8
+    target: I8
+    changed: bool = False
+
+    @classmethod
+    def unchanged(cls, detections: Detections) -> Explanation:
+        """The detections as they were, assigned to no target."""
+        same = np.arange(len(detections))
+        return cls(detections, same, same, np.full(len(same), -1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Estimates:
     """The states extracted from one frame's intensity, before they have identities.
 
@@ -309,6 +335,37 @@ class Estimates:
             self.tag[index] if len(self.tag) else self.tag,
             self.past,
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasurementHistory:
+    """The measurements of F frames end to end, which corrected tracks are smoothed with.
+
+    Attributes
+    ----------
+    number, time : (F,) frame numbers, ascending, and times in the model's time units.
+    start : (F + 1,) frame f has the columns start[f] … start[f + 1] − 1 of ``z``, in the order of its detections.
+    z : (m, Z) measurements.
+    warp : (F, 3, 3) the camera's motion since the frame before; (0, 3, 3) where it stood still.
+    appearance : (Z, B) description of each detection's image, NaN where unknown; (Z, 0) where none was computed.
+    """
+
+    number: I8
+    time: F8
+    start: I8
+    z: F8
+    warp: F8
+    appearance: F4
+
+    def with_appearance(self, described: Mapping[int, F4]) -> MeasurementHistory:
+        """The same with the descriptions (N, B) of frames' detections, by frame number."""
+        kept = [(place, described[number]) for place, number in enumerate(self.number.tolist()) if number in described]
+        if not kept:
+            return self
+        appearance = np.full((self.z.shape[1], kept[0][1].shape[1]), np.nan, np.float32)
+        for place, rows in kept:
+            appearance[self.start[place] : self.start[place + 1]] = rows
+        return replace(self, appearance=appearance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,18 +26,18 @@ def model_of(*, rate: float = 25.0, detection: float = 0.95, **motion) -> Model:
     return Model(BoxMotion(**settings), sensor, MeasurementBirth(frame_size=size), UniformClutter(1.0, 1e10), rate)
 
 
-def matching_of(**settings) -> GraphMatching:
-    """Settings of which none is the default's: the tests hold whatever that is."""
+def matching_of(*, miss: float = 0.3, **settings) -> GraphMatching:
+    """Settings other than the defaults; ``miss`` is the probability of one more time unit (1/25 s) without a state."""
     plain = {
-        "span": 2.0,
-        "shortest": 5,
-        "gate": 4.0,
-        "miss": 0.3,
-        "consistent": 3.5,
-        "delay": 0,
-        "coast": 0.3,
-        "bridge": True,
-        "backfill": 0,
+        "window": 2.0,
+        "min_track_length": 5,
+        "loose_end_distance": 4.0,
+        "gap_cost": -25 * math.log(miss),
+        "max_link_distance": 3.5,
+        "output_delay": 0,
+        "max_coast": 0.3,
+        "bridge_gaps": True,
+        "back_dating": 0,
     }
     return GraphMatching(**(plain | settings))
 

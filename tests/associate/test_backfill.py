@@ -41,7 +41,7 @@ def walker(believed_from: int, frames: int = 20, *, stray=()) -> list[tuple[Esti
 
 @pytest.mark.parametrize(("late", "most", "rows"), [(3, 5, 3), (5, 5, 5), (8, 5, 5), (3, 0, 0), (3, 2, 2)])
 def test_a_track_begins_at_the_detections_that_started_it(late: int, most: int, rows: int):
-    tracks = run(walker(late), backfill=most)
+    tracks = run(walker(late), back_dating=most)
     assert set(tracks.identity) == {1}
     assert tracks.frame.tolist() == list(range(late - rows + 1, 21))
     assert (tracks.detection == 0).all()
@@ -50,7 +50,7 @@ def test_a_track_begins_at_the_detections_that_started_it(late: int, most: int, 
 
 
 def test_it_takes_the_detection_that_the_state_predicts():
-    tracks = run(walker(4, stray=[(300, 300), (150, 260)]), backfill=5)
+    tracks = run(walker(4, stray=[(300, 300), (150, 260)]), back_dating=5)
     assert tracks.frame.tolist() == list(range(1, 21))
     assert (tracks.detection == 2).all()
 
@@ -58,16 +58,16 @@ def test_it_takes_the_detection_that_the_state_predicts():
 def test_it_stops_where_there_is_none():
     frames = walker(5)
     frames[2] = (NONE, measured((300, 300)))
-    assert run(frames, backfill=5).frame.tolist() == list(range(4, 21))
+    assert run(frames, back_dating=5).frame.tolist() == list(range(4, 21))
     frames[2] = (NONE, measured())
-    assert run(frames, backfill=5).frame.tolist() == list(range(4, 21))
+    assert run(frames, back_dating=5).frame.tolist() == list(range(4, 21))
 
 
 def test_states_are_counted_with_what_leads_to_them():
     """Three states and two detections before them make five."""
     frames = [*walker(2, 5), *[(NONE, measured())] * 3]
-    assert run(frames, backfill=5, shortest=5).frame.tolist() == [1, 2, 3, 4, 5]
-    assert len(run(frames, backfill=0, shortest=5)) == 0
+    assert run(frames, back_dating=5, min_track_length=5).frame.tolist() == [1, 2, 3, 4, 5]
+    assert len(run(frames, back_dating=0, min_track_length=5)) == 0
 
 
 def test_two_tracks_do_not_share_a_detection():
@@ -76,7 +76,7 @@ def test_two_tracks_do_not_share_a_detection():
         z = measured((200, 200)) if k < 4 else measured((200, 200), (206, 204))
         here = states([(200, 200), (206, 204)], velocity=[(0, 0), (0, 0)]) if k >= 4 else NONE
         frames.append((here, z))
-    tracks = run(frames, backfill=5)
+    tracks = run(frames, back_dating=5)
     assert len({*zip(tracks.frame.tolist(), tracks.detection.tolist(), strict=True)}) == len(tracks)
     assert (np.bincount(tracks.frame)[1:5] == 1).all()
 
@@ -91,7 +91,7 @@ def test_a_measured_size_leads_back_like_a_position():
             noisy = measured((100 + 3 * k, 200)) + rng.normal(0, [[2], [2], [4], [4]], (4, 1))
             frames[k] = (NONE, noisy)
             theirs.append(noisy[:, 0] - measured((100 + 3 * k, 200))[:, 0])
-        tracks = run(frames, backfill=5, shortest=3)
+        tracks = run(frames, back_dating=5, min_track_length=3)
         early = tracks.take(tracks.frame <= 5)
         truth = np.array([measured((100 + 3 * (f - 1), 200))[:, 0] for f in early.frame]).reshape(-1, 4)
         errors.extend(to_cxcywh(early.xyxy).T - truth)
@@ -110,7 +110,7 @@ def test_a_remembered_size_is_led_back_too():
         cov[:, [6, 7], [6, 7]] = cov[:, [4, 5], [4, 5]]
         frames.append((Estimates(state, cov, estimates.weight, to_xyxy(z[:, :1])[: len(estimates)], estimates.detection), z))
         assert len(estimates) == (k >= 4)
-    tracks = run(frames, model, backfill=5)
+    tracks = run(frames, model, back_dating=5)
     assert tracks.frame.tolist() == list(range(1, 21))
     np.testing.assert_allclose(to_cxcywh(tracks.xyxy)[2:], 40, atol=1e-6)
 
@@ -123,7 +123,7 @@ def test_rows_are_the_conditional_means():
     noisy = np.hstack([z for _, z in frames[:4]]) + rng.normal(0, 2, (4, 4))
     frames[:4] = [(NONE, noisy[:, [k]]) for k in range(4)]
     first = frames[4][0]
-    tracks = run(frames, model, backfill=5)
+    tracks = run(frames, model, back_dating=5)
     assert tracks.frame.tolist() == list(range(1, 21))
     wanted = twin.led_back(model.motion, model.sensor, first.state[:, 0], first.covariance[0], noisy, 1.0)
     np.testing.assert_allclose(tracks.xyxy[:4], model.sensor.boxes(wanted), atol=1e-8)

@@ -29,7 +29,7 @@ def is_cover(pairs) -> bool:
 @settings(max_examples=40, deadline=None)
 def test_total_gain_is_that_of_the_best_of_all_covers(seed: int, count: int, miss: float, gate: float):
     frames = scattered(np.random.default_rng(seed), count, 3)
-    matching = matching_of(miss=miss, gate=gate)
+    matching = matching_of(miss=miss, loose_end_distance=gate)
     edges = twin.gains(frames, [1.0] * count, matching, model_of())
     last = run(matching, frames).states[-1]
     assert is_cover(links(last))
@@ -38,7 +38,7 @@ def test_total_gain_is_that_of_the_best_of_all_covers(seed: int, count: int, mis
 
 def test_the_cases_ask_for_corrections():
     """Links made for good, frame by frame, come to less in many of them."""
-    model, matching = model_of(), matching_of(gate=5.0, miss=0.7)
+    model, matching = model_of(), matching_of(loose_end_distance=5.0, miss=0.7)
     worse = edges_seen = 0
     for seed in range(40):
         frames = scattered(np.random.default_rng(seed), 4, 3)
@@ -53,7 +53,7 @@ def test_the_cases_ask_for_corrections():
 @settings(max_examples=15, deadline=None)
 def test_window_is_optimal_after_every_frame_while_nothing_is_closed(seed: int, intervals: list[float]):
     frames = scattered(np.random.default_rng(seed), 12, 4, side=120)
-    matching, model = matching_of(span=100.0), model_of()
+    matching, model = matching_of(window=100.0), model_of()
     edges = twin.gains(frames, intervals, matching, model)
     first = np.cumsum([len(f) for f in frames])
     for state, end in zip(run(matching, frames, model, intervals).states, first, strict=True):
@@ -64,7 +64,7 @@ def test_window_is_optimal_after_every_frame_while_nothing_is_closed(seed: int, 
 
 def test_open_part_is_optimal_after_links_are_closed():
     frames, _ = walkers(np.random.default_rng(4), 80, clutter=3.0)
-    for state in run(matching_of(span=0.3), frames).states:
+    for state in run(matching_of(window=0.3), frames).states:
         edges = open_edges(state.window)
         taken = window_links(state.window)
         chosen = list(zip(taken.later.tolist(), taken.earlier.tolist(), strict=True))

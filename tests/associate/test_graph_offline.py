@@ -62,7 +62,7 @@ def test_what_was_given_online_stays_as_it_was():
 
 
 def test_with_a_delay_the_correction_is_in_the_online_rows_too():
-    online = run(matching_of(delay=2), false_hypothesis()).online
+    online = run(matching_of(output_delay=2), false_hypothesis()).online
     assert set(online.identity[(online.detection >= 0) & (online.frame != 9)]) == {1}
     ninth = online.take((online.frame == 9) & (online.detection >= 0))
     assert ninth.identity.tolist() != [1]
@@ -73,19 +73,19 @@ def test_with_a_delay_the_correction_is_in_the_online_rows_too():
 def test_span_closes_links(gap: int, joined: bool):
     """10 frames at 25 Hz are 0.4 s: a state 10 frames back can still be linked, one 11 frames back cannot."""
     frames = [*resting(6), *[states([])] * gap, *resting(6)]
-    tracks = run(matching_of(span=0.4, gate=8.0, miss=0.9), frames).tracks
+    tracks = run(matching_of(window=0.4, loose_end_distance=8.0, miss=0.9), frames).tracks
     assert set(tracks.identity) == ({1} if joined else {1, 2})
     assert len(tracks) == 12 + (gap if joined else 0)
 
 
 def test_span_is_time_and_not_frames():
     frames = [*resting(6), *[states([])] * 9, *resting(6)]
-    twice = run(matching_of(span=0.4, gate=8.0, miss=0.9), frames, intervals=[2.0] * len(frames)).tracks
+    twice = run(matching_of(window=0.4, loose_end_distance=8.0, miss=0.9), frames, intervals=[2.0] * len(frames)).tracks
     assert set(twice.identity) == {1, 2}
 
 
 def test_links_become_final_when_the_window_leaves_them():
-    result = run(matching_of(span=0.4), resting(40))
+    result = run(matching_of(window=0.4), resting(40))
     final = [set(zip(m.final.later.tolist(), m.final.earlier.tolist(), strict=True)) for m in result.states[-1].history]
     assert sum(map(len, final)) == 28  # of 39, the last 11 states may still be linked otherwise
     assert all(len(f) <= 1 for f in final)
@@ -133,7 +133,7 @@ def occluded(gap: int) -> tuple[list[Estimates], np.ndarray]:
 @pytest.mark.parametrize("gap", [1, 5, 20])
 def test_an_occluded_target_is_bridged(gap: int):
     frames, truth = occluded(gap)
-    tracks = run(matching_of(miss=0.9, gate=6.0), frames).tracks
+    tracks = run(matching_of(miss=0.9, loose_end_distance=6.0), frames).tracks
     assert set(tracks.identity) == {1}
     assert tracks.frame.tolist() == list(range(1, len(frames) + 1))
     np.testing.assert_array_equal(np.flatnonzero(tracks.detection < 0), np.arange(30, 30 + gap))
@@ -146,7 +146,7 @@ def test_an_occluded_target_is_bridged(gap: int):
 
 def test_without_bridge_gaps_stay_open():
     frames, _ = occluded(10)
-    tracks = run(matching_of(miss=0.9, bridge=False), frames).tracks
+    tracks = run(matching_of(miss=0.9, bridge_gaps=False), frames).tracks
     assert set(tracks.identity) == {1}
     assert not tracks.predicted.any()
     assert len(tracks) == 60
@@ -154,21 +154,21 @@ def test_without_bridge_gaps_stay_open():
 
 @pytest.mark.parametrize(("length", "shortest", "kept"), [(4, 5, False), (5, 5, True), (1, 1, True), (7, 8, False)])
 def test_short_tracks_are_left_out(length: int, shortest: int, kept: bool):
-    tracks = run(matching_of(shortest=shortest), [*resting(length), *[states([])] * 3]).tracks
+    tracks = run(matching_of(min_track_length=shortest), [*resting(length), *[states([])] * 3]).tracks
     assert len(tracks) == (length if kept else 0)
 
 
 def test_length_is_counted_in_states_and_not_in_bridged_rows():
     frames = [*resting(2), states([]), states([]), *resting(2)]
-    assert len(run(matching_of(shortest=5, miss=0.9, gate=8.0), frames).tracks) == 0
-    assert len(run(matching_of(shortest=4, miss=0.9, gate=8.0), frames).tracks) == 6
+    assert len(run(matching_of(min_track_length=5, miss=0.9, loose_end_distance=8.0), frames).tracks) == 0
+    assert len(run(matching_of(min_track_length=4, miss=0.9, loose_end_distance=8.0), frames).tracks) == 6
 
 
 @given(seeds)
 @settings(max_examples=15, deadline=None)
 def test_identities_start_at_1_and_stand_once_in_a_frame(seed: int):
     frames, _ = walkers(np.random.default_rng(seed), 40, clutter=3.0)
-    tracks = run(matching_of(shortest=3), frames).tracks
+    tracks = run(matching_of(min_track_length=3), frames).tracks
     assert set(tracks.identity) == set(range(1, len(set(tracks.identity)) + 1))
     assert len({*zip(tracks.frame, tracks.identity, strict=True)}) == len(tracks)
     np.testing.assert_array_equal(np.lexsort((tracks.identity, tracks.frame)), np.arange(len(tracks)))
@@ -220,8 +220,8 @@ def test_nobody_writes_into_what_he_received():
     for estimates in frames:
         for name in ("state", "covariance", "weight", "xyxy", "detection"):
             getattr(estimates, name).flags.writeable = False
-    first = run(matching_of(backfill=3), frames)
-    assert same(first.tracks, run(matching_of(backfill=3), frames).tracks)
+    first = run(matching_of(back_dating=3), frames)
+    assert same(first.tracks, run(matching_of(back_dating=3), frames).tracks)
 
 
 def test_writing_into_rows_that_were_given_changes_no_later_row():

@@ -27,7 +27,9 @@ def test_every_state_is_given_once_and_identities_are_unique(seed: int, delay: i
     """Also where corrections make two states claim one identity, and where the delay is longer than the window."""
     rng = np.random.default_rng(seed)
     frames = scattered(rng, 25, 4, side=60)
-    online = run(matching_of(delay=delay, span=span, shortest=3, miss=0.7, gate=5.0), frames).online
+    online = run(
+        matching_of(output_delay=delay, window=span, min_track_length=3, miss=0.7, loose_end_distance=5.0), frames
+    ).online
     seen = online.take(online.detection >= 0)
     wanted = [(k, i) for k, f in enumerate(frames, 1) for i in range(len(f))]
     assert sorted(zip(seen.frame.tolist(), seen.detection.tolist(), strict=True)) == wanted
@@ -44,7 +46,7 @@ def test_every_state_is_given_once_and_identities_are_unique(seed: int, delay: i
 def test_a_window_shorter_than_the_delay_loses_no_link(seed: int, delay: int):
     """Links that became final while their rows were held back hold for the rows all the same."""
     frames, _ = walkers(np.random.default_rng(seed), 30, n=2, clutter=0.5)
-    result = run(matching_of(delay=delay, span=0.08), frames)
+    result = run(matching_of(output_delay=delay, window=0.08), frames)
     first = np.cumsum([0, *(len(f) for f in frames)])
     online = result.online
     name = {
@@ -52,7 +54,7 @@ def test_a_window_shorter_than_the_delay_loses_no_link(seed: int, delay: int):
         for f, d, i in zip(online.frame, online.detection, online.identity, strict=True)
         if d >= 0
     }
-    final = run(matching_of(span=0.08), frames).states[-1]
+    final = run(matching_of(window=0.08), frames).states[-1]
     settled = {(b, a) for b, a in links(final) if b < first[-delay - 1]}
     assert all(name[b] == name[a] for b, a in settled)
 
@@ -60,36 +62,38 @@ def test_a_window_shorter_than_the_delay_loses_no_link(seed: int, delay: int):
 def test_a_pause_longer_than_the_window_keeps_rows_that_are_held_back():
     frames = [*moving(8), *moving(8, start=(400.0, 100.0))]
     intervals = [1.0] * 8 + [100.0] + [1.0] * 7
-    result = run(matching_of(delay=4), frames, intervals=intervals)
+    result = run(matching_of(output_delay=4), frames, intervals=intervals)
     assert result.online.identity.tolist() == [1] * 8 + [2] * 8
 
 
 @pytest.mark.parametrize("delay", [0, 1, 7])
 def test_output_lags_exactly_the_delay(delay: int):
-    result = run(matching_of(delay=delay), moving(20))
+    result = run(matching_of(output_delay=delay), moving(20))
     for number, rows in enumerate(result.given, start=1):
         assert rows.frame.tolist() == ([number - delay] if number > delay else [])
     assert result.flushed.frame.tolist() == list(range(21 - delay, 21))
-    assert len(run(matching_of(delay=delay), moving(3)).online) == 3
-    assert len(matching_of(delay=delay).flush(matching_of().start(), model_of())) == 0
+    assert len(run(matching_of(output_delay=delay), moving(3)).online) == 3
+    assert len(matching_of(output_delay=delay).flush(matching_of().start(), model_of())) == 0
 
 
 def test_flush_does_not_change_the_state():
-    matching, model = matching_of(delay=5), model_of()
+    matching, model = matching_of(output_delay=5), model_of()
     state = run(matching, moving(12)).states[-1]
     assert same(matching.flush(state, model), matching.flush(state, model))
 
 
 def test_confirmed_from_the_fifth_state_on():
-    online = run(matching_of(shortest=5), moving(9)).online
+    online = run(matching_of(min_track_length=5), moving(9)).online
     assert online.confirmed.tolist() == [False] * 4 + [True] * 5
-    with_gap = run(matching_of(shortest=5, miss=0.9), [*moving(3), states([]), *moving(3, start=(112.0, 200.0))]).online
+    with_gap = run(
+        matching_of(min_track_length=5, miss=0.9), [*moving(3), states([]), *moving(3, start=(112.0, 200.0))]
+    ).online
     assert with_gap.frame.tolist() == [1, 2, 3, 5, 6, 7], "an unconfirmed track is not continued"
     assert with_gap.confirmed.tolist() == [False] * 4 + [True] * 2
 
 
 def test_a_missed_target_is_continued_for_as_long_as_coast():
-    online = run(matching_of(coast=0.3), [*moving(10), *[states([])] * 20], PATIENT).online
+    online = run(matching_of(max_coast=0.3), [*moving(10), *[states([])] * 20], PATIENT).online
     coasted = online.take(online.detection < 0)
     assert coasted.frame.tolist() == list(range(11, 18)), "0.3 s at 25 Hz are 7 frames"
     assert set(coasted.identity) == {1}
@@ -101,11 +105,11 @@ def test_a_missed_target_is_continued_for_as_long_as_coast():
 
 def test_coast_is_time_and_not_frames():
     frames = [*moving(10), *[states([])] * 20]
-    online = run(matching_of(coast=0.3), frames, PATIENT, intervals=[1.0] * 10 + [3.5] * 20).online
+    online = run(matching_of(max_coast=0.3), frames, PATIENT, intervals=[1.0] * 10 + [3.5] * 20).online
     assert online.frame[online.detection < 0].tolist() == [11, 12]
 
 
-@pytest.mark.parametrize("settings", [{"coast": 0.0}, {"bridge": False}])
+@pytest.mark.parametrize("settings", [{"max_coast": 0.0}, {"bridge_gaps": False}])
 def test_nothing_is_continued_when_told_not_to(settings):
     online = run(matching_of(**settings), [*moving(10), *[states([])] * 5], PATIENT).online
     assert (online.detection >= 0).all()
@@ -113,7 +117,7 @@ def test_nothing_is_continued_when_told_not_to(settings):
 
 def test_a_target_that_leaves_the_frame_is_not_continued():
     leaving = moving(10, start=(WIDTH - 70.0, HEIGHT / 2), velocity=(6.0, 0.0))
-    online = run(matching_of(coast=2.0), [*leaving, *[states([])] * 20], PATIENT).online
+    online = run(matching_of(max_coast=2.0), [*leaving, *[states([])] * 20], PATIENT).online
     last = online.xyxy[online.detection < 0]
     assert (last[:, 0] < WIDTH).all()
     assert online.frame.max() == 15, "in the sixteenth its left edge would be at the border"
@@ -121,7 +125,7 @@ def test_a_target_that_leaves_the_frame_is_not_continued():
 
 def test_a_target_seen_again_keeps_its_identity():
     frames = [*moving(10), *[states([])] * 4, *moving(10, start=(142.0, 200.0))]
-    online = run(matching_of(miss=0.9, gate=6.0), frames, PATIENT).online
+    online = run(matching_of(miss=0.9, loose_end_distance=6.0), frames, PATIENT).online
     assert online.frame.tolist() == list(range(1, 25))
     assert set(online.identity) == {1}
     assert online.predicted.tolist() == [False] * 10 + [True] * 4 + [False] * 10
@@ -146,7 +150,7 @@ def test_waiting_does_not_cost_identities():
         frames, who = walkers(np.random.default_rng(seed), 60, p_seen=0.9, clutter=1.0, n=4)
         truth = rows_of(frames, who)
         for delay in counts:
-            counts[delay] += switches(run(matching_of(delay=delay, shortest=3), frames).online, truth)
+            counts[delay] += switches(run(matching_of(output_delay=delay, min_track_length=3), frames).online, truth)
     assert counts[0] > 20, "hard enough to make a difference"
     assert counts[10] <= counts[3] <= counts[0]
     assert counts[10] < counts[0]
@@ -154,23 +158,23 @@ def test_waiting_does_not_cost_identities():
 
 def test_online_rows_do_not_depend_on_what_comes_later():
     frames, _ = walkers(np.random.default_rng(2), 50, clutter=2.0)
-    whole = run(matching_of(delay=2), frames).given
+    whole = run(matching_of(output_delay=2), frames).given
     for end in (1, 10, 33):
-        assert all(same(a, b) for a, b in zip(run(matching_of(delay=2), frames[:end]).given, whole, strict=False))
+        assert all(same(a, b) for a, b in zip(run(matching_of(output_delay=2), frames[:end]).given, whole, strict=False))
 
 
 def test_a_delay_confirms_by_what_follows():
     for delay, early in ((0, 4), (2, 2), (4, 0), (9, 0)):
-        online = run(matching_of(delay=delay, shortest=5), moving(12)).online
+        online = run(matching_of(output_delay=delay, min_track_length=5), moving(12)).online
         assert (~online.confirmed).tolist() == [True] * early + [False] * (12 - early)
-    short = run(matching_of(delay=9, shortest=5), moving(4)).online
+    short = run(matching_of(output_delay=9, min_track_length=5), moving(4)).online
     assert not short.confirmed.any()
 
 
 def test_a_delay_bridges_the_gap_that_it_sees_the_end_of():
     """The rows lie where the corrected tracks have them, not where the motion model alone would."""
     swerving = [*moving(10), *[states([])] * 4, *moving(8, start=(150.0, 206.0))]
-    result = run(matching_of(delay=6, miss=0.9, gate=6.0), swerving)
+    result = run(matching_of(output_delay=6, miss=0.9, loose_end_distance=6.0), swerving)
     filled = result.online.take(result.online.detection < 0)
     corrected = result.tracks.take(result.tracks.detection < 0)
     assert filled.frame.tolist() == corrected.frame.tolist() == [11, 12, 13, 14]
@@ -180,7 +184,7 @@ def test_a_delay_bridges_the_gap_that_it_sees_the_end_of():
 
 @pytest.mark.parametrize(("delay", "ghosts"), [(0, 7), (3, 4), (7, 0), (12, 0)])
 def test_a_delay_ends_what_it_knows_to_have_ended(delay: int, ghosts: int):
-    online = run(matching_of(delay=delay, coast=0.3), [*moving(10), *[states([])] * 20], PATIENT).online
+    online = run(matching_of(output_delay=delay, max_coast=0.3), [*moving(10), *[states([])] * 20], PATIENT).online
     assert online.predicted.sum() == ghosts
 
 
@@ -193,7 +197,7 @@ def flickering(gap: int, times: int) -> list[Estimates]:
 
 def test_the_missing_are_waited_for_as_long_as_the_missing_came_back():
     """By the model's p_D of 0.95 a target missed twice has gone; where gaps of four frames are filled, it has not."""
-    online = run(matching_of(coast=1.0, miss=0.95, gate=6.0), flickering(4, 6)).online
+    online = run(matching_of(max_coast=1.0, miss=0.95, loose_end_distance=6.0), flickering(4, 6)).online
     assert set(online.identity) == {1}
     filled = [int(np.isin(np.arange(11, 15) + 14 * k, online.frame).sum()) for k in range(6)]
     assert filled[0] == 1
@@ -206,7 +210,7 @@ def test_who_does_not_come_back_is_soon_not_waited_for():
     frames: list[Estimates] = []
     for k in range(8):
         frames += [*moving(10, start=(60.0 * k + 60.0, 200.0)), *[states([])] * 10]
-    online = run(matching_of(coast=0.4), frames, model_of(survival=0.99, detection=0.5)).online
+    online = run(matching_of(max_coast=0.4), frames, model_of(survival=0.99, detection=0.5)).online
     ghosts = [int((online.predicted & (online.frame > 20 * k) & (online.frame <= 20 * k + 20)).sum()) for k in range(8)]
     assert ghosts[0] >= 4
     assert ghosts[-1] < ghosts[0]

@@ -33,7 +33,7 @@ def remembered(matching, rng: np.random.Generator, frames: int, moving: bool = F
 @pytest.mark.parametrize("moving", [False, True])
 def test_every_measurement_is_remembered(matching, frames: int, moving: bool, rng):
     state, given = remembered(matching, rng, frames, moving)
-    measured = matching.measured(state)
+    measured = matching.measurements(state)
     assert measured.number.tolist() == [number for number, _, _ in given]
     np.testing.assert_allclose(np.diff(measured.time), 1.5)
     assert len(measured.start) == frames + 1
@@ -42,14 +42,14 @@ def test_every_measurement_is_remembered(matching, frames: int, moving: bool, rn
         if len(measured.warp):
             np.testing.assert_array_equal(measured.warp[place], warp)
     assert len(measured.warp) == (frames if moving and frames > 1 else 0)
-    assert measured.look.shape == (measured.z.shape[1], 0)
+    assert measured.appearance.shape == (measured.z.shape[1], 0)
 
 
-@pytest.mark.parametrize("matching", [matching_of(remember=0.5), Labelled(remember=0.5)], ids=["graph", "labelled"])
+@pytest.mark.parametrize("matching", [matching_of(history=0.5), Labelled(history=0.5)], ids=["graph", "labelled"])
 def test_what_is_forgotten_is_measured_no_more(matching, rng):
     frames = 6 * CHUNK
     state, given = remembered(matching, rng, frames)
-    measured = matching.measured(state)
+    measured = matching.measurements(state)
     assert CHUNK <= len(measured.number) < frames
     kept = given[-len(measured.number) :]
     assert measured.number.tolist() == [number for number, _, _ in kept]

@@ -76,8 +76,8 @@ def tracked(associator, frames: list[Estimates], path: np.ndarray, told: bool) -
 
 
 @pytest.mark.parametrize("associator", [
-    matching_of(backfill=5, coast=0.4), matching_of(delay=6), matching_of(delay=2, remember=0.2),
-    Labelled(coast=0.4), Labelled(delay=3),
+    matching_of(back_dating=5, max_coast=0.4), matching_of(output_delay=6), matching_of(output_delay=2, history=0.2),
+    Labelled(max_coast=0.4), Labelled(output_delay=3),
 ], ids=["graph", "delayed", "forgetting", "labelled", "labelled, delayed"])  # fmt: skip
 def test_rows_are_those_of_a_camera_that_stands(associator, rng):
     frames, path = walkers(isinstance(associator, Labelled)), np.cumsum(rng.normal(0, 25, (40, 2)), axis=0)

@@ -28,7 +28,7 @@ def circling(frames: int):
 
 def test_the_state_stops_growing():
     """Over 10 000 frames: its bytes after 2000 are those after 10 000."""
-    matching, state, size = matching_of(remember=8.0, backfill=3), matching_of().start(), {}
+    matching, state, size = matching_of(history=8.0, back_dating=3), matching_of().start(), {}
     for number, estimates in enumerate(circling(10_000), start=1):
         state, _ = matching.extend(state, estimates, estimates.state[[0, 1, 4, 5]], number, 1.0, MODEL)
         if number % 1000 == 0:
@@ -44,7 +44,7 @@ def test_what_is_remembered_is_as_if_all_were():
     """Online rows are the same; corrected tracks that begin after the forgotten past are too."""
     frames, _ = walkers(np.random.default_rng(1), 700, n=0, clutter=0.0)
     ended = [*walkers(np.random.default_rng(2), 60, n=3)[0], *frames[:400], *walkers(np.random.default_rng(3), 90, n=3)[0]]
-    whole, part = run(matching_of(delay=3), ended), run(matching_of(delay=3, remember=5.0), ended)
+    whole, part = run(matching_of(output_delay=3), ended), run(matching_of(output_delay=3, history=5.0), ended)
     assert same(whole.online, part.online)
     assert whole.tracks.frame.min() < 60
     recent = whole.tracks.take(whole.tracks.frame > 460)
@@ -56,17 +56,17 @@ def test_what_is_remembered_is_as_if_all_were():
 
 def test_a_living_track_goes_back_as_far_as_is_remembered():
     frames = [states([(100 + 0.1 * k, 200)], velocity=[(0.1, 0)]) for k in range(600)]
-    tracks = run(matching_of(remember=6.0), frames).tracks
+    tracks = run(matching_of(history=6.0), frames).tracks
     assert set(tracks.identity) == {1}
     assert tracks.frame.tolist() == list(range(tracks.frame.min(), 601))
     assert 150 <= len(tracks) <= 150 + 2 * CHUNK
-    assert set(run(matching_of(remember=6.0), frames).online.identity) == {1}
+    assert set(run(matching_of(history=6.0), frames).online.identity) == {1}
 
 
-@pytest.mark.parametrize("settings", [{"delay": 40}, {"span": 6.0}, {"coast": 9.0}])
+@pytest.mark.parametrize("settings", [{"output_delay": 40}, {"window": 6.0}, {"max_coast": 9.0}])
 def test_what_open_links_rest_on_is_never_forgotten(settings):
     frames, _ = walkers(np.random.default_rng(4), 500, n=2, p_seen=0.6)
-    whole, part = run(matching_of(**settings), frames), run(matching_of(remember=0.04, **settings), frames)
+    whole, part = run(matching_of(**settings), frames), run(matching_of(history=0.04, **settings), frames)
     assert same(whole.online, part.online)
 
 
@@ -111,6 +111,6 @@ def test_a_frame_takes_little_room():
 
 
 def test_nothing_is_forgotten_unless_told():
-    assert matching_of().remember == 0
+    assert matching_of().history == 0
     tracks: Tracks = run(matching_of(), [states([(100, 100)], velocity=[(0, 0)])] * 300).tracks
     assert tracks.frame.tolist() == list(range(1, 301))

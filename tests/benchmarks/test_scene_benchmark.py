@@ -9,7 +9,7 @@ from benchmarks import scene
 from benchmarks.parts import SMOKE
 from benchmarks.workload import Crowd, draw
 from phdtrack import config
-from phdtrack.associate.vetted import Vetted
+from phdtrack.associate.rejection import FalseTrackRejection
 
 
 def test_the_densities_have_as_many_places_as_said() -> None:
@@ -21,7 +21,7 @@ def test_the_densities_have_as_many_places_as_said() -> None:
         assert len(model.birth.density) == (places.births or 120)
         assert len(model.clutter.density) == (places.alarms or 224)
         assert (model.birth.beside, model.clutter.beside) == (plain.model.birth.rate, plain.model.clutter.rate)
-        assert isinstance(stages.associator, Vetted)
+        assert isinstance(stages.associator, FalseTrackRejection)
 
 
 def test_ratios_of_a_filter(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -122,7 +122,9 @@ def test_members_are_the_online_identities_with_any_delay(street: Path, tmp_path
     for delay in (0, 4):
         out = tmp_path / str(delay)
         assert (
-            phdtrack("groups", *detected(street), "--out", out, "--no-video", "--set", f"associate.delay={delay}").status
+            phdtrack(
+                "groups", *detected(street), "--out", out, "--no-video", "--set", f"associate.output_delay={delay}"
+            ).status
             == 0
         )
         online = read_tracks(out / rundir.ONLINE)

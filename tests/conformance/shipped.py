@@ -9,7 +9,7 @@ import numpy as np
 
 from phdtrack.arrays import to_cxcywh
 from phdtrack.associate import GraphMatching, Labelled
-from phdtrack.associate.vetted import Vetted
+from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, PMB, NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.filters.bernoullis import Bernoullis, Layer
 from phdtrack.filters.extract import (
@@ -148,14 +148,16 @@ EXTRACTORS = {
 }
 ASSOCIATORS = {
     "graph": GraphMatching(),
-    "delayed": GraphMatching(delay=3),
-    "plain": GraphMatching(bridge=False, backfill=0),
+    "delayed": GraphMatching(output_delay=3),
+    "plain": GraphMatching(bridge_gaps=False, back_dating=0),
     "labelled": Labelled(),
-    "labelled, delayed": Labelled(delay=3, remember=0.4),
-    "labelled, plain": Labelled(bridge=False, shortest=1),
+    "labelled, delayed": Labelled(output_delay=3, history=0.4),
+    "labelled, plain": Labelled(bridge_gaps=False, min_track_length=1),
 }
 SCENE_ODDS = Odds(Learned(2.0, PEOPLE), Followed(0.5, Learned(3.0, uniform_density(PEOPLE.low, PEOPLE.high))))
-ASSOCIATORS |= {f"vetted, {name}": Vetted(ASSOCIATORS[name], SCENE_ODDS) for name in ("delayed", "labelled, delayed")}
+ASSOCIATORS |= {
+    f"vetted, {name}": FalseTrackRejection(ASSOCIATORS[name], SCENE_ODDS) for name in ("delayed", "labelled, delayed")
+}
 
 
 def model_of(sensor: BoxSensor | None = None) -> Model:

@@ -54,7 +54,7 @@ def tracked(info: SequenceInfo, table: DetectionTable, *sets: str, kind: str = "
     """
     options = [
         f"filter.kind={kind}",
-        "refine.stitch=false",
+        "smooth.stitching=false",
         *(f"learn.{text}" for text in ("kind=online", *sets) if sets),
     ]
     stages, rng = config.build(config.load(sets=options), info), np.random.default_rng(0)

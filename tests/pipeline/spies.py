@@ -8,9 +8,8 @@ import numpy as np
 
 from phdtrack import config
 from phdtrack.filters.composed import composed_step
-from phdtrack.measured import Measured
 from phdtrack.protocols import AnyStages, Stages
-from phdtrack.types import Estimates, SequenceInfo, Tracks, UpdateInfo
+from phdtrack.types import Estimates, MeasurementHistory, SequenceInfo, Tracks, UpdateInfo
 
 INFO = SequenceInfo(640, 480, 25.0)
 
@@ -84,9 +83,9 @@ class SpyAssociator:
     def finish(self, state, model):
         return Tracks.empty()
 
-    def measured(self, state):
+    def measurements(self, state):
         none, start = np.zeros(0, np.int64), np.zeros(1, np.int64)
-        return Measured(none, np.zeros(0), start, np.zeros((4, 0)), np.zeros((0, 3, 3)), NO_LOOK)
+        return MeasurementHistory(none, np.zeros(0), start, np.zeros((4, 0)), np.zeros((0, 3, 3)), NO_LOOK)
 
 
 def spying(rate: float = 25.0) -> tuple[AnyStages, SpyFilter, SpyExtractor, SpyAssociator]:

@@ -8,7 +8,7 @@ from learning_cases import scores, street
 
 from phdtrack import config, pipeline
 from phdtrack.arrays import to_cxcywh
-from phdtrack.associate.vetted import Vetted
+from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.formats import read_detections, read_truth
 from phdtrack.models.clutter import LocalClutter
 from phdtrack.scene import read_scene, write_scene
@@ -104,7 +104,7 @@ def test_what_is_in_use_is_written_with_where_objects_are(followed, tmp_path):
     files = [f"{name}.file={str(tmp_path / 'scene.json')!r}" for name in ("birth", "clutter")]
     fixed = stages(scene.info, *given, *files)
     assert fixed.model.birth.among is not None
-    assert not isinstance(fixed.associator, Vetted)
+    assert not isinstance(fixed.associator, FalseTrackRejection)
     # What is out of use is left out, and any size may come when it is learned on.
     unused = built.learning.scene(replace(mode, births=replace(mode.births, trusted=False)), "street")
     assert unused.births is None

@@ -5,7 +5,6 @@ A cover of vertices by paths is a set of links (later, earlier) in which each ve
 
 from __future__ import annotations
 
-import math
 from functools import cache
 
 import numpy as np
@@ -18,7 +17,7 @@ def gains(frames, intervals, matching, model):
 
     ``frames`` is a list of `Estimates`, ``intervals`` the model time from the frame before to each.
     The gain is the log-density of the later state under the j-step transition, convolved with both covariances, less that of
-    a state ``gate`` deviations from a typical one-step prediction, less the price of the time without a state between.
+    a state ``loose_end_distance`` deviations from a typical one-step prediction, less the price of the time without a state.
     """
     rows = np.ix_(model.sensor.observed, model.sensor.observed)
     seen = list(model.sensor.observed)
@@ -31,7 +30,7 @@ def gains(frames, intervals, matching, model):
                 for dt in intervals[back + 1 : k + 1]:
                     mean, jacobian, noise = model.motion.transition(mean, dt)
                     cov = jacobian[0] @ cov @ jacobian[0].T + noise[0]
-                if sum(intervals[back + 1 : k + 1]) > matching.span * model.rate + 1e-9:
+                if sum(intervals[back + 1 : k + 1]) > matching.window * model.rate + 1e-9:
                     continue
                 for b in range(len(here)):
                     spread = cov[rows] + here.covariance[b][rows]
@@ -39,19 +38,19 @@ def gains(frames, intervals, matching, model):
                     distance2 = float(step @ np.linalg.solve(spread, step))
                     density = multivariate_normal.logpdf(step, cov=spread)
                     worth = density - _loose(here.state[:, [b]], intervals[k], matching, model)
-                    worth += sum(intervals[back + 1 : k]) * math.log(matching.miss)
-                    if worth > 0 and distance2 <= matching.consistent**2:
+                    worth += sum(intervals[back + 1 : k]) * -matching.gap_cost / model.rate
+                    if worth > 0 and distance2 <= matching.max_link_distance**2:
                         found[int(first[k] + b), int(first[back] + a)] = worth
     return found
 
 
 def _loose(state, dt, matching, model):
-    """The log-density of two loose ends: at ``gate`` deviations of two measurements' noise and one step of the motion's."""
+    """The log-density of two loose ends: two measurements' noise and one step of the motion's, at `loose_end_distance`."""
     seen = list(model.sensor.observed)
     _, _, noise = model.motion.transition(state, dt)
     typical = noise[0][np.ix_(seen, seen)] + 2 * np.diag(model.sensor.noise(state)[seen, 0] ** 2)
     _, log_det = np.linalg.slogdet(2 * np.pi * typical)
-    return -0.5 * (matching.gate**2 + log_det)
+    return -0.5 * (matching.loose_end_distance**2 + log_det)
 
 
 def best_cover(edges):

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.measured import Measured
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.protocols import Model
-from phdtrack.types import Tracks
+from phdtrack.types import MeasurementHistory, Tracks
 
 WIDTH, HEIGHT = 640.0, 480.0
 
@@ -34,7 +33,7 @@ def walk(rng: np.random.Generator, frames: int, begin, velocity, size=(40.0, 80.
     return np.hstack([place, np.broadcast_to(size, (frames, 2))]) + rng.normal(0, noise, (frames, 4))
 
 
-def sequence(pieces, frames: int, model: Model, warp: np.ndarray | None = None) -> tuple[Tracks, Measured]:
+def sequence(pieces, frames: int, model: Model, warp: np.ndarray | None = None) -> tuple[Tracks, MeasurementHistory]:
     """Tracks of ``pieces``, each {frame: (4,) measurement or None}, with boxes where they were measured.
 
     In each frame the measurements stand in the order of the pieces. A frame with None is a row that rests on nothing.
@@ -57,7 +56,7 @@ def sequence(pieces, frames: int, model: Model, warp: np.ndarray | None = None) 
     n = len(rows)
     tracks = Tracks(np.array(number), np.array(identity), xyxy, np.full(n, 0.9), np.array(detection), np.ones(n, np.bool_))
     warps = np.zeros((0, 3, 3)) if warp is None else warp
-    return tracks, Measured(
+    return tracks, MeasurementHistory(
         np.arange(1, frames + 1), np.arange(frames, dtype=float), start, np.array(z).T, warps, no_look(len(z))
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from refine_cases import model_of, piece, sequence, walk
 
-from phdtrack.smooth import Refinement
+from phdtrack.smooth import Smoothing
 from phdtrack.smooth.appearance import Alike, histograms, likeness
 from phdtrack.smooth.paths import paths_of
 
@@ -80,13 +80,13 @@ def swapped(rng):
         own = [np.array([40, 60, *box[2:]]) for _, box in rows]
         seen = [painted({who[i]: box}, rng, (120, 80)) for (i, _), box in zip(rows, own, strict=True)]
         looks[number] = np.concatenate([histograms(a, around(box)) for a, box in zip(seen, own, strict=True)])
-    return tracks, measured, measured.looked(looks)
+    return tracks, measured, measured.with_appearance(looks)
 
 
 def test_colours_tell_who_is_who_where_places_mislead(swapped):
     tracks, blind, seeing = swapped
     for measured, wanted in ((blind, {0: 3, 1: 2}), (seeing, {0: 2, 1: 3})):
-        found = Refinement(appearance=True).refine(tracks, measured, MODEL)
+        found = Smoothing(appearance=True).smooth(tracks, measured, MODEL)
         paths = paths_of(found, measured)
         assert len(paths) == 3
         # Old rows keep their detections: the one of frame 220 says which piece went on.
@@ -104,23 +104,23 @@ def test_what_is_not_known_says_nothing(swapped):
     tracks, measured, seeing = swapped
     paths = paths_of(tracks, measured)
     pair = np.array([0, 1]), np.array([2, 3])
-    nothing = np.full_like(seeing.look, np.nan)
+    nothing = np.full_like(seeing.appearance, np.nan)
     assert likeness(paths, nothing, *pair).tolist() == [0, 0]
-    assert (likeness(paths, seeing.look, *pair) > 2).all()
-    assert (likeness(paths, seeing.look, np.array([0, 1]), np.array([3, 2])) < -2).all()
+    assert (likeness(paths, seeing.appearance, *pair) > 2).all()
+    assert (likeness(paths, seeing.appearance, np.array([0, 1]), np.array([3, 2])) < -2).all()
 
 
 def test_frames_that_nobody_looked_at_are_unknown(swapped):
     _, measured, seeing = swapped
-    some = measured.looked({5: seeing.look[measured.start[4] : measured.start[5]]})
-    assert np.isfinite(some.look[measured.start[4] : measured.start[5]]).all()
-    assert np.isnan(np.delete(some.look, np.arange(*measured.start[4:6]), axis=0)).all()
-    assert measured.looked({}) is measured
-    assert replace(measured).look.shape[1] == 0
+    some = measured.with_appearance({5: seeing.appearance[measured.start[4] : measured.start[5]]})
+    assert np.isfinite(some.appearance[measured.start[4] : measured.start[5]]).all()
+    assert np.isnan(np.delete(some.appearance, np.arange(*measured.start[4:6]), axis=0)).all()
+    assert measured.with_appearance({}) is measured
+    assert replace(measured).appearance.shape[1] == 0
 
 
 def test_only_who_asks_looks(rng):
     image, box = painted({}, rng), np.array([[10.0, 10, 60, 90]])
-    assert Refinement().look(image, box).shape == (1, 0)
-    assert Refinement(appearance=True, stitch=False).look(image, box).shape == (1, 0)
-    assert Refinement(appearance=True).look(image, box).shape == (1, 256)
+    assert Smoothing().describe(image, box).shape == (1, 0)
+    assert Smoothing(appearance=True, stitching=False).describe(image, box).shape == (1, 0)
+    assert Smoothing(appearance=True).describe(image, box).shape == (1, 256)

@@ -7,9 +7,8 @@ import pytest
 from refine_cases import model_of, no_look, piece, sequence, walk
 
 from phdtrack.errors import InputError
-from phdtrack.measured import Measured
-from phdtrack.smooth import Refinement
-from phdtrack.types import Tracks
+from phdtrack.smooth import Smoothing
+from phdtrack.types import MeasurementHistory, Tracks
 
 MODEL = model_of(scaled=True, acceleration=0.005, resize=0.05)
 
@@ -19,7 +18,7 @@ def names(tracks: Tracks) -> dict[int, list[int]]:
 
 
 def refined(pieces, frames: int = 60, model=MODEL, **settings) -> Tracks:
-    return Refinement(**settings).refine(*sequence(pieces, frames, model), model)
+    return Smoothing(**settings).smooth(*sequence(pieces, frames, model), model)
 
 
 @pytest.mark.parametrize("missing", [1, 5, 12, 25])
@@ -27,7 +26,9 @@ def refined(pieces, frames: int = 60, model=MODEL, **settings) -> Tracks:
 def test_a_track_that_was_cut_is_one_again(missing: int, seed: int):
     rng = np.random.default_rng(seed)
     a, b = walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (600, 60), (-1, 3))
-    tracks = refined([piece(a, 1, (1, 20)), piece(a, 1, (21 + missing, 60)), piece(b, 1, (1, 60))], sure=100.0)
+    tracks = refined(
+        [piece(a, 1, (1, 20)), piece(a, 1, (21 + missing, 60)), piece(b, 1, (1, 60))], max_gap_uncertainty=100.0
+    )
     assert names(tracks) == {1: list(range(1, 61)), 2: list(range(1, 61))}
     gap = tracks.take((tracks.identity == 1) & (tracks.frame > 20) & (tracks.frame <= 20 + missing))
     assert (gap.detection == -1).all()
@@ -75,13 +76,13 @@ def test_two_who_cross_out_of_sight_keep_their_ways(rng):
 def test_the_order_of_tracks_does_not_matter(rng):
     a, b = walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (600, 60), (-1, 3))
     tracks, measured = sequence([piece(a, 1, (1, 20)), piece(a, 1, (27, 60)), piece(b, 1, (1, 60))], 60, MODEL)
-    wanted = Refinement().refine(tracks, measured, MODEL)
+    wanted = Smoothing().smooth(tracks, measured, MODEL)
     for order in ([3, 1, 2], [2, 3, 1], [1, 3, 2]):
         other = Tracks.concatenate(
             [Tracks(t.frame, np.full(len(t), k), t.xyxy, t.confidence, t.detection, t.confirmed)
              for i, k in enumerate(order, start=1) for t in [tracks.take(tracks.identity == i)]]
         )  # fmt: skip
-        found = Refinement().refine(other, measured, MODEL)
+        found = Smoothing().smooth(other, measured, MODEL)
         assert sorted(names(found).values()) == sorted(names(wanted).values())
         boxes = [t.xyxy[np.lexsort((t.xyxy[:, 0], t.frame))] for t in (found, wanted)]
         np.testing.assert_allclose(*boxes, atol=1e-7)
@@ -91,14 +92,14 @@ def test_each_part_can_be_switched_off(rng):
     a = walk(rng, 60, (60, 240), (4, 0))
     pieces = [piece(a, 1, (1, 20)), piece(a, 1, (27, 60))]
     tracks, measured = sequence(pieces, 60, MODEL)
-    assert Refinement(stitch=False, smooth=False).refine(tracks, measured, MODEL) is tracks
-    joined = Refinement(smooth=False).refine(tracks, measured, MODEL)
+    assert Smoothing(stitching=False, smoothing=False).smooth(tracks, measured, MODEL) is tracks
+    joined = Smoothing(smoothing=False).smooth(tracks, measured, MODEL)
     assert names(joined) == {1: list(range(1, 61))}
     np.testing.assert_array_equal(joined.xyxy[joined.detection >= 0], tracks.xyxy)
-    straight = Refinement(stitch=False).refine(tracks, measured, MODEL)
+    straight = Smoothing(stitching=False).smooth(tracks, measured, MODEL)
     assert names(straight) == names(tracks)
     assert np.abs(straight.xyxy - tracks.xyxy).max() > 0.5
-    assert names(Refinement(sure=0).refine(tracks, measured, MODEL)) == {1: [*range(1, 21), *range(27, 61)]}
+    assert names(Smoothing(max_gap_uncertainty=0).smooth(tracks, measured, MODEL)) == {1: [*range(1, 21), *range(27, 61)]}
 
 
 def test_long_gaps_are_joined_in_name_and_left_open(rng):
@@ -111,8 +112,8 @@ def test_longest_is_the_longest(rng):
     a, b = walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (600, 60), (-1, 3))
     pieces = [piece(a, 1, (1, 20)), piece(a, 1, (31, 60)), piece(b, 1, (1, 60))]
     # Frame 31 is 11 frames of 1/25 s after frame 20.
-    assert len(names(refined(pieces, longest=0.44))) == 2
-    assert len(names(refined(pieces, longest=0.43))) == 3
+    assert len(names(refined(pieces, max_gap=0.44))) == 2
+    assert len(names(refined(pieces, max_gap=0.43))) == 3
 
 
 def test_a_gap_that_somebody_left_open_inside_a_track_stays_open(rng):
@@ -124,7 +125,7 @@ def test_rows_that_rest_on_nothing_are_smoothed_inside_and_stay_outside(rng):
     a = walk(rng, 30, (60, 240), (4, 0))
     shown = piece(a, 1, (3, 10), (14, 25)) | dict.fromkeys((1, 2, 11, 12, 13, 26))
     tracks, measured = sequence([shown], 30, MODEL)
-    found = Refinement().refine(tracks, measured, MODEL)
+    found = Smoothing().smooth(tracks, measured, MODEL)
     assert found.frame.tolist() == list(range(1, 27))
     inside = (found.frame >= 3) & (found.frame <= 25)
     np.testing.assert_array_equal(found.xyxy[~inside], tracks.xyxy[~inside])
@@ -164,7 +165,7 @@ def test_a_measurement_that_two_share_places_neither(rng):
     detection = tracks.detection.copy()
     shared = (tracks.frame >= 11) & (tracks.frame <= 13)
     detection[shared] = 0
-    found = Refinement().refine(
+    found = Smoothing().smooth(
         Tracks(tracks.frame, tracks.identity, tracks.xyxy, tracks.confidence, detection, tracks.confirmed), measured, MODEL
     )
     for identity, y in ((1, 240), (2, 340)):
@@ -173,21 +174,21 @@ def test_a_measurement_that_two_share_places_neither(rng):
 
 
 def test_nothing_comes_of_nothing():
-    empty = Measured(
+    empty = MeasurementHistory(
         np.zeros(0, np.int64), np.zeros(0), np.zeros(1, np.int64), np.zeros((4, 0)), np.zeros((0, 3, 3)), no_look(0)
     )
-    assert len(Refinement().refine(Tracks.empty(), empty, MODEL)) == 0
+    assert len(Smoothing().smooth(Tracks.empty(), empty, MODEL)) == 0
     tracks, measured = sequence([{1: np.array([50.0, 50, 20, 40])}], 1, MODEL)
-    np.testing.assert_allclose(Refinement().refine(tracks, measured, MODEL).xyxy, tracks.xyxy)
+    np.testing.assert_allclose(Smoothing().smooth(tracks, measured, MODEL).xyxy, tracks.xyxy)
     predicted = Tracks(tracks.frame, tracks.identity, tracks.xyxy, tracks.confidence, np.array([-1]), tracks.confirmed)
-    assert len(Refinement().refine(predicted, measured, MODEL)) == 1
+    assert len(Smoothing().smooth(predicted, measured, MODEL)) == 1
 
 
 def test_wrong_settings_are_told():
     with pytest.raises(InputError, match="below 1"):
-        Refinement(back=1.0)
-    with pytest.raises(InputError, match=r"Refinement\.hidden"):
-        Refinement(hidden=0.0)
+        Smoothing(reentry_probability=1.0)
+    with pytest.raises(InputError, match=r"Smoothing\.mean_occluded_time"):
+        Smoothing(mean_occluded_time=0.0)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -202,10 +203,10 @@ def test_a_second_track_that_begins_before_the_first_ends_is_the_same(seed: int)
     own = tracks.take(tracks.identity == 1)
     assert own.detection[own.frame == 28].item() == 0
     assert own.detection[own.frame == 29].item() == 1
-    assert len(names(refined(pieces, beside=0))) == 3
+    assert len(names(refined(pieces, max_overlap_time=0))) == 3
     # Frames 25 to 32 are 7 intervals of 1/25 s.
-    assert len(names(refined(pieces, beside=0.28))) == 2
-    assert len(names(refined(pieces, beside=0.27))) == 3
+    assert len(names(refined(pieces, max_overlap_time=0.28))) == 2
+    assert len(names(refined(pieces, max_overlap_time=0.27))) == 3
 
 
 def test_two_who_walk_beside_each_other_for_a_while_stay_two(rng):

@@ -9,8 +9,7 @@ import numpy as np
 
 from phdtrack.associate.triangle import lower, whole
 from phdtrack.associate.window import Links
-from phdtrack.measured import Measured
-from phdtrack.types import F8, I8, STILL, Estimates
+from phdtrack.types import F8, I8, STILL, Estimates, MeasurementHistory
 
 # Twice as many moments are held as they came before the older half is joined: what was just seen is asked for most.
 CHUNK = 32
@@ -112,12 +111,12 @@ class Chunk:
         )
 
 
-def measured(moments: Iterable[Moment]) -> Measured:
+def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
     """The measurements of all moments."""
     held = list(moments)
     shown = [m.z for m in held if m.z.shape[1]] or [m.z for m in held[:1]] or [np.zeros((0, 0))]
     moved = any(len(m.warp) for m in held)
-    return Measured(
+    return MeasurementHistory(
         np.array([m.number for m in held], np.int64),
         np.array([m.time for m in held]),
         _ends([m.z.shape[1] for m in held]),

@@ -27,14 +27,14 @@ def standing(frame: Frame, found: Detections) -> F8:
     return STILL
 
 
-class Measured:
+class MeasurementHistory:
     """By what the pictures show."""
 
     def __init__(self, motion: CameraMotion) -> None:
         self._motion = motion
 
     def __call__(self, frame: Frame, found: Detections) -> F8:
-        """Measured between the last frame and this one."""
+        """MeasurementHistory between the last frame and this one."""
         warp = self._motion(frame.image, found.xyxy)
         return warp if self._motion.flow.measured else STILL
 
@@ -74,7 +74,7 @@ def mover_of(settings: Settings, inputs: Inputs) -> Mover:
                 where="camera_motion.kind=flow",
                 cure="Name the video beside --detections, or give the motion as a file.",
             )
-        return Measured(CameraMotion(chosen))
+        return MeasurementHistory(CameraMotion(chosen))
     warps = read_warps(chosen.file)
     last = int(warps.frame[-1]) if len(warps.frame) else 0
     if inputs.info.frames and last > inputs.info.frames:

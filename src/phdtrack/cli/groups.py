@@ -188,7 +188,7 @@ def accompanied(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
     from phdtrack.models import PlaneSensor
 
     stages, info = job.stages, job.inputs.info
-    sensor, delay = stages.model.sensor, int(str(job.configured("associate", "delay")))
+    sensor, delay = stages.model.sensor, int(str(job.configured("associate", "output_delay")))
     around = Around(edges=edges)
     if isinstance(sensor, PlaneSensor) and sensor.camera is not None:
         far = float(str(job.configured("camera", "far")))

@@ -172,7 +172,7 @@ def clutter_unattended(room: Classroom) -> Taught:
 def watched_tracks(room: Classroom, alarms: Lesson | None, *, marked: bool) -> Seen:
     """One run behind the false alarms that were learned; ``marked``: a person looked at them, so that it shows what of them
     is followed all the same. Tracks that stay among these are not believed."""
-    from phdtrack.associate.vetted import believed
+    from phdtrack.associate.rejection import believed
     from phdtrack.label.session import looked_at, object_boxes, share_followed
     from phdtrack.scene.odds import Odds
 

@@ -25,7 +25,7 @@ class Steps:
 
     def look(self, frame: Frame, detections: Detections) -> None:
         """Remember what the detections of a frame look like, if anybody will ask."""
-        looks = self._stages.refiner.look(frame.image, detections.xyxy)
+        looks = self._stages.smoother.describe(frame.image, detections.xyxy)
         if looks.shape[1]:
             self._looks[frame.number] = looks
 

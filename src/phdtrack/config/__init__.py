@@ -187,16 +187,16 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     record = partial(_record, settings)
     model, associator = worlds.build_model(record, kinds, info), worlds.build_associator(record, kinds, info)
     if kinds["filter"] == "none":
-        return Stages(model, NoFilter(), extract.Raw(), associator, refiner=record("refine"))
+        return Stages(model, NoFilter(), extract.Raw(), associator, smoother=record("smooth"))
     values = settings.sections.get("filter", {}).get("initial", [])
     initial = worlds.initial_mixture(kinds, record, values) if values else None
     size = (float(info.width), float(info.height))
     rates = worlds.build_rates(record, kinds["rates"], model, NoLearning(), info)
     parts = record("filter", initial=initial, frame_size=size), record("extract"), associator
-    stages = Stages(model, *parts, rates, record("blobs"), refiner=record("refine"))
+    stages = Stages(model, *parts, rates, record("blobs"), smoother=record("smooth"))
     if kinds["learn"] == "none":
         return stages
-    scene = worlds.build_learning(record, replace(stages, associator=replace(record("associate"), remember=_KEPT)), info)
+    scene = worlds.build_learning(record, replace(stages, associator=replace(record("associate"), history=_KEPT)), info)
     return replace(stages, learning=worlds.build_rates(record, kinds["rates"], model, scene, info))
 
 

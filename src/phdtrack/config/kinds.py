@@ -26,7 +26,7 @@ from phdtrack.models import (
 )
 from phdtrack.protocols import AsDetected, NoLearning
 from phdtrack.scene.rates import RatesSettings
-from phdtrack.smooth import Refinement
+from phdtrack.smooth import Smoothing
 from phdtrack.video.ego_motion import GivenWarps, SparseFlow, Standing
 
 # section → kind → record; the first kind is the default.
@@ -74,7 +74,7 @@ SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
     "rates": {"none": NoLearning, "learned": RatesSettings},
     "blobs": {"none": AsDetected, "explained": Explained},
     "camera_motion": {"none": Standing, "flow": SparseFlow, "file": GivenWarps},
-    "refine": {"": Refinement},
+    "smooth": {"": Smoothing},
     "groups": {"": Grouping},
     "contours": {"": Contours},
     "life_cycle": {"": GroupLifeCycle},

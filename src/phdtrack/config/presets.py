@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-NO_REFINEMENT: Mapping[str, Any] = {"stitch": False, "smooth": False}
+NO_SMOOTHING: Mapping[str, Any] = {"stitching": False, "smoothing": False}
 _PAPER: Mapping[str, Mapping[str, Any]] = {
     "motion": {"acceleration": 0.03, "resize": 0.1, "survival": 0.99},
     "sensor": {"detection": 0.95, "spread": 0.15},
@@ -34,7 +34,7 @@ _PAPER: Mapping[str, Mapping[str, Any]] = {
     "associate": {"kind": "graph"},
     # No paper joins states that overlap, or touches tracks that have ended.
     "extract": {"kind": "kmeans", "min_weight": 0.6, "merge_iou": 1.0},
-    "refine": NO_REFINEMENT,
+    "smooth": NO_SMOOTHING,
 }
 _M09: Mapping[str, Mapping[str, Any]] = {
     **_PAPER,
@@ -47,12 +47,12 @@ _FV: Mapping[str, Mapping[str, Any]] = {
     "sensor": {"detection": 0.95, "scaling": "fixed"},
 }
 
-# What is usual where the world is a ground plane in metres and seconds: a target goes on without a state for one more
-# second as probably as elsewhere for seven frames of a 1/25 s video; 99 % regions in two dimensions.
+# What is usual where the world is a ground plane in metres and seconds: a second without a state costs as
+# much as elsewhere 0.6 s; 99 % regions in two dimensions.
 PLANE: Mapping[str, Mapping[str, Any]] = {
     "time": {"rate": 1.0},
     "filter": {"region": 9.21},
-    "associate": {"miss": 0.2},
+    "associate": {"gap_cost": 1.609},
 }
 
 # Points in an image: 99 % regions in two dimensions.
@@ -87,7 +87,7 @@ FILTERED: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
 
 # What is usual where nothing is filtered: nobody knows how fast a raw detection moves, so that the links of true tracks gain
 # less than those of filtered states.
-UNFILTERED: Mapping[str, Mapping[str, Any]] = {"associate": {"worth": 0.6}}
+UNFILTERED: Mapping[str, Mapping[str, Any]] = {"associate": {"min_link_gain": 0.6}}
 
 PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "default": {
@@ -154,7 +154,7 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
             ],
         },
         "extract": {"kind": "components", "min_weight": 0.5, "merge_iou": 1.0},
-        "refine": NO_REFINEMENT,
+        "smooth": NO_SMOOTHING,
     },
     "d14": {
         "motion": {"kind": "point", "variance": 2.0, "survival": 1.0},
@@ -164,6 +164,6 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
         "filter": {"kind": "particle-phd", "particles_per_target": 4000, "max_particles": 4000, "skip_empty_frames": True},
         "extract": {"kind": "kmeans", "min_weight": 0.6, "merge_iou": 1.0},
         "associate": {"kind": "graph"},
-        "refine": NO_REFINEMENT,
+        "smooth": NO_SMOOTHING,
     },
 }

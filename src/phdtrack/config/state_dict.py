@@ -9,9 +9,9 @@ import numpy as np
 
 from phdtrack.associate.graph import GraphState
 from phdtrack.associate.history import Chunk, History, Moment
-from phdtrack.associate.labelled import LabelledState, Lives
+from phdtrack.associate.labels import LabelledState, Lives
 from phdtrack.associate.online import Carried, Given
-from phdtrack.associate.vetted import VettedState
+from phdtrack.associate.rejection import RejectionState
 from phdtrack.associate.window import Columns, Edges, Links, Rows, Window
 from phdtrack.detect.merged import Expected
 from phdtrack.errors import InputError
@@ -51,7 +51,7 @@ _RECORDS: dict[str, type[Any]] = {
         Expected,
         GraphState,
         LabelledState,
-        VettedState,
+        RejectionState,
         Lives,
         History,
         Chunk,

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh
-from phdtrack.associate.vetted import Vetted
+from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.checks import NonNegative, Positive, PositiveCount, check
 from phdtrack.errors import InputError
 from phdtrack.ground import CountedFrom, footprint, read_camera
@@ -32,7 +32,7 @@ from phdtrack.models.followed_scene import FollowScene
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter, objects_of
 from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, area, check_region
 from phdtrack.models.volume import Volume, image_area, image_volume
-from phdtrack.pipeline import Beside
+from phdtrack.pipeline import ShadowTracker
 from phdtrack.protocols import AnyStages, Associator, Birth, Camera, Clutter, Learning, Model
 from phdtrack.scene import Scene, read_scene
 from phdtrack.scene.clock import clock
@@ -160,7 +160,8 @@ class SceneClutterSettings:
     """``file``: false alarms as `phdtrack learn` has learned them in this scene.
 
     ``beside``: false alarms a frame around each detection that come to these, see ContextClutter. ``vet``: tracks that stay
-    where false alarms are followed are held back, as far as `phdtrack learn` has seen what is followed (`associate.vetted`).
+    where false alarms are followed are held back, as far as `phdtrack learn` has seen what is followed
+    (`associate.rejection`).
     ``sure``: then, too, a live track is confirmed at once where there are so many false alarms for each object, or fewer.
     """
 
@@ -180,7 +181,7 @@ class LearnSettings:
     Parameters
     ----------
     memory : minutes after which what was seen counts for 37 %.
-    wait : seconds until a detection is judged, beyond ``associate.delay``.
+    wait : seconds until a detection is judged, beyond ``associate.output_delay``.
     most : Jmax, see MeasurementBirth.
     switch : whether several modes of the scene (day, night) are told apart and chosen by evidence.
     schedule : modes by time of day instead, as ``07:00 day, 19:30 night``.
@@ -246,19 +247,23 @@ def build_associator(record: Record, kinds: Mapping[str, str], info: SequenceInf
     if not given.vet or scene.clutter is None or scene.followed is None or not scene.followed.share:
         return associator
     births = scene.births if kinds["birth"] == "scene" and record("birth").file == given.file else None
-    return Vetted(associator, Odds(scene.clutter, scene.followed, births), given.sure, record("associate").shortest)
+    return FalseTrackRejection(
+        associator, Odds(scene.clutter, scene.followed, births), given.sure, record("associate").min_track_length
+    )
 
 
 def build_learning(record: Record, alone: AnyStages, info: SequenceInfo) -> FollowScene:
     """What learns the scene from what ``alone`` makes of it. Raises `InputError` where a file to begin with does not fit."""
     settings: LearnSettings = record("learn")
     size, rate = (float(info.width), float(info.height)), record("time").rate
-    wait = settings.wait + record("associate").delay / info.fps
+    wait = settings.wait + record("associate").output_delay / info.fps
     rule = Following(*size, rate, 60 * settings.memory, wait, record("sensor").detection, settings.switch)
     scenes = tuple(_scene(file, size) for file in _scene_files(settings.file))
     if any(scene.births is not None and scene.rate != rate for scene in scenes):
         raise InputError(f"births were not learned with {rate:g} time units a second", where=settings.file)
-    return FollowScene(rule, alone.model, Beside(alone), settings.most, scenes, clock(settings.schedule, settings.starts))
+    return FollowScene(
+        rule, alone.model, ShadowTracker(alone), settings.most, scenes, clock(settings.schedule, settings.starts)
+    )
 
 
 def build_rates(record: Record, kind: str, model: Model, beside: Learning[Any], info: SequenceInfo) -> Learning[Any]:
@@ -266,7 +271,7 @@ def build_rates(record: Record, kind: str, model: Model, beside: Learning[Any], 
     if kind == "none":
         return beside
     settings: RatesSettings = record("rates")
-    return FollowRates(settings.rule(priors(model), model.rate, record("associate").delay / info.fps), beside)
+    return FollowRates(settings.rule(priors(model), model.rate, record("associate").output_delay / info.fps), beside)
 
 
 def initial_mixture(kinds: Mapping[str, str], record: Record, values: Boxes | Places) -> GaussianMixture:

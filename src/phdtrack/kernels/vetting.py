@@ -1,4 +1,4 @@
-"""Who is believed among a scene's lasting false alarms (`associate.vetted`, `context.odds`), without small array operations.
+"""Who is believed among a scene's lasting false alarms (`associate.rejection`, `context.odds`).
 
 Identities that are remembered stand ascending, (a,), each with the least odds on its way, (2, a).
 """

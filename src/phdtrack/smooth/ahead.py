@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.measured import Measured
 from phdtrack.protocols import Motion
-from phdtrack.types import F8, STILL
+from phdtrack.types import F8, STILL, MeasurementHistory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,7 +19,7 @@ class Ahead:
     jacobian: F8
 
 
-def ahead(mean: F8, covariance: F8, place: int, measured: Measured, motion: Motion) -> Ahead:
+def ahead(mean: F8, covariance: F8, place: int, measured: MeasurementHistory, motion: Motion) -> Ahead:
     """States (n, d) with covariances (n, d, d) of the frame before ``place``, predicted for that frame."""
     x, slope = np.ascontiguousarray(mean.T), None
     warp = measured.warp[place] if len(measured.warp) else STILL

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.measured import Measured
 from phdtrack.protocols import Sensor
-from phdtrack.types import F8, I8, Bool, Tracks
+from phdtrack.types import F8, I8, Bool, MeasurementHistory, Tracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +72,7 @@ class Paths:
         return Paths(start, self.frame[rows], self.measurement[rows], self.row[rows])
 
 
-def paths_of(tracks: Tracks, measured: Measured) -> Paths:
+def paths_of(tracks: Tracks, measured: MeasurementHistory) -> Paths:
     """The tracks from their first measurement to their last, in the order of their identities.
 
     A track that rests on no measurement has no path. A measurement that several tracks rest on (one box of two people) tells

@@ -16,11 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.measured import Measured
 from phdtrack.protocols import Motion
 from phdtrack.smooth.ahead import ahead
 from phdtrack.smooth.paths import Paths, Seen
-from phdtrack.types import F8, I8, Bool
+from phdtrack.types import F8, I8, Bool, MeasurementHistory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +30,7 @@ class Smoothed:
     covariance: F8
 
 
-def smooth(paths: Paths, measured: Measured, seen: Seen, motion: Motion) -> Smoothed:
+def smooth(paths: Paths, measured: MeasurementHistory, seen: Seen, motion: Motion) -> Smoothed:
     """The states of all rows, given the measurements ``seen`` [R65]."""
     order = np.argsort(paths.frame, kind="stable")
     bounds = np.searchsorted(paths.frame[order], np.arange(len(measured.time) + 1))

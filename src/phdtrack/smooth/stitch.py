@@ -20,14 +20,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phdtrack.measured import Measured
 from phdtrack.protocols import Motion
 from phdtrack.smooth.ahead import ahead
 from phdtrack.smooth.appearance import likeness
 from phdtrack.smooth.evidence import log_evidence, others
 from phdtrack.smooth.paths import Paths, Seen, chains, joined
 from phdtrack.smooth.smooth import Smoothed, smooth
-from phdtrack.types import F8, I8, Bool
+from phdtrack.types import F8, I8, Bool, MeasurementHistory
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +49,13 @@ class Pairs:
     odds: F8
 
 
-def stitched(paths: Paths, measured: Measured, seen: Seen, motion: Motion, terms: Terms) -> tuple[Paths, Smoothed]:
+def stitched(paths: Paths, measured: MeasurementHistory, seen: Seen, motion: Motion, terms: Terms) -> tuple[Paths, Smoothed]:
     """The paths with those joined that are one object's, and their states."""
     states = smooth(paths, measured, seen, motion)
     while len(paths) > 1:
         pairs = candidates(paths, states, measured, seen, motion, terms)
-        if measured.look.shape[1]:
-            pairs = replace(pairs, odds=pairs.odds + likeness(paths, measured.look, pairs.before, pairs.after))
+        if measured.appearance.shape[1]:
+            pairs = replace(pairs, odds=pairs.odds + likeness(paths, measured.appearance, pairs.before, pairs.after))
         after = matched(pairs, len(paths))
         if (after < 0).all():
             break
@@ -77,7 +76,9 @@ def _merged(old: Smoothed, kept: Bool, new: Smoothed, changed: Bool) -> Smoothed
     return Smoothed(mean, cov)
 
 
-def candidates(paths: Paths, states: Smoothed, measured: Measured, seen: Seen, motion: Motion, terms: Terms) -> Pairs:
+def candidates(
+    paths: Paths, states: Smoothed, measured: MeasurementHistory, seen: Seen, motion: Motion, terms: Terms
+) -> Pairs:
     """All pairs of which one begins after the other's end, ``longest`` at most, while whoever was lost may still be there.
 
     Those whose trajectory has ended are carried on through the frames together.
@@ -114,7 +115,9 @@ def candidates(paths: Paths, states: Smoothed, measured: Measured, seen: Seen, m
     return Pairs(*(np.concatenate([getattr(part, name) for part in found]) for name in ("before", "after", "odds")))
 
 
-def _beside(paths: Paths, states: Smoothed, measured: Measured, seen: Seen, kept: I8, terms: Terms, loose: float) -> Pairs:
+def _beside(
+    paths: Paths, states: Smoothed, measured: MeasurementHistory, seen: Seen, kept: I8, terms: Terms, loose: float
+) -> Pairs:
     """All pairs of which one begins while the other still goes on, for ``beside`` at most, and ends later.
 
     They are asked for in the middle of the time that they share, where both know most.
@@ -145,7 +148,7 @@ def remembered(seen: Seen, motion: Motion) -> I8:
     return np.flatnonzero(jacobian[0].any(axis=0)).astype(np.int64)
 
 
-def _births(paths: Paths, measured: Measured, seen: Seen) -> float:
+def _births(paths: Paths, measured: MeasurementHistory, seen: Seen) -> float:
     """How many trajectories begin per time unit and unit of measurement volume: those that do, anywhere among all."""
     column, shown = paths.measurement[paths.measurement >= 0], seen.observed
     z = seen.state[shown[:, None], column]

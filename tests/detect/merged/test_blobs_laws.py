@@ -11,9 +11,8 @@ from phdtrack import config
 from phdtrack.arrays import to_cxcywh
 from phdtrack.detect.merged import Expected, Explained
 from phdtrack.errors import InputError
-from phdtrack.explanation import Explanation
 from phdtrack.protocols import Model
-from phdtrack.types import F8, Detections, SequenceInfo
+from phdtrack.types import F8, Detections, Explanation, SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0)
 MODEL: Model = config.build(config.load(), INFO).model
@@ -46,7 +45,7 @@ def test_one_blob_of_two_targets_becomes_a_detection_of_each_size_at_its_edges()
     assert len(told.detections) == 2
     assert told.source.tolist() == [0, 0]
     assert told.part.tolist() == [0]
-    left, right = told.detections.xyxy[np.argsort(told.who)]
+    left, right = told.detections.xyxy[np.argsort(told.target)]
     np.testing.assert_allclose([left[0], right[2]], [98, 168])
     np.testing.assert_allclose([left[2] - left[0], right[2] - right[0]], [40, 40])
     assert (told.detections.xyxy[:, 1] >= 99).all()
@@ -116,14 +115,14 @@ def test_each_blob_is_told_once_or_parted_and_order_does_not_matter(targets: F8,
     _, told = explain(state, blobs)
     # Every blob went somewhere, and everything told rests on a blob.
     assert len(told.part) == len(blobs)
-    assert len(told.source) == len(told.detections) == len(told.who)
+    assert len(told.source) == len(told.detections) == len(told.target)
     whole = {int(s) for s in told.source}
     assert whole == {int(told.source[p]) for p in told.part}
     shared = np.bincount(told.source, minlength=len(blobs))
-    named = told.who[told.who >= 0]
+    named = told.target[told.target >= 0]
     assert len(named) == len(set(named.tolist()))
     for b in np.flatnonzero(shared > 1):
-        assert (told.who[told.source == b] >= 0).all()
+        assert (told.target[told.source == b] >= 0).all()
     order = np.random.default_rng(len(blobs) + 7 * len(targets)).permutation(len(blobs))
     _, other = explain(state, blobs[order])
     mine, theirs = (np.round(d.detections.xyxy, 9).tolist() for d in (told, other))
@@ -146,7 +145,7 @@ def test_given_noise_grows_where_nobody_sees_the_target() -> None:
     _, told = ALWAYS.explain(expected(inside), blob, MODEL, 1.0)
     assert told.changed
     assert told.detections.covariance is not None
-    seen, unseen = told.detections.covariance[np.argsort(told.who)]
+    seen, unseen = told.detections.covariance[np.argsort(told.target)]
     assert seen[0, 0] == 4.0
     assert unseen[0, 0] > 100.0
 

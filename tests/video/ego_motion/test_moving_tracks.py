@@ -121,7 +121,7 @@ def test_a_shift_of_the_camera_shifts_all_rows_and_nothing_else(kind: str):
     path = np.cumsum(np.random.default_rng(4).normal(0, 20, (70, 2)).round(), axis=0)
     results = []
     for shifts, told in ((np.zeros((70, 2)), False), (path, True)):
-        tracker, online = Tracker((4000, 3000), filter=kind, associate={"delay": 2}), []
+        tracker, online = Tracker((4000, 3000), filter=kind, associate={"output_delay": 2}), []
         for k, boxes in enumerate(two_people(70)):
             warp = np.eye(3)
             warp[:2, 2] = shifts[k] - shifts[max(k - 1, 0)]

@@ -19,9 +19,8 @@ from phdtrack.checks import NonNegative, Positive, Probability, check
 from phdtrack.detect.merged.cells import Found, May, Rules, explained, hidden, one
 from phdtrack.detect.merged.edges import fitted, union
 from phdtrack.detect.merged.expected import Expected, predicted, seen
-from phdtrack.explanation import Explanation
 from phdtrack.protocols import Model
-from phdtrack.types import F8, Detections, Estimates
+from phdtrack.types import F8, Detections, Estimates, Explanation
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,14 +75,14 @@ class Explained:
         """The targets after the frame, of which the filter showed ``estimates``."""
         if not explanation.detections.observed:
             return targets
-        return seen(targets, explanation.who, estimates, model, dt / model.rate, self.patience)
+        return seen(targets, explanation.target, estimates, model, dt / model.rate, self.patience)
 
 
 def _timed(targets: Expected, found: Found, boxes: F8, span: float) -> Expected:
     """The targets with the seconds for which they have been hidden, or in pieces."""
     out_of_sight, pieces = targets.hidden.copy(), np.where(found.alone, 0.0, targets.pieces)
-    alone = targets.alone + span * np.isin(np.arange(len(targets)), found.who)
-    out_of_sight[found.who[found.who >= 0]] = 0.0
+    alone = targets.alone + span * np.isin(np.arange(len(targets)), found.target)
+    out_of_sight[found.target[found.target >= 0]] = 0.0
     for members in found.merged.values():
         those = np.array(members)
         alone[those] = targets.alone[those]
@@ -97,7 +96,7 @@ def _told(detections: Detections, found: Found, boxes: F8) -> Explanation:
     """What the filter is given, in the order of the blobs that it rests on."""
     n = len(detections)
     if not found.merged and not found.torn:
-        return Explanation(detections, np.arange(n), np.arange(n), found.who, changed=False)
+        return Explanation(detections, np.arange(n), np.arange(n), found.target, changed=False)
     parts: list[tuple[int, Detections, int]] = []
     part, used = np.full(n, -1), set(found.merged)
     for b, members in found.merged.items():
@@ -110,7 +109,7 @@ def _told(detections: Detections, found: Found, boxes: F8) -> Explanation:
         parts.append((first, whole, t))
         part[list(pieces)] = first
         used.update(pieces)
-    parts += [(b, detections.take(np.array([b])), int(found.who[b])) for b in range(n) if b not in used]
+    parts += [(b, detections.take(np.array([b])), int(found.target[b])) for b in range(n) if b not in used]
     parts.sort(key=lambda told: told[0])
     source = np.array([b for b, _, _ in parts])
     start = np.searchsorted(source, np.where(part < 0, np.arange(n), part))

@@ -27,7 +27,7 @@ class RatesSettings:
         than is set: tracks that break make p_D look too high, false alarms that come again in one place make themselves
         look too few, and who was never believed is not among the births.
     memory : seconds after which a frame counts for 37 %.
-    wait : seconds until a detection is judged, beyond ``associate.delay``.
+    wait : seconds until a detection is judged, beyond ``associate.output_delay``.
     every : seconds between two times of learning.
     """
 

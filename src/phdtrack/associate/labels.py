@@ -2,7 +2,7 @@
 
 For filters that follow targets one by one (`Estimates.tag`), instead of linking states afterwards. Where a filter revises
 the past (`Estimates.past`: the best explanation of the last frames may be another one by now), the corrected tracks and the
-online rows that are held back by ``delay`` show it as it is seen at last.
+online rows that are held back by ``output_delay`` show it as it is seen at last.
 """
 
 from __future__ import annotations
@@ -12,14 +12,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from phdtrack.associate.history import History, Moment, measured
+from phdtrack.associate.history import History, Moment, measurements
 from phdtrack.associate.offline import gaps, rows_of
 from phdtrack.associate.window import NO_LINKS
 from phdtrack.checks import Count, NonNegative, PositiveCount, check
 from phdtrack.errors import InputError
-from phdtrack.measured import Measured
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, Bool, Estimates, Tracks
+from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,23 +103,23 @@ class Labelled:
 
     Parameters
     ----------
-    shortest : tracks of fewer states that rest on detections are discarded (offline) or not yet confirmed (online).
-    delay : frames by which the online output lags, so that states are reported as later frames have revised them and tracks
+    min_track_length : tracks of fewer states that rest on detections are discarded (offline) or not yet confirmed (online).
+    output_delay : frames by which the online output lags, so that states are reported as later frames have revised them and tracks
         are confirmed by what follows; 0 allowed.
-    coast : seconds for which, at most, a confirmed track is continued online past its last detection. Corrected tracks end
+    max_coast : seconds for which, at most, a confirmed track is continued online past its last detection. Corrected tracks end
         with their last one.
-    bridge : fill the gaps of tracks with predicted, flagged boxes, smoothed in corrected tracks. Without, no row is given
+    bridge_gaps : fill the gaps of tracks with predicted, flagged boxes, smoothed in corrected tracks. Without, no row is given
         that rests on no detection.
-    remember : seconds after which the past is forgotten, for cameras that run for days: the corrected tracks then go no
+    history : seconds after which the past is forgotten, for cameras that run for days: the corrected tracks then go no
         further back (a little more is kept than this), and a label that is seen again after that is a new identity. 0:
         nothing is.
     """
 
-    shortest: PositiveCount = 5
-    delay: Count = 0
-    coast: NonNegative = 0.2
-    bridge: bool = True
-    remember: NonNegative = 0.0
+    min_track_length: PositiveCount = 5
+    output_delay: Count = 0
+    max_coast: NonNegative = 0.2
+    bridge_gaps: bool = True
+    history: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         check(self)
@@ -148,16 +147,16 @@ class Labelled:
         told = (now, *(m for m, e in zip(again, seen, strict=True) if e is not None))
         lives, recent = state.lives.including(told).counting(settled), (*again, now)
         extended = LabelledState(history, recent, lives, time, state.used)
-        due = len(extended) - 1 - self.delay
+        due = len(extended) - 1 - self.output_delay
         if due < 0:
             return extended, Tracks.empty()
         given, tracks = self._give(extended, due, model)
         return self._recent(given, due, model), tracks
 
     def flush(self, state: LabelledState, model: Model) -> Tracks:
-        """The online rows of the last ``delay`` frames."""
+        """The online rows of the last ``output_delay`` frames."""
         parts = []
-        for due in range(max(0, len(state) - self.delay), len(state)):
+        for due in range(max(0, len(state) - self.output_delay), len(state)):
             state, tracks = self._give(state, due, model)
             parts.append(tracks)
         return Tracks.concatenate(parts)
@@ -170,15 +169,15 @@ class Labelled:
             for i in np.flatnonzero(moment.estimates.detection >= 0).tolist():
                 paths.setdefault(int(moment.estimates.tag[i]), []).append((k, i))
         parts = []
-        for name, path in enumerate((p for p in paths.values() if len(p) >= self.shortest), start=1):
+        for name, path in enumerate((p for p in paths.values() if len(p) >= self.min_track_length), start=1):
             parts.append(rows_of(moments, path, name))
-            if self.bridge:
+            if self.bridge_gaps:
                 parts.extend(gaps(moments, path, name, model))
         return Tracks.concatenate(parts)
 
-    def measured(self, state: LabelledState) -> Measured:
+    def measurements(self, state: LabelledState) -> MeasurementHistory:
         """The measurements of everything that is remembered."""
-        return measured((*state.history, *state.recent))
+        return measurements((*state.history, *state.recent))
 
     def _give(self, state: LabelledState, due: int, model: Model) -> tuple[LabelledState, Tracks]:
         """The rows of the frame at place ``due``, as it is seen now; the state then knows their identities."""
@@ -186,8 +185,8 @@ class Labelled:
         present = known.counting(state.recent)
         estimates = moment.estimates
         place = present.places(estimates.tag)
-        confirmed = present.confirmed[place] | (present.count[place] >= self.shortest)
-        coasting = self.bridge & confirmed & (moment.time - present.last[place] <= self.coast * model.rate + 1e-9)
+        confirmed = present.confirmed[place] | (present.count[place] >= self.min_track_length)
+        coasting = self.bridge_gaps & confirmed & (moment.time - present.last[place] <= self.max_coast * model.rate + 1e-9)
         shown = np.flatnonzero((estimates.detection >= 0) | coasting)
         place, confirmed = place[shown], confirmed[shown]
         fresh = place[present.identity[place] == 0]
@@ -209,9 +208,9 @@ class Labelled:
 
     def _recent(self, state: LabelledState, due: int, model: Model) -> LabelledState:
         """The state without what is past remembering; rows still due stay."""
-        if self.remember == 0:
+        if self.history == 0:
             return state
-        since = min(state.time - self.remember * model.rate, state[due].time)
+        since = min(state.time - self.history * model.rate, state[due].time)
         # Who is told of in a frame that may still be revised has a place.
         first = min(due, len(state.history))
         here = np.concatenate([state[k].estimates.tag for k in range(first, len(state))])

@@ -8,73 +8,80 @@ import numpy as np
 
 from phdtrack.checks import NonNegative, Positive, Share, check
 from phdtrack.errors import InputError
-from phdtrack.measured import Measured
 from phdtrack.protocols import Model
 from phdtrack.smooth.appearance import histograms
 from phdtrack.smooth.paths import Paths, Seen, paths_of
 from phdtrack.smooth.smooth import Smoothed, smooth
 from phdtrack.smooth.stitch import Terms, stitched
-from phdtrack.types import F4, F8, I8, Bool, Image, Tracks
+from phdtrack.types import F4, F8, I8, Bool, Image, MeasurementHistory, Tracks
 
 
 @dataclass(frozen=True, slots=True)
-class Refinement:
-    """Refinement of corrected tracks; online rows are not touched.
+class Smoothing:
+    """Smoothing of corrected tracks; online rows are not touched.
 
     Parameters
     ----------
-    stitch : join tracks that are one object's, lost out of sight and found again.
-    smooth : put each row where all measurements of its track say together, instead of where the filter had it.
-    hidden : seconds for which somebody lost is out of sight on average.
-    beside : seconds for which at most two tracks of one object may go on beside each other before the first ends; they are
+    stitching : join tracks that are one object's, lost out of sight and found again.
+    smoothing : put each row where all measurements of its track say together, instead of where the filter had it.
+    mean_occluded_time : seconds for which somebody lost is out of sight on average.
+    max_overlap_time : seconds for which at most two tracks of one object may go on beside each other before the first ends; they are
         joined too.
-    longest : seconds after which nobody is taken for one who was lost.
-    back : probability that a track that ends was lost and comes back.
-    appearance : where there are pictures, let colours have a say in what is joined, see `refine.appearance`.
-    sure : fill the gap between joined tracks where the object's place in it is known to within this many deviations of a
+    max_gap : seconds after which nobody is taken for one who was lost.
+    reentry_probability : probability that a track that ends was lost and comes back.
+    appearance : where there are pictures, let colours have a say in what is joined, see `smooth.appearance`.
+    max_gap_uncertainty : fill the gap between joined tracks where the object's place in it is known to within this many deviations of a
         single measurement. 0: such gaps stay open.
     """
 
-    stitch: bool = True
-    smooth: bool = True
-    hidden: Positive = 2.0
-    longest: NonNegative = 6.0
-    beside: NonNegative = 4.0
-    back: Share = 0.5
-    sure: NonNegative = 1.0
+    stitching: bool = True
+    smoothing: bool = True
+    mean_occluded_time: Positive = 2.0
+    max_gap: NonNegative = 6.0
+    max_overlap_time: NonNegative = 4.0
+    reentry_probability: Share = 0.5
+    max_gap_uncertainty: NonNegative = 1.0
     appearance: bool = False
 
     def __post_init__(self) -> None:
         check(self)
-        if self.back == 1:
-            raise InputError("expected a probability below 1, as some tracks end for good", where="Refinement.back")
+        if self.reentry_probability == 1:
+            raise InputError(
+                "expected a probability below 1, as some tracks end for good", where="Smoothing.reentry_probability"
+            )
 
-    def look(self, image: Image, xyxy: F8) -> F4:
+    def describe(self, image: Image, xyxy: F8) -> F4:
         """(N, B) colour histograms of the boxes (N, 4) with ``appearance``, (N, 0) without."""
-        return histograms(image, xyxy) if self.stitch and self.appearance else np.zeros((len(xyxy), 0), np.float32)
+        return histograms(image, xyxy) if self.stitching and self.appearance else np.zeros((len(xyxy), 0), np.float32)
 
-    def refine(self, tracks: Tracks, measured: Measured, model: Model) -> Tracks:
+    def smooth(self, tracks: Tracks, measured: MeasurementHistory, model: Model) -> Tracks:
         """The tracks refined by the measurements that they rest on; identities from 1 in order of appearance."""
-        paths = paths_of(tracks, measured) if self.stitch or self.smooth else None
+        paths = paths_of(tracks, measured) if self.stitching or self.smoothing else None
         if paths is None or len(paths) == 0:
             return tracks
         seen, rate = Seen.of(measured.z, model.sensor), model.rate
-        if self.stitch:
-            terms = Terms(self.hidden * rate, self.longest * rate, self.beside * rate, self.back)
+        if self.stitching:
+            terms = Terms(
+                self.mean_occluded_time * rate, self.max_gap * rate, self.max_overlap_time * rate, self.reentry_probability
+            )
             paths, states = stitched(paths, measured, seen, model.motion, terms)
         else:
             states = smooth(paths, measured, seen, model.motion)
         return _rows(tracks, paths, states, measured, model, self)
 
 
-def _rows(tracks: Tracks, paths: Paths, states: Smoothed, measured: Measured, model: Model, wanted: Refinement) -> Tracks:
+def _rows(
+    tracks: Tracks, paths: Paths, states: Smoothed, measured: MeasurementHistory, model: Model, wanted: Smoothing
+) -> Tracks:
     """The tracks with the rows of their paths as wanted, and those gaps between joined ones filled that are."""
     x, own, name = np.ascontiguousarray(states.mean.T), paths.row >= 0, _names(tracks, paths)
     boxes, xyxy = model.sensor.boxes(x), tracks.xyxy.copy()
-    if wanted.smooth:
+    if wanted.smoothing:
         xyxy[paths.row[own]] = boxes[own]
     sides = _sides(paths)
-    gap = np.flatnonzero(_known(states, model.sensor.noise(x), sides, wanted.sure) & _between(tracks, paths, sides))
+    gap = np.flatnonzero(
+        _known(states, model.sensor.noise(x), sides, wanted.max_gap_uncertainty) & _between(tracks, paths, sides)
+    )
     ends = paths.row[sides[:, gap]]
     filled = Tracks(
         measured.number[paths.frame[gap]],
@@ -131,7 +138,7 @@ def _known(states: Smoothed, noise: F8, sides: I8, most: float) -> Bool:
     return out
 
 
-def _doubled(tracks: Tracks, paths: Paths, measured: Measured, name: I8) -> Bool:
+def _doubled(tracks: Tracks, paths: Paths, measured: MeasurementHistory, name: I8) -> Bool:
     """(T,) the rows that rest on nothing of their own, before or behind their own measurements, where that name has another:
     one of its path, or a row like it (two tracks that are one may both go on with a detection that they share).
     """

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from phdtrack.arrays import to_xyxy
-from phdtrack.associate import Labelled, vetted
-from phdtrack.associate.vetted import Vetted, believed
+from phdtrack.associate import Labelled, rejection
+from phdtrack.associate.rejection import FalseTrackRejection, believed
 from phdtrack.config.state_dict import pack, unpack
 from phdtrack.types import Estimates, Tracks
 
@@ -32,10 +32,10 @@ class Strip:
 
 STRIP = Strip()
 INNER = {
-    "graph": matching_of(shortest=3, backfill=0),
-    "graph, delayed": matching_of(shortest=3, delay=3),
-    "labelled": Labelled(shortest=3),
-    "labelled, delayed": Labelled(shortest=3, delay=3),
+    "graph": matching_of(min_track_length=3, back_dating=0),
+    "graph, delayed": matching_of(min_track_length=3, output_delay=3),
+    "labelled": Labelled(min_track_length=3),
+    "labelled, delayed": Labelled(min_track_length=3, output_delay=3),
 }
 each = pytest.mark.parametrize("inner", INNER.values(), ids=INNER)
 
@@ -81,15 +81,15 @@ STREET = [
 def test_who_stays_where_false_alarms_are_is_nobody(inner):
     frames = [frame((1, 100.0 + k % 2)) for k in range(25)]
     assert online(inner, frames).confirmed.any()
-    rows = online(Vetted(inner, STRIP), frames)
+    rows = online(FalseTrackRejection(inner, STRIP), frames)
     assert len(rows) == 25
     assert not rows.confirmed.any()
-    assert len(Vetted(inner, STRIP).finish(run(Vetted(inner, STRIP), frames)[0], MODEL)) == 0
+    assert len(FalseTrackRejection(inner, STRIP).finish(run(FalseTrackRejection(inner, STRIP), frames)[0], MODEL)) == 0
 
 
 @each
 def test_online_rows_are_those_of_the_associator_and_confirmed_where_both_say_so(inner):
-    plain, rows = online(inner, STREET), online(Vetted(inner, STRIP), STREET)
+    plain, rows = online(inner, STREET), online(FalseTrackRejection(inner, STRIP), STREET)
     for name in ("frame", "identity", "xyxy", "confidence", "detection"):
         np.testing.assert_array_equal(getattr(rows, name), getattr(plain, name))
     pairs = zip(rows.identity, rows.frame, strict=True)
@@ -101,21 +101,21 @@ def test_online_rows_are_those_of_the_associator_and_confirmed_where_both_say_so
 @each
 def test_who_is_surely_an_object_is_confirmed_at_once(inner):
     """As soon as he has been there, and from then on; the others as before, and so are corrected tracks."""
-    plain, slow = online(inner, STREET), online(Vetted(inner, STRIP), STREET)
-    associator = Vetted(inner, STRIP, sure=20 * np.exp(-15.0))
+    plain, slow = online(inner, STREET), online(FalseTrackRejection(inner, STRIP), STREET)
+    associator = FalseTrackRejection(inner, STRIP, immediate_confirmation=20 * np.exp(-15.0))
     rows = online(associator, STREET)
     pairs = zip(rows.identity, rows.frame, strict=True)
     furthest = np.array([centre(plain.take((plain.identity == i) & (plain.frame <= k))).max() for i, k in pairs])
     np.testing.assert_array_equal(rows.confirmed, slow.confirmed | (furthest > 350))
     first = rows.confirmed & ~slow.confirmed
-    assert first.any() == (inner.delay == 0), "who is confirmed by what followed need not be surely"
-    states = (run(a, STREET)[0] for a in (associator, Vetted(inner, STRIP)))
+    assert first.any() == (inner.output_delay == 0), "who is confirmed by what followed need not be surely"
+    states = (run(a, STREET)[0] for a in (associator, FalseTrackRejection(inner, STRIP)))
     equal(*(associator.finish(state, MODEL) for state in states))
 
 
 @each
 def test_corrected_tracks_begin_where_they_are_believed(inner):
-    associator = Vetted(inner, STRIP)
+    associator = FalseTrackRejection(inner, STRIP)
     state, _ = run(associator, STREET)
     tracks, plain = associator.finish(state, MODEL), inner.finish(state.inner, MODEL)
     assert set(plain.identity) == {1, 2, 3, 4}
@@ -126,12 +126,12 @@ def test_corrected_tracks_begin_where_they_are_believed(inner):
     out = tracks.take(tracks.identity == 1)
     np.testing.assert_allclose(centre(out), 205 + 5 * np.arange(len(out)), atol=0.5)
     equal(tracks, believed(plain, STRIP))
-    assert associator.measured(state).z.shape == (4, 100)
+    assert associator.measurements(state).z.shape == (4, 100)
 
 
 @each
 def test_what_is_remembered_can_be_saved_in_the_middle(inner):
-    associator = Vetted(inner, STRIP)
+    associator = FalseTrackRejection(inner, STRIP)
     wanted, rows = run(associator, STREET)
     state, _ = run(associator, STREET[:13])
     back, rest = run(associator, STREET[13:], unpack(pack(state)), 14)
@@ -145,7 +145,7 @@ def test_what_is_remembered_can_be_saved_in_the_middle(inner):
 
 def test_states_are_values():
     """To ask for the rest changes nothing, and a state may be gone on from twice."""
-    associator = Vetted(Labelled(shortest=3, delay=3), STRIP)
+    associator = FalseTrackRejection(Labelled(min_track_length=3, output_delay=3), STRIP)
     state, _ = run(associator, STREET[:13])
     equal(associator.flush(state, MODEL), associator.flush(state, MODEL))
     (_, a), (_, b) = (run(associator, STREET[13:], state, 14) for _ in range(2))
@@ -154,8 +154,8 @@ def test_states_are_values():
 
 def test_so_many_are_remembered_and_those_seen_last(monkeypatch):
     """Who stays while others come and go was believed once, and still is."""
-    monkeypatch.setattr(vetted, "KEPT", 5)
-    associator = Vetted(Labelled(shortest=1), STRIP)
+    monkeypatch.setattr(rejection, "KEPT", 5)
+    associator = FalseTrackRejection(Labelled(min_track_length=1), STRIP)
     frames = [frame((1, 300.0 - 10 * k, -10.0), (2 + k // 2, 400.0), (50 + k // 2, 90.0)) for k in range(40)]
     state, rows = run(associator, frames)
     assert len(state.identity) == 5
@@ -170,14 +170,14 @@ def test_so_many_are_remembered_and_those_seen_last(monkeypatch):
 def test_who_is_believed_for_too_few_rows_is_nobody(inner):
     """As is who was seen too few times."""
     frames = [frame((1, 150.0 + 5 * k, 5.0)) for k in range(13)]
-    state, _ = run(Vetted(inner, STRIP), frames)
-    found = {n: Vetted(inner, STRIP, shortest=n).finish(state, MODEL) for n in (1, 2, 3)}
+    state, _ = run(FalseTrackRejection(inner, STRIP), frames)
+    found = {n: FalseTrackRejection(inner, STRIP, min_track_length=n).finish(state, MODEL) for n in (1, 2, 3)}
     assert [len(tracks) for tracks in found.values()] == [2, 2, 0]
 
 
 def test_nothing_in_an_empty_table():
     assert len(believed(Tracks.empty(), STRIP)) == 0
-    associator = Vetted(Labelled(), STRIP)
+    associator = FalseTrackRejection(Labelled(), STRIP)
     state, rows = associator.extend(associator.start(), states(np.zeros((0, 2))), Z, 1, 1.0, MODEL)
     assert len(rows) == len(associator.flush(state, MODEL)) == len(associator.finish(state, MODEL)) == 0
 
@@ -243,7 +243,7 @@ class Told:
 def test_online_the_same_rows_are_believed(rows, delay):
     """With any delay: those that are kept of the corrected tracks, where both are the same rows."""
     tracks = Tracks.concatenate([table(rows)])
-    associator = Vetted(Told(tracks, delay), STRIP)
+    associator = FalseTrackRejection(Told(tracks, delay), STRIP)
     state, out = run(associator, [states(np.zeros((0, 2)))] * 9)
     found = Tracks.concatenate([*out, associator.flush(state, MODEL)])
     equal(replace(found, confirmed=tracks.confirmed), tracks)

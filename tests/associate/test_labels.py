@@ -15,7 +15,7 @@ from phdtrack.types import Estimates, Tracks
 
 MODEL = model_of()
 NO_Z = np.zeros((4, 0))
-PLAIN = Labelled(shortest=3, delay=0, coast=0.2, bridge=True)
+PLAIN = Labelled(min_track_length=3, output_delay=0, max_coast=0.2, bridge_gaps=True)
 
 
 def seen(*targets: tuple[int, float] | tuple[int, float, int], weight=None) -> Estimates:
@@ -59,7 +59,7 @@ def test_short_tracks_are_left_out_and_identities_are_those_of_what_stays():
     frames = [seen((1, 10.0), (2, 300.0)) if k < 2 else seen((2, 300.0)) for k in range(4)]
     state, _ = run(PLAIN, frames)
     assert table(PLAIN.finish(state, MODEL)) == [(1, 1, 1), (2, 1, 1), (3, 1, 0), (4, 1, 0)]
-    everything = replace(PLAIN, shortest=1)
+    everything = replace(PLAIN, min_track_length=1)
     assert len(everything.finish(run(everything, frames)[0], MODEL)) == 6
 
 
@@ -70,7 +70,7 @@ def test_states_without_detections_do_not_count_and_a_track_ends_with_its_last()
     assert [len(rows) for rows in given] == [1, 0, 0, 1, 1, 1, 1, 1, 1, 1, 0, 0]
     assert [bool(rows.confirmed.all()) for rows in given[3:5]] == [False, True]
     assert table(PLAIN.finish(state, MODEL)) == [(1, 1, 0), (2, 1, -1), (3, 1, -1), (4, 1, 0), (5, 1, 0)]
-    bare = replace(PLAIN, bridge=False)
+    bare = replace(PLAIN, bridge_gaps=False)
     state, given = run(bare, frames)
     assert [len(rows) for rows in given] == [1, 0, 0, 1, 1] + [0] * 7
     assert table(bare.finish(state, MODEL)) == [(1, 1, 0), (4, 1, 0), (5, 1, 0)]
@@ -95,7 +95,7 @@ def test_corrected_tracks_and_delayed_rows_show_the_revised_past():
     corrected = PLAIN.finish(state, MODEL)
     assert table(corrected) == [(1, 1, 0), (2, 1, 0), (3, 1, 1), (4, 1, 1), (5, 1, 0)]
     np.testing.assert_array_equal(corrected.xyxy[2:4], np.vstack([e.xyxy for e in second[2:]]))
-    held = replace(PLAIN, delay=2)
+    held = replace(PLAIN, output_delay=2)
     state, given = run(held, frames)
     assert [len(rows) for rows in given] == [0, 0, 1, 1, 1]
     online = Tracks.concatenate([*given, held.flush(state, MODEL)])
@@ -114,7 +114,7 @@ def test_what_no_revision_reaches_any_more_stands():
 
 def test_confirmed_online_as_soon_as_what_follows_shows_it():
     frames = [seen((1, 10.0 + 5 * k)) for k in range(6)]
-    _, given = run(replace(PLAIN, delay=2), frames)
+    _, given = run(replace(PLAIN, output_delay=2), frames)
     assert [rows.confirmed.tolist() for rows in given] == [[], [], [True], [True], [True], [True]]
     # Once believed, always: the filter takes two of three detections back.
     taken = [*with_past(frames[:3], 3), replace(seen((1, 25.0, -1)), past=(frames[0],) + (seen((1, 20.0, -1)),) * 2)]
@@ -139,7 +139,7 @@ def test_states_without_labels_are_an_error():
 def test_a_saved_state_goes_on_as_if_nothing_had_happened(depth: int):
     """Enough frames for the history to be packed into chunks."""
     frames = with_past([seen((7, 10.0 + k), *([(k, 300.0)] if k % 9 == 0 else [])) for k in range(100)], depth)
-    held = replace(PLAIN, delay=3)
+    held = replace(PLAIN, output_delay=3)
     whole, given = run(held, frames)
     half, _ = run(held, frames[:70])
     half = unpack(pack(half))
@@ -165,9 +165,9 @@ def size(state) -> int:
 
 
 def test_a_camera_that_runs_for_days_forgets():
-    """One target for ever and a new label in every frame: with ``remember`` the state stops growing and identities stay."""
+    """One target for ever and a new label in every frame: with ``history`` the state stops growing and identities stay."""
     frames = with_past([seen((1, 10.0), (k + 2, 300.0)) for k in range(600)], 5)
-    forgetful = replace(PLAIN, remember=2.0)
+    forgetful = replace(PLAIN, history=2.0)
     sizes = [size(run(forgetful, frames[:n])[0]) for n in (300, 450, 600)]
     assert max(sizes) < 1.3 * min(sizes)
     assert size(run(PLAIN, frames)[0]) > 4 * sizes[0]
@@ -185,6 +185,6 @@ def test_who_is_not_told_of_for_a_while_keeps_his_identity_where_little_is_remem
     """His states are in frames that may still be revised, and none is settled yet; the past stands, or is told again."""
     frames = [seen((1, 10.0), *([(2, 300.0)] if k % 4 == 0 else [])) for k in range(20)]
     given = with_past(frames, 5) if not settled else [replace(e, past=(None,) * min(k, 5)) for k, e in enumerate(frames)]
-    _, rows = run(replace(PLAIN, remember=2.0, coast=0.0), given)
+    _, rows = run(replace(PLAIN, history=2.0, max_coast=0.0), given)
     assert {tuple(r.identity.tolist()) for r in rows[::4]} == {(1, 2)}
     assert {tuple(r.identity.tolist()) for k, r in enumerate(rows) if k % 4} == {(1,)}

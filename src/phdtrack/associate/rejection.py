@@ -20,9 +20,8 @@ import numpy as np
 from phdtrack.arrays import to_cxcywh
 from phdtrack.checks import NonNegative, PositiveCount, check
 from phdtrack.kernels.vetting import remembered, unbelieved
-from phdtrack.measured import Measured
 from phdtrack.protocols import Associator, Model
-from phdtrack.types import F8, I8, Bool, Estimates, Tracks
+from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
 
 A = TypeVar("A")
 # So many identities are remembered online, those in view and the newest: cameras run for days.
@@ -37,7 +36,7 @@ class FalseOdds(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class VettedState(Generic[A]):
+class RejectionState(Generic[A]):
     """The associator's state, and of the identities given online (a,), ascending, the least odds (2, a) on their way."""
 
     inner: A
@@ -46,47 +45,47 @@ class VettedState(Generic[A]):
 
 
 @dataclass(frozen=True, slots=True)
-class Vetted(Generic[A]):
+class FalseTrackRejection(Generic[A]):
     """An associator whose tracks are believed once they have been where objects are likelier than false alarms.
 
     Parameters
     ----------
-    sure : odds of any false alarm below which who is followed online is confirmed at once, before the associator does.
-    shortest : corrected tracks of which fewer rows that rest on detections are believed are left out.
+    immediate_confirmation : odds of any false alarm below which who is followed online is confirmed at once, before the associator does.
+    min_track_length : corrected tracks of which fewer rows that rest on detections are believed are left out.
     """
 
     associator: Associator[A]
     false: FalseOdds
-    sure: NonNegative = 0.0
-    shortest: PositiveCount = 1
+    immediate_confirmation: NonNegative = 0.0
+    min_track_length: PositiveCount = 1
 
     def __post_init__(self) -> None:
         check(self)
 
-    def start(self) -> VettedState[A]:
+    def start(self) -> RejectionState[A]:
         """Nothing seen."""
-        return VettedState(self.associator.start())
+        return RejectionState(self.associator.start())
 
     def extend(
-        self, state: VettedState[A], estimates: Estimates, z: F8, number: int, dt: float, model: Model
-    ) -> tuple[VettedState[A], Tracks]:
+        self, state: RejectionState[A], estimates: Estimates, z: F8, number: int, dt: float, model: Model
+    ) -> tuple[RejectionState[A], Tracks]:
         """The online rows, confirmed where the track is believed too, or is surely an object's."""
         inner, rows = self.associator.extend(state.inner, estimates, z, number, dt, model)
-        return self._judged(VettedState(inner, state.identity, state.odds), rows)
+        return self._judged(RejectionState(inner, state.identity, state.odds), rows)
 
-    def flush(self, state: VettedState[A], model: Model) -> Tracks:
+    def flush(self, state: RejectionState[A], model: Model) -> Tracks:
         """The online rows still held back by the output delay."""
         return self._judged(state, self.associator.flush(state.inner, model))[1]
 
-    def finish(self, state: VettedState[A], model: Model) -> Tracks:
+    def finish(self, state: RejectionState[A], model: Model) -> Tracks:
         """The corrected tracks, each from where it is believed on; identities from 1, in the associator's order."""
-        return believed(self.associator.finish(state.inner, model), self.false, self.shortest)
+        return believed(self.associator.finish(state.inner, model), self.false, self.min_track_length)
 
-    def measured(self, state: VettedState[A]) -> Measured:
+    def measurements(self, state: RejectionState[A]) -> MeasurementHistory:
         """The measurements of everything that is remembered."""
-        return self.associator.measured(state.inner)
+        return self.associator.measurements(state.inner)
 
-    def _judged(self, state: VettedState[A], rows: Tracks) -> tuple[VettedState[A], Tracks]:
+    def _judged(self, state: RejectionState[A], rows: Tracks) -> tuple[RejectionState[A], Tracks]:
         """The rows, confirmed or not as their tracks' odds say; of several frames in their order."""
         if len(rows) == 0 or rows.frame[0] == rows.frame[-1]:
             state, confirmed = self._confirmed(state, rows)
@@ -97,12 +96,12 @@ class Vetted(Generic[A]):
                 state, confirmed[here] = self._confirmed(state, rows.take(here))
         return state, Tracks(rows.frame, rows.identity, rows.xyxy, rows.confidence, rows.detection, confirmed)
 
-    def _confirmed(self, state: VettedState[A], rows: Tracks) -> tuple[VettedState[A], Bool]:
+    def _confirmed(self, state: RejectionState[A], rows: Tracks) -> tuple[RejectionState[A], Bool]:
         """The state with the rows of a frame, and who is believed and confirmed by the associator, or surely somebody.
 
         Who is so already is not asked again.
         """
-        sure = math.log(self.sure) if self.sure > 0 else -math.inf
+        sure = math.log(self.immediate_confirmation) if self.immediate_confirmation > 0 else -math.inf
         confirmed, which, least, z = unbelieved(
             state.identity, state.odds, rows.identity, rows.detection, rows.confirmed, rows.xyxy, sure
         )
@@ -111,7 +110,7 @@ class Vetted(Generic[A]):
         identity, odds, confirmed = remembered(
             state.identity, state.odds, rows.identity, rows.confirmed, confirmed, which, least, self.false.log(z), sure, KEPT
         )
-        return VettedState(state.inner, identity, odds), confirmed
+        return RejectionState(state.inner, identity, odds), confirmed
 
 
 def believed(tracks: Tracks, false: FalseOdds, shortest: int = 1) -> Tracks:
