@@ -6,7 +6,8 @@ time that the track then spends without a state. The best set of tracks is the p
 vertex split into an out-side and an in-side, a bipartite matching (Shafique and Shah 2005). It is extended frame by frame,
 by one augmenting path per new vertex.
 
-The density of a loose end is that of a state ``loose_end_distance`` deviations away from a typical one-step prediction: so the
+The density of a loose end is that of a state ``loose_end_distance`` deviations away from a typical one-step prediction: so
+the
 parameter is free of the image's size, the target's size and the frame rate. The degenerate f is convolved with the
 covariances of both states and evaluated on the rows that a measurement shows.
 
@@ -45,21 +46,25 @@ class GraphMatching:
     Parameters
     ----------
     window : seconds over which states are linked; M07's K = 50 frames at 25 Hz.
-    min_track_length : tracks of fewer states are discarded (offline, where earlier detections that they are led back to count too)
+    min_track_length : tracks of fewer states are discarded (offline, where earlier detections that they are led back to
+        count too)
         or not yet confirmed (online).
     loose_end_distance : an edge is worth as much as two loose ends at this many deviations.
     gap_cost : nats per second by which a link is worth less when the track spends that time without a state.
-    min_link_gain : tracks whose links gain less than this share of loose_end_distance²/2 on average are discarded (offline) or not confirmed
+    min_link_gain : tracks whose links gain less than this share of loose_end_distance²/2 on average are discarded (offline)
+        or not confirmed
         (online): false alarms can be strung together, but their links are poor. Without a filter 0.6 where nothing else is
         said (`presets.UNFILTERED`).
     max_link_distance : no edge joins states that are more than this many deviations apart, however little it would cost.
-    output_delay : frames by which the online output lags, so that links can still be corrected and tracks be confirmed by what
+    output_delay : frames by which the online output lags, so that links can still be corrected and tracks be confirmed by
+        what
         follows; 0 allowed.
     max_coast : seconds for which, at most, a confirmed track without a state is continued online by the motion model: it is
         while of those that were missing as long more came back than did not. A gap whose end the delay already shows is
         bridged instead. 0: neither.
     bridge_gaps : fill the gaps of tracks with predicted, flagged boxes.
-    back_dating : offline, a track is led back through at most this many earlier detections that the filter did not yet believe.
+    back_dating : offline, a track is led back through at most this many earlier detections that the filter did not yet
+        believe.
     history : seconds after which the past is forgotten, for cameras that run for days: the corrected tracks then go no
         further back (a little more is kept than this), and the state stops growing. 0: nothing is.
     """

@@ -104,11 +104,14 @@ class Labelled:
     Parameters
     ----------
     min_track_length : tracks of fewer states that rest on detections are discarded (offline) or not yet confirmed (online).
-    output_delay : frames by which the online output lags, so that states are reported as later frames have revised them and tracks
+    output_delay : frames by which the online output lags, so that states are reported as later frames have revised them and
+        tracks
         are confirmed by what follows; 0 allowed.
-    max_coast : seconds for which, at most, a confirmed track is continued online past its last detection. Corrected tracks end
+    max_coast : seconds for which, at most, a confirmed track is continued online past its last detection. Corrected tracks
+        end
         with their last one.
-    bridge_gaps : fill the gaps of tracks with predicted, flagged boxes, smoothed in corrected tracks. Without, no row is given
+    bridge_gaps : fill the gaps of tracks with predicted, flagged boxes, smoothed in corrected tracks. Without, no row is
+        given
         that rests on no detection.
     history : seconds after which the past is forgotten, for cameras that run for days: the corrected tracks then go no
         further back (a little more is kept than this), and a label that is seen again after that is a new identity. 0:

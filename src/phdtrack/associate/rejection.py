@@ -50,7 +50,8 @@ class FalseTrackRejection(Generic[A]):
 
     Parameters
     ----------
-    immediate_confirmation : odds of any false alarm below which who is followed online is confirmed at once, before the associator does.
+    immediate_confirmation : odds of any false alarm below which who is followed online is confirmed at once, before the
+        associator does.
     min_track_length : corrected tracks of which fewer rows that rest on detections are believed are left out.
     """
 

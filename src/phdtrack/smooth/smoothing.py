@@ -25,12 +25,14 @@ class Smoothing:
     stitching : join tracks that are one object's, lost out of sight and found again.
     smoothing : put each row where all measurements of its track say together, instead of where the filter had it.
     mean_occluded_time : seconds for which somebody lost is out of sight on average.
-    max_overlap_time : seconds for which at most two tracks of one object may go on beside each other before the first ends; they are
+    max_overlap_time : seconds for which at most two tracks of one object may go on beside each other before the first ends;
+        they are
         joined too.
     max_gap : seconds after which nobody is taken for one who was lost.
     reentry_probability : probability that a track that ends was lost and comes back.
     appearance : where there are pictures, let colours have a say in what is joined, see `smooth.appearance`.
-    max_gap_uncertainty : fill the gap between joined tracks where the object's place in it is known to within this many deviations of a
+    max_gap_uncertainty : fill the gap between joined tracks where the object's place in it is known to within this many
+        deviations of a
         single measurement. 0: such gaps stay open.
     """
 
