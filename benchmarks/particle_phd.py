@@ -23,7 +23,7 @@ from phdtrack.types import ParticleBlocks, Particles
 
 KEYS = ("particle_phd_ms", "particle_phd", "growth_exponent", "threads", "ns_per_pair")
 WARM_UP = 12
-LIMIT_MS = {10: 0.4, 100: 4.0, 1000: 45.0}
+LIMIT_MS = {10: 0.7, 100: 7.0, 1000: 70.0}
 
 
 def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
