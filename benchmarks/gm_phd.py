@@ -17,7 +17,7 @@ from benchmarks.loops import CUTOFF, TURN
 from benchmarks.timing import Spread, clock, took
 from benchmarks.workload import Crowd, Stream, draw, stages
 from phdtrack.filters import GMPHD
-from phdtrack.metrics import sets as ospa
+from phdtrack.metrics import ospa
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, GaussianMixture
 

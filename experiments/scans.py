@@ -17,7 +17,7 @@ import numpy as np
 
 from experiments.common import in_parallel
 from phdtrack.compare.statistics import Interval, interval
-from phdtrack.metrics import sets as ospa
+from phdtrack.metrics import ospa
 from phdtrack.protocols import Extractor, Filter, Model
 from phdtrack.types import F8, I8
 
