@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, Share, bounds, check
-from phdtrack.config.kinds import SECTIONS
+from phdtrack.config.kinds import SECTIONS, record
 from phdtrack.errors import InputError
 
 
@@ -65,13 +65,18 @@ def test_bounds_are_those_of_the_annotations():
 
 
 @pytest.mark.parametrize(
-    ("record", "name"),
-    [(record, name) for kinds in SECTIONS.values() for record in kinds.values() for name, _ in bounds(record)],
+    ("settings", "name"),
+    [
+        (record(section, kind), name)
+        for section, kinds in SECTIONS.items()
+        for kind in kinds
+        for name, _ in bounds(record(section, kind))
+    ],
 )
-def test_every_record_of_settings_keeps_its_bounds(record, name: str):
+def test_every_record_of_settings_keeps_its_bounds(settings, name: str):
     """Also where it is made by hand, without configuration: NaN is refused in every field that has bounds."""
     needed = {"frame_size": (640.0, 480.0), "boxes": [(0.0, 0.0, 1.0, 1.0)], "places": [], "file": "births.json"}
-    given_ = {key: value for key, value in needed.items() if key in record.__dataclass_fields__}
-    record(**given_)
+    given_ = {key: value for key, value in needed.items() if key in settings.__dataclass_fields__}
+    settings(**given_)
     with pytest.raises(InputError, match=f"{name}: expected a number"):
-        record(**given_, **{name: math.nan})
+        settings(**given_, **{name: math.nan})

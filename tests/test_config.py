@@ -10,8 +10,8 @@ import pytest
 from config_cases import toml, written
 from phdtrack import config
 from phdtrack.associate import GraphMatching, Labelled
-from phdtrack.config.kinds import SECTIONS
-from phdtrack.config.presets import FILTERED, PRESETS
+from phdtrack.config.kinds import SECTIONS, record
+from phdtrack.config.presets import PRESETS
 from phdtrack.errors import InputError
 from phdtrack.filters import PMB, ParticlePHD
 from phdtrack.filters.extract import BestBernoullis, KMeans, Mixture
@@ -57,8 +57,8 @@ IN_THE_IMAGE = sorted({*PRESETS} - {"e13"})
 EVERY = [
     (section, kind, field.name)
     for section, kinds in SECTIONS.items()
-    for kind, record in kinds.items()
-    for field in fields(record)
+    for kind in kinds
+    for field in fields(record(section, kind))
     if field.name not in ("frame_size", "births", "initial", "remember_size", "camera", "hiders", "borders")
     # Files must be there.
     and field.name != "file"
@@ -144,10 +144,10 @@ def test_all_that_as_dict_tells_is_what_is_built(preset: str):
     stages = config.build(config.load(preset=preset), INFO)
     records = {"motion": stages.model.motion, "sensor": stages.model.sensor, "filter": stages.filter,
                "birth": stages.model.birth, "extract": stages.extractor, "associate": stages.associator}  # fmt: skip
-    for section, record in records.items():
+    for section, made in records.items():
         for name, value in told[section].items():
             if name != "kind":
-                assert getattr(record, name) == value, (section, name)
+                assert getattr(made, name) == value, (section, name)
     assert stages.model.rate == told["time"]["rate"]
     assert stages.model.clutter.rate == told["clutter"]["rate"]
 
@@ -155,10 +155,10 @@ def test_all_that_as_dict_tells_is_what_is_built(preset: str):
 def test_e13_is_built_as_told():
     told = config.load(preset="e13").as_dict()
     stages = config.build(config.load(preset="e13"), SequenceInfo(768, 576, 7.0))
-    for section, record in (("motion", stages.model.motion), ("sensor", stages.model.sensor), ("filter", stages.filter)):
+    for section, made in (("motion", stages.model.motion), ("sensor", stages.model.sensor), ("filter", stages.filter)):
         for name, value in told[section].items():
             if name not in ("kind", "initial"):
-                assert getattr(record, name) == value, (section, name)
+                assert getattr(made, name) == value, (section, name)
     assert (stages.model.rate, stages.model.first) == (1.0, pytest.approx(1 / 7))
     np.testing.assert_array_equal(stages.model.clutter.intensity(np.zeros((5, 2))), 1e-8)
     # Births of a frame of 1/7 s, and who is there before the first.
@@ -250,17 +250,14 @@ def test_kinds_of_the_other_stages():
     assert plain.model.motion.births == NoSpawn()
 
 
-@pytest.mark.parametrize("kind", FILTERED)
-def test_a_filter_brings_what_is_usual_with_it(kind: str):
-    """Told and built alike, whatever the filter was before; not in a paper's preset, and never over what was asked for."""
+@pytest.mark.parametrize("kind", SECTIONS["filter"])
+def test_the_default_has_values_of_its_own_with_each_filter(kind: str):
+    """Built as printed, whatever the filter was before; not in a paper's preset, and never over what was asked for."""
     settings = config.load(sets=[f"filter.kind={kind}"])
-    told = settings.as_dict()
-    for section, values in FILTERED[kind].items():
-        # What stands beside is of learned births and false alarms.
-        assert told[section] == told[section] | {name: value for name, value in values.items() if name != "beside"}
+    spread, rate = (settings.as_dict()[section][name] for section, name in (("sensor", "spread"), ("clutter", "rate")))
+    assert (spread, rate) == ((0.25, 1.5) if kind == "pmb" else (0.15, 0.3))
     model = config.build(config.load(), INFO, kind).model
-    assert model.sensor.spread == FILTERED[kind]["sensor"]["spread"]
-    assert model.clutter.rate == FILTERED[kind]["clutter"]["rate"]
+    assert (model.sensor.spread, model.clutter.rate) == (spread, rate)
     asked = config.load(sets=["sensor.spread=0.7", f"filter.kind={kind}", "clutter.rate=0.01"])
     assert (asked.as_dict()["sensor"]["spread"], asked.as_dict()["clutter"]["rate"]) == (0.7, 0.01)
     if kind != "mcmc":  # Which cannot do with births that are uniform over the image.

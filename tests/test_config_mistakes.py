@@ -9,7 +9,7 @@ import pytest
 from config_cases import toml, written
 from phdtrack import config
 from phdtrack.checks import bounds
-from phdtrack.config.kinds import SECTIONS
+from phdtrack.config.kinds import SECTIONS, record
 from phdtrack.errors import InputError
 from phdtrack.types import SequenceInfo
 
@@ -74,7 +74,7 @@ def test_the_same_mistakes_in_a_file(option: str, says: str, tmp_path):
 
 
 @pytest.mark.parametrize(("section", "name"), [
-    (section, name) for section, kinds in SECTIONS.items() for name, _ in bounds(next(iter(kinds.values())))
+    (section, name) for section, kinds in SECTIONS.items() for name, _ in bounds(record(section, next(iter(kinds))))
 ])  # fmt: skip
 def test_no_bounded_setting_may_be_negative(section: str, name: str):
     with pytest.raises(InputError, match=f"{section}.{name}: .* got -1"):
@@ -85,7 +85,7 @@ def test_no_bounded_setting_may_be_negative(section: str, name: str):
 def test_nor_one_of_the_particle_filters(section: str):
     sets = ["filter.kind=particle-phd"]
     kind = config.load(sets=sets).as_dict()[section]["kind"]
-    bounded = [name for name, _ in bounds(SECTIONS[section][kind])]
+    bounded = [name for name, _ in bounds(record(section, kind))]
     assert bounded
     for name in bounded:
         with pytest.raises(InputError, match=f"{section}.{name}: .* got -1"):

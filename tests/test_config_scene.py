@@ -9,7 +9,7 @@ from phdtrack import config
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.cli.configured import Choice, chosen
-from phdtrack.config.presets import FILTERED
+from phdtrack.config.kinds import SECTIONS
 from phdtrack.errors import InputError
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
 from phdtrack.scene import ContextDensity, Followed, Learned, Scene, read_scene, uniform_density, write_scene
@@ -91,11 +91,12 @@ def test_without_a_size_births_have_four_components(tmp_path, world):
 # What is laid beside, and who is held back
 
 
-@pytest.mark.parametrize("name", FILTERED)
+@pytest.mark.parametrize("name", SECTIONS["filter"])
 def test_the_shipped_model_is_beside_a_scene(tmp_path, name):
     """As much as is usual with the filter, told and built alike; nothing in a paper's preset, or where so asked."""
     sets = written(tmp_path / "scene.json", followed=FOLLOWED)
-    usual = {section: FILTERED[name][section]["rate"] for section in ("birth", "clutter")}
+    plain = config.load(sets=[f"filter.kind={name}"]).as_dict()
+    usual = {section: plain[section]["rate"] for section in ("birth", "clutter")}
     settings = config.load(sets=[f"filter.kind={name}", *sets])
     model = config.build(settings, INFO).model
     for section in ("birth", "clutter"):

@@ -12,7 +12,7 @@ from phdtrack.formats.warps import Warps, read_warps
 from phdtrack.models.standing import not_standing, refuse_standing
 from phdtrack.protocols import Model
 from phdtrack.types import F8, STILL, Detections, Frame
-from phdtrack.video.ego_motion import CameraMotion, SparseFlow, Standing
+from phdtrack.video.ego_motion import CameraMotion
 
 
 class Mover(Protocol):
@@ -64,10 +64,11 @@ def mover_of(settings: Settings, inputs: Inputs) -> Mover:
     ------
     InputError : pictures are asked for and there are none, or the file cannot be read or does not belong to this sequence.
     """
-    chosen = settings.camera_motion
-    if isinstance(chosen, Standing):
+    kind = settings.kind("camera_motion")
+    if kind == "none":
         return standing
-    if isinstance(chosen, SparseFlow):
+    chosen = settings.build("camera_motion")
+    if kind == "flow":
         if not inputs.pictures:
             raise InputError(
                 "the camera's motion is measured in pictures, and there are detections only",
@@ -88,8 +89,8 @@ def mover_of(settings: Settings, inputs: Inputs) -> Mover:
 
 def check_moving(settings: Settings, model: Model) -> None:
     """Raise `InputError` where something of the settings holds only while the camera stands still, and it does not."""
-    if isinstance(settings.camera_motion, Standing):
+    if settings.kind("camera_motion") == "none":
         return
     refuse_standing(model)
-    if settings.sections.get("learn", {}).get("kind", "none") != "none":
+    if settings.kind("learn") != "none":
         raise not_standing("learning where false alarms and entrances are (learn.kind=online)")

@@ -90,7 +90,6 @@ def compare(
     every filter. A run that fails is told in the table, the others go on, and the exit status is 1.
     """
     from phdtrack.cli.compare_results import Results, tell, write
-    from phdtrack.cli.configured import taught
     from phdtrack.compare import check_scores, plan, run, steps, summary
     from phdtrack.compare.worst import worst_frames
     from phdtrack.report import write_run
@@ -110,7 +109,7 @@ def compare(
         variants=variants or (),
         preset=preset,
         file=config,
-        sets=tuple(sets or ()) if scene is None else taught(scene, config, tuple(sets or ()), preset),
+        sets=(*(() if scene is None else (f"scene={scene}",)), *(sets or ())),
         truth=truth,
         max_width=max_width,
         iou=iou,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,12 +20,10 @@ from phdtrack.cli.learning_companion import LearningCompanion
 from phdtrack.cli.rates_companion import RatesCompanion
 from phdtrack.cli.steps import Steps
 from phdtrack.cli.wanted import DEFAULT_DETECTOR, Wanted
-from phdtrack.errors import InputError
 from phdtrack.formats import read_truth
 from phdtrack.models.followed_rates import FollowRates
 from phdtrack.models.followed_scene import FollowScene
 from phdtrack.protocols import Learning
-from phdtrack.scene import read_scene
 from phdtrack.types import Truth
 
 
@@ -47,36 +44,19 @@ class Choice:
 
 
 def chosen(choice: Choice) -> config.Settings:
-    """The settings: those of preset and file with the options over them.
+    """The settings: those of preset and file with the options in their place.
 
     Raises
     ------
     InputError : a file that cannot be read, an unknown name, options that do not go together.
     """
+    scene = (f"scene={choice.scene}",) if choice.scene is not None else ()
     online = ("learn.kind=online",) if choice.learn_online else ()
-    moving = _camera_motion(choice.camera_motion)
-    sets = (*_filter(choice), *online, *moving, *choice.sets)
-    if choice.scene is not None and not choice.learn_online:
-        sets = taught(choice.scene, choice.config, sets, choice.preset)
-    settings = config.load(choice.config, sets, choice.preset)
-    if choice.scene is not None and choice.learn_online:
-        settings = config.overlay(settings, {"learn": {"file": str(choice.scene)}}, "--scene")
+    sets = (*scene, *online, *_camera_motion(choice.camera_motion), *choice.sets)
+    settings = config.load(choice.config, sets, choice.preset, choice.filter_name)
     if choice.threads is not None:
         settings = config.overlay(settings, _sharing(settings, choice.threads), "--threads")
     return settings
-
-
-def _filter(choice: Choice) -> tuple[str, ...]:
-    """``--filter`` as an assignment before all others, so that these may be settings of that filter."""
-    name = choice.filter_name
-    if not name:
-        return ()
-    others = [text for text in choice.sets if _halves(text)[0] == "filter.kind"]
-    if any(_halves(text)[1] != name for text in others):
-        raise InputError(f"--filter {name} and --set {others[0]} name two filters", where="--filter", cure="Leave one out")
-    # Names are checked where they were given.
-    config.overlay(config.load(preset=choice.preset), {"filter": {"kind": name}}, "--filter")
-    return (f"filter.kind={name}",)
 
 
 def _camera_motion(said: str) -> tuple[str, ...]:
@@ -84,27 +64,6 @@ def _camera_motion(said: str) -> tuple[str, ...]:
     if said in ("", "none", "flow"):
         return (f"camera_motion.kind={said}",) if said else ()
     return "camera_motion.kind=file", f"camera_motion.file={json.dumps(said)}"
-
-
-def taught(file: Path, settings: Path | None, sets: Sequence[str], preset: str) -> tuple[str, ...]:
-    """The assignments ``sets``, as ``--set`` takes them, after those of what a scene has taught; a kind in ``sets`` wins.
-
-    A part that is learned is a density of the whole frame. Where nothing is laid beside it around each detection, the other
-    one, if it was not learned, is spread over the frame too: else one of the two would explain everything.
-    """
-    scene, chosen = read_scene(file), dict(_halves(text) for text in sets)
-    parts = {"birth": scene.births, "clutter": scene.clutter}
-    learned = [name for name, part in parts.items() if part is not None and chosen.get(f"{name}.kind", "scene") == "scene"]
-    given = [text for name in learned for text in (f"{name}.kind=scene", f"{name}.file={json.dumps(str(file))}")]
-    values: Any = config.load(settings, (*given, *sets), preset).as_dict()
-    whole = values["motion"]["kind"] == "box" and any(values[name]["beside"] == 0 for name in learned)
-    spread = [f"{name}.volume=image" for name in parts if whole and "volume" in values[name]]
-    return (*given, *spread, *sets)
-
-
-def _halves(assignment: str) -> tuple[str, str]:
-    name, _, value = assignment.partition("=")
-    return name.strip(), value.strip().strip("'\"")
 
 
 def _sharing(settings: config.Settings, threads: int) -> dict[str, dict[str, Any]]:
@@ -122,7 +81,7 @@ def prepare(wanted: Wanted, choice: Choice, settings: config.Settings, command: 
     """
     truth = None if choice.truth is None else read_truth(choice.truth)
     if wanted.detections is None:
-        settings = config.seen_by(settings, wanted.detector or DEFAULT_DETECTOR)
+        settings = config.for_detector(settings, wanted.detector or DEFAULT_DETECTOR)
     inputs = open_inputs(_at_least(wanted, truth), settings.detector)
     stages = config.build(settings, inputs.info, moving=True)
     check_moving(settings, stages.model)
@@ -146,7 +105,7 @@ def prepare(wanted: Wanted, choice: Choice, settings: config.Settings, command: 
 
 def _moving(settings: config.Settings, inputs: Inputs) -> list[Companion]:
     """What tells of the camera's motion, where there is any."""
-    kind = str(settings.sections.get("camera_motion", {}).get("kind", "none"))
+    kind = settings.kind("camera_motion")
     return [] if kind == "none" else [CameraCompanion(kind, inputs.info)]
 
 

@@ -152,24 +152,24 @@ def ground_settings(choice: Choice, camera: Path | None) -> Settings:
     from phdtrack import config
     from phdtrack.cli.configured import chosen
 
-    said = config.load(choice.config, choice.sets, choice.preset).sections
-    usual = [] if "kind" in said.get("motion", {}) else ["motion.kind=plane"]
-    if not choice.filter_name and "kind" not in said.get("filter", {}):
+    said = config.load(choice.config, choice.sets, choice.preset)
+    usual = [] if said.kind("motion") != "box" or "kind" in said.given.get("motion", {}) else ["motion.kind=plane"]
+    if not choice.filter_name and said.kind("filter") == "pmb" and "kind" not in said.given.get("filter", {}):
         usual.append(f"filter.kind={USUAL_FILTER}")
     settings = chosen(replace(choice, sets=(*usual, *choice.sets)))
     if camera is not None:
         settings = config.overlay(settings, {"camera": {"file": str(camera)}}, "--camera")
-    if settings.sections.get("motion", {}).get("kind") != "plane":
+    if settings.kind("motion") != "plane":
         raise InputError(
             "groups are found on the ground", where="motion.kind", cure="Use motion.kind=plane, or leave it out."
         )
-    if settings.sections.get("filter", {}).get("kind") == "none":
+    if settings.kind("filter") == "none":
         raise InputError(
             "groups need velocities, which detections alone do not have",
             where="--filter none",
             cure=f"Use --filter {USUAL_FILTER}.",
         )
-    if not settings.sections.get("camera", {}).get("file"):
+    if not settings.build("camera").file:
         raise InputError(
             "where pixels are on the ground is not known",
             where="--camera",

@@ -72,8 +72,7 @@ class Method:
     @property
     def filter_name(self) -> str:
         """``filter.kind``."""
-        section = self.settings.as_dict()["filter"]
-        return str(section["kind"]) if isinstance(section, dict) else ""
+        return self.settings.kind("filter")
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,7 +137,7 @@ class Track:
 def tracked(run: Run, given: Material) -> tuple[Tracks, bool, float]:
     """Corrected tracks, whether anything was drawn at random, and the median of the seconds per frame."""
     seen = run.cell.case.seen
-    settings = config.seen_by(run.cell.method.settings, seen.name if isinstance(seen, Detecting) else "")
+    settings = config.for_detector(run.cell.method.settings, seen.name if isinstance(seen, Detecting) else "")
     stages = config.build(settings, given.info)
     rng = np.random.default_rng(run.seed)
     state, seconds = pipeline.start(stages, rng), list[float]()

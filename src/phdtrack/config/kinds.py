@@ -1,85 +1,253 @@
-"""Every name that a configuration may have: sections, their kinds, the records they make, and which go together."""
+"""Every name that a configuration may have: sections, their kinds, the settings of each, and which go together.
+
+The settings of a kind are the fields of a frozen dataclass, mostly the object itself (``[filter]`` of kind ``pmb`` has the
+fields of `filters.pmb.PMB`). The dataclasses here are of parts that are only built once the sequence, a camera or a learned
+scene is known.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import MISSING, dataclass, fields
+from functools import cache
+from importlib import import_module
+from typing import Any, get_type_hints
 
-from phdtrack.associate import GraphMatching, Labelled
-from phdtrack.config import worlds
-from phdtrack.detect.merged import Explained
-from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, PMB, NoFilter, ParticleCPHD, ParticlePHD, extract
-from phdtrack.groups import Contours, EncounterWarning, Grouping, GroupLifeCycle
-from phdtrack.models import (
-    BoxMotion,
-    BoxSensor,
-    MeasurementBirth,
-    NoSpawn,
-    PlaneBirth,
-    PlaneMotion,
-    PlaneSensor,
-    PointBirth,
-    PointMotion,
-    PointSensor,
-    SplitSpawn,
-    UniformBirth,
-)
-from phdtrack.protocols import AsDetected, NoLearning
-from phdtrack.scene.rates import RatesSettings
-from phdtrack.smooth import Smoothing
-from phdtrack.video.ego_motion import GivenWarps, SparseFlow, Standing
+from phdtrack.checks import NonNegative, Positive, PositiveCount, check
+from phdtrack.errors import InputError
+from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, check_region
+from phdtrack.models.volume import Volume
 
-# section → kind → record; the first kind is the default.
-SECTIONS: Mapping[str, Mapping[str, type[Any]]] = {
-    "time": {"": worlds.TimeSettings},
-    "camera": {"": worlds.CameraSettings},
-    "motion": {"box": BoxMotion, "plane": PlaneMotion, "point": PointMotion},
-    "spawn": {"none": NoSpawn, "split": SplitSpawn},
-    "sensor": {"box": BoxSensor, "plane": PlaneSensor, "point": PointSensor},
+Boxes = list[tuple[float, float, float, float]]
+Places = list[tuple[float, float, float, float, float]]
+"""Of each: x, y in metres, weight, standard deviations of position (m) and of velocity (m/s)."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSettings:
+    """``rate``: time units per second in which the noises and rates are stated; the papers' are per frame at 25 Hz."""
+
+    rate: Positive = 25.0
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class DetectorSettings:
+    """Settings of a detector, checked by the detector itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSettings:
+    """Between pixels and ground, for ``motion.kind=plane``.
+
+    ``file``: a camera (see `camera.read`); empty for detections that are in metres already. ``region``: the ground that
+    counts, left, low, right, high in metres; all 0: what the image shows up to ``far`` metres, no border without a camera.
+    ``first_pixel``: the number of the first pixel in the detections; 1 in MOTChallenge's files.
+    """
+
+    file: str = ""
+    region: Region = EVERYWHERE
+    far: Positive = 60.0
+    first_pixel: NonNegative = 0.0
+
+    def __post_init__(self) -> None:
+        check(self)
+        check_region(self.region, "camera.region")
+
+
+@dataclass(frozen=True, slots=True)
+class ClutterSettings:
+    """``rate``: expected false alarms per frame; ``volume``: spread over the image, or around each detection (local)."""
+
+    rate: NonNegative = 1.0
+    volume: Volume = "image"
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class PointClutterSettings:
+    """``rate``: expected false alarms per frame, points spread over the image."""
+
+    rate: NonNegative = 1.0
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class GroundClutterSettings:
+    """False alarms on the ground.
+
+    ``rate`` a frame, spread over the ``region`` or around each detection (``local``), or ``density`` a frame and m², which
+    is taken instead where it is not 0.
+    """
+
+    rate: NonNegative = 0.3
+    volume: PlaneVolume = "local"
+    density: NonNegative = 0.0
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class FixedBirthSettings:
+    """``boxes``: where objects appear, as left, top, right, bottom; ``rate``: births per time unit at each."""
+
+    boxes: Boxes
+    rate: NonNegative = 0.01
+    count: PositiveCount = 300
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class PlacesBirthSettings:
+    """``places``: where people appear: x, y (m), births per second, deviations of position (m) and velocity (m/s)."""
+
+    places: Places
+    count: PositiveCount = 300
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneBirthSettings:
+    """``file``: births as `phdtrack learn` has learned them in this scene; ``most``: Jmax, see MeasurementBirth.
+
+    ``beside``: births a time unit around each detection of a box where nothing is known of it, see ContextBirth; 0: none.
+    """
+
+    file: str
+    most: PositiveCount = 500
+    beside: NonNegative = 0.0
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneClutterSettings:
+    """``file``: false alarms as `phdtrack learn` has learned them in this scene.
+
+    ``beside``: false alarms a frame around each detection that come to these, see ContextClutter. ``vet``: tracks that stay
+    where false alarms are followed are held back, as far as `phdtrack learn` has seen what is followed (`associate.rejection`).
+    ``sure``: then, too, a live track is confirmed at once where there are so many false alarms for each object, or fewer.
+    """
+
+    file: str
+    beside: NonNegative = 0.0
+    vet: bool = True
+    sure: NonNegative = 0.1
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class LearnSettings:
+    """Learning births and false alarms while tracking, see `context.online`.
+
+    Parameters
+    ----------
+    memory : minutes after which what was seen counts for 37 %.
+    wait : seconds until a detection is judged, beyond ``associate.output_delay``.
+    most : Jmax, see MeasurementBirth.
+    switch : whether several modes of the scene (day, night) are told apart and chosen by evidence.
+    schedule : modes by time of day instead, as ``07:00 day, 19:30 night``.
+    starts : time of day at which the video begins, for ``schedule``.
+    file : what was learned before; of several modes a folder with a file of each, as a run leaves them.
+    """
+
+    memory: Positive = 10.0
+    wait: NonNegative = 2.0
+    most: PositiveCount = 500
+    switch: bool = False
+    schedule: str = ""
+    starts: str = "00:00"
+    file: str = ""
+
+    def __post_init__(self) -> None:
+        from phdtrack.scene.clock import clock
+
+        check(self)
+        clock(self.schedule, self.starts)
+        if self.switch and self.schedule:
+            raise InputError("modes are chosen by evidence or by time of day", where="learn.switch", cure="Leave one out")
+
+
+# section → kind → "module:class" of its settings; the first kind is the default. A class is imported when it is chosen.
+SECTIONS: Mapping[str, Mapping[str, str]] = {
+    "time": {"": f"{__name__}:TimeSettings"},
+    "camera": {"": f"{__name__}:CameraSettings"},
+    "motion": {
+        "box": "phdtrack.models.box_motion:BoxMotion",
+        "plane": "phdtrack.models.plane_motion:PlaneMotion",
+        "point": "phdtrack.models.point_motion:PointMotion",
+    },
+    "spawn": {"none": "phdtrack.models.spawning:NoSpawn", "split": "phdtrack.models.spawning:SplitSpawn"},
+    "sensor": {
+        "box": "phdtrack.models.box_sensor:BoxSensor",
+        "plane": "phdtrack.models.plane_sensor:PlaneSensor",
+        "point": "phdtrack.models.point_sensor:PointSensor",
+    },
     "birth": {
-        "measurement": MeasurementBirth,
-        "uniform": UniformBirth,
-        "fixed": worlds.FixedBirthSettings,
-        "scene": worlds.SceneBirthSettings,
-        "ground": PlaneBirth,
-        "places": worlds.PlacesBirthSettings,
-        "point": PointBirth,
+        "measurement": "phdtrack.models.births:MeasurementBirth",
+        "uniform": "phdtrack.models.births:UniformBirth",
+        "fixed": f"{__name__}:FixedBirthSettings",
+        "scene": f"{__name__}:SceneBirthSettings",
+        "ground": "phdtrack.models.plane_birth:PlaneBirth",
+        "places": f"{__name__}:PlacesBirthSettings",
+        "point": "phdtrack.models.point_birth:PointBirth",
     },
     "clutter": {
-        "image": worlds.ClutterSettings,
-        "scene": worlds.SceneClutterSettings,
-        "ground": worlds.GroundClutterSettings,
-        "point": worlds.PointClutterSettings,
+        "image": f"{__name__}:ClutterSettings",
+        "scene": f"{__name__}:SceneClutterSettings",
+        "ground": f"{__name__}:GroundClutterSettings",
+        "point": f"{__name__}:PointClutterSettings",
     },
     "filter": {
-        "pmb": PMB,
-        "particle-phd": ParticlePHD,
-        "gm-phd": GMPHD,
-        "particle-cphd": ParticleCPHD,
-        "gm-cphd": GMCPHD,
-        "mcmc": MCMC,
-        "mht": MHT,
-        "none": NoFilter,
+        "pmb": "phdtrack.filters.pmb:PMB",
+        "particle-phd": "phdtrack.filters.particle_phd:ParticlePHD",
+        "gm-phd": "phdtrack.filters.gm_phd:GMPHD",
+        "particle-cphd": "phdtrack.filters.particle_cphd:ParticleCPHD",
+        "gm-cphd": "phdtrack.filters.gm_cphd:GMCPHD",
+        "mcmc": "phdtrack.filters.mcmc:MCMC",
+        "mht": "phdtrack.filters.mht:MHT",
+        "none": "phdtrack.filters.none:NoFilter",
     },
     "extract": {
-        "bernoullis": extract.BestBernoullis,
-        "kmeans": extract.KMeans,
-        "mixture": extract.Mixture,
-        "components": extract.Components,
-        "joint": extract.Joint,
-        "hypotheses": extract.BestHypothesis,
+        "bernoullis": "phdtrack.filters.extract.bernoullis:BestBernoullis",
+        "kmeans": "phdtrack.filters.extract.kmeans:KMeans",
+        "mixture": "phdtrack.filters.extract.mixture:Mixture",
+        "components": "phdtrack.filters.extract.components:Components",
+        "joint": "phdtrack.filters.extract.joint:Joint",
+        "hypotheses": "phdtrack.filters.extract.hypotheses:BestHypothesis",
     },
-    "associate": {"labelled": Labelled, "graph": GraphMatching},
-    "learn": {"none": NoLearning, "online": worlds.LearnSettings},
-    "rates": {"none": NoLearning, "learned": RatesSettings},
-    "blobs": {"none": AsDetected, "explained": Explained},
-    "camera_motion": {"none": Standing, "flow": SparseFlow, "file": GivenWarps},
-    "smooth": {"": Smoothing},
-    "groups": {"": Grouping},
-    "contours": {"": Contours},
-    "life_cycle": {"": GroupLifeCycle},
-    "encounters": {"": EncounterWarning},
-    "detector": {"": worlds.DetectorSettings},
+    "associate": {
+        "labelled": "phdtrack.associate.labels:Labelled",
+        "graph": "phdtrack.associate.graph:GraphMatching",
+    },
+    "learn": {"none": "phdtrack.protocols:NoLearning", "online": f"{__name__}:LearnSettings"},
+    "rates": {"none": "phdtrack.protocols:NoLearning", "learned": "phdtrack.scene.rates:RatesSettings"},
+    "blobs": {"none": "phdtrack.protocols:AsDetected", "explained": "phdtrack.detect.merged:Explained"},
+    "camera_motion": {
+        "none": "phdtrack.video.ego_motion:Standing",
+        "flow": "phdtrack.video.ego_motion:SparseFlow",
+        "file": "phdtrack.video.ego_motion:GivenWarps",
+    },
+    "smooth": {"": "phdtrack.smooth:Smoothing"},
+    "groups": {"": "phdtrack.groups:Grouping"},
+    "contours": {"": "phdtrack.groups:Contours"},
+    "life_cycle": {"": "phdtrack.groups:GroupLifeCycle"},
+    "encounters": {"": "phdtrack.groups:EncounterWarning"},
+    "detector": {"": f"{__name__}:DetectorSettings"},
 }
 # Kinds of other sections that a kind goes together with, the default first. Without a filter nothing is extracted.
 FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
@@ -129,3 +297,38 @@ MISFITS: Mapping[str, Mapping[tuple[str, str], str]] = {
 }
 # Fields that come from the sequence.
 FROM_SEQUENCE = {"frame_size", "births", "initial", "remember_size", "camera", "hiders", "borders"}
+
+
+@cache
+def record(section: str, kind: str) -> type[Any]:
+    """The class that has the settings of this kind, imported now."""
+    module, _, name = SECTIONS[section][kind].partition(":")
+    found: type[Any] = getattr(import_module(module), name)
+    return found
+
+
+def first_kind(section: str) -> str:
+    """The kind that a section has where none is given."""
+    return next(iter(SECTIONS[section]))
+
+
+@cache
+def settable(section: str, kind: str, motion: str) -> Mapping[str, Any]:
+    """The settings of a kind and the type of each, bounds included; ``motion`` is the kind of motion."""
+    chosen = record(section, kind)
+    hints = get_type_hints(chosen, include_extras=True)
+    known = {field.name: hints[field.name] for field in fields(chosen) if field.name not in FROM_SEQUENCE}
+    if section == "filter" and kind != "none":
+        known["initial"] = Places if motion == "plane" else Boxes
+    return known
+
+
+@cache
+def constructor_defaults(section: str, kind: str) -> Mapping[str, Any]:
+    """The defaults of the settings that have one."""
+    found = {}
+    for field in fields(record(section, kind)):
+        default = field.default if field.default_factory is MISSING else field.default_factory()
+        if default is not MISSING and field.name not in FROM_SEQUENCE:
+            found[field.name] = default
+    return found

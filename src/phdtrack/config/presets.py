@@ -1,4 +1,7 @@
-"""The papers' parameters, and the defaults, as overlays on the records' own defaults.
+"""Presets: complete sets of values, written as what differs from the defaults of the classes' constructors.
+
+`values_of` gives the values of a preset with any filter and kind of motion; `phdtrack settings --all` prints them.
+A table has a section for each part; ``birth.scene`` stands for ``[birth]`` where the user chooses ``kind = "scene"`` there.
 
 ``default``: what `phdtrack track` uses: the Poisson multi-Bernoulli filter with M09's model, of targets that keep their
 velocity and their size better, live longer and are detected less surely, as today's detectors have it; newborn that may be
@@ -24,8 +27,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from phdtrack.config.kinds import FITTING, first_kind
+
+Table = Mapping[str, Mapping[str, Any]]
+
 NO_SMOOTHING: Mapping[str, Any] = {"stitching": False, "smoothing": False}
-_PAPER: Mapping[str, Mapping[str, Any]] = {
+_PAPER: Table = {
     "motion": {"acceleration": 0.03, "resize": 0.1, "survival": 0.99},
     "sensor": {"detection": 0.95, "spread": 0.15},
     "birth": {"rate": 0.01, "most": 1000},
@@ -36,60 +43,57 @@ _PAPER: Mapping[str, Mapping[str, Any]] = {
     "extract": {"kind": "kmeans", "min_weight": 0.6, "merge_iou": 1.0},
     "smooth": NO_SMOOTHING,
 }
-_M09: Mapping[str, Mapping[str, Any]] = {
+_M09: Table = {
     **_PAPER,
     "sensor": {**_PAPER["sensor"], "floor": 0.0, "scaling": "particle"},
     "extract": {"kind": "mixture", "min_weight": 0.5, "merge_iou": 1.0},
 }
-_FV: Mapping[str, Mapping[str, Any]] = {
+_FV: Table = {
     **_M09,
     "motion": {"acceleration": 1.5**0.5, "resize": 2.0, "survival": 0.99, "scaled": False},
     "sensor": {"detection": 0.95, "scaling": "fixed"},
 }
 
-# What is usual where the world is a ground plane in metres and seconds: a second without a state costs as
-# much as elsewhere 0.6 s; 99 % regions in two dimensions.
-PLANE: Mapping[str, Mapping[str, Any]] = {
-    "time": {"rate": 1.0},
-    "filter": {"region": 9.21},
-    "associate": {"gap_cost": 1.609},
+# What another kind of motion brings. On the ground a second without a state costs as much as elsewhere 0.6 s.
+_WORLDS: Mapping[str, Table] = {
+    "box": {},
+    "plane": {
+        "time": {"rate": 1.0},
+        "filter": {"region": 9.21},
+        "associate": {"gap_cost": 1.609},
+    },
+    "point": {"filter": {"region": 9.21}},
 }
 
-# Points in an image: 99 % regions in two dimensions.
-POINT: Mapping[str, Mapping[str, Any]] = {"filter": {"region": 9.21}}
-# What is usual in each world beside the defaults.
-USUAL: Mapping[str, Mapping[str, Mapping[str, Any]]] = {"plane": PLANE, "point": POINT}
+
+def _around(births: float, alarms: float) -> Table:
+    """So many births and false alarms around each detection, and as many next to those that a scene has taught."""
+    return {
+        "birth": {"rate": births},
+        "birth.scene": {"beside": births},
+        "clutter": {"rate": alarms},
+        "clutter.scene": {"beside": alarms},
+    }
 
 
-def _around(births: float, alarms: float) -> Mapping[str, Mapping[str, float]]:
-    """So many births and false alarms around each detection, and as many beside those that a scene has taught."""
-    return {"birth": {"rate": births, "beside": births}, "clutter": {"rate": alarms, "beside": alarms}}
-
-
-# What is usual with a filter where boxes are followed in the image and the preset is the default. A PHD filter has no
-# labels: where the sensor is wide, neighbours share their measurements, and what is near is taken for the same.
-_INTENSITY: Mapping[str, Mapping[str, Any]] = {
-    "motion": {"resize": 0.07},
-    "sensor": {"spread": 0.15},
-    **_around(0.01, 0.3),
+# The default's values with each filter, of boxes. A PHD filter has no labels: where the sensor is wide, neighbours share
+# their measurements, and what is near is taken for the same.
+_PHD: Table = {"motion": {"resize": 0.07}, "sensor": {"spread": 0.15}, **_around(0.01, 0.3)}
+_PMB: Table = {"motion": {"resize": 0.05}, "sensor": {"spread": 0.25}, **_around(0.005, 1.5)}
+_BY_FILTER: Mapping[str, Table] = {
+    "pmb": _PMB,
+    "particle-phd": {**_PHD, "filter": {"particles_per_target": 750}},
+    "particle-cphd": {**_PHD, "filter": {"particles_per_target": 750}},
+    "gm-phd": _PHD,
+    "gm-cphd": _PHD,
+    "mcmc": _PHD,
+    "mht": _PHD,
+    # Nobody knows how fast a raw detection moves, so that the links of true tracks gain less than those of filtered states.
+    "none": _PHD,
 }
-_PARTICLES: Mapping[str, Mapping[str, Any]] = {**_INTENSITY, "filter": {"particles_per_target": 750}}
-FILTERED: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
-    "pmb": {"motion": {"resize": 0.05}, "sensor": {"spread": 0.25}, **_around(0.005, 1.5)},
-    "particle-phd": _PARTICLES,
-    "particle-cphd": _PARTICLES,
-    "gm-phd": _INTENSITY,
-    "gm-cphd": _INTENSITY,
-    "mcmc": _INTENSITY,
-    "mht": _INTENSITY,
-    "none": _INTENSITY,
-}
+_UNFILTERED: Table = {"associate": {"min_link_gain": 0.6}}
 
-# What is usual where nothing is filtered: nobody knows how fast a raw detection moves, so that the links of true tracks gain
-# less than those of filtered states.
-UNFILTERED: Mapping[str, Mapping[str, Any]] = {"associate": {"min_link_gain": 0.6}}
-
-PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
+PRESETS: Mapping[str, Table] = {
     "default": {
         "motion": {"acceleration": 0.005, "survival": 0.997, "roughening": 0.005},
         "sensor": {"detection": 0.8, "speed": 0.1, "scaling": "particle"},
@@ -123,8 +127,8 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
         "associate": {"kind": "labelled"},
     },
     "e13": {
-        **PLANE,
-        "associate": {"kind": "graph", **PLANE["associate"]},
+        "time": {"rate": 1.0},
+        "associate": {"kind": "graph", "gap_cost": 1.609},
         "motion": {"kind": "plane", "acceleration": 1.0, "survival": 0.99, "nominal": 1 / 7, "form": "piecewise"},
         "sensor": {
             "kind": "plane",
@@ -167,3 +171,37 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
         "smooth": NO_SMOOTHING,
     },
 }
+
+
+def values_of(preset: str, motion: str = "", filter_name: str = "") -> dict[str, dict[str, Any]]:
+    """The values of a preset by section, with their ``kind``; what a section leaves out has its constructor's default.
+
+    Parameters
+    ----------
+    preset : a name of `PRESETS`.
+    motion, filter_name : other kinds of ``[motion]`` and ``[filter]`` than the preset's; empty for the preset's.
+        Sections whose kind does not fit get the first that does, and keep the values that both kinds of a section know.
+    """
+    table = {section: dict(values) for section, values in PRESETS[preset].items()}
+    moving, filtering = (table.get(section, {}).get("kind", first_kind(section)) for section in ("motion", "filter"))
+    motion, filter_name = motion or moving, filter_name or filtering
+    if motion != moving:
+        table["motion"] = {"kind": motion}
+        for section, kinds in FITTING["motion", motion].items():
+            table[section] = {"kind": kinds[0]}
+    if filter_name != filtering:
+        table["filter"] = {"kind": filter_name}
+        for section, kinds in FITTING["filter", filter_name].items():
+            table[section] = table.get(section, {}) | {"kind": kinds[0]}
+    _add(table, _WORLDS[motion])
+    if preset == "default" and motion == "box":
+        _add(table, _BY_FILTER[filter_name])
+    if filter_name == "none":
+        _add(table, _UNFILTERED)
+    return table
+
+
+def _add(table: dict[str, dict[str, Any]], more: Table) -> None:
+    """Put the values of ``more`` into ``table`` where it has none of the same name."""
+    for section, values in more.items():
+        table[section] = {**values, **table.get(section, {})}

@@ -1,0 +1,321 @@
+"""From settings to the stages of the pipeline: the model of the world, filter, extraction, identities, learning.
+
+``motion.kind`` chooses the world: boxes or points in an image, or people on a ground plane. What depends on the sequence
+(the frame's size and rate) and on files (a camera, a learned scene) is put in here. Parts that were not chosen are not
+imported.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from phdtrack.arrays import to_cxcywh
+from phdtrack.config.kinds import Boxes, CameraSettings, LearnSettings, Places, SceneClutterSettings
+from phdtrack.config.settings import Settings, overlay
+from phdtrack.errors import InputError
+from phdtrack.protocols import AnyStages, Associator, Birth, Clutter, Learning, Model, NoLearning, Stages
+from phdtrack.types import F8, GaussianMixture, SequenceInfo
+
+if TYPE_CHECKING:
+    from phdtrack.groups.pipeline import GroupStages
+    from phdtrack.models.region import Region
+    from phdtrack.protocols import Camera
+    from phdtrack.scene import Scene
+
+Size = tuple[float, float]
+# The share of the weight of a person just missed that a Gaussian must have to count as one: E13's 0.25 of 0.297.
+_MISSED = 0.84
+# Seconds that a run remembers of whose tracks only the newest rows count: longer than a target is out of sight.
+_KEPT = 60.0
+
+
+def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, moving: bool = False) -> AnyStages:
+    """The stages that the settings name, for a sequence.
+
+    Parameters
+    ----------
+    settings : checked settings.
+    info : width and height of the frames in pixels, frames per second.
+    filter_name : a filter in place of ``filter.kind``; empty for that one.
+    moving : whether the caller compensates the camera's motion.
+
+    Raises
+    ------
+    InputError : settings do not go together, a file cannot be read, or the settings name a motion of the camera and the
+        caller would not follow it.
+    """
+    if not moving and settings.kind("camera_motion") != "none":
+        cure = "Use phdtrack track --camera-motion, or Tracker.update(warp=…)"
+        raise InputError("the camera's motion is not followed here", where="camera_motion.kind", cure=cure)
+    if filter_name:
+        settings = overlay(settings, {"filter": {"kind": filter_name}}, "--filter")
+    size = (float(info.width), float(info.height))
+    model, associator = _model(settings, info), _associator(settings, size)
+    if settings.kind("filter") == "none":
+        from phdtrack.filters.extract.raw import Raw
+
+        return Stages(model, settings.build("filter"), Raw(), associator, smoother=settings.build("smooth"))
+    initial = settings.values("filter").get("initial", [])
+    mixture = _initial(settings, model, initial) if initial else None
+    stages = Stages(
+        model,
+        settings.build("filter", initial=mixture, frame_size=size),
+        settings.build("extract"),
+        associator,
+        _rates(settings, model, NoLearning(), info),
+        settings.build("blobs"),
+        smoother=settings.build("smooth"),
+    )
+    if settings.kind("learn") == "none":
+        return stages
+    unlearned = replace(stages, associator=replace(settings.build("associate"), history=_KEPT))
+    return replace(stages, learning=_rates(settings, model, _learning(settings, unlearned, info), info))
+
+
+def for_detector(settings: Settings, detector: str) -> Settings:
+    """The settings for detections of this detector: those of a background model get the merged-measurement model.
+
+    Settings that choose otherwise, or cannot have it, stay as they are.
+    """
+    from phdtrack.detect import BACKGROUND
+
+    plain = settings.kind("motion") == "box" and settings.kind("sensor") == "box" and settings.kind("filter") != "none"
+    if detector not in BACKGROUND or not plain or "blobs" in settings.given:
+        return settings
+    return overlay(settings, {"blobs": {"kind": "explained"}}, "--detector")
+
+
+def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupStages:
+    """What makes groups, their life cycle and warnings; ``stages`` where a filter comes before, None for known positions.
+
+    Behind a filter ``groups.min_weight`` is, unless given, no more than 0.84 of the weight (1 − p_D) p_S of a person just
+    missed once, so that one miss drops nobody whatever the detection probability. With E13's values that is the default.
+    """
+    from phdtrack.groups import Grouping
+    from phdtrack.groups.pipeline import GroupStages
+
+    if stages is not None and "min_weight" not in settings.given.get("groups", {}):
+        missed = (1 - settings.build("sensor").detection) * settings.build("motion").survival
+        settings = overlay(settings, {"groups": {"min_weight": min(Grouping().min_weight, _MISSED * missed)}})
+    return GroupStages(*(settings.build(section) for section in ("groups", "contours", "life_cycle", "encounters")))
+
+
+def _model(settings: Settings, info: SequenceInfo) -> Model:
+    """The model of the world. Raises `InputError` where its parts do not go together."""
+    motion, size = settings.kind("motion"), (float(info.width), float(info.height))
+    if motion == "plane":
+        return _ground_model(settings, info, size)
+    sensor, rate = settings.build("sensor"), settings.build("time").rate
+    more: dict[str, Any] = {"births": settings.build("spawn"), "frame_size": size}
+    if motion == "box":
+        more["remember_size"] = sensor.scaling == "previous"
+    birth, clutter = _birth(settings, sensor, size), _image_clutter(settings, motion, size)
+    return Model(settings.build("motion", **more), sensor, birth, clutter, rate)
+
+
+def _ground_model(settings: Settings, info: SequenceInfo, size: Size) -> Model:
+    """The model of people on a ground plane, in metres and seconds."""
+    from phdtrack.ground import CountedFrom, read_camera
+    from phdtrack.models.region import EVERYWHERE
+
+    ground: CameraSettings = settings.build("camera")
+    camera: Camera | None = read_camera(ground.file) if ground.file else None
+    if camera is not None and ground.first_pixel:
+        camera = CountedFrom(camera, ground.first_pixel)
+    region = _region(ground, camera, size)
+    sensor = settings.build("sensor", camera=camera, borders=region, frame_size=size)
+    # A target that has left what can be seen would else live on, as it is never missed there.
+    borders = region if sensor.view else EVERYWHERE
+    motion, rate = settings.build("motion", births=settings.build("spawn"), borders=borders), settings.build("time").rate
+    birth, clutter = _birth(settings, sensor, size, region), _ground_clutter(settings, region)
+    return Model(motion, sensor, birth, clutter, rate, first=rate / info.fps)
+
+
+def _region(ground: CameraSettings, camera: Camera | None, size: Size) -> Region:
+    """The ground that counts: as given, or around what the image shows."""
+    from phdtrack.ground import footprint
+    from phdtrack.models.region import EVERYWHERE
+
+    if ground.region != EVERYWHERE or camera is None:
+        return ground.region
+    corners = footprint(camera, size, ground.far)
+    if corners.shape[1] == 0:
+        raise InputError(
+            f"the camera shows no ground nearer than {ground.far:g} m in an image of {size[0]:g}x{size[1]:g}",
+            where=ground.file,
+            cure="Check that the camera is this video's, raise camera.far, or give camera.region",
+        )
+    (left, low), (right, high) = corners.min(axis=1), corners.max(axis=1)
+    return float(left), float(low), float(right), float(high)
+
+
+def _birth(settings: Settings, sensor: Any, size: Size, region: Region | None = None) -> Birth:
+    """Where targets appear."""
+    from phdtrack.models.births import FixedBirth
+
+    kind = settings.kind("birth")
+    if kind == "scene":
+        return _scene_birth(settings, size, sensor.observed)
+    birth: Any = settings.build("birth", frame_size=size, borders=region)
+    if kind == "fixed":
+        return FixedBirth(_boxes(sensor, birth.boxes, birth.rate), birth.count)
+    if kind == "places":
+        return FixedBirth(_places(birth.places), birth.count)
+    made: Birth = birth
+    return made
+
+
+def _scene_birth(settings: Settings, size: Size, observed: tuple[int, ...]) -> Birth:
+    from phdtrack.models.learned_scene import ContextBirth, objects_of
+
+    given, rate = settings.build("birth"), settings.build("time").rate
+    scene = _scene(given.file, size)
+    if scene.births is None:
+        raise InputError("births were not learned in this scene", where=given.file, cure="Leave birth.kind out")
+    if scene.rate != rate:
+        raise InputError(
+            f"births were learned with {scene.rate:g} time units a second, and there are {rate:g}",
+            where=given.file,
+            cure=f"Say --set time.rate={scene.rate:g}, or learn again",
+        )
+    # What is not shown are the two velocities.
+    if scene.births.density.dim != len(observed) + 2:
+        raise InputError(
+            f"expected births of {len(observed) + 2} components, got {scene.births.density.dim}",
+            where=given.file,
+            cure="Learn them with the motion.kind that they are used with",
+        )
+    if given.beside > 0 and len(observed) != 4:
+        raise InputError("births around detections are of boxes only", where="birth.beside", cure="Leave it out")
+    among = objects_of(scene.followed)
+    return ContextBirth(scene.births.rate, scene.births.density, observed, given.most, given.beside, among)
+
+
+def _image_clutter(settings: Settings, motion: str, size: Size) -> Clutter:
+    from phdtrack.models.clutter import LocalClutter, UniformClutter
+    from phdtrack.models.volume import image_area, image_volume
+
+    given = settings.build("clutter")
+    if motion == "point":
+        return UniformClutter(given.rate, image_area(size))
+    if settings.kind("clutter") == "image":
+        return LocalClutter(given.rate) if given.volume == "local" else UniformClutter(given.rate, image_volume(size))
+    from phdtrack.models.learned_scene import ContextClutter
+
+    scene = _scene(given.file, size)
+    if scene.clutter is None:
+        raise InputError("false alarms were not learned in this scene", where=given.file, cure="Leave clutter.kind out")
+    return ContextClutter(scene.clutter.rate, scene.clutter.density, given.beside)
+
+
+def _ground_clutter(settings: Settings, region: Region) -> Clutter:
+    from phdtrack.models.clutter import LocalPlaneClutter, UniformClutter
+    from phdtrack.models.region import area
+
+    given = settings.build("clutter")
+    if given.density > 0:
+        return UniformClutter(given.density, 1.0)
+    if given.volume == "local":
+        return LocalPlaneClutter(given.rate)
+    return UniformClutter(given.rate, area(region, "clutter.rate on the ground"))
+
+
+def _associator(settings: Settings, size: Size) -> Associator[Any]:
+    """What gives identities; false tracks are rejected where a scene has taught which false alarms are followed."""
+    associator: Associator[Any] = settings.build("associate")
+    if settings.kind("clutter") != "scene":
+        return associator
+    from phdtrack.associate.rejection import FalseTrackRejection
+    from phdtrack.scene.odds import Odds
+
+    given: SceneClutterSettings = settings.build("clutter")
+    scene = _scene(given.file, size)
+    if not given.vet or scene.clutter is None or scene.followed is None or not scene.followed.share:
+        return associator
+    same = settings.kind("birth") == "scene" and settings.build("birth").file == given.file
+    false = Odds(scene.clutter, scene.followed, scene.births if same else None)
+    return FalseTrackRejection(associator, false, given.sure, settings.build("associate").min_track_length)
+
+
+def _learning(settings: Settings, stages: AnyStages, info: SequenceInfo) -> Learning[Any]:
+    """What learns the scene from what ``stages`` make of it. Raises `InputError` where a file to begin with does not fit."""
+    from phdtrack.models.followed_scene import FollowScene
+    from phdtrack.pipeline import ShadowTracker
+    from phdtrack.scene.clock import clock
+    from phdtrack.scene.online import Following
+
+    given: LearnSettings = settings.build("learn")
+    size, rate = (float(info.width), float(info.height)), settings.build("time").rate
+    wait = given.wait + settings.build("associate").output_delay / info.fps
+    rule = Following(*size, rate, 60 * given.memory, wait, settings.build("sensor").detection, given.switch)
+    scenes = tuple(_scene(file, size) for file in _scene_files(given.file))
+    if any(scene.births is not None and scene.rate != rate for scene in scenes):
+        raise InputError(f"births were not learned with {rate:g} time units a second", where=given.file)
+    return FollowScene(rule, stages.model, ShadowTracker(stages), given.most, scenes, clock(given.schedule, given.starts))
+
+
+def _rates(settings: Settings, model: Model, other: Learning[Any], info: SequenceInfo) -> Learning[Any]:
+    """What learns the rates of ``model`` while tracking, with what ``other`` learns."""
+    if settings.kind("rates") == "none":
+        return other
+    from phdtrack.models.followed_rates import FollowRates, priors
+
+    rule = settings.build("rates").rule(priors(model), model.rate, settings.build("associate").output_delay / info.fps)
+    return FollowRates(rule, other)
+
+
+def _scene(file: str, size: Size) -> Scene:
+    """What was learned of a scene whose frames have this size."""
+    from phdtrack.scene import read_scene
+
+    scene = read_scene(Path(file))
+    if (float(scene.width), float(scene.height)) != size:
+        raise InputError(
+            f"the scene was learned on frames of {scene.width}x{scene.height}, and these are {size[0]:g}x{size[1]:g}",
+            where=file,
+            cure="Learn it on this video: phdtrack learn",
+        )
+    return scene
+
+
+def _scene_files(named: str) -> list[str]:
+    """The files of a scene's modes: those of a folder by name, or the file itself."""
+    if not Path(named).is_dir() or not named:
+        return [named] if named else []
+    found = sorted(str(file) for file in Path(named).glob("scene*.json"))
+    if not found:
+        raise InputError("there is no scene*.json in this folder", where=named, cure="Name a run that has learned")
+    return found
+
+
+def _initial(settings: Settings, model: Model, values: Boxes | Places) -> GaussianMixture:
+    """The intensity before the first frame: boxes of weight 1, or places with their weights."""
+    if settings.kind("motion") == "plane":
+        return _places([place for place in values if len(place) == 5])
+    return _boxes(model.sensor, [box for box in values if len(box) == 4], 1.0)
+
+
+def _boxes(sensor: Any, boxes: Boxes, weight: float) -> GaussianMixture:
+    """Gaussians about given boxes, as uncertain as one detection of each."""
+    xyxy: F8 = np.array(boxes, dtype=np.float64).reshape(-1, 4)
+    if not np.isfinite(xyxy).all() or (xyxy[:, 2:] <= xyxy[:, :2]).any():
+        raise InputError("expected boxes as left, top, right, bottom with left < right and top < bottom", where="boxes")
+    mean, cov = sensor.states(to_cxcywh(xyxy))
+    return GaussianMixture(np.full(len(xyxy), weight), mean, cov)
+
+
+def _places(places: Places) -> GaussianMixture:
+    """Gaussians at rest at given places of the ground."""
+    x, y, weight, position, velocity = np.array(places, dtype=np.float64).reshape(-1, 5).T
+    whole = np.isfinite(x + y + weight + position + velocity) & (weight >= 0) & (position > 0) & (velocity > 0)
+    if not whole.all():
+        raise InputError(
+            "expected places as x, y, a weight from 0, deviations of position and of velocity above 0", where="places"
+        )
+    nothing = np.zeros(len(x))
+    cov = np.square(np.stack([position, position, velocity, velocity], axis=1))[:, :, None] * np.eye(4)
+    return GaussianMixture(weight.copy(), np.stack([x, y, nothing, nothing]), cov)
