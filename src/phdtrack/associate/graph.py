@@ -54,7 +54,7 @@ class GraphMatching:
     min_link_gain : tracks whose links gain less than this share of loose_end_distance²/2 on average are discarded (offline)
         or not confirmed
         (online): false alarms can be strung together, but their links are poor. Without a filter 0.6 where nothing else is
-        said (`presets.UNFILTERED`).
+        said (`config.presets`).
     max_link_distance : no edge joins states that are more than this many deviations apart, however little it would cost.
     output_delay : frames by which the online output lags, so that links can still be corrected and tracks be confirmed by
         what

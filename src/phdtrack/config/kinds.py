@@ -137,7 +137,8 @@ class SceneClutterSettings:
     """``file``: false alarms as `phdtrack learn` has learned them in this scene.
 
     ``beside``: false alarms a frame around each detection that come to these, see ContextClutter. ``vet``: tracks that stay
-    where false alarms are followed are held back, as far as `phdtrack learn` has seen what is followed (`associate.rejection`).
+    where false alarms are followed are held back, as far as `phdtrack learn` has seen what is followed
+    (`associate.rejection`).
     ``sure``: then, too, a live track is confirmed at once where there are so many false alarms for each object, or fewer.
     """
 
