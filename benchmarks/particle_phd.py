@@ -17,7 +17,7 @@ from benchmarks.parts import Outcome, Row, Scale
 from benchmarks.timing import Spread, exponent
 from benchmarks.workload import Crowd, draw, stages
 from phdtrack.filters import ParticlePHD
-from phdtrack.kernels.gating import gated_pairs
+from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.protocols import AnyStages
 from phdtrack.types import ParticleBlocks, Particles
 
@@ -78,13 +78,13 @@ def pairs_per_target(crowd: Crowd) -> dict[str, float]:
     old = plain(loop.state)
     moved = Particles(built.model.motion.sample(old.state, 1.0, rng), old.weight)
     lower, upper = built.model.sensor.gate(z)
-    point, which = gated_pairs(moved.state[0], moved.state[1], lower, upper)
+    point, which = points_in_rectangles(moved.state[0], moved.state[1], lower, upper)
     near = built.model.sensor.distance2(z[:, which], moved.state[:, point]) <= 13.28
     covered = np.bincount(which[near], moved.weight[point[near]], z.shape[1])
     out = {}
     for form, mass in (("worst", np.zeros_like(covered)), ("specified", covered)):
         born = built.model.birth.sample(z, np.asarray(mass, np.float64), built.model.sensor, 1.0, rng)
-        out[form] = (len(point) + len(gated_pairs(born.state[0], born.state[1], lower, upper)[0])) / crowd.targets
+        out[form] = (len(point) + len(points_in_rectangles(born.state[0], born.state[1], lower, upper)[0])) / crowd.targets
     return out
 
 

@@ -70,6 +70,12 @@ def iou(a: F8, b: F8) -> F8:
     return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
 
 
+def share_inside(xyxy: F8, width: float, height: float) -> F8:
+    """(n,) the share of each box (n, 4) that lies in an image of this size, pixels; 0 of a box without area."""
+    shared = intersection(xyxy, np.array([[0.0, 0.0, width, height]]))[:, 0]
+    return np.divide(shared, area(xyxy), out=np.zeros_like(shared), where=shared > 0)
+
+
 def draw(mixture: GaussianMixture, count: int, scale: float, rng: np.random.Generator) -> Particles:
     """``count`` particles from each component, of total mass ``scale`` times its weight."""
     d, k = mixture.mean.shape

@@ -11,7 +11,7 @@ from phd_cases import crowd, seen_by, world
 from scipy.stats import multivariate_normal
 
 from phdtrack.filters import ParticlePHD
-from phdtrack.kernels.gating import gated_pairs
+from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.types import Particles
 from reference import phd_twin as twin
 
@@ -61,7 +61,7 @@ def test_every_pair_within_the_gate_is_looked_at(scaling: str, rng):
     model = world(scaling=scaling)
     state = crowd(rng, 10, 60, spread=0.4)
     z = seen_by(rng, state, 30)
-    found = set(zip(*(a.tolist() for a in gated_pairs(*state.state[:2], *model.sensor.gate(z))), strict=True))
+    found = set(zip(*(a.tolist() for a in points_in_rectangles(*state.state[:2], *model.sensor.gate(z))), strict=True))
     distance2 = model.sensor.distance2(z[:, None, :], state.state[:, :, None])
     within = set(zip(*(a.tolist() for a in np.nonzero(distance2 <= model.sensor.gate_sigmas**2)), strict=True))
     assert len(within) > 20

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from phdtrack.filters.transforms import Transform, expected
-from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.gaussian import gaussian_parts
+from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, I8, GaussianMixture
 
@@ -30,7 +30,7 @@ def gated_gaussians(
     variance = state.covariance[:, (0, 1), (0, 1)].T
     widest = np.maximum(sensor.noise(state.mean)[:2] ** 2, noise[:, (0, 1), (0, 1)].max(0)[:, None])
     half = gate * np.sqrt(variance + widest)
-    z_of, point = gated_pairs(at[0], at[1], position - half, position + half)
+    z_of, point = points_in_rectangles(at[0], at[1], position - half, position + half)
     innovation = seen.spread[point] + sensor.covariance(z[:, z_of], state.mean[:, point])
     step = sensor.innovation(z[:, z_of], seen.mean[:, point])
     distance2, log_det = gaussian_parts(step, innovation)

@@ -32,7 +32,7 @@ import numpy as np
 from phdtrack.arrays import sum_by
 from phdtrack.filters.intensities import JointSamples
 from phdtrack.filters.mcmc_settings import Chain, Jumps, effective_samples
-from phdtrack.kernels.gating import gated_pairs
+from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.kernels.mcmc_jump import Options, jump_chain, option_tables
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, ChainInfo, Particles, UpdateInfo
@@ -104,7 +104,7 @@ def _told(samples: JointSamples, counts: I8) -> ChainInfo:
 
 def _covered(state: JointSamples, z: F8, model: Model) -> F8:
     """(M,) the predicted mass in the region around each measurement."""
-    point, which = gated_pairs(state.state[0], state.state[1], *model.sensor.gate(z))
+    point, which = points_in_rectangles(state.state[0], state.state[1], *model.sensor.gate(z))
     near = model.sensor.distance2(z[:, which], state.state[:, point]) <= REGION
     return sum_by(which[near], state.weight[point[near]], z.shape[1])
 
@@ -116,7 +116,7 @@ def _entries(state: JointSamples, born: Particles, z: F8, kappa: F8, model: Mode
     weight = np.concatenate([state.weight, born.weight])
     shown = model.sensor.p_detect(x)
     unseen = np.arange(n * count)
-    member, which = gated_pairs(x[0], x[1], *model.sensor.gate(z))
+    member, which = points_in_rectangles(x[0], x[1], *model.sensor.gate(z))
     ratio = np.exp(model.sensor.log_likelihood(z[:, which], x[:, member]) - np.log(kappa[which]))
     candidate = np.where(member < n * count, member // max(1, count), n + which)
     candidate = np.concatenate([unseen // max(1, count), candidate])

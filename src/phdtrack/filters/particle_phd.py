@@ -24,7 +24,7 @@ from phdtrack.filters.carrying import carried_particles
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.fused import fused_step
 from phdtrack.filters.meeting import Meeting, explained
-from phdtrack.kernels.gating import gated_pairs
+from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.kernels.resample import systematic
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, GaussianMixture, ParticleBlocks, Particles, UpdateInfo
@@ -141,7 +141,7 @@ class ParticlePHD:
 
     def _gated(self, state: Particles, z: F8, model: Model) -> tuple[I8, I8]:
         """Pairs (particle, detection) inside the sensor's gates."""
-        pairs: tuple[I8, I8] = gated_pairs(state.state[0], state.state[1], *model.sensor.gate(z))
+        pairs: tuple[I8, I8] = points_in_rectangles(state.state[0], state.state[1], *model.sensor.gate(z))
         return pairs
 
     def _covered(self, state: Particles, z: F8, model: Model) -> F8:

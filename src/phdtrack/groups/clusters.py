@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.checks import NonNegative, Positive, PositiveCount, check
-from phdtrack.kernels.gating import gated_pairs
+from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.types import F8, I8, GaussianMixture
 
 # Rows of a state on the ground.
@@ -85,7 +85,7 @@ class Grouping:
     def connected(self, mean: F8) -> tuple[I8, I8]:
         """Pairs (i, j), i < j, of columns of (4, n) states that are near and slow apart. Linear in n through a grid."""
         position = np.ascontiguousarray(mean[POSITION])
-        a, b = gated_pairs(position[0], position[1], position - self.max_distance, position + self.max_distance)
+        a, b = points_in_rectangles(position[0], position[1], position - self.max_distance, position + self.max_distance)
         a, b = a[a < b], b[a < b]
         apart2 = ((mean[:, a] - mean[:, b]) ** 2).reshape(2, 2, -1).sum(1)
         joined = (apart2[0] < self.max_distance**2) & (apart2[1] < self.max_speed_difference**2)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.box import overlap_of
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.overlaps import overlapping, rectangle_grid
+from phdtrack.kernels.grid import make_grid, overlapping_pairs
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -21,25 +21,14 @@ def meeting(low: F8, high: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
 
     Those with corners ``low`` and ``high`` (2, M) against those with ``lower`` and ``upper`` (2, N).
     """
-    frame, cells, item, corner = rectangle_grid(lower, upper)
-    m, count = low.shape[1], 0
-    found = np.empty(lower.shape[1], np.int64)
-    first, second = np.empty(4 * m + 16, np.int64), np.empty(4 * m + 16, np.int64)
-    for i in range(m):
-        some = overlapping(low[0, i], low[1, i], high[0, i], high[1, i], lower, upper, frame, cells, item, corner, found)
-        if count + some > first.size:
-            longer_first, longer_second = np.empty(2 * (count + some), np.int64), np.empty(2 * (count + some), np.int64)
-            for p in range(count):
-                longer_first[p], longer_second[p] = first[p], second[p]
-            first, second = longer_first, longer_second
-        for c in range(some):
-            at = count + c
-            while at > count and second[at - 1] > found[c]:
-                second[at] = second[at - 1]
-                at -= 1
-            second[at], first[count + c] = found[c], i
-        count += some
-    return first[:count], second[:count]
+    first, second = overlapping_pairs(low, high, make_grid(lower, upper, 0.0, 0.0))
+    for p in range(first.size):
+        at, j = p, second[p]
+        while at > 0 and first[at - 1] == first[p] and second[at - 1] > j:
+            second[at] = second[at - 1]
+            at -= 1
+        second[at] = j
+    return first, second
 
 
 @njit(**INNER)

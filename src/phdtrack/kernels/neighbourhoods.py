@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import ENTRY
-from phdtrack.kernels.overlaps import overlapping, rectangle_grid
+from phdtrack.kernels.grid import make_grid, overlapping
 
 F8 = NDArray[np.float64]
 
@@ -25,13 +25,13 @@ def summed_densities(z: F8, density: F8, reach: float, smallest: float, largest:
         for j in range(n):
             lower[axis, j] = z[axis, j] - reach * z[2 + axis, j]
             upper[axis, j] = z[axis, j] + reach * z[2 + axis, j]
-    frame, start, item, corner = rectangle_grid(lower, upper)
+    grid = make_grid(lower, upper, 0.0, 0.0)
     found = np.empty(n + 1, np.int64)
     out = np.empty(n)
     for i in range(n):
         out[i] = 0.0
         x, y, w, h = z[0, i], z[1, i], z[2, i], z[3, i]
-        for m in range(overlapping(x, y, x, y, lower, upper, frame, start, item, corner, found)):
+        for m in range(overlapping(x, y, x, y, grid, found)):
             j = found[m]
             if smallest * z[2, j] <= w <= largest * z[2, j] and smallest * z[3, j] <= h <= largest * z[3, j]:
                 out[i] += density[j]

@@ -16,8 +16,8 @@ import numpy as np
 from phdtrack.arrays import draw, sum_by
 from phdtrack.checks import NonNegative, PositiveCount, Probability, Share, check
 from phdtrack.errors import InputError
-from phdtrack.kernels.gating import gated_pairs
 from phdtrack.kernels.gaussian import Births
+from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.kernels.pairs import quadratic_form
 from phdtrack.models.volume import Volume, image_volume, in_neighbourhood, local_volume
 from phdtrack.protocols import Sensor
@@ -78,7 +78,7 @@ class MeasurementBirth:
         """γ per time unit at positions and sizes (m, L); 0 where a size is not positive."""
         if self.volume == "image":
             return np.where((observed[2:4] > 0).all(0), self.rate / image_volume(self.frame_size), 0.0)
-        point, which = gated_pairs(observed[0], observed[1], z[:2] - z[2:4], z[:2] + z[2:4])
+        point, which = points_in_rectangles(observed[0], observed[1], z[:2] - z[2:4], z[:2] + z[2:4])
         near = in_neighbourhood(observed[:, point], z[:, which])
         density = self.rate / local_volume(z)[which[near]]
         return sum_by(point[near], density, observed.shape[1])
@@ -265,7 +265,7 @@ def gaussians_about(
     limit = _chi2_quantile(len(rows))
     reach = np.sqrt(limit * np.stack([wide[:, 0, 0], wide[:, 1, 1]]))
     shown = np.ascontiguousarray(mean[rows])
-    point, which = gated_pairs(shown[0], shown[1], shown[:2] - reach, shown[:2] + reach)
+    point, which = points_in_rectangles(shown[0], shown[1], shown[:2] - reach, shown[:2] + reach)
     distance2 = quadratic_form(shown, shown, np.linalg.inv(wide), point, which)
     inside = distance2 <= limit
     shared = sum_by(point[inside], (density[which] * np.exp(-0.5 * distance2))[inside], len(fresh))
@@ -350,7 +350,7 @@ def _log_mixture(points: F8, mean: F8, cov: F8, counts: I8, limit: float) -> F8:
     # A particle on the rim of its own region may come out just outside by rounding.
     limit *= 1 + 1e-9
     reach = np.sqrt(limit * np.stack([cov[:, 0, 0], cov[:, 1, 1]]))
-    point, which = gated_pairs(points[0], points[1], mean[:2] - reach, mean[:2] + reach)
+    point, which = points_in_rectangles(points[0], points[1], mean[:2] - reach, mean[:2] + reach)
     distance2 = quadratic_form(points, mean, np.linalg.inv(cov), point, which)
     _, log_det = np.linalg.slogdet(cov)
     log_norm = -0.5 * log_det - 0.5 * len(points) * math.log(2 * math.pi) - math.log(KEPT)

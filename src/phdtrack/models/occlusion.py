@@ -22,8 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.kernels.hidden import hiding
-from phdtrack.kernels.overlaps import rectangle_grid
+from phdtrack.kernels.grid import make_grid, overlapping_pairs
 from phdtrack.types import F8, I8
 
 # From the covered part to the part of p_D that is lost.
@@ -54,13 +53,13 @@ class Hiders:
         """Pairs (i, j) and shares (P,): of the box i (L, 4) at ``depth`` (L,) the nearer box j covers this part; by i."""
         low, high = np.ascontiguousarray(xyxy[:, :2].T), np.ascontiguousarray(xyxy[:, 2:].T)
         lower, upper = np.ascontiguousarray(self.xyxy[:, :2].T), np.ascontiguousarray(self.xyxy[:, 2:].T)
-        grid, found, room = rectangle_grid(lower, upper), np.empty(len(self), np.int64), 2 * len(depth) + 64
-        while True:
-            pairs, part = np.empty((2, room), np.int64), np.empty(room)
-            count = hiding(low, high, depth, lower, upper, self.depth, *grid, found, pairs, part)
-            if count <= room:
-                return pairs[0, :count], pairs[1, :count], part[:count]
-            room = count
+        i, j = overlapping_pairs(low, high, make_grid(lower, upper))
+        nearer = self.depth[j] < depth[i]
+        i, j = i[nearer], j[nearer]
+        width, height = np.minimum(high[:, i], upper[:, j]) - np.maximum(low[:, i], lower[:, j])
+        share = width / (high[0, i] - low[0, i]) * (height / (high[1, i] - low[1, i]))
+        some = (width > 0) & (height > 0)
+        return i[some], j[some], share[some]
 
 
 NOBODY = Hiders(np.zeros((0, 4)), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)))

@@ -24,11 +24,10 @@ from typing import Literal
 
 import numpy as np
 
-from phdtrack.arrays import to_cxcywh
+from phdtrack.arrays import share_inside, to_cxcywh
 from phdtrack.checks import Positive, Probability, check
 from phdtrack.errors import InputError
 from phdtrack.ground import ground_covariance
-from phdtrack.kernels.hidden import parts_inside
 from phdtrack.models.occlusion import NOBODY, Hiders, seen_part
 from phdtrack.models.region import EVERYWHERE, Region, check_region, inside
 from phdtrack.protocols import Camera
@@ -190,7 +189,7 @@ class PlaneSensor:
             return out
         boxes = self.boxes(x)
         if framed:
-            out *= parts_inside(boxes, width, height)
+            out *= share_inside(boxes, width, height)
         if len(self.hiders):
             depth = self.camera.depth(np.ascontiguousarray(x[:2]))
             out *= seen_part(self.hiders, x[:2], boxes, depth, OWN, self.least)

@@ -14,7 +14,7 @@ import numpy as np
 
 from phdtrack.arrays import sum_by
 from phdtrack.errors import InputError
-from phdtrack.kernels.gating import gated_pairs
+from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.types import F8, Bool
 
 PlaneVolume = Literal["region", "local"]
@@ -58,7 +58,7 @@ def local_density(place: F8, z: F8, rate: float) -> F8:
     """(L,) density per m² at positions (2, L) of ``rate`` in the ellipse around each z (5, N), summed where they overlap."""
     half = REACH * np.sqrt(z[[2, 4]])
     x, y = (np.ascontiguousarray(row) for row in place[:2])
-    point, which = gated_pairs(x, y, z[:2] - half, z[:2] + half)
+    point, which = points_in_rectangles(x, y, z[:2] - half, z[:2] + half)
     dx, dy = x[point] - z[0, which], y[point] - z[1, which]
     determinant = z[2] * z[4] - z[3] ** 2
     xx, xy, yy = z[2:5, which]

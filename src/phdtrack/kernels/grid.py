@@ -1,0 +1,185 @@
+"""The one spatial grid: which rectangles or points of the position plane overlap a given rectangle.
+
+Rectangles are sorted into the cells of a regular grid by counting; a point is a rectangle whose corners are equal. A query
+looks at the cells that it reaches into and returns exactly what overlaps it: the grid only saves looking.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from phdtrack.kernels.fast32 import ENTRY, INNER
+
+F8 = NDArray[np.float64]
+I8 = NDArray[np.int64]
+
+
+class Grid(NamedTuple):
+    """N closed rectangles, sorted into cells.
+
+    lower, upper : (2, N) corners.
+    x0, y0 : the grid's lowest corner.
+    per_x, per_y : cells per unit length.
+    columns, rows : number of cells along x and y.
+    start, item : the rectangles in cell c = row · columns + column are item[start[c]] … item[start[c + 1] − 1], ascending.
+    corner : (2, N) the first column and row of each rectangle.
+    """
+
+    lower: F8
+    upper: F8
+    x0: float
+    y0: float
+    per_x: float
+    per_y: float
+    columns: int
+    rows: int
+    start: I8
+    item: I8
+    corner: I8
+
+
+@njit(**INNER)
+def cell_of(value: float, origin: float, per_cell: float, count: int) -> int:
+    """Index of the cell that holds ``value``, clamped to the grid; ``per_cell`` is one over the cell's size."""
+    position = (value - origin) * per_cell
+    if not position > 0.0:  # also NaN
+        return 0
+    if position >= count - 1:
+        return count - 1
+    return int(position)
+
+
+@njit(**INNER)
+def _axis(lower: F8, upper: F8, axis: int, size: float) -> tuple[float, float, float]:
+    """Origin, extent and cell size along an axis: the rectangles' mean extent, at least ``size`` and a thousandth of all."""
+    n, low, high, total = lower.shape[1], np.inf, -np.inf, 0.0
+    for j in range(n):
+        # Conditionals and not min and max: they compile faster.
+        low = lower[axis, j] if lower[axis, j] < low else low
+        high = upper[axis, j] if upper[axis, j] > high else high
+        total += upper[axis, j] - lower[axis, j]
+    if n == 0:
+        return 0.0, 0.0, 1.0
+    size = total / n if total / n > size else size
+    size = size if size > (high - low) * 1e-3 else (high - low) * 1e-3
+    return low, high - low, size if size > 1e-9 else 1e-9
+
+
+@njit(**ENTRY)
+def make_grid(lower: F8, upper: F8, width: float = 0.0, height: float = 0.0) -> Grid:
+    """A grid over N closed rectangles.
+
+    Parameters
+    ----------
+    lower, upper : (2, N), finite corners; the same array for points.
+    width, height : least size of a cell.
+
+    Returns
+    -------
+    The grid, with at most 4 N + 16 cells, as large as the rectangles are on average where these are few enough.
+    """
+    n = lower.shape[1]
+    x0, wide, width = _axis(lower, upper, 0, width)
+    y0, high, height = _axis(lower, upper, 1, height)
+    nx, ny = 1.0 + np.floor(wide / width), 1.0 + np.floor(high / height)
+    per_x, per_y = 1.0 / width, 1.0 / height
+    if nx * ny > 4 * n + 16:
+        shrink = np.sqrt((4 * n + 16) / (nx * ny))
+        fewer_x, fewer_y = np.floor(nx * shrink), np.floor(ny * shrink)
+        fewer_x, fewer_y = fewer_x if fewer_x > 1.0 else 1.0, fewer_y if fewer_y > 1.0 else 1.0
+        per_x, per_y, nx, ny = per_x * fewer_x / nx, per_y * fewer_y / ny, fewer_x, fewer_y
+    columns, rows = int(nx), int(ny)
+    start, corner, last = np.zeros(columns * rows + 1, np.int64), np.empty((2, n), np.int64), np.empty((2, n), np.int64)
+    for j in range(n):
+        corner[0, j], last[0, j] = cell_of(lower[0, j], x0, per_x, columns), cell_of(upper[0, j], x0, per_x, columns)
+        corner[1, j], last[1, j] = cell_of(lower[1, j], y0, per_y, rows), cell_of(upper[1, j], y0, per_y, rows)
+        for row in range(corner[1, j], last[1, j] + 1):
+            for column in range(corner[0, j], last[0, j] + 1):
+                start[row * columns + column + 1] += 1
+    for c in range(columns * rows):
+        start[c + 1] += start[c]
+    place, item = start.copy(), np.empty(start[columns * rows], np.int64)
+    for j in range(n):
+        for row in range(corner[1, j], last[1, j] + 1):
+            for column in range(corner[0, j], last[0, j] + 1):
+                item[place[row * columns + column]] = j
+                place[row * columns + column] += 1
+    return Grid(lower, upper, x0, y0, per_x, per_y, columns, rows, start, item, corner)
+
+
+@njit(**INNER)
+def overlapping(left: float, top: float, right: float, bottom: float, grid: Grid, found: I8) -> int:
+    """Write into ``found`` (N,) the rectangles that the closed box overlaps, each once, by cells; returns how many."""
+    lower, upper, corner, count = grid.lower, grid.upper, grid.corner, 0
+    x0, x1 = cell_of(left, grid.x0, grid.per_x, grid.columns), cell_of(right, grid.x0, grid.per_x, grid.columns)
+    y0, y1 = cell_of(top, grid.y0, grid.per_y, grid.rows), cell_of(bottom, grid.y0, grid.per_y, grid.rows)
+    for row in range(y0, y1 + 1):
+        for column in range(x0, x1 + 1):
+            cell = row * grid.columns + column
+            for k in range(grid.start[cell], grid.start[cell + 1]):
+                j = grid.item[k]
+                # A rectangle in several cells counts in the first that it shares with the box.
+                first_x, first_y = corner[0, j] if corner[0, j] > x0 else x0, corner[1, j] if corner[1, j] > y0 else y0
+                if column != first_x or row != first_y:
+                    continue
+                if lower[0, j] <= right and upper[0, j] >= left and lower[1, j] <= bottom and upper[1, j] >= top:
+                    found[count] = j
+                    count += 1
+    return count
+
+
+@njit(**ENTRY)
+def overlapping_pairs(low: F8, high: F8, grid: Grid) -> tuple[I8, I8]:
+    """Pairs (i, j) (P,) of rectangles i, with corners ``low`` and ``high`` (2, M), and j of the grid that overlap, by i.
+
+    Parameters
+    ----------
+    low, high : (2, M) corners of closed rectangles.
+    grid : of N rectangles or points.
+
+    Returns
+    -------
+    first, second : (P,) the pairs, ordered by i, then by cell.
+    """
+    m, count = low.shape[1], 0
+    found = np.empty(grid.lower.shape[1], np.int64)
+    first, second = np.empty(4 * m + 16, np.int64), np.empty(4 * m + 16, np.int64)
+    for i in range(m):
+        some = overlapping(low[0, i], low[1, i], high[0, i], high[1, i], grid, found)
+        if count + some > first.size:
+            longer_first, longer_second = np.empty(2 * (count + some), np.int64), np.empty(2 * (count + some), np.int64)
+            longer_first[:count], longer_second[:count] = first[:count], second[:count]
+            first, second = longer_first, longer_second
+        first[count : count + some], second[count : count + some] = i, found[:some]
+        count += some
+    return first[:count].copy(), second[:count].copy()
+
+
+@njit(**ENTRY)
+def points_in_rectangles(px: F8, py: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
+    """Pairs (point, rectangle) (P,) with the point inside the closed rectangle, ordered by rectangle.
+
+    Parameters
+    ----------
+    px, py : (L,) positions of the points.
+    lower, upper : (2, N) corners of the rectangles.
+
+    Returns
+    -------
+    point, rectangle : (P,) indices.
+
+    Raises
+    ------
+    ValueError : a position or a rectangle is NaN or infinite.
+    """
+    at = np.empty((2, px.size))
+    at[0], at[1] = px, py
+    # Indices made of NaN would be written through.
+    if not np.isfinite(at.sum() + lower.sum() + upper.sum()):
+        raise ValueError("positions and rectangles must be finite")
+    rectangle, point = overlapping_pairs(lower, upper, make_grid(at, at, 0.0, 0.0))
+    return point, rectangle

@@ -1,0 +1,109 @@
+"""The spatial grid finds what looking everywhere finds, each pair once, with memory linear in what it holds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from inner_kernels import from_python
+from phdtrack.arrays import share_inside
+from phdtrack.kernels.grid import cell_of, make_grid, overlapping_pairs, points_in_rectangles
+from phdtrack.models.occlusion import Hiders
+
+[cell_of] = from_python(cell_of)
+
+# Whole numbers too, so that edges meet.
+number = st.one_of(st.integers(-40, 40).map(float), st.floats(-1e3, 1e3), st.floats(-1e7, 1e7))
+extent = st.one_of(st.integers(0, 30).map(float), st.floats(0, 200), st.floats(0, 1e6))
+rectangles = st.lists(st.tuples(number, number, extent, extent), max_size=20)
+
+
+def corners(boxes) -> tuple[np.ndarray, np.ndarray]:
+    x = np.array(boxes, np.float64).reshape(-1, 4).T
+    return np.ascontiguousarray(x[:2]), x[:2] + x[2:]
+
+
+def overlaps(low, high, lower, upper) -> set[tuple[int, int]]:
+    """By the definition: closed rectangles that share a point."""
+    meet = (low[:, :, None] <= upper[:, None, :]) & (high[:, :, None] >= lower[:, None, :])
+    return set(zip(*(index.tolist() for index in np.nonzero(meet.all(axis=0))), strict=True))
+
+
+@given(rectangles, rectangles, st.sampled_from([0.0, 7.0]))
+@settings(max_examples=100, deadline=None)
+def test_rectangles_that_overlap(boxes, others, least: float):
+    (low, high), (lower, upper) = corners(boxes), corners(others)
+    first, second = overlapping_pairs(low, high, make_grid(lower, upper, least, least))
+    assert np.all(np.diff(first) >= 0)
+    found = list(zip(first.tolist(), second.tolist(), strict=True))
+    assert len(found) == len(set(found))
+    assert set(found) == overlaps(low, high, lower, upper)
+
+
+@given(rectangles, rectangles)
+@settings(max_examples=100, deadline=None)
+def test_points_in_rectangles(points, around):
+    at, (lower, upper) = corners(points)[0], corners(around)
+    for array in (at, lower, upper):
+        array.flags.writeable = False
+    point, rectangle = points_in_rectangles(at[0], at[1], lower, upper)
+    assert np.all(np.diff(rectangle) >= 0), "pairs come ordered by rectangle"
+    found = list(zip(rectangle.tolist(), point.tolist(), strict=True))
+    assert len(found) == len(set(found))
+    assert set(found) == overlaps(lower, upper, at, at)
+
+
+def test_many_more_pairs_than_points():
+    at = np.random.default_rng(2).uniform(0, 1, (2, 30))
+    point, _ = points_in_rectangles(at[0], at[1], np.full((2, 40), -1.0), np.full((2, 40), 2.0))
+    assert len(point) == 1200
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+@pytest.mark.parametrize("place", range(4))
+def test_what_is_not_finite_is_refused(wrong: float, place: int):
+    """Cells made of NaN would lie outside the grid, and memory beside it would be written."""
+    arrays = [np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.zeros((2, 1)), np.ones((2, 1))]
+    arrays[place].flat[-1] = wrong
+    with pytest.raises(ValueError, match="finite"):
+        points_in_rectangles(*arrays)
+
+
+@pytest.mark.parametrize("spread", [1.0, 1e3, 1e6])
+def test_the_grid_is_linear_in_the_rectangles(spread: float):
+    lower = np.random.default_rng(2).uniform(0, spread, (2, 100))
+    grid = make_grid(lower, lower + 1)
+    assert grid.start.size - 1 == grid.columns * grid.rows <= 4 * 100 + 16
+    assert grid.item.size <= 16 * 100
+
+
+def test_cells_are_clamped():
+    cells = {-5.0: 0, 0.0: 0, 0.99: 0, 1.0: 1, 3.5: 3, 99.0: 3, np.inf: 3, -np.inf: 0, np.nan: 0}
+    for value, cell in cells.items():
+        assert cell_of(value, 0.0, 1.0, 4) == cell
+
+
+def test_shares_of_boxes_that_nearer_boxes_cover():
+    """By the shared area over the box's own, of hiders that are nearer; a depth of NaN hides nothing."""
+    rng = np.random.default_rng(3)
+    xyxy, others = (
+        np.hstack([c, c + rng.integers(1, 30, (len(c), 2))]) for c in (rng.integers(0, 60, (n, 2)) for n in (40, 12))
+    )
+    depth, other_depth = rng.integers(0, 9, 40) + 0.0, rng.integers(0, 9, 12) + 0.0
+    other_depth[3] = np.nan
+    nothing = np.zeros((2, 12))
+    i, j, share = Hiders(others + 0.0, other_depth, nothing, nothing).over(xyxy + 0.0, depth)
+    wanted = {}
+    for a, box in enumerate(xyxy):
+        for b, other in enumerate(others):
+            wide, high = np.minimum(box[2:], other[2:]) - np.maximum(box[:2], other[:2])
+            if other_depth[b] < depth[a] and wide > 0 and high > 0:
+                wanted[a, b] = wide * high / np.prod(box[2:] - box[:2])
+    assert dict(zip(zip(i.tolist(), j.tolist(), strict=True), share, strict=True)) == pytest.approx(wanted)
+
+
+def test_shares_of_boxes_inside_the_image():
+    xyxy = np.array([[0.0, 0, 10, 20], [-5, 0, 5, 20], [60, 40, 80, 60], [90, 0, 99, 9], [-10, -10, 200, 200], [1, 1, 1, 5]])
+    np.testing.assert_allclose(share_inside(xyxy, 70.0, 50.0), [1, 0.5, 0.25, 0, 3500 / 210**2, 0])
