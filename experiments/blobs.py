@@ -25,18 +25,18 @@ from phdtrack.types import Detections, DetectionTable
 from phdtrack.video import open_source
 
 FILTERS = ("pmb", "gm-phd")
-EXPLAINED = "blobs.kind=explained"
+EXPLAINED = "merged_measurements.kind=explained"
 # Settings by the name that the page gives them.
 WAYS = {"as detected": (), "explained": (EXPLAINED,)}
 FEW, MANY = 0.005, 0.3
 PIECES = {
     "as detected": (),
-    f"explained, φ = {FEW}": (EXPLAINED, f"blobs.split={FEW}"),
-    f"explained, φ = {MANY}": (EXPLAINED, f"blobs.split={MANY}"),
+    f"explained, φ = {FEW}": (EXPLAINED, f"merged_measurements.split={FEW}"),
+    f"explained, φ = {MANY}": (EXPLAINED, f"merged_measurements.split={MANY}"),
 }
 PARTS = WAYS | {
-    "pieces too": (EXPLAINED, f"blobs.split={FEW}"),
-    "pieces only": (EXPLAINED, "blobs.merge=0", f"blobs.split={FEW}"),
+    "pieces too": (EXPLAINED, f"merged_measurements.split={FEW}"),
+    "pieces only": (EXPLAINED, "merged_measurements.merge=0", f"merged_measurements.split={FEW}"),
 }
 VIDEOS = (("PETS09-S2L1", "change"), ("PETS09-S2L1", "mog2"), ("TUD-Campus", "change"))
 SHARE = 0.3
@@ -146,7 +146,7 @@ def _written(options: Options, folder: Path) -> Path:
     meeting_picture(case_of(meetings[0]), filters[0], WAYS, options.out / "blobs.png")
     text = (
         "# Merged and split blobs\n\nWritten by `phdtrack reproduce blobs`. *As detected*: every blob goes to the filter as "
-        "it is; *explained*: `--set blobs.kind=explained`. All else is shipped defaults, the same for all. Scores at IoU "
+        "it is; *explained*: `--set merged_measurements.kind=explained`. All else is shipped defaults, the same for all. Scores at IoU "
         "0.5, pooled; online: confirmed rows as they were given.\n\n"
         "## Two meet, are one blob, and part\n\n"
         f"{seeds} rendered meetings of each kind through the change detector: one blob for 1 to 3 seconds. Share of pairs "
@@ -156,10 +156,10 @@ def _written(options: Options, folder: Path) -> Path:
         + "\n![One meeting](blobs.png)\n\nWhere the blobs of a meeting lie along the picture (grey), the truth (black), and "
         "the online rows by identity.\n\n"
         "## Objects in pieces\n\n"
-        f"Simulated detections of the street, each in two or three pieces with probability {SHARE}. φ is `blobs.split`.\n\n"
+        f"Simulated detections of the street, each in two or three pieces with probability {SHARE}. φ is `merged_measurements.split`.\n\n"
         + table(("filter", "blobs", *_SCORES), _rows(streets, PIECES, found))
         + "\n## Videos with background detectors\n\n"
-        f"*Pieces too*: `blobs.split={FEW}`; *pieces only*: `blobs.merge=0` beside it.\n\n"
+        f"*Pieces too*: `merged_measurements.split={FEW}`; *pieces only*: `merged_measurements.merge=0` beside it.\n\n"
         + table(("video, detector", "filter", "blobs", *_SCORES), _film_rows(films, found))
         + _MEANING
     )
@@ -170,7 +170,7 @@ _MEANING = """
 Parting merged blobs is on with background detectors (`change`, `mog2`, `knn`, `mean-background`). Who crosses slowly inside
 a blob is told from who turns back by motion alone, and where both cover each other nothing shows which is which: half of
 those who cross come out swapped or new. Joining pieces is off: they are rare behind these detectors, which join them
-themselves, and with the GM-PHD filter on TUD-Campus even a small φ costs more than it brings. Set `blobs.split` where a
+themselves, and with the GM-PHD filter on TUD-Campus even a small φ costs more than it brings. Set `merged_measurements.split` where a
 detector tears objects.
 """
 _SCORES = ("MOTA", "IDF1", "HOTA", "switches", "MOTA online", "IDF1 online", "HOTA online")

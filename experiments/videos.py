@@ -79,7 +79,7 @@ def work(job: Job) -> dict[str, object]:
     )
     if video.detector in BACKGROUND and filter_name != "none":
         # As `phdtrack track` does with such a detector; of a file it does not know what made it.
-        given = (*given, "--set", "blobs.kind=explained")
+        given = (*given, "--set", "merged_measurements.kind=explained")
     text = _phdtrack("track", str(data / video.source), *given, "--out", str(found / filter_name), "--overwrite", "--json")
     document: dict[str, object] = json.loads(text)
     return document

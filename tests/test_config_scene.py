@@ -100,13 +100,20 @@ def test_the_shipped_model_is_beside_a_scene(tmp_path, name):
     settings = config.load(sets=[f"filter.kind={name}", *sets])
     model = config.build(settings, INFO).model
     for section in ("birth", "clutter"):
-        assert settings.as_dict()[section]["beside"] == getattr(model, section).beside == usual[section] > 0
+        assert (
+            settings.as_dict()[section]["around_detections"]
+            == getattr(model, section).around_detections
+            == usual[section]
+            > 0
+        )
         assert "rate" not in settings.as_dict()[section]
     np.testing.assert_array_equal(model.birth.among.high, FOLLOWED.objects.density.high)
-    alone = config.build(config.load(sets=[*sets, "birth.beside=0", "clutter.beside=0"]), INFO, name).model
-    assert alone.birth.beside == alone.clutter.beside == 0
+    alone = config.build(
+        config.load(sets=[*sets, "birth.around_detections=0", "clutter.around_detections=0"]), INFO, name
+    ).model
+    assert alone.birth.around_detections == alone.clutter.around_detections == 0
     paper = config.load(preset="m09", sets=sets)
-    assert paper.as_dict()["birth"]["beside"] == paper.as_dict()["clutter"]["beside"] == 0
+    assert paper.as_dict()["birth"]["around_detections"] == paper.as_dict()["clutter"]["around_detections"] == 0
 
 
 def test_only_what_is_of_boxes_is_laid_beside(tmp_path):
@@ -114,9 +121,9 @@ def test_only_what_is_of_boxes_is_laid_beside(tmp_path):
     births = Learned(0.3, uniform_density(low, high), 40)
     file = written(tmp_path / "scene.json", births=births, rate=1.0)[1]
     plane = ["motion.kind=plane", "birth.kind=scene", file, "camera.region=[-10, 0, 10, 40]"]
-    assert config.build(config.load(sets=plane), INFO).model.birth.beside == 0
+    assert config.build(config.load(sets=plane), INFO).model.birth.around_detections == 0
     with pytest.raises(InputError, match="of boxes only"):
-        config.build(config.load(sets=[*plane, "birth.beside=0.1"]), INFO)
+        config.build(config.load(sets=[*plane, "birth.around_detections=0.1"]), INFO)
 
 
 @pytest.mark.parametrize(("name", "kind"), [("pmb", Labelled), ("gm-phd", GraphMatching), ("none", GraphMatching)])
@@ -135,7 +142,7 @@ def test_who_stays_among_false_alarms_is_held_back(tmp_path, name, kind):
     assert config.build(config.load(sets=[*other[:2], *sets[2:]]), INFO, name).associator.false.births is None
     # Nobody is, where that is said, nobody has looked, or false alarms are not the scene's.
     before = written(tmp_path / "before.json")
-    for given in ([*sets, "clutter.vet=false"], before, sets[:2]):
+    for given in ([*sets, "clutter.reject_false_tracks=false"], before, sets[:2]):
         assert isinstance(config.build(config.load(sets=given), INFO, name).associator, kind)
 
 
@@ -151,9 +158,9 @@ def test_a_scene_is_taken_whole_and_options_change_it(tmp_path):
     written(path, followed=FOLLOWED)
     told = track(path).as_dict()
     assert {name: told[name]["kind"] for name in ("birth", "clutter")} == {"birth": "scene", "clutter": "scene"}
-    assert (told["birth"]["file"], told["clutter"]["vet"]) == (str(path), True)
-    told = track(path, "clutter.vet=false", "birth.beside=0").as_dict()
-    assert (told["clutter"]["vet"], told["birth"]["beside"]) == (False, 0)
+    assert (told["birth"]["file"], told["clutter"]["reject_false_tracks"]) == (str(path), True)
+    told = track(path, "clutter.reject_false_tracks=false", "birth.around_detections=0").as_dict()
+    assert (told["clutter"]["reject_false_tracks"], told["birth"]["around_detections"]) == (False, 0)
     assert track(path, "birth.kind=measurement").as_dict()["birth"]["rate"] == 0.005, "the kind that was chosen"
     assert track(path, "birth.kind=measurement").as_dict()["clutter"]["kind"] == "scene"
     with pytest.raises(InputError, match=r"unknown setting of \[clutter\]: rate"):
@@ -171,5 +178,5 @@ def test_what_a_scene_has_not_taught_goes_with_what_it_has(tmp_path):
     assert track(alarms).as_dict()["birth"] == config.load().as_dict()["birth"]
     assert track(births, preset="m07").as_dict()["clutter"]["volume"] == "image"
     assert track(alarms, preset="m07").as_dict()["birth"]["volume"] == "image"
-    assert track(births, "birth.beside=0").as_dict()["clutter"]["volume"] == "image"
-    assert track(births, "birth.beside=0", "clutter.volume=local").as_dict()["clutter"]["volume"] == "local"
+    assert track(births, "birth.around_detections=0").as_dict()["clutter"]["volume"] == "image"
+    assert track(births, "birth.around_detections=0", "clutter.volume=local").as_dict()["clutter"]["volume"] == "local"

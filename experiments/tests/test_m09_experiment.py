@@ -118,7 +118,7 @@ def test_every_run_has_its_births_and_its_clutter(street, monkeypatch) -> None:
 def told(part: Birth | Clutter) -> tuple[type, float, object]:
     """Kind, rate, and what it stands beside or is spread over."""
     if isinstance(part, ContextBirth | ContextClutter):
-        return type(part), part.rate, part.beside
+        return type(part), part.rate, part.around_detections
     return type(part), part.rate, part.volume if isinstance(part, MeasurementBirth) else None
 
 

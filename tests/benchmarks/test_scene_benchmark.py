@@ -20,7 +20,10 @@ def test_the_densities_have_as_many_places_as_said() -> None:
         model = stages.model
         assert len(model.birth.density) == (places.births or 120)
         assert len(model.clutter.density) == (places.alarms or 224)
-        assert (model.birth.beside, model.clutter.beside) == (plain.model.birth.rate, plain.model.clutter.rate)
+        assert (model.birth.around_detections, model.clutter.around_detections) == (
+            plain.model.birth.rate,
+            plain.model.clutter.rate,
+        )
         assert isinstance(stages.associator, FalseTrackRejection)
 
 

@@ -215,7 +215,7 @@ def test_a_learned_scene_is_every_methods(folder: Path, tmp_path: Path) -> None:
     assert said.status == 0, said.err
     for row in rows(out / "runs.csv"):
         configuration = json.loads((out / row["folder"] / "run.json").read_text())["configuration"]
-        told = {"kind": "scene", "file": str(scene), "beside": 0.3, "vet": True, "sure": 0.1}
+        told = {"kind": "scene", "file": str(scene), "around_detections": 0.3, "reject_false_tracks": True, "immediate_confirmation": 0.1}
         assert configuration["clutter"] == told
     # What is learned anew makes runs anew.
     write_scene(scene, Scene(320, 240, 25.0, "yard", clutter=replace(learned, rate=4.0)))

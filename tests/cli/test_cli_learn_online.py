@@ -1,7 +1,5 @@
 """`phdtrack track --learn-online`: what it writes, what another run begins with, and what is refused."""
 
-import json
-
 import pytest
 from cli_runner import phdtrack
 
@@ -48,23 +46,10 @@ def test_learns_and_another_run_begins_with_it(yard, tmp_path):
     assert false[3] < 0.2 * false[0]
 
 
-def test_each_mode_has_a_file_and_all_of_them_are_taken_up(yard, tmp_path):
-    hours = ("--set", "learn.schedule=07:00 day, 20:00 night", "--set", "learn.starts=19:59:48", "--set", "learn.memory=0.5")
-    assert phdtrack(*options(yard, tmp_path / "one", "--learn-online", *hours)).status == 0
-    names = [read_scene(tmp_path / "one" / file).notes["mode"] for file in ("scene.json", "scene-2.json")]
-    assert names == ["night", "day"]
-    again = phdtrack(*options(yard, tmp_path / "two", "--learn-online", "--scene", tmp_path / "one", *hours)).object
-    entry = again["learning"]["course"][0]
-    assert (entry["mode"], entry["false_alarms_used"]) == ("day", True)
-    document = json.loads((tmp_path / "two" / "run.json").read_text(encoding="utf-8"))
-    assert document["learning"] == again["learning"]
-
-
 @pytest.mark.parametrize(
     ("more", "words"),
     [
         (("--learn-online", "--filter", "none"), "learn.kind=online does not fit filter.kind=none"),
-        (("--learn-online", "--set", "learn.switch=true", "--set", "learn.schedule=07:00 day"), "by evidence or by time"),
         (("--set", "learn.memory=2"), "unknown setting of [learn]: memory"),
         (("--learn-online", "--set", "learn.memory=0.0"), "memory"),
         (("--learn-online", "--scene", "."), "no scene*.json"),

@@ -109,7 +109,7 @@ def light_runs(lights: Path) -> dict[str, dict]:
     return {
         "plain": tracked(lights, "plain"),
         "taught": tracked(lights, "taught", *scene),
-        "unvetted": tracked(lights, "unvetted", *scene, "--set", "clutter.vet=false"),
+        "unvetted": tracked(lights, "unvetted", *scene, "--set", "clutter.reject_false_tracks=false"),
     }
 
 
@@ -129,7 +129,7 @@ def test_who_stays_among_lights_that_tremble_is_held_back(light_runs: dict[str, 
 def test_other_filters_hold_back_too(lights: Path, name: str):
     scene = ("--scene", lights / "scene.json", "--filter", name)
     taught = tracked(lights, f"taught-{name}", *scene)
-    unvetted = tracked(lights, f"unvetted-{name}", *scene, "--set", "clutter.vet=false")
+    unvetted = tracked(lights, f"unvetted-{name}", *scene, "--set", "clutter.reject_false_tracks=false")
     gone, late = (unvetted[what] - taught[what] for what in ("false_positives", "misses"))
     print(f"{name}: {gone} of {unvetted['false_positives']} false boxes gone, {-late} more missed")
     assert gone > 0.3 * unvetted["false_positives"]

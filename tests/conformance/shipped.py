@@ -96,7 +96,7 @@ BIRTHS = {
     "learned": ContextBirth(0.05, learned([0, 0, -9, -9, 0, 0], [640, 480, 9, 9, 640, 480]), most=200),
 }
 PEOPLE = learned([0, 0, 0, 0], [640, 480, 640, 480])
-BIRTHS["laid over"] = replace(BIRTHS["learned"], beside=0.02, among=PEOPLE)
+BIRTHS["laid over"] = replace(BIRTHS["learned"], around_detections=0.02, among=PEOPLE)
 GROUND = SENSORS["plane"]
 PLANE_BIRTHS = {
     "plane, region": PlaneBirth(rate=0.02, most=200, volume="region", borders=(-40.0, 0.0, 40.0, 60.0)),
@@ -114,7 +114,7 @@ POINT_BIRTHS = {
 }
 CLUTTERS = {"uniform": UniformClutter(2.0, (640.0 * 480) ** 2), "local": LocalClutter(2.0), "none": UniformClutter(0.0, 1.0)}
 CLUTTERS["learned"] = ContextClutter(2.0, PEOPLE)
-CLUTTERS["laid over"] = ContextClutter(2.0, PEOPLE, beside=0.5)
+CLUTTERS["laid over"] = ContextClutter(2.0, PEOPLE, around_detections=0.5)
 PLANE_CLUTTERS = {"plane, region": UniformClutter(2.0, 800.0), "plane, local": LocalPlaneClutter(2.0)}
 FILTERS = {
     "particle-phd": ParticlePHD(particles_per_target=200),

@@ -217,7 +217,7 @@ def test_one_step_with_births_that_were_learned(dt: float, beside: bool):
         # Births and false alarms around each detection too, among objects that are seen in the middle.
         centre = np.array([[300.0, 200, 40, 90]]).T
         people = ContextDensity(alarms.low, alarms.high, 0.4, np.ones(1), centre, np.diag([8000.0, 4000, 200, 900])[None])
-        birth, clutter = replace(birth, beside=0.2, among=people), replace(clutter, beside=0.5)
+        birth, clutter = replace(birth, around_detections=0.2, among=people), replace(clutter, around_detections=0.5)
     model = replace(model, birth=birth, clutter=clutter)
     state, z, about = world(7)
     ours = sample(PHD, state, z, model, dt, about, range(SEEDS))

@@ -86,7 +86,7 @@ def test_as_the_fused_filter_reads_it(scaling: str, beside: bool, rng):
     z = np.ascontiguousarray(rng.uniform([50, 50, 20, 40], [700, 430, 90, 140], (40, 4)).T)
     state, cov = sensor.states(z)
     if beside:
-        birth = replace(birth, beside=0.05, among=marginal(replace(p, mean=p.mean[:, ::-1].copy()), (0, 1, 4, 5)))
+        birth = replace(birth, around_detections=0.05, among=marginal(replace(p, mean=p.mean[:, ::-1].copy()), (0, 1, 4, 5)))
     expected = birth.around((state, cov), 1.5)
     density, velocity = birth.about(state, sensor.noise(state), 1.5)
     np.testing.assert_allclose(density, expected.density, rtol=1e-5)

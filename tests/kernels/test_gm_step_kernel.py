@@ -49,7 +49,7 @@ def scene(seed: int, count: int = 12) -> tuple[ContextBirth, ContextClutter]:
 def laid_over(seed: int) -> tuple[ContextBirth, ContextClutter]:
     """The same beside births and false alarms around each detection, among objects that are elsewhere."""
     birth, clutter = scene(seed)
-    return replace(birth, beside=0.1, among=scene(seed + 1)[1].density), replace(clutter, beside=0.4)
+    return replace(birth, around_detections=0.1, among=scene(seed + 1)[1].density), replace(clutter, around_detections=0.4)
 
 
 LOCAL = MeasurementBirth(volume="local")

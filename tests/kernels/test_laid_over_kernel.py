@@ -45,7 +45,7 @@ def test_false_alarms_come_to_those_around_each_detection(count: int, rng):
     clutter = scene(3)[1]
     p, z = clutter.density, boxes(rng, count)
     wanted = [0.7 * near for near in around(z)] + 4.0 * density_at(p, z, p.uniform / p.volume)
-    found = replace(clutter, beside=0.7).intensity(np.vstack([z, z]))
+    found = replace(clutter, around_detections=0.7).intensity(np.vstack([z, z]))
     np.testing.assert_allclose(found, wanted, rtol=1e-10)
 
 
@@ -59,7 +59,7 @@ def test_births_are_those_around_each_detection_by_place(count: int, among: Cont
     plain = ContextBirth(1.0, birth.density).around(seen, 1.0)
     born = np.maximum(plain.density, p.uniform / p.volume)
     there = density_at(objects, z, objects.uniform / objects.volume)
-    found = ContextBirth(0.2, birth.density, beside=0.05, among=among).around(seen, 2.0)
+    found = ContextBirth(0.2, birth.density, around_detections=0.05, among=among).around(seen, 2.0)
     np.testing.assert_allclose(found.density, 0.1 * np.array(around(z)) * born / there, rtol=1e-9)
     np.testing.assert_array_equal(found.mean, plain.mean)
     np.testing.assert_array_equal(found.covariance, plain.covariance)

@@ -89,7 +89,7 @@ def test_filters_do_there_what_they_do_with_the_shipped_model(recursion, compose
 def test_newborn_particles_have_the_evidence_of_gamma():
     """∫ g γ at a detection, but for the 1 % that is cut off."""
     sensor, z = BoxSensor(scaling="fixed", fixed=(3.0, 6.0)), np.array([[115.0], [205], [40], [85]])
-    birth = ContextBirth(0.01, gate(), most=1000, beside=0.05, among=square())
+    birth = ContextBirth(0.01, gate(), most=1000, around_detections=0.05, among=square())
     wanted = birth.around(sensor.states(z), 2.0).density[0]
     found = []
     for k in range(20):
@@ -104,9 +104,9 @@ def test_births_are_as_those_that_were_seen_and_fewer_where_objects_are(rng):
     z = np.hstack([near(rng, marginal(gate(), SHOWN), 40), near(rng, square(), 40)])
     seen = SENSOR.states(z)
     shown = np.maximum(ContextBirth(1.0, gate()).around(seen, 1.0).density, 0.2 / ANY_BOX.volume)
-    alone = ContextBirth(0.01, gate(), beside=0.05).around(seen, 1.0).density
+    alone = ContextBirth(0.01, gate(), around_detections=0.05).around(seen, 1.0).density
     np.testing.assert_allclose(alone, 0.05 * LocalClutter(1.0).intensity(z) * shown * ANY_BOX.volume, rtol=1e-9)
-    among = ContextBirth(0.01, gate(), beside=0.05, among=square()).around(seen, 1.0).density
+    among = ContextBirth(0.01, gate(), around_detections=0.05, among=square()).around(seen, 1.0).density
     there = np.maximum(square()(z), square().flat)
     np.testing.assert_allclose(among / alone, 1 / (there * ANY_BOX.volume), rtol=1e-9)
     assert (among > 3 * alone / 2).any()
@@ -116,8 +116,8 @@ def test_births_are_as_those_that_were_seen_and_fewer_where_objects_are(rng):
 def test_where_objects_are_twice_as_dense_births_are_half(rng):
     z = boxes(rng, 30)
     narrow = uniform_density(LOW[SHOWN], HIGH[SHOWN] * np.array([1, 1, 1, 0.5]))
-    plain = ContextBirth(0.01, ANYWHERE, beside=0.05, among=ANY_BOX).around(SENSOR.states(z), 1.0).density
-    twice = ContextBirth(0.01, ANYWHERE, beside=0.05, among=narrow).around(SENSOR.states(z), 1.0).density
+    plain = ContextBirth(0.01, ANYWHERE, around_detections=0.05, among=ANY_BOX).around(SENSOR.states(z), 1.0).density
+    twice = ContextBirth(0.01, ANYWHERE, around_detections=0.05, among=narrow).around(SENSOR.states(z), 1.0).density
     np.testing.assert_allclose(twice, plain / 2, rtol=1e-12)
 
 
@@ -125,7 +125,7 @@ def test_births_reach_beyond_the_volume():
     z = np.array([[-40.0, 320], [240, 600], [40, 40], [90, 90]])
     seen = SENSOR.states(z)
     assert (ContextBirth(0.01, gate()).around(seen, 1.0).density == 0).all()
-    birth = ContextBirth(0.01, gate(), beside=0.05)
+    birth = ContextBirth(0.01, gate(), around_detections=0.05)
     np.testing.assert_allclose(birth.around(seen, 1.0).density, 0.05 / local_volume(z) * 0.2, rtol=1e-12)
     assert len(birth.sample(z, np.zeros(2), SENSOR, 1.0, np.random.default_rng(0))) > 1000
     assert len(birth.components(z, np.zeros(2), SENSOR, 1.0)) == 2
@@ -134,16 +134,16 @@ def test_births_reach_beyond_the_volume():
 def test_kappa_is_the_sum(rng):
     p = square()
     z = near(rng, p, 60)
-    both = ContextClutter(3.0, p, beside=0.4).intensity(z)
+    both = ContextClutter(3.0, p, around_detections=0.4).intensity(z)
     parts = ContextClutter(3.0, p).intensity(z), LocalClutter(0.4).intensity(z)
     np.testing.assert_allclose(both, parts[0] + parts[1], rtol=1e-12)
     assert all((part > 0).all() for part in parts)
-    assert ContextClutter(3.0, p, beside=0.4).intensity(z[:, :0]).shape == (0,)
+    assert ContextClutter(3.0, p, around_detections=0.4).intensity(z[:, :0]).shape == (0,)
 
 
 def test_in_single_precision_it_is_the_same(rng):
     sensor, z = BoxSensor(scaling="fixed"), near(rng, marginal(gate(), SHOWN), 60)
-    birth = ContextBirth(0.01, gate(), beside=0.05, among=square())
+    birth = ContextBirth(0.01, gate(), around_detections=0.05, among=square())
     state, cov = sensor.states(z)
     density, _ = birth.about(state, np.sqrt(np.einsum("nii->in", cov)), 1.5)
     np.testing.assert_allclose(density, birth.around((state, cov), 1.5).density, rtol=2e-3)
@@ -154,7 +154,7 @@ def test_in_single_precision_it_is_the_same(rng):
 def test_gaussian_newborn_have_gamma_at_their_detection_and_the_velocity_of_the_place(among):
     """Seen through the noise; the second and the third detection share what lies between them."""
     z = np.array([[500.0, 110, 112], [400, 215, 216], [40, 42, 42], [80, 84, 85]])
-    birth = ContextBirth(0.01, gate(), beside=0.05, among=among)
+    birth = ContextBirth(0.01, gate(), around_detections=0.05, among=among)
     at, mixture = birth.around(SENSOR.states(z), 1.0), birth.components(z, np.zeros(3), SENSOR, 1.0)
     np.testing.assert_array_equal(mixture.mean, at.mean)
     np.testing.assert_array_equal(mixture.covariance[:, 2:4, 2:4], at.covariance[:, 2:4, 2:4])
@@ -172,7 +172,7 @@ def test_gaussian_newborn_have_gamma_at_their_detection_and_the_velocity_of_the_
 
 def test_as_many_are_expected_as_there_are_detections(rng):
     z = boxes(rng, 7)
-    assert ContextBirth(0.01, gate(), beside=0.05).expected(z, 2.0) == pytest.approx(7 * 0.05 * 2)
+    assert ContextBirth(0.01, gate(), around_detections=0.05).expected(z, 2.0) == pytest.approx(7 * 0.05 * 2)
     assert ContextBirth(0.01, gate()).expected(z, 2.0) == pytest.approx(0.02)
 
 
@@ -181,22 +181,22 @@ def test_what_was_not_learned_stays_as_it_is():
     assert laid_over(MODEL, None, None, followed, 300) == MODEL
     model = laid_over(MODEL, births, None, None, 300)
     assert model.clutter is MODEL.clutter
-    assert (model.birth.rate, model.birth.beside, model.birth.most, model.birth.among) == (0.02, 0.05, 300, None)
+    assert (model.birth.rate, model.birth.around_detections, model.birth.most, model.birth.among) == (0.02, 0.05, 300, None)
     model = laid_over(MODEL, None, clutter, followed, 300)
     assert model.birth is MODEL.birth
-    assert (model.clutter.rate, model.clutter.beside) == (3.0, 0.4)
+    assert (model.clutter.rate, model.clutter.around_detections) == (3.0, 0.4)
     both = laid_over(MODEL, births, clutter, followed, 300)
     assert both.birth.among is followed.objects.density
     assert both.motion is MODEL.motion
     # Births and false alarms that are spread over the image are replaced by the scene's, as M09's are.
     image = replace(MODEL, birth=MeasurementBirth(0.05, 300, "image", SIZE), clutter=UniformClutter(2.0, ANY_BOX.volume))
     own = laid_over(image, births, clutter, followed, 300)
-    assert own.birth.beside == own.clutter.beside == 0
+    assert own.birth.around_detections == own.clutter.around_detections == 0
 
 
 def test_the_shipped_settings_are_laid_under():
     """What a scene comes beside by default: births and false alarms around each detection."""
     model = config.build(config.load(), SequenceInfo(640, 480, 25.0)).model
     over = laid_over(model, *BLANK, 300)
-    assert over.birth.beside == model.birth.rate > 0
-    assert over.clutter.beside == model.clutter.rate > 0
+    assert over.birth.around_detections == model.birth.rate > 0
+    assert over.clutter.around_detections == model.clutter.rate > 0

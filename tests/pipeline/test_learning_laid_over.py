@@ -30,7 +30,7 @@ def test_as_long_as_nothing_is_in_use_tracks_are_the_same(kind):
     scene, filter_kind = street(1, 250), f"filter.kind={kind}"
     runs = [
         steps(stages(scene.info, filter_kind, *more), scene.detections, 250)
-        for more in ((), ("learn.kind=online", "learn.wait=60.0"))
+        for more in ((), ("learn.kind=online", "learn.verdict_delay=60.0"))
     ]
     assert runs[1][-1][0].learned.known.last is None
     for (_, plain), (_, learning) in zip(*runs, strict=True):
@@ -53,7 +53,7 @@ def test_false_alarms_come_to_those_that_are_shipped(followed):
     learned = found[-1][0].learned
     model = built.learning.model(learned, built.model)
     assert isinstance(built.model.clutter, LocalClutter)
-    assert model.clutter.beside == built.model.clutter.rate
+    assert model.clutter.around_detections == built.model.clutter.rate
     z = built.model.sensor.measure(scene.detections.at(1500))
     alone, shipped = model.clutter.rate * model.clutter.density(z[:4]), built.model.clutter.intensity(z)
     np.testing.assert_allclose(model.clutter.intensity(z), shipped + alone, rtol=1e-9)
@@ -63,7 +63,7 @@ def test_births_go_from_where_objects_are_to_where_they_enter(followed):
     scene, built, found = followed
     learned = found[-1][0].learned
     birth = built.learning.model(learned, built.model).birth
-    assert birth.beside == built.model.birth.rate
+    assert birth.around_detections == built.model.birth.rate
     truth = scene.truth
     first = np.unique(truth.identity, return_index=True)[1]
     enter = to_cxcywh(truth.xyxy[first[truth.frame[first] > 1]])
@@ -111,7 +111,7 @@ def test_what_is_in_use_is_written_with_where_objects_are(followed, tmp_path):
     again = stages(scene.info, "learn.kind=online", f"learn.file={str(tmp_path / 'scene.json')!r}")
     begun = again.learning.start()
     assert begun.known.mode.clutter.density.high.tolist() == [640, 360, 640, 360]
-    assert begun.birth.beside == built.model.birth.rate
+    assert begun.birth.around_detections == built.model.birth.rate
     assert begun.clutter.density.high[2] < 640
 
 

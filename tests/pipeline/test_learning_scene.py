@@ -82,22 +82,6 @@ def test_the_guard_drops_what_has_become_wrong_and_takes_it_up_again():
     assert learned.mota > uniform.mota - 0.02
 
 
-def test_modes_that_alternate_are_recognised():
-    scene = street(1, 9000)
-    night = seen_again(scene, 5)
-    stretch = [1, 2250, 4500, 6750, 9000]
-    table = joined([(scene.detections if k % 2 == 0 else night, stretch[k] + (k > 0), stretch[k + 1]) for k in range(4)])
-    run = tracked(scene.info, table, "memory=1.0", "switch=true")
-    late = {k: {one.mode for one in run.course if 90 * k + 25 < one.time <= 90 * (k + 1)} for k in range(4)}
-    assert all(len(names) == 1 for names in late.values())
-    assert late[0] == late[2]
-    assert late[1] == late[3]
-    assert late[0] != late[1]
-    uniform = scores(scene.truth, tracked(scene.info, table).tracks, 4501, 9000)
-    learned = scores(scene.truth, run.tracks, 4501, 9000)
-    assert learned.false_positives <= 0.15 * uniform.false_positives
-
-
 def standing(chance):
     """Somebody walks in, stands for 2½ minutes and walks out; a false alarm a frame anywhere."""
     x = np.concatenate([np.linspace(20, 300, 200), np.full(3750, 300.0), np.linspace(300, 620, 200)])
@@ -175,13 +159,6 @@ def test_modes_by_a_call_from_outside():
     assert [mode.name for mode in tracker.state.learned.known.modes] == ["first", "day", "night"]
     with pytest.raises(InputError, match="learned while tracking"):
         Tracker((640, 360)).mode("day")
-
-
-def test_modes_by_time_of_day_change_when_it_is_time():
-    scene = street(1, 800)
-    run = tracked(scene.info, scene.detections, "memory=0.5", 'schedule="06:00 day, 20:00 night"', 'starts="19:59:50"')
-    assert {one.mode for one in run.course if one.time < 10} == {"day"}
-    assert {one.mode for one in run.course if one.time > 12} == {"night"}
 
 
 def test_the_default_detector_has_places():

@@ -67,7 +67,7 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
         settings.build("extract"),
         associator,
         _rates(settings, model, NoLearning(), info),
-        settings.build("blobs"),
+        settings.build("merged_measurements"),
         smoother=settings.build("smooth"),
     )
     if settings.kind("learn") == "none":
@@ -84,9 +84,9 @@ def for_detector(settings: Settings, detector: str) -> Settings:
     from phdtrack.detect import BACKGROUND
 
     plain = settings.kind("motion") == "box" and settings.kind("sensor") == "box" and settings.kind("filter") != "none"
-    if detector not in BACKGROUND or not plain or "blobs" in settings.given:
+    if detector not in BACKGROUND or not plain or "merged_measurements" in settings.given:
         return settings
-    return overlay(settings, {"blobs": {"kind": "explained"}}, "--detector")
+    return overlay(settings, {"merged_measurements": {"kind": "explained"}}, "--detector")
 
 
 def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupStages:
@@ -189,10 +189,10 @@ def _scene_birth(settings: Settings, size: Size, observed: tuple[int, ...]) -> B
             where=given.file,
             cure="Learn them with the motion.kind that they are used with",
         )
-    if given.beside > 0 and len(observed) != 4:
-        raise InputError("births around detections are of boxes only", where="birth.beside", cure="Leave it out")
+    if given.around_detections > 0 and len(observed) != 4:
+        raise InputError("births around detections are of boxes only", where="birth.around_detections", cure="Leave it out")
     among = objects_of(scene.followed)
-    return ContextBirth(scene.births.rate, scene.births.density, observed, given.most, given.beside, among)
+    return ContextBirth(scene.births.rate, scene.births.density, observed, given.particles, given.around_detections, among)
 
 
 def _image_clutter(settings: Settings, motion: str, size: Size) -> Clutter:
@@ -209,7 +209,7 @@ def _image_clutter(settings: Settings, motion: str, size: Size) -> Clutter:
     scene = _scene(given.file, size)
     if scene.clutter is None:
         raise InputError("false alarms were not learned in this scene", where=given.file, cure="Leave clutter.kind out")
-    return ContextClutter(scene.clutter.rate, scene.clutter.density, given.beside)
+    return ContextClutter(scene.clutter.rate, scene.clutter.density, given.around_detections)
 
 
 def _ground_clutter(settings: Settings, region: Region) -> Clutter:
@@ -234,28 +234,27 @@ def _associator(settings: Settings, size: Size) -> Associator[Any]:
 
     given: SceneClutterSettings = settings.build("clutter")
     scene = _scene(given.file, size)
-    if not given.vet or scene.clutter is None or scene.followed is None or not scene.followed.share:
+    if not given.reject_false_tracks or scene.clutter is None or scene.followed is None or not scene.followed.share:
         return associator
     same = settings.kind("birth") == "scene" and settings.build("birth").file == given.file
     false = Odds(scene.clutter, scene.followed, scene.births if same else None)
-    return FalseTrackRejection(associator, false, given.sure, settings.build("associate").min_track_length)
+    return FalseTrackRejection(associator, false, given.immediate_confirmation, settings.build("associate").min_track_length)
 
 
 def _learning(settings: Settings, stages: AnyStages, info: SequenceInfo) -> Learning[Any]:
     """What learns the scene from what ``stages`` make of it. Raises `InputError` where a file to begin with does not fit."""
     from phdtrack.models.followed_scene import FollowScene
     from phdtrack.pipeline import ShadowTracker
-    from phdtrack.scene.clock import clock
     from phdtrack.scene.online import Following
 
     given: LearnSettings = settings.build("learn")
     size, rate = (float(info.width), float(info.height)), settings.build("time").rate
-    wait = given.wait + settings.build("associate").output_delay / info.fps
-    rule = Following(*size, rate, 60 * given.memory, wait, settings.build("sensor").detection, given.switch)
+    wait = given.verdict_delay + settings.build("associate").output_delay / info.fps
+    rule = Following(*size, rate, 60 * given.memory, wait, settings.build("sensor").detection)
     scenes = tuple(_scene(file, size) for file in _scene_files(given.file))
     if any(scene.births is not None and scene.rate != rate for scene in scenes):
         raise InputError(f"births were not learned with {rate:g} time units a second", where=given.file)
-    return FollowScene(rule, stages.model, ShadowTracker(stages), given.most, scenes, clock(given.schedule, given.starts))
+    return FollowScene(rule, stages.model, ShadowTracker(stages), given.particles, scenes)
 
 
 def _rates(settings: Settings, model: Model, other: Learning[Any], info: SequenceInfo) -> Learning[Any]:

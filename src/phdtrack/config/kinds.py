@@ -119,14 +119,15 @@ class PlacesBirthSettings:
 
 @dataclass(frozen=True, slots=True)
 class SceneBirthSettings:
-    """``file``: births as `phdtrack learn` has learned them in this scene; ``most``: Jmax, see MeasurementBirth.
+    """``file``: births as `phdtrack learn` has learned them in this scene; ``particles``: Jmax, see MeasurementBirth.
 
-    ``beside``: births a time unit around each detection of a box where nothing is known of it, see ContextBirth; 0: none.
+    ``around_detections``: births a time unit around each detection of a box where nothing is known, see
+    ContextBirth; 0: none.
     """
 
     file: str
-    most: PositiveCount = 500
-    beside: NonNegative = 0.0
+    particles: PositiveCount = 500
+    around_detections: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         check(self)
@@ -136,16 +137,16 @@ class SceneBirthSettings:
 class SceneClutterSettings:
     """``file``: false alarms as `phdtrack learn` has learned them in this scene.
 
-    ``beside``: false alarms a frame around each detection that come to these, see ContextClutter. ``vet``: tracks that stay
-    where false alarms are followed are held back, as far as `phdtrack learn` has seen what is followed
-    (`associate.rejection`).
-    ``sure``: then, too, a live track is confirmed at once where there are so many false alarms for each object, or fewer.
+    ``around_detections``: false alarms a frame around each detection that come to these, see ContextClutter.
+    ``reject_false_tracks``: tracks that stay where false alarms are followed are held back, as far as `phdtrack learn`
+    has seen what is followed (`associate.rejection`). ``immediate_confirmation``: then, too, a live track is confirmed
+    at once where there are so many false alarms for each object, or fewer.
     """
 
     file: str
-    beside: NonNegative = 0.0
-    vet: bool = True
-    sure: NonNegative = 0.1
+    around_detections: NonNegative = 0.0
+    reject_false_tracks: bool = True
+    immediate_confirmation: NonNegative = 0.1
 
     def __post_init__(self) -> None:
         check(self)
@@ -153,34 +154,23 @@ class SceneClutterSettings:
 
 @dataclass(frozen=True, slots=True)
 class LearnSettings:
-    """Learning births and false alarms while tracking, see `context.online`.
+    """Learning births and false alarms while tracking, see `scene.online`.
 
     Parameters
     ----------
     memory : minutes after which what was seen counts for 37 %.
-    wait : seconds until a detection is judged, beyond ``associate.output_delay``.
-    most : Jmax, see MeasurementBirth.
-    switch : whether several modes of the scene (day, night) are told apart and chosen by evidence.
-    schedule : modes by time of day instead, as ``07:00 day, 19:30 night``.
-    starts : time of day at which the video begins, for ``schedule``.
-    file : what was learned before; of several modes a folder with a file of each, as a run leaves them.
+    verdict_delay : seconds until a detection is judged, beyond ``associate.output_delay``.
+    particles : Jmax, see MeasurementBirth.
+    file : what was learned before; of several regimes a folder with a file of each, as a run leaves them.
     """
 
     memory: Positive = 10.0
-    wait: NonNegative = 2.0
-    most: PositiveCount = 500
-    switch: bool = False
-    schedule: str = ""
-    starts: str = "00:00"
+    verdict_delay: NonNegative = 2.0
+    particles: PositiveCount = 500
     file: str = ""
 
     def __post_init__(self) -> None:
-        from phdtrack.scene.clock import clock
-
         check(self)
-        clock(self.schedule, self.starts)
-        if self.switch and self.schedule:
-            raise InputError("modes are chosen by evidence or by time of day", where="learn.switch", cure="Leave one out")
 
 
 # section → kind → "module:class" of its settings; the first kind is the default. A class is imported when it is chosen.
@@ -237,7 +227,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     },
     "learn": {"none": "phdtrack.protocols:NoLearning", "online": f"{__name__}:LearnSettings"},
     "rates": {"none": "phdtrack.protocols:NoLearning", "learned": "phdtrack.scene.rates:RatesSettings"},
-    "blobs": {"none": "phdtrack.protocols:AsDetected", "explained": "phdtrack.detect.merged:Explained"},
+    "merged_measurements": {"none": "phdtrack.protocols:AsDetected", "explained": "phdtrack.detect.merged:Explained"},
     "camera_motion": {
         "none": "phdtrack.video.ego_motion:Standing",
         "flow": "phdtrack.video.ego_motion:SparseFlow",
@@ -263,7 +253,7 @@ FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
         "clutter": ("ground",),
         "spawn": ("none",),
         "learn": ("none",),
-        "blobs": ("none",),
+        "merged_measurements": ("none",),
         "camera_motion": ("none",),
     },
     ("motion", "point"): {
@@ -272,7 +262,7 @@ FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
         "clutter": ("point",),
         "spawn": ("none",),
         "learn": ("none",),
-        "blobs": ("none",),
+        "merged_measurements": ("none",),
     },
     ("filter", "particle-phd"): {"extract": ("kmeans", "mixture"), "associate": ("graph",)},
     ("filter", "gm-phd"): {"extract": ("components",), "associate": ("graph",)},
@@ -281,7 +271,7 @@ FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
     ("filter", "mht"): {"extract": ("hypotheses",), "associate": ("labelled", "graph")},
     ("filter", "pmb"): {"extract": ("bernoullis",), "associate": ("labelled", "graph")},
     ("filter", "mcmc"): {"extract": ("joint",), "associate": ("graph", "labelled")},
-    ("filter", "none"): {"associate": ("graph",), "learn": ("none",), "rates": ("none",), "blobs": ("none",)},
+    ("filter", "none"): {"associate": ("graph",), "learn": ("none",), "rates": ("none",), "merged_measurements": ("none",)},
 }
 # The sections whose kinds decide others', in the order to lay them over.
 DECIDING = ("motion", "filter")

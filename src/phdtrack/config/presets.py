@@ -70,9 +70,9 @@ def _around(births: float, alarms: float) -> Table:
     """So many births and false alarms around each detection, and as many next to those that a scene has taught."""
     return {
         "birth": {"rate": births},
-        "birth.scene": {"beside": births},
+        "birth.scene": {"around_detections": births},
         "clutter": {"rate": alarms},
-        "clutter.scene": {"beside": alarms},
+        "clutter.scene": {"around_detections": alarms},
     }
 
 

@@ -255,7 +255,7 @@ def _taught(settings: Settings, file: str, options: list[_Entry]) -> list[_Entry
     pairs = [(name, key, value) for name in learned for key, value in (("kind", "scene"), ("file", file))]
     options = [*(_Entry(*pair, "--scene") for pair in pairs), *options]
     merged = _laid_over(settings, options)
-    if merged.kind("motion") != "box" or all(merged.values(name).get("beside", 0) > 0 for name in learned):
+    if merged.kind("motion") != "box" or all(merged.values(name).get("around_detections", 0) > 0 for name in learned):
         return options
     others = [name for name in parts if "volume" in settable(name, merged.kind(name), "box")]
     return [*(_Entry(name, "volume", "image", "--scene") for name in others), *options]

@@ -134,8 +134,8 @@ def _birth(birth: Birth, dt: float) -> tuple[float, float, F8] | None:
     if type(birth) is FixedBirth and len(birth.mixture.mean) == gm_model.D:
         return gm_model.NOWHERE, 0.0, _table(birth.mixture, dt)
     if type(birth) is ContextBirth and birth.density.dim == gm_model.D and birth.observed == gm_model.ROWS:
-        if birth.beside > 0:
-            return gm_model.PLACES, float(birth.beside * dt), _NOBODY
+        if birth.around_detections > 0:
+            return gm_model.PLACES, float(birth.around_detections * dt), _NOBODY
         return gm_model.IMAGE, float(birth.flat * dt), _table(birth.given, dt)
     if type(birth) is not MeasurementBirth:
         return None
@@ -151,7 +151,7 @@ def _table(given: GaussianMixture, dt: float) -> F8:
 
 def _scene(birth: Birth, clutter: Clutter | None) -> tuple[F8, F8, F8, F8, F8] | None:
     """`BoxModel.scene`."""
-    births = birth.rows if isinstance(birth, ContextBirth) and birth.beside > 0 else None
+    births = birth.rows if isinstance(birth, ContextBirth) and birth.around_detections > 0 else None
     alarms = clutter.rows if isinstance(clutter, ContextClutter) else None
     return None if births is None and alarms is None else (*(births or _NO_BIRTHS), *(alarms or _NO_CLUTTER))
 
@@ -169,7 +169,7 @@ def _clutter(clutter: Clutter | None) -> tuple[float, float] | None:
     if clutter is None:
         return gm_model.PLACES, 0.0
     if type(clutter) is ContextClutter:
-        return (gm_model.PLACES, float(clutter.beside)) if clutter.density.dim == gm_model.M else None
+        return (gm_model.PLACES, float(clutter.around_detections)) if clutter.density.dim == gm_model.M else None
     if type(clutter) is LocalClutter:
         return gm_model.LOCAL, float(clutter.rate)
     if type(clutter) is UniformClutter:

@@ -11,13 +11,13 @@ mixture given z, with uniform direction and Gaussian amplitude; of the uniform p
 
 **Beside what is shipped.** The shipped γ and κ are no densities of a scene: they are spread around each detection, and are
 therefore high where much is detected. That is what a filter lives by where people stand close: with κ alone as thin as a
-whole frame makes it, targets take whatever is near. A learned scene can be laid over them: with ``beside``, the shipped
+whole frame makes it, targets take whatever is near. A learned scene can be laid over them: with ``around_detections``, the shipped
 rates around each detection, l(z) the density per rate around the detections, and p(z|o) that of where objects are detected,
 
-    κ(z) = beside l(z) + r̄ p(z|c)      γ(z) = beside l(z) p(z|b) / p(z|o)
+    κ(z) = a l(z) + r̄ p(z|c)      γ(z) = a l(z) p(z|b) / p(z|o)
 
 so that a scene of which nothing is known is the shipped model, false alarms come on top, and of the detections of objects
-as many are births as before, but those where births were seen. This is ours, not M09's; ``beside`` of 0 is M09's.
+as many are births as before, but those where births were seen. This is ours, not M09's; ``around_detections`` of 0 is M09's.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class ContextBirth:
     density : p(x|b) on states (d).
     observed : the rows of the state that measurements show; the others are velocities.
     most : Jmax, particles drawn around a detection of which nothing is predicted.
-    beside : births a time unit around each detection, of boxes, where nothing is known; 0: s̄ p(x|b) alone.
+    around_detections : births a time unit around each detection, of boxes, where nothing is known; 0: s̄ p(x|b) alone.
     among : p(z|o), for births beside others; None: uniform over the volume.
     """
 
@@ -80,7 +80,7 @@ class ContextBirth:
     density: ContextDensity
     observed: tuple[int, ...] = SHOWN
     most: PositiveCount = 1000
-    beside: NonNegative = 0.0
+    around_detections: NonNegative = 0.0
     among: ContextDensity | None = None
 
     def __post_init__(self) -> None:
@@ -99,8 +99,10 @@ class ContextBirth:
 
     def around(self, seen: tuple[F8, F8], dt: float) -> Around:
         """What γT is around detections whose states and covariances, as `Sensor.states` gives them, are ``seen``."""
-        if self.beside > 0:
-            density, state, cov = laid_births(*seen, *self._table, *self._among, self.beside * dt, *_NEIGHBOURHOOD)
+        if self.around_detections > 0:
+            density, state, cov = laid_births(
+                *seen, *self._table, *self._among, self.around_detections * dt, *_NEIGHBOURHOOD
+            )
             return Around(state, cov, density)
         density, state, cov = given_detections(*seen, *self._table)
         return Around(state, cov, self.rate * dt * density)
@@ -110,8 +112,10 @@ class ContextBirth:
 
         ``state`` (d, N) are those at rest, ``deviation`` (d, N) the noise's; velocities as `newborn_about` gives them.
         """
-        if self.beside > 0:
-            laid: tuple[F4, F4] = laid_about(state, deviation, *self._table, *self._among, self.beside * dt, *_NEIGHBOURHOOD)
+        if self.around_detections > 0:
+            laid: tuple[F4, F4] = laid_about(
+                state, deviation, *self._table, *self._among, self.around_detections * dt, *_NEIGHBOURHOOD
+            )
             return laid
         alone: tuple[F4, F4] = newborn_about(state, deviation, self.rate * dt, *self._table)
         return alone
@@ -161,7 +165,7 @@ class ContextBirth:
         What of a Gaussian lies beyond the volume is not cut off here; the parts inside have the masses of γT. Births that
         are spread around each detection are Gaussians about the detections, with the velocities that were learned.
         """
-        if self.beside > 0:
+        if self.around_detections > 0:
             at = self.around(sensor.states(z), dt)
             return gaussians_about(z, covered, sensor, lambda x: at.density, (at.mean, at.covariance))
         given = self.given
@@ -184,7 +188,7 @@ class ContextBirth:
 
     def expected(self, z: F8, dt: float) -> float:
         """s̄T, or so many of each detection as there are beside."""
-        return self.beside * dt * z.shape[1] if self.beside > 0 else self.rate * dt
+        return self.around_detections * dt * z.shape[1] if self.around_detections > 0 else self.rate * dt
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,12 +200,12 @@ class ContextClutter:
     rate : r̄, expected false alarms per frame.
     density : p(z|c) on what measurements show (r). Where it does not reach, κ is that of its uniform part: a detection
         beyond the volume is no more certain to be a target than one in an empty place.
-    beside : false alarms a frame around each detection, of boxes, that come to these; 0: none.
+    around_detections : false alarms a frame around each detection, of boxes, that come to these; 0: none.
     """
 
     rate: NonNegative
     density: ContextDensity
-    beside: NonNegative = 0.0
+    around_detections: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         check(self)
@@ -209,8 +213,8 @@ class ContextClutter:
     def intensity(self, z: F8) -> F8:
         """(N,) κ per frame and unit of measurement space."""
         z, rate = np.ascontiguousarray(z), float(self.rate)
-        if self.beside > 0 and z.shape[1]:
-            laid: F8 = laid_clutter(z, rate, *self._table, float(self.beside), *_NEIGHBOURHOOD)
+        if self.around_detections > 0 and z.shape[1]:
+            laid: F8 = laid_clutter(z, rate, *self._table, float(self.around_detections), *_NEIGHBOURHOOD)
             return laid
         out: F8 = mixture_density(z, rate, *self._table)
         return out
@@ -233,7 +237,7 @@ def laid_over(model: Model, births: Learned | None, clutter: Learned | None, fol
     birth, false = model.birth, model.clutter
     if births is not None:
         own = birth.rate if isinstance(birth, MeasurementBirth) and birth.volume == "local" else 0.0
-        birth = ContextBirth(births.rate, births.density, most=most, beside=own, among=objects_of(followed))
+        birth = ContextBirth(births.rate, births.density, most=most, around_detections=own, among=objects_of(followed))
     if clutter is not None:
         own = false.rate if isinstance(false, LocalClutter) else 0.0
         false = ContextClutter(clutter.rate, clutter.density, own)

@@ -154,4 +154,4 @@ def test_settings_are_checked() -> None:
     with pytest.raises(InputError, match=r"^Explained.merge"):
         Explained(merge=1.5)
     with pytest.raises(InputError, match="does not fit"):
-        config.load(None, ("filter.kind=none", "blobs.kind=explained"))
+        config.load(None, ("filter.kind=none", "merged_measurements.kind=explained"))

@@ -45,7 +45,7 @@ def merging(parting: str, seed: int) -> Case:
 
 def tracker_of(case: Case, filter_name: str, kind: str, **more: float) -> Tracker:
     size = (case.info.width, case.info.height)
-    return Tracker(size, fps=case.info.fps, filter=filter_name, blobs={"kind": kind, **more})
+    return Tracker(size, fps=case.info.fps, filter=filter_name, merged_measurements={"kind": kind, **more})
 
 
 def tracked(case: Case, filter_name: str, kind: str, **more: float) -> tuple[Tracks, list[Tracks]]:
@@ -127,7 +127,7 @@ def test_frames_that_nobody_looked_at_and_empty_ones_pass() -> None:
         ("mog2", False, (), "explained"),
         ("person", False, (), "none"),
         ("", True, (), "none"),
-        ("", False, ("blobs.kind=none",), "none"),
+        ("", False, ("merged_measurements.kind=none",), "none"),
         ("", False, ("filter.kind=none",), "none"),
     ],
 )
@@ -143,5 +143,5 @@ def test_blobs_are_explained_where_a_background_model_finds_them(
     wanted = Wanted(str(folder), file if detections else None, detector, fps=25.0)
     choice = Choice(sets=sets)
     job = prepare(wanted, choice, chosen(choice), "phdtrack track", video=False)
-    assert job.configured("blobs", "kind") == kind
+    assert job.configured("merged_measurements", "kind") == kind
     assert isinstance(job.stages.explainer, Explained) == (kind == "explained")

@@ -10,7 +10,7 @@ FRAMES = 300
 LEARNED = (
     "rates.kind=learned",
     "rates.cautious=false",
-    *(f"rates.{name}=true" for name in ("detection", "clutter", "newborn")),
+    *(f"rates.{name}=true" for name in ("detection", "clutter", "births")),
 )
 
 
@@ -51,7 +51,7 @@ def test_other_filters_learn_the_same(filter_name):
 
 @pytest.mark.parametrize("wrong", [0.5, 40.0])
 def test_a_rate_that_is_far_off_is_mended_within_two_seconds(wrong):
-    sets = ("clutter.volume=image", "birth.volume=image", f"clutter.rate={wrong}", "rates.every=0.4")
+    sets = ("clutter.volume=image", "birth.volume=image", f"clutter.rate={wrong}", "rates.update_interval=0.4")
     for seed in (1, 2):
         rates, _, _ = course("gm-phd", seed, sets, frames=60, p_detect=0.9, clutter_rate=5.0)
         assert rates[50].clutter == pytest.approx(5, rel=0.35)
@@ -67,7 +67,7 @@ def test_scores_that_tell_objects_from_false_alarms_are_found_to():
 
 
 def test_what_is_fixed_stays():
-    sets = ("rates.detection=false", "sensor.detection=0.6", "rates.newborn=false")
+    sets = ("rates.detection=false", "sensor.detection=0.6", "rates.births=false")
     rng = np.random.default_rng(0)
     info = Counting(10).info
     stages = config.build(config.load(None, (*LEARNED, *sets)), info, "gm-phd")

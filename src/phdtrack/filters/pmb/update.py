@@ -76,7 +76,7 @@ def first_states(z: F8, model: Model, dt: float, terms: Terms) -> Newborn:
     was learned there; others are updated.
     """
     birth = model.birth
-    if isinstance(birth, ContextBirth) and birth.beside > 0:
+    if isinstance(birth, ContextBirth) and birth.around_detections > 0:
         return first_about(z, birth, model.sensor, dt)
     if not isinstance(birth, MeasurementBirth):
         return newborn(z, model, dt, terms.gate, terms.transform)

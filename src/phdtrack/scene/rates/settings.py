@@ -19,7 +19,7 @@ class RatesSettings:
     ----------
     detection : whether the p_D that is learned is used; otherwise ``sensor.detection`` holds.
     clutter : whether the rate of false alarms is; otherwise ``clutter.rate`` holds.
-    newborn : whether the rate of births is; otherwise ``birth.rate`` holds.
+    births : whether the rate of births is; otherwise ``birth.rate`` holds.
     scores : whether what the detector's scores are worth is used; otherwise they are not looked at.
     noise : whether the noises of measurements and motion are; otherwise ``sensor.spread``, ``motion.acceleration`` and
         ``motion.resize`` hold, which are made for links that are hard as well as for those that are easy.
@@ -27,24 +27,24 @@ class RatesSettings:
         than is set: tracks that break make p_D look too high, false alarms that come again in one place make themselves
         look too few, and who was never believed is not among the births.
     memory : seconds after which a frame counts for 37 %.
-    wait : seconds until a detection is judged, beyond ``associate.output_delay``.
-    every : seconds between two times of learning.
+    verdict_delay : seconds until a detection is judged, beyond ``associate.output_delay``.
+    update_interval : seconds between two times of learning.
     """
 
     detection: bool = False
     clutter: bool = False
-    newborn: bool = False
+    births: bool = False
     scores: bool = True
     noise: bool = False
     cautious: bool = True
     memory: Positive = 120.0
-    wait: NonNegative = 1.0
-    every: NonNegative = 1.0
+    verdict_delay: NonNegative = 1.0
+    update_interval: NonNegative = 1.0
 
     def __post_init__(self) -> None:
         check(self)
 
     def rule(self, priors: Priors, rate: float, delay: float) -> Following:
         """How rates are followed, with ``rate`` time units a second and rows that come ``delay`` seconds late."""
-        learns = Learns(self.detection, self.clutter, self.newborn, self.scores, self.noise)
-        return Following(priors, rate, self.memory, self.wait + delay, self.every, learns, self.cautious)
+        learns = Learns(self.detection, self.clutter, self.births, self.scores, self.noise)
+        return Following(priors, rate, self.memory, self.verdict_delay + delay, self.update_interval, learns, self.cautious)
