@@ -14,7 +14,6 @@ from importlib import import_module
 from typing import Any, get_type_hints
 
 from phdtrack.checks import NonNegative, Positive, PositiveCount, check
-from phdtrack.errors import InputError
 from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, check_region
 from phdtrack.models.volume import Volume
 

@@ -10,7 +10,7 @@ FRAMES = 300
 LEARNED = (
     "rates.kind=learned",
     "rates.cautious=false",
-    *(f"rates.{name}=true" for name in ("detection", "clutter", "births")),
+    *(f"rates.{name}=true" for name in ("detection", "clutter", "birth")),
 )
 
 
@@ -67,7 +67,7 @@ def test_scores_that_tell_objects_from_false_alarms_are_found_to():
 
 
 def test_what_is_fixed_stays():
-    sets = ("rates.detection=false", "sensor.detection=0.6", "rates.births=false")
+    sets = ("rates.detection=false", "sensor.detection=0.6", "rates.birth=false")
     rng = np.random.default_rng(0)
     info = Counting(10).info
     stages = config.build(config.load(None, (*LEARNED, *sets)), info, "gm-phd")

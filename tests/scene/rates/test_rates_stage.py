@@ -17,7 +17,7 @@ from phdtrack.types import Detections, GaussianMixture, SequenceInfo
 LEARNED = (
     "rates.kind=learned",
     "rates.cautious=false",
-    *(f"rates.{name}=true" for name in ("detection", "clutter", "births")),
+    *(f"rates.{name}=true" for name in ("detection", "clutter", "birth")),
 )
 INFO = SequenceInfo(640, 480, 25.0)
 SIGMOID = Scale(np.array([0.2, 0.8]), np.log([0.1, 10.0]))

@@ -19,7 +19,7 @@ class RatesSettings:
     ----------
     detection : whether the p_D that is learned is used; otherwise ``sensor.detection`` holds.
     clutter : whether the rate of false alarms is; otherwise ``clutter.rate`` holds.
-    births : whether the rate of births is; otherwise ``birth.rate`` holds.
+    birth : whether the rate of births is; otherwise ``birth.rate`` holds.
     scores : whether what the detector's scores are worth is used; otherwise they are not looked at.
     noise : whether the noises of measurements and motion are; otherwise ``sensor.spread``, ``motion.acceleration`` and
         ``motion.resize`` hold, which are made for links that are hard as well as for those that are easy.
@@ -33,7 +33,7 @@ class RatesSettings:
 
     detection: bool = False
     clutter: bool = False
-    births: bool = False
+    birth: bool = False
     scores: bool = True
     noise: bool = False
     cautious: bool = True
@@ -46,5 +46,5 @@ class RatesSettings:
 
     def rule(self, priors: Priors, rate: float, delay: float) -> Following:
         """How rates are followed, with ``rate`` time units a second and rows that come ``delay`` seconds late."""
-        learns = Learns(self.detection, self.clutter, self.births, self.scores, self.noise)
+        learns = Learns(self.detection, self.clutter, self.birth, self.scores, self.noise)
         return Following(priors, rate, self.memory, self.verdict_delay + delay, self.update_interval, learns, self.cautious)
