@@ -177,9 +177,9 @@ class ContextBirth:
         )
 
     def gaussians(self, z: F8, sensor: Sensor, dt: float) -> Births:
-        """γT as Gaussians: around the detections, and without ``beside`` the learned ones too, see `components`."""
+        """γT as Gaussians: around the detections, and without ``around_detections`` the learned ones too, see `components`."""
         seen = sensor.states(z)
-        if self.beside > 0:
+        if self.around_detections > 0:
             at = self.around(seen, dt)
             return births_around((at.mean, at.covariance), self.observed, at.density)
         given, observed = births_at(self.given, dt), z[: len(self.observed)]
