@@ -63,6 +63,6 @@ def test_tracking_detections_loads_what_it_needs(tmp_path: Path) -> None:
     assert "phdtrack.filters" in at_first_frame
     # Pictures come with the report, and scores where there is truth; neither is waited for before the first frame.
     assert {"matplotlib", "av", "rich", "phdtrack.metrics", "pyarrow"}.isdisjoint(at_first_frame)
-    assert "phdtrack.report.html" in at_the_end
+    assert "phdtrack.report.pages" in at_the_end
     assert NEVER.isdisjoint(at_first_frame)
     assert {"phdtrack.metrics", *(NEVER - {"PIL"})}.isdisjoint(at_the_end)

@@ -126,7 +126,7 @@ def test_only_what_a_change_decides_runs_again(tmp_path: Path, change: str) -> N
         ("metrics/scores.py", True, False),
         ("filters/none.py", True, False),
         ("compare/page.py", False, False),
-        ("report/html.py", False, False),
+        ("report/pages.py", False, False),
     ],
 )
 def test_a_change_of_what_makes_results_is_another_digest(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from phdtrack.report.chain import LOW, chain_summary
+from phdtrack.report.record import LOW_EFFECTIVE, chain_summary
 from phdtrack.types import ChainInfo
 
 
@@ -28,7 +28,7 @@ def test_means_over_the_frames_that_have_something_to_tell() -> None:
 
 
 def test_a_chain_that_hardly_moves_is_a_warning() -> None:
-    found = chain_summary([frame([9, 9], [1, 0], LOW / 2)] * 2 + [frame([9, 9], [1, 0], 2 * LOW)])
+    found = chain_summary([frame([9, 9], [1, 0], LOW_EFFECTIVE / 2)] * 2 + [frame([9, 9], [1, 0], 2 * LOW_EFFECTIVE)])
     assert found is not None
     assert "in 67 % of the frames" in found.warning
     assert "fewer than 20 " in found.warning

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.report.compare_charts import Series, bars, lines
-from phdtrack.report.compare_report import encoded
+from phdtrack.report.charts import MethodScores, jpeg, score_bars, score_lines
 from phdtrack.report.mistakes import FALSE, MISSED, RIGHT, SWITCHED, Mistakes, side_by_side
 from phdtrack.types import F8
 
@@ -53,17 +52,17 @@ def test_panels_stand_so_that_a_page_can_show_them(size: tuple[int, int], count:
     width = min(size[0], 720)
     high = round(size[1] * width / size[0])
     assert picture.shape == (2 * 28 + shape[0] * (high + 6) + 6, shape[1] * (width + 6) + 6, 3)
-    assert encoded(picture).width <= 1400
+    assert jpeg(picture).width <= 1400
 
 
 def test_charts_hold_with_gaps_and_with_one_rate() -> None:
     nan = np.nan
-    whole = Series("a", np.array([0.5, 0.4]), np.array([0.4, 0.3]), np.array([0.6, 0.5]))
-    gap = Series("b", np.array([nan, -0.4]), np.array([nan, -0.4]), np.array([nan, -0.4]))
+    whole = MethodScores("a", np.array([0.5, 0.4]), np.array([0.4, 0.3]), np.array([0.6, 0.5]))
+    gap = MethodScores("b", np.array([nan, -0.4]), np.array([nan, -0.4]), np.array([nan, -0.4]))
     for picture in (
-        lines(np.array([0.0, 10.0]), "clutter", "MOTA", [whole, gap]),
-        bars(["one", "another with a long name"], "MOTA", [whole, gap]),
-        bars([], "MOTA", []),
+        score_lines(np.array([0.0, 10.0]), "clutter", "MOTA", [whole, gap]),
+        score_bars(["one", "another with a long name"], "MOTA", [whole, gap]),
+        score_bars([], "MOTA", []),
     ):
         assert picture.mime == "image/svg+xml"
         assert b"http://www.w3.org/2000/svg" in picture.data

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.report.group_report import GroupSeries, count_picture, group_sections
-from phdtrack.report.palette import identity_colour
+from phdtrack.report.charts import GroupSeries, group_chart
+from phdtrack.report.drawing import identity_colour
+from phdtrack.report.pages import group_sections
 from phdtrack.report.plan import Plan, PlanGroup, PlanScene, draw_contours, extent_of, plan_size
 
 PLAN = Plan((-10.0, 0.0, 10.0, 10.0), 400, 200)
@@ -64,7 +65,7 @@ def test_detections_are_crosses_and_those_without_a_place_are_left_out() -> None
 
 def test_a_warning_is_a_line_between_the_groups() -> None:
     two = (group(1, ()), PlanGroup(2, 1.0, 0.0, np.array([6.0, 1.0]), np.zeros(2), ()))
-    image = PLAN.draw(scene(groups=two, meetings=((1, 2, 1.5), (1, 7, 2.0))))
+    image = PLAN.draw(scene(groups=two, encounters=((1, 2, 1.5), (1, 7, 2.0))))
     quarter = np.array([-6.0, 8.0]) + 0.25 * np.array([12.0, -7.0])
     assert colour_at(image, *quarter) == pytest.approx([60, 60, 208], abs=40)
 
@@ -111,4 +112,4 @@ def test_the_report_tells_counts_events_and_warnings() -> None:
 
 @pytest.mark.parametrize("frames", [1, 2, 5000])
 def test_the_chart_of_any_length(frames: int) -> None:
-    assert count_picture(series(frames)).data.startswith(b"<svg")
+    assert group_chart(series(frames)).data.startswith(b"<svg")

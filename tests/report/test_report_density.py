@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from phdtrack.errors import InputError
-from phdtrack.report.density import default_cell, density_map
+from phdtrack.report.record import default_cell, density_map
 from phdtrack.types import Particles, SequenceInfo
 
 

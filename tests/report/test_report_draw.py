@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from phdtrack.errors import InputError
 from phdtrack.report import Annotator, annotate
-from phdtrack.report.palette import COLOURS, identity_colour, ink_on
+from phdtrack.report.drawing import COLOURS, identity_colour, ink_on
 from phdtrack.types import Detections, SequenceInfo, Tracks
 
 BOX = (100.0, 80.0, 140.0, 200.0)

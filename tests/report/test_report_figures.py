@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from report_runs import run_record
 
 from phdtrack.report import Recorder
-from phdtrack.report.canvas import Picture, block_size, thinned
-from phdtrack.report.charts import count_chart, lifetime_chart, timing_chart
+from phdtrack.report.charts import Picture, count_chart, lifetime_chart, thinned, timing_chart
 from phdtrack.report.record import About, HeatMap, RunRecord
 from phdtrack.report.scenes import heat_picture, trajectory_picture
 from phdtrack.types import SequenceInfo, Tracks
@@ -116,7 +115,7 @@ def test_tracks_beyond_the_frames_and_without_a_frame_size_are_drawn() -> None:
 @given(st.integers(0, 300), st.integers(1, 50), st.integers(1, 3))
 def test_thinning_gives_means_of_blocks(length: int, limit: int, columns: int) -> None:
     values = np.arange(length * columns, dtype=np.float64).reshape(length, columns)
-    thin, block = thinned(values, limit), block_size(length, limit)
+    thin, block = thinned(values, limit), max(1, -(-length // limit))
     assert len(thin) <= limit
     expected = [values[k : k + block].mean(axis=0) for k in range(0, length, block)]
     np.testing.assert_allclose(thin, np.reshape(expected, (-1, columns)))

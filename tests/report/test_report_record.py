@@ -8,8 +8,7 @@ from report_runs import HIGH, WIDE, run_record, step, walkers
 
 from phdtrack.errors import InputError
 from phdtrack.report import About, Recorder, Series
-from phdtrack.report.background import still_background
-from phdtrack.report.summary import sentences
+from phdtrack.report.record import sentences, still_background
 from phdtrack.types import Particles, SequenceInfo, Tracks, Truth
 
 INFO = SequenceInfo(WIDE, HIGH, 10.0)
@@ -136,7 +135,5 @@ def test_a_moving_camera_gives_one_of_its_frames(rng: np.random.Generator) -> No
 def test_frames_that_compiled_are_no_measure_of_the_speed():
     record = run_record(10, 3, about=About(tracking_seconds=0.04, left_out=2))
     assert record.frames_per_second == pytest.approx(200)
-    assert "ran at 200.0 frames per second, 2 frames in which kernels were compiled or loaded left aside." in " ".join(
-        sentences(record)
-    )
+    assert "ran at 200.0 frames per second, not counting 2 frames of start-up." in " ".join(sentences(record))
     assert np.isnan(run_record(10, 3, about=About(left_out=10)).frames_per_second)

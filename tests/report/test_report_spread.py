@@ -4,12 +4,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from phdtrack.report.spread import Spread, evenly
+from phdtrack.report.record import EvenSample, evenly
 
 
 @given(st.integers(1, 12), st.integers(0, 500))
 def test_what_is_kept_is_bounded_even_and_enough(capacity: int, count: int) -> None:
-    spread: Spread[int] = Spread(capacity)
+    spread: EvenSample[int] = EvenSample(capacity)
     for index in range(1, count + 1):
         spread.put(index, index)
         assert len(spread.items) <= capacity
@@ -19,7 +19,7 @@ def test_what_is_kept_is_bounded_even_and_enough(capacity: int, count: int) -> N
 
 @given(st.integers(1, 12), st.integers(1, 300))
 def test_wants_tells_before_the_item_is_made_whether_it_is_kept(capacity: int, count: int) -> None:
-    spread: Spread[int] = Spread(capacity)
+    spread: EvenSample[int] = EvenSample(capacity)
     for index in range(1, count + 1):
         wanted = spread.wants(index)
         spread.put(index, index)

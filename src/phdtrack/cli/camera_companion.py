@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 
+from markupsafe import Markup
+
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.job import Draw
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.formats.warps import WarpsWriter
-from phdtrack.report.markup import Html, paragraph, section
+from phdtrack.report.pages import camera_section
 from phdtrack.types import SequenceInfo, Step, Tracks
 from phdtrack.video.ego_motion import CameraPath
 
@@ -47,9 +49,9 @@ class CameraCompanion:
         """There is no video of it."""
         return nullcontext(lambda number, picture: None)
 
-    def section(self) -> Html:
+    def section(self) -> Markup:
         """How far the camera went, in words."""
-        return section("The camera's motion", *(paragraph(f"{sentence}.".capitalize()) for sentence in self.sentences()))
+        return camera_section(self.sentences())
 
     def sentences(self) -> tuple[str, ...]:
         """How far the camera went, and how often that is not known."""

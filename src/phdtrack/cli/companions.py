@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
+from markupsafe import Markup
+
 from phdtrack.cli.job import Companion, Draw
 from phdtrack.cli.run_directory import RunDirectory
-from phdtrack.report.markup import Html, join
 from phdtrack.types import Image, Step, Tracks
 
 
@@ -58,9 +59,9 @@ class Companions:
 
             yield draw
 
-    def section(self) -> Html:
+    def section(self) -> Markup:
         """What each tells, one after the other."""
-        return join(part.section() for part in self.parts)
+        return Markup("\n").join(part.section() for part in self.parts)
 
     def sentences(self) -> tuple[str, ...]:
         """The same in a few words."""

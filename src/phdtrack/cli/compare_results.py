@@ -13,13 +13,12 @@ from phdtrack.cli.configured import versions
 from phdtrack.cli.output import Output, counted
 from phdtrack.cli.track import command_line
 from phdtrack.compare import Comparison, Outcome, Summary
-from phdtrack.compare.page import content, described, notes, sentences
+from phdtrack.compare.page import comparison_page, described, notes, sentences
 from phdtrack.compare.tables import document_of, head, lines_of, shown, sparse, write_cells, write_runs
 from phdtrack.compare.worst import WorstFrame, write_frames
 from phdtrack.report import About, write_run
-from phdtrack.report.compare_report import write_comparison
-from phdtrack.report.run_json import json_value
-from phdtrack.report.summary import duration
+from phdtrack.report.rendering import duration
+from phdtrack.report.run_json import json_value, write_text
 
 MOST_WARNINGS = 12
 # What decides a run, in words.
@@ -109,7 +108,8 @@ def write(results: Results, frames: Sequence[WorstFrame], directory: rundir.RunD
         warnings=results.warnings,
         notes=results.notes,
     )
-    write_comparison(place(rundir.REPORT), content(comparison, results.summary, results.scores, frames, about))
+    page = comparison_page(comparison, results.summary, results.scores, frames, about)
+    write_text(place(rundir.REPORT), page)
     write_run(place(DOCUMENT), json_value(results.document))
 
 

@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 
 from phdtrack.cli.ground import places
 from phdtrack.cli.group_files import GroupFiles
@@ -17,7 +18,6 @@ from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.groups import LifeCycleState
 from phdtrack.groups.pipeline import GroupStages, carriers, mixture_of
 from phdtrack.protocols import AnyStages
-from phdtrack.report.markup import Html
 from phdtrack.report.plan import PlanScene
 from phdtrack.types import F8, I8, GaussianMixture, SequenceInfo, Step, Tracks
 
@@ -86,7 +86,7 @@ class GroupCompanion:
         size = (self._info.width, self._info.height) if pictures else None
         return self._story.video(directory, self._info.fps, picture=size)
 
-    def section(self) -> Html:
+    def section(self) -> Markup:
         """Counts, plan, events and warnings for the report."""
         return self._story.section()
 

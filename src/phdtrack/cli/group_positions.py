@@ -23,7 +23,7 @@ from phdtrack.formats.positions import Positions, read_positions
 from phdtrack.groups import LifeCycleState
 from phdtrack.groups.pipeline import GroupStages, known_people
 from phdtrack.report import About, write_run
-from phdtrack.report.group_report import positions_page
+from phdtrack.report.pages import positions_page
 from phdtrack.report.run_json import json_value, write_text
 from phdtrack.types import F8
 

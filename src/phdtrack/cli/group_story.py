@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.group_files import in_image
@@ -20,8 +21,8 @@ from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.groups import Encounter, Event
 from phdtrack.groups.pipeline import GroupFrame
 from phdtrack.protocols import Camera
-from phdtrack.report.group_report import GroupSeries, group_sections
-from phdtrack.report.markup import Html
+from phdtrack.report.charts import GroupSeries
+from phdtrack.report.pages import group_sections
 from phdtrack.report.plan import Plan, PlanGroup, PlanScene, draw_contours, extent_of, plan_size
 from phdtrack.types import F8, I8, Image
 from phdtrack.video import VideoWriter
@@ -58,8 +59,8 @@ class Story:
     def take(self, frame: GroupFrame, people: F8, detections: F8) -> None:
         """Take in a frame, the places (2, n) of its people with identities, those of its detections (2, N)."""
         groups = tuple(_plan_group(frame, g) for g in range(len(frame)))
-        meetings = tuple((w.first, w.second, w.seconds) for w in frame.warnings)
-        self._scenes.append(PlanScene(frame.number, frame.time, detections, people, frame.member, groups, meetings))
+        encounters = tuple((w.first, w.second, w.seconds) for w in frame.warnings)
+        self._scenes.append(PlanScene(frame.number, frame.time, detections, people, frame.member, groups, encounters))
         self._deviation.append(frame.deviation)
         self._detected.append(detections.shape[1])
         self._events.extend(frame.events)
@@ -79,7 +80,7 @@ class Story:
         with VideoWriter(directory.file(rundir.PLAN), width + plan.width, plan.height, fps) as video:
             yield _Film(video, plan, width, self._around.camera, {scene.number: scene for scene in self._scenes})
 
-    def section(self) -> Html:
+    def section(self) -> Markup:
         """The sections of the report."""
         return group_sections(replace(self._series(), stills=self._stills()))
 
@@ -115,7 +116,7 @@ class Story:
         scenes = self._scenes
         return GroupSeries(
             times=np.array([scene.time for scene in scenes]),
-            people=np.array([scene.heads for scene in scenes]),
+            people=np.array([scene.people_in_groups for scene in scenes]),
             deviation=np.array(self._deviation),
             groups=np.array([_named(scene) for scene in scenes], np.int64),
             detections=np.array(self._detected if self._raw else [], np.int64),

@@ -19,6 +19,7 @@ from itertools import repeat
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from markupsafe import Markup
 
 from phdtrack.cli import belief
 from phdtrack.cli import run_directory as rundir
@@ -36,7 +37,6 @@ from phdtrack.filters import NoFilter
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter, write_tracks
 from phdtrack.protocols import AnyStages
 from phdtrack.report import About, Annotator, Recorder, RunRecord, run_document, sentences, write_report, write_run
-from phdtrack.report.markup import NOTHING, Html
 from phdtrack.types import F8, Detections, Frame, Image, Step, Tracks, Truth
 from phdtrack.video import VideoSource, VideoWriter
 
@@ -72,7 +72,7 @@ class Companion(Protocol):
     def drawing(self, directory: RunDirectory, *, pictures: bool) -> AbstractContextManager[Draw]:
         """Its video: what to call with the number of each frame and the annotated picture, an empty one without."""
 
-    def section(self) -> Html:
+    def section(self) -> Markup:
         """What it tells in the report."""
 
     def sentences(self) -> tuple[str, ...]:
@@ -337,7 +337,7 @@ def _plain(value: float | None) -> float:
 
 def _written(job: Job, directory: RunDirectory, record: RunRecord, *, complete: bool) -> dict[str, object]:
     """Report and run.json; the latter's content."""
-    more = NOTHING if job.companion is None else job.companion.section()
+    more = Markup() if job.companion is None else job.companion.section()
     write_report(directory.file(rundir.REPORT), record, job.configuration | {"input": job.read}, more)
     document = run_document(record, job.configuration)
     own = {"complete": complete, "input": job.read, "directory": str(directory.path)}

@@ -74,7 +74,7 @@ def learn(
         watched_tracks,
     )
     from phdtrack.config import build, load
-    from phdtrack.report.scene_report import Lessons, scene_page
+    from phdtrack.report.pages import SceneTraining, scene_page
     from phdtrack.scene import Scene, write_scene
 
     result = Output(json)
@@ -121,7 +121,7 @@ def learn(
     use = f"phdtrack track {source or f'--detections {detections}'} --scene {target}"
     named = (("Births", born.lesson), ("False alarms", alarms.lesson))
     lead = " ".join(_told(what, lesson) for what, lesson in named if lesson is not None)
-    lessons = Lessons(scene, _picture(stills(source, fps, [1])), born.gain, alarms.gain, born.source, alarms.source)
+    lessons = SceneTraining(scene, _picture(stills(source, fps, [1])), born.gain, alarms.gain, born.source, alarms.source)
     page.write_text(scene_page(lessons, lead, use), encoding="utf-8")
     result.say(f"{target}, with its maps in {page}; use it: {use}")
     followed = scene.followed.share if scene.followed is not None else None

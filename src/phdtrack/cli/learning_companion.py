@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 
+from markupsafe import Markup
+
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.job import Draw
 from phdtrack.cli.output import counted
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.steps import Steps
 from phdtrack.models.followed_scene import FollowScene
-from phdtrack.report.learning_report import learning_section
-from phdtrack.report.markup import Html
+from phdtrack.report.pages import learning_section
 from phdtrack.scene import write_scene
 from phdtrack.scene.modes import Mode
 from phdtrack.scene.online import Relearned
@@ -62,7 +63,7 @@ class LearningCompanion:
         """There is no video of it."""
         return nullcontext(lambda number, picture: None)
 
-    def section(self) -> Html:
+    def section(self) -> Markup:
         """Rates over time, and what changed."""
         rule = self._learning.rule
         return learning_section(self._told, rule.memory / 60, rule.rate)

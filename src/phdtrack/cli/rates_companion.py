@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict
 
+from markupsafe import Markup
+
 from phdtrack.cli.job import Draw
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.steps import Steps
 from phdtrack.models.followed_rates import FollowRates
-from phdtrack.report.markup import Html
-from phdtrack.report.rates_report import rates_section
+from phdtrack.report.pages import rates_section
 from phdtrack.scene.rates import Rates
 from phdtrack.types import Step, Tracks
 
@@ -47,7 +48,7 @@ class RatesCompanion:
         """There is no video of it."""
         return nullcontext(lambda number, picture: None)
 
-    def section(self) -> Html:
+    def section(self) -> Markup:
         """Their course."""
         return rates_section(self._told, self._rule)
 

@@ -52,10 +52,12 @@ def check_iou(iou: float) -> None:
 
 def score_table(out: Output, runs: Sequence[tuple[str, Scores]]) -> None:
     """The scores of each run (its title, its scores) in a column of its own, and what each of them says."""
-    from phdtrack.report.senses import sense
+    from phdtrack.report.rendering import score_direction
 
     columns = [scores.as_dict() for _, scores in runs]
-    rows = [[key, *(number(column[key]) for column in columns), meaning + sense(key)] for key, meaning in EXPLAINED]
+    rows = [
+        [key, *(number(column[key]) for column in columns), meaning + score_direction(key)] for key, meaning in EXPLAINED
+    ]
     out.table(["", *(title for title, _ in runs), ""], rows, words=(0, len(runs) + 1))
 
 
@@ -70,10 +72,12 @@ def trajectory_scores(truth: Truth, tracks: Tracks, frames: int) -> dict[str, fl
 
 def trajectory_table(out: Output, found: dict[str, float]) -> None:
     """The same as a table."""
-    from phdtrack.report.senses import sense
+    from phdtrack.report.rendering import score_direction
 
     out.table(
-        ["", "", ""], [[key, number(found[key]), meaning + sense(key)] for key, meaning in BY_TRAJECTORY], words=(0, 2)
+        ["", "", ""],
+        [[key, number(found[key]), meaning + score_direction(key)] for key, meaning in BY_TRAJECTORY],
+        words=(0, 2),
     )
 
 

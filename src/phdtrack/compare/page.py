@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,53 +13,63 @@ from phdtrack.compare.statistics import Interval
 from phdtrack.compare.summary import Row, Summary
 from phdtrack.compare.tables import head, label, lines_of, sparse, written
 from phdtrack.compare.worst import WorstFrame
-from phdtrack.report.compare_charts import Series, bars, lines
-from phdtrack.report.compare_report import ComparePage, Shown, Table, encoded
+from phdtrack.report.charts import MethodScores, Picture, jpeg, score_bars, score_lines
 from phdtrack.report.record import About
-from phdtrack.report.senses import sense
-from phdtrack.report.summary import counted
-
-LEGEND = (
-    "The same frame for each method, at the first seed. Green: a track on an annotated object, with its identity. Magenta: "
-    "the object had another identity before. Red, dashed: an annotated object that was missed. Orange, crossed: a track box "
-    "on nobody. Thin white: what all of them were given, added clutter among it."
-)
+from phdtrack.report.rendering import counted, page, score_direction
+from phdtrack.report.run_json import flattened
 
 
-def content(
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of scores."""
+
+    head: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A picture with its caption, which is its alternative text too."""
+
+    picture: Picture
+    caption: str
+
+
+def comparison_page(
     comparison: Comparison, found: Summary, names: Sequence[str], frames: Sequence[WorstFrame], about: About
-) -> ComparePage:
-    """What the page shows; ``names`` are the scores."""
+) -> str:
+    """The report as text.
+
+    Parameters
+    ----------
+    comparison, found : what was run, and its summary.
+    names : the scores to show.
+    frames : the worst ones.
+    about : title, command, warnings, notes.
+
+    Returns
+    -------
+    The whole page.
+    """
     plan = comparison.plan
     pooled = [row for row in found.rows if row.pooled]
     single = [row for row in found.rows if not row.pooled]
-    first = plan.methods[0].name
-    apart = [row for row in found.rows if row.ahead]
-    tables = [Table("Pooled over the sequences", _POOLING, head(names), sparse(lines_of(pooled, names)))]
-    differences = Table(f"Difference to {first}", _AHEAD, head(names), sparse(lines_of(apart, names, ahead=True)))
-    each = Table("Every sequence", "", head(names), sparse(lines_of(single, names)))
-    return ComparePage(
-        about=about,
+    ahead = [row for row in found.rows if row.ahead]
+    return page(
+        "comparison.html",
+        title=about.title,
         source=described(plan),
         lead=" ".join(sentences(plan, found)),
-        pooled=tables,
+        about=about,
+        first=plan.methods[0].name,
+        pooled=Table(head(names), sparse(lines_of(pooled, names))),
         charts=_charts(plan, found, single, names),
-        single=[each, differences],
-        frames=[Shown(encoded(frame.image), frame.caption) for frame in frames],
-        legend=LEGEND,
-        config=_config(plan),
+        each=Table(head(names), sparse(lines_of(single, names))),
+        differences=Table(head(names), sparse(lines_of(ahead, names, ahead=True))),
+        frames=[Shown(jpeg(frame.image), frame.caption) for frame in frames],
+        settings=flattened(_config(plan)),
         seeds=len(plan.seeds),
     )
-
-
-_POOLING = (
-    "The sums behind the scores are added up over the sequences, seed by seed: long sequences weigh more. ± is half of a "
-    "95 % confidence interval over the seeds (Student's t)."
-)
-_AHEAD = (
-    "Differences of the scores at the same sequence, detections, clutter and seed, with 95 % confidence intervals over the "
-    "seeds: an interval without 0 is more than chance between seeds. It says nothing of other sequences."
-)
 
 
 def described(plan: Plan) -> str:
@@ -136,23 +147,25 @@ def _over_clutter(plan: Plan, found: Summary, methods: Sequence[str], name: str)
     rows = {(row.method, row.rate): row for row in found.widest}
     series = [_series(method, [rows[method, rate].values.get(name) for rate in rates]) for method in methods]
     over = "pooled over everything" if any(row.pooled for row in found.widest) else "of the sequence"
-    picture = lines(rates, "added clutter, boxes per frame", label(name), series)
-    return Shown(picture, f"{label(name)} {over}, mean over the seeds with 95 % confidence intervals{sense(name)}.")
+    picture = score_lines(rates, "added clutter, boxes per frame", label(name), series)
+    return Shown(
+        picture, f"{label(name)} {over}, mean over the seeds with 95 % confidence intervals{score_direction(name)}."
+    )
 
 
 def _by_case(rows: Sequence[Row], methods: Sequence[str], name: str) -> Shown:
     places = list(dict.fromkeys((row.sequence, row.detections) for row in rows))
     by = {(row.sequence, row.detections, row.method): row for row in rows}
     series = [_series(method, [by[*place, method].values.get(name) for place in places]) for method in methods]
-    picture = bars([" ".join(place) for place in places], label(name), series)
-    return Shown(picture, f"{label(name)}, mean over the seeds with 95 % confidence intervals{sense(name)}.")
+    picture = score_bars([" ".join(place) for place in places], label(name), series)
+    return Shown(picture, f"{label(name)}, mean over the seeds with 95 % confidence intervals{score_direction(name)}.")
 
 
-def _series(method: str, values: Sequence[Interval | None]) -> Series:
+def _series(method: str, values: Sequence[Interval | None]) -> MethodScores:
     none = Interval(np.nan, np.nan, 0)
     each = [value or none for value in values]
     mean, low, high = (np.array([getattr(one, part) for one in each], np.float64) for part in ("mean", "low", "high"))
-    return Series(method, mean, low, high)
+    return MethodScores(method, mean, low, high)
 
 
 def _config(plan: Plan) -> Mapping[str, object]:

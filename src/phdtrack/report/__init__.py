@@ -1,11 +1,9 @@
 """What a run leaves to look at: the annotated video's frames, ``report.html``, ``run.json``."""
 
-from phdtrack.report.density import density_map
-from phdtrack.report.draw import Annotator, annotate
-from phdtrack.report.html import report_html, write_report
-from phdtrack.report.record import About, HeatMap, Recorder, RunRecord, Series
+from phdtrack.report.drawing import Annotator, annotate
+from phdtrack.report.pages import report_html, write_report
+from phdtrack.report.record import About, HeatMap, Recorder, RunRecord, Series, density_map, sentences
 from phdtrack.report.run_json import run_document, write_run
-from phdtrack.report.summary import sentences
 
 __all__ = [
     "About",

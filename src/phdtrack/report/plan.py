@@ -1,8 +1,7 @@
 """The ground from above, frame by frame [E13 Fig. 1]: detections as crosses, people, contours of groups with their counts,
 the camera's field of view and the edges of roads.
 
-Drawn with OpenCV on white, x to the right and y upwards, with a grid in metres. What stays the same in all frames is drawn
-once, when a `Plan` is made.
+Drawn with OpenCV on white, x to the right and y upwards, with a grid in metres.
 """
 
 from __future__ import annotations
@@ -13,23 +12,28 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from phdtrack.report import strokes
-from phdtrack.report.palette import Rgb, identity_colour
-from phdtrack.report.strokes import Pen
+from phdtrack.report.drawing import Pen, Rgb, identity_colour, plate
 from phdtrack.types import F8, I8, Bool, Image
 
-_PAPER, _GRID, _INK = (255, 255, 255), (228, 231, 236), (58, 66, 80)
+_GRID, _INK, _WITHOUT_IDENTITY = (228, 231, 236), (58, 66, 80), (140, 140, 140)
 _FIELD, _EDGE, _WARNING = (216, 228, 246), (150, 120, 80), (208, 60, 60)
-_UNNAMED: Rgb = (140, 140, 140)
-# Lines of the grid across the picture at most; seconds of way that an arrow shows.
-_MOST_LINES, _AHEAD = 12, 1.0
+# Lines of the grid across the picture at most.
+_MOST_LINES = 12
 # Pictures are drawn in sixteenths of a pixel.
-_FINE = 4
+_FRACTION_BITS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanGroup:
-    """A group: identity (0: none yet), head count and its deviation, centre (2,), velocity (2,), contours (2, K) metres."""
+    """A group on the plan.
+
+    Attributes
+    ----------
+    identity : 0 where it has none yet.
+    count, deviation : expected number of people and its standard deviation.
+    centre, velocity : (2,) metres, metres per second.
+    contours : (2, K) each, metres.
+    """
 
     identity: int
     count: float
@@ -38,12 +42,32 @@ class PlanGroup:
     velocity: F8
     contours: tuple[F8, ...]
 
+    @property
+    def colour(self) -> Rgb:
+        """That of its identity."""
+        return identity_colour(self.identity) if self.identity else _WITHOUT_IDENTITY
+
+    @property
+    def label(self) -> str:
+        """Identity and number of people; nothing where it probably does not exist."""
+        if not self.identity and self.count < 0.5:
+            return ""
+        name = f"{self.identity}: " if self.identity else ""
+        return f"{name}{self.count:.1f}" + (f" +-{self.deviation:.1f}" if self.deviation >= 0.05 else "")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanScene:
-    """One frame: detections (2, N) and people (2, n) on the ground, metres, NaN where they have no place there; the
-    people's ``identity`` (n,), 0 for none; groups; who is warned of: pairs of group identities and seconds until they
-    meet."""
+    """What there is on the ground in one frame.
+
+    Attributes
+    ----------
+    number, time : frame from 1, seconds.
+    detections, people : (2, N), (2, n) metres, NaN where they have no place on the ground.
+    identity : (n,) of the people, 0 for none.
+    groups : with their contours.
+    encounters : pairs of groups about to meet, by identity, and seconds until then.
+    """
 
     number: int
     time: float
@@ -51,10 +75,10 @@ class PlanScene:
     people: F8
     identity: I8
     groups: tuple[PlanGroup, ...]
-    meetings: tuple[tuple[int, int, float], ...] = ()
+    encounters: tuple[tuple[int, int, float], ...] = ()
 
     @property
-    def heads(self) -> float:
+    def people_in_groups(self) -> float:
         """Expected number of people in all groups."""
         return sum(group.count for group in self.groups)
 
@@ -93,111 +117,106 @@ class Plan:
 
     def draw(self, scene: PlanScene) -> Image:
         """A picture (height, width, 3) BGR of one frame."""
-        out = self._ground.copy()
-        pen = Pen.for_frame(self.height, self.width)
+        out, pen = self._ground.copy(), Pen.for_frame(self.height, self.width)
         for group in scene.groups:
-            self._contours(out, group, pen)
-        self._crosses(out, scene.detections, pen)
-        self._people(out, scene, pen)
+            self._fill(out, group, pen)
+        arm = max(3, 2 * pen.line + 1)
+        for _, (x, y) in self._shown(scene.detections):
+            cv2.line(out, (x - arm, y - arm), (x + arm, y + arm), _INK[::-1], pen.thin, cv2.LINE_AA)
+            cv2.line(out, (x - arm, y + arm), (x + arm, y - arm), _INK[::-1], pen.thin, cv2.LINE_AA)
+        for k, (x, y) in self._shown(scene.people):
+            cv2.circle(out, (x, y), max(2, pen.line + 1), _INK[::-1], -1, cv2.LINE_AA)
+            if scene.identity[k]:
+                _text(out, str(scene.identity[k]), (x + 4, y - 4), _INK, pen)
         for group in scene.groups:
             self._arrow(out, group, pen)
-        self._meetings(out, scene, pen)
+        self._warn(out, scene, pen)
+        gap = round(min(1.2 * self.scale, 40)) // 2
         for group in scene.groups:
-            self._label(out, group, pen)
-        strokes.plate(out, _header(scene), 0, 0, _INK, pen, opacity=0.85)
+            for _, (x, y) in self._shown(group.centre[:, None]) if group.label else ():
+                plate(out, group.label, (x + gap, y - gap), group.colour, pen)
+        plate(out, _header(scene), (0, 0), _INK, pen, opacity=0.85)
         return out
 
     @cached_property
     def _ground(self) -> Image:
-        """Grid, field of view and edges."""
+        """What is the same in all frames: field of view, grid and edges."""
         out: Image = np.full((self.height, self.width, 3), 255, np.uint8)
         pen = Pen.for_frame(self.height, self.width)
         if self.field.shape[1] > 2:
-            cv2.fillPoly(out, [_fixed(self.pixels(self.field))], _FIELD[::-1], cv2.LINE_AA, _FINE)
-        self._grid(out, pen)
-        for edge in self.edges:
-            self._line(out, edge, _EDGE, pen.line + 1, closed=False)
-        return out
-
-    def _grid(self, out: Image, pen: Pen) -> None:
+            cv2.fillPoly(out, [_fixed(self.pixels(self.field))], _FIELD[::-1], cv2.LINE_AA, _FRACTION_BITS)
         step = _round_step(max(self.width, self.height) / self.scale / _MOST_LINES)
-        corners = np.array([[0.0, self.width], [self.height, 0.0]])
-        middle = np.array([[self.width / 2], [self.height / 2]])
-        ground = (corners - middle) / np.array([[self.scale], [-self.scale]])
-        ground = ground + np.array([[self.extent[0] + self.extent[2]], [self.extent[1] + self.extent[3]]]) / 2
+        left, low, right, high = self.extent
+        half = np.array([self.width, self.height]) / 2 / self.scale
+        middle = np.array([left + right, low + high]) / 2
+        reach = np.stack([middle - half, middle + half], axis=1)
         for axis in (0, 1):
-            low, high = ground[axis]
             # Adding 0 makes 0 of −0.
-            for value in np.arange(np.ceil(low / step), high / step) * step + 0.0:
-                ends = np.array([[value, value], ground[1]]) if axis == 0 else np.array([ground[0], [value, value]])
-                self._line(out, ends, _GRID, pen.thin, closed=False)
+            for value in np.arange(np.ceil(reach[axis, 0] / step), reach[axis, 1] / step) * step + 0.0:
+                ends = reach.copy()
+                ends[axis] = value
+                self._line(out, ends, _GRID, pen.thin)
                 x, y = self.pixels(ends)[:, 0]
                 spot = (int(x) + 3, self.height - 5) if axis == 0 else (3, int(y) - 3)
-                _text(out, f"{value:g}{' m' if value == 0 else ''}", spot, _UNNAMED, 0.8 * pen.font)
+                _text(out, f"{value:g}{' m' if value == 0 else ''}", spot, _WITHOUT_IDENTITY, pen)
+        for edge in self.edges:
+            self._line(out, edge, _EDGE, pen.line + 1)
+        return out
 
-    def _contours(self, out: Image, group: PlanGroup, pen: Pen) -> None:
-        """The area in the group's colour, its outline stronger."""
-        if not group.contours:
-            return
-        colour, rings = _colour(group), [_fixed(self.pixels(ring)) for ring in group.contours]
-        over = out.copy()
-        # Rings that lie in others are holes: filled by the even-odd rule.
-        cv2.fillPoly(over, rings, colour[::-1], cv2.LINE_AA, _FINE)
-        cv2.addWeighted(over, 0.3, out, 0.7, 0, dst=out)
-        cv2.polylines(out, rings, True, colour[::-1], pen.line + 1, cv2.LINE_AA, _FINE)
-
-    def _crosses(self, out: Image, place: F8, pen: Pen) -> None:
-        arm = max(3, 2 * pen.line + 1)
-        for x, y in _shown(self.pixels(place), self.width, self.height):
-            cv2.line(out, (x - arm, y - arm), (x + arm, y + arm), _INK[::-1], pen.thin, cv2.LINE_AA)
-            cv2.line(out, (x - arm, y + arm), (x + arm, y - arm), _INK[::-1], pen.thin, cv2.LINE_AA)
-
-    def _people(self, out: Image, scene: PlanScene, pen: Pen) -> None:
-        place = self.pixels(scene.people)
-        for k in range(place.shape[1]):
-            for spot in _shown(place[:, k : k + 1], self.width, self.height):
-                cv2.circle(out, spot, max(2, pen.line + 1), _INK[::-1], -1, cv2.LINE_AA)
-                if scene.identity[k]:
-                    _text(out, str(scene.identity[k]), (spot[0] + 4, spot[1] - 4), _INK, 0.8 * pen.font)
+    def _fill(self, out: Image, group: PlanGroup, pen: Pen) -> None:
+        """The area in the group's colour, its outline stronger. Rings within others are holes: the even-odd rule."""
+        rings = [_fixed(self.pixels(ring)) for ring in group.contours]
+        if rings:
+            over = out.copy()
+            cv2.fillPoly(over, rings, group.colour[::-1], cv2.LINE_AA, _FRACTION_BITS)
+            cv2.addWeighted(over, 0.3, out, 0.7, 0, dst=out)
+            cv2.polylines(out, rings, True, group.colour[::-1], pen.line + 1, cv2.LINE_AA, _FRACTION_BITS)
 
     def _arrow(self, out: Image, group: PlanGroup, pen: Pen) -> None:
         """The way of the next second."""
-        ends = self.pixels(np.stack([group.centre, group.centre + _AHEAD * group.velocity], axis=1))
+        ends = self.pixels(np.stack([group.centre, group.centre + group.velocity], axis=1))
         if np.isfinite(ends).all() and np.hypot(*(ends[:, 1] - ends[:, 0])) > 3:
-            (x0, y0), (x1, y1) = np.clip(ends.T, -1e4, 1e4).round().astype(int).tolist()
-            cv2.arrowedLine(out, (x0, y0), (x1, y1), _INK[::-1], pen.thin, cv2.LINE_AA, tipLength=0.25)
+            start, end = np.clip(ends.T, -1e4, 1e4).round().astype(int).tolist()
+            cv2.arrowedLine(out, start, end, _INK[::-1], pen.thin, cv2.LINE_AA, tipLength=0.25)
 
-    def _meetings(self, out: Image, scene: PlanScene, pen: Pen) -> None:
+    def _warn(self, out: Image, scene: PlanScene, pen: Pen) -> None:
+        """A line between groups that are about to meet, with the time until then."""
         centre = {group.identity: group.centre for group in scene.groups}
-        for first, second, seconds in scene.meetings:
+        for first, second, seconds in scene.encounters:
             if first in centre and second in centre:
                 ends = np.stack([centre[first], centre[second]], axis=1)
-                self._line(out, ends, _WARNING, pen.line, closed=False)
+                self._line(out, ends, _WARNING, pen.line)
                 x, y = np.clip(self.pixels(ends).mean(axis=1), 0, 1e4)
-                strokes.plate(out, f"meet in {seconds:.1f} s", int(x), int(y), _WARNING, pen, opacity=0.9)
+                plate(out, f"meet in {seconds:.1f} s", (int(x), int(y)), _WARNING, pen, opacity=0.9)
 
-    def _label(self, out: Image, group: PlanGroup, pen: Pen) -> None:
-        """Identity and head count beside the group; nothing beside one that is likelier not there."""
-        if not group.identity and group.count < 0.5:
-            return
-        name = f"{group.identity}: " if group.identity else ""
-        band = f" +-{group.deviation:.1f}" if group.deviation >= 0.05 else ""
-        for x, y in _shown(self.pixels(group.centre[:, None]), self.width, self.height):
-            gap = round(min(1.2 * self.scale, 40))
-            strokes.plate(out, f"{name}{group.count:.1f}{band}", x + gap // 2, y - gap // 2, _colour(group), pen)
-
-    def _line(self, out: Image, points: F8, colour: Rgb, width: int, *, closed: bool) -> None:
-        """A line through points (2, K); those without a place part it."""
+    def _line(self, out: Image, points: F8, colour: Rgb, width: int) -> None:
+        """A line through points (2, K); it is broken at those without a place."""
         known: Bool = np.isfinite(points[0]) & np.isfinite(points[1])
         for part in np.split(np.arange(points.shape[1]), np.flatnonzero(~known)):
             part = part[known[part]]
             if len(part) > 1:
-                cv2.polylines(out, [_fixed(self.pixels(points[:, part]))], closed, colour[::-1], width, cv2.LINE_AA, _FINE)
+                line = _fixed(self.pixels(points[:, part]))
+                cv2.polylines(out, [line], False, colour[::-1], width, cv2.LINE_AA, _FRACTION_BITS)
+
+    def _shown(self, place: F8) -> list[tuple[int, tuple[int, int]]]:
+        """The index and the whole pixel of those places (2, N) that are in the picture."""
+        spots = enumerate(np.nan_to_num(self.pixels(place), nan=-1.0).T.tolist())
+        return [(k, (int(x), int(y))) for k, (x, y) in spots if 0 <= x < self.width and 0 <= y < self.height]
 
 
 def extent_of(places: F8, least: float = 8.0, margin: float = 1.5) -> tuple[float, float, float, float]:
-    """Left, low, right, high in metres around the places (2, N): all but the outermost hundredth on each side (false alarms
-    may lie anywhere), at least ``least`` wide and high."""
+    """The part of the ground to show: all places but the outermost hundredth on each side, which may be false alarms.
+
+    Parameters
+    ----------
+    places : (2, N) metres, NaN where not known.
+    least : width and height at least, metres.
+    margin : around the places, metres.
+
+    Returns
+    -------
+    Left, low, right, high in metres.
+    """
     known = places[:, np.isfinite(places).all(axis=0)]
     if known.shape[1] == 0:
         return -least / 2, -least / 2, least / 2, least / 2
@@ -216,24 +235,18 @@ def plan_size(extent: tuple[float, float, float, float], height: int) -> tuple[i
 
 def draw_contours(image: Image, groups: tuple[PlanGroup, ...]) -> Image:
     """A copy of an annotated frame with the groups' contours, given in its pixels."""
-    out = image.copy()
-    pen = Pen.for_frame(*image.shape[:2])
+    out, pen = image.copy(), Pen.for_frame(*image.shape[:2])
     for group in groups:
         rings = [_fixed(np.clip(ring, -1e4, 1e4)) for ring in group.contours]
-        if rings:
-            cv2.polylines(out, rings, True, _colour(group)[::-1], pen.line, cv2.LINE_AA, _FINE)
+        cv2.polylines(out, rings, True, group.colour[::-1], pen.line, cv2.LINE_AA, _FRACTION_BITS)
     return out
-
-
-def _colour(group: PlanGroup) -> Rgb:
-    return identity_colour(group.identity) if group.identity else _UNNAMED
 
 
 def _header(scene: PlanScene) -> str:
     named = sum(group.identity > 0 for group in scene.groups)
     detected = int(np.isfinite(scene.detections).all(axis=0).sum())
     crosses = f"   {detected} detections" if detected else ""
-    return f"frame {scene.number}   {scene.time:.1f} s   {scene.heads:.1f} people in {named} groups{crosses}"
+    return f"frame {scene.number}   {scene.time:.1f} s   {scene.people_in_groups:.1f} people in {named} groups{crosses}"
 
 
 def _round_step(least: float) -> float:
@@ -244,14 +257,8 @@ def _round_step(least: float) -> float:
 
 def _fixed(points: F8) -> np.ndarray[tuple[int, ...], np.dtype[np.int32]]:
     """(K, 1, 2) points (2, K) in sixteenths of a pixel, as OpenCV takes them."""
-    return np.ascontiguousarray((np.clip(points.T, -1e5, 1e5) * 2**_FINE).round().astype(np.int32))[:, None]
+    return np.ascontiguousarray((np.clip(points.T, -1e5, 1e5) * 2**_FRACTION_BITS).round().astype(np.int32))[:, None]
 
 
-def _shown(pixel: F8, width: int, height: int) -> list[tuple[int, int]]:
-    """Those of the pixels (2, N) that are in the picture, in whole numbers."""
-    spots = np.nan_to_num(pixel, nan=-1.0).T.tolist()
-    return [(int(x), int(y)) for x, y in spots if 0 <= x < width and 0 <= y < height]
-
-
-def _text(image: Image, text: str, spot: tuple[int, int], colour: Rgb, font: float) -> None:
-    cv2.putText(image, text, spot, cv2.FONT_HERSHEY_SIMPLEX, font, colour[::-1], 1, cv2.LINE_AA)
+def _text(image: Image, text: str, spot: tuple[int, int], colour: Rgb, pen: Pen) -> None:
+    cv2.putText(image, text, spot, cv2.FONT_HERSHEY_SIMPLEX, 0.8 * pen.font, colour[::-1], 1, cv2.LINE_AA)

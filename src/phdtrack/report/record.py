@@ -1,39 +1,51 @@
-"""What the report of a run shows, and the collector that a run loop feeds.
+"""What the report of a run shows, and the recorder that collects it while the run goes on.
 
-A `Recorder` looks at every step once and keeps numbers per frame plus a handful of pictures: memory does not grow with the
-video beyond some hundred bytes a frame. Which frames become heat maps is decided in one pass without knowing how many will
-come (see `spread`). Pictures are kept at most ``picture_width`` pixels wide.
+A `Recorder` keeps numbers per frame and a handful of pictures, so that memory does not grow with the video beyond some
+hundred bytes a frame. Which frames become heat maps is decided in one pass without knowing how many frames there will be
+(`EvenSample`). Pictures are kept at most ``picture_width`` pixels wide.
 
-Notation: "mass" is the integral of the intensity, the filter's expected number of objects; "clutter mass" the sum of the
-posterior probabilities κ/(κ+C) that a frame's detections are false alarms.
+A heat map is the intensity D over position [M07 Fig. 1]: the particles' weights, which sum to the expected number of
+objects, are added up in small cells of the frame; velocity and size are integrated away.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
+import cv2
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.report.background import still_background
-from phdtrack.report.chain import ChainSummary, chain_summary
-from phdtrack.report.density import default_cell, density_map
-from phdtrack.report.spread import Spread, evenly
+from phdtrack.report.rendering import lines
 from phdtrack.types import F8, I8, ChainInfo, Image, Particles, SequenceInfo, Step, Tracks, Truth
 
+T = TypeVar("T")
 STAGES = ("detect", "filter", "extract", "associate")
 NO_IMAGE: Image = np.zeros((0, 0, 3), np.uint8)
+LOW_EFFECTIVE = 20.0
+"""Effective samples below which positions are doubtful: their error by chance is 1/√20 = 22 % of their posterior spread."""
+_CELLS_ACROSS = 128
+# Mean distance of the frames from their median, in grey levels, up to which the camera counts as fixed: crowds and noise
+# stay below, a turned camera lies far above.
+_FIXED_CAMERA = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What is told of a run in words and single values.
+    """What is said of a run in words and single values.
 
-    ``command`` is the line that was run, ``started`` an ISO time, ``seconds`` the wall time of everything,
-    ``tracking_seconds`` that of detection and tracking, which overlap (0: not measured), without ``left_out`` frames in
-    which kernels were compiled or loaded, ``versions`` and ``scores`` pairs of name and value, ``notes`` sentences to show
-    (after how many detections an object is believed, …).
+    Attributes
+    ----------
+    title, command, started : the heading, the line that was run, an ISO time.
+    seed : of everything random.
+    seconds : wall time of everything.
+    versions, scores : pairs of name and value.
+    warnings, notes : sentences to show.
+    tracking_seconds : wall time of detection and tracking, which overlap; 0 where not measured.
+    left_out : frames in which kernels were compiled or loaded; ``tracking_seconds`` is without them.
     """
 
     title: str = ""
@@ -55,9 +67,11 @@ class Series:
 
     Attributes
     ----------
-    numbers : (F,) frame numbers from 1, ascending.     times : (F,) seconds.
-    n_detections : (F,) detections.                     n_estimates : (F,) states extracted.
-    mass : (F,) expected number of objects.             clutter_mass : (F,) expected number of false alarms.
+    numbers : (F,) frame numbers from 1, ascending.
+    times : (F,) seconds.
+    n_detections, n_estimates : (F,) detections, states extracted.
+    mass : (F,) expected number of objects, the integral of the intensity.
+    clutter_mass : (F,) expected number of false alarms, the sum of κ/(κ + C) over the detections.
     seconds : (F, S) time that each stage took, in the order of ``stages``.
     stages : the S names.
     truth_count : (F,) annotated objects, or (0,) where there is no truth.
@@ -88,14 +102,34 @@ class Series:
     def __len__(self) -> int:
         return len(self.numbers)
 
+    @property
+    def known_mass(self) -> F8:
+        """The expected numbers of objects in the frames in which the filter gives one."""
+        return self.mass[np.isfinite(self.mass)]
+
+
+@dataclass(frozen=True, slots=True)
+class StageTime:
+    """Milliseconds per frame of one stage: mean, median and 95th percentile; ``share`` of the whole (0–1)."""
+
+    name: str
+    mean: float
+    median: float
+    high: float
+    share: float
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeatMap:
     """The intensity over one frame.
 
-    ``image`` is the frame, scaled down, BGR, (0, 0, 3) where there is none; ``density`` (gh, gw) the expected number of
-    objects in each cell of ``cell`` × ``cell`` pixels of the original; ``detections`` and ``estimates`` the boxes (·, 4) of
-    that frame, xyxy in original pixels.
+    Attributes
+    ----------
+    number : of the frame, from 1.
+    image : (h, w, 3) the frame, scaled down, BGR; (0, 0, 3) where there is none.
+    density : (gh, gw) expected number of objects in each cell.
+    cell : side of a cell, pixels of the original.
+    detections, estimates : (·, 4) boxes of that frame, xyxy in pixels of the original.
     """
 
     number: int
@@ -111,10 +145,67 @@ class HeatMap:
         return float(self.density.sum())
 
 
+@dataclass(frozen=True, slots=True)
+class ChainSummary:
+    """How well the Markov chain of an MCMC filter moved over the frames of a run.
+
+    Attributes
+    ----------
+    acceptance : by the name of a move, how many of those proposed were accepted (0–1), mean over frames with any.
+    effective : mean number of effective samples over the frames with targets; NaN without such frames.
+    low : share of these frames (0–1) in which it was below `LOW_EFFECTIVE`.
+    """
+
+    acceptance: Mapping[str, float]
+    effective: float
+    low: float
+
+    @property
+    def sentence(self) -> str:
+        """The same in words."""
+        return " ".join(lines("chain.txt", chain=self, known=math.isfinite(self.effective)))
+
+    @property
+    def warning(self) -> str:
+        """What to do where the chain moved too little; empty where it moved well enough."""
+        if not self.low > 0.5:
+            return ""
+        return (
+            f"the chain moved little: in {100 * self.low:.0f} % of the frames its samples are worth fewer than "
+            f"{LOW_EFFECTIVE:.0f} independent ones; more filter.samples, or a greater filter.thin, make positions surer"
+        )
+
+
+def chain_summary(frames: Sequence[ChainInfo]) -> ChainSummary | None:
+    """The chains of all frames in one summary; None without any."""
+    if not frames:
+        return None
+    shares: dict[str, list[float]] = {}
+    for frame in frames:
+        for name, proposed, accepted in zip(frame.moves, frame.proposed.tolist(), frame.accepted.tolist(), strict=True):
+            if proposed:
+                shares.setdefault(name, []).append(accepted / proposed)
+    effective = np.array([frame.effective for frame in frames])
+    known = effective[np.isfinite(effective)]
+    return ChainSummary(
+        {name: float(np.mean(each)) for name, each in shares.items()},
+        float(known.mean()) if len(known) else math.nan,
+        float((known < LOW_EFFECTIVE).mean()) if len(known) else 0.0,
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
-    """Everything that a report shows. ``background`` is a scaled-down BGR picture of the scene, (0, 0, 3) without video;
-    ``chain`` how an MCMC filter's chain moved, None of other filters."""
+    """Everything that a report shows.
+
+    Attributes
+    ----------
+    info, series, about : the sequence, numbers per frame, words and single values.
+    tracks : the corrected tracks of the whole run.
+    heat_maps : the frames that are shown with the intensity over them.
+    background : (h, w, 3) BGR picture of the scene, scaled down; (0, 0, 3) without video.
+    chain : of an MCMC filter, None of others.
+    """
 
     info: SequenceInfo
     series: Series
@@ -139,6 +230,17 @@ class RunRecord:
         """Expected number of false alarms among all detections; frames in which it is unknown (NaN) count as none."""
         return float(np.nansum(self.series.clutter_mass))
 
+    @property
+    def lifetimes(self) -> I8:
+        """(n,) number of boxes of each identity."""
+        return np.unique(self.tracks.identity, return_counts=True)[1]
+
+    @property
+    def seconds_of_video(self) -> float:
+        """From the first to the last frame."""
+        times = self.series.times
+        return float(times[-1] - times[0]) if len(times) > 1 else 0.0
+
     def by_identity(self) -> tuple[Tracks, ...]:
         """The rows of each identity, ascending, each in the order of frames."""
         order = np.lexsort((self.tracks.frame, self.tracks.identity))
@@ -149,26 +251,34 @@ class RunRecord:
     def frames_per_second(self) -> float:
         """Frames over the wall time of detection and tracking; NaN where no time was measured.
 
-        Without the frames in which kernels were compiled or loaded, see `About`.
-        Where only the stages were measured and not the whole, over the sum of these, as if they did not overlap.
+        Frames in which kernels were compiled or loaded do not count (see `About`). Where only the stages were measured and
+        not the whole, it is the frames over the sum of the stages, as if they did not overlap.
         """
         about = self.about
         total = about.tracking_seconds if about.left_out else about.tracking_seconds or float(self.series.seconds.sum())
-        return (len(self.series) - about.left_out) / total if total > 0 else float("nan")
+        return (len(self.series) - about.left_out) / total if total > 0 else math.nan
+
+    @property
+    def stage_times(self) -> tuple[StageTime, ...]:
+        """One row for each stage, and one for their sum; empty without frames."""
+        table = 1000 * self.series.seconds
+        if not len(table):
+            return ()
+        names, table = (*self.series.stages, "together"), np.column_stack([table, table.sum(axis=1)])
+        share = table.sum(axis=0) / max(float(table[:, -1].sum()), 1e-12)
+        columns = (table.mean(axis=0), np.median(table, axis=0), np.quantile(table, 0.95, axis=0), share)
+        return tuple(StageTime(name, *each) for name, each in zip(names, np.array(columns).T.tolist(), strict=True))
+
+
+def sentences(record: RunRecord) -> tuple[str, ...]:
+    """What happened in a run, in a few sentences for the report, the terminal and ``run.json``."""
+    return lines("summary.txt", record=record, known_speed=math.isfinite(record.frames_per_second))
 
 
 def count_rows(frame: I8, numbers: I8) -> I8:
     """(F,) how many entries of ``frame`` (M,) equal each of ``numbers`` (F,)."""
     ordered = np.sort(frame)
     return np.searchsorted(ordered, numbers, side="right") - np.searchsorted(ordered, numbers, side="left")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Snapshot:
-    """A frame kept for pictures; ``heat_map`` is None where the filter keeps no particles."""
-
-    image: Image
-    heat_map: HeatMap | None
 
 
 class Recorder:
@@ -178,31 +288,39 @@ class Recorder:
     ----------
     info : the sequence. Pictures need its width and height; numbers do not.
     heat_maps : how many frames to show with the intensity over them.
-    picture_width : width in pixels to which kept frames are scaled down.
-    cell : side of a heat map's cell in pixels; 0 chooses by the frame size.
+    picture_width : width to which kept frames are scaled down, pixels.
     """
 
-    def __init__(self, info: SequenceInfo, *, heat_maps: int = 4, picture_width: int = 800, cell: float = 0.0) -> None:
-        self._info = info
-        self._wanted, self._picture_width = heat_maps, picture_width
-        self._cell = cell if cell > 0 else default_cell(info)
+    def __init__(self, info: SequenceInfo, *, heat_maps: int = 4, picture_width: int = 800) -> None:
+        self._info, self._wanted, self._picture_width = info, heat_maps, picture_width
         self._rows: list[tuple[float, ...]] = []
-        self._ranges: list[tuple[float, float]] = []
         self._chains: list[ChainInfo] = []
-        self._snapshots: Spread[_Snapshot] = Spread(3 * heat_maps)
+        self._kept: EvenSample[tuple[Image, HeatMap | None]] = EvenSample(3 * heat_maps)
 
     def add(self, image: Image | None, step: Step, particles: Particles | None, detect_seconds: float) -> None:
-        """Take in one frame: its picture (BGR, None without video), what came of it, the filter's particles (None where the
-        filter has none) and the time in seconds that detection took."""
+        """Take in one frame.
+
+        Parameters
+        ----------
+        image : (H, W, 3) BGR, None without video.
+        step : what the tracker made of the frame.
+        particles : the filter's, None where it has none.
+        detect_seconds : time that detection took, seconds.
+        """
         info = step.info
         row = (step.number, step.time, len(step.detections), len(step.estimates), info.mass, info.clutter_probability.sum())
-        self._rows.append((*row, detect_seconds, *step.seconds))
-        self._ranges.append(_likely(info.cardinality))
+        self._rows.append((*row, *_likely_range(info.cardinality), detect_seconds, *step.seconds))
         if info.chain is not None:
             self._chains.append(info.chain)
         index = len(self._rows)
-        if self._snapshots.wants(index) and self._info.width > 0 and self._info.height > 0:
-            self._snapshots.put(index, self._snapshot(image, step, particles))
+        if not (self._kept.wants(index) and self._info.width > 0 and self._info.height > 0):
+            return
+        small, heat = NO_IMAGE if image is None else _shrunk(image, self._picture_width), None
+        if particles is not None:
+            cell = default_cell(self._info)
+            density = density_map(particles, self._info, cell)
+            heat = HeatMap(step.number, small, density, cell, step.detections.xyxy, step.estimates.xyxy)
+        self._kept.put(index, (small, heat))
 
     @property
     def chain(self) -> ChainSummary | None:
@@ -210,17 +328,26 @@ class Recorder:
         return chain_summary(self._chains)
 
     def record(self, tracks: Tracks, about: About, truth: Truth | None = None) -> RunRecord:
-        """Everything so far, with the corrected ``tracks`` of the whole run. Does not end the collecting."""
-        snapshots = self._snapshots.items
-        maps = tuple(s.heat_map for s in snapshots if s.heat_map is not None)
-        images = [s.image for s in snapshots if s.image.size]
+        """Everything so far; collecting may go on.
+
+        Parameters
+        ----------
+        tracks : the corrected tracks of the whole run.
+        about : words and single values.
+        truth : annotated objects, None where there are none.
+
+        Returns
+        -------
+        The record.
+        """
+        maps = tuple(heat for _, heat in self._kept.items if heat is not None)
+        images = [image for image, _ in self._kept.items if image.size]
         background = still_background(images) if images else NO_IMAGE
         return RunRecord(self._info, self._series(truth), tracks, about, evenly(maps, self._wanted), background, self.chain)
 
     def _series(self, truth: Truth | None) -> Series:
-        table = np.array(self._rows, dtype=np.float64).reshape(-1, 6 + len(STAGES))
-        numbers = table[:, 0].astype(np.int64)
-        expected = np.zeros(0, np.int64) if truth is None else count_rows(truth.frame[~truth.distractor], numbers)
+        table = np.array(self._rows, dtype=np.float64).reshape(-1, 8 + len(STAGES))
+        numbers, ranges = table[:, 0].astype(np.int64), table[:, 6:8]
         return Series(
             numbers=numbers,
             times=table[:, 1],
@@ -228,27 +355,109 @@ class Recorder:
             n_estimates=table[:, 3].astype(np.int64),
             mass=table[:, 4],
             clutter_mass=table[:, 5],
-            seconds=table[:, 6:],
-            truth_count=expected,
-            count_range=self._count_range(),
+            seconds=table[:, 8:],
+            truth_count=np.zeros(0, np.int64) if truth is None else count_rows(truth.frame[~truth.distractor], numbers),
+            count_range=ranges if np.isfinite(ranges).any() else ranges[:0],
         )
 
-    def _count_range(self) -> F8:
-        """(F, 2), or (0, 2) where the filter never had a distribution of the number."""
-        ranges = np.array(self._ranges).reshape(-1, 2)
-        return ranges if np.isfinite(ranges).any() else ranges[:0]
 
-    def _snapshot(self, image: Image | None, step: Step, particles: Particles | None) -> _Snapshot:
-        small = NO_IMAGE if image is None else _shrunk(image, self._picture_width)
-        if particles is None:
-            return _Snapshot(small, None)
-        density = density_map(particles, self._info, self._cell)
-        heat = HeatMap(step.number, small, density, self._cell, step.detections.xyxy, step.estimates.xyxy)
-        return _Snapshot(small, heat)
+class EvenSample(Generic[T]):
+    """Keeps at most ``capacity`` items of a stream of unknown length, spread evenly over all of them.
+
+    Items whose index is a multiple of the stride are kept. When more than the capacity are held, every other one is
+    dropped and the stride doubles: the same stream keeps the same items, and once it has reached the capacity at least
+    half of it is held.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = max(1, capacity)
+        self._stride = 1
+        self._kept: list[tuple[int, T]] = []
+
+    def wants(self, index: int) -> bool:
+        """Whether item ``index`` (from 1, ascending) would be kept: ask before making an expensive item."""
+        return index % self._stride == 0
+
+    def put(self, index: int, item: T) -> None:
+        """Offer item ``index`` (from 1, ascending)."""
+        if not self.wants(index):
+            return
+        self._kept.append((index, item))
+        while len(self._kept) > self._capacity:
+            self._stride *= 2
+            self._kept = [pair for pair in self._kept if self.wants(pair[0])]
+
+    @property
+    def items(self) -> tuple[T, ...]:
+        """Everything held, in the order of the stream."""
+        return tuple(item for _, item in self._kept)
 
 
-def _likely(cardinality: F8) -> tuple[float, float]:
-    """The 5 % and 95 % quantiles of a distribution over 0, 1, 2, …; NaN where there is none."""
+def evenly(items: tuple[T, ...], count: int) -> tuple[T, ...]:
+    """At most ``count`` of the items, evenly spaced, the last one among them."""
+    if len(items) <= count:
+        return items
+    index = np.linspace(len(items), 0, count, endpoint=False)[::-1].round().astype(int) - 1
+    return tuple(items[i] for i in index)
+
+
+def default_cell(info: SequenceInfo) -> float:
+    """Side of a heat map's cell in pixels, about 128 cells across the longer side of the frame; at least one pixel."""
+    return max(1.0, round(max(info.width, info.height) / _CELLS_ACROSS))
+
+
+def density_map(particles: Particles, info: SequenceInfo, cell: float, *, smooth: int = 2) -> F8:
+    """The expected number of objects in each cell of the frame [M07 Fig. 1].
+
+    Its sum is the mass of the particles whose position lies inside the frame: at the borders the edge row stands in for its
+    missing neighbour, so that smoothing loses nothing.
+
+    Parameters
+    ----------
+    particles : (d, N) states with x and y, pixels, in rows 0 and 1, and their weights.
+    info : the size of the frame.
+    cell : side of a cell, pixels.
+    smooth : passes with the kernel (1, 2, 1)/4 along both axes, against the grain of few particles.
+
+    Returns
+    -------
+    (gh, gw) numbers; row 0 is the top of the frame, the last row and column may reach beyond its edge.
+
+    Raises
+    ------
+    InputError : the cell or the frame has no size.
+    """
+    if not (cell > 0 and info.width > 0 and info.height > 0):
+        raise InputError(
+            f"expected a cell and a frame of positive size, got a cell of {cell} and a frame of {info.width}×{info.height}",
+            cure="Give the frame size of the sequence.",
+        )
+    shape = (int(np.ceil(info.height / cell)), int(np.ceil(info.width / cell)))
+    x, y = particles.state[0], particles.state[1]
+    inside = (x >= 0) & (y >= 0) & (x < info.width) & (y < info.height)
+    place = (y[inside] / cell).astype(np.int64) * shape[1] + (x[inside] / cell).astype(np.int64)
+    grid: F8 = np.bincount(place, particles.weight[inside], shape[0] * shape[1]).astype(np.float64).reshape(shape)
+    for _ in range(2 * smooth):
+        padded = np.pad(grid, ((1, 1), (0, 0)), "edge")
+        grid = ((padded[:-2] + 2 * grid + padded[2:]) / 4).T
+    return np.ascontiguousarray(grid)
+
+
+def still_background(images: Sequence[Image]) -> Image:
+    """(H, W, 3) the scene without what moves, from at least one frame (BGR); frames of another size than the first are
+    left out.
+
+    With a fixed camera it is the median. With a moving camera a median would mix several views: then it is the middle frame.
+    """
+    same = [image for image in images if image.shape == images[0].shape]
+    stack = np.stack(same)
+    median = np.median(stack, axis=0).astype(np.uint8)
+    fixed = np.abs(stack.astype(np.int16) - median).mean() <= _FIXED_CAMERA
+    return median if fixed else same[len(same) // 2].copy()
+
+
+def _likely_range(cardinality: F8) -> tuple[float, float]:
+    """The 5 % and 95 % quantiles of a distribution over 0, 1, 2, …; NaN without one."""
     if not len(cardinality):
         return math.nan, math.nan
     low, high = np.searchsorted(np.cumsum(cardinality), (0.05, 0.95))
@@ -257,11 +466,8 @@ def _likely(cardinality: F8) -> tuple[float, float]:
 
 def _shrunk(image: Image, width: int) -> Image:
     """A copy at most ``width`` pixels wide, never enlarged."""
-    import cv2
-
     high, wide = image.shape[:2]
     if wide <= width:
         return image.copy()
-    size = (width, max(1, round(high * width / wide)))
-    small: Image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    small: Image = cv2.resize(image, (width, max(1, round(high * width / wide))), interpolation=cv2.INTER_AREA)
     return small

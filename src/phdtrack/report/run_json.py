@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.report.record import RunRecord
-from phdtrack.report.summary import sentences, stage_times
+from phdtrack.report.record import RunRecord, sentences
 
 
 def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, object]:
@@ -40,7 +39,7 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
         "frames": len(series),
         "frames_per_second": record.frames_per_second,
         "stages": {
-            s.name: {"mean": s.mean, "median": s.median, "p95": s.high, "share": s.share} for s in stage_times(record)
+            s.name: {"mean": s.mean, "median": s.median, "p95": s.high, "share": s.share} for s in record.stage_times[:-1]
         },
         "tracks": record.n_objects,
         "track_rows": len(record.tracks),

@@ -1,4 +1,5 @@
-"""Pictures of a report that lie over the scene: trajectories and heat maps of the intensity. Each gives a `Picture` (JPEG).
+"""Pictures of a report that lie over the scene: trajectories, the intensity, what was learned. Each gives a `Picture`
+(JPEG).
 
 The photograph is turned grey and darkened, so that colour belongs to the data alone. Axes are pixels of the original video.
 Without video the same pictures are drawn on a dark ground.
@@ -6,13 +7,16 @@ Without video the same pictures are drawn on a dark ground.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phdtrack.report.canvas import INK, Picture, new_figure, to_jpeg
-from phdtrack.report.palette import hexadecimal, identity_colour
+from phdtrack.report.charts import INK, Picture, chart_axes, new_figure, to_jpeg
+from phdtrack.report.drawing import identity_colour
 from phdtrack.report.record import HeatMap, RunRecord
+from phdtrack.scene import Learned, Scene
+from phdtrack.scene.maps import place_map
 from phdtrack.types import F8, Image, SequenceInfo, Tracks
 
 if TYPE_CHECKING:
@@ -20,9 +24,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _LABELS = 80
-_WIDTH = 8.2
+_WIDTH, _HALF_WIDTH = 8.2, 5.4
 _MOST_STRETCHED = 6.0
-_HALF_WIDTH = 5.4
+_CELLS = 160
+# Gaussians lighter than this are drawn without an arrow.
+_LIGHTEST = 0.02
 
 
 def trajectory_picture(record: RunRecord) -> Picture:
@@ -30,68 +36,100 @@ def trajectory_picture(record: RunRecord) -> Picture:
     missing; a ring where it appeared, its number where it was last seen."""
     from matplotlib.collections import LineCollection
 
-    figure, axes = over_scene(_extent_of(record), record.background, _WIDTH, darkness=0.4)
+    info = record.info
+    if not (info.width > 0 and info.height > 0):
+        # A frame that holds all tracks, where its size is not known.
+        reach = np.maximum(np.ceil(record.tracks.xyxy.max(axis=0, initial=1.0)), 1).astype(int)
+        info = SequenceInfo(int(reach[2]), int(reach[3]), info.fps)
+    figure, axes = _over_scene(info, record.background, _WIDTH, darkness=0.4)
     tracks = record.by_identity()
-    colours = [hexadecimal(identity_colour(int(rows.identity[0]))) for rows in tracks]
-    ways = [_broken(rows, _feet(rows)) for rows in tracks]
-    seen = [_broken(rows, np.where(rows.predicted[:, None], np.nan, _feet(rows))) for rows in tracks]
-    axes.add_collection(LineCollection(ways, colors=colours, linewidths=0.8, alpha=0.8))
-    axes.add_collection(LineCollection(seen, colors=colours, linewidths=1.8))
-    if tracks:
-        x, y = np.array([_feet(rows)[0] for rows in tracks]).T
-        axes.scatter(x, y, s=24, facecolors="none", edgecolors=colours, linewidths=1.0)
-    for rows, colour in zip(tracks, colours, strict=True) if len(tracks) <= _LABELS else ():
-        _label(axes, rows, colour)
+    colours = ["#{:02x}{:02x}{:02x}".format(*identity_colour(int(rows.identity[0]))) for rows in tracks]
+    feet = [np.stack([(rows.xyxy[:, 0] + rows.xyxy[:, 2]) / 2, rows.xyxy[:, 3]], axis=1) for rows in tracks]
+    seen = [np.where(rows.predicted[:, None], np.nan, way) for rows, way in zip(tracks, feet, strict=True)]
+    for ways, width, alpha in ((feet, 0.8, 0.8), (seen, 1.8, 1.0)):
+        broken = [_broken(rows, way) for rows, way in zip(tracks, ways, strict=True)]
+        axes.add_collection(LineCollection(broken, colors=colours, linewidths=width, alpha=alpha))
+    for way, colour in zip(feet, colours, strict=True):
+        axes.scatter(way[0, 0], way[0, 1], s=24, facecolors="none", edgecolors=colour, linewidths=1.0)
+    for rows, way, colour in zip(tracks, feet, colours, strict=True) if len(tracks) <= _LABELS else ():
+        plate = {"boxstyle": "round,pad=0.2", "facecolor": colour, "linewidth": 0}
+        x, y, name = way[-1, 0], way[-1, 1], str(rows.identity[0])
+        axes.text(x, y, name, color="black", fontsize=7.5, ha="center", va="center", bbox=plate, clip_on=True)
     return to_jpeg(figure)
 
 
 def heat_picture(heat: HeatMap, info: SequenceInfo) -> Picture:
-    """The intensity over one frame in the manner of M07's Fig. 1: colour where objects are expected, a cross for every
-    detection, a ring for every state extracted."""
-    figure, axes = over_scene(info, heat.image, _HALF_WIDTH, darkness=0.5)
+    """The intensity over one frame [M07 Fig. 1]: colour where objects are expected, a cross for every detection, a ring for
+    every state extracted."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    figure, axes = _over_scene(info, heat.image, _HALF_WIDTH, darkness=0.5)
     high, wide = heat.density.shape
-    edges = (0, wide * heat.cell, high * heat.cell, 0)
     top = max(float(heat.density.max(initial=0.0)), 1e-9)
-    share = np.clip(heat.density / top, 0, 1)
-    axes.imshow(heat.density, cmap="inferno", extent=edges, alpha=opacity(share), vmin=0, vmax=top, interpolation="nearest")
+    extent = (0, wide * heat.cell, high * heat.cell, 0)
+    _shade(axes, heat.density, top, extent, "nearest")
     for boxes, marker, size, colour in ((heat.detections, "+", 6.0, "#ffffff"), (heat.estimates, "o", 12.0, "#4cc9f0")):
         x, y = (boxes[:, 0] + boxes[:, 2]) / 2, (boxes[:, 1] + boxes[:, 3]) / 2
         axes.plot(x, y, marker, color=colour, markersize=size, markerfacecolor="none", linestyle="")
     axes.set_xlim(0, info.width)
     axes.set_ylim(info.height, 0)
-    _colour_bar(figure, axes, top, heat.cell)
+    bar = figure.colorbar(ScalarMappable(Normalize(0, top), "inferno"), ax=axes, shrink=0.75, aspect=30, pad=0.015)
+    bar.set_label(f"objects in {heat.cell:g} × {heat.cell:g} pixels", fontsize=10, color=INK)
+    bar.ax.tick_params(labelsize=9, colors=INK)
     return to_jpeg(figure)
 
 
-def opacity(share: F8) -> F8:
-    """Nothing where nothing is expected, quickly opaque above it: a weak mass is what one looks for."""
-    shown: F8 = np.where(share > 0.004, 0.25 + 0.7 * share**0.5, 0.0)
-    return shown
+def map_picture(learned: Learned, scene: Scene, image: Image, *, births: bool) -> Picture:
+    """Where births or false alarms are expected, over the frame [M09 Figs. 7, 8].
+
+    Parameters
+    ----------
+    learned : their density, over pixels or, for births on the ground, over metres: then it is drawn on a plan of their
+        region.
+    scene : whose they are.
+    image : (H, W, 3) BGR frame, or (0, 0, 3).
+    births : whether to draw the mean way of the next second as arrows.
+
+    Returns
+    -------
+    The picture.
+    """
+    p = learned.density
+    (left, top), (wide, high) = p.low[:2], (p.high - p.low)[:2]
+    ground = (left, top, wide, high) != (0, 0, scene.width, scene.height)
+    if ground:
+        drawn = new_figure(_WIDTH, _WIDTH * min(max(high / wide, 0.3), 1.5))
+        axes = chart_axes(drawn, "x in metres", "y in metres")
+    else:
+        drawn, axes = _over_scene(SequenceInfo(scene.width, scene.height, 25.0), image, _WIDTH, darkness=0.5)
+    step = max(wide, high) / _CELLS
+    shape = (math.ceil(high / step), math.ceil(wide / step))
+    extent = (left, left + shape[1] * step, top + shape[0] * step, top)
+    _shade(axes, place_map(p, shape, step, sized=p.dim == 6 or not births), 1.0, extent, "bilinear")
+    for m in np.flatnonzero(p.weight >= _LIGHTEST) if births else ():
+        start, way = p.mean[:2, m], p.mean[2:4, m] * scene.rate
+        style = {"arrowstyle": "-|>", "color": "#4cc9f0", "linewidth": 1 + 4 * float(p.weight[m])}
+        axes.annotate("", xy=tuple(start + way), xytext=tuple(start), arrowprops=style)
+    axes.set_xlim(left, left + wide)
+    # Of a plan the far end is above, of a picture row 0.
+    axes.set_ylim(*((top, top + high) if ground else (top + high, top)))
+    return to_jpeg(drawn)
 
 
-def _colour_bar(figure: Figure, axes: Axes, top: float, cell: float) -> None:
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    bar = figure.colorbar(ScalarMappable(Normalize(0, top), "inferno"), ax=axes, shrink=0.75, aspect=30, pad=0.015)
-    bar.set_label(f"objects in {cell:g} × {cell:g} pixels", fontsize=10, color=INK)
-    bar.ax.tick_params(labelsize=9, colors=INK)
+def _shade(axes: Axes, density: F8, top: float, extent: tuple[float, float, float, float], interpolation: str) -> None:
+    """Colour by the density: clear where nothing is expected, quickly opaque above it, because a weak mass matters."""
+    share = np.clip(density / top, 0, 1)
+    alpha = np.where(share > 0.004, 0.25 + 0.7 * share**0.5, 0.0)
+    axes.imshow(density, cmap="inferno", extent=extent, alpha=alpha, vmin=0, vmax=top, interpolation=interpolation)
 
 
-def _extent_of(record: RunRecord) -> SequenceInfo:
-    """The frame size, or where nobody stated one, a frame that holds all tracks."""
-    info = record.info
-    if info.width > 0 and info.height > 0:
-        return info
-    reach = np.ceil(record.tracks.xyxy.max(axis=0, initial=1.0))
-    return SequenceInfo(int(max(reach[2], 1)), int(max(reach[3], 1)), info.fps, info.frames, info.name)
-
-
-def over_scene(info: SequenceInfo, image: Image, width: float, *, darkness: float) -> tuple[Figure, Axes]:
+def _over_scene(info: SequenceInfo, image: Image, width: float, *, darkness: float) -> tuple[Figure, Axes]:
     """A figure whose axes are the frame in pixels, with the darkened grey photograph or a dark ground."""
-    height = float(np.clip((width - 1.2) * info.height / info.width + 0.7, 1.8, 9.0))
-    figure = new_figure(width, height)
-    axes = figure.add_subplot(111)
+    figure = new_figure(width, float(np.clip((width - 1.2) * info.height / info.width + 0.7, 1.8, 9.0)))
+    axes = chart_axes(figure, "x in pixels", "y in pixels")
+    axes.grid(False)
+    axes.spines[:].set(visible=True, color="black")
     axes.set_facecolor("#1b1f27")
     if image.size:
         grey = image @ np.array([0.114, 0.587, 0.299]) * (1 - darkness)
@@ -99,26 +137,10 @@ def over_scene(info: SequenceInfo, image: Image, width: float, *, darkness: floa
     axes.set_xlim(0, info.width)
     axes.set_ylim(info.height, 0)
     axes.set_aspect("equal" if _MOST_STRETCHED > info.width / info.height > 1 / _MOST_STRETCHED else "auto")
-    axes.set_xlabel("x in pixels", fontsize=10, color=INK)
-    axes.set_ylabel("y in pixels", fontsize=10, color=INK)
-    axes.tick_params(labelsize=9, colors=INK)
     return figure, axes
-
-
-def _feet(rows: Tracks) -> F8:
-    """(M, 2) middle of the lower edge of each box."""
-    return np.stack([(rows.xyxy[:, 0] + rows.xyxy[:, 2]) / 2, rows.xyxy[:, 3]], axis=1)
 
 
 def _broken(rows: Tracks, points: F8) -> F8:
     """``points`` (M, 2) of the rows of one identity with a break (NaN) wherever frames are missing."""
-    missing = np.flatnonzero(np.diff(rows.frame) > 1) + 1
-    broken: F8 = np.insert(points, missing, np.nan, axis=0)
+    broken: F8 = np.insert(points, np.flatnonzero(np.diff(rows.frame) > 1) + 1, np.nan, axis=0)
     return broken
-
-
-def _label(axes: Axes, rows: Tracks, colour: str) -> None:
-    x, y = _feet(rows)[-1]
-    plate = {"boxstyle": "round,pad=0.2", "facecolor": colour, "linewidth": 0}
-    name = str(rows.identity[0])
-    axes.text(float(x), float(y), name, color="black", fontsize=7.5, ha="center", va="center", bbox=plate, clip_on=True)

@@ -8,7 +8,9 @@ import pytest
 from phdtrack.cli.scoring import BY_TRAJECTORY
 from phdtrack.compare.summary import OTHERS
 from phdtrack.metrics import evaluate
-from phdtrack.report.senses import HIGHER, LOWER, sense
+from phdtrack.report.rendering import HIGHER_IS_BETTER as HIGHER
+from phdtrack.report.rendering import LOWER_IS_BETTER as LOWER
+from phdtrack.report.rendering import score_direction
 from phdtrack.types import Tracks, Truth
 
 FRAMES, PEOPLE = 20, 3
@@ -64,4 +66,4 @@ def test_every_score_gets_worse_that_way() -> None:
 
 @pytest.mark.parametrize(("name", "said"), [("OSPA2", "; lower is better"), ("MOTA", ""), ("frames", "")])
 def test_it_is_said_where_less_is_better(name: str, said: str) -> None:
-    assert sense(name) == said
+    assert score_direction(name) == said
