@@ -1,25 +1,19 @@
-"""How good are tracks: VACE and CLEAR scores, IDF1, HOTA, OSPA, GOSPA, T-GOSPA, OSPA(2), RMSE, lives of tracks."""
+"""How good are tracks: VACE and CLEAR scores, IDF1, HOTA, OSPA, GOSPA, T-GOSPA, RMSE, lives of tracks."""
 
 from phdtrack.metrics.lifetimes import Delays, first_output_delays
 from phdtrack.metrics.scores import Scores, Settings, evaluate, pool
 from phdtrack.metrics.sets import GospaParts, gospa, gospa_of, gospa_parts, gospa_parts_of, ospa, ospa_of
 from phdtrack.metrics.trajectories import (
-    PointRows,
     TargetErrors,
     TGospaParts,
-    ospa2_boxes,
-    ospa2_of,
-    ospa2_points,
     rmse_per_target,
     tgospa_boxes,
     tgospa_of,
-    tgospa_points,
 )
 
 __all__ = [
     "Delays",
     "GospaParts",
-    "PointRows",
     "Scores",
     "Settings",
     "TGospaParts",
@@ -31,13 +25,9 @@ __all__ = [
     "gospa_parts",
     "gospa_parts_of",
     "ospa",
-    "ospa2_boxes",
-    "ospa2_of",
-    "ospa2_points",
     "ospa_of",
     "pool",
     "rmse_per_target",
     "tgospa_boxes",
     "tgospa_of",
-    "tgospa_points",
 ]

@@ -24,7 +24,7 @@ tracks of the whole sequence, one to one, each for the largest sum. SFDA says ho
 well they are followed under one name. TrackEval's VACE has a relaxed STDA, which counts frames at IoU ≥ threshold as 1 and
 others as 0: `ata_matched`.
 
-OSPA(2) of whole tracks is made of the same sum: 1 − STDA / max(N_G, N_D); see `ospa2`.
+OSPA(2) of whole tracks is made of the same sum: 1 − STDA / max(N_G, N_D).
 """
 
 from __future__ import annotations

@@ -1,22 +1,6 @@
-"""Two sets of trajectories laid side by side: what T-GOSPA and OSPA(2) read, of boxes or of points.
+"""Distances between trajectories: T-GOSPA, and the error of each target's position.
 
-Only pairs that are nearer than the cut-off c at some time are kept: all others are at c for both distances.
-
-Notation: K frames, n true and m output trajectories, Q pairs of them.
-
-OSPA(2): OSPA between sets of trajectories, whose base distance is a mean over time (Beard, Vo, Vo 2017, 2020).
-
-    d(f, g) = [ 1/|D_f ∪ D_g| Σ_{t ∈ D_f ∪ D_g} d_c({f(t)}, {g(t)})^q ]^(1/q)                                   [B20]
-
-over the frames D in which the trajectories are present, where d_c is min(d, c) while both are and c while one is. OSPA(2) is
-OSPA with this distance, cut-off c and order p, between the trajectories that are present in a window of time. It knows
-switches, breaks and false tracks, and is a metric; it lies between 0 and c, in the unit of d.
-
-On boxes, 1 − IoU with c = p = q = 1: over a whole sequence it is 1 − STDA / max(n, m), STDA as in `vace`.
-
-Notation: K frames, n true and m output trajectories, Q pairs of them.
-
-T-GOSPA: a distance between two sets of trajectories (García-Fernández, Rahmathullah, Svensson 2020; LP relaxation) [G20].
+T-GOSPA (García-Fernández, Rahmathullah, Svensson 2020; LP relaxation) [G20]:
 
     d^p = min_W Σ_k [ Σ_mapped min(d, c)^p + c^p/2 (missed + false) ] + γ^p/2 Σ_k Σ_ij |W_k+1(i, j) − W_k(i, j)|
 
@@ -29,12 +13,11 @@ Pairs that never come nearer than c are left out, for mapping them cannot pay. P
 not even by a chain, are a programme of their own. A programme has two variables per remaining pair and frame and takes
 seconds (800 frames, 19 people, 190 tracks: 5 s), which is why `evaluate` does not include it.
 
-Notation: K frames, n true and m output trajectories; ``distance`` (K, n, m) where both are present.
+Notation: K frames, n true and m output trajectories, Q pairs of them that come nearer than c at some time.
 
-RMSE per target after association with the truth [D14 Tables I–III].
-
-In each frame true and estimated points are mapped one to one for the least Σ min(d, gate), d the Euclidean distance; pairs
-at a distance ≥ gate are apart. Over the frames in which target i is mapped
+RMSE per target after association with the truth [D14 Tables I–III]: in each frame true and estimated points are mapped one
+to one for the least Σ min(d, gate), d the Euclidean distance; pairs at a distance ≥ gate are apart. Over the frames in which
+target i is mapped
 
     RMSE_i = √( mean ‖estimate − truth_i‖² )        and per axis √( mean (estimate − truth_i)² )
 
@@ -47,244 +30,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phdtrack.errors import InputError
-from phdtrack.metrics.matching import assign, build, cheapest
+from phdtrack.metrics.matching import build, cheapest
 from phdtrack.metrics.sets import check_order, euclidean
 from phdtrack.types import F8, I8, Bool, Tracks, Truth
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PointRows:
-    """Trajectories of points: ``frame`` (M,) from 1, ``identity`` (M,), ``point`` (d, M), columns."""
-
-    frame: I8
-    identity: I8
-    point: F8
-
-    def __post_init__(self) -> None:
-        if self.frame.shape != self.identity.shape or self.point.shape[1:] != self.frame.shape or self.point.ndim != 2:
-            shapes = f"{self.frame.shape}, {self.identity.shape}, {self.point.shape}"
-            raise InputError(f"expected frame (M,), identity (M,), point (d, M), got {shapes}", cure="Points are columns.")
-        if len(self.frame) and self.frame.min() < 1:
-            raise InputError(f"expected frame numbers from 1, got {self.frame.min()}", where="frame")
-        rows = np.stack([self.frame, self.identity])
-        if np.unique(rows, axis=1).shape[1] < len(self.frame):
-            raise InputError("expected one point per identity and frame, got some twice", where="identity")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Trajectories:
-    """The K frames that hold anything, and the Q pairs of trajectories that come near each other.
-
-    Attributes
-    ----------
-    number : (K,) frame numbers, ascending.
-    there, given : (K, n), (K, m) whether each true, each output trajectory is present.
-    rows, columns : (Q,) the pairs: indices of the true and of the output trajectory.
-    near : (K, Q) both present and nearer than c.
-    distance : (K, Q) their distance where near, c elsewhere.
-    """
-
-    number: I8
-    there: Bool
-    given: Bool
-    rows: I8
-    columns: I8
-    near: Bool
-    distance: F8
-
-
-def laid(distance: F8, there: Bool, given: Bool, c: float) -> Trajectories:
-    """Frames 1…K of ``distance`` (K, n, m) between trajectories that are ``there`` (K, n) and ``given`` (K, m).
-
-    Parameters
-    ----------
-    distance : (K, n, m) in each frame.
-    there, given : (K, n), (K, m) whether the true and the output trajectory is present.
-    c : cut-off distance.
-
-    Raises
-    ------
-    InputError : for shapes that do not fit.
-    """
-    if distance.shape != (len(there), there.shape[-1], given.shape[-1]) or len(there) != len(given):
-        raise InputError(f"expected shapes (K, n, m), (K, n), (K, m), got {distance.shape}, {there.shape}, {given.shape}")
-    close = there[:, :, None] & given[:, None, :] & (distance < c)
-    rows, columns = np.nonzero(close.any(axis=0))
-    near = close[:, rows, columns]
-    cut = np.where(near, distance[:, rows, columns], c)
-    return Trajectories(np.arange(1, len(there) + 1), there, given, rows, columns, near, cut)
-
-
-def of_boxes(truth: Truth, tracks: Tracks, frames: int = 0) -> Trajectories:
-    """By 1 − IoU with c = 1; rows after ``frames`` are left out, distractors are as in `evaluate`.
-
-    Parameters
-    ----------
-    truth : annotated boxes.
-    tracks : output boxes.
-    frames : later rows are left out; 0: all.
-
-    Raises
-    ------
-    InputError : for rows that `evaluate` would refuse.
-    """
-    scene = build(truth, tracks, frames)
-    parts = [_Frame(pair.number, pair.truth, pair.output, 1 - pair.iou) for pair in scene.pairs]
-    return _gathered(parts, len(scene.truth_identity), len(scene.output_identity), 1.0)
-
-
-def _of_points(truth: PointRows, output: PointRows, c: float) -> Trajectories:
-    """By the Euclidean distance, in the unit of the points.
-
-    Raises
-    ------
-    InputError : for points of different dimension or not finite.
-    """
-    true_name, true_index = np.unique(truth.identity, return_inverse=True)
-    name, index = np.unique(output.identity, return_inverse=True)
-    parts = []
-    for number in np.union1d(truth.frame, output.frame):
-        t, o = np.flatnonzero(truth.frame == number), np.flatnonzero(output.frame == number)
-        parts.append(_Frame(int(number), true_index[t], index[o], euclidean(truth.point[:, t], output.point[:, o])))
-    return _gathered(parts, len(true_name), len(name), c)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Frame:
-    number: int
-    truth: I8
-    output: I8
-    distance: F8
-
-
-def _gathered(parts: list[_Frame], n: int, m: int, c: float) -> Trajectories:
-    there, given = np.zeros((len(parts), n), np.bool_), np.zeros((len(parts), m), np.bool_)
-    none = np.zeros(0, np.int64)
-    frame, pair, value = [none], [none], [np.zeros(0)]
-    for k, part in enumerate(parts):
-        there[k, part.truth], given[k, part.output] = True, True
-        i, j = np.nonzero(part.distance < c)
-        frame.append(np.full(len(i), k))
-        pair.append(part.truth[i] * m + part.output[j])
-        value.append(part.distance[i, j])
-    which, column = np.unique(np.concatenate(pair), return_inverse=True)
-    near = np.zeros((len(parts), len(which)), np.bool_)
-    distance = np.full(near.shape, c)
-    near[np.concatenate(frame), column] = True
-    distance[np.concatenate(frame), column] = np.concatenate(value)
-    number = np.array([part.number for part in parts], np.int64)
-    return Trajectories(number, there, given, which // max(m, 1), which % max(m, 1), near, distance)
-
-
-def ospa2_boxes(truth: Truth, tracks: Tracks, *, frames: int = 0, window: int = 0) -> F8:
-    """(K,) OSPA(2) of ``tracks`` against ``truth`` at each frame, base distance 1 − IoU, c = 1, p = q = 1 [B17; B20].
-
-    Parameters
-    ----------
-    frames : number of frames of the sequence; 0: up to the last of either side.
-    window : frames that each value looks back on, its own included; 0: one value, over the whole sequence, (1,).
-
-    Raises
-    ------
-    InputError : for rows that `evaluate` would refuse, or a window < 0.
-    """
-    last = frames or int(max(truth.frame.max(initial=0), tracks.frame.max(initial=0)))
-    return _over(of_boxes(truth, tracks, frames), last, window, (1.0, 1.0, 1.0))
-
-
-def ospa2_points(
-    truth: PointRows, output: PointRows, c: float, p: float = 1.0, q: float = 1.0, *, frames: int = 0, window: int = 0
-) -> F8:
-    """As `ospa2_boxes`, for points under the Euclidean distance, ``c`` in their unit.
-
-    Parameters
-    ----------
-    truth, output : rows of points.
-    c : cut-off distance, in the unit of the points.
-    p, q : orders over the trajectories and over time.
-    frames : later rows are left out; 0: all.
-    window : frames looked back; 0: all.
-
-    Raises
-    ------
-    InputError : for points of different dimension or not finite, or settings out of range.
-    """
-    _check(c, p, q)
-    last = frames or int(max(truth.frame.max(initial=0), output.frame.max(initial=0)))
-    return _over(_of_points(truth, output, c), last, window, (c, p, q))
-
-
-def ospa2_of(distance: F8, there: Bool, given: Bool, c: float, p: float = 1.0, q: float = 1.0, window: int = 0) -> F8:
-    """As `ospa2_boxes`, for trajectories with the given ``distance`` (K, n, m) in each frame, read where both are present.
-
-    ``there`` (K, n) and ``given`` (K, m): whether the true, the output trajectory is present.
-
-    Parameters
-    ----------
-    distance : (K, n, m) between the trajectories in each frame, read where both are present.
-    there, given : (K, n), (K, m) whether the true and the output trajectory is present.
-    c : cut-off distance.
-    p, q : orders over the trajectories and over time.
-    window : frames looked back; 0: all.
-
-    Raises
-    ------
-    InputError : for shapes that do not fit, or settings out of range.
-    """
-    _check(c, p, q)
-    return _over(laid(distance, there, given, c), len(there), window, (c, p, q))
-
-
-def _check(c: float, p: float, q: float) -> None:
-    check_order(c, p)
-    check_order(c, q)
-
-
-def _over(pairs: Trajectories, frames: int, window: int, settings: tuple[float, float, float]) -> F8:
-    """One value of each window that ends at one of ``frames`` frames; of all of them at once without a window."""
-    if window < 0:
-        raise InputError(f"expected a number of frames ≥ 0, got {window}", where="window")
-    c, _, q = settings
-    gain = _summed((c**q - pairs.distance**q) * pairs.near)
-    both = _summed(pairs.there[:, pairs.rows] & pairs.given[:, pairs.columns])
-    there, given = _summed(pairs.there), _summed(pairs.given)
-    ends = np.arange(1, frames + 1) if window else np.array([frames])
-    first = np.searchsorted(pairs.number, ends - window, side="right") if window else np.zeros(1, np.int64)
-    last = np.searchsorted(pairs.number, ends, side="right")
-    return np.array(
-        [
-            _value(pairs, (gain[b] - gain[a], both[b] - both[a], there[b] - there[a], given[b] - given[a]), settings)
-            for a, b in zip(first.tolist(), last.tolist(), strict=True)
-        ]
-    )
-
-
-def _summed(values: F8 | Bool) -> F8:
-    """(K + 1, …) sums over the frames before each."""
-    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0, dtype=np.float64)])
-
-
-def _value(pairs: Trajectories, sums: tuple[F8, F8, F8, F8], settings: tuple[float, float, float]) -> float:
-    """OSPA(2) of one window: ``sums`` over it of c^q − d^q (Q,), of joint frames (Q,), of frames (n,) and (m,)."""
-    (gain, both, there, given), (c, p, q) = sums, settings
-    most = max(np.count_nonzero(there), np.count_nonzero(given))
-    if not most:
-        return 0.0
-    i, j = pairs.rows, pairs.columns
-    length = there[i] + given[j] - both
-    # Sums of differences of sums: what is 0 may come out a rounding beside it.
-    mean = np.clip(c**q - np.divide(gain, length, out=np.zeros_like(gain), where=length > 0), 0.0, c**q)
-    saved = np.zeros((len(there), len(given)))
-    saved[i, j] = np.where(length > 0, c**p - mean ** (p / q), 0.0)
-    rows, columns = assign(saved[np.ix_(*_present(there, given))])
-    kept = saved[np.ix_(*_present(there, given))][rows, columns].sum()
-    return float(max(c**p - kept / most, 0.0) ** (1 / p))
-
-
-def _present(there: F8, given: F8) -> tuple[I8, I8]:
-    return np.flatnonzero(there), np.flatnonzero(given)
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,29 +63,19 @@ def tgospa_boxes(truth: Truth, tracks: Tracks, *, frames: int = 0, gamma: float 
     ------
     InputError : for rows that `evaluate` would refuse, or gamma < 0.
     """
-    _check_tgospa(1.0, 1.0, gamma)
-    return _least(of_boxes(truth, tracks, frames), 1.0, 1.0, gamma)
+    scene = build(truth, tracks, frames)
+    shape = len(scene.pairs), len(scene.truth_identity), len(scene.output_identity)
+    there, given = np.zeros(shape[:2], np.bool_), np.zeros((shape[0], shape[2]), np.bool_)
+    distance = np.ones(shape, np.float32)
+    for k, pair in enumerate(scene.pairs):
+        there[k, pair.truth], given[k, pair.output] = True, True
+        distance[k][np.ix_(pair.truth, pair.output)] = 1 - pair.iou
+    return tgospa_of(distance, there, given, 1.0, 1.0, gamma)
 
 
-def tgospa_points(truth: PointRows, output: PointRows, c: float, p: float = 1.0, gamma: float = 1.0) -> TGospaParts:
-    """T-GOSPA of trajectories of points under the Euclidean distance; ``c`` and ``gamma`` in the unit of the points.
-
-    Parameters
-    ----------
-    truth, output : rows of points.
-    c : cut-off distance, in the unit of the points.
-    p : order.
-    gamma : price of a switch of identity, in the unit of the points.
-
-    Raises
-    ------
-    InputError : for points of different dimension or not finite, or settings out of range.
-    """
-    _check_tgospa(c, p, gamma)
-    return _least(_of_points(truth, output, c), c, p, gamma)
-
-
-def tgospa_of(distance: F8, there: Bool, given: Bool, c: float, p: float = 1.0, gamma: float = 1.0) -> TGospaParts:
+def tgospa_of(
+    distance: NDArray[np.floating], there: Bool, given: Bool, c: float, p: float = 1.0, gamma: float = 1.0
+) -> TGospaParts:
     """T-GOSPA between trajectories.
 
     Parameters
@@ -348,40 +89,35 @@ def tgospa_of(distance: F8, there: Bool, given: Bool, c: float, p: float = 1.0, 
     ------
     InputError : for shapes that do not fit, or settings out of range.
     """
-    _check_tgospa(c, p, gamma)
-    return _least(laid(distance, there, given, c), c, p, gamma)
-
-
-def _check_tgospa(c: float, p: float, gamma: float) -> None:
     check_order(c, p)
     if not gamma >= 0:
         raise InputError(f"expected a switching penalty ≥ 0, got {gamma}", where="gamma")
-
-
-def _least(pairs: Trajectories, c: float, p: float, gamma: float) -> TGospaParts:
-    cost = pairs.distance**p
+    if distance.shape != (len(there), there.shape[-1], given.shape[-1]) or len(there) != len(given):
+        raise InputError(f"expected shapes (K, n, m), (K, n), (K, m), got {distance.shape}, {there.shape}, {given.shape}")
+    close = there[:, :, None] & given[:, None, :] & (distance < c)
+    rows, columns = np.nonzero(close.any(axis=0))
+    near = close[:, rows, columns]
+    cost = np.where(near, distance[:, rows, columns].astype(np.float64), c) ** p
     weight = np.zeros_like(cost)
-    for some in _apart(pairs):
-        rows, columns = pairs.rows[some], pairs.columns[some]
-        weight[:, some] = _weights(cost[:, some] - c**p, rows, columns, gamma**p / 2)
-    localisation = float((weight * cost)[pairs.near].sum())
-    mapped = float(weight[pairs.near].sum())
-    missed = c**p / 2 * (float(pairs.there.sum()) - mapped)
-    false = c**p / 2 * (float(pairs.given.sum()) - mapped)
+    for some in _programmes(rows, columns, there.shape[1] + given.shape[1]):
+        weight[:, some] = _weights(cost[:, some] - c**p, rows[some], columns[some], gamma**p / 2)
+    localisation, mapped = float((weight * cost)[near].sum()), float(weight[near].sum())
+    missed = c**p / 2 * (float(there.sum()) - mapped)
+    false = c**p / 2 * (float(given.sum()) - mapped)
     switching = gamma**p / 2 * float(np.abs(np.diff(weight, axis=0)).sum())
     whole = localisation + missed + false + switching
     return TGospaParts(max(whole, 0.0) ** (1 / p), localisation, missed, false, switching)
 
 
-def _apart(pairs: Trajectories) -> list[I8]:
+def _programmes(rows: I8, columns: I8, size: int) -> list[I8]:
     """The pairs by programme: those that are joined by trajectories which they share."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    n, size = pairs.there.shape[1], pairs.there.shape[1] + pairs.given.shape[1]
-    joined = coo_array((np.ones(len(pairs.rows)), (pairs.rows, n + pairs.columns)), shape=(size, size))
+    first = int(rows.max(initial=-1)) + 1
+    joined = coo_array((np.ones(len(rows)), (rows, first + columns)), shape=(size, size))
     _, label = connected_components(joined, directed=False)
-    return [np.flatnonzero(label[pairs.rows] == one) for one in np.unique(label[pairs.rows])]
+    return [np.flatnonzero(label[rows] == one) for one in np.unique(label[rows])]
 
 
 def _weights(gain: F8, rows: I8, columns: I8, price: float) -> F8:
