@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -114,36 +114,3 @@ def filmed(job: tuple[Parting, int], *, detector: bool = True) -> Case:
     if detector:
         table = detected(render(scene, np.random.default_rng(seed), Look(plants=0, lamps=0)))
     return Case(f"{parting} {seed}", scene.info, scene.truth, table)
-
-
-def in_pieces(case: Case, share: float, seed: int) -> Case:
-    """A case of which each detection is, with probability ``share``, two or three pieces one above the other.
-
-    Between the pieces up to a tenth of the height is missing; each is up to a quarter narrower.
-    """
-    rng = np.random.default_rng(seed)
-    frame, boxes = [], []
-    for number, box in zip(case.table.frame, case.table.detections.xyxy, strict=True):
-        found = _torn(box, rng) if rng.random() < share else box[None]
-        boxes.append(found)
-        frame.append(np.full(len(found), number))
-    none = np.zeros((0, 4))
-    table = DetectionTable(np.concatenate([np.zeros(0, np.int64), *frame]), Detections.of(np.concatenate([none, *boxes])))
-    return replace(case, table=table)
-
-
-def _torn(box: F8, rng: np.random.Generator) -> F8:
-    """(k, 4) the pieces of a box."""
-    left, top, right, bottom = box
-    width, height = right - left, bottom - top
-    cuts = np.sort(rng.uniform(0.2, 0.8, int(rng.integers(1, 3))))
-    gap = rng.uniform(0.0, 0.1, len(cuts)) * height / 2
-    tops = np.append(top, top + cuts * height + gap)
-    bottoms = np.append(top + cuts * height - gap, bottom)
-    inset = rng.uniform(0.0, 0.25, (2, len(tops))) * width / 2
-    # One piece is as wide as the object is seen, or its width would be another.
-    inset[:, int(rng.integers(len(tops)))] = 0.0
-    tall = bottoms - tops > 2.0
-    pieces: F8 = np.stack([left + inset[0], tops, right - inset[1], bottoms], axis=1)
-    out: F8 = pieces[tall]
-    return out

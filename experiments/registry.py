@@ -30,7 +30,7 @@ EXPERIMENTS = {
     "d14": Experiment(d14.main, "D14 Tables I-III: SMC PHD and MCMC filters on centroids, by particles and noise"),
     "occlusion": Experiment(occlusion.main, "what hiding costs a detector, and what a filter makes of it"),
     "videos": Experiment(videos.main, "from a video to tracks, with the package's detectors"),
-    "blobs": Experiment(blobs.main, "two who share a blob, objects in pieces: with and without explaining blobs"),
+    "blobs": Experiment(blobs.main, "two who share a blob: with and without the merged-measurement model"),
     "m07": Experiment(m07.main, "M07 Table 1 and M09 Fig. 16: PHD against no filter and multiple hypotheses"),
     "m09": Experiment(m09.main, "M09 Figs. 14-16: births and false alarms learned from a scene, part by part"),
     "peers": Experiment(peers.main, "beside the trackers that people use today, and what each default is worth"),

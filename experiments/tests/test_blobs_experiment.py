@@ -10,10 +10,9 @@ import pytest
 from experiments import blobs
 from experiments.blobs_outcomes import Leave, outcome, touching
 from experiments.blobs_pictures import meeting_picture
-from experiments.blobs_scenes import APART, ASPECT, PARTINGS, TALL, Parting, filmed, in_pieces, meeting
+from experiments.blobs_scenes import APART, ASPECT, PARTINGS, TALL, Parting, filmed, meeting
 from experiments.common import Case
 from phdtrack.metrics import evaluate
-from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.types import I8, Tracks
 
 
@@ -69,20 +68,6 @@ def test_identities_after_a_blob_are_told_apart(case: Case) -> None:
         assert outcome(case, named(case, identity)) == told
     rows = named(case, true)
     assert outcome(case, rows.take(~late | (true == 1))) == "lost"
-
-
-def test_pieces_lie_in_their_object_and_some_are_whole() -> None:
-    scene = make_scene("street", 2, DetectorModel(clutter_rate=0.0), frames=60)
-    whole = Case("street", scene.info, scene.truth, scene.detections)
-    torn = in_pieces(whole, 0.3, 2)
-    same = 0
-    for number in np.unique(whole.table.frame).tolist():
-        boxes, pieces = whole.table.at(number).xyxy, torn.table.at(number).xyxy
-        inside = (pieces[:, None, :2] >= boxes[None, :, :2] - 1e-9) & (pieces[:, None, 2:] <= boxes[None, :, 2:] + 1e-9)
-        assert inside.all(axis=2).any(axis=1).all()
-        same += int((pieces[:, None] == boxes[None]).all(axis=2).any(axis=0).sum())
-    assert 0.5 < same / len(whole.table) < 0.9
-    np.testing.assert_array_equal(in_pieces(whole, 0.0, 2).table.detections.xyxy, whole.table.detections.xyxy)
 
 
 def test_rows_of_the_page_count_who_left_how(case: Case) -> None:

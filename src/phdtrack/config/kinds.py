@@ -226,7 +226,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     },
     "learn": {"none": "phdtrack.protocols:NoLearning", "online": f"{__name__}:LearnSettings"},
     "rates": {"none": "phdtrack.protocols:NoLearning", "learned": "phdtrack.scene.rates:RatesSettings"},
-    "merged_measurements": {"none": "phdtrack.protocols:AsDetected", "explained": "phdtrack.detect.merged:Explained"},
+    "merged_measurements": {"none": "phdtrack.protocols:AsDetected", "explained": "phdtrack.detect.merged:MergedMeasurements"},
     "camera_motion": {
         "none": "phdtrack.video.ego_motion:Standing",
         "flow": "phdtrack.video.ego_motion:SparseFlow",

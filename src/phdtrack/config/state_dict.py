@@ -13,7 +13,7 @@ from phdtrack.associate.labels import LabelledState, Lives
 from phdtrack.associate.online import Carried, Given
 from phdtrack.associate.rejection import RejectionState
 from phdtrack.associate.window import Columns, Edges, Links, Rows, Window
-from phdtrack.detect.merged import Expected
+from phdtrack.detect.merged import ExpectedTargets
 from phdtrack.errors import InputError
 from phdtrack.filters.bernoullis import Bernoullis, Layer
 from phdtrack.filters.hypotheses import Cluster, Hypotheses, Nodes
@@ -48,7 +48,7 @@ _RECORDS: dict[str, type[Any]] = {
         Estimates,
         Bernoullis,
         Layer,
-        Expected,
+        ExpectedTargets,
         GraphState,
         LabelledState,
         RejectionState,

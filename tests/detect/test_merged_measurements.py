@@ -1,0 +1,264 @@
+"""The merged-measurement model: what it may change, and identities through a merged blob in the whole tracker."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from experiments.blobs_outcomes import outcome
+from experiments.blobs_scenes import PARTINGS, meeting
+from experiments.common import Case
+from phdtrack import config
+from phdtrack.arrays import intersection, to_cxcywh
+from phdtrack.cli.configured import Choice, chosen, prepare
+from phdtrack.cli.wanted import Wanted
+from phdtrack.detect.merged import ExpectedTargets, MergedMeasurements
+from phdtrack.errors import InputError
+from phdtrack.protocols import Model
+from phdtrack.simulate import DetectorModel, build_scene
+from phdtrack.tracker import Tracker
+from phdtrack.types import F8, Detections, DetectionTable, Explanation, SequenceInfo, Tracks
+
+INFO = SequenceInfo(640, 480, 25.0)
+MODEL: Model = config.build(config.load(), INFO).model
+ALWAYS = MergedMeasurements(min_separate_time=0.0)
+
+
+def expected(boxes: F8, **given: F8) -> ExpectedTargets:
+    """Targets at rest that were seen well at these boxes (n, 4)."""
+    n = len(boxes)
+    state, covariance = MODEL.sensor.states(to_cxcywh(boxes))
+    values = {"hidden": np.zeros(n), "separate": np.full(n, 9.0)} | given
+    return ExpectedTargets(state, covariance * 0.05, np.full(n, 0.99), **values)
+
+
+def explain(targets: ExpectedTargets, blobs: F8, rule: MergedMeasurements = ALWAYS) -> tuple[ExpectedTargets, Explanation]:
+    return rule.explain(targets, Detections.of(blobs), MODEL, 1.0)
+
+
+PAIR = np.array([[100.0, 100, 140, 200], [125, 104, 165, 204]])
+BLOB = np.array([[98.0, 99, 168, 205]])
+boxes = st.lists(
+    st.tuples(st.integers(0, 300), st.integers(0, 200), st.integers(20, 60), st.integers(40, 120)), min_size=0, max_size=7
+).map(lambda rows: np.array([[x, y, x + w, y + h] for x, y, w, h in rows], np.float64).reshape(-1, 4))
+
+
+def test_one_blob_of_two_targets_becomes_a_detection_of_each_size_at_its_edges() -> None:
+    _, told = explain(expected(PAIR), BLOB)
+    assert told.changed
+    assert len(told.detections) == 2
+    assert told.source.tolist() == [0, 0]
+    assert told.part.tolist() == [0]
+    left, right = told.detections.xyxy[np.argsort(told.target)]
+    np.testing.assert_allclose([left[0], right[2]], [98, 168])
+    np.testing.assert_allclose([left[2] - left[0], right[2] - right[0]], [40, 40])
+    assert (told.detections.xyxy[:, 1] >= 99).all()
+    assert (told.detections.xyxy[:, 3] <= 205).all()
+
+
+def test_two_blobs_of_two_targets_stay_as_they_are() -> None:
+    _, told = explain(expected(PAIR), PAIR + 1.0)
+    assert not told.changed
+    np.testing.assert_array_equal(told.detections.xyxy, PAIR + 1.0)
+
+
+def test_a_blob_of_one_targets_size_is_not_two_where_the_other_is_elsewhere() -> None:
+    apart = np.array([[100.0, 100, 140, 200], [136, 100, 176, 200], [400, 100, 440, 200]])
+    _, told = explain(expected(apart), np.array([[100.0, 100, 140, 200], [138, 101, 178, 200]]))
+    assert not told.changed
+
+
+def test_a_false_blob_beside_a_target_changes_nothing() -> None:
+    found = np.array([[100.0, 100, 140, 200], [128, 90, 228, 260]])
+    _, told = explain(expected(PAIR[:1]), found)
+    assert not told.changed
+
+
+@pytest.mark.parametrize(
+    ("rule", "given"),
+    [
+        (MergedMeasurements(merge_probability=0.0), {}),
+        (MergedMeasurements(min_separate_time=0.4), {"separate": np.array([9.0, 0.3])}),
+    ],
+)
+def test_a_blob_is_not_divided_where_the_settings_say_so(rule: MergedMeasurements, given: dict[str, F8]) -> None:
+    _, told = explain(expected(PAIR, **given), BLOB, rule)
+    assert not told.changed
+
+
+def test_a_target_hides_no_longer_than_the_longest_time() -> None:
+    inside = np.array([[100.0, 100, 160, 200], [110, 100, 140, 200]])
+    blob = inside[:1]
+    before, told = explain(expected(inside), blob)
+    assert told.changed
+    assert before.hidden.tolist() == [0.0, pytest.approx(1 / 25)]
+    _, told = explain(expected(inside, hidden=np.array([0.0, 3.1])), blob)
+    assert not told.changed
+
+
+@settings(deadline=None, max_examples=150)
+@given(boxes, boxes)
+def test_every_blob_is_used_and_order_does_not_matter(targets: F8, blobs: F8) -> None:
+    state = expected(targets)
+    _, told = explain(state, blobs)
+    # Every blob went somewhere, and everything told rests on a blob.
+    assert len(told.part) == len(blobs)
+    assert len(told.source) == len(told.detections) == len(told.target)
+    whole = {int(s) for s in told.source}
+    assert whole == {int(told.source[p]) for p in told.part}
+    shared = np.bincount(told.source, minlength=len(blobs))
+    named = told.target[told.target >= 0]
+    assert len(named) == len(set(named.tolist()))
+    for b in np.flatnonzero(shared > 1):
+        assert (told.target[told.source == b] >= 0).all()
+    order = np.random.default_rng(len(blobs) + 7 * len(targets)).permutation(len(blobs))
+    _, other = explain(state, blobs[order])
+    mine, theirs = (np.round(d.detections.xyxy, 9).tolist() for d in (told, other))
+    assert sorted(mine) == sorted(theirs)
+
+
+@settings(deadline=None, max_examples=60)
+@given(boxes)
+def test_without_two_targets_at_a_blob_nothing_changes(blobs: F8) -> None:
+    far = np.array([[500.0, 300, 540, 400]])
+    _, told = explain(expected(far), blobs)
+    assert not told.changed
+    np.testing.assert_array_equal(told.detections.xyxy, blobs)
+
+
+def test_given_noise_grows_where_no_edge_shows_the_target() -> None:
+    inside = np.array([[100.0, 100, 180, 200], [120, 100, 150, 200]])
+    noise = np.diag([4.0, 4, 9, 9])
+    blob = Detections(inside[:1], np.ones(1), np.zeros(1, np.int64), noise[None])
+    _, told = ALWAYS.explain(expected(inside), blob, MODEL, 1.0)
+    assert told.changed
+    assert told.detections.covariance is not None
+    seen, unseen = told.detections.covariance[np.argsort(told.target)]
+    assert seen[0, 0] == 4.0
+    assert unseen[0, 0] > 100.0
+
+
+def test_settings_are_checked() -> None:
+    with pytest.raises(InputError, match=r"^MergedMeasurements.merge_probability"):
+        MergedMeasurements(merge_probability=1.5)
+    with pytest.raises(InputError, match="does not fit"):
+        config.load(None, ("filter.kind=none", "merged_measurements.kind=explained"))
+
+
+SEEDS = range(3)
+
+
+def shared(boxes: F8) -> F8:
+    """The boxes of two as a change detector sees them: one blob where they overlap."""
+    touching = len(boxes) == 2 and float(intersection(boxes[:1], boxes[1:])[0, 0]) > 0
+    return np.concatenate([boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)])[None] if touching else boxes
+
+
+def merging(parting: str, seed: int) -> Case:
+    """A meeting whose blobs are the truth's boxes with a little noise."""
+    scene = build_scene(meeting("crossing" if parting == "crossing" else "turning back", seed), seed, DetectorModel())
+    rng, frame, boxes = np.random.default_rng(seed), [], []
+    for number in range(1, scene.info.frames + 1):
+        found = shared(scene.truth.xyxy[scene.truth.frame == number])
+        frame.append(np.full(len(found), number))
+        boxes.append(found + rng.normal(0, 1.0, found.shape))
+    table = DetectionTable(np.concatenate(frame), Detections.of(np.concatenate(boxes)))
+    return Case(parting, scene.info, scene.truth, table)
+
+
+def tracker_of(case: Case, filter_name: str, kind: str, **more: float) -> Tracker:
+    size = (case.info.width, case.info.height)
+    return Tracker(size, fps=case.info.fps, filter=filter_name, merged_measurements={"kind": kind, **more})
+
+
+def tracked(case: Case, filter_name: str, kind: str, **more: float) -> tuple[Tracks, list[Tracks]]:
+    """Corrected tracks, and the rows of each frame."""
+    tracker = tracker_of(case, filter_name, kind, **more)
+    rows = [tracker.update(case.table.at(number)) for number in range(1, case.info.frames + 1)]
+    return tracker.tracks(), rows
+
+
+@pytest.mark.parametrize(("filter_name", "partings"), [("pmb", PARTINGS), ("gm-phd", PARTINGS[1:])])
+def test_two_leave_a_shared_blob_with_their_identities(filter_name: str, partings: tuple[str, ...]) -> None:
+    right = {"none": 0, "explained": 0}
+    for parting in partings:
+        for seed in SEEDS:
+            case = merging(parting, seed)
+            for kind in right:
+                right[kind] += outcome(case, tracked(case, filter_name, kind)[0]) == "right"
+    pairs = len(partings) * len(SEEDS)
+    assert right["none"] <= pairs // 3
+    assert right["explained"] >= pairs // 2
+
+
+def test_rows_rest_on_the_blob_that_they_share() -> None:
+    case = merging("turning back", 0)
+    corrected, _ = tracked(case, "gm-phd", "explained")
+    count = np.array([len(case.table.at(int(number))) for number in corrected.frame])
+    assert (corrected.detection < count).all()
+    alone = [n for n in range(90, case.info.frames) if len(case.table.at(n)) == 1]
+    both = [n for n in alone if (corrected.detection[corrected.frame == n] == 0).sum() == 2]
+    assert len(both) > 0.7 * len(alone)
+
+
+@pytest.mark.parametrize("filter_name", ["pmb", "particle-phd"])
+def test_a_resumed_run_is_the_run(filter_name: str) -> None:
+    case = merging("crossing", 1)
+    first, second = (tracker_of(case, filter_name, "explained") for _ in range(2))
+    # In the middle of the blob that both share.
+    middle = 125
+    for number in range(1, middle):
+        first.update(case.table.at(number))
+    second.load_state_dict(pickle.loads(pickle.dumps(first.state_dict())))
+    assert len(case.table.at(middle)) == 1
+    for number in range(middle, case.info.frames + 1):
+        a, b = first.update(case.table.at(number)), second.update(case.table.at(number))
+        np.testing.assert_array_equal(a.xyxy, b.xyxy)
+        np.testing.assert_array_equal(a.detection, b.detection)
+    np.testing.assert_array_equal(first.tracks().xyxy, second.tracks().xyxy)
+
+
+def test_frames_that_nobody_looked_at_and_empty_ones_pass() -> None:
+    case = merging("turning back", 2)
+    tracker = tracker_of(case, "gm-phd", "explained")
+    for number in range(1, case.info.frames + 1):
+        found = case.table.at(number)
+        if number % 7 == 0:
+            found = Detections.empty(observed=False)
+        elif number % 11 == 0:
+            found = Detections.empty()
+        tracker.update(found)
+    assert len(np.unique(tracker.tracks().identity)) >= 2
+
+
+@pytest.mark.parametrize(
+    ("detector", "detections", "sets", "kind"),
+    [
+        ("", False, (), "explained"),
+        ("mog2", False, (), "explained"),
+        ("person", False, (), "none"),
+        ("", True, (), "none"),
+        ("", False, ("merged_measurements.kind=none",), "none"),
+        ("", False, ("filter.kind=none",), "none"),
+    ],
+)
+def test_blobs_are_explained_where_a_background_model_finds_them(
+    tmp_path: Path, detector: str, detections: bool, sets: tuple[str, ...], kind: str
+) -> None:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for number in range(3):
+        cv2.imwrite(str(folder / f"{number:03d}.png"), np.full((48, 64, 3), 90, np.uint8))
+    file = tmp_path / "det.txt"
+    file.write_text("1,-1,10,10,20,30,0.9\n", encoding="utf-8")
+    wanted = Wanted(str(folder), file if detections else None, detector, fps=25.0)
+    choice = Choice(sets=sets)
+    job = prepare(wanted, choice, chosen(choice), "phdtrack track", video=False)
+    assert job.configured("merged_measurements", "kind") == kind
+    assert isinstance(job.stages.explainer, MergedMeasurements) == (kind == "explained")
