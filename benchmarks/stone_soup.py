@@ -43,7 +43,7 @@ BATCH = 10
 NOISE = (3.0**0.5, 6.0**0.5)
 # Speeds are 0.7 pixels a frame across and 1.4 along on average, as amplitude of one law; nothing accelerates or grows, but
 # targets turn at the borders.
-MODEL = ("sensor.fixed_speed=2.0", "motion.acceleration=0.3", "motion.resize=0.3")
+MODEL = ("sensor.birth_speed_pixels=2.0", "motion.acceleration=0.3", "motion.size_noise=0.3")
 Both = Callable[[int], tuple[Loop, Loop]]
 
 
@@ -108,7 +108,7 @@ def described(crowd: Crowd) -> AnyStages:
     volume = area * (high - low) * crowd.aspect * (high - low)
     birth = built.model.birth
     assert isinstance(birth, MeasurementBirth)
-    denser = replace(birth, rate=birth.rate * image_volume(birth.frame_size) / volume)
+    denser = replace(birth, births_per_second=birth.births_per_second * image_volume(birth.frame_size) / volume)
     clutter = UniformClutter(crowd.false_alarms, volume)
     return replace(built, model=replace(built.model, birth=denser, clutter=clutter))
 
@@ -117,7 +117,7 @@ class OurMixture:
     """phdtrack's GM-PHD filter without extraction, at most ``most`` components."""
 
     def __init__(self, built: AnyStages, most: int) -> None:
-        self.loop = Ours(replace(built, filter=GMPHD(most=most), extractor=_Nothing()), 1)
+        self.loop = Ours(replace(built, filter=GMPHD(max_components=most), extractor=_Nothing()), 1)
 
     def frame(self, number: int, detections: Any) -> Any:
         """Seconds of a step, and the means of the components of weight ≥ 0.5."""

@@ -36,6 +36,12 @@ GATE, TREE = 5.0, 60.0
 REGION = 13.28
 
 
+def _stays(model: Model) -> float:
+    """p_S of one time unit."""
+    motion: Any = model.motion
+    return float(motion.survival_probability ** (1 / model.rate))
+
+
 def matrices(model: Model) -> tuple[F8, F8]:
     """F and Q of one time unit; the fixed variances make them the same for every state."""
     _, f, q = model.motion.transition(np.full((model.motion.dim, 1), 30.0), 1.0)
@@ -50,7 +56,7 @@ def transition(model: Model) -> LinearGaussianTimeInvariantTransitionModel:
 
 def measurement(stages: AnyStages) -> LinearGaussian:
     """g: four of the six components with the sensor's deviations."""
-    position, size = stages.model.sensor.fixed
+    position, size = stages.model.sensor.fixed_noise
     return LinearGaussian(ndim_state=6, mapping=(0, 1, 4, 5), noise_covar=np.diag([position**2] * 2 + [size**2] * 2))
 
 
@@ -78,8 +84,8 @@ class Mixture:
         self.updater = PHDUpdater(
             updater,
             clutter_spatial_density=kappa,
-            prob_detection=model.sensor.detection,
-            prob_survival=model.motion.survival,
+            prob_detection=model.sensor.detection_probability,
+            prob_survival=_stays(model),
         )
         tree = TREE if settings["merge"] == "tree" else None
         self.reducer = GaussianMixtureReducer(
@@ -105,7 +111,7 @@ class Mixture:
         covered = np.zeros(z.shape[1])
         if self.components:
             covered = self._covered(z)
-        born = self.model.birth.components(z, covered, self.model.sensor, 1.0)
+        born = self.model.birth.components(z, covered, self.model.sensor, 1 / self.model.rate)
         back = np.linalg.inv(self.f)
         mean, cov = back @ born.mean, back @ (born.covariance - self.q) @ back.T
         parts: Iterable[tuple[Any, ...]] = zip(born.weight, mean.T, cov, strict=True)
@@ -123,7 +129,7 @@ class Mixture:
         inverse = np.linalg.inv(cov[:, rows][:, :, rows] + np.asarray(self.sensor.noise_covar, float))
         step = z.T[None] - mean[:, None, rows]
         near = np.einsum("knr,krs,kns->kn", step, inverse, step) <= REGION
-        weight = self.model.motion.survival * np.array([float(c.weight) for c in self.components])
+        weight = _stays(self.model) * np.array([float(c.weight) for c in self.components])
         out: F8 = weight @ near
         return out
 
@@ -139,7 +145,7 @@ class Sampled:
         sampler = ParticleSampler(distribution_func=self._draw, params={}, ndim_state=6)
         self.predictor = SMCPHDPredictor(
             transition(model),
-            death_probability=1 - model.motion.survival,
+            death_probability=1 - _stays(model),
             birth_probability=0.2,
             birth_rate=1e-3,
             birth_sampler=sampler,
@@ -148,7 +154,7 @@ class Sampled:
         self.updater = SMCPHDUpdater(
             measurement_model=self.sensor,
             resampler=SystematicResampler(),
-            prob_detect=model.sensor.detection,
+            prob_detect=model.sensor.detection_probability,
             clutter_intensity=kappa,
             num_samples=count,
         )
@@ -166,8 +172,8 @@ class Sampled:
         if self.state is not None:
             moved = self.model.motion.sample(_plain(self.state.state_vector), 1.0, self.rng)
             near = sensor.distance2(z[:, :, None], moved[:, None, :]) <= REGION
-            covered = near @ (self.model.motion.survival * np.exp(np.asarray(self.state.log_weight, float)))
-        born = self.model.birth.sample(z, covered, sensor, 1.0, self.rng)
+            covered = near @ (_stays(self.model) * np.exp(np.asarray(self.state.log_weight, float)))
+        born = self.model.birth.sample(z, covered, sensor, 1 / self.model.rate, self.rng)
         return born if len(born) else self.model.birth.sample(z, np.zeros_like(covered), sensor, 1.0, self.rng)
 
     def frame(self, number: int, detections: Detections) -> tuple[tuple[Took, ...], F8]:

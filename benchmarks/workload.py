@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from phdtrack import config
+from phdtrack.kernels.gaussian import Births
 from phdtrack.protocols import AnyStages, Birth, Sensor
 from phdtrack.types import F8, Detections, DetectionTable, GaussianMixture, Particles, SequenceInfo, Truth
 
@@ -138,10 +139,10 @@ def stages(crowd: Crowd, *, worst: bool = False, sets: tuple[str, ...] = (), pre
     """
     density = crowd.targets / PER_AREA
     values = [
-        f"sensor.detection={crowd.p_detect}",
-        f"clutter.rate={max(crowd.false_alarms, 1e-3)}",
+        f"sensor.detection_probability={crowd.p_detect}",
+        f"clutter.clutter_per_frame={max(crowd.false_alarms, 1e-3)}",
         # 0.01 births per frame in an area of 720 × 480.
-        f"birth.rate={0.01 * density}",
+        f"birth.births_per_second={0.25 * density}",
         "extract.kind=kmeans",
         "extract.min_weight=0.6",
         "extract.merge_iou=1.0",
@@ -158,14 +159,18 @@ class Uncovered:
 
     birth: Birth
 
-    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
+    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """The newborn of the wrapped birth model where no mass is covered."""
-        return self.birth.sample(z, np.zeros_like(covered), sensor, dt, rng)
+        return self.birth.sample(z, np.zeros_like(covered), sensor, seconds, rng)
 
-    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
         """Those of the wrapped birth model."""
-        return self.birth.components(z, np.zeros_like(covered), sensor, dt)
+        return self.birth.components(z, np.zeros_like(covered), sensor, seconds)
 
-    def expected(self, z: F8, dt: float) -> float:
+    def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
+        """Those of the wrapped birth model."""
+        return self.birth.gaussians(z, sensor, seconds)
+
+    def expected(self, z: F8, seconds: float) -> float:
         """That of the wrapped birth model."""
-        return self.birth.expected(z, dt)
+        return self.birth.expected(z, seconds)

@@ -23,6 +23,7 @@ from phdtrack.errors import InputError
 from phdtrack.filters import ParticlePHD
 from phdtrack.filters.extract import KMeans
 from phdtrack.filters.particle_phd import Intensity
+from phdtrack.kernels.gaussian import Births
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.models.volume import image_volume
 from phdtrack.protocols import Birth, Clutter, Model, Sensor
@@ -47,7 +48,8 @@ _PLANE = -2 * math.log(0.01)
 
 @dataclass(frozen=True, slots=True)
 class SceneBirth:
-    """γ of the scene: centres uniform over the frame, heights log-uniform, one aspect, ``rate`` births per frame.
+    """γ of the scene: centres uniform over the frame, heights log-uniform, one aspect, ``rate`` births per frame, of which
+    there are 25 a second.
 
     Drawn around the detections: for each, heights log-uniform among those that could give it, and centres from the noise
     inside its 99 % region. The weight is γ over the mixture of all proposals.
@@ -57,7 +59,7 @@ class SceneBirth:
     rate: float
     most: int = MOST
 
-    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
+    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """Newborn particles around the detections that nothing predicted accounts for."""
         low, high = self._heights(z)
         counts = np.where(high > low, np.ceil(self.most * np.clip(1 - covered, 0, 1)), 0).astype(np.int64)
@@ -73,18 +75,22 @@ class SceneBirth:
         inside = (centre[0] >= 0) & (centre[0] < self.scene.width) & (centre[1] >= 0) & (centre[1] < self.scene.height)
         x = np.ascontiguousarray(x[:, inside])
         shortest, tallest = self.scene.birth_height
-        gamma = self.rate * dt / (self.scene.width * self.scene.height * math.log(tallest / shortest) * x[5])
+        gamma = 25 * self.rate * seconds / (self.scene.width * self.scene.height * math.log(tallest / shortest) * x[5])
         return Particles(
             x, gamma / self._proposal(x, z[:, counts > 0], low[counts > 0], high[counts > 0], counts[counts > 0])
         )
 
-    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
         """Raises `InputError`: heights that are uniform in their logarithm are no Gaussians."""
         raise InputError("the births of the counting scene have no Gaussian form", cure="Use a particle filter")
 
-    def expected(self, z: F8, dt: float) -> float:
-        """Births in ``dt``."""
-        return self.rate * dt
+    def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
+        """Raises `InputError`: heights that are uniform in their logarithm are no Gaussians."""
+        raise InputError("the births of the counting scene have no Gaussian form", cure="Use a particle filter")
+
+    def expected(self, z: F8, seconds: float) -> float:
+        """Births in so many seconds."""
+        return 25 * self.rate * seconds
 
     def _heights(self, z: F8) -> tuple[F8, F8]:
         """(N,) each: the shortest and the tallest newborn that could have given each detection, by its width and height."""
@@ -147,10 +153,10 @@ class Row:
 def _model(scene: Counting, p_detect: float, clutter: float, laws: Laws) -> tuple[Model, Model]:
     """The model of the first frame, whose births are the targets that are there already, and that of the others."""
     size = (float(scene.width), float(scene.height))
-    motion = BoxMotion(scene.sd_velocity, scene.sd_size, scene.p_survive, smallest=1e-3)
+    motion = BoxMotion(scene.sd_velocity, scene.sd_size, scene.p_survive**25, min_size=1e-3)
     # A newborn's speed is in widths, the sensor's in √(wh).
     speed = scene.birth_speed * math.sqrt(scene.aspect)
-    sensor = BoxSensor(p_detect, PAPER_DETECTOR.jitter_size, floor=0.0, speed=speed)
+    sensor = BoxSensor(p_detect, PAPER_DETECTOR.jitter_size, min_noise=0.0, birth_speed=speed)
     first: Birth
     later: Birth
     alarms: Clutter
@@ -158,7 +164,7 @@ def _model(scene: Counting, p_detect: float, clutter: float, laws: Laws) -> tupl
         first, later = SceneBirth(scene, float(scene.n)), SceneBirth(scene, scene.births)
         alarms = SceneClutter(scene, clutter)
     else:
-        first, later = (MeasurementBirth(rate, MOST, "image", size) for rate in (float(scene.n), scene.births))
+        first, later = (MeasurementBirth(25 * rate, MOST, "image", size) for rate in (float(scene.n), scene.births))
         alarms = UniformClutter(clutter, image_volume(size))
     model = Model(motion, sensor, later, alarms)
     return replace(model, birth=first), model

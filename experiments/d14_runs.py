@@ -111,7 +111,7 @@ def scans_of(job: Job) -> tuple[F8, ...]:
 
 def stages_of(job: Job) -> AnyStages:
     """The stages of a run; those of the Kalman filter are the PHD filter's, whose model it takes."""
-    variance = f"sensor.variance={job.variance}"
+    variance = f"sensor.noise_variance={job.variance}"
     if job.filter == KALMAN:
         return config.build(config.load(None, (variance,), "d14"), INFOS[job.world])
     sets = FILTERS[job.filter]

@@ -43,12 +43,13 @@ CLUTTER = (0.1, 1.0)
 PICTURED = (10, 40, 80, 120)
 FREE, FALL = 0.95, 0.75
 # What each filter changes of the preset e13.
-AWARE = ("sensor.occlusion=true", f"sensor.detection={FREE}")
+AWARE = ("sensor.occlusion=true", f"sensor.detection_probability={FREE}")
 # The ground that the people of the sequence walk on, metres.
 REGION = "camera.region=[-16.0, -18.0, -3.0, 10.0]"
 ARRIVALS = 0.2
-RATES = ("sensor.scaling=given", "birth.kind=ground", "birth.volume=region", f"birth.rate={7 * ARRIVALS}", REGION,
-         "clutter.volume=region", "clutter.density=0.0")  # fmt: skip
+RATES = ("sensor.scaling=given", "birth.kind=ground", "birth.volume=region"
+         f"birth.births_per_second={7 * ARRIVALS}", REGION,         "clutter.volume=region", "clutter.density=0.0")  # fmt:
+         skip
 FILTERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "GM-PHD": ("gm-phd", ()),
     "GM-PHD, occlusion": ("gm-phd", AWARE),
@@ -123,7 +124,7 @@ def _jittered(xyxy: F8, more: float, rng: np.random.Generator) -> F8:
 def stages_of(name: str, clutter: float) -> AnyStages:
     """The stages of a filter by its name in `FILTERS`."""
     kind, sets = FILTERS[name]
-    rate = (f"clutter.rate={clutter}",) if RATES[0] in sets else ()
+    rate = (f"clutter.clutter_per_frame={clutter}",) if RATES[0] in sets else ()
     return config.build(config.load(None, (f"camera.file={camera_file()}", *sets, *rate), "e13"), INFO, kind)
 
 

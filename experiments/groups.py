@@ -144,8 +144,8 @@ def settings_of(where: Scene) -> config.Settings:
     sets = (
         "motion.kind=plane",
         f"camera.region={list(where.region)}",
-        f"sensor.detection={DETECTION}",
-        f"clutter.rate={CLUTTER}",
+        f"sensor.detection_probability={DETECTION}",
+        f"clutter.clutter_per_frame={CLUTTER}",
         "clutter.volume=region",
         # What comes in metres has no boxes that could overlap.
         "extract.merge_iou=1.0",

@@ -36,7 +36,7 @@ CHANGES: dict[str, dict[str, tuple[str, ...]]] = {
         "poor links kept": _POOR,
         "nobody joined": _JOINED,
         "lighter states": ("extract.min_weight=0.3",),
-        "p_D 0.7": ("sensor.detection=0.7",),
+        "p_D 0.7": ("sensor.detection_probability=0.7",),
         "led back 20 frames": ("associate.back_dating=20",),
     },
     "mht": {SHIPPED: (), "states linked by the graph": ("associate.kind=graph",)},

@@ -108,7 +108,12 @@ def swept(job: Job, info: SequenceInfo) -> AnyStages:
     assert job.rates is not None
     births, clutter = job.rates
     volume = "local" if job.run == UM else "image"
-    sets = (f"birth.rate={births}", f"clutter.rate={clutter}", f"birth.volume={volume}", f"clutter.volume={volume}")
+    sets = (
+        f"birth.births_per_second={25 * births}",
+        f"clutter.clutter_per_frame={clutter}",
+        f"birth.volume={volume}",
+        f"clutter.volume={volume}",
+    )
     return config.build(config.load(None, sets), info, job.filter)
 
 
@@ -127,11 +132,13 @@ def uniform_of(run: str, model: Model, scene: Taught, train: Case) -> Model:
     if run in (IMAGE, GM_IMAGE):
         size = float(train.info.width), float(train.info.height)
         everywhere = replace(birth, volume="image", frame_size=size)
-        return replace(model, birth=everywhere, clutter=UniformClutter(clutter.rate, image_volume(size)))
+        return replace(model, birth=everywhere, clutter=UniformClutter(clutter.clutter_per_frame, image_volume(size)))
     # So many of each detection that they are as many as were learned.
     each = train.info.frames / max(len(train.table.frame), 1)
     if run in ("A3", "A5"):
-        birth = replace(birth, rate=each * (scene.births.rate if scene.births else birth.rate))
+        birth = replace(
+            birth, births_per_second=each * (model.rate * scene.births.rate if scene.births else birth.births_per_second)
+        )
     if run in ("A3", "A4"):
         clutter = LocalClutter(each * scene.clutter.rate)
     return replace(model, birth=birth, clutter=clutter)

@@ -65,10 +65,10 @@ def world(given: Turning) -> Model:
     mean, sd = given.birth_mean, np.array(given.birth_sd)
     spread = np.tile(np.diag(sd**2), (mean.shape[1], 1, 1))
     sensor = BearingSensor(
-        given.sd_bearing, given.sd_range, given.p_detect, given.fade, speed=2**0.5 * float(sd[2]), turn=float(sd[4])
+        given.sd_bearing, given.sd_range, given.p_detect, given.fade, birth_speed=2**0.5 * float(sd[2]), turn=float(sd[4])
     )
     return Model(
-        TurningMotion(given.sd_acceleration, given.sd_turn, given.p_survive, given.interval, "piecewise"),
+        TurningMotion(given.sd_acceleration, given.sd_turn, given.p_survive ** (1 / given.interval), "piecewise"),
         sensor,
         FixedBirth(GaussianMixture(np.array(given.birth_weight), mean, spread), NEWBORN),
         UniformClutter(given.clutter_rate, given.clutter_volume),

@@ -28,7 +28,7 @@ Job = tuple[str, str, int, int, int, int]
 def work(job: Job) -> Result:
     """One run."""
     sequence, kind, rate, seed, particles_per_target, most = job
-    sets = (f"filter.particles_per_target={particles_per_target}", f"birth.most={most}")
+    sets = (f"filter.particles_per_target={particles_per_target}", f"birth.particles={most}")
     return measure(cluttered(given(sequence, kind), rate, seed), "particle-phd", seed, sets)
 
 

@@ -64,17 +64,17 @@ PARTS: Mapping[str, tuple[str, ...]] = {
 }
 # and numbers changed.
 NUMBERS: Mapping[str, tuple[str, ...]] = {
-    "sensor half as wide (0.125)": ("sensor.spread=0.125",),
-    "sensor of the other filters (0.15)": ("sensor.spread=0.15",),
+    "sensor half as wide (0.125)": ("sensor.box_noise=0.125",),
+    "sensor of the other filters (0.15)": ("sensor.box_noise=0.15",),
     "acceleration twice (0.01)": ("motion.acceleration=0.01",),
     "acceleration half (0.0025)": ("motion.acceleration=0.0025",),
-    "sizes twice as unsteady (0.1)": ("motion.resize=0.1",),
-    "survival of M07 (0.99)": ("motion.survival=0.99",),
-    "p_D 0.9": ("sensor.detection=0.9",),
-    "p_D 0.7": ("sensor.detection=0.7",),
-    "false alarms as of the other filters (0.3)": ("clutter.rate=0.3",),
-    "false alarms twice (3)": ("clutter.rate=3",),
-    "births twice (0.01)": ("birth.rate=0.01",),
+    "sizes twice as unsteady (0.1)": ("motion.size_noise=0.1",),
+    "survival of M07 (0.99)": ("motion.survival_probability=0.7778",),
+    "p_D 0.9": ("sensor.detection_probability=0.9",),
+    "p_D 0.7": ("sensor.detection_probability=0.7",),
+    "false alarms as of the other filters (0.3)": ("clutter.clutter_per_frame=0.3",),
+    "false alarms twice (3)": ("clutter.clutter_per_frame=3",),
+    "births twice (0.01)": ("birth.births_per_second=0.25",),
     "hidden twice as long (0.8 s)": ("filter.mean_occluded_time=0.8",),
     "sources fire less (0.3)": ("filter.static_clutter_detection_probability=0.3",),
 }

@@ -74,8 +74,8 @@ def world(given: LinearGaussian) -> Model:
     spread = np.tile(given.birth_sd**2 * np.eye(4), (mean.shape[1], 1, 1))
     birth = GaussianMixture(np.full(mean.shape[1], given.birth_weight), mean, spread)
     return Model(
-        PlaneMotion(given.sd_acceleration, given.p_survive, given.interval, "piecewise"),
-        PlaneSensor(given.p_detect, "fixed", given.sd_position, speed=2**0.5 * given.birth_sd),
+        PlaneMotion(given.sd_acceleration, given.p_survive ** (1 / given.interval), "piecewise"),
+        PlaneSensor(given.p_detect, "fixed", given.sd_position, birth_speed=2**0.5 * given.birth_sd),
         FixedBirth(birth, NEWBORN),
         UniformClutter(given.clutter_rate, (2 * given.half_width) ** 2),
         rate=1.0,

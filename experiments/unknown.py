@@ -67,7 +67,7 @@ def begun(model: Model, start: Start) -> Model:
     if start.p_detect:
         model = replace(model, sensor=with_detection(model.sensor, start.p_detect))
     if isinstance(model.clutter, UniformClutter):
-        rate = start.clutter or start.multiple * model.clutter.rate
+        rate = start.clutter or start.multiple * model.clutter.clutter_per_frame
         model = replace(model, clutter=with_clutter(model.clutter, rate))
     return model
 

@@ -119,7 +119,7 @@ def test_every_setting_is_reached_by_set(section: str, kind: str, name: str):
 
 @pytest.mark.parametrize(("typed", "meant"), [(".1", 0.1), ("+.25", 0.25), (" .1 ", 0.1), ("1e-1", 0.1)])
 def test_numbers_may_begin_with_the_point(typed: str, meant: float):
-    assert config.load(sets=[f"sensor.spread={typed}"]).as_dict()["sensor"]["spread"] == meant
+    assert config.load(sets=[f"sensor.box_noise={typed}"]).as_dict()["sensor"]["box_noise"] == meant
 
 
 @pytest.mark.parametrize(("section", "kind", "name"), EVERY)
@@ -149,7 +149,7 @@ def test_all_that_as_dict_tells_is_what_is_built(preset: str):
             if name != "kind":
                 assert getattr(made, name) == value, (section, name)
     assert stages.model.rate == told["time"]["rate"]
-    assert stages.model.clutter.rate == told["clutter"]["rate"]
+    assert stages.model.clutter.clutter_per_frame == told["clutter"]["clutter_per_frame"]
 
 
 def test_e13_is_built_as_told():
@@ -178,8 +178,8 @@ def test_e13_is_built_as_told():
     ["filter.kind=particle-phd", "birth.kind=uniform", "spawn.kind=split", "extract.kind=mixture"],
     ["filter.kind=particle-phd"],
     ["filter.kind=none"],
-    ["filter.initial=[[10, 20, 30, 60]]", "sensor.fixed=[1, 2]", "sensor.scaling=fixed"],
-    ["filter.kind=gm-phd", "filter.most=1000"],
+    ["filter.initial=[[10, 20, 30, 60]]", "sensor.fixed_noise=[1, 2]", "sensor.scaling=fixed"],
+    ["filter.kind=gm-phd", "filter.max_components=1000"],
     ["detector.threshold=3", "detector.name=x"],
 ])  # fmt: skip
 @pytest.mark.parametrize("preset", PRESETS)
@@ -192,7 +192,7 @@ def test_as_dict_written_as_toml_loads_to_the_same(preset: str, sets: list[str],
             "filter.kind=particle-phd",
         ]
     if preset == "d14" and any(name in option for option in sets for name in ("kind=uniform", "sensor", "gm-phd")):
-        sets = ["birth.kind=point", "filter.kind=gm-phd", "sensor.size=[10, 20]", "clutter.rate=2"]
+        sets = ["birth.kind=point", "filter.kind=gm-phd", "sensor.size=[10, 20]", "clutter.clutter_per_frame=2"]
     if preset == "m09-mht" and any("kind=uniform" in option for option in sets):
         sets = ["filter.initial=[[1, 2, 10, 20]]", "filter.history=3", "extract.merge_iou=0.3", "associate.output_delay=2"]
     settings = config.load(sets=sets, preset=preset)
@@ -203,22 +203,29 @@ def test_as_dict_written_as_toml_loads_to_the_same(preset: str, sets: list[str],
 
 def test_the_last_named_wins(tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text('preset = "m07"\n[sensor]\ndetection = 0.8\nspread = 0.3\n', encoding="utf-8")
-    sensor = config.load(path, ["sensor.spread=0.4", "sensor.spread=0.5"]).as_dict()["sensor"]
-    assert (sensor["scaling"], sensor["detection"], sensor["spread"]) == ("detection", 0.8, 0.5)
+    path.write_text('preset = "m07"\n[sensor]\ndetection_probability = 0.8\nbox_noise = 0.3\n', encoding="utf-8")
+    sensor = config.load(path, ["sensor.box_noise=0.4", "sensor.box_noise=0.5"]).as_dict()["sensor"]
+    assert (sensor["scaling"], sensor["detection_probability"], sensor["box_noise"]) == ("detection", 0.8, 0.5)
     assert config.load(path, preset="m09").as_dict()["sensor"]["scaling"] == "particle"
     assert config.load(path, preset="m09").preset == "m09"
-    over = config.overlay(config.load(path), {"sensor": {"detection": 0.6}})
-    assert over.as_dict()["sensor"]["detection"] == 0.6
-    assert config.load(path).as_dict()["sensor"]["detection"] == 0.8, "the settings laid over stay what they were"
+    over = config.overlay(config.load(path), {"sensor": {"detection_probability": 0.6}})
+    assert over.as_dict()["sensor"]["detection_probability"] == 0.6
+    assert config.load(path).as_dict()["sensor"]["detection_probability"] == 0.8, (
+        "the settings laid over stay what they were"
+    )
 
 
 def test_loading_does_not_change_the_presets():
     before = repr(PRESETS)
     config.load(sets=["motion.acceleration=0.5", "birth.kind=ground"], preset="e13")
-    config.load(sets=["sensor.detection=0.5", "birth.rate=2", "filter.max_hypotheses=7"], preset="m09-mht")
+    config.load(
+        sets=["sensor.detection_probability=0.5", "birth.births_per_second=2", "filter.max_hypotheses=7"], preset="m09-mht"
+    )
     for preset in {*IN_THE_IMAGE} - {"m09-mht"}:
-        config.load(sets=[*PARTICLES, "sensor.detection=0.5", "birth.kind=uniform", "clutter.rate=7"], preset=preset)
+        config.load(
+            sets=[*PARTICLES, "sensor.detection_probability=0.5", "birth.kind=uniform", "clutter.clutter_per_frame=7"],
+            preset=preset,
+        )
     assert repr(PRESETS) == before
 
 
@@ -254,39 +261,46 @@ def test_kinds_of_the_other_stages():
 def test_the_default_has_values_of_its_own_with_each_filter(kind: str):
     """Built as printed, whatever the filter was before; not in a paper's preset, and never over what was asked for."""
     settings = config.load(sets=[f"filter.kind={kind}"])
-    spread, rate = (settings.as_dict()[section][name] for section, name in (("sensor", "spread"), ("clutter", "rate")))
+    spread, rate = (
+        settings.as_dict()[section][name] for section, name in (("sensor", "box_noise"), ("clutter", "clutter_per_frame"))
+    )
     assert (spread, rate) == ((0.25, 1.5) if kind == "pmb" else (0.15, 0.3))
     model = config.build(config.load(), INFO, kind).model
-    assert (model.sensor.spread, model.clutter.rate) == (spread, rate)
-    asked = config.load(sets=["sensor.spread=0.7", f"filter.kind={kind}", "clutter.rate=0.01"])
-    assert (asked.as_dict()["sensor"]["spread"], asked.as_dict()["clutter"]["rate"]) == (0.7, 0.01)
+    assert (model.sensor.box_noise, model.clutter.clutter_per_frame) == (spread, rate)
+    asked = config.load(sets=["sensor.box_noise=0.7", f"filter.kind={kind}", "clutter.clutter_per_frame=0.01"])
+    assert (asked.as_dict()["sensor"]["box_noise"], asked.as_dict()["clutter"]["clutter_per_frame"]) == (0.7, 0.01)
     if kind != "mcmc":  # Which cannot do with births that are uniform over the image.
-        assert config.load(sets=[f"filter.kind={kind}"], preset="m07").as_dict()["clutter"]["rate"] == 1.0
+        assert config.load(sets=[f"filter.kind={kind}"], preset="m07").as_dict()["clutter"]["clutter_per_frame"] == 1.0
 
 
 def test_another_kind_does_not_inherit_settings():
     """The preset's birth rate is per detection; that of uniform births is per frame."""
-    assert config.load(sets=["birth.kind=uniform"], preset="m07").as_dict()["birth"]["rate"] == UniformBirth((1, 1)).rate
+    assert (
+        config.load(sets=["birth.kind=uniform"], preset="m07").as_dict()["birth"]["births_per_second"]
+        == UniformBirth((1, 1)).births_per_second
+    )
     same = config.load(sets=["birth.kind=measurement"], preset="m07").as_dict()["birth"]
-    assert same["rate"] == PRESETS["m07"]["birth"]["rate"]
+    assert same["births_per_second"] == PRESETS["m07"]["birth"]["births_per_second"]
 
 
 @pytest.mark.parametrize("sets", [
-    [*PARTICLES, "birth.kind=uniform", "birth.count=7"],
-    ["birth.count=7", "birth.kind=uniform", *PARTICLES],
+    [*PARTICLES, "birth.kind=uniform", "birth.particles=7"],
+    ["birth.particles=7", "birth.kind=uniform", *PARTICLES],
 ])  # fmt: skip
 def test_a_kind_may_stand_behind_its_settings(sets: list[str]):
-    assert config.build(config.load(sets=sets), INFO).model.birth.count == 7
+    assert config.build(config.load(sets=sets), INFO).model.birth.particles == 7
 
 
 # What depends on the sequence, and boxes
 
 
 def test_the_frame_gives_its_size():
-    stages = config.build(config.load(sets=["clutter.volume=image", "birth.volume=image", "clutter.rate=2"]), INFO)
+    stages = config.build(
+        config.load(sets=["clutter.volume=image", "birth.volume=image", "clutter.clutter_per_frame=2"]), INFO
+    )
     assert stages.model.motion.frame_size == stages.model.birth.frame_size == (640.0, 480.0)
     assert stages.model.clutter.volume == (640 * 480) ** 2
-    assert stages.model.clutter.rate == 2
+    assert stages.model.clutter.clutter_per_frame == 2
 
 
 @pytest.mark.parametrize(("scaling", "dim"), [("particle", 6), ("previous", 8)])
@@ -304,9 +318,9 @@ def test_initial_boxes(rng):
 
 
 def test_fixed_births():
-    sets = ["birth.kind=fixed", f"birth.boxes=[{list(BOX)}]", "birth.rate=0.2", "birth.count=50"]
+    sets = ["birth.kind=fixed", f"birth.boxes=[{list(BOX)}]", "birth.births_per_second=0.2", "birth.particles=50"]
     birth = config.build(config.load(sets=sets), INFO).model.birth
-    assert birth.count == 50
+    assert birth.particles == 50
     np.testing.assert_allclose(birth.mixture.mean[[0, 1, 4, 5], 0], [20, 40, 20, 40])
     np.testing.assert_array_equal(birth.mixture.weight, [0.2])
 

@@ -17,23 +17,23 @@ INFO = SequenceInfo(640, 480, 25.0)
 
 
 MISTAKES = [
-    ("sensor.detecton=0.9", "Did you mean detection?"),
+    ("sensor.detection_probabilty=0.9", "Did you mean detection_probability?"),
     ("sensr.detection=0.9", "Did you mean sensor?"),
     ("birth.kind=unifrom", "Did you mean uniform?"),
     ("filter.kind=particle", "particle-phd"),
     ("time.kind=box", "one kind only"),
     ("motion.frame_size=[1, 2]", "unknown setting"),
-    ("sensor.detection=1.5", "less than or equal to 1"),
-    ("sensor.detection=-0.1", "greater than or equal to 0"),
-    ("sensor.detection=nan", "sensor.detection"),
-    ("sensor.detection=true", "valid number"),
-    ("sensor.detection='0.9'", "valid number"),
-    ("sensor.detection=high", "valid number"),
-    ("sensor.detection=", "valid number"),
+    ("sensor.detection_probability=1.5", "less than or equal to 1"),
+    ("sensor.detection_probability=-0.1", "greater than or equal to 0"),
+    ("sensor.detection_probability=nan", "sensor.detection_probability"),
+    ("sensor.detection_probability=true", "valid number"),
+    ("sensor.detection_probability='0.9'", "valid number"),
+    ("sensor.detection_probability=high", "valid number"),
+    ("sensor.detection_probability=", "valid number"),
     ("sensor.scaling=partical", "'particle'"),
-    ("sensor.fixed=[1, 2, 3]", "at most 2"),
+    ("sensor.fixed_noise=[1, 2, 3]", "at most 2"),
     ("motion.acceleration=-1", "greater than or equal to 0"),
-    ("motion.scaled=maybe", "valid boolean"),
+    ("motion.scaled_noise=maybe", "valid boolean"),
     ("associate.max_coast=-1", "greater than or equal to 0"),
     ("associate.window=2", "It goes with associate.kind=graph; here there are min_track_length"),
     ("associate.min_track_length=2.5", "valid integer"),
@@ -44,7 +44,7 @@ MISTAKES = [
         "filter.particles_per_target=500",
         "It goes with filter.kind=particle-phd or particle-cphd; here there are existence_threshold",
     ),
-    ("clutter.rate=-1", "greater than or equal to 0"),
+    ("clutter.clutter_per_frame=-1", "greater than or equal to 0"),
     ("clutter.volume=frame", "'image'"),
     ("time.rate=0", "greater than 0"),
     ("birth.boxes=[[1, 2, 3, 4]]", "unknown setting"),
@@ -55,7 +55,7 @@ MISTAKES = [
 @pytest.mark.parametrize(("option", "says"), MISTAKES)
 def test_mistakes_in_options(option: str, says: str):
     with pytest.raises(InputError) as error:
-        config.load(sets=["motion.survival=0.98", option])
+        config.load(sets=["motion.survival_probability=0.98", option])
     assert says in str(error.value)
     assert str(error.value).startswith(f"--set {option}: ")
 
@@ -92,7 +92,9 @@ def test_nor_one_of_the_particle_filters(section: str):
             config.load(sets=[*sets, f"{section}.{name}=-1"])
 
 
-@pytest.mark.parametrize("option", ["sensor.detection", "sensor=3", "detection=0.9", "sensor.=1", "", "=", "preset=m09"])
+@pytest.mark.parametrize(
+    "option", ["sensor.detection_probability", "sensor=3", "detection=0.9", "sensor.=1", "", "=", "preset=m09"]
+)
 def test_options_have_a_section_a_name_and_a_value(option: str):
     with pytest.raises(InputError, match=r"section\.name=value"):
         config.load(sets=[option])

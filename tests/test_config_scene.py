@@ -39,7 +39,7 @@ def test_every_filter_takes_them(tmp_path, name):
     stages = config.build(config.load(sets=written(tmp_path / "scene.json")), INFO, name)
     assert type(stages.model.birth) is ContextBirth
     assert type(stages.model.clutter) is ContextClutter
-    assert (stages.model.birth.rate, stages.model.clutter.rate) == (0.05, 1.5)
+    assert (stages.model.birth.births_per_second, stages.model.clutter.clutter_per_frame) == (25 * 0.05, 1.5)
     rng = np.random.default_rng(0)
     state = stages.filter.start(stages.model, rng)
     for k in range(6):
@@ -96,7 +96,7 @@ def test_the_shipped_model_is_beside_a_scene(tmp_path, name):
     """As much as is usual with the filter, told and built alike; nothing in a paper's preset, or where so asked."""
     sets = written(tmp_path / "scene.json", followed=FOLLOWED)
     plain = config.load(sets=[f"filter.kind={name}"]).as_dict()
-    usual = {section: plain[section]["rate"] for section in ("birth", "clutter")}
+    usual = {"birth": plain["birth"]["births_per_second"], "clutter": plain["clutter"]["clutter_per_frame"]}
     settings = config.load(sets=[f"filter.kind={name}", *sets])
     model = config.build(settings, INFO).model
     for section in ("birth", "clutter"):
@@ -133,7 +133,11 @@ def test_who_stays_among_false_alarms_is_held_back(tmp_path, name, kind):
     assert isinstance(vetted, FalseTrackRejection)
     assert isinstance(vetted.associator, kind)
     assert vetted.associator.output_delay == 3
-    assert (vetted.false.clutter.rate, vetted.false.followed.share, vetted.false.births.rate) == (1.5, 0.1, 0.05)
+    assert (vetted.false.clutter.rate, vetted.false.followed.share, vetted.false.births.rate) == (
+        1.5,
+        0.1,
+        0.05,
+    )
     # Births count where they are of the same scene.
     alone = config.build(config.load(sets=sets[2:]), INFO, name).associator
     assert isinstance(alone, FalseTrackRejection)
@@ -161,10 +165,10 @@ def test_a_scene_is_taken_whole_and_options_change_it(tmp_path):
     assert (told["birth"]["file"], told["clutter"]["reject_false_tracks"]) == (str(path), True)
     told = track(path, "clutter.reject_false_tracks=false", "birth.around_detections=0").as_dict()
     assert (told["clutter"]["reject_false_tracks"], told["birth"]["around_detections"]) == (False, 0)
-    assert track(path, "birth.kind=measurement").as_dict()["birth"]["rate"] == 0.005, "the kind that was chosen"
+    assert track(path, "birth.kind=measurement").as_dict()["birth"]["births_per_second"] == 0.125, "the kind that was chosen"
     assert track(path, "birth.kind=measurement").as_dict()["clutter"]["kind"] == "scene"
-    with pytest.raises(InputError, match=r"unknown setting of \[clutter\]: rate"):
-        track(path, "clutter.rate=2")
+    with pytest.raises(InputError, match=r"unknown setting of \[clutter\]: clutter_per_frame"):
+        track(path, "clutter.clutter_per_frame=2")
 
 
 def test_what_a_scene_has_not_taught_goes_with_what_it_has(tmp_path):

@@ -129,7 +129,7 @@ def test_frames_come_in_order(arguments, says: str):
     ({"settings": "nowhere.toml"}, "nowhere.toml"),
     ({"sensor": 0.9}, "section"),
     ({"sensr": {}}, "Did you mean sensor"),
-    ({"sensor": {"detection": 2}}, "sensor.detection"),
+    ({"sensor": {"detection_probability": 2}}, "sensor.detection_probability"),
 ])  # fmt: skip
 def test_what_is_no_setting_is_told(arguments, says: str):
     with pytest.raises(InputError, match=says):
@@ -151,8 +151,8 @@ def settled(count: int, kind: str) -> float:
 
     Of a PHD filter 1/(1 − p_M p_S) of each, as what a miss would leave adds up; of one with labels one of each.
     """
-    missed = 1 - PRESETS["default"]["sensor"]["detection"] if kind == "particle-phd" else 0.0
-    return count / (1 - missed * PRESETS["default"]["motion"]["survival"])
+    missed = 1 - PRESETS["default"]["sensor"]["detection_probability"] if kind == "particle-phd" else 0.0
+    return count / (1 - missed * PRESETS["default"]["motion"]["survival_probability"] ** (1 / 25))
 
 
 @pytest.mark.parametrize("kind", ["pmb", "particle-phd"])
@@ -332,7 +332,7 @@ def test_without_filter_detections_are_the_states():
 @pytest.mark.parametrize("preset", [*sorted({*PRESETS} - {"e13", "d14"}), "particle-phd", "mht"])
 def test_every_preset_finds_two_people(preset: str):
     """And the default's with another filter."""
-    fewer = {"filter": {"particles_per_target": 500}, "birth": {"most": 500}}
+    fewer = {"filter": {"particles_per_target": 500}, "birth": {"particles": 500}}
     if preset in PRESETS:
         tracker = Tracker(SIZE, preset=preset, **(fewer if preset in ("m07", "m09", "fv") else {}))
     else:
@@ -366,9 +366,9 @@ def test_the_preset_of_points_finds_two_centroids():
 
 def test_settings_come_from_file_preset_and_sections(tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text("[sensor]\ndetection = 0.7\nspread = 0.2\n", encoding="utf-8")
-    sensor = Tracker(SIZE, preset="m07", settings=path, sensor={"spread": 0.3}).stages.model.sensor
-    assert (sensor.detection, sensor.spread, sensor.scaling) == (0.7, 0.3, "detection")
+    path.write_text("[sensor]\ndetection_probability = 0.7\nbox_noise = 0.2\n", encoding="utf-8")
+    sensor = Tracker(SIZE, preset="m07", settings=path, sensor={"box_noise": 0.3}).stages.model.sensor
+    assert (sensor.detection_probability, sensor.box_noise, sensor.scaling) == (0.7, 0.3, "detection")
 
 
 def test_stages_of_ones_own():

@@ -34,7 +34,9 @@ BIRTHS = Learned(0.01, ContextDensity(LOW, HIGH, 0.2, np.ones(1), *ENTRY))
 
 
 def tracker_of(held_back: bool = True, sure: float = 0.0, **sections) -> Tracker:
-    values = {"filter": PARTICLES | {"particles_per_target": 400}, "birth": {"most": 300}} if "particles" in sections else {}
+    values = (
+        {"filter": PARTICLES | {"particles_per_target": 400}, "birth": {"particles": 300}} if "particles" in sections else {}
+    )
     delay = {"associate": {"output_delay": sections.get("delay", 0)}}
     stages = config.build(config.overlay(config.load(), values | delay, "a test"), SequenceInfo(*SIZE, 25.0))
     if held_back:

@@ -10,7 +10,7 @@ from phdtrack.types import Detections, Tracks
 
 SIZE = (640, 480)
 # Few particles, so that tests are quick.
-FEW = {"filter": {"particles_per_target": 500}, "birth": {"most": 400}}
+FEW = {"filter": {"particles_per_target": 500}, "birth": {"particles": 400}}
 PARTICLES = {"kind": "particle-phd"}
 FIELDS = ("frame", "identity", "xyxy", "confidence", "detection", "confirmed")
 

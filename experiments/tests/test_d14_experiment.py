@@ -74,7 +74,7 @@ def test_all_filters_are_given_the_same_measurements_and_only_some_the_names():
     assert (true.filter.samples, true.filter.burn_in, true.filter.thin, true.filter.greedy) == (300, 50, 1, False)
     assert greedy.filter.greedy
     assert (true.filter.ancestors, joint.filter.ancestors) == ("each", "joint")
-    assert all(stages.model.sensor.variance == 0.5 for stages in (phd, true, greedy, joint))
+    assert all(stages.model.sensor.noise_variance == 0.5 for stages in (phd, true, greedy, joint))
     found, _ = track(Job("corridor", "SMC PHD", 100, 0.5, 4))
     assert set(found.identity) == {-1}
     found, _ = track(Job("corridor", "MCMC", 100, 0.5, 4))

@@ -115,11 +115,16 @@ def test_every_run_has_its_births_and_its_clutter(street, monkeypatch) -> None:
     assert {run for run, one in stages.items() if isinstance(one.associator, FalseTrackRejection)} == {GM, "A2", "A5", "A6"}
 
 
+def _rate(part: Birth | Clutter) -> float:
+    """Births a second, or false alarms a frame."""
+    return getattr(part, "births_per_second", None) or part.clutter_per_frame
+
+
 def told(part: Birth | Clutter) -> tuple[type, float, object]:
     """Kind, rate, and what it stands beside or is spread over."""
     if isinstance(part, ContextBirth | ContextClutter):
-        return type(part), part.rate, part.around_detections
-    return type(part), part.rate, part.volume if isinstance(part, MeasurementBirth) else None
+        return type(part), _rate(part), part.around_detections
+    return type(part), _rate(part), part.volume if isinstance(part, MeasurementBirth) else None
 
 
 def taught(train: Case) -> m09_lessons.Taught:
@@ -152,7 +157,7 @@ def test_the_sweep_sets_the_rates_and_the_volume() -> None:
     assert isinstance(local.clutter, LocalClutter)
     assert isinstance(image.clutter, UniformClutter)
     for model in (local, image):
-        assert (model.birth.rate, model.clutter.rate) == (0.02, 4.0)
+        assert (model.birth.births_per_second, model.clutter.clutter_per_frame) == (0.02, 4.0)
     assert (local.birth.volume, image.birth.volume) == ("local", "image")
 
 

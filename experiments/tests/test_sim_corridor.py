@@ -59,7 +59,7 @@ def test_frames_without_anybody_are_empty_and_noise_has_a_variance():
 
 def test_wandering_points_live_as_long_and_move_as_the_model_says():
     """With p' = p + v + n and v' = v + m a second difference of positions is n' − n + m: its variance is 3 q."""
-    truth, known = wandering(PointMotion(variance=2.0), 1.5, np.random.default_rng(4)), paths()
+    truth, known = wandering(PointMotion(noise_variance=2.0), 1.5, np.random.default_rng(4)), paths()
     np.testing.assert_array_equal(truth.frame, known.frame)
     np.testing.assert_array_equal(truth.identity, known.identity)
     place = centroids(truth)
@@ -70,5 +70,5 @@ def test_wandering_points_live_as_long_and_move_as_the_model_says():
         bends.append(np.diff(place[:, mine], n=2))
     bend = np.hstack(bends)
     assert bend.var() == pytest.approx(3 * 2.0, rel=0.12)
-    again = wandering(PointMotion(variance=2.0), 1.5, np.random.default_rng(4))
+    again = wandering(PointMotion(noise_variance=2.0), 1.5, np.random.default_rng(4))
     np.testing.assert_array_equal(again.xyxy, truth.xyxy)

@@ -75,7 +75,7 @@ def test_measurements_scatter_as_the_sensor_says():
 def test_far_targets_are_seen_less_where_the_detection_fades():
     """Share of those that are seen beyond and below 1500 m, against the sensor's own p_D."""
     model = replace(Turning(), fade=2000.0, clutter_rate=0.0)
-    sensor = BearingSensor(detection=model.p_detect, fade=2000.0)
+    sensor = BearingSensor(detection_probability=model.p_detect, fade=2000.0)
     seen, expected, far = [], [], []
     for seed in range(20):
         scene = turning(np.random.default_rng(seed), model)

@@ -48,8 +48,8 @@ class Motion(Protocol):
     def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
         """(d, L) one draw of f(·|ξ) for each column of ``x`` (d, L)."""
 
-    def p_survive(self, x: F8, dt: float) -> F8:
-        """(L,) probability that a target at ``x`` is still there after ``dt``."""
+    def p_survive(self, x: F8, seconds: float) -> F8:
+        """(L,) probability that a target at ``x`` is still there after so many seconds."""
 
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean (d, n), Jacobian F (n, d, d) and noise covariance Q (n, d, d) of f(·|x) for the columns of ``x`` (d, n)."""
@@ -138,16 +138,16 @@ class Sensor(Protocol):
 class Birth(Protocol):
     """γ(x): where and how often new targets appear, and how newborn particles are drawn."""
 
-    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
+    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """Newborn particles of total mass ∫γT; ``covered`` (N,) is the mass predicted at each column of ``z`` (m, N)."""
 
-    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
         """γT as a Gaussian mixture, for the filters that carry one; `InputError` where γ has no such form."""
 
-    def gaussians(self, z: F8, sensor: Sensor, dt: float) -> Births:
+    def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """γT as Gaussians, one around each detection of ``z`` (m, N) or at given places; `InputError` where γ has none."""
 
-    def expected(self, z: F8, dt: float) -> float:
+    def expected(self, z: F8, seconds: float) -> float:
         """∫γT over everything: the expected number of births, those that no measurement of ``z`` (m, N) shows included."""
 
 

@@ -21,8 +21,8 @@ FIELDS = ("frame", "identity", "xyxy", "confidence", "detection", "confirmed")
 
 def model_of(*, rate: float = 25.0, detection: float = 0.95, **motion) -> Model:
     size = (WIDTH, HEIGHT)
-    settings = {"acceleration": 0.03, "resize": 0.05, "survival": 0.99, "frame_size": size} | motion
-    sensor = BoxSensor(detection=detection, spread=0.15, floor=1.0, scaling="particle", speed=0.06)
+    settings = {"acceleration": 0.03, "size_noise": 0.05, "survival_probability": 0.99**25, "frame_size": size} | motion
+    sensor = BoxSensor(detection_probability=detection, box_noise=0.15, min_noise=1.0, scaling="particle", birth_speed=0.06)
     return Model(BoxMotion(**settings), sensor, MeasurementBirth(frame_size=size), UniformClutter(1.0, 1e10), rate)
 
 

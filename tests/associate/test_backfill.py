@@ -117,7 +117,7 @@ def test_a_remembered_size_is_led_back_too():
 
 def test_rows_are_the_conditional_means():
     """Each is the mean given the first state and all detections from its own frame on."""
-    model = model_of(scaled=False, acceleration=0.8, resize=1.0)
+    model = model_of(scaled_noise=False, acceleration=0.8, size_noise=1.0)
     rng = np.random.default_rng(1)
     frames = walker(4)
     noisy = np.hstack([z for _, z in frames[:4]]) + rng.normal(0, 2, (4, 4))

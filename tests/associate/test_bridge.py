@@ -21,7 +21,7 @@ def spread(rng: np.random.Generator, d: int, scale: float) -> np.ndarray:
 @settings(max_examples=40, deadline=None)
 def test_bridge_is_the_smoother(seed: int, steps: list[float], scaled: bool):
     rng = np.random.default_rng(seed)
-    motion = model_of(scaled=scaled, acceleration=0.05 if scaled else 1.0, resize=0.05 if scaled else 1.0).motion
+    motion = model_of(scaled_noise=scaled, acceleration=0.05 if scaled else 1.0, size_noise=0.05 if scaled else 1.0).motion
     before = np.array([100.0, 200.0, *rng.normal(0, 3, 2), 40.0, 80.0])
     after = before + rng.normal(0, 20, 6)
     args = (before, spread(rng, 6, 4.0), after, spread(rng, 6, 4.0), np.array(steps))
@@ -40,7 +40,7 @@ def test_bridge_carries_the_remembered_size():
 
 
 def test_bridge_meets_certain_ends_on_a_straight_line():
-    motion = model_of(acceleration=0.02, resize=0.02).motion
+    motion = model_of(acceleration=0.02, size_noise=0.02).motion
     before = np.array([50.0, 60.0, 3.0, 1.0, 40.0, 40.0])
     n = 10
     after = before + n * np.array([3.0, 1.0, 0, 0, 0, 0])

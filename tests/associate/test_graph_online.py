@@ -13,7 +13,7 @@ from phdtrack.types import Estimates, Tracks, Truth
 
 seeds = st.integers(0, 2**32 - 1)
 # Hardly ever seen and hardly ever gone: a missing target is waited for as long as is allowed.
-PATIENT = model_of(survival=0.999, detection=0.3)
+PATIENT = model_of(survival_probability=0.999**25, detection=0.3)
 
 
 def moving(frames: int, *, start=(100.0, 200.0), velocity=(3.0, 0.0)) -> list[Estimates]:
@@ -210,7 +210,7 @@ def test_who_does_not_come_back_is_soon_not_waited_for():
     frames: list[Estimates] = []
     for k in range(8):
         frames += [*moving(10, start=(60.0 * k + 60.0, 200.0)), *[states([])] * 10]
-    online = run(matching_of(max_coast=0.4), frames, model_of(survival=0.99, detection=0.5)).online
+    online = run(matching_of(max_coast=0.4), frames, model_of(survival_probability=0.99**25, detection=0.5)).online
     ghosts = [int((online.predicted & (online.frame > 20 * k) & (online.frame <= 20 * k + 20)).sum()) for k in range(8)]
     assert ghosts[0] >= 4
     assert ghosts[-1] < ghosts[0]

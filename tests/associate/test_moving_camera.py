@@ -30,7 +30,7 @@ def spread(rng: np.random.Generator) -> np.ndarray:
 
 
 def test_a_bridge_under_a_moving_camera_is_the_still_one_carried_along(rng):
-    motion, warps = model_of(scaled=True).motion, zooming(rng, 5)
+    motion, warps = model_of(scaled_noise=True).motion, zooming(rng, 5)
     before = np.array([300.0, 200.0, 2.0, -1.0, 40.0, 80.0])
     after, cov_before, cov_after = before + rng.normal(0, 9, 6), spread(rng), spread(rng)
     still = bridge(motion, before, cov_before, after, cov_after, np.ones(5))

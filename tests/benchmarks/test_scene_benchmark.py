@@ -21,8 +21,8 @@ def test_the_densities_have_as_many_places_as_said() -> None:
         assert len(model.birth.density) == (places.births or 120)
         assert len(model.clutter.density) == (places.alarms or 224)
         assert (model.birth.around_detections, model.clutter.around_detections) == (
-            plain.model.birth.rate,
-            plain.model.clutter.rate,
+            plain.model.birth.births_per_second,
+            plain.model.clutter.clutter_per_frame,
         )
         assert isinstance(stages.associator, FalseTrackRejection)
 

@@ -69,7 +69,7 @@ def test_again_and_with_another_setting(folder: Path, tmp_path: Path) -> None:
     again = phdtrack("compare", folder, *QUICK, "--out", out, "--json")
     assert again.object["reused"] == 2
     assert again.object["rows"] == first.object["rows"]
-    other = phdtrack("compare", folder, *QUICK, "--out", out, "--json", "--set", "filter.most=9")
+    other = phdtrack("compare", folder, *QUICK, "--out", out, "--json", "--set", "filter.max_components=9")
     assert (other.object["runs"], other.object["reused"], other.object["outdated"]) == (2, 1, ["settings"])
     assert "1 of them kept from before, others run again because of other settings" in other.err
     anew = phdtrack("compare", folder, *QUICK, "--out", out, "--json", "--overwrite")
@@ -114,7 +114,17 @@ def test_a_detector_looks_once_and_its_runs_are_what_track_does(tmp_path: Path) 
     kept = out / "runs" / "street" / "change" / "clutter-0" / "gm-phd" / "seed-1" / "tracks.csv"
     assert kept.read_text() == (tmp_path / "track" / "tracks.csv").read_text()
     phdtrack(
-        "compare", scene, "--detectors", "change", *QUICK, "--max-width", 320, "--out", out, "--set", "sensor.detection=0.8"
+        "compare",
+        scene,
+        "--detectors",
+        "change",
+        *QUICK,
+        "--max-width",
+        320,
+        "--out",
+        out,
+        "--set",
+        "sensor.detection_probability=0.8",
     )
     assert looked.stat().st_mtime_ns == before
     phdtrack("compare", scene, "--detectors", "change", *QUICK, "--max-width", 160, "--out", out)
@@ -215,7 +225,13 @@ def test_a_learned_scene_is_every_methods(folder: Path, tmp_path: Path) -> None:
     assert said.status == 0, said.err
     for row in rows(out / "runs.csv"):
         configuration = json.loads((out / row["folder"] / "run.json").read_text())["configuration"]
-        told = {"kind": "scene", "file": str(scene), "around_detections": 0.3, "reject_false_tracks": True, "immediate_confirmation": 0.1}
+        told = {
+            "kind": "scene",
+            "file": str(scene),
+            "around_detections": 0.3,
+            "reject_false_tracks": True,
+            "immediate_confirmation": 0.1,
+        }
         assert configuration["clutter"] == told
     # What is learned anew makes runs anew.
     write_scene(scene, Scene(320, 240, 25.0, "yard", clutter=replace(learned, rate=4.0)))

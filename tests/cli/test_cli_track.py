@@ -199,7 +199,7 @@ def test_an_empty_file_of_detections_is_an_empty_run(tmp_path: Path) -> None:
 )
 def test_the_configuration_of_a_run_can_be_run_again(kind: str, setting: str, sequence: Path, tmp_path: Path) -> None:
     given = ["--detections", sequence / "det" / "det.txt", "--seed", 3]
-    chosen = ("--filter", kind, "--set", "sensor.detection=0.75", "--set", setting)
+    chosen = ("--filter", kind, "--set", "sensor.detection_probability=0.75", "--set", setting)
     first = phdtrack("track", *given, *chosen, "--out", tmp_path / "a", "--json")
     config = tmp_path / "again.toml"
     config.write_text(as_toml(first.object["configuration"]))
@@ -236,7 +236,7 @@ def as_toml(configuration: dict[str, Any]) -> str:
         (["{clip}", "--frame-size", "100x100"], ["--frame-size", "320x240"]),
         (["{clip}", "--set", "filtre.particles_per_target=3"], ["filtre"]),
         (["{clip}", "--set", "nonsense"], ["nonsense"]),
-        (["{clip}", "--set", "sensor.detection=2"], ["detection", "2"]),
+        (["{clip}", "--set", "sensor.detection_probability=2"], ["detection", "2"]),
         (["{clip}", "--set", "detector.min_aera=0.1"], ["min_aera", "min_area"]),
         (["{clip}", "--set", "detector.min_area=big"], ["detector.min_area", "a number", "'big'"]),
         (["{clip}", "--set", "detector.window=2.5"], ["detector.window", "whole number"]),

@@ -13,7 +13,7 @@ from phdtrack.errors import InputError
 
 
 def test_every_combination_has_a_place_of_its_own(tmp_path: Path) -> None:
-    made = small(tmp_path, clutter=[0.0, 2.5], seeds=3, variants=["few=filter.most=20"])
+    made = small(tmp_path, clutter=[0.0, 2.5], seeds=3, variants=["few=filter.max_components=20"])
     assert [case.name for case in made.cases] == ["a det", "b det"]
     assert [method.name for method in made.methods] == ["gm-phd", "none", "few"]
     assert len(made.runs) == 2 * 2 * 3 * 3
@@ -33,7 +33,9 @@ def test_a_folder_has_all_its_sets_and_its_name_decides(tmp_path: Path) -> None:
 
 def test_a_setting_stands_for_the_filters_that_have_it(tmp_path: Path) -> None:
     made = small(
-        tmp_path, filters=["particle-phd", "gm-phd", "none"], sets=["filter.particles_per_target=77", "sensor.detection=0.7"]
+        tmp_path,
+        filters=["particle-phd", "gm-phd", "none"],
+        sets=["filter.particles_per_target=77", "sensor.detection_probability=0.7"],
     )
     settings = {method.name: method.settings.as_dict() for method in made.methods}
     assert settings["particle-phd"]["filter"]["particles_per_target"] == 77  # type: ignore[index]
@@ -44,11 +46,15 @@ def test_a_setting_stands_for_the_filters_that_have_it(tmp_path: Path) -> None:
 def test_variants_start_from_the_first_filter_or_from_a_preset(tmp_path: Path) -> None:
     made = small(
         tmp_path,
-        sets=["filter.most=50"],
-        variants=["few=filter.most=20,sensor.detection=0.8", "paper=preset=m09", "other=filter.kind=gm-cphd"],
+        sets=["filter.max_components=50"],
+        variants=[
+            "few=filter.max_components=20,sensor.detection_probability=0.8",
+            "paper=preset=m09",
+            "other=filter.kind=gm-cphd",
+        ],
     )
     few, paper, other = (method.settings.as_dict() for method in made.methods[2:])
-    assert (few["filter"]["kind"], few["filter"]["most"]) == ("gm-phd", 20)  # type: ignore[index]
+    assert (few["filter"]["kind"], few["filter"]["max_components"]) == ("gm-phd", 20)  # type: ignore[index]
     assert few["sensor"]["detection"] == 0.8  # type: ignore[index]
     assert (paper["preset"], paper["filter"]["kind"]) == ("m09", "particle-phd")  # type: ignore[index]
     assert other["filter"]["kind"] == "gm-cphd"  # type: ignore[index]
@@ -66,10 +72,10 @@ def test_without_names_the_filter_of_the_settings_is_compared_to_none(tmp_path: 
         ({"filters": ["gm-phd", "gm-phd"]}, "twice"),
         ({"sets": ["filter.particles_per_target=5"]}, "unknown setting of [filter]: particles_per_target"),
         ({"sets": ["filter.kind=none"]}, "--filters says"),
-        ({"sets": ["sensor.detection=7"]}, "sensor.detection"),
+        ({"sets": ["sensor.detection_probability=7"]}, "sensor.detection_probability"),
         ({"variants": ["few"]}, "--variant few"),
         ({"variants": ["few=filter.particles_per_target=5"]}, "--variant few"),
-        ({"variants": ["none=filter.most=5"]}, "twice"),
+        ({"variants": ["none=filter.max_components=5"]}, "twice"),
         ({"detections": ["public"]}, "no detections called public. There are det"),
         ({"detections": ["/nowhere/det.txt"]}, "cannot belong to 2 sequences"),
         ({"detections": ["/nowhere/{}.txt"]}, "/nowhere/a.txt"),

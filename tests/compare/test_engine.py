@@ -104,7 +104,7 @@ def test_only_what_a_change_decides_runs_again(tmp_path: Path, change: str) -> N
         file = tmp_path / "a" / "seqinfo.ini"
         file.write_text(file.read_text().replace("=25", "=30"))
     else:
-        more = {"sets": ["filter.most=9"]} if change == "setting" else {"iou": 0.4}
+        more = {"sets": ["filter.max_components=9"]} if change == "setting" else {"iou": 0.4}
     found = run(small(tmp_path, **more), tmp_path / "out")
     after = digests(tmp_path / "out")
     changed = {place for place, digest in after.items() if before[place] != digest}

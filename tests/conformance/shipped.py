@@ -53,26 +53,26 @@ SIZE = (640.0, 480.0)
 
 MOTIONS = {
     "scaled": BoxMotion(frame_size=SIZE),
-    "fixed": BoxMotion(acceleration=1.2, resize=2.0, scaled=False, frame_size=SIZE),
+    "fixed": BoxMotion(acceleration=1.2, size_noise=2.0, scaled_noise=False, frame_size=SIZE),
     "remembering": BoxMotion(remember_size=True, frame_size=SIZE),
     "splitting": BoxMotion(births=SplitSpawn(rate=0.1), frame_size=SIZE),
     "borderless": BoxMotion(),
-    "still": BoxMotion(acceleration=0.0, resize=0.0),
+    "still": BoxMotion(acceleration=0.0, size_noise=0.0),
     "plane": PlaneMotion(borders=(0.0, 0.0, 500.0, 400.0)),
-    "plane, piecewise": PlaneMotion(form="piecewise", nominal=1.0),
+    "plane, piecewise": PlaneMotion(form="piecewise"),
     "plane, still": PlaneMotion(acceleration=0.0),
     "turning": TurningMotion(borders=(0.0, 0.0, 500.0, 400.0)),
     "turning, piecewise": TurningMotion(form="piecewise", acceleration=0.0),
     "point": PointMotion(),
 }
 SENSORS = {scaling: BoxSensor(scaling=scaling) for scaling in ("particle", "detection", "previous", "fixed", "given")}
-SENSORS["no floor"] = BoxSensor(floor=0.0)
+SENSORS["no floor"] = BoxSensor(min_noise=0.0)
 SENSORS["occlusion"] = BoxSensor(occlusion=True)
 SENSORS["plane"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), frame_size=FRAME)
 SENSORS["plane, fixed"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), scaling="fixed")
 SENSORS["plan"] = PlaneSensor(scaling="given")
 SENSORS["bearing"] = BearingSensor(bearing=0.02, origin=(320.0, -100.0), fade=2000.0)
-SENSORS["point"] = PointSensor(variance=2.0)
+SENSORS["point"] = PointSensor(noise_variance=2.0)
 
 
 def mixture(dim: int) -> GaussianMixture:
@@ -89,28 +89,28 @@ def learned(low: list[float], high: list[float]) -> ContextDensity:
 
 
 BIRTHS = {
-    "measurement, image": MeasurementBirth(rate=0.02, most=200, volume="image", frame_size=SIZE),
-    "measurement, local": MeasurementBirth(rate=0.02, most=200, volume="local"),
-    "uniform": UniformBirth(SIZE, count=40),
-    "fixed": FixedBirth(mixture(6), count=100),
-    "learned": ContextBirth(0.05, learned([0, 0, -9, -9, 0, 0], [640, 480, 9, 9, 640, 480]), most=200),
+    "measurement, image": MeasurementBirth(births_per_second=0.02, particles=200, volume="image", frame_size=SIZE),
+    "measurement, local": MeasurementBirth(births_per_second=0.02, particles=200, volume="local"),
+    "uniform": UniformBirth(SIZE, particles=40),
+    "fixed": FixedBirth(mixture(6), particles=100),
+    "learned": ContextBirth(0.05, learned([0, 0, -9, -9, 0, 0], [640, 480, 9, 9, 640, 480]), particles=200),
 }
 PEOPLE = learned([0, 0, 0, 0], [640, 480, 640, 480])
 BIRTHS["laid over"] = replace(BIRTHS["learned"], around_detections=0.02, among=PEOPLE)
 GROUND = SENSORS["plane"]
 PLANE_BIRTHS = {
-    "plane, region": PlaneBirth(rate=0.02, most=200, volume="region", borders=(-40.0, 0.0, 40.0, 60.0)),
-    "plane, local": PlaneBirth(rate=0.02, most=200),
+    "plane, region": PlaneBirth(births_per_second=0.02, particles=200, volume="region", borders=(-40.0, 0.0, 40.0, 60.0)),
+    "plane, local": PlaneBirth(births_per_second=0.02, particles=200),
     "plane, fixed": FixedBirth(
         GaussianMixture(
             np.array([0.02, 0.01]), np.array([[0.0, 1], [10, 20], [0, 0], [0, 1]]), np.tile(np.eye(4), (2, 1, 1))
         )
     ),
-    "plane, learned": ContextBirth(0.05, learned([-40, 0, -3, -3], [40, 60, 3, 3]), (0, 1), most=200),
+    "plane, learned": ContextBirth(0.05, learned([-40, 0, -3, -3], [40, 60, 3, 3]), (0, 1), particles=200),
 }
 POINT_BIRTHS = {
-    "point": PointBirth(rate=0.02, most=200, frame_size=SIZE),
-    "point, uniform": UniformBirth(SIZE, count=40),
+    "point": PointBirth(births_per_second=0.02, particles=200, frame_size=SIZE),
+    "point, uniform": UniformBirth(SIZE, particles=40),
 }
 CLUTTERS = {"uniform": UniformClutter(2.0, (640.0 * 480) ** 2), "local": LocalClutter(2.0), "none": UniformClutter(0.0, 1.0)}
 CLUTTERS["learned"] = ContextClutter(2.0, PEOPLE)
@@ -122,9 +122,9 @@ FILTERS = {
     "skipping": ParticlePHD(particles_per_target=200, skip_empty_frames=True),
     "started": ParticlePHD(particles_per_target=200, initial=mixture(6)),
     "gm-phd": GMPHD(),
-    "gm-phd, started": GMPHD(initial=mixture(6), most=20, skip_empty=True),
+    "gm-phd, started": GMPHD(initial=mixture(6), max_components=20, skip_empty_frames=True),
     "gm-cphd": GMCPHD(),
-    "gm-cphd, started": GMCPHD(initial=mixture(6), most=20),
+    "gm-cphd, started": GMCPHD(initial=mixture(6), max_components=20),
     "particle-cphd": ParticleCPHD(particles_per_target=200),
     "particle-cphd, started": ParticleCPHD(particles_per_target=200, initial=mixture(6)),
     "mht": MHT(),

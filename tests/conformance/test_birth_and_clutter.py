@@ -46,7 +46,7 @@ def test_their_mass_follows_the_interval(birth, sensor, rng):
     z, covered = measured(rng, 5, sensor), np.zeros(5)
     one, three = (birth.sample(z, covered, sensor, dt, np.random.default_rng(3)).mass for dt in (1.0, 3.0))
     assert three == pytest.approx(3 * one)
-    assert 0 < one < 1
+    assert 0 < one < 3
 
 
 gaussian = pytest.mark.parametrize("name", sorted({*BIRTHS} - {"uniform", "learned"}))

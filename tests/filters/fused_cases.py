@@ -59,15 +59,15 @@ class Composed:
 def model_of(motion=None, birth=None, clutter=None, **sensor) -> Model:
     """Boxes with the default noises, births of 0.05 and clutter of 1 a frame, both around the detections."""
     motion = BoxMotion(frame_size=FRAME) if motion is None else motion
-    birth = MeasurementBirth(0.05, 300, "local") if birth is None else birth
+    birth = MeasurementBirth(25 * 0.05, 300, "local") if birth is None else birth
     return Model(motion, BoxSensor(**sensor), birth, LocalClutter(1.0) if clutter is None else clutter)
 
 
 def still(dt_border: bool = True, **sensor) -> Model:
     """Nothing random but the comb: no noises, no births; gates that let everything in."""
-    motion = BoxMotion(acceleration=0.0, resize=0.0, frame_size=FRAME if dt_border else (0.0, 0.0))
+    motion = BoxMotion(acceleration=0.0, size_noise=0.0, frame_size=FRAME if dt_border else (0.0, 0.0))
     clutter = UniformClutter(2.0, image_volume(FRAME))
-    return Model(motion, BoxSensor(gate_sigmas=40.0, **sensor), MeasurementBirth(0.0, 50, "local"), clutter)
+    return Model(motion, BoxSensor(gate_probability=1.0, **sensor), MeasurementBirth(0.0, 50, "local"), clutter)
 
 
 def preset(name: str, *sets: str) -> Model:

@@ -21,13 +21,13 @@ EVERYTHING = MHT(
 
 def world(*, detection: float = 0.8, clutter: float = 1e-9, birth: float = 0.05, survival: float = 0.9) -> Model:
     """Boxes with constant noises, born at one wide place."""
-    sensor = BoxSensor(detection=detection, scaling="fixed", fixed=(4.0, 4.0), fixed_speed=6.0)
+    sensor = BoxSensor(detection_probability=detection, scaling="fixed", fixed_noise=(4.0, 4.0), birth_speed_pixels=6.0)
     place = GaussianMixture(
-        np.array([birth]),
+        np.array([25 * birth]),
         np.array([[300.0], [200], [0], [0], [40], [80]]),
         np.diag([4000.0, 4000, 18, 18, 60, 60])[None],
     )
-    motion = BoxMotion(acceleration=1.0, resize=1.0, survival=survival, scaled=False)
+    motion = BoxMotion(acceleration=1.0, size_noise=1.0, survival_probability=survival**25, scaled_noise=False)
     return Model(motion, sensor, FixedBirth(place), UniformClutter(clutter, 1.0))
 
 

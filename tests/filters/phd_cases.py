@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from phdtrack.kernels.gaussian import Births
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
 from phdtrack.models.volume import image_volume
 from phdtrack.protocols import Model
@@ -18,14 +19,19 @@ FRAME = (640.0, 480.0)
 class NoBirth:
     """γ = 0."""
 
-    def sample(self, z, covered, sensor, dt, rng) -> Particles:
+    def sample(self, z, covered, sensor, seconds, rng) -> Particles:
         x, _ = sensor.states(z[:, :0])
         return Particles(x, np.zeros(0))
 
-    def expected(self, z, dt) -> float:
+    def gaussians(self, z, sensor, seconds) -> Births:
+        d = len(sensor.states(z[:, :0])[0])
+        none = np.zeros((0, d, d))
+        return Births(np.zeros(0), np.zeros((0, d)), none, np.zeros(0, np.int64), np.zeros(0), none)
+
+    def expected(self, z, seconds) -> float:
         return 0.0
 
-    def components(self, z, covered, sensor, dt) -> GaussianMixture:
+    def components(self, z, covered, sensor, seconds) -> GaussianMixture:
         x, cov = sensor.states(z[:, :0])
         return GaussianMixture(np.zeros(0), x, cov)
 
@@ -38,7 +44,7 @@ def world(birth=None, clutter=None, **sensor) -> Model:
 
 
 def with_births(model: Model, rate: float = 0.05, most: int = 300) -> Model:
-    return replace(model, birth=MeasurementBirth(rate, most, "local", FRAME), clutter=LocalClutter(0.5))
+    return replace(model, birth=MeasurementBirth(25 * rate, most, "local", FRAME), clutter=LocalClutter(0.5))
 
 
 def crowd(rng, targets: int, each: int, mass: float = 1.0, spread: float = 0.15, width: float = 640.0) -> Particles:

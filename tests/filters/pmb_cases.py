@@ -27,14 +27,14 @@ def world(
 ) -> Model:
     """Boxes with constant noises in an image without borders; births and clutter by their densities at a detection."""
     volume = (FRAME[0] * FRAME[1]) ** 2
-    sensor = BoxSensor(detection=detection, scaling="fixed", fixed=(3.0, 3.0), fixed_speed=6.0)
-    motion = BoxMotion(acceleration=0.5, resize=0.5, survival=survival, scaled=False)
-    births = MeasurementBirth(rate=birth * volume, volume="image", frame_size=FRAME)
+    sensor = BoxSensor(detection_probability=detection, scaling="fixed", fixed_noise=(3.0, 3.0), birth_speed_pixels=6.0)
+    motion = BoxMotion(acceleration=0.5, size_noise=0.5, survival_probability=survival**rate, scaled_noise=False)
+    births = MeasurementBirth(births_per_second=rate * birth * volume, volume="image", frame_size=FRAME)
     return Model(motion, sensor, births, UniformClutter(clutter * volume, volume), rate=rate)
 
 
 def without_births(model: Model) -> Model:
-    return replace(model, birth=MeasurementBirth(rate=0.0, volume="image", frame_size=FRAME))
+    return replace(model, birth=MeasurementBirth(births_per_second=0.0, volume="image", frame_size=FRAME))
 
 
 def run(filter_: PMB, scans: list[F8], model: Model, dt: float = 1.0) -> tuple[Bernoullis, UpdateInfo]:
@@ -88,7 +88,7 @@ def moved_on(ways: list[One], model: Model, dt: float, turns: F8) -> list[One]:
     """Every way a frame later; ``turns`` (2, 2) are the chain's probabilities from in view and hidden to the same."""
     out = []
     for way in ways:
-        weight = way.weight * float(model.motion.p_survive(way.mean[:, None], dt)[0])
+        weight = way.weight * float(model.motion.p_survive(way.mean[:, None], dt / model.rate)[0])
         if way.static:
             # Where a source fires is never known better than half the variance of one measurement says.
             cov, noise = way.cov.copy(), model.sensor.noise(way.mean[:, None])[:, 0]
@@ -105,7 +105,7 @@ def bernoulli(nobody: float, ways: list[One], z: F8, model: Model, firing: float
     """Bayes' rule for one target or none: probability that there is none, and every way in which there is one."""
     kappa, out = model.clutter.intensity(z), []
     for way in ways:
-        p = firing if way.static else 0.0 if way.hidden else model.sensor.detection
+        p = firing if way.static else 0.0 if way.hidden else model.sensor.detection_probability
         out.append(replace(way, weight=way.weight * (1 - p), taken=(*way.taken, -1)))
         for j in range(z.shape[1]):
             mean, cov, density = corrected(way.mean, way.cov, z[:, j])

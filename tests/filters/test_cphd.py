@@ -35,7 +35,7 @@ def case(kind: str, rng, model, targets: int = 7):
     particles = crowd(rng, targets, 80)
     z = np.hstack([seen_by(rng, particles, targets), [[900.0], [900], [30], [60]]])
     if kind == "gm":
-        return GMCPHD(), GMPHD(redistribute=True), mixture_of(particles, rng), z
+        return GMCPHD(), GMPHD(keep_mass=True), mixture_of(particles, rng), z
     return ParticleCPHD(particles_per_target=80), ParticlePHD(particles_per_target=80), particles, z
 
 
@@ -47,7 +47,7 @@ def mean(p: np.ndarray) -> float:
 @pytest.mark.parametrize("detection", [0.7, 1.0])
 def test_a_poisson_number_gives_the_phd_update(kind: str, detection: float, rng):
     """Poisson births too: the intensity of one update is the PHD filter's to 1e-10."""
-    model = with_births(world(detection=detection), rate=0.05)
+    model = with_births(world(detection_probability=detection), rate=0.05)
     ours, plain, intensity, z = case(kind, rng, model)
     state = Cardinalised(intensity, poisson(intensity.mass))
     (found, info), (wanted, told) = (
@@ -67,7 +67,7 @@ def test_the_mean_of_the_number_is_the_mass(kind: str, detection: float, rng):
 
     A scan that shows less than was expected multiplies what is missed, that included; at p_D = 0.7 by less than three.
     """
-    model, rate = with_births(world(detection=detection), rate=0.05), 0.05
+    model, rate = with_births(world(detection_probability=detection), rate=0.05), 0.05
     recursion, _, _, _ = case(kind, rng, model)
     targets = crowd(rng, 5, 1)
     state, most = recursion.start(model, rng), 0.0
@@ -92,7 +92,7 @@ def test_the_mean_of_the_number_is_the_mass(kind: str, detection: float, rng):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("detection", [0.7, 1.0])
 def test_the_mean_is_the_mass_exactly_where_births_are_given_whole(kind: str, detection: float, rng):
-    model = world(detection=detection)
+    model = world(detection_probability=detection)
     mean_state, cov = model.sensor.states(np.array([[300.0, 700], [200, 400], [40, 50], [80, 90]]))
     model = replace(model, birth=FixedBirth(GaussianMixture(np.array([0.1, 0.3]), mean_state, cov), 500))
     recursion, _, intensity, z = case(kind, rng, model)
@@ -102,9 +102,11 @@ def test_the_mean_is_the_mass_exactly_where_births_are_given_whole(kind: str, de
 
 def test_the_number_follows_a_scene_that_people_enter(rng):
     """One target more every other scan, births around the detections: a number that knows of no births lags behind."""
-    birth = MeasurementBirth(rate=0.5, frame_size=FRAME)
-    model = replace(world(detection=0.7, scaling="fixed"), birth=birth)
-    model = replace(model, motion=BoxMotion(acceleration=0.001, resize=0.001, survival=1.0, frame_size=FRAME))
+    birth = MeasurementBirth(births_per_second=25 * 0.5, frame_size=FRAME)
+    model = replace(world(detection_probability=0.7, scaling="fixed"), birth=birth)
+    model = replace(
+        model, motion=BoxMotion(acceleration=0.001, size_noise=0.001, survival_probability=1.0, frame_size=FRAME)
+    )
     recursion, errors = GMCPHD(), []
     for seed in range(5):
         rng = np.random.default_rng(seed)
@@ -120,7 +122,7 @@ def test_the_number_follows_a_scene_that_people_enter(rng):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_order_of_detections_is_irrelevant(kind: str, rng):
-    model = world(detection=0.9)
+    model = world(detection_probability=0.9)
     recursion, _, intensity, z = case(kind, rng, model)
     state, order = Cardinalised(intensity, poisson(3.0)), rng.permutation(z.shape[1])
     (a, told), (b, turned) = (recursion.update(state, np.ascontiguousarray(s), model, 1.0, rng) for s in (z, z[:, order]))
@@ -132,7 +134,7 @@ def test_the_order_of_detections_is_irrelevant(kind: str, rng):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_known_number_outlives_a_miss(kind: str, rng):
     """Seven targets for certain, nobody seen: seven are still expected, where the PHD filter expects a tenth of them."""
-    model = world(detection=0.9)
+    model = world(detection_probability=0.9)
     ours, plain, intensity, _ = case(kind, rng, model)
     number = np.eye(8)[7]
     scaled = replace(intensity, weight=intensity.weight * 7 / intensity.mass)
@@ -144,7 +146,7 @@ def test_a_known_number_outlives_a_miss(kind: str, rng):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_survival_thins_the_number(kind: str, rng):
-    model = replace(world(), motion=BoxMotion(survival=0.8))
+    model = replace(world(), motion=BoxMotion(survival_probability=0.8**25))
     recursion, _, intensity, _ = case(kind, rng, model)
     predicted = recursion.predict(Cardinalised(intensity, poisson(intensity.mass)), model, 1.0, rng)
     expected = poisson(0.8 * intensity.mass)
@@ -166,8 +168,8 @@ def test_what_is_forgotten_altogether_is_nobody(kind: str, rng):
 def test_one_certain_target_is_the_kalman_filter(rng):
     """p_D = 1, no clutter, no births: number 1, mean and covariance to 1e-10."""
     model = replace(
-        world(detection=1.0, scaling="fixed", clutter=UniformClutter(0.0, 1.0)),
-        motion=BoxMotion(1.5**0.5, 2.0, survival=1.0, scaled=False),
+        world(detection_probability=1.0, scaling="fixed", clutter=UniformClutter(0.0, 1.0)),
+        motion=BoxMotion(1.5**0.5, 2.0, survival_probability=1.0, scaled_noise=False),
     )
     start, cov = np.array([320.0, 240, 2, -1, 60, 110]), np.diag([3.0, 3, 20, 20, 6, 6])
     _, (f,), (q,) = model.motion.transition(start[:, None], 1.0)
@@ -194,11 +196,11 @@ def test_particles_and_gaussians_count_alike(rng):
             np.array([[200.0, 200, 0, 0, 50, 90], [450, 300, 0, 0, 60, 100]]).T,
             np.tile(np.diag([9.0, 9, 1, 1, 4, 4]), (2, 1, 1)),
         ),
-        count=2000,
+        particles=2000,
     )
     model = replace(
-        world(birth, UniformClutter(1.0, image_volume(FRAME)), detection=0.8, scaling="fixed"),
-        motion=BoxMotion(0.5, 0.5, scaled=False),
+        world(birth, UniformClutter(1.0, image_volume(FRAME)), detection_probability=0.8, scaling="fixed"),
+        motion=BoxMotion(0.5, 0.5, scaled_noise=False),
     )
     scans = [birth.mixture.mean[ROWS][:, : 1 + (k % 3 > 0)] + rng.normal(0, 1.5, (4, 1 + (k % 3 > 0))) for k in range(8)]
     told = []
@@ -229,8 +231,8 @@ def test_the_first_intensity_may_be_given(rng):
 
 @pytest.mark.parametrize("kind", [GMCPHD, ParticleCPHD])
 def test_settings_out_of_bounds(kind):
-    with pytest.raises(InputError, match="least 1" if kind is ParticleCPHD else "region"):
-        kind(0) if kind is ParticleCPHD else kind(region=-1.0)
+    with pytest.raises(InputError, match="least 1" if kind is ParticleCPHD else "gate"):
+        kind(0) if kind is ParticleCPHD else kind(gate_probability=-1.0)
 
 
 def test_a_remembered_size_will_do(rng):

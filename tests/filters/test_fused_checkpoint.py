@@ -12,7 +12,7 @@ from phdtrack import Tracker
 from phdtrack.config.state_dict import pack, unpack
 from phdtrack.types import Detections, ParticleBlocks
 
-SETTINGS = {"filter": {"kind": "particle-phd", "particles_per_target": 200}, "birth": {"most": 200}}
+SETTINGS = {"filter": {"kind": "particle-phd", "particles_per_target": 200}, "birth": {"particles": 200}}
 
 
 def frames(seed: int, count: int) -> list:

@@ -46,7 +46,7 @@ def offspring(state: ParticleBlocks, wanted: Particles) -> np.ndarray:
 @pytest.mark.parametrize("scaling", SCALINGS)
 def test_evidence_and_masses(scaling: str, dt: float):
     state, z = scene()
-    model = still(scaling=scaling, detection=0.9)
+    model = still(scaling=scaling, detection_probability=0.9)
     predicted, updated, wanted = definition(state, z, model, dt)
     assert len(predicted) < len(state), "the border takes some"
     after, info = PHD.step(state, z, model, dt, Fixed(0.3))
@@ -67,7 +67,7 @@ def test_evidence_and_masses(scaling: str, dt: float):
 @pytest.mark.parametrize("scaling", SCALINGS)
 def test_every_particle_has_its_share_of_offspring(scaling: str, dt: float):
     state, z = scene(2)
-    model = still(scaling=scaling, detection=0.8)
+    model = still(scaling=scaling, detection_probability=0.8)
     _, updated, _ = definition(state, z, model, dt)
     share = None
     total = np.zeros(len(updated))
@@ -95,7 +95,7 @@ def test_targets_keep_their_mass_mean_and_covariance(scaling: str):
     x = np.hstack([c[:, None] + scale * rng.standard_normal((6, 700)) for c in centre.T])
     state = ParticleBlocks(x.astype(np.float32), np.array([0, 250, 500, 700, 950, 1200, 1400, 1650, 1900, 2100]), 1 / 700)
     z = np.ascontiguousarray((centre + 0.5 * scale)[[0, 1, 4, 5]])
-    model, dense = still(scaling=scaling, detection=0.9), ParticlePHD(particles_per_target=20_000)
+    model, dense = still(scaling=scaling, detection_probability=0.9), ParticlePHD(particles_per_target=20_000)
     _, updated, _ = definition(state, z, model, 1.0)
     after, _ = dense.step(state, z, model, 1.0, Fixed(0.5))
     for c in centre.T:
@@ -126,7 +126,7 @@ def test_velocities_move_and_sizes_are_reflected():
 def test_the_gate_drops_no_more_than_its_tail():
     """At the default gate the evidence is that of everything, to 5.1e-5 of each target's."""
     state, z = scene(7)
-    wide = still(detection=0.9)
+    wide = still(detection_probability=0.9)
     sensor = type(wide.sensor)(detection=0.9)
     narrow = type(wide)(wide.motion, sensor, wide.birth, wide.clutter)
     _, everything = PHD.step(state, z, wide, 1.0, Fixed(0.5))

@@ -29,14 +29,14 @@ from phdtrack.types import GaussianMixture, ParticleBlocks, Particles
 
 PHD = ParticlePHD(particles_per_target=300)
 seeds = st.integers(0, 2**32 - 1)
-IMAGE = MeasurementBirth(0.05, 200, "image", FRAME)
+IMAGE = MeasurementBirth(25 * 0.05, 200, "image", FRAME)
 
 
 @pytest.mark.parametrize("dt", [0.5, 1.0, 2.0])
 @pytest.mark.parametrize("p_detect", [0.0, 0.7, 1.0])
 def test_an_empty_scan_leaves_what_survives_and_is_missed(p_detect: float, dt: float, rng):
     state = level(rng, 3, 200)
-    after, info = PHD.step(state, NO_BOXES, model_of(BoxMotion(), detection=p_detect), dt, rng)
+    after, info = PHD.step(state, NO_BOXES, model_of(BoxMotion(), detection_probability=p_detect), dt, rng)
     check_info(info, 0)
     assert info.mass_predicted == pytest.approx(state.mass * 0.99**dt, rel=1e-9)
     assert info.mass == pytest.approx((1 - p_detect) * info.mass_predicted, rel=1e-9)
@@ -61,7 +61,9 @@ def test_an_empty_scan_can_be_skipped(rng):
 def test_masses_add_up(seed: int, targets: int, n: int, scaling: str):
     """Every detection brings C/(κ + C), every target (1 − p_D) of itself, and the state holds it."""
     rng = np.random.default_rng(seed)
-    model = model_of(scaling=scaling, detection=0.9, **({"fixed": (8.0, 9.0)} if scaling == "fixed" else {}))
+    model = model_of(
+        scaling=scaling, detection_probability=0.9, **({"fixed_noise": (8.0, 9.0)} if scaling == "fixed" else {})
+    )
     state = level(rng, targets, 40) if targets else NOTHING
     z = seen_by(rng, state, n) if targets else rng.uniform(20, 90, (4, n))
     after, info = PHD.step(state, z, model, 1.0, rng)
@@ -87,7 +89,7 @@ def test_without_clutter_what_nothing_explains_vanishes_and_is_counted(rng):
     """κ = 0 and C = 0: the term is 0, not NaN, and such a detection is clutter for sure."""
     state = level(rng, 2, 200, width=200.0)
     near, far = seen_by(rng, state, 1, 0.01), np.array([[5000.0], [5000], [20], [40]])
-    model = model_of(BoxMotion(), MeasurementBirth(0.0, 50, "local"), UniformClutter(0.0, 1.0), detection=1.0)
+    model = model_of(BoxMotion(), MeasurementBirth(0.0, 50, "local"), UniformClutter(0.0, 1.0), detection_probability=1.0)
     after, info = PHD.step(state, np.hstack([far, near, far + 50]), model, 1.0, rng)
     check(after)
     assert info.vanished == 2
@@ -106,7 +108,9 @@ def test_a_likelihood_far_out_in_its_tail_does_not_poison_the_state(deviations: 
     x = np.array([[100.0, 100, 0, 0, 20, 40], [100.0, 100, 0, 0, 20.3, 40]]).T
     state = ParticleBlocks(np.repeat(x, 100, axis=1).astype(np.float32), np.array([0, 200]), 1 / 100)
     z = np.array([[100.0], [100], [20 + 20 * 0.15 * deviations], [40]])
-    model = model_of(BoxMotion(), MeasurementBirth(births, 50, "local"), UniformClutter(0.0, 1.0), detection=0.9)
+    model = model_of(
+        BoxMotion(), MeasurementBirth(25 * births, 50, "local"), UniformClutter(0.0, 1.0), detection_probability=0.9
+    )
     after, info = PHD.step(state, z, model, 1.0, rng)
     check(after)
     check_info(info, 1)
@@ -131,7 +135,7 @@ def test_a_frame_that_nobody_looked_at_comes_in_between(rng):
 
 
 def test_an_initial_intensity_of_any_kind(rng):
-    model = model_of(BoxMotion(), MeasurementBirth(0.0, 50, "local"), detection=0.5)
+    model = model_of(BoxMotion(), MeasurementBirth(0.0, 50, "local"), detection_probability=0.5)
     x = level(rng, 2, 400).state.astype(np.float64)
     uneven = Particles(x, np.linspace(0.0, 2.0, 800) / 400)
     after, info = ParticlePHD(2000, initial=uneven).step(uneven, NO_BOXES, model, 1.0, rng)
@@ -155,7 +159,7 @@ def test_an_initial_intensity_of_any_kind(rng):
 
 @pytest.mark.parametrize("births", ["local", "image"])
 def test_nothing_and_one_detection(births: str, rng):
-    birth = IMAGE if births == "image" else MeasurementBirth(0.05, 300, "local")
+    birth = IMAGE if births == "image" else MeasurementBirth(25 * 0.05, 300, "local")
     after, info = PHD.step(NOTHING, NO_BOXES, model_of(birth=birth), 1.0, rng)
     identical(after, NOTHING)
     assert (info.mass_predicted, info.mass, info.vanished) == (0.0, 0.0, 0)
@@ -175,8 +179,8 @@ def test_nothing_and_one_detection(births: str, rng):
 def test_boxes_of_any_size(size: float, births: str, scaling: str, rng):
     """A pixel, and larger than the frame: finite, and on average as much believed as by the definition."""
     # The noise's region about a box larger than the frame holds many frames' births.
-    flat = MeasurementBirth(0.05 if size < 100 else 1e-5, 200, "image", FRAME)
-    birth = flat if births == "image" else MeasurementBirth(0.05, 200, "local")
+    flat = MeasurementBirth(25 * (0.05 if size < 100 else 1e-5), 200, "image", FRAME)
+    birth = flat if births == "image" else MeasurementBirth(25 * 0.05, 200, "local")
     clutter = UniformClutter(1e-3, (FRAME[0] * FRAME[1]) ** 2) if births == "image" else None
     model = model_of(birth=birth, clutter=clutter, scaling=scaling)
     z = np.array([[300.0], [200], [size], [2 * size]])
@@ -212,7 +216,7 @@ def test_detections_far_outside_of_the_frame(rng):
 def test_very_many_detections_at_one_place(rng):
     """Five hundred of the same box: their births share the density, their evidence the targets."""
     z = np.repeat(np.array([[100.0], [100], [30], [60]]), 500, axis=1)
-    model, state = model_of(birth=MeasurementBirth(0.05, 20, "local")), NOTHING
+    model, state = model_of(birth=MeasurementBirth(25 * 0.05, 20, "local")), NOTHING
     for _ in range(3):
         state, info = ParticlePHD(100).step(state, z, model, 1.0, rng)
         check(state)
@@ -226,7 +230,7 @@ def test_the_order_of_detections_does_not_matter(scaling: str, rng):
     state = level(rng, 5, 150)
     z = seen_by(rng, state, 9)
     order = rng.permutation(9)
-    model = still(scaling=scaling, detection=0.9)
+    model = still(scaling=scaling, detection_probability=0.9)
     a, about_a = PHD.step(state, z, model, 1.0, Fixed(0.4))
     b, about_b = PHD.step(state, np.ascontiguousarray(z[:, order]), model, 1.0, Fixed(0.4))
     np.testing.assert_allclose(about_a.evidence[order], about_b.evidence, rtol=1e-6)
@@ -255,7 +259,7 @@ def test_with_births_the_order_does_not_matter_on_average(rng):
 def test_covered_detections_have_no_births(rng):
     state = level(rng, 1, 2000, mass=1.2, spread=0.02)
     z = np.ascontiguousarray(state.state.mean(1, dtype=np.float64)[[0, 1, 4, 5], None])
-    model = model_of(BoxMotion(acceleration=0.0, resize=0.0))
+    model = model_of(BoxMotion(acceleration=0.0, size_noise=0.0))
     _, info = PHD.step(state, z, model, 1.0, rng)
     assert info.mass_born == 0
     half = ParticleBlocks(state.state, state.start, state.unit / 2.4)
@@ -296,7 +300,7 @@ def test_particles_that_left_the_frame_have_no_offspring(rng):
     x[0] += np.arange(40, dtype=np.float32) / 8
     x[0, 30:] = -500
     state = ParticleBlocks(x, np.array([0, 40]), 1 / 40)
-    model = still(detection=0.5)
+    model = still(detection_probability=0.5)
     for offset in np.concatenate([np.linspace(0, 1, 40)[:-1], [np.nextafter(1.0, 0)]]):
         after, info = ParticlePHD(100).step(state, NO_BOXES, model, 1.0, Fixed(float(offset)))
         assert info.mass_predicted == pytest.approx(0.99 * 30 / 40)

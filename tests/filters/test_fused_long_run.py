@@ -47,7 +47,7 @@ def entries(state: ParticleBlocks, gates) -> float:
 def test_two_thousand_frames(births: str):
     """The paths of the targets cross again and again; blocks neither multiply nor grow."""
     rng = np.random.default_rng(4)
-    model = preset("default", "birth.most=200", f"birth.volume={births}", f"clutter.volume={births}")
+    model = preset("default", "birth.particles=200", f"birth.volume={births}", f"clutter.volume={births}")
     state, fill, blocks, particles, wide, near = NOTHING, [], [], [], [], []
     for k in range(2000):
         z = scan(rng, k)
@@ -94,7 +94,7 @@ def test_what_has_drifted_apart_is_parted():
     x = np.repeat(np.array([[0.0, 0, 0, 0, 40, 90]]).T, 200, axis=1)
     x[0], x[1] = rng.uniform(0, 640, 200), rng.uniform(0, 480, 200)
     state = ParticleBlocks(x.astype(np.float32), np.array([0, 200]), 1 / 400)
-    model = model_of(BoxMotion(acceleration=0.0, resize=0.0, survival=1.0), detection=0.0)
+    model = model_of(BoxMotion(acceleration=0.0, size_noise=0.0, survival_probability=1.0), detection_probability=0.0)
     for _ in range(14):
         state, _ = PHD.step(state, NO_BOXES, model, 1.0, rng)
         check(state)
@@ -106,7 +106,7 @@ def test_what_leaves_the_frame_leaves_the_filter():
     rng = np.random.default_rng(2)
     x = np.array([[600.0, 240, 12, 0, 40, 90]]).T + np.array([5, 5, 1, 1, 2, 4])[:, None] * rng.standard_normal((6, 400))
     state = ParticleBlocks(x.astype(np.float32), np.array([0, 200, 400]), 1 / 400)
-    model = model_of(detection=0.0)
+    model = model_of(detection_probability=0.0)
     masses = []
     for _ in range(40):
         state, info = PHD.step(state, NO_BOXES, model, 1.0, rng)
@@ -119,7 +119,7 @@ def test_what_leaves_the_frame_leaves_the_filter():
 def test_memory_is_flat():
     """After the first frames nothing is kept but the state: fresh megabytes would show within four hundred."""
     rng = np.random.default_rng(4)
-    model, state = preset("default", "birth.most=200"), NOTHING
+    model, state = preset("default", "birth.particles=200"), NOTHING
     for k in range(60):
         state, _ = PHD.step(state, scan(rng, k), model, 1.0, rng)
     tracemalloc.start()

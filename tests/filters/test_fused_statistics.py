@@ -76,7 +76,7 @@ def world(seed: int) -> tuple[ParticleBlocks, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("name", PRESETS)
 def test_one_step(name: str, births: str, dt: float):
     """Evidence, masses, and first and second moments of moved and newborn, around every detection."""
-    model = preset(name, "birth.most=150", "birth.rate=0.2", *BIRTHS[births])
+    model = preset(name, "birth.particles=150", f"birth.births_per_second={25 * 0.2}", *BIRTHS[births])
     state, z, about = world(PRESETS.index(name))
     ours = sample(PHD, state, z, model, dt, about, range(SEEDS))
     theirs = sample(Composed(PHD), state, z, model, dt, about, range(1000, 1000 + SEEDS))
@@ -87,14 +87,14 @@ def test_one_step(name: str, births: str, dt: float):
 @pytest.mark.parametrize("scaled", [True, False])
 def test_motion_alone(scaled: bool, dt: float):
     """A cloud at one point, moved and nothing else: mean and covariance are those of `transition`, roughened."""
-    kind = () if scaled else ("motion.scaled=false", "motion.acceleration=1.5", "motion.resize=2")
+    kind = () if scaled else ("motion.scaled_noise=false", "motion.acceleration=1.5", "motion.size_noise=2")
     model = preset("default", "filter.particles_per_target=20000", *kind)
     x = np.array([[300.0, 200, 3, -2, 60, 120]]).T
     count = 20_000
     start = np.append(np.arange(0, count, 250), count)
     state = ParticleBlocks(np.repeat(x, count, axis=1).astype(np.float32), start, 1 / count)
     # As many as there are, of what a miss leaves.
-    dense = ParticlePHD(particles_per_target=round(count / (1 - model.sensor.detection)))
+    dense = ParticlePHD(particles_per_target=round(count / (1 - model.sensor.detection_probability)))
     rougher = replace(model.motion, acceleration=model.motion.drawn, roughening=0.0)
     mean, _, cov = rougher.transition(x, dt)
     found, seeds = [], 6
@@ -114,7 +114,7 @@ def test_motion_alone(scaled: bool, dt: float):
 @pytest.mark.parametrize("births", BIRTHS)
 def test_newborn_alone(births: str):
     """One detection in an empty world: the law of the newborn before and after the update, position to velocity."""
-    model = preset("default", "birth.most=400", "birth.rate=0.3", *BIRTHS[births])
+    model = preset("default", "birth.particles=400", f"birth.births_per_second={25 * 0.3}", *BIRTHS[births])
     z = np.array([[200.0], [150], [30], [70]])
     about = np.array([[200.0, 150, 0, 0, 30, 70]]).T
     dense = ParticlePHD(particles_per_target=3000)
@@ -126,9 +126,9 @@ def test_newborn_alone(births: str):
 
 
 def test_newborn_velocities_have_uniform_direction_and_gaussian_amplitude():
-    model = preset("default", "birth.most=1000", "birth.rate=0.5")
+    model = preset("default", "birth.particles=1000", f"birth.births_per_second={25 * 0.5}")
     z = np.array([[200.0], [150], [30], [70]])
-    speed = model.sensor.speed * np.sqrt(30 * 70)
+    speed = model.sensor.birth_speed * np.sqrt(30 * 70)
     v = np.hstack([
         ParticlePHD(particles_per_target=4000).step(NOTHING, z, model, 1.0, np.random.default_rng(seed))[0].state[2:4]
         for seed in range(40)
@@ -147,7 +147,7 @@ def test_newborn_velocities_have_uniform_direction_and_gaussian_amplitude():
 def test_births_go_with_the_interval():
     """γT: births of half an interval are half as many."""
     for births in BIRTHS:
-        model = preset("default", "birth.most=300", *BIRTHS[births])
+        model = preset("default", "birth.particles=300", *BIRTHS[births])
         z = np.array([[200.0, 400], [150, 150], [30, 30], [70, 70]])
         born = [
             np.mean([PHD.step(NOTHING, z, model, dt, np.random.default_rng(s))[1].mass_born for s in range(20)])
@@ -192,7 +192,7 @@ def run(stages, form, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("name", PRESETS)
 def test_estimates_of_a_scene(name: str):
     """The same walkers are found as often, as near, with the same covariance: paired by scene, over eight of them."""
-    sets = ["filter.kind=particle-phd", "filter.particles_per_target=400", "birth.most=200"]
+    sets = ["filter.kind=particle-phd", "filter.particles_per_target=400", "birth.particles=200"]
     stages = config.build(config.load(preset=name, sets=sets), SequenceInfo(int(FRAME[0]), int(FRAME[1]), 25.0))
     ours, theirs = (np.array([run(stages, f, s) for s in range(8)]) for f in (stages.filter, Composed(stages.filter)))
     assert ours[:, 2].mean() < 8, "the walkers are found"
@@ -211,8 +211,8 @@ def test_one_step_with_births_that_were_learned(dt: float, beside: bool):
     cov[2, 3] = cov[3, 2] = 0.3
     entrance = ContextDensity(low, high, 0.3, np.ones(1), np.array([[70.0, 430, 5, -1, 24, 52]]).T, cov[None])
     alarms = marginal(entrance, (0, 1, 4, 5))
-    model = preset("default", "birth.most=150")
-    birth, clutter = ContextBirth(0.3, entrance, most=150), ContextClutter(1.0, alarms)
+    model = preset("default", "birth.particles=150")
+    birth, clutter = ContextBirth(0.3, entrance, particles=150), ContextClutter(1.0, alarms)
     if beside:
         # Births and false alarms around each detection too, among objects that are seen in the middle.
         centre = np.array([[300.0, 200, 40, 90]]).T

@@ -19,7 +19,7 @@ def test_any_number_of_threads_gives_the_same_bits(scaling: str):
     rng = np.random.default_rng(3)
     first = level(rng, 70, 300, width=4000.0)
     scans = [seen_by(rng, first, n, 0.05) for n in (90, 90, 0, 60)]
-    model = model_of(BoxMotion(), MeasurementBirth(0.05, 100, "local"), scaling=scaling)
+    model = model_of(BoxMotion(), MeasurementBirth(25 * 0.05, 100, "local"), scaling=scaling)
     assert len(first.start) > 70
     results = {}
     for threads in (1, 2, 3, 8, 0):

@@ -31,8 +31,8 @@ MEAN = np.array([320.0, 240, 2, -1, 60, 110])
 COV = np.diag([3.0, 3, 20, 20, 6, 6])
 # M09's fixed variances: linear and Gaussian.
 LINEAR = Model(
-    BoxMotion(1.5**0.5, 2.0, survival=1.0, scaled=False),
-    BoxSensor(detection=1.0, scaling="fixed"),
+    BoxMotion(1.5**0.5, 2.0, survival_probability=1.0, scaled_noise=False),
+    BoxSensor(detection_probability=1.0, scaling="fixed"),
     NoBirth(),
     UniformClutter(0.0, 1.0),
 )
@@ -77,7 +77,7 @@ def test_one_target_is_the_kalman_filter(rng):
 @pytest.mark.parametrize("scaling", ["particle", "detection", "fixed"])
 def test_the_update_is_the_printed_one_but_for_the_gate(scaling: str, rng):
     """Every pair by matrix inverses, without gates: evidence and mass within what a gate of five deviations cuts."""
-    model = world(scaling=scaling, detection=0.9)
+    model = world(scaling=scaling, detection_probability=0.9)
     state, sensor = nearby(rng, 9), model.sensor
     z = np.hstack([seen_by(rng, state, 6), [[900.0], [900], [30], [60]]])
     kappa = model.clutter.intensity(z)
@@ -87,7 +87,7 @@ def test_the_update_is_the_printed_one_but_for_the_gate(scaling: str, rng):
 
     p = np.full(9, 0.9)
     weight, mean, cov, evidence = gm_twin.update(state.weight, state.mean, state.covariance, z, H, noise, p, kappa)
-    wide, info = GMPHD(gate=60.0).update(state, z, model, 1.0, rng)
+    wide, info = GMPHD(gate_probability=1.0).update(state, z, model, 1.0, rng)
     np.testing.assert_allclose(info.evidence, evidence, rtol=1e-9, atol=1e-300)
     assert wide.mass == pytest.approx(weight.sum())
     for printed in np.flatnonzero(weight > 1e-9):
@@ -119,12 +119,12 @@ def test_prediction_is_the_printed_one(rng):
 
 
 def test_an_empty_scan_leaves_what_was_missed(rng):
-    model, state = world(detection=0.9), nearby(rng, 6)
+    model, state = world(detection_probability=0.9), nearby(rng, 6)
     after, info = GMPHD().update(state, NOTHING, model, 1.0, rng)
     np.testing.assert_allclose(after.weight, 0.1 * state.weight)
     np.testing.assert_array_equal(after.mean, state.mean)
     assert info.mass == pytest.approx(0.1 * state.mass)
-    kept, info = GMPHD(skip_empty=True).update(state, NOTHING, model, 1.0, rng)
+    kept, info = GMPHD(skip_empty_frames=True).update(state, NOTHING, model, 1.0, rng)
     np.testing.assert_array_equal(kept.weight, state.weight)
     assert info.mass == pytest.approx(state.mass)
 
@@ -132,9 +132,9 @@ def test_an_empty_scan_leaves_what_was_missed(rng):
 def test_reducing_keeps_the_mass_unless_it_is_to_be_as_printed(rng):
     state = nearby(rng, 40)
     for most in (0, 5):
-        recursion = GMPHD(prune=0.3, most=most)
+        recursion = GMPHD(weight_threshold=0.3, max_components=most)
         assert recursion.reduce(state, rng).mass == pytest.approx(state.mass)
-        printed = replace(recursion, redistribute=False).reduce(state, rng)
+        printed = replace(recursion, keep_mass=False).reduce(state, rng)
         expected = gm_twin.reduce(state.weight, state.mean, state.covariance, 0.3, 2.0, most, False)
         assert printed.mass == pytest.approx(expected[0].sum())
         assert printed.mass < state.mass - 0.1
@@ -145,7 +145,7 @@ def test_order_of_the_detections_does_not_matter(rng):
     state = nearby(rng, 8)
     z = np.hstack([seen_by(rng, state, 6), rng.uniform([0, 0, 20, 40], [500, 400, 60, 120], (6, 4)).T])
     order = rng.permutation(12)
-    model = world(birth=MeasurementBirth(0.05, volume="local"), clutter=LocalClutter(0.5), detection=0.9)
+    model = world(birth=MeasurementBirth(25 * 0.05, volume="local"), clutter=LocalClutter(0.5), detection_probability=0.9)
     for one, other in (
         (GMPHD().step(state, z, model, 1.0, rng), GMPHD().step(state, z[:, order].copy(), model, 1.0, rng)),
         (
@@ -159,7 +159,7 @@ def test_order_of_the_detections_does_not_matter(rng):
 
 
 def test_a_detection_that_nothing_explains_vanishes_and_is_counted(rng):
-    model = world(clutter=UniformClutter(0.0, 1.0), detection=1.0)
+    model = world(clutter=UniformClutter(0.0, 1.0), detection_probability=1.0)
     state = GaussianMixture(np.ones(1), MEAN[:, None], COV[None])
     z = np.array([[5000.0, 320, 5050], [5000, 240, 5000], [20, 60, 20], [40, 110, 40]])
     for after, info in (GMPHD().update(state, z, model, 1.0, rng), GMPHD().step(state, z, with_no_births(model), 1.0, rng)):
@@ -174,7 +174,7 @@ def with_no_births(model: Model) -> Model:
 
 
 def test_births_stop_where_mass_explains_the_detection(rng):
-    model = world(birth=MeasurementBirth(0.05, volume="local"), clutter=LocalClutter(0.5))
+    model = world(birth=MeasurementBirth(25 * 0.05, volume="local"), clutter=LocalClutter(0.5))
     z = MEAN[ROWS, None]
     for weight, born in ((1.2, False), (0.5, True)):
         state = GaussianMixture(np.array([weight]), MEAN[:, None], COV[None])
@@ -187,8 +187,8 @@ def test_an_object_is_believed_as_soon_as_by_the_particles(rng):
     """Masses of a coherent object along its first detections, births and clutter by rate: within the particles' error."""
     model = Model(
         BoxMotion(frame_size=FRAME),
-        BoxSensor(detection=0.9),
-        MeasurementBirth(0.01, 1000, "local", FRAME),
+        BoxSensor(detection_probability=0.9),
+        MeasurementBirth(25 * 0.01, 1000, "local", FRAME),
         LocalClutter(0.3),
     )
     z = np.array([[300.0], [200], [40], [100]])
@@ -210,7 +210,7 @@ def test_an_object_is_believed_as_soon_as_by_the_particles(rng):
 
 def test_a_linear_scene_is_the_particle_filters(rng):
     """Two targets of fixed variances, misses and clutter: masses and evidence of both filters along 12 frames."""
-    model = replace(LINEAR, sensor=BoxSensor(detection=0.85, scaling="fixed"), clutter=UniformClutter(2.0, 1e6))
+    model = replace(LINEAR, sensor=BoxSensor(detection_probability=0.85, scaling="fixed"), clutter=UniformClutter(2.0, 1e6))
     start = np.array([MEAN, MEAN + np.array([90, 20, -3, 1, 10, -20])]).T
     initial = GaussianMixture(np.ones(2), start, np.stack([COV, COV]))
     scans, x = [], start
@@ -219,7 +219,7 @@ def test_a_linear_scene_is_the_particle_filters(rng):
         seen = x[ROWS] + rng.normal(0, 1, (4, 2)) * np.sqrt([[3.0], [3], [6], [6]])
         clutter = rng.uniform([0, 0, 20, 40], [*FRAME, 90, 150], (2, 4)).T
         scans.append(np.hstack([seen[:, : 1 if k == 5 else 2], clutter]))
-    recursion, exact = GMPHD(initial=initial, merge=0.05, prune=1e-7, most=0), []
+    recursion, exact = GMPHD(initial=initial, merge_distance=0.05, weight_threshold=1e-7, max_components=0), []
     state = recursion.start(model, rng)
     for z in scans:
         state, info = composed_step(recursion, state, z, model, 1.0, rng)
@@ -240,8 +240,10 @@ def test_a_linear_scene_is_the_particle_filters(rng):
 def test_the_count_is_right_on_average(rng):
     """Five targets that stay, p_D = 0.9, clutter as modelled: the mass over 150 frames."""
     clutter = UniformClutter(2.0, FRAME[0] * FRAME[1] * 40 * 80)
-    motion = BoxMotion(1.0, 1.0, survival=0.995, scaled=False)
-    model = Model(motion, BoxSensor(detection=0.9, scaling="fixed"), MeasurementBirth(0.2, frame_size=FRAME), clutter)
+    motion = BoxMotion(1.0, 1.0, survival_probability=0.995**25, scaled_noise=False)
+    model = Model(
+        motion, BoxSensor(detection_probability=0.9, scaling="fixed"), MeasurementBirth(25 * 0.2, frame_size=FRAME), clutter
+    )
     at = rng.uniform([60, 60, 30, 60], [580, 420, 60, 120], (5, 4)).T
     recursion, masses = GMPHD(), []
     state = recursion.start(model, rng)
@@ -261,7 +263,12 @@ def walking(k: int) -> np.ndarray:
 @pytest.mark.parametrize("general", [False, True])
 def test_a_target_keeps_its_tag(general: bool, rng):
     """Through misses and false alarms, in both forms; every target has one of its own, and none is given twice."""
-    model = Model(BoxMotion(frame_size=FRAME), BoxSensor(detection=0.9), MeasurementBirth(volume="local"), LocalClutter(0.3))
+    model = Model(
+        BoxMotion(frame_size=FRAME),
+        BoxSensor(detection_probability=0.9),
+        MeasurementBirth(volume="local"),
+        LocalClutter(0.3),
+    )
     recursion, known = GMPHD(), []
     state = recursion.start(model, rng)
     for k in range(60):
@@ -294,12 +301,12 @@ def test_two_targets_out_of_one_gaussian_are_told_apart(rng):
     for after, _ in (GMPHD().step(state, z, model, 0.5, rng), composed_step(GMPHD(), state, z, model, 0.5, rng)):
         assert after.fresh == 10
         np.testing.assert_array_equal(after.tag[np.argsort(-after.weight)], [4, 9])
-    light, _ = GMPHD(split=1.5).step(state, z, model, 0.5, rng)
+    light, _ = GMPHD(split_weight=1.5).step(state, z, model, 0.5, rng)
     np.testing.assert_array_equal(light.tag, [4, 4])
 
 
 def test_what_comes_without_tags_is_given_some(rng):
-    recursion, model = GMPHD(initial=nearby(rng, 5), prune=0.0, merge=0.0), world()
+    recursion, model = GMPHD(initial=nearby(rng, 5), weight_threshold=0.0, merge_distance=0.0), world()
     np.testing.assert_array_equal(recursion.start(model, rng).tag, range(5))
     again = replace(recursion, initial=recursion.start(model, rng)).start(model, rng)
     assert (again.tag.tolist(), again.fresh) == (list(range(5)), 5)
@@ -319,6 +326,6 @@ def test_what_has_no_gaussian_form_is_an_error_with_its_cure(rng):
 
 
 def test_settings_out_of_bounds():
-    for wrong in ({"prune": -1.0}, {"merge": -1.0}, {"most": -1}, {"gate": 0.0}, {"region": 0.0}):
+    for wrong in ({"weight_threshold": -1.0}, {"merge_distance": -1.0}, {"max_components": -1}, {"gate_probability": 0.0}):
         with pytest.raises(InputError, match=next(iter(wrong))):
             GMPHD(**wrong)

@@ -26,7 +26,10 @@ from phdtrack.types import GaussianMixture
 NOW = datetime(2000, 1, 1)
 # No time passes and all survive: the update alone is compared.
 MODEL = Model(
-    BoxMotion(scaled=False), BoxSensor(detection=0.9, scaling="fixed"), NoBirth(), UniformClutter(3.0, 640.0 * 480 * 60 * 90)
+    BoxMotion(scaled_noise=False),
+    BoxSensor(detection_probability=0.9, scaling="fixed"),
+    NoBirth(),
+    UniformClutter(3.0, 640.0 * 480 * 60 * 90),
 )
 
 
@@ -52,7 +55,7 @@ def test_update(rng):
     root = rng.normal(0, 1.5, (3, 6, 6))
     mixture = GaussianMixture(np.array([0.8, 0.5, 1.1]), mean, root @ root.transpose(0, 2, 1) + np.eye(6))
     z = np.hstack([mean[[0, 1, 4, 5]] + rng.normal(0, 2, (4, 3)), [[302.0], [203], [58], [118]]])
-    ours, _ = GMPHD(gate=1e3).update(mixture, z, MODEL, 1.0, rng)
+    ours, _ = GMPHD(gate_probability=1e3).update(mixture, z, MODEL, 1.0, rng)
     expected = sorted(theirs(mixture, z), key=lambda c: float(c.weight))
     # Theirs may leave out what weighs next to nothing.
     expected = [c for c in expected if float(c.weight) > 1e-6]

@@ -62,7 +62,7 @@ def test_the_sums_are_the_scaled_transform(rng):
 @pytest.mark.parametrize("scaling", ["particle", "detection", "fixed", "previous"])
 def test_it_is_the_linear_one_where_the_model_is_linear(scaling: str, rng):
     """Along a run, every Gaussian to 1e-9; and its step is the composition, though the model is the shipped one."""
-    sensor = BoxSensor(detection=0.9, scaling=scaling)
+    sensor = BoxSensor(detection_probability=0.9, scaling=scaling)
     motion = BoxMotion(frame_size=FRAME, remember_size=scaling == "previous")
     model = Model(motion, sensor, MeasurementBirth(volume="local"), LocalClutter(0.5))
     linear, unscented = GMPHD(), GMPHD(transform="unscented")
@@ -171,7 +171,7 @@ def test_a_bent_update_sees_the_truth_within_what_it_says(rng):
     """Mean squared normalised error over 600 targets, 5 components: near 5 by sigma points."""
     truth = drawn(rng, 600)
     noise = rng.normal(0, 1, (3, 600)) * np.array([[2.0], [2.0], [0.1]])
-    recursion, errors = GMPHD(transform="unscented", redistribute=False), []
+    recursion, errors = GMPHD(transform="unscented", keep_mass=False), []
     for i in range(600):
         z = MODEL.sensor.expected(truth[:, [i]]) + noise[:, [i]]
         after, info = recursion.step(START, z, replace(MODEL, motion=Still()), 1.0, rng)

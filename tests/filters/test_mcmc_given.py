@@ -138,7 +138,9 @@ def test_the_greedy_chain_depends_on_the_unit_and_the_sampler_does_not():
     rates = {}
     for greedy in (True, False):
         for unit in (1.0, 100.0):
-            model = replace(ring(), motion=PointMotion(variance=2.0 * unit**2), sensor=PointSensor(variance=unit**2))
+            model = replace(
+                ring(), motion=PointMotion(noise_variance=2.0 * unit**2), sensor=PointSensor(noise_variance=unit**2)
+            )
             origin, z = gaussian_scan(np.random.default_rng(3))
             z = np.ascontiguousarray(z[[0, 1, -1]])
             z[:2] *= unit
@@ -152,9 +154,9 @@ def test_the_greedy_chain_depends_on_the_unit_and_the_sampler_does_not():
 
 def gaussian_worlds() -> dict[str, Model]:
     return {
-        "point": replace(ring(), motion=PointMotion(), sensor=PointSensor(variance=1.0)),
+        "point": replace(ring(), motion=PointMotion(), sensor=PointSensor(noise_variance=1.0)),
         # One noise drives position and velocity, and the measurement's noise is no multiple of the identity.
-        "plane": replace(ring(), motion=PlaneMotion(form="piecewise", nominal=1.0), sensor=PlaneSensor(scaling="given")),
+        "plane": replace(ring(), motion=PlaneMotion(form="piecewise"), sensor=PlaneSensor(scaling="given")),
     }
 
 

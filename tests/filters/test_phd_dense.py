@@ -28,7 +28,7 @@ def test_a_wide_gate_gives_the_dense_update(seed: int, floor: float):
     rng = np.random.default_rng(seed)
     state = crowd(rng, 4, 50, width=200.0)
     z = seen_by(rng, state, 6)
-    model = world(detection=P_DETECT, floor=floor, gate_sigmas=40.0)
+    model = world(detection_probability=P_DETECT, min_noise=floor, gate_probability=1.0)
     updated, info = ParticlePHD().update(state, z, model, 1.0, rng)
     weight, evidence = dense(state, z, model, lambda a, b: twin.box_likelihood(a, b, 0.15, floor))
     np.testing.assert_allclose(info.evidence, evidence, rtol=1e-10)
@@ -41,13 +41,13 @@ def test_what_the_gate_drops_is_bounded(seed: int):
     rng = np.random.default_rng(seed)
     state = crowd(rng, 5, 60, spread=0.3, width=150.0)
     z = seen_by(rng, state, 8)
-    model = world(detection=P_DETECT)
+    model = world(detection_probability=P_DETECT)
     sensor = model.sensor
     updated, info = ParticlePHD().update(state, z, model, 1.0, rng)
-    weight, evidence = dense(state, z, model, lambda a, b: twin.box_likelihood(a, b, sensor.spread, sensor.floor))
+    weight, evidence = dense(state, z, model, lambda a, b: twin.box_likelihood(a, b, sensor.box_noise, sensor.min_noise))
     own = state.state[[0, 1, 4, 5]]
     peak = np.exp(sensor.log_likelihood(own, state.state))
-    tail = math.exp(-(sensor.gate_sigmas**2) / 2)
+    tail = math.exp(-(sensor._gate**2) / 2)
     dropped = evidence - info.evidence
     assert np.all(dropped >= -1e-12 * evidence)
     assert np.all(dropped <= tail * (P_DETECT * state.weight * peak).sum())
@@ -63,7 +63,7 @@ def test_every_pair_within_the_gate_is_looked_at(scaling: str, rng):
     z = seen_by(rng, state, 30)
     found = set(zip(*(a.tolist() for a in points_in_rectangles(*state.state[:2], *model.sensor.gate(z))), strict=True))
     distance2 = model.sensor.distance2(z[:, None, :], state.state[:, :, None])
-    within = set(zip(*(a.tolist() for a in np.nonzero(distance2 <= model.sensor.gate_sigmas**2)), strict=True))
+    within = set(zip(*(a.tolist() for a in np.nonzero(distance2 <= model.sensor._gate**2)), strict=True))
     assert len(within) > 20
     assert within <= found
     # And the gate is of use: most pairs are not looked at.
@@ -71,7 +71,10 @@ def test_every_pair_within_the_gate_is_looked_at(scaling: str, rng):
 
 
 def test_fixed_deviations_agree_with_scipy(rng):
-    state, model = crowd(rng, 2, 60, spread=0.05, width=100.0), world(detection=P_DETECT, scaling="fixed", gate_sigmas=60.0)
+    state, model = (
+        crowd(rng, 2, 60, spread=0.05, width=100.0),
+        world(detection_probability=P_DETECT, scaling="fixed", gate_probability=1.0),
+    )
     z = seen_by(rng, state, 3)
     cov = np.diag([3.0, 3, 6, 6])
     weight, evidence = dense(state, z, model, lambda a, b: multivariate_normal.pdf(a, b[[0, 1, 4, 5]], cov))
@@ -82,7 +85,7 @@ def test_fixed_deviations_agree_with_scipy(rng):
 
 def test_detection_probability_may_depend_on_the_state(rng):
     """p_D is a model: here nothing is seen in the left half."""
-    model = world(gate_sigmas=40.0)
+    model = world(gate_probability=1.0)
 
     class Half:
         def __getattr__(self, name):

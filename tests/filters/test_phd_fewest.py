@@ -51,9 +51,11 @@ def test_and_in_the_cardinalised_filter(rng):
 def test_who_has_just_begun_is_placed_better(form):
     """A walker alone, detected in each of five frames with √3 pixels of noise: without the bound the first frame leaves four
     particles of him, none of which has his velocity."""
-    motion = BoxMotion(acceleration=0.3, resize=0.3, scaled=False, frame_size=FRAME)
-    sensor = BoxSensor(scaling="fixed", fixed_speed=2.0)
-    model = Model(motion, sensor, MeasurementBirth(0.01, 1000, "image", FRAME), UniformClutter(1.0, image_volume(FRAME)))
+    motion = BoxMotion(acceleration=0.3, size_noise=0.3, scaled_noise=False, frame_size=FRAME)
+    sensor = BoxSensor(scaling="fixed", birth_speed_pixels=2.0)
+    model = Model(
+        motion, sensor, MeasurementBirth(25 * 0.01, 1000, "image", FRAME), UniformClutter(1.0, image_volume(FRAME))
+    )
     filters = [form(ParticlePHD(1500, min_particles=fewest)) for fewest in (0, 1500)]
     without, with_it = np.array([[_miss(one, model, seed) for seed in range(40)] for one in filters])
     # 4.0 and 1.7 pixels over 150 seeds; the means of 40 have errors of about 0.5 and 0.15.

@@ -23,8 +23,8 @@ MEAN = np.array([320.0, 240, 2, -1, 60, 110])
 COV = np.diag([3.0, 3, 20, 20, 6, 6])
 # M09's fixed variances.
 MODEL = Model(
-    BoxMotion(1.5**0.5, 2.0, survival=1.0, scaled=False),
-    BoxSensor(detection=1.0, scaling="fixed", gate_sigmas=8.0),
+    BoxMotion(1.5**0.5, 2.0, survival_probability=1.0, scaled_noise=False),
+    BoxSensor(detection_probability=1.0, scaling="fixed", gate_probability=1.0),
     NoBirth(),
     UniformClutter(1e-9, (640.0 * 480.0) ** 2),
 )

@@ -69,10 +69,10 @@ def test_next_to_no_mass_becomes_an_empty_valid_state(mass: float, rng):
 def test_predicting_multiplies_the_mass_with_survival(seed: int, dt: float, survival: float):
     rng = np.random.default_rng(seed)
     state = crowd(rng, 3, 40)
-    model = replace(world(), motion=BoxMotion(survival=survival))
+    model = replace(world(), motion=BoxMotion(survival_probability=survival**25))
     predicted = ParticlePHD().predict(state, model, dt, rng)
     assert predicted.mass == pytest.approx(state.mass * survival**dt, rel=1e-12)
-    spawning = replace(model, motion=BoxMotion(survival=survival, births=SplitSpawn(rate=0.1, fraction=0.5)))
+    spawning = replace(model, motion=BoxMotion(survival_probability=survival**25, births=SplitSpawn(rate=0.1, fraction=0.5)))
     predicted = ParticlePHD().predict(state, spawning, dt, rng)
     assert predicted.mass == pytest.approx(state.mass * (survival**dt + 0.1 * dt), rel=1e-12)
 
@@ -89,7 +89,7 @@ def test_targets_that_left_the_frame_are_dropped(rng):
 @pytest.mark.parametrize("p_detect", [0.0, 0.7, 0.95, 1.0])
 def test_an_empty_scan_leaves_what_is_missed(p_detect: float, rng):
     state = crowd(rng, 3, 50)
-    model = world(detection=p_detect)
+    model = world(detection_probability=p_detect)
     updated, info = ParticlePHD().update(state, NO_BOXES, model, 1.0, rng)
     np.testing.assert_array_equal(updated.state, state.state)
     np.testing.assert_allclose(updated.weight, (1 - p_detect) * state.weight, rtol=1e-14, atol=1e-18)
@@ -109,7 +109,7 @@ def test_an_empty_scan_can_be_skipped(rng):
 
 
 def test_births_come_in_an_empty_scan_too(rng):
-    model = world(birth=UniformBirth(FRAME, rate=0.2), detection=0.9)
+    model = world(birth=UniformBirth(FRAME, births_per_second=25 * 0.2), detection_probability=0.9)
     updated, info = ParticlePHD().update(NOTHING, NO_BOXES, model, 2.0, rng)
     assert info.mass_born == pytest.approx(0.4)
     assert updated.mass == info.mass == pytest.approx(0.04)
@@ -147,7 +147,7 @@ def test_a_well_explained_detection_brings_one_target_and_a_strange_one_what_the
     z = state.state[[0, 1, 4, 5], :1].copy()
     for rate, low, high in ((1e-9, 1.0, 1.1), (1e12, 0.05, 0.0501)):
         clutter = UniformClutter(rate, (FRAME[0] * FRAME[1]) ** 2)
-        _, info = ParticlePHD().update(state, z, world(clutter=clutter, detection=0.95), 1.0, rng)
+        _, info = ParticlePHD().update(state, z, world(clutter=clutter, detection_probability=0.95), 1.0, rng)
         assert low <= info.mass <= high
         expected = info.evidence / (info.evidence + info.clutter)
         np.testing.assert_allclose(1 - info.clutter_probability, expected)
@@ -158,7 +158,7 @@ def test_a_detection_that_nothing_explains_vanishes_and_is_counted(rng):
     state = crowd(rng, 2, 60, width=200.0)
     far = np.array([[5000.0], [5000], [20], [40]])
     near = seen_by(rng, state, 1)
-    model = world(clutter=UniformClutter(0.0, 1.0), detection=1.0)
+    model = world(clutter=UniformClutter(0.0, 1.0), detection_probability=1.0)
     updated, info = ParticlePHD().update(state, np.hstack([far, near, far + 50]), model, 1.0, rng)
     assert info.vanished == 2
     assert updated.mass == pytest.approx(1.0)
@@ -179,7 +179,7 @@ def test_a_likelihood_far_out_in_its_tail_does_not_poison_the_weights(deviations
     """κ = 0 and a size so unlike all particles that g is a denormal number: its reciprocal would be infinite."""
     x = np.array([[100.0, 100.0], [100, 100], [0, 0], [0, 0], [20, 20.3], [40, 40]])
     z = np.array([[100.0], [100], [20 + 20 * 0.15 * deviations], [40]])
-    model = world(clutter=UniformClutter(0.0, 1.0), detection=0.9)
+    model = world(clutter=UniformClutter(0.0, 1.0), detection_probability=0.9)
     updated, _ = ParticlePHD().update(Particles(x, np.ones(2)), z, model, 1.0, rng)
     assert np.isfinite(updated.weight).all()
     assert updated.mass <= 1.2 + 1e-9
@@ -187,7 +187,7 @@ def test_a_likelihood_far_out_in_its_tail_does_not_poison_the_weights(deviations
 
 def test_mass_cannot_exceed_what_detections_and_misses_allow(rng):
     """After an update: at most one for each detection and (1 − p_D) of what was predicted."""
-    model = with_births(world(detection=0.9), rate=5.0)
+    model = with_births(world(detection_probability=0.9), rate=5.0)
     for _ in range(5):
         state = crowd(rng, 6, 40, mass=2.0)
         _, info = ParticlePHD().update(state, seen_by(rng, state, 4), model, 1.0, rng)

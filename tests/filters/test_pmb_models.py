@@ -55,8 +55,13 @@ def stays_with(found, truth, near: float) -> None:
 
 @pytest.mark.parametrize("transform", ["linear", "unscented"])
 def test_points(transform: str):
-    rng, sensor = np.random.default_rng(1), PointSensor(variance=4.0, detection=0.99)
-    model = Model(PointMotion(), sensor, PointBirth(rate=0.05, frame_size=FRAME), UniformClutter(2.0, FRAME[0] * FRAME[1]))
+    rng, sensor = np.random.default_rng(1), PointSensor(noise_variance=4.0, detection_probability=0.99)
+    model = Model(
+        PointMotion(),
+        sensor,
+        PointBirth(births_per_second=25 * 0.05, frame_size=FRAME),
+        UniformClutter(2.0, FRAME[0] * FRAME[1]),
+    )
     x = np.array([[100.0, 500], [100, 300], [3, -2], [1, 2]])
     _, found, truth = follow(
         PMB(transform=transform), model, x, lambda x: x[:2] + rng.normal(0, 2, (2, 2)),
@@ -68,8 +73,8 @@ def test_points(transform: str):
 @pytest.mark.parametrize("transform", ["linear", "unscented"])
 def test_the_ground_plane(transform: str):
     """Metres on a plan, with a covariance of each measurement."""
-    rng, sensor = np.random.default_rng(2), PlaneSensor(scaling="given", detection=0.99)
-    births = PlaneBirth(rate=0.05, volume="region", borders=(-20.0, 0.0, 20.0, 40.0))
+    rng, sensor = np.random.default_rng(2), PlaneSensor(scaling="given", detection_probability=0.99)
+    births = PlaneBirth(births_per_second=0.05, volume="region", borders=(-20.0, 0.0, 20.0, 40.0))
     model = Model(PlaneMotion(acceleration=0.02), sensor, births, UniformClutter(1.0, 1600.0))
     x = np.array([[-5.0, 5], [10, 25], [0.1, -0.1], [0.05, 0.1]])
     _, found, truth = follow(
@@ -123,7 +128,7 @@ def test_a_camera_that_pans_keeps_every_label():
 
 def simulated(rng, model: Model, frames: int, arrivals: float, alarms: float) -> tuple[list, np.ndarray]:
     """Scans of a world that is as the model says, and how many were there in each frame."""
-    p_s, p_d = model.motion.survival, model.sensor.detection
+    p_s, p_d = model.motion.survival_probability ** (1 / model.rate), model.sensor.detection_probability
     x, scans, number = np.zeros((6, 0)), [], []
     low, high = np.array([0.0, 0, 30, 60]), np.array([640.0, 480, 50, 100])
     for _ in range(frames):
@@ -132,7 +137,7 @@ def simulated(rng, model: Model, frames: int, arrivals: float, alarms: float) ->
             mean, _, q = model.motion.transition(x, 1.0)
             x = mean + np.stack([rng.multivariate_normal(np.zeros(6), c, method="eigh") for c in q]).T
         new = rng.uniform(low, high, (rng.poisson(arrivals), 4)).T
-        speed = rng.normal(0, model.sensor.fixed_speed / np.sqrt(2), new[:2].shape)
+        speed = rng.normal(0, model.sensor.birth_speed_pixels / np.sqrt(2), new[:2].shape)
         x = np.hstack([x, np.vstack([new[:2], speed, new[2:]])])
         seen = x[:, rng.random(x.shape[1]) < p_d][[0, 1, 4, 5]]
         seen = seen + 3 * rng.standard_normal(seen.shape)
@@ -169,7 +174,7 @@ def test_errors_are_as_large_as_the_covariances_say():
     for seed in range(60):
         rng = np.random.default_rng(seed)
         x = np.array([300.0, 200, 0, 0, 40, 80])
-        x[2:4] = rng.normal(0, model.sensor.fixed_speed / np.sqrt(2), 2)
+        x[2:4] = rng.normal(0, model.sensor.birth_speed_pixels / np.sqrt(2), 2)
         state = PLAIN.start(model, RNG)
         for k in range(25):
             mean, _, q = model.motion.transition(x[:, None], 1.0)

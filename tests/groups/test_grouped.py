@@ -98,7 +98,7 @@ def test_one_miss_drops_nobody_whatever_the_filter(name: str) -> None:
     from phdtrack.cli.steps import Steps
 
     info = SequenceInfo(60, 60, 5.0)
-    sets = ["motion.kind=plane", "sensor.scaling=fixed", "sensor.fixed=0.3", "camera.region=[-30, -30, 30, 30]"]
+    sets = ["motion.kind=plane", "sensor.scaling=fixed", "sensor.fixed_noise=0.3", "camera.region=[-30, -30, 30, 30]"]
     settings = overlay(load(sets=sets), {"filter": {"kind": name}})
     stages, walk = build(settings, info), Walk()
     settings_of_groups = build_groups(settings, stages)

@@ -65,9 +65,9 @@ def test_load_and_store_are_each_others_inverse(n: int):
 @pytest.mark.parametrize("scaled", [True, False])
 @pytest.mark.parametrize("border", [True, False])
 def test_move(border: bool, scaled: bool, dt: float):
-    motion = BoxMotion(0.05, 0.2, scaled=scaled, smallest=3.0, frame_size=(640.0, 480.0) if border else (0.0, 0.0))
+    motion = BoxMotion(0.05, 0.2, scaled_noise=scaled, min_size=3.0, frame_size=(640.0, 480.0) if border else (0.0, 0.0))
     if not scaled:
-        motion = BoxMotion(1.5, 6.0, scaled=False, smallest=3.0, frame_size=motion.frame_size)
+        motion = BoxMotion(1.5, 6.0, scaled_noise=False, min_size=3.0, frame_size=motion.frame_size)
     n, x = 90, boxes(90)
     s, normal = block(x), np.random.default_rng(1).standard_normal((4, n)).astype(F)
     rows(s)[6:10, :n] = normal
@@ -75,7 +75,7 @@ def test_move(border: bool, scaled: bool, dt: float):
     alive = rows(s)[12, :n]
     for i in range(n):
         before, drawn = x[:, i].astype(float), normal[:, i].astype(float)
-        wanted = twins.move(before, drawn, dt, motion.acceleration, motion.resize, 3.0, scaled)
+        wanted = twins.move(before, drawn, dt, motion.acceleration, motion.size_noise, 3.0, scaled)
         np.testing.assert_allclose(rows(s)[:6, i], wanted, rtol=2e-5, atol=1e-4)
         assert alive[i] == (twins.survives(x[:, i], 640, 480) or not border)
         unit = np.maximum(x[4:6, i], 3.0) if scaled else np.ones(2)
@@ -120,7 +120,7 @@ def test_extent():
 def test_likelihood(scaling: str, floor: float):
     """g, its sum and the number in the region: near, far away, alive and not."""
     rng, n = np.random.default_rng(2), 60
-    sensor = BoxSensor(scaling=scaling, floor=floor, fixed=(9.0, 14.0))
+    sensor = BoxSensor(scaling=scaling, min_noise=floor, fixed_noise=(9.0, 14.0))
     x = boxes(n, 3)
     z = x[[0, 1, 4, 5], :4].astype(float) * (1 + 0.05 * rng.standard_normal((4, 4)))
     x[:2, :40] = x[:2, :1] + rng.normal(0, 4, (2, 40))
@@ -137,7 +137,7 @@ def test_likelihood(scaling: str, floor: float):
     alive = (np.arange(n) % 7 > 0).astype(F)
     rows(s)[12, :n] = alive
     if own:
-        own_precisions(s, n, F(sensor.spread), F(max(floor, 1e-3)))
+        own_precisions(s, n, F(sensor.box_noise), F(max(floor, 1e-3)))
     for j in range(4):
         total, near = likelihood(s, n, table, j, F(13.28), own)
         sigma = [twins.own_sigma(x[:, i].astype(float), 0.15, floor) if own else noise[[0, 1, 4, 5], j] for i in range(n)]

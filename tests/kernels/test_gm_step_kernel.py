@@ -55,19 +55,23 @@ def laid_over(seed: int) -> tuple[ContextBirth, ContextClutter]:
 LOCAL = MeasurementBirth(volume="local")
 MODELS = {
     "particle": Model(BoxMotion(frame_size=SIZE), BoxSensor(), MeasurementBirth(frame_size=SIZE), CLUTTER),
-    "local": Model(BoxMotion(frame_size=SIZE), BoxSensor(detection=0.8), LOCAL, LocalClutter(0.4)),
-    "mixed": Model(BoxMotion(), BoxSensor(floor=0.0), LOCAL, CLUTTER),
+    "local": Model(BoxMotion(frame_size=SIZE), BoxSensor(detection_probability=0.8), LOCAL, LocalClutter(0.4)),
+    "mixed": Model(BoxMotion(), BoxSensor(min_noise=0.0), LOCAL, CLUTTER),
     "detection": Model(BoxMotion(), BoxSensor(scaling="detection"), MeasurementBirth(frame_size=SIZE), LocalClutter(1.0)),
-    "given": Model(BoxMotion(), BoxSensor(scaling="given"), MeasurementBirth(volume="local", rate=0.1), CLUTTER),
+    "given": Model(
+        BoxMotion(), BoxSensor(scaling="given"), MeasurementBirth(volume="local", births_per_second=25 * 0.1), CLUTTER
+    ),
     "fixed": Model(
-        BoxMotion(1.2, 2.0, scaled=False), BoxSensor(scaling="fixed"), MeasurementBirth(frame_size=SIZE), CLUTTER
+        BoxMotion(1.2, 2.0, scaled_noise=False), BoxSensor(scaling="fixed"), MeasurementBirth(frame_size=SIZE), CLUTTER
     ),
     "given births": Model(BoxMotion(frame_size=SIZE), BoxSensor(), FixedBirth(given_births()), CLUTTER),
-    "no clutter": Model(BoxMotion(), BoxSensor(detection=1.0), FixedBirth(given_births()), UniformClutter(0.0, 1.0)),
+    "no clutter": Model(
+        BoxMotion(), BoxSensor(detection_probability=1.0), FixedBirth(given_births()), UniformClutter(0.0, 1.0)
+    ),
     "scene": Model(BoxMotion(frame_size=SIZE), BoxSensor(), *scene(1)),
     "laid over": Model(BoxMotion(frame_size=SIZE), BoxSensor(), *laid_over(4)),
     "laid over, given": Model(BoxMotion(), BoxSensor(scaling="given"), laid_over(5)[0], LocalClutter(0.4)),
-    "laid over, fixed": Model(BoxMotion(1.2, 2.0, scaled=False), BoxSensor(scaling="fixed"), *laid_over(6)),
+    "laid over, fixed": Model(BoxMotion(1.2, 2.0, scaled_noise=False), BoxSensor(scaling="fixed"), *laid_over(6)),
     "clutter laid over": Model(BoxMotion(), BoxSensor(scaling="detection"), LOCAL, laid_over(7)[1]),
     "beside a scene": Model(BoxMotion(), BoxSensor(), scene(8)[0], laid_over(8)[1]),
     "learned births": Model(BoxMotion(), BoxSensor(scaling="given"), scene(2)[0], LocalClutter(0.4)),
@@ -75,9 +79,9 @@ MODELS = {
 }
 FILTERS = {
     "default": GMPHD(),
-    "few": GMPHD(most=6, merge=4.0),
-    "as printed": GMPHD(redistribute=False, prune=1e-4, gate=3.0),
-    "skipping": GMPHD(skip_empty=True, most=0, region=5.0),
+    "few": GMPHD(max_components=6, merge_distance=4.0),
+    "as printed": GMPHD(keep_mass=False, weight_threshold=1e-4, gate_probability=0.94),
+    "skipping": GMPHD(skip_empty_frames=True, max_components=0),
 }
 
 
@@ -149,7 +153,7 @@ def test_more_births_than_there_is_room_for(rng):
     birth = FixedBirth(
         GaussianMixture(np.tile(given.weight, 40), np.tile(given.mean, 40), np.tile(given.covariance, (40, 1, 1)))
     )
-    model, settings = replace(model, birth=birth), GMPHD(merge=0.0, most=0)
+    model, settings = replace(model, birth=birth), GMPHD(merge_distance=0.0, max_components=0)
     state = settings.start(model, rng)
     agree(settings.step(state, z, model, 1.0, rng)[0], composed_step(settings, state, z, model, 1.0, rng)[0])
 

@@ -29,25 +29,27 @@ def wide_births() -> GaussianMixture:
     return GaussianMixture(np.array([0.2, 0.1]), mean, root @ root.transpose(0, 2, 1) * np.outer(deviation, deviation))
 
 
-LOCAL = MeasurementBirth(volume="local", rate=0.05)
-IMAGE = MeasurementBirth(volume="image", rate=0.05, frame_size=SIZE)
+LOCAL = MeasurementBirth(volume="local", births_per_second=25 * 0.05)
+IMAGE = MeasurementBirth(volume="image", births_per_second=25 * 0.05, frame_size=SIZE)
 MODELS = {
     "particle": Model(BoxMotion(frame_size=SIZE), BoxSensor(), IMAGE, EVERYWHERE),
-    "local": Model(BoxMotion(frame_size=SIZE), BoxSensor(detection=0.8), LOCAL, LocalClutter(0.4)),
-    "local births": Model(BoxMotion(), BoxSensor(floor=0.0), LOCAL, EVERYWHERE),
+    "local": Model(BoxMotion(frame_size=SIZE), BoxSensor(detection_probability=0.8), LOCAL, LocalClutter(0.4)),
+    "local births": Model(BoxMotion(), BoxSensor(min_noise=0.0), LOCAL, EVERYWHERE),
     "local clutter": Model(BoxMotion(), BoxSensor(scaling="detection"), IMAGE, LocalClutter(1e-4)),
-    "given": Model(BoxMotion(survival=0.8), BoxSensor(scaling="given"), LOCAL, EVERYWHERE),
-    "fixed": Model(BoxMotion(1.2, 2.0, scaled=False), BoxSensor(scaling="fixed"), IMAGE, EVERYWHERE),
-    "never missed": Model(BoxMotion(survival=1.0), BoxSensor(detection=1.0), IMAGE, UniformClutter(0.0, 1.0)),
+    "given": Model(BoxMotion(survival_probability=0.8**25), BoxSensor(scaling="given"), LOCAL, EVERYWHERE),
+    "fixed": Model(BoxMotion(1.2, 2.0, scaled_noise=False), BoxSensor(scaling="fixed"), IMAGE, EVERYWHERE),
+    "never missed": Model(
+        BoxMotion(survival_probability=1.0), BoxSensor(detection_probability=1.0), IMAGE, UniformClutter(0.0, 1.0)
+    ),
     "given births": Model(BoxMotion(frame_size=SIZE), BoxSensor(), FixedBirth(wide_births()), EVERYWHERE),
     "learned births": Model(BoxMotion(), BoxSensor(scaling="given"), scene(2)[0], UniformClutter(0.1, 1e11)),
     "learned clutter": Model(BoxMotion(), BoxSensor(scaling="fixed"), LOCAL, scene(3)[1]),
     "laid over": Model(BoxMotion(frame_size=SIZE), BoxSensor(), *laid_over(4)),
     "laid over, given": Model(BoxMotion(), BoxSensor(scaling="given"), laid_over(5)[0], LocalClutter(0.4)),
-    "laid over, fixed": Model(BoxMotion(1.2, 2.0, scaled=False), BoxSensor(scaling="fixed"), *laid_over(6)),
+    "laid over, fixed": Model(BoxMotion(1.2, 2.0, scaled_noise=False), BoxSensor(scaling="fixed"), *laid_over(6)),
     "clutter laid over": Model(BoxMotion(), BoxSensor(scaling="detection"), LOCAL, laid_over(7)[1]),
     "beside a scene": Model(BoxMotion(), BoxSensor(), scene(8)[0], laid_over(8)[1]),
-    "no births": Model(BoxMotion(), BoxSensor(), MeasurementBirth(rate=0.0, frame_size=SIZE), EVERYWHERE),
+    "no births": Model(BoxMotion(), BoxSensor(), MeasurementBirth(births_per_second=0.0, frame_size=SIZE), EVERYWHERE),
 }
 FILTERS = {
     "default": PMB(),

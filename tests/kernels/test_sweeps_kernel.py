@@ -35,8 +35,8 @@ LIMIT, RADIUS = region()
 def world(scaling: str, local: bool, border: bool = True) -> Model:
     frame = (300.0, 200.0)
     motion = BoxMotion(frame_size=frame if border else (0.0, 0.0))
-    birth = MeasurementBirth(0.3, MOST, "local" if local else "image", frame)
-    return Model(motion, BoxSensor(P_D, scaling=scaling, fixed=(4.0, 6.0)), birth, LocalClutter(0.5))
+    birth = MeasurementBirth(25 * 0.3, MOST, "local" if local else "image", frame)
+    return Model(motion, BoxSensor(P_D, scaling=scaling, fixed_noise=(4.0, 6.0)), birth, LocalClutter(0.5))
 
 
 def scene(n: int = 5) -> tuple[ParticleBlocks, np.ndarray]:
@@ -284,7 +284,7 @@ def test_teeth_fall_on_particles_that_have_a_weight(weight, phase: float, width:
 def test_the_whole_step_runs_as_plain_python(local: bool, n: int):
     """No overflow, no index past the end, no division by zero that the JIT would hide."""
     model, (state, z) = world("particle", local, border=False), scene(n)
-    parts = BoxModel(model.motion, model.sensor, MeasurementBirth(0.3, 40, model.birth.volume, (300.0, 200.0)))
+    parts = BoxModel(model.motion, model.sensor, MeasurementBirth(25 * 0.3, 40, model.birth.volume, (300.0, 200.0)))
     rng = np.random.default_rng(1)
     for _ in range(2):
         state, info = fused_step(ParticlePHD(particles_per_target=40), parts, state, z, model, 1.5, rng)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,7 +70,7 @@ def test_neighbours_across_the_cut_are_neighbours():
 )
 def test_the_gate_holds_what_is_within_it(bearing: float, r: float, part: float, turn: float, sd: float):
     """Every position whose distance is at most G lies in the rectangle, also of wide noises and near the sensor."""
-    sensor = BearingSensor(bearing=sd, reach=10.0, origin=(100.0, -50.0))
+    sensor = BearingSensor(bearing=sd, reach=10.0, origin=(100.0, -50.0), gate_probability=1 - math.exp(-12.5))
     z = np.array([[bearing], [r]])
     theta, far = bearing + 5 * sd * part * math.cos(turn), r + 50 * part * math.sin(turn)
     if far < 0:
@@ -83,7 +84,7 @@ def test_the_gate_holds_what_is_within_it(bearing: float, r: float, part: float,
 def test_the_gate_is_no_wider_than_its_ring_piece():
     """A grid over the piece of ring touches all four sides."""
     z = np.array([[0.4, 1.5, -3.0], [500.0, 800, 30]])
-    lower, upper = SENSOR.gate(z)
+    lower, upper = replace(SENSOR, gate_probability=1 - math.exp(-12.5)).gate(z)
     for j in range(3):
         theta = z[0, j] + 5 * 0.035 * np.linspace(-1, 1, 4001)
         r = np.array([[max(z[1, j] - 50, 0)], [z[1, j] + 50]])
@@ -149,14 +150,14 @@ def test_a_turning_target_is_followed_within_what_the_filter_says(rng):
 
     One target, always seen, no clutter: every posterior is one Gaussian.
     """
-    motion = TurningMotion(acceleration=2.0, turning=0.01, survival=1.0)
-    sensor = BearingSensor(bearing=0.01, reach=5.0, detection=1.0)
+    motion = TurningMotion(acceleration=2.0, turning=0.01, survival_probability=1.0)
+    sensor = BearingSensor(bearing=0.01, reach=5.0, detection_probability=1.0)
     model = Model(motion, sensor, FixedBirth(gaussian((0, 500), 1.0), 1), UniformClutter(0.0, 1.0), rate=1.0)
     runs = []
     for _ in range(40):
         start = gaussian((-500 + 20 * len(runs), 900), 20.0)
         x = rng.multivariate_normal(start.mean[:, 0], start.covariance[0])[:, None]
-        recursion, errors, state = GMPHD(transform="unscented", redistribute=False), [], start
+        recursion, errors, state = GMPHD(transform="unscented", keep_mass=False), [], start
         for _ in range(40):
             x = motion.sample(x, 1.0, rng)
             z = sensor.expected(x) + rng.normal(size=(2, 1)) * [[0.01], [5.0]]

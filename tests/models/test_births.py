@@ -39,7 +39,7 @@ def test_weights_integrate_gamma_over_the_regions(boxes, few: float, covered: fl
 
     Of a box of two by three pixels a good part of the region has sizes at which nothing is born.
     """
-    z, sensor = columns(boxes), BoxSensor(spread=0.15)
+    z, sensor = columns(boxes), BoxSensor(box_noise=0.15)
     birth = MeasurementBirth(0.02, 1000, volume, FRAME)
     masses = [birth.sample(z, np.full(z.shape[1], covered), sensor, 2.0, rng).mass for _ in range(80)]
     sigma = sensor.noise(sensor.states(z)[0])[[0, 1, 4, 5]]
@@ -86,7 +86,9 @@ def test_newborn_lie_in_the_region_with_positive_sizes_and_any_direction(rng):
     np.testing.assert_allclose(np.cov(born.state[2:4]), cov[0][2:4, 2:4], atol=0.1 * cov[0][2, 2])
 
 
-@pytest.mark.parametrize("sensor", [BoxSensor(floor=1.0), BoxSensor(spread=0.4, floor=0.0), BoxSensor(scaling="fixed")])
+@pytest.mark.parametrize(
+    "sensor", [BoxSensor(min_noise=1.0), BoxSensor(box_noise=0.4, min_noise=0.0), BoxSensor(scaling="fixed")]
+)
 def test_nothing_is_born_without_extent(sensor: BoxSensor, rng):
     for volume in ("image", "local"):
         for _ in range(5):
@@ -130,7 +132,7 @@ def test_the_same_seed_draws_the_same():
 @pytest.mark.parametrize("scaling", ["particle", "previous", "given"])
 def test_uniform_births(scaling: str, rng):
     z = np.vstack([columns(APART), np.ones((4, 3))]) if scaling == "given" else columns(APART)
-    birth = UniformBirth(FRAME, rate=0.3, count=500, smallest=0.1, largest=0.4)
+    birth = UniformBirth(FRAME, births_per_second=0.3, particles=500, min_size=0.1, max_size=0.4)
     born = birth.sample(z, np.zeros(3), BoxSensor(scaling=scaling), 2.5, rng)
     assert born.mass == pytest.approx(0.75)
     assert len(set(born.weight)) == 1
@@ -141,9 +143,9 @@ def test_uniform_births(scaling: str, rng):
         np.testing.assert_array_equal(born.state[6:8], born.state[4:6])
 
 
-@pytest.mark.parametrize("wrong", [{"smallest": 0.0}, {"smallest": 0.6}, {"largest": 0.01}])
+@pytest.mark.parametrize("wrong", [{"min_size": 0.0}, {"min_size": 0.6}, {"max_size": 0.01}])
 def test_uniform_births_have_a_range_of_sizes_above_zero(wrong):
-    with pytest.raises(InputError, match="smallest"):
+    with pytest.raises(InputError, match="min_size"):
         UniformBirth((640.0, 480.0), **wrong)
 
 

@@ -25,7 +25,7 @@ def start(motion: BoxMotion, count: int) -> np.ndarray:
 def test_draws_have_the_moments_of_the_transition(dt: float, scaled: bool, rng):
     """Means and covariances within four standard errors; sizes far from where they are reflected."""
     n = 40_000
-    motion = BoxMotion(0.03, 0.02, scaled=scaled) if scaled else BoxMotion(1.2, 2.0, scaled=False)
+    motion = BoxMotion(0.03, 0.02, scaled_noise=scaled) if scaled else BoxMotion(1.2, 2.0, scaled_noise=False)
     mean, _, cov = (part[0] if part.ndim == 3 else part[:, 0] for part in motion.transition(start(motion, 1), dt))
     x = motion.sample(start(motion, n), dt, rng)
     spread = np.sqrt(np.diag(cov))
@@ -48,7 +48,7 @@ def test_one_step_is_the_printed_one():
 
 @pytest.mark.parametrize("steps", [2, 3, 7])
 def test_whole_steps_compose(steps: int):
-    motion = BoxMotion(1.5, 2.0, scaled=False)
+    motion = BoxMotion(1.5, 2.0, scaled_noise=False)
     x, cov = START[:, None], np.zeros((6, 6))
     for _ in range(steps):
         x, (f,), (q,) = motion.transition(x, 1.0)
@@ -67,7 +67,7 @@ def test_covariances_are_positive_semidefinite(dt: float):
 
 
 def test_sizes_stay_positive(rng):
-    motion = BoxMotion(0.03, 1.0, smallest=1.0)
+    motion = BoxMotion(0.03, 1.0, min_size=1.0)
     x = start(motion, 20_000)
     for _ in range(20):
         x = motion.sample(x, 2.0, rng)
@@ -97,13 +97,13 @@ def test_remembered_sizes_are_those_before_the_step(rng):
 
 
 def test_survival_is_a_power_of_the_interval_inside_and_zero_outside():
-    motion = BoxMotion(survival=0.9, frame_size=(640.0, 480.0))
+    motion = BoxMotion(survival_probability=0.9, frame_size=(640.0, 480.0))
     inside = np.array([[320.0, -9, 649, 320, 320], [240.0, 240, 240, -19, 499]])
     outside = np.array([[-10.0, 650, 320, 320, -1e9], [240.0, 240, -20, 500, -1e9]])
     x = np.zeros((6, 10))
     x[:2], x[4], x[5] = np.hstack([inside, outside]), 20, 40
     np.testing.assert_allclose(motion.p_survive(x, 3.0), [0.9**3] * 5 + [0.0] * 5)
-    np.testing.assert_allclose(BoxMotion(survival=0.9).p_survive(x, 0.5), 0.9**0.5)
+    np.testing.assert_allclose(BoxMotion(survival_probability=0.9).p_survive(x, 0.5), 0.9**0.5)
 
 
 def test_inputs_are_left_alone(rng):
@@ -116,7 +116,9 @@ def test_inputs_are_left_alone(rng):
     motion.spawn(Particles(x, weight), 1.0, rng)
 
 
-@pytest.mark.parametrize("wrong", [{"survival": 1.5}, {"acceleration": -1.0}, {"smallest": 0.0}, {"resize": math.nan}])
+@pytest.mark.parametrize(
+    "wrong", [{"survival_probability": 1.5}, {"acceleration": -1.0}, {"min_size": 0.0}, {"size_noise": math.nan}]
+)
 def test_settings_out_of_bounds(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         BoxMotion(**wrong)

@@ -31,12 +31,12 @@ def near(rng, x: np.ndarray, scaling: str) -> np.ndarray:
 def deviations(sensor: BoxSensor, z, x) -> list[float]:
     """The deviations as the papers' words give them, for one pair."""
     if sensor.scaling == "fixed":
-        position, size = sensor.fixed
+        position, size = sensor.fixed_noise
         return [position, position, size, size]
     if sensor.scaling == "given":
         return [math.sqrt(v) for v in z[4:8]]
     w, h = {"particle": x[4:6], "detection": z[2:4], "previous": x[6:8]}[sensor.scaling]
-    sw, sh = max(sensor.spread * w, sensor.floor), max(sensor.spread * h, sensor.floor)
+    sw, sh = max(sensor.box_noise * w, sensor.min_noise), max(sensor.box_noise * h, sensor.min_noise)
     return [sw / 2, sh / 2, sw, sh]
 
 
@@ -44,7 +44,7 @@ def deviations(sensor: BoxSensor, z, x) -> list[float]:
 @pytest.mark.parametrize("scaling", SCALINGS)
 def test_likelihood_is_the_named_gaussian(scaling: str, floor: float, rng):
     """With the normaliser, which differs from particle to particle."""
-    sensor = BoxSensor(scaling=scaling, floor=floor, spread=0.2)
+    sensor = BoxSensor(scaling=scaling, min_noise=floor, box_noise=0.2)
     x = states(rng, 25, scaling)
     z = near(rng, x, scaling)
     for i in range(25):
@@ -83,7 +83,7 @@ def test_states_at_rest_and_what_one_detection_tells(scaling: str, rng):
     for i in range(6):
         want = np.square(deviations(sensor, z[:, i], x[:, i]))
         np.testing.assert_allclose(np.diag(cov[i])[ROWS], want)
-        amplitude = sensor.fixed_speed if scaling == "fixed" else sensor.speed * math.sqrt(z[2, i] * z[3, i])
+        amplitude = sensor.birth_speed_pixels if scaling == "fixed" else sensor.birth_speed * math.sqrt(z[2, i] * z[3, i])
         np.testing.assert_allclose(np.diag(cov[i])[2:4], amplitude**2 / 2)
         assert np.linalg.eigvalsh(cov[i]).min() > 0
     if scaling != "given":
@@ -114,13 +114,13 @@ def gated_out(sensor: BoxSensor, z, x) -> np.ndarray:
 @pytest.mark.parametrize("scaling", ["particle", "detection", "fixed", "given"])
 def test_no_pair_within_the_gate_is_dropped(scaling: str, spread: float, floor: float, rng):
     """Nothing at Mahalanobis distance ≤ G in position and size is cut, also where σ follows a size that z does not show."""
-    sensor = BoxSensor(scaling=scaling, spread=spread, floor=floor)
+    sensor = BoxSensor(scaling=scaling, box_noise=spread, min_noise=floor)
     x = states(rng, 30_000, scaling)
     direction = rng.normal(size=(4, 30_000))
     # On the rim of the ball, where it bulges most: mostly in x and w, sometimes anywhere.
     direction[[1, 3], :20_000] *= 0.01
     direction[0, :20_000] *= rng.uniform(0.2, 5, 20_000)
-    direction *= sensor.gate_sigmas / np.linalg.norm(direction, axis=0) * rng.uniform(0.9, 1.0, 30_000)
+    direction *= sensor._gate / np.linalg.norm(direction, axis=0) * rng.uniform(0.9, 1.0, 30_000)
     if scaling == "detection":
         # σ is the detection's: go from z to x.
         z = x[ROWS].copy()
@@ -131,14 +131,14 @@ def test_no_pair_within_the_gate_is_dropped(scaling: str, spread: float, floor: 
         x[ROWS] -= direction * np.sqrt(z[4:])
     else:
         z = x[ROWS] + direction * sensor.noise(x)[ROWS]
-    assert sensor.distance2(z, x).max() <= sensor.gate_sigmas**2 * (1 + 1e-9)
+    assert sensor.distance2(z, x).max() <= sensor._gate**2 * (1 + 1e-9)
     assert not gated_out(sensor, z, x).any()
 
 
 def test_the_gate_around_a_particle_is_as_tight_as_it_can_be(rng):
     """At the worst pair of position and size, sin θ = G·s, the formula's edge is reached."""
-    sensor = BoxSensor(spread=0.15, floor=0.0)
-    g, s, w = sensor.gate_sigmas, sensor.spread, 40.0
+    sensor = BoxSensor(box_noise=0.15, min_noise=0.0)
+    g, s, w = sensor._gate, sensor.box_noise, 40.0
     sine = g * s
     cosine = math.sqrt(1 - sine**2)
     z = np.array([[0.0], [0.0], [w * (1 - g * s * sine)], [50.0]])
@@ -153,11 +153,11 @@ def test_the_gate_around_a_particle_is_as_tight_as_it_can_be(rng):
 )
 def test_at_most_5e_5_of_a_gaussian_is_cut(scaling: str, spread: float, rng):
     """The share of measurements whose own particle is outside their gate; what the distance alone would allow is 5.03e-5."""
-    sensor = BoxSensor(scaling=scaling, spread=spread)
-    assert 1 - chi2(4).cdf(sensor.gate_sigmas**2) == pytest.approx(5.03e-5, rel=1e-3)
+    sensor = BoxSensor(scaling=scaling, box_noise=spread)
+    assert 1 - chi2(4).cdf(sensor._gate**2) == pytest.approx(5.03e-5, rel=1e-2)
     x = states(rng, 500, scaling, smallest=6.0)
     if scaling == "previous":
-        x = BoxMotion(resize=0.1, remember_size=True).sample(x, 1.0, rng)
+        x = BoxMotion(size_noise=0.1, remember_size=True).sample(x, 1.0, rng)
     x = np.tile(x, 1000)
     z = x[ROWS] + sensor.noise(x)[ROWS] * rng.standard_normal((4, x.shape[1]))
     # 25 expected at the most; four deviations above that.
@@ -167,7 +167,7 @@ def test_at_most_5e_5_of_a_gaussian_is_cut(scaling: str, spread: float, rng):
 def test_wide_spreads_still_have_a_gate():
     """From G·s = 1 on no size bounds the distance; the gate stays finite, and wider than for a smaller spread."""
     z = np.array([[0.0], [0.0], [40.0], [40.0]])
-    reach = [BoxSensor(spread=s).gate(z)[1][0, 0] for s in (0.15, 0.19, 0.2, 0.3, 1.0)]
+    reach = [BoxSensor(box_noise=s).gate(z)[1][0, 0] for s in (0.15, 0.19, 0.2, 0.3, 1.0)]
     assert np.all(np.isfinite(reach))
     assert np.all(np.diff(reach) > 0)
 
@@ -193,7 +193,7 @@ def test_a_given_covariance_needs_variances_above_zero(variance: float):
 
 
 def test_p_detect_is_the_same_everywhere(rng):
-    np.testing.assert_array_equal(BoxSensor(detection=0.7).p_detect(states(rng, 4, "particle")), np.full(4, 0.7))
+    np.testing.assert_array_equal(BoxSensor(detection_probability=0.7).p_detect(states(rng, 4, "particle")), np.full(4, 0.7))
 
 
 @pytest.mark.parametrize("scaling", SCALINGS)
@@ -214,12 +214,12 @@ def test_inputs_are_left_alone(scaling: str, rng):
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"detection": 1.01},
-        {"spread": 0.0},
-        {"floor": -1.0},
-        {"gate_sigmas": 0.0},
-        {"fixed": (0.0, 1.0)},
-        {"fixed": (1.0, np.nan)},
+        {"detection_probability": 1.01},
+        {"box_noise": 0.0},
+        {"min_noise": -1.0},
+        {"gate_probability": 0.0},
+        {"fixed_noise": (0.0, 1.0)},
+        {"fixed_noise": (1.0, np.nan)},
     ],
 )
 def test_settings_out_of_bounds(wrong):

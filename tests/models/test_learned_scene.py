@@ -33,7 +33,7 @@ def test_without_gaussians_it_is_uniform_birth_over_the_image():
 
 def test_the_evidence_of_newborn_is_that_of_gamma():
     """C(z) = ∫ g γ, by drawing γ; a sensor of fixed noise, for which it is exact but for the 1 % that is cut off."""
-    sensor = BoxSensor(scaling="fixed", fixed=(3.0, 6.0))
+    sensor = BoxSensor(scaling="fixed", fixed_noise=(3.0, 6.0))
     birth, rng = ContextBirth(1.0, entrance()), np.random.default_rng(2)
     drawn = birth.density.sample(1_000_000, rng)
     z = Z[:, :1]
@@ -47,7 +47,7 @@ def test_the_evidence_of_newborn_is_that_of_gamma():
 
 def test_velocities_are_those_of_the_place():
     """Against drawing γ and weighing with the likelihood: mean and spread of the velocities given the detection."""
-    sensor = BoxSensor(scaling="fixed", fixed=(3.0, 6.0))
+    sensor = BoxSensor(scaling="fixed", fixed_noise=(3.0, 6.0))
     birth = ContextBirth(1.0, entrance(uniform=1e-3))
     drawn = birth.density.sample(1_000_000, np.random.default_rng(3))
     for y in (200.0, 240.0):

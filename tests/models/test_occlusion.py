@@ -10,8 +10,15 @@ from phdtrack.models import BoxSensor, PlaneSensor
 from phdtrack.types import Detections, SequenceInfo
 from plane_cases import FRAME, LevelCamera
 
-BOXES = BoxSensor(detection=0.8, occlusion=True, least=0.2)
-GROUND = PlaneSensor(detection=0.8, occlusion=True, least=0.2, camera=LevelCamera(), frame_size=FRAME, spread=(0.05, 0.01))
+BOXES = BoxSensor(detection_probability=0.8, occlusion=True, min_detection_probability=0.2)
+GROUND = PlaneSensor(
+    detection_probability=0.8,
+    occlusion=True,
+    min_detection_probability=0.2,
+    camera=LevelCamera(),
+    frame_size=FRAME,
+    box_noise=(0.05, 0.01),
+)
 CLEAR = [[10.0, 300, 40, 400]]
 
 
@@ -45,7 +52,7 @@ def test_the_largest_share_counts():
 
 @pytest.mark.parametrize("scaling", ["particle", "detection", "fixed"])
 def test_a_target_does_not_hide_itself(scaling: str):
-    sensor = BoxSensor(detection=0.8, occlusion=True, scaling=scaling)
+    sensor = BoxSensor(detection_probability=0.8, occlusion=True, scaling=scaling)
     itself = of_boxes([100, 200, 140, 302.0])
     np.testing.assert_array_equal(sensor.watching(itself).p_detect(of_boxes([100, 200, 140, 300])), 0.8)
     another = of_boxes([115, 220, 155, 320.0])
@@ -55,7 +62,7 @@ def test_a_target_does_not_hide_itself(scaling: str):
 def test_particles_of_a_target_are_hidden_by_another_and_not_by_their_own_peak(rng):
     """Ninety-nine of a hundred particles spread by the noise about their target are within its region."""
     near, far = of_boxes([105, 180, 165, 330]), of_boxes([100, 200, 140, 300])
-    spread = BoxSensor(spread=0.15, floor=0).noise(far)
+    spread = BoxSensor(box_noise=0.15, min_noise=0).noise(far)
     cloud = far + spread * rng.standard_normal((6, 20000)) * np.array([1, 1, 0, 0, 1, 1])[:, None]
     alone, both = (BOXES.watching(targets).p_detect(cloud) for targets in (far, np.hstack([far, near])))
     # Half of the one in a hundred stand higher than their peak and could be hidden by it.
@@ -74,7 +81,7 @@ def test_nobody_is_hidden_where_nobody_is_nearer(rng):
 
 
 def test_without_the_setting_nothing_is_hidden():
-    constant = BoxSensor(detection=0.8)
+    constant = BoxSensor(detection_probability=0.8)
     assert constant.watching(of_boxes([50, 100, 300, 420])) is constant
     ground = PlaneSensor(camera=LevelCamera(), occlusion=False)
     assert ground.watching(standing([0, 12])) is ground
@@ -113,7 +120,7 @@ def test_the_loop_tells_the_sensor_who_was_seen_last():
     """A person who walks behind another, undetected for ten frames: with occlusion known he is still believed in."""
 
     def believed(occlusion: str) -> float:
-        sets = ("filter.kind=gm-phd", f"sensor.occlusion={occlusion}", "sensor.detection=0.9")
+        sets = ("filter.kind=gm-phd", f"sensor.occlusion={occlusion}", "sensor.detection_probability=0.9")
         stages = config.build(config.load(None, sets), SequenceInfo(640, 480, 25.0))
         rng = np.random.default_rng(0)
         state = pipeline.start(stages, rng)

@@ -27,11 +27,10 @@ def test_draws_have_the_moments_of_the_transition(form: str, dt: float, rng):
     assert np.all(np.abs(np.cov(x) - cov) <= 4.5 * error + 1e-12)
 
 
-@pytest.mark.parametrize("form", ["piecewise", "continuous"])
 @pytest.mark.parametrize("interval", [1 / 7, 1.0])
-def test_the_nominal_step_is_the_printed_one(form: str, interval: float):
+def test_the_piecewise_noise_is_the_printed_one(interval: float):
     """Q = a² G Gᵀ, G = [T²/2; T] on each axis [E13 §4], and the standard scenario's at T = 1."""
-    motion = PlaneMotion(acceleration=5.0, nominal=interval, form=form)
+    motion = PlaneMotion(acceleration=5.0, form="piecewise")
     _, (f,), (q,) = motion.transition(START, interval)
     g = np.vstack([interval**2 / 2 * np.eye(2), interval * np.eye(2)])
     np.testing.assert_allclose(q, 25 * g @ g.T, atol=1e-15)
@@ -40,7 +39,7 @@ def test_the_nominal_step_is_the_printed_one(form: str, interval: float):
 
 @pytest.mark.parametrize("steps", [2, 3, 7])
 def test_whole_steps_compose(steps: int):
-    motion = PlaneMotion(nominal=0.2)
+    motion = PlaneMotion()
     x, cov = START, np.zeros((4, 4))
     for _ in range(steps):
         x, (f,), (q,) = motion.transition(x, 0.2)
@@ -58,16 +57,19 @@ def test_covariances_are_positive_semidefinite(form: str, dt: float):
 
 
 def test_survival_is_a_power_of_the_interval_inside_and_zero_outside():
-    motion = PlaneMotion(survival=0.9, nominal=0.5, borders=(-5.0, 0.0, 5.0, 10.0))
+    motion = PlaneMotion(survival_probability=0.9, borders=(-5.0, 0.0, 5.0, 10.0))
     x = np.zeros((4, 4))
     x[:2] = [[-5.0, 5.1, 0, 0], [0.0, 3, 10.1, 10]]
-    np.testing.assert_allclose(motion.p_survive(x, 1.5), [0.9**3, 0, 0, 0.9**3])
-    np.testing.assert_allclose(PlaneMotion(survival=0.9, nominal=0.5).p_survive(x, 0.25), 0.9**0.5)
+    np.testing.assert_allclose(motion.p_survive(x, 1.5), [0.9**1.5, 0, 0, 0.9**1.5])
 
 
 @pytest.mark.parametrize(
     ("wrong", "says"),
-    [({"survival": 1.5}, "survival"), ({"nominal": 0.0}, "nominal"), ({"borders": (1.0, 0, 0, 2)}, "left, low")],
+    [
+        ({"survival_probability": 1.5}, "survival"),
+        ({"acceleration": -1.0}, "acceleration"),
+        ({"borders": (1.0, 0, 0, 2)}, "left, low"),
+    ],
 )
 def test_settings_out_of_bounds(wrong, says: str):
     with pytest.raises(InputError, match=says):

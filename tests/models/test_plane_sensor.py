@@ -28,7 +28,7 @@ def test_a_foot_point_is_where_its_person_stands(rng):
 
 def test_the_covariance_is_that_of_jittered_boxes(rng):
     """Deviations are fractions of the box's size: 40 000 draws of the foot point, through the camera."""
-    sensor, _, z = measured(rng, 4, spread=(0.06, 0.01), floor=0.5)
+    sensor, _, z = measured(rng, 4, box_noise=(0.06, 0.01), min_noise=0.5)
     for i, box in enumerate(sensor.boxes(people(np.random.default_rng(20090706), 4))):
         size = box[2:] - box[:2]
         sigma = np.maximum([0.06, 0.01] * size, 0.5)
@@ -73,7 +73,7 @@ def test_likelihood_and_distance_against_scipy(rng):
 
 def test_what_the_gate_cuts_is_bounded(rng):
     """States at distance G in any direction are inside of it; of draws of the noise it cuts less than χ² says."""
-    sensor, _, z = measured(rng, 10, gate_sigmas=2.5)
+    sensor, _, z = measured(rng, 10, gate_probability=1 - float(np.exp(-(2.5**2) / 2)))
     lower, upper = sensor.gate(z)
     root = np.linalg.cholesky(sensor.covariance(z, z))
     angle = np.linspace(0, 2 * np.pi, 100)
@@ -123,7 +123,7 @@ def test_the_field_of_view_falls_with_the_visible_part():
 
 def test_a_plan_in_metres(rng):
     """Without a camera a box's middle is the position, and what is outside of the region is not seen."""
-    sensor = PlaneSensor(scaling="fixed", fixed=0.3, borders=(-4.0, 0.0, 4.0, 40.0))
+    sensor = PlaneSensor(scaling="fixed", fixed_noise=0.3, borders=(-4.0, 0.0, 4.0, 40.0))
     x = people(rng, 7)
     z = sensor.measure(Detections.of(sensor.boxes(x)))
     np.testing.assert_allclose(z[:2], x[:2])
@@ -134,7 +134,8 @@ def test_a_plan_in_metres(rng):
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"size": (0.0, 1.0)}, {"spread": (0.1, -1.0)}, {"borders": (0.0, 0, 0, 1)}, {"least": 2.0}]
+    "wrong",
+    [{"size": (0.0, 1.0)}, {"box_noise": (0.1, -1.0)}, {"borders": (0.0, 0, 0, 1)}, {"min_detection_probability": 2.0}],
 )
 def test_settings_out_of_bounds(wrong):
     with pytest.raises(InputError, match="PlaneSensor"):

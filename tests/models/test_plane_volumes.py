@@ -36,7 +36,7 @@ def believed_after(depth: float) -> int:
     sensor = PlaneSensor(camera=LevelCamera(), frame_size=FRAME)
     world = Stages(
         Model(PlaneMotion(), sensor, PlaneBirth(), LocalPlaneClutter(0.3), rate=1.0, first=0.1),
-        GMPHD(region=9.21), Components(), GraphMatching(gap_cost=1.609),
+        GMPHD(), Components(), GraphMatching(gap_cost=1.609),
     )  # fmt: skip
     box = Detections.of(sensor.boxes(np.array([[0.0], [depth], [0], [0]])))
     rng = np.random.default_rng(0)

@@ -38,7 +38,7 @@ def test_one_step_is_the_printed_one():
 
 @pytest.mark.parametrize("parts", [(1.0, 1.0, 1.0), (0.3, 0.7), (2.5, 0.1, 1.4)])
 def test_an_interval_cut_anywhere_gives_the_same(parts: tuple[float, ...]):
-    motion = PointMotion(variance=1.7)
+    motion = PointMotion(noise_variance=1.7)
     x, cov = START, np.zeros((4, 4))
     for dt in parts:
         x, (f,), (q,) = motion.transition(x, dt)
@@ -55,15 +55,15 @@ def test_covariances_are_positive_definite(dt: float):
 
 
 def test_without_noise_points_go_straight(rng):
-    np.testing.assert_allclose(PointMotion(variance=0.0).sample(START, 2.0, rng)[:, 0], [5.4, 19.2, 1.2, -0.4])
+    np.testing.assert_allclose(PointMotion(noise_variance=0.0).sample(START, 2.0, rng)[:, 0], [5.4, 19.2, 1.2, -0.4])
 
 
 def test_survival_is_a_power_of_the_interval():
-    np.testing.assert_allclose(PointMotion(survival=0.9).p_survive(START, 2.5), [0.9**2.5])
+    np.testing.assert_allclose(PointMotion(survival_probability=0.9).p_survive(START, 2.5), [0.9**2.5])
 
 
 def test_the_measurement_is_the_centroid_and_further_rows_are_not_compared():
-    sensor = PointSensor(variance=2.0, size=(8.0, 12.0))
+    sensor = PointSensor(noise_variance=2.0, size=(8.0, 12.0))
     z = sensor.measure(Detections.of([[10.0, 20, 20, 60]]))
     np.testing.assert_array_equal(z, [[15.0], [40.0]])
     labelled = np.vstack([z, [[7.0]]])
@@ -75,7 +75,9 @@ def test_the_measurement_is_the_centroid_and_further_rows_are_not_compared():
     np.testing.assert_array_equal(sensor.boxes(x), [[10.0, 36, 18, 48]])
 
 
-@pytest.mark.parametrize("wrong", [{"detection": 1.5}, {"variance": 0.0}, {"size": (20.0, 0.0)}, {"size": (math.nan, 5.0)}])
+@pytest.mark.parametrize(
+    "wrong", [{"detection_probability": 1.5}, {"noise_variance": 0.0}, {"size": (20.0, 0.0)}, {"size": (math.nan, 5.0)}]
+)
 def test_settings_out_of_bounds(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         PointSensor(**wrong)
@@ -83,8 +85,8 @@ def test_settings_out_of_bounds(wrong):
 
 def test_uniform_births_of_points_have_no_size(rng):
     """D14's ten, anywhere in the image, of any direction; they fill it evenly."""
-    birth = UniformBirth((384.0, 288.0), rate=0.2, count=20_000)
-    born = birth.sample(np.zeros((3, 1)), np.zeros(1), PointSensor(speed=2.0), 0.5, rng)
+    birth = UniformBirth((384.0, 288.0), births_per_second=0.2, particles=20_000)
+    born = birth.sample(np.zeros((3, 1)), np.zeros(1), PointSensor(birth_speed=2.0), 0.5, rng)
     assert born.state.shape == (4, 20_000)
     assert born.mass == pytest.approx(0.1)
     place = born.state[:2] / np.array([[384.0], [288.0]])
@@ -95,7 +97,10 @@ def test_uniform_births_of_points_have_no_size(rng):
 
 def test_births_around_detections_have_the_density_of_gamma():
     """Ten regions of 99 % of the noise hold ten times γ times their area."""
-    birth, sensor = PointBirth(rate=0.3, most=4000, frame_size=(384.0, 288.0)), PointSensor(variance=2.0)
+    birth, sensor = (
+        PointBirth(births_per_second=0.3, particles=4000, frame_size=(384.0, 288.0)),
+        PointSensor(noise_variance=2.0),
+    )
     z = np.vstack([np.linspace(20, 360, 10), np.linspace(20, 260, 10)])
     born = birth.sample(z, np.zeros(10), sensor, 2.0, np.random.default_rng(1))
     assert born.mass == pytest.approx(0.3 * 2 / (384 * 288) * 10 * math.pi * 2.0 * 9.2103, rel=0.02)

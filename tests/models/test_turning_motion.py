@@ -42,7 +42,7 @@ def test_without_a_turn_it_is_constant_velocity(rng):
     """At ω = 0 exactly, and continuously on the way there: the bend shrinks with ω."""
     x = states(rng, 20)
     x[4] = 0
-    straight, plane, noise = PlaneMotion(acceleration=5.0, nominal=1.0).transition(x[:4], 2.0)
+    straight, plane, noise = PlaneMotion(acceleration=5.0).transition(x[:4], 2.0)
     mean, jacobian, cov = TurningMotion(acceleration=5.0).transition(x, 2.0)
     np.testing.assert_allclose(mean[:4], straight, rtol=1e-15)
     np.testing.assert_array_equal(jacobian[:, :4, :4], plane)
@@ -89,27 +89,26 @@ def test_draws_have_the_moments_of_the_transition(form: str, dt: float, rng):
     assert np.all(np.abs(np.cov(x) - cov) <= 4.5 * error + 1e-12)
 
 
-@pytest.mark.parametrize("form", ["piecewise", "continuous"])
-def test_the_printed_noise_at_one_second(form: str):
+def test_the_printed_noise_at_one_second():
     """Q = σ_w² B Bᵀ with B = (T²/2, T) along each axis, and σ_u² of the turn rate [V06 §IV-C]."""
-    _, _, (q,) = TurningMotion(acceleration=15.0, turning=0.02, form=form).transition(START, 1.0)
+    _, _, (q,) = TurningMotion(acceleration=15.0, turning=0.02, form="piecewise").transition(START, 1.0)
     b = np.vstack([0.5 * np.eye(2), np.eye(2)])
     np.testing.assert_allclose(q[:4, :4], 225 * b @ b.T)
     np.testing.assert_allclose(q[4], [0, 0, 0, 0, 0.02**2])
 
 
 def test_whole_steps_of_the_turn_rate_compose():
-    motion = TurningMotion(turning=0.03, nominal=0.5)
+    motion = TurningMotion(turning=0.03)
     one, three = (motion.transition(START, dt)[2][0, 4, 4] for dt in (0.5, 1.5))
     assert three == pytest.approx(3 * one)
-    assert one == pytest.approx((0.03 * 0.5) ** 2)
+    assert one == pytest.approx(0.03**2 * 0.5)
 
 
 def test_survival_is_a_power_of_the_interval_inside_and_zero_outside():
-    motion = TurningMotion(survival=0.9, nominal=0.5, borders=(-5.0, 0.0, 5.0, 10.0))
+    motion = TurningMotion(survival_probability=0.9, borders=(-5.0, 0.0, 5.0, 10.0))
     x = np.zeros((5, 3))
     x[:2] = [[-5.0, 5.1, 0], [0.0, 3, 10.1]]
-    np.testing.assert_allclose(motion.p_survive(x, 1.5), [0.9**3, 0, 0])
+    np.testing.assert_allclose(motion.p_survive(x, 1.5), [0.9**1.5, 0, 0])
 
 
 @pytest.mark.parametrize(("wrong", "says"), [({"turning": -1.0}, "turning"), ({"borders": (1.0, 0, 0, 2)}, "left, low")])

@@ -26,12 +26,12 @@ def test_two_people_are_two_tracks(preset: str):
 
 
 def test_a_checkpoint_goes_on_as_if_nothing_had_been():
-    whole, first = (Tracker((640, 480), filter={"kind": "gm-phd", "most": 50}) for _ in range(2))
+    whole, first = (Tracker((640, 480), filter={"kind": "gm-phd", "max_components": 50}) for _ in range(2))
     boxes = two_people(30)
     for found in boxes[:15]:
         whole.update(found)
         first.update(found)
-    resumed = Tracker((640, 480), filter={"kind": "gm-phd", "most": 50})
+    resumed = Tracker((640, 480), filter={"kind": "gm-phd", "max_components": 50})
     resumed.load_state_dict(pickle.loads(pickle.dumps(first.state_dict())))
     for found in boxes[15:]:
         np.testing.assert_array_equal(whole.update(found).xyxy, resumed.update(found).xyxy)

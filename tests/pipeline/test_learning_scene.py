@@ -50,7 +50,7 @@ def test_false_tracks_go_and_true_ones_stay(seed):
     assert learned.mota > 0.9
     assert learned.objects_found >= uniform.objects_found
     # Five places that fire every second frame, and one anywhere.
-    assert run.learned.clutter.rate == pytest.approx(3.5, rel=0.12)
+    assert run.learned.clutter.clutter_per_frame == pytest.approx(3.5, rel=0.12)
 
 
 def test_places_that_change_are_followed_within_the_memory():
@@ -154,7 +154,7 @@ def test_modes_by_a_call_from_outside():
         rates.setdefault(name, []).append((before.clutter, tracker.state.learned.clutter))
     # A new mode knows nothing; one that was there before knows what it knew.
     assert rates["night"][0][0] is None
-    assert rates["day"][1][0].rate == rates["day"][0][1].rate
+    assert rates["day"][1][0].clutter_per_frame == rates["day"][0][1].clutter_per_frame
     np.testing.assert_array_equal(rates["day"][1][0].density.mean, rates["day"][0][1].density.mean)
     assert [mode.name for mode in tracker.state.learned.known.modes] == ["first", "day", "night"]
     with pytest.raises(InputError, match="learned while tracking"):

@@ -16,7 +16,7 @@ from phdtrack.types import Detections
 BOX = Detections.of([[100, 100, 140, 200]])
 
 
-KINDS = {"pmb": [], "particle-phd": ["filter.kind=particle-phd", "filter.particles_per_target=50", "birth.most=50"]}
+KINDS = {"pmb": [], "particle-phd": ["filter.kind=particle-phd", "filter.particles_per_target=50", "birth.particles=50"]}
 
 
 @pytest.fixture(params=KINDS)
@@ -68,7 +68,7 @@ def test_an_empty_frame_is_not_an_unobserved_one(stages, rng):
     before = state.intensity.mass
     empty, _ = pipeline.advance(stages, state, Detections.empty(), 11, 11 / 25, rng)
     unseen, step = pipeline.advance(stages, state, Detections.empty(observed=False), 11, 11 / 25, rng)
-    survival, p_d = stages.model.motion.survival, stages.model.sensor.detection
+    survival, p_d = stages.model.motion.survival_probability ** (1 / 25), stages.model.sensor.detection_probability
     assert unseen.intensity.mass == pytest.approx(before * survival)
     if isinstance(stages.filter, ParticlePHD):
         assert empty.intensity.mass == pytest.approx(before * survival * (1 - p_d))

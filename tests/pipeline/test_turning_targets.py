@@ -61,7 +61,7 @@ def test_multiple_hypotheses_keep_the_identities_of_ten_targets():
 @pytest.mark.parametrize(
     ("recursion", "extractor"),
     [
-        (GMPHD(transform="unscented", most=100), Components(merge_iou=1.0)),
+        (GMPHD(transform="unscented", max_components=100), Components(merge_iou=1.0)),
         (ParticlePHD(particles_per_target=500), KMeans(merge_iou=1.0)),
     ],
     ids=["gm-phd", "particle-phd"],

@@ -37,7 +37,7 @@ def run(world: Stages, frames: list[np.ndarray]):
 @pytest.mark.parametrize(
     ("filter_", "extractor"),
     [
-        (GMPHD(region=9.21), Components()),
+        (GMPHD(), Components()),
         (ParticlePHD(200), KMeans()),
         (MHT(), BestHypothesis()),
         (PMB(), BestBernoullis()),
@@ -66,7 +66,7 @@ def test_they_change_nothing_but_the_numbers_of_the_detections(filter_, extracto
 
 def test_the_first_interval_is_the_model_s_own():
     """γ is per second: half a second before the first frame brings five times as much as a tenth."""
-    world = stages(GMPHD(region=9.21), Components())
+    world = stages(GMPHD(), Components())
     boxes = world.model.sensor.boxes(people(np.random.default_rng(5), 1))
     longer = replace(world, model=replace(world.model, first=0.5))
     (short, *_), (long, *_) = run(world, [boxes])[0], run(longer, [boxes])[0]

@@ -38,7 +38,7 @@ def enumerate_histories(scans, model, dt: float):
     rows = list(model.sensor.observed)
     found = [(1.0, (), ())]
     for k, z in enumerate(scans):
-        births = model.birth.components(z, np.zeros(z.shape[1]), model.sensor, dt)
+        births = model.birth.components(z, np.zeros(z.shape[1]), model.sensor, dt / model.rate)
         assert len(births) == 1, "one place of birth, so that a new target is one Gaussian"
         kappa = model.clutter.intensity(z)
         grown = []
@@ -48,7 +48,7 @@ def enumerate_histories(scans, model, dt: float):
                 w = weight
                 for track, stays in zip(moved, alive, strict=True):
                     if track.alive:
-                        p = float(model.motion.p_survive(track.mean[:, None], dt)[0])
+                        p = float(model.motion.p_survive(track.mean[:, None], dt / model.rate)[0])
                         w *= p if stays else 1 - p
                 present = [Track(t.taken, a, t.mean, t.cov) for t, a in zip(moved, alive, strict=True)]
                 grown.extend(assigned(w, false, present, k, z, births, kappa, model, rows))
@@ -57,7 +57,7 @@ def enumerate_histories(scans, model, dt: float):
 
 
 def moved_on(track, model, dt):
-    mean, f, q = model.motion.transition(track.mean[:, None], dt)
+    mean, f, q = model.motion.transition(track.mean[:, None], dt / model.rate)
     return Track(track.taken, True, mean[:, 0], f[0] @ track.cov @ f[0].T + q[0])
 
 

@@ -12,16 +12,22 @@ WIDTH, HEIGHT = 640.0, 480.0
 
 
 def model_of(*, remember: bool = False, **motion) -> Model:
-    """Noises that no state changes, so that everything is linear and Gaussian, unless ``scaled`` says otherwise."""
+    """Noises that no state changes, so that everything is linear and Gaussian, unless ``scaled_noise`` says otherwise."""
     size = (WIDTH, HEIGHT)
-    values = {"acceleration": 0.3, "resize": 0.6, "scaled": False, "survival": 0.997, "frame_size": size} | motion
+    values = {
+        "acceleration": 0.3,
+        "size_noise": 0.6,
+        "scaled_noise": False,
+        "survival_probability": 0.997**25,
+        "frame_size": size,
+    } | motion
     sensor = (
-        BoxSensor(detection=0.8, spread=0.15, speed=0.1, scaling="particle")
-        if values["scaled"]
-        else BoxSensor(detection=0.8, scaling="fixed", fixed=(2.0, 3.0), fixed_speed=4.0)
+        BoxSensor(detection_probability=0.8, box_noise=0.15, birth_speed=0.1, scaling="particle")
+        if values["scaled_noise"]
+        else BoxSensor(detection_probability=0.8, scaling="fixed", fixed_noise=(2.0, 3.0), birth_speed_pixels=4.0)
     )
     if remember:
-        sensor = BoxSensor(detection=0.8, spread=0.15, scaling="previous")
+        sensor = BoxSensor(detection_probability=0.8, box_noise=0.15, scaling="previous")
     return Model(
         BoxMotion(**values, remember_size=remember), sensor, MeasurementBirth(frame_size=size), UniformClutter(1.0, 1e10)
     )

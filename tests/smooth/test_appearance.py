@@ -13,7 +13,7 @@ from phdtrack.smooth import Smoothing
 from phdtrack.smooth.appearance import Alike, histograms, likeness
 from phdtrack.smooth.paths import paths_of
 
-MODEL = model_of(scaled=True, acceleration=0.005, resize=0.05)
+MODEL = model_of(scaled_noise=True, acceleration=0.005, size_noise=0.05)
 SHIRTS = {1: (200, 40, 40), 2: (40, 40, 200), 3: (60, 180, 60)}
 
 

@@ -14,7 +14,7 @@ from reference import refine_twin as twin
 
 @pytest.mark.parametrize("seed", range(6))
 def test_it_is_the_ratio_of_one_trajectorys_density_to_two(seed: int):
-    rng, model, n = np.random.default_rng(seed), model_of(survival=1.0), 24
+    rng, model, n = np.random.default_rng(seed), model_of(survival_probability=1.0), 24
     walked = walk(rng, n, (200, 200), rng.normal(0, 2, 2), noise=2.0)
     walked[14:] += rng.normal(0, 6, 4)
     tracks, measured = sequence([piece(walked, 1, (1, 9)), piece(walked, 1, (15, n))], n, model)

@@ -10,7 +10,7 @@ from phdtrack.errors import InputError
 from phdtrack.smooth import Smoothing
 from phdtrack.types import MeasurementHistory, Tracks
 
-MODEL = model_of(scaled=True, acceleration=0.005, resize=0.05)
+MODEL = model_of(scaled_noise=True, acceleration=0.005, size_noise=0.05)
 
 
 def names(tracks: Tracks) -> dict[int, list[int]]:

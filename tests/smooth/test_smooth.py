@@ -36,7 +36,7 @@ def test_states_are_those_of_the_joint_density(seed: int, missed: list[bool], dt
 
 
 def test_paths_side_by_side_are_what_each_is_alone(rng):
-    model = model_of(scaled=True, acceleration=0.005, resize=0.07)
+    model = model_of(scaled_noise=True, acceleration=0.005, size_noise=0.07)
     a, b = walk(rng, 30, (100, 200), (2, 0)), walk(rng, 30, (400, 100), (-1, 1))
     pieces = [piece(a, 1, (1, 10), (14, 30)), piece(b, 1, (6, 25))]
     both = smoothed(*sequence(pieces, 30, model), model)
@@ -64,7 +64,7 @@ def test_a_camera_that_moves_changes_nothing_but_where_pixels_are(rng):
 @pytest.mark.parametrize("seed", range(5))
 def test_smoothed_states_are_nearer_to_the_truth_than_measurements(seed: int):
     """Constant velocity, noise of 2 pixels: states stay within half of it, the velocity in the middle within 0.4 a frame."""
-    rng, model = np.random.default_rng(seed), model_of(scaled=True, acceleration=0.005, resize=0.02)
+    rng, model = np.random.default_rng(seed), model_of(scaled_noise=True, acceleration=0.005, size_noise=0.02)
     n, noise = 60, 2.0
     truth = np.array([100.0, 200.0]) + np.arange(n)[:, None] * [3.0, 1.0]
     walked = walk(rng, n, (100, 200), (3, 1), noise=noise)
@@ -98,7 +98,7 @@ def test_errors_are_as_large_as_the_covariance_says():
 
 
 def test_a_size_that_is_remembered_does_no_harm(rng):
-    model = model_of(remember=True, scaled=True, acceleration=0.005, resize=0.05)
+    model = model_of(remember=True, scaled_noise=True, acceleration=0.005, size_noise=0.05)
     walked = walk(rng, 12, (100, 200), (3, 1))
     _, states, _ = smoothed(*sequence([piece(walked, 1, (1, 5), (9, 12))], 12, model), model)
     assert np.isfinite(states.mean).all()

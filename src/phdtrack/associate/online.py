@@ -224,7 +224,7 @@ def _awaited(
     if len(history[due].warp):
         state = model.motion.carried(state, history[due].warp)
     state, _, _ = model.motion.transition(state, dt)
-    survive, back = model.motion.p_survive(state, dt), np.empty(AGES)
+    survive, back = model.motion.p_survive(state, dt / model.rate), np.empty(AGES)
     confidence = confidence * survive
     come_back(survive, model.sensor.p_detect(state), waits, back)
     most = _patience(back, len(held), due, present, coast)

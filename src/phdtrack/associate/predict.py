@@ -48,7 +48,7 @@ def _boxes(old: F8, gone: int, mean: F8, covariance: F8, dt: float, motion: BoxM
     triangle = lower(BOX)
     k, n = len(triangle.row), len(covariance)
     cov, noise = np.empty((k, mean.shape[1])), np.zeros((k, n))
-    settings = motion.acceleration, motion.resize, motion.smallest, motion.scaled
+    settings = motion.acceleration, motion.size_noise, motion.min_size, motion.scaled_noise
     predict_boxes(old, gone, covariance, float(dt), *settings, triangle.place, mean, cov, noise)
     return Moved(mean, cov, noise)
 

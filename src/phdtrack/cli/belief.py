@@ -41,7 +41,10 @@ def warning(needed: int) -> str:
     if 1 <= needed <= SLOW:
         return ""
     after = f"only after {needed} coherent detections" if needed else f"not within {TRIED} coherent detections"
-    return f"an object is believed {after}: raise birth.rate, lower clutter.rate, or widen both volumes (birth.volume=image)"
+    return (
+        f"an object is believed {after}: raise birth.births_per_second, "
+        "lower clutter.clutter_per_frame, or widen both volumes (birth.volume=image)"
+    )
 
 
 def _middle(info: SequenceInfo, size: tuple[float, float]) -> F8:

@@ -55,7 +55,7 @@ def compare(
             "--variant",
             metavar="NAME=SETTINGS",
             help="Another method: the first filter with these settings, as "
-            "few=filter.particles_per_target=100,sensor.detection=0.8; "
+            "few=filter.particles_per_target=100,sensor.detection_probability=0.8; "
             "filter.kind and preset may be among them. May be given again.",
         ),
     ] = None,

@@ -125,7 +125,7 @@ class Classroom:
         stages = self.stages
         if alarms is not None:
             # Jmax is of learned births, and there are none yet.
-            stages = replace(stages, model=laid_over(stages.model, None, alarms.learned, None, most=1))
+            stages = replace(stages, model=laid_over(stages.model, None, alarms.learned, None, particles=1))
         with progress("tracking", len(self.stretch)) as advance:
             return tracked(self.found.table, self.found.info.fps, stages, self.stretch, self.seed, advance)
 

@@ -64,7 +64,7 @@ Sets = Annotated[
     typer.Option(
         "--set",
         metavar="NAME=VALUE",
-        help="One setting, as sensor.detection=0.9 or detector.min_area=0.001; may be given again.",
+        help="One setting, as sensor.detection_probability=0.9 or detector.min_area=0.001; may be given again.",
     ),
 ]
 Preset = Annotated[

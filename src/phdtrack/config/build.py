@@ -93,13 +93,16 @@ def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupSt
     """What makes groups, their life cycle and warnings; ``stages`` where a filter comes before, None for known positions.
 
     Behind a filter ``groups.min_weight`` is, unless given, no more than 0.84 of the weight (1 − p_D) p_S of a person just
-    missed once, so that one miss drops nobody whatever the detection probability. With E13's values that is the default.
+    missed once, at E13's 7 frames a second, so that one miss drops nobody whatever the detection probability. With E13's
+    values that is the default.
     """
     from phdtrack.groups import Grouping
     from phdtrack.groups.pipeline import GroupStages
 
     if stages is not None and "min_weight" not in settings.given.get("groups", {}):
-        missed = (1 - settings.build("sensor").detection) * settings.build("motion").survival
+        missed = (1 - settings.build("sensor").detection_probability) * settings.build("motion").survival_probability ** (
+            1 / 7
+        )
         settings = overlay(settings, {"groups": {"min_weight": min(Grouping().min_weight, _MISSED * missed)}})
     return GroupStages(*(settings.build(section) for section in ("groups", "contours", "life_cycle", "encounters")))
 
@@ -162,9 +165,9 @@ def _birth(settings: Settings, sensor: Any, size: Size, region: Region | None = 
         return _scene_birth(settings, size, sensor.observed)
     birth: Any = settings.build("birth", frame_size=size, borders=region)
     if kind == "fixed":
-        return FixedBirth(_boxes(sensor, birth.boxes, birth.rate), birth.count)
+        return FixedBirth(_boxes(sensor, birth.boxes, birth.births_per_second), birth.particles)
     if kind == "places":
-        return FixedBirth(_places(birth.places), birth.count)
+        return FixedBirth(_places(birth.places), birth.particles)
     made: Birth = birth
     return made
 
@@ -192,7 +195,9 @@ def _scene_birth(settings: Settings, size: Size, observed: tuple[int, ...]) -> B
     if given.around_detections > 0 and len(observed) != 4:
         raise InputError("births around detections are of boxes only", where="birth.around_detections", cure="Leave it out")
     among = objects_of(scene.followed)
-    return ContextBirth(scene.births.rate, scene.births.density, observed, given.particles, given.around_detections, among)
+    return ContextBirth(
+        scene.births.rate * rate, scene.births.density, observed, given.particles, given.around_detections, among
+    )
 
 
 def _image_clutter(settings: Settings, motion: str, size: Size) -> Clutter:
@@ -201,9 +206,13 @@ def _image_clutter(settings: Settings, motion: str, size: Size) -> Clutter:
 
     given = settings.build("clutter")
     if motion == "point":
-        return UniformClutter(given.rate, image_area(size))
+        return UniformClutter(given.clutter_per_frame, image_area(size))
     if settings.kind("clutter") == "image":
-        return LocalClutter(given.rate) if given.volume == "local" else UniformClutter(given.rate, image_volume(size))
+        return (
+            LocalClutter(given.clutter_per_frame)
+            if given.volume == "local"
+            else UniformClutter(given.clutter_per_frame, image_volume(size))
+        )
     from phdtrack.models.learned_scene import ContextClutter
 
     scene = _scene(given.file, size)
@@ -220,8 +229,8 @@ def _ground_clutter(settings: Settings, region: Region) -> Clutter:
     if given.density > 0:
         return UniformClutter(given.density, 1.0)
     if given.volume == "local":
-        return LocalPlaneClutter(given.rate)
-    return UniformClutter(given.rate, area(region, "clutter.rate on the ground"))
+        return LocalPlaneClutter(given.clutter_per_frame)
+    return UniformClutter(given.clutter_per_frame, area(region, "clutter.clutter_per_frame on the ground"))
 
 
 def _associator(settings: Settings, size: Size) -> Associator[Any]:
@@ -250,7 +259,7 @@ def _learning(settings: Settings, stages: AnyStages, info: SequenceInfo) -> Lear
     given: LearnSettings = settings.build("learn")
     size, rate = (float(info.width), float(info.height)), settings.build("time").rate
     wait = given.verdict_delay + settings.build("associate").output_delay / info.fps
-    rule = Following(*size, rate, 60 * given.memory, wait, settings.build("sensor").detection)
+    rule = Following(*size, rate, 60 * given.memory, wait, settings.build("sensor").detection_probability)
     scenes = tuple(_scene(file, size) for file in _scene_files(given.file))
     if any(scene.births is not None and scene.rate != rate for scene in scenes):
         raise InputError(f"births were not learned with {rate:g} time units a second", where=given.file)

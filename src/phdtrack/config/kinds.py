@@ -58,9 +58,10 @@ class CameraSettings:
 
 @dataclass(frozen=True, slots=True)
 class ClutterSettings:
-    """``rate``: expected false alarms per frame; ``volume``: spread over the image, or around each detection (local)."""
+    """``clutter_per_frame``: expected false alarms per frame; ``volume``: spread over the image, or around each detection
+    (local)."""
 
-    rate: NonNegative = 1.0
+    clutter_per_frame: NonNegative = 1.0
     volume: Volume = "image"
 
     def __post_init__(self) -> None:
@@ -69,9 +70,9 @@ class ClutterSettings:
 
 @dataclass(frozen=True, slots=True)
 class PointClutterSettings:
-    """``rate``: expected false alarms per frame, points spread over the image."""
+    """``clutter_per_frame``: expected false alarms per frame, points spread over the image."""
 
-    rate: NonNegative = 1.0
+    clutter_per_frame: NonNegative = 1.0
 
     def __post_init__(self) -> None:
         check(self)
@@ -81,11 +82,12 @@ class PointClutterSettings:
 class GroundClutterSettings:
     """False alarms on the ground.
 
-    ``rate`` a frame, spread over the ``region`` or around each detection (``local``), or ``density`` a frame and m², which
+    ``clutter_per_frame``, spread over the ``region`` or around each detection (``local``), or ``density`` a frame and m²,
+    which
     is taken instead where it is not 0.
     """
 
-    rate: NonNegative = 0.3
+    clutter_per_frame: NonNegative = 0.3
     volume: PlaneVolume = "local"
     density: NonNegative = 0.0
 
@@ -95,11 +97,11 @@ class GroundClutterSettings:
 
 @dataclass(frozen=True, slots=True)
 class FixedBirthSettings:
-    """``boxes``: where objects appear, as left, top, right, bottom; ``rate``: births per time unit at each."""
+    """``boxes``: where objects appear, as left, top, right, bottom; ``births_per_second`` at each."""
 
     boxes: Boxes
-    rate: NonNegative = 0.01
-    count: PositiveCount = 300
+    births_per_second: NonNegative = 0.25
+    particles: PositiveCount = 300
 
     def __post_init__(self) -> None:
         check(self)
@@ -110,7 +112,7 @@ class PlacesBirthSettings:
     """``places``: where people appear: x, y (m), births per second, deviations of position (m) and velocity (m/s)."""
 
     places: Places
-    count: PositiveCount = 300
+    particles: PositiveCount = 300
 
     def __post_init__(self) -> None:
         check(self)
@@ -120,7 +122,7 @@ class PlacesBirthSettings:
 class SceneBirthSettings:
     """``file``: births as `phdtrack learn` has learned them in this scene; ``particles``: Jmax, see MeasurementBirth.
 
-    ``around_detections``: births a time unit around each detection of a box where nothing is known, see
+    ``around_detections``: births a second around each detection of a box where nothing is known, see
     ContextBirth; 0: none.
     """
 
@@ -226,7 +228,10 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     },
     "learn": {"none": "phdtrack.protocols:NoLearning", "online": f"{__name__}:LearnSettings"},
     "rates": {"none": "phdtrack.protocols:NoLearning", "learned": "phdtrack.scene.rates:RatesSettings"},
-    "merged_measurements": {"none": "phdtrack.protocols:AsDetected", "explained": "phdtrack.detect.merged:MergedMeasurements"},
+    "merged_measurements": {
+        "none": "phdtrack.protocols:AsDetected",
+        "explained": "phdtrack.detect.merged:MergedMeasurements",
+    },
     "camera_motion": {
         "none": "phdtrack.video.ego_motion:Standing",
         "flow": "phdtrack.video.ego_motion:SparseFlow",

@@ -33,10 +33,10 @@ Table = Mapping[str, Mapping[str, Any]]
 
 NO_SMOOTHING: Mapping[str, Any] = {"stitching": False, "smoothing": False}
 _PAPER: Table = {
-    "motion": {"acceleration": 0.03, "resize": 0.1, "survival": 0.99},
-    "sensor": {"detection": 0.95, "spread": 0.15},
-    "birth": {"rate": 0.01, "most": 1000},
-    "clutter": {"rate": 1.0},
+    "motion": {"acceleration": 0.03, "size_noise": 0.1, "survival_probability": 0.99**25},
+    "sensor": {"detection_probability": 0.95, "box_noise": 0.15},
+    "birth": {"births_per_second": 25 * 0.01, "particles": 1000},
+    "clutter": {"clutter_per_frame": 1.0},
     "filter": {"kind": "particle-phd", "particles_per_target": 1500},
     "associate": {"kind": "graph"},
     # No paper joins states that overlap, or touches tracks that have ended.
@@ -45,13 +45,13 @@ _PAPER: Table = {
 }
 _M09: Table = {
     **_PAPER,
-    "sensor": {**_PAPER["sensor"], "floor": 0.0, "scaling": "particle"},
+    "sensor": {**_PAPER["sensor"], "min_noise": 0.0, "scaling": "particle"},
     "extract": {"kind": "mixture", "min_weight": 0.5, "merge_iou": 1.0},
 }
 _FV: Table = {
     **_M09,
-    "motion": {"acceleration": 1.5**0.5, "resize": 2.0, "survival": 0.99, "scaled": False},
-    "sensor": {"detection": 0.95, "scaling": "fixed"},
+    "motion": {"acceleration": 1.5**0.5, "size_noise": 2.0, "survival_probability": 0.99**25, "scaled_noise": False},
+    "sensor": {"detection_probability": 0.95, "scaling": "fixed"},
 }
 
 # What another kind of motion brings. On the ground a second without a state costs as much as elsewhere 0.6 s.
@@ -59,27 +59,26 @@ _WORLDS: Mapping[str, Table] = {
     "box": {},
     "plane": {
         "time": {"rate": 1.0},
-        "filter": {"region": 9.21},
         "associate": {"gap_cost": 1.609},
     },
-    "point": {"filter": {"region": 9.21}},
+    "point": {},
 }
 
 
 def _around(births: float, alarms: float) -> Table:
     """So many births and false alarms around each detection, and as many next to those that a scene has taught."""
     return {
-        "birth": {"rate": births},
-        "birth.scene": {"around_detections": births},
-        "clutter": {"rate": alarms},
+        "birth": {"births_per_second": 25 * births},
+        "birth.scene": {"around_detections": 25 * births},
+        "clutter": {"clutter_per_frame": alarms},
         "clutter.scene": {"around_detections": alarms},
     }
 
 
 # The default's values with each filter, of boxes. A PHD filter has no labels: where the sensor is wide, neighbours share
 # their measurements, and what is near is taken for the same.
-_PHD: Table = {"motion": {"resize": 0.07}, "sensor": {"spread": 0.15}, **_around(0.01, 0.3)}
-_PMB: Table = {"motion": {"resize": 0.05}, "sensor": {"spread": 0.25}, **_around(0.005, 1.5)}
+_PHD: Table = {"motion": {"size_noise": 0.07}, "sensor": {"box_noise": 0.15}, **_around(0.01, 0.3)}
+_PMB: Table = {"motion": {"size_noise": 0.05}, "sensor": {"box_noise": 0.25}, **_around(0.005, 1.5)}
 _BY_FILTER: Mapping[str, Table] = {
     "pmb": _PMB,
     "particle-phd": {**_PHD, "filter": {"particles_per_target": 750}},
@@ -95,9 +94,9 @@ _UNFILTERED: Table = {"associate": {"min_link_gain": 0.6}}
 
 PRESETS: Mapping[str, Table] = {
     "default": {
-        "motion": {"acceleration": 0.005, "survival": 0.997, "roughening": 0.005},
-        "sensor": {"detection": 0.8, "speed": 0.1, "scaling": "particle"},
-        "birth": {"most": 500, "volume": "local"},
+        "motion": {"acceleration": 0.005, "survival_probability": 0.997**25, "roughening": 0.005},
+        "sensor": {"detection_probability": 0.8, "birth_speed": 0.1, "scaling": "particle"},
+        "birth": {"particles": 500, "volume": "local"},
         "clutter": {"volume": "local"},
     },
     "m07": {
@@ -111,7 +110,7 @@ PRESETS: Mapping[str, Table] = {
     "fv": _FV,
     "m09-mht": {
         **_FV,
-        "sensor": {"detection": 0.97, "scaling": "fixed"},
+        "sensor": {"detection_probability": 0.97, "scaling": "fixed"},
         "filter": {
             "kind": "mht",
             "new_target_density": 0.0025,
@@ -129,13 +128,13 @@ PRESETS: Mapping[str, Table] = {
     "e13": {
         "time": {"rate": 1.0},
         "associate": {"kind": "graph", "gap_cost": 1.609},
-        "motion": {"kind": "plane", "acceleration": 1.0, "survival": 0.99, "nominal": 1 / 7, "form": "piecewise"},
+        "motion": {"kind": "plane", "acceleration": 1.0, "survival_probability": 0.99**7, "form": "piecewise"},
         "sensor": {
             "kind": "plane",
-            "detection": 0.7,
+            "detection_probability": 0.7,
             "scaling": "fixed",
-            "fixed": 0.5**0.5,
-            "speed": 2**0.5,
+            "fixed_noise": 0.5**0.5,
+            "birth_speed": 2**0.5,
             "view": False,
             "occlusion": False,
         },
@@ -146,10 +145,9 @@ PRESETS: Mapping[str, Table] = {
         "clutter": {"kind": "ground", "density": 1e-8},
         "filter": {
             "kind": "gm-phd",
-            "prune": 1e-5,
-            "merge": 2.0,
-            "most": 100,
-            "region": 9.21,
+            "weight_threshold": 1e-5,
+            "merge_distance": 2.0,
+            "max_components": 100,
             "initial": [
                 (-11.2197, -13.1848, 1.0, 0.1**0.5, 1.0),
                 (-11.1650, -14.1883, 1.0, 0.1**0.5, 1.0),
@@ -161,10 +159,10 @@ PRESETS: Mapping[str, Table] = {
         "smooth": NO_SMOOTHING,
     },
     "d14": {
-        "motion": {"kind": "point", "variance": 2.0, "survival": 1.0},
-        "sensor": {"kind": "point", "detection": 1.0, "variance": 1.0, "gate_sigmas": 37.5},
-        "birth": {"kind": "uniform", "rate": 0.1, "count": 10},
-        "clutter": {"kind": "point", "rate": 0.0},
+        "motion": {"kind": "point", "noise_variance": 2.0, "survival_probability": 1.0},
+        "sensor": {"kind": "point", "detection_probability": 1.0, "noise_variance": 1.0, "gate_probability": 1.0},
+        "birth": {"kind": "uniform", "births_per_second": 25 * 0.1, "particles": 10},
+        "clutter": {"kind": "point", "clutter_per_frame": 0.0},
         "filter": {"kind": "particle-phd", "particles_per_target": 4000, "max_particles": 4000, "skip_empty_frames": True},
         "extract": {"kind": "kmeans", "min_weight": 0.6, "merge_iou": 1.0},
         "associate": {"kind": "graph"},

@@ -6,12 +6,12 @@ that it makes (its docstring explains them) and, where there is a choice, ``kind
     preset = "m09"                 # default, m07, m09, fv, m09-mht, e13, d14
     scene = "street.scene.json"    # what `phdtrack learn` has learned; optional
     [sensor]
-    detection = 0.9
+    detection_probability = 0.9
     [birth]
     kind = "measurement"           # measurement, uniform, fixed, scene
 
-On the command line the same is ``--set sensor.detection=0.9``. A preset is a complete set of values (`presets.values_of`);
-what the user says replaces values of it. An unknown name is an error that says the nearest one.
+On the command line the same is ``--set sensor.detection_probability=0.9``. A preset is a complete set of values
+(`presets.values_of`); what the user says replaces values of it. An unknown name is an error that says the nearest one.
 """
 
 from __future__ import annotations
@@ -281,7 +281,7 @@ def _assignment(text: str) -> _Entry:
     section, dot, key = path.strip().partition(".")
     if not equals or not dot or not key:
         raise InputError(
-            "expected section.name=value", where=f"--set {text}", cure="For example: --set sensor.detection=0.9"
+            "expected section.name=value", where=f"--set {text}", cure="For example: --set sensor.detection_probability=0.9"
         )
     # TOML wants a digit before the point; people who type .1 mean a number.
     plain = re.sub(r"^([+-]?)\.(?=\d)", r"\g<1>0.", value.strip())

@@ -345,7 +345,7 @@ def predicted(targets: ExpectedTargets, model: Model, dt: float) -> ExpectedTarg
     state, before = model.carried_gaussians(np.ascontiguousarray(targets.state), targets.covariance)
     mean, jacobian, noise = model.motion.transition(np.ascontiguousarray(state), dt)
     covariance = jacobian @ before @ jacobian.transpose(0, 2, 1) + noise
-    there = targets.existence * model.motion.p_survive(targets.state, dt)
+    there = targets.existence * model.motion.p_survive(targets.state, dt / model.rate)
     return replace(targets, state=mean, covariance=covariance, existence=there)
 
 

@@ -59,8 +59,8 @@ def motion_numbers(motion: BoxMotion, dt: float) -> F4:
     rest = motion.drawn * math.sqrt((dt**3 - dt) / 12) if dt > 1 else 0.0
     if not (width > 0 and height > 0):
         width = height = 0.0
-    scaled = float(motion.scaled)
-    numbers = (dt, motion.drawn * root, motion.resize * root, motion.smallest, scaled, width, height, rest)
+    scaled = float(motion.scaled_noise)
+    numbers = (dt, motion.drawn * root, motion.size_noise * root, motion.min_size, scaled, width, height, rest)
     return np.array(numbers, np.float32)
 
 
@@ -94,33 +94,35 @@ class Seen:
     touching: I8
 
 
-def seen(model: BoxModel, z: F8, explained: float, dt: float) -> Seen:
+def seen(model: BoxModel, z: F8, explained: float, seconds: float) -> Seen:
     """The tables for detections z (4, N); ``explained`` is the squared radius of the region that counts as explained."""
     at_rest = np.zeros((6, z.shape[1]))
     at_rest[0:2], at_rest[4:6] = z[0:2], z[2:4]
     noise = model.sensor.noise(at_rest)
     lower, upper = model.sensor.gate(z)
     limit, _ = region()
-    rate = model.birth.rate * dt if model.local else 0.0
+    rate = model.birth.births_per_second * seconds if model.local else 0.0
     table, speed, reach, extents, low, high = detection_table(
         z, noise, rate, local_volume(z), limit, lower, upper, model.local
     )
     # A floor of zero would let the deviation of a vanishing box vanish.
-    numbers = np.array([model.sensor.spread, max(model.sensor.floor, 1e-3), explained, limit], np.float32)
+    numbers = np.array([model.sensor.box_noise, max(model.sensor.min_noise, 1e-3), explained, limit], np.float32)
     near = neighbours(z, reach, lower, upper, low, high, *rectangle_grid(low, high))
-    flat, velocity = _births(model.birth, at_rest, noise, z, speed, dt)
+    flat, velocity = _births(model.birth, at_rest, noise, z, speed, seconds)
     return Seen(table, numbers, flat, velocity, extents, lower, upper, rectangle_grid(lower, upper), *near)
 
 
-def _births(birth: MeasurementBirth | ContextBirth, at_rest: F8, noise: F8, z: F8, speed: F4, dt: float) -> tuple[F4, F4]:
+def _births(
+    birth: MeasurementBirth | ContextBirth, at_rest: F8, noise: F8, z: F8, speed: F4, seconds: float
+) -> tuple[F4, F4]:
     """`Seen.flat` and `Seen.velocity`; ``at_rest``, ``noise`` (6, N) states of the detections, and their deviations.
 
     ``speed`` (N,) is the deviation of the velocity's amplitude at rest.
     """
     if isinstance(birth, ContextBirth):
-        return birth.about(at_rest, noise, dt)
+        return birth.about(at_rest, noise, seconds)
     flat, velocity = np.zeros(z.shape[1], np.float32), np.zeros((5, z.shape[1]), np.float32)
     if birth.volume == "image":
-        flat[:] = birth.rate * dt / image_volume(birth.frame_size)
+        flat[:] = birth.births_per_second * seconds / image_volume(birth.frame_size)
     velocity[2], velocity[4] = speed, speed
     return flat, velocity

@@ -79,11 +79,12 @@ def fused_step(
     # Words of 32 bits from `random`: `integers` takes ten times as long for so few.
     drawn = rng.random(3)
     draws = Draws((drawn[:2] * 2.0**32).astype(np.int64), float(drawn[2]))
-    frame = seen(parts, z, region_radius2(4), dt)
-    old = _sweep_old(settings, parts, blocks, frame, dt, draws)
+    frame = seen(parts, z, region_radius2(4), dt / model.rate)
+    stay = parts.motion.survival_probability ** (dt / model.rate)
+    old = _sweep_old(settings, parts, blocks, frame, dt, stay, draws)
     born = _sweep_born(settings, parts, old, frame, dt, draws)
     kappa = model.clutter.intensity(z)
-    p_detect = 0.0 if settings.skip_empty_frames and z.shape[1] == 0 else parts.sensor.detection
+    p_detect = 0.0 if settings.skip_empty_frames and z.shape[1] == 0 else parts.sensor.detection_probability
     evidence, weight, mass, batch_mass, vanished, (before, newborn, after) = account(
         old.first, old.which, old.sums, old.alive, old.unit, born.batch_start, frame.near_start, frame.near, frame.touching,
         born.gain_start, born.base, born.gains, kappa, p_detect,
@@ -103,7 +104,7 @@ def fused_step(
         sweep_offspring(
             lo, hi, order, teeth, place, phase, width, divided, old.moved, blocks.start, old.first, old.which,
             factor, missed, frame.table, parts.own, frame.numbers, draws.key, born.many, born.batch_start, born.points,
-            parts.birth.most, parts.local, frame.flat, frame.near_start, frame.near, frame.touching, batch_mass,
+            parts.birth.particles, parts.local, frame.flat, frame.near_start, frame.near, frame.touching, batch_mass,
             frame.velocity, out,
         )  # fmt: skip
 
@@ -111,7 +112,9 @@ def fused_step(
     return ParticleBlocks(out, start, after / count), info
 
 
-def _sweep_old(settings: ParticlePHD, parts: BoxModel, blocks: ParticleBlocks, frame: Seen, dt: float, draws: Draws) -> _Old:
+def _sweep_old(
+    settings: ParticlePHD, parts: BoxModel, blocks: ParticleBlocks, frame: Seen, dt: float, stay: float, draws: Draws
+) -> _Old:
     """Move the particles and sum what the detections near them say."""
     count = len(blocks.start) - 1
     moved, extents, alive = empty(*blocks.state.shape), np.empty((count, EXTENTS), np.float32), np.empty(count)
@@ -131,12 +134,12 @@ def _sweep_old(settings: ParticlePHD, parts: BoxModel, blocks: ParticleBlocks, f
         first = np.concatenate([[0], *(part[0][1:] + end for part, end in zip(found, ends[:-1], strict=True))])
         which = np.concatenate([part[1] for part in found])
         sums = np.concatenate([part[2][:, : len(part[1])] for part in found], axis=1)
-    return _Old(moved, extents, alive, first, which, sums, blocks.unit * parts.motion.survival**dt)
+    return _Old(moved, extents, alive, first, which, sums, blocks.unit * stay)
 
 
 def _sweep_born(settings: ParticlePHD, parts: BoxModel, old: _Old, frame: Seen, dt: float, draws: Draws) -> _Born:
     """Draw J_j = ⌈Jmax·max(0, 1 − M_j)⌉ newborn around each detection and sum what the detections near them say [M07 §2]."""
-    most = parts.birth.most
+    most = parts.birth.particles
     # Twice as many points as one detection needs, so that detections have different ones.
     points = standard_points(2 * most + LANES, region()[1], draws.key)
     many, batch_start, gain_start = births(old.which, old.sums, old.unit, most, KEPT, frame.touching, frame.table)

@@ -74,11 +74,11 @@ def box_model(model: Model, dt: float) -> BoxModel | None:
         return None
     if type(clutter) is ScoredClutter:
         # What it is of matters only to itself: the kernel is given its values, which are those of one frame.
-        box = _in_numbers(motion, sensor, birth, None, dt)
+        box = _in_numbers(motion, sensor, birth, None, dt, dt / model.rate)
         return box and replace(box, clutter=clutter)
     if type(clutter) is not UniformClutter and type(clutter) is not LocalClutter and type(clutter) is not ContextClutter:
         return None
-    return _in_numbers(motion, sensor, birth, clutter, dt)
+    return _in_numbers(motion, sensor, birth, clutter, dt, dt / model.rate)
 
 
 # The parts are values, so the same ones give the same numbers.
@@ -89,8 +89,9 @@ def _in_numbers(
     births: MeasurementBirth | FixedBirth | ContextBirth,
     false: UniformClutter | LocalClutter | ContextClutter | None,
     dt: float,
+    seconds: float,
 ) -> BoxModel | None:
-    birth, clutter = _birth(births, dt), _clutter(false)
+    birth, clutter = _birth(births, seconds), _clutter(false)
     if motion.remember_size or sensor.scaling not in _SCALINGS or birth is None or clutter is None:
         return None
     volume, stretch = newborn_shape(gm_model.M)
@@ -98,20 +99,20 @@ def _in_numbers(
     numbers = BoxNumbers(
         dt=float(dt),
         acceleration=float(motion.acceleration),
-        resize=float(motion.resize),
-        scaled=float(motion.scaled),
-        smallest=float(motion.smallest),
-        survival=float(motion.survival**dt),
+        resize=float(motion.size_noise),
+        scaled=float(motion.scaled_noise),
+        smallest=float(motion.min_size),
+        survival=float(motion.survival_probability**seconds),
         frame_width=float(motion.frame_size[0]),
         frame_height=float(motion.frame_size[1]),
         scaling=_SCALINGS[sensor.scaling],
-        spread=float(sensor.spread),
-        floor=float(sensor.floor),
-        fixed_position=float(sensor.fixed[0]) ** 2,
-        fixed_size=float(sensor.fixed[1]) ** 2,
-        deviation_scaled=sensor.speed / math.sqrt(2),
-        deviation_fixed=sensor.fixed_speed / math.sqrt(2),
-        p_detect=float(sensor.detection),
+        spread=float(sensor.box_noise),
+        floor=float(sensor.min_noise),
+        fixed_position=float(sensor.fixed_noise[0]) ** 2,
+        fixed_size=float(sensor.fixed_noise[1]) ** 2,
+        deviation_scaled=sensor.birth_speed / math.sqrt(2),
+        deviation_fixed=sensor.birth_speed_pixels / math.sqrt(2),
+        p_detect=float(sensor.detection_probability),
         birth=birth[0],
         born=birth[1],
         newborn_volume=volume,
@@ -129,24 +130,24 @@ def _in_numbers(
     return BoxModel(np.hstack(numbers), birth[2], scene=_scene(births, false))
 
 
-def _birth(birth: Birth, dt: float) -> tuple[float, float, F8] | None:
+def _birth(birth: Birth, seconds: float) -> tuple[float, float, F8] | None:
     """What γ is spread over, its density or rate, and its Gaussians where it is a mixture."""
     if type(birth) is FixedBirth and len(birth.mixture.mean) == gm_model.D:
-        return gm_model.NOWHERE, 0.0, _table(birth.mixture, dt)
+        return gm_model.NOWHERE, 0.0, _table(birth.mixture, seconds)
     if type(birth) is ContextBirth and birth.density.dim == gm_model.D and birth.observed == gm_model.ROWS:
         if birth.around_detections > 0:
-            return gm_model.PLACES, float(birth.around_detections * dt), _NOBODY
-        return gm_model.IMAGE, float(birth.flat * dt), _table(birth.given, dt)
+            return gm_model.PLACES, float(birth.around_detections * seconds), _NOBODY
+        return gm_model.IMAGE, float(birth.flat * seconds), _table(birth.given, seconds)
     if type(birth) is not MeasurementBirth:
         return None
     if birth.volume == "local":
-        return gm_model.LOCAL, float(birth.rate * dt), _NOBODY
-    return gm_model.IMAGE, float(birth.rate / image_volume(birth.frame_size) * dt), _NOBODY
+        return gm_model.LOCAL, float(birth.births_per_second * seconds), _NOBODY
+    return gm_model.IMAGE, float(birth.births_per_second / image_volume(birth.frame_size) * seconds), _NOBODY
 
 
-def _table(given: GaussianMixture, dt: float) -> F8:
+def _table(given: GaussianMixture, seconds: float) -> F8:
     """(B, 1 + d + 21) births as `kernels.gm_step` takes them."""
-    return np.hstack([given.weight[:, None] * dt, given.mean.T, triangles(np.ascontiguousarray(given.covariance))])
+    return np.hstack([given.weight[:, None] * seconds, given.mean.T, triangles(np.ascontiguousarray(given.covariance))])
 
 
 def _scene(birth: Birth, clutter: Clutter | None) -> tuple[F8, F8, F8, F8, F8] | None:
@@ -171,9 +172,9 @@ def _clutter(clutter: Clutter | None) -> tuple[float, float] | None:
     if type(clutter) is ContextClutter:
         return (gm_model.PLACES, float(clutter.around_detections)) if clutter.density.dim == gm_model.M else None
     if type(clutter) is LocalClutter:
-        return gm_model.LOCAL, float(clutter.rate)
+        return gm_model.LOCAL, float(clutter.clutter_per_frame)
     if type(clutter) is UniformClutter:
-        return gm_model.IMAGE, float(clutter.rate / clutter.volume)
+        return gm_model.IMAGE, float(clutter.clutter_per_frame / clutter.volume)
     return None
 
 

@@ -12,7 +12,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from phdtrack.checks import Count, NonNegative, Positive, check
+from phdtrack.arrays import GATE
+from phdtrack.checks import Count, NonNegative, Share, check
 from phdtrack.filters.cardinality import nobody, poisson, survived, weigh
 from phdtrack.filters.composed import composed_step
 from phdtrack.filters.gm_phd import GMPHD
@@ -32,23 +33,22 @@ class GMCPHD:
 
     Parameters
     ----------
-    prune : Gaussians that weigh less are dropped.
-    merge : Mahalanobis distance (not squared) up to which a Gaussian is united with a stronger one, in its own covariance.
-    most : J_max, Gaussians kept, the heaviest; 0 for all.
-    split : what shares its tag with a heavier Gaussian keeps it below this weight; 0: no two share one.
-    gate : G, measurements further than this many deviations of the innovation from a Gaussian do not touch it.
+    weight_threshold : Gaussians that weigh less are dropped.
+    merge_distance : Mahalanobis distance (not squared) up to which a Gaussian is united with a stronger one, in its own
+        covariance.
+    max_components : J_max, Gaussians kept, the heaviest; 0 for all.
+    split_weight : what shares its tag with a heavier Gaussian keeps it below this weight; 0: no two share one.
+    gate_probability : part of the measurements of a Gaussian inside its gate; those beyond do not touch it; 1: no gate.
     transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
-    region : squared Mahalanobis distance within which a Gaussian's mass counts as explaining a detection, M(z).
     initial : the intensity before the first frame; its number is Poisson distributed.
     """
 
-    prune: NonNegative = 1e-5
-    merge: NonNegative = 2.0
-    most: Count = 0
-    split: NonNegative = 0.5
-    gate: Positive = 5.0
+    weight_threshold: NonNegative = 1e-5
+    merge_distance: NonNegative = 2.0
+    max_components: Count = 0
+    split_weight: NonNegative = 0.5
+    gate_probability: Share = GATE
     transform: Transform = "linear"
-    region: Positive = 13.28
     initial: GaussianMixture | None = None
 
     def __post_init__(self) -> None:
@@ -73,7 +73,7 @@ class GMCPHD:
         """Add the newborn, then update the number and every Gaussian [V07]."""
         recursion = _intensity(self)
         meeting = recursion.meet(state.intensity, z, model, dt)
-        weighing = weigh(state.cardinality, meeting, model.birth.expected(z, dt))
+        weighing = weigh(state.cardinality, meeting, model.birth.expected(z, dt / model.rate))
         mixture = recursion.weighed(meeting, weighing.missed, weighing.detected, z, model)
         info = replace(meeting.info(mixture.mass), cardinality=weighing.cardinality)
         return Cardinalised(mixture, weighing.cardinality), info
@@ -93,12 +93,11 @@ def _intensity(settings: GMCPHD) -> GMPHD:
     """The recursion of the mixture."""
     s = settings
     return GMPHD(
-        prune=s.prune,
-        merge=s.merge,
-        most=s.most,
-        split=s.split,
-        gate=s.gate,
-        region=s.region,
+        weight_threshold=s.weight_threshold,
+        merge_distance=s.merge_distance,
+        max_components=s.max_components,
+        split_weight=s.split_weight,
+        gate_probability=s.gate_probability,
         transform=s.transform,
         initial=s.initial,
     )

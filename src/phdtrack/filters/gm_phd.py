@@ -14,7 +14,8 @@ and the sensor's noise R) is taken at the means; H is a choice of rows, `Sensor.
 
 Every Gaussian carries a tag, by which its history can be read [P09 §III]: a newborn's is new; prediction and update keep
 it, so that the Gaussians that a measurement and a missed one make of one have the same; a union has that of its strongest.
-Of those that share a tag and weigh `GMPHD.split` or more after reduction the heaviest keeps it, and the others, targets
+Of those that share a tag and weigh `GMPHD.split_weight` or more after reduction the heaviest keeps it, and the others,
+targets
 of their own now, are given new ones. Lighter ones may share theirs with a target and take it over when it fades. Tags
 count from 0 and none is given twice; `GaussianMixture.fresh` is the next.
 
@@ -25,12 +26,13 @@ shipped box model `GMPHD.step` is the same in one kernel (`kernels.gm_step`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.arrays import sum_by
-from phdtrack.checks import Count, NonNegative, Positive, check
+from phdtrack.arrays import GATE, chi2_quantile, region_radius2, sum_by
+from phdtrack.checks import Count, NonNegative, Share, check
 from phdtrack.errors import InputError
 from phdtrack.filters.carrying import carried_mixture
 from phdtrack.filters.composed import composed_step
@@ -49,36 +51,38 @@ class GMPHD:
 
     Parameters
     ----------
-    prune : Gaussians that weigh less are dropped.
-    merge : Mahalanobis distance (not squared) up to which a Gaussian is united with a stronger one, in its own covariance.
-    most : J_max, Gaussians kept, the heaviest; 0 for all, of which there are at most the mass divided by ``prune``. In
+    weight_threshold : Gaussians that weigh less are dropped.
+    merge_distance : Mahalanobis distance (not squared) up to which a Gaussian is united with a stronger one, in its own
+        covariance.
+    max_components : J_max, Gaussians kept, the heaviest; 0 for all, of which there are at most the mass divided by
+        ``weight_threshold``. In
         practice there are some for each target, and for each false alarm as long as one that was not seen again takes to
         fade, log(weight / prune) / −log(1 − p_D) frames. E13's is 100.
-    redistribute : what pruning and capping drop is given to the rest, so that the expected number stays; False is as
+    keep_mass : what pruning and capping drop is given to the rest, so that the expected number stays; False is as
         Vo and Ma print it.
-    gate : G, measurements further than this many deviations of the innovation from a Gaussian do not touch it; at 5, at
-        most 5.1e-5 of a Gaussian in four dimensions is cut.
-    split : what shares its tag with a heavier Gaussian keeps it below this weight, see above; 0: no two share one.
-    region : squared Mahalanobis distance within which a Gaussian's mass counts as explaining a detection, M(z); 13.28 is the
-        99 % region in four dimensions.
+    gate_probability : part of the measurements of a Gaussian inside its gate; those beyond do not touch it; 1: no gate.
+    split_weight : what shares its tag with a heavier Gaussian keeps it below this weight, see above; 0: no two share one.
     transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
-    skip_empty : leave the intensity as predicted when a frame brings no detection, as D14 does.
+    skip_empty_frames : leave the intensity as predicted when a frame brings no detection, as D14 does.
     initial : the intensity before the first frame.
     """
 
-    prune: NonNegative = 1e-5
-    merge: NonNegative = 2.0
-    most: Count = 0
-    redistribute: bool = True
-    split: NonNegative = 0.5
-    gate: Positive = 5.0
-    region: Positive = 13.28
+    weight_threshold: NonNegative = 1e-5
+    merge_distance: NonNegative = 2.0
+    max_components: Count = 0
+    keep_mass: bool = True
+    split_weight: NonNegative = 0.5
+    gate_probability: Share = GATE
     transform: Transform = "linear"
-    skip_empty: bool = False
+    skip_empty_frames: bool = False
     initial: GaussianMixture | None = None
 
     def __post_init__(self) -> None:
         check(self)
+
+    def _gate(self, model: Model) -> float:
+        """G, the gate in deviations."""
+        return math.sqrt(chi2_quantile(len(model.sensor.observed), self.gate_probability))
 
     def start(self, model: Model, rng: np.random.Generator) -> GaussianMixture:
         """The initial intensity, each Gaussian with a tag; empty where none was given."""
@@ -102,7 +106,7 @@ class GMPHD:
             raise InputError(
                 "the GM-PHD filter has no spawning", where="motion.births", cure="Use NoSpawn, or the particle filter"
             )
-        weight = state.weight * model.motion.p_survive(state.mean, dt)
+        weight = state.weight * model.motion.p_survive(state.mean, dt / model.rate)
         alive = weight > 0
         before = np.ascontiguousarray(state.mean[:, alive])
         mean, cov = moved(before, state.covariance[alive], model.motion, dt, self.transform)
@@ -114,10 +118,10 @@ class GMPHD:
         """Add the newborn, then update every Gaussian with every measurement within its gate [V06 (32)–(38)].
 
         The mass that explains a detection, which decides where targets are born, is that of the Gaussians within
-        ``region`` of it. Where κ(z) + C(z) = 0 the detection's term is 0 and counted in ``info.vanished``.
+        the 99 % region of it. Where κ(z) + C(z) = 0 the detection's term is 0 and counted in ``info.vanished``.
         """
         meeting = self.meet(state, z, model, dt)
-        if z.shape[1] == 0 and self.skip_empty:
+        if z.shape[1] == 0 and self.skip_empty_frames:
             return meeting.intensity, meeting.info(meeting.intensity.mass)
         factor, vanished = explained(meeting.evidence, meeting.clutter)
         result = self.weighed(meeting, 1.0, factor, z, model)
@@ -126,12 +130,12 @@ class GMPHD:
     def meet(self, state: GaussianMixture, z: F8, model: Model, dt: float) -> Meeting[GaussianMixture]:
         """Add the newborn, and find what they and ``state`` say about the measurements."""
         sensor = model.sensor
-        point, which, distance2, _ = gated_gaussians(state, z, sensor, self.gate, self.transform)
-        near = distance2 <= self.region
+        point, which, distance2, _ = gated_gaussians(state, z, sensor, self._gate(model), self.transform)
+        near = distance2 <= region_radius2(len(sensor.observed))
         covered = sum_by(which[near], state.weight[point[near]], z.shape[1])
-        born = model.birth.components(z, covered, sensor, dt)
+        born = model.birth.components(z, covered, sensor, dt / model.rate)
         everything = joined(state, born)
-        point, which, distance2, log_norm = gated_gaussians(everything, z, sensor, self.gate, self.transform)
+        point, which, distance2, log_norm = gated_gaussians(everything, z, sensor, self._gate(model), self.transform)
         seen = everything.weight * sensor.p_detect(everything.mean)
         share = seen[point] * np.exp(log_norm - 0.5 * distance2)
         evidence = sum_by(which, share, z.shape[1])
@@ -154,11 +158,12 @@ class GMPHD:
         Tags as above [P09 §III].
         """
         state = tagged(state)
-        axes, mass = tuple(range(len(state.mean))), state.mass if self.redistribute else -1.0
+        axes, mass = tuple(range(len(state.mean))), state.mass if self.keep_mass else -1.0
         return GaussianMixture(
             *reduced(
                 state.weight, np.ascontiguousarray(state.mean.T), triangles(state.covariance), state.tag, axes,
-                float(self.prune), float(self.merge), self.most, mass, float(self.split), state.fresh,
+                float(self.weight_threshold), float(self.merge_distance), self.max_components, mass,
+                float(self.split_weight), state.fresh,
             )
         )  # fmt: skip
 
@@ -171,7 +176,14 @@ class GMPHD:
         if box is None:
             return composed_step(self, state, z, model, dt, rng)
         settings = limits(
-            self.gate, self.region, self.prune, self.merge, self.most, self.redistribute, self.split, self.skip_empty
+            self._gate(model),
+            region_radius2(4),
+            self.weight_threshold,
+            self.merge_distance,
+            self.max_components,
+            self.keep_mass,
+            self.split_weight,
+            self.skip_empty_frames,
         )
         return fused_step(tagged(carried_mixture(state, model)), z, box, settings)
 

@@ -110,7 +110,7 @@ class MCMC:
         if len(state) == 0:
             return state
         origin = model.carried(state.state)
-        stays = model.motion.p_survive(origin, dt).reshape(state.chance.shape)
+        stays = model.motion.p_survive(origin, dt / model.rate).reshape(state.chance.shape)
         moved = model.motion.sample(origin, dt, rng)
         return replace(state, state=moved, chance=state.chance * stays, origin=origin, interval=dt)
 

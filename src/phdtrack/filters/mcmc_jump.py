@@ -70,7 +70,7 @@ def jump_update(
     old = len(state.label)
     kappa = model.clutter.intensity(z)
     against = np.maximum(kappa, LEAST_CLUTTER)
-    born = model.birth.sample(z, _covered(state, z, model), model.sensor, dt, rng)
+    born = model.birth.sample(z, _covered(state, z, model), model.sensor, dt / model.rate, rng)
     entries = _entries(state, born, z, against, model)
     evidence = sum_by(entries.which + 1, entries.weight, z.shape[1] + 1)[1:] * against
     seen = np.unique(entries.candidate[entries.candidate >= old])

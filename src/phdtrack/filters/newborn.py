@@ -28,7 +28,7 @@ class Newborn:
 def newborn(z: F8, model: Model, dt: float, gate: float, transform: Transform) -> Newborn:
     """From the model's births: their Gaussians, updated with each measurement and joined by moment matching."""
     count = z.shape[1]
-    births = model.birth.components(z, np.zeros(count), model.sensor, dt)
+    births = model.birth.components(z, np.zeros(count), model.sensor, dt / model.rate)
     point, which, distance2, log_norm = gated_gaussians(births, z, model.sensor, gate, transform)
     weight = births.weight[point] * model.sensor.p_detect(births.mean)[point] * np.exp(log_norm - 0.5 * distance2)
     density = sum_by(which, weight, count)

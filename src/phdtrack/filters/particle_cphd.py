@@ -66,7 +66,7 @@ class ParticleCPHD:
     def update(self, state: State, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[State, UpdateInfo]:
         """Draw the newborn, then update the number and every particle [V07]."""
         meeting = _intensity(self).meet(state.intensity, z, model, dt, rng)
-        weighing = weigh(state.cardinality, meeting, model.birth.expected(z, dt))
+        weighing = weigh(state.cardinality, meeting, model.birth.expected(z, dt / model.rate))
         particles = weighed(meeting, weighing.missed, weighing.detected)
         info = replace(meeting.info(particles.mass), cardinality=weighing.cardinality)
         return Cardinalised(particles, weighing.cardinality), info

@@ -73,7 +73,7 @@ class ParticlePHD:
         state = plain(carried_particles(state, model))
         if len(state) == 0:
             return state
-        weight = state.weight * model.motion.p_survive(state.state, dt)
+        weight = state.weight * model.motion.p_survive(state.state, dt / model.rate)
         moved = model.motion.sample(state.state, dt, rng)
         spawned = model.motion.spawn(state, dt, rng)
         alive = weight > 0
@@ -102,7 +102,7 @@ class ParticlePHD:
         """Draw the newborn, and find what they and ``state`` say about the measurements."""
         state = plain(state)
         covered = self._covered(state, z, model)
-        born = model.birth.sample(z, covered, model.sensor, dt, rng)
+        born = model.birth.sample(z, covered, model.sensor, dt / model.rate, rng)
         everything = join(state, born)
         point, which = self._gated(everything, z, model)
         seen = everything.weight * model.sensor.p_detect(everything.state)

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.arrays import to_cxcywh
-from phdtrack.checks import NonNegative, Positive, Probability, check
+from phdtrack.arrays import GATE, chi2_quantile, to_cxcywh
+from phdtrack.checks import NonNegative, Positive, Probability, Share, check
 from phdtrack.types import F8, Bool, Detections
 
 TURN = 2 * math.pi
@@ -35,24 +35,30 @@ class BearingSensor:
     ----------
     bearing : σ_θ, standard deviation of the bearing, radians.
     reach : σ_r, standard deviation of the range, metres.
-    detection : p_D of a target at the sensor's place.
+    detection_probability : p_D of a target at the sensor's place.
     fade : ℓ, metres over which p_D falls; 0: it does not.
     origin : where the sensor stands, metres.
-    speed : standard deviation of an unknown velocity's amplitude, m/s.
+    birth_speed : standard deviation of an unknown velocity's amplitude, m/s.
     turn : standard deviation of an unknown turn rate, rad/s.
     size : side of the square that is drawn about a position, metres.
-    gate_sigmas : G, measurements touch only states within this many deviations of bearing and of range.
+    gate_probability : part of the detections of a target that its gate holds; detections touch no particles beyond. 1: no
+        gate.
     """
 
     bearing: Positive = math.pi / 90
     reach: Positive = 10.0
-    detection: Probability = 0.98
+    detection_probability: Probability = 0.98
     fade: NonNegative = 0.0
     origin: tuple[float, float] = (0.0, 0.0)
-    speed: Positive = 50 * 2**0.5
+    birth_speed: Positive = 50 * 2**0.5
     turn: Positive = math.pi / 30
     size: Positive = 10.0
-    gate_sigmas: Positive = 5.0
+    gate_probability: Share = GATE
+
+    @property
+    def _gate(self) -> float:
+        """G, the gate's half-width in deviations."""
+        return math.sqrt(chi2_quantile(2, self.gate_probability))
 
     def __post_init__(self) -> None:
         check(self)
@@ -111,8 +117,8 @@ class BearingSensor:
     def p_detect(self, x: F8) -> F8:
         """p_D, falling with the range where ``fade`` says so."""
         if self.fade == 0:
-            return np.full(x.shape[1], self.detection)
-        out: F8 = self.detection * np.exp(-0.5 * (self.expected(x)[1] / self.fade) ** 2)
+            return np.full(x.shape[1], self.detection_probability)
+        out: F8 = self.detection_probability * np.exp(-0.5 * (self.expected(x)[1] / self.fade) ** 2)
         return out
 
     @property
@@ -126,7 +132,7 @@ class BearingSensor:
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles about the pieces of rings that reach G deviations of bearing and of range."""
-        wide, deep = self.gate_sigmas * self.bearing, self.gate_sigmas * self.reach
+        wide, deep = self._gate * self.bearing, self._gate * self.reach
         near, far = np.maximum(z[1] - deep, 0.0), np.maximum(z[1] + deep, 0.0)
         # sin θ gives x, and y = sin(θ + π/2).
         sides = [_between(z[0] + quarter, wide, near, far) for quarter in (0.0, math.pi / 2)]
@@ -139,7 +145,7 @@ class BearingSensor:
         x, cov = np.zeros((5, n)), np.zeros((n, 5, 5))
         x[0], x[1] = self.origin[0] + z[1] * np.sin(z[0]), self.origin[1] + z[1] * np.cos(z[0])
         cov[:, :2, :2] = self._plane_covariance(z)
-        cov[:, 2, 2] = cov[:, 3, 3] = self.speed**2 / 2
+        cov[:, 2, 2] = cov[:, 3, 3] = self.birth_speed**2 / 2
         cov[:, 4, 4] = self.turn**2
         return x, cov
 
@@ -156,7 +162,7 @@ class BearingSensor:
         """(5, n) deviations by which components at ``x`` are resolved: of the position there, of what is not measured."""
         out = np.empty((5, x.shape[1]))
         out[:2] = np.sqrt(np.diagonal(self._plane_covariance(self.expected(x)), axis1=1, axis2=2).T)
-        out[2:4], out[4] = self.speed / math.sqrt(2), self.turn
+        out[2:4], out[4] = self.birth_speed / math.sqrt(2), self.turn
         return out
 
     def boxes(self, x: F8) -> F8:

@@ -1,7 +1,7 @@
 """γ(x): new targets, and the three ways to draw them.
 
 ``measurement``: around the detections that nothing predicted accounts for [M07 §2]; ``uniform``: anywhere [D14 Alg. 2];
-``fixed``: from given Gaussians [E13 §4]. Rates are expected births per time unit of the model.
+``fixed``: from given Gaussians [E13 §4]. Rates are expected births per second.
 """
 
 from __future__ import annotations
@@ -36,51 +36,52 @@ class MeasurementBirth:
 
     Parameters
     ----------
-    rate : expected births per time unit: in all where spread over the ``image``, around each detection where ``local``.
-    most : Jmax, particles drawn around a detection of which nothing is predicted.
+    births_per_second : expected births per second: in all where spread over the ``image``, around each detection where
+        ``local``.
+    particles : Jmax, particles drawn around a detection of which nothing is predicted.
     volume : ``image`` or ``local``: what γ is spread over (see `models.volume`).
     frame_size : the image's width and height in pixels, needed for ``image``.
     """
 
-    rate: NonNegative = 0.01
-    most: PositiveCount = 1000
+    births_per_second: NonNegative = 0.25
+    particles: PositiveCount = 1000
     volume: Volume = "image"
     frame_size: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         check(self)
 
-    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
+    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """Particles around the detections that weigh what γ is there [M07 §2], see `particles_about`."""
 
         def gamma(x: F8, of: I8) -> F8:
-            return self._intensity(x, z[: len(x)]) * dt
+            return self._intensity(x, z[: len(x)]) * seconds
 
-        return particles_about(covered, sensor.states(z), sensor.observed, self.most, gamma, rng)
+        return particles_about(covered, sensor.states(z), sensor.observed, self.particles, gamma, rng)
 
-    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
         """Gaussians about the detections that have the density of γ there, see `gaussians_about`."""
-        return gaussians_about(z, covered, sensor, lambda x: self._intensity(x, z[: len(x)]) * dt)
+        return gaussians_about(z, covered, sensor, lambda x: self._intensity(x, z[: len(x)]) * seconds)
 
-    def gaussians(self, z: F8, sensor: Sensor, dt: float) -> Births:
+    def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """γT as Gaussians around the detections, see `births_around`."""
-        return births_around(sensor.states(z), sensor.observed, self.density(z) * dt)
+        return births_around(sensor.states(z), sensor.observed, self.density(z) * seconds)
 
     def density(self, z: F8) -> F8:
-        """(N,) γ per time unit at the detections themselves."""
+        """(N,) γ per second at the detections themselves."""
         return self._intensity(z[:4], z)
 
-    def expected(self, z: F8, dt: float) -> float:
-        """rate·dt, of each detection where ``local``."""
-        return self.rate * dt * (z.shape[1] if self.volume == "local" else 1)
+    def expected(self, z: F8, seconds: float) -> float:
+        """births_per_second·seconds, of each detection where ``local``."""
+        return self.births_per_second * seconds * (z.shape[1] if self.volume == "local" else 1)
 
     def _intensity(self, observed: F8, z: F8) -> F8:
-        """γ per time unit at positions and sizes (m, L); 0 where a size is not positive."""
+        """γ per second at positions and sizes (m, L); 0 where a size is not positive."""
         if self.volume == "image":
-            return np.where((observed[2:4] > 0).all(0), self.rate / image_volume(self.frame_size), 0.0)
+            return np.where((observed[2:4] > 0).all(0), self.births_per_second / image_volume(self.frame_size), 0.0)
         point, which = points_in_rectangles(observed[0], observed[1], z[:2] - z[2:4], z[:2] + z[2:4])
         near = in_neighbourhood(observed[:, point], z[:, which])
-        density = self.rate / local_volume(z)[which[near]]
+        density = self.births_per_second / local_volume(z)[which[near]]
         return sum_by(point[near], density, observed.shape[1])
 
 
@@ -91,36 +92,36 @@ class UniformBirth:
     Parameters
     ----------
     frame_size : width and height of the image, pixels.
-    rate : expected births per time unit.
-    count : particles drawn per frame, D14's J = 10.
-    smallest, largest : range of sizes as fractions of the frame's width and height.
+    births_per_second : expected births per second.
+    particles : particles drawn per frame, D14's J = 10.
+    min_size, max_size : range of sizes as fractions of the frame's width and height.
     """
 
     frame_size: tuple[float, float]
-    rate: NonNegative = 0.1
-    count: PositiveCount = 10
-    smallest: Share = 0.02
-    largest: Probability = 0.5
+    births_per_second: NonNegative = 2.5
+    particles: PositiveCount = 10
+    min_size: Share = 0.02
+    max_size: Probability = 0.5
 
     def __post_init__(self) -> None:
         check(self)
-        if self.smallest > self.largest:
+        if self.min_size > self.max_size:
             raise InputError(
-                f"expected smallest ≤ largest, got {self.smallest:g} and {self.largest:g}", where="UniformBirth.smallest"
+                f"expected min_size ≤ max_size, got {self.min_size:g} and {self.max_size:g}", where="UniformBirth.min_size"
             )
 
-    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
-        """``count`` particles of mass rate·dt / count each, whatever was measured."""
+    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
+        """``count`` particles of mass births_per_second·seconds / count each, whatever was measured."""
         size = np.array(self.frame_size)[:, None]
-        drawn = size * rng.random((2, self.count))
+        drawn = size * rng.random((2, self.particles))
         if len(sensor.observed) > 2:
-            drawn = np.vstack([drawn, size * rng.uniform(self.smallest, self.largest, (2, self.count))])
-        mean, cov = sensor.states(np.vstack([drawn, np.ones((max(0, len(z) - len(drawn)), self.count))]))
+            drawn = np.vstack([drawn, size * rng.uniform(self.min_size, self.max_size, (2, self.particles))])
+        mean, cov = sensor.states(np.vstack([drawn, np.ones((max(0, len(z) - len(drawn)), self.particles))]))
         state = mean.copy()
-        _draw_velocity(state, cov, np.arange(self.count), rng)
-        return Particles(state, np.full(self.count, self.rate * dt / self.count))
+        _draw_velocity(state, cov, np.arange(self.particles), rng)
+        return Particles(state, np.full(self.particles, self.births_per_second * seconds / self.particles))
 
-    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
         """There is none: raises `InputError`."""
         raise InputError(
             "births that are uniform over the image have no form as a Gaussian mixture",
@@ -128,48 +129,48 @@ class UniformBirth:
             cure="Use births around the detections (birth.kind=measurement), at given places (fixed), or particles",
         )
 
-    def gaussians(self, z: F8, sensor: Sensor, dt: float) -> Births:
+    def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """There are none: raises `InputError`."""
-        self.components(z, z[0], sensor, dt)
+        self.components(z, z[0], sensor, seconds)
         raise NotImplementedError
 
-    def expected(self, z: F8, dt: float) -> float:
-        """rate·dt."""
-        return self.rate * dt
+    def expected(self, z: F8, seconds: float) -> float:
+        """births_per_second·seconds."""
+        return self.births_per_second * seconds
 
 
 @dataclass(frozen=True, slots=True)
 class FixedBirth:
-    """γ a given mixture of Gaussians whose weights are births per time unit, ``count`` particles each [E13 §4]."""
+    """γ a given mixture of Gaussians whose weights are births per second, ``count`` particles each [E13 §4]."""
 
     mixture: GaussianMixture
-    count: PositiveCount = 300
+    particles: PositiveCount = 300
 
     def __post_init__(self) -> None:
         check(self)
 
-    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
-        """``count`` particles from each Gaussian, of total mass weight·dt, whatever was measured."""
-        return draw(self.mixture, self.count, dt, rng)
+    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
+        """``count`` particles from each Gaussian, of total mass weight·seconds, whatever was measured."""
+        return draw(self.mixture, self.particles, seconds, rng)
 
-    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
-        """The given Gaussians, of total mass weight·dt, whatever was measured [V06 (22)]."""
-        return GaussianMixture(self.mixture.weight * dt, self.mixture.mean, self.mixture.covariance)
+    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
+        """The given Gaussians, of total mass weight·seconds, whatever was measured [V06 (22)]."""
+        return GaussianMixture(self.mixture.weight * seconds, self.mixture.mean, self.mixture.covariance)
 
-    def gaussians(self, z: F8, sensor: Sensor, dt: float) -> Births:
-        """The given Gaussians, of total mass weight·dt, whatever was measured [V06 (22)]."""
-        return births_at(self.mixture, dt)
+    def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
+        """The given Gaussians, of total mass weight·seconds, whatever was measured [V06 (22)]."""
+        return births_at(self.mixture, seconds)
 
-    def expected(self, z: F8, dt: float) -> float:
-        """The mixture's mass, over dt."""
-        return self.mixture.mass * dt
+    def expected(self, z: F8, seconds: float) -> float:
+        """The mixture's mass, over seconds."""
+        return self.mixture.mass * seconds
 
 
 def particles_about(
     covered: F8,
     seen: tuple[F8, F8],
     rows: tuple[int, ...],
-    most: int,
+    particles: int,
     gamma: Callable[[F8, I8], F8],
     rng: np.random.Generator,
 ) -> Particles:
@@ -181,11 +182,11 @@ def particles_about(
     about the measurements (L,).
 
     ``seen`` are the states and covariances that the measurements show, as `Sensor.states` gives them, ``rows`` are
-    `Sensor.observed`, ``most`` is Jmax.
+    `Sensor.observed`, ``particles`` is Jmax.
     """
     mean, cov = seen
     observed = list(rows)
-    counts = np.ceil(most * np.clip(1.0 - covered, 0.0, 1.0)).astype(np.int64)
+    counts = np.ceil(particles * np.clip(1.0 - covered, 0.0, 1.0)).astype(np.int64)
     parent = np.repeat(np.arange(mean.shape[1]), counts)
     if len(parent) == 0:
         return Particles(np.zeros((len(mean), 0)), np.zeros(0))
@@ -203,12 +204,12 @@ def particles_about(
     return Particles(state, density * np.exp(-log_proposal))
 
 
-def births_at(mixture: GaussianMixture, dt: float) -> Births:
-    """The Gaussians of a mixture, whose weights are births per time unit, over the interval ``dt``."""
+def births_at(mixture: GaussianMixture, seconds: float) -> Births:
+    """The Gaussians of a mixture, whose weights are births per second, over the interval ``seconds``."""
     none = np.full(len(mixture), -1)
     cov = np.ascontiguousarray(mixture.covariance)
     mean = np.ascontiguousarray(mixture.mean.T)
-    return Births(mixture.weight * dt, mean, cov, none, np.zeros(len(mixture)), cov)
+    return Births(mixture.weight * seconds, mean, cov, none, np.zeros(len(mixture)), cov)
 
 
 def births_around(seen: tuple[F8, F8], rows: tuple[int, ...], density: F8) -> Births:

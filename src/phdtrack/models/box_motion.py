@@ -4,7 +4,8 @@ State x = (px, py, vx, vy, w, h): centre, velocity per time unit (a frame at 25 
 white-noise acceleration n drives position and velocity of an axis, so f is degenerate in (p, v): it has no density in the
 full state space, and whoever needs one convolves it with the covariance of the state it is evaluated at.
 
-With ``scaled`` all noises are multiples of the target's own size ("state-dependent variances", SDV), because large objects
+With ``scaled_noise`` all noises are multiples of the target's own size ("state-dependent variances", SDV), because large
+objects
 in the image accelerate faster [M09 (11)]; without, they are constants ("fixed variances", FV).
 
 Interval T: the papers print T²/2 and T, under which a gap of two frames is not two steps of one. The covariance used is
@@ -36,12 +37,12 @@ class BoxMotion:
     Parameters
     ----------
     acceleration : standard deviation of the acceleration, in widths (x) and heights (y) per time unit², or in pixels
-        per time unit² where not ``scaled``.
-    resize : standard deviation of the change of size, in widths and heights per √time unit, or in pixels.
-    survival : probability p_S that a target survives one time unit.
-    scaled : state-dependent variances (SDV); False for fixed ones (FV).
+        per time unit² where not ``scaled_noise``.
+    size_noise : standard deviation of the change of size, in widths and heights per √time unit, or in pixels.
+    survival_probability : probability p_S that a target is still there after one second.
+    scaled_noise : state-dependent variances (SDV); False for fixed ones (FV).
     remember_size : carry the size before the last prediction in rows 6 and 7, for the likelihood scaling ``previous``.
-    smallest : widths and heights are reflected at this many pixels: no particle takes w ≤ 0.
+    min_size : widths and heights are reflected at this many pixels: no particle takes w ≤ 0.
     frame_size : width and height of the image in pixels; a target whose box has left it does not survive. (0, 0): no such
         border.
     births : the spawning part β.
@@ -50,11 +51,11 @@ class BoxMotion:
     """
 
     acceleration: NonNegative = 0.03
-    resize: NonNegative = 0.1
-    survival: Probability = 0.99
-    scaled: bool = True
+    size_noise: NonNegative = 0.1
+    survival_probability: Probability = 0.99**25
+    scaled_noise: bool = True
     remember_size: bool = False
-    smallest: Positive = 1.0
+    min_size: Positive = 1.0
     frame_size: tuple[float, float] = (0.0, 0.0)
     births: Spawn = field(default_factory=NoSpawn)
     roughening: NonNegative = 0.0
@@ -74,7 +75,7 @@ class BoxMotion:
 
     def _unit(self, x: F8) -> F8:
         """(2, L) what the noises are multiples of."""
-        size: F8 = np.maximum(x[4:6], self.smallest) if self.scaled else np.ones((2, x.shape[1]))
+        size: F8 = np.maximum(x[4:6], self.min_size) if self.scaled_noise else np.ones((2, x.shape[1]))
         return size
 
     def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
@@ -85,8 +86,8 @@ class BoxMotion:
         moved = np.empty_like(x)
         moved[0:2] = x[0:2] + dt * (x[2:4] + 0.5 * kick)
         moved[2:4] = x[2:4] + kick
-        moved[4:6] = x[4:6] + self.resize * np.sqrt(dt) * unit * noise[2:4]
-        moved[4:6] = self.smallest + np.abs(moved[4:6] - self.smallest)
+        moved[4:6] = x[4:6] + self.size_noise * np.sqrt(dt) * unit * noise[2:4]
+        moved[4:6] = self.min_size + np.abs(moved[4:6] - self.min_size)
         if dt > 1:
             # What is left of the position's variance beside the part that the velocity's noise explains.
             rest = self.drawn * np.sqrt((dt**3 - dt) / 12)
@@ -95,9 +96,9 @@ class BoxMotion:
             moved[6:8] = x[4:6]
         return moved
 
-    def p_survive(self, x: F8, dt: float) -> F8:
-        """p_S^T inside the image, 0 where the whole box has left it."""
-        stays = np.full(x.shape[1], self.survival**dt)
+    def p_survive(self, x: F8, seconds: float) -> F8:
+        """p_S^seconds inside the image, 0 where the whole box has left it."""
+        stays = np.full(x.shape[1], self.survival_probability**seconds)
         width, height = self.frame_size
         if width > 0 and height > 0:
             half = 0.5 * x[4:6]
@@ -117,7 +118,7 @@ class BoxMotion:
             mean[6:8] = x[4:6]
         # By planes, which is how whoever predicts many states goes through it.
         noise = np.zeros((d, d, n))
-        box_motion_noise(mean[4:6], float(dt), self.acceleration, self.resize, self.smallest, self.scaled, noise)
+        box_motion_noise(mean[4:6], float(dt), self.acceleration, self.size_noise, self.min_size, self.scaled_noise, noise)
         # One Jacobian for all, as np.broadcast_to would give it in more time than the rest takes for a few states.
         return mean, np.ndarray((n, d, d), np.float64, f, 0, (0, *f.strides)), noise.transpose(2, 0, 1)
 

@@ -24,8 +24,8 @@ from typing import Literal
 
 import numpy as np
 
-from phdtrack.arrays import to_cxcywh
-from phdtrack.checks import NonNegative, Positive, Probability, check
+from phdtrack.arrays import GATE, chi2_quantile, to_cxcywh
+from phdtrack.checks import NonNegative, Positive, Probability, Share, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.box import box_corners, box_gate, box_noise
 from phdtrack.models.occlusion import NOBODY, Hiders, seen_part
@@ -46,38 +46,45 @@ class BoxSensor:
 
     Parameters
     ----------
-    detection : probability p_D that a target is detected in a frame.
-    spread : s, deviation of the measured size as a fraction of the size.
-    floor : smallest σ_w and σ_h, pixels; M09 has none (0).
+    detection_probability : probability p_D that a target is detected in a frame.
+    box_noise : s, deviation of the measured size as a fraction of the size.
+    min_noise : smallest σ_w and σ_h, pixels; M09 has none (0).
     scaling : what the deviations follow, see above.
-    fixed : deviations of position and of size in pixels, for ``scaling="fixed"``.
-    speed : standard deviation of an unknown velocity's amplitude, in box sizes √(wh) per time unit. No paper gives it: the
+    fixed_noise : deviations of position and of size in pixels, for ``scaling="fixed"``.
+    birth_speed : standard deviation of an unknown velocity's amplitude, in box sizes √(wh) per time unit. No paper gives
+        it: the
         default 0.06 is 1.5 box sizes per second at 25 Hz, a brisk walk for a standing person.
-    fixed_speed : the same in pixels per time unit, for ``scaling="fixed"``: M09's initial velocity variance of 200 is read
+    birth_speed_pixels : the same in pixels per time unit, for ``scaling="fixed"``: M09's initial velocity variance of 200
+        is read
         as the amplitude's, which is 100 along each axis.
-    gate_sigmas : G, detections touch only particles within this many deviations; at 5, at most 5.1e-5 of a Gaussian is
-        cut, as long as G·spread < 1 where σ follows the state's own size (at a spread of 0.3 it is about 1e-3).
+    gate_probability : part of the detections of a target that its gate holds; detections touch no particles beyond. 1: no
+        gate.
     occlusion : let p_D fall where nearer targets cover the target.
-    least : share of p_D that is left of a target that is covered altogether.
+    min_detection_probability : share of p_D that is left of a target that is covered altogether.
     hiders : the targets expected in the frame that is looked at, as `watching` finds them.
     """
 
-    detection: Probability = 0.95
-    spread: Positive = 0.15
-    floor: NonNegative = 1.0
+    detection_probability: Probability = 0.95
+    box_noise: Positive = 0.15
+    min_noise: NonNegative = 1.0
     scaling: Scaling = "particle"
-    fixed: tuple[Positive, Positive] = (3.0**0.5, 6.0**0.5)
-    speed: NonNegative = 0.06
-    fixed_speed: NonNegative = 200.0**0.5
-    gate_sigmas: Positive = 5.0
+    fixed_noise: tuple[Positive, Positive] = (3.0**0.5, 6.0**0.5)
+    birth_speed: NonNegative = 0.06
+    birth_speed_pixels: NonNegative = 200.0**0.5
+    gate_probability: Share = GATE
     occlusion: bool = False
-    least: Probability = 0.1
+    min_detection_probability: Probability = 0.1
     hiders: Hiders = NOBODY
+
+    @property
+    def _gate(self) -> float:
+        """G, the gate's half-width in deviations."""
+        return math.sqrt(chi2_quantile(4, self.gate_probability))
 
     def __post_init__(self) -> None:
         check(self)
-        if not all(deviation > 0 for deviation in self.fixed):
-            raise InputError(f"expected deviations above 0 pixels, got {self.fixed}", where="BoxSensor.fixed")
+        if not all(deviation > 0 for deviation in self.fixed_noise):
+            raise InputError(f"expected deviations above 0 pixels, got {self.fixed_noise}", where="BoxSensor.fixed_noise")
 
     @property
     def observed(self) -> tuple[int, ...]:
@@ -123,13 +130,13 @@ class BoxSensor:
     def _sigmas(self, z: F8, x: F8) -> tuple[F8, F8, F8, F8]:
         """Deviations of the four components of z."""
         if self.scaling == "fixed":
-            position, size = (np.asarray(s) for s in self.fixed)
+            position, size = (np.asarray(s) for s in self.fixed_noise)
             return position, position, size, size
         if self.scaling == "given":
             a, b, c, d = np.sqrt(z[4:8])
             return a, b, c, d
         w, h = z[2:4] if self.scaling == "detection" else x[6:8] if self.scaling == "previous" else x[4:6]
-        sw, sh = np.maximum(self.spread * w, self.floor), np.maximum(self.spread * h, self.floor)
+        sw, sh = np.maximum(self.box_noise * w, self.min_noise), np.maximum(self.box_noise * h, self.min_noise)
         return sw / 2, sh / 2, sw, sh
 
     def distance2(self, z: F8, x: F8) -> F8:
@@ -171,9 +178,11 @@ class BoxSensor:
     def p_detect(self, x: F8) -> F8:
         """p_D, less where nearer targets cover x, see `models.occlusion`."""
         if not len(self.hiders):
-            return np.full(x.shape[1], self.detection)
+            return np.full(x.shape[1], self.detection_probability)
         boxes = self.boxes(x)
-        return self.detection * seen_part(self.hiders, x[list(OBSERVED)], boxes, -boxes[:, 3], OWN, self.least)
+        return self.detection_probability * seen_part(
+            self.hiders, x[list(OBSERVED)], boxes, -boxes[:, 3], OWN, self.min_detection_probability
+        )
 
     def watching(self, targets: F8) -> BoxSensor:
         """The sensor where targets are expected at these states; itself without them, or without ``occlusion``."""
@@ -188,18 +197,18 @@ class BoxSensor:
         Where σ follows the state's own size w, the states within G deviations of z in position and in size reach
         max(sG/2 · w_z/√(1 − G²s²), G·floor/2) from it, for G·s < 1.
         """
-        g = self.gate_sigmas
+        g = self._gate
         if self.scaling in ("fixed", "given"):
             sx, sy, _, _ = self._sigmas(z, z)
             half = g * np.stack([np.broadcast_to(sx, z.shape[1]), np.broadcast_to(sy, z.shape[1])])
             return z[:2] - half, z[:2] + half
-        reach = g * self.spread / 2
+        reach = g * self.box_noise / 2
         if self.scaling == "particle":
             # G·s ≥ 1 would let every larger box in: the size alone no longer bounds the distance.
-            reach /= math.sqrt(max(1 - (g * self.spread) ** 2, 0.05))
+            reach /= math.sqrt(max(1 - (g * self.box_noise) ** 2, 0.05))
         elif self.scaling == "previous":
             reach *= 2.0  # the size before the last prediction is not known from z
-        corners: tuple[F8, F8] = box_gate(z, reach, g * self.floor / 2)
+        corners: tuple[F8, F8] = box_gate(z, reach, g * self.min_noise / 2)
         return corners
 
     def states(self, z: F8) -> tuple[F8, F8]:
@@ -217,12 +226,12 @@ class BoxSensor:
     def noise(self, x: F8, z: F8 | None = None) -> F8:
         """Deviations of the state's components: the measurement's, and an unknown velocity's."""
         if self.scaling == "fixed":
-            position, size = self.fixed
-            speed = max(self.fixed_speed / math.sqrt(2), 1e-6)
+            position, size = self.fixed_noise
+            speed = max(self.birth_speed_pixels / math.sqrt(2), 1e-6)
             out: F8 = np.repeat([position, speed, size], [2, 2, len(x) - 4])[:, None] * np.ones(x.shape[1])
             return out
         # A detection at hand gives its own size, or its own noise; a box of this size would be measured about so.
-        out = box_noise(x, 6 if self.scaling == "previous" else 4, self.spread, self.floor, self.speed)
+        out = box_noise(x, 6 if self.scaling == "previous" else 4, self.box_noise, self.min_noise, self.birth_speed)
         if z is not None and self.scaling == "given":
             out[list(OBSERVED)] = np.sqrt(z[4:8])
         elif z is not None and self.scaling == "detection":

@@ -70,7 +70,7 @@ class FollowRates:
         if learns.clutter:
             clutter = with_clutter(clutter, _rounded(rates.clutter, self.rule.priors.clutter))
         if learns.births:
-            birth = with_births(birth, _rounded(rates.births, self.rule.priors.births))
+            birth = with_births(birth, model.rate * _rounded(rates.births, self.rule.priors.births))
         return self.beside.model(state.beside, replace(model, motion=motion, sensor=sensor, birth=birth, clutter=clutter))
 
     def weighed(self, state: RatesState, model: Model, detections: Detections) -> Model:
@@ -117,47 +117,47 @@ def with_clutter(clutter: Clutter, rate: float) -> Clutter:
 
 
 def with_births(birth: Birth, rate: float) -> Birth:
-    """Births with this rate; at given or learned places as they are."""
+    """Births with this rate per second; at given or learned places as they are."""
     return _born(birth, rate) if isinstance(birth, MeasurementBirth | PlaneBirth | PointBirth) else birth
 
 
 @lru_cache(maxsize=256)
 def _detecting(sensor: BoxSensor | PlaneSensor | PointSensor, detection: float) -> Sensor:
-    return sensor if sensor.detection == detection else replace(sensor, detection=detection)
+    return sensor if sensor.detection_probability == detection else replace(sensor, detection_probability=detection)
 
 
 @lru_cache(maxsize=256)
 def _measuring(sensor: BoxSensor, spread: float) -> BoxSensor:
-    return sensor if sensor.spread == spread else replace(sensor, spread=spread)
+    return sensor if sensor.box_noise == spread else replace(sensor, box_noise=spread)
 
 
 @lru_cache(maxsize=256)
 def _moving(motion: BoxMotion, acceleration: float, resize: float) -> BoxMotion:
-    same = (motion.acceleration, motion.resize) == (acceleration, resize)
-    return motion if same else replace(motion, acceleration=acceleration, resize=resize)
+    same = (motion.acceleration, motion.size_noise) == (acceleration, resize)
+    return motion if same else replace(motion, acceleration=acceleration, size_noise=resize)
 
 
 @lru_cache(maxsize=256)
 def _false(clutter: UniformClutter | LocalClutter | LocalPlaneClutter, rate: float) -> Clutter:
-    return clutter if clutter.rate == rate else replace(clutter, rate=rate)
+    return clutter if clutter.clutter_per_frame == rate else replace(clutter, clutter_per_frame=rate)
 
 
 @lru_cache(maxsize=256)
 def _born(birth: MeasurementBirth | PlaneBirth | PointBirth, rate: float) -> Birth:
-    return birth if birth.rate == rate else replace(birth, rate=rate)
+    return birth if birth.births_per_second == rate else replace(birth, births_per_second=rate)
 
 
 def priors(model: Model) -> Priors:
     """What a model says of its rates; of parts that have none 0, or p_D = 1."""
     detection, clutter, births, clutter_each, births_each = 1.0, 0.0, 0.0, False, False
     if isinstance(model.sensor, BoxSensor | PlaneSensor | PointSensor):
-        detection = model.sensor.detection
+        detection = model.sensor.detection_probability
     if isinstance(model.clutter, UniformClutter | LocalClutter | LocalPlaneClutter):
-        clutter, clutter_each = model.clutter.rate, not isinstance(model.clutter, UniformClutter)
+        clutter, clutter_each = model.clutter.clutter_per_frame, not isinstance(model.clutter, UniformClutter)
     if isinstance(model.birth, MeasurementBirth | PlaneBirth):
-        births, births_each = model.birth.rate, model.birth.volume == "local"
+        births, births_each = model.birth.births_per_second / model.rate, model.birth.volume == "local"
     elif isinstance(model.birth, PointBirth):
-        births = model.birth.rate
+        births = model.birth.births_per_second / model.rate
     return Priors(detection, clutter, births, clutter_each, births_each, _noise(model))
 
 
@@ -166,6 +166,6 @@ def _noise(model: Model) -> Noise:
     motion, sensor = model.motion, model.sensor
     if not (isinstance(motion, BoxMotion) and isinstance(sensor, BoxSensor)):
         return Noise()
-    if not motion.scaled or sensor.scaling in ("fixed", "given"):
+    if not motion.scaled_noise or sensor.scaling in ("fixed", "given"):
         return Noise()
-    return Noise(sensor.spread, motion.acceleration, motion.resize)
+    return Noise(sensor.box_noise, motion.acceleration, motion.size_noise)

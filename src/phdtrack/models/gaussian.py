@@ -28,9 +28,9 @@ from typing import Literal
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.gaussian import Expected, Measurements, Predicted
+from phdtrack.kernels.gaussian import Births, Expected, Measurements, Predicted
 from phdtrack.kernels.kalman import predicted_covariance
-from phdtrack.protocols import Clutter, Motion, Sensor
+from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8
 
 Transform = Literal["linear", "unscented"]
@@ -38,19 +38,18 @@ Transform = Literal["linear", "unscented"]
 SCALE, WEIGHT = 2.0, 0.25
 
 
-def predicted(motion: Motion, mean: F8, covariance: F8, dt: float, transform: Transform) -> Predicted:
+def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Transform) -> Predicted:
     """Gaussians after the interval ``dt`` [V06 (24)–(29), §IV-B].
 
     Parameters
     ----------
-    motion : the model's motion.
     mean : (J, d).
     covariance : (J, d, d).
     dt : interval in the model's time unit.
     transform : ``linear`` or ``unscented``, see above.
     """
-    columns = np.ascontiguousarray(mean.T)
-    p_survive = motion.p_survive(columns, dt)
+    motion, columns = model.motion, np.ascontiguousarray(mean.T)
+    p_survive = motion.p_survive(columns, dt / model.rate)
     centre, f, q = motion.transition(columns, dt)
     if transform == "linear":
         return Predicted(np.ascontiguousarray(centre.T), predicted_covariance(covariance, f, q), p_survive)
@@ -95,11 +94,19 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
     return Expected(z, _product(step, step), _product(points - points[:, :1], step), noise, p_detect)
 
 
-def measurements(sensor: Sensor, clutter: Clutter, z: F8) -> Measurements:
+def measurements(model: Model, z: F8) -> Measurements:
     """The measurements ``z`` (m, N) of a frame, with their noise and κ(z)."""
-    period = np.array([2 * math.pi if angle else 0.0 for angle in sensor.angles])
+    period = np.array([2 * math.pi if angle else 0.0 for angle in model.sensor.angles])
     rows = np.ascontiguousarray(z[: len(period)].T)
-    return Measurements(rows, sensor.measurement_noise(z), clutter.intensity(z), period)
+    return Measurements(rows, model.sensor.measurement_noise(z), model.clutter.intensity(z), period)
+
+
+def births(model: Model, z: F8, dt: float) -> Births:
+    """γT of the interval ``dt``, as Gaussians around the measurements ``z`` (m, N) or at given places.
+
+    Raises `InputError` where γ has no such form.
+    """
+    return model.birth.gaussians(z, model.sensor, dt / model.rate)
 
 
 def sigma_points(mean: F8, cov: F8) -> F8:

@@ -11,7 +11,8 @@ mixture given z, with uniform direction and Gaussian amplitude; of the uniform p
 
 **Beside what is shipped.** The shipped γ and κ are no densities of a scene: they are spread around each detection, and are
 therefore high where much is detected. That is what a filter lives by where people stand close: with κ alone as thin as a
-whole frame makes it, targets take whatever is near. A learned scene can be laid over them: with ``around_detections``, the shipped
+whole frame makes it, targets take whatever is near. A learned scene can be laid over them: with ``around_detections``, the
+shipped
 rates around each detection, l(z) the density per rate around the detections, and p(z|o) that of where objects are detected,
 
     κ(z) = a l(z) + r̄ p(z|c)      γ(z) = a l(z) p(z|b) / p(z|o)
@@ -68,18 +69,18 @@ class ContextBirth:
 
     Parameters
     ----------
-    rate : s̄, expected births per time unit.
+    births_per_second : s̄, expected births per second.
     density : p(x|b) on states (d).
     observed : the rows of the state that measurements show; the others are velocities.
-    most : Jmax, particles drawn around a detection of which nothing is predicted.
-    around_detections : births a time unit around each detection, of boxes, where nothing is known; 0: s̄ p(x|b) alone.
+    particles : Jmax, particles drawn around a detection of which nothing is predicted.
+    around_detections : births a second around each detection, of boxes, where nothing is known; 0: s̄ p(x|b) alone.
     among : p(z|o), for births beside others; None: uniform over the volume.
     """
 
-    rate: NonNegative
+    births_per_second: NonNegative
     density: ContextDensity
     observed: tuple[int, ...] = SHOWN
-    most: PositiveCount = 1000
+    particles: PositiveCount = 1000
     around_detections: NonNegative = 0.0
     among: ContextDensity | None = None
 
@@ -91,33 +92,33 @@ class ContextBirth:
         """p of what measurements show, velocities integrated out."""
         return marginal(self.density, self.observed)
 
-    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
+    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """Particles around the detections with the evidence and the velocities of γT there [M07 §2, M09 (12)]."""
-        at = self.around(sensor.states(z), dt)
+        at = self.around(sensor.states(z), seconds)
         rows = self.observed
-        return particles_about(covered, (at.mean, at.covariance), rows, self.most, lambda x, of: at.flat(x, of), rng)
+        return particles_about(covered, (at.mean, at.covariance), rows, self.particles, lambda x, of: at.flat(x, of), rng)
 
-    def around(self, seen: tuple[F8, F8], dt: float) -> Around:
+    def around(self, seen: tuple[F8, F8], seconds: float) -> Around:
         """What γT is around detections whose states and covariances, as `Sensor.states` gives them, are ``seen``."""
         if self.around_detections > 0:
             density, state, cov = laid_births(
-                *seen, *self._table, *self._among, self.around_detections * dt, *_NEIGHBOURHOOD
+                *seen, *self._table, *self._among, self.around_detections * seconds, *_NEIGHBOURHOOD
             )
             return Around(state, cov, density)
         density, state, cov = given_detections(*seen, *self._table)
-        return Around(state, cov, self.rate * dt * density)
+        return Around(state, cov, self.births_per_second * seconds * density)
 
-    def about(self, state: F8, deviation: F8, dt: float) -> tuple[F4, F4]:
+    def about(self, state: F8, deviation: F8, seconds: float) -> tuple[F4, F4]:
         """`around` in single precision for noise without correlations: densities (N,), and velocities (5, N).
 
         ``state`` (d, N) are those at rest, ``deviation`` (d, N) the noise's; velocities as `newborn_about` gives them.
         """
         if self.around_detections > 0:
             laid: tuple[F4, F4] = laid_about(
-                state, deviation, *self._table, *self._among, self.around_detections * dt, *_NEIGHBOURHOOD
+                state, deviation, *self._table, *self._among, self.around_detections * seconds, *_NEIGHBOURHOOD
             )
             return laid
-        alone: tuple[F4, F4] = newborn_about(state, deviation, self.rate * dt, *self._table)
+        alone: tuple[F4, F4] = newborn_about(state, deviation, self.births_per_second * seconds, *self._table)
         return alone
 
     @cached_property
@@ -151,44 +152,47 @@ class ContextBirth:
 
     @property
     def flat(self) -> float:
-        """The uniform part of γ, per time unit and unit of what measurements show."""
-        return self.rate * self.shown.flat
+        """The uniform part of γ, per second and unit of what measurements show."""
+        return self.births_per_second * self.shown.flat
 
     @cached_property
     def given(self) -> GaussianMixture:
-        """The Gaussians of γ, whose parts inside the volume have its masses, per time unit."""
-        return GaussianMixture(self.rate * self.density.share, self.density.mean, self.density.covariance)
+        """The Gaussians of γ, whose parts inside the volume have its masses, per second."""
+        return GaussianMixture(self.births_per_second * self.density.share, self.density.mean, self.density.covariance)
 
-    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
         """The learned Gaussians as they are, and the uniform part as Gaussians about the detections (`gaussians_about`).
 
         What of a Gaussian lies beyond the volume is not cut off here; the parts inside have the masses of γT. Births that
         are spread around each detection are Gaussians about the detections, with the velocities that were learned.
         """
         if self.around_detections > 0:
-            at = self.around(sensor.states(z), dt)
+            at = self.around(sensor.states(z), seconds)
             return gaussians_about(z, covered, sensor, lambda x: at.density, (at.mean, at.covariance))
         given = self.given
-        spread = gaussians_about(z, covered, sensor, lambda x: np.where(self.shown.contains(x), self.flat * dt, 0.0))
+        spread = gaussians_about(z, covered, sensor, lambda x: np.where(self.shown.contains(x), self.flat * seconds, 0.0))
         return GaussianMixture(
-            np.concatenate([given.weight * dt, spread.weight]),
+            np.concatenate([given.weight * seconds, spread.weight]),
             np.hstack([given.mean, spread.mean]),
             np.concatenate([given.covariance, spread.covariance]),
         )
 
-    def gaussians(self, z: F8, sensor: Sensor, dt: float) -> Births:
-        """γT as Gaussians: around the detections, and without ``around_detections`` the learned ones too, see `components`."""
+    def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
+        """γT as Gaussians: around the detections, and without ``around_detections`` the learned ones too, see
+        `components`."""
         seen = sensor.states(z)
         if self.around_detections > 0:
-            at = self.around(seen, dt)
+            at = self.around(seen, seconds)
             return births_around((at.mean, at.covariance), self.observed, at.density)
-        given, observed = births_at(self.given, dt), z[: len(self.observed)]
-        spread = births_around(seen, self.observed, np.where(self.shown.contains(observed), self.flat * dt, 0.0))
+        given, observed = births_at(self.given, seconds), z[: len(self.observed)]
+        spread = births_around(seen, self.observed, np.where(self.shown.contains(observed), self.flat * seconds, 0.0))
         return Births(*(np.concatenate(parts) for parts in zip(given, spread, strict=True)))
 
-    def expected(self, z: F8, dt: float) -> float:
+    def expected(self, z: F8, seconds: float) -> float:
         """s̄T, or so many of each detection as there are beside."""
-        return self.around_detections * dt * z.shape[1] if self.around_detections > 0 else self.rate * dt
+        if self.around_detections > 0:
+            return float(self.around_detections * seconds * z.shape[1])
+        return self.births_per_second * seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,13 +201,13 @@ class ContextClutter:
 
     Parameters
     ----------
-    rate : r̄, expected false alarms per frame.
+    clutter_per_frame : r̄, expected false alarms per frame.
     density : p(z|c) on what measurements show (r). Where it does not reach, κ is that of its uniform part: a detection
         beyond the volume is no more certain to be a target than one in an empty place.
     around_detections : false alarms a frame around each detection, of boxes, that come to these; 0: none.
     """
 
-    rate: NonNegative
+    clutter_per_frame: NonNegative
     density: ContextDensity
     around_detections: NonNegative = 0.0
 
@@ -212,7 +216,7 @@ class ContextClutter:
 
     def intensity(self, z: F8) -> F8:
         """(N,) κ per frame and unit of measurement space."""
-        z, rate = np.ascontiguousarray(z), float(self.rate)
+        z, rate = np.ascontiguousarray(z), float(self.clutter_per_frame)
         if self.around_detections > 0 and z.shape[1]:
             laid: F8 = laid_clutter(z, rate, *self._table, float(self.around_detections), *_NEIGHBOURHOOD)
             return laid
@@ -228,18 +232,22 @@ class ContextClutter:
     def rows(self) -> tuple[F8, F8]:
         """The same of boxes as `kernels.laid_over.clutter_by_place` takes it: bounds, and false alarms."""
         low, high, flat, *alarms = self._table
-        return np.concatenate([[float(self.rate)], flat, low, high]), np.vstack(alarms)
+        return np.concatenate([[float(self.clutter_per_frame)], flat, low, high]), np.vstack(alarms)
 
 
-def laid_over(model: Model, births: Learned | None, clutter: Learned | None, followed: Followed | None, most: int) -> Model:
+def laid_over(
+    model: Model, births: Learned | None, clutter: Learned | None, followed: Followed | None, particles: int
+) -> Model:
     """The model with what a scene has taught, beside its own births and false alarms where these are spread around each
-    detection; None: as they are. ``most`` is Jmax."""
+    detection; None: as they are. ``particles`` is Jmax."""
     birth, false = model.birth, model.clutter
     if births is not None:
-        own = birth.rate if isinstance(birth, MeasurementBirth) and birth.volume == "local" else 0.0
-        birth = ContextBirth(births.rate, births.density, most=most, around_detections=own, among=objects_of(followed))
+        own = birth.births_per_second if isinstance(birth, MeasurementBirth) and birth.volume == "local" else 0.0
+        birth = ContextBirth(
+            births.rate * model.rate, births.density, particles=particles, around_detections=own, among=objects_of(followed)
+        )
     if clutter is not None:
-        own = false.rate if isinstance(false, LocalClutter) else 0.0
+        own = false.clutter_per_frame if isinstance(false, LocalClutter) else 0.0
         false = ContextClutter(clutter.rate, clutter.density, own)
     return replace(model, birth=birth, clutter=false)
 

@@ -20,14 +20,15 @@ class PlaneBirth:
 
     Parameters
     ----------
-    rate : expected births per second: in all where spread over the ``region``, around each detection where ``local``.
-    most : Jmax, particles drawn around a detection of which nothing is predicted.
+    births_per_second : expected births per second: in all where spread over the ``region``, around each detection where
+        ``local``.
+    particles : Jmax, particles drawn around a detection of which nothing is predicted.
     volume : ``region`` or ``local``: what γ is spread over (see `models.region`).
     borders : left, low, right and high border in metres, needed for ``region``.
     """
 
-    rate: NonNegative = 0.25
-    most: PositiveCount = 500
+    births_per_second: NonNegative = 0.25
+    particles: PositiveCount = 500
     volume: PlaneVolume = "local"
     borders: Region = EVERYWHERE
 
@@ -35,26 +36,28 @@ class PlaneBirth:
         check(self)
         check_region(self.borders, "PlaneBirth.borders")
 
-    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
+    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """Particles around the detections that weigh what γ is there [M07 §2], see `births.particles_about`."""
         return particles_about(
-            covered, sensor.states(z), sensor.observed, self.most, lambda x, of: self._intensity(x, z) * dt, rng
+            covered, sensor.states(z), sensor.observed, self.particles, lambda x, of: self._intensity(x, z) * seconds, rng
         )
 
-    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
         """Gaussians about the detections that have the density of γ there, see `births.gaussians_about`."""
-        return gaussians_about(z, covered, sensor, lambda x: self._intensity(x, z) * dt)
+        return gaussians_about(z, covered, sensor, lambda x: self._intensity(x, z) * seconds)
 
-    def gaussians(self, z: F8, sensor: Sensor, dt: float) -> Births:
+    def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """γT as Gaussians around the detections, see `births.births_around`."""
-        return births_around(sensor.states(z), sensor.observed, self._intensity(z[:2], z) * dt)
+        return births_around(sensor.states(z), sensor.observed, self._intensity(z[:2], z) * seconds)
 
-    def expected(self, z: F8, dt: float) -> float:
-        """rate·dt, of each detection where ``local``."""
-        return self.rate * dt * (z.shape[1] if self.volume == "local" else 1)
+    def expected(self, z: F8, seconds: float) -> float:
+        """births_per_second·seconds, of each detection where ``local``."""
+        return self.births_per_second * seconds * (z.shape[1] if self.volume == "local" else 1)
 
     def _intensity(self, place: F8, z: F8) -> F8:
         """γ per second and m² at positions (2, L)."""
         if self.volume == "region":
-            return np.where(inside(place, self.borders), self.rate / area(self.borders, "PlaneBirth.borders"), 0.0)
-        return local_density(place, z, self.rate)
+            return np.where(
+                inside(place, self.borders), self.births_per_second / area(self.borders, "PlaneBirth.borders"), 0.0
+            )
+        return local_density(place, z, self.births_per_second)

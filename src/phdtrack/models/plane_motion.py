@@ -4,11 +4,9 @@ State x = (px, py, vx, vy): metres and metres per second in the world's axes; th
 deviation a drives position and velocity of an axis. Two forms of the covariance Q of an interval T [E13 §4]:
 
     piecewise     a² (T⁴/4, T³/2, T²): n is constant over the interval, as the papers print it
-    continuous    a² (T₀⁴ (τ³/3 − min(τ, τ³)/12), T₀³ τ²/2, T₀² τ),  τ = T/T₀
+    continuous    a² (T³/3, T²/2, T): n is white, and a gap of two frames is the same as two steps of one
 
-for position, position and velocity, velocity. Under the first a gap of two frames is not two steps of one. The second
-equals it at the ``nominal`` interval T₀ and, for whole τ, τ of its steps; the subtracted term keeps it positive semidefinite
-with one noise an axis below T₀. Survival is stated for T₀ too: p_S^τ.
+for position, position and velocity, velocity.
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from phdtrack.checks import NonNegative, Positive, Probability, check
+from phdtrack.checks import NonNegative, Probability, check
 from phdtrack.models.region import EVERYWHERE, Region, check_region, inside
 from phdtrack.models.spawning import NoSpawn, Spawn
 from phdtrack.models.warp import no_image
@@ -34,17 +32,16 @@ class PlaneMotion:
 
     Parameters
     ----------
-    acceleration : a, standard deviation of the acceleration over one nominal interval, m/s²; E13's is 1.
-    survival : probability p_S that a target survives one nominal interval.
-    nominal : T₀, the interval in seconds for which ``survival`` and the continuous noise are stated; E13's is 1/7.
+    acceleration : a; ``continuous``: standard deviation of the velocity's change over one second, m/s; ``piecewise``: of the
+        acceleration, m/s², E13's is 1.
+    survival_probability : probability p_S that a target is still there after one second.
     form : ``continuous`` or ``piecewise``, see above.
     borders : left, low, right and high border in metres; a target that has left it does not survive. All 0: no border.
     births : the spawning part β.
     """
 
-    acceleration: NonNegative = 1.0
-    survival: Probability = 0.99
-    nominal: Positive = 1 / 7
+    acceleration: NonNegative = 7**-0.5
+    survival_probability: Probability = 0.99**7
     form: Form = "continuous"
     borders: Region = EVERYWHERE
     births: Spawn = field(default_factory=NoSpawn)
@@ -62,12 +59,12 @@ class PlaneMotion:
         """One draw of f(·|ξ) for each column ξ of ``x`` [E13 §4]."""
         moved = x.copy()
         moved[0:2] += dt * x[2:4]
-        push(moved, variances(self.acceleration, dt, self.nominal, self.form), rng)
+        push(moved, variances(self.acceleration, dt, self.form), rng)
         return moved
 
-    def p_survive(self, x: F8, dt: float) -> F8:
-        """p_S^(T/T₀) inside the region, 0 outside."""
-        return np.where(inside(x, self.borders), self.survival ** (dt / self.nominal), 0.0)
+    def p_survive(self, x: F8, seconds: float) -> F8:
+        """p_S^seconds inside the region, 0 outside."""
+        return np.where(inside(x, self.borders), self.survival_probability**seconds, 0.0)
 
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean, Jacobian and noise covariance of f(·|x) over ``dt`` seconds [E13 §4]."""
@@ -76,7 +73,7 @@ class PlaneMotion:
         mean[0:2] += dt * x[2:4]
         f, q = np.eye(4), np.zeros((4, 4, n))
         f[0, 2] = f[1, 3] = dt
-        fill(q, variances(self.acceleration, dt, self.nominal, self.form))
+        fill(q, variances(self.acceleration, dt, self.form))
         # Laid out in memory as `BoxMotion` does, for which the kernels are compiled.
         return mean, np.ndarray((n, 4, 4), np.float64, f, 0, (0, *f.strides)), q.transpose(2, 0, 1)
 
@@ -93,17 +90,12 @@ class PlaneMotion:
         raise no_image("a target on the ground")
 
 
-def variances(acceleration: float, dt: float, nominal: float, form: Form) -> tuple[float, float, float]:
+def variances(acceleration: float, dt: float, form: Form) -> tuple[float, float, float]:
     """Of position, of position and velocity, of velocity of an axis, over ``dt`` seconds; see the head of this module."""
     a2 = acceleration**2
     if form == "piecewise":
         return a2 * dt**4 / 4, a2 * dt**3 / 2, a2 * dt**2
-    unit, tau = nominal, dt / nominal
-    return (
-        a2 * unit**4 * (tau**3 / 3 - min(tau, tau**3) / 12),
-        a2 * unit**3 * tau**2 / 2,
-        a2 * unit**2 * tau,
-    )
+    return a2 * dt**3 / 3, a2 * dt**2 / 2, a2 * dt
 
 
 def push(x: F8, of: tuple[float, float, float], rng: np.random.Generator) -> None:

@@ -24,8 +24,8 @@ from typing import Literal
 
 import numpy as np
 
-from phdtrack.arrays import share_inside, to_cxcywh
-from phdtrack.checks import Positive, Probability, check
+from phdtrack.arrays import GATE, chi2_quantile, share_inside, to_cxcywh
+from phdtrack.checks import Positive, Probability, Share, check
 from phdtrack.errors import InputError
 from phdtrack.ground import ground_covariance
 from phdtrack.models.occlusion import NOBODY, Hiders, seen_part
@@ -48,46 +48,53 @@ class PlaneSensor:
 
     Parameters
     ----------
-    detection : probability p_D that a target that is wholly visible is detected in a frame; E13's is 0.7.
+    detection_probability : probability p_D that a target that is wholly visible is detected in a frame; E13's is 0.7.
     scaling : where R comes from, ``given`` or ``fixed``, see above.
-    fixed : standard deviation of each coordinate in metres, for ``fixed``, and where nothing better is known; E13's is √0.5.
-    spread : deviations of the foot point, as fractions of the box's width and height, of detections without a covariance.
-    floor : the smallest of them, pixels.
-    speed : standard deviation of an unknown velocity's amplitude, m/s; E13's variance of 1 on each axis is √2.
+    fixed_noise : standard deviation of each coordinate in metres, for ``fixed``, and where nothing better is known; E13's
+        is √0.5.
+    box_noise : deviations of the foot point, as fractions of the box's width and height, of detections without a covariance.
+    min_noise : the smallest of them, pixels.
+    birth_speed : standard deviation of an unknown velocity's amplitude, m/s; E13's variance of 1 on each axis is √2.
     size : width and height of a person, metres, for the boxes of states.
-    gate_sigmas : G, detections touch only states within this many deviations of R.
+    gate_probability : part of the detections of a target that its gate holds; detections touch no particles beyond. 1: no
+        gate.
     view : let p_D fall with the part of the person's box that is outside of the image, or be 0 outside of ``borders`` where
         there is no camera.
     occlusion : let p_D fall where nearer people cover the person.
-    least : share of p_D that is left of a person who is covered altogether.
+    min_detection_probability : share of p_D that is left of a person who is covered altogether.
     borders : what is watched, left, low, right and high border in metres, where there is no camera. All 0: everything.
     frame_size : width and height of the image, pixels; (0, 0): no border.
     camera : between pixels and ground; None for detections in metres.
     hiders : the targets expected in the frame that is looked at, as `watching` finds them.
     """
 
-    detection: Probability = 0.9
+    detection_probability: Probability = 0.9
     scaling: Scatter = "given"
-    fixed: Positive = 0.5**0.5
-    spread: tuple[Positive, Positive] = (0.1, 0.05)
-    floor: Positive = 1.0
-    speed: Positive = 2**0.5
+    fixed_noise: Positive = 0.5**0.5
+    box_noise: tuple[Positive, Positive] = (0.1, 0.05)
+    min_noise: Positive = 1.0
+    birth_speed: Positive = 2**0.5
     size: tuple[Positive, Positive] = (0.6, 1.75)
-    gate_sigmas: Positive = 5.0
+    gate_probability: Share = GATE
     view: bool = True
     occlusion: bool = True
-    least: Probability = 0.1
+    min_detection_probability: Probability = 0.1
     borders: Region = EVERYWHERE
     frame_size: tuple[float, float] = (0.0, 0.0)
     camera: Camera | None = None
     hiders: Hiders = NOBODY
 
+    @property
+    def _gate(self) -> float:
+        """G, the gate's half-width in deviations."""
+        return math.sqrt(chi2_quantile(2, self.gate_probability))
+
     def __post_init__(self) -> None:
         check(self)
         check_region(self.borders, "PlaneSensor.borders")
-        if not all(value > 0 for value in (*self.spread, *self.size)):
+        if not all(value > 0 for value in (*self.box_noise, *self.size)):
             raise InputError(
-                f"expected lengths above 0, got {self.spread} and {self.size}", where="PlaneSensor.spread, size"
+                f"expected lengths above 0, got {self.box_noise} and {self.size}", where="PlaneSensor.box_noise, size"
             )
 
     @property
@@ -117,7 +124,7 @@ class PlaneSensor:
         if self.scaling == "given":
             return self._feet(self.camera, detections)
         point = self.camera.ground(_FOOT @ to_cxcywh(detections.xyxy))
-        return _packed(point, np.tile(self.fixed**2 * np.eye(2), (len(detections), 1, 1)))
+        return _packed(point, np.tile(self.fixed_noise**2 * np.eye(2), (len(detections), 1, 1)))
 
     def _feet(self, camera: Camera, detections: Detections) -> F8:
         """(5, N) ground points with the covariances of the foot points in the image."""
@@ -133,7 +140,7 @@ class PlaneSensor:
     def _plan_covariance(self, detections: Detections) -> F8:
         """(N, 2, 2) of detections that come in metres."""
         if self.scaling == "fixed":
-            return np.tile(self.fixed**2 * np.eye(2), (len(detections), 1, 1))
+            return np.tile(self.fixed_noise**2 * np.eye(2), (len(detections), 1, 1))
         if detections.covariance is None:
             raise InputError(
                 "the sensor's scaling is 'given' and it has no camera, but the detections bring no covariance",
@@ -143,7 +150,7 @@ class PlaneSensor:
 
     def _pixel_covariance(self, size: F8) -> F8:
         """(N, 2, 2) of the foot points of boxes of ``size`` (2, N), pixels²."""
-        variance = np.maximum(np.array(self.spread)[:, None] * size, self.floor) ** 2
+        variance = np.maximum(np.array(self.box_noise)[:, None] * size, self.min_noise) ** 2
         out: F8 = variance.T[:, :, None] * np.eye(2)
         return out
 
@@ -181,8 +188,8 @@ class PlaneSensor:
         """p_D · visible · max(1 − c^1.5, least)."""
         if self.camera is None:
             watched = inside(x, self.borders) if self.view else np.ones(x.shape[1], np.bool_)
-            return np.where(watched, self.detection, 0.0)
-        out = np.full(x.shape[1], self.detection)
+            return np.where(watched, self.detection_probability, 0.0)
+        out = np.full(x.shape[1], self.detection_probability)
         width, height = self.frame_size
         framed = self.view and width > 0 and height > 0
         if not framed and not len(self.hiders):
@@ -192,7 +199,7 @@ class PlaneSensor:
             out *= share_inside(boxes, width, height)
         if len(self.hiders):
             depth = self.camera.depth(np.ascontiguousarray(x[:2]))
-            out *= seen_part(self.hiders, x[:2], boxes, depth, OWN, self.least)
+            out *= seen_part(self.hiders, x[:2], boxes, depth, OWN, self.min_detection_probability)
         return out
 
     def watching(self, targets: F8) -> PlaneSensor:
@@ -204,7 +211,7 @@ class PlaneSensor:
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles that reach G deviations along each axis from the ground point; they hold the ellipse d ≤ G."""
-        half = self.gate_sigmas * np.sqrt(z[[2, 4]])
+        half = self._gate * np.sqrt(z[[2, 4]])
         return z[:2] - half, z[:2] + half
 
     def states(self, z: F8) -> tuple[F8, F8]:
@@ -213,13 +220,13 @@ class PlaneSensor:
         x, cov = np.zeros((4, n)), np.zeros((n, 4, 4))
         x[:2] = z[:2]
         cov[:, :2, :2] = self.covariance(z, x)
-        cov[:, 2, 2] = cov[:, 3, 3] = self.speed**2 / 2
+        cov[:, 2, 2] = cov[:, 3, 3] = self.birth_speed**2 / 2
         return x, cov
 
     def noise(self, x: F8) -> F8:
         """(4, n) deviations by which components at ``x`` are resolved: of a person's foot there, of an unknown velocity."""
         out = np.empty((4, x.shape[1]))
-        out[:2], out[2:] = self.fixed, self.speed / math.sqrt(2)
+        out[:2], out[2:] = self.fixed_noise, self.birth_speed / math.sqrt(2)
         if self.camera is None or self.scaling == "fixed":
             return out
         foot = self.camera.pixels(np.ascontiguousarray(x[:2]))

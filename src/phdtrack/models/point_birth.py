@@ -23,39 +23,39 @@ class PointBirth:
 
     Parameters
     ----------
-    rate : expected births per time unit.
-    most : Jmax, particles drawn around a detection of which nothing is predicted.
+    births_per_second : expected births per second.
+    particles : Jmax, particles drawn around a detection of which nothing is predicted.
     frame_size : the image's width and height in pixels.
     """
 
-    rate: NonNegative = 0.01
-    most: PositiveCount = 500
+    births_per_second: NonNegative = 0.25
+    particles: PositiveCount = 500
     frame_size: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         check(self)
 
-    def sample(self, z: F8, covered: F8, sensor: Sensor, dt: float, rng: np.random.Generator) -> Particles:
+    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """Particles around the detections that weigh what γ is there [M07 §2], see `births.particles_about`."""
         return particles_about(
-            covered, sensor.states(z), sensor.observed, self.most, lambda x, of: self._intensity(x) * dt, rng
+            covered, sensor.states(z), sensor.observed, self.particles, lambda x, of: self._intensity(x) * seconds, rng
         )
 
-    def components(self, z: F8, covered: F8, sensor: Sensor, dt: float) -> GaussianMixture:
+    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
         """Gaussians about the detections that have the density of γ there, see `births.gaussians_about`."""
-        return gaussians_about(z, covered, sensor, lambda x: self._intensity(x) * dt)
+        return gaussians_about(z, covered, sensor, lambda x: self._intensity(x) * seconds)
 
-    def gaussians(self, z: F8, sensor: Sensor, dt: float) -> Births:
+    def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """γT as Gaussians around the detections, see `births.births_around`."""
-        return births_around(sensor.states(z), sensor.observed, self._intensity(z[:2]) * dt)
+        return births_around(sensor.states(z), sensor.observed, self._intensity(z[:2]) * seconds)
 
-    def expected(self, z: F8, dt: float) -> float:
-        """rate·dt."""
-        return self.rate * dt
+    def expected(self, z: F8, seconds: float) -> float:
+        """births_per_second·seconds."""
+        return self.births_per_second * seconds
 
     def _intensity(self, place: F8) -> F8:
-        """γ per time unit and pixel² at positions (2, L).
+        """γ per second and pixel² at positions (2, L).
 
         The image has no border here: a centroid measured with noise may lie a little outside, and so may its target.
         """
-        return np.full(place.shape[1], self.rate / image_area(self.frame_size))
+        return np.full(place.shape[1], self.births_per_second / image_area(self.frame_size))

@@ -30,13 +30,13 @@ class PointMotion:
 
     Parameters
     ----------
-    variance : q, of each component's noise over one time unit, pixels²; D14's is 2.
-    survival : probability p_S that a target survives one time unit; D14's is 1.
+    noise_variance : q, of each component's noise over one time unit, pixels²; D14's is 2.
+    survival_probability : probability p_S that a target is still there after one second; D14's is 1.
     births : the spawning part β.
     """
 
-    variance: NonNegative = 2.0
-    survival: Probability = 0.99
+    noise_variance: NonNegative = 2.0
+    survival_probability: Probability = 0.99**25
     births: Spawn = field(default_factory=NoSpawn)
 
     def __post_init__(self) -> None:
@@ -50,7 +50,7 @@ class PointMotion:
     def _variances(self, dt: float) -> tuple[float, float, float]:
         """Of position, of position and velocity, of velocity, over ``dt`` time units."""
         place = dt**3 / 3 - dt**2 / 2 + 7 * dt / 6
-        return self.variance * place, self.variance * (dt**2 - dt) / 2, self.variance * dt
+        return self.noise_variance * place, self.noise_variance * (dt**2 - dt) / 2, self.noise_variance * dt
 
     def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
         """One draw of f(·|ξ) for each column ξ of ``x`` [D14]."""
@@ -64,9 +64,9 @@ class PointMotion:
             moved[2:4] += math.sqrt(speed) * noise[2:4]
         return moved
 
-    def p_survive(self, x: F8, dt: float) -> F8:
-        """p_S^T, everywhere."""
-        return np.full(x.shape[1], self.survival**dt)
+    def p_survive(self, x: F8, seconds: float) -> F8:
+        """p_S^seconds, everywhere."""
+        return np.full(x.shape[1], self.survival_probability**seconds)
 
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean, Jacobian and noise covariance of f(·|x) over ``dt`` time units [D14]."""

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.arrays import to_cxcywh
-from phdtrack.checks import Positive, Probability, check
+from phdtrack.arrays import GATE, chi2_quantile, to_cxcywh
+from phdtrack.checks import Positive, Probability, Share, check
 from phdtrack.errors import InputError
 from phdtrack.types import F8, Detections
 
@@ -24,18 +24,24 @@ class PointSensor:
 
     Parameters
     ----------
-    detection : probability p_D that a target is detected in a frame; D14's is 1.
-    variance : r, variance of each coordinate, pixels²; D14's are 0.5, 1 and 2.
-    speed : standard deviation of an unknown velocity's amplitude, pixels per time unit.
+    detection_probability : probability p_D that a target is detected in a frame; D14's is 1.
+    noise_variance : r, variance of each coordinate, pixels²; D14's are 0.5, 1 and 2.
+    birth_speed : standard deviation of an unknown velocity's amplitude, pixels per time unit.
     size : width and height in pixels of the boxes of states, which have none of their own.
-    gate_sigmas : G, detections touch only states within this many deviations along each axis.
+    gate_probability : part of the detections of a target that its gate holds; detections touch no particles beyond. 1: no
+        gate.
     """
 
-    detection: Probability = 0.95
-    variance: Positive = 1.0
-    speed: Positive = 2.0
+    detection_probability: Probability = 0.95
+    noise_variance: Positive = 1.0
+    birth_speed: Positive = 2.0
     size: tuple[Positive, Positive] = (20.0, 50.0)
-    gate_sigmas: Positive = 5.0
+    gate_probability: Share = GATE
+
+    @property
+    def _gate(self) -> float:
+        """G, the gate's half-width in deviations."""
+        return math.sqrt(chi2_quantile(2, self.gate_probability))
 
     def __post_init__(self) -> None:
         check(self)
@@ -68,17 +74,17 @@ class PointSensor:
     def distance2(self, z: F8, x: F8) -> F8:
         """Squared Mahalanobis distance |z − p|² / r."""
         dx, dy = z[0] - x[0], z[1] - x[1]
-        out: F8 = (dx * dx + dy * dy) / self.variance
+        out: F8 = (dx * dx + dy * dy) / self.noise_variance
         return out
 
     def log_likelihood(self, z: F8, x: F8) -> F8:
         """log g(z|x), density per pixel² [D14]."""
-        out: F8 = -0.5 * self.distance2(z, x) - math.log(2 * math.pi * self.variance)
+        out: F8 = -0.5 * self.distance2(z, x) - math.log(2 * math.pi * self.noise_variance)
         return out
 
     def covariance(self, z: F8, x: F8) -> F8:
         """(P, 2, 2) noise covariance r I of (px, py)."""
-        return np.tile(self.variance * np.eye(2), (z.shape[1], 1, 1))
+        return np.tile(self.noise_variance * np.eye(2), (z.shape[1], 1, 1))
 
     @property
     def angles(self) -> tuple[bool, ...]:
@@ -95,7 +101,7 @@ class PointSensor:
 
     def p_detect(self, x: F8) -> F8:
         """p_D, everywhere."""
-        return np.full(x.shape[1], self.detection)
+        return np.full(x.shape[1], self.detection_probability)
 
     @property
     def occlusion(self) -> bool:
@@ -108,7 +114,7 @@ class PointSensor:
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Squares that reach G deviations along each axis from the centroid."""
-        half = self.gate_sigmas * math.sqrt(self.variance)
+        half = self._gate * math.sqrt(self.noise_variance)
         return z[:2] - half, z[:2] + half
 
     def states(self, z: F8) -> tuple[F8, F8]:
@@ -116,13 +122,13 @@ class PointSensor:
         n = z.shape[1]
         x = np.zeros((4, n))
         x[:2] = z[:2]
-        known = np.array([self.variance, self.variance, self.speed**2 / 2, self.speed**2 / 2])
+        known = np.array([self.noise_variance, self.noise_variance, self.birth_speed**2 / 2, self.birth_speed**2 / 2])
         return x, np.tile(np.diag(known), (n, 1, 1))
 
     def noise(self, x: F8) -> F8:
         """(4, n) deviations by which components are resolved: of a centroid, of an unknown velocity."""
         out = np.empty((4, x.shape[1]))
-        out[:2], out[2:] = math.sqrt(self.variance), self.speed / math.sqrt(2)
+        out[:2], out[2:] = math.sqrt(self.noise_variance), self.birth_speed / math.sqrt(2)
         return out
 
     def boxes(self, x: F8) -> F8:

@@ -7,8 +7,8 @@ With α = ωT, over an interval T
     v' = [cos α −sin α; sin α cos α] v,   ω' = ω
 
 which for ω → 0 is constant velocity. White noise pushes the velocity along each axis, as in `plane_motion`, and the turn
-rate: variances of ω' are u² T² (``piecewise``, as printed) or u² T₀² τ, τ = T/T₀ (``continuous``: for whole τ that of τ
-steps). Noise of position and velocity is added in the plane's axes, whatever the direction of motion.
+rate: variances of ω' are u² T² (``piecewise``, as printed) or u² T (``continuous``). Noise of position and velocity is
+added in the plane's axes, whatever the direction of motion.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from phdtrack.checks import NonNegative, Positive, Probability, check
+from phdtrack.checks import NonNegative, Probability, check
 from phdtrack.models.plane_motion import Form, fill, push, variances
 from phdtrack.models.region import EVERYWHERE, Region, check_region, inside
 from phdtrack.models.spawning import NoSpawn, Spawn
@@ -35,11 +35,10 @@ class TurningMotion:
 
     Parameters
     ----------
-    acceleration : standard deviation of the acceleration over one nominal interval, m/s².
-    turning : u, standard deviation of the angular acceleration over one nominal interval, rad/s²; that of the turn rate's
-        change over 1 s, as the literature has it in rad/s.
-    survival : probability p_S that a target survives one nominal interval.
-    nominal : T₀, the interval in seconds for which ``survival`` and the continuous noise are stated.
+    acceleration : ``continuous``: standard deviation of the velocity's change over one second, m/s; ``piecewise``: of the
+        acceleration, m/s².
+    turning : u, the same of the turn rate, rad/s; ``piecewise``: of the angular acceleration, rad/s².
+    survival_probability : probability p_S that a target is still there after one second.
     form : ``continuous`` or ``piecewise``, see above.
     borders : left, low, right and high border in metres; a target that has left it does not survive. All 0: no border.
     births : the spawning part β.
@@ -47,8 +46,7 @@ class TurningMotion:
 
     acceleration: NonNegative = 5.0
     turning: NonNegative = math.pi / 180
-    survival: Probability = 0.99
-    nominal: Positive = 1.0
+    survival_probability: Probability = 0.99
     form: Form = "continuous"
     borders: Region = EVERYWHERE
     births: Spawn = field(default_factory=NoSpawn)
@@ -64,24 +62,24 @@ class TurningMotion:
 
     def _turn_variance(self, dt: float) -> float:
         """Of the turn rate, over ``dt`` seconds."""
-        return self.turning**2 * dt * (dt if self.form == "piecewise" else self.nominal)
+        return self.turning**2 * dt * (dt if self.form == "piecewise" else 1.0)
 
     def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
         """One draw of f(·|ξ) for each column ξ of ``x`` [V06 §IV-C]."""
         moved = turned(x, dt)
-        push(moved, variances(self.acceleration, dt, self.nominal, self.form), rng)
+        push(moved, variances(self.acceleration, dt, self.form), rng)
         moved[4] += math.sqrt(self._turn_variance(dt)) * rng.standard_normal(x.shape[1])
         return moved
 
-    def p_survive(self, x: F8, dt: float) -> F8:
-        """p_S^(T/T₀) inside the region, 0 outside."""
-        return np.where(inside(x, self.borders), self.survival ** (dt / self.nominal), 0.0)
+    def p_survive(self, x: F8, seconds: float) -> F8:
+        """p_S^seconds inside the region, 0 outside."""
+        return np.where(inside(x, self.borders), self.survival_probability**seconds, 0.0)
 
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean, Jacobian and noise covariance of f(·|x) over ``dt`` seconds [V06 §IV-C]."""
         n = x.shape[1]
         q = np.zeros((5, 5, n))
-        fill(q, variances(self.acceleration, dt, self.nominal, self.form))
+        fill(q, variances(self.acceleration, dt, self.form))
         q[4, 4] = self._turn_variance(dt)
         return turned(x, dt), slopes(x, dt), np.ascontiguousarray(q.transpose(2, 0, 1))
 

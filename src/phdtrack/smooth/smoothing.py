@@ -64,7 +64,11 @@ class Smoothing:
         seen, rate = Seen.of(measured.z, model.sensor), model.rate
         if self.stitching:
             terms = Terms(
-                self.mean_occluded_time * rate, self.max_gap * rate, self.max_overlap_time * rate, self.reentry_probability
+                self.mean_occluded_time * rate,
+                self.max_gap * rate,
+                self.max_overlap_time * rate,
+                self.reentry_probability,
+                rate,
             )
             paths, states = stitched(paths, measured, seen, model.motion, terms)
         else:

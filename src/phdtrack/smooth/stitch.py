@@ -32,12 +32,13 @@ from phdtrack.types import F8, I8, Bool, MeasurementHistory
 @dataclass(frozen=True, slots=True)
 class Terms:
     """Mean and ``longest`` time out of sight, longest time that two tracks of one object go on ``beside`` each other, all in
-    model time; ``back`` the probability that an end is no end."""
+    model time; ``back`` the probability that an end is no end; ``rate`` time units per second."""
 
     hidden: float
     longest: float
     beside: float
     back: float
+    rate: float = 25.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +103,7 @@ def candidates(
         if len(lost) == 0:
             continue
         now = ahead(mean, cov, p, measured, motion)
-        survive = motion.p_survive(np.ascontiguousarray(now.mean.T), float(time[p] - time[p - 1]))
+        survive = motion.p_survive(np.ascontiguousarray(now.mean.T), float(time[p] - time[p - 1]) / terms.rate)
         stay = (survive > 0) & (until[lost] >= p)
         lost, alive = lost[stay], alive[stay] + np.log(survive[stay])
         mean, cov = now.mean[stay], now.covariance[stay]

@@ -23,8 +23,8 @@ THERE = np.array([1300.0, 900, -1, 0, 50, 90])
 def world(p_detect: float = 0.9, clutter: float = 1e-4) -> Model:
     return Model(
         BoxMotion(0.03, 0.07, frame_size=FRAME),
-        BoxSensor(detection=p_detect),
-        MeasurementBirth(0.05, 300, "local", FRAME),
+        BoxSensor(detection_probability=p_detect),
+        MeasurementBirth(25 * 0.05, 300, "local", FRAME),
         LocalClutter(clutter),
     )
 

@@ -51,7 +51,7 @@ def test_other_filters_learn_the_same(filter_name):
 
 @pytest.mark.parametrize("wrong", [0.5, 40.0])
 def test_a_rate_that_is_far_off_is_mended_within_two_seconds(wrong):
-    sets = ("clutter.volume=image", "birth.volume=image", f"clutter.rate={wrong}", "rates.update_interval=0.4")
+    sets = ("clutter.volume=image", "birth.volume=image", f"clutter.clutter_per_frame={wrong}", "rates.update_interval=0.4")
     for seed in (1, 2):
         rates, _, _ = course("gm-phd", seed, sets, frames=60, p_detect=0.9, clutter_rate=5.0)
         assert rates[50].clutter == pytest.approx(5, rel=0.35)
@@ -67,7 +67,7 @@ def test_scores_that_tell_objects_from_false_alarms_are_found_to():
 
 
 def test_what_is_fixed_stays():
-    sets = ("rates.detection=false", "sensor.detection=0.6", "rates.birth=false")
+    sets = ("rates.detection=false", "sensor.detection_probability=0.6", "rates.birth=false")
     rng = np.random.default_rng(0)
     info = Counting(10).info
     stages = config.build(config.load(None, (*LEARNED, *sets)), info, "gm-phd")
@@ -76,4 +76,4 @@ def test_what_is_fixed_stays():
     model = stages.learning.model(type(state)(learned), stages.model)
     assert (model.sensor, model.birth) == (stages.model.sensor, stages.model.birth)
     assert learned.rates.detection > 0.7
-    assert model.clutter.rate != stages.model.clutter.rate
+    assert model.clutter.clutter_per_frame != stages.model.clutter.clutter_per_frame

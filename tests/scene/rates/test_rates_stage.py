@@ -50,9 +50,9 @@ def test_nothing_known_leaves_the_model_as_it_is():
 def test_rates_replace_those_of_the_model_in_steps():
     built = stages()
     model = built.learning.model(knowing(built, detection=0.9312, clutter=0.7, births=0.003), built.model)
-    assert model.sensor.detection == pytest.approx(0.93)
-    assert model.clutter.rate == pytest.approx(0.7, rel=0.03)
-    assert model.birth.rate == pytest.approx(0.003, rel=0.03)
+    assert model.sensor.detection_probability == pytest.approx(0.93)
+    assert model.clutter.clutter_per_frame == pytest.approx(0.7, rel=0.03)
+    assert model.birth.births_per_second == pytest.approx(25 * 0.003, rel=0.03)
     again = built.learning.model(knowing(built, detection=0.9308, clutter=0.7001, births=0.003), built.model)
     assert again.sensor is model.sensor
     assert again.clutter is model.clutter
@@ -143,7 +143,7 @@ def test_frames_that_nobody_saw_teach_nothing():
     learned = state.learned.learned
     assert learned.known.frames == 0
     assert not learned.watch.looks
-    assert learned.rates.detection == built.model.sensor.detection
+    assert learned.rates.detection == built.model.sensor.detection_probability
 
 
 def test_rates_and_a_scene_are_learned_beside_each_other():
@@ -170,30 +170,34 @@ def test_cautious_estimates_are_used_where_nothing_else_explains_them():
     set_to, rates = built.model, built.learning.start().learned.rates
     higher, lower = {"detection": 0.95, "clutter": 0.05, "births": 1e-4}, {"detection": 0.6, "clutter": 0.9, "births": 0.05}
     model = built.learning.model(knowing(built, **higher), set_to)
-    assert (model.sensor.detection, model.clutter.rate, model.birth.rate) == (rates.detection, rates.clutter, rates.births)
+    assert (
+        model.sensor.detection_probability,
+        model.clutter.clutter_per_frame,
+        model.birth.births_per_second,
+    ) == pytest.approx((rates.detection, rates.clutter, 25 * rates.births))
     model = built.learning.model(knowing(built, **lower), set_to)
-    assert model.sensor.detection == pytest.approx(0.6)
-    assert (model.clutter.rate, model.birth.rate) == pytest.approx((0.9, 0.05), rel=0.03)
+    assert model.sensor.detection_probability == pytest.approx(0.6)
+    assert (model.clutter.clutter_per_frame, model.birth.births_per_second) == pytest.approx((0.9, 25 * 0.05), rel=0.03)
 
 
 def test_noises_replace_those_of_boxes_where_asked_for():
     built = stages("rates.noise=true")
     found = Noise(0.08, 0.01, 0.03)
     model = built.learning.model(knowing(built, noise=found), built.model)
-    assert model.sensor.spread == pytest.approx(0.08, rel=0.03)
-    assert (model.motion.acceleration, model.motion.resize) == pytest.approx((0.01, 0.03), rel=0.03)
+    assert model.sensor.box_noise == pytest.approx(0.08, rel=0.03)
+    assert (model.motion.acceleration, model.motion.size_noise) == pytest.approx((0.01, 0.03), rel=0.03)
     kept = stages().learning.model(knowing(stages(), noise=found), built.model)
     assert kept.motion == built.model.motion
 
 
 def test_there_are_no_more_false_alarms_than_detections():
-    built = stages("clutter.volume=image", "clutter.rate=90.0")
+    built = stages("clutter.volume=image", "clutter.clutter_per_frame=90.0")
     state = built.learning.start()
     model = built.learning.model(state, built.model)
-    assert model.clutter.rate == 90
+    assert model.clutter.clutter_per_frame == 90
     seven = built.learning.weighed(state, model, Detections.of(boxes(7, np.random.default_rng(9))))
-    assert seven.clutter.rate == pytest.approx(7, rel=0.03)
+    assert seven.clutter.clutter_per_frame == pytest.approx(7, rel=0.03)
     many = built.learning.weighed(state, model, Detections.of(boxes(200, np.random.default_rng(9))))
-    assert many.clutter.rate == 90
-    cautious = stages("clutter.volume=image", "clutter.rate=90.0", "rates.cautious=true")
+    assert many.clutter.clutter_per_frame == 90
+    cautious = stages("clutter.volume=image", "clutter.clutter_per_frame=90.0", "rates.cautious=true")
     assert cautious.learning.weighed(state, model, Detections.of(boxes(7, np.random.default_rng(9)))) is model

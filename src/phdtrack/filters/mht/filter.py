@@ -108,7 +108,7 @@ class MHT:
 
     def _survive(self, x: F8, missed: I8, model: Model, dt: float) -> F8:
         """(L,) probability to survive, of targets that have not been measured for so many frames, this one included."""
-        survive = model.motion.p_survive(x, dt)
+        survive = model.motion.p_survive(x, dt / model.rate)
         if self.termination_frames == 0:
             return survive
         lasting: F8 = np.where(survive > 0, np.exp(-missed / self.termination_frames), 0.0)

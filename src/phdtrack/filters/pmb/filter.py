@@ -112,7 +112,7 @@ class PMB:
         now = state.present
         mean, cov = model.carried_gaussians(now.mean, now.covariance)
         mean, cov = mean.copy(), cov.copy()
-        survive = model.motion.p_survive(mean, dt)
+        survive = model.motion.p_survive(mean, dt / model.rate)
         moving = np.flatnonzero(~now.static)
         if len(moving):
             x = np.ascontiguousarray(mean[:, moving])

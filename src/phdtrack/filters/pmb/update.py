@@ -77,16 +77,16 @@ def first_states(z: F8, model: Model, dt: float, terms: Terms) -> Newborn:
     """
     birth = model.birth
     if isinstance(birth, ContextBirth) and birth.around_detections > 0:
-        return first_about(z, birth, model.sensor, dt)
+        return first_about(z, birth, model.sensor, dt / model.rate)
     if not isinstance(birth, MeasurementBirth):
         return newborn(z, model, dt, terms.gate, terms.transform)
     mean, cov = model.sensor.states(z)
-    return Newborn(model.sensor.p_detect(mean) * birth.density(z) * dt, mean, cov)
+    return Newborn(model.sensor.p_detect(mean) * birth.density(z) * dt / model.rate, mean, cov)
 
 
-def first_about(z: F8, birth: ContextBirth, sensor: Sensor, dt: float) -> Newborn:
+def first_about(z: F8, birth: ContextBirth, sensor: Sensor, seconds: float) -> Newborn:
     """What new targets are where births are spread around the measurements by place, γ̂ = p_D γ(z)."""
-    at = birth.around(sensor.states(z), dt)
+    at = birth.around(sensor.states(z), seconds)
     return Newborn(sensor.p_detect(at.mean) * at.density, at.mean, at.covariance)
 
 

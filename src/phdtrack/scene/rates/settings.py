@@ -17,12 +17,12 @@ class RatesSettings:
 
     Parameters
     ----------
-    detection : whether the p_D that is learned is used; otherwise ``sensor.detection`` holds.
-    clutter : whether the rate of false alarms is; otherwise ``clutter.rate`` holds.
-    birth : whether the rate of births is; otherwise ``birth.rate`` holds.
+    detection : whether the p_D that is learned is used; otherwise ``sensor.detection_probability`` holds.
+    clutter : whether the rate of false alarms is; otherwise ``clutter.clutter_per_frame`` holds.
+    birth : whether the rate of births is; otherwise ``birth.births_per_second`` holds.
     scores : whether what the detector's scores are worth is used; otherwise they are not looked at.
-    noise : whether the noises of measurements and motion are; otherwise ``sensor.spread``, ``motion.acceleration`` and
-        ``motion.resize`` hold, which are made for links that are hard as well as for those that are easy.
+    noise : whether the noises of measurements and motion are; otherwise ``sensor.box_noise``, ``motion.acceleration`` and
+        ``motion.size_noise`` hold, which are made for links that are hard as well as for those that are easy.
     cautious : whether p_D is used only where it is lower, and the rates of false alarms and births where they are higher,
         than is set: tracks that break make p_D look too high, false alarms that come again in one place make themselves
         look too few, and who was never believed is not among the births.
