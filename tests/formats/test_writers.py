@@ -19,7 +19,6 @@ from phdtrack.formats import (
     read_tracks,
     read_truth,
     write_detections,
-    write_states,
     write_tracks,
     write_truth,
 )
@@ -180,7 +179,9 @@ def test_every_frame_is_on_disk_before_the_writer_is_closed(tmp_path: Path) -> N
 
 def test_states_of_a_sequence_read_as_detections_too(tmp_path: Path) -> None:
     state = Estimates(np.ones((4, 1)), np.zeros((1, 4, 4)), np.ones(1), np.array([[1.0, 2, 3, 5]]), np.array([0]))
-    write_states(tmp_path / "states.csv", np.array([4, 7]), np.array([0.1, 0.2]), [state, state])
+    with StatesWriter(tmp_path / "states.csv") as writer:
+        for frame, time in ((4, 0.1), (7, 0.2)):
+            writer.append(frame, time, state)
     table = read_detections(tmp_path / "states.csv")
     assert table.frame.tolist() == [4, 7]
     assert table.detections.xyxy.tolist() == [[1, 2, 3, 5]] * 2

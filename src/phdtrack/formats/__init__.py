@@ -9,7 +9,6 @@ from phdtrack.formats.write import (
     StatesWriter,
     TracksWriter,
     write_detections,
-    write_states,
     write_tracks,
     write_truth,
 )
@@ -29,7 +28,6 @@ __all__ = [
     "read_truth",
     "read_warps",
     "write_detections",
-    "write_states",
     "write_tracks",
     "write_truth",
 ]

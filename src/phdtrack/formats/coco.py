@@ -18,7 +18,7 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.formats.columns import Kind
 from phdtrack.formats.rows import Rows
-from phdtrack.formats.source import Origin
+from phdtrack.formats.text import Origin
 from phdtrack.types import F8
 
 Entry = dict[str, Any]  # a JSON object, as the standard library gives it
@@ -29,6 +29,13 @@ _IDENTITY = ("track_id", "instance_id", "identity")
 
 def rows_of_coco(path: Path, content: bytes, kind: Kind, first: int) -> Rows:
     """The boxes in COCO JSON; ``first`` is the number that the file gives the first frame.
+
+    Parameters
+    ----------
+    path : the file, for messages.
+    content : its bytes.
+    kind : what it is read as.
+    first : the number that the file gives the first frame.
 
     Raises
     ------

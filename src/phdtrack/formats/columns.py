@@ -8,6 +8,9 @@ By position (1-based), the same for all: 1 frame, 2 identity, 3–6 left, top, w
 
 By name, a box may be given by left, top, width, height, by left, top, right, bottom, or by its centre and size. Plain
 ``x, y`` with a size means left and top, as in COCO, unless the header names left or centre otherwise.
+
+`rows_of_text` and `rows_of_parquet` make `Rows` of the columns. A Parquet file has the same names of columns as a CSV file with
+a header; it needs pyarrow, which is imported on use.
 """
 
 from __future__ import annotations
@@ -17,7 +20,12 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from pathlib import Path
 
+import numpy as np
+
 from phdtrack.errors import InputError
+from phdtrack.formats.rows import Rows
+from phdtrack.formats.text import Origin, Text, normalise, numbers, scan
+from phdtrack.types import F8
 
 Aliases = tuple[str, ...]
 
@@ -104,6 +112,12 @@ class Layout:
 def by_position(kind: Kind, width: int, where: str | Path) -> Layout:
     """The layout of a file of ``width`` columns without a header.
 
+    Parameters
+    ----------
+    kind : what the file is read as.
+    width : its number of columns.
+    where : what messages name.
+
     Raises
     ------
     InputError : there are fewer than six columns.
@@ -140,6 +154,12 @@ def by_position(kind: Kind, width: int, where: str | Path) -> Layout:
 def by_name(kind: Kind, header: Sequence[str], where: str | Path) -> Layout:
     """The layout that a ``header`` of lower-case names tells; unknown names are passed over.
 
+    Parameters
+    ----------
+    kind : what the file is read as.
+    header : lower-case names of its columns.
+    where : what messages name.
+
     Raises
     ------
     InputError : there is no column for the frame, for the box, or (truth and tracks) for the identity.
@@ -169,3 +189,124 @@ def _missing(aliases: Aliases | None) -> tuple[str, str]:
     if aliases is not None:
         return aliases[0], f"Name it one of {', '.join(aliases)}."
     return "box", "Name left, top, width, height, or left, top, right, bottom, or cx, cy, width, height."
+
+
+def rows_of_text(path: Path, content: bytes, kind: Kind, first: int) -> Rows:
+    """The boxes in a text table; ``first`` is the number that the file gives the first frame.
+
+    Parameters
+    ----------
+    path : the file, for messages.
+    content : its bytes.
+    kind : what it is read as.
+    first : the number that the file gives the first frame.
+
+    Raises
+    ------
+    InputError : the content is no text, or a column or a number is missing or wrong.
+    """
+    text = scan(path, content)
+    if not len(text) and not text.header:
+        return assemble(text.origin, by_position(kind, 6, path), np.zeros((0, 6)), first)
+    layout = by_name(kind, text.header, path) if text.header else by_position(kind, text.width, text.origin.at(0))
+    layout = layout.without(_empty(text, layout))
+    return assemble(text.origin, layout, numbers(text, layout.columns, layout.labels), first)
+
+
+def _empty(text: Text, layout: Layout) -> list[int]:
+    """The optional columns without a value in any line: as good as absent."""
+    if not len(text):
+        return []
+    start = text.cells(0)
+    suspects = [c for c in layout.optional if c >= len(start) or not start[c]]
+    if not suspects:
+        return []
+    cells = [text.cells(row) for row in range(len(text))]
+    return [c for c in suspects if all(c >= len(line) or not line[c] for line in cells)]
+
+
+def assemble(origin: Origin, layout: Layout, values: F8, first: int) -> Rows:
+    """Rows from the ``values`` (M, k) of the k columns of ``layout``.
+
+    Parameters
+    ----------
+    origin : where each row stands in its file.
+    layout : the k columns in use.
+    values : (M, k).
+    first : the number that the file gives the first frame.
+    """
+
+    def column(role: Role) -> F8 | None:
+        place = layout.place(role)
+        return np.ascontiguousarray(values[:, place[0]]) if place else None
+
+    covariance = layout.place(Role.COVARIANCE)
+    return Rows(
+        origin,
+        np.ascontiguousarray(values[:, layout.place(Role.FRAME)[0]]),
+        _corners(values[:, layout.place(Role.BOX)], layout.form),
+        first,
+        identity=column(Role.IDENTITY),
+        confidence=column(Role.CONFIDENCE),
+        class_id=column(Role.CLASS),
+        distractor=column(Role.DISTRACTOR),
+        detection=column(Role.DETECTION),
+        confirmed=column(Role.CONFIRMED),
+        covariance=values[:, covariance] if covariance else None,
+    )
+
+
+def _corners(box: F8, form: Form) -> F8:
+    """(M, 4) left, top, right, bottom from the four columns of a box."""
+    if form is Form.CORNERS:
+        return np.ascontiguousarray(box)
+    start, size = box[:, :2], box[:, 2:]
+    with np.errstate(invalid="ignore", over="ignore"):
+        if form is Form.CENTRE_SIZE:
+            return np.hstack([start - size / 2, start + size / 2])
+        return np.hstack([start, start + size])
+
+
+def rows_of_parquet(path: Path, content: bytes, kind: Kind, first: int) -> Rows:
+    """The boxes in a Parquet file; ``first`` is the number that it gives the first frame.
+
+    Parameters
+    ----------
+    path : the file, for messages.
+    content : its bytes.
+    kind : what it is read as.
+    first : the number that the file gives the first frame.
+
+    Raises
+    ------
+    InputError : pyarrow is not installed, the file is no Parquet, or a column is missing or holds no numbers.
+    """
+    try:
+        import pyarrow as arrow
+        import pyarrow.parquet as parquet
+    except ImportError:
+        cure = "Install it: pip install 'phdtrack[parquet]'."
+        raise InputError(
+            "reading Parquet needs the package pyarrow, which is not installed", where=path, cure=cure
+        ) from None
+    try:
+        file = parquet.ParquetFile(arrow.BufferReader(content))
+        names = [str(name) for name in file.schema_arrow.names]
+        if len(set(names)) < len(names):
+            raise InputError("expected columns of different names, came two of the same", where=path)
+        layout = by_name(kind, [normalise(name) for name in names], path)
+        table = file.read(columns=[names[c] for c in layout.columns])
+    except (arrow.ArrowException, OSError, UnicodeDecodeError) as error:  # a broken footer can be any of them
+        raise InputError(f"expected a Parquet file, which cannot be read: {error}", where=path) from None
+    absent = [c for c in layout.optional if table[names[c]].null_count == len(table)]
+    layout = layout.without(absent)
+    origin = Origin(path, "row", np.arange(1, len(table) + 1))
+    values = np.empty((len(table), len(layout.columns)))
+    for i, c in enumerate(layout.columns):
+        try:
+            column = table[names[c]].cast(arrow.float64())
+        except arrow.ArrowException:
+            problem = f"expected numbers in the column {names[c]}, came {table[names[c]].type}"
+            raise InputError(problem, where=path, cure="Convert it before it is written.") from None
+        values[:, i] = column.fill_null(np.nan).to_numpy()
+    return assemble(origin, layout, values, first)

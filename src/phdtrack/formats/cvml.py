@@ -17,8 +17,9 @@ from xml.parsers import expat
 import numpy as np
 
 from phdtrack.errors import InputError
+from phdtrack.files import AnyPath, load
 from phdtrack.formats.rows import Rows, enforce, whole
-from phdtrack.formats.source import AnyPath, Origin, load
+from phdtrack.formats.text import Origin
 from phdtrack.types import I8
 
 
@@ -56,6 +57,12 @@ def read_groups(path: AnyPath, *, first_frame: int = 0) -> GroupMembers:
 
 def rows_of_cvml(path: Path, content: bytes, first: int) -> Rows:
     """The boxes of the objects in a CVML document; ``first`` is the number that it gives the first frame.
+
+    Parameters
+    ----------
+    path : the file, for messages.
+    content : its bytes.
+    first : the number that the file gives the first frame.
 
     Raises
     ------

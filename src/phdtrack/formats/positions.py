@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.formats.source import AnyPath, Origin, load
-from phdtrack.formats.text import numbers, scan
+from phdtrack.files import AnyPath, load
+from phdtrack.formats.text import Origin, numbers, scan
 from phdtrack.types import F8, I8, Bool
 
 _COLUMNS = ("frame", "identity", "x", "z", "y", "vx", "vz", "vy")

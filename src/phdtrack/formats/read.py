@@ -13,12 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from phdtrack.files import AnyPath, load
 from phdtrack.formats import rows as records
-from phdtrack.formats.columns import Kind
-from phdtrack.formats.motchallenge import judge, usual_distractors
-from phdtrack.formats.rows import Rows
-from phdtrack.formats.source import AnyPath, Origin, load
-from phdtrack.formats.table import rows_of_text
+from phdtrack.formats.columns import Kind, rows_of_text
+from phdtrack.formats.rows import Rows, judge, usual_distractors
+from phdtrack.formats.text import Origin
 from phdtrack.types import DetectionTable, SequenceInfo, Tracks, Truth
 
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
@@ -29,6 +28,12 @@ def read_detections(path: AnyPath, *, first_frame: int | None = None, within: Se
 
     Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no bounds. Where ``within``
     tells the size of the picture, a box that lies outside of it altogether is an error.
+
+    Parameters
+    ----------
+    path : the file.
+    first_frame : the number that it gives the first frame; None: as usual in its format.
+    within : size of the picture.
 
     Raises
     ------
@@ -43,6 +48,12 @@ def read_truth(path: AnyPath, *, first_frame: int | None = None, distractors: Co
     Rows of confidence 0 are left out. In truth with classes (MOT16 and later) pedestrians are scored, rows of the classes
     ``distractors`` are marked, all others left out. The default is the benchmark's choice: 2, 7, 8, 12, and 6 too where
     the path has a folder called MOT20-something.
+
+    Parameters
+    ----------
+    path : the file.
+    first_frame : the number that it gives the first frame; None: as usual in its format.
+    distractors : classes that do not count; None: the benchmark's.
 
     Raises
     ------
@@ -72,7 +83,7 @@ def _read(path: Path, kind: Kind, first_frame: int | None, distractors: Collecti
     if not content.strip():
         return Rows(Origin(path, "line", np.zeros(0, np.int64)), np.zeros(0), np.zeros((0, 4)), first)
     if start == b"PAR1":
-        from phdtrack.formats.parquet import rows_of_parquet
+        from phdtrack.formats.columns import rows_of_parquet
 
         return rows_of_parquet(path, content, kind, first)
     if start.startswith(b"<"):

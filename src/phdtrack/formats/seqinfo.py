@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from phdtrack.errors import InputError
-from phdtrack.formats.source import AnyPath, load
+from phdtrack.files import AnyPath, load
 from phdtrack.types import SequenceInfo
 
 _NAME = "seqinfo.ini"

@@ -18,8 +18,20 @@ from pathlib import Path
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.formats.source import Origin
-from phdtrack.types import F8
+from phdtrack.types import F8, I8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Origin:
+    """Where rows came from: ``path``, and for each row the 1-based ``number`` (M,) of its ``unit`` ("line", "row") there."""
+
+    path: Path
+    unit: str
+    number: I8
+
+    def at(self, row: int) -> str:
+        """The place of row ``row`` in words: "det.txt, line 12"."""
+        return f"{self.path}, {self.unit} {self.number[row]}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +93,12 @@ def normalise(name: str) -> str:
 
 def numbers(text: Text, columns: Sequence[int], labels: Sequence[str]) -> F8:
     """(M, k) the values of the k ``columns`` (0-based), which messages call by ``labels``.
+
+    Parameters
+    ----------
+    text : the lines.
+    columns : the k columns, 0-based.
+    labels : what messages call them.
 
     Raises
     ------

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.formats.source import AnyPath, load
+from phdtrack.files import AnyPath, load
 from phdtrack.formats.text import Text, numbers, scan
 from phdtrack.formats.write import Lines
 from phdtrack.models.warp import after, as_warp

@@ -1,8 +1,8 @@
 """Writing tracks, detections, states and truth as text.
 
 A writer is open while a sequence runs and hands every frame to the operating system at once: what was computed is not lost
-when the program ends before its time. The functions `write_tracks`, `write_detections`, `write_states` and `write_truth`
-write a whole sequence. All but the states are MOTChallenge files without a header, which every tool of the field reads:
+when the program ends before its time. The functions `write_tracks`, `write_detections` and `write_truth` write a
+whole sequence. All but the states are MOTChallenge files without a header, which every tool of the field reads:
 
 * tracks: ``frame,id,left,top,width,height,confidence,x,y,z,detection,confirmed``; x and y metres on the ground and z 0,
   or all three −1 where the place is not known;
@@ -22,7 +22,7 @@ from typing import Self
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.formats.source import AnyPath
+from phdtrack.files import AnyPath
 from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Estimates, Tracks, Truth
 
 # Seven digits: a thousandth of a pixel in the largest pictures, and boxes in other units do not collapse.
@@ -134,7 +134,14 @@ class StatesWriter(Lines):
         self._started = False
 
     def append(self, frame: int, time: float, estimates: Estimates) -> None:
-        """Write the states of frame ``frame``, counted from 1, at ``time`` seconds."""
+        """Write the states of a frame.
+
+        Parameters
+        ----------
+        frame : its number, from 1.
+        time : seconds.
+        estimates : the states.
+        """
         dim, n = estimates.state.shape
         if not self._started:
             self.write(",".join(["frame,time,weight,detection,left,top,width,height", *(f"s{i}" for i in range(dim))]))
@@ -153,6 +160,12 @@ class StatesWriter(Lines):
 def write_tracks(path: AnyPath, tracks: Tracks, place: F8 | None = None) -> None:
     """Write the tracks of a sequence and, where known, their places (2, M); an existing file is replaced.
 
+    Parameters
+    ----------
+    path : the file.
+    tracks : its rows.
+    place : (2, M) metres on the ground, NaN where not known.
+
     Raises
     ------
     InputError : the file cannot be written.
@@ -170,18 +183,6 @@ def write_detections(path: AnyPath, table: DetectionTable) -> None:
     """
     with DetectionsWriter(path) as writer:
         writer.append_table(table)
-
-
-def write_states(path: AnyPath, frames: I8, times: F8, estimates: list[Estimates]) -> None:
-    """Write the states of a sequence: frames (K,) from 1, times (K,) in seconds, and the K frames' estimates.
-
-    Raises
-    ------
-    InputError : the file cannot be written.
-    """
-    with StatesWriter(path) as writer:
-        for frame, time, states in zip(frames, times, estimates, strict=True):
-            writer.append(int(frame), float(time), states)
 
 
 def write_truth(path: AnyPath, truth: Truth) -> None:
