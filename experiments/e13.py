@@ -47,9 +47,15 @@ AWARE = ("sensor.occlusion=true", f"sensor.detection_probability={FREE}")
 # The ground that the people of the sequence walk on, metres.
 REGION = "camera.region=[-16.0, -18.0, -3.0, 10.0]"
 ARRIVALS = 0.2
-RATES = ("sensor.scaling=given", "birth.kind=ground", "birth.volume=region"
-         f"birth.births_per_second={7 * ARRIVALS}", REGION,         "clutter.volume=region", "clutter.density=0.0")  # fmt:
-         skip
+RATES = (
+    "sensor.scaling=given",
+    "birth.kind=ground",
+    "birth.volume=region",
+    f"birth.births_per_second={7 * ARRIVALS}",
+    REGION,
+    "clutter.volume=region",
+    "clutter.density=0.0",
+)
 FILTERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "GM-PHD": ("gm-phd", ()),
     "GM-PHD, occlusion": ("gm-phd", AWARE),
