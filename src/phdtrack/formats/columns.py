@@ -9,7 +9,7 @@ By position (1-based), the same for all: 1 frame, 2 identity, 3–6 left, top, w
 By name, a box may be given by left, top, width, height, by left, top, right, bottom, or by its centre and size. Plain
 ``x, y`` with a size means left and top, as in COCO, unless the header names left or centre otherwise.
 
-`rows_of_text` and `rows_of_parquet` make `Rows` of the columns. A Parquet file has the same names of columns as a CSV file with
+`rows_of_text` and `rows_of_parquet` make `Rows` of the columns. A Parquet file has the names of columns of a CSV file with
 a header; it needs pyarrow, which is imported on use.
 """
 
