@@ -18,7 +18,7 @@ NAMES = {"mcmc": "MCMC joint", "mcmc_each": "MCMC", "particle-phd": "SMC PHD"}
 
 def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
     """Seconds for the whole sequence; the filters take turns."""
-    from experiments.d14_runs import Job, track
+    from experiments.d14_runs import CorridorRun, track
 
     number = 4000 if scale.others else 100
     spent: dict[str, list[tuple[float, float]]] = {key: [] for key in NAMES}
@@ -26,7 +26,7 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
         for key, name in NAMES.items():
             say(f"{name}, N = {number}")
             began = clock()
-            track(Job("corridor", name, number, 1.0, repeat))
+            track(CorridorRun("corridor", name, number, 1.0, repeat))
             # The first round compiles.
             if repeat:
                 spent[key].append(took(began, clock()))

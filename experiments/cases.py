@@ -9,23 +9,18 @@ from functools import lru_cache
 import numpy as np
 
 from experiments import e13
-from experiments.common import Case, mot15, need_data
-from phdtrack.detect import make_detector
+from experiments.common import Case, detections_in, mot15, need_data
 from phdtrack.formats import read_truth
 from phdtrack.simulate import DetectorModel, add_clutter, detect, make_scene, render
-from phdtrack.types import Detections, DetectionTable, SequenceInfo
+from phdtrack.types import SequenceInfo
 
 # A sequence, and which detections of it: public or frcnn; made; of a simulated scene; of one with places that fire;
 # of a rendered one, by a detector.
 Named = tuple[str, str]
 # The shipped defaults were chosen by scores on these.
+_BOTH = ("PETS09-S2L1", "TUD-Campus", "KITTI-17")
 CASES: tuple[Named, ...] = (
-    ("PETS09-S2L1", "public"),
-    ("PETS09-S2L1", "frcnn"),
-    ("TUD-Campus", "public"),
-    ("TUD-Campus", "frcnn"),
-    ("KITTI-17", "public"),
-    ("KITTI-17", "frcnn"),
+    *((name, kind) for name in _BOTH for kind in ("public", "frcnn")),
     ("ADL-Rundle-6", "frcnn"),
 )
 # The first defaults were not chosen by these; the present ones were, by all cases together.
@@ -43,7 +38,8 @@ _ANNOTATED = {
     "OneLeaveShop1cor": ("caviar/cols1gt.xml", SequenceInfo(384, 288, 25.0, 295, "OneLeaveShop1cor")),
     "PETS2009-S1L1-1": ("pets2009/PETS2009-S1L1-1.xml", e13.INFO),
 }
-# Two false alarms a frame; who is hidden to the part c is detected with probability 0.9 (1 − c), and in scenes 0.9 (1 − c)².
+# Two false alarms a frame; a person of whom the part c is hidden is detected with probability 0.9 (1 − c), in scenes
+# 0.9 (1 − c)².
 _DETECTOR, _IN_SCENES = DetectorModel(occlusion=1.0), DetectorModel(occlusion=2.0)
 
 
@@ -62,11 +58,7 @@ def given(sequence: str, kind: str) -> Case:
 def rendered(name: str, seed: int) -> Case:
     """The video of a scene, and what the change detector finds in it, both as shipped; kept, as it takes seconds."""
     scene = make_scene(name, seed, frames=SCENE_FRAMES)
-    detector = make_detector("change")
-    found = [(frame.number, detector(frame)) for frame in render(scene, np.random.default_rng(seed))]
-    number = np.repeat([n for n, _ in found], [len(boxes) for _, boxes in found])
-    boxes = Detections.of(*(np.concatenate([getattr(one, key) for _, one in found]) for key in ("xyxy", "confidence")))
-    return Case(name, scene.info, scene.truth, DetectionTable(number, boxes))
+    return Case(name, scene.info, scene.truth, detections_in(render(scene, np.random.default_rng(seed))))
 
 
 def drawn(name: Named, seed: int) -> Case:

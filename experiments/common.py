@@ -1,36 +1,37 @@
-"""What the experiments share: how they are asked for, sequences, one run of the tracker, parallel work, tables in Markdown.
+"""What the experiments share: options, sequences, one run of the tracker, parallel work, Markdown tables and pages.
 
-An experiment is a module with ``main(options: Options = Options()) -> Path``: it measures, writes its page (and pictures)
-to ``options.out`` and returns the page. `in_parallel` keeps outcomes in ``options.folder``.
+An experiment is a module with ``main(options) -> Path``: it measures, writes its page (and pictures) to ``options.out`` and
+returns the page. A page is a template, ``pages/NAME.md``, into which figures and tables are filled.
 """
 
 from __future__ import annotations
 
-import hashlib
+import math
 import os
-import pickle
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from phdtrack import config, pipeline
-from phdtrack.compare.digest import sources
+from phdtrack.compare.statistics import Interval
+from phdtrack.detect import make_detector
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_seqinfo, read_truth
 from phdtrack.metrics import Scores, evaluate, first_output_delays
 from phdtrack.protocols import AnyStages
-from phdtrack.types import DetectionTable, SequenceInfo, Tracks, Truth
+from phdtrack.types import Detections, DetectionTable, Frame, SequenceInfo, Tracks, Truth
 
-# In a checkout the pages of results are the committed ones; an installed package writes where it is run.
-_CHECKOUT = Path(__file__).resolve().parents[3]
-ROOT = _CHECKOUT if (_CHECKOUT / "pyproject.toml").is_file() else Path.cwd()
-RESULTS = ROOT / "docs" / "results" if ROOT == _CHECKOUT else ROOT / "phdtrack-results"
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS, QUICK_RESULTS = ROOT / "docs" / "results", ROOT / "runs" / "experiments-quick"
+PAGES = Path(__file__).parent / "pages"
+# Into a file or a pipe progress is written this rarely, seconds.
+QUIET = 10.0
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -43,21 +44,28 @@ class Options:
     Attributes
     ----------
     runs : Monte Carlo runs (seeds) of each case; 0: the experiment's own number. One that draws nothing does not ask.
-    quick : a short form: that everything works is seen in a minute or two, and its figures are no results.
-    out : where pages and pictures are written.
-    folder : where outcomes are kept, so that a run that was broken off goes on; None: nowhere.
+    quick : a short form that shows that everything works; its figures are no results.
+    out : where pages and pictures are written; None: docs/results, in the short form runs/experiments-quick.
+    jobs : number of processes; 0: one for each core.
 
     The real sequences are where the environment says (`need_data`), because worker processes need them too.
     """
 
     runs: int = 0
     quick: bool = False
-    out: Path = RESULTS
-    folder: Path | None = None
+    out: Path | None = None
+    jobs: int = 0
 
     def number(self, usual: int, quick: int) -> int:
         """Number of runs: as asked for, else ``quick`` in the short form and ``usual`` in the full one."""
         return self.runs or (quick if self.quick else usual)
+
+    @property
+    def folder(self) -> Path:
+        """Where pages and pictures are written; it is made where it is missing."""
+        folder = self.out or (QUICK_RESULTS if self.quick else RESULTS)
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +79,7 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Run:
+class TrackedCase:
     """Corrected tracks, the rows given online, and the seconds that a frame took in filter, extraction and association."""
 
     corrected: Tracks
@@ -80,8 +88,8 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Result:
-    """What one run gave."""
+class ScoredCase:
+    """Scores of the corrected tracks, mean delay of the first output in frames, and seconds that a frame took."""
 
     scores: Scores
     delay: float
@@ -89,7 +97,7 @@ class Result:
 
 
 def need_data() -> Path:
-    """The folder of real sequences, $PHDTRACK_DATA or shared/data beside the checkout; `InputError` where it is missing."""
+    """The folder of real sequences, $PHDTRACK_DATA or ../shared/data; `InputError` where it is missing."""
     data = Path(os.environ.get("PHDTRACK_DATA", ROOT.parent / "shared" / "data"))
     if not (data / "mot15").is_dir():
         raise InputError(
@@ -105,10 +113,13 @@ def mot15(sequence: str, kind: str) -> Case:
     return Case(f"{sequence} {kind}", read_seqinfo(folder), read_truth(folder / "gt" / "gt.txt"), table)
 
 
-def track(case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), preset: str = "") -> tuple[Tracks, float]:
-    """Corrected tracks of a case, and the seconds that a frame took in filter, extraction and association."""
-    run = followed(built(case.info, filter_name, sets, preset), case, seed)
-    return run.corrected, run.seconds
+def detections_in(frames: Iterable[Frame], detector_name: str = "change") -> DetectionTable:
+    """What a detector, as shipped, finds in the frames of a video."""
+    detector = make_detector(detector_name)
+    found = [(frame.number, detector(frame)) for frame in frames]
+    number = np.repeat([n for n, _ in found], [len(boxes) for _, boxes in found])
+    boxes = np.concatenate([np.zeros((0, 4)), *(one.xyxy for _, one in found)])
+    return DetectionTable(number, Detections.of(boxes, np.concatenate([np.zeros(0), *(o.confidence for _, o in found)])))
 
 
 def built(info: SequenceInfo, filter_name: str, sets: Sequence[str] = (), preset: str = "") -> AnyStages:
@@ -116,7 +127,7 @@ def built(info: SequenceInfo, filter_name: str, sets: Sequence[str] = (), preset
     return config.build(config.load(None, (f"filter.kind={filter_name}", *sets), preset), info)
 
 
-def followed(stages: AnyStages, case: Case, seed: int) -> Run:
+def followed(stages: AnyStages, case: Case, seed: int) -> TrackedCase:
     """One run of the tracker over a case."""
     rng, spent, online = np.random.default_rng(seed), 0.0, []
     state = pipeline.start(stages, rng)
@@ -125,66 +136,42 @@ def followed(stages: AnyStages, case: Case, seed: int) -> Run:
         online.append(step.tracks)
         spent += sum(step.seconds)
     online.append(stages.associator.flush(state.association, stages.model))
-    return Run(pipeline.finish(stages, state), Tracks.concatenate(online), spent / case.info.frames)
+    return TrackedCase(pipeline.finish(stages, state), Tracks.concatenate(online), spent / case.info.frames)
 
 
-def measure(case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), preset: str = "") -> Result:
-    """Track and score a case."""
-    tracks, seconds = track(case, filter_name, seed, sets, preset)
-    delays = first_output_delays(case.truth, tracks, case.table).delay
+def measure(case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), preset: str = "") -> ScoredCase:
+    """Track a case with a filter, settings that are not its own, and a preset; the scores of its corrected tracks."""
+    run = followed(built(case.info, filter_name, sets, preset), case, seed)
+    delays = first_output_delays(case.truth, run.corrected, case.table).delay
     delay = float(np.nanmean(delays)) if np.isfinite(delays).any() else float("nan")
-    return Result(evaluate(case.truth, tracks, frames=case.info.frames), delay, seconds)
+    return ScoredCase(evaluate(case.truth, run.corrected, frames=case.info.frames), delay, run.seconds)
 
 
-@dataclass(frozen=True, slots=True)
-class Kept(Generic[A, B]):
-    """``work``, with the outcomes of jobs that were done before read from ``folder``.
+def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, options: Options) -> list[B]:
+    """``work`` over ``jobs`` in processes of their own, in the order of the jobs; progress on stderr.
 
-    A job is known by the name of the work and its own representation: a record, or a tuple of numbers and words. The folder
-    remembers the sources that it was begun with; `in_parallel` says when they are others now.
+    On a terminal the progress is one line that changes, elsewhere a line from time to time.
     """
-
-    work: Callable[[A], B]
-    folder: Path
-
-    def __call__(self, job: A) -> B:
-        """The outcome of a job, from its file where there is one."""
-        name = f"{self.work.__module__}.{self.work.__qualname__}"
-        path = self.folder / f"{name}-{hashlib.sha256(repr(job).encode()).hexdigest()[:16]}.pickle"
-        if path.exists():
-            outcome: B = pickle.loads(path.read_bytes())
-            return outcome
-        outcome = self.work(job)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        # Whole or not at all: a run that is broken off leaves no half of a file.
-        part = path.with_suffix(f".{os.getpid()}.part")
-        part.write_bytes(pickle.dumps(outcome))
-        part.replace(path)
-        return outcome
+    processes = min(options.jobs or os.cpu_count() or 1, max(len(jobs), 1))
+    _say(f"{label}: {len(jobs)} runs, {processes} at a time")
+    began = told = time.perf_counter()
+    terminal = sys.stderr.isatty()
+    with ProcessPoolExecutor(max_workers=processes) as pool:
+        futures = [pool.submit(work, job) for job in jobs]
+        for done, future in enumerate(as_completed(futures), start=1):
+            if future.exception() is not None:
+                pool.shutdown(cancel_futures=True)
+                future.result()
+            now = time.perf_counter()
+            last = done == len(jobs)
+            if terminal or last or now - told > QUIET:
+                _say(f"{label}: {done} of {len(jobs)}, {now - began:.0f} s", changing=terminal, last=last)
+                told = now
+    return [future.result() for future in futures]
 
 
-def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, folder: Path | None = None) -> list[B]:
-    """``work`` over ``jobs``, a process for each core; progress on stderr; outcomes are kept in ``folder`` if given."""
-    if folder is not None:
-        _say_if_older(folder)
-    began = time.perf_counter()
-    out = []
-    with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
-        for done, result in enumerate(pool.map(Kept(work, folder) if folder else work, jobs), start=1):
-            out.append(result)
-            print(f"\r{label}: {done} of {len(jobs)}, {time.perf_counter() - began:.0f} s", end="", file=sys.stderr)
-    print(file=sys.stderr)
-    return out
-
-
-def _say_if_older(folder: Path) -> None:
-    """Warn that the outcomes in ``folder`` come of other sources of phdtrack than today's; a new folder is given today's."""
-    note, now = folder / "sources", sources(("",))
-    if not note.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        note.write_text(now, encoding="utf-8")
-    elif note.read_text(encoding="utf-8") != now:
-        print(f"{folder}: outcomes may be kept there of an earlier phdtrack; without it all are run again", file=sys.stderr)
+def _say(text: str, *, changing: bool = False, last: bool = True) -> None:
+    print(f"\r{text}" if changing else text, end="\n" if last or not changing else "", file=sys.stderr, flush=True)
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -194,10 +181,39 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join(f"| {line} |" for line in lines) + "\n"
 
 
-def write(name: str, text: str, out: Path = RESULTS) -> Path:
-    """Write a page of results to the folder ``out``."""
-    out.mkdir(parents=True, exist_ok=True)
-    path = out / name
+def with_interval(value: Interval, digits: int = 3, sign: str = "") -> str:
+    """A cell: a mean with half its interval, where there is one that is not 0 in these digits."""
+    mean = f"{value.mean:{sign}.{digits}f}"
+    return mean if not math.isfinite(value.half) or value.half < 0.5 * 10**-digits else f"{mean} ± {value.half:.{digits}f}"
+
+
+def with_error(values: Sequence[float], digits: int = 3) -> str:
+    """A cell: mean ± standard error; of one value the value."""
+    mean = f"{np.mean(values):.{digits}f}"
+    return mean if len(values) < 2 else f"{mean} ± {np.std(values, ddof=1) / math.sqrt(len(values)):.{digits}f}"
+
+
+def filled(template: str, **values: object) -> str:
+    """The template ``pages/NAME.md`` with its places filled."""
+    return (PAGES / f"{template}.md").read_text(encoding="utf-8").format(**values)
+
+
+def write(name: str, options: Options, **values: object) -> Path:
+    """Fill the template of a page, write the page, and say where it is; one of a short form says that it is no result."""
+    text = filled(name, **values)
+    if options.quick:
+        text = "*The short form of an experiment: everything ran, but these figures are no results.*\n\n" + text
+    path = options.folder / f"{name}.md"
     path.write_text(text, encoding="utf-8")
-    print(path, file=sys.stderr)
+    _say(f"{path} is written")
     return path
+
+
+def pyplot() -> Any:
+    """Matplotlib's plotting module, drawing to files."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    return plt

@@ -1,8 +1,6 @@
 """Does the filter count right? The mass of its intensity against the true number of targets, with known parameters.
 
-    phdtrack reproduce count
-
-Truth by the filter's own model, `phdtrack.simulate.constant`: ten targets at the start, p_S = 0.99, births that keep the
+Truth by the filter's own model, `phdtrack.simulate.Counting`: ten targets at the start, p_S = 0.99, births that keep the
 number. ``known``: the filter is given all of it, also the laws that births and clutter are drawn from. ``shipped``: it is
 given the rates and the noises, but its births and clutter are the package's, uniform over the image and all sizes, while the
 false alarms have the sizes of the targets.
@@ -214,7 +212,7 @@ def row(
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class CountCase:
     """One combination: the laws given to the filter, p_D, clutter, number of seeds, particles per target."""
 
     laws: Laws
@@ -224,14 +222,14 @@ class Job:
     particles_per_target: int = PER_TARGET
 
 
-def work(job: Job) -> Row:
+def work(job: CountCase) -> Row:
     """One combination over its seeds."""
     return row(job.p_detect, job.clutter, range(job.seeds), laws=job.laws, particles_per_target=job.particles_per_target)
 
 
-def jobs_of(seeds: int, laws: Sequence[Laws] = ("known", "shipped")) -> list[Job]:
+def jobs_of(seeds: int, laws: Sequence[Laws] = ("known", "shipped")) -> list[CountCase]:
     """All combinations."""
-    return [Job(law, p, c, seeds) for law in laws for p in P_DETECT for c in CLUTTER]
+    return [CountCase(law, p, c, seeds) for law in laws for p in P_DETECT for c in CLUTTER]
 
 
 def _cells(found: Sequence[Row]) -> str:
@@ -256,37 +254,12 @@ def _cells(found: Sequence[Row]) -> str:
     )
 
 
-def main(options: Options | None = None) -> Path:
+def main(options: Options) -> Path:
     """Measure, and write count.md."""
-    options = options or Options()
     seeds, few_seeds = options.number(SEEDS, 1), options.number(FEW_SEEDS, 1)
-    found = in_parallel(work, jobs_of(seeds), "count", options.folder)
-    fewer = [Job("known", *FEW_CASE, few_seeds, particles_per_target) for particles_per_target in FEW]
-    few = in_parallel(work, fewer, "particles", options.folder)
+    found = in_parallel(work, jobs_of(seeds), "count", options)
+    fewer = [CountCase("known", *FEW_CASE, few_seeds, particles_per_target) for particles_per_target in FEW]
+    few = in_parallel(work, fewer, "particles", options)
     worst = max(abs(r.bias) for r in found)
-    return write(
-        "count.md",
-        f"""# Counting
-
-The mass of the intensity against the true number of targets, {seeds} seeds of {FRAMES} frames each, with the parameters
-known to the filter: p_D, p_S, λ, the birth rate and all noises. Written by `phdtrack reproduce count`.
-
-{_cells(found)}
-The largest relative bias is {worst:.3f}; 0.10 is asked. *known*: births and clutter by the laws of the scene. *shipped*:
-both uniform over the image and all sizes, while the false alarms have the sizes of the targets. The RMS error is that of one
-frame's count. *states* is the mean number of states that K-means finds at its default threshold: a target that was just
-missed weighs about 1 − p_D and is not one of them.
-
-## Too few particles count too few
-
-Most of the bias comes from the particles. A target that is missed keeps 1 − p_D of its mass, and as many of its ρ particles;
-if none of them is where it is seen next, it is lost until it is born again. The rest is the mass of γ that births around
-detections leave out: newborn targets that are not seen at once. {few_seeds} seeds:
-
-{_cells(few)}""",
-        options.out,
-    )
-
-
-if __name__ == "__main__":
-    main()
+    tables = {"found": _cells(found), "few": _cells(few)}
+    return write("count", options, seeds=seeds, frames=FRAMES, worst=worst, few_seeds=few_seeds, **tables)

@@ -1,8 +1,6 @@
 """D14 Tables I–III: SMC PHD and MCMC filters on centroids of people in a corridor, by number of particles and noise.
 
-    python -m experiments.d14
-
-The runs are those of `d14_runs`; the page's text stands in d14.md, its numbers and verdicts are computed here.
+The runs are those of `d14_runs`.
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ import numpy as np
 
 from experiments.common import Options, in_parallel, table, write
 from experiments.corridor import centroids
-from experiments.d14_pictures import footage, pictures
+from experiments.d14_pictures import pictures
 from experiments.d14_runs import (
     BURN,
     FILTERS,
@@ -25,8 +23,8 @@ from experiments.d14_runs import (
     INFOS,
     KALMAN,
     VARIANCES,
-    Job,
-    Outcome,
+    CorridorRun,
+    RunErrors,
     jobs_of,
     posterior_deviation,
     scene,
@@ -46,25 +44,32 @@ PHD, JOINT, TRUE, GREEDY = FILTERS
 CHAINS = (JOINT, TRUE, GREEDY)
 # D14's figures over all settings and at N = 4000, with the seconds that this took; its MCMC filter is the greedy one.
 PAPER = {PHD: ("0.002–1.11", "0.002–0.40", "53"), GREEDY: ("0.11–1.28", "0.11–1.27", "63")}
-# From here on of what is left of the distance with four times as many samples, a chain is said to go nowhere.
-SATURATED = 0.8
-Results = Mapping[Job, Outcome]
-Measure = Callable[[Outcome], float]
+Results = Mapping[CorridorRun, RunErrors]
+Measure = Callable[[RunErrors], float]
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class CorridorErrors:
     """The outcomes of all runs, and how many there were."""
 
     results: Results
     numbers: Sequence[int]
     seeds: int
 
-    def values(self, world: str, name: str, number: int, variance: float, of: Callable[[Outcome], F8 | float]) -> F8:
+    @property
+    def all_numbers(self) -> tuple[int, ...]:
+        """Numbers of samples of the chains, with those beyond the grid where they were run."""
+        few = {job.number for job in self.results if job.filter in CHAINS}
+        return tuple(sorted(few))
+
+    def values(self, world: str, name: str, number: int, variance: float, of: Callable[[RunErrors], F8 | float]) -> F8:
         """(seeds, …) of every run of a setting."""
         number = 0 if name == KALMAN else number
         return np.array(
-            [of(self.results[Job(world, name, number, variance, seed)]) for seed in range(seeds_of(world, self.seeds))]
+            [
+                of(self.results[CorridorRun(world, name, number, variance, seed)])
+                for seed in range(seeds_of(world, self.seeds))
+            ]
         )
 
     def mean(self, name: str, number: int, of: Measure, worlds: Sequence[str] = tuple(WORLDS)) -> float:
@@ -75,31 +80,27 @@ class Found:
     def far(self, name: str, number: int) -> float:
         """Distance from the exact posterior mean where the model is true, over the seeds of the chains."""
         few = range(seeds_of("model", self.seeds))
-        jobs = (Job("model", name, number, variance, seed) for variance in VARIANCES for seed in few)
+        jobs = (CorridorRun("model", name, number, variance, seed) for variance in VARIANCES for seed in few)
         return float(np.mean([self.results[job].beside for job in jobs]))
 
 
-def overall(outcome: Outcome) -> float:
+def overall(outcome: RunErrors) -> float:
     return outcome.overall
 
 
-def settled(outcome: Outcome) -> float:
-    return outcome.settled
-
-
-def detected(outcome: Outcome) -> float:
+def detected(outcome: RunErrors) -> float:
     return outcome.detected
 
 
-def located(outcome: Outcome) -> float:
+def located(outcome: RunErrors) -> float:
     return float(outcome.located.mean())
 
 
-def seconds(outcome: Outcome) -> float:
+def seconds(outcome: RunErrors) -> float:
     return outcome.seconds
 
 
-def with_misses(outcome: Outcome) -> float:
+def with_misses(outcome: RunErrors) -> float:
     """RMSE per axis over all frames of all targets alike, where who is not located counts as being the gate away."""
     near = np.where(outcome.located > 0, outcome.truth, 0.0) ** 2
     return math.sqrt((outcome.located * near + (1 - outcome.located) * GATE**2 / 2).mean())
@@ -119,7 +120,7 @@ def spread(values: F8) -> str:
     return f"{found.mean:.2f} ± {found.half:.2f}" if found.count > 1 else f"{found.mean:.2f}"
 
 
-def whole(found: Found, of: Measure, shares: bool = False) -> str:
+def whole(found: CorridorErrors, of: Measure, shares: bool = False) -> str:
     """A table for all worlds: a row for each variance and N, a column for each filter.
 
     ``shares`` puts the percentage of frames in which a target was located behind each value.
@@ -137,7 +138,7 @@ def whole(found: Found, of: Measure, shares: bool = False) -> str:
     return table(("", "σ²", "N", *FILTERS, KALMAN, "posterior"), rows)
 
 
-def falls(found: Found, name: str, worlds: Sequence[str]) -> str:
+def falls(found: CorridorErrors, name: str, worlds: Sequence[str]) -> str:
     """In how many of the steps from one N to the next the error with misses falls."""
     steps = [
         found.values(w, name, more, v, with_misses).mean() < found.values(w, name, less, v, with_misses).mean()
@@ -146,7 +147,7 @@ def falls(found: Found, name: str, worlds: Sequence[str]) -> str:
     return f"{sum(steps)} of {len(steps)}"
 
 
-def overview(found: Found) -> str:
+def overview(found: CorridorErrors) -> str:
     """Of each filter, for the least and the greatest N: error, share located and error with misses; whether it falls."""
     rows: list[tuple[object, ...]] = []
     ends = (found.numbers[0], found.numbers[-1])
@@ -162,7 +163,7 @@ def overview(found: Found) -> str:
     return table(("", "", *columns, "steps of N in which that falls"), rows)
 
 
-def particles_per_target(found: Found) -> str:
+def target_tables(found: CorridorErrors) -> str:
     """D14's tables, one for each world and variance: of every target the error to the truth and, behind it, to z."""
     parts = []
     for world, title in WORLDS.items():
@@ -181,7 +182,7 @@ def particles_per_target(found: Found) -> str:
     return "\n".join(parts)
 
 
-def ranges(found: Found) -> str:
+def ranges(found: CorridorErrors) -> str:
     """The paper's ranges beside ours, over variances, worlds and targets, of means over seeds."""
     rows = []
     for name in FILTERS:
@@ -200,12 +201,12 @@ def ranges(found: Found) -> str:
     return table(("", "paper, all N", *each_n, *last), rows)
 
 
-def typical(found: Found, world: str, name: str, number: int) -> float:
+def typical(found: CorridorErrors, world: str, name: str, number: int) -> float:
     """Seconds of processor time for a sequence, the median over variances and seeds."""
     return float(np.median([found.values(world, name, number, variance, seconds) for variance in VARIANCES]))
 
 
-def times(found: Found) -> str:
+def times(found: CorridorErrors) -> str:
     """Seconds for each sequence, by filter and N. The paper's stand beside the corridor, as long as its sequence."""
     rows = []
     for world, title in WORLDS.items():
@@ -217,101 +218,46 @@ def times(found: Found) -> str:
     return table(("", "N", *FILTERS, "paper, PHD", "paper, MCMC"), rows)
 
 
-def verdicts(found: Found) -> dict[str, object]:
-    """What the page says of the numbers, from the numbers."""
-    high = found.numbers[-1]
-    far = {name: [found.far(name, n) for n in (*found.numbers, BEYOND)] for name in CHAINS}
-    left = {name: each[-1] / each[-2] for name, each in far.items()}
-    late = {name: found.mean(name, high, settled, PEOPLE) for name in (PHD, KALMAN)}
-    repeated = [
-        np.nanmin(located_mean(found.values(world, name, high, variance, lambda o: o.measurement)))
-        for world in PEOPLE
-        for name in FILTERS
-        for variance in VARIANCES
-    ]
-    greedy, kalman = (found.mean(name, high, overall, PEOPLE) for name in (GREEDY, KALMAN))
-    known: dict[str, object] = {
-        "z_least": f"{min(repeated):.2f}",
-        "high": high,
-        "beyond": BEYOND,
-        "model_seeds": seeds_of("model", found.seeds),
-        "far": table(("N", *far), zip((*found.numbers, BEYOND), *far.values(), strict=True)),
-        "independent": f"{math.sqrt(high / BEYOND):.2f}",
-        "late": f"{100 * (late[PHD] / late[KALMAN] - 1):.1f}",
-        "least": f"{min(found.values(world, KALMAN, 0, v, overall).mean() for world in WORLDS for v in VARIANCES):.2f}",
-        "greedy": "The greedy chain saturates" if left[GREEDY] > SATURATED else "The greedy chain does not saturate",
-        "true": "The true samplers do not" if max(left[TRUE], left[JOINT]) < SATURATED else "Not only that one does",
-        "greedy_people": f"{greedy:.3f}",
-        "kalman_people": f"{kalman:.3f}",
-        "greedy_nearer": "nearer to the truth" if greedy < kalman else "no nearer to the truth",
-    }
-    for key, name in (("phd", PHD), ("joint", JOINT), ("true", TRUE), ("greedy", GREEDY)):
-        known[f"{key}_above"] = above(found, name)
-        known[f"{key}_seconds"] = f"{typical(found, 'corridor', name, high):.2f}"
-    for key, name in (("joint", JOINT), ("true", TRUE), ("greedy", GREEDY)):
-        known[f"{key}_left"] = f"{left[name]:.2f}"
-        for place, worlds in (("model", ["model"]), ("people", PEOPLE)):
-            known[f"phd_before_{key}_{place}"] = ahead(found, name, worlds, with_misses)
-    for place, worlds in (("model", ["model"]), ("people", PEOPLE)):
-        known[f"phd_near_greedy_{place}"] = ahead(found, GREEDY, worlds, overall)
-    return known
+def distances(found: CorridorErrors) -> str:
+    """A row for each N: how far the chains' means are from the exact posterior mean where the model is true."""
+    rows = [(number, *(found.far(name, number) for name in CHAINS)) for number in found.all_numbers]
+    return table(("N", *CHAINS), rows)
 
 
-def above(found: Found, name: str) -> str:
-    """By how many percent a filter's error at the greatest N is above the Kalman filter's where the model is true."""
-    ours, bound = (found.mean(one, found.numbers[-1], overall, ["model"]) for one in (name, KALMAN))
-    return f"{100 * (ours / bound - 1):.0f}"
-
-
-def ahead(found: Found, rival: str, worlds: Sequence[str], of: Measure) -> str:
-    """In how many settings the PHD filter's error is below a rival's."""
-    wins = [
-        found.values(world, PHD, n, variance, of).mean() < found.values(world, rival, n, variance, of).mean()
-        for world in worlds for n in found.numbers for variance in VARIANCES
-    ]  # fmt: skip
-    return f"{sum(wins)} of {len(wins)}"
-
-
-def page(found: Found) -> str:
-    """The page of results."""
+def figures(found: CorridorErrors) -> dict[str, object]:
+    """What is filled into the page."""
     people = scene("caviar")
     steps = [np.hypot(*np.diff(centroids(people)[:, people.identity == one])).max() for one in np.unique(people.identity)]
-    text = (Path(__file__).parent / "d14.md").read_text(encoding="utf-8")
-    return text.format(
-        overview=overview(found),
-        truth=whole(found, overall, shares=True),
-        missed=whole(found, with_misses),
-        seen=whole(found, detected),
-        targets=particles_per_target(found),
-        ranges=ranges(found),
-        times=times(found),
-        seeds=found.seeds,
-        paper_frames=INFOS["corridor"].frames,
-        gate=f"{GATE:g}",
-        burn=BURN,
-        jump=f"{max(steps):.0f}",
-        theory=", ".join(f"{posterior_deviation(variance):.2f}" for variance in VARIANCES),
-        **verdicts(found),
-    )
+    return {
+        "far": distances(found),
+        "overview": overview(found),
+        "truth": whole(found, overall, shares=True),
+        "missed": whole(found, with_misses),
+        "seen": whole(found, detected),
+        "targets": target_tables(found),
+        "ranges": ranges(found),
+        "times": times(found),
+        "seeds": found.seeds,
+        "model_seeds": seeds_of("model", found.seeds),
+        "high": found.numbers[-1],
+        "paper_frames": INFOS["corridor"].frames,
+        "gate": f"{GATE:g}",
+        "burn": BURN,
+        "jump": f"{max(steps):.0f}",
+        "theory": ", ".join(f"{posterior_deviation(variance):.2f}" for variance in VARIANCES),
+    }
 
 
-def beyond(seeds: int) -> list[Job]:
+def beyond(seeds: int) -> list[CorridorRun]:
     """The runs beside the grid: the chains with more samples."""
     few = range(seeds_of("model", seeds))
-    return [Job("model", name, BEYOND, variance, seed) for name in CHAINS for variance in VARIANCES for seed in few]
+    return [CorridorRun("model", name, BEYOND, variance, seed) for name in CHAINS for variance in VARIANCES for seed in few]
 
 
-def main(options: Options | None = None) -> Path:
-    """Run everything; write the page and its pictures, those on real footage only to ``options.folder``."""
-    options = options or Options()
-    seeds, numbers = options.number(SEEDS, 2), NUMBERS[::3] if options.quick else NUMBERS
-    jobs = jobs_of(numbers, seeds) + beyond(seeds)
-    found = Found(dict(zip(jobs, in_parallel(work, jobs, "d14", options.folder), strict=True)), numbers, seeds)
-    pictures(found.results, numbers, seeds, options.out)
-    if options.folder is not None:
-        footage(numbers[-1], options.folder)
-    return write("d14.md", page(found), options.out)
-
-
-if __name__ == "__main__":
-    main()
+def main(options: Options) -> Path:
+    """Run everything; write the page and its pictures."""
+    seeds, numbers = options.number(SEEDS, 1), NUMBERS[:2] if options.quick else NUMBERS
+    jobs = jobs_of(numbers, seeds) + ([] if options.quick else beyond(seeds))
+    found = CorridorErrors(dict(zip(jobs, in_parallel(work, jobs, "d14", options), strict=True)), numbers, seeds)
+    pictures(found.results, numbers, seeds, options.folder)
+    return write("d14", options, **figures(found))

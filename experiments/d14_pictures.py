@@ -1,27 +1,25 @@
 """The pictures of the D14 experiment: errors by N, ellipses on frames, trajectories.
 
-Frames that are committed are rendered ones of the simulated corridor. The same on CAVIAR's real footage, which may not be
-passed on, goes to a folder of the user's.
+The frames are rendered ones of the simulated corridor: CAVIAR's real footage may not be passed on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from experiments.common import need_data
+from experiments.common import pyplot
 from experiments.corridor import PATHS, centroids
 from experiments.d14_runs import (
     FILTERS,
     INFOS,
     KALMAN,
     VARIANCES,
-    Job,
-    Outcome,
+    CorridorRun,
     Points,
+    RunErrors,
     posterior_deviation,
     scene,
     seeds_of,
@@ -30,15 +28,13 @@ from experiments.d14_runs import (
 from phdtrack.arrays import to_cxcywh
 from phdtrack.simulate import DetectorModel, Look, build_scene, render
 from phdtrack.types import F8, Frame
-from phdtrack.video import open_source
 
-SHOWN = {"corridor": (100, 200, 265, 350), "caviar": (60, 120, 180, 240)}
+SHOWN = (100, 200, 265, 350)
 _COLOURS = dict(zip((*FILTERS, KALMAN), ("C0", "C1", "C2", "C3", "k"), strict=True))
 
 
-def pictures(results: Mapping[Job, Outcome], numbers: Sequence[int], seeds: int, out: Path) -> None:
+def pictures(results: Mapping[CorridorRun, RunErrors], numbers: Sequence[int], seeds: int, out: Path) -> None:
     """Errors, and frames and trajectories of the simulated corridor, as PNG files in ``out``."""
-    out.mkdir(parents=True, exist_ok=True)
     errors_by_number(results, numbers, seeds, out / "d14-errors.png")
     found = _tracked("corridor", numbers[-1])
     rendered = render(
@@ -48,32 +44,25 @@ def pictures(results: Mapping[Job, Outcome], numbers: Sequence[int], seeds: int,
     trajectories("corridor", found, out / "d14-trajectories.png")
 
 
-def footage(number: int, folder: Path) -> None:
-    """The same on CAVIAR's own frames, in ``folder``."""
-    found = _tracked("caviar", number)
-    ellipses("caviar", found, open_source(need_data() / "caviar" / "OneLeaveShop1cor.mpg"), folder / "d14-footage.png")
-    trajectories("caviar", found, folder / "d14-footage-trajectories.png")
-
-
 def _tracked(world: str, number: int) -> dict[str, Points]:
     """The states of each filter with σ² = 1 and the first seed."""
-    return {name: track(Job(world, name, number, 1.0, 0))[0] for name in FILTERS}
+    return {name: track(CorridorRun(world, name, number, 1.0, 0))[0] for name in FILTERS}
 
 
-def errors_by_number(results: Mapping[Job, Outcome], numbers: Sequence[int], seeds: int, path: Path) -> None:
+def errors_by_number(results: Mapping[CorridorRun, RunErrors], numbers: Sequence[int], seeds: int, path: Path) -> None:
     """RMSE against the truth over N with the spread over seeds, a panel for each world and variance."""
-    plt = _pyplot()
+    plt = pyplot()
     shape = (len(INFOS), len(VARIANCES))
     figure, axes = plt.subplots(*shape, figsize=(11, 8), sharex=True, squeeze=False, layout="constrained")
     for row, world in zip(axes, INFOS, strict=True):
         for axis, variance in zip(row, VARIANCES, strict=True):
             for name in FILTERS:
                 some = range(seeds_of(world, seeds))
-                each = np.array([[results[Job(world, name, n, variance, s)].overall for s in some] for n in numbers])
+                each = np.array([[results[CorridorRun(world, name, n, variance, s)].overall for s in some] for n in numbers])
                 low, middle, high = np.percentile(each, [2.5, 50, 97.5], axis=1)
                 bars = np.stack([middle - low, high - middle])
                 axis.errorbar(numbers, middle, bars, color=_COLOURS[name], label=name, capsize=2, lw=1)
-            bound = np.mean([results[Job(world, KALMAN, 0, variance, s)].overall for s in some])
+            bound = np.mean([results[CorridorRun(world, KALMAN, 0, variance, s)].overall for s in some])
             axis.axhline(bound, color="k", lw=1, label=KALMAN)
             axis.axhline(posterior_deviation(variance), color="0.5", lw=1, ls=":", label="posterior")
             axis.set(xscale="log", title=f"{world}, σ² = {variance:g}")
@@ -90,10 +79,10 @@ def errors_by_number(results: Mapping[Job, Outcome], numbers: Sequence[int], see
 
 def ellipses(world: str, found: Mapping[str, Points], frames: Iterable[Frame], path: Path) -> None:
     """Truth and states on some frames: a row for each filter, as D14's Figs. 2–4."""
-    plt = _pyplot()
+    plt = pyplot()
     from matplotlib.patches import Ellipse
 
-    shown = SHOWN[world]
+    shown = SHOWN
     images = {frame.number: frame.image[:, :, ::-1] for frame in frames if frame.number in shown}
     figure, axes = plt.subplots(len(found), len(shown), figsize=(12, 2.45 * len(found)), layout="constrained")
     truth = scene(world)
@@ -123,7 +112,7 @@ def _size_near(boxes: F8, place: F8) -> tuple[float, float]:
 
 def trajectories(world: str, found: Mapping[str, Points], path: Path) -> None:
     """States of all frames over the true paths, a panel for each filter; colours are its labels."""
-    plt = _pyplot()
+    plt = pyplot()
     truth = scene(world)
     figure, axes = plt.subplots(1, len(found), figsize=(4.3 * len(found), 4.2), sharey=True, layout="constrained")
     for axis, (name, points) in zip(axes, found.items(), strict=True):
@@ -136,13 +125,3 @@ def trajectories(world: str, found: Mapping[str, Points], path: Path) -> None:
     axes[0].set_ylabel("px")
     figure.savefig(path, dpi=80)
     plt.close(figure)
-
-
-def _pyplot() -> Any:
-    """Matplotlib without a screen."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    return pyplot

@@ -48,7 +48,7 @@ SETTLED = 25
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class CorridorRun:
     """One run; ``number`` is N, 0 for the Kalman filter. The measurements depend on world, variance and seed alone."""
 
     world: str
@@ -68,7 +68,7 @@ class Points:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
+class RunErrors:
     """Errors of one run, RMSE per axis in pixels.
 
     Attributes
@@ -97,19 +97,19 @@ class Outcome:
 def scene(world: str, seed: int = 0) -> Truth:
     """The truth: of points drawn from D14's model, of the simulated corridor, or the annotated people of CAVIAR's."""
     if world == "model":
-        model = stages_of(Job(world, KALMAN, 0, 1.0, seed)).model
+        model = stages_of(CorridorRun(world, KALMAN, 0, 1.0, seed)).model
         deviation = float(np.sqrt(model.sensor.states(np.zeros((2, 1)))[1][0, 2, 2]))
         return wandering(model.motion, deviation, np.random.default_rng([seed, 2]))
     return paths() if world == "corridor" else read_truth(need_data() / "caviar" / "cols1gt.xml")
 
 
-def scans_of(job: Job) -> tuple[F8, ...]:
+def scans_of(job: CorridorRun) -> tuple[F8, ...]:
     """The measurements (3, n) of every frame, named."""
     rng = np.random.default_rng([job.seed, round(100 * job.variance)])
     return measured(scene(job.world, job.seed), INFOS[job.world].frames, job.variance, rng)
 
 
-def stages_of(job: Job) -> AnyStages:
+def stages_of(job: CorridorRun) -> AnyStages:
     """The stages of a run; those of the Kalman filter are the PHD filter's, whose model it takes."""
     variance = f"sensor.noise_variance={job.variance}"
     if job.filter == KALMAN:
@@ -123,7 +123,7 @@ def stages_of(job: Job) -> AnyStages:
     return config.build(config.load(None, (variance, *sets, *particles), "d14"), INFOS[job.world])
 
 
-def track(job: Job) -> tuple[Points, float]:
+def track(job: CorridorRun) -> tuple[Points, float]:
     """The states that the filter of a job reports, and the seconds of processor time that it took."""
     scans, stages = scans_of(job), stages_of(job)
     began = time.thread_time()
@@ -178,7 +178,7 @@ def updated(model: Model, rows: list[int], mean: F8, cov: F8, z: F8) -> tuple[F8
 
 def posterior_deviation(variance: float) -> float:
     """The deviation of a coordinate that the Kalman filter of D14's model settles at, pixels."""
-    model = stages_of(Job("corridor", KALMAN, 0, variance, 0)).model
+    model = stages_of(CorridorRun("corridor", KALMAN, 0, variance, 0)).model
     mean, z = np.zeros((4, 1)), np.zeros((3, 1))
     _, cov = model.sensor.states(z)
     _, f, q = model.motion.transition(mean, 1.0)
@@ -187,17 +187,17 @@ def posterior_deviation(variance: float) -> float:
     return math.sqrt(cov[0, 0, 0])
 
 
-def work(job: Job) -> Outcome:
+def work(job: CorridorRun) -> RunErrors:
     """One run and its errors."""
     found, seconds = track(job)
-    exact, _ = track(Job(job.world, KALMAN, 0, job.variance, job.seed))
+    exact, _ = track(CorridorRun(job.world, KALMAN, 0, job.variance, job.seed))
     truth, scans = scene(job.world, job.seed), scans_of(job)
     true = Points(truth.frame, truth.identity, centroids(truth))
     frame = np.repeat(np.arange(1, len(scans) + 1), [z.shape[1] for z in scans])
     every = np.hstack(scans)
     against_truth = errors(true, found)
     against_measured = errors(Points(frame, every[2].astype(np.int64), every[:2]), found)
-    return Outcome(
+    return RunErrors(
         axis(against_truth),
         axis(against_measured),
         against_truth.mapped / against_truth.frames,
@@ -233,11 +233,11 @@ def seeds_of(world: str, seeds: int) -> int:
     return min(seeds, MODEL_SEEDS) if world == "model" else seeds
 
 
-def jobs_of(numbers: Sequence[int], seeds: int) -> list[Job]:
+def jobs_of(numbers: Sequence[int], seeds: int) -> list[CorridorRun]:
     """Every filter in every setting; seed by seed, so that a run that is broken off has whole ones."""
     filters = [(name, number) for number in numbers for name in FILTERS] + [(KALMAN, 0)]
     return [
-        Job(world, name, number, variance, seed)
+        CorridorRun(world, name, number, variance, seed)
         for seed in range(seeds)
         for world in INFOS
         if seed < seeds_of(world, seeds)

@@ -1,7 +1,5 @@
 """E13 on its own sequence: people counted on the ground plane behind a detector that misses three of ten.
 
-    phdtrack reproduce e13
-
 PETS 2009 S1L1, time 13-57, view 1: the truth is known, E13's detections are not, so they are made from the truth. The drop
 model was fixed before any filter was run, and no parameter was chosen by the outcome:
 
@@ -26,8 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.common import Options, in_parallel, need_data, table, write
-from experiments.plane import spread
+from experiments.common import Options, in_parallel, need_data, pyplot, table, with_error, write
 from phdtrack import config, pipeline
 from phdtrack.arrays import area, intersection
 from phdtrack.filters.intensities import Cardinalised
@@ -69,7 +66,7 @@ FILTERS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class CrowdRun:
     """One run: a filter by its name in `FILTERS`, the clutter's rate and the seed of the detections."""
 
     filter: str
@@ -78,7 +75,7 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
+class CrowdCounts:
     """By frame: ``mass``, number of ``states`` and of ``raw`` detections, and number of ``groups`` of the intensity."""
 
     mass: F8
@@ -139,7 +136,7 @@ def mixture_of(intensity: GaussianMixture | Cardinalised[GaussianMixture]) -> Ga
     return intensity.intensity if isinstance(intensity, Cardinalised) else intensity
 
 
-def run(job: Job) -> Iterator[tuple[GaussianMixture, Step]]:
+def run(job: CrowdRun) -> Iterator[tuple[GaussianMixture, Step]]:
     """The intensity and the step of each frame."""
     stages = stages_of(job.filter, job.clutter)
     drops, rng = np.random.default_rng([job.seed, int(10 * job.clutter)]), np.random.default_rng(job.seed)
@@ -150,13 +147,13 @@ def run(job: Job) -> Iterator[tuple[GaussianMixture, Step]]:
         yield mixture_of(state.intensity), step
 
 
-def work(job: Job) -> Outcome:
+def work(job: CrowdRun) -> CrowdCounts:
     """One run over the sequence."""
     rows = [
         (step.info.mass, len(step.estimates), len(step.detections), len(Grouping().groups(mixture)))
         for mixture, step in run(job)
     ]
-    return Outcome(*np.array(rows, dtype=np.float64).T)
+    return CrowdCounts(*np.array(rows, dtype=np.float64).T)
 
 
 def true_groups() -> tuple[F8, dict[int, Groups], dict[int, GaussianMixture]]:
@@ -188,30 +185,29 @@ def _velocity(annotated: Truth, place: F8, i: int) -> F8:
     return out
 
 
-def main(options: Options | None = None) -> Path:
+def main(options: Options) -> Path:
     """Run everything and write the page with its pictures."""
-    options = options or Options()
     seeds, rates = options.number(SEEDS, 2), CLUTTER[:1] if options.quick else CLUTTER
-    jobs = [Job(name, clutter, seed) for clutter in rates for name in FILTERS for seed in range(seeds)]
-    results = dict(zip(jobs, in_parallel(work, jobs, "e13", options.folder), strict=True))
+    jobs = [CrowdRun(name, clutter, seed) for clutter in rates for name in FILTERS for seed in range(seeds)]
+    results = dict(zip(jobs, in_parallel(work, jobs, "e13", options), strict=True))
     people = np.bincount(truth().frame, minlength=INFO.frames + 1)[1:].astype(np.float64)
     groups, pictured_groups, pictured = true_groups()
     rows = [row for clutter in rates for row in _rows(results, clutter, people, groups, seeds)]
-    pictures(results, people, groups, pictured_groups, pictured, options.out)
-    page = (Path(__file__).parent / "e13.md").read_text(encoding="utf-8")
+    pictures(results, people, groups, pictured_groups, pictured, options.folder)
     header = ("clutter", "filter", "mass: error", "bias", "of the raw error", "jumps", "states: error", "groups: error")
-    own = _beside(results, people, groups, seeds)
-    return write("e13.md", page.format(seeds=seeds, table=table(header, rows), **own), options.out)
+    return write("e13", options, seeds=seeds, table=table(header, rows), **_own_filter(results, people, groups, seeds))
 
 
-def _rows(results: Mapping[Job, Outcome], clutter: float, people: F8, groups: F8, seeds: int) -> list[tuple[object, ...]]:
+def _rows(
+    results: Mapping[CrowdRun, CrowdCounts], clutter: float, people: F8, groups: F8, seeds: int
+) -> list[tuple[object, ...]]:
     """A row for the raw detections and one for each filter: means over seeds with standard errors."""
-    first = [results[Job(next(iter(FILTERS)), clutter, seed)] for seed in range(seeds)]
+    first = [results[CrowdRun(next(iter(FILTERS)), clutter, seed)] for seed in range(seeds)]
     raw = np.array([np.abs(o.raw - people).mean() for o in first])
     steps = np.array([np.abs(np.diff(o.raw)).mean() for o in first])
     rows: list[tuple[object, ...]] = [(clutter, "raw detections", _pm(raw), "", 1.0, _pm(steps), "", "")]
     for name in FILTERS:
-        runs = [results[Job(name, clutter, seed)] for seed in range(seeds)]
+        runs = [results[CrowdRun(name, clutter, seed)] for seed in range(seeds)]
         mass = np.array([np.abs(o.mass - people).mean() for o in runs])
         bias = float(np.mean([(o.mass - people).mean() for o in runs]))
         states = np.array([np.abs(o.states - people).mean() for o in runs])
@@ -223,12 +219,12 @@ def _rows(results: Mapping[Job, Outcome], clutter: float, people: F8, groups: F8
 
 
 def _pm(values: F8) -> str:
-    return spread(values.tolist(), 2)
+    return with_error(values.tolist(), 2)
 
 
-def _beside(results: Mapping[Job, Outcome], people: F8, groups: F8, seeds: int) -> dict[str, object]:
-    """What stands beside E13's own figures: its filter under its parameters, in little clutter."""
-    runs = [results[Job("GM-PHD", CLUTTER[0], seed)] for seed in range(seeds)]
+def _own_filter(results: Mapping[CrowdRun, CrowdCounts], people: F8, groups: F8, seeds: int) -> dict[str, object]:
+    """What is compared with E13's own figures: its filter under its parameters, in little clutter."""
+    runs = [results[CrowdRun("GM-PHD", CLUTTER[0], seed)] for seed in range(seeds)]
     raw = np.array([np.abs(o.raw - people).mean() for o in runs])
     mass = np.array([np.abs(o.mass - people).mean() for o in runs])
     grouped = np.array([np.abs(o.groups - groups).mean() for o in runs])
@@ -250,7 +246,7 @@ def recall() -> float:
 
 
 def pictures(
-    results: Mapping[Job, Outcome],
+    results: Mapping[CrowdRun, CrowdCounts],
     people: F8,
     groups: F8,
     found: Mapping[int, Groups],
@@ -258,13 +254,8 @@ def pictures(
     out: Path,
 ) -> None:
     """E13's two figures: counts over time, and contours with truth and detections on the ground at the pictured frames."""
-    import matplotlib
-
-    out.mkdir(parents=True, exist_ok=True)
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    job, other = Job("GM-PHD", CLUTTER[0], 0), Job("GM-CPHD, rates", CLUTTER[0], 0)
+    plt = pyplot()
+    job, other = CrowdRun("GM-PHD", CLUTTER[0], 0), CrowdRun("GM-CPHD, rates", CLUTTER[0], 0)
     frames = np.arange(1, INFO.frames + 1)
     figure, axes = plt.subplots(2, 1, figsize=(9, 6), sharex=True, layout="constrained")
     axes[0].plot(frames, results[job].raw, color="0.7", lw=0.8, label="detections")
@@ -298,7 +289,3 @@ def pictures(
     axes[0].legend(fontsize=8, loc="upper left")
     axes[0].set_ylabel("m")
     figure.savefig(out / "e13-groups.png", dpi=110)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,7 +1,5 @@
 """Annotated groups of pedestrians, found among true positions and behind a filter, with a grid over both thresholds.
 
-    phdtrack reproduce groups
-
 seq_eth and zara01, people seen from above every 0.4 s. A detector is made of the annotated positions: noise of 0.2 m, one
 of ten missed, clutter Poisson over the ground that is walked on. The GM-PHD filter on the plane is given these rates and
 shipped settings else; it runs once a seed and its people are grouped under every pair of thresholds. No threshold is chosen:
@@ -17,8 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.common import Options, in_parallel, need_data, table, write
-from experiments.plane import spread
+from experiments.common import Options, in_parallel, need_data, table, with_error, write
 from phdtrack import config, pipeline
 from phdtrack.config import build_groups
 from phdtrack.formats.positions import Positions, read_groups, read_positions
@@ -42,7 +39,7 @@ WITHIN = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class GroupRun:
     """One run: a sequence and the seed of its detections; seed −1: the true positions."""
 
     sequence: str
@@ -50,7 +47,7 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class KnownPeople:
     """How well people are known: the ``share`` of the annotated who are found within `WITHIN`, ``false`` ones a frame, and
     the roots of the mean squared errors in ``place`` (m) and ``velocity`` (m/s) of those who are found."""
 
@@ -61,17 +58,17 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class GroupOutcome:
     """``people``: how well each kind of them is known, by name; ``grid``: scores of frames under each pair of thresholds;
     ``held``: those of lives under E13's thresholds, by kind of people with an identity and hold."""
 
-    people: dict[str, Found]
+    people: dict[str, KnownPeople]
     grid: dict[tuple[float, float], GroupScores]
     held: dict[tuple[str, float], GroupScores]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class WalkedScene:
     """A sequence: people, the annotated ``group`` (M,) of each row, 0 for none, number and seconds (F,) of its frames."""
 
     people: Positions
@@ -108,12 +105,12 @@ KNOWN, STATES, ONLINE, CORRECTED = "true positions", "states", "online rows", "c
 
 
 @lru_cache(maxsize=2)
-def scene(name: str) -> Scene:
+def scene(name: str) -> WalkedScene:
     """A sequence with its groups."""
     folder = need_data() / "groups" / name
     people = read_positions(folder / "obsmat.txt")
     number = np.unique(people.frame)
-    return Scene(
+    return WalkedScene(
         people,
         membership(people.identity, read_groups(folder / "groups.txt")),
         number,
@@ -139,7 +136,7 @@ def detected(place: F8, region: tuple[float, float, float, float], rng: np.rando
     return Detections(np.hstack([point - 0.3, point + 0.3]), np.ones(n), np.zeros(n, np.int64), covariance)
 
 
-def settings_of(where: Scene) -> config.Settings:
+def settings_of(where: WalkedScene) -> config.Settings:
     """Shipped settings on the ground, with the detector's own rates."""
     sets = (
         "motion.kind=plane",
@@ -153,7 +150,7 @@ def settings_of(where: Scene) -> config.Settings:
     return config.load(None, sets)
 
 
-def known(where: Scene) -> list[Seen]:
+def known(where: WalkedScene) -> list[Seen]:
     """Frames of people whose positions, velocities and identities are known."""
     out = []
     for number in where.number.tolist():
@@ -162,7 +159,7 @@ def known(where: Scene) -> list[Seen]:
     return out
 
 
-def filtered(where: Scene, stages: AnyStages, lightest: float, seed: int) -> list[Seen]:
+def filtered(where: WalkedScene, stages: AnyStages, lightest: float, seed: int) -> list[Seen]:
     """Frames as the filter sees them: its extracted states, the confirmed online rows and the corrected tracks."""
     drawn, rng = np.random.default_rng([seed, 1]), np.random.default_rng(seed)
     state = pipeline.start(stages, rng)
@@ -192,24 +189,24 @@ def middles(rows: Tracks) -> F8:
     return np.stack([rows.xyxy[:, 0] + rows.xyxy[:, 2], rows.xyxy[:, 1] + rows.xyxy[:, 3]]) / 2
 
 
-def by_frame(where: Scene, frames: Sequence[Seen], grouping: Grouping) -> GroupScores:
+def by_frame(where: WalkedScene, frames: Sequence[Seen], grouping: Grouping) -> GroupScores:
     """Who is together, frame by frame for itself."""
     return score_groups(_clusters(where, frames, grouping), WITHIN)
 
 
-def _clusters(where: Scene, frames: Sequence[Seen], grouping: Grouping) -> Iterator[LabelledFrame]:
+def _clusters(where: WalkedScene, frames: Sequence[Seen], grouping: Grouping) -> Iterator[LabelledFrame]:
     for k, seen in enumerate(frames):
         people = next(iter(seen.people.values()))
         yield LabelledFrame(*_truth(where, k), _group(grouping.groups(seen.mixture).label, people.carrier), people.place)
 
 
-def over_time(where: Scene, frames: Sequence[Seen], name: str, grouping: Grouping, hold: float) -> GroupScores:
+def over_time(where: WalkedScene, frames: Sequence[Seen], name: str, grouping: Grouping, hold: float) -> GroupScores:
     """Who is together by the groups that people of kind ``name`` have accepted."""
     return score_groups(_lives(where, frames, name, grouping, GroupLifeCycle(hold)), WITHIN)
 
 
 def _lives(
-    where: Scene, frames: Sequence[Seen], name: str, grouping: Grouping, living: GroupLifeCycle
+    where: WalkedScene, frames: Sequence[Seen], name: str, grouping: Grouping, living: GroupLifeCycle
 ) -> Iterator[LabelledFrame]:
     state = LifeCycleState()
     for k, seen in enumerate(frames):
@@ -221,7 +218,7 @@ def _lives(
         yield LabelledFrame(*_truth(where, k), accepted, people.place[:, used])
 
 
-def found_of(where: Scene, frames: Sequence[Seen], name: str) -> Found:
+def found_of(where: WalkedScene, frames: Sequence[Seen], name: str) -> KnownPeople:
     """How well the people of kind ``name`` are known."""
     place, velocity, false = [np.zeros(0)], [np.zeros(0)], 0
     for k, seen in enumerate(frames):
@@ -234,10 +231,10 @@ def found_of(where: Scene, frames: Sequence[Seen], name: str) -> Found:
         velocity.append(((here.state[2:, rows[carried]] - means) ** 2).sum(axis=0))
     off, slip = np.concatenate(place), np.concatenate(velocity)
     rms = float(np.sqrt(off.mean())), float(np.sqrt(slip.mean()))
-    return Found(len(off) / len(where.people), false / len(where.number), *rms)
+    return KnownPeople(len(off) / len(where.people), false / len(where.number), *rms)
 
 
-def _truth(where: Scene, k: int) -> tuple[I8, F8]:
+def _truth(where: WalkedScene, k: int) -> tuple[I8, F8]:
     """Annotated groups and places in the frame at place ``k``."""
     lo, hi = np.searchsorted(where.people.frame, [where.number[k], where.number[k] + 1])
     return where.group[lo:hi], where.people.state[:2, lo:hi]
@@ -248,7 +245,7 @@ def _group(label: I8, carrier: I8) -> I8:
     return np.where(carrier >= 0, np.append(label, -1)[carrier] + 1, 0)
 
 
-def work(job: Job) -> Outcome:
+def work(job: GroupRun) -> GroupOutcome:
     """One run: the filter once, then all groupings."""
     where = scene(job.sequence)
     lightest = Grouping().min_weight
@@ -269,36 +266,36 @@ def work(job: Job) -> Outcome:
         if name != STATES
         for hold in HOLDS
     }
-    return Outcome({name: found_of(where, frames, name) for name in names}, grid, held)
+    return GroupOutcome({name: found_of(where, frames, name) for name in names}, grid, held)
 
 
-def main(options: Options | None = None) -> Path:
+def main(options: Options) -> Path:
     """Run everything and write groups.md."""
-    options = options or Options()
     seeds = options.number(SEEDS, 1)
-    jobs = [Job(name, seed) for name in SEQUENCES for seed in range(-1, seeds)]
-    outcomes = dict(zip(jobs, in_parallel(work, jobs, "groups", options.folder), strict=True))
-    return write("groups.md", page(outcomes, seeds), options.out)
+    jobs = [GroupRun(name, seed) for name in SEQUENCES for seed in range(-1, seeds)]
+    outcomes = dict(zip(jobs, in_parallel(work, jobs, "groups", options), strict=True))
+    return write("groups", options, **figures(outcomes, seeds))
 
 
-def page(outcomes: dict[Job, Outcome], seeds: int) -> str:
-    """The page of results."""
+def figures(outcomes: dict[GroupRun, GroupOutcome], seeds: int) -> dict[str, object]:
+    """What is filled into the page."""
     sources = _sources(outcomes, seeds)
-    text = (Path(__file__).parent / "groups.md").read_text(encoding="utf-8")
-    return text.format(
-        seeds=seeds,
-        noise=NOISE,
-        detection=DETECTION,
-        clutter=CLUTTER,
-        margin=MARGIN,
-        within=WITHIN,
-        scenes=table(("sequence", "frames", "people", "groups", "pairs in all frames"), [_size(name) for name in SEQUENCES]),
-        people=table(
+    return {
+        "seeds": seeds,
+        "noise": NOISE,
+        "detection": DETECTION,
+        "clutter": CLUTTER,
+        "margin": MARGIN,
+        "within": WITHIN,
+        "scenes": table(
+            ("sequence", "frames", "people", "groups", "pairs in all frames"), [_size(name) for name in SEQUENCES]
+        ),
+        "people": table(
             ("sequence", "people", "found", "false a frame", "place, m", "velocity, m/s"),
             [(name, kind, *_known_by(kind, found)) for name, _, found in sources for kind in found[0].people],
         ),
-        grids="\n".join(f"### {name}, {source}\n\n{_grid(found)}" for name, source, found in sources),
-        lives=table(
+        "grids": "\n".join(f"### {name}, {source}\n\n{_grid(found)}" for name, source, found in sources),
+        "lives": table(
             ("sequence", "people", "hold, s", "F1", "precision", "recall", "identity switches"),
             [
                 (name, kind, f"{hold:g}", *_means([out.held[kind, hold] for out in found]), _switches(found, kind, hold))
@@ -306,27 +303,27 @@ def page(outcomes: dict[Job, Outcome], seeds: int) -> str:
                 for kind, hold in found[0].held
             ],
         ),
-    )
+    }
 
 
-def _sources(outcomes: dict[Job, Outcome], seeds: int) -> list[tuple[str, str, list[Outcome]]]:
+def _sources(outcomes: dict[GroupRun, GroupOutcome], seeds: int) -> list[tuple[str, str, list[GroupOutcome]]]:
     """Sequence, where people come from, and the outcomes of all seeds."""
     out = []
     for name in SEQUENCES:
-        out.append((name, "true positions and velocities", [outcomes[Job(name, -1)]]))
-        out.append((name, "filtered", [outcomes[Job(name, seed)] for seed in range(seeds)]))
+        out.append((name, "true positions and velocities", [outcomes[GroupRun(name, -1)]]))
+        out.append((name, "filtered", [outcomes[GroupRun(name, seed)] for seed in range(seeds)]))
     return out
 
 
-def _known_by(kind: str, found: Sequence[Outcome]) -> list[str]:
+def _known_by(kind: str, found: Sequence[GroupOutcome]) -> list[str]:
     parts = [out.people[kind] for out in found]
     return [
-        spread([getattr(part, name) for part in parts], digits)
+        with_error([getattr(part, name) for part in parts], digits)
         for name, digits in (("share", 3), ("false", 2), ("place", 3), ("velocity", 3))
     ]
 
 
-def _grid(found: Sequence[Outcome]) -> str:
+def _grid(found: Sequence[GroupOutcome]) -> str:
     """F1, and precision and recall behind it, under each pair of thresholds; E13's own in bold."""
     rows = []
     for near in NEAR:
@@ -334,7 +331,7 @@ def _grid(found: Sequence[Outcome]) -> str:
         for slow in SLOW:
             scores = [outcome.grid[near, slow] for outcome in found]
             precision, recall = np.mean([one.precision() for one in scores]), np.mean([one.recall() for one in scores])
-            cell = f"{spread([one.f1() for one in scores])} ({precision:.2f}, {recall:.2f})"
+            cell = f"{with_error([one.f1() for one in scores])} ({precision:.2f}, {recall:.2f})"
             cells.append(f"**{cell}**" if (near, slow) == OWN else cell)
         rows.append((f"{near:g} m", *cells))
     return table(("T_p, T_v", *(f"{slow:g} m/s" for slow in SLOW)), rows)
@@ -343,14 +340,14 @@ def _grid(found: Sequence[Outcome]) -> str:
 def _means(found: Sequence[GroupScores]) -> tuple[str, str, str]:
     """F1, precision and recall."""
     return (
-        spread([scores.f1() for scores in found]),
-        spread([scores.precision() for scores in found]),
-        spread([scores.recall() for scores in found]),
+        with_error([scores.f1() for scores in found]),
+        with_error([scores.precision() for scores in found]),
+        with_error([scores.recall() for scores in found]),
     )
 
 
-def _switches(found: Sequence[Outcome], kind: str, hold: float) -> str:
-    return spread([float(outcome.held[kind, hold].switches) for outcome in found], 1)
+def _switches(found: Sequence[GroupOutcome], kind: str, hold: float) -> str:
+    return with_error([float(outcome.held[kind, hold].switches) for outcome in found], 1)
 
 
 def _size(name: str) -> tuple[object, ...]:
@@ -364,7 +361,3 @@ def _pairs(group: I8) -> int:
     """Number of pairs of one frame that are of one group."""
     size = np.bincount(group[group > 0])
     return int((size * (size - 1)).sum()) // 2
-
-
-if __name__ == "__main__":
-    main()

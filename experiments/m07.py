@@ -1,23 +1,19 @@
 """M07 Table 1 and M09 Fig. 16: PHD against no filter and against multiple hypotheses, on the same detections.
 
-    phdtrack reproduce m07
-
 Real detections, detections made of real truth, and simulated scenes, natural and with Poisson clutter added; the same
 shipped settings for all. Every method is given the same detections at the same seed. `none` is M07's MT and M09's DA.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from experiments import m07_why
 from experiments.cases import CASES, HELD_OUT, MADE, PLACES, RENDERED, SCENES, Named, cluttered, drawn, short
-from experiments.common import Options, Result, in_parallel, measure, table, write
-from experiments.m07_why import Trial, Tried
+from experiments.common import Options, ScoredCase, in_parallel, measure, table, with_interval, write
 from phdtrack.compare.statistics import Interval, interval
 from phdtrack.metrics import Scores, pool
 
@@ -46,13 +42,11 @@ FIRING: dict[str, tuple[Named, ...]] = {"places that fire": PLACES}
 # So are the rendered scenes: a detector has false alarms of its own.
 VIDEOS: dict[str, tuple[Named, ...]] = {"rendered scenes": RENDERED}
 ERRORS = {"misses": "misses", "false boxes": "false_positives", "switches": "id_switches"}
-# A difference that is hardly one.
-NEAR = 0.01
 FOUR = ("MODA", "MODP", "MOTA", "MOTP")
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class MethodRun:
     """One run; ``seed`` draws detections, clutter and particles."""
 
     case: Named
@@ -61,17 +55,17 @@ class Job:
     seed: int
 
 
-def work(job: Job) -> Result:
+def work(job: MethodRun) -> ScoredCase:
     """One run, scored."""
     kind, preset = METHODS[job.method]
     return measure(cluttered(drawn(job.case, job.seed), job.rate, job.seed), kind, job.seed, preset=preset)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class MethodScores:
     """All runs; ``groups`` of cases, ``rates`` of clutter and number of ``seeds`` that there are."""
 
-    results: dict[Job, Result]
+    results: dict[MethodRun, ScoredCase]
     groups: dict[str, tuple[Named, ...]]
     rates: tuple[int, ...]
     seeds: int
@@ -81,9 +75,11 @@ class Found:
         """The cases of all groups."""
         return tuple(case for cases in self.groups.values() for case in cases)
 
-    def runs(self, case: Named, rate: int, method: str) -> list[Result]:
+    def runs(self, case: Named, rate: int, method: str) -> list[ScoredCase]:
         """One result for each seed; the same one where nothing is drawn."""
-        return [self.results[Job(case, rate, method, seed_of(case, rate, method, k))] for k in range(1, self.seeds + 1)]
+        return [
+            self.results[MethodRun(case, rate, method, seed_of(case, rate, method, k))] for k in range(1, self.seeds + 1)
+        ]
 
     def mean(self, case: Named, rate: int, method: str, score: str) -> float:
         """A score's mean over the seeds."""
@@ -101,10 +97,10 @@ def seed_of(case: Named, rate: int, method: str, seed: int) -> int:
     return seed if random else 1
 
 
-def jobs_of(groups: dict[str, tuple[Named, ...]], rates: Sequence[int], seeds: int) -> list[Job]:
+def jobs_of(groups: dict[str, tuple[Named, ...]], rates: Sequence[int], seeds: int) -> list[MethodRun]:
     """All runs, each once."""
     wanted = (
-        Job(case, rate, method, seed_of(case, rate, method, seed))
+        MethodRun(case, rate, method, seed_of(case, rate, method, seed))
         for cases in groups.values()
         for case in cases
         for rate in rates
@@ -114,112 +110,67 @@ def jobs_of(groups: dict[str, tuple[Named, ...]], rates: Sequence[int], seeds: i
     return list(dict.fromkeys(wanted))
 
 
-def main(options: Options | None = None) -> Path:
+def main(options: Options) -> Path:
     """Run everything and write m07.md."""
-    options = options or Options()
     seeds, rates = options.number(SEEDS, FEW), RATES[::2] if options.quick else RATES
     groups = {"real detections": short(CASES), "simulated scenes": SCENES[1:2]} if options.quick else GROUPS
     firing = {"places that fire": PLACES[1:2]} if options.quick else FIRING
     videos = {"rendered scenes": RENDERED[:1]} if options.quick else VIDEOS
     once = jobs_of(firing, rates[:1], seeds) + jobs_of(videos, rates[::2], seeds)
     jobs = jobs_of(groups, rates, seeds) + once
-    results = dict(zip(jobs, in_parallel(work, jobs, "m07", options.folder), strict=True))
-    found, places = Found(results, groups, rates, seeds), Found(results, firing, rates[:1], seeds)
-    trials = m07_why.trials_of(found.cases)
-    outcomes = dict(zip(trials, in_parallel(m07_why.tried, trials, "m07, why", options.folder), strict=True))
-    return write("m07.md", page(found, places, Found(results, videos, rates[::2], seeds), outcomes), options.out)
+    results = dict(zip(jobs, in_parallel(work, jobs, "m07", options), strict=True))
+    found, places = MethodScores(results, groups, rates, seeds), MethodScores(results, firing, rates[:1], seeds)
+    return write("m07", options, **figures(found, places, MethodScores(results, videos, rates[::2], seeds)))
 
 
-def page(found: Found, places: Found, videos: Found, trials: Mapping[Trial, Tried]) -> str:
-    """The page of results; ``places``: the scenes with places that fire; ``videos``: the rendered ones; ``trials``: what
-    was tried to explain them."""
-    text = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
+def figures(found: MethodScores, places: MethodScores, videos: MethodScores) -> dict[str, object]:
+    """What is filled into the page; ``places``: the scenes with places that fire; ``videos``: the rendered ones."""
     heavy = found.rates[-1]
     first = found.groups["real detections"]
     none, phd = (_spread(found.pooled(first, heavy, method), "MOTA") for method in ("none", PHD))
     pooled = ("cases", "clutter added", "method", *FOUR, "IDF1", "HOTA", "misses", "false boxes", "switches", "false tracks")
-    return text.format(
-        seeds=found.seeds,
-        heavy=heavy,
-        none=none,
-        phd=phd,
-        verdict="\n\n".join(verdict(found, phd) for phd in PHDS),
-        ahead=_ahead_table(found),
-        pooled=table(pooled, _pooled(found)),
-        places=table(pooled, _pooled(places)),
-        videos_ahead=_ahead_table(videos),
-        videos=table(pooled, _pooled(videos)),
-        videos_gaps=_gaps_table(videos),
-        gaps=_gaps_table(found),
-        natural=table(("case", "method", *FOUR, "IDF1", "HOTA", "switches", "delay", "false tracks", "ms"), _natural(found)),
-        cluttered="\n".join(_with_clutter(found, rate) for rate in found.rates[1:]),
-        behind=_behind_text(found),
-        apart=_apart(found),
-        where=m07_why.where(_groups(found), trials),
-        hindsight=m07_why.hindsight(_groups(found), trials),
-        changes=m07_why.changed(_groups(found), trials),
-    )
+    each = ("case", "method", *FOUR, "IDF1", "HOTA", "switches", "delay", "false tracks", "ms")
+    return {
+        "seeds": found.seeds,
+        "heavy": heavy,
+        "none": none,
+        "phd": phd,
+        "ahead": _ahead_table(found),
+        "pooled": table(pooled, _pooled(found)),
+        "places": table(pooled, _pooled(places)),
+        "videos_ahead": _ahead_table(videos),
+        "videos": table(pooled, _pooled(videos)),
+        "videos_gaps": _gaps_table(videos),
+        "gaps": _gaps_table(found),
+        "natural": table(each, _natural(found)),
+        "cluttered": "\n".join(_with_clutter(found, rate) for rate in found.rates[1:]),
+        "behind": _behind_table(found),
+    }
 
 
 def leads(
-    found: Found, case: Named, rate: int, rival: str, phd: str = PHD, scores: Sequence[str] = ("MODA", "MOTA")
+    found: MethodScores, case: Named, rate: int, rival: str, phd: str = PHD, scores: Sequence[str] = ("MODA", "MOTA")
 ) -> bool:
     """Whether a PHD filter is ahead of a rival in all of the ``scores``, by their means over the seeds."""
     return all(found.mean(case, rate, phd, score) > found.mean(case, rate, rival, score) for score in scores)
 
 
-def verdict(found: Found, phd: str = PHD) -> str:
-    """How often a PHD filter is ahead of each rival and of all, and by which errors it is behind, a sentence or two each."""
-    all_ = [(case, rate) for case in found.cases for rate in found.rates]
-    every = sum(all(leads(found, case, rate, rival, phd) for rival in RIVALS) for case, rate in all_)
-    lines = [
-        f"`{phd}` is ahead of all three in MODA and MOTA in {every} of {len(all_)} combinations of case and clutter.",
-        "",
-    ]
-    return "\n".join(lines + [f"- {_against(found, phd, rival)}" for rival in RIVALS])
-
-
-def _against(found: Found, phd: str, rival: str) -> str:
-    """How often a PHD filter is ahead of one rival, by groups, and pooled."""
-    counts = []
-    for name, cases in _groups(found).items():
-        ahead = [leads(found, case, rate, rival, phd) for case in cases for rate in found.rates]
-        counts.append((name, sum(ahead), len(ahead)))
-    _, total, of = counts[-1]
-    parts = ", ".join(f"{name} {n} of {m}" for name, n, m in counts if name != "all")
-    gaps = [gap(found, found.cases, rate, phd, rival, score) for rate in found.rates for score in ("MODA", "MOTA")]
-    lost = [(case, rate) for case in found.cases for rate in found.rates if not leads(found, case, rate, rival, phd)]
-    kinds = [_errors(found, case, rate, rival, phd)[-1] for case, rate in lost]
-    near = sum(
-        all(found.mean(case, rate, phd, score) > found.mean(case, rate, rival, score) - NEAR for score in ("MODA", "MOTA"))
-        for case, rate in lost
-    )
-    reasons = ", ".join(f"by {kind} in {kinds.count(kind)}" for kind in ERRORS if kind in kinds)
-    return (
-        f"Of `{rival}` in **{total} of {of}** ({parts}). Pooled over all cases it is ahead of it in "
-        f"{sum(one.mean > 0 for one in gaps)} of {len(gaps)} comparisons (MODA or MOTA, a rate of clutter), in "
-        f"{sum(one.mean > 0 and one.clear for one in gaps)} by more than the 95 % interval, and behind by more than it in "
-        f"{sum(one.mean < 0 and one.clear for one in gaps)}."
-        + (f" Where it is behind, it is so most {reasons}; in {near} by less than {NEAR} in both scores." if reasons else "")
-    )
-
-
-def gap(found: Found, cases: Sequence[Named], rate: int, phd: str, rival: str, score: str) -> Interval:
+def gap(found: MethodScores, cases: Sequence[Named], rate: int, phd: str, rival: str, score: str) -> Interval:
     """A pooled score of a PHD filter less that of a rival, seed by seed."""
     ours, theirs = found.pooled(cases, rate, phd), found.pooled(cases, rate, rival)
     return interval([getattr(a, score) - getattr(b, score) for a, b in zip(ours, theirs, strict=True)])
 
 
-def _groups(found: Found) -> dict[str, tuple[Named, ...]]:
+def _groups(found: MethodScores) -> dict[str, tuple[Named, ...]]:
     return found.groups if len(found.groups) == 1 else {**found.groups, "all": found.cases}
 
 
-def _ahead_table(found: Found) -> str:
+def _ahead_table(found: MethodScores) -> str:
     over = (f"ahead of {rival}" for rival in (*RIVALS, "all", "none in all four"))
     return table(("filter", "cases", "clutter added", "of", *over), [row for phd in PHDS for row in _ahead(found, phd)])
 
 
-def _ahead(found: Found, phd: str) -> list[tuple[object, ...]]:
+def _ahead(found: MethodScores, phd: str) -> list[tuple[object, ...]]:
     """How many cases a PHD filter leads."""
     rows: list[tuple[object, ...]] = []
     for name, cases in _groups(found).items():
@@ -231,7 +182,7 @@ def _ahead(found: Found, phd: str) -> list[tuple[object, ...]]:
     return rows
 
 
-def _pooled(found: Found) -> list[tuple[object, ...]]:
+def _pooled(found: MethodScores) -> list[tuple[object, ...]]:
     rows: list[tuple[object, ...]] = []
     for name, cases in _groups(found).items():
         for rate in found.rates:
@@ -247,31 +198,25 @@ def _pooled(found: Found) -> list[tuple[object, ...]]:
 
 
 def _spread(scores: Sequence[Scores], key: str) -> str:
-    return _shown(interval([getattr(one, key) for one in scores]))
+    return with_interval(interval([getattr(one, key) for one in scores]))
 
 
-def _shown(value: Interval, sign: str = "") -> str:
-    """A mean with half its interval, where there is one."""
-    mean = f"{value.mean:{sign}.3f}"
-    return mean if not np.isfinite(value.half) or value.half < 5e-4 else f"{mean} ± {value.half:.3f}"
-
-
-def _gaps_table(found: Found) -> str:
+def _gaps_table(found: MethodScores) -> str:
     scores = (f"{score}, less {rival}" for rival in RIVALS for score in ("MODA", "MOTA"))
     return table(("filter", "cases", "clutter added", *scores), [row for phd in PHDS for row in _gaps(found, phd)])
 
 
-def _gaps(found: Found, phd: str) -> list[tuple[object, ...]]:
+def _gaps(found: MethodScores, phd: str) -> list[tuple[object, ...]]:
     """Pooled scores of a PHD filter less those of its rivals."""
     rows: list[tuple[object, ...]] = []
     for name, cases in _groups(found).items():
         for rate in found.rates:
             gaps = (gap(found, cases, rate, phd, rival, score) for rival in RIVALS for score in ("MODA", "MOTA"))
-            rows.append((phd, name, rate, *(_shown(one, "+") for one in gaps)))
+            rows.append((phd, name, rate, *(with_interval(one, sign="+") for one in gaps)))
     return rows
 
 
-def _natural(found: Found) -> list[tuple[object, ...]]:
+def _natural(found: MethodScores) -> list[tuple[object, ...]]:
     rows: list[tuple[object, ...]] = []
     for case in found.cases:
         for method in METHODS:
@@ -285,7 +230,7 @@ def _natural(found: Found) -> list[tuple[object, ...]]:
     return rows
 
 
-def _with_clutter(found: Found, rate: int) -> str:
+def _with_clutter(found: MethodScores, rate: int) -> str:
     """MODA and MOTA of all cases at a rate of added clutter."""
     header = ("case", *(f"{score} {method}" for score in ("MODA", "MOTA") for method in METHODS))
     rows = [
@@ -302,7 +247,7 @@ def _with_clutter(found: Found, rate: int) -> str:
     return f"### {rate} false alarms per frame added\n\n{table(header, rows)}"
 
 
-def _behind_text(found: Found) -> str:
+def _behind_table(found: MethodScores) -> str:
     """Where a rival is ahead in MODA or MOTA, and by which kind of error."""
     rows = [
         (phd, " ".join(case), rate, rival, *_errors(found, case, rate, rival, phd))
@@ -312,28 +257,11 @@ def _behind_text(found: Found) -> str:
         for rival in RIVALS
         if not leads(found, case, rate, rival, phd)
     ]
-    if not rows:
-        return "Nowhere.\n"
     header = ("filter", "case", "clutter added", "behind", "MODA", "MOTA", "misses", "false boxes", "switches", "most by")
     return table(header, rows)
 
 
-def _apart(found: Found) -> str:
-    """Pooled scores less those of `mht`: over all cases, and over all but the one that costs most."""
-    rows = []
-    for phd in PHDS:
-        for rate in found.rates:
-            costs = {
-                case: gap(found, [c for c in found.cases if c != case], rate, phd, "mht", "MOTA") for case in found.cases
-            }
-            worst = max(costs, key=lambda case: costs[case].mean)
-            rest = [case for case in found.cases if case != worst]
-            gaps = (gap(found, cases, rate, phd, "mht", key) for cases in (found.cases, rest) for key in ("MODA", "MOTA"))
-            rows.append((phd, rate, *(_shown(one, "+") for one in gaps), " ".join(worst)))
-    return table(("filter", "clutter added", "MODA", "MOTA", "MODA without it", "MOTA without it", "the dearest case"), rows)
-
-
-def _errors(found: Found, case: Named, rate: int, rival: str, phd: str = PHD) -> tuple[object, ...]:
+def _errors(found: MethodScores, case: Named, rate: int, rival: str, phd: str = PHD) -> tuple[object, ...]:
     """Differences in MODA and MOTA, and in errors per annotated box, whose sum is that in MOTA with the other sign."""
     gap = [found.mean(case, rate, phd, score) - found.mean(case, rate, rival, score) for score in ("MODA", "MOTA")]
     boxes = found.mean(case, rate, phd, "truth_boxes")
@@ -342,7 +270,3 @@ def _errors(found: Found, case: Named, rate: int, rival: str, phd: str = PHD) ->
     }
     worst = max(more, key=lambda name: more[name])
     return (*(f"{value:+.3f}" for value in (*gap, *more.values())), worst if more[worst] > 0 else "–")
-
-
-if __name__ == "__main__":
-    main()

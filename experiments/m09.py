@@ -1,22 +1,19 @@
 """M09 Figs. 7, 8, 11, 14-16: births and false alarms learned from a scene, against uniform ones, part by part.
 
-    phdtrack reproduce m09
-
 Scenes of 20 000 rendered frames and real sequences; the first half teaches, the second tests.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from experiments import m09_learner, m09_pictures, m09_places, m09_words
-from experiments.common import Kept, Options, in_parallel, table, write
-from experiments.m09_lessons import Course, Taught, learn
+from experiments import m09_pictures, m09_places
+from experiments.common import Options, in_parallel, table, with_interval, write
+from experiments.m09_lessons import LearnedScene, learn
 from experiments.m09_runs import (
     ABLATIONS,
     GM,
@@ -26,29 +23,17 @@ from experiments.m09_runs import (
     LOCAL_SWEEP,
     PHD,
     UM,
-    Job,
-    Outcome,
-    Race,
+    SceneRun,
+    SceneScores,
     race,
     work,
 )
-from experiments.m09_scenes import (
-    FRAMES,
-    HELD_OUT,
-    PETS,
-    REAL,
-    RENDERED,
-    SHORT,
-    Footage,
-    detected_in,
-    picture,
-    rendered,
-)
+from experiments.m09_scenes import FRAMES, HELD_OUT, REAL, RENDERED, SHORT, Halves, halves, picture
 from phdtrack.compare.statistics import Interval, interval
 from phdtrack.metrics import Scores, pool
 
 # Rendered scenes are long: one seed, whose intervals are over quarters of the stretch.
-SEEDS, LONG_SEEDS, LEARNER_SEEDS = 3, 1, 8
+SEEDS, LONG_SEEDS = 3, 1
 # Of the second half of a rendered scene, for the sweep and for other filters.
 QUARTER = 2500
 RUNS = (UM, IMAGE, GM, GM_IMAGE, *ABLATIONS)
@@ -56,32 +41,30 @@ RUNS = (UM, IMAGE, GM, GM_IMAGE, *ABLATIONS)
 RIVALS = ((UM, "none"), (UM, "mht"), (GM, "mht"), (UM, "gm-phd"), (GM, "gm-phd"), (UM, "particle-phd"), (GM, "particle-phd"))
 RACES = (PHD, "gm-phd", "mht", "particle-phd")
 SCORES = ("MODA", "MODP", "MOTA", "MOTP")
+# The paper's findings: one run above another.
+FINDINGS = (("A2", "A1"), ("A5", "A4"), (GM, "A2"), ("A6", GM))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
-    """All runs; ``scenes`` by name, what each has ``taught`` at each seed."""
+class SceneResults:
+    """All runs; ``scenes`` by name, what was ``learned`` of each at each seed, seconds a frame by scene and filter."""
 
-    scenes: dict[str, Footage]
-    outcomes: dict[Job, Outcome]
-    taught: dict[Course, Taught]
-    races: dict[Race, tuple[float, float, float]]
-
-    def course(self, scene: str, seed: int = 1) -> Course:
-        """What is learned of a scene at a seed."""
-        return Course(self.scenes[scene], seed)
+    scenes: Mapping[str, Halves]
+    runs_: Mapping[SceneRun, SceneScores]
+    learned: Mapping[tuple[str, int], LearnedScene]
+    races: Mapping[tuple[str, str], tuple[float, float, float]]
 
     def seeds(self, scene: str) -> int:
         """How many seeds there are."""
-        return sum(course.footage == self.scenes[scene] for course in self.taught)
+        return sum(name == scene for name, _ in self.learned)
 
-    def runs(self, scene: str, run: str) -> list[Outcome]:
-        """The outcomes of a run of the default filter on the whole second half, one for each seed."""
-        return [self.outcomes[Job(self.course(scene, seed), run)] for seed in range(1, self.seeds(scene) + 1)]
+    def runs(self, scene: str, run: str) -> list[SceneScores]:
+        """The scores of a run of the default filter on the whole second half, one for each seed."""
+        return [self.runs_[SceneRun(scene, seed, run)] for seed in range(1, self.seeds(scene) + 1)]
 
-    def beside(self, scene: str, run: str, filter_: str = PHD) -> Outcome:
-        """The outcome on the stretch on which filters and uniform rates are compared, of the first seed."""
-        return self.outcomes[Job(self.course(scene), run, filter_, frames=short_of(self.scenes[scene]))]
+    def short_run(self, scene: str, run: str, filter_: str = PHD) -> SceneScores:
+        """The scores on the stretch on which filters and uniform rates are compared, of the first seed."""
+        return self.runs_[SceneRun(scene, 1, run, filter_, frames=short_of(self.scenes[scene]))]
 
     def pooled(self, scenes: Sequence[str], run: str) -> list[Scores]:
         """The scores over all ``scenes``: for each seed, or for each quarter of the stretch where there is one seed."""
@@ -109,21 +92,14 @@ class Found:
         return float(np.mean([getattr(one.scores, score) for one in self.runs(scene, run)]))
 
     def delay(self, scene: str, run: str, where: str) -> float:
-        """Mean delay over all objects and seeds, ``inside`` or ``outside`` the places where people enter; NaN of nobody."""
+        """Mean delay over all objects and seeds, ``inside`` or ``outside`` where people enter; NaN without any."""
         each = [delay for one in self.runs(scene, run) for delay in getattr(one, where).values()]
         return float(np.mean(each)) if each else float("nan")
 
-    def delayed(self, scene: str) -> tuple[float, float, int, int]:
-        """Of those who enter and whom UM and GM both find: mean delays of both, how many each finds, over all seeds."""
-        pairs = [(a.inside, b.inside) for a, b in zip(self.runs(scene, UM), self.runs(scene, GM), strict=True)]
-        both = np.array([(a[who], b[who]) for a, b in pairs for who in a.keys() & b.keys()]).reshape(-1, 2)
-        late = both.mean(axis=0) if len(both) else np.full(2, np.nan)
-        return float(late[0]), float(late[1]), sum(len(a) for a, _ in pairs), sum(len(b) for _, b in pairs)
-
     def sweep(self, scene: str, run: str) -> dict[tuple[float, float], Scores]:
         """Scores of the uniform model by its rates, of the first seed."""
-        swept = (job for job in self.outcomes if job.course == self.course(scene) and job.run == run)
-        return {job.rates: self.outcomes[job].scores for job in swept if job.rates is not None}
+        swept = (one for one in self.runs_ if (one.scene, one.run) == (scene, run))
+        return {one.rates: self.runs_[one].scores for one in swept if one.rates is not None}
 
     def groups(self) -> dict[str, tuple[str, ...]]:
         """The scenes one by one, then the rendered ones together, PETS09-S2L1, and those that nothing was chosen on."""
@@ -132,73 +108,49 @@ class Found:
         return single | {name: some for name, some in both.items() if set(some) <= set(self.scenes)}
 
 
-def short_of(scene: Footage) -> int:
+def short_of(scene: Halves) -> int:
     """How many frames of the second half filters and uniform rates are compared on; 0: all."""
     return QUARTER if scene.frames > 4 * QUARTER else 0
 
 
-def jobs_of(courses: Sequence[Course], quick: bool) -> list[Job]:
+def runs_of(scenes: Mapping[str, Halves], seeds: Mapping[str, int], quick: bool) -> list[SceneRun]:
     """All runs, each once."""
-    jobs = [Job(course, run) for course in courses for run in RUNS]
-    for first in (course for course in courses if course.seed == 1):
-        few = short_of(first.footage)
-        jobs += [Job(first, run, name, frames=few) for run, name in ((UM, PHD), (GM, PHD), *RIVALS)]
+    runs = [SceneRun(name, seed, run) for name in scenes for seed in range(1, seeds[name] + 1) for run in RUNS]
+    for name, scene in scenes.items():
+        few = short_of(scene)
+        rivals = RIVALS[:3] if quick else RIVALS
+        runs += [SceneRun(name, 1, run, filter_, frames=few) for run, filter_ in ((UM, PHD), (GM, PHD), *rivals)]
         for run, rates in ((UM, LOCAL_SWEEP), (IMAGE, IMAGE_SWEEP)):
-            jobs += [Job(first, run, PHD, each, few) for each in rates[: 2 if quick else len(rates)]]
-    return list(dict.fromkeys(jobs))
+            runs += [SceneRun(name, 1, run, PHD, each, few) for each in rates[: 2 if quick else len(rates)]]
+    return list(dict.fromkeys(runs))
 
 
-def main(options: Options | None = None) -> Path:
+def main(options: Options) -> Path:
     """Run everything and write m09.md and its pictures."""
-    options = options or Options()
-    if options.folder is not None:
-        return _main(options, options.folder)
-    # Rendered frames are looked at once, however many runs there are.
-    with TemporaryDirectory() as folder:
-        return _main(options, Path(folder))
+    quick, names = options.quick, RENDERED[:1] if options.quick else (*RENDERED, *REAL, *HELD_OUT)
+    wanted = [(name, SHORT if quick else FRAMES) for name in names]
+    scenes = dict(zip(names, in_parallel(halves, wanted, "m09, rendering and detecting", options), strict=True))
+    seeds = {name: options.number(LONG_SEEDS if name in RENDERED else SEEDS, 1) for name in names}
+    lessons = [(name, seed) for name in names for seed in range(1, seeds[name] + 1)]
+    given = [(scenes[name], seed) for name, seed in lessons]
+    learned = dict(zip(lessons, in_parallel(learn, given, "m09, learning", options), strict=True))
+    runs = runs_of(scenes, seeds, quick)
+    jobs = [(run, scenes[run.scene], learned[run.scene, run.seed]) for run in runs]
+    scored = dict(zip(runs, in_parallel(work, jobs, "m09", options), strict=True))
+    # One at a time, without other runs next to them as far as this command goes.
+    raced = [(name, filter_) for name in (RENDERED[0], REAL[0]) if name in names for filter_ in RACES[: 1 if quick else 4]]
+    races = {(n, f): race(f, scenes[n], learned[n, 1], 400 if quick else 1000) for n, f in raced}
+    crossed = m09_places.runs_of(quick, options.number(SEEDS, 1))
+    places = dict(zip(crossed, in_parallel(m09_places.work, crossed, "m09, places", options), strict=True))
+    found = SceneResults(scenes, scored, learned, races)
+    draw(found, options.folder)
+    return write("m09", options, **figures(found), places=m09_places.summary(places))
 
 
-def _main(options: Options, folder: Path) -> Path:
-    quick = options.quick
-    frames = SHORT if quick else FRAMES
-    in_parallel(rendered, [(name, frames) for name in RENDERED[: 1 if quick else 3]], "m09, rendering", folder)
-    scenes = [Footage(name, frames, str(folder)) for name in RENDERED[: 1 if quick else 3]]
-    if not quick:
-        in_parallel(detected_in, [PETS], "m09, detecting", folder)
-        scenes += [Footage(name, 0, str(folder)) for name in (*REAL, *HELD_OUT)]
-    courses = [
-        Course(scene, seed)
-        for scene in scenes
-        for seed in range(1, 1 + options.number(LONG_SEEDS if scene.frames else SEEDS, 1))
-    ]
-    taught = dict(zip(courses, in_parallel(learn, courses, "m09, learning", folder), strict=True))
-    jobs = jobs_of(courses, quick)
-    outcomes = dict(zip(jobs, in_parallel(work, jobs, "m09", folder), strict=True))
-    races = {one: Kept(race, folder)(one) for one in races_of(scenes, quick)}
-    places = m09_places.jobs_of(quick, options.number(SEEDS, 1))
-    learner = m09_learner.jobs_of(quick, options.number(LEARNER_SEEDS, 2))
-    found = Found({scene.name: scene for scene in scenes}, outcomes, taught, races)
-    crossed = dict(zip(places, in_parallel(m09_places.work, places, "m09, places", folder), strict=True))
-    mixtures = dict(zip(learner, in_parallel(m09_learner.work, learner, "m09, learner", folder), strict=True))
-    draw(found, options.out)
-    return write("m09.md", page(found, crossed, mixtures), options.out)
-
-
-def races_of(scenes: Sequence[Footage], quick: bool) -> list[Race]:
-    """Which filters are timed on which scenes: one at a time, each alone on the machine as far as this command goes."""
-    timed = [scene for scene in scenes if scene.name in (RENDERED[0], REAL[0])]
-    return [
-        Race(Course(scene, 1), name, 400 if quick else 1000)
-        for scene in timed
-        for name in RACES[: 1 if quick else len(RACES)]
-    ]
-
-
-def draw(found: Found, out: Path) -> None:
+def draw(found: SceneResults, out: Path) -> None:
     """The pictures."""
-    out.mkdir(parents=True, exist_ok=True)
     shown = {name: scene for name, scene in found.scenes.items() if name in RENDERED}
-    maps = {name: (picture(scene), found.taught[found.course(name)]) for name, scene in shown.items()}
+    maps = {name: (picture(scene), found.learned[name, 1]) for name, scene in shown.items()}
     m09_pictures.maps(maps, out / "m09-maps.png")
     runs = (GM, *ABLATIONS)
     gains = {
@@ -210,41 +162,26 @@ def draw(found: Found, out: Path) -> None:
     sweeps = {
         scene: (
             {kind: {rates: one.MOTA for rates, one in found.sweep(scene, run).items()} for kind, run in kinds.items()},
-            found.beside(scene, GM).scores.MOTA,
+            found.short_run(scene, GM).scores.MOTA,
         )
         for scene in found.scenes
     }
     m09_pictures.sweeps(sweeps, out / "m09-sweep.png")
 
 
-def page(
-    found: Found,
-    places: dict[m09_places.Job, m09_places.Outcome],
-    mixtures: dict[m09_learner.Job, m09_learner.Outcome],
-) -> str:
-    """The page of results."""
-    text = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
-    return text.format(
-        seeds=max(found.seeds(name) for name in found.scenes),
-        verdict=m09_words.verdict(found),
-        findings=m09_words.findings(found),
-        crossing=m09_words.crossing(places),
-        gains=_gains(found),
-        scores=_scores(found),
-        delays=_delays(found),
-        sweep=_sweep(found),
-        rivals=_rivals(found),
-        rates=_rates(found),
-        lessons=_lessons(found),
-        places=m09_places.summary(list(places), places),
-        learner=m09_learner.summary(list(mixtures), mixtures),
-    )
-
-
-def shown(value: Interval, digits: int = 3) -> str:
-    """A difference with half its interval, where there is one."""
-    mean = f"{value.mean:+.{digits}f}"
-    return mean if not np.isfinite(value.half) else f"{mean} ± {value.half:.{digits}f}"
+def figures(found: SceneResults) -> dict[str, object]:
+    """What is filled into the page."""
+    return {
+        "seeds": max(found.seeds(name) for name in found.scenes),
+        "findings": _findings(found),
+        "gains": _gains(found),
+        "scores": _scores(found),
+        "delays": _delays(found),
+        "sweep": _sweep(found),
+        "rivals": _rivals(found),
+        "rates": _rates(found),
+        "lessons": _lessons(found),
+    }
 
 
 def number(value: float) -> str:
@@ -252,13 +189,22 @@ def number(value: float) -> str:
     return f"{value:.1f}" if np.isfinite(value) else "–"
 
 
-def _gains(found: Found) -> str:
+def _findings(found: SceneResults) -> str:
+    """MOTA of one run less that of another, scene by scene."""
+    rows = [
+        (scene, *(f"{found.mean(scene, a, 'MOTA') - found.mean(scene, b, 'MOTA'):+.3f}" for a, b in FINDINGS))
+        for scene in found.scenes
+    ]
+    return table(("scene", *(f"{a} less {b}" for a, b in FINDINGS)), rows)
+
+
+def _gains(found: SceneResults) -> str:
     rows = [
         (
             group,
             run,
-            *(shown(found.gain(some, run, score)) for score in SCORES),
-            shown(found.gain(some, run, "false_tracks"), 0),
+            *(with_interval(found.gain(some, run, score), sign="+") for score in SCORES),
+            with_interval(found.gain(some, run, "false_tracks"), 0, "+"),
         )
         for group, some in found.groups().items()
         for run in RUNS
@@ -267,7 +213,7 @@ def _gains(found: Found) -> str:
     return table(("scene", "run", *(f"{score}, less UM" for score in SCORES), "false tracks, less UM"), rows)
 
 
-def _scores(found: Found) -> str:
+def _scores(found: SceneResults) -> str:
     keys = ("misses", "false_positives", "id_switches", "false_tracks")
     rows = []
     for scene in found.scenes:
@@ -278,7 +224,7 @@ def _scores(found: Found) -> str:
     return table(header, rows)
 
 
-def _delays(found: Found) -> str:
+def _delays(found: SceneResults) -> str:
     rows = []
     for scene in found.scenes:
         for run in RUNS:
@@ -291,57 +237,49 @@ def _delays(found: Found) -> str:
     return table(header, rows)
 
 
-def _sweep(found: Found) -> str:
+def _sweep(found: SceneResults) -> str:
     rows = []
     for scene in found.scenes:
-        learned = found.beside(scene, GM).scores
+        learned = found.short_run(scene, GM).scores
         for kind, run in (("around detections", UM), ("over the image", IMAGE)):
             sweep = found.sweep(scene, run)
             (births, clutter), best = max(sweep.items(), key=lambda item: item[1].MOTA)
             missed = (one.misses / one.truth_boxes for one in (best, learned))
             gap = f"{learned.MOTA - best.MOTA:+.3f}"
             rows.append((scene, kind, len(sweep), f"{births:g}", f"{clutter:g}", best.MOTA, learned.MOTA, gap, *missed))
-    header = (
-        "scene",
-        "uniform",
-        "settings",
-        "births",
-        "clutter",
-        "best MOTA",
-        "GM",
-        "GM less best",
-        "best misses",
-        "GM misses",
-    )
-    return table(header, rows)
+    header = ("scene", "uniform", "settings", "births", "clutter", "best MOTA", "GM", "GM less best", "best misses")
+    return table((*header, "GM misses"), rows)
 
 
-def _rivals(found: Found) -> str:
+def _rivals(found: SceneResults) -> str:
     rows = []
     for scene in found.scenes:
         for run, name in ((UM, PHD), (GM, PHD), *RIVALS):
-            one = found.beside(scene, run, name)
-            values = [float(getattr(one.scores, score)) for score in SCORES]
+            key = SceneRun(scene, 1, run, name, frames=short_of(found.scenes[scene]))
+            if key not in found.runs_:
+                continue
+            one = found.runs_[key].scores
+            values = [float(getattr(one, score)) for score in SCORES]
             scores = [value if np.isfinite(value) else "–" for value in values]
-            rows.append((scene, name, "–" if name == "none" else run, *scores, one.scores.IDF1, one.scores.false_tracks))
+            rows.append((scene, name, "–" if name == "none" else run, *scores, one.IDF1, one.false_tracks))
     return table(("scene", "filter", "run", *SCORES, "IDF1", "false tracks"), rows)
 
 
-def _rates(found: Found) -> str:
+def _rates(found: SceneResults) -> str:
     rows = []
-    for one, seconds in found.races.items():
+    for (scene, filter_), seconds in found.races.items():
         uniform, learned, detector = seconds
         times = (f"{1e3 * each:.2f}" for each in seconds)
         whole = (detector + learned) / (detector + uniform)
-        rows.append((one.course.footage.name, one.filter, *times, f"{learned / uniform:.2f}", f"{whole:.3f}"))
+        rows.append((scene, filter_, *times, f"{learned / uniform:.2f}", f"{whole:.3f}"))
     header = ("scene", "filter", "UM, ms a frame", "GM, ms a frame", "the detector", "GM over UM", "with the detector")
     return table(header, rows)
 
 
-def _lessons(found: Found) -> str:
+def _lessons(found: SceneResults) -> str:
     rows = []
     for name in found.scenes:
-        one = found.taught[found.course(name)]
+        one = found.learned[name, 1]
         births, hand = (
             (f"{part.rate:.4f}", part.samples, len(part.density)) if part else ("–", "too few", "–")
             for part in (one.births, one.hand)
@@ -355,7 +293,3 @@ def _lessons(found: Found) -> str:
         "gain of false alarms", "of births", "by hand",
     )  # fmt: skip
     return table(header, rows)
-
-
-if __name__ == "__main__":
-    main()

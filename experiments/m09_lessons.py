@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from experiments.common import Case, followed
-from experiments.m09_scenes import Footage, halves
+from experiments.m09_scenes import Halves
 from phdtrack import config
 from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.associate.rejection import FalseTrackRejection, believed
@@ -39,16 +39,8 @@ NOBODY, SOMEBODY = 0.3, 0.5
 MOST, SURE, SHORTEST = 500, 0.1, 5
 
 
-@dataclass(frozen=True, slots=True)
-class Course:
-    """What is learned of a scene; ``seed`` draws the frames that are marked and the particles of the tracker's own run."""
-
-    footage: Footage
-    seed: int
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class Taught:
+class LearnedScene:
     """What was learned; births of fewer than ten tracks or marks are not, and None.
 
     ``seen``: what the tracker followed, None for too little.
@@ -64,15 +56,15 @@ class Taught:
     entered: int
 
 
-def learn(course: Course) -> Taught:
-    """Everything that the runs of a scene need."""
-    case = halves(course.footage).train
+def learn(job: tuple[Halves, int]) -> LearnedScene:
+    """Everything that the runs of a scene need; the seed draws the frames that are marked and the particles."""
+    case, seed = job[0].train, job[1]
     stages = config.build(config.load(), case.info)
     rate = stages.model.rate
     with TemporaryDirectory() as folder:
-        marks = marked_false(case, Path(folder) / "false.sqlite", course.seed)
+        marks = marked_false(case, Path(folder) / "false.sqlite", seed)
         clutter = learned_alarms(case, marks)
-        run = followed(told(stages, None, clutter.learned, None), case, course.seed).corrected
+        run = followed(told(stages, None, clutter.learned, None), case, seed).corrected
         seen = learned_followed(run, case, marks)
         entries = marked_births(case, Path(folder) / "births.sqlite")
         by_hand = birth_states(entries, case.table, case.info, rate)
@@ -80,7 +72,7 @@ def learn(course: Course) -> Taught:
     births = own_births(believed(run, Odds(clutter.learned, seen)) if seen else run, case, rate)
     hand = _lesson(by_hand, watched, case)
     gains = tuple(lesson.gain if lesson else np.nan for lesson in (clutter, births, hand))
-    return Taught(
+    return LearnedScene(
         clutter.learned,
         seen,
         births.learned if births else None,

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.m09_lessons import Taught
+from experiments.common import pyplot
+from experiments.m09_lessons import LearnedScene
 from phdtrack.compare.statistics import Interval
 from phdtrack.scene import ContextDensity
 from phdtrack.scene.maps import place_map
@@ -20,18 +21,18 @@ _OPAQUE = 0.85
 Sweep = Mapping[tuple[float, float], float]
 
 
-def maps(scenes: Mapping[str, tuple[Image, Taught]], path: Path) -> None:
+def maps(scenes: Mapping[str, tuple[Image, LearnedScene]], path: Path) -> None:
     """Over a frame of each scene: false alarms, births of the tracker's own tracks, births marked by hand."""
-    plt = _pyplot()
+    plt = pyplot()
     figure, axes = plt.subplots(len(scenes), 3, figsize=(12, 3.1 * len(scenes)), squeeze=False, layout="constrained")
     for row, (name, (picture, scene)) in zip(axes, scenes.items(), strict=True):
         shown = ((scene.clutter, _RED), (scene.births, _GREEN), (scene.hand, _GREEN))
         for axis, (learned, colour), what in zip(row, shown, ("false alarms", "births", "births by hand"), strict=True):
             axis.imshow(over(picture, learned.density if learned else None, colour))
             rate = "r̄" if colour is _RED else "s̄"
-            told = f", {rate} = {learned.rate:.3g}, {len(learned.density)} places" if learned else ": too few"
+            note = f", {rate} = {learned.rate:.3g}, {len(learned.density)} places" if learned else ": too few"
             axis.set(xticks=[], yticks=[])
-            axis.set_title(f"{name}: {what}{told}", fontsize=9)
+            axis.set_title(f"{name}: {what}{note}", fontsize=9)
     figure.savefig(path, dpi=60)
     plt.close(figure)
 
@@ -48,7 +49,7 @@ def over(picture: Image, density: ContextDensity | None, colour: F8) -> Image:
 
 def bars(gains: Mapping[str, Mapping[str, Mapping[str, Interval]]], path: Path) -> None:
     """Differences to the uniform model with the half of their intervals: a row for each score, a column for each scene."""
-    plt = _pyplot()
+    plt = pyplot()
     first = next(iter(gains.values()))
     runs, scores = list(first), list(next(iter(first.values())))
     shape = (len(scores), len(gains))
@@ -69,8 +70,8 @@ def bars(gains: Mapping[str, Mapping[str, Mapping[str, Interval]]], path: Path) 
 
 
 def sweeps(found: Mapping[str, tuple[Mapping[str, Sweep], float]], path: Path) -> None:
-    """MOTA of the uniform model over its rate of clutter, a line for each rate of births; the learned one's beside it."""
-    plt = _pyplot()
+    """MOTA of the uniform model over its rate of clutter, a line for each rate of births, and that of the learned model."""
+    plt = pyplot()
     across = min(3, len(found))
     down = -(-len(found) // across)
     figure, axes = plt.subplots(down, across, figsize=(3.6 * across, 3.0 * down), squeeze=False, layout="constrained")
@@ -78,7 +79,7 @@ def sweeps(found: Mapping[str, tuple[Mapping[str, Sweep], float]], path: Path) -
         for k, (kind, sweep) in enumerate(kinds.items()):
             rates = _sorted(births for births, _ in sweep)
             for births in rates:
-                clutter = _sorted(rate for own, rate in sweep if own == births)
+                clutter = _sorted(rate for of, rate in sweep if of == births)
                 values = [sweep[births, rate] for rate in clutter]
                 style = ("-", "--", ":")[rates.index(births) % 3]
                 axis.plot(clutter, values, style, marker="o", ms=3, color=f"C{k}", label=f"{kind}, births {births:g}")
@@ -93,13 +94,3 @@ def sweeps(found: Mapping[str, tuple[Mapping[str, Sweep], float]], path: Path) -
 
 def _sorted(values: Any) -> Sequence[float]:
     return sorted(set(values))
-
-
-def _pyplot() -> Any:
-    """Matplotlib without a screen."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    return pyplot

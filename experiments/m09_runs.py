@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
-from experiments.common import Case, Kept, followed
-from experiments.m09_lessons import Course, Taught, learn, told
-from experiments.m09_scenes import halves, looking, stretch
+from experiments.common import Case, followed
+from experiments.m09_lessons import LearnedScene, told
+from experiments.m09_scenes import Halves, detector_seconds, stretch
 from phdtrack import config, pipeline
 from phdtrack.metrics import Scores, evaluate, first_output_delays
 from phdtrack.models import MeasurementBirth
@@ -32,11 +31,12 @@ BLOCKS = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class SceneRun:
     """One run on the first ``frames`` of the second half of a scene, 0: all; ``rates`` (births, clutter) of a sweep of the
     uniform model, around detections or over the image."""
 
-    course: Course
+    scene: str
+    seed: int
     run: str
     filter: str = PHD
     rates: tuple[float, float] | None = None
@@ -44,7 +44,7 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
+class SceneScores:
     """What a run gave.
 
     Attributes
@@ -53,7 +53,6 @@ class Outcome:
     live : scores of the confirmed online rows.
     inside, outside : delay of each object found, by its identity: frames from its first detection to its first confirmed
         online row; of those who are first detected where people enter, and elsewhere.
-    seconds : a frame took.
     """
 
     scores: Scores
@@ -61,18 +60,17 @@ class Outcome:
     live: Scores
     inside: dict[int, float]
     outside: dict[int, float]
-    seconds: float
 
 
-def work(job: Job) -> Outcome:
+def work(job: tuple[SceneRun, Halves, LearnedScene]) -> SceneScores:
     """One run, scored."""
-    halved = halves(job.course.footage)
-    case = stretch(halved.test, 1, job.frames) if job.frames else halved.test
-    run = followed(stages_of(job, case.info), case, job.course.seed)
+    one, halved, learned = job
+    case = stretch(halved.test, 1, one.frames) if one.frames else halved.test
+    run = followed(stages_of(one, halved, learned), case, one.seed)
     online = run.online.take(np.flatnonzero(run.online.confirmed))
     inside, outside = delays(case, online, halved.entries)
     scores, live = (evaluate(case.truth, tracks, frames=case.info.frames) for tracks in (run.corrected, online))
-    return Outcome(scores, blocks(case, run.corrected), live, inside, outside, run.seconds)
+    return SceneScores(scores, blocks(case, run.corrected), live, inside, outside)
 
 
 def blocks(case: Case, tracks: Tracks) -> tuple[Scores, ...]:
@@ -87,43 +85,32 @@ def blocks(case: Case, tracks: Tracks) -> tuple[Scores, ...]:
     return tuple(found)
 
 
-def stages_of(job: Job, info: SequenceInfo) -> AnyStages:
+def stages_of(one: SceneRun, halved: Halves, scene: LearnedScene) -> AnyStages:
     """The stages as shipped, with the births and the clutter of the run."""
-    stages = config.build(config.load(), info, job.filter)
-    if job.rates is not None:
-        return swept(job, info)
-    if job.run == UM:
+    info = halved.test.info
+    if one.rates is not None:
+        return swept(one.run, one.filter, one.rates, info)
+    stages = config.build(config.load(), info, one.filter)
+    if one.run == UM:
         return stages
-    scene, train = taught(job.course), halves(job.course.footage).train
-    if job.run in (IMAGE, GM_IMAGE, "A3", "A4", "A5"):
-        stages = replace(stages, model=uniform_of(job.run, stages.model, scene, train))
+    if one.run in (IMAGE, GM_IMAGE, "A3", "A4", "A5"):
+        stages = replace(stages, model=uniform_of(one.run, stages.model, scene, halved.train))
     births = {GM: scene.births, GM_IMAGE: scene.births, "A1": scene.births, "A4": scene.births, "A6": scene.hand}
-    clutter = scene.clutter if job.run in (GM, GM_IMAGE, "A2", "A5", "A6") else None
+    clutter = scene.clutter if one.run in (GM, GM_IMAGE, "A2", "A5", "A6") else None
     # M09 knows of no false alarms that last.
-    return told(stages, births.get(job.run), clutter, None if job.run == GM_IMAGE else scene.seen)
+    return told(stages, births.get(one.run), clutter, None if one.run == GM_IMAGE else scene.seen)
 
 
-def swept(job: Job, info: SequenceInfo) -> AnyStages:
+def swept(run: str, filter_name: str, rates: tuple[float, float], info: SequenceInfo) -> AnyStages:
     """The uniform model with the rates of a sweep."""
-    assert job.rates is not None
-    births, clutter = job.rates
-    volume = "local" if job.run == UM else "image"
-    sets = (
-        f"birth.births_per_second={25 * births}",
-        f"clutter.clutter_per_frame={clutter}",
-        f"birth.volume={volume}",
-        f"clutter.volume={volume}",
-    )
-    return config.build(config.load(None, sets), info, job.filter)
+    births, clutter = rates
+    volume = "local" if run == UM else "image"
+    sets = (f"birth.births_per_second={25 * births}", f"clutter.clutter_per_frame={clutter}")
+    sets += (f"birth.volume={volume}", f"clutter.volume={volume}")
+    return config.build(config.load(None, sets), info, filter_name)
 
 
-def taught(course: Course) -> Taught:
-    """What the scene has taught, kept where the footage is."""
-    folder = course.footage.folder
-    return Kept(learn, Path(folder))(course) if folder else learn(course)
-
-
-def uniform_of(run: str, model: Model, scene: Taught, train: Case) -> Model:
+def uniform_of(run: str, model: Model, scene: LearnedScene, train: Case) -> Model:
     """The uniform births and clutter of a run [M09 §V]: over the image with the shipped magnitudes, as M09's are, or around
     each detection with those that were learned."""
     birth, clutter = model.birth, model.clutter
@@ -163,36 +150,29 @@ def entered(truth: Truth, identity: int, frame: int, entries: F8) -> bool:
     return bool(((entries[:, 0] <= x) & (x <= entries[:, 2]) & (entries[:, 1] <= y) & (y <= entries[:, 3])).any())
 
 
-@dataclass(frozen=True, slots=True)
-class Race:
-    """UM and GM of one filter, block by block in turn on the same frames, so that what else a machine does slows both."""
-
-    course: Course
-    filter: str
-    frames: int = 2000
-
-
 TURN = 50
 
 
-def race(job: Race) -> tuple[float, float, float]:
-    """Median seconds that a frame took, over blocks, uniform and learned, and the detector; compiling comes before."""
-    case = halves(job.course.footage).test
-    both = [stages_of(Job(job.course, run, job.filter), case.info) for run in (UM, GM)]
-    rngs = [np.random.default_rng(job.course.seed) for _ in both]
+def race(filter_name: str, halved: Halves, learned: LearnedScene, frames: int) -> tuple[float, float, float]:
+    """Median seconds that a frame takes, uniform and learned, and in the detector.
+
+    Both run block by block in turn on the same frames, so that what else a machine does slows both.
+    """
+    case = halved.test
+    both = [stages_of(SceneRun(halved.name, 1, run, filter_name), halved, learned) for run in (UM, GM)]
+    rngs = [np.random.default_rng(1) for _ in both]
     states = [pipeline.start(stages, rng) for stages, rng in zip(both, rngs, strict=True)]
     spent: list[list[float]] = [[], []]
-    for first in range(1, min(job.frames, case.info.frames) + 1, TURN):
+    for first in range(1, min(frames, case.info.frames) + 1, TURN):
         for which, stages in enumerate(both):
             seconds = []
             for number in range(first, min(first + TURN, case.info.frames + 1)):
                 time = (number - 1) / case.info.fps
-                states[which], step = pipeline.advance(
-                    stages, states[which], case.table.at(number), number, time, rngs[which]
-                )
+                z = case.table.at(number)
+                states[which], step = pipeline.advance(stages, states[which], z, number, time, rngs[which])
                 seconds.append(sum(step.seconds))
             spent[which].append(float(np.mean(seconds)))
     # The first blocks compile, and load what is compiled.
     warm = slice(2, None) if len(spent[0]) > 4 else slice(None)
-    uniform, learned = (float(np.median(each[warm])) for each in spent)
-    return uniform, learned, looking(job.course.footage)
+    uniform, with_scene = (float(np.median(each[warm])) for each in spent)
+    return uniform, with_scene, detector_seconds(halved)

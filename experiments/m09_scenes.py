@@ -6,16 +6,14 @@ import itertools
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from experiments.common import Case, Kept, mot15, need_data
+from experiments.common import Case, detections_in, mot15, need_data
 from phdtrack.detect import make_detector
-from phdtrack.simulate import build_scene, default_detector, default_look, render
-from phdtrack.simulate.scenes import NAMED
-from phdtrack.types import F8, Detections, DetectionTable, Frame, Image, SequenceInfo, Truth
+from phdtrack.simulate import NAMED, Scene, build_scene, default_detector, default_look, render
+from phdtrack.types import F8, DetectionTable, Frame, Image, SequenceInfo, Truth
 from phdtrack.video import open_source
 
 RENDERED = ("yard", "garden", "arcade")
@@ -23,99 +21,71 @@ PETS = "PETS09-S2L1"
 REAL = (f"{PETS} change", f"{PETS} frcnn", f"{PETS} public")
 # Nothing was chosen on these.
 HELD_OUT = ("ADL-Rundle-6 frcnn", "KITTI-17 frcnn", "KITTI-17 public")
-FRAMES, SHORT = 20_000, 1_500
-# How far from a place where people enter an object begins that counts as entering there: mean body widths.
+FRAMES, SHORT = 20_000, 1_000
+# How far from a place where people enter an object may begin that counts as entering there: mean body widths.
 _ENTRY_MARGIN = 1.0
 SEED = 1
 # The frame that pictures show, and how many the detector is timed on.
 SHOWN, LOOKS = 100, 200
 
 
-@dataclass(frozen=True, slots=True)
-class Footage:
-    """A scene by its name, of how many frames (0: all there are), and the folder that keeps what was detected in it."""
-
-    name: str
-    frames: int = 0
-    folder: str = ""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Halves:
     """A scene to learn from and to test on; ``entries`` (n, 4): boxes around the places where people enter."""
 
+    name: str
     train: Case
     test: Case
     entries: F8
 
-
-def halves(footage: Footage) -> Halves:
-    """What was detected in a scene, parted in the middle."""
-    return _halves(footage.name, footage.frames, footage.folder)
-
-
-@lru_cache(maxsize=4)
-def _halves(name: str, frames: int, folder: str) -> Halves:
-    if name in RENDERED:
-        job = (name, frames)
-        case, entries = Kept(rendered, Path(folder))(job) if folder else rendered(job)
-    else:
-        case, entries = filmed(name, folder)
-    middle = case.info.frames // 2
-    return Halves(stretch(case, 1, middle), stretch(case, middle + 1, case.info.frames), entries)
+    @property
+    def frames(self) -> int:
+        """Of both halves."""
+        return self.train.info.frames + self.test.info.frames
 
 
-def rendered(job: tuple[str, int]) -> tuple[Case, F8]:
-    """A named scene of so many frames, painted frame by frame, and what the change detector finds; the entries."""
+def halves(job: tuple[str, int]) -> Halves:
+    """What is detected in the scene of that name, parted in the middle; of rendered ones so many frames."""
     name, frames = job
+    case, entries = rendered(name, frames) if name in RENDERED else filmed(name)
+    middle = case.info.frames // 2
+    return Halves(name, stretch(case, 1, middle), stretch(case, middle + 1, case.info.frames), entries)
+
+
+def simulated(name: str, frames: int) -> Scene:
+    """A named scene of so many frames."""
     world = replace(NAMED[name], frames=frames)
-    scene = build_scene(world, SEED, default_detector(world))
-    table = detected(render(scene, np.random.default_rng(SEED), default_look(name)))
+    return build_scene(world, SEED, default_detector(world))
+
+
+def rendered(name: str, frames: int) -> tuple[Case, F8]:
+    """A named scene, painted frame by frame, and what the change detector finds; the entries."""
+    scene = simulated(name, frames)
     width, height = float(scene.info.width), float(scene.info.height)
     margin = _ENTRY_MARGIN * float((scene.truth.xyxy[:, 2] - scene.truth.xyxy[:, 0]).mean())
     sides = np.array([[-np.inf, 0, margin, height], [width - margin, 0, np.inf, height]])
     doors = scene.doors + np.array([-margin, -margin, margin, margin])
+    table = detections_in(frames_of(name, frames))
     return Case(name, scene.info, scene.truth, table), np.concatenate([sides, doors])
 
 
-def filmed(name: str, folder: str) -> tuple[Case, F8]:
+def filmed(name: str) -> tuple[Case, F8]:
     """A real sequence with its ``public`` or ``frcnn`` detections, or with those of the change detector on the video."""
     sequence, _, kind = name.rpartition(" ")
     case = replace(mot15(sequence, "frcnn" if kind == "change" else kind), name=name)
     if kind == "change":
-        table = Kept(detected_in, Path(folder))(sequence) if folder else detected_in(sequence)
-        case = replace(case, table=table)
+        case = replace(case, table=detections_in(frames_of(name, 0)))
     return case, border(case.info, case.truth)
 
 
-def detected_in(sequence: str) -> DetectionTable:
-    """What the change detector finds in the video of a MOT15 sequence."""
-    return detected(open_source(video_of(sequence)))
-
-
-def detected(frames: Iterable[Frame]) -> DetectionTable:
-    """What the change detector, as shipped, finds in these frames."""
-    detector = make_detector("change")
-    found = [(frame.number, detector(frame)) for frame in frames]
-    number = np.repeat([n for n, _ in found], [len(boxes) for _, boxes in found])
-    parts = (np.concatenate([getattr(one, key) for _, one in found]) for key in ("xyxy", "confidence"))
-    return DetectionTable(number, Detections.of(*parts))
-
-
 def border(info: SequenceInfo, truth: Truth) -> F8:
-    """(4, 4) the strips along the frame's borders in which a box's centre lies when somebody of usual size comes in."""
+    """(4, 4) the strips along the frame's borders in which a box's centre lies when a person of usual size comes in."""
     size = truth.xyxy[~truth.distractor]
     across = _ENTRY_MARGIN * float((size[:, 2] - size[:, 0]).mean())
     down = _ENTRY_MARGIN * float((size[:, 3] - size[:, 1]).mean())
     width, height, far = float(info.width), float(info.height), np.inf
-    return np.array(
-        [
-            [-far, -far, across, far],
-            [width - across, -far, far, far],
-            [-far, -far, far, down],
-            [-far, height - down, far, far],
-        ]
-    )
+    sides = [[-far, -far, across, far], [width - across, -far, far, far]]
+    return np.array([*sides, [-far, -far, far, down], [-far, height - down, far, far]])
 
 
 def stretch(case: Case, first: int, last: int) -> Case:
@@ -131,30 +101,24 @@ def stretch(case: Case, first: int, last: int) -> Case:
     )
 
 
-def picture(footage: Footage) -> Image:
+def picture(scene: Halves) -> Image:
     """(H, W, 3) a frame of a rendered scene, BGR."""
-    return next(frame.image for frame in frames_of(footage) if frame.number == SHOWN)
+    return next(frame.image for frame in frames_of(scene.name, scene.frames) if frame.number == SHOWN)
 
 
-def looking(footage: Footage) -> float:
-    """Median seconds that the change detector takes for a frame of a scene that it sees, over the first of them."""
+def detector_seconds(scene: Halves) -> float:
+    """Median seconds that the change detector takes for a frame of a scene, over the first of them."""
     detector, seconds = make_detector("change"), []
-    for frame in itertools.islice(frames_of(footage), LOOKS):
+    for frame in itertools.islice(frames_of(scene.name, scene.frames), LOOKS):
         began = time.perf_counter()
         detector(frame)
         seconds.append(time.perf_counter() - began)
     return float(np.median(seconds))
 
 
-def frames_of(footage: Footage) -> Iterable[Frame]:
+def frames_of(name: str, frames: int) -> Iterable[Frame]:
     """The pictures of a rendered scene, or of a real sequence's video."""
-    if footage.name not in RENDERED:
-        return open_source(video_of(footage.name.rpartition(" ")[0]))
-    world = replace(NAMED[footage.name], frames=footage.frames)
-    scene = build_scene(world, SEED, default_detector(world))
-    return render(scene, np.random.default_rng(SEED), default_look(footage.name))
-
-
-def video_of(sequence: str) -> Path:
-    """The video of a MOT15 sequence."""
-    return need_data() / "mot15" / sequence / f"{sequence}.mp4"
+    if name in RENDERED:
+        return render(simulated(name, frames), np.random.default_rng(SEED), default_look(name))
+    sequence = name.rpartition(" ")[0]
+    return open_source(Path(need_data(), "mot15", sequence, f"{sequence}.mp4"))

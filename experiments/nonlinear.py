@@ -1,7 +1,7 @@
 """The standard nonlinear scenario, targets that turn: OSPA of the particle filters and of the Gaussian ones by sigma points.
 
 The scenario is `standard_scenes.turning`: ten targets over 100 scans, seen by bearing and range, with the noises that the
-literature uses. Every filter is given the scenario's model. A section of the page of `reproduce.vo`.
+literature uses. Every filter is given the scenario's model. A section of vo.md.
 """
 
 from __future__ import annotations
@@ -12,25 +12,21 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common import Options, table
+from experiments.common import Options, filled, pyplot, table
 from experiments.scans import (
     COMPARED,
     HEADER,
-    PARTICLES,
-    Found,
-    Job,
-    Outcome,
+    FilterRun,
     Realisation,
+    RunErrors,
+    SetErrors,
     Stages,
     Summary,
-    beyond,
     curves,
     differences,
-    fill,
     followed,
     measure,
     measured,
-    pyplot,
 )
 from experiments.standard_scenes import DEGREE, TURNING_LAST, TURNING_START, Turning, turning, turning_states
 from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, ParticleCPHD, ParticlePHD
@@ -83,23 +79,22 @@ def realisation(case: str, seed: int) -> Realisation:
     return Realisation(world(given), scene.measurement, scene.state, given.interval, given.ospa_cutoff)
 
 
-def run(job: Job) -> Outcome:
+def run(job: FilterRun) -> SetErrors:
     """One filter over one realisation."""
     given = realisation(job.case, job.seed)
     return measured(given, followed(given, FILTERS[job.filter], job.seed))
 
 
-def text(found: Found) -> str:
+def text(found: RunErrors) -> str:
     """The section of the page."""
     rows, claims = [], []
     for case in CASES:
         outcomes = {name: found[case, name] for name in FILTERS}
         rows += [(case, name, *Summary.of(each).cells()) for name, each in outcomes.items()]
         claims += [(case, *cells) for cells in differences(outcomes, COMPARED)]
-    return fill(
-        "nonlinear.md",
+    return filled(
+        "nonlinear",
         rows=table(("", "filter", *HEADER), rows),
-        beyond=beyond(found, tuple(CASES), PARTICLES),
         claims=table(("", "", "difference of OSPA", "share"), claims),
     )
 
@@ -148,8 +143,8 @@ def ways() -> dict[int, F8]:
 def section(options: Options) -> str:
     """Measure and draw; the section of the page."""
     runs = {case: options.number(RUNS if case == FIRST_CASE else SIDE, FEW) for case in CASES}
-    found = measure(run, {(case, name): runs[case] for case in CASES for name in FILTERS}, "turning", options.folder)
+    found = measure(run, {(case, name): runs[case] for case in CASES for name in FILTERS}, "turning", options)
     number = np.array([truth.shape[1] for truth in realisation(FIRST_CASE, 0).truth])
-    curves({name: found[FIRST_CASE, name] for name in FILTERS}, number, options.out / "vo-turning-ospa.png")
-    picture(options.out / "vo-turning-states.png")
+    curves({name: found[FIRST_CASE, name] for name in FILTERS}, number, options.folder / "vo-turning-ospa.png")
+    picture(options.folder / "vo-turning-states.png")
     return text(found)

@@ -1,9 +1,7 @@
-"""What hides costs a detector: recall by the covered part of a box, and what a filter makes of it in the image.
-
-    phdtrack reproduce occlusion
+"""What occlusion costs a detector: recall by the covered part of a box, and what a filter makes of it in the image.
 
 The annotated boxes of the seven cases of `cases`, by the largest part that one nearer box of the frame covers (nearer
-is whose lower edge is lower). A box is detected where a detection is mapped to it at IoU ≥ 0.5, one to one. Then the
+is the box whose lower edge is lower). A box is detected where a detection is mapped to it at IoU ≥ 0.5, one to one. Then the
 GM-PHD filter on the same cases, with `sensor.occlusion` and without.
 """
 
@@ -15,16 +13,16 @@ from pathlib import Path
 import numpy as np
 
 from experiments.cases import CASES, short
-from experiments.common import Case, Options, Result, in_parallel, measure, mot15, table, write
+from experiments.common import Case, Options, ScoredCase, in_parallel, measure, mot15, table, write
 from experiments.e13 import covered
 from phdtrack.arrays import iou
 from phdtrack.metrics.matching import above, assign
 from phdtrack.models.occlusion import SHAPE
 from phdtrack.types import F8
 
-# Borders of the covered parts; the first class are those who are free.
+# Borders of the covered parts; the first class is of boxes that nothing covers.
 PARTS = (0.0, 0.01, 0.1, 0.35, 0.55, 0.75, 1.0)
-Work = tuple[str, str, str]
+OcclusionRun = tuple[str, str, str]
 
 
 def found(case: Case) -> tuple[F8, F8]:
@@ -48,15 +46,14 @@ def recalls(case: Case) -> list[float]:
     return [share / shares[0] for share in shares]
 
 
-def work(job: Work) -> Result:
+def work(job: OcclusionRun) -> ScoredCase:
     """The filter on a case, with occlusion known or not."""
     sequence, kind, occlusion = job
     return measure(mot15(sequence, kind), "gm-phd", 1, (f"sensor.occlusion={occlusion}",))
 
 
-def main(options: Options | None = None) -> Path:
+def main(options: Options) -> Path:
     """Run everything and write occlusion.md."""
-    options = options or Options()
     chosen = short(CASES) if options.quick else CASES
     cases = [mot15(*case) for case in chosen]
     seen = np.array([recalls(case) for case in cases])
@@ -68,7 +65,7 @@ def main(options: Options | None = None) -> Path:
     rows.append(("mean", *(float(r) for r in np.nanmean(seen[:, 1:], axis=0))))
     rows.append(("1 − c^1.5 in the middle", *(1 - c**SHAPE for c in middle)))
     jobs = [(*case, occlusion) for case in chosen for occlusion in ("false", "true")]
-    results = dict(zip(jobs, in_parallel(work, jobs, "occlusion", options.folder), strict=True))
+    results = dict(zip(jobs, in_parallel(work, jobs, "occlusion", options), strict=True))
     scores = ("MOTA", "IDF1", "id_switches")
     filtered: list[tuple[object, ...]] = []
     for case in chosen:
@@ -77,10 +74,4 @@ def main(options: Options | None = None) -> Path:
     means = np.array([row[1:] for row in filtered], dtype=np.float64).mean(axis=0)
     filtered.append(("mean", *means.tolist()))
     columns = ("case", "MOTA off", "on", "IDF1 off", "on", "switches off", "on")
-    page = (Path(__file__).parent / "occlusion.md").read_text(encoding="utf-8")
-    tables = {"recall": table(header, rows), "filtered": table(columns, filtered)}
-    return write("occlusion.md", page.format(cases=len(chosen), **tables), options.out)
-
-
-if __name__ == "__main__":
-    main()
+    return write("occlusion", options, cases=len(chosen), recall=table(header, rows), filtered=table(columns, filtered))

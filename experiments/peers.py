@@ -1,7 +1,5 @@
 """Beside the trackers that people use today: same detections, no score threshold, one parameter set, TrackEval's scores.
 
-    phdtrack reproduce peers
-
 Writes two pages: peers.md, and defaults.md, which says what speaks for the default filter and what its parts are worth.
 
 Peers' scores come from `bench/peers.csv` beside the real sequences, and so do the clutter cases (`bench/make_clutter.py`,
@@ -82,7 +80,7 @@ ABLATED = "pmb"
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class PeerRun:
     """One run on one sequence; ``case``: frcnn, public, or a clutter case with its seed, as peers.csv names them."""
 
     case: str
@@ -93,7 +91,7 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
+class PeerScores:
     """Scores of what was given online, at once and for good, and of the corrected tracks; milliseconds a frame."""
 
     online: Scores
@@ -122,7 +120,7 @@ def _made() -> tempfile.TemporaryDirectory[str]:
     return folder
 
 
-def work(job: Job) -> Outcome:
+def work(job: PeerRun) -> PeerScores:
     """One run, scored."""
     folder = need_data() / "mot15" / job.sequence
     info, truth = read_seqinfo(folder), counted(read_truth(folder / "gt" / "gt.txt"))
@@ -132,7 +130,7 @@ def work(job: Job) -> Outcome:
         found = Path(_made().name) / job.case / job.sequence / "det" / "det.txt"
     run = followed(built(info, job.method, job.sets), Case(job.sequence, info, truth, read_detections(found)), job.seed)
     online = evaluate(truth, run.online.take(run.online.confirmed), frames=info.frames)
-    return Outcome(online, evaluate(truth, run.corrected, frames=info.frames), 1e3 * run.seconds)
+    return PeerScores(online, evaluate(truth, run.corrected, frames=info.frames), 1e3 * run.seconds)
 
 
 def counted(truth: Truth) -> Truth:
@@ -142,16 +140,16 @@ def counted(truth: Truth) -> Truth:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class ComparedRuns:
     """All runs; the peers' rows by case and sequence; ``sequences`` of each case, ``trackers`` and number of ``seeds``."""
 
-    results: Mapping[Job, Outcome]
+    results: Mapping[PeerRun, PeerScores]
     peers: Mapping[tuple[str, str], Sequence[Mapping[str, str]]]
     sequences: Mapping[str, tuple[str, ...]]
     trackers: tuple[str, ...]
     seeds: int
 
-    def runs(self, case: str, sequence: str, method: str, sets: tuple[str, ...] = ()) -> list[Outcome]:
+    def runs(self, case: str, sequence: str, method: str, sets: tuple[str, ...] = ()) -> list[PeerScores]:
         """One outcome for each seed."""
         return [self.results[_job(case, sequence, method, seed, sets)] for seed in range(1, self.seeds + 1)]
 
@@ -171,16 +169,15 @@ def _peers_case(case: str) -> str:
     return case if case in SEQUENCES else f"{case}-s1"
 
 
-def _job(case: str, sequence: str, method: str, seed: int, sets: tuple[str, ...] = ()) -> Job:
+def _job(case: str, sequence: str, method: str, seed: int, sets: tuple[str, ...] = ()) -> PeerRun:
     """The run that stands for a seed: real detections and filters that draw nothing need one only."""
     if case not in SEQUENCES:
-        return Job(f"{case}-s{seed}", sequence, method, seed if method == "particle-phd" else 1, sets)
-    return Job(case, sequence, method, seed if method == "particle-phd" else 1, sets)
+        return PeerRun(f"{case}-s{seed}", sequence, method, seed if method == "particle-phd" else 1, sets)
+    return PeerRun(case, sequence, method, seed if method == "particle-phd" else 1, sets)
 
 
-def main(options: Options | None = None) -> Path:
+def main(options: Options) -> Path:
     """Run everything and write peers.md."""
-    options = options or Options()
     quick = options.quick
     sequences = dict.fromkeys(SEQUENCES, ("TUD-Campus",)) if quick else dict(SEQUENCES)
     sequences |= dict.fromkeys(CLUTTER[:1] if quick else CLUTTER, MADE[1:] if quick else MADE)
@@ -195,10 +192,14 @@ def main(options: Options | None = None) -> Path:
         for seed in range(1, seeds + 1)
     )
     jobs = list(dict.fromkeys(every))
-    results = dict(zip(jobs, in_parallel(work, jobs, "peers", options.folder), strict=True))
-    found = Found(results, read_peers(), sequences, trackers, seeds)
-    write("defaults.md", defaults(found, {} if quick else NUMBERS), options.out)
-    return write("peers.md", page(found), options.out)
+    results = dict(zip(jobs, in_parallel(work, jobs, "peers", options), strict=True))
+    found = ComparedRuns(results, read_peers(), sequences, trackers, seeds)
+    real = [case for case in sequences if case in SEQUENCES]
+    clutter = [case for case in sequences if case not in SEQUENCES]
+    numbers = _parts_table(found, {} if quick else NUMBERS)
+    write("defaults", options, seeds=seeds, filters=_filters_table(found), parts=_parts_table(found, PARTS), numbers=numbers)
+    tables = {"real": _pooled_table(found, real), "clutter": _pooled_table(found, clutter)}
+    return write("peers", options, seeds=seeds, sequences=_sequence_table(found, real), **tables)
 
 
 def read_peers() -> dict[tuple[str, str], list[Mapping[str, str]]]:
@@ -210,35 +211,7 @@ def read_peers() -> dict[tuple[str, str], list[Mapping[str, str]]]:
     return out
 
 
-def page(found: Found) -> str:
-    """The page of results."""
-    text = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
-    real = [case for case in found.sequences if case in SEQUENCES]
-    return text.format(
-        seeds=counted_seeds(found.seeds),
-        real=_pooled_table(found, real),
-        clutter=_pooled_table(found, [case for case in found.sequences if case not in SEQUENCES]),
-        sequences=_sequence_table(found, real),
-    )
-
-
-def defaults(found: Found, numbers: Mapping[str, tuple[str, ...]]) -> str:
-    """The page of the defaults."""
-    text = Path(__file__).with_name("defaults.md").read_text(encoding="utf-8")
-    return text.format(
-        seeds=counted_seeds(found.seeds),
-        filters=_filters_table(found),
-        parts=_parts_table(found, PARTS),
-        numbers=_parts_table(found, numbers),
-    )
-
-
-def counted_seeds(seeds: int) -> str:
-    """How many, in words."""
-    return "one seed" if seeds == 1 else f"{seeds} seeds"
-
-
-def _pooled_table(found: Found, cases: Sequence[str]) -> str:
+def _pooled_table(found: ComparedRuns, cases: Sequence[str]) -> str:
     header = ("case", "tracker", *(f"{score} {kind}" for kind in ("online", "corrected") for score in SHOWN), "ms")
     rows: list[tuple[object, ...]] = []
     for case in cases:
@@ -252,12 +225,12 @@ def _pooled_table(found: Found, cases: Sequence[str]) -> str:
     return table(header, rows)
 
 
-def _ms(found: Found, case: str, method: str, sets: tuple[str, ...]) -> float:
+def _ms(found: ComparedRuns, case: str, method: str, sets: tuple[str, ...]) -> float:
     runs = (run for sequence in found.sequences[case] for run in found.runs(case, sequence, method, sets))
     return float(np.median([run.ms for run in runs]))
 
 
-def _sequence_table(found: Found, cases: Sequence[str]) -> str:
+def _sequence_table(found: ComparedRuns, cases: Sequence[str]) -> str:
     """Corrected tracks less the best peer in each score, sequence by sequence."""
     header = ("case", "sequence", "tracker", *(f"{score} (less the best peer's)" for score in SHOWN))
     rows = []
@@ -276,7 +249,7 @@ def _sequence_table(found: Found, cases: Sequence[str]) -> str:
     return table(header, rows)
 
 
-def _filters_table(found: Found) -> str:
+def _filters_table(found: ComparedRuns) -> str:
     """All filters: the means over kinds of detections, and the time of a frame."""
     cases = {
         "real": [case for case in found.sequences if case in SEQUENCES],
@@ -298,7 +271,7 @@ def _filters_table(found: Found) -> str:
     return table(header, rows)
 
 
-def _parts_table(found: Found, parts: Mapping[str, tuple[str, ...]]) -> str:
+def _parts_table(found: ComparedRuns, parts: Mapping[str, tuple[str, ...]]) -> str:
     """Corrected tracks with each part changed, as differences from the shipped defaults."""
     groups = {"real": [case for case in found.sequences if case in SEQUENCES]}
     groups |= {case: [case] for case in found.sequences if case in ("u20", "p20")}
@@ -314,7 +287,7 @@ def _parts_table(found: Found, parts: Mapping[str, tuple[str, ...]]) -> str:
     return table(header, rows)
 
 
-def _gain(found: Found, cases: Sequence[str], score: str, sets: tuple[str, ...]) -> tuple[float, float]:
+def _gain(found: ComparedRuns, cases: Sequence[str], score: str, sets: tuple[str, ...]) -> tuple[float, float]:
     """What a change gains over the defaults, pooled, in points, and half the width of its 95 % interval over the runs.
 
     By the jackknife: how far the difference moves when one sequence (with drawn clutter: in one seed) is left out (Efron and
@@ -339,7 +312,3 @@ def _gain(found: Found, cases: Sequence[str], score: str, sets: tuple[str, ...])
     without = np.array([pooled(sets, out) - pooled((), out) for out in range(n)]) if n > 1 else np.full(1, np.nan)
     deviation = float(np.sqrt((n - 1) / n * ((without - without.mean()) ** 2).sum()))
     return pooled(sets) - pooled(()), float(stats.t.ppf(0.975, max(n - 1, 1))) * deviation
-
-
-if __name__ == "__main__":
-    main()

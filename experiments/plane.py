@@ -1,8 +1,6 @@
 """Tracks on the ground plane: PETS09-S2L1 with its real detections and its camera.
 
-    phdtrack reproduce plane
-
-World-plane tracks of the Gaussian-mixture filters and of the particle filter, with and without occlusion in p_D, beside the
+World-plane tracks of the Gaussian-mixture filters and of the particle filter, with and without occlusion in p_D, next to the
 tracker in the image as shipped. Foot points are led to the ground by the camera and compared with the truth's own columns
 X, Y (metres). Settings are the shipped ones, ``motion.kind=plane`` and the camera aside.
 """
@@ -17,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.common import Case, Options, built, in_parallel, mot15, need_data, table, write
+from experiments.common import Case, Options, built, in_parallel, mot15, need_data, table, with_error, write
 from phdtrack import pipeline
 from phdtrack.ground import CountedFrom, read_camera
 from phdtrack.metrics import evaluate
@@ -68,7 +66,7 @@ VARIANTS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class GroundRun:
     """One run: the detections, a variant by its place in `VARIANTS`, and a seed."""
 
     kind: str
@@ -77,7 +75,7 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class Ground:
+class GroundScores:
     """How near rows are to the truth's places: MOTA and IDF1 with matches within `NEAR`; of the rows matched one to one
     within `FAR`, the root of the mean squared distance, the median, and the share of all annotated rows within `NEAR`."""
 
@@ -89,14 +87,14 @@ class Ground:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class GroundErrors:
     """One run: in the image with the tracks' boxes (``own``) and with the detections' boxes where a row rests on one
     (``taken``), each MOTA, IDF1; on the ground; mean absolute errors of the mass, of the number of states, and the bias of
     the mass."""
 
     own: tuple[float, float]
     taken: tuple[float, float]
-    ground: Ground
+    ground: GroundScores
     mass: float
     states: float
     bias: float
@@ -176,12 +174,12 @@ def errors(truth: Places, found: Places, far: float) -> F8:
     return np.concatenate([np.zeros(0), *out])
 
 
-def on_the_ground(truth: Places, found: Places, frames: int) -> Ground:
+def on_the_ground(truth: Places, found: Places, frames: int) -> GroundScores:
     """All scores on the ground."""
     scene = ground_scene(truth, found, frames, NEAR)
     counted = count_tracking(scene, tracking_mapping(scene, 0.5))
     off = errors(truth, found, FAR)
-    return Ground(
+    return GroundScores(
         counted.mota(1.0, 1.0),
         count_identities(scene, 0.5).idf1(),
         math.sqrt(float((off**2).mean())),
@@ -207,7 +205,7 @@ def sets_of(variant: Variant) -> tuple[str, ...]:
     return ("motion.kind=plane", f"camera.file={camera_file()}", f"camera.first_pixel={FIRST_PIXEL}", *shown)
 
 
-def work(job: Job) -> Outcome:
+def work(job: GroundRun) -> GroundErrors:
     """One run over the sequence."""
     given, variant = case(job.kind), VARIANTS[job.variant]
     stages = built(given.info, variant.filter, sets_of(variant))
@@ -219,7 +217,7 @@ def work(job: Job) -> Outcome:
         mass[k], states[k] = step.info.mass, len(step.estimates)
     tracks = pipeline.finish(stages, state)
     people = numbers(given.truth.frame, given.info.frames)
-    return Outcome(
+    return GroundErrors(
         in_the_image(given, tracks),
         in_the_image(given, with_detections(tracks, given.table)),
         on_the_ground(true_places(), places_of(tracks), given.info.frames),
@@ -245,40 +243,38 @@ def _sizes(pairs: Sequence[FramePair], side: int) -> I8:
     return np.array([pair.iou.shape[side] for pair in pairs], np.int64)
 
 
-def spread(values: Sequence[float], digits: int = 3) -> str:
-    """Mean ± standard error; of one value the value."""
-    mean = f"{np.mean(values):.{digits}f}"
-    return mean if len(values) < 2 else f"{mean} ± {np.std(values, ddof=1) / math.sqrt(len(values)):.{digits}f}"
-
-
-def main(options: Options | None = None) -> Path:
+def main(options: Options) -> Path:
     """Run everything and write plane.md."""
-    options = options or Options()
     seeds = options.number(SEEDS, 1)
-    jobs = [Job(kind, i, seed) for kind in KINDS for i, v in enumerate(VARIANTS) for seed in range(seeds if v.random else 1)]
-    outcomes = dict(zip(jobs, in_parallel(work, jobs, "plane", options.folder), strict=True))
-    return write("plane.md", page(outcomes, seeds), options.out)
+    jobs = [
+        GroundRun(kind, i, seed)
+        for kind in KINDS
+        for i, v in enumerate(VARIANTS)
+        for seed in range(seeds if v.random else 1)
+    ]
+    outcomes = dict(zip(jobs, in_parallel(work, jobs, "plane", options), strict=True))
+    return write("plane", options, **figures(outcomes, seeds))
 
 
-def page(outcomes: dict[Job, Outcome], seeds: int) -> str:
-    """The page of results."""
+def figures(outcomes: dict[GroundRun, GroundErrors], seeds: int) -> dict[str, object]:
+    """What is filled into the page."""
     rows = [
-        (_head(kind, v), _means([outcomes[Job(kind, i, seed)] for seed in range(seeds if v.random else 1)]))
+        (_head(kind, v), _means([outcomes[GroundRun(kind, i, seed)] for seed in range(seeds if v.random else 1)]))
         for kind in KINDS
         for i, v in enumerate(VARIANTS)
     ]
     image = [(*head, *cells[:4]) for head, cells in rows]
     ground = [*_references(), *((*head, *cells[4:9]) for head, cells in rows)]
     counts = [*_raw(), *((*head, *cells[9:]) for head, cells in rows)]
-    return _PAGE.format(
-        seeds=seeds,
-        joined=JOINED,
-        near=NEAR,
-        far=FAR,
-        image=table((*_HEAD, "MOTA", "IDF1", "MOTA, detections' boxes", "IDF1, detections' boxes"), image),
-        ground=table((*_HEAD, "MOTA", "IDF1", "RMSE, m", "median, m", f"within {NEAR:g} m"), ground),
-        counts=table((*_HEAD, "mass", "states", "bias of the mass"), counts),
-    )
+    return {
+        "seeds": seeds,
+        "joined": JOINED,
+        "near": NEAR,
+        "far": FAR,
+        "image": table((*_HEAD, "MOTA", "IDF1", "MOTA, detections' boxes", "IDF1, detections' boxes"), image),
+        "ground": table((*_HEAD, "MOTA", "IDF1", "RMSE, m", "median, m", f"within {NEAR:g} m"), ground),
+        "counts": table((*_HEAD, "mass", "states", "bias of the mass"), counts),
+    }
 
 
 _HEAD = ("detections", "world", "filter", "occlusion")
@@ -289,9 +285,9 @@ def _head(kind: str, variant: Variant) -> tuple[str, ...]:
     return (kind, "ground" if variant.plane else "image", variant.name, "on" if variant.occlusion else "off")
 
 
-def _means(outcomes: Sequence[Outcome]) -> list[str]:
+def _means(outcomes: Sequence[GroundErrors]) -> list[str]:
     """Means over the seeds, with their standard errors."""
-    return [spread(column) for column in zip(*(outcome.numbers() for outcome in outcomes), strict=True)]
+    return [with_error(column) for column in zip(*(outcome.numbers() for outcome in outcomes), strict=True)]
 
 
 def _references() -> list[tuple[str, ...]]:
@@ -321,60 +317,3 @@ def _raw() -> list[tuple[str, ...]]:
         off = numbers(given.table.frame, given.info.frames) - numbers(given.truth.frame, given.info.frames)
         out.append((kind, "", "number of detections", "", "", f"{np.abs(off).mean():.3f}", f"{off.mean():.3f}"))
     return out
-
-
-_PAGE = """# Tracks on the ground plane
-
-PETS09-S2L1 (795 frames, 19 people) with its public and its Faster R-CNN detections and the Tsai camera of view 1, pixels
-counted from 1. Shipped settings with `motion.kind=plane` and the camera; *world* image: the shipped tracker without a
-camera. The settings for the image were chosen on seven cases, of which these are two; those for the ground were not, but
-that states are joined there as in the image was decided by this page. *occlusion*: whether p_D falls where nearer people
-cover a person; shipped is on for the ground, off for the image. States whose boxes overlap by more than {joined:g} are taken
-for one; *not joined*: none are. Particle filters: mean of {seeds} seeds ± its standard error; what Gaussians do is not
-random. Corrected tracks. Written by `phdtrack reproduce plane`.
-
-## On the ground
-
-Places of tracks are those under the middle of their boxes' lower edges, against the annotation's own X, Y. MOTA and IDF1: a
-match is nearer than {near:g} m. *RMSE* and *median* are of the rows matched one to one within {far:g} m; *within* is the
-share of all annotated rows that are matched within {near:g} m. Rows without a filter: the annotated boxes' own feet, and the
-feet of all detections, which have no identities.
-
-{ground}
-## In the image
-
-IoU 0.5. On the ground a track's box is that of a person of 0.6 m by 1.75 m who stands there; with *detections' boxes*, rows
-that rest on a detection take its box.
-
-{image}
-## Counts
-
-Mean absolute error per frame of the number of people: of the intensity's mass, of the number of extracted states, and of the
-raw number of detections; bias: signed.
-
-{counts}
-## What is better, and what is worse
-
-* **Identities are kept better on the ground.** IDF1 in the image is 0.73, where the same filter in the image as shipped has
-  0.46 (public detections), and 0.57 against 0.35 (Faster R-CNN). MOTA in the image is 0.03 less on the public detections
-  with GM-PHD, the same with particles, and 0.06 more on the others.
-* **Places are better than the detections' own** (RMSE 0.33 m and 0.39 m against 0.38 m and 0.51 m), and more annotated rows
-  have a track within a metre than have a detection. The annotation's X, Y are its own boxes' feet to 5 cm.
-* **A detector that fires twice on one person makes two people on the ground** where states are not joined. On the
-  public detections, many of which are doubles, joining lifts MOTA on the ground from 0.47 to 0.85, and costs nothing on the
-  other detections.
-* **Occlusion** changes little here: MOTA on the ground by −0.004 to +0.009, IDF1 by up to ±0.07 with no clear sign. The
-  mass comes nearer to the truth by 0.01 to 0.04 people on the Faster R-CNN detections; with the PHD filters it goes farther
-  off by 0.05 to 0.10 on the public ones, where there is too much of it already.
-* **The cardinalised filter** counts better on the Faster R-CNN detections (states 0.72 against 1.02), at 0.03 to 0.04 less
-  MOTA, and is worse in both on the public ones, of whose double boxes it counts more (MOTA 0.72 against 0.85).
-* **Counts.** The raw number of Faster R-CNN detections is nearer to the truth (0.68) than any filter's on the ground: misses
-  and false alarms cancel in it. On the public detections the number of states is less than half as wrong as the raw number
-  (1.50) with the PHD filters. The mass is not: a double detection weighs as much as a person.
-* **Boxes of a nominal size** match as well as the detections' own on the public detections, and better, by 0.06 of MOTA, on
-  the others.
-"""
-
-
-if __name__ == "__main__":
-    main()

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common import in_parallel
+from experiments.common import Options, in_parallel, pyplot
 from phdtrack.compare.statistics import Interval, interval
 from phdtrack.metrics import ospa
 from phdtrack.protocols import Extractor, Filter, Model
@@ -25,7 +25,7 @@ Stages = tuple[Filter[Any], Extractor[Any]]
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class FilterRun:
     """One run of one ``filter`` in one ``case`` of a scenario; ``seed`` decides the scans, whatever the filter."""
 
     filter: str
@@ -48,7 +48,7 @@ class Realisation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
+class SetErrors:
     """Per scan: ``ospa`` and its part ``number`` in metres, ``error`` the number of states less that of targets.
 
     ``seconds`` of processor time that filter and extraction took for a scan.
@@ -72,7 +72,7 @@ def followed(given: Realisation, stages: Stages, seed: int) -> Iterator[tuple[F8
         yield found, time.thread_time() - began
 
 
-def measured(given: Realisation, states: Iterable[tuple[F8, float]]) -> Outcome:
+def measured(given: Realisation, states: Iterable[tuple[F8, float]]) -> SetErrors:
     """What the ``states`` of the scans, as `followed` gives them, come to."""
     scans = len(given.scans)
     distance, number, error, seconds = (np.zeros(scans) for _ in range(4))
@@ -83,17 +83,19 @@ def measured(given: Realisation, states: Iterable[tuple[F8, float]]) -> Outcome:
         number[k] = given.cutoff * abs(n - m) / max(n, m, 1)
         error[k], seconds[k] = m - n, spent
     # The first scans compile.
-    return Outcome(distance, number, error, float(np.median(seconds)))
+    return SetErrors(distance, number, error, float(np.median(seconds)))
 
 
-Found = dict[tuple[str, str], list[Outcome]]
+RunErrors = dict[tuple[str, str], list[SetErrors]]
 """By case and filter, one outcome for each seed."""
 
 
-def measure(run: Callable[[Job], Outcome], runs: Mapping[tuple[str, str], int], label: str, folder: Path | None) -> Found:
-    """So many ``runs`` of every pair of a case and a filter, from seed 0; kept in ``folder`` if there is one."""
-    jobs = [Job(name, case, seed) for (case, name), number in runs.items() for seed in range(number)]
-    outcomes = iter(in_parallel(run, jobs, label, folder))
+def measure(
+    run: Callable[[FilterRun], SetErrors], runs: Mapping[tuple[str, str], int], label: str, options: Options
+) -> RunErrors:
+    """So many ``runs`` of every pair of a case and a filter, from seed 0."""
+    jobs = [FilterRun(name, case, seed) for (case, name), number in runs.items() for seed in range(number)]
+    outcomes = iter(in_parallel(run, jobs, label, options))
     return {pair: list(islice(outcomes, number)) for pair, number in runs.items()}
 
 
@@ -111,7 +113,7 @@ class Summary:
     milliseconds: float
 
     @classmethod
-    def of(cls, outcomes: Sequence[Outcome]) -> Summary:
+    def of(cls, outcomes: Sequence[SetErrors]) -> Summary:
         """Means over scans and runs; the time is the median of the runs'."""
         distance = interval([outcome.ospa.mean() for outcome in outcomes])
         number = float(np.mean([outcome.number for outcome in outcomes]))
@@ -129,7 +131,7 @@ class Summary:
         )
 
     def cells(self) -> tuple[str, ...]:
-        """Of a table's row, beside `HEADER`."""
+        """The cells of a row under `HEADER`."""
         return (
             str(self.runs),
             f"{self.ospa:.2f} ± {self.within:.2f}",
@@ -144,51 +146,32 @@ class Summary:
 HEADER = ("runs", "OSPA", "place", "number", "mean count error", "bias", "ms per scan")
 
 
-CLOSE = 0.05
 PARTICLES = (("particle-phd", "gm-phd"), ("particle-cphd", "gm-cphd"))
-"""The particle forms, each beside the Gaussian one that it should come near."""
+"""The particle forms, each with the Gaussian one that it should come near."""
 COMPARED = (("gm-cphd", "gm-phd"), *PARTICLES, ("mht", "gm-cphd"), ("pmb", "mht"))
-"""The pairs of filters whose difference is told."""
+"""The pairs of filters whose difference is shown."""
 
 
-def apart(ours: Sequence[Outcome], theirs: Sequence[Outcome]) -> Interval:
+def apart(ours: Sequence[SetErrors], theirs: Sequence[SetErrors]) -> Interval:
     """Mean difference of the OSPA, run by run where both have one on the same scans, and its 95 % interval."""
     return interval([a.ospa.mean() - b.ospa.mean() for a, b in zip(ours, theirs, strict=False)])
 
 
-def differences(outcomes: dict[str, list[Outcome]], pairs: Sequence[tuple[str, str]]) -> Iterator[tuple[str, str, str]]:
-    """Of each pair of filters that ran: who beside whom, how far apart in metres, and as a share."""
+def differences(outcomes: dict[str, list[SetErrors]], pairs: Sequence[tuple[str, str]]) -> Iterator[tuple[str, str, str]]:
+    """Of each pair of filters that ran: which less which, how far apart in metres, and as a share."""
     for ours, theirs in pairs:
         if ours in outcomes and theirs in outcomes:
             difference = apart(outcomes[ours], outcomes[theirs])
-            share = 100 * difference.mean / _level(outcomes[theirs][: len(outcomes[ours])])
-            yield f"{ours} beside {theirs}", f"{difference.mean:+.2f} ± {difference.half:.2f}", f"{share:+.1f} %"
+            level = np.mean([outcome.ospa.mean() for outcome in outcomes[theirs][: len(outcomes[ours])]])
+            yield (
+                f"{ours} less {theirs}",
+                f"{difference.mean:+.2f} ± {difference.half:.2f}",
+                f"{100 * difference.mean / level:+.1f} %",
+            )
 
 
-def _level(outcomes: Sequence[Outcome]) -> float:
-    return float(np.mean([outcome.ospa.mean() for outcome in outcomes]))
-
-
-def beyond(found: Found, cases: Sequence[str], pairs: Sequence[tuple[str, str]]) -> str:
-    """A sentence on the pairs of filters of which the first's OSPA is more than `CLOSE` above the other's, case by case."""
-    far = []
-    for case in cases:
-        for ours, theirs in pairs:
-            if (case, ours) in found and (case, theirs) in found:
-                share = apart(found[case, ours], found[case, theirs]).mean / _level(found[case, theirs])
-                far += [f"{ours} beside {theirs} by {100 * share:.1f} % ({case})"] if share > CLOSE else []
-    if not far:
-        return f"None of the particle forms is more than {100 * CLOSE:.0f} % above its Gaussian one.\n"
-    return f"More than {100 * CLOSE:.0f} % above the Gaussian ones are, of the particle forms: {'; '.join(far)}.\n"
-
-
-def fill(template: str, **values: object) -> str:
-    """The text beside a module, ``NAME.md``, with its places filled."""
-    return Path(__file__).with_name(template).read_text(encoding="utf-8").format(**values)
-
-
-def curves(outcomes: dict[str, list[Outcome]], number: I8, path: Path) -> None:
-    """Draw OSPA and number of states over the scans, means over runs, beside the true ``number`` (scans,)."""
+def curves(outcomes: dict[str, list[SetErrors]], number: I8, path: Path) -> None:
+    """Draw OSPA and number of states over the scans, means over runs, with the true ``number`` (scans,)."""
     plt = pyplot()
     figure, axes = plt.subplots(2, 1, figsize=(9, 6), sharex=True, layout="constrained")
     scans = np.arange(1, len(number) + 1)
@@ -206,13 +189,3 @@ def curves(outcomes: dict[str, list[Outcome]], number: I8, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
     plt.close(figure)
-
-
-def pyplot() -> Any:
-    """Matplotlib's plotting module, drawing to files."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    return plt

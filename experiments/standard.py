@@ -1,28 +1,25 @@
 """The standard linear-Gaussian scenario: OSPA of the PHD and the cardinalised PHD filters, by Gaussians and by particles.
 
-The scenario is `phdtrack.simulate.linear_gaussian`: twelve targets over 100 scans, clutter uniform over the region. Every
-filter is given its true parameters. A section of the page of `reproduce.vo`.
+The scenario is `standard_scenes.linear_gaussian`: twelve targets over 100 scans, clutter uniform over the region. Every
+filter is given its true parameters. A section of vo.md.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from experiments.common import Options, table
+from experiments.common import Options, filled, table
 from experiments.scans import (
     COMPARED,
     HEADER,
-    PARTICLES,
-    Found,
-    Job,
-    Outcome,
+    FilterRun,
     Realisation,
+    RunErrors,
+    SetErrors,
     Stages,
     Summary,
-    beyond,
     curves,
     differences,
-    fill,
     followed,
     measure,
     measured,
@@ -91,13 +88,13 @@ def realisation(case: str, seed: int) -> Realisation:
     return Realisation(world(given), scans, scene.state, given.interval, given.ospa_cutoff)
 
 
-def run(job: Job) -> Outcome:
+def run(job: FilterRun) -> SetErrors:
     """One filter over one realisation."""
     given = realisation(job.case, job.seed)
     return measured(given, followed(given, (FILTERS | WITH_MORE)[job.filter], job.seed))
 
 
-def text(found: Found, more: Found) -> str:
+def text(found: RunErrors, more: RunErrors) -> str:
     """The section of the page."""
     rows, claims = [], []
     for case in CASES:
@@ -106,10 +103,9 @@ def text(found: Found, more: Found) -> str:
         claims += [(case, *cells) for cells in differences(outcomes, COMPARED)]
     few = len(more[HIDDEN, MANY_PHD])
     hidden = {name: found[HIDDEN, name][:few] for name in FILTERS} | {name: more[HIDDEN, name] for name in WITH_MORE}
-    return fill(
-        "standard.md",
+    return filled(
+        "standard",
         rows=table(("", "filter", "elsewhere", *HEADER), rows),
-        beyond=beyond(found, tuple(CASES), PARTICLES),
         claims=table(("", "", "difference of OSPA", "share"), claims),
         particles=PER_TARGET,
         more=MORE,
@@ -123,9 +119,9 @@ def section(options: Options) -> str:
     """Measure and draw; the section of the page."""
     number = {case: options.number(RUNS if case == EASY else SIDE, FEW) for case in CASES}
     runs = {(case, name): number[case] for case in CASES for name in FILTERS}
-    found = measure(run, runs, "linear", options.folder)
+    found = measure(run, runs, "linear", options)
     many = {(HIDDEN, name): options.number(MORE_RUNS, FEW) for name in WITH_MORE}
-    more = measure(run, many, "linear, more particles", options.folder)
+    more = measure(run, many, "linear, more particles", options)
     targets = np.array([truth.shape[1] for truth in realisation(EASY, 0).truth])
-    curves({name: found[EASY, name] for name in FILTERS}, targets, options.out / "vo-linear-ospa.png")
+    curves({name: found[EASY, name] for name in FILTERS}, targets, options.folder / "vo-linear-ospa.png")
     return text(found, more)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from experiments import blobs
-from experiments.blobs_outcomes import Leave, outcome, touching
-from experiments.blobs_pictures import meeting_picture
-from experiments.blobs_scenes import APART, ASPECT, PARTINGS, TALL, Parting, filmed, meeting
 from experiments.common import Case
+from experiments.meetings import APART, ASPECT, PARTINGS, TALL, Leave, Parting, filmed, leaving, meeting, touching
 from phdtrack.metrics import evaluate
 from phdtrack.types import I8, Tracks
 
@@ -65,21 +61,17 @@ def test_identities_after_a_blob_are_told_apart(case: Case) -> None:
         "new": np.where(late & (true == 2), 9, true),
     }
     for told, identity in expected.items():
-        assert outcome(case, named(case, identity)) == told
+        assert leaving(case, named(case, identity)) == told
     rows = named(case, true)
-    assert outcome(case, rows.take(~late | (true == 1))) == "lost"
+    assert leaving(case, rows.take(~late | (true == 1))) == "lost"
 
 
-def test_rows_of_the_page_count_who_left_how(case: Case) -> None:
+def test_rows_of_the_page_count_how_pairs_left(case: Case) -> None:
     scores = evaluate(case.truth, named(case, case.truth.identity), frames=case.info.frames)
-    jobs = [blobs.Job("meeting", "crossing", seed, "pmb", sets) for sets in blobs.WAYS.values() for seed in range(2)]
+    which = [blobs.BlobCase("meeting", "crossing", seed) for seed in range(2)]
     leaves: list[tuple[Leave, Leave]] = [("new", "new"), ("right", "lost"), ("right", "right"), ("right", "new")]
-    found = {job: blobs.Outcome(scores, scores, leave) for job, leave in zip(jobs, leaves, strict=True)}
-    rows = blobs.meeting_rows(jobs, found)
-    assert rows[0][:7] == ["pmb", "as detected", "crossing", "0.50 (0.00)", "0.00 (0.00)", "0.50 (0.50)", "0.00 (0.50)"]
-    assert rows[1][:7] == ["pmb", "explained", "crossing", "1.00 (0.50)", "0.00 (0.00)", "0.00 (0.50)", "0.00 (0.00)"]
-
-
-def test_the_picture_shows_every_way(case: Case, tmp_path: Path) -> None:
-    meeting_picture(case, "gm-phd", blobs.WAYS, tmp_path / "blobs.png")
-    assert (tmp_path / "blobs.png").stat().st_size > 10_000
+    runs = [(one, "pmb", way) for way in blobs.WAYS for one in which]
+    scored = {run: blobs.BlobScores(scores, scores, leave) for run, leave in zip(runs, leaves, strict=True)}
+    _, rows = blobs._table("meeting", ("pmb",), scored)
+    assert rows[0][:7] == ["crossing", "pmb", "as detected", "0.50 (0.00)", "0.00 (0.00)", "0.50 (0.50)", "0.00 (0.50)"]
+    assert rows[1][:7] == ["crossing", "pmb", "merged", "1.00 (0.50)", "0.00 (0.00)", "0.00 (0.50)", "0.00 (0.00)"]

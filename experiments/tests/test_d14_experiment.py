@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from string import Formatter
 
 import numpy as np
 import pytest
 
-from experiments import d14, d14_pictures, d14_runs
-from experiments.common import Options
+from experiments import d14, d14_runs
 from experiments.corridor import centroids
 from experiments.d14_runs import (
     FILTERS,
     GATE,
     KALMAN,
     VARIANCES,
-    Job,
-    Outcome,
+    CorridorRun,
     Points,
+    RunErrors,
     errors,
     kalman,
     posterior_deviation,
@@ -39,13 +36,13 @@ def test_the_models_posterior_deviation_is_the_papers():
 @pytest.mark.parametrize("variance", VARIANCES)
 def test_where_the_model_is_true_the_kalman_filters_error_is_its_posterior_deviation(variance: float):
     """Four points over 1048 frames in all, five seeds: within 4 %."""
-    squares = [work(Job("model", KALMAN, 0, variance, seed)).overall ** 2 for seed in range(5)]
+    squares = [work(CorridorRun("model", KALMAN, 0, variance, seed)).overall ** 2 for seed in range(5)]
     assert math.sqrt(np.mean(squares)) == pytest.approx(posterior_deviation(variance), rel=0.04)
 
 
 def test_the_kalman_filters_are_those_of_single_targets():
     """Each target by itself, with textbook matrices."""
-    job = Job("corridor", KALMAN, 0, 2.0, 3)
+    job = CorridorRun("corridor", KALMAN, 0, 2.0, 3)
     scans = scans_of(job)
     found = kalman(stages_of(job).model, scans)
     f = np.eye(4) + np.eye(4, k=2)
@@ -65,19 +62,19 @@ def test_the_kalman_filters_are_those_of_single_targets():
 
 def test_all_filters_are_given_the_same_measurements_and_only_some_the_names():
     """N is the number of samples, or of all particles; the sensor's variance is that of the measurements."""
-    scans = [scans_of(Job("corridor", name, n, 0.5, 4)) for name in FILTERS for n in (100, 500)]
+    scans = [scans_of(CorridorRun("corridor", name, n, 0.5, 4)) for name in FILTERS for n in (100, 500)]
     for other in scans[1:]:
         for a, b in zip(scans[0], other, strict=True):
             np.testing.assert_array_equal(a, b)
-    phd, joint, true, greedy = (stages_of(Job("corridor", name, 300, 0.5, 4)) for name in FILTERS)
+    phd, joint, true, greedy = (stages_of(CorridorRun("corridor", name, 300, 0.5, 4)) for name in FILTERS)
     assert (phd.filter.particles_per_target, phd.filter.max_particles, phd.filter.skip_empty_frames) == (300, 300, True)
     assert (true.filter.samples, true.filter.burn_in, true.filter.thin, true.filter.greedy) == (300, 50, 1, False)
     assert greedy.filter.greedy
     assert (true.filter.ancestors, joint.filter.ancestors) == ("each", "joint")
     assert all(stages.model.sensor.noise_variance == 0.5 for stages in (phd, true, greedy, joint))
-    found, _ = track(Job("corridor", "SMC PHD", 100, 0.5, 4))
+    found, _ = track(CorridorRun("corridor", "SMC PHD", 100, 0.5, 4))
     assert set(found.identity) == {-1}
-    found, _ = track(Job("corridor", "MCMC", 100, 0.5, 4))
+    found, _ = track(CorridorRun("corridor", "MCMC", 100, 0.5, 4))
     assert set(found.identity) == {1, 2, 3, 4}
 
 
@@ -99,7 +96,7 @@ def test_a_state_far_from_everybody_is_nobodys_error():
 def test_the_sampler_nears_the_posterior_mean_and_the_greedy_chain_does_not():
     """Where the model is true: root mean squared distances per axis from the exact mean, two seeds."""
     far = {
-        (name, n): np.mean([work(Job("model", name, n, 2.0, seed)).beside for seed in range(2)])
+        (name, n): np.mean([work(CorridorRun("model", name, n, 2.0, seed)).beside for seed in range(2)])
         for name in d14.CHAINS for n in (500, 4000)
     }  # fmt: skip
     assert far["MCMC", 4000] < 0.45 * far["MCMC", 500]
@@ -109,16 +106,16 @@ def test_the_sampler_nears_the_posterior_mean_and_the_greedy_chain_does_not():
 
 
 def test_the_phd_filter_locates_who_is_there_and_is_near_the_bound():
-    phd, bound = (work(Job("corridor", name, n, 1.0, 0)) for name, n in (("SMC PHD", 1000), (KALMAN, 0)))
+    phd, bound = (work(CorridorRun("corridor", name, n, 1.0, 0)) for name, n in (("SMC PHD", 1000), (KALMAN, 0)))
     assert phd.located.min() > 0.9
     assert bound.located.min() > 0.999
     assert bound.settled <= phd.settled < 1.15 * bound.settled
     assert phd.spare < 0.1
 
 
-def outcome(truth, located) -> Outcome:
+def outcome(truth, located) -> RunErrors:
     """Errors and located shares of two targets; nothing else is asked for."""
-    return Outcome(np.array(truth), np.array(truth), np.array(located), 1.0, 1.0, 1.0, 1.0, 0.0, 0.1)
+    return RunErrors(np.array(truth), np.array(truth), np.array(located), 1.0, 1.0, 1.0, 1.0, 0.0, 0.1)
 
 
 def test_with_misses_who_is_not_located_is_the_gate_away():
@@ -128,25 +125,19 @@ def test_with_misses_who_is_not_located_is_the_gate_away():
     assert d14.with_misses(outcome([2.0, math.nan], [0.5, 0.0])) == pytest.approx(math.sqrt(38.5))
 
 
-def made_up() -> d14.Found:
+def made_up() -> d14.CorridorErrors:
     """Outcomes of all runs, whose errors fall with N but for the PHD filter's from 1000 on."""
     results = {}
     for job in [*d14_runs.jobs_of(d14.NUMBERS, 2), *d14.beyond(2)]:
         number = min(job.number, 1000) if job.filter == d14.PHD else job.number
         results[job] = outcome([10 / (number or 9000) ** 0.5] * 2, [1.0, 1.0])
-    return d14.Found(results, d14.NUMBERS, 2)
+    return d14.CorridorErrors(results, d14.NUMBERS, 2)
 
 
 def test_what_falls_with_n_is_counted():
     found = made_up()
     assert d14.falls(found, d14.TRUE, ["model"]) == "9 of 9"
     assert d14.falls(found, d14.PHD, d14.PEOPLE) == "12 of 18"
-    assert d14.ahead(found, d14.TRUE, ["model"], d14.with_misses) == "0 of 12"
-
-
-def test_every_value_that_is_computed_is_told():
-    text = (Path(d14.__file__).parent / "d14.md").read_text(encoding="utf-8")
-    assert set(d14.verdicts(made_up())) <= {name for _, name, _, _ in Formatter().parse(text) if name}
 
 
 def test_the_papers_times_stand_beside_a_sequence_of_their_length_only():
@@ -162,22 +153,3 @@ def test_the_annotated_people_are_there(data, monkeypatch):
     people = scene("caviar")
     assert (people.frame.max(), len(np.unique(people.identity))) == (295, 6)
     assert np.isfinite(centroids(people)).all()
-
-
-@pytest.mark.data
-def test_the_page_in_short(data, monkeypatch, tmp_path):
-    """One seed, two N, one variance: every table and picture is made; those on footage only where outcomes are kept."""
-    monkeypatch.setenv("PHDTRACK_DATA", str(data))
-    for module in (d14, d14_runs, d14_pictures):
-        monkeypatch.setattr(module, "VARIANCES", (2.0,))
-    monkeypatch.setattr(d14, "BEYOND", 200)
-    monkeypatch.setattr(d14, "NUMBERS", (100, 120, 150, 200))
-    path = d14.main(Options(runs=1, quick=True, out=tmp_path / "pages", folder=tmp_path / "kept"))
-    text = path.read_text(encoding="utf-8")
-    assert "{" not in text
-    assert "nan" not in text.replace("± nan", "")
-    assert text.count("### ") == 3
-    for name in ("errors", "frames", "trajectories"):
-        assert (tmp_path / "pages" / f"d14-{name}.png").stat().st_size > 10_000
-    assert (tmp_path / "kept" / "d14-footage.png").stat().st_size > 10_000
-    assert not list((tmp_path / "pages").glob("*footage*"))

@@ -38,9 +38,11 @@ def test_the_truth_changes_by_a_third_of_a_person_a_frame(sequence):
     assert np.abs(np.diff(people)).mean() == pytest.approx(0.31, abs=0.01)
 
 
-def test_every_filter_of_the_table_runs(sequence, monkeypatch):
+def test_every_filter_of_the_table_counts_and_groups(sequence, monkeypatch):
+    """Five frames: a number for each of them, and fewer groups than people."""
     monkeypatch.setattr(e13, "INFO", e13.SequenceInfo(768, 576, 7.0, 5, e13.INFO.name))
     for name in e13.FILTERS:
-        outcome = e13.work(e13.Job(name, 1.0, 0))
-        assert outcome.mass.shape == (5,)
-        assert 1 < outcome.mass[-1] < 20
+        counts = e13.work(e13.CrowdRun(name, 1.0, 0))
+        assert all(each.shape == (5,) for each in (counts.mass, counts.states, counts.raw, counts.groups))
+        assert (counts.mass > 0).all()
+        assert (counts.groups <= np.maximum(counts.mass, 1) * 2).all()

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from experiments.plane import Places, errors, ground_scene, numbers, spread, with_detections
+from experiments.common import with_error
+from experiments.plane import Places, errors, ground_scene, numbers, with_detections
 from phdtrack.metrics.clear import count_tracking
 from phdtrack.metrics.matching import tracking_mapping
 from phdtrack.types import Detections, DetectionTable, Tracks
@@ -48,5 +49,5 @@ def test_numbers_count_rows_by_frame() -> None:
 
 
 def test_spread_is_the_standard_error_of_the_mean() -> None:
-    assert spread([0.25]) == "0.250"
-    assert spread([1.0, 3.0], 1) == "2.0 ± 1.0"
+    assert with_error([0.25]) == "0.250"
+    assert with_error([1.0, 3.0], 1) == "2.0 ± 1.0"

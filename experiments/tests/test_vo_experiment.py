@@ -7,7 +7,7 @@ import pytest
 
 from experiments import nonlinear, scans, standard, unknown, vo
 from experiments.common import Options
-from experiments.scans import Job, Outcome, Summary, apart, differences, measure
+from experiments.scans import FilterRun, SetErrors, Summary, apart, differences, measure
 
 # Mean OSPA over three runs may be this far above what is claimed of a hundred: 4 standard errors of one run's mean, which
 # scatters by 1.2, over √3.
@@ -17,16 +17,16 @@ SLACK = 2.8
 @pytest.fixture
 def serial(monkeypatch):
     """Work is done in this process."""
-    monkeypatch.setattr(scans, "in_parallel", lambda work, jobs, label, folder: [work(job) for job in jobs])
+    monkeypatch.setattr(scans, "in_parallel", lambda work, jobs, label, options: [work(job) for job in jobs])
 
 
 @pytest.fixture(scope="module")
-def outcomes() -> dict[str, list[Outcome]]:
+def outcomes() -> dict[str, list[SetErrors]]:
     names = ("gm-phd", "gm-cphd", "mht")
-    return {name: [standard.run(Job(name, standard.EASY, seed)) for seed in range(3)] for name in names}
+    return {name: [standard.run(FilterRun(name, standard.EASY, seed)) for seed in range(3)] for name in names}
 
 
-def mean(found: list[Outcome]) -> float:
+def mean(found: list[SetErrors]) -> float:
     return float(np.mean([outcome.ospa.mean() for outcome in found]))
 
 
@@ -65,26 +65,16 @@ def test_the_parts_of_the_distance_are_where_and_how_many(outcomes):
 def test_filters_with_fewer_runs_are_compared_on_those():
     """The mean of the longer list beyond them plays no part."""
     ours, theirs = (
-        [Outcome(np.full(4, x), np.zeros(4), np.zeros(4), 0.0) for x in each] for each in ((1.0, 3.0), (3.0, 7.0, 99.0))
+        [SetErrors(np.full(4, x), np.zeros(4), np.zeros(4), 0.0) for x in each] for each in ((1.0, 3.0), (3.0, 7.0, 99.0))
     )
     assert apart(ours, theirs).mean == -3
     assert next(differences({"a": ours, "b": theirs}, [("a", "b")]))[2] == "-60.0 %"
 
 
-def test_only_what_is_farther_than_asked_for_is_told():
-    def runs(level: float) -> list[Outcome]:
-        return [Outcome(np.full(4, level), np.zeros(4), np.zeros(4), 0.0)] * 2
-
-    levels = {("x", "gm"): 10.0, ("x", "p"): 10.4, ("y", "gm"): 10.0, ("y", "p"): 10.6, ("z", "gm"): 10.0, ("z", "p"): 9.0}
-    found = {pair: runs(level) for pair, level in levels.items()}
-    assert "of the particle forms: p beside gm by 6.0 % (y).\n" in scans.beyond(found, "xyz", [("p", "gm")])
-    assert scans.beyond(found, "xz", [("p", "gm"), ("q", "gm")]).startswith("None of the particle forms is more than 5 %")
-
-
 def test_outcomes_are_given_by_case_and_filter(serial):
     """In the order of the seeds, whatever else was asked for."""
     runs = {("a", "one"): 2, ("b", "one"): 1, ("a", "two"): 3}
-    found = measure(lambda job: f"{job.case} {job.filter} {job.seed}", runs, "", None)
+    found = measure(lambda job: f"{job.case} {job.filter} {job.seed}", runs, "", Options())
     assert found == {pair: [f"{pair[0]} {pair[1]} {seed}" for seed in range(number)] for pair, number in runs.items()}
 
 
@@ -93,14 +83,16 @@ def test_the_linear_page_holds_every_case(outcomes):
     found = {(case, name): each for case in standard.CASES for name in standard.FILTERS}
     more = {(standard.HIDDEN, name): each for name in standard.WITH_MORE}
     page = standard.text(found, more)
-    assert page.count("particle-cphd beside gm-cphd") == len(standard.CASES)
+    assert page.count("particle-cphd less gm-cphd") == len(standard.CASES)
     signs = page.count("+0.00 ± 0.00") + page.count("-0.00 ± 0.00")
     assert signs == len(standard.COMPARED) * len(standard.CASES) + len(standard.MANY)
 
 
 @pytest.fixture(scope="module")
-def turns() -> dict[str, list[Outcome]]:
-    return {name: [nonlinear.run(Job(name, nonlinear.FIRST_CASE, seed)) for seed in range(2)] for name in nonlinear.FILTERS}
+def turns() -> dict[str, list[SetErrors]]:
+    return {
+        name: [nonlinear.run(FilterRun(name, nonlinear.FIRST_CASE, seed)) for seed in range(2)] for name in nonlinear.FILTERS
+    }
 
 
 def test_targets_that_turn_are_followed(turns):
@@ -123,7 +115,7 @@ def test_it_writes_its_page_and_pictures(tmp_path, monkeypatch, serial):
     page = vo.main(Options(runs=2, out=tmp_path))
     assert page == tmp_path / "vo.md"
     text = page.read_text(encoding="utf-8")
-    assert text.count("gm-cphd beside gm-phd") == 4
+    assert text.count("gm-cphd less gm-phd") == 4
     assert "{" not in text
     pictures = [line.split("](")[1].rstrip(")") for line in text.splitlines() if line.startswith("![")]
     assert len(pictures) == 3
@@ -135,7 +127,7 @@ def test_it_writes_its_page_and_pictures(tmp_path, monkeypatch, serial):
 @pytest.mark.parametrize("case", standard.CASES)
 def test_particles_come_near_the_gaussians(case: str):
     """Eight runs each; 5 %, at p_D = 0.7 the 15 % that were measured, and 4 standard errors of the paired difference."""
-    found = {name: [standard.run(Job(name, case, seed)) for seed in range(8)] for name in standard.FILTERS}
+    found = {name: [standard.run(FilterRun(name, case, seed)) for seed in range(8)] for name in standard.FILTERS}
     for ours, theirs in (("particle-phd", "gm-phd"), ("particle-cphd", "gm-cphd")):
         difference = apart(found[ours], found[theirs])
         assert difference.mean < (0.15 if case == standard.HIDDEN else 0.05) * mean(found[theirs]) + 2 * difference.half
@@ -148,7 +140,8 @@ def test_rates_that_nobody_knows_are_learned(start, most):
     """What is asked for, and 4 standard errors of the paired difference; eight runs each."""
     for case in (standard.EASY, standard.CLUTTERED):
         known, learned = (
-            [unknown.run(Job("gm-phd", f"{case} | {which}", seed)) for seed in range(8)] for which in (unknown.KNOWN, start)
+            [unknown.run(FilterRun("gm-phd", f"{case} | {which}", seed)) for seed in range(8)]
+            for which in (unknown.KNOWN, start)
         )
         level = np.mean([outcome.ospa.mean() for outcome in known])
         apart = np.array([a.ospa.mean() - b.ospa.mean() for a, b in zip(learned, known, strict=True)])

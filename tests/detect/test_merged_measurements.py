@@ -11,9 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.blobs_outcomes import outcome
-from experiments.blobs_scenes import PARTINGS, meeting
 from experiments.common import Case
+from experiments.meetings import PARTINGS, leaving, met
 from phdtrack import config
 from phdtrack.arrays import intersection, to_cxcywh
 from phdtrack.cli.configured import Choice, chosen, prepare
@@ -21,7 +20,6 @@ from phdtrack.cli.wanted import Wanted
 from phdtrack.detect.merged import ExpectedTargets, MergedMeasurements
 from phdtrack.errors import InputError
 from phdtrack.protocols import Model
-from phdtrack.simulate import DetectorModel, build_scene
 from phdtrack.tracker import Tracker
 from phdtrack.types import F8, Detections, DetectionTable, Explanation, SequenceInfo, Tracks
 
@@ -162,7 +160,7 @@ def shared(boxes: F8) -> F8:
 
 def merging(parting: str, seed: int) -> Case:
     """A meeting whose blobs are the truth's boxes with a little noise."""
-    scene = build_scene(meeting("crossing" if parting == "crossing" else "turning back", seed), seed, DetectorModel())
+    scene = met("crossing" if parting == "crossing" else "turning back", seed)
     rng, frame, boxes = np.random.default_rng(seed), [], []
     for number in range(1, scene.info.frames + 1):
         found = shared(scene.truth.xyxy[scene.truth.frame == number])
@@ -191,7 +189,7 @@ def test_two_leave_a_shared_blob_with_their_identities(filter_name: str, parting
         for seed in SEEDS:
             case = merging(parting, seed)
             for kind in right:
-                right[kind] += outcome(case, tracked(case, filter_name, kind)[0]) == "right"
+                right[kind] += leaving(case, tracked(case, filter_name, kind)[0]) == "right"
     pairs = len(partings) * len(SEEDS)
     assert right["none"] <= pairs // 3
     assert right["explained"] >= pairs // 2

@@ -1,4 +1,4 @@
-"""Two people who meet, walk as one blob for a while and part: rendered, so that the truth is known."""
+"""Two people who meet, walk as one blob for a while and part, and with which identities they leave."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from experiments.common import Case
-from experiments.m09_scenes import detected
-from phdtrack.simulate import DetectorModel, Look, build_scene, render
+from experiments.common import Case, detections_in
+from phdtrack.arrays import iou
+from phdtrack.simulate import DetectorModel, Look, Scene, detect, render
 from phdtrack.simulate.scenario import clip, truth_rows, visible
-from phdtrack.types import F8, Detections, DetectionTable, SequenceInfo, Truth
+from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo, Tracks, Truth
 
 Parting = Literal["crossing", "turning back"]
 PARTINGS: tuple[Parting, ...] = ("crossing", "turning back")
@@ -22,6 +22,12 @@ TALL, ASPECT, SPEED = 84.0, 0.38, 0.75
 TOGETHER, APART = (1.0, 3.0), (0.25, 0.8)
 # The part of a figure that must be in the frame to be in the truth.
 _VISIBLE = 0.3
+Leave = Literal["right", "swapped", "new", "lost"]
+# Their axes are this far apart, in widths, when they begin to touch as a detector sees it.
+_TOUCH = 1.3
+# Frames before and after in which identities are read; how many beside the touch itself are left out.
+_BEFORE, _AFTER, _AROUND = 10, 17, 3
+_MATCH = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,16 +60,6 @@ class Meeting:
         way = WIDTH / 2 + ASPECT * TALL
         meets = 1.0 + way / (SPEED * TALL)
         return meets, meets + self.together
-
-    @property
-    def obstacles_px(self) -> F8:
-        """Nothing stands in the way."""
-        return np.zeros((0, 4))
-
-    @property
-    def doors_px(self) -> F8:
-        """There are none."""
-        return np.zeros((0, 4))
 
     def figures(self, rng: np.random.Generator) -> Truth:
         """Both of them; nothing is drawn by chance."""
@@ -106,11 +102,58 @@ def meeting(parting: Parting, seed: int) -> Meeting:
     return Meeting(parting, float(together), float(apart), float(rng.uniform(-15, 15)), float(rng.uniform(-6, 6)))
 
 
+def met(parting: Parting, seed: int) -> Scene:
+    """The scene of a meeting."""
+    world = meeting(parting, seed)
+    figures = world.figures(np.random.default_rng(seed))
+    truth, none = world.truth(figures), np.zeros((0, 4))
+    found = detect(truth, world.info, np.random.default_rng(seed), DetectorModel())
+    return Scene(world.info, truth, figures, found.table, found.source, none, none, none)
+
+
 def filmed(job: tuple[Parting, int], *, detector: bool = True) -> Case:
     """A meeting rendered, and what the change detector, as shipped, finds in it; without it no detections."""
     parting, seed = job
-    scene = build_scene(meeting(parting, seed), seed, DetectorModel())
+    scene = met(parting, seed)
     table = DetectionTable(np.zeros(0, np.int64), Detections.empty())
     if detector:
-        table = detected(render(scene, np.random.default_rng(seed), Look(plants=0, lamps=0)))
+        table = detections_in(render(scene, np.random.default_rng(seed), Look(plants=0, lamps=0)))
     return Case(f"{parting} {seed}", scene.info, scene.truth, table)
+
+
+def leaving(case: Case, tracks: Tracks) -> Leave:
+    """What became of the two identities: ``right``, ``swapped``, ``new`` for one or both, ``lost``: one not followed."""
+    first, last = touching(case.truth)
+    before = [_identity(case, tracks, one, np.arange(first - _AROUND - _BEFORE, first - _AROUND)) for one in (1, 2)]
+    after = [_identity(case, tracks, one, np.arange(last + _AROUND, last + _AROUND + _AFTER)) for one in (1, 2)]
+    if 0 in before + after or before[0] == before[1] or after[0] == after[1]:
+        return "lost"
+    if before == after:
+        return "right"
+    return "swapped" if before == after[::-1] else "new"
+
+
+def touching(truth: Truth) -> tuple[int, int]:
+    """The first and the last frame in which the two touch."""
+    boxes = {one: truth.xyxy[truth.identity == one] for one in (1, 2)}
+    frames = {one: truth.frame[truth.identity == one] for one in (1, 2)}
+    both, one, two = np.intersect1d(frames[1], frames[2], return_indices=True)
+    a, b = boxes[1][one], boxes[2][two]
+    near = np.abs(a[:, [0, 2]].mean(axis=1) - b[:, [0, 2]].mean(axis=1)) < _TOUCH * (a[:, 2] - a[:, 0])
+    return int(both[near][0]), int(both[near][-1])
+
+
+def _identity(case: Case, tracks: Tracks, who: int, frames: I8) -> int:
+    """The identity that most of these frames give this person, 0 where none does."""
+    votes = [0]
+    for number in frames.tolist():
+        true = case.truth.xyxy[(case.truth.frame == number) & (case.truth.identity == who)]
+        rows = np.flatnonzero(tracks.frame == number)
+        if not len(true) or not len(rows):
+            continue
+        overlap = iou(true[:1], tracks.xyxy[rows])[0]
+        if overlap.max() >= _MATCH:
+            votes.append(int(tracks.identity[rows[overlap.argmax()]]))
+    counts = np.bincount(votes)
+    counts[0] = 0
+    return int(counts.argmax()) if counts.any() else 0
