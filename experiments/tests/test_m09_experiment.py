@@ -1,18 +1,15 @@
-"""M09's experiment: what is marked, learned, run and counted on small scenes, and what the page says of made-up scores."""
+"""M09's experiment: what is marked, learned, run and counted on small scenes, and what the page counts of made-up scores."""
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 
 import numpy as np
 import pytest
 
-from experiments import m09, m09_learner, m09_lessons, m09_places, m09_runs, m09_scenes, m09_words
-from experiments.common import Case
-from experiments.m09_lessons import Course
-from experiments.m09_runs import ABLATIONS, GM, GM_IMAGE, IMAGE, PHD, UM, Job, Outcome, Race
-from experiments.m09_scenes import Footage
+from experiments import m09, m09_lessons, m09_pictures, m09_places, m09_runs, m09_scenes
+from experiments.common import Case, filled
+from experiments.m09_runs import ABLATIONS, GM, GM_IMAGE, IMAGE, PHD, UM, SceneRun, SceneScores
 from phdtrack.arrays import iou
 from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.label.hand import REACH, birth_states
@@ -87,14 +84,11 @@ def test_births_are_marked_where_somebody_is_first_detected(street, tmp_path) ->
     assert (velocity[right_side] < 0).mean() > 0.8
 
 
-def test_every_run_has_its_births_and_its_clutter(street, monkeypatch) -> None:
+def test_every_run_has_its_births_and_its_clutter(street) -> None:
     case = street[0]
     train = m09_scenes.stretch(case, 1, 300)
-    scene, halves = taught(train), m09_scenes.Halves(train, case, np.zeros((0, 4)))
-    monkeypatch.setattr(m09_runs, "taught", lambda _: scene)
-    monkeypatch.setattr(m09_runs, "halves", lambda _: halves)
-    course = Course(Footage("street"), 1)
-    stages = {run: m09_runs.stages_of(Job(course, run), case.info) for run in m09.RUNS}
+    scene, halved = learned_scene(train), m09_scenes.Halves("street", train, case, np.zeros((0, 4)))
+    stages = {run: m09_runs.stages_of(SceneRun("street", 1, run), halved, scene) for run in m09.RUNS}
     births = {run: told(one.model.birth) for run, one in stages.items()}
     # So many a frame as were learned, over the detections of a frame.
     each = train.info.frames / len(train.table.frame)
@@ -127,33 +121,30 @@ def told(part: Birth | Clutter) -> tuple[type, float, object]:
     return type(part), _rate(part), part.volume if isinstance(part, MeasurementBirth) else None
 
 
-def taught(train: Case) -> m09_lessons.Taught:
+def learned_scene(train: Case) -> m09_lessons.LearnedScene:
     """A scene in which everything was learned, the rates unlike each other."""
     width, height = float(train.info.width), float(train.info.height)
     density = uniform_density(np.array([0.0, 0, -9, -9, 5, 5]), np.array([width, height, 9, 9, 90, 180]))
     boxes = marginal(density, (0, 1, 4, 5))
     seen = Followed(0.1, Learned(3.0, boxes, 50))
     parts = Learned(2.5, boxes, 9), seen, Learned(0.02, density, 9), Learned(0.05, density, 9)
-    return m09_lessons.Taught(*parts, (1.0, 2.0, 3.0), 9)
+    return m09_lessons.LearnedScene(*parts, (1.0, 2.0, 3.0), 9)
 
 
-def test_a_scene_is_learned_and_tracked_better(tmp_path) -> None:
+def test_a_scene_is_learned_and_tracked_better() -> None:
     """The whole way, on a rendered scene too short for births but not for false alarms."""
-    course = Course(Footage("garden", 700, str(tmp_path)), 1)
-    uniform, learned = (m09_runs.work(Job(course, run)) for run in (UM, "A2"))
+    halved = m09_scenes.halves(("garden", 700))
+    scene = m09_lessons.learn((halved, 1))
+    uniform, learned = (m09_runs.work((SceneRun("garden", 1, run), halved, scene)) for run in (UM, "A2"))
     assert learned.scores.MOTA > uniform.scores.MOTA + 0.5
     assert learned.scores.false_tracks < 0.7 * uniform.scores.false_tracks
     assert len(learned.blocks) == m09_runs.BLOCKS
     assert sum(one.truth_boxes for one in learned.blocks) == learned.scores.truth_boxes
-    # Rendered once, learned once, and read after that.
-    assert len(list(tmp_path.glob("*.pickle"))) == 2
 
 
 def test_the_sweep_sets_the_rates_and_the_volume() -> None:
     info = SequenceInfo(640, 360, 25.0, 100, "x")
-    course = Course(Footage("yard"), 1)
-    local = m09_runs.stages_of(Job(course, UM, PHD, (0.02, 4.0)), info).model
-    image = m09_runs.stages_of(Job(course, IMAGE, PHD, (0.02, 4.0)), info).model
+    local, image = (m09_runs.swept(run, PHD, (0.02, 4.0), info).model for run in (UM, IMAGE))
     assert isinstance(local.clutter, LocalClutter)
     assert isinstance(image.clutter, UniformClutter)
     for model in (local, image):
@@ -198,16 +189,9 @@ def test_who_is_mapped_and_in_which_share_of_his_frames() -> None:
     np.testing.assert_allclose(m09_places.shares_of(truth, (frame == 1) & (identity == 2), mapped), [0.0])
 
 
-def test_learning_alone_is_the_default_filter_without_what_it_knows_of_places(street) -> None:
-    info = street[0].info
-    alone, shipped = (m09_places.stages_of(name, info).filter for name in (m09_places.ALONE, "pmb"))
-    assert shipped.sources > 0
-    assert alone == dataclasses.replace(shipped, sources=0.0)
-
-
 def test_places_that_fire_are_forgotten_and_nobody_with_them() -> None:
     """40 marked frames: most of what false tracks hold there is gone, and who crosses the places is still tracked."""
-    found = [m09_places.work(m09_places.Job("street", 2.0, "gm-phd", seed)) for seed in (1, 2)]
+    found = [m09_places.work(m09_places.PlacesRun("street", 2.0, "gm-phd", seed)) for seed in (1, 2)]
     before, after = (sum(one.frames[k] for one in found) for k in range(2))
     assert before > 2000
     assert m09_places.gone(before, after) > 0.7
@@ -216,15 +200,7 @@ def test_places_that_fire_are_forgotten_and_nobody_with_them() -> None:
     assert all(one.MOTA[1] > one.MOTA[0] + 0.2 for one in found)
 
 
-@pytest.mark.parametrize("what", m09_learner.SAMPLES)
-def test_the_learner_is_near_batch_em(what: str) -> None:
-    found = [m09_learner.work(m09_learner.Job(what, 1e-3, seed)) for seed in (1, 2)]
-    assert np.mean([one.batch - one.learned for one in found]) < 0.1
-    assert all(one.learned > 4 for one in found)
-    assert all(abs(one.integral - 1) < 0.01 for one in found)
-
-
-# What the page says of made-up scores.
+# What the page counts, of made-up scores.
 
 
 def scores(misses: int, false: int) -> m09.Scores:
@@ -238,9 +214,9 @@ def scores(misses: int, false: int) -> m09.Scores:
     return evaluate(truth, Tracks(frame, identity, xyxy, np.ones(n), np.full(n, -1), np.ones(n, np.bool_)), frames=FRAMES)
 
 
-def outcome(misses: int, false: int, delay: float) -> Outcome:
+def outcome(misses: int, false: int, delay: float) -> SceneScores:
     one = scores(misses, false)
-    return Outcome(one, (one,) * 4, one, {1: delay}, {2: delay + 1}, 1e-3)
+    return SceneScores(one, (one,) * 4, one, {1: delay}, {2: delay + 1})
 
 
 # Misses, false boxes and delay of each run by scene.
@@ -251,124 +227,51 @@ ERRORS = {
 
 
 @pytest.fixture
-def found(street) -> m09.Found:
+def found(street) -> m09.SceneResults:
     """Two scenes: in one what is learned helps, in the other it does not."""
-    scenes = {name: Footage(name, 20_000, "") for name in ERRORS}
-    courses = [Course(scene, 1) for scene in scenes.values()]
-    jobs = m09.jobs_of(courses, quick=False)
-    outcomes = {}
-    for job in jobs:
-        errors = ERRORS[job.course.footage.name]
-        kind = job.run if job.filter == PHD else UM
-        outcomes[job] = outcome(*errors.get(kind, errors[UM]))
-        if job.rates == m09_runs.LOCAL_SWEEP[2]:
-            outcomes[job] = outcome(2, 2, 3.0)
-    races = {Race(courses[0], PHD): (1e-3, 1.02e-3, 4e-3), Race(courses[0], "mht"): (1e-3, 1.2e-3, 4e-3)}
-    return m09.Found(scenes, outcomes, dict.fromkeys(courses, taught(m09_scenes.stretch(street[0], 1, 300))), races)
+    half = dataclasses.replace(street[0], info=dataclasses.replace(street[0].info, frames=10_000))
+    scenes = {name: m09_scenes.Halves(name, half, half, np.zeros((0, 4))) for name in ERRORS}
+    scored = {}
+    for run in m09.runs_of(scenes, dict.fromkeys(scenes, 1), quick=False):
+        errors = ERRORS[run.scene]
+        kind = run.run if run.filter == PHD else UM
+        scored[run] = outcome(*errors.get(kind, errors[UM]))
+        if run.rates == m09_runs.LOCAL_SWEEP[2]:
+            scored[run] = outcome(2, 2, 3.0)
+    races = {("garden", PHD): (1e-3, 1.02e-3, 4e-3), ("garden", "mht"): (1e-3, 1.2e-3, 4e-3)}
+    learned = learned_scene(m09_scenes.stretch(street[0], 1, 300))
+    return m09.SceneResults(scenes, scored, {(name, 1): learned for name in scenes}, races)
 
 
-def test_every_run_is_run_once(found: m09.Found) -> None:
-    jobs = m09.jobs_of([found.course(name) for name in found.scenes], quick=False)
-    assert len(jobs) == len(set(jobs))
-    whole = [job for job in jobs if job.frames == 0]
-    assert {job.run for job in whole} == {UM, IMAGE, GM, GM_IMAGE, *ABLATIONS}
+def test_every_run_is_run_once(found: m09.SceneResults) -> None:
+    runs = m09.runs_of(found.scenes, dict.fromkeys(found.scenes, 1), quick=False)
+    assert len(runs) == len(set(runs))
+    assert {run.run for run in runs if run.frames == 0} == {UM, IMAGE, GM, GM_IMAGE, *ABLATIONS}
     # Filters and rates are compared on a quarter of the stretch.
-    assert {job.frames for job in jobs if job.rates or job.filter != PHD} == {m09.QUARTER}
+    assert {run.frames for run in runs if run.rates or run.filter != PHD} == {m09.QUARTER}
 
 
-def test_what_was_not_reached_is_said(found: m09.Found) -> None:
-    said = m09_words.verdict(found).splitlines()
-    assert said[0].startswith("- **GM above UM in MODA and MOTA**: on 1 of 2; not on arcade (-0.025, -0.025)")
-    assert said[1].endswith("arcade: UM makes 1.0 false tracks; learned from 9 marks and 9 tracks")
-    said = [said[0], *said[2:]]
-    # (28 + 6 − 8 − 7) errors less over 80 boxes.
-    assert "MOTA up by 0.238 pooled" in said[1]
-    assert "; reached)" in said[1]
-    assert "on 0 of 2; 2 → 2 in all; not on garden (1 → 1), arcade (1 → 1)" in said[2]
-    assert said[3].endswith("whom both find: garden 6.0 → 3.0 (found: 1 → 1), arcade 3.0 → 4.0 (found: 1 → 1)")
-    # The best of the sweep has four errors, GM eight and seven.
-    assert said[4].endswith("on 0 of 2; not on garden (-0.100), arcade (-0.075)")
-    assert said[7].startswith(
-        "- **A frame costs the same to 5%, or less**: on 1 of 2 by the filter alone, on 2 of 2 with the"
-    )
-    assert "(1.040 at most); time of GM over that of UM, alone: garden, pmb 1.02, garden, mht 1.20" in said[7]
-
-
-def test_delays_are_compared_of_those_whom_both_find(found: m09.Found) -> None:
-    """Who is found by one alone is no longer late by him."""
-    job = m09_runs.Job(found.course("garden"), GM)
-    late = dataclasses.replace(found.outcomes[job], inside={1: 4.0, 7: 90.0})
-    changed = dataclasses.replace(found, outcomes=found.outcomes | {job: late})
-    assert changed.delayed("garden") == (6.0, 4.0, 1, 2)
-    assert changed.delay("garden", GM, "inside") == 47.0
-    alone = dataclasses.replace(late, inside={7: 90.0})
-    assert np.isnan(dataclasses.replace(changed, outcomes=changed.outcomes | {job: alone}).delayed("garden")[0])
-
-
-def test_the_detector_is_timed_on_the_scenes_own_pictures(monkeypatch) -> None:
-    monkeypatch.setattr(m09_scenes, "LOOKS", 3)
-    frames = [*itertools.islice(m09_scenes.frames_of(Footage("yard", 50)), 2)]
-    assert [frame.number for frame in frames] == [1, 2]
-    assert 0 < m09_scenes.looking(Footage("yard", 50)) < 60
-
-
-def test_the_papers_findings_are_confirmed_or_not(found: m09.Found) -> None:
-    said = m09_words.findings(found).splitlines()
-    assert said[0].endswith("(A2 above A1): on 1 of 2. MOTA: garden +0.400, arcade -0.025")
-    assert "**confirmed** on garden. A6 less GM: MODA +0.050, MOTA +0.050" in said[3]
-    assert "**confirmed** on arcade. A6 less GM: MODA -0.050, MOTA -0.050" in said[4]
-
-
-def test_the_page_has_every_table(found: m09.Found) -> None:
-    job = m09_places.Job("street", 2.0, "gm-phd", 1)
-    crossed = {job: m09_places.Outcome((20, 1), (400, 10), (3, 2), (0.5, 0.75), (90, 85), 100, 12, 1, 0, 0)}
-    mixture = m09_learner.Job("births", 1e-3, 1)
-    mixtures = {mixture: m09_learner.Outcome(4, 4, 0.01, 0.2, 9.0, 9.05, 9.1, 1.0)}
-    text = m09.page(found, crossed, mixtures)
-    assert (
-        "95.0% of 20 false tracks there are gone (asked: 95%; reached), and 97.5% of the boxes that they had; of 12 people"
-        in text
-    )
+def test_the_page_has_every_table(found: m09.SceneResults) -> None:
+    run = m09_places.PlacesRun("street", 2.0, "gm-phd", 1)
+    crossed = {run: m09_places.PlacesOutcome((20, 1), (400, 10), (3, 2), (0.5, 0.75), (90, 85), 100, 12, 1, 0, 0)}
+    text = filled("m09", **m09.figures(found), places=m09_places.summary(crossed))
     lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
-    assert [
-        "street",
-        "2",
-        "gm-phd",
-        "20 → 1",
-        "95.0%",
-        "400 → 10",
-        "97.5%",
-        "3 → 2",
-        "0.500 → 0.750",
-        "12",
-        "1",
-        "0",
-        "0",
-        "0.900 → 0.850 of 100",
-    ] in lines
+    there = ["20 → 1", "95.0%", "400 → 10", "97.5%", "3 → 2", "0.500 → 0.750", "12", "1", "0", "0", "0.900 → 0.850 of 100"]
+    assert ["street", "2", "gm-phd", *there] in lines
     assert ["garden", GM, "3.0", "4.0", "1", "1", "0.800", "4"] in lines
     assert ["arcade", "around detections", "5", "0.01", "3", "0.900", "0.825", "-0.075", "0.050", "0.150"] in lines
     assert ["garden", "mht", "1.00", "1.20", "4.00", "1.20", "1.040"] in lines
+    assert ["garden", "+0.400", "+0.000", "+0.050", "+0.050"] in lines
     assert [line[:3] for line in lines if line[:2] == ["garden", "none"]] == [["garden", "none", "–"]]
 
 
-def test_gains_are_of_all_frames_with_intervals_over_quarters(found: m09.Found) -> None:
+def test_gains_are_of_all_frames_with_intervals_over_quarters(found: m09.SceneResults) -> None:
     gain = found.gain(["garden", "arcade"], GM, "MOTA")
     assert gain.mean == pytest.approx((28 + 6 - 8 - 7) / 80)
     assert (gain.count, gain.half) == (4, pytest.approx(0, abs=1e-12))
     assert found.gain(["garden"], "A6", "false_tracks").mean == 0
 
 
-def test_pictures_of_gains_and_sweeps(found: m09.Found, tmp_path) -> None:
-    from experiments import m09_pictures
-
-    gains = {name: {run: {"MOTA": found.gain([name], run, "MOTA")} for run in (GM, *ABLATIONS)} for name in found.scenes}
-    m09_pictures.bars(gains, tmp_path / "bars.png")
-    swept = {rates: one.MOTA for rates, one in found.sweep("garden", UM).items()}
-    m09_pictures.sweeps({"garden": ({"local": swept}, 0.5)}, tmp_path / "sweep.png")
+def test_a_picture_is_coloured_where_a_place_was_learned() -> None:
     picture = np.full((36, 64, 3), 120, np.uint8)
-    scene = found.taught[found.course("garden")]
-    m09_pictures.maps({"garden": (picture, scene)}, tmp_path / "maps.png")
-    assert all((tmp_path / name).stat().st_size > 5000 for name in ("bars.png", "sweep.png", "maps.png"))
-    # Nothing learned leaves the picture grey; a place is coloured.
     assert (m09_pictures.over(picture, None, np.array([255.0, 0, 0])) == 84).all()
