@@ -6,8 +6,8 @@ records. The first bad row is reported, by its place in the file, with the numbe
 The truth of MOT16, MOT17 and MOT20 has a flag in column 7 and a class in column 8. Pedestrians (class 1) with flag 1 are
 scored. People on vehicles (2), static persons (7), distractors (8), reflections (12), and in MOT20 other vehicles (6),
 whatever their flag, are not scored, and neither is output that matches them. All others are left out. This is the
-benchmark's own preprocessing as TrackEval does it, with one difference that a `Truth` cannot express: there, rows that are left out still
-take part in the matching by which distractors find the output to remove.
+benchmark's own preprocessing as TrackEval does it, with one difference that a `Truth` cannot express: there, rows that are
+left out still take part in the matching by which distractors find the output to remove.
 
 MOT15 has no classes: a row with 0 in column 7 is left out, all others are scored.
 """
