@@ -13,44 +13,74 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numba.core import event
 
-# What the process says of itself; the clock of the parent tells when it was started. Processes that helped to compile have
-# ended by the time their processor time is asked for.
+# What the process says of itself; the clock of the parent tells when it was started.
 PROGRAM = """
-import json, os, sys, time
-from phdtrack.cli import steps
-from phdtrack.cli.compiling import watched
+import json, sys, time
+from benchmarks.compile import watched
+from phdtrack.cli import job
 
-report, path, advance = {}, sys.argv.pop(1), steps.Steps.advance
+report, path, advance = {}, sys.argv.pop(1), job.Steps.advance
 
 def first(self, *frame):
     step = advance(self, *frame)
     report.setdefault("first_frame", time.time())
     return step
 
-steps.Steps.advance = first
+job.Steps.advance = first
 from phdtrack.cli.app import main
-with watched(lambda: None) as compiled:
+with watched() as kernels:
     try:
         main()
     finally:
-        times = os.times()
-        report.update(seconds=compiled.seconds, kernels=compiled.kernels)
-        report.update(helpers=times.children_user + times.children_system)
-        json.dump(report, open(path, "w"))
+        json.dump(report | {"kernels": kernels}, open(path, "w"))
 """
+
+
+# Numba has no types.
+class _Listener(event.Listener):  # type: ignore[misc]
+    """Adds up seconds of processor time. Numba compiles one function at a time, and those that it calls in between."""
+
+    def __init__(self) -> None:
+        self.kernels: dict[str, float] = {}
+        self._stack: list[list[float]] = []
+
+    def on_start(self, event: event.Event) -> None:
+        """A function begins to be compiled: when, and the seconds of kernels compiled on its behalf."""
+        self._stack.append([time.thread_time(), 0.0])
+
+    def on_end(self, event: event.Event) -> None:
+        """It has been compiled. Parts of Numba itself that a kernel uses count as the kernel's."""
+        function = event.data["dispatcher"].py_func
+        clock, within = self._stack.pop()
+        passed = time.thread_time() - clock
+        ours = function.__module__.startswith("phdtrack.")
+        if ours:
+            self.kernels[function.__name__] = self.kernels.get(function.__name__, 0.0) + passed - within
+        if self._stack:
+            self._stack[-1][1] += passed if ours else within
+
+
+@contextmanager
+def watched() -> Iterator[dict[str, float]]:
+    """Seconds of processor time by name of kernel, filled while this lasts; each without the kernels that it calls."""
+    listener = _Listener()
+    with event.install_listener("numba:compile", listener):
+        yield listener.kernels
 
 
 def measure(starts: int = 5) -> dict[str, Any]:
     """What a first run compiles, and how soon after its start a process has tracked its first frame.
 
-    ``compile_s``: processor time of all that was compiled, helping processes with their start included, ``kernels``: of
-    each that was compiled by the run's own process; ``first_use_s`` to the first frame in that run; ``start_s`` in the
-    fastest of ``starts`` runs after it.
+    ``compile_s``: processor time of all that was compiled, ``kernels``: of each; ``first_use_s`` to the first frame in that
+    run; ``start_s`` in the fastest of ``starts`` runs after it.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -58,8 +88,12 @@ def measure(starts: int = 5) -> dict[str, Any]:
         first = _run(folder)
         later = [_run(folder) for _ in range(starts)]
     start = min(run["start"] for run in later)
-    seconds = first["seconds"] + first["helpers"]
-    return {"compile_s": seconds, "kernels": first["kernels"], "first_use_s": first["start"], "start_s": start}
+    return {
+        "compile_s": sum(first["kernels"].values()),
+        "kernels": first["kernels"],
+        "first_use_s": first["start"],
+        "start_s": start,
+    }
 
 
 def detections(path: Path, frames: int = 40, objects: int = 5, seed: int = 1) -> None:
@@ -93,8 +127,7 @@ def main() -> None:
     found = measure()
     for name, seconds in sorted(found["kernels"].items(), key=lambda pair: -pair[1]):
         print(f"{seconds:8.2f} s  {name}")
-    print(f"{sum(found['kernels'].values()):8.2f} s  these {len(found['kernels'])}, each without those that it calls")
-    print(f"{found['compile_s']:8.2f} s  all, with what helping processes compiled")
+    print(f"{found['compile_s']:8.2f} s  these {len(found['kernels'])}, each without those that it calls")
     print(f"first frame after {found['first_use_s']:.1f} s on first use, {found['start_s']:.2f} s from then on")
 
 

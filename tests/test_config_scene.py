@@ -8,7 +8,7 @@ import pytest
 from phdtrack import config
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.associate.rejection import FalseTrackRejection
-from phdtrack.cli.configured import Choice, chosen
+from phdtrack.cli.settings import Choice, chosen
 from phdtrack.config.kinds import SECTIONS
 from phdtrack.errors import InputError
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter
@@ -85,7 +85,7 @@ def test_without_a_size_births_have_four_components(tmp_path, world):
     np.testing.assert_array_equal(birth.density.mean, births.mean)
     assert birth.observed == (0, 1)
     with pytest.raises(InputError, match="expected births of 6 components, got 4"):
-        config.build(config.load(sets=["birth.kind=scene", file, f"time.rate={rate:g}"]), INFO)
+        config.build(config.load(sets=["birth.kind=scene", file, f"time.units_per_second={rate:g}"]), INFO)
 
 
 # What is laid beside, and who is held back

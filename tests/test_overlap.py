@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 import pytest
 
-from phdtrack.cli.pipeline_threads import ahead
+from phdtrack.cli.inputs import ahead
 
 WAIT = 20.0
 

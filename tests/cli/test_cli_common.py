@@ -15,7 +15,7 @@ from phdtrack import __version__
 from phdtrack.cli.app import guarded
 from phdtrack.errors import InputError
 
-COMMANDS = ("demo", "track", "detect", "evaluate", "simulate", "calibrate", "doctor", "reproduce")
+COMMANDS = ("demo", "track", "detect", "evaluate", "simulate", "calibrate", "doctor", "settings")
 HEAVY = ("numba", "scipy", "cv2", "av", "matplotlib", "pydantic", "rich")
 
 

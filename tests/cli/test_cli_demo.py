@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from cli_runner import phdtrack, refused
 
-from phdtrack.cli import demo
 from phdtrack.cli import run_directory as rundir
+from phdtrack.cli import simulate as demo
 from phdtrack.video import open_source
 
 

@@ -8,7 +8,7 @@ import pytest
 from cli_runner import phdtrack
 
 from phdtrack import kernels
-from phdtrack.cli import doctor_checks as doctor
+from phdtrack.cli import doctor
 
 
 def test_all_is_well_here() -> None:

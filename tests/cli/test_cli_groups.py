@@ -227,16 +227,16 @@ def test_an_earlier_run_is_kept(tmp_path: Path) -> None:
 
 
 def test_ctrl_c_leaves_the_groups_up_to_there(street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from phdtrack.cli.group_companion import GroupCompanion
+    from phdtrack.cli.group_observer import GroupObserver
 
-    whole = GroupCompanion.take
+    whole = GroupObserver.take
 
-    def stopped(self: GroupCompanion, step: Step, intensity: object) -> None:
+    def stopped(self: GroupObserver, step: Step, state: object) -> None:
         if step.number == 15:
             raise KeyboardInterrupt
-        whole(self, step, intensity)
+        whole(self, step, state)
 
-    monkeypatch.setattr(GroupCompanion, "take", stopped)
+    monkeypatch.setattr(GroupObserver, "take", stopped)
     said = phdtrack("groups", *detected(street), "--out", tmp_path / "run", "--json")
     assert said.status == 130
     assert said.object["complete"] is False

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack, refused
 
-from phdtrack.cli.label_inputs import to_label
+from phdtrack.cli.label import to_label
+from phdtrack.cli.options import Wanted
 from phdtrack.cli.output import Output
-from phdtrack.cli.wanted import Wanted
 from phdtrack.label import Label, LabelStore
 from phdtrack.scene import read_scene
 

@@ -42,7 +42,7 @@ def walkers(tmp_path_factory) -> Path:
 
 def options(walkers: Path) -> tuple:
     given = ("--detections", walkers / "det.txt", "--frame-size", "640x480", "--fps", RATE, "--set", "motion.kind=plane")
-    return (*given, "--set", f"camera.file={walkers / 'H.txt'}", "--set", "camera.far=40")
+    return (*given, "--set", f"camera.file={walkers / 'H.txt'}", "--set", "camera.max_distance=40")
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,8 @@ def test_who_comes_out_of_a_door_is_followed(walkers: Path, scene: Path, name: s
 
 
 def test_it_does_not_fit_boxes(walkers: Path, scene: Path, tmp_path: Path):
-    boxes = ("--detections", walkers / "det.txt", "--frame-size", "640x480", "--fps", RATE, "--set", "time.rate=1")
+    boxes = ("--detections", walkers / "det.txt", "--frame-size", "640x480", "--fps", RATE)
+    boxes += ("--set", "time.units_per_second=1")
     said = phdtrack("track", *boxes, "--scene", scene, "--no-video", "--out", tmp_path / "run")
     assert said.status != 0
     assert "expected births of 6 components, got 4" in said.err

@@ -7,9 +7,9 @@ import pytest
 from cli_runner import phdtrack
 
 from phdtrack.arrays import iou
-from phdtrack.cli.label_inputs import to_label
+from phdtrack.cli.label import to_label
+from phdtrack.cli.options import Wanted
 from phdtrack.cli.output import Output
-from phdtrack.cli.wanted import Wanted
 from phdtrack.formats import read_truth
 from phdtrack.label import Label, LabelStore
 from phdtrack.label.session import sampled

@@ -305,10 +305,10 @@ def test_an_output_that_cannot_be_written(sequence: Path, tmp_path: Path) -> Non
 
 def test_a_mistake_in_the_configuration_names_the_nearest(clip: Path, tmp_path: Path) -> None:
     config = tmp_path / "my.toml"
-    config.write_text("[filter]\ndepht = 7\n")
+    config.write_text("[filter]\nhistroy = 7\n")
     sentence = refused("track", clip, "--config", config, "--out", tmp_path / "run")
-    assert "depht" in sentence
-    assert "Did you mean depth" in sentence
+    assert "histroy" in sentence
+    assert "Did you mean history" in sentence
 
 
 def test_a_setting_of_another_filter_says_whose_it_is(sequence: Path, tmp_path: Path) -> None:

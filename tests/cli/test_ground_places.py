@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.cli.ground import places, shown
-from phdtrack.cli.group_companion import nearest
+from phdtrack.cli.group_observer import nearest
+from phdtrack.cli.job import places, shown
 from phdtrack.models import BoxSensor, PlaneSensor
 from phdtrack.types import Particles
 from plane_cases import LevelCamera, people

@@ -17,11 +17,8 @@ import pytest
 from phdtrack import config
 from phdtrack.associate import GraphMatching
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.inputs import Blank, Inputs
-from phdtrack.cli.job import Job, Outcome, run
-from phdtrack.cli.pipeline_threads import DEPTH
-from phdtrack.cli.spool import rereadable
-from phdtrack.cli.steps import Steps
+from phdtrack.cli.inputs import DEPTH, Blank, Inputs, rereadable
+from phdtrack.cli.job import Job, Outcome, Steps, run
 from phdtrack.detect import make_detector
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import pytest
 
-from phdtrack.cli.pace import paced
+from phdtrack.cli.job import paced
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")

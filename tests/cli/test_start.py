@@ -14,9 +14,9 @@ HEAVY = {"numpy", "scipy", "numba", "cv2", "av", "matplotlib", "rich", "pyarrow"
 # What nobody needs for tracking, whoever brought it along.
 NEVER = {"scipy.optimize", "scipy.stats", "scipy.spatial", "scipy.ndimage", "sklearn", "torch", "pandas", "stonesoup", "PIL"}
 TRACKING = """
-from phdtrack.cli import steps
+from phdtrack.cli import job
 
-advance, loaded = steps.Steps.advance, []
+advance, loaded = job.Steps.advance, []
 
 def first(self, *frame):
     step = advance(self, *frame)
@@ -24,7 +24,7 @@ def first(self, *frame):
         loaded.extend(sys.modules)
     return step
 
-steps.Steps.advance = first
+job.Steps.advance = first
 from phdtrack.cli.app import main
 try:
     main()

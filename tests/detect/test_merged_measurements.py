@@ -15,8 +15,9 @@ from experiments.common import Case
 from experiments.meetings import PARTINGS, leaving, met
 from phdtrack import config
 from phdtrack.arrays import intersection, to_cxcywh
-from phdtrack.cli.configured import Choice, chosen, prepare
-from phdtrack.cli.wanted import Wanted
+from phdtrack.cli.options import Wanted
+from phdtrack.cli.settings import Choice, chosen
+from phdtrack.cli.track import prepare
 from phdtrack.detect.merged import ExpectedTargets, MergedMeasurements
 from phdtrack.errors import InputError
 from phdtrack.protocols import Model

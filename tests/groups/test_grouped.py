@@ -95,7 +95,7 @@ class Walk:
 
 @pytest.mark.parametrize("name", ["gm-phd", "gm-cphd", "particle-phd", "particle-cphd"])
 def test_one_miss_drops_nobody_whatever_the_filter(name: str) -> None:
-    from phdtrack.cli.steps import Steps
+    from phdtrack.cli.job import Steps
 
     info = SequenceInfo(60, 60, 5.0)
     sets = ["motion.kind=plane", "sensor.scaling=fixed", "sensor.fixed_noise=0.3", "camera.region=[-30, -30, 30, 30]"]

@@ -89,6 +89,6 @@ class SpyAssociator:
 
 
 def spying(rate: float = 25.0) -> tuple[AnyStages, SpyFilter, SpyExtractor, SpyAssociator]:
-    model = config.build(config.load(sets=[f"time.rate={rate}"]), INFO).model
+    model = config.build(config.load(sets=[f"time.units_per_second={rate}"]), INFO).model
     filter_, extractor, associator = SpyFilter(), SpyExtractor(), SpyAssociator()
     return Stages(model, filter_, extractor, associator), filter_, extractor, associator

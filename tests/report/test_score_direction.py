@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.cli.scoring import BY_TRAJECTORY
+from phdtrack.cli.evaluate import BY_TRAJECTORY
 from phdtrack.compare.summary import OTHERS
 from phdtrack.metrics import evaluate
 from phdtrack.report.rendering import HIGHER_IS_BETTER as HIGHER

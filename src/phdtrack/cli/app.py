@@ -18,13 +18,12 @@ from phdtrack import __version__
 from phdtrack.cli import (
     calibrate,
     compare,
-    demo,
-    detect,
     doctor,
     evaluate,
     groups,
     label,
     learn,
+    settings,
     simulate,
     track,
 )
@@ -34,7 +33,7 @@ P = ParamSpec("P")
 
 app = typer.Typer(
     name="phdtrack",
-    help="From a video, or anybody's detections, to tracks: a PHD filter between detector and identities.",
+    help="From a video, or any detector's boxes, to tracks: a filter of random finite sets between detector and identities.",
     add_completion=False,
     # Plain text: an error is one line that a program can find and a terminal does not break.
     rich_markup_mode=None,
@@ -85,19 +84,20 @@ def version(wanted: bool) -> None:
 def common(
     wanted: Annotated[bool, typer.Option("--version", callback=version, is_eager=True, help="Print the version.")] = False,
 ) -> None:
-    """From a video, or anybody's detections, to tracks: a PHD filter between detector and identities."""
+    """From a video, or any detector's boxes, to tracks: a filter of random finite sets between detector and identities."""
 
 
-app.command("demo")(guarded(demo.demo))
+app.command("demo")(guarded(simulate.demo))
 app.command("track")(guarded(track.track))
 app.command("groups")(guarded(groups.groups))
-app.command("detect")(guarded(detect.detect))
+app.command("detect")(guarded(track.detect))
 app.command("evaluate")(guarded(evaluate.evaluate))
 app.command("compare")(guarded(compare.compare))
 app.command("simulate")(guarded(simulate.simulate))
 app.command("label")(guarded(label.label))
 app.command("learn")(guarded(learn.learn))
 app.command("calibrate")(guarded(calibrate.calibrate))
+app.command("settings")(guarded(settings.settings))
 app.command("doctor")(guarded(doctor.doctor))
 
 

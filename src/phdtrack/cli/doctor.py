@@ -1,11 +1,40 @@
-"""``phdtrack doctor``: versions, and what works here."""
+"""``phdtrack doctor``: versions, and what works on this machine: detectors, codecs, the cache of compiled kernels.
+
+Every check does the thing itself where that is cheap (it makes a cascade, opens an encoder) instead of trusting a version
+number, and says how to mend what does not work. A check that is not essential may fail and phdtrack still does its main job.
+"""
 
 from __future__ import annotations
 
+import importlib
+import platform
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
 import typer
 
+from phdtrack import __version__
 from phdtrack.cli.options import Json
 from phdtrack.cli.output import Output
+
+PACKAGES = (
+    "numpy",
+    "scipy",
+    "numba",
+    "opencv-python-headless",
+    "av",
+    "typer",
+    "rich",
+    "pydantic",
+    "matplotlib",
+    "pyarrow",
+)
+DECODERS = ("h264", "hevc", "vp9", "av1", "mpeg1video", "mpeg2video", "mpeg4", "mjpeg")
+HEADLESS = "pip install 'opencv-python-headless>=4.8,<5'"
 
 
 def doctor(json: Json = False) -> None:
@@ -13,8 +42,6 @@ def doctor(json: Json = False) -> None:
 
     Exit status 1 where something essential does not work.
     """
-    from phdtrack.cli.doctor_checks import examine
-
     found, out = examine(), Output(json)
     for name, version in found.versions:
         out.say(f"{name:24} {version or 'not installed'}")
@@ -29,3 +56,164 @@ def doctor(json: Json = False) -> None:
     out.document(found.as_dict())
     if not found.ok:
         raise typer.Exit(1)
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing that was tried: ``detail`` says what came of it, ``cure`` how to mend it where it failed."""
+
+    name: str
+    ok: bool
+    detail: str
+    cure: str = ""
+    essential: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Examination:
+    """All that `examine` found; ``versions`` are pairs of package and version, an empty version where it is missing."""
+
+    versions: tuple[tuple[str, str], ...]
+    checks: tuple[Check, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether everything essential works."""
+        return all(check.ok for check in self.checks if check.essential)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "ok": self.ok,
+            "versions": {name: version or None for name, version in self.versions},
+            "checks": [asdict(check) for check in self.checks],
+        }
+
+
+def examine() -> Examination:
+    """Look at everything. Never raises: what fails is a check that failed."""
+    checks = [
+        _tried("OpenCV", _opencv, essential=True, cure=HEADLESS),
+        _tried("detector face (cascades)", _cascades, cure=HEADLESS),
+        _tried("detector person (HOG)", _hog, cure=HEADLESS),
+        _tried("video in", _decoders, essential=True, cure="pip install --force-reinstall av"),
+        _tried("video out (H.264)", _encoders, cure="pip install --force-reinstall av; or track with --no-video"),
+        _tried("compiled kernels", _kernels, essential=True, cure="pip install --force-reinstall numba"),
+        _tried(
+            "cache of compiled kernels",
+            _cache,
+            cure="Set NUMBA_CACHE_DIR to a folder that can be written into.",
+        ),
+        _tried("report (plots)", _plots, cure="pip install --force-reinstall matplotlib"),
+        _tried("Parquet files", _parquet, cure="pip install pyarrow"),
+    ]
+    return Examination(versions(), tuple(checks))
+
+
+def versions() -> tuple[tuple[str, str], ...]:
+    """Pairs of name and version: phdtrack, Python, the system, the packages that phdtrack rests on."""
+    own = (("phdtrack", __version__), ("python", platform.python_version()), ("system", platform.platform()))
+    return (*own, *((name, _version(name)) for name in PACKAGES))
+
+
+def installed_versions() -> tuple[tuple[str, str], ...]:
+    """The versions of what is installed."""
+    return tuple((name, version) for name, version in versions() if version)
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def _tried(name: str, trial: Callable[[], str], *, cure: str, essential: bool = False) -> Check:
+    """The check that ``trial`` makes: its words where it works, those of its exception where it does not."""
+    try:
+        return Check(name, True, trial(), essential=essential)
+    except Exception as error:  # whatever a broken installation raises is the finding
+        return Check(name, False, f"{type(error).__name__}: {error}", cure, essential)
+
+
+def _module(name: str) -> Any:
+    """The module, untyped: what is looked for may be missing from it, which is what a check is about."""
+    return importlib.import_module(name)
+
+
+def _opencv() -> str:
+    others = [name for name in ("opencv-python", "opencv-contrib-python") if _version(name)]
+    beside = f", and {' and '.join(others)} beside it: whichever was installed last is used" if others else ""
+    return f"version {_module('cv2').__version__}{beside}"
+
+
+def _cascades() -> str:
+    cv2 = _module("cv2")
+    folder = Path(cv2.data.haarcascades)
+    if cv2.CascadeClassifier(str(folder / "haarcascade_frontalface_default.xml")).empty():
+        raise RuntimeError(f"no face cascade in {folder}")
+    return f"{len(list(folder.glob('*.xml')))} cascades"
+
+
+def _hog() -> str:
+    weights = _module("cv2").HOGDescriptor_getDefaultPeopleDetector()
+    return f"pedestrian model with {len(weights)} weights"
+
+
+def _decoders() -> str:
+    from av.codec import Codec
+
+    found = [name for name in DECODERS if _has_codec(Codec, name, "r")]
+    if not found:
+        raise RuntimeError("FFmpeg has no decoder for any usual video")
+    return "reads " + ", ".join(found)
+
+
+def _encoders() -> str:
+    from phdtrack.video import VideoWriter
+
+    with tempfile.TemporaryDirectory() as folder:
+        import numpy as np
+
+        with VideoWriter(Path(folder) / "try.mp4", 64, 48, 25.0) as writer:
+            for _ in range(3):
+                writer.write(np.zeros((48, 64, 3), np.uint8))
+    return "writes mp4 files that play in a browser"
+
+
+def _has_codec(codec: Any, name: str, mode: str) -> bool:
+    try:
+        codec(name, mode)
+    except Exception:  # PyAV's exceptions have changed their names and bases between versions
+        return False
+    return True
+
+
+def _kernels() -> str:
+    import numba
+
+    if numba.njit(lambda x: x + 1)(1) != 2:
+        raise RuntimeError("a compiled function gave a wrong result")
+    state = "switched off by NUMBA_DISABLE_JIT" if numba.config.DISABLE_JIT else f"{numba.get_num_threads()} threads"
+    return f"numba {numba.__version__}, {state}"
+
+
+def _cache() -> str:
+    from phdtrack.kernels import CACHE
+
+    if not CACHE.lasting:
+        raise RuntimeError("no folder can be written into, so every run compiles anew")
+    kept = CACHE.kept
+    state = f"warm, {kept} kernels" if kept else "cold, the first run compiles for some ten seconds"
+    return f"{CACHE.folder} ({state})"
+
+
+def _plots() -> str:
+    figure = _module("matplotlib.figure").Figure(figsize=(1, 1))
+    _module("matplotlib.backends.backend_agg").FigureCanvasAgg(figure).draw()
+    return f"matplotlib {_version('matplotlib')}"
+
+
+def _parquet() -> str:
+    _module("pyarrow.parquet")
+    return f"pyarrow {_version('pyarrow')}"

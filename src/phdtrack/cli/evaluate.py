@@ -1,15 +1,51 @@
-"""``phdtrack evaluate``: scores of a file of tracks against annotated objects."""
+"""``phdtrack evaluate``: scores of a file of tracks against annotated objects, and how commands show scores."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from phdtrack.cli.options import Iou, Json
-from phdtrack.cli.output import Output
-from phdtrack.cli.scoring import check_iou, error_table, located, score_table, trajectory_scores, trajectory_table
+from phdtrack.cli.output import Output, number
+from phdtrack.errors import InputError
+
+if TYPE_CHECKING:
+    from phdtrack.metrics import Scores, TargetErrors
+    from phdtrack.types import Tracks, Truth
+
+# In the order of the table: the key of `Scores.as_dict`, and what it says.
+EXPLAINED = (
+    ("MODA", "detection accuracy, mean over frames"),
+    ("N_MODA", "detection accuracy, pooled"),
+    ("MODP", "overlap of matched boxes, mean over frames"),
+    ("MOTA", "tracking accuracy"),
+    ("MOTA_log", "the same, switches counted as ln(1 + n)"),
+    ("MOTP", "overlap of matched boxes, pooled"),
+    ("IDF1", "identities kept"),
+    ("HOTA", "detection and association in one"),
+    ("OSPA", "distance on boxes 1 − IoU, c = 1, p = 1"),
+    ("GOSPA", "the same base, c = 1, p = 1, α = 2"),
+    ("OSPA2", "the same base between whole tracks"),
+    ("SFDA", "overlap of boxes, misses and false ones as 0, mean over frames"),
+    ("ATA", "overlap of whole tracks, misses and false ones as 0"),
+    ("id_switches", "an object's identity changed"),
+    ("misses", "annotated boxes without a track"),
+    ("false_positives", "track boxes without an annotation"),
+    ("fragments", "a track of an object broke off and went on"),
+    ("false_tracks", "tracks that follow no object"),
+    ("delay_mean", "frames from an object's appearance to its first track box"),
+    ("frames", "frames scored"),
+)
+BY_TRAJECTORY = (
+    ("TGOSPA", "GOSPA of whole tracks per frame, a switch costs γ = 1"),
+    ("TGOSPA_localisation", "its part for how boxes lie"),
+    ("TGOSPA_missed", "its part for misses"),
+    ("TGOSPA_false", "its part for false boxes"),
+    ("TGOSPA_switching", "its part for switches, and for tracks that break off while their object goes on"),
+)
 
 
 def evaluate(
@@ -69,3 +105,63 @@ def evaluate(
     if errors is not None:
         error_table(out, errors, rmse)
     out.document({**scores.as_dict(), **whole, **({"RMSE": errors.as_dict()} if errors is not None else {})})
+
+
+def check_iou(iou: float) -> None:
+    """Raise InputError where the threshold is not in (0, 1]."""
+    if not 0 < iou <= 1:
+        raise InputError(f"expected an overlap above 0 and at most 1, got {iou:g}", where="--iou", cure="0.5 is usual.")
+
+
+def score_table(out: Output, runs: Sequence[tuple[str, Scores]]) -> None:
+    """The scores of each run (its title, its scores) in a column of its own, and what each of them says."""
+    from phdtrack.report.rendering import score_direction
+
+    columns = [scores.as_dict() for _, scores in runs]
+    rows = [
+        [key, *(number(column[key]) for column in columns), meaning + score_direction(key)] for key, meaning in EXPLAINED
+    ]
+    out.table(["", *(title for title, _ in runs), ""], rows, words=(0, len(runs) + 1))
+
+
+def trajectory_scores(truth: Truth, tracks: Tracks, frames: int) -> dict[str, float]:
+    """T-GOSPA and its parts by the keys of `BY_TRAJECTORY`, per frame of the sequence."""
+    from phdtrack.metrics import tgospa_boxes
+
+    parts = tgospa_boxes(truth, tracks, frames=frames)
+    values = (parts.distance, parts.localisation, parts.missed, parts.false, parts.switching)
+    return {key: value / max(frames, 1) for (key, _), value in zip(BY_TRAJECTORY, values, strict=True)}
+
+
+def trajectory_table(out: Output, found: dict[str, float]) -> None:
+    """The same as a table."""
+    from phdtrack.report.rendering import score_direction
+
+    out.table(
+        ["", "", ""],
+        [[key, number(found[key]), meaning + score_direction(key)] for key, meaning in BY_TRAJECTORY],
+        words=(0, 2),
+    )
+
+
+def located(truth: Truth, tracks: Tracks, gate: float) -> TargetErrors:
+    """Errors of the boxes' centres in pixels, object by object; distractors are left out."""
+    from phdtrack.metrics import rmse_per_target
+
+    kept = ~truth.distractor
+    centre, found = ((xyxy[:, :2] + xyxy[:, 2:]).T / 2 for xyxy in (truth.xyxy[kept], tracks.xyxy))
+    return rmse_per_target(truth.frame[kept], truth.identity[kept], centre, tracks.frame, found, gate)
+
+
+def error_table(out: Output, errors: TargetErrors, gate: float) -> None:
+    """A row for each object, and one for all of them."""
+    rows = [
+        [str(who), str(frames), str(mapped), *(number(float(error), 2) for error in (*axes, whole))]
+        for who, frames, mapped, axes, whole in zip(
+            errors.identity, errors.frames, errors.mapped, errors.rmse_axis.T, errors.rmse, strict=True
+        )
+    ]
+    total = ["all", str(errors.frames.sum()), str(errors.mapped.sum()), "", "", number(errors.overall, 2)]
+    out.say()
+    out.say(f"RMSE of box centres in pixels, pairs nearer than {gate:g}:")
+    out.table(["object", "frames", "mapped", "x", "y", "RMSE"], [*rows, total])

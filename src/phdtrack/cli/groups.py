@@ -1,8 +1,10 @@
-"""``phdtrack groups``: who walks with whom, how many they are, and what becomes of them."""
+"""``phdtrack groups``: groups of people on the ground, from a video or detections, or among known positions."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import time
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,19 +27,31 @@ from phdtrack.cli.options import (
     Sets,
     Threads,
     TruthFile,
+    Wanted,
 )
-from phdtrack.cli.output import Output
-from phdtrack.cli.track import MEANING, command_line, tell
-from phdtrack.cli.wanted import Wanted
+from phdtrack.cli.output import Output, progress
+from phdtrack.cli.track import MEANING, command_line, finish
 from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from phdtrack.cli.configured import Choice
+    from phdtrack.cli.group_observer import Story
     from phdtrack.cli.job import Job
+    from phdtrack.cli.settings import Choice
     from phdtrack.config import Settings
+    from phdtrack.formats.positions import Positions
+    from phdtrack.groups.pipeline import GroupStages
     from phdtrack.types import F8
 
 USUAL_FILTER = "gm-phd"
+GROUP_SECTIONS = ("groups", "contours", "life_cycle", "encounters")
+_NOTE = (
+    "The people, their velocities and identities were given; only the groups are estimated. Frame numbers are those of the "
+    "file."
+)
+# People who move less, metres and metres per second, do not show the rate of the frames.
+_MIN_DISTANCE, _MIN_SPEED = 0.05, 0.1
+# Half-width of the middle half of the estimated rates, as a share of the median, above which no rate is given.
+_MAX_SPREAD = 0.3
 NAMES = (*rundir.FILES, *rundir.GROUP_FILES)
 
 
@@ -90,7 +104,8 @@ def groups(
     The run's directory holds what that of `phdtrack track` does, and groups.csv (counts, places, contours), members.csv,
     events.csv, warnings.csv and plan.mp4: the ground from above beside the annotated video.
     """
-    from phdtrack.cli.configured import Choice
+    from phdtrack.cli.settings import Choice, chosen
+    from phdtrack.cli.track import prepare
 
     result = Output(json)
     if out is not None:
@@ -98,48 +113,15 @@ def groups(
     wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
     choice = Choice(filter_name, preset, config, tuple(sets or ()), seed, truth, threads)
     if positions is not None:
-        _alone(wanted, choice, camera)
-        _known(result, positions, choice, edges, fps, out, overwrite, video=video)
-    else:
-        _tracked(result, wanted, choice, camera, edges, out, overwrite, video=video)
-
-
-def _tracked(
-    result: Output, wanted: Wanted, choice: Choice, camera: Path | None, edges: Path | None, out: Path | None,
-    overwrite: bool, *, video: bool,
-) -> None:  # fmt: skip
-    """Through detector and filter."""
-    from phdtrack.cli.configured import prepare
-    from phdtrack.cli.first_use import announced
-    from phdtrack.cli.job import run
-
+        _check_unused(wanted, choice, camera)
+        known = read_known(positions, fps, chosen(choice), () if edges is None else read_edges(edges), video=video)
+        name = positions.resolve().parent.name or positions.stem
+        group_known(result, known, rundir.claim(out or Path("runs") / name, overwrite, NAMES))
+        return
     settings = ground_settings(choice, camera)
-    job = accompanied(prepare(wanted, choice, settings, command_line(), video=video), settings, _lines(edges))
-    directory = rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite, NAMES)
-    with announced(result, job.filter_name):
-        outcome = run(job, directory)
-    tell(result, outcome, directory)
-    if outcome.stop is not None:
-        raise outcome.stop
-
-
-def _known(
-    result: Output, path: Path, choice: Choice, edges: Path | None, fps: float, out: Path | None, overwrite: bool, *,
-    video: bool,
-) -> None:  # fmt: skip
-    """Without detector and filter."""
-    from phdtrack.cli.configured import chosen
-    from phdtrack.cli.group_positions import prepare_positions, run_positions
-
-    job = prepare_positions(path, fps, chosen(choice), _lines(edges), command_line(), video=video)
-    directory = rundir.claim(out or Path("runs") / (path.resolve().parent.name or path.stem), overwrite, NAMES)
-    document, said = run_positions(job, directory)
-    for sentence in said:
-        result.say(sentence)
-    result.say()
-    for file in directory.written():
-        result.say(f"  {file}  {MEANING[file.name]}")
-    result.document(document)
+    job = prepare(wanted, choice, settings, command_line(), video=video)
+    job = with_groups(job, settings, () if edges is None else read_edges(edges))
+    finish(result, job, rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite, NAMES))
 
 
 def ground_settings(choice: Choice, camera: Path | None) -> Settings:
@@ -150,7 +132,7 @@ def ground_settings(choice: Choice, camera: Path | None) -> Settings:
     InputError : there is no camera, or the settings are for another world or without a filter.
     """
     from phdtrack import config
-    from phdtrack.cli.configured import chosen
+    from phdtrack.cli.settings import chosen
 
     said = config.load(choice.config, choice.sets, choice.preset)
     usual = [] if said.kind("motion") != "box" or "kind" in said.given.get("motion", {}) else ["motion.kind=plane"]
@@ -178,32 +160,24 @@ def ground_settings(choice: Choice, camera: Path | None) -> Settings:
     return settings
 
 
-def accompanied(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
-    """The job with the groups beside it."""
-    from phdtrack.cli.companions import together
-    from phdtrack.cli.group_companion import GroupCompanion
-    from phdtrack.cli.group_story import Around
+def with_groups(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
+    """The job with an observer of groups."""
+    from phdtrack.cli.group_observer import GroupObserver, Surroundings
     from phdtrack.config import build_groups
     from phdtrack.ground.uncertainty import footprint
     from phdtrack.models import PlaneSensor
 
     stages, info = job.stages, job.inputs.info
-    sensor, delay = stages.model.sensor, int(str(job.configured("associate", "output_delay")))
-    around = Around(edges=edges)
+    sensor, around = stages.model.sensor, Surroundings(edges=edges)
     if isinstance(sensor, PlaneSensor) and sensor.camera is not None:
-        far = float(str(job.configured("camera", "far")))
-        around = Around(sensor.camera, footprint(sensor.camera, (info.width, info.height), far), edges)
-    groups = GroupCompanion(build_groups(settings, stages), stages, info, around, delay)
-    return replace(job, companion=together([*([job.companion] if job.companion else []), groups]))
+        seen = footprint(sensor.camera, (info.width, info.height), settings.build("camera").max_distance)
+        around = Surroundings(sensor.camera, seen, edges)
+    delay = settings.build("associate").output_delay
+    observer = GroupObserver(build_groups(settings, stages), stages, info, around, delay)
+    return replace(job, observers=(*job.observers, observer))
 
 
-def _lines(edges: Path | None) -> tuple[F8, ...]:
-    from phdtrack.cli.group_inputs import read_edges
-
-    return () if edges is None else read_edges(edges)
-
-
-def _alone(wanted: Wanted, choice: Choice, camera: Path | None) -> None:
+def _check_unused(wanted: Wanted, choice: Choice, camera: Path | None) -> None:
     """Raise `InputError` where an option has nothing to do, because positions are known."""
     given = {
         "SOURCE": wanted.source,
@@ -224,3 +198,181 @@ def _alone(wanted: Wanted, choice: Choice, camera: Path | None) -> None:
                 where=option,
                 cure=f"Leave out {option} or --positions.",
             )
+
+
+@dataclass(frozen=True, slots=True)
+class KnownPositions:
+    """Known positions to group: people read from ``path``, at ``fps`` frames per second, and how."""
+
+    path: Path
+    positions: Positions
+    fps: float
+    settings: Settings
+    edges: tuple[F8, ...]
+    video: bool
+
+
+def read_known(path: Path, fps: float, settings: Settings, edges: tuple[F8, ...], *, video: bool) -> KnownPositions:
+    """What `group_known` needs.
+
+    Parameters
+    ----------
+    path : file of positions (obsmat.txt).
+    fps : frames per second; 0: estimated from people's displacements and velocities.
+    settings : of the groups.
+    edges : lines (2, K) in metres to draw on the plan.
+    video : whether to draw plan.mp4.
+
+    Raises
+    ------
+    InputError : the file cannot be read, is empty, or its rate cannot be estimated.
+    """
+    from phdtrack.formats.positions import read_positions
+
+    positions = read_positions(path)
+    if not len(positions):
+        raise InputError("expected people, came a file without any", where=path)
+    return KnownPositions(path, positions, fps or rate_of(positions, path), settings, edges, video)
+
+
+def group_known(result: Output, job: KnownPositions, directory: rundir.RunDirectory) -> None:
+    """Find groups among known positions, write everything, and say what was found."""
+    import numpy as np
+
+    from phdtrack import config
+    from phdtrack.cli.doctor import installed_versions
+    from phdtrack.cli.group_observer import Story, Surroundings
+    from phdtrack.report import About, write_run
+    from phdtrack.report.pages import positions_page
+    from phdtrack.report.run_json import json_value, write_text
+
+    started, clock = datetime.now(UTC), time.perf_counter()
+    story = Story(Surroundings(edges=job.edges), raw=False)
+    frames = np.unique(job.positions.frame).tolist()
+    _group_frames(job, config.build_groups(job.settings), story, frames, directory)
+    if job.video:
+        _draw_frames(job, story, frames, directory)
+    people = len(np.unique(job.positions.identity))
+    first = f"{people} people in {len(frames)} frames at {job.fps:.4g} frames per second."
+    summary = (first, *story.sentences())
+    about = About(
+        title=job.path.parent.name or job.path.name, command=command_line(), versions=installed_versions(), notes=(_NOTE,)
+    )
+    used = {name: value for name, value in job.settings.as_dict().items() if name in GROUP_SECTIONS}
+    page = positions_page(about, str(job.path), " ".join(summary), story.section(), used)
+    write_text(directory.file(rundir.REPORT), page)
+    files = {file.name: str(file) for file in directory.written()} | {rundir.RUN: str(directory.file(rundir.RUN))}
+    document: dict[str, object] = {
+        "command": about.command,
+        "title": about.title,
+        "summary": list(summary),
+        "versions": dict(about.versions),
+        "started": started.isoformat(timespec="seconds"),
+        "seconds": time.perf_counter() - clock,
+        "frames": len(frames),
+        "people": people,
+        "configuration": used,
+        "complete": True,
+        "input": {"positions": str(job.path), "fps": job.fps},
+        "directory": str(directory.path),
+        "files": files,
+        **story.document(),
+    }
+    document = {key: json_value(value) for key, value in document.items()}
+    write_run(directory.file(rundir.RUN), document)
+    result.say("\n".join([*summary, "", *(f"  {file}  {MEANING[file.name]}" for file in directory.written())]))
+    result.document(document)
+
+
+def _group_frames(
+    job: KnownPositions, stages: GroupStages, story: Story, frames: list[int], directory: rundir.RunDirectory
+) -> None:
+    """Every frame through the stages, into files and story."""
+    import numpy as np
+
+    from phdtrack.cli.group_observer import GroupFiles
+    from phdtrack.groups import LifeCycleState
+    from phdtrack.groups.pipeline import known_people
+
+    state, nothing = LifeCycleState(), np.zeros((2, 0))
+    with GroupFiles(directory, None) as files, progress("grouping", len(frames)) as advance:
+        for done, number in enumerate(frames, start=1):
+            here = job.positions.at(number)
+            at = (number - frames[0]) / job.fps
+            carriers = np.arange(len(here))
+            state, frame = stages.advance(state, known_people(here.state), here.identity, carriers, number, at)
+            files.write(frame)
+            story.take(frame, here.state[:2], nothing)
+            advance(done)
+
+
+def _draw_frames(job: KnownPositions, story: Story, frames: list[int], directory: rundir.RunDirectory) -> None:
+    """plan.mp4, one picture for each frame with people, as fast as these usually follow each other."""
+    import numpy as np
+
+    from phdtrack.cli.inputs import NO_PICTURE
+
+    step = float(np.median(np.diff(frames))) if len(frames) > 1 else 1.0
+    with story.video(directory, job.fps / step, picture=None) as draw, progress("drawing", len(frames)) as advance:
+        for done, number in enumerate(frames, start=1):
+            draw(number, NO_PICTURE)
+            advance(done)
+
+
+def read_edges(path: Path) -> tuple[F8, ...]:
+    """Lines (2, K) in metres: a point ``x y`` or ``x,y`` on each line of text, an empty line between one edge and the next.
+
+    Raises
+    ------
+    InputError : the file is missing, or a line is not two finite numbers.
+    """
+    import numpy as np
+
+    from phdtrack.files import load
+
+    text = load(path).decode("utf-8-sig", errors="replace")
+    edges: list[list[tuple[float, float]]] = [[]]
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.partition("#")[0].replace(",", " ").split()
+        if not words:
+            edges.append([])
+            continue
+        try:
+            x, y = (float(word) for word in words)
+        except ValueError:
+            x = y = np.nan
+        if not np.isfinite(x + y):
+            raise InputError(
+                f"expected a point of an edge, x and y in metres, came '{line.strip()[:40]}'", where=f"{path}, line {number}"
+            )
+        edges[-1].append((x, y))
+    return tuple(np.array(edge).T for edge in edges if len(edge) > 1)
+
+
+def rate_of(positions: Positions, path: Path) -> float:
+    """Frames per second, from the displacements of people between two frames and their velocities.
+
+    Raises
+    ------
+    InputError : no person moves, or displacements and velocities do not fit each other.
+    """
+    import numpy as np
+
+    order = np.lexsort((positions.frame, positions.identity))
+    identity, frame, state = positions.identity[order], positions.frame[order], positions.state[:, order]
+    same = identity[1:] == identity[:-1]
+    frames = np.diff(frame)[same].astype(np.float64)
+    way = np.hypot(*np.diff(state[:2])[:, same])
+    speed = np.hypot(*((state[2:, 1:] + state[2:, :-1]) / 2)[:, same])
+    moving = (way > _MIN_DISTANCE) & (speed > _MIN_SPEED)
+    cure, unknown = (
+        "Say --fps F, the rate of the video that the frames are numbered in.",
+        "the rate of the frames is not known",
+    )
+    if not moving.any():
+        raise InputError(f"{unknown}, and no person moves, so that it cannot be estimated", where=path, cure=cure)
+    low, rate, high = np.quantile(frames[moving] * speed[moving] / way[moving], [0.25, 0.5, 0.75]).tolist()
+    if high - low > _MAX_SPREAD * rate:
+        found = f"from displacements and velocities it is anything from {low:.3g} to {high:.3g} per second"
+        raise InputError(f"{unknown}; {found}", where=path, cure=cure)
+    return float(rate)

@@ -2,21 +2,27 @@
 
 Every source becomes the same thing, frames and a detector, so that the loop behind it knows one case only. Without a
 video the frames have empty pictures, and the detector looks its boxes up by frame number.
+
+`ahead` lets stages of the work overlap in threads, `rereadable` gives frames a second time that come only once.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import tempfile
+import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from phdtrack.cli.wanted import DEFAULT_DETECTOR, Wanted
+from phdtrack.cli.options import DEFAULT_DETECTOR, Wanted
 from phdtrack.detect.convert import within_frame
 from phdtrack.errors import InputError
 from phdtrack.protocols import Detector
@@ -197,3 +203,122 @@ def _same_size(wanted: Wanted, info: SequenceInfo) -> None:
 def comes_again(source: str) -> bool:
     """Whether the frames can be read a second time: not those of a camera or of a stream on the network."""
     return "://" not in source and not (source.isdecimal() and not Path(source).exists())
+
+
+# Quality of the copy of a camera's frames: hardly distinguishable, because it is encoded once more when it is drawn on.
+_FINE = 16
+
+
+@contextmanager
+def rereadable(inputs: Inputs, wanted: bool) -> Iterator[VideoSource]:
+    """The frames of ``inputs``, to be gone through twice where that is ``wanted``.
+
+    Frames that come only once, those of a camera or of a stream on the network, are copied into a temporary file on the
+    way; it lives as long as this does.
+    """
+    if inputs.again or not wanted:
+        yield inputs.source
+        return
+    with tempfile.TemporaryDirectory(prefix="phdtrack-") as folder:
+        yield _Copied(inputs.source, Path(folder) / "frames.mp4")
+
+
+class _Copied:
+    """The first time the frames of ``source``, copied into ``path`` on the way; from then on those of the copy."""
+
+    def __init__(self, source: VideoSource, path: Path) -> None:
+        self._source, self._path = source, path
+        self.info = source.info
+        self._seen: list[tuple[int, float]] = []
+        self._first: Generator[Frame, None, None] | None = None
+
+    @property
+    def note(self) -> str:
+        """What the source did to be read."""
+        return self._source.note
+
+    @property
+    def problem(self) -> str:
+        """What the source lost, known at its end."""
+        return self._source.problem
+
+    def __iter__(self) -> Iterator[Frame]:
+        if self._first is None:
+            self._first = self._copying()
+            return self._first
+        # The first pass may have stopped half-way: only closing completes the copy.
+        self._first.close()
+        return self._again()
+
+    def _copying(self) -> Generator[Frame, None, None]:
+        from phdtrack.video import VideoWriter
+
+        info = self.info
+        with VideoWriter(self._path, info.width, info.height, info.fps, quality=_FINE) as copy:
+            for frame in self._source:
+                copy.write(frame.image)
+                self._seen.append((frame.number, frame.time))
+                yield frame
+
+    def _again(self) -> Iterator[Frame]:
+        from phdtrack.video import open_source
+
+        for (number, at), frame in zip(self._seen, open_source(self._path), strict=False):
+            # The copy of an odd size is padded by a row or a column.
+            yield Frame(number, at, frame.image[: self.info.height, : self.info.width])
+
+
+T = TypeVar("T")
+DEPTH = 3
+"""Items under way: one being made, one ready, and one to even out stages whose pace varies."""
+
+
+@contextmanager
+def ahead(items: Iterable[T], depth: int = DEPTH) -> Iterator[Iterator[T]]:
+    """The same items in the same order, made by a thread of their own while earlier ones are used.
+
+        with ahead(source) as frames, ahead(detected(detector, frames)) as found:
+            for frame, detections, seconds in found:
+                ...
+
+    Decoding, detecting, drawing and encoding let other threads run, so that the slowest stage decides how fast the whole
+    is. An error of a stage is raised in the loop after the items before it. When the block is left, by an error or Ctrl-C
+    too, the stage is stopped and waited for: nothing still runs or holds a file afterwards.
+
+    Parameters
+    ----------
+    items : run through once, in that thread, and closed there where it is a generator.
+    depth : how many items at most are being made or wait to be taken, at least 1.
+    """
+    free, stop = threading.Semaphore(depth), threading.Event()
+    ready: SimpleQueue[tuple[T] | BaseException] = SimpleQueue()
+
+    def make() -> None:
+        try:
+            iterator = iter(items)
+            try:
+                # A place is taken before an item is made: that bounds how many live.
+                while free.acquire() and not stop.is_set():
+                    ready.put((next(iterator),))
+            finally:
+                # Here and not by the garbage collector: files are closed by the thread that used them.
+                if isinstance(iterator, Generator):
+                    iterator.close()
+        except BaseException as error:  # StopIteration among them: all belong to the loop that takes the items
+            ready.put(error)
+
+    def taken() -> Iterator[T]:
+        while isinstance(message := ready.get(), tuple):
+            free.release()
+            yield message[0]
+        if not isinstance(message, StopIteration):
+            raise message
+
+    stage = threading.Thread(target=make, name="phdtrack stage", daemon=True)
+    stage.start()
+    try:
+        yield taken()
+    finally:
+        stop.set()
+        free.release()
+        stage.join()

@@ -4,40 +4,53 @@ While the loop runs, every frame's detections, states and online track rows go t
 the end of the video, a frame that cannot be used, a full disk or Ctrl-C, the frames done so far are finished like a whole
 run: corrected tracks, scores, annotated video, report, ``run.json``. The outcome then carries what stopped it.
 
-Decoding, detecting and tracking overlap (see `overlap`), and so do decoding, drawing and encoding.
+Decoding, detecting and tracking overlap (`inputs.ahead`), and so do decoding, drawing and encoding.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import repeat
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from markupsafe import Markup
+from numba.core import event
 
-from phdtrack.cli import belief
+from phdtrack import pipeline
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.camera_motion import Mover, moved, standing
-from phdtrack.cli.ground import places
-from phdtrack.cli.inputs import NO_PICTURE, Inputs, detected
-from phdtrack.cli.output import progress
-from phdtrack.cli.pace import paced
-from phdtrack.cli.pipeline_threads import ahead
+from phdtrack.cli.inputs import NO_PICTURE, Inputs, ahead, detected, rereadable
+from phdtrack.cli.observers import Draw, Mover, RunObserver, moved, standing
+from phdtrack.cli.output import Output, progress
 from phdtrack.cli.run_directory import RunDirectory
-from phdtrack.cli.spool import rereadable
-from phdtrack.cli.steps import Steps
 from phdtrack.errors import interrupted
 from phdtrack.filters import NoFilter
+from phdtrack.filters.intensities import Cardinalised
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter, write_tracks
-from phdtrack.protocols import AnyStages
+from phdtrack.kernels import CACHE
+from phdtrack.models import PlaneSensor
+from phdtrack.protocols import AnyStages, Sensor
 from phdtrack.report import About, Annotator, Recorder, RunRecord, run_document, sentences, write_report, write_run
-from phdtrack.types import F8, Detections, Frame, Image, Step, Tracks, Truth
+from phdtrack.types import (
+    F4,
+    F8,
+    STILL,
+    Detections,
+    Frame,
+    Image,
+    ParticleBlocks,
+    Particles,
+    SequenceInfo,
+    Step,
+    Tracks,
+    Truth,
+)
 from phdtrack.video import VideoSource, VideoWriter
 
 if TYPE_CHECKING:
@@ -49,37 +62,53 @@ WHICH = (
     f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they were given "
     "frame by frame, which did not change afterwards."
 )
+FIRST = "compiling kernels (first use on this machine, some ten seconds; they are kept for the next runs) ..."
+ALWAYS = (
+    "kernels are compiled anew in every run (some ten seconds): neither the installation nor the home folder can be "
+    "written into; set NUMBA_CACHE_DIR to a folder that can"
+)
+# Detections after which an object must be reported at the latest; after more than SLOW the user is warned.
+_TRIED, _SLOW = 25, 5
 
 
-Draw = Callable[[int, Image], None]
+class Steps:
+    """The tracker as the run drives it: it holds the state between frames; everything else is `pipeline`'s."""
 
+    def __init__(self, stages: AnyStages, rng: np.random.Generator) -> None:
+        self._stages, self._rng = stages, rng
+        self.state = pipeline.start(stages, rng)
+        self._looks: dict[int, F4] = {}
 
-class Companion(Protocol):
-    """Something that goes along with a run and has files of its own, as the groups on the ground."""
+    def look(self, frame: Frame, detections: Detections) -> None:
+        """Remember what the detections of a frame look like, where stitching compares it."""
+        looks = self._stages.smoother.describe(frame.image, detections.xyxy)
+        if looks.shape[1]:
+            self._looks[frame.number] = looks
 
-    def open(self, directory: RunDirectory) -> AbstractContextManager[object]:
-        """Its files, open while the run lasts."""
+    def advance(self, number: int, time: float, detections: Detections, warp: F8 = STILL) -> Step:
+        """Take in the detections of frame ``number`` at ``time`` seconds; ``warp`` is how the camera has moved."""
+        self.state, step = pipeline.advance(self._stages, self.state, detections, number, time, self._rng, warp)
+        return step
 
-    def take(self, step: Step, intensity: object) -> None:
-        """Take in one frame's step and the filter's state after it."""
+    @property
+    def particles(self) -> Particles | None:
+        """The filter's particles after the last frame where the image shows them (`shown`); None where there are none."""
+        intensity = self.state.intensity
+        if isinstance(intensity, Cardinalised):
+            intensity = intensity.intensity
+        if isinstance(intensity, ParticleBlocks):
+            intensity = intensity.particles()
+        if isinstance(self._stages.filter, NoFilter) or not isinstance(intensity, Particles):
+            return None
+        return shown(intensity, self._stages.model.sensor)
 
-    def flush(self, rows: Tracks) -> None:
-        """The online rows that the output delay held back; no step follows."""
+    def flush(self) -> Tracks:
+        """The online rows that the output delay held back."""
+        return self._stages.associator.flush(self.state.association, self._stages.model)
 
-    def finish(self, tracks: Tracks) -> None:
-        """The corrected tracks of the whole run, before anything is drawn or told."""
-
-    def drawing(self, directory: RunDirectory, *, pictures: bool) -> AbstractContextManager[Draw]:
-        """Its video: what to call with the number of each frame and the annotated picture, an empty one without."""
-
-    def section(self) -> Markup:
-        """What it tells in the report."""
-
-    def sentences(self) -> tuple[str, ...]:
-        """The same in a few words, for the terminal."""
-
-    def document(self) -> dict[str, object]:
-        """The same for programs; goes into run.json."""
+    def finish(self) -> Tracks:
+        """The corrected tracks of everything taken in so far."""
+        return pipeline.finish(self._stages, self.state, self._looks)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +129,7 @@ class Job:
     versions: tuple[tuple[str, str], ...]
     truth: Truth | None = None
     video: bool = True
-    companion: Companion | None = None
+    observers: tuple[RunObserver, ...] = ()
     mover: Mover = standing
 
     @property
@@ -169,13 +198,13 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
             directory.clear()
             raise done.stop
         tracks = _finish(job, directory)
-        if job.companion is not None:
-            job.companion.finish(tracks)
+        for observer in job.observers:
+            observer.finish(tracks)
         scores = None if job.truth is None else _scores(job.truth, tracks, done.last)
-        if job.video and (job.inputs.pictures or job.companion is not None):
+        if job.video and (job.inputs.pictures or any(observer.draws for observer in job.observers)):
             done.cut = _draw(job, source, directory, done, tracks)
     stop = done.stop or done.cut
-    notes, doubts = _belief(job, done)
+    notes, doubts = _confirmation(job, done)
     chain = done.recorder.chain
     if chain is not None:
         notes, doubts = (*notes, chain.sentence), (*doubts, *filter(None, [chain.warning]))
@@ -195,21 +224,21 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
     )
     record = done.recorder.record(tracks, about, job.truth)
     document = _written(job, directory, record, complete=stop is None)
-    said = sentences(record) if job.companion is None else (*sentences(record), *job.companion.sentences())
-    return Outcome(document, said, len(done.seen), scores, warnings, stop)
+    summary = (*sentences(record), *(sentence for observer in job.observers for sentence in observer.sentences()))
+    return Outcome(document, summary, len(done.seen), scores, warnings, stop)
 
 
 def _loop(job: Job, source: VideoSource, directory: RunDirectory) -> _Progress:
     """Every frame through detector and steps, into files and record, until the source ends or something stops it."""
-    inputs, place, companion = job.inputs, directory.file, job.companion
+    inputs, place, sensor = job.inputs, directory.file, job.stages.model.sensor
     done = _Progress(Recorder(inputs.info))
     with ExitStack() as files:
         detections = files.enter_context(DetectionsWriter(place(rundir.DETECTIONS)))
         states = files.enter_context(StatesWriter(place(rundir.STATES)))
         online = files.enter_context(TracksWriter(place(rundir.ONLINE)))
         advance = files.enter_context(progress("tracking", inputs.info.frames))
-        if companion is not None:
-            files.enter_context(companion.open(directory))
+        for observer in job.observers:
+            files.enter_context(observer.open(directory))
         pace = files.enter_context(paced())
         try:
             with ahead(source) as frames, ahead(moved(job.mover, detected(inputs.detector, frames))) as looked:
@@ -219,17 +248,17 @@ def _loop(job: Job, source: VideoSource, directory: RunDirectory) -> _Progress:
                         job.steps.look(frame, found)
                     detections.append(frame.number, found)
                     states.append(frame.number, frame.time, step.estimates)
-                    online.append(step.tracks, places(job.stages.model.sensor, step.tracks.xyxy))
-                    if companion is not None:
-                        companion.take(step, job.steps.intensity)
+                    online.append(step.tracks, places(sensor, step.tracks.xyxy))
+                    for observer in job.observers:
+                        observer.take(step, job.steps.state)
                     done.recorder.add(frame.image if inputs.pictures else None, step, job.steps.particles, seconds)
                     done.seen.append(_seen(step))
                     advance(len(done.seen))
                     pace.frame()
             held = job.steps.flush()
-            online.append(held, places(job.stages.model.sensor, held.xyxy))
-            if companion is not None:
-                companion.flush(held)
+            online.append(held, places(sensor, held.xyxy))
+            for observer in job.observers:
+                observer.flush(held)
         except (Exception, KeyboardInterrupt) as stop:
             done.stop = _as_meant(stop)
         done.seconds, done.left_out = pace.seconds, pace.left_out
@@ -280,13 +309,13 @@ def _as_meant(stop: Stop) -> Stop:
 
 
 def _videos(job: Job, directory: RunDirectory, files: ExitStack) -> list[Draw]:
-    """What to call with every annotated picture: the video of these, and the companion's."""
+    """What to call with every annotated picture: the video of these, and those of observers."""
     info, draw = job.inputs.info, list[Draw]()
     if job.inputs.pictures:
         video = files.enter_context(VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps))
         draw.append(lambda number, picture: video.write(picture))
-    if job.companion is not None:
-        draw.append(files.enter_context(job.companion.drawing(directory, pictures=job.inputs.pictures)))
+    for observer in job.observers:
+        draw.append(files.enter_context(observer.drawing(directory, pictures=job.inputs.pictures)))
     return draw
 
 
@@ -315,16 +344,60 @@ def _problems(job: Job, done: _Progress) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _belief(job: Job, done: _Progress) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """After how many detections of the usual size an object is believed: notes, and warnings where it takes long."""
+def _confirmation(job: Job, done: _Progress) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """After how many detections of the usual size an object is reported: notes, and warnings where it takes long."""
     boxes = [seen.detections.xyxy for seen in done.seen if len(seen.detections)]
     if isinstance(job.stages.filter, NoFilter) or not boxes:
         return (), ()
     xyxy = np.concatenate(boxes)
     width, height = np.median(xyxy[:, 2:] - xyxy[:, :2], axis=0)
-    needed = belief.detections_needed(job.stages, job.inputs.info, (float(width), float(height)))
-    doubt = belief.warning(needed)
-    return (belief.sentence(needed),), (doubt,) if doubt else ()
+    needed = detections_needed(job.stages, job.inputs.info, (float(width), float(height)))
+    after = f"after {needed} coherent detection{'' if needed == 1 else 's'}"
+    after = after if needed else f"within {_TRIED} coherent detections"
+    note = f"With these settings an object is {'' if needed else 'not '}reported {after}."
+    if 1 <= needed <= _SLOW:
+        return (note,), ()
+    cure = "raise birth.births_per_second, lower clutter.clutter_per_frame, or widen both volumes (birth.volume=image)"
+    return (note,), (f"an object is {'reported only' if needed else 'not reported'} {after}: {cure}",)
+
+
+def detections_needed(stages: AnyStages, info: SequenceInfo, size: tuple[float, float]) -> int:
+    """Coherent detections of an object up to its first state; 0 for more than 25.
+
+    The ratio of the densities of births and of clutter decides it, which settings do not show. So it is tried: an object
+    of ``size`` (width, height in pixels) stands still in the middle of the frame and is detected in every frame.
+    """
+    rng = np.random.default_rng(0)
+    centre, half = np.array([info.width, info.height]) / 2, np.array(size) / 2
+    box = np.concatenate([centre - half, centre + half])[None, :]
+    state = pipeline.start(stages, rng)
+    for number in range(1, _TRIED + 1):
+        state, step = pipeline.advance(stages, state, Detections.of(box), number, number / info.fps, rng)
+        if len(step.estimates):
+            return number
+    return 0
+
+
+def places(sensor: Sensor, xyxy: F8) -> F8:
+    """(2, M) metres: the ground under the middle of each box's (M, 4) lower edge; NaN where there is none, or where the
+    world of the sensor is the image. Without a camera the image is a plan, and the middles of the boxes are the places."""
+    if not isinstance(sensor, PlaneSensor) or len(xyxy) == 0:
+        return np.full((2, len(xyxy)), np.nan)
+    middle = (xyxy[:, 0] + xyxy[:, 2]) / 2
+    if sensor.camera is None:
+        return np.stack([middle, (xyxy[:, 1] + xyxy[:, 3]) / 2])
+    return sensor.camera.ground(np.stack([middle, xyxy[:, 3]]))
+
+
+def shown(particles: Particles, sensor: Sensor) -> Particles | None:
+    """The particles where the image shows them: rows 0 and 1 the middle of their boxes in pixels, as detections are drawn.
+    None where the world is a plan without an image."""
+    if not isinstance(sensor, PlaneSensor):
+        return particles
+    if sensor.camera is None:
+        return None
+    boxes = sensor.boxes(particles.state)
+    return Particles(np.vstack([(boxes[:, :2] + boxes[:, 2:]).T / 2, particles.state[2:]]), particles.weight)
 
 
 def _reason(stop: Stop) -> str:
@@ -337,12 +410,82 @@ def _plain(value: float | None) -> float:
 
 def _written(job: Job, directory: RunDirectory, record: RunRecord, *, complete: bool) -> dict[str, object]:
     """Report and run.json; the latter's content."""
-    more = Markup() if job.companion is None else job.companion.section()
+    more = Markup("\n").join(observer.section() for observer in job.observers)
     write_report(directory.file(rundir.REPORT), record, job.configuration | {"input": job.read}, more)
     document = run_document(record, job.configuration)
-    own = {"complete": complete, "input": job.read, "directory": str(directory.path)}
+    about = {"complete": complete, "input": job.read, "directory": str(directory.path)}
     files = {file.name: str(file) for file in directory.written()} | {rundir.RUN: str(directory.file(rundir.RUN))}
-    told = {} if job.companion is None else job.companion.document()
-    document = document | own | {"files": files} | told
+    document = document | about | {"files": files}
+    for observer in job.observers:
+        document |= observer.document()
     write_run(directory.file(rundir.RUN), document)
     return document
+
+
+@dataclass(slots=True)
+class Pace:
+    """``seconds`` of wall time that frames took in which nothing was compiled or loaded; ``left_out``: the other frames."""
+
+    seconds: float = 0.0
+    left_out: int = 0
+    _loading: bool = False
+    _clock: float = field(default_factory=time.perf_counter)
+
+    def frame(self) -> None:
+        """A frame is done; the next one begins."""
+        now = time.perf_counter()
+        if self._loading:
+            self.left_out += 1
+        else:
+            self.seconds += now - self._clock
+        self._clock, self._loading = now, False
+
+    def loading(self, started: event.Event) -> None:
+        """A kernel met arguments of new types: to load or to compile it, Numba has taken a lock."""
+        self._loading = True
+
+
+# Numba has no types.
+class _Listener(event.Listener):  # type: ignore[misc]
+    """Calls ``started`` at the start of each of Numba's events."""
+
+    def __init__(self, started: Callable[[event.Event], None]) -> None:
+        self._started = started
+
+    def on_start(self, event: event.Event) -> None:
+        """An event starts."""
+        self._started(event)
+
+    def on_end(self, event: event.Event) -> None:
+        """Nothing."""
+
+
+@contextmanager
+def paced() -> Iterator[Pace]:
+    """The pace of the frames from now on, without those in which kernels were compiled or loaded."""
+    pace = Pace()
+    with event.install_listener("numba:compiler_lock", _Listener(pace.loading)):
+        yield pace
+
+
+@contextmanager
+def announced(out: Output) -> Iterator[None]:
+    """While this lasts, say so when the first kernel is compiled, so that the first run does not look as if it hung.
+
+    Kernels that are loaded from disk say nothing. The line comes on a terminal only, as a progress bar does; that kernels
+    cannot be kept is said in any case, because the user can change it.
+    """
+    said = False
+
+    def begun(started: event.Event) -> None:
+        nonlocal said
+        if said or not started.data["dispatcher"].py_func.__module__.startswith("phdtrack."):
+            return
+        said = True
+        if not CACHE.lasting:
+            out.warn(ALWAYS)
+        elif sys.stderr.isatty():
+            out.note(FIRST)
+
+    with event.install_listener("numba:compile", _Listener(begun)):
+        yield

@@ -23,9 +23,9 @@ from phdtrack.cli.options import (
     Recorded,
     Seed,
     Sets,
+    Wanted,
 )
 from phdtrack.cli.output import Output, counted
-from phdtrack.cli.wanted import Wanted
 from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
@@ -44,7 +44,9 @@ def learn(
     clutter: Annotated[
         str,
         typer.Option(
-            "--clutter", metavar="FROM", help="labels: marked with `phdtrack label`; unattended: suggested, seen by nobody."
+            "--clutter",
+            metavar="FROM",
+            help="labels: marked with `phdtrack label`; unattended: suggested, unchecked.",
         ),
     ] = "labels",
     first: Annotated[int, typer.Option("--first", metavar="N", min=1, help="Learn from this frame on.")] = 1,
@@ -63,10 +65,9 @@ def learn(
 ) -> None:
     """Learn where people enter and where the detector is wrong: births from the tracker's own tracks, or marked by hand;
     false alarms from the marks that a person made (`phdtrack label`), or unattended."""
-    from phdtrack.cli.configured import detector_parameters
-    from phdtrack.cli.label_inputs import beside, stills, to_label
-    from phdtrack.cli.lessons import (
-        Classroom,
+    from phdtrack.cli.label import labels_file, stills, to_label
+    from phdtrack.cli.training import (
+        TrainingData,
         births_by_hand,
         births_of_tracks,
         clutter_of_labels,
@@ -81,7 +82,7 @@ def learn(
     _one_of(births, ("tracks", "hand"), "--births")
     _one_of(clutter, ("labels", "unattended"), "--clutter")
     wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
-    file = labels or beside(source, detections)
+    file = labels or labels_file(source, detections)
     asked = clutter == "labels" or births == "hand"
     if asked and labels is not None and not labels.exists():
         raise InputError("there is no such file of labels", where=labels, cure="Make one: phdtrack label")
@@ -89,16 +90,16 @@ def learn(
     if target.exists() and not overwrite:
         raise InputError("this file is there already", where=target, cure="Say --overwrite, or choose another --out")
     settings = load(config, tuple(sets or ()), preset)
-    found = to_label(wanted, detector_parameters(config, tuple(sets or ())), file, result)
+    found = to_label(wanted, settings.detector, file, result)
     stretch = _stretch(first, last, found.last)
-    room = Classroom(found, stretch, build(settings, found.info), seed, file)
-    alarms = clutter_unattended(room) if clutter == "unattended" else clutter_of_labels(room)
+    data = TrainingData(found, stretch, build(settings, found.info), seed, file)
+    alarms = clutter_unattended(data) if clutter == "unattended" else clutter_of_labels(data)
     result.say(alarms.sentence)
     marked = clutter == "labels" and alarms.lesson is not None
-    seen = watched_tracks(room, alarms.lesson, marked=marked) if marked or births == "tracks" else None
+    seen = watched_tracks(data, alarms.lesson, marked=marked) if marked or births == "tracks" else None
     if seen is not None and seen.sentence:
         result.say(seen.sentence)
-    born = births_by_hand(room) if seen is None or births == "hand" else births_of_tracks(room, seen.tracks)
+    born = births_by_hand(data) if seen is None or births == "hand" else births_of_tracks(data, seen.tracks)
     result.say(born.sentence)
     if born.lesson is None and alarms.lesson is None:
         raise InputError(
@@ -109,7 +110,7 @@ def learn(
     scene = Scene(
         found.info.width,
         found.info.height,
-        room.stages.model.rate,
+        data.stages.model.rate,
         source or str(detections),
         born.lesson.learned if born.lesson else None,
         alarms.lesson.learned if alarms.lesson else None,

@@ -1,7 +1,8 @@
-"""Options that more than one command has, each described once."""
+"""Options that more than one command has, each described once. Nothing heavy is imported here, for a quick start."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -89,3 +90,22 @@ Threads = Annotated[
         "(default: 1); same result.",
     ),
 ]
+
+DEFAULT_DETECTOR = "change"
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What the options say, before anything is opened. Empty text and 0 stand for an option that was not given.
+
+    ``last`` is the last annotated frame: a sequence without a video is at least that long.
+    """
+
+    source: str = ""
+    detections: Path | None = None
+    detector: str = ""
+    frame_size: str = ""
+    fps: float = 0.0
+    max_width: int = 0
+    mask: Path | None = None
+    last: int = 0

@@ -1,9 +1,11 @@
-"""``phdtrack track``: the main job, from a video or from detections to tracks."""
+"""``phdtrack track``: the main job, from a video or from detections to tracks; ``phdtrack detect``: only the detections."""
 
 from __future__ import annotations
 
 import shlex
 import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +13,7 @@ import typer
 
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.options import (
+    DEFAULT_DETECTOR,
     CameraMotion,
     Config,
     DetectionsFile,
@@ -28,12 +31,16 @@ from phdtrack.cli.options import (
     Sets,
     Threads,
     TruthFile,
+    Wanted,
 )
-from phdtrack.cli.output import Output
-from phdtrack.cli.wanted import Wanted
+from phdtrack.cli.output import Output, counted, progress
+from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from phdtrack.cli.job import Outcome
+    from phdtrack.cli.inputs import Inputs
+    from phdtrack.cli.job import Job, Outcome
+    from phdtrack.cli.settings import Choice
+    from phdtrack.config import Settings
 
 
 def track(
@@ -83,9 +90,7 @@ def track(
     The run's directory holds tracks.csv (MOTChallenge), detections.csv, states.csv, annotated.mp4, report.html and
     run.json. A video that is cut short is tracked as far as it goes, with a warning. Ctrl-C finishes what was done so far.
     """
-    from phdtrack.cli.configured import Choice, chosen, prepare
-    from phdtrack.cli.first_use import announced
-    from phdtrack.cli.job import run
+    from phdtrack.cli.settings import Choice, chosen
 
     result = Output(json)
     if out is not None:
@@ -94,11 +99,74 @@ def track(
     choice = Choice(filter_name, preset, config, tuple(sets or ()), seed, truth, threads, scene, learn_online, camera_motion)
     job = prepare(wanted, choice, chosen(choice), command_line(), video=video)
     directory = rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite)
-    with announced(result, job.filter_name):
+    finish(result, job, directory)
+
+
+def detect(
+    source: Annotated[str, typer.Argument(metavar="SOURCE", help="Video, folder or pattern of images, camera number.")],
+    detector: Detector = DEFAULT_DETECTOR,
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to write; default: runs/SOURCE.")] = None,
+    overwrite: Overwrite = False,
+    config: Config = None,
+    sets: Sets = None,
+    fps: Fps = 0.0,
+    max_width: MaxWidth = 0,
+    mask: Mask = None,
+    json: Json = False,
+) -> None:
+    """Detect objects in a video and write detections.csv, a MOTChallenge file.
+
+    What was detected is written frame by frame, so that Ctrl-C loses nothing.
+    """
+    from phdtrack.cli.inputs import ahead, detected, open_inputs
+    from phdtrack.config import load
+    from phdtrack.formats import DetectionsWriter
+
+    wanted = Wanted(source, detector=detector, fps=fps, max_width=max_width, mask=mask)
+    inputs = open_inputs(wanted, load(config, tuple(sets or ())).detector)
+    target, result = rundir.claim(out or Path("runs") / inputs.info.name, overwrite, (rundir.DETECTIONS,)), Output(json)
+    frames = boxes = 0
+    clock = time.perf_counter()
+    with DetectionsWriter(target.file(rundir.DETECTIONS)) as writer, progress("detecting", inputs.info.frames) as advance:
+        try:
+            with ahead(inputs.source) as pictures, ahead(detected(inputs.detector, pictures)) as looked:
+                for frame, found, _ in looked:
+                    writer.append(frame.number, found)
+                    frames, boxes = frames + 1, boxes + len(found)
+                    advance(frames)
+        except InputError:
+            if not frames:
+                # Nothing was looked at: an empty file would be taken for "nothing was detected".
+                target.clear()
+            raise
+    seconds = time.perf_counter() - clock
+    warnings = [sentence for sentence in (inputs.source.note, inputs.source.problem) if sentence]
+    for sentence in warnings:
+        result.warn(sentence)
+    rate = frames / seconds if seconds > 0 else 0.0
+    done = f"{counted(boxes, 'box')} in {counted(frames, 'frame')} by {inputs.described}"
+    result.say(f"{done}, {rate:.0f} frames per second: {target.file(rundir.DETECTIONS)}")
+    result.document(
+        {
+            "source": source,
+            "detector": inputs.described,
+            "frames": frames,
+            "detections": boxes,
+            "frames_per_second": rate,
+            "file": str(target.file(rundir.DETECTIONS)),
+            "warnings": warnings,
+        }
+    )
+
+
+def finish(result: Output, job: Job, directory: rundir.RunDirectory) -> None:
+    """Run the job and say what came of it. Raises what ended it before its time: that decides the exit status."""
+    from phdtrack.cli.job import announced, run
+
+    with announced(result):
         outcome = run(job, directory)
     tell(result, outcome, directory)
     if outcome.stop is not None:
-        # What there is has been told; how it ended decides the exit status.
         raise outcome.stop
 
 
@@ -109,7 +177,7 @@ def command_line() -> str:
 
 def tell(out: Output, outcome: Outcome, directory: rundir.RunDirectory) -> None:
     """The outcome in plain words, or as JSON."""
-    from phdtrack.cli.scoring import score_table
+    from phdtrack.cli.evaluate import score_table
 
     for warning in outcome.warnings:
         out.warn(warning)
@@ -125,13 +193,70 @@ def tell(out: Output, outcome: Outcome, directory: rundir.RunDirectory) -> None:
     out.document(outcome.document)
 
 
+def prepare(wanted: Wanted, choice: Choice, settings: Settings, command: str, *, video: bool) -> Job:
+    """Everything that a run needs; ``settings`` are those `chosen`, or made of them.
+
+    Raises
+    ------
+    InputError : an input that cannot be read, options that do not go together.
+    """
+    import numpy as np
+
+    from phdtrack import config
+    from phdtrack.cli.doctor import installed_versions
+    from phdtrack.cli.inputs import open_inputs
+    from phdtrack.cli.job import Job, Steps
+    from phdtrack.cli.observers import check_moving, mover_of, observers_of
+    from phdtrack.formats import read_truth
+
+    truth = None if choice.truth is None else read_truth(choice.truth)
+    if wanted.detections is None:
+        settings = config.for_detector(settings, wanted.detector or DEFAULT_DETECTOR)
+    if truth is not None and len(truth):
+        # The sequence is at least as long as its truth.
+        wanted = replace(wanted, last=int(truth.frame.max()))
+    inputs = open_inputs(wanted, settings.detector)
+    stages = config.build(settings, inputs.info, moving=True)
+    check_moving(settings, stages.model)
+    return Job(
+        inputs=inputs,
+        stages=stages,
+        steps=Steps(stages, np.random.default_rng(choice.seed)),
+        seed=choice.seed,
+        configuration=settings.as_dict(),
+        read=_described(wanted, inputs),
+        command=command,
+        title=inputs.name,
+        versions=installed_versions(),
+        truth=truth,
+        video=video,
+        observers=observers_of(settings, inputs, stages.learning),
+        mover=mover_of(settings, inputs),
+    )
+
+
+def _described(wanted: Wanted, inputs: Inputs) -> dict[str, object]:
+    """What was read, for run.json."""
+    if wanted.detections is not None:
+        return {"source": wanted.source, "detections": str(wanted.detections)}
+    detector = wanted.detector or DEFAULT_DETECTOR
+    mask = "" if wanted.mask is None else str(wanted.mask)
+    return {
+        "source": wanted.source,
+        "detector": detector,
+        "max_width": wanted.max_width,
+        "mask": mask,
+        "fps": inputs.info.fps,
+    }
+
+
 MEANING = {
     rundir.TRACKS: "tracks, corrected, MOTChallenge",
     rundir.ONLINE: "the same as they came, frame by frame",
     rundir.STATES: "the filter's states before they had identities",
     rundir.DETECTIONS: "what the detector saw",
     rundir.GROUPS: "every group in every frame: count, place, contour",
-    rundir.MEMBERS: "who is in which group",
+    rundir.MEMBERS: "members of each group",
     rundir.EVENTS: "groups that appear, vanish, merge, split",
     rundir.WARNINGS: "groups about to meet",
     rundir.VIDEO: "to look at",

@@ -100,9 +100,8 @@ def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupSt
     from phdtrack.groups.pipeline import GroupStages
 
     if stages is not None and "min_weight" not in settings.given.get("groups", {}):
-        missed = (1 - settings.build("sensor").detection_probability) * settings.build("motion").survival_probability ** (
-            1 / 7
-        )
+        survival = settings.build("motion").survival_probability ** (1 / 7)
+        missed = (1 - settings.build("sensor").detection_probability) * survival
         settings = overlay(settings, {"groups": {"min_weight": min(Grouping().min_weight, _MISSED * missed)}})
     return GroupStages(*(settings.build(section) for section in ("groups", "contours", "life_cycle", "encounters")))
 
@@ -112,7 +111,7 @@ def _model(settings: Settings, info: SequenceInfo) -> Model:
     motion, size = settings.kind("motion"), (float(info.width), float(info.height))
     if motion == "plane":
         return _ground_model(settings, info, size)
-    sensor, rate = settings.build("sensor"), settings.build("time").rate
+    sensor, rate = settings.build("sensor"), settings.build("time").units_per_second
     more: dict[str, Any] = {"births": settings.build("spawn"), "frame_size": size}
     if motion == "box":
         more["remember_size"] = sensor.scaling == "previous"
@@ -133,7 +132,10 @@ def _ground_model(settings: Settings, info: SequenceInfo, size: Size) -> Model:
     sensor = settings.build("sensor", camera=camera, borders=region, frame_size=size)
     # A target that has left what can be seen would else live on, as it is never missed there.
     borders = region if sensor.view else EVERYWHERE
-    motion, rate = settings.build("motion", births=settings.build("spawn"), borders=borders), settings.build("time").rate
+    motion, rate = (
+        settings.build("motion", births=settings.build("spawn"), borders=borders),
+        settings.build("time").units_per_second,
+    )
     birth, clutter = _birth(settings, sensor, size, region), _ground_clutter(settings, region)
     return Model(motion, sensor, birth, clutter, rate, first=rate / info.fps)
 
@@ -145,12 +147,12 @@ def _region(ground: CameraSettings, camera: Camera | None, size: Size) -> Region
 
     if ground.region != EVERYWHERE or camera is None:
         return ground.region
-    corners = footprint(camera, size, ground.far)
+    corners = footprint(camera, size, ground.max_distance)
     if corners.shape[1] == 0:
         raise InputError(
-            f"the camera shows no ground nearer than {ground.far:g} m in an image of {size[0]:g}x{size[1]:g}",
+            f"the camera shows no ground nearer than {ground.max_distance:g} m in an image of {size[0]:g}x{size[1]:g}",
             where=ground.file,
-            cure="Check that the camera is this video's, raise camera.far, or give camera.region",
+            cure="Check that the camera is this video's, raise camera.max_distance, or give camera.region",
         )
     (left, low), (right, high) = corners.min(axis=1), corners.max(axis=1)
     return float(left), float(low), float(right), float(high)
@@ -175,7 +177,7 @@ def _birth(settings: Settings, sensor: Any, size: Size, region: Region | None = 
 def _scene_birth(settings: Settings, size: Size, observed: tuple[int, ...]) -> Birth:
     from phdtrack.models.learned_scene import ContextBirth, objects_of
 
-    given, rate = settings.build("birth"), settings.build("time").rate
+    given, rate = settings.build("birth"), settings.build("time").units_per_second
     scene = _scene(given.file, size)
     if scene.births is None:
         raise InputError("births were not learned in this scene", where=given.file, cure="Leave birth.kind out")
@@ -183,7 +185,7 @@ def _scene_birth(settings: Settings, size: Size, observed: tuple[int, ...]) -> B
         raise InputError(
             f"births were learned with {scene.rate:g} time units a second, and there are {rate:g}",
             where=given.file,
-            cure=f"Say --set time.rate={scene.rate:g}, or learn again",
+            cure=f"Say --set time.units_per_second={scene.rate:g}, or learn again",
         )
     # What is not shown are the two velocities.
     if scene.births.density.dim != len(observed) + 2:
@@ -195,9 +197,8 @@ def _scene_birth(settings: Settings, size: Size, observed: tuple[int, ...]) -> B
     if given.around_detections > 0 and len(observed) != 4:
         raise InputError("births around detections are of boxes only", where="birth.around_detections", cure="Leave it out")
     among = objects_of(scene.followed)
-    return ContextBirth(
-        scene.births.rate * rate, scene.births.density, observed, given.particles, given.around_detections, among
-    )
+    per_second = scene.births.rate * rate
+    return ContextBirth(per_second, scene.births.density, observed, given.particles, given.around_detections, among)
 
 
 def _image_clutter(settings: Settings, motion: str, size: Size) -> Clutter:
@@ -208,11 +209,9 @@ def _image_clutter(settings: Settings, motion: str, size: Size) -> Clutter:
     if motion == "point":
         return UniformClutter(given.clutter_per_frame, image_area(size))
     if settings.kind("clutter") == "image":
-        return (
-            LocalClutter(given.clutter_per_frame)
-            if given.volume == "local"
-            else UniformClutter(given.clutter_per_frame, image_volume(size))
-        )
+        if given.volume == "local":
+            return LocalClutter(given.clutter_per_frame)
+        return UniformClutter(given.clutter_per_frame, image_volume(size))
     from phdtrack.models.learned_scene import ContextClutter
 
     scene = _scene(given.file, size)
@@ -257,7 +256,7 @@ def _learning(settings: Settings, stages: AnyStages, info: SequenceInfo) -> Lear
     from phdtrack.scene.online import Following
 
     given: LearnSettings = settings.build("learn")
-    size, rate = (float(info.width), float(info.height)), settings.build("time").rate
+    size, rate = (float(info.width), float(info.height)), settings.build("time").units_per_second
     wait = given.verdict_delay + settings.build("associate").output_delay / info.fps
     rule = Following(*size, rate, 60 * given.memory, wait, settings.build("sensor").detection_probability)
     scenes = tuple(_scene(file, size) for file in _scene_files(given.file))

@@ -24,9 +24,14 @@ Places = list[tuple[float, float, float, float, float]]
 
 @dataclass(frozen=True, slots=True)
 class TimeSettings:
-    """``rate``: time units per second in which the noises and rates are stated; the papers' are per frame at 25 Hz."""
+    """The time unit of the model.
 
-    rate: Positive = 25.0
+    Parameters
+    ----------
+    units_per_second : time units per second in which noises are stated; the papers' are per frame at 25 Hz.
+    """
+
+    units_per_second: Positive = 25.0
 
     def __post_init__(self) -> None:
         check(self)
@@ -41,14 +46,18 @@ class DetectorSettings:
 class CameraSettings:
     """Between pixels and ground, for ``motion.kind=plane``.
 
-    ``file``: a camera (see `camera.read`); empty for detections that are in metres already. ``region``: the ground that
-    counts, left, low, right, high in metres; all 0: what the image shows up to ``far`` metres, no border without a camera.
-    ``first_pixel``: the number of the first pixel in the detections; 1 in MOTChallenge's files.
+    Parameters
+    ----------
+    file : camera, see `ground.read_camera`; empty for detections that are in metres already.
+    region : the ground that counts, left, low, right, high in metres; all 0: what the image shows up to ``max_distance``,
+        no border without a camera.
+    max_distance : metres from the camera up to which the ground counts.
+    first_pixel : number of the first pixel in the detections; 1 in MOTChallenge's files.
     """
 
     file: str = ""
     region: Region = EVERYWHERE
-    far: Positive = 60.0
+    max_distance: Positive = 60.0
     first_pixel: NonNegative = 0.0
 
     def __post_init__(self) -> None:
@@ -58,8 +67,13 @@ class CameraSettings:
 
 @dataclass(frozen=True, slots=True)
 class ClutterSettings:
-    """``clutter_per_frame``: expected false alarms per frame; ``volume``: spread over the image, or around each detection
-    (local)."""
+    """False alarms of boxes.
+
+    Parameters
+    ----------
+    clutter_per_frame : expected false alarms per frame.
+    volume : spread over the ``image``, or around each detection (``local``).
+    """
 
     clutter_per_frame: NonNegative = 1.0
     volume: Volume = "image"
@@ -70,7 +84,12 @@ class ClutterSettings:
 
 @dataclass(frozen=True, slots=True)
 class PointClutterSettings:
-    """``clutter_per_frame``: expected false alarms per frame, points spread over the image."""
+    """False alarms of points, spread over the image.
+
+    Parameters
+    ----------
+    clutter_per_frame : expected false alarms per frame.
+    """
 
     clutter_per_frame: NonNegative = 1.0
 
@@ -82,9 +101,11 @@ class PointClutterSettings:
 class GroundClutterSettings:
     """False alarms on the ground.
 
-    ``clutter_per_frame``, spread over the ``region`` or around each detection (``local``), or ``density`` a frame and m²,
-    which
-    is taken instead where it is not 0.
+    Parameters
+    ----------
+    clutter_per_frame : expected false alarms per frame.
+    volume : spread over the ``region`` or around each detection (``local``).
+    density : false alarms per frame and m², which replaces the other two where it is not 0.
     """
 
     clutter_per_frame: NonNegative = 0.3
@@ -97,7 +118,14 @@ class GroundClutterSettings:
 
 @dataclass(frozen=True, slots=True)
 class FixedBirthSettings:
-    """``boxes``: where objects appear, as left, top, right, bottom; ``births_per_second`` at each."""
+    """Births at given boxes.
+
+    Parameters
+    ----------
+    boxes : where objects appear, as left, top, right, bottom in pixels.
+    births_per_second : expected births per second at each.
+    particles : newborn particles per frame.
+    """
 
     boxes: Boxes
     births_per_second: NonNegative = 0.25
@@ -109,7 +137,13 @@ class FixedBirthSettings:
 
 @dataclass(frozen=True, slots=True)
 class PlacesBirthSettings:
-    """``places``: where people appear: x, y (m), births per second, deviations of position (m) and velocity (m/s)."""
+    """Births at given places of the ground.
+
+    Parameters
+    ----------
+    places : where people appear: x, y (m), births per second, deviations of position (m) and of velocity (m/s).
+    particles : newborn particles per frame.
+    """
 
     places: Places
     particles: PositiveCount = 300
@@ -120,10 +154,13 @@ class PlacesBirthSettings:
 
 @dataclass(frozen=True, slots=True)
 class SceneBirthSettings:
-    """``file``: births as `phdtrack learn` has learned them in this scene; ``particles``: Jmax, see MeasurementBirth.
+    """Births as `phdtrack learn` has learned them in this scene.
 
-    ``around_detections``: births a second around each detection of a box where nothing is known, see
-    ContextBirth; 0: none.
+    Parameters
+    ----------
+    file : what was learned.
+    particles : Jmax, newborn particles around a detection, see `models.births.MeasurementBirth`.
+    around_detections : births per second around detections of boxes where nothing is known of the place; 0: none.
     """
 
     file: str
@@ -136,12 +173,15 @@ class SceneBirthSettings:
 
 @dataclass(frozen=True, slots=True)
 class SceneClutterSettings:
-    """``file``: false alarms as `phdtrack learn` has learned them in this scene.
+    """False alarms as `phdtrack learn` has learned them in this scene.
 
-    ``around_detections``: false alarms a frame around each detection that come to these, see ContextClutter.
-    ``reject_false_tracks``: tracks that stay where false alarms are followed are held back, as far as `phdtrack learn`
-    has seen what is followed (`associate.rejection`). ``immediate_confirmation``: then, too, a live track is confirmed
-    at once where there are so many false alarms for each object, or fewer.
+    Parameters
+    ----------
+    file : what was learned.
+    around_detections : false alarms per frame around detections, in addition to these.
+    reject_false_tracks : withhold tracks that stay where false alarms are followed (`associate.rejection`), where
+        `phdtrack learn` has seen which are.
+    immediate_confirmation : confirm a track at once where there are at most so many false alarms for each object.
     """
 
     file: str

@@ -58,7 +58,7 @@ _FV: Table = {
 _WORLDS: Mapping[str, Table] = {
     "box": {},
     "plane": {
-        "time": {"rate": 1.0},
+        "time": {"units_per_second": 1.0},
         "associate": {"gap_cost": 1.609},
     },
     "point": {},
@@ -126,7 +126,7 @@ PRESETS: Mapping[str, Table] = {
         "associate": {"kind": "labelled"},
     },
     "e13": {
-        "time": {"rate": 1.0},
+        "time": {"units_per_second": 1.0},
         "associate": {"kind": "graph", "gap_cost": 1.609},
         "motion": {"kind": "plane", "acceleration": 1.0, "survival_probability": 0.99**7, "form": "piecewise"},
         "sensor": {

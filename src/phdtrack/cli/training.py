@@ -1,8 +1,8 @@
-"""The ways in which `phdtrack learn` is taught: births by tracks or by hand, false alarms by a person or by nobody.
+"""What `phdtrack learn` learns a scene from: births from tracks or marks, false alarms from marks or suggestions.
 
-What the tracker makes of false alarms that it knows is seen where a person has marked them. Light that trembles moves as
-somebody who stands does, so that some are followed all the same; tracks that stay among them are held back, and are no
-births.
+Where a person has marked false alarms, a run with these false alarms in its model shows which of them are followed all the
+same: flickering light moves as little as a person who stands. Tracks that stay among them are no births, and `phdtrack
+track --scene` withholds them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from phdtrack.scene.learning import Lesson, learn_births, learn_clutter, learn_o
 from phdtrack.scene.prior import Sizes, detected_sizes, humbled
 
 if TYPE_CHECKING:
-    from phdtrack.cli.label_inputs import Labelled
+    from phdtrack.cli.label import Labelled
     from phdtrack.label import LabelStore
     from phdtrack.label.suggest import Evidence, Suggestions
     from phdtrack.protocols import AnyStages
@@ -40,7 +40,7 @@ LIMITS = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Taught:
+class Trained:
     """What was learned of one part, None for nothing; what is said of it; ``source``, where it comes from, in words."""
 
     lesson: Lesson | None
@@ -54,7 +54,7 @@ class Taught:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class Watched:
     """What a tracker made of the stretch that knew its false alarms: the ``tracks`` that are believed, and what of the false
     alarms it ``followed``, None where that is not known, with what is said of it."""
 
@@ -64,7 +64,7 @@ class Seen:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Classroom:
+class TrainingData:
     """What is learned from: the detections, the ``stretch`` of frames, how to track, and the file of ``labels``."""
 
     found: Labelled
@@ -119,7 +119,7 @@ class Classroom:
 
     def tracked(self, alarms: Lesson | None = None) -> Evidence:
         """What a tracker makes of the stretch that knows these false alarms."""
-        from phdtrack.cli.tracked import tracked
+        from phdtrack.cli.label import tracked
         from phdtrack.models.learned_scene import laid_over
 
         stages = self.stages
@@ -130,123 +130,123 @@ class Classroom:
             return tracked(self.found.table, self.found.info.fps, stages, self.stretch, self.seed, advance)
 
 
-def clutter_of_labels(room: Classroom) -> Taught:
+def clutter_of_labels(data: TrainingData) -> Trained:
     """False alarms from marks [M09 §IV]; why not, where there are none to learn from."""
     from phdtrack.label.session import false_boxes, looked_at
 
-    if not room.of_boxes:
-        return Taught(None, _ONLY_BOXES)
-    store = room.store()
+    if not data.of_boxes:
+        return Trained(None, _ONLY_BOXES)
+    store = data.store()
     if store is None:
-        return Taught(None, f"false alarms stay as shipped: nobody has marked any (phdtrack label, kept in {room.labels})")
-    boxes, frames = false_boxes(store, room.found.table, room.stretch), len(looked_at(store, room.stretch))
+        return Trained(None, f"false alarms stay as shipped: no marks were found (phdtrack label, kept in {data.labels})")
+    boxes, frames = false_boxes(store, data.found.table, data.stretch), len(looked_at(store, data.stretch))
     try:
-        lesson = room.humbled(learn_clutter(boxes, frames, room.size, RecursiveEM()))
+        lesson = data.humbled(learn_clutter(boxes, frames, data.size, RecursiveEM()))
     except InputError as error:
-        return Taught(None, f"false alarms stay as shipped: {error}")
-    told = f"{counted(lesson.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
-    return Taught(lesson, f"false alarms: {told}; {worth(lesson)}", f"{told} by a person.")
+        return Trained(None, f"false alarms stay as shipped: {error}")
+    text = f"{counted(lesson.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
+    return Trained(lesson, f"false alarms: {text}; {gain_in_words(lesson)}", f"{text} by a person.")
 
 
-def clutter_unattended(room: Classroom) -> Taught:
+def clutter_unattended(data: TrainingData) -> Trained:
     """False alarms from what would be suggested to a person; why not, where that is too little."""
     from phdtrack.label.session import sampled
     from phdtrack.label.suggest import TICKED, suggest
 
-    if not room.of_boxes:
-        return Taught(None, _ONLY_BOXES)
-    frames = [room.stretch.start + k - 1 for k in sampled(len(room.stretch), UNATTENDED, room.seed)]
-    found = suggest(room.tracked(), frames, room.found.info.fps)
+    if not data.of_boxes:
+        return Trained(None, _ONLY_BOXES)
+    frames = [data.stretch.start + k - 1 for k in sampled(len(data.stretch), UNATTENDED, data.seed)]
+    found = suggest(data.tracked(), frames, data.found.info.fps)
     taken = np.flatnonzero(found.score >= TICKED)
     try:
-        lesson = room.humbled(learn_clutter(_boxes(room, found, taken), len(frames), room.size, RecursiveEM()))
+        lesson = data.humbled(learn_clutter(_boxes(data, found, taken), len(frames), data.size, RecursiveEM()))
     except InputError as error:
         cure = "Look yourself: phdtrack label"
-        return Taught(None, f"false alarms stay as shipped: {InputError(error.problem, where=error.where, cure=cure)}")
-    told = (
+        return Trained(None, f"false alarms stay as shipped: {InputError(error.problem, where=error.where, cure=cure)}")
+    text = (
         f"{counted(lesson.learned.samples, 'box')} of {counted(len(frames), 'frame')} taken for false ({_why(found, taken)})"
     )
-    return Taught(lesson, f"false alarms: {told}; {worth(lesson)}. {LIMITS}", f"{told}. {LIMITS}")
+    return Trained(lesson, f"false alarms: {text}; {gain_in_words(lesson)}. {LIMITS}", f"{text}. {LIMITS}")
 
 
-def watched_tracks(room: Classroom, alarms: Lesson | None, *, marked: bool) -> Seen:
+def watched_tracks(data: TrainingData, alarms: Lesson | None, *, marked: bool) -> Watched:
     """One run behind the false alarms that were learned; ``marked``: a person looked at them, so that it shows what of them
     is followed all the same. Tracks that stay among these are not believed."""
     from phdtrack.associate.rejection import believed
     from phdtrack.label.session import looked_at, object_boxes, share_followed
     from phdtrack.scene.odds import Odds
 
-    tracks, store = room.tracked(alarms).tracks, room.store() if marked else None
+    tracks, store = data.tracked(alarms).tracks, data.store() if marked else None
     if alarms is None or store is None:
-        return Seen(tracks)
-    boxes, frames = object_boxes(store, room.found.table, room.stretch), len(looked_at(store, room.stretch))
+        return Watched(tracks)
+    boxes, frames = object_boxes(store, data.found.table, data.stretch), len(looked_at(store, data.stretch))
     try:
-        objects = room.humbled(learn_objects(boxes, frames, room.size, RecursiveEM()))
+        objects = data.humbled(learn_objects(boxes, frames, data.size, RecursiveEM()))
     except InputError as error:
-        return Seen(tracks, None, f"no track is held back: {error}")
-    followed = Followed(share_followed(store, tracks, room.stretch), objects.learned)
-    told = f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it knows them"
+        return Watched(tracks, None, f"no track is held back: {error}")
+    followed = Followed(share_followed(store, tracks, data.stretch), objects.learned)
+    text = f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it knows them"
     kept = believed(tracks, Odds(alarms.learned, followed))
-    return Seen(kept, followed, f"{told}; tracks that stay among them are held back")
+    return Watched(kept, followed, f"{text}; tracks that stay among them are held back")
 
 
-def births_of_tracks(room: Classroom, tracks: Tracks) -> Taught:
+def births_of_tracks(data: TrainingData, tracks: Tracks) -> Trained:
     """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]; why not, if they are too few."""
     from phdtrack.scene.samples import births_in
     from phdtrack.types import Detections
 
-    info, rate, shown = room.found.info, room.stages.model.rate, None
-    if not room.of_boxes:
-        sensor = room.stages.model.sensor
+    info, rate, shown = data.found.info, data.stages.model.rate, None
+    if not data.of_boxes:
+        sensor = data.stages.model.sensor
         shown = sensor.measure(Detections.of(tracks.xyxy))[: len(sensor.observed)]
     states = births_in(tracks, info.fps, rate, shown)
     # Feet that no ground is under.
     states = states[:, np.isfinite(states).all(axis=0)]
-    time = len(room.stretch) / info.fps * rate
-    return _births(room, states, time, "track", f"began in {counted(len(room.stretch), 'frame')}")
+    time = len(data.stretch) / info.fps * rate
+    return _births(data, states, time, "track", f"began in {counted(len(data.stretch), 'frame')}")
 
 
-def births_by_hand(room: Classroom) -> Taught:
+def births_by_hand(data: TrainingData) -> Trained:
     """Births from marks on the clips about the frames that a person has looked at; why not, where they are too few."""
     from phdtrack.label.hand import birth_states, time_watched, watched
 
-    if not room.of_boxes:
-        return Taught(None, "births stay as shipped: those marked by hand are boxes in the image (--births tracks)")
-    store = room.store()
+    if not data.of_boxes:
+        return Trained(None, "births stay as shipped: those marked by hand are boxes in the image (--births tracks)")
+    store = data.store()
     if store is None:
-        return Taught(None, f"births stay as shipped: nobody has marked any (phdtrack label, kept in {room.labels})")
-    table, info, rate = room.found.table, room.found.info, room.stages.model.rate
-    states = birth_states(store, table, info, rate, room.stretch)
-    seen = counted(len(watched(store, room.stretch)), "frame")
+        return Trained(None, f"births stay as shipped: no marks were found (phdtrack label, kept in {data.labels})")
+    table, info, rate = data.found.table, data.found.info, data.stages.model.rate
+    states = birth_states(store, table, info, rate, data.stretch)
+    seen = counted(len(watched(store, data.stretch)), "frame")
     unknown = int(np.isnan(states[2]).sum())
-    told = f"marked by a person on {seen}" + (f" ({unknown} of unknown velocity)" if unknown else "")
-    return _births(room, states, time_watched(store, table, info, rate, room.stretch), "birth", told)
+    text = f"marked by a person on {seen}" + (f" ({unknown} of unknown velocity)" if unknown else "")
+    return _births(data, states, time_watched(store, table, info, rate, data.stretch), "birth", text)
 
 
-def worth(lesson: Lesson) -> str:
-    """What a lesson is worth, in words."""
+def gain_in_words(lesson: Lesson) -> str:
+    """How much likelier unseen samples are than under a uniform density, in words."""
     if not math.isfinite(lesson.gain):
-        return "too few to tell what it is worth"
+        return "too few samples to measure the gain"
     return f"samples not learned from are {lesson.gain:+.2f} nats likelier than under a uniform density"
 
 
-def _births(room: Classroom, states: np.ndarray, time: float, noun: str, where: str) -> Taught:
+def _births(data: TrainingData, states: np.ndarray, time: float, noun: str, where: str) -> Trained:
     """Births from first states; why not, where they are too few."""
     try:
-        size, corner = room.region()
-        lesson = room.humbled(learn_births(states, time, size, RecursiveEM(), corner))
+        size, corner = data.region()
+        lesson = data.humbled(learn_births(states, time, size, RecursiveEM(), corner))
     except InputError as error:
-        return Taught(None, f"births stay as shipped: {error}")
-    told = f"{counted(states.shape[1], noun)} {where}"
-    return Taught(lesson, f"births: {told}; {worth(lesson)}", f"{told}.")
+        return Trained(None, f"births stay as shipped: {error}")
+    text = f"{counted(states.shape[1], noun)} {where}"
+    return Trained(lesson, f"births: {text}; {gain_in_words(lesson)}", f"{text}.")
 
 
-def _boxes(room: Classroom, found: Suggestions, taken: np.ndarray) -> np.ndarray:
+def _boxes(data: TrainingData, found: Suggestions, taken: np.ndarray) -> np.ndarray:
     """(4, n) centres and sizes of the suggested boxes ``taken``."""
     from phdtrack.arrays import to_cxcywh
 
-    rows = np.searchsorted(room.found.table.frame, found.frame[taken]) + found.box[taken]
-    return to_cxcywh(room.found.table.detections.xyxy[rows])
+    rows = np.searchsorted(data.found.table.frame, found.frame[taken]) + found.box[taken]
+    return to_cxcywh(data.found.table.detections.xyxy[rows])
 
 
 def _why(found: Suggestions, taken: np.ndarray) -> str:

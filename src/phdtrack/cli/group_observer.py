@@ -1,0 +1,383 @@
+"""Groups of people during a run: `GroupObserver` finds them, `GroupFiles` writes them, `Story` draws and reports them.
+
+The files are groups.csv, members.csv, events.csv and warnings.csv. Contours are polygons in WKT (``MULTIPOLYGON``), on the
+ground in metres and, where there is a camera, in pixels of the image. Rings that run clockwise on the ground are holes.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import cv2
+import numpy as np
+from markupsafe import Markup
+
+from phdtrack.cli import run_directory as rundir
+from phdtrack.cli.job import places
+from phdtrack.cli.observers import Draw, RunObserver
+from phdtrack.cli.output import counted
+from phdtrack.cli.run_directory import RunDirectory
+from phdtrack.formats.write import Lines
+from phdtrack.groups import Encounter, Event, LifeCycleState, polygon_area
+from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, mixture_of
+from phdtrack.pipeline import TrackingState
+from phdtrack.protocols import AnyStages, Camera
+from phdtrack.report.charts import GroupSeries
+from phdtrack.report.pages import group_sections
+from phdtrack.report.plan import Plan, PlanGroup, PlanScene, draw_contours, extent_of, plan_size
+from phdtrack.types import F8, I8, GaussianMixture, Image, SequenceInfo, Step, Tracks
+from phdtrack.video import VideoWriter
+
+# Metres between a row given online and the corrected one of the same person.
+_SAME = 0.5
+# Pictures of the report; smallest and usual height of a plan in pixels.
+_STILLS, _MIN_HEIGHT, _HEIGHT = 4, 480, 720
+_EMPTY = "MULTIPOLYGON EMPTY"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Waiting:
+    """A frame whose online rows are still held back."""
+
+    number: int
+    time: float
+    mixture: GaussianMixture
+    detections: F8
+
+
+class GroupObserver(RunObserver):
+    """Finds groups during a run on the ground plane.
+
+    Members are the identities of the confirmed online rows. A frame's rows come ``delay`` frames later; until then its
+    mixture waits.
+    """
+
+    draws = True
+
+    def __init__(
+        self, settings: GroupStages, stages: AnyStages, info: SequenceInfo, around: Surroundings, delay: int
+    ) -> None:
+        self._settings, self._stages, self._info, self._delay = settings, stages, info, delay
+        self._story = Story(around, raw=True)
+        self._camera = around.camera
+        self._state, self._waiting = LifeCycleState(), deque[_Waiting]()
+        self._files: GroupFiles | None = None
+
+    @contextmanager
+    def open(self, directory: RunDirectory) -> Iterator[None]:
+        """The files, open while the run lasts."""
+        with GroupFiles(directory, self._camera) as self._files:
+            yield
+        self._files = None
+
+    def take(self, step: Step, state: TrackingState) -> None:
+        """Take in a step; the frame whose rows it brings is grouped."""
+        sensor, min_weight = self._stages.model.sensor, self._settings.grouping.min_weight
+        z = sensor.measure(step.detections)
+        usable = np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)])
+        mixture = mixture_of(state.intensity, step, usable, self._stages, min_weight)
+        self._waiting.append(_Waiting(step.number, step.time, mixture, places(sensor, step.detections.xyxy)))
+        if len(self._waiting) > self._delay:
+            self._group(self._waiting.popleft(), step.tracks)
+
+    def flush(self, rows: Tracks) -> None:
+        """Group the frames that are left."""
+        while self._waiting:
+            self._group(self._waiting.popleft(), rows)
+
+    def finish(self, tracks: Tracks) -> None:
+        """Give people on the plan the identities of the corrected tracks, as in the annotated video."""
+        place = places(self._stages.model.sensor, tracks.xyxy)
+
+        def corrected(scene: PlanScene) -> I8:
+            lo, hi = np.searchsorted(tracks.frame, [scene.number, scene.number + 1])
+            return nearest(scene.people, place[:, lo:hi], tracks.identity[lo:hi])
+
+        self._story.rename(corrected)
+
+    def drawing(self, directory: RunDirectory, *, pictures: bool) -> AbstractContextManager[Draw]:
+        """plan.mp4, with the annotated pictures on its left where there are any."""
+        size = (self._info.width, self._info.height) if pictures else None
+        return self._story.video(directory, self._info.fps, picture=size)
+
+    def section(self) -> Markup:
+        """Counts, plan, events and warnings for the report."""
+        return self._story.section()
+
+    def sentences(self) -> tuple[str, ...]:
+        """What happened, in words."""
+        return self._story.sentences()
+
+    def document(self) -> dict[str, object]:
+        """What happened, for programs."""
+        return self._story.document()
+
+    def _group(self, waiting: _Waiting, tracks: Tracks) -> None:
+        rows = tracks.take((tracks.frame == waiting.number) & tracks.confirmed)
+        place = places(self._stages.model.sensor, rows.xyxy)
+        carrier = carriers(waiting.mixture, place, self._settings.grouping.min_weight)
+        self._state, frame = self._settings.advance(
+            self._state, waiting.mixture, rows.identity, carrier, waiting.number, waiting.time
+        )
+        if self._files is not None:
+            self._files.write(frame)
+        at = np.searchsorted(rows.identity, frame.member)
+        self._story.take(frame, place[:, at], waiting.detections)
+
+
+def nearest(people: F8, place: F8, identity: I8) -> I8:
+    """(n,) the identity (M,) of the row at the nearest ``place`` (2, M) to each of the ``people`` (2, n); 0 where none is
+    near."""
+    apart = np.hypot(*(people[:, :, None] - place[:, None]))
+    apart = np.where(np.isfinite(apart), apart, np.inf)
+    if apart.size == 0:
+        return np.zeros(people.shape[1], np.int64)
+    closest = apart.argmin(axis=1)
+    return np.where(apart.min(axis=1) < _SAME, identity[closest], 0)
+
+
+class GroupFiles:
+    """The four files; an `InputError` where one cannot be written. ``camera`` None: no contours in pixels."""
+
+    def __init__(self, directory: RunDirectory, camera: Camera | None) -> None:
+        self._camera = camera
+        with ExitStack() as files:
+            self._groups, self._members, self._events, self._warnings = (
+                files.enter_context(Lines(directory.file(name)))
+                for name in (rundir.GROUPS, rundir.MEMBERS, rundir.EVENTS, rundir.WARNINGS)
+            )
+            self._groups.write("frame,time,group,count,deviation,x,y,vx,vy,contours,contours_image")
+            self._members.write("frame,group,member")
+            self._events.write("frame,time,event,group,other")
+            self._warnings.write("frame,time,first,second,seconds,distance,deviation,x,y,probability")
+            self._open = files.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._open.close()
+
+    def write(self, frame: GroupFrame) -> None:
+        """One frame; everything reaches the operating system."""
+        n, at = frame.number, f"{frame.time:.6f}"
+        groups, rows = frame.groups, list[str]()
+        for g in range(len(frame)):
+            numbers = [groups.count[g], groups.deviation[g], *groups.mean[:, g]]
+            values = ",".join(f"{value:.7g}" for value in numbers)
+            world, image = polygons(frame.contours[g]), self._image(frame.contours[g])
+            rows.append(f'{n},{at},{frame.identity[g]},{values},"{world}","{image}"')
+        _write(self._groups, rows)
+        order = np.lexsort((frame.member, frame.membership))
+        _write(self._members, [f"{n},{frame.membership[i]},{frame.member[i]}" for i in order])
+        _write(self._events, [f"{e.frame},{e.time:.6f},{e.kind},{e.group},{e.other}" for e in frame.events])
+        _write(
+            self._warnings,
+            [
+                f"{n},{at},{w.first},{w.second},{w.seconds:.4g},{w.distance:.4g},{w.deviation:.4g},"
+                f"{w.place[0]:.7g},{w.place[1]:.7g},{w.probability:.4g}"
+                for w in frame.warnings
+            ],
+        )
+
+    def _image(self, rings: Sequence[F8]) -> str:
+        if self._camera is None:
+            return _EMPTY
+        return polygons(rings, [in_image(self._camera, ring) for ring in rings])
+
+
+def _write(file: Lines, rows: list[str]) -> None:
+    if rows:
+        file.write("\n".join(rows))
+
+
+def in_image(camera: Camera, ring: F8) -> F8:
+    """(2, K) the ring (2, K) of ground points in pixels, closed, without the points that no pixel shows; (2, 0) where fewer
+    than three are left."""
+    pixel = camera.pixels(ring)
+    seen = pixel[:, np.isfinite(pixel).all(axis=0)]
+    if seen.shape[1] < 3:
+        return np.zeros((2, 0))
+    return seen if np.array_equal(seen[:, 0], seen[:, -1]) else np.hstack([seen, seen[:, :1]])
+
+
+def polygons(rings: Sequence[F8], drawn: Sequence[F8] | None = None) -> str:
+    """WKT of closed rings (2, K), the first point last; clockwise ones are holes of the ring around them.
+
+    ``drawn`` are the rings as they are to be written, in another plane, where they may run the other way round.
+    """
+    drawn = rings if drawn is None else drawn
+    outer = [k for k, ring in enumerate(rings) if polygon_area(ring) > 0 and drawn[k].shape[1]]
+    parts = {k: [_ring(drawn[k])] for k in outer}
+    for k, ring in enumerate(rings):
+        if polygon_area(ring) <= 0 and drawn[k].shape[1]:
+            around = next((o for o in outer if _inside(ring[:, 0], rings[o])), None)
+            if around is not None:
+                parts[around].append(_ring(drawn[k]))
+    if not parts:
+        return _EMPTY
+    return "MULTIPOLYGON (" + ", ".join("(" + ", ".join(part) + ")" for part in parts.values()) + ")"
+
+
+def _ring(ring: F8) -> str:
+    return "(" + ", ".join(f"{x:.6g} {y:.6g}" for x, y in ring.T) + ")"
+
+
+def _inside(point: F8, ring: F8) -> bool:
+    outline = np.ascontiguousarray(ring.T.astype(np.float32))[:, None]
+    return bool(cv2.pointPolygonTest(outline, (float(point[0]), float(point[1])), False) >= 0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """What stays the same in all frames: the camera, if any, what it sees (2, K), and lines to be drawn (2, K)."""
+
+    camera: Camera | None = None
+    field: F8 = field(default_factory=lambda: np.zeros((2, 0)))
+    edges: tuple[F8, ...] = ()
+
+
+class Story:
+    """Takes in frames, draws and reports at the end. ``raw`` says whether there are detections.
+
+    Of every frame the plan's scene is kept, contours included: some hundred bytes a person.
+    """
+
+    def __init__(self, around: Surroundings, *, raw: bool) -> None:
+        self._around, self._raw = around, raw
+        self._scenes: list[PlanScene] = []
+        self._deviation: list[float] = []
+        self._detected: list[int] = []
+        self._events: list[Event] = []
+        self._warnings: list[tuple[float, Encounter]] = []
+
+    @property
+    def scenes(self) -> Sequence[PlanScene]:
+        """The frames so far."""
+        return self._scenes
+
+    def take(self, frame: GroupFrame, people: F8, detections: F8) -> None:
+        """Take in a frame, the places (2, n) of its people with identities, those of its detections (2, N)."""
+        groups = tuple(_plan_group(frame, g) for g in range(len(frame)))
+        encounters = tuple((w.first, w.second, w.seconds) for w in frame.warnings)
+        self._scenes.append(PlanScene(frame.number, frame.time, detections, people, frame.member, groups, encounters))
+        self._deviation.append(frame.deviation)
+        self._detected.append(detections.shape[1])
+        self._events.extend(frame.events)
+        self._warnings.extend((frame.time, warned) for warned in frame.warnings)
+
+    def rename(self, name: Callable[[PlanScene], I8]) -> None:
+        """Let the people of each scene carry other identities (n,), 0 for none; files are not touched."""
+        self._scenes = [replace(scene, identity=name(scene)) for scene in self._scenes]
+
+    @contextmanager
+    def video(self, directory: RunDirectory, fps: float, *, picture: tuple[int, int] | None) -> Iterator[_Film]:
+        """plan.mp4 being drawn; ``picture`` is the size (width, height) of the frames beside it, None for the plan alone."""
+        width, height = (0, _HEIGHT) if picture is None else (picture[0], max(picture[1], _MIN_HEIGHT))
+        if picture is not None:
+            width = 2 * round(picture[0] * height / picture[1] / 2)
+        plan = self._plan(height + height % 2)
+        with VideoWriter(directory.file(rundir.PLAN), width + plan.width, plan.height, fps) as video:
+            yield _Film(video, plan, width, self._around.camera, {scene.number: scene for scene in self._scenes})
+
+    def section(self) -> Markup:
+        """The sections of the report."""
+        return group_sections(replace(self._series(), stills=self._stills()))
+
+    def sentences(self) -> tuple[str, ...]:
+        """What happened, in words."""
+        series = self._series()
+        if not len(series):
+            return ()
+        kinds = Counter(event.kind for event in self._events)
+        changes = ", ".join(counted(kinds[kind], kind) for kind in ("merge", "split")) + " of groups"
+        pairs = len({(warned.first, warned.second) for _, warned in self._warnings})
+        return (
+            f"{series.people.mean():.1f} people in {series.groups.mean():.1f} groups on average; {changes}, "
+            f"{counted(pairs, 'pair')} of groups warned of.",
+        )
+
+    def document(self) -> dict[str, object]:
+        """The same for programs."""
+        series = self._series()
+        kinds = Counter(event.kind for event in self._events)
+        return {
+            "groups": {
+                "people_mean": float(series.people.mean()) if len(series) else None,
+                "groups_mean": float(series.groups.mean()) if len(series) else None,
+                "detections_mean": float(series.detections.mean()) if len(series.detections) else None,
+                "identities": len({group.identity for scene in self._scenes for group in scene.groups} - {0}),
+                "events": {kind: kinds[kind] for kind in ("appear", "vanish", "merge", "split")},
+                "warnings": len(self._warnings),
+            }
+        }
+
+    def _series(self) -> GroupSeries:
+        scenes = self._scenes
+        return GroupSeries(
+            times=np.array([scene.time for scene in scenes]),
+            people=np.array([scene.people_in_groups for scene in scenes]),
+            deviation=np.array(self._deviation),
+            groups=np.array([_named(scene) for scene in scenes], np.int64),
+            detections=np.array(self._detected if self._raw else [], np.int64),
+            events=[(e.time, e.kind, e.group, e.other) for e in sorted(self._events, key=lambda e: e.time)],
+            warnings=[(time, w.first, w.second, w.seconds, w.probability) for time, w in self._warnings],
+        )
+
+    def _stills(self) -> list[tuple[int, Image]]:
+        """The plan at some frames, spread over those with people."""
+        shown = [scene for scene in self._scenes if scene.groups]
+        if not shown:
+            return []
+        plan, share = self._plan(_HEIGHT), (np.arange(_STILLS) + 0.5) / _STILLS
+        chosen = dict.fromkeys((share * len(shown)).astype(int).tolist())
+        return [(shown[k].number, plan.draw(shown[k])) for k in chosen]
+
+    def _plan(self, height: int) -> Plan:
+        """A plan of the ground on which people were."""
+        people = [scene.people for scene in self._scenes]
+        centres = [group.centre[:, None] for scene in self._scenes for group in scene.groups if group.identity]
+        extent = extent_of(np.hstack([np.zeros((2, 0)), *people, *centres]))
+        width, height = plan_size(extent, height)
+        return Plan(extent, width, height, self._around.field, self._around.edges)
+
+
+class _Film:
+    """Draws one frame after the other: the annotated picture, the plan beside it."""
+
+    def __init__(
+        self, video: VideoWriter, plan: Plan, width: int, camera: Camera | None, scenes: dict[int, PlanScene]
+    ) -> None:
+        self._video, self._plan, self._width, self._camera, self._scenes = video, plan, width, camera, scenes
+
+    def __call__(self, number: int, picture: Image) -> None:
+        """The next frame; ``picture`` is empty where there is none."""
+        empty = PlanScene(number, 0.0, np.zeros((2, 0)), np.zeros((2, 0)), np.zeros(0, np.int64), ())
+        scene = self._scenes.get(number, empty)
+        drawn = self._plan.draw(scene)
+        if self._width:
+            left = picture if self._camera is None else draw_contours(picture, _seen(self._camera, scene.groups))
+            size = (self._width, self._plan.height)
+            drawn = np.hstack([cv2.resize(left, size, interpolation=cv2.INTER_LINEAR), drawn])
+        self._video.write(drawn)
+
+
+def _named(scene: PlanScene) -> int:
+    return sum(group.identity > 0 for group in scene.groups)
+
+
+def _plan_group(frame: GroupFrame, g: int) -> PlanGroup:
+    groups, mean = frame.groups, frame.groups.mean[:, g]
+    return PlanGroup(
+        int(frame.identity[g]), float(groups.count[g]), float(groups.deviation[g]), mean[:2], mean[2:4], frame.contours[g]
+    )
+
+
+def _seen(camera: Camera, groups: tuple[PlanGroup, ...]) -> tuple[PlanGroup, ...]:
+    """The groups with contours in pixels."""
+    rings = [tuple(r for r in (in_image(camera, ring) for ring in group.contours) if r.shape[1]) for group in groups]
+    return tuple(replace(group, contours=seen) for group, seen in zip(groups, rings, strict=True))

@@ -1,0 +1,308 @@
+"""What goes along with a run: observers that take in every step and tell about it at the end.
+
+`RunObserver` has the moments of a run at which an observer is asked; `CameraObserver`, `RatesObserver` and
+`SceneObserver` tell of the camera's motion, of rates and of a scene that were learned. The groups on the ground are in
+`group_observer`. How the camera moves is measured or read here, too (`mover_of`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import asdict
+from typing import Any
+
+from markupsafe import Markup
+
+from phdtrack.cli import run_directory as rundir
+from phdtrack.cli.inputs import Inputs
+from phdtrack.cli.output import counted
+from phdtrack.cli.run_directory import RunDirectory
+from phdtrack.config import Settings
+from phdtrack.errors import InputError
+from phdtrack.formats.warps import WarpsWriter, read_warps
+from phdtrack.models.followed_rates import FollowRates, RatesState
+from phdtrack.models.followed_scene import FollowScene, SceneState
+from phdtrack.models.standing import not_standing, refuse_standing
+from phdtrack.pipeline import TrackingState
+from phdtrack.protocols import Learning, Model
+from phdtrack.report.pages import camera_section, learning_section, rates_section
+from phdtrack.scene import write_scene
+from phdtrack.scene.modes import Mode
+from phdtrack.scene.online import Relearned
+from phdtrack.scene.rates import Rates
+from phdtrack.types import F8, STILL, Detections, Frame, Image, SequenceInfo, Step, Tracks
+from phdtrack.video.ego_motion import CameraMotion, CameraPath
+
+Draw = Callable[[int, Image], None]
+Mover = Callable[[Frame, Detections], F8]
+"""(3, 3) from the pixels of the last frame to those of this one, or `types.STILL`."""
+# Entries of a course in run.json.
+_MAX_ENTRIES = 500
+
+
+class RunObserver:
+    """An observer that does nothing; others override what they need."""
+
+    draws = False
+    """Whether it has a video of its own."""
+
+    def open(self, directory: RunDirectory) -> AbstractContextManager[object]:
+        """Its files, open while the run lasts."""
+        return nullcontext()
+
+    def take(self, step: Step, state: TrackingState) -> None:
+        """Take in one frame's step and the tracker's state after it."""
+
+    def flush(self, rows: Tracks) -> None:
+        """Take in the online rows that the output delay held back; no step follows."""
+
+    def finish(self, tracks: Tracks) -> None:
+        """Take in the corrected tracks of the whole run, before anything is drawn or reported."""
+
+    def drawing(self, directory: RunDirectory, *, pictures: bool) -> AbstractContextManager[Draw]:
+        """Its video: a function of each frame's number and annotated picture, which is empty without ``pictures``."""
+        return nullcontext(lambda number, picture: None)
+
+    def section(self) -> Markup:
+        """Its section of the report."""
+        return Markup()
+
+    def sentences(self) -> tuple[str, ...]:
+        """The same in a few words, for the terminal."""
+        return ()
+
+    def document(self) -> dict[str, object]:
+        """The same for programs, for run.json."""
+        return {}
+
+
+def observers_of(settings: Settings, inputs: Inputs, learning: Learning[Any]) -> tuple[RunObserver, ...]:
+    """The observers of a moving camera and of what is learned while tracking, where there are any."""
+    found = list[RunObserver]()
+    if settings.kind("camera_motion") != "none":
+        found.append(CameraObserver(settings.kind("camera_motion"), inputs.info))
+    scene = learning
+    if isinstance(learning, FollowRates):
+        found.append(RatesObserver(learning))
+        scene = learning.beside
+    if isinstance(scene, FollowScene):
+        found.append(SceneObserver(scene, inputs.name))
+    return tuple(found)
+
+
+class CameraObserver(RunObserver):
+    """Writes the camera's motion for another run to read, and tells how far the camera went."""
+
+    def __init__(self, kind: str, info: SequenceInfo) -> None:
+        self._kind, self._path = kind, CameraPath(info.width, info.height)
+        self._first = True
+        self._file: WarpsWriter | None = None
+
+    @contextmanager
+    def open(self, directory: RunDirectory) -> Iterator[None]:
+        """The file of the motion, open while the run lasts."""
+        with WarpsWriter(directory.file(rundir.CAMERA_MOTION)) as self._file:
+            yield
+
+    def take(self, step: Step, state: TrackingState) -> None:
+        """Write one motion; before the first frame there is none."""
+        if not self._first:
+            self._path.add(step.warp)
+            if self._file is not None and len(step.warp):
+                self._file.append(step.number, step.warp)
+        self._first = False
+
+    def section(self) -> Markup:
+        """How far the camera went."""
+        return camera_section(self.sentences())
+
+    def sentences(self) -> tuple[str, ...]:
+        """How far the camera went, and how often that is not known."""
+        return (self._path.sentence(),)
+
+    def document(self) -> dict[str, object]:
+        """How far the camera went, for programs."""
+        return {"camera_motion": {"kind": self._kind} | self._path.document()}
+
+
+class RatesObserver(RunObserver):
+    """Keeps the rates each time that they are learned."""
+
+    def __init__(self, learning: FollowRates) -> None:
+        self._rule = learning.rule
+        self._course: list[Rates] = []
+
+    def take(self, step: Step, state: TrackingState) -> None:
+        """Keep what this frame taught."""
+        known: RatesState = state.learned
+        if known.learned.rates.number == step.number:
+            self._course.append(known.learned.rates)
+
+    def section(self) -> Markup:
+        """The rates over time."""
+        return rates_section(self._course, self._rule)
+
+    def sentences(self) -> tuple[str, ...]:
+        """The rates at the end."""
+        if not self._course:
+            return ("no rates were learned: the run is too short",)
+        last, priors = self._course[-1], self._rule.priors
+        said = [f"objects are detected in {100 * last.detection:.0f} % of frames (set: {100 * priors.detection:.0f} %)"]
+        if priors.clutter_each:
+            said.append(f"{100 * last.clutter:.0f} % of the detections are false alarms")
+        else:
+            said.append(f"{last.clutter:.2f} false alarms a frame (set: {priors.clutter:g})")
+        if last.lowest < 1 < last.highest:
+            said.append(f"the best scores count {last.highest:.2f} : 1 for an object, the worst 1 : {1 / last.lowest:.2f}")
+        limits = f"; kept within limits: {', '.join(last.limited)}" if last.limited else ""
+        return (f"estimated from the stream: {'; '.join(said)}{limits}",)
+
+    def document(self) -> dict[str, object]:
+        """The rates over time, thinned to 500 entries."""
+        course = [asdict(self._course[k]) for k in _thinned(len(self._course))]
+        return {"rates": {"set": asdict(self._rule.priors), "used": asdict(self._rule.learns), "course": course}}
+
+
+class SceneObserver(RunObserver):
+    """Writes what was learned of the scene, for another run to begin with: a file for each mode, the active one's first."""
+
+    def __init__(self, learning: FollowScene, source: str) -> None:
+        self._learning, self._source = learning, source
+        self._course: list[Relearned] = []
+        self._state: SceneState | None = None
+        self._directory: RunDirectory | None = None
+
+    def open(self, directory: RunDirectory) -> AbstractContextManager[object]:
+        """Remember where the files go."""
+        self._directory = directory
+        return nullcontext()
+
+    def take(self, step: Step, state: TrackingState) -> None:
+        """Keep what this frame taught."""
+        learned = state.learned
+        scene: SceneState = learned.beside if isinstance(learned, RatesState) else learned
+        self._state, last = scene, scene.known.last
+        if last is not None and last.number == step.number:
+            self._course.append(last)
+
+    def finish(self, tracks: Tracks) -> None:
+        """Write the scenes."""
+        if self._directory is not None:
+            for file, mode in zip(rundir.SCENES, self._modes(), strict=False):
+                write_scene(self._directory.file(file), self._learning.scene(mode, self._source))
+
+    def section(self) -> Markup:
+        """Rates over time, and what changed."""
+        rule = self._learning.rule
+        return learning_section(self._course, rule.memory / 60, rule.rate)
+
+    def sentences(self) -> tuple[str, ...]:
+        """What is known at the end, and how often it went out of use."""
+        if not self._course:
+            return ("nothing was learned of the scene: the run is too short",)
+        last, rule = self._course[-1], self._learning.rule
+        births = f"{last.births * rule.rate * 60:.1f} births a minute{'' if last.births_used else ' (not in use)'}"
+        alarms = f"{last.clutter:.2f} false alarms a frame{'' if last.clutter_used else ' (not in use)'}"
+        dropped = sum("out of use" in sentence for one in self._course for sentence in one.said)
+        names = [mode.name for mode in self._modes()]
+        modes = f"; modes: {', '.join(names)}" if len(names) > 1 else ""
+        drops = f"; what was learned went out of use {counted(dropped, 'time')}" if dropped else ""
+        return (f"learned of the scene: {alarms}, {births}{modes}{drops}",)
+
+    def document(self) -> dict[str, object]:
+        """The same over time, thinned to 500 entries; all that say something are among them."""
+        rule = self._learning.rule
+        kept = _thinned(len(self._course), [k for k, one in enumerate(self._course) if one.said])
+        course = [
+            {
+                "frame": one.number,
+                "seconds": one.time,
+                "mode": one.mode,
+                "births_per_minute": one.births * rule.rate * 60,
+                "false_alarms_per_frame": one.clutter,
+                "births_gain": one.birth_gain,
+                "false_alarms_gain": one.clutter_gain,
+                "births_used": one.births_used,
+                "false_alarms_used": one.clutter_used,
+                "said": list(one.said),
+            }
+            for one in (self._course[k] for k in kept)
+        ]
+        return {"learning": {"memory_minutes": rule.memory / 60, "course": course}}
+
+    def _modes(self) -> list[Mode]:
+        """All modes that know something, the active one first."""
+        if self._state is None:
+            return []
+        known = self._state.known
+        others = [mode for k, mode in enumerate(known.modes) if k != known.active]
+        return [mode for mode in (known.mode, *others) if mode.trusted]
+
+
+def _thinned(count: int, more: Iterable[int] = ()) -> list[int]:
+    """Indices of at most 500 of ``count`` entries, evenly, with the last one and ``more``."""
+    return sorted({*range(0, count, count // _MAX_ENTRIES + 1), *range(count)[-1:], *more})
+
+
+def standing(frame: Frame, found: Detections) -> F8:
+    """`types.STILL`: the camera does not move."""
+    return STILL
+
+
+def moved(mover: Mover, looked: Iterable[tuple[Frame, Detections, float]]) -> Iterator[tuple[Frame, Detections, F8, float]]:
+    """Each frame with its detections, how the camera moved, and the seconds that detecting took."""
+    for frame, found, seconds in looked:
+        yield frame, found, mover(frame, found), seconds
+
+
+def mover_of(settings: Settings, inputs: Inputs) -> Mover:
+    """How the camera moves, as the settings ask for: not at all, as measured in the pictures, or as a file has it.
+
+    Raises
+    ------
+    InputError : pictures are asked for and there are none, or the file cannot be read or does not belong to this sequence.
+    """
+    kind, chosen = settings.kind("camera_motion"), settings.build("camera_motion")
+    if kind == "none":
+        return standing
+    if kind == "flow":
+        if not inputs.pictures:
+            raise InputError(
+                "the camera's motion is measured in pictures, and there are detections only",
+                where="camera_motion.kind=flow",
+                cure="Name the video beside --detections, or give the motion as a file.",
+            )
+        motion = CameraMotion(chosen)
+
+        def measured(frame: Frame, found: Detections) -> F8:
+            warp = motion(frame.image, found.xyxy)
+            return warp if motion.flow.measured else STILL
+
+        return measured
+    warps = read_warps(chosen.file)
+    last = int(warps.frame[-1]) if len(warps.frame) else 0
+    if inputs.info.frames and last > inputs.info.frames:
+        raise InputError(
+            f"the camera's motion goes on to frame {last}, and {inputs.name} has {inputs.info.frames}",
+            where=chosen.file,
+            cure="Is it the motion of this sequence?",
+        )
+    before = 0
+
+    def read(frame: Frame, found: Detections) -> F8:
+        """The motions of the frames since the last one, dropped frames among them."""
+        nonlocal before
+        start, before = before or frame.number - 1, frame.number
+        return warps.between(start, frame.number)
+
+    return read
+
+
+def check_moving(settings: Settings, model: Model) -> None:
+    """Raise `InputError` where settings hold only while the camera stands still, and it does not."""
+    if settings.kind("camera_motion") == "none":
+        return
+    refuse_standing(model)
+    if settings.kind("learn") != "none":
+        raise not_standing("learning where false alarms and entrances are (learn.kind=online)")
