@@ -100,7 +100,7 @@ def test_the_state_before_the_first_frame_can_be_saved(scene):
 
 
 def test_the_state_of_an_earlier_version_is_told():
-    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 6"):
+    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 7"):
         tracker_of().load_state_dict(tracker_of().state_dict() | {"format": 1})
 
 
@@ -114,12 +114,12 @@ def damaged(saved) -> dict[str, object]:
         "no state": {k: v for k, v in saved.items() if k != "state"},
         "no randomness": saved | {"random": {}},
         "a number": saved | {"state": 3},
-        "another record": saved | {"state": {"record": "History", "fields": {}}},
+        "another record": saved | {"state": {"record": "phdtrack.associate.history:History", "fields": {}}},
         "an unknown record": saved | {"state": {"record": "os.system", "fields": {}}},
-        "no fields": saved | {"state": {"record": "TrackingState", "fields": []}},
-        "a missing field": saved | {"state": {"record": "TrackingState", "fields": {"number": 3}}},
+        "no fields": saved | {"state": {"record": "phdtrack.pipeline:TrackingState", "fields": []}},
+        "a missing field": saved | {"state": {"record": "phdtrack.pipeline:TrackingState", "fields": {"number": 3}}},
         "an unknown record inside": saved | {
-            "state": {"record": "TrackingState", "fields": fields | {"intensity": {"record": "Mystery", "fields": {}}}}
+            "state": {"record": "phdtrack.pipeline:TrackingState", "fields": fields | {"intensity": {"record": "Mystery", "fields": {}}}}
         },
     }  # fmt: skip
 

@@ -1,11 +1,12 @@
-"""phdtrack: multi-target tracking in video with the Probability Hypothesis Density filter.
+"""phdtrack: multi-target tracking in video with random finite sets.
 
-The everyday names; the rest is one package per step of the method (see docs/architecture.md). They are loaded when they
-are first used, so that importing phdtrack costs nothing.
+`Tracker` is the everyday name; filters, models and the other parts are one package for each step of the method (see
+docs/architecture.md). Names are loaded when they are first used, so that importing phdtrack costs nothing.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -18,20 +19,34 @@ if TYPE_CHECKING:
     from phdtrack.types import Detections, Tracks
     from phdtrack.video.ego_motion import CameraMotion
 
-_HOMES = {
-    "CameraMotion": "phdtrack.video.ego_motion",
-    "Detections": "phdtrack.types",
-    "InputError": "phdtrack.errors",
-    "Tracker": "phdtrack.tracker",
-    "Tracks": "phdtrack.types",
-    "evaluate": "phdtrack.metrics",
-}
 
-__all__ = ["CameraMotion", "Detections", "InputError", "Tracker", "Tracks", "__version__", "evaluate"]
+def lazy(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a package whose names are loaded when they are first used.
+
+    Parameters
+    ----------
+    package : its ``__name__``.
+    homes : the module that defines each public name.
+    """
+
+    def load(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(homes[name]), name)
+
+    return load, lambda: sorted(homes)
 
 
-def __getattr__(name: str) -> Any:
-    """The public names, on first use."""
-    if name not in _HOMES:
-        raise AttributeError(f"module 'phdtrack' has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+__getattr__, __dir__ = lazy(
+    __name__,
+    {
+        "CameraMotion": "phdtrack.video.ego_motion",
+        "Detections": "phdtrack.types",
+        "InputError": "phdtrack.errors",
+        "Tracker": "phdtrack.tracker",
+        "Tracks": "phdtrack.types",
+        "evaluate": "phdtrack.metrics",
+    },
+)
+
+__all__ = ["CameraMotion", "Detections", "InputError", "Tracker", "Tracks", "evaluate"]

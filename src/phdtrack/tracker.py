@@ -9,31 +9,28 @@ corrected = tracker.tracks()
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from phdtrack import config, pipeline
-from phdtrack.config.state_dict import pack, unpack
 from phdtrack.detect.convert import as_detections
 from phdtrack.errors import InputError
-from phdtrack.filters.bernoullis import Bernoullis
-from phdtrack.filters.hypotheses import Hypotheses
-from phdtrack.filters.intensities import Cardinalised, JointSamples
-from phdtrack.models.followed_rates import RatesState
-from phdtrack.models.standing import refuse_standing
 from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages
-from phdtrack.scene.rates import Rates
-from phdtrack.types import STILL, Detections, GaussianMixture, ParticleBlocks, Particles, SequenceInfo, Step, Tracks
+from phdtrack.types import STILL, Detections, SequenceInfo, Step, Tracks
+
+if TYPE_CHECKING:
+    from phdtrack.scene.rates import Rates
 
 # Of a saved state: it changes when a record of the state does.
-FORMAT = 6
+FORMAT = 7
 
 
 class Tracker:
@@ -124,6 +121,8 @@ class Tracker:
         found = as_detections(detections, where=f"frame {number}")
         moved = STILL if warp is None else as_warp(warp, f"frame {number}, update(warp=…)")
         if len(moved):
+            from phdtrack.models.standing import refuse_standing
+
             refuse_standing(self.stages.model)
         self._state, self._step = pipeline.advance(self.stages, self._state, found, number, time, self._rng, moved)
         return self._step.tracks
@@ -157,6 +156,10 @@ class Tracker:
     @property
     def rates(self) -> Rates | None:
         """p_D, false alarms, births and the worth of scores as they are estimated now; None where rates are not learned."""
+        if self._state.learned is None:
+            return None
+        from phdtrack.models.followed_rates import RatesState
+
         learned = self._state.learned
         return learned.learned.rates if isinstance(learned, RatesState) else None
 
@@ -172,12 +175,15 @@ class Tracker:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that decides what comes next, as plain dictionaries, lists, numbers and arrays (it can be pickled)."""
-        return {"format": FORMAT, "state": pack(self._state), "random": self._rng.bit_generator.state}
+        dim, random = self.stages.model.motion.dim, self._rng.bit_generator.state
+        return {"format": FORMAT, "dim": dim, "state": pack(self._state), "random": random}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on from a `state_dict` of a tracker with the same settings.
 
-        Raises `InputError` where it is none.
+        Raises
+        ------
+        InputError : it is no such state, or one of another version or of states of other components.
         """
         if isinstance(saved, dict) and saved.get("format", FORMAT) != FORMAT:
             raise InputError(
@@ -186,34 +192,77 @@ class Tracker:
                 cure="Load it with the version that saved it, or begin anew",
             )
         try:
-            state = unpack(saved["state"])
-            rng = np.random.default_rng(self.seed)
+            dim, state, rng = saved["dim"], unpack(saved["state"]), np.random.default_rng(self.seed)
             rng.bit_generator.state = saved["random"]
             if not isinstance(state, pipeline.TrackingState):
                 raise TypeError(f"expected a TrackingState, got a {type(state).__name__}")
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"this is no state of a tracker ({error})", where="load_state_dict") from error
-        dim, held = self.stages.model.motion.dim, _components(state.intensity)
-        if held is not None and held != dim:
+        if dim != self.stages.model.motion.dim:
             raise InputError(
-                f"expected states of {dim} components, got {held}",
+                f"expected states of {self.stages.model.motion.dim} components, got {dim}",
                 where="load_state_dict",
                 cure="Load it into a tracker with the settings of the one that it is from",
             )
         self._state, self._rng, self._step = state, rng, None
 
 
-def _components(intensity: Any) -> int | None:
-    """Of the states that a filter carries; None where it is nobody's whom we know."""
-    if isinstance(intensity, Cardinalised):
-        return _components(intensity.intensity)
-    if isinstance(intensity, (Particles, ParticleBlocks, JointSamples)):
-        return len(intensity.state)
-    if isinstance(intensity, Hypotheses):
-        return len(intensity.leaves.mean)
-    if isinstance(intensity, Bernoullis):
-        return len(intensity.present.mean)
-    return len(intensity.mean) if isinstance(intensity, GaussianMixture) else None
+def pack(value: Any) -> Any:
+    """Dictionaries, lists, numbers and copies of arrays, of which `unpack` makes the same value.
+
+    Raises
+    ------
+    InputError : the value holds something else than numbers, arrays, tuples, dictionaries and this package's records.
+    """
+    kind = type(value)
+    if _is_record(kind):
+        inside = {name: pack(getattr(value, name)) for name in _names(kind)}
+        return {"record": f"{kind.__module__}:{kind.__name__}", "fields": inside}
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if isinstance(value, tuple):
+        return [pack(item) for item in value]
+    if isinstance(value, dict):
+        return {"record": "dict", "keys": list(value), "values": [pack(item) for item in value.values()]}
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    raise InputError(f"a state of type {kind.__name__} cannot be saved", where="state_dict")
+
+
+def unpack(value: Any) -> Any:
+    """The value that `pack` was given. Only records of this package are made.
+
+    Raises
+    ------
+    InputError : a record that this version does not know.
+    """
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if isinstance(value, list):
+        return tuple(unpack(item) for item in value)
+    if not isinstance(value, dict):
+        return value
+    name = value["record"]
+    if name == "dict":
+        return dict(zip(value["keys"], (unpack(item) for item in value["values"]), strict=True))
+    module, _, record = name.partition(":")
+    try:
+        kind = getattr(importlib.import_module(module), record) if module.startswith("phdtrack.") else None
+    except (ImportError, AttributeError):
+        kind = None
+    if not _is_record(kind):
+        raise InputError(f"the saved state holds a record {name!r}, which this version does not know")
+    return kind(**{key: unpack(item) for key, item in value["fields"].items()})
+
+
+def _is_record(kind: Any) -> bool:
+    """Whether this is a dataclass or a named tuple of this package."""
+    ours = isinstance(kind, type) and kind.__module__.startswith("phdtrack.")
+    return ours and (is_dataclass(kind) or hasattr(kind, "_fields"))
+
+
+def _names(kind: type[Any]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else kind._fields
 
 
 def _number(value: Any, where: str) -> float:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.associate import GraphMatching, GraphState
-from phdtrack.associate.window import Window
-from phdtrack.associate.window import links as window_links
+from phdtrack.associate.history import open_links
+from phdtrack.kernels.linking import Window
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import Estimates, Tracks
@@ -84,21 +84,17 @@ def run(matching: GraphMatching, frames, model: Model | None = None, intervals=N
 
 def links(state: GraphState) -> set[tuple[int, int]]:
     """All links (later, earlier), open ones and those that can no longer change."""
-    parts = [window_links(state.window), *(m.final for m in state.history)]
+    parts = [open_links(state.window), *(m.final for m in state.history)]
     return {pair for part in parts for pair in zip(part.later.tolist(), part.earlier.tolist(), strict=True)}
 
 
 def open_edges(window: Window) -> dict[tuple[int, int], float]:
     """{(later, earlier): gain} of all edges between open rows and columns."""
-    found, vertex = {}, window.rows.first
-    onward, first = window.columns.next, window.columns.first
-    for part in (window.rows.older, window.rows.recent):
-        for low, high in itertools.pairwise(part.start.tolist()):
-            for earlier, gain in zip(part.target[low:high].tolist(), part.gain[low:high].tolist(), strict=True):
-                if earlier >= first and onward[earlier - first] > -2:
-                    found[vertex, earlier] = gain
-            vertex += 1
-    assert vertex == window.rows.first + len(window.rows.since)
+    found = {}
+    for row, (low, high) in enumerate(itertools.pairwise(window.start.tolist())):
+        for earlier, gain in zip(window.target[low:high].tolist(), window.edge_gain[low:high].tolist(), strict=True):
+            if earlier >= window.column and window.next[earlier - window.column] > -2:
+                found[window.row + row, earlier] = gain
     return found
 
 

@@ -8,7 +8,7 @@ from association_cases import model_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.associate.bridge import bridge
+from phdtrack.models.rts import bridge
 from reference import graph_twin as twin
 
 
@@ -25,7 +25,7 @@ def test_bridge_is_the_smoother(seed: int, steps: list[float], scaled: bool):
     before = np.array([100.0, 200.0, *rng.normal(0, 3, 2), 40.0, 80.0])
     after = before + rng.normal(0, 20, 6)
     args = (before, spread(rng, 6, 4.0), after, spread(rng, 6, 4.0), np.array(steps))
-    ours = bridge(motion, *args)
+    ours = bridge(motion, args[:4], args[4])
     assert ours.shape == (6, len(steps) - 1)
     np.testing.assert_allclose(ours, twin.smoothed(motion, *args), rtol=1e-9, atol=1e-9)
 
@@ -36,7 +36,7 @@ def test_bridge_carries_the_remembered_size():
     rng = np.random.default_rng(0)
     before = np.array([100.0, 200.0, 2.0, 0.0, 40.0, 80.0, 40.0, 80.0])
     args = (before, spread(rng, 8, 2.0), before + 10, spread(rng, 8, 2.0), np.ones(6))
-    np.testing.assert_allclose(bridge(motion, *args), twin.smoothed(motion, *args), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(bridge(motion, args[:4], args[4]), twin.smoothed(motion, *args), rtol=1e-8, atol=1e-8)
 
 
 def test_bridge_meets_certain_ends_on_a_straight_line():
@@ -45,7 +45,7 @@ def test_bridge_meets_certain_ends_on_a_straight_line():
     n = 10
     after = before + n * np.array([3.0, 1.0, 0, 0, 0, 0])
     tiny = 1e-6 * np.eye(6)
-    got = bridge(motion, before, tiny, after, tiny, np.ones(n))
+    got = bridge(motion, (before, tiny, after, tiny), np.ones(n))
     wanted = before[:, None] + np.arange(1, n) * np.array([3.0, 1.0, 0, 0, 0, 0])[:, None]
     np.testing.assert_allclose(got, wanted, atol=1e-6)
 
@@ -55,6 +55,6 @@ def test_bridge_is_led_by_the_end_when_the_beginning_was_at_rest():
     before = np.array([50.0, 60.0, 0.0, 0.0, 40.0, 40.0])
     after = before + np.array([30.0, 0, 0, 0, 0, 0])
     cov = np.diag([1.0, 1, 9, 9, 1, 1])
-    got = bridge(motion, before, cov, after, cov, np.ones(10))
+    got = bridge(motion, (before, cov, after, cov), np.ones(10))
     assert np.all(np.diff(got[0]) > 0)
     assert got[0, 4] == pytest.approx(65, abs=6)

@@ -8,8 +8,8 @@ from association_cases import links, matching_of, model_of, open_edges, run, sca
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.associate.window import empty_window
-from phdtrack.associate.window import links as window_links
+from phdtrack.associate.graph import empty_window
+from phdtrack.associate.history import open_links
 from reference import graph_twin as twin
 
 seeds = st.integers(0, 2**32 - 1)
@@ -66,13 +66,12 @@ def test_open_part_is_optimal_after_links_are_closed():
     frames, _ = walkers(np.random.default_rng(4), 80, clutter=3.0)
     for state in run(matching_of(window=0.3), frames).states:
         edges = open_edges(state.window)
-        taken = window_links(state.window)
+        taken = open_links(state.window)
         chosen = list(zip(taken.later.tolist(), taken.earlier.tolist(), strict=True))
         assert sum(edges[link] for link in chosen) == pytest.approx(twin.best_assignment(edges), abs=1e-8)
         assert taken.gain.tolist() == [edges[link] for link in chosen]
-        columns = state.window.columns
-        onward = np.flatnonzero(columns.next >= 0)
-        assert {(int(columns.next[s]), int(s) + columns.first) for s in onward} == set(chosen)
+        onward = np.flatnonzero(state.window.next >= 0)
+        assert {(int(state.window.next[s]), int(s) + state.window.column) for s in onward} == set(chosen)
 
 
 @given(seeds)
@@ -94,6 +93,6 @@ def test_edges_are_all_that_are_worth_taking(seed: int):
 def test_no_states_no_links():
     matching = matching_of()
     assert links(matching.start()) == set()
-    assert len(empty_window(6).columns.next) == 0
+    assert len(empty_window(6).next) == 0
     result = run(matching, [states([]) for _ in range(4)])
     assert len(result.tracks) == len(result.online) == 0

@@ -94,10 +94,10 @@ def test_links_become_final_when_the_window_leaves_them():
 
 def test_window_does_not_grow():
     result = run(matching_of(), walkers(np.random.default_rng(0), 2000, clutter=2.0, n=0)[0])
-    rows = np.array([len(s.window.rows.since) for s in result.states])
-    columns = np.array([len(s.window.columns.next) for s in result.states])
-    edges = np.array([len(s.window.rows.older.gain) + len(s.window.rows.recent.gain) for s in result.states])
-    identities = np.array([len(s.online.identity) for s in result.states])
+    rows = np.array([len(s.window.since) for s in result.states])
+    columns = np.array([len(s.window.next) for s in result.states])
+    edges = np.array([len(s.window.target) for s in result.states])
+    identities = np.array([len(s.given.track) for s in result.states])
     for size in (rows, columns, edges, identities):
         assert size[1000:].max() <= 1.3 * size[100:1000].max() + 5
     assert rows.max() < 200

@@ -9,7 +9,7 @@ import pytest
 from association_cases import FIELDS, model_of, states
 
 from phdtrack.associate import Labelled
-from phdtrack.config.state_dict import pack, unpack
+from phdtrack.tracker import pack, unpack
 from phdtrack.errors import InputError
 from phdtrack.types import Estimates, Tracks
 
@@ -166,9 +166,9 @@ def size(state) -> int:
 
 def test_a_camera_that_runs_for_days_forgets():
     """One target for ever and a new label in every frame: with ``history`` the state stops growing and identities stay."""
-    frames = with_past([seen((1, 10.0), (k + 2, 300.0)) for k in range(600)], 5)
+    frames = with_past([seen((1, 10.0), (k + 2, 300.0)) for k in range(608)], 5)
     forgetful = replace(PLAIN, history=2.0)
-    sizes = [size(run(forgetful, frames[:n])[0]) for n in (300, 450, 600)]
+    sizes = [size(run(forgetful, frames[:n])[0]) for n in (320, 448, 608)]
     assert max(sizes) < 1.3 * min(sizes)
     assert size(run(PLAIN, frames)[0]) > 4 * sizes[0]
     _, ours = run(forgetful, frames)

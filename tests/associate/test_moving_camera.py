@@ -9,7 +9,7 @@ import pytest
 from association_cases import matching_of, model_of, states
 
 from phdtrack.associate import Labelled
-from phdtrack.associate.bridge import bridge
+from phdtrack.models.rts import bridge
 from phdtrack.models import warp as warp_of
 from phdtrack.types import STILL, Estimates, Tracks
 
@@ -33,11 +33,11 @@ def test_a_bridge_under_a_moving_camera_is_the_still_one_carried_along(rng):
     motion, warps = model_of(scaled_noise=True).motion, zooming(rng, 5)
     before = np.array([300.0, 200.0, 2.0, -1.0, 40.0, 80.0])
     after, cov_before, cov_after = before + rng.normal(0, 9, 6), spread(rng), spread(rng)
-    still = bridge(motion, before, cov_before, after, cov_after, np.ones(5))
+    still = bridge(motion, (before, cov_before, after, cov_after), np.ones(5))
     whole = warp_of.after(warps)
     slope = warp_of.carried_slope(after[:, None], whole, SIZES)[0]
     seen = warp_of.carried(after[:, None], whole, SIZES)[:, 0]
-    moving = bridge(motion, before, cov_before, seen, slope @ cov_after @ slope.T, np.ones(5), warps)
+    moving = bridge(motion, (before, cov_before, seen, slope @ cov_after @ slope.T), np.ones(5), warps)
     for k in range(4):
         wanted = warp_of.carried(still[:, k : k + 1], warp_of.after(warps[: k + 1]), SIZES)[:, 0]
         np.testing.assert_allclose(moving[:, k], wanted, rtol=1e-8, atol=1e-8)

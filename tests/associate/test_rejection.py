@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from phdtrack.arrays import to_xyxy
 from phdtrack.associate import Labelled, rejection
 from phdtrack.associate.rejection import FalseTrackRejection, believed
-from phdtrack.config.state_dict import pack, unpack
+from phdtrack.tracker import pack, unpack
 from phdtrack.types import Estimates, Tracks
 
 MODEL = model_of()

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from association_cases import matching_of, model_of, run, same, states, walkers
 
-from phdtrack.associate.history import CHUNK, History, Moment
-from phdtrack.associate.window import NO_LINKS, Links
-from phdtrack.types import Estimates, Tracks
+from phdtrack.associate.history import CHUNK
+from phdtrack.types import Tracks
 
 MODEL = model_of()
 
@@ -68,46 +67,6 @@ def test_what_open_links_rest_on_is_never_forgotten(settings):
     frames, _ = walkers(np.random.default_rng(4), 500, n=2, p_seen=0.6)
     whole, part = run(matching_of(**settings), frames), run(matching_of(history=0.04, **settings), frames)
     assert same(whole.online, part.online)
-
-
-def test_moments_come_back_as_they_were():
-    rng = np.random.default_rng(5)
-    moments, vertex, history = [], 0, History()
-    for k in range(5 * CHUNK + 7):
-        n = int(rng.integers(0, 4)) if k > 2 else 0
-        x = states(rng.uniform(0, 400, (n, 2))) if k > 2 else Estimates.empty(0)
-        final = Links(np.arange(n), np.arange(n) - 1, rng.random(n)) if k % 2 else NO_LINKS
-        moment = Moment(k + 1, 0.5 * k, vertex, x, final, rng.normal(size=(4, n + 2)))
-        history, vertex = history.append(moment), vertex + n
-        moments.append(moment)
-    assert len(history) == len(moments)
-    for past in (history, history.since(0.5 * 2.5 * CHUNK)):
-        kept = range(past.forgotten, len(past))
-        assert len(list(past)) == len(kept)
-        for k in kept:
-            a, b = past[k], moments[k]
-            assert (a.number, a.time, a.first) == (b.number, b.time, b.first)
-            for field in ("weight", "xyxy", "detection"):
-                np.testing.assert_array_equal(getattr(a.estimates, field), getattr(b.estimates, field))
-            if len(b.estimates):
-                np.testing.assert_array_equal(a.estimates.state, b.estimates.state)
-                np.testing.assert_array_equal(a.estimates.covariance, b.estimates.covariance)
-            for field in ("later", "earlier", "gain"):
-                np.testing.assert_array_equal(getattr(a.final, field), getattr(b.final, field))
-            np.testing.assert_array_equal(a.z, b.z)
-            np.testing.assert_array_equal(a.spare, b.spare)
-    assert history.since(0.5 * 2.5 * CHUNK).forgotten == 2 * CHUNK
-    assert history.since(-1.0) is history
-
-
-def test_a_frame_takes_little_room():
-    """Per state 264 bytes of numbers and its link; nothing else that grows with the frames is worth counting."""
-    frames = [states(np.arange(20).reshape(10, 2) * 37.0 % 500) for _ in range(40 * CHUNK)]
-    history, count = History(), {}
-    for k, x in enumerate(frames, start=1):
-        history = history.append(Moment(k, float(k), 10 * (k - 1), x, NO_LINKS, np.zeros((4, 0))))
-        count[k] = len(pickle.dumps(history)) if k in (10 * CHUNK, 40 * CHUNK) else 0
-    assert (count[40 * CHUNK] - count[10 * CHUNK]) / (30 * CHUNK) < 10 * 264 + 100
 
 
 def test_nothing_is_forgotten_unless_told():

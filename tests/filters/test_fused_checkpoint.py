@@ -9,7 +9,7 @@ import pytest
 from fused_cases import NOTHING, identical, level
 
 from phdtrack import Tracker
-from phdtrack.config.state_dict import pack, unpack
+from phdtrack.tracker import pack, unpack
 from phdtrack.types import Detections, ParticleBlocks
 
 SETTINGS = {"filter": {"kind": "particle-phd", "particles_per_target": 200}, "birth": {"particles": 200}}

@@ -1,4 +1,4 @@
-"""What the associator remembers of every frame, as a record that grows without copying all of it."""
+"""What the associators remember of each frame, as a record that grows without being copied."""
 
 from __future__ import annotations
 
@@ -7,21 +7,26 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from phdtrack.associate.triangle import lower, whole
-from phdtrack.associate.window import Links
+from phdtrack.kernels.linking import Links, Window
 from phdtrack.types import F8, I8, STILL, Estimates, MeasurementHistory
 
-# Twice as many moments are held as they came before the older half is joined: what was just seen is asked for most.
+NO_LINKS = Links(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+# Moments in a chunk: adding a moment copies references to less than two chunks and to the chunks before.
 CHUNK = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
-    """One frame: its number, its model time, its states (vertices ``first``, ``first`` + 1, …), and the links made final.
+    """One frame.
 
-    ``final`` are the links (between global vertex numbers) that this frame made unchangeable. ``z`` (m, N) are the
-    measurements. ``warp`` is how the camera moved since the frame before (`Model.warp`): everything else lies in the frame's
-    own pixels.
+    Attributes
+    ----------
+    number, time : frame number and model time.
+    first : number of the first vertex; the states are the vertices ``first``, ``first`` + 1, …
+    estimates : the states.
+    final : the links, between vertices, that can no longer change since this frame.
+    z : (m, N) measurements.
+    warp : the camera's motion since the frame before (`Model.warp`); all else lies in the frame's own pixels.
     """
 
     number: int
@@ -42,103 +47,11 @@ class Moment:
         return free[:n].nonzero()[0]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Chunk:
-    """Some moments in a row, end to end in few arrays: a frame takes its numbers and no objects.
-
-    ``number``, ``time`` (K,); ``vertex`` (K + 1,), ``link`` (K + 1,), ``other`` (K + 1,): where each moment's states (by
-    vertex number), final links and measurements begin. ``estimates`` holds all states, with of each covariance
-    the lower triangle (d·(d + 1)/2,). ``warp`` is (K, 3, 3), or (0, 3, 3) where the camera stood still.
-    """
-
-    number: I8
-    time: F8
-    vertex: I8
-    link: I8
-    other: I8
-    estimates: Estimates
-    final: Links
-    z: F8
-    warp: F8
-
-    @classmethod
-    def of(cls, moments: tuple[Moment, ...]) -> Chunk:
-        """The same moments, joined."""
-        estimates, final = [m.estimates for m in moments], [m.final for m in moments]
-        # Frames without states may come in any dimension: that of a tracker that has not seen any.
-        full = [e for e in estimates if len(e)] or estimates[:1]
-        shown = [m.z for m in moments if m.z.shape[1]] or [moments[0].z]
-        triangle, moved = lower(len(full[0].state)), any(len(m.warp) for m in moments)
-        return cls(
-            np.array([m.number for m in moments], np.int64),
-            np.array([m.time for m in moments]),
-            moments[0].first + _ends([len(e) for e in estimates]),
-            _ends([len(f.later) for f in final]),
-            _ends([m.z.shape[1] for m in moments]),
-            Estimates(
-                np.hstack([e.state for e in full]),
-                np.concatenate([e.covariance for e in full])[:, triangle.row, triangle.column],
-                np.concatenate([e.weight for e in full]),
-                np.concatenate([e.xyxy for e in full]),
-                np.concatenate([e.detection for e in full]),
-                np.concatenate([e.tag for e in full]),
-            ),
-            Links(
-                np.concatenate([f.later for f in final]),
-                np.concatenate([f.earlier for f in final]),
-                np.concatenate([f.gain for f in final]),
-            ),
-            np.hstack(shown),
-            np.array([m.warp if len(m.warp) else np.eye(3) for m in moments if moved]).reshape(-1, 3, 3),
-        )
-
-    def __len__(self) -> int:
-        return len(self.number)
-
-    def __getitem__(self, place: int) -> Moment:
-        states = slice(*(self.vertex[place : place + 2] - self.vertex[0]).tolist())
-        links, shown = slice(*self.link[place : place + 2].tolist()), slice(*self.other[place : place + 2].tolist())
-        x, f = self.estimates, self.final
-        covariance = whole(x.covariance[states], len(x.state))
-        return Moment(
-            int(self.number[place]),
-            float(self.time[place]),
-            int(self.vertex[place]),
-            Estimates(x.state[:, states], covariance, x.weight[states], x.xyxy[states], x.detection[states], x.tag[states]),
-            Links(f.later[links], f.earlier[links], f.gain[links]),
-            self.z[:, shown],
-            self.warp[place] if len(self.warp) else STILL,
-        )
-
-
-def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
-    """The measurements of all moments."""
-    held = list(moments)
-    shown = [m.z for m in held if m.z.shape[1]] or [m.z for m in held[:1]] or [np.zeros((0, 0))]
-    moved = any(len(m.warp) for m in held)
-    return MeasurementHistory(
-        np.array([m.number for m in held], np.int64),
-        np.array([m.time for m in held]),
-        _ends([m.z.shape[1] for m in held]),
-        np.hstack(shown),
-        np.array([m.warp if len(m.warp) else np.eye(3) for m in held if moved]).reshape(-1, 3, 3),
-        np.zeros((sum(m.z.shape[1] for m in held), 0), np.float32),
-    )
-
-
-def _ends(counts: list[int]) -> I8:
-    """(K + 1,) where each of K stretches of these lengths begins, and the last ends."""
-    return np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
-
-
 @dataclass(frozen=True, slots=True)
 class History:
-    """All moments so far, in chunks, so that adding one copies a few dozen references at most.
+    """All moments so far. Places count from the first frame; the first ``forgotten`` of them are no longer held."""
 
-    Places count from the first frame; the first ``forgotten`` of them are no longer held.
-    """
-
-    full: tuple[Chunk, ...] = ()
+    full: tuple[tuple[Moment, ...], ...] = ()
     recent: tuple[Moment, ...] = ()
     forgotten: int = 0
 
@@ -147,12 +60,12 @@ class History:
         recent = (*self.recent, moment)
         if len(recent) < 2 * CHUNK:
             return History(self.full, recent, self.forgotten)
-        return History((*self.full, Chunk.of(recent[:CHUNK])), recent[CHUNK:], self.forgotten)
+        return History((*self.full, recent[:CHUNK]), recent[CHUNK:], self.forgotten)
 
     def since(self, time: float) -> History:
-        """Without the chunks that lie before ``time``."""
+        """Without the chunks that lie before model time ``time``."""
         gone = 0
-        while gone < len(self.full) and self.full[gone].time[-1] < time:
+        while gone < len(self.full) and self.full[gone][-1].time < time:
             gone += 1
         return History(self.full[gone:], self.recent, self.forgotten + CHUNK * gone) if gone else self
 
@@ -167,5 +80,28 @@ class History:
 
     def __iter__(self) -> Iterator[Moment]:
         """Those still held."""
-        for index in range(self.forgotten, len(self)):
-            yield self[index]
+        for chunk in self.full:
+            yield from chunk
+        yield from self.recent
+
+
+def open_links(window: Window, most: int | None = None) -> Links:
+    """The links of the window's rows, or of the first ``most`` of them."""
+    linked = (window.previous[:most] >= 0).nonzero()[0]
+    return Links(window.row + linked, window.previous[linked], window.gain[linked]) if len(linked) else NO_LINKS
+
+
+def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
+    """The measurements of all moments."""
+    held = list(moments)
+    shown = [m.z for m in held if m.z.shape[1]] or [m.z for m in held[:1]] or [np.zeros((0, 0))]
+    moved = any(len(m.warp) for m in held)
+    count = [m.z.shape[1] for m in held]
+    return MeasurementHistory(
+        np.array([m.number for m in held], np.int64),
+        np.array([m.time for m in held]),
+        np.concatenate(([0], np.cumsum(count, dtype=np.int64))),
+        np.hstack(shown),
+        np.array([m.warp if len(m.warp) else np.eye(3) for m in held if moved]).reshape(-1, 3, 3),
+        np.zeros((sum(count), 0), np.float32),
+    )

@@ -12,9 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from phdtrack.associate.history import History, Moment, measurements
-from phdtrack.associate.offline import gaps, rows_of
-from phdtrack.associate.window import NO_LINKS
+from phdtrack.associate.history import NO_LINKS, History, Moment, measurements
+from phdtrack.associate.rows import gaps, rows_of
 from phdtrack.checks import Count, NonNegative, PositiveCount, check
 from phdtrack.errors import InputError
 from phdtrack.protocols import Model

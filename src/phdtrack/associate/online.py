@@ -1,279 +1,315 @@
-"""Online output: rows that never change once they are given.
+"""Online rows of the graph association, which never change once they are given.
 
-The identity of a state is fixed when its frame is given: it is that of the state it is then linked to. A later correction
-cannot recall what was given; it only decides how the identities go on. Where two states claim one identity, the one linked
-to its last holder keeps it.
+The identity of a state is fixed when the rows of its frame are given: it is that of the state it is then linked to. A later
+correction does not recall a row; it only decides how the identities go on. Where two states claim one identity, the one that
+is linked to its last state has it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from phdtrack.associate.bridge import bridge
-from phdtrack.associate.history import History, Moment
-from phdtrack.associate.window import NO_LINKS, Links, Window
-from phdtrack.kernels.identities import come_back, hand_on
+from phdtrack.associate.history import History, Moment, open_links
+from phdtrack.kernels.linking import Window
 from phdtrack.models import warp as warp_of
+from phdtrack.models.rts import bridge
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, STILL, Bool, Tracks
+from phdtrack.types import F8, I8, STILL, Bool, Estimates, Tracks
 
-# Frames after which a missing identity is no longer asked for: what comes back later is hardly ever where it is looked for.
+# Frames after which a missing identity is no longer continued.
 AGES = 32
 
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """When a track is confirmed (states, mean gain of its links), how long at most it is continued without one (model
-    time)."""
+    """Settings: states and mean gain that confirm a track, and how long it is continued without a state (model time)."""
 
-    shortest: int
-    least: float
-    coast: float
+    min_length: int
+    least_gain: float
+    max_coast: float
 
 
 @dataclass(frozen=True, slots=True)
-class Present:
-    """What is known when a frame's rows are given: the open links, the model time, and all frames up to now."""
+class Due:
+    """The frame at ``place`` of the history, whose rows are due, and what is known now: open links, model time, all frames."""
 
+    place: int
     window: Window
     time: float
     history: History
 
+    @property
+    def moment(self) -> Moment:
+        """The frame."""
+        return self.history[self.place]
+
+    @property
+    def held(self) -> list[Moment]:
+        """The frames after it, whose rows are held back."""
+        return [self.history[k] for k in range(self.place + 1, len(self.history))]
+
+    @property
+    def end(self) -> int:
+        """The first vertex of the frames after it."""
+        return self.moment.first + len(self.moment.estimates)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Carried:
-    """States of missing identities, carried on by the motion model to the last frame given.
+class Identities:
+    """The identities (A,) that may still be linked to, ascending.
 
-    ``vertex`` (a,) the last of each, ascending; ``state`` (d, a); ``confidence`` (a,), above 0.
+    Attributes
+    ----------
+    identity : (A,) its number.
+    last : (A,) the vertex of its last state.
+    length, gain : (A,) its states, and what their links gained.
+    confirmed : (A,) whether it has been confirmed.
+    missed : (A,) frames since its last state; AGES where the target has left.
+    state : (d, A) the last state, carried on by the motion model.
+    confidence : (A,) of that state; 0 where it is not known any more.
     """
 
-    vertex: I8
+    identity: I8
+    last: I8
+    length: I8
+    gain: F8
+    confirmed: Bool
+    missed: I8
     state: F8
     confidence: F8
 
+    @classmethod
+    def of(cls, identity: I8, estimates: Estimates, vertex: I8) -> Identities:
+        """New ones, of states that are the vertices ``vertex`` (n,)."""
+        n = len(identity)
+        one, zero = np.ones(n, np.int64), np.zeros(n)
+        weight = np.minimum(1.0, estimates.weight)
+        return cls(identity, vertex, one, zero, zero > 0, one - 1, estimates.state, weight)
 
-_NONE, _NEVER, _ZERO = np.zeros(0, np.int64), np.zeros(0, np.bool_), np.zeros(0)
-_NOBODY = Carried(_NONE, np.zeros((0, 0)), _ZERO)
+    def take(self, index: I8 | Bool) -> Identities:
+        """Those at ``index``."""
+        return Identities(
+            self.identity[index],
+            self.last[index],
+            self.length[index],
+            self.gain[index],
+            self.confirmed[index],
+            self.missed[index],
+            self.state[:, index],
+            self.confidence[index],
+        )
+
+    def join(self, other: Identities) -> Identities:
+        """These, then the other ones."""
+        if not len(self.identity) or not len(other.identity):
+            return self if len(self.identity) else other
+        return Identities(
+            np.concatenate((self.identity, other.identity)),
+            np.concatenate((self.last, other.last)),
+            np.concatenate((self.length, other.length)),
+            np.concatenate((self.gain, other.gain)),
+            np.concatenate((self.confirmed, other.confirmed)),
+            np.concatenate((self.missed, other.missed)),
+            np.concatenate((self.state, other.state), axis=1),
+            np.concatenate((self.confidence, other.confidence)),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Given:
-    """What was given, (V,) for each vertex from ``first`` on that may still be linked to.
+    """What was given online.
 
-    ``identity``; ``length``, ``gain``, ``confirmed``: states under it up to that vertex, what their links gained, whether
-    they were believed; ``holds``: no later vertex has the identity; ``missed``: for how many frames it has had no state, or
-    AGES where it has left. ``waits`` (2, AGES): of how many identities it was asked, after so many frames without a state,
-    whether they come back in the next, and how many did. ``carried`` are the states of the missing. ``used`` counts the
-    identities.
+    Attributes
+    ----------
+    first : the first vertex that may still be linked to.
+    track : (V,) the identity of each vertex from there on.
+    known : the identities.
+    returned : (2, AGES) how many identities were without a state for so many frames, and how many of them had one in the next.
+    used : identities given so far.
     """
 
     first: int
-    identity: I8
-    length: I8
-    gain: F8
-    confirmed: Bool
-    holds: Bool
-    missed: I8
-    waits: I8
-    carried: Carried
+    track: I8
+    known: Identities
+    returned: I8 = field(default_factory=lambda: np.zeros((2, AGES), np.int64))
     used: int = 0
 
     @classmethod
     def nothing(cls) -> Given:
         """Before the first frame."""
-        return cls(0, _NONE, _NONE, _ZERO, _NEVER, _NEVER, _NONE, np.zeros((2, AGES), np.int64), _NOBODY)
+        none = np.zeros(0, np.int64)
+        return cls(0, none, Identities.of(none, Estimates.empty(0), none))
 
 
-def give(given: Given, due: int, present: Present, output: Output, model: Model) -> tuple[Given, Tracks]:
-    """The rows of the frame at place ``due`` of the history under the present links, and the new record."""
-    history, open_links = present.history, present.window.rows
-    moment = history[due]
-    estimates, first, old = moment.estimates, given.first, len(given.identity)
-    held = [history[k] for k in range(due + 1, len(history))]
-    n, known = len(estimates), open_links.first + len(open_links.previous) - first
-    identity, length, missed = np.empty((3, old + n), np.int64)
-    gain, waits = np.empty(old + n), given.waits.copy()
-    confirmed, holds = np.empty((2, old + n), np.bool_)
-    absent, source = np.empty((2, old), np.int64)
-    onward, settled = np.empty(known, np.int64), _settled(held)
-    used, missing = hand_on(
-        first,
-        open_links.first,
-        open_links.previous,
-        open_links.gain,
-        settled.later,
-        settled.earlier,
-        settled.gain,
-        given.used,
-        output.shortest,
-        output.least,
-        given.identity,
-        given.length,
-        given.gain,
-        given.confirmed,
-        given.holds,
-        given.missed,
-        given.carried.vertex,
-        history[due - 1].first if old else moment.first,
-        onward,
-        np.empty(known),
-        identity,
-        length,
-        gain,
-        confirmed,
-        holds,
-        missed,
-        waits,
-        absent,
-        source,
-        np.empty(n, np.int64),
-    )
-    rows, carried = Rows(identity[old:], estimates.xyxy, estimates.weight, estimates.detection, confirmed[old:]), _NOBODY
-    if missing and output.coast > 0:
-        place = absent[:missing]
-        absences = Absences(first + place, identity[place], onward[place], missed[place], source[:missing], due)
-        carried, parts, left = _awaited(absences, held, given.carried, waits, present, output.coast, model)
-        missed[place[left]] = AGES
-        rows = _with(rows, parts, model)
-    gone = _oldest(present.window, moment, held) - first
-    kept = Given(
-        first + gone,
-        identity[gone:],
-        length[gone:],
-        gain[gone:],
-        confirmed[gone:],
-        holds[gone:],
-        missed[gone:],
-        waits,
-        carried,
-        used,
-    )
-    return kept, _in_order(rows, moment.number)
+def give(given: Given, due: Due, output: Output, model: Model) -> tuple[Given, Tracks]:
+    """The rows of a frame under the present links, and the new record.
 
-
-def _settled(held: list[Moment]) -> Links:
-    """The links that became final with frames whose rows are held back."""
-    if not held:
-        return NO_LINKS
-    parts = [moment.final for moment in held]
-    later, earlier, gain = ([getattr(part, name) for part in parts] for name in ("later", "earlier", "gain"))
-    return Links(np.concatenate(later), np.concatenate(earlier), np.concatenate(gain))
-
-
-def _oldest(window: Window, moment: Moment, held: list[Moment]) -> int:
-    """The first vertex whose identity a row still to be given may ask for."""
-    oldest = min(window.columns.first, moment.first)
-    for later in held:
-        oldest = int(later.final.earlier.min(initial=oldest))
-    return oldest
-
-
-# Identities (a,), states (d, a) and confidences (a,).
-Predicted = tuple[I8, F8, F8]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """Columns of `Tracks` for one frame, in any order."""
-
-    identity: I8
-    xyxy: F8
-    confidence: F8
-    detection: I8
-    confirmed: Bool
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Absences:
-    """Confirmed tracks without a state in the frame at place ``due``: their last vertices, ascending, their identities, the
-    vertices that they go on to or −1, for how many frames they have been missing, and where their states are among those
-    carried on and the last frame's, −1 where nowhere; all (a,)."""
-
-    vertex: I8
-    identity: I8
-    after: I8
-    missed: I8
-    source: I8
-    due: int
-
-
-def _awaited(
-    absences: Absences,
-    held: list[Moment],
-    carried: Carried,
-    waits: I8,
-    present: Present,
-    coast: float,
-    model: Model,
-) -> tuple[Carried, list[Predicted], I8]:
-    """The states of the missing carried on to this frame, the rows predicted for them, and which of them have left.
-
-    Where the delay shows that a track goes on, the gap is bridged between its ends. Otherwise it is continued by the motion
-    model while, of tracks that were missing for so long, more came back than did not, and while at the present it has not
-    been missing for longer than ``coast``.
+    Parameters
+    ----------
+    given : what was given before.
+    due : the frame, and what is known now.
+    output : settings.
+    model : of the present frame.
     """
-    parts = _bridges(absences, held, present, model)
-    here = (absences.source >= 0).nonzero()[0]
-    if len(here) == 0:
-        return _NOBODY, parts, here
-    history, due = present.history, absences.due
-    dt = history[due].time - history[due - 1].time
-    state, confidence = _last(carried, history[due - 1], absences.source[here])
-    if len(history[due].warp):
-        state = model.motion.carried(state, history[due].warp)
+    moment, held = due.moment, due.held
+    onward, gain = _onward(given.first, due.window, held)
+    identity, known, used = _claimed(given, due, onward, gain)
+    known = replace(known, confirmed=_confirmed(known, onward, gain, given.first, due.end, output))
+    returned = _returned(given, known)
+    e, confirmed = moment.estimates, known.confirmed[np.searchsorted(known.identity, identity)]
+    parts = [Tracks(np.full(len(e), moment.number), identity, e.xyxy, np.minimum(1.0, e.weight), e.detection, confirmed)]
+    after, missing = onward[known.last - given.first], known.last < moment.first
+    absent = missing & known.confirmed & ((after >= due.end) | ((after < 0) & (known.missed < AGES)))
+    going = np.zeros(0, np.int64)
+    if output.max_coast > 0 and absent.any():
+        bridging = np.flatnonzero(absent & (after >= 0))
+        parts += _bridged(known.take(bridging), after[bridging], due, model)
+        going = np.flatnonzero(absent & (known.confidence > 0))
+    state, confidence, missed = known.state, np.where(missing, 0.0, known.confidence), known.missed
+    if len(going):
+        moved = _carried_on(known.take(going), due, model)
+        state, missed = state.copy(), missed.copy()
+        state[:, going], confidence[going] = moved.state, moved.confidence
+        missed[going[moved.confidence <= 0]] = AGES
+        most = _max_frames(moved, returned, due, output, model)
+        shown = moved.take((moved.missed <= most) & (after[going] < 0) & (moved.confidence > 0))
+        parts.append(_predicted(shown.identity, shown.state, shown.confidence, moment.number, model))
+    known = replace(known, state=state, confidence=confidence, missed=missed)
+    # The first vertex whose identity a row still to be given may ask for.
+    oldest = min([due.window.column, moment.first, *(int(m.final.earlier.min(initial=moment.first)) for m in held)])
+    track = np.concatenate((given.track, identity))[oldest - given.first :]
+    return Given(oldest, track, known.take(known.last >= oldest), returned, used), Tracks.concatenate(parts)
+
+
+def _onward(first: int, window: Window, held: list[Moment]) -> tuple[I8, F8]:
+    """Of each vertex from ``first`` on the vertex that it is linked to later, −1 for none, and the link's gain."""
+    count = window.row + len(window.previous) - first
+    onward, gain = np.full(count, -1), np.zeros(count)
+    for links in (open_links(window), *(m.final for m in held)):
+        kept = links.earlier >= first
+        onward[links.earlier[kept] - first], gain[links.earlier[kept] - first] = links.later[kept], links.gain[kept]
+    return onward, gain
+
+
+def _claimed(given: Given, due: Due, onward: I8, gain: F8) -> tuple[I8, Identities, int]:
+    """The identities (n,) of the frame's states, all identities with them, and how many were ever used.
+
+    A state takes the identity of the one that is linked to it. Of several that claim one, that which is linked to the
+    identity's last state has it, else the first; the others get new ones.
+    """
+    known, e, first = given.known, due.moment.estimates, due.moment.first
+    earlier = onward[: len(given.track)]
+    source = np.flatnonzero((earlier >= first) & (earlier < due.end))
+    state, name = earlier[source] - first, given.track[source]
+    at = np.searchsorted(known.identity, name)
+    direct = known.last[at] - given.first == source
+    order = np.lexsort((state, ~direct))
+    _, foremost = np.unique(name[order], return_index=True)
+    won = order[foremost]
+    source, state, name, at = source[won], state[won], name[won], at[won]
+    identity = np.zeros(len(e), np.int64)
+    identity[state] = name
+    fresh = np.flatnonzero(identity == 0)
+    identity[fresh] = given.used + 1 + np.arange(len(fresh))
+    last, length, total, missed = known.last.copy(), known.length.copy(), known.gain.copy(), known.missed + 1
+    place, confidence = known.state.copy(), known.confidence.copy()
+    last[at], length[at], total[at], missed[at] = first + state, length[at] + 1, total[at] + gain[source], 0
+    if len(at):
+        place[:, at], confidence[at] = e.state[:, state], np.minimum(1.0, e.weight[state])
+    going = Identities(known.identity, last, length, total, known.confirmed, missed, place, confidence)
+    return identity, going.join(Identities.of(identity[fresh], e.take(fresh), first + fresh)), given.used + len(fresh)
+
+
+def _confirmed(known: Identities, onward: I8, gain: F8, first: int, end: int, output: Output) -> Bool:
+    """(A,) whether each identity is confirmed by its states, or together with those that it is linked to later."""
+    confirmed, states, total, here = known.confirmed, known.length, known.gain, known.last - first
+    while True:
+        confirmed = confirmed | ((states >= output.min_length) & (total >= output.least_gain * (states - 1)))
+        goes_on = onward[here] >= end
+        if not goes_on.any():
+            return confirmed
+        states, total = states + goes_on, total + np.where(goes_on, gain[here], 0.0)
+        here = np.where(goes_on, onward[here] - first, here)
+
+
+def _returned(given: Given, known: Identities) -> I8:
+    """`Given.returned` with this frame: of confirmed identities without a state, how many have one now."""
+    before = given.known
+    asked = np.flatnonzero(before.confirmed & (before.missed > 0) & (before.missed < AGES))
+    if len(asked) == 0:
+        return given.returned
+    returned = given.returned.copy()
+    np.add.at(returned[0], before.missed[asked], 1)
+    np.add.at(returned[1], before.missed[asked], known.missed[asked] == 0)
+    return returned
+
+
+def _carried_on(known: Identities, due: Due, model: Model) -> Identities:
+    """The identities with their states carried on to the frame by the motion model."""
+    history, state = due.history, known.state
+    if len(due.moment.warp):
+        state = model.motion.carried(state, due.moment.warp)
+    dt = due.moment.time - history[due.place - 1].time
     state, _, _ = model.motion.transition(state, dt)
-    survive, back = model.motion.p_survive(state, dt / model.rate), np.empty(AGES)
-    confidence = confidence * survive
-    come_back(survive, model.sensor.p_detect(state), waits, back)
-    most = _patience(back, len(held), due, present, coast)
-    shown = ((absences.missed[here] <= most) & (absences.after[here] < 0) & (confidence > 0)).nonzero()[0]
-    if len(shown):
-        parts.append((absences.identity[here[shown]], state[:, shown], confidence[shown]))
-    stay = (confidence > 0).nonzero()[0]
-    if len(stay) == len(here):
-        return Carried(absences.vertex[here], state, confidence), parts, _NONE
-    return Carried(absences.vertex[here[stay]], state[:, stay], confidence[stay]), parts, here[confidence <= 0]
+    return replace(known, state=state, confidence=known.confidence * model.motion.p_survive(state, dt))
 
 
-def _last(carried: Carried, moment: Moment, source: I8) -> tuple[F8, F8]:
-    """States (d, a) and confidences (a,) from those carried on and the moment's, end to end."""
-    state, confidence = moment.estimates.state, np.minimum(1.0, moment.estimates.weight)
-    if len(carried.vertex):
-        if len(confidence) == 0:
-            return carried.state[:, source], carried.confidence[source]
-        state = np.concatenate((carried.state, state), axis=1)
-        confidence = np.concatenate((carried.confidence, confidence))
-    return state[:, source], confidence[source]
-
-
-def _patience(back: F8, ahead: int, due: int, present: Present, coast: float) -> int:
-    """For how many frames tracks are continued: how likely they ``come back`` is known, and that they did not in the
-    frames ``ahead``."""
-    history, most = present.history, 0
-    while most + 1 + ahead < AGES and back[most + 1 + ahead] > 0.5:
-        place = due - most - 1
-        if place < history.forgotten or present.time - history[place].time > coast:
+def _max_frames(moved: Identities, returned: I8, due: Due, output: Output, model: Model) -> int:
+    """For how many frames without a state tracks are continued: while more come back than do not, and ``max_coast``."""
+    there = moved.confidence > 0
+    step = due.moment.time - due.history[due.place - 1].time
+    survive = model.motion.p_survive(moved.state, step)
+    probability = return_probability(survive[there], model.sensor.p_detect(moved.state)[there], returned)
+    most, ahead = 0, len(due.held)
+    while most + 1 + ahead < AGES and probability[most + 1 + ahead] > 0.5:
+        place = due.place - most - 1
+        if place < due.history.forgotten or due.time - due.history[place].time > output.max_coast:
             break
         most += 1
     return most
 
 
-def _bridges(absences: Absences, held: list[Moment], present: Present, model: Model) -> list[Predicted]:
-    """The states at this frame, one by one, of tracks whose next state is known."""
-    if not held:
-        return []
-    history, due, parts = present.history, absences.due, []
-    before = [history[k] for k in range(due - 1, history.forgotten - 1, -1)] if (absences.after >= 0).any() else []
-    for i in (absences.after >= 0).nonzero()[0].tolist():
-        behind = next((k for k, m in enumerate(before) if m.first <= absences.vertex[i]), None)
-        if behind is not None:
-            ahead = next(k for k, m in enumerate(held) if absences.after[i] < m.first + len(m.estimates))
-            last, here, later = before[behind], history[due], held[ahead]
-            place, after = int(absences.vertex[i]) - last.first, int(absences.after[i]) - later.first
-            warps = _between([*before[:behind][::-1], here]), _between(held[: ahead + 1])
-            parts.append(_bridged(last, place, here, later, after, warps, int(absences.identity[i]), model))
+def return_probability(p_survive: F8, p_detect: F8, returned: I8) -> list[float]:
+    """The probabilities that an identity that has had no state for 0, 1, … frames will have one again.
+
+    They come from how many did so far, age by age (Kaplan and Meier's product of hazards). Each age also counts one that
+    behaves as the model says: it exists with r, survives with p_S, is missed with 1 − p_D, and then exists with
+    r p_S (1 − p_D)/(1 − r p_S p_D), as a Bernoulli filter has it.
+
+    Parameters
+    ----------
+    p_survive, p_detect : (a,) at the states of the missing.
+    returned : (2, AGES), see `Given`.
+    """
+    stays, seen = (float(p.mean()) if len(p) else 0.0 for p in (p_survive, p_detect))
+    exists, never, out = 1.0, 1.0, []
+    for asked, came in zip(*returned.tolist(), strict=True):
+        there = exists * stays
+        out.append((came + there * seen) / (asked + 1.0))
+        exists = there * (1.0 - seen) / (1.0 - there * seen) if there * seen < 1.0 else 0.0
+    for age in range(len(out) - 1, -1, -1):
+        never *= 1.0 - out[age]
+        out[age] = 1.0 - never
+    return out
+
+
+def _bridged(known: Identities, after: I8, due: Due, model: Model) -> list[Tracks]:
+    """The rows of identities whose next state, ``after`` (a,), is known already."""
+    history, held, parts = due.history, due.held, []
+    before = [history[k] for k in range(due.place - 1, history.forgotten - 1, -1)] if len(after) else []
+    for i, (vertex, later) in enumerate(zip(known.last.tolist(), after.tolist(), strict=True)):
+        behind = next((k for k, m in enumerate(before) if m.first <= vertex), None)
+        if behind is None:
+            continue
+        ahead = next(k for k, m in enumerate(held) if later < m.first + len(m.estimates))
+        a, b = before[behind], held[ahead]
+        x, y, j, k = a.estimates, b.estimates, vertex - a.first, later - b.first
+        warps = _between([*before[:behind][::-1], due.moment]), _between(held[: ahead + 1])
+        ends = x.state[:, j], x.covariance[j], y.state[:, k], y.covariance[k]
+        state = bridge(model.motion, ends, np.array([due.moment.time - a.time, b.time - due.moment.time]), warps)
+        parts.append(_predicted(known.identity[i : i + 1], state, x.weight[j : j + 1], due.moment.number, model))
     return parts
 
 
@@ -282,48 +318,8 @@ def _between(moments: list[Moment]) -> F8:
     return warp_of.after([m.warp for m in moments]) if any(len(m.warp) for m in moments) else STILL
 
 
-def _bridged(
-    last: Moment,
-    place: int,
-    moment: Moment,
-    later: Moment,
-    after: int,
-    warps: tuple[F8, F8],
-    identity: int,
-    model: Model,
-) -> Predicted:
-    """The state at ``moment`` given the last one before it and the next one after it."""
-    x, y = last.estimates, later.estimates
-    steps = np.array([moment.time - last.time, later.time - moment.time])
-    ends = (x.state[:, place], x.covariance[place], y.state[:, after], y.covariance[after])
-    return np.array([identity]), bridge(model.motion, *ends, steps, warps), x.weight[place : place + 1]
-
-
-def _with(rows: Rows, parts: list[Predicted], model: Model) -> Rows:
-    """The rows and those of the predicted tracks."""
-    if not parts:
-        return rows
-    identity, state, confidence = parts[0]
-    if len(parts) > 1:
-        identity, state, confidence = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
+def _predicted(identity: I8, state: F8, confidence: F8, number: int, model: Model) -> Tracks:
+    """The rows of predicted states (d, a) in frame ``number``."""
     n = len(identity)
-    return Rows(
-        np.concatenate((rows.identity, identity)),
-        np.concatenate((rows.xyxy, model.sensor.boxes(state))),
-        np.concatenate((rows.confidence, confidence)),
-        np.concatenate((rows.detection, np.full(n, -1))),
-        np.concatenate((rows.confirmed, np.ones(n, np.bool_))),
-    )
-
-
-def _in_order(rows: Rows, number: int) -> Tracks:
-    """The rows of frame ``number``, copied: sorted by identity, which stands once in a frame."""
-    order = rows.identity.argsort()
-    return Tracks(
-        np.full(len(order), number),
-        rows.identity[order],
-        rows.xyxy[order],
-        np.minimum(1.0, rows.confidence)[order],
-        rows.detection[order],
-        rows.confirmed[order],
-    )
+    confidence = np.minimum(1.0, confidence)
+    return Tracks(np.full(n, number), identity, model.sensor.boxes(state), confidence, np.full(n, -1), np.ones(n, np.bool_))

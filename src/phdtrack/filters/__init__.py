@@ -1,12 +1,33 @@
 """The filters: one recursion a file, its equations in the docstrings."""
 
-from phdtrack.filters.gm_cphd import GMCPHD
-from phdtrack.filters.gm_phd import GMPHD
-from phdtrack.filters.mcmc import MCMC
-from phdtrack.filters.mht import MHT
-from phdtrack.filters.none import NoFilter
-from phdtrack.filters.particle_cphd import ParticleCPHD
-from phdtrack.filters.particle_phd import ParticlePHD
-from phdtrack.filters.pmb import PMB
+from __future__ import annotations
 
-__all__ = ["GMCPHD", "GMPHD", "MCMC", "MHT", "PMB", "NoFilter", "ParticleCPHD", "ParticlePHD"]
+from typing import TYPE_CHECKING
+
+from phdtrack import lazy
+
+if TYPE_CHECKING:
+    from phdtrack.filters.gm_cphd import GMCPHD
+    from phdtrack.filters.gm_phd import GMPHD
+    from phdtrack.filters.mcmc import MCMC
+    from phdtrack.filters.mht import MHT
+    from phdtrack.filters.none import NoFilter
+    from phdtrack.filters.particle_cphd import ParticleCPHD
+    from phdtrack.filters.particle_phd import ParticlePHD
+    from phdtrack.filters.pmb import PMB
+
+__getattr__, __dir__ = lazy(
+    __name__,
+    {
+        "GMCPHD": "phdtrack.filters.gm_cphd",
+        "GMPHD": "phdtrack.filters.gm_phd",
+        "MCMC": "phdtrack.filters.mcmc",
+        "MHT": "phdtrack.filters.mht",
+        "NoFilter": "phdtrack.filters.none",
+        "PMB": "phdtrack.filters.pmb",
+        "ParticleCPHD": "phdtrack.filters.particle_cphd",
+        "ParticlePHD": "phdtrack.filters.particle_phd",
+    },
+)
+
+__all__ = ["GMCPHD", "GMPHD", "MCMC", "MHT", "NoFilter", "PMB", "ParticleCPHD", "ParticlePHD"]

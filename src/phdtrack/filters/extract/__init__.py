@@ -3,20 +3,32 @@
 Where the filter knows the distribution of the number of targets, as many peaks as it says; where it knows each, those.
 """
 
-from phdtrack.filters.extract.bernoullis import BestBernoullis
-from phdtrack.filters.extract.components import Components
-from phdtrack.filters.extract.hypotheses import BestHypothesis
-from phdtrack.filters.extract.joint import Joint
-from phdtrack.filters.extract.kmeans import KMeans
-from phdtrack.filters.extract.mixture import Mixture
-from phdtrack.filters.extract.raw import Raw
+from __future__ import annotations
 
-__all__ = [
-    "BestBernoullis",
-    "BestHypothesis",
-    "Components",
-    "Joint",
-    "KMeans",
-    "Mixture",
-    "Raw",
-]
+from typing import TYPE_CHECKING
+
+from phdtrack import lazy
+
+if TYPE_CHECKING:
+    from phdtrack.filters.extract.bernoullis import BestBernoullis
+    from phdtrack.filters.extract.components import Components
+    from phdtrack.filters.extract.hypotheses import BestHypothesis
+    from phdtrack.filters.extract.joint import Joint
+    from phdtrack.filters.extract.kmeans import KMeans
+    from phdtrack.filters.extract.mixture import Mixture
+    from phdtrack.filters.extract.raw import Raw
+
+__getattr__, __dir__ = lazy(
+    __name__,
+    {
+        "BestBernoullis": "phdtrack.filters.extract.bernoullis",
+        "BestHypothesis": "phdtrack.filters.extract.hypotheses",
+        "Components": "phdtrack.filters.extract.components",
+        "Joint": "phdtrack.filters.extract.joint",
+        "KMeans": "phdtrack.filters.extract.kmeans",
+        "Mixture": "phdtrack.filters.extract.mixture",
+        "Raw": "phdtrack.filters.extract.raw",
+    },
+)
+
+__all__ = ["BestBernoullis", "BestHypothesis", "Components", "Joint", "KMeans", "Mixture", "Raw"]

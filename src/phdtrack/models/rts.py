@@ -1,0 +1,110 @@
+"""The fixed-interval smoother of Rauch, Tung and Striebel, step by step, over n Gaussians at once [R65].
+
+Forward, with F and Q the motion's, H a choice of rows and R the measurement's covariance:
+
+    m⁻ = f(m),  P⁻ = F P Fᵀ + Q        K = P⁻Hᵀ (H P⁻ Hᵀ + R)⁻¹,  m = m⁻ + K (z − H m⁻),  P = P⁻ − K H P⁻
+
+and backward, with G = P Fᵀ (P⁻₊)⁻¹ of the next frame:
+
+    m* = m + G (m*₊ − m⁻₊)             P* = P + G (P*₊ − P⁻₊) Gᵀ
+
+Means are (n, d), covariances (n, d, d).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from phdtrack.protocols import Motion
+from phdtrack.types import F8, I8, STILL
+
+
+class Ahead(NamedTuple):
+    """Predictions ``mean`` (n, d) and ``covariance`` (n, d, d), and the Jacobians (n, d, d) that they were made with."""
+
+    mean: F8
+    covariance: F8
+    jacobian: F8
+
+
+def predict(motion: Motion, mean: F8, covariance: F8, dt: float, warp: F8 = STILL) -> Ahead:
+    """Gaussians one frame later: the camera's motion, then the targets'.
+
+    Parameters
+    ----------
+    motion : the model's motion.
+    mean, covariance : (n, d), (n, d, d).
+    dt : interval in the model's time unit.
+    warp : (3, 3) the camera's motion in it; `types.STILL` where there is none.
+    """
+    x = np.ascontiguousarray(mean.T)
+    slope = motion.carried_slope(x, warp) if len(warp) else None
+    moved, jacobian, noise = motion.transition(x if slope is None else motion.carried(x, warp), dt)
+    f = jacobian if slope is None else jacobian @ slope
+    return Ahead(moved.T, f @ covariance @ f.transpose(0, 2, 1) + noise, f)
+
+
+def update(mean: F8, covariance: F8, z: F8, noise: F8, rows: I8) -> tuple[F8, F8]:
+    """Means and covariances given measurements of some rows of the state.
+
+    Parameters
+    ----------
+    mean, covariance : (n, d), (n, d, d) predictions.
+    z, noise : (n, r), (n, r, r) measurements and their covariances.
+    rows : (r,) of the state that they show.
+    """
+    part = covariance[:, rows]
+    gain = _solve(part[:, :, rows] + noise, part).transpose(0, 2, 1)
+    return mean + (gain @ (z - mean[:, rows])[:, :, None])[:, :, 0], covariance - gain @ part
+
+
+def smooth_back(mean: F8, covariance: F8, ahead: Ahead, later: F8, later_covariance: F8) -> tuple[F8, F8]:
+    """Means and covariances given what the next frame says after all.
+
+    Parameters
+    ----------
+    mean, covariance : (n, d), (n, d, d) filtered.
+    ahead : their predictions for the next frame.
+    later, later_covariance : (n, d), (n, d, d) smoothed states of the next frame.
+    """
+    gain = _solve(ahead.covariance, ahead.jacobian @ covariance).transpose(0, 2, 1)
+    change = gain @ (later_covariance - ahead.covariance) @ gain.transpose(0, 2, 1)
+    return mean + (gain @ (later - ahead.mean)[:, :, None])[:, :, 0], covariance + change
+
+
+def bridge(motion: Motion, ends: tuple[F8, F8, F8, F8], steps: F8, warps: Sequence[F8] = ()) -> F8:
+    """(d, n) means of the states in a gap, given the states before and after it.
+
+    Parameters
+    ----------
+    motion : the model's motion.
+    ends : mean (d,) and covariance (d, d) before the gap, then those after it.
+    steps : (n + 1,) intervals from the state before through the n frames of the gap to the state after.
+    warps : (n + 1) camera motions in the intervals; empty where the camera stands still.
+    """
+    before, cov_before, after, cov_after = (x[None] for x in ends)
+    forward: list[tuple[F8, F8, Ahead]] = []
+    mean, cov = before, cov_before
+    for dt, warp in zip(steps.tolist(), warps or (STILL,) * len(steps), strict=True):
+        ahead = predict(motion, mean, cov, dt, warp)
+        forward.append((mean, cov, ahead))
+        mean, cov = ahead.mean, ahead.covariance
+    mean, cov = update(mean, cov, after, cov_after, np.arange(before.shape[1]))
+    out = np.empty((before.shape[1], len(steps) - 1))
+    for k in range(len(steps) - 1, 0, -1):
+        mean, cov = smooth_back(*forward[k], mean, cov)
+        out[:, k - 1] = mean[0]
+    return out
+
+
+def _solve(a: F8, b: F8) -> F8:
+    """a⁻¹ b of positive semidefinite a (n, d, d)."""
+    try:
+        out = np.linalg.solve(a, b)
+    except np.linalg.LinAlgError:
+        # A motion without noise in some component may make it singular.
+        out = np.linalg.pinv(a, hermitian=True) @ b
+    return out.astype(np.float64, copy=False)
