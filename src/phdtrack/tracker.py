@@ -246,10 +246,12 @@ def unpack(value: Any) -> Any:
     if name == "dict":
         return dict(zip(value["keys"], (unpack(item) for item in value["values"]), strict=True))
     module, _, record = name.partition(":")
+    kind: Any = None
     try:
-        kind = getattr(importlib.import_module(module), record) if module.startswith("phdtrack.") else None
+        if module.startswith("phdtrack."):
+            kind = getattr(importlib.import_module(module), record)
     except (ImportError, AttributeError):
-        kind = None
+        pass
     if not _is_record(kind):
         raise InputError(f"the saved state holds a record {name!r}, which this version does not know")
     return kind(**{key: unpack(item) for key, item in value["fields"].items()})

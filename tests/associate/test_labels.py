@@ -9,8 +9,8 @@ import pytest
 from association_cases import FIELDS, model_of, states
 
 from phdtrack.associate import Labelled
-from phdtrack.tracker import pack, unpack
 from phdtrack.errors import InputError
+from phdtrack.tracker import pack, unpack
 from phdtrack.types import Estimates, Tracks
 
 MODEL = model_of()

@@ -9,8 +9,8 @@ import pytest
 from association_cases import matching_of, model_of, states
 
 from phdtrack.associate import Labelled
-from phdtrack.models.rts import bridge
 from phdtrack.models import warp as warp_of
+from phdtrack.models.rts import bridge
 from phdtrack.types import STILL, Estimates, Tracks
 
 SIZES = (4, 5)

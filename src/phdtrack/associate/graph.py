@@ -101,7 +101,9 @@ class GraphMatching:
         ------
         InputError : a position is not finite.
         """
-        window, final = self._linked(state.window if state.vertices else empty_window(len(estimates.state)), estimates, dt, model)
+        window, final = self._linked(
+            state.window if state.vertices else empty_window(len(estimates.state)), estimates, dt, model
+        )
         time, vertices = state.time + dt, state.vertices + len(estimates)
         history = state.history.append(Moment(number, time, state.vertices, estimates, final, z, model.warp))
         extended = GraphState(window, history, state.given, vertices, time)
@@ -198,7 +200,7 @@ class GraphMatching:
         """The rows of the frame at place ``due`` of the history, under the present links."""
         coast = self.max_coast * model.rate + 1e-9 if self.bridge_gaps else 0.0
         output = Output(self.min_track_length, self._least_gain, coast)
-        return give(state.given, Due(due, state.window, state.time, state.history), output, model)
+        return give(state.given, Due.at(due, state.window, state.time, state.history), output, model)
 
 
 def empty_window(dim: int) -> Window:
@@ -206,4 +208,3 @@ def empty_window(dim: int) -> Window:
     none, zero = np.zeros(0, np.int64), np.zeros(0)
     begin = np.zeros(1, np.int64)
     return Window(0, 0, none, zero, zero, none, zero, zero, begin, none, zero, np.zeros((0, dim)), np.zeros((0, dim, dim)))
-

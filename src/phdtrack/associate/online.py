@@ -31,24 +31,31 @@ class Output:
     max_coast: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Due:
-    """The frame at ``place`` of the history, whose rows are due, and what is known now: open links, model time, all frames."""
+    """A frame whose rows are due, and what is known now.
+
+    Attributes
+    ----------
+    place, moment : the frame and its place in the history.
+    held : the frames after it, whose rows are held back.
+    window : the open links.
+    time : the present model time.
+    history : all frames up to now.
+    """
 
     place: int
+    moment: Moment
+    held: list[Moment]
     window: Window
     time: float
     history: History
 
-    @property
-    def moment(self) -> Moment:
-        """The frame."""
-        return self.history[self.place]
-
-    @property
-    def held(self) -> list[Moment]:
-        """The frames after it, whose rows are held back."""
-        return [self.history[k] for k in range(self.place + 1, len(self.history))]
+    @classmethod
+    def at(cls, place: int, window: Window, time: float, history: History) -> Due:
+        """The frame at this place of the history."""
+        held = [history[k] for k in range(place + 1, len(history))]
+        return cls(place, history[place], held, window, time, history)
 
     @property
     def end(self) -> int:
@@ -126,7 +133,8 @@ class Given:
     first : the first vertex that may still be linked to.
     track : (V,) the identity of each vertex from there on.
     known : the identities.
-    returned : (2, AGES) how many identities were without a state for so many frames, and how many of them had one in the next.
+    returned : (2, AGES) how many identities were without a state for so many frames, and how many of them had one in the
+        next.
     used : identities given so far.
     """
 
@@ -164,9 +172,9 @@ def give(given: Given, due: Due, output: Output, model: Model) -> tuple[Given, T
     absent = missing & known.confirmed & ((after >= due.end) | ((after < 0) & (known.missed < AGES)))
     going = np.zeros(0, np.int64)
     if output.max_coast > 0 and absent.any():
-        bridging = np.flatnonzero(absent & (after >= 0))
+        bridging = _where(absent & (after >= 0))
         parts += _bridged(known.take(bridging), after[bridging], due, model)
-        going = np.flatnonzero(absent & (known.confidence > 0))
+        going = _where(absent & (known.confidence > 0))
     state, confidence, missed = known.state, np.where(missing, 0.0, known.confidence), known.missed
     if len(going):
         moved = _carried_on(known.take(going), due, model)
@@ -181,6 +189,11 @@ def give(given: Given, due: Due, output: Output, model: Model) -> tuple[Given, T
     oldest = min([due.window.column, moment.first, *(int(m.final.earlier.min(initial=moment.first)) for m in held)])
     track = np.concatenate((given.track, identity))[oldest - given.first :]
     return Given(oldest, track, known.take(known.last >= oldest), returned, used), Tracks.concatenate(parts)
+
+
+def _where(condition: Bool) -> I8:
+    """The places where the condition holds."""
+    return condition.nonzero()[0]
 
 
 def _onward(first: int, window: Window, held: list[Moment]) -> tuple[I8, F8]:
@@ -201,7 +214,7 @@ def _claimed(given: Given, due: Due, onward: I8, gain: F8) -> tuple[I8, Identiti
     """
     known, e, first = given.known, due.moment.estimates, due.moment.first
     earlier = onward[: len(given.track)]
-    source = np.flatnonzero((earlier >= first) & (earlier < due.end))
+    source = _where((earlier >= first) & (earlier < due.end))
     state, name = earlier[source] - first, given.track[source]
     at = np.searchsorted(known.identity, name)
     direct = known.last[at] - given.first == source
@@ -211,7 +224,7 @@ def _claimed(given: Given, due: Due, onward: I8, gain: F8) -> tuple[I8, Identiti
     source, state, name, at = source[won], state[won], name[won], at[won]
     identity = np.zeros(len(e), np.int64)
     identity[state] = name
-    fresh = np.flatnonzero(identity == 0)
+    fresh = _where(identity == 0)
     identity[fresh] = given.used + 1 + np.arange(len(fresh))
     last, length, total, missed = known.last.copy(), known.length.copy(), known.gain.copy(), known.missed + 1
     place, confidence = known.state.copy(), known.confidence.copy()
@@ -237,7 +250,7 @@ def _confirmed(known: Identities, onward: I8, gain: F8, first: int, end: int, ou
 def _returned(given: Given, known: Identities) -> I8:
     """`Given.returned` with this frame: of confirmed identities without a state, how many have one now."""
     before = given.known
-    asked = np.flatnonzero(before.confirmed & (before.missed > 0) & (before.missed < AGES))
+    asked = _where(before.confirmed & (before.missed > 0) & (before.missed < AGES))
     if len(asked) == 0:
         return given.returned
     returned = given.returned.copy()

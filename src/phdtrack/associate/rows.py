@@ -57,7 +57,9 @@ def gaps(moments: list[Moment], path: Path, identity: int, model: Model) -> list
     return parts
 
 
-def back_dated(moments: list[Moment], start: tuple[int, int], most: int, taken: set[tuple[int, int]], model: Model) -> Tracks:
+def back_dated(
+    moments: list[Moment], start: tuple[int, int], most: int, taken: set[tuple[int, int]], model: Model
+) -> Tracks:
     """The rows of detections that lead to a track's first state, the latest first, of identity 0.
 
     A filter that removes clutter confirms a target only after some coherent detections. Here a Kalman filter runs backward
@@ -97,7 +99,14 @@ def back_dated(moments: list[Moment], start: tuple[int, int], most: int, taken: 
     n = len(number)
     boxes = model.sensor.boxes(np.stack(states, axis=1)) if n else np.zeros((0, 4))
     weight = np.full(n, min(1.0, float(first.weight[i])))
-    return Tracks(np.array(number, np.int64), np.zeros(n, np.int64), boxes, weight, np.array(detections, np.int64), np.ones(n, np.bool_))
+    return Tracks(
+        np.array(number, np.int64),
+        np.zeros(n, np.int64),
+        boxes,
+        weight,
+        np.array(detections, np.int64),
+        np.ones(n, np.bool_),
+    )
 
 
 def _one_frame_back(state: F8, cov: F8, later: Moment, dt: float, model: Model) -> tuple[F8, F8]:

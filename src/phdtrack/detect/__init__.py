@@ -51,11 +51,11 @@ __getattr__, __dir__ = lazy(
 
 __all__ = [
     "BACKGROUND",
+    "DETECTORS",
     "BlobSettings",
     "CallableDetector",
     "ChangeDetector",
     "ChangeSettings",
-    "DETECTORS",
     "FaceDetector",
     "FaceSettings",
     "Masked",

@@ -30,4 +30,4 @@ __getattr__, __dir__ = lazy(
     },
 )
 
-__all__ = ["GMCPHD", "GMPHD", "MCMC", "MHT", "NoFilter", "PMB", "ParticleCPHD", "ParticlePHD"]
+__all__ = ["GMCPHD", "GMPHD", "MCMC", "MHT", "PMB", "NoFilter", "ParticleCPHD", "ParticlePHD"]

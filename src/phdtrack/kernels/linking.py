@@ -1,9 +1,11 @@
 """Multi-frame graph matching, one frame at a time: candidate links, their gains, and the best matching [M07 §3].
 
-A vertex is an extracted state; vertices are numbered through. Its out-side is a column of the assignment problem, its in-side
+A vertex is an extracted state; vertices are numbered through. Its out-side is a column of the assignment problem, its
+in-side
 a row. Rows younger than the window are open; a column stays open while the row that it is matched to is. The matching of
 maximum total gain is extended by one shortest augmenting path per new row (Jonker and Volgenant). Rows may stay unmatched at
-gain 0. The dual variables are kept between frames: u_r + v_c ≤ −gain on every edge, with equality on matched ones, v_c = 0 on
+gain 0. The dual variables are kept between frames: u_r + v_c ≤ −gain on every edge, with equality on matched ones, v_c = 0
+on
 free columns and u_r ≤ 0 with equality on unmatched rows certify that the total gain is the maximum.
 """
 
@@ -35,7 +37,8 @@ class Window(NamedTuple):
     ----------
     column, row : numbers of the first vertex whose out-side and of the first whose in-side is held.
     next, column_price : (C,) the vertex matched to each out-side (or FREE, CLOSED), and its dual variable.
-    since, previous, gain, row_price : (R,) of each in-side the model time since its frame, the vertex matched (−1: none), that
+    since, previous, gain, row_price : (R,) of each in-side the model time since its frame, the vertex matched (−1: none),
+        that
         link's gain, and the dual variable.
     start, target, edge_gain : (R + 1,), (E,), (E,) row r has edges to the vertices target[start[r]:start[r + 1]].
     mean, covariance : (R, d), (R, d, d) of the rows' vertices, predicted for the present frame.
@@ -117,9 +120,7 @@ def _block(covariance: F8, i: int, other: F8, j: int, observed: I8, out: F8) -> 
 
 
 @njit(**INNER)
-def _candidates(
-    mean: F8, covariance: F8, since: F8, fresh: Fresh, terms: Terms, dt: float
-) -> tuple[I8, I8, F8, int]:
+def _candidates(mean: F8, covariance: F8, since: F8, fresh: Fresh, terms: Terms, dt: float) -> tuple[I8, I8, F8, int]:
     """Pairs (new state, row, gain) whose link gains more than two loose ends, by row, and how many.
 
     gain = log N(step; 0, S) − log-density of two loose ends − gap_cost·(since − dt), S = predicted + new covariance, in the
@@ -181,9 +182,7 @@ def _candidates(
 
 
 @njit(**INNER)
-def _with_edges(
-    window: Window, closed: int, n: int, state: I8, row: I8, gain: F8, count: int
-) -> tuple[I8, I8, F8]:
+def _with_edges(window: Window, closed: int, n: int, state: I8, row: I8, gain: F8, count: int) -> tuple[I8, I8, F8]:
     """Edges (start, target, gain) of the rows but the first ``closed``, and behind them of the n new ones."""
     old, first = window.since.size - closed, window.start[closed]
     held = window.start[window.since.size] - first
