@@ -27,11 +27,11 @@ def scene():
     {"sensor": {"scaling": "previous"}},
     {"filter": {"kind": "none"}},
     {"filter": {"kind": "mht"}, "associate": {"output_delay": 3}},
-    {"learn": {"kind": "online", "memory": 0.05, "wait": 0.3}},
+    {"learn": {"kind": "online", "memory": 0.05, "verdict_delay": 0.3}},
     {"filter": PARTICLES},
     {"filter": PARTICLES, "associate": {"output_delay": 3}},
     {"filter": PARTICLES, "sensor": {"scaling": "previous"}},
-    {"filter": PARTICLES, "learn": {"kind": "online", "memory": 0.05, "wait": 0.3}},
+    {"filter": PARTICLES, "learn": {"kind": "online", "memory": 0.05, "verdict_delay": 0.3}},
 ], ids=[
     "default", "delay", "previous size", "none", "mht", "learning",
     "particles", "particles, delay", "particles, previous size", "particles, learning",

@@ -1,9 +1,10 @@
-"""Opening a file that a user named: what can go wrong, in words."""
+"""Files that a user named, with errors that say what is wrong; and modules that are loaded when they are first used."""
 
 from __future__ import annotations
 
 import os
-import tomllib
+from collections.abc import Callable, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,8 @@ def load(path: AnyPath) -> bytes:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file; `InputError` where it cannot be read, or is none."""
+    import tomllib
+
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -43,6 +46,23 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError("expected a TOML file, got bytes that are no text", where=path) from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"not TOML: {error}", where=path) from None
+
+
+def lazy(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a package whose names are loaded when they are first used.
+
+    Parameters
+    ----------
+    package : its ``__name__``.
+    homes : the module that defines each public name.
+    """
+
+    def load(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(homes[name]), name)
+
+    return load, lambda: sorted(homes)
 
 
 def _nearest(path: Path) -> str:

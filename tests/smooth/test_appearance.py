@@ -7,11 +7,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from refine_cases import model_of, piece, sequence, walk
+from smoothing_cases import model_of, piece, sequence, walk
 
 from phdtrack.smooth import Smoothing
-from phdtrack.smooth.appearance import Alike, histograms, likeness
-from phdtrack.smooth.paths import paths_of
+from phdtrack.smooth.appearance import Distances, histograms, log_likelihood_ratio
+from phdtrack.smooth.smoother import paths_of
 
 MODEL = model_of(scaled_noise=True, acceleration=0.005, size_noise=0.05)
 SHIRTS = {1: (200, 40, 40), 2: (40, 40, 200), 3: (60, 180, 60)}
@@ -52,14 +52,14 @@ def test_nothing_is_seen_outside_the_picture_or_in_a_speck(rng):
 
 
 def test_the_ratio_is_that_of_two_gaussians_and_falls_with_the_distance():
-    alike = Alike((0.3, 0.1), (0.7, 0.2))
+    alike = Distances((0.3, 0.1), (0.7, 0.2))
     d = np.linspace(0, 1, 101)
     ratio = alike.log_ratio(d)
     assert (np.diff(ratio) <= 1e-12).all()
     assert ratio[50] == pytest.approx(-0.5 * 4 + 0.5 * 1 + np.log(2))
     np.testing.assert_array_equal(ratio[d < 0.3], ratio[30])
     np.testing.assert_array_equal(ratio[d > 0.7], ratio[70])
-    assert Alike((0.7, 0.1), (0.3, 0.1)).log_ratio(d).tolist() == [0] * 101
+    assert Distances((0.7, 0.1), (0.3, 0.1)).log_ratio(d).tolist() == [0] * 101
     assert alike.log_ratio(np.array([np.nan])).tolist() == [0]
 
 
@@ -105,9 +105,9 @@ def test_what_is_not_known_says_nothing(swapped):
     paths = paths_of(tracks, measured)
     pair = np.array([0, 1]), np.array([2, 3])
     nothing = np.full_like(seeing.appearance, np.nan)
-    assert likeness(paths, nothing, *pair).tolist() == [0, 0]
-    assert (likeness(paths, seeing.appearance, *pair) > 2).all()
-    assert (likeness(paths, seeing.appearance, np.array([0, 1]), np.array([3, 2])) < -2).all()
+    assert log_likelihood_ratio(paths, nothing, *pair).tolist() == [0, 0]
+    assert (log_likelihood_ratio(paths, seeing.appearance, *pair) > 2).all()
+    assert (log_likelihood_ratio(paths, seeing.appearance, np.array([0, 1]), np.array([3, 2])) < -2).all()
 
 
 def test_frames_that_nobody_looked_at_are_unknown(swapped):

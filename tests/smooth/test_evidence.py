@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from refine_cases import model_of, piece, sequence, walk
+from smoothing_cases import model_of, piece, sequence, walk
 
-from phdtrack.smooth.paths import Seen, paths_of
-from phdtrack.smooth.smooth import smooth
-from phdtrack.smooth.stitch import Pairs, Terms, candidates, matched
-from reference import refine_twin as twin
+from phdtrack.smooth.smoother import MeasuredStates, paths_of
+from phdtrack.smooth.stitching import Pairs, Sequence, Terms, candidates, matched
+from reference import smoothing_twin as twin
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -18,10 +17,11 @@ def test_it_is_the_ratio_of_one_trajectorys_density_to_two(seed: int):
     walked = walk(rng, n, (200, 200), rng.normal(0, 2, 2), noise=2.0)
     walked[14:] += rng.normal(0, 6, 4)
     tracks, measured = sequence([piece(walked, 1, (1, 9)), piece(walked, 1, (15, n))], n, model)
-    seen = Seen.of(measured.z, model.sensor)
+    seen = MeasuredStates.of(measured.z, model.sensor)
     paths = paths_of(tracks, measured)
-    terms = Terms(hidden=10.0, longest=50.0, beside=0.0, back=0.25)
-    pairs = candidates(paths, smooth(paths, measured, seen, model.motion), measured, seen, model.motion, terms)
+    terms = Terms(occluded=10.0, gap=50.0, overlap=0.0, reentry=0.25)
+    known = Sequence(measured, seen, model.motion)
+    pairs = candidates(paths, known.smooth(paths), known, terms)
     assert (pairs.before.tolist(), pairs.after.tolist()) == ([0], [1])
     one = np.concatenate([np.arange(9), np.full(5, -1), np.arange(9, 19)])
     ratio = twin.log_density(model.motion, measured.time, seen, one)

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from refine_cases import model_of, piece, sequence, walk
+from smoothing_cases import model_of, piece, sequence, walk
 
-from phdtrack.smooth.paths import Seen, paths_of
-from phdtrack.smooth.smooth import smooth
+from phdtrack.smooth.smoother import MeasuredStates, paths_of, smooth
 from phdtrack.types import MeasurementHistory
-from reference import refine_twin as twin
+from reference import smoothing_twin as twin
 
 
 def smoothed(tracks, measured, model):
-    seen = Seen.of(measured.z, model.sensor)
+    seen = MeasuredStates.of(measured.z, model.sensor)
     paths = paths_of(tracks, measured)
     return paths, smooth(paths, measured, seen, model.motion), seen
 

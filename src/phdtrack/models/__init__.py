@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from phdtrack import lazy
+from phdtrack.files import lazy
 
 if TYPE_CHECKING:
     from phdtrack.models.bearing_sensor import BearingSensor

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from phdtrack import lazy
+from phdtrack.files import lazy
 
 if TYPE_CHECKING:
     from phdtrack.filters.extract.bernoullis import BestBernoullis

@@ -1,10 +1,10 @@
-"""Laws of refinement: what is joined and what is not, which rows there are, what each switch does."""
+"""Laws of smoothing: what is joined and what is not, which rows there are, what each switch does."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from refine_cases import model_of, no_look, piece, sequence, walk
+from smoothing_cases import model_of, no_look, piece, sequence, walk
 
 from phdtrack.errors import InputError
 from phdtrack.smooth import Smoothing
@@ -17,7 +17,7 @@ def names(tracks: Tracks) -> dict[int, list[int]]:
     return {int(i): tracks.frame[tracks.identity == i].tolist() for i in np.unique(tracks.identity)}
 
 
-def refined(pieces, frames: int = 60, model=MODEL, **settings) -> Tracks:
+def smoothed(pieces, frames: int = 60, model=MODEL, **settings) -> Tracks:
     return Smoothing(**settings).smooth(*sequence(pieces, frames, model), model)
 
 
@@ -26,7 +26,7 @@ def refined(pieces, frames: int = 60, model=MODEL, **settings) -> Tracks:
 def test_a_track_that_was_cut_is_one_again(missing: int, seed: int):
     rng = np.random.default_rng(seed)
     a, b = walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (600, 60), (-1, 3))
-    tracks = refined(
+    tracks = smoothed(
         [piece(a, 1, (1, 20)), piece(a, 1, (21 + missing, 60)), piece(b, 1, (1, 60))], max_gap_uncertainty=100.0
     )
     assert names(tracks) == {1: list(range(1, 61)), 2: list(range(1, 61))}
@@ -42,7 +42,7 @@ def test_pieces_of_pieces_are_one(seed: int):
     rng = np.random.default_rng(seed)
     a, b = walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (600, 60), (-1, 3))
     cut = [piece(a, 1, (1, 20)), piece(a, 1, (27, 28)), piece(a, 1, (36, 60))]
-    assert len(names(refined([*cut, piece(b, 1, (1, 60))]))) == 2
+    assert len(names(smoothed([*cut, piece(b, 1, (1, 60))]))) == 2
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -50,21 +50,21 @@ def test_people_who_never_meet_stay_two(seed: int):
     """One leaves on the left, another comes on the right a moment later."""
     rng = np.random.default_rng(seed)
     a, b = walk(rng, 60, (100, 240), (-2, 0)), walk(rng, 60, (520, 240), (-2, 0))
-    assert len(names(refined([piece(a, 1, (1, 30)), piece(b, 1, (35, 60))]))) == 2
+    assert len(names(smoothed([piece(a, 1, (1, 30)), piece(b, 1, (35, 60))]))) == 2
 
 
 @pytest.mark.parametrize(("jump", "count"), [((0, 0), 1), ((60, 0), 2), ((0, 120), 2)])
 def test_nothing_is_joined_across_a_jump(rng, jump, count: int):
     a, far = walk(rng, 60, (100, 240), (2, 0)), walk(rng, 60, (500, 80), (0, 1))
     b = a + np.array([*jump, 0, 0])
-    tracks = refined([piece(a, 1, (1, 29)), piece(b, 1, (32, 60)), piece(far, 1, (1, 60))])
+    tracks = smoothed([piece(a, 1, (1, 29)), piece(b, 1, (32, 60)), piece(far, 1, (1, 60))])
     assert len(names(tracks)) == count + 1
 
 
 def test_two_who_cross_out_of_sight_keep_their_ways(rng):
     a, b = walk(rng, 60, (100, 200), (5, 0)), walk(rng, 60, (395, 206), (-5, 0))
     pieces = [piece(a, 1, (1, 25)), piece(b, 1, (1, 25)), piece(b, 1, (36, 60)), piece(a, 1, (36, 60))]
-    tracks = refined(pieces)
+    tracks = smoothed(pieces)
     for identity in (1, 2):
         own = tracks.take(tracks.identity == identity)
         x = 0.5 * (own.xyxy[:, 0] + own.xyxy[:, 2])
@@ -104,7 +104,7 @@ def test_each_part_can_be_switched_off(rng):
 
 def test_long_gaps_are_joined_in_name_and_left_open(rng):
     a, b = walk(rng, 100, (60, 240), (4, 0)), walk(rng, 100, (600, 60), (-1, 3))
-    tracks = refined([piece(a, 1, (1, 20)), piece(a, 1, (61, 100)), piece(b, 1, (1, 100))], 100)
+    tracks = smoothed([piece(a, 1, (1, 20)), piece(a, 1, (61, 100)), piece(b, 1, (1, 100))], 100)
     assert names(tracks)[1] == [*range(1, 21), *range(61, 101)]
 
 
@@ -112,13 +112,13 @@ def test_longest_is_the_longest(rng):
     a, b = walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (600, 60), (-1, 3))
     pieces = [piece(a, 1, (1, 20)), piece(a, 1, (31, 60)), piece(b, 1, (1, 60))]
     # Frame 31 is 11 frames of 1/25 s after frame 20.
-    assert len(names(refined(pieces, max_gap=0.44))) == 2
-    assert len(names(refined(pieces, max_gap=0.43))) == 3
+    assert len(names(smoothed(pieces, max_gap=0.44))) == 2
+    assert len(names(smoothed(pieces, max_gap=0.43))) == 3
 
 
 def test_a_gap_that_somebody_left_open_inside_a_track_stays_open(rng):
     a = walk(rng, 60, (60, 240), (4, 0))
-    assert names(refined([piece(a, 1, (1, 20), (27, 60))])) == {1: [*range(1, 21), *range(27, 61)]}
+    assert names(smoothed([piece(a, 1, (1, 20), (27, 60))])) == {1: [*range(1, 21), *range(27, 61)]}
 
 
 def test_rows_that_rest_on_nothing_are_smoothed_inside_and_stay_outside(rng):
@@ -137,7 +137,7 @@ def test_a_track_says_once_where_it_is(rng):
     """The first piece goes on without measurements for longer than until the second begins."""
     a = walk(rng, 60, (60, 240), (4, 0))
     first = piece(a, 1, (1, 20)) | dict.fromkeys(range(21, 31))
-    tracks = refined([first, piece(a, 1, (27, 60))])
+    tracks = smoothed([first, piece(a, 1, (27, 60))])
     assert names(tracks) == {1: list(range(1, 61))}
     assert len(set(zip(tracks.frame, tracks.identity, strict=True))) == len(tracks)
 
@@ -147,14 +147,14 @@ def test_two_tracks_of_one_that_both_go_on_unseen_go_on_once(rng):
     a = walk(rng, 60, (60, 240), (4, 0))
     first = piece(a, 1, (1, 30)) | dict.fromkeys(range(31, 46))
     second = piece(a, 1, (31, 40)) | dict.fromkeys(range(41, 46))
-    tracks = refined([first, second])
+    tracks = smoothed([first, second])
     assert names(tracks) == {1: list(range(1, 46))}
 
 
 def test_few_rows_late_in_a_long_sequence(rng):
     """Frames may be more than there are rows of tracks."""
     a, b = walk(rng, 400, (60, 240), (1, 0)), walk(rng, 400, (60, 60), (0, 0.5))
-    tracks = refined([piece(a, 1, (370, 380)), piece(a, 1, (386, 396)), piece(b, 1, (371, 396))], 400)
+    tracks = smoothed([piece(a, 1, (370, 380)), piece(a, 1, (386, 396)), piece(b, 1, (371, 396))], 400)
     assert names(tracks) == {1: list(range(370, 397)), 2: list(range(371, 397))}
 
 
@@ -197,25 +197,25 @@ def test_a_second_track_that_begins_before_the_first_ends_is_the_same(seed: int)
     rng = np.random.default_rng(seed)
     a, twice, b = walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (600, 60), (-1, 3))
     pieces = [piece(a, 1, (1, 32)), piece(twice, 1, (25, 60)), piece(b, 1, (1, 60))]
-    tracks = refined(pieces)
+    tracks = smoothed(pieces)
     assert names(tracks) == {1: list(range(1, 61)), 2: list(range(1, 61))}
     # Of the two boxes the first track's is taken up to the middle of the time they share, frame 28, the second's from 29 on.
     own = tracks.take(tracks.identity == 1)
     assert own.detection[own.frame == 28].item() == 0
     assert own.detection[own.frame == 29].item() == 1
-    assert len(names(refined(pieces, max_overlap_time=0))) == 3
+    assert len(names(smoothed(pieces, max_overlap_time=0))) == 3
     # Frames 25 to 32 are 7 intervals of 1/25 s.
-    assert len(names(refined(pieces, max_overlap_time=0.28))) == 2
-    assert len(names(refined(pieces, max_overlap_time=0.27))) == 3
+    assert len(names(smoothed(pieces, max_overlap_time=0.28))) == 2
+    assert len(names(smoothed(pieces, max_overlap_time=0.27))) == 3
 
 
 def test_two_who_walk_beside_each_other_for_a_while_stay_two(rng):
     """One width apart, one leaves when the other has just come."""
     a, b = walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (100, 240), (4, 0))
-    assert len(names(refined([piece(a, 1, (1, 35)), piece(b, 1, (20, 60))]))) == 2
+    assert len(names(smoothed([piece(a, 1, (1, 35)), piece(b, 1, (20, 60))]))) == 2
 
 
 def test_two_who_meet_while_one_comes_and_one_goes_stay_two(rng):
     """They meet in frame 30, face to face, when both are there."""
     a, b = walk(rng, 60, (100, 240), (5, 0)), walk(rng, 60, (400, 240), (-5, 0))
-    assert len(names(refined([piece(a, 1, (1, 34)), piece(b, 1, (26, 60))]))) == 2
+    assert len(names(smoothed([piece(a, 1, (1, 34)), piece(b, 1, (26, 60))]))) == 2

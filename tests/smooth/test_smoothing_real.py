@@ -1,4 +1,4 @@
-"""What refinement is worth on real detections."""
+"""What smoothing is worth on real detections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tracks, and the measurements that they rest on, for the tests of refinement."""
+"""Tracks, and the measurements that they rest on, for the tests of smoothing."""
 
 from __future__ import annotations
 
