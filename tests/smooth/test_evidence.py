@@ -19,7 +19,7 @@ def test_it_is_the_ratio_of_one_trajectorys_density_to_two(seed: int):
     tracks, measured = sequence([piece(walked, 1, (1, 9)), piece(walked, 1, (15, n))], n, model)
     seen = MeasuredStates.of(measured.z, model.sensor)
     paths = paths_of(tracks, measured)
-    terms = Terms(occluded=10.0, gap=50.0, overlap=0.0, reentry=0.25)
+    terms = Terms(occluded=10.0, gap=50.0, overlap=0.0, reentry=0.25, rate=25.0)
     known = Sequence(measured, seen, model.motion)
     pairs = candidates(paths, known.smooth(paths), known, terms)
     assert (pairs.before.tolist(), pairs.after.tolist()) == ([0], [1])

@@ -158,7 +158,7 @@ class GraphMatching:
             if len(model.warp):
                 carried, covariance = model.carried_gaussians(np.ascontiguousarray(mean.T), covariance)
                 mean = np.ascontiguousarray(carried.T)
-            mean, covariance, _ = predicted(model.motion, mean, covariance, dt, "linear")
+            mean, covariance, _ = predicted(model, mean, covariance, dt, "linear")
         _, _, noise = model.motion.transition(estimates.state, dt)
         typical = noise[:, rows[:, None], rows].copy()
         typical[:, range(len(rows)), range(len(rows))] += 2 * model.sensor.noise(estimates.state)[rows].T ** 2

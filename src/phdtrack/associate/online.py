@@ -266,14 +266,14 @@ def _carried_on(known: Identities, due: Due, model: Model) -> Identities:
         state = model.motion.carried(state, due.moment.warp)
     dt = due.moment.time - history[due.place - 1].time
     state, _, _ = model.motion.transition(state, dt)
-    return replace(known, state=state, confidence=known.confidence * model.motion.p_survive(state, dt))
+    return replace(known, state=state, confidence=known.confidence * model.motion.p_survive(state, dt / model.rate))
 
 
 def _max_frames(moved: Identities, returned: I8, due: Due, output: Output, model: Model) -> int:
     """For how many frames without a state tracks are continued: while more come back than do not, and ``max_coast``."""
     there = moved.confidence > 0
     step = due.moment.time - due.history[due.place - 1].time
-    survive = model.motion.p_survive(moved.state, step)
+    survive = model.motion.p_survive(moved.state, step / model.rate)
     probability = return_probability(survive[there], model.sensor.p_detect(moved.state)[there], returned)
     most, ahead = 0, len(due.held)
     while most + 1 + ahead < AGES and probability[most + 1 + ahead] > 0.5:

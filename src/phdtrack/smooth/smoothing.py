@@ -74,7 +74,7 @@ class Smoothing:
         sequence, rate = Sequence(measurements, MeasuredStates.of(measurements.z, model.sensor), model.motion), model.rate
         if self.stitching:
             times = self.mean_occluded_time * rate, self.max_gap * rate, self.max_overlap_time * rate
-            paths, states = stitched(paths, sequence, Terms(*times, self.reentry_probability))
+            paths, states = stitched(paths, sequence, Terms(*times, self.reentry_probability, rate))
         else:
             states = sequence.smooth(paths)
         return _rows(tracks, paths, states, measurements, model, self)

@@ -34,12 +34,14 @@ from phdtrack.types import F8, I8, Bool, MeasurementHistory
 
 @dataclass(frozen=True, slots=True)
 class Terms:
-    """Settings in model time: the mean time ``occluded``, the longest ``gap`` and ``overlap``; and P(``reentry``)."""
+    """Settings: in model time the mean time ``occluded``, the longest ``gap`` and ``overlap``; P(``reentry``); time units per
+    second."""
 
     occluded: float
     gap: float
     overlap: float
     reentry: float
+    rate: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,7 +170,7 @@ def candidates(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms)
         if len(lost) == 0:
             continue
         now = ahead(mean, cov, p, measurements, sequence.motion)
-        survive = sequence.motion.p_survive(np.ascontiguousarray(now.mean.T), float(time[p] - time[p - 1]))
+        survive = sequence.motion.p_survive(np.ascontiguousarray(now.mean.T), float(time[p] - time[p - 1]) / terms.rate)
         stay = (survive > 0) & (until[lost] >= p)
         lost, alive = lost[stay], alive[stay] + np.log(survive[stay])
         mean, cov = now.mean[stay], now.covariance[stay]
