@@ -39,6 +39,7 @@ EXPERIMENTS = {
     "m07": Experiment("M07 Table 1 and M09 Fig. 16: PHD against no filter and multiple hypotheses"),
     "m09": Experiment("M09 Figs. 14-16: births and false alarms learned from a scene, part by part"),
     "peers": Experiment("next to the trackers that people use today, and what each default is worth"),
+    "cameras": Experiment("new cameras and detectors on which nothing was chosen, next to other trackers"),
     "particles": Experiment("how many particles real detections need"),
 }
 

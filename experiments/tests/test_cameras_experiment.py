@@ -1,0 +1,37 @@
+"""The table of new cameras: how a best peer is chosen and how pairs are counted; the short form on the real sequences."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from experiments import cameras
+from experiments.common import Options
+
+PEERS = [
+    {"sequence": "a", "detector": "x", "name": "sort", "HOTA": "40", "MOTA": "60", "IDF1": "50"},
+    {"sequence": "a", "detector": "x", "name": "ocsort", "HOTA": "45", "MOTA": "55", "IDF1": "50"},
+    {"sequence": "a", "detector": "x", "name": "pmb-online", "HOTA": "99", "MOTA": "99", "IDF1": "99"},
+]
+
+
+def test_the_best_peer_is_another_for_each_score_and_never_ourselves() -> None:
+    assert cameras.best(PEERS) == [45.0, 60.0, 50.0]
+
+
+def test_pairs_that_are_equal_count_as_won() -> None:
+    rows = [
+        {"sequence": "a", "detector": "x", "HOTA": "44.9", "MOTA": "60", "IDF1": "50.1"},
+        {"sequence": "ALL", "detector": "ALL", "HOTA": "99", "MOTA": "99", "IDF1": "99"},
+    ]
+    assert cameras.pairs_won(rows, PEERS) == (2, 3)
+
+
+@pytest.mark.data
+def test_the_short_form_writes_a_page(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not (data / "more").is_dir() or not (data.parent / "bench" / "score_more.py").is_file():
+        pytest.skip("the sequences of new cameras are not beside the data")
+    monkeypatch.setattr(cameras, "SHORT", ("KITTI-0014-car",))
+    page = cameras.main(Options(quick=True, out=tmp_path, jobs=1)).read_text()
+    assert "cars" in page
