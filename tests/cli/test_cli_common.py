@@ -40,6 +40,16 @@ def test_nothing_heavy_is_imported_before_a_command_runs() -> None:
     assert run(sys.executable, "-c", code).stdout.strip() == "[]"
 
 
+def test_settings_are_printed_as_a_file_that_config_reads(tmp_path: Path) -> None:
+    said = phdtrack("settings", "--preset", "m09", "--filter", "gm-phd", "--set", "sensor.detection_probability=0.7")
+    assert "detection_probability = 0.7  # probability p_D that a target is detected" in said.out
+    file = tmp_path / "mine.toml"
+    file.write_text(said.out, encoding="utf-8")
+    again = phdtrack("settings", "--config", file, "--all", "--json").object
+    assert (again["preset"], again["filter"]["kind"], again["sensor"]["detection_probability"]) == ("m09", "gm-phd", 0.7)
+    assert len(said.out.splitlines()) < 40
+
+
 def test_both_entry_points_are_the_same() -> None:
     script = Path(sys.executable).with_name("phdtrack")
     assert script.exists()

@@ -110,14 +110,14 @@ def test_false_alarms_unattended(street, tmp_path):
     target = tmp_path / "scene.json"
     said = phdtrack(*options(street)[:-2], "--clutter", "unattended", "--first", "100", "--last", "899", "--out", target)
     assert said.status == 0, said.err
-    assert "Nobody has looked at them" in said.out
+    assert "No person has checked them" in said.out
     assert "at 1 place that fire too often" in said.out
     scene = read_scene(target)
     assert scene.clutter.rate == pytest.approx(0.4, abs=0.1)
     flag = scene.clutter.density.mean[:, np.argmax(scene.clutter.density.weight)]
     assert flag == pytest.approx([612, 52, 24, 24], abs=3)
     assert (scene.notes["first"], scene.notes["last"], scene.notes["clutter from"]) == (100, 899, "unattended")
-    assert "Nobody has looked at them" in (tmp_path / "scene.html").read_text()
+    assert "No person has checked them" in (tmp_path / "scene.html").read_text()
     # Half a second of a flag is no evidence.
     said = phdtrack(*options(street)[:-2], "--clutter", "unattended", "--last", "12", "--out", tmp_path / "short.json")
     assert said.status == 2

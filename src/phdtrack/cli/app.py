@@ -43,7 +43,7 @@ app = typer.Typer(
 
 
 def guarded(command: Callable[P, None]) -> Callable[P, None]:
-    """The command with its errors told in one sentence and turned into an exit status."""
+    """The command with its errors said in one sentence and turned into an exit status."""
 
     @functools.wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> None:
@@ -58,7 +58,7 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
                 raise failed("stopped", 130) from error
             raise
         except BrokenPipeError:
-            # Whoever read our output has gone (phdtrack ... | head): nothing to say, and nobody to say it to.
+            # The reader of our output has gone (phdtrack ... | head): nothing can be said.
             raise
         except OSError as error:
             where = f"{error.filename}: " if error.filename else ""

@@ -100,7 +100,7 @@ def compare(
 
     Every run is kept. The same command again takes up what is there, after Ctrl-C too, and runs only what is missing or
     what is decided by something that has changed: a setting, a file, phdtrack itself. What --scene has taught holds for
-    every filter. A run that fails is told in the table, the others go on, and the exit status is 1.
+    every filter. A run that fails is named in the table, the others go on, and the exit status is 1.
     """
     from phdtrack.cli.evaluate import check_iou
     from phdtrack.compare import check_scores, plan, run, steps, summary

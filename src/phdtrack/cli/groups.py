@@ -99,7 +99,7 @@ def groups(
     truth: TruthFile = None,
     json: Json = False,
 ) -> None:
-    """Find groups of people on the ground, in a video, in anybody's detections, or among known positions.
+    """Find groups of people on the ground, in a video, in a file of detections, or among known positions.
 
     The run's directory holds what that of `phdtrack track` does, and groups.csv (counts, places, contours), members.csv,
     events.csv, warnings.csv and plan.mp4: the ground from above beside the annotated video.

@@ -89,7 +89,9 @@ def label(
     pictures = stills(found.source, fps, set(numbers), around)
     address = listen(host, port)
     kept = file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
-    suggester = Background(lambda told: suggestions(found, settings, numbers, kept, told)) if suggest else Ready(NOTHING)
+    suggester = (
+        Background(lambda advance: suggestions(found, settings, numbers, kept, advance)) if suggest else Ready(NOTHING)
+    )
     session = Session(store, found.table, pictures, found.info, suggester)
     progress = store.progress()
     result.say(f"{counted(progress.frames, 'frame')}, {progress.done} of them looked at; the marks are kept in {file}")
@@ -169,7 +171,7 @@ def stills(source: str, fps: float, numbers: Collection[int], around: Collection
 
 
 def suggestions(
-    found: Labelled, settings: Settings, frames: list[int], file: Path, told: Callable[[float], None]
+    found: Labelled, settings: Settings, frames: list[int], file: Path, advance: Callable[[float], None]
 ) -> Suggestions:
     """What may be false on these frames, by a tracker's run over everything; kept in ``file`` for the next time."""
     from phdtrack import __version__
@@ -179,7 +181,7 @@ def suggestions(
 
     def made() -> Suggestions:
         stages, whole = build(settings, found.info), range(1, found.last + 1)
-        evidence = tracked(found.table, found.info.fps, stages, whole, 0, lambda count: told(count / found.last))
+        evidence = tracked(found.table, found.info.fps, stages, whole, 0, lambda count: advance(count / found.last))
         return suggest(evidence, frames, found.info.fps)
 
     decides = [__version__, found.digest, found.info.fps, found.last, sorted(frames), settings.as_dict()]
@@ -243,8 +245,8 @@ def _detect(inputs: Inputs, path: Path) -> None:
 def _kept_at(labels: Path, wanted: Wanted, parameters: dict[str, Any]) -> Path:
     """Where the detections of this detector with these parameters are kept."""
     more = [parameters, wanted.max_width, str(wanted.mask or ""), wanted.fps]
-    told = hashlib.sha256(json.dumps(more, sort_keys=True, default=str).encode()).hexdigest()[:8]
-    return labels.with_name(f"{labels.stem}.{wanted.detector}-{told}.detections.csv")
+    digest = hashlib.sha256(json.dumps(more, sort_keys=True, default=str).encode()).hexdigest()[:8]
+    return labels.with_name(f"{labels.stem}.{wanted.detector}-{digest}.detections.csv")
 
 
 def _digest(table: DetectionTable) -> str:
@@ -252,7 +254,7 @@ def _digest(table: DetectionTable) -> str:
 
 
 def tracked(table: DetectionTable, fps: float, stages: AnyStages, frames: range, seed: int, advance: Advance) -> Evidence:
-    """Track the detections of ``frames``; ``advance`` is told how many are done.
+    """What a tracker makes of the detections of ``frames``; ``advance`` is called with the number of frames done.
 
     A filter that says nothing of false alarms (`filters.none`) leaves all probabilities at 0.
     """
@@ -268,8 +270,8 @@ def tracked(table: DetectionTable, fps: float, stages: AnyStages, frames: range,
     for count, number in enumerate(frames, start=1):
         seen = table.at(number)
         state, step = pipeline.advance(stages, state, seen, number, (number - 1) / fps, rng)
-        told = step.info.clutter_probability
-        clutter.append(told if len(told) == len(seen) else np.zeros(len(seen)))
+        found = step.info.clutter_probability
+        clutter.append(found if len(found) == len(seen) else np.zeros(len(seen)))
         advance(count)
     stretch = DetectionTable(table.frame[rows], table.detections.take(rows))
     said = np.concatenate([np.zeros(0), *clutter])

@@ -121,13 +121,13 @@ def learn(
     page = target.with_name(target.name.removesuffix(".json") + ".html")
     use = f"phdtrack track {source or f'--detections {detections}'} --scene {target}"
     named = (("Births", born.lesson), ("False alarms", alarms.lesson))
-    lead = " ".join(_told(what, lesson) for what, lesson in named if lesson is not None)
+    lead = " ".join(_summary(what, lesson) for what, lesson in named if lesson is not None)
     lessons = SceneTraining(scene, _picture(stills(source, fps, [1])), born.gain, alarms.gain, born.source, alarms.source)
     page.write_text(scene_page(lessons, lead, use), encoding="utf-8")
     result.say(f"{target}, with its maps in {page}; use it: {use}")
     followed = scene.followed.share if scene.followed is not None else None
-    told = {"gain": gains, "births": births, "clutter": clutter, "followed": followed}
-    result.document({"scene": str(target), "report": str(page)} | told)
+    about = {"gain": gains, "births": births, "clutter": clutter, "followed": followed}
+    result.document({"scene": str(target), "report": str(page)} | about)
 
 
 def _one_of(value: str, known: tuple[str, ...], option: str) -> None:
@@ -143,7 +143,7 @@ def _stretch(first: int, last: int, end: int) -> range:
     return stretch
 
 
-def _told(what: str, lesson: Lesson) -> str:
+def _summary(what: str, lesson: Lesson) -> str:
     return f"{what}: {counted(len(lesson.learned.density), 'place')} from {counted(lesson.learned.samples, 'sample')}."
 
 

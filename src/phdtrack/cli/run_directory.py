@@ -1,4 +1,4 @@
-"""The directory of a run: which files it holds, and the promise not to destroy anybody's work.
+"""The directory of a run: which files it holds, and that no earlier files are destroyed unasked.
 
 An earlier run is replaced only when that was asked for, and even then only the files that a run writes are touched:
 whatever else lies in the directory stays.

@@ -85,7 +85,7 @@ def track(
     truth: TruthFile = None,
     json: Json = False,
 ) -> None:
-    """Track the objects in a video, or in anybody's detections.
+    """Track the objects in a video, or in a file of detections.
 
     The run's directory holds tracks.csv (MOTChallenge), detections.csv, states.csv, annotated.mp4, report.html and
     run.json. A video that is cut short is tracked as far as it goes, with a warning. Ctrl-C finishes what was done so far.

@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from phdtrack.types import Tracks
 
 _ONLY_BOXES = "false alarms stay as shipped: a density of them is learned for boxes in the image only (motion.kind=box)"
-# Frames, drawn at random, whose suggestions are taken where nobody labels: M09's false alarms were of as many.
+# Frames, drawn at random, whose suggestions are taken where no person labels: M09's false alarms were of as many.
 UNATTENDED = 200
 LIMITS = (
-    "Nobody has looked at them. Who sits or stands in one place for nine tenths of the stretch, or for two thirds of it "
-    "where he is seen every other time only, is taken for a false alarm there, and in a crowd so are people whom others "
-    "hide (in a simulated one a quarter of what was taken were people, in streets 3 %). To look at them: phdtrack label "
+    "No person has checked them. A person who sits or stands in one place for nine tenths of the stretch, or for two thirds of "
+    "it while detected in every other frame only, is taken for a false alarm there, and so are people whom others hide in a "
+    "crowd (in a simulated one a quarter of what was taken were people, in streets 3 %). To check them: phdtrack label "
     "suggests the same boxes."
 )
 
@@ -55,8 +55,8 @@ class Trained:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Watched:
-    """What a tracker made of the stretch that knew its false alarms: the ``tracks`` that are believed, and what of the false
-    alarms it ``followed``, None where that is not known, with what is said of it."""
+    """The ``tracks`` of a run that knew the false alarms, without false tracks; which of the false alarms it ``followed``,
+    None where that is not known; and a ``sentence`` about it."""
 
     tracks: Tracks
     followed: Followed | None = None

@@ -93,7 +93,7 @@ def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupSt
     """What makes groups, their life cycle and warnings; ``stages`` where a filter comes before, None for known positions.
 
     Behind a filter ``groups.min_weight`` is, unless given, no more than 0.84 of the weight (1 − p_D) p_S of a person just
-    missed once, at E13's 7 frames a second, so that one miss drops nobody whatever the detection probability. With E13's
+    missed once, at E13's 7 frames a second, so that one miss drops no person whatever the detection probability. With E13's
     values that is the default.
     """
     from phdtrack.groups import Grouping

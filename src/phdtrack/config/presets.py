@@ -87,7 +87,7 @@ _BY_FILTER: Mapping[str, Table] = {
     "gm-cphd": _PHD,
     "mcmc": _PHD,
     "mht": _PHD,
-    # Nobody knows how fast a raw detection moves, so that the links of true tracks gain less than those of filtered states.
+    # A raw detection has no known velocity, so that the links of true tracks gain less than those of filtered states.
     "none": _PHD,
 }
 _UNFILTERED: Table = {"associate": {"min_link_gain": 0.6}}

@@ -29,10 +29,13 @@ class NoSpawn:
 
 @dataclass(frozen=True, slots=True)
 class SplitSpawn:
-    """Each target throws off ``rate`` new ones per time unit, beside it.
+    """Each target throws off new ones next to it, with its state displaced by a Gaussian.
 
-    A spawned target has its parent's state, displaced by a Gaussian of ``distance`` parent widths and heights.
-    ``fraction`` of the parents are drawn, so that the cost stays bounded.
+    Parameters
+    ----------
+    rate : expected new targets of each target per time unit.
+    distance : standard deviation of the displacement, in widths and heights of the parent.
+    fraction : share of the parents that are drawn, which bounds the cost.
     """
 
     rate: NonNegative = 0.001
