@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import pytest
 from typer.testing import CliRunner
 
+from experiments import __main__ as experiments
 from phdtrack.cli.app import app
 
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "how-to"
@@ -31,6 +32,9 @@ def blocks(page: str) -> list[Block]:
 
 def command(line: str) -> None:
     words = shlex.split(line)
+    if words[:3] == ["python", "-m", "experiments"]:
+        assert experiments.main(words[3:]) == 0, line
+        return
     assert words[0] == "phdtrack", line
     result = CliRunner().invoke(app, words[1:])
     assert result.exit_code == 0, (line, result.stderr, result.exception)
@@ -62,7 +66,7 @@ def test_what_the_page_says_runs(page: str, scene: Path, tmp_path: Path, monkeyp
             case "python":
                 exec(compile("\n" * block.line + block.text, str(PAGES / page), "exec"), names)
             case other:
-                pytest.fail(f"{page}, line {block.line}: nobody runs a block of {other}")
+                pytest.fail(f"{page}, line {block.line}: blocks of {other} are not run")
 
 
 def test_pages_have_something_to_run_and_are_listed() -> None:

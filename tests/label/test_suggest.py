@@ -70,6 +70,7 @@ def test_in_a_crowd_who_is_hidden_is_rejected_too():
 
 
 @pytest.mark.data
+@pytest.mark.usefixtures("data")
 def test_where_no_place_fires_hardly_anything_is_ticked():
     """PETS09-S2L1, people who stop and talk: 1.5 % of the detections at most, and no place."""
     from experiments.common import mot15
