@@ -12,22 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common import Options, filled, pyplot, table
-from experiments.scans import (
-    COMPARED,
-    HEADER,
-    FilterRun,
-    Realisation,
-    RunErrors,
-    SetErrors,
-    Stages,
-    Summary,
-    curves,
-    differences,
-    followed,
-    measure,
-    measured,
-)
+from experiments.common import Options, filled, pyplot
+from experiments.scans import FilterRun, Realisation, SetErrors, Stages, compared, curves, followed, measured, tables
 from experiments.standard_scenes import DEGREE, TURNING_LAST, TURNING_START, Turning, turning, turning_states
 from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, ParticleCPHD, ParticlePHD
 from phdtrack.filters.extract import BestBernoullis, BestHypothesis, Components, KMeans, Mixture
@@ -36,7 +22,7 @@ from phdtrack.protocols import Model
 from phdtrack.types import F8, GaussianMixture
 
 # Runs of the first case, of the others, and in the short form.
-RUNS, SIDE, FEW = 100, 50, 3
+RUNS, SIDE, FEW = 100, 50, 2
 # The noises that the literature gives this scene, see `standard_scenes`.
 CASES = {
     "σ_w 5, σ_θ 2°, σ_r 10, λ 20": Turning(),
@@ -85,20 +71,6 @@ def run(job: FilterRun) -> SetErrors:
     return measured(given, followed(given, FILTERS[job.filter], job.seed))
 
 
-def text(found: RunErrors) -> str:
-    """The section of the page."""
-    rows, claims = [], []
-    for case in CASES:
-        outcomes = {name: found[case, name] for name in FILTERS}
-        rows += [(case, name, *Summary.of(each).cells()) for name, each in outcomes.items()]
-        claims += [(case, *cells) for cells in differences(outcomes, COMPARED)]
-    return filled(
-        "nonlinear",
-        rows=table(("", "filter", *HEADER), rows),
-        claims=table(("", "", "difference of OSPA", "share"), claims),
-    )
-
-
 def picture(path: Path, seed: int = 0) -> None:
     """Draw one realisation on the targets' ways: all that is measured, and the states that each filter makes of it."""
     plt = pyplot()
@@ -143,8 +115,8 @@ def ways() -> dict[int, F8]:
 def section(options: Options) -> str:
     """Measure and draw; the section of the page."""
     runs = {case: options.number(RUNS if case == FIRST_CASE else SIDE, FEW) for case in CASES}
-    found = measure(run, {(case, name): runs[case] for case in CASES for name in FILTERS}, "turning", options)
+    found = compared(run, runs, tuple(FILTERS), "turning", options)
     number = np.array([truth.shape[1] for truth in realisation(FIRST_CASE, 0).truth])
     curves({name: found[FIRST_CASE, name] for name in FILTERS}, number, options.folder / "vo-turning-ospa.png")
     picture(options.folder / "vo-turning-states.png")
-    return text(found)
+    return filled("nonlinear", **tables(found, {}))

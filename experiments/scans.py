@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common import Options, in_parallel, pyplot
+from experiments.common import Options, in_parallel, pyplot, table
 from phdtrack.compare.statistics import Interval, interval
 from phdtrack.metrics import ospa
 from phdtrack.protocols import Extractor, Filter, Model
@@ -168,6 +168,27 @@ def differences(outcomes: dict[str, list[SetErrors]], pairs: Sequence[tuple[str,
                 f"{difference.mean:+.2f} ± {difference.half:.2f}",
                 f"{100 * difference.mean / level:+.1f} %",
             )
+
+
+def compared(
+    run: Callable[[FilterRun], SetErrors], runs: Mapping[str, int], filters: Sequence[str], label: str, options: Options
+) -> RunErrors:
+    """So many ``runs`` of every case with every filter; in the short form of the first case only."""
+    cases = dict(list(runs.items())[: 1 if options.quick else None])
+    return measure(run, {(case, name): n for case, n in cases.items() for name in filters}, label, options)
+
+
+def tables(found: RunErrors, elsewhere: Mapping[tuple[str, str], str]) -> dict[str, str]:
+    """Errors of every filter in every case, with what other implementations reach, and the differences of some pairs."""
+    rows, claims = [], []
+    for case in dict.fromkeys(case for case, _ in found):
+        outcomes = {name: each for (which, name), each in found.items() if which == case}
+        rows += [(case, name, elsewhere.get((case, name), ""), *Summary.of(each).cells()) for name, each in outcomes.items()]
+        claims += [(case, *cells) for cells in differences(outcomes, COMPARED)]
+    return {
+        "rows": table(("", "filter", "elsewhere", *HEADER), rows),
+        "claims": table(("", "", "difference of OSPA", "share"), claims),
+    }
 
 
 def curves(outcomes: dict[str, list[SetErrors]], number: I8, path: Path) -> None:

@@ -8,22 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from experiments.common import Options, filled, table
-from experiments.scans import (
-    COMPARED,
-    HEADER,
-    FilterRun,
-    Realisation,
-    RunErrors,
-    SetErrors,
-    Stages,
-    Summary,
-    curves,
-    differences,
-    followed,
-    measure,
-    measured,
-)
+from experiments.common import Options, filled
+from experiments.scans import FilterRun, Realisation, SetErrors, Stages, compared, curves, followed, measured, tables
 from experiments.standard_scenes import LinearGaussian, linear_gaussian
 from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, ParticleCPHD, ParticlePHD
 from phdtrack.filters.extract import BestBernoullis, BestHypothesis, Components, KMeans, Mixture
@@ -32,7 +18,7 @@ from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
 
 # Runs of the first case, of the others, and in the short form.
-RUNS, SIDE, FEW = 100, 50, 3
+RUNS, SIDE, FEW = 100, 50, 2
 # Clutter points per scan, and p_D.
 CASES = {"λ 30, p_D 0.98": (30.0, 0.98), "λ 60, p_D 0.98": (60.0, 0.98), "λ 30, p_D 0.7": (30.0, 0.7)}
 EASY, CLUTTERED, HIDDEN = CASES
@@ -44,11 +30,6 @@ ELSEWHERE = {
     (EASY, "gm-cphd"): "about 16.2",
 }
 PER_TARGET, NEWBORN = 1500, 500
-# What more particles change where targets are missed.
-MORE, MORE_RUNS = 6000, 8
-MANY_PHD, MANY_CPHD = f"particle-phd, {MORE}", f"particle-cphd, {MORE}"
-MANY = ((MANY_PHD, "particle-phd"), (MANY_PHD, "gm-phd"), (MANY_CPHD, "particle-cphd"), (MANY_CPHD, "gm-cphd"))
-
 # Targets that start together lie in one place: without a number a peak counts as often as its mass says.
 FILTERS: dict[str, Stages] = {
     "gm-phd": (GMPHD(1e-5, 2.0, 100), Components(repeat=True)),
@@ -58,10 +39,6 @@ FILTERS: dict[str, Stages] = {
     "mht": (MHT(), BestHypothesis()),
     # Of points p_D is constant, and nothing fires in one place.
     "pmb": (PMB(mean_visible_time=0.0, static_clutter_prior=0.0), BestBernoullis()),
-}
-WITH_MORE: dict[str, Stages] = {
-    MANY_PHD: (ParticlePHD(MORE), FILTERS["particle-phd"][1]),
-    MANY_CPHD: (ParticleCPHD(MORE), FILTERS["particle-cphd"][1]),
 }
 
 
@@ -91,37 +68,13 @@ def realisation(case: str, seed: int) -> Realisation:
 def run(job: FilterRun) -> SetErrors:
     """One filter over one realisation."""
     given = realisation(job.case, job.seed)
-    return measured(given, followed(given, (FILTERS | WITH_MORE)[job.filter], job.seed))
-
-
-def text(found: RunErrors, more: RunErrors) -> str:
-    """The section of the page."""
-    rows, claims = [], []
-    for case in CASES:
-        outcomes = {name: found[case, name] for name in FILTERS}
-        rows += [(case, name, ELSEWHERE.get((case, name), ""), *Summary.of(each).cells()) for name, each in outcomes.items()]
-        claims += [(case, *cells) for cells in differences(outcomes, COMPARED)]
-    few = len(more[HIDDEN, MANY_PHD])
-    hidden = {name: found[HIDDEN, name][:few] for name in FILTERS} | {name: more[HIDDEN, name] for name in WITH_MORE}
-    return filled(
-        "standard",
-        rows=table(("", "filter", "elsewhere", *HEADER), rows),
-        claims=table(("", "", "difference of OSPA", "share"), claims),
-        particles=PER_TARGET,
-        more=MORE,
-        few=few,
-        many=table(("filter", *HEADER), [(name, *Summary.of(hidden[name]).cells()) for name in hidden]),
-        gains=table(("", "difference of OSPA", "share"), list(differences(hidden, MANY))),
-    )
+    return measured(given, followed(given, FILTERS[job.filter], job.seed))
 
 
 def section(options: Options) -> str:
     """Measure and draw; the section of the page."""
     number = {case: options.number(RUNS if case == EASY else SIDE, FEW) for case in CASES}
-    runs = {(case, name): number[case] for case in CASES for name in FILTERS}
-    found = measure(run, runs, "linear", options)
-    many = {(HIDDEN, name): options.number(MORE_RUNS, FEW) for name in WITH_MORE}
-    more = measure(run, many, "linear, more particles", options)
+    found = compared(run, number, tuple(FILTERS), "linear", options)
     targets = np.array([truth.shape[1] for truth in realisation(EASY, 0).truth])
     curves({name: found[EASY, name] for name in FILTERS}, targets, options.folder / "vo-linear-ospa.png")
-    return text(found, more)
+    return filled("standard", particles=PER_TARGET, **tables(found, ELSEWHERE))

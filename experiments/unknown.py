@@ -103,11 +103,12 @@ def run(job: FilterRun) -> SetErrors:
 def section(options: Options) -> str:
     """Measure; the section of the page."""
     number = options.number(RUNS, FEW)
-    pairs = [(case, name, start) for case in standard.CASES for name in FILTERS for start in STARTS]
+    cases, filters = (tuple(standard.CASES)[:1], FILTERS[:1]) if options.quick else (tuple(standard.CASES), FILTERS)
+    pairs = [(case, name, start) for case in cases for name in filters for start in STARTS]
     found = measure(run, {(f"{c} | {s}", f): number for c, f, s in pairs}, "rates unknown", options)
     rows = []
-    for case in standard.CASES:
-        for name in FILTERS:
+    for case in cases:
+        for name in filters:
             known = found[f"{case} | {KNOWN}", name]
             level = float(np.mean([outcome.ospa.mean() for outcome in known]))
             cells = [case, name, f"{level:.2f}"]
