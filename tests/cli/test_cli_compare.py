@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack, refused, walkers
 
-from phdtrack.compare import work
+from phdtrack.compare import runs
 from phdtrack.scene import Learned, Scene, uniform_density, write_scene
 
 FILES = {"report.html", "compare.csv", "runs.csv", "compare.json"}
@@ -143,14 +143,14 @@ def test_a_video_without_truth_has_counts_and_speed(tmp_path: Path) -> None:
 def test_a_run_that_fails_is_told_and_the_others_go_on(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tracked = work.tracked
+    tracked = runs.tracked
 
-    def broken(run: object, given: work.Material) -> object:
+    def broken(run: object, given: runs.RunInput) -> object:
         if "none" in str(run):
             raise RuntimeError("out of luck")
         return tracked(run, given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(work, "tracked", broken)
+    monkeypatch.setattr(runs, "tracked", broken)
     said = phdtrack("compare", folder, *QUICK, "--out", tmp_path / "out")
     assert said.status == 1
     assert "none on yard det, seed 1 failed: RuntimeError: out of luck" in said.err

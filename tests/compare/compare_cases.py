@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from phdtrack.compare import Plan, plan
+from phdtrack.compare import DetectionChoice, Plan, SettingsSource, plan
 
 FRAMES = 30
 
@@ -30,10 +32,17 @@ def sequence(folder: Path, seed: int = 3, sets: tuple[str, ...] = ("det",), trut
     return folder
 
 
-def small(folder: Path, **more: object) -> Plan:
-    """Two sequences, one Gaussian filter and none, two seeds; ``more`` as `plan` has it."""
+def small(folder: Path, **more: Any) -> Plan:
+    """Two sequences, one Gaussian filter and none, two seeds; ``more`` as `planned` has it."""
     for name, seed in (("a", 3), ("b", 4)):
         if not (folder / name).exists():
             sequence(folder / name, seed)
-    given = {"filters": ["gm-phd", "none"], "seeds": 2} | more
-    return plan([str(folder / "a"), str(folder / "b")], **given)  # type: ignore[arg-type]
+    return planned([folder / "a", folder / "b"], **({"filters": ["gm-phd", "none"], "seeds": 2} | more))
+
+
+def planned(folders: Sequence[Path | str], **more: Any) -> Plan:
+    """`plan` with the parts of `DetectionChoice` and `SettingsSource` by their names."""
+    parts = {name: more.pop(name) for name in ("detections", "detectors", "max_width", "truth") if name in more}
+    choice = DetectionChoice(**{name: tuple(value) if isinstance(value, list) else value for name, value in parts.items()})
+    settings = SettingsSource(sets=tuple(more.pop("sets", ())))
+    return plan([str(folder) for folder in folders], detections=choice, settings=settings, **more)

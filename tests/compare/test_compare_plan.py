@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 import pytest
-from compare_cases import FRAMES, sequence, small
+from compare_cases import FRAMES, planned, sequence, small
 
-from phdtrack.compare import Detecting, Given, plan
+from phdtrack.compare.plans import DetectionFile, DetectorRun
 from phdtrack.errors import InputError
 
 
@@ -23,10 +23,10 @@ def test_every_combination_has_a_place_of_its_own(tmp_path: Path) -> None:
 
 def test_a_folder_has_all_its_sets_and_its_name_decides(tmp_path: Path) -> None:
     folder = str(sequence(tmp_path / "yard", sets=("det_public", "det_frcnn", "detour")))
-    assert [case.name for case in plan([folder]).cases] == ["yard frcnn", "yard public"]
-    chosen = plan([folder], detections=["public", f"mine={folder}/detour/det.txt", f"{folder}/../{{}}/detour/det.txt"])
-    assert [case.seen.name for case in chosen.cases] == ["public", "mine", "det"]
-    files = [case.seen.file.resolve() for case in chosen.cases if isinstance(case.seen, Given)]
+    assert [case.name for case in planned([folder]).cases] == ["yard frcnn", "yard public"]
+    chosen = planned([folder], detections=["public", f"mine={folder}/detour/det.txt", f"{folder}/../{{}}/detour/det.txt"])
+    assert [case.detections.name for case in chosen.cases] == ["public", "mine", "det"]
+    files = [case.detections.file.resolve() for case in chosen.cases if isinstance(case.detections, DetectionFile)]
     assert files[1] == files[2] == (tmp_path / "yard" / "detour" / "det.txt")
     assert chosen.cases[0].info.frames == FRAMES
 
@@ -40,7 +40,7 @@ def test_a_setting_stands_for_the_filters_that_have_it(tmp_path: Path) -> None:
     settings = {method.name: method.settings.as_dict() for method in made.methods}
     assert settings["particle-phd"]["filter"]["particles_per_target"] == 77  # type: ignore[index]
     assert "particles_per_target" not in settings["gm-phd"]["filter"]  # type: ignore[operator]
-    assert all(values["sensor"]["detection"] == 0.7 for values in settings.values())  # type: ignore[index]
+    assert all(values["sensor"]["detection_probability"] == 0.7 for values in settings.values())  # type: ignore[index]
 
 
 def test_variants_start_from_the_first_filter_or_from_a_preset(tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_variants_start_from_the_first_filter_or_from_a_preset(tmp_path: Path) -
     )
     few, paper, other = (method.settings.as_dict() for method in made.methods[2:])
     assert (few["filter"]["kind"], few["filter"]["max_components"]) == ("gm-phd", 20)  # type: ignore[index]
-    assert few["sensor"]["detection"] == 0.8  # type: ignore[index]
+    assert few["sensor"]["detection_probability"] == 0.8  # type: ignore[index]
     assert (paper["preset"], paper["filter"]["kind"]) == ("m09", "particle-phd")  # type: ignore[index]
     assert other["filter"]["kind"] == "gm-cphd"  # type: ignore[index]
 
@@ -101,24 +101,24 @@ def test_malformed_files_are_told_with_their_line(tmp_path: Path) -> None:
         whole = (folder / file).read_text()
         (folder / file).write_text(whole + "31,1,x,1,1,1,1,-1,-1,-1\n")
         with pytest.raises(InputError, match=rf"{file}, line \d+"):
-            plan([str(folder)])
+            planned([str(folder)])
         (folder / file).write_text(whole)
     (folder / "seqinfo.ini").unlink()
     with pytest.raises(InputError, match="size and rate"):
-        plan([str(folder)])
+        planned([str(folder)])
 
 
 def test_two_folders_of_one_name_are_refused(tmp_path: Path) -> None:
     folders = [str(sequence(tmp_path / parent / "a")) for parent in ("x", "y")]
     with pytest.raises(InputError, match="twice"):
-        plan(folders)
+        planned(folders)
 
 
 def test_a_detector_gets_those_settings_that_it_has(tmp_path: Path) -> None:
     folder = sequence(tmp_path / "a")
     (folder / "scene.mp4").write_bytes(b"")
     with pytest.raises(InputError, match=r"scene\.mp4"):
-        plan([str(folder)], detectors=["change"])
+        planned([str(folder)], detectors=["change"])
     # Not opened where nobody looks at it.
-    assert [type(case.seen) for case in plan([str(folder)]).cases] == [Given]
-    assert Detecting("change").parameters == {}
+    assert [type(case.detections) for case in planned([str(folder)]).cases] == [DetectionFile]
+    assert DetectorRun("change").parameters == {}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from phdtrack.compare.parallel import Failed, outcomes
+from phdtrack.compare.runs import Failed, outcomes
 from phdtrack.errors import InputError
 
 
@@ -54,7 +54,7 @@ def test_a_process_that_dies_is_told_and_the_others_go_on() -> None:
     for number in (0, 5):
         reason = found[number]
         assert isinstance(reason, Failed)
-        assert "status 9" in reason.reason
+        assert "its process died" in reason.reason
 
 
 def test_ctrl_c_in_compiled_code_is_no_failed_run() -> None:

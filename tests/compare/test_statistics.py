@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from phdtrack.compare import interval
+from phdtrack.compare.statistics import interval
 
 
 def test_two_values_have_the_widest_interval() -> None:

@@ -7,9 +7,12 @@ from dataclasses import replace
 import pytest
 from compare_cases import small
 
-from phdtrack.compare import Comparison, Failed, Outcome, Row, Run, Summary, check_scores, interval, run, summary
-from phdtrack.compare.page import notes, sentences
-from phdtrack.compare.tables import lines_of, sparse, written
+from phdtrack.compare import Comparison, Summary, check_scores, run, summary
+from phdtrack.compare.plans import Run
+from phdtrack.compare.results import notes, sentences, table, written
+from phdtrack.compare.runs import Failed
+from phdtrack.compare.statistics import Row, interval
+from phdtrack.compare.store import RunResult
 from phdtrack.errors import InputError
 from phdtrack.metrics import Scores, pool
 
@@ -30,8 +33,8 @@ def row(found: Summary, sequence: str, rate: float, method: str) -> Row:
 
 def scores(comparison: Comparison, rate: float, method: str, seed: int) -> list[Scores]:
     cells = [cell for cell in comparison.plan.cells if (cell.rate, cell.method.name) == (rate, method)]
-    found = [comparison.outcome(cell, seed) for cell in cells]
-    return [one.scores for one in found if isinstance(one, Outcome) and one.scores is not None]
+    found = [comparison.result(cell, seed) for cell in cells]
+    return [one.scores for one in found if isinstance(one, RunResult) and one.scores is not None]
 
 
 def test_pooled_rows_add_up_the_sums_seed_by_seed(comparison: Comparison) -> None:
@@ -57,16 +60,16 @@ def test_differences_are_paired_by_seed(comparison: Comparison) -> None:
 def test_a_failed_run_leaves_its_rows_empty(comparison: Comparison) -> None:
     run_of_none = next(one for one in comparison.plan.runs if one.cell.method.name == "none" and one.cell.rate == 3.0)
     broken = Comparison(
-        comparison.plan, comparison.folder, {**comparison.found, run_of_none.place: Failed("no luck")}, comparison.detected
+        comparison.plan, comparison.folder, {**comparison.results, run_of_none.place: Failed("no luck")}, comparison.detected
     )
     found = summary(broken)
     for sequence in ("a", "all"):
         one = row(found, sequence, 3.0, "none")
         assert (one.values, one.failed) == ({}, "no luck")
     assert row(found, "b", 3.0, "none").values
-    assert lines_of([row(found, "a", 3.0, "none")], ("MOTA", "ms")) == [("a", "det", "3", "none", "failed", "")]
+    assert table([row(found, "a", 3.0, "none")], ("MOTA", "ms")).rows == [("a", "det", "3", "none", "failed", "")]
     first = Run(comparison.plan.cells[0], 1)
-    assert first.place in broken.found
+    assert first.place in broken.results
 
 
 def test_numbers_as_people_read_them() -> None:
@@ -74,8 +77,8 @@ def test_numbers_as_people_read_them() -> None:
     assert written(interval([3.0]), "id_switches") == "3.0"
     assert written(interval([0.25]), "MOTA", signed=True) == "+0.250"
     assert written(None, "MOTA") == written(interval([]), "MOTA") == "–"
-    lines = [("a", "x", "0", "f", "1"), ("a", "x", "0", "g", "2"), ("a", "y", "0", "f", "3")]
-    assert sparse(lines) == [("a", "x", "0", "f", "1"), ("", "", "", "g", "2"), ("", "y", "0", "f", "3")]
+    rows = [Row("a", detections, 1, 0.0, method) for detections, method in (("x", "f"), ("x", "g"), ("y", "f"))]
+    assert table(rows, ("ms",)).rows == [("a", "x", "0", "f", "–"), ("", "", "", "g", "–"), ("", "y", "0", "f", "–")]
 
 
 def test_scores_by_name() -> None:
@@ -87,7 +90,7 @@ def test_scores_by_name() -> None:
 def made_up(method: str, values: list[float], random: bool = True) -> Row:
     """One method's MOTA at each seed."""
     own = {"MOTA": interval(values if random else values[:1])}
-    return Row("a", "det", 1, 0.0, method, own, {}, random, each=tuple({"MOTA": value} for value in values))
+    return Row("a", "det", 1, 0.0, method, random, own, each=tuple({"MOTA": value} for value in values))
 
 
 def test_a_best_is_named_only_where_it_is_more_than_chance(comparison: Comparison) -> None:
@@ -102,13 +105,13 @@ def test_a_best_is_named_only_where_it_is_more_than_chance(comparison: Compariso
     assert said.endswith(", d 0.100.")
     assert sentences(still, Summary((c, b)))[0].startswith("Without added clutter b has the highest MOTA, 0.503 ± ")
     e = made_up("e", [0.2, 0.2, 0.2], random=False)
-    assert sentences(still, Summary((d, e))) == ["Without added clutter e has the highest MOTA, 0.200; d 0.100."]
+    assert sentences(still, Summary((d, e))) == ("Without added clutter e has the highest MOTA, 0.200; d 0.100.",)
     # One seed tells nothing from chance.
     assert "not told apart" in sentences(still, Summary((made_up("f", [0.5]), made_up("g", [0.9]))))[0]
 
 
 def test_hints_fit_what_was_done(comparison: Comparison) -> None:
-    found = summary(comparison)
-    assert "say --jobs 1" in notes(found, (1, 2), alone=False, kept=True)[0]
-    assert "--overwrite" in notes(found, (1, 2), alone=True, kept=True)[0]
-    assert notes(found, (1, 2), alone=True, kept=False)[0].endswith("extraction and association.")
+    found, again = summary(comparison), replace(comparison, reused=1)
+    assert "say --jobs 1" in notes(found, again, in_turn=False)[0]
+    assert "--overwrite" in notes(found, again, in_turn=True)[0]
+    assert notes(found, comparison, in_turn=True)[0].endswith("extraction and association.")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phdtrack.cli.evaluate import BY_TRAJECTORY
-from phdtrack.compare.summary import OTHERS
+from phdtrack.compare.statistics import OTHERS
 from phdtrack.metrics import evaluate
 from phdtrack.report.rendering import HIGHER_IS_BETTER as HIGHER
 from phdtrack.report.rendering import LOWER_IS_BETTER as LOWER

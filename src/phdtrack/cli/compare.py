@@ -22,7 +22,7 @@ from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
     from phdtrack.compare import Comparison, Plan, Summary
-    from phdtrack.compare.worst import WorstFrame
+    from phdtrack.compare.failures import WorstFrame
 
 DOCUMENT, CELLS, EACH, FRAMES = "compare.json", "compare.csv", "runs.csv", "worst"
 FILES = (rundir.REPORT, CELLS, EACH, DOCUMENT)
@@ -103,8 +103,8 @@ def compare(
     every filter. A run that fails is named in the table, the others go on, and the exit status is 1.
     """
     from phdtrack.cli.evaluate import check_iou
-    from phdtrack.compare import check_scores, plan, run, steps, summary
-    from phdtrack.compare.worst import worst_frames
+    from phdtrack.compare import DetectionChoice, SettingsSource, check_scores, plan, run, steps, summary
+    from phdtrack.compare.failures import worst_frames
     from phdtrack.report import write_run
 
     result = Output(json)
@@ -115,16 +115,11 @@ def compare(
     made = plan(
         sequences,
         filters=listed(filters),
-        detections=listed(detections),
-        detectors=listed(detectors),
+        detections=DetectionChoice(listed(detections), listed(detectors), max_width, truth),
         clutter=rates(clutter),
         seeds=seeds,
         variants=variants or (),
-        preset=preset,
-        file=config,
-        sets=(*(() if scene is None else (f"scene={scene}",)), *(sets or ())),
-        truth=truth,
-        max_width=max_width,
+        settings=SettingsSource(preset, config, (*(() if scene is None else (f"scene={scene}",)), *(sets or ()))),
         iou=iou,
     )
     directory = rundir.claim(out, True, FILES)
@@ -181,25 +176,27 @@ class Results:
     @property
     def notes(self) -> tuple[str, ...]:
         """What a reader should know of the numbers."""
-        from phdtrack.compare.page import notes
+        from phdtrack.compare.results import notes
 
         comparison = self.comparison
-        return notes(self.summary, comparison.plan.seeds, alone=self.sequential, kept=comparison.reused > 0)
+        return notes(self.summary, comparison, in_turn=self.sequential)
 
     @property
     def scores(self) -> tuple[str, ...]:
         """The scores to show."""
-        from phdtrack.compare.tables import shown
+        from phdtrack.compare.results import shown
 
         return shown(self.summary, self.wanted)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a user should know, each sentence once."""
-        from phdtrack.compare import Outcome
+        from phdtrack.compare.store import RunResult
 
         said = [f"{run} failed: {reason}" for run, reason in self.comparison.failed]
-        said += [outcome.warning for _, outcome in self.comparison.runs if isinstance(outcome, Outcome) and outcome.warning]
+        said += [
+            outcome.warning for _, outcome in self.comparison.runs if isinstance(outcome, RunResult) and outcome.warning
+        ]
         each = tuple(dict.fromkeys(said))
         more = len(each) - MOST_WARNINGS
         return each if more < 1 else (*each[:MOST_WARNINGS], f"and {more} more, see {EACH}")
@@ -207,7 +204,7 @@ class Results:
     @property
     def sentence(self) -> str:
         """What was run, and how much of it was there already."""
-        from phdtrack.compare.page import described
+        from phdtrack.compare.results import described
         from phdtrack.report.rendering import duration
 
         comparison = self.comparison
@@ -215,19 +212,21 @@ class Results:
         if comparison.outdated:
             said = " and ".join(MEANINGS.get(name, name) for name in comparison.outdated)
             reused += f", others run again because of other {said}"
-        return f"{counted(len(comparison.found), 'run')}{reused}, in {duration(self.seconds)}: {described(comparison.plan)}."
+        return (
+            f"{counted(len(comparison.results), 'run')}{reused}, in {duration(self.seconds)}: {described(comparison.plan)}."
+        )
 
     @property
     def document(self) -> dict[str, object]:
         """For programs."""
         from phdtrack.cli.track import command_line
-        from phdtrack.compare.tables import document_of
+        from phdtrack.compare.results import document_of
 
         comparison = self.comparison
         return {
             "complete": True,
             "command": command_line(),
-            "runs": len(comparison.found),
+            "runs": len(comparison.results),
             "reused": comparison.reused,
             "outdated": comparison.outdated,
             "failed": [{"run": str(run), "reason": reason} for run, reason in comparison.failed],
@@ -242,9 +241,8 @@ def write(results: Results, frames: Sequence[WorstFrame], directory: rundir.RunD
     """Everything but the runs, which are there already. Pictures of an earlier comparison go."""
     from phdtrack.cli.doctor import installed_versions
     from phdtrack.cli.track import command_line
-    from phdtrack.compare.page import comparison_page
-    from phdtrack.compare.tables import write_cells, write_runs
-    from phdtrack.compare.worst import write_frames
+    from phdtrack.compare.failures import write_frames
+    from phdtrack.compare.results import comparison_page, write_cells, write_runs
     from phdtrack.report import About, write_run
     from phdtrack.report.run_json import json_value, write_text
 
@@ -271,19 +269,20 @@ def write(results: Results, frames: Sequence[WorstFrame], directory: rundir.RunD
 
 def tell(out: Output, results: Results, directory: rundir.RunDirectory) -> None:
     """The table, who is ahead of the first and by how much, and where everything lies."""
-    from phdtrack.compare.page import sentences
-    from phdtrack.compare.tables import head, lines_of, sparse
+    from phdtrack.compare.results import sentences, table
     from phdtrack.report.run_json import json_value
 
     found, names, plan = results.summary, results.scores, results.comparison.plan
     for warning in results.warnings:
         out.warn(warning)
-    out.table(head(names), sparse(lines_of(found.rows, names)), words=(0, 1, 3))
+    lines = table(found.rows, names)
+    out.table(lines.head, lines.rows, words=(0, 1, 3))
     apart = [row for row in found.widest if row.ahead]
     if apart:
         out.say()
         out.say(f"Difference to {plan.methods[0].name}, seed by seed:")
-        out.table(head(names), sparse(lines_of(apart, names, ahead=True)), words=(0, 1, 3))
+        lines = table(apart, names, ahead=True)
+        out.table(lines.head, lines.rows, words=(0, 1, 3))
     out.say()
     for sentence in (results.sentence, *sentences(plan, found), *results.notes):
         out.say(sentence)

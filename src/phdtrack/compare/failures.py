@@ -1,4 +1,4 @@
-"""The frames of each sequence that tell most: where the methods differ most in their mistakes, and where all make most."""
+"""The frames of each sequence in which the methods differ most in their mistakes, and those with most mistakes."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from phdtrack.compare.engine import Comparison
-from phdtrack.compare.parallel import Failed
-from phdtrack.compare.records import Case, Cell, Footage, Run
+from phdtrack.compare.plans import Case, Cell, Run, SequenceFiles
+from phdtrack.compare.runs import Comparison, Failed, RunInput, run_input
 from phdtrack.compare.store import TRACKS
-from phdtrack.compare.work import Material, material
 from phdtrack.errors import InputError
 from phdtrack.formats import read_tracks
 from phdtrack.metrics.clear import switches
@@ -22,13 +20,14 @@ from phdtrack.report.mistakes import Mistakes, side_by_side
 from phdtrack.types import F8, I8, Image, Tracks, Truth
 from phdtrack.video import open_source
 
-APART = 1.0
-"""Seconds between two frames that are shown of a sequence: neighbours show the same."""
+MIN_SECONDS_BETWEEN = 1.0
+"""Between two frames that are shown of a sequence: neighbours show the same."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Judged:
-    """A method's tracks of a condition beside the truth. ``errors`` (F + 1,) mistakes in each frame, by its number."""
+class _Scored:
+    """A method's tracks under a condition, matched with the truth. ``errors`` (F + 1,) mistakes in each frame, by its
+    number."""
 
     method: str
     tracks: Tracks
@@ -43,14 +42,14 @@ class _Condition:
 
     case: Case
     rate: float
-    given: Material
+    given: RunInput
     truth: Truth
-    judged: Sequence[_Judged]
+    scored: Sequence[_Scored]
 
     @property
     def errors(self) -> I8:
         """(methods, F + 1)."""
-        return np.vstack([one.errors for one in self.judged])
+        return np.vstack([one.errors for one in self.scored])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,33 +65,33 @@ def worst_frames(comparison: Comparison, number: int) -> Iterator[WorstFrame]:
     """Of each sequence with truth ``number`` frames in which the methods differ most, and as many with most mistakes."""
     if number < 1:
         return
-    footages = {case.footage.name: case.footage for case in comparison.plan.cases}
-    for footage in footages.values():
-        conditions = list(_conditions(comparison, footage))
+    sequences = {case.sequence.name: case.sequence for case in comparison.plan.cases}
+    for sequence in sequences.values():
+        conditions = list(_conditions(comparison, sequence))
         chosen = _chosen(conditions, number)
-        pictures = _pictures(footage, {frame for _, frame, _ in chosen})
+        pictures = _pictures(sequence, {frame for _, frame, _ in chosen})
         for condition, frame, why in chosen:
             yield _drawn(condition, frame, why, pictures.get(frame), comparison.plan.seeds[0])
 
 
-def _conditions(comparison: Comparison, footage: Footage) -> Iterator[_Condition]:
+def _conditions(comparison: Comparison, sequence: SequenceFiles) -> Iterator[_Condition]:
     plan, seed = comparison.plan, comparison.plan.seeds[0]
     for case in plan.cases:
         detected = comparison.detected.get(case.place)
-        if case.footage.name != footage.name or footage.truth is None or isinstance(detected, Failed):
+        if case.sequence.name != sequence.name or sequence.truth is None or isinstance(detected, Failed):
             continue
         for rate in plan.rates:
             cells = [Cell(case, rate, method) for method in plan.methods]
-            runs = [Run(cell, seed) for cell in cells if not isinstance(comparison.outcome(cell, seed), Failed)]
+            runs = [Run(cell, seed) for cell in cells if not isinstance(comparison.result(cell, seed), Failed)]
             if not runs:
                 continue
-            given = material(runs[0], detected)
+            given = run_input(runs[0], detected)
             if given.truth is not None:
-                judged = [_judged(comparison, run, given, given.truth) for run in runs]
-                yield _Condition(case, rate, given, given.truth, judged)
+                scored = [_scored(comparison, run, given, given.truth) for run in runs]
+                yield _Condition(case, rate, given, given.truth, scored)
 
 
-def _judged(comparison: Comparison, run: Run, given: Material, truth: Truth) -> _Judged:
+def _scored(comparison: Comparison, run: Run, given: RunInput, truth: Truth) -> _Scored:
     tracks = read_tracks(comparison.folder / run.place / TRACKS)
     scene = build(truth, tracks, given.info.frames)
     mapping = tracking_mapping(scene, comparison.plan.iou)
@@ -101,7 +100,7 @@ def _judged(comparison: Comparison, run: Run, given: Material, truth: Truth) -> 
     errors = np.zeros(given.info.frames + 1, np.int64)
     for pair, count in zip(scene.pairs, scene.truth_boxes + scene.output_boxes - 2 * matched + switched, strict=True):
         errors[pair.number] = count
-    return _Judged(run.cell.method.name, tracks, scene, mapping, errors)
+    return _Scored(run.cell.method.name, tracks, scene, mapping, errors)
 
 
 def _chosen(conditions: Sequence[_Condition], number: int) -> list[tuple[_Condition, int, str]]:
@@ -121,7 +120,7 @@ def _chosen(conditions: Sequence[_Condition], number: int) -> list[tuple[_Condit
         for _, _, i, frame in sorted(ranked):
             if len(taken) == number:
                 break
-            if all(abs(frame - other) >= APART * conditions[i].given.info.fps for _, other in taken):
+            if all(abs(frame - other) >= MIN_SECONDS_BETWEEN * conditions[i].given.info.fps for _, other in taken):
                 taken.append((i, frame))
         for place in taken:
             reasons.setdefault(place, []).append(why)
@@ -133,13 +132,13 @@ def _value(errors: I8, why: str) -> I8:
     return value
 
 
-def _pictures(footage: Footage, numbers: set[int]) -> dict[int, Image]:
+def _pictures(sequence: SequenceFiles, numbers: set[int]) -> dict[int, Image]:
     """The frames of these numbers, as far as the source can be read."""
     found: dict[int, Image] = {}
-    if not footage.source or not numbers:
+    if not sequence.source or not numbers:
         return found
     try:
-        for frame in open_source(footage.source):
+        for frame in open_source(sequence.source):
             if frame.number in numbers:
                 found[frame.number] = frame.image.copy()
             if frame.number >= max(numbers):
@@ -154,15 +153,15 @@ def _drawn(condition: _Condition, frame: int, why: str, image: Image | None, see
     given, case = condition.given, condition.case
     clutter = f", clutter {condition.rate:g}, seed {seed}" if condition.rate else ""
     heading = f"{case.name}{clutter}, frame {frame}"
-    mistakes = [_mistakes(condition.truth, one, frame) for one in condition.judged]
+    mistakes = [_mistakes(condition.truth, one, frame) for one in condition.scored]
     size = (given.info.width, given.info.height)
     picture = side_by_side(image, size, f"{heading}: {why}", given.table.at(frame).xyxy, mistakes)
-    told = "; ".join(one.title for one in mistakes)
+    titles = "; ".join(one.title for one in mistakes)
     name = f"{'-'.join(case.place.parts)}-clutter-{condition.rate:g}-frame-{frame}.png"
-    return WorstFrame(name, f"{heading} ({why}). {told}.", picture)
+    return WorstFrame(name, f"{heading} ({why}). {titles}.", picture)
 
 
-def _mistakes(truth: Truth, one: _Judged, frame: int) -> Mistakes:
+def _mistakes(truth: Truth, one: _Scored, frame: int) -> Mistakes:
     at = next((i for i, pair in enumerate(one.scene.pairs) if pair.number == frame), None)
     if at is None:
         none = np.zeros((0, 4))

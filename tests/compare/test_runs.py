@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compare_cases import FRAMES, sequence, small
+from compare_cases import FRAMES, planned, sequence, small
 
 import phdtrack
-from phdtrack.compare import Failed, Outcome, Plan, Run, plan, run, steps, work
-from phdtrack.compare import digest as digests_of
-from phdtrack.compare.store import kept, read_about, whole
+from phdtrack.compare import Plan, run, runs, steps, store
+from phdtrack.compare.plans import Run
+from phdtrack.compare.runs import Failed, run_input
+from phdtrack.compare.store import RunResult, kept, read_about, whole
 from phdtrack.formats import read_detections, read_tracks, read_truth
 from phdtrack.metrics import evaluate
 
@@ -27,17 +28,17 @@ def tracks(folder: Path) -> dict[str, str]:
     return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("tracks.csv")}
 
 
-def plain(outcomes: Mapping[Path, Outcome | Failed]) -> dict[Path, object]:
+def plain(outcomes: Mapping[Path, RunResult | Failed]) -> dict[Path, object]:
     """Everything but the times."""
     return {
         place: (one.detections, one.rows, one.drawn, scores(one))
         for place, one in outcomes.items()
-        if isinstance(one, Outcome)
+        if isinstance(one, RunResult)
     }
 
 
-def scores(one: Outcome | Failed) -> dict[str, float | int | None]:
-    assert isinstance(one, Outcome)
+def scores(one: RunResult | Failed) -> dict[str, float | int | None]:
+    assert isinstance(one, RunResult)
     assert one.scores is not None
     return one.scores.as_dict()
 
@@ -45,17 +46,17 @@ def scores(one: Outcome | Failed) -> dict[str, float | int | None]:
 def test_outcomes_are_those_of_the_tracks_that_are_kept(tmp_path: Path) -> None:
     made = small(tmp_path, clutter=[3.0])
     found = run(made, tmp_path / "out")
-    assert len(found.found) == len(made.runs) == 8
+    assert len(found.results) == len(made.runs) == 8
     assert (found.reused, found.failed) == (0, [])
     for one, outcome in found.runs:
-        truth = read_truth(tmp_path / one.cell.case.footage.name / "gt" / "gt.txt")
+        truth = read_truth(tmp_path / one.cell.case.sequence.name / "gt" / "gt.txt")
         written = read_tracks(tmp_path / "out" / one.place / "tracks.csv")
         again = evaluate(truth, written, frames=FRAMES).as_dict()
         # Boxes are written with seven digits.
         assert {name: -1 if value is None else value for name, value in scores(outcome).items()} == pytest.approx(
             {name: -1 if value is None else value for name, value in again.items()}, rel=1e-5
         )
-        assert isinstance(outcome, Outcome)
+        assert isinstance(outcome, RunResult)
         assert (outcome.frames, outcome.rows) == (FRAMES, len(written))
 
 
@@ -65,8 +66,8 @@ def test_the_same_plan_again_runs_nothing_and_gives_the_same(tmp_path: Path) -> 
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*") if path.is_file()}
     told: list[int] = []
     second = run(small(tmp_path, clutter=[0.0, 3.0]), tmp_path / "out", advance=told.append)
-    assert (first.reused, second.reused) == (0, len(second.found))
-    assert plain(first.found) == plain(second.found)
+    assert (first.reused, second.reused) == (0, len(second.results))
+    assert plain(first.results) == plain(second.results)
     assert {path: path.stat().st_mtime_ns for path in before} == before
     assert told[-1] == steps(made) == len(made.runs)
     assert told == sorted(told)
@@ -78,17 +79,19 @@ def test_any_number_of_jobs_gives_the_same(tmp_path: Path) -> None:
     one, two = run(made, tmp_path / "one"), run(made, tmp_path / "two", 2)
     assert tracks(tmp_path / "one") == tracks(tmp_path / "two")
     assert digests(tmp_path / "one") == digests(tmp_path / "two")
-    assert plain(one.found) == plain(two.found)
-    assert list(one.found) != []
+    assert plain(one.results) == plain(two.results)
+    assert list(one.results) != []
 
 
 def test_where_nothing_is_random_one_run_stands_for_all_seeds(tmp_path: Path) -> None:
     made = small(tmp_path, filters=["particle-phd", "gm-phd", "none"], seeds=3, sets=["filter.particles_per_target=60"])
     found = run(made, tmp_path / "out")
-    drawn = {(one.cell.method.name, one.seed): outcome.drawn for one, outcome in found.runs if isinstance(outcome, Outcome)}
+    drawn = {
+        (one.cell.method.name, one.seed): outcome.drawn for one, outcome in found.runs if isinstance(outcome, RunResult)
+    }
     assert drawn == {**{("particle-phd", seed): True for seed in (1, 2, 3)}, ("gm-phd", 1): False, ("none", 1): False}
     cell = made.cells[1]
-    assert found.outcome(cell, 3) is found.found[Run(cell, 1).place]
+    assert found.result(cell, 3) is found.results[Run(cell, 1).place]
 
 
 @pytest.mark.parametrize("change", ["setting", "detections", "truth", "seqinfo", "iou"])
@@ -113,19 +116,19 @@ def test_only_what_a_change_decides_runs_again(tmp_path: Path, change: str) -> N
         "iou": set(before),
     }.get(change, {place for place in before if place.startswith("runs/a/")})
     assert changed == expected != set()
-    assert found.outdated == ({"setting": "settings", "seqinfo": "sequence"}.get(change, change),)
+    assert found.outdated == [{"setting": "settings", "seqinfo": "sequence"}.get(change, change)]
     assert found.reused == len(before) - len(expected)
 
 
 @pytest.mark.parametrize(
     ("part", "runs", "looks"),
     [
-        ("compare/work.py", True, True),
+        ("compare/runs.py", True, True),
         ("detect/blobs.py", False, True),
         ("formats/text.py", True, True),
         ("metrics/scores.py", True, False),
         ("filters/none.py", True, False),
-        ("compare/page.py", False, False),
+        ("compare/results.py", False, False),
         ("report/pages.py", False, False),
     ],
 )
@@ -137,8 +140,8 @@ def test_a_change_of_what_makes_results_is_another_digest(
     monkeypatch.setattr(phdtrack, "__file__", str(tmp_path / "phdtrack" / "__init__.py"))
 
     def both() -> tuple[str, str]:
-        digests_of.sources.cache_clear()
-        return digests_of.sources(digests_of._parts()), digests_of.sources(digests_of._DETECTING)
+        store.sources.cache_clear()
+        return store.sources(store._tracking_sources()), store.sources(store._DETECTING)
 
     try:
         before = both()
@@ -146,12 +149,12 @@ def test_a_change_of_what_makes_results_is_another_digest(
             file.write("\n")
         assert [a != b for a, b in zip(before, both(), strict=True)] == [runs, looks]
     finally:
-        digests_of.sources.cache_clear()
+        store.sources.cache_clear()
 
 
 def test_settings_that_no_track_depends_on_change_nothing(tmp_path: Path) -> None:
     run(small(tmp_path), tmp_path / "out")
-    assert run(small(tmp_path, sets=["groups.lightest=0.1"]), tmp_path / "out").reused == 4
+    assert run(small(tmp_path, sets=["groups.min_weight=0.1"]), tmp_path / "out").reused == 4
 
 
 @pytest.mark.parametrize("damage", ["half", "no tracks", "other counts"])
@@ -168,13 +171,13 @@ def test_a_damaged_folder_is_run_again(tmp_path: Path, damage: str) -> None:
         del document["outcome"]["counts"]["hota"]
         (place / "run.json").write_text(json.dumps(document))
     second = run(made, tmp_path / "out")
-    assert second.reused == len(first.found) - 1
-    assert plain(second.found) == plain(first.found)
+    assert second.reused == len(first.results) - 1
+    assert plain(second.results) == plain(first.results)
 
 
 def test_clutter_is_the_same_for_all_methods_and_another_for_every_seed(tmp_path: Path) -> None:
     made = small(tmp_path, clutter=[3.0])
-    given = {(one.cell.case.name, one.cell.method.name, one.seed): work.material(one, None).table for one in made.runs}
+    given = {(one.cell.case.name, one.cell.method.name, one.seed): run_input(one, None).table for one in made.runs}
     for case in ("a det", "b det"):
         for seed in (1, 2):
             boxes = [given[case, method, seed].detections.xyxy for method in ("gm-phd", "none")]
@@ -189,9 +192,9 @@ def test_clutter_is_the_same_for_all_methods_and_another_for_every_seed(tmp_path
 
 def test_without_truth_there_are_no_scores(tmp_path: Path) -> None:
     folder = sequence(tmp_path / "a", truth=False)
-    found = run(plan([str(folder)], filters=["none"], seeds=1), tmp_path / "out")
-    (outcome,) = found.found.values()
-    assert isinstance(outcome, Outcome)
+    found = run(planned([folder], filters=["none"], seeds=1), tmp_path / "out")
+    (outcome,) = found.results.values()
+    assert isinstance(outcome, RunResult)
     assert outcome.scores is None
     assert outcome.tracks > 0
     assert run(found.plan, tmp_path / "out").reused == 1
@@ -199,14 +202,14 @@ def test_without_truth_there_are_no_scores(tmp_path: Path) -> None:
 
 def failing(made: Plan, monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
     """Let the run of the filter none on the first sequence fail."""
-    tracked = work.tracked
+    tracked = runs.tracked
 
-    def broken(one: Run, given: work.Material) -> object:
+    def broken(one: Run, given: runs.RunInput) -> object:
         if one.cell.method.name == "none" and one.cell.case is made.cases[0]:
             raise error
         return tracked(one, given)
 
-    monkeypatch.setattr(work, "tracked", broken)
+    monkeypatch.setattr(runs, "tracked", broken)
 
 
 def test_a_run_that_fails_is_told_and_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -244,4 +247,4 @@ def test_a_folder_is_whole_or_not_there(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="full"):
         fill()
     assert [path.name for path in place.parent.rglob("*")] == ["one", "old"]
-    assert kept(place, "any") is None
+    assert kept(place, {}) is None

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from compare_cases import FRAMES, small
 
-from phdtrack.compare import Comparison, Outcome, run
-from phdtrack.compare.worst import APART, _chosen, _conditions, _mistakes, worst_frames, write_frames
+from phdtrack.compare import Comparison, run
+from phdtrack.compare.failures import MIN_SECONDS_BETWEEN, _chosen, _conditions, _mistakes, worst_frames, write_frames
+from phdtrack.compare.store import RunResult
 
 
 @pytest.fixture(scope="module")
@@ -19,17 +20,17 @@ def comparison(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
 
 
 def test_mistakes_of_all_frames_are_those_of_the_scores(comparison: Comparison) -> None:
-    conditions = list(_conditions(comparison, comparison.plan.cases[0].footage))
+    conditions = list(_conditions(comparison, comparison.plan.cases[0].sequence))
     assert [condition.rate for condition in conditions] == [0.0, 4.0]
     for condition in conditions:
-        for one in condition.judged:
+        for one in condition.scored:
             cell = next(
                 cell
                 for cell in comparison.plan.cells
                 if cell.case is condition.case and cell.rate == condition.rate and cell.method.name == one.method
             )
-            outcome = comparison.outcome(cell, 1)
-            assert isinstance(outcome, Outcome)
+            outcome = comparison.result(cell, 1)
+            assert isinstance(outcome, RunResult)
             assert outcome.scores is not None
             drawn = [_mistakes(condition.truth, one, frame) for frame in range(1, FRAMES + 1)]
             assert sum(len(frame.missed) for frame in drawn) == outcome.scores.misses
@@ -41,7 +42,7 @@ def test_mistakes_of_all_frames_are_those_of_the_scores(comparison: Comparison) 
 
 
 def test_the_frames_are_those_of_the_greatest_difference_and_apart(comparison: Comparison) -> None:
-    conditions = list(_conditions(comparison, comparison.plan.cases[0].footage))
+    conditions = list(_conditions(comparison, comparison.plan.cases[0].sequence))
     values = {
         "differ most": [np.ptp(one.errors, axis=0) for one in conditions],
         "most mistakes": [one.errors.sum(axis=0) for one in conditions],
@@ -54,7 +55,7 @@ def test_the_frames_are_those_of_the_greatest_difference_and_apart(comparison: C
             frames = [(i, frame) for i, frame, reasons in chosen if why in reasons]
             # Whatever else is shown, the worst is.
             assert max(each[i][frame] for i, frame in frames) == max(int(one.max()) for one in each)
-            assert all(abs(a - b) >= APART * 25 for k, (_, a) in enumerate(frames) for _, b in frames[:k])
+            assert all(abs(a - b) >= MIN_SECONDS_BETWEEN * 25 for k, (_, a) in enumerate(frames) for _, b in frames[:k])
 
 
 def test_pictures_are_written_and_show_something(comparison: Comparison, tmp_path: Path) -> None:
