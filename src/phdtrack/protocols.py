@@ -387,16 +387,6 @@ class Source(Protocol):
         """The frames."""
 
 
-class Sink(Protocol):
-    """Where steps go."""
-
-    def write(self, frame: Frame, step: Step) -> None:
-        """Take one step and the frame that it came from."""
-
-    def close(self) -> None:
-        """Finish what was written; also called after an error."""
-
-
 @dataclass(frozen=True, slots=True)
 class Stages(Generic[S, A]):
     """The settings of one tracker: model, filter, extractor and associator; what is learned of the scene on the way."""
