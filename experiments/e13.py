@@ -187,7 +187,7 @@ def _velocity(annotated: Truth, place: F8, i: int) -> F8:
 
 def main(options: Options) -> Path:
     """Run everything and write the page with its pictures."""
-    seeds, rates = options.number(SEEDS, 2), CLUTTER[:1] if options.quick else CLUTTER
+    seeds, rates = options.number(SEEDS, 1), CLUTTER[:1] if options.quick else CLUTTER
     jobs = [CrowdRun(name, clutter, seed) for clutter in rates for name in FILTERS for seed in range(seeds)]
     results = dict(zip(jobs, in_parallel(work, jobs, "e13", options), strict=True))
     people = np.bincount(truth().frame, minlength=INFO.frames + 1)[1:].astype(np.float64)

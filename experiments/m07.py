@@ -18,7 +18,7 @@ from phdtrack.compare.statistics import Interval, interval
 from phdtrack.metrics import Scores, pool
 
 RATES = (0, 5, 20)
-SEEDS, FEW = 3, 2
+SEEDS, FEW = 3, 1
 PHD = "particle-phd"
 RIVALS = ("none", "mht", "mht, M09")
 # Name, filter and preset.
