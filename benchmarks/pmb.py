@@ -11,7 +11,7 @@ from typing import Any
 from benchmarks.gm_phd import steps
 from benchmarks.workload import Crowd
 from phdtrack import config
-from phdtrack.filters.bernoullis import Bernoullis
+from phdtrack.filters.pmb import Bernoullis
 from phdtrack.types import F8
 
 
@@ -25,4 +25,4 @@ def measure(targets: int, seed: int = 1, frames: int = 60) -> dict[str, Any]:
 def _there(state: Bernoullis) -> F8:
     """Positions (2, n) of the best hypotheses of who is there."""
     now = state.present
-    return now.mean[:2, now.best[now.presence >= 0.5]]
+    return now.mean[now.best[now.presence >= 0.5], :2].T

@@ -15,8 +15,8 @@ import numpy as np
 from experiments.common import Options, filled, pyplot
 from experiments.scans import FilterRun, Realisation, SetErrors, Stages, compared, curves, followed, measured, tables
 from experiments.standard_scenes import DEGREE, TURNING_LAST, TURNING_START, Turning, turning, turning_states
-from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, ParticleCPHD, ParticlePHD
-from phdtrack.filters.extract import BestBernoullis, BestHypothesis, Components, KMeans, Mixture
+from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, BestBernoullis, BestHypothesis, ParticleCPHD, ParticlePHD
+from phdtrack.filters.extract import Components, KMeans, Mixture
 from phdtrack.models import BearingSensor, FixedBirth, TurningMotion, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import F8, GaussianMixture

@@ -11,8 +11,8 @@ import numpy as np
 from experiments.common import Options, filled
 from experiments.scans import FilterRun, Realisation, SetErrors, Stages, compared, curves, followed, measured, tables
 from experiments.standard_scenes import LinearGaussian, linear_gaussian
-from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, ParticleCPHD, ParticlePHD
-from phdtrack.filters.extract import BestBernoullis, BestHypothesis, Components, KMeans, Mixture
+from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, BestBernoullis, BestHypothesis, ParticleCPHD, ParticlePHD
+from phdtrack.filters.extract import Components, KMeans, Mixture
 from phdtrack.models import FixedBirth, PlaneMotion, PlaneSensor, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture

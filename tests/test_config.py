@@ -13,8 +13,8 @@ from phdtrack.cli.settings import as_toml, meanings, toml_value
 from phdtrack.config.kinds import FROM_SEQUENCE, SECTIONS, record
 from phdtrack.config.presets import PRESETS
 from phdtrack.errors import InputError
-from phdtrack.filters import PMB, ParticlePHD
-from phdtrack.filters.extract import BestBernoullis, KMeans, Mixture
+from phdtrack.filters import PMB, BestBernoullis, ParticlePHD
+from phdtrack.filters.extract import KMeans, Mixture
 from phdtrack.models import (
     FixedBirth,
     LocalClutter,

@@ -9,15 +9,8 @@ from phdtrack import config
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.config.presets import PRESETS
 from phdtrack.errors import InputError
-from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, NoFilter, ParticleCPHD, ParticlePHD
-from phdtrack.filters.extract import (
-    BestBernoullis,
-    BestHypothesis,
-    Components,
-    KMeans,
-    Mixture,
-    Raw,
-)
+from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, BestBernoullis, BestHypothesis, NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.filters.extract import Components, KMeans, Mixture, Raw
 from phdtrack.models import LocalPlaneClutter, PlaneBirth, PlaneMotion, PlaneSensor
 from phdtrack.types import SequenceInfo
 

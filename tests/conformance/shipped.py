@@ -10,19 +10,23 @@ import numpy as np
 from phdtrack.arrays import to_cxcywh
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.associate.rejection import FalseTrackRejection
-from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, PMB, NoFilter, ParticleCPHD, ParticlePHD
-from phdtrack.filters.bernoullis import Bernoullis, Layer
-from phdtrack.filters.extract import (
+from phdtrack.filters import (
+    GMCPHD,
+    GMPHD,
+    MCMC,
+    MHT,
+    PMB,
     BestBernoullis,
     BestHypothesis,
-    Components,
-    Joint,
-    KMeans,
-    Mixture,
-    Raw,
+    NoFilter,
+    ParticleCPHD,
+    ParticlePHD,
 )
+from phdtrack.filters.extract import Components, Joint, KMeans, Mixture, Raw
 from phdtrack.filters.hypotheses import Cluster, Hypotheses, Nodes
 from phdtrack.filters.intensities import JointSamples
+from phdtrack.filters.pmb import Bernoullis
+from phdtrack.kernels.pmb import Layer
 from phdtrack.models import (
     BearingSensor,
     BoxMotion,
@@ -206,7 +210,15 @@ def certain(x: np.ndarray, mass: float = 1.0) -> Hypotheses:
     """A track about every column of ``x``, of which there is no other form, with this probability that it is there."""
     d, n = x.shape
     none = np.full(n, -1)
-    nodes = Nodes(x, np.tile(np.eye(d), (n, 1, 1)), np.full(n, mass), none, none, np.arange(n), np.zeros(n, np.int64))
+    nodes = Nodes(
+        np.ascontiguousarray(x.T),
+        np.tile(np.eye(d), (n, 1, 1)),
+        np.full(n, mass),
+        none,
+        none,
+        np.arange(n),
+        np.zeros(n, np.int64),
+    )
     return Hypotheses((nodes,), np.arange(n), (), n)
 
 
@@ -214,7 +226,7 @@ def believed(x: np.ndarray, mass: float = 1.0) -> Bernoullis:
     """A target about every column of ``x``, of one hypothesis, with this probability that it is there."""
     d, n = x.shape
     each, none, one = np.arange(n), np.full(n, -1), np.full(n, mass)
-    no, unit = np.zeros(n, np.bool_), np.tile(np.eye(d), (n, 1, 1))
+    x, no, unit = np.ascontiguousarray(x.T), np.zeros(n, np.bool_), np.tile(np.eye(d), (n, 1, 1))
     layer = Layer(one, each, np.arange(n + 1), np.ones(n), x, unit, no, np.zeros(n), none, none, each, one, one)
     return Bernoullis((layer,), np.zeros((2, 0), np.int64), n)
 
@@ -227,7 +239,7 @@ def about(x: np.ndarray, each: int, rng: np.random.Generator, mass: float = 1.0)
 
 def frozen(record):
     """The record, its arrays and those of the records in it made read-only."""
-    for name in record.__dataclass_fields__:
+    for name in getattr(record, "_fields", None) or record.__dataclass_fields__:
         value = getattr(record, name)
         if isinstance(value, np.ndarray):
             value.flags.writeable = False

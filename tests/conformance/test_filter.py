@@ -9,9 +9,9 @@ import pytest
 from shipped import BIRTHS, CLUTTERS, FILTERS, SENSORS, detections, fixed, frozen, keeps, mixture, model_of
 
 from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, PMB, ParticleCPHD, ParticlePHD
-from phdtrack.filters.bernoullis import Bernoullis
 from phdtrack.filters.hypotheses import Hypotheses
 from phdtrack.filters.intensities import Cardinalised
+from phdtrack.filters.pmb import Bernoullis
 from phdtrack.protocols import Filter
 from phdtrack.types import GaussianMixture, ParticleBlocks
 

@@ -59,7 +59,7 @@ def partitions(state: Hypotheses, scans: list[F8]) -> dict[frozenset, tuple[floa
     """Probability of each partition of the measurements, over all clusters, and the leaf of each of its sequences."""
     told = histories(state)
     everything = {(k, j) for k, z in enumerate(scans) for j in range(z.shape[1])}
-    choices = [[(1.0, tuple(state.alone.tolist()))]]
+    choices = [[(1.0, tuple(state.lone.tolist()))]]
     choices += [
         [(float(w), tuple(leaf for leaf in row.tolist() if leaf >= 0)) for w, row in zip(c.weight, c.leaf, strict=True)]
         for c in state.clusters

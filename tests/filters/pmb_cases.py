@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phdtrack.filters import PMB
-from phdtrack.filters.bernoullis import Bernoullis
-from phdtrack.filters.extract import BestBernoullis
+from phdtrack.filters import PMB, BestBernoullis
+from phdtrack.filters.pmb import Bernoullis
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import F8, Estimates, UpdateInfo
@@ -90,11 +89,7 @@ def moved_on(ways: list[One], model: Model, dt: float, turns: F8) -> list[One]:
     for way in ways:
         weight = way.weight * float(model.motion.p_survive(way.mean[:, None], dt / model.rate)[0])
         if way.static:
-            # Where a source fires is never known better than half the variance of one measurement says.
-            cov, noise = way.cov.copy(), model.sensor.noise(way.mean[:, None])[:, 0]
-            for row in model.sensor.observed:
-                cov[row, row] = max(cov[row, row], 0.5 * noise[row] ** 2)
-            out.append(replace(way, weight=weight, cov=cov))
+            out.append(replace(way, weight=weight))
             continue
         mean, cov = kalman(model, way.mean, way.cov, None, dt)
         out += [replace(way, weight=weight * turns[int(way.hidden), k], hidden=bool(k), mean=mean, cov=cov) for k in (0, 1)]
@@ -109,6 +104,9 @@ def bernoulli(nobody: float, ways: list[One], z: F8, model: Model, firing: float
         out.append(replace(way, weight=way.weight * (1 - p), taken=(*way.taken, -1)))
         for j in range(z.shape[1]):
             mean, cov, density = corrected(way.mean, way.cov, z[:, j])
+            if way.static:
+                # The place of static clutter is never known better than half the variances after one detection say.
+                cov[range(6), range(6)] = np.maximum(np.diag(cov), 0.5 * np.diag(model.sensor.states(z)[1][j]))
             out.append(
                 replace(
                     way, weight=way.weight * p * density / kappa[j], taken=(*way.taken, j), mean=mean, cov=cov, hidden=False

@@ -9,8 +9,7 @@ import pytest
 from mht_cases import FRAME, boxes, histories, run, world
 
 from phdtrack import config
-from phdtrack.filters import MHT
-from phdtrack.filters.extract import BestHypothesis
+from phdtrack.filters import MHT, BestHypothesis
 from phdtrack.filters.hypotheses import Hypotheses
 from phdtrack.models import BearingSensor, FixedBirth, LocalClutter, MeasurementBirth, TurningMotion, UniformClutter
 from phdtrack.types import Detections, GaussianMixture, SequenceInfo
@@ -196,7 +195,7 @@ def test_unscented_with_bearings_and_range():
         noise = np.linalg.cholesky(sensor.covariance(sensor.expected(x), x)) @ rng.standard_normal((2, 2, 1))
         alarms = np.vstack([rng.uniform(-np.pi / 2, np.pi / 2, 5), rng.uniform(0, 2000, 5)])
         state, _ = filter_.step(state, np.hstack([sensor.expected(x) + noise[:, :, 0].T, alarms]), model, 1.0, rng)
-    at = state.leaves.mean[:2, state.best()[state.leaves.exist[state.best()] > 0.5]]
+    at = state.leaves.mean[state.best()[state.leaves.r[state.best()] > 0.5], :2].T
     assert at.shape == (2, 2)
     assert np.hypot(*(np.sort(at, axis=1) - np.sort(x[:2], axis=1))).max() < 40
 

@@ -32,9 +32,9 @@ def test_every_hypothesis_has_the_probability_that_enumeration_gives_it(name: st
     for key, (weight, leaves) in found.items():
         assert weight == pytest.approx(wanted[key], rel=1e-8), key
         for sequence, leaf in leaves.items():
-            assert state.leaves.exist[leaf] == pytest.approx(there.get((key, sequence), 0.0), rel=1e-8)
+            assert state.leaves.r[leaf] == pytest.approx(there.get((key, sequence), 0.0), rel=1e-8)
             mean, cov = states[key, sequence]
-            np.testing.assert_allclose(state.leaves.mean[:, leaf], mean, rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(state.leaves.mean[leaf], mean, rtol=1e-9, atol=1e-9)
             np.testing.assert_allclose(state.leaves.covariance[leaf], cov, rtol=1e-8, atol=1e-8)
     expected = sum(wanted[key] * p for (key, _), p in there.items())
     assert state.mass == pytest.approx(expected, rel=1e-8)

@@ -51,7 +51,7 @@ def test_on_clean_data_it_is_a_kalman_filter(transform: str, dt: float):
     np.testing.assert_allclose(found.state[:, 0], mean, rtol=0, atol=1e-9 * 640)
     np.testing.assert_allclose(found.covariance[0], cov, rtol=1e-9, atol=1e-9)
     for layer, mean in zip(state.layers, means[-11:], strict=True):
-        np.testing.assert_allclose(layer.mean[:, 0], mean, rtol=0, atol=1e-9 * 640)
+        np.testing.assert_allclose(layer.mean[0], mean, rtol=0, atol=1e-9 * 640)
 
 
 def turns(filter_: PMB, seconds: float) -> np.ndarray:
@@ -98,7 +98,8 @@ def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float):
     kinds = [(False, 1 - filter_.static_clutter_prior), (True, filter_.static_clutter_prior)]
     nobody, ways = 1 - r, [One(r * w, (0,), kind, False, mean[:, 0], cov[0]) for kind, w in kinds if w > 0]
     assert info.mass == pytest.approx(r * (1 - filter_.static_clutter_prior))
-    model, chain = without_births(model), turns(filter_, dt / 25)
+    # Births so rare that they change nothing.
+    model, chain = world(clutter=3e-8, birth=1e-290, detection=0.8, survival=0.95), turns(filter_, dt / 25)
     for points in rest:
         z = boxes(*points)
         before = sum(w.weight for w in ways)
@@ -108,18 +109,19 @@ def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float):
         )
         state, info = filter_.step(state, z, model, dt, RNG)
     now = state.present
-    assert now.exist[0] == pytest.approx(1 - nobody, rel=1e-9)
-    assert info.mass == now.presence[0] == pytest.approx(sum(w.weight for w in ways if not w.static), rel=1e-9)
-    keys = list(zip(pasts(state), now.static.tolist(), strict=True))
+    assert now.r[0] == pytest.approx(1 - nobody, rel=1e-9)
+    assert info.mass == pytest.approx(now.presence[0], rel=1e-12)
+    assert now.presence[0] == pytest.approx(sum(w.weight for w in ways if not w.static), rel=1e-9)
+    keys = list(zip(pasts(state), now.static.tolist(), strict=True))[: now.offsets[1]]
     assert len(set(keys)) == len(keys)
     # But for what is next to impossible.
     assert set(keys) >= {(w.taken, w.static) for w in ways if w.weight > 1e-100}
     for i, key in enumerate(keys):
         mine = [w for w in ways if (w.taken, w.static) == key]
         weight = sum(w.weight for w in mine)
-        assert now.exist[0] * now.weight[i] == pytest.approx(weight, rel=1e-8)
-        assert now.hidden[i] == pytest.approx(sum(w.weight for w in mine if w.hidden) / weight, rel=1e-8, abs=1e-12)
-        np.testing.assert_allclose(now.mean[:, i], mine[0].mean, rtol=1e-9, atol=1e-9)
+        assert now.r[0] * now.weight[i] == pytest.approx(weight, rel=1e-8)
+        assert now.occluded[i] == pytest.approx(sum(w.weight for w in mine if w.hidden) / weight, rel=1e-8, abs=1e-12)
+        np.testing.assert_allclose(now.mean[i], mine[0].mean, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(now.covariance[i], mine[0].cov, rtol=1e-8, atol=1e-8)
 
 
@@ -127,14 +129,14 @@ def test_a_false_alarm_is_as_probable_as_bayes_has_it():
     """One target that is there or not, one measurement: it is its, a new target's or nobody's."""
     model = world(clutter=3e-8, birth=2e-8, detection=0.8, survival=0.95)
     state, _ = run(replace(PLAIN, gate_probability=1.0), [boxes((300, 200))], model)
-    mean, cov = kalman(model, state.present.mean[:, 0], state.present.covariance[0], None, 1.0)
-    r, q = 0.95 * state.present.exist[0], corrected(mean, cov, boxes((303, 204))[:, 0])[2]
+    mean, cov = kalman(model, state.present.mean[0], state.present.covariance[0], None, 1.0)
+    r, q = 0.95 * state.present.r[0], corrected(mean, cov, boxes((303, 204))[:, 0])[2]
     its, born, false = r * 0.8 * q, (1 - r * 0.8) * 0.8 * 2e-8, (1 - r * 0.8) * 3e-8
     state, info = replace(PLAIN, gate_probability=1.0).step(state, boxes((303, 204)), model, 1.0, RNG)
     total = its + born + false
     assert info.clutter_probability[0] == pytest.approx(false / total, rel=1e-9)
     assert info.mass_born == pytest.approx(born / total, rel=1e-9)
-    assert state.present.exist[1] == pytest.approx(born / total, rel=1e-9)
+    assert state.present.r[1] == pytest.approx(born / total, rel=1e-9)
 
 
 HISTORIES = {
@@ -162,7 +164,7 @@ def test_several_targets_have_the_probabilities_of_all_histories(name: str, sett
     now, last = state.present, len(scans) - 1
     for i, past in enumerate(pasts(state)):
         taken = tuple((last - len(past) + 1 + k, j) for k, j in enumerate(past) if j >= 0)
-        found[taken] = found.get(taken, 0.0) + now.exist[now.target[i]] * now.weight[i]
+        found[taken] = found.get(taken, 0.0) + np.repeat(now.r, np.diff(now.offsets))[i] * now.weight[i]
     assert found.keys() == wanted.keys()
     for key, probability in wanted.items():
         assert found[key] == pytest.approx(probability, rel=1e-8), key

@@ -7,39 +7,40 @@ import numpy as np
 import pytest
 from pmb_cases import FRAME, RNG, run, told, walk, world
 
-from phdtrack.filters import PMB
-from phdtrack.filters.bernoullis import Bernoullis
-from phdtrack.filters.extract import BestBernoullis
-from phdtrack.filters.extract.resolution import resolved
+from phdtrack.arrays import iou
+from phdtrack.filters import PMB, BestBernoullis
+from phdtrack.filters.pmb import Bernoullis
 
 boxes = mht_cases.boxes
 
 
-def traced(state: Bernoullis, model, lightest: float, overlap: float) -> list[dict[int, tuple]]:
+def traced(state: Bernoullis, model, min_weight: float, merge_iou: float) -> list[dict[int, tuple]]:
     """Of each frame before the present one, oldest first: by label, where the target was and which detection it had."""
     last = len(state.layers) - 1
     starts = [(last, int(place)) for place in state.present.best if place >= 0]
-    starts += [(last - int(back), int(place)) for back, place in state.ended.T]
+    starts += [(last - state.frame + int(frame), int(place)) for frame, place in state.ended.T]
     frames: list[dict[int, tuple]] = [{} for _ in range(last)]
     for frame, place in starts:
         presence = 0.0
         for number in range(frame, -1, -1):
             layer = state.layers[number]
-            target = int(np.searchsorted(layer.first, place, side="right")) - 1
+            target = int(np.searchsorted(layer.offsets, place, side="right")) - 1
             presence = max(presence, layer.presence[target])
-            if number < last and presence >= lightest:
+            if number < last and presence >= min_weight:
                 label = int(layer.label[target])
                 assert label not in frames[number]
-                frames[number][label] = (layer.mean[:, place], int(layer.detection[place]))
+                frames[number][label] = (layer.mean[place], int(layer.detection[place]))
             place = int(layer.parent[place])
             if place < 0:
                 break
     out = []
     for frame in frames:
-        labels = sorted(frame)
-        mean = np.array([frame[label][0] for label in labels]).reshape(-1, 6).T
-        kept = resolved(model.sensor.boxes(np.ascontiguousarray(mean)), overlap)
-        out.append({labels[i]: frame[labels[i]] for i in kept})
+        kept: dict[int, tuple] = {}
+        for label in sorted(frame):
+            box = model.sensor.boxes(frame[label][0][:, None])
+            if all(iou(box, model.sensor.boxes(mean[:, None]))[0, 0] <= merge_iou for mean, _ in kept.values()):
+                kept[label] = frame[label]
+        out.append(kept)
     return out
 
 

@@ -57,7 +57,7 @@ def enumerate_histories(scans, model, dt: float):
 
 
 def moved_on(track, model, dt):
-    mean, f, q = model.motion.transition(track.mean[:, None], dt / model.rate)
+    mean, f, q = model.motion.transition(track.mean[:, None], dt)
     return Track(track.taken, True, mean[:, 0], f[0] @ track.cov @ f[0].T + q[0])
 
 

@@ -255,12 +255,12 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "none": "phdtrack.filters.none:NoFilter",
     },
     "extract": {
-        "bernoullis": "phdtrack.filters.extract.bernoullis:BestBernoullis",
+        "bernoullis": "phdtrack.filters.pmb:BestBernoullis",
         "kmeans": "phdtrack.filters.extract.kmeans:KMeans",
         "mixture": "phdtrack.filters.extract.mixture:Mixture",
         "components": "phdtrack.filters.extract.components:Components",
         "joint": "phdtrack.filters.extract.joint:Joint",
-        "hypotheses": "phdtrack.filters.extract.hypotheses:BestHypothesis",
+        "hypotheses": "phdtrack.filters.mht:BestHypothesis",
     },
     "associate": {
         "labelled": "phdtrack.associate.labels:Labelled",

@@ -10,15 +10,17 @@ if TYPE_CHECKING:
     from phdtrack.filters.gm_cphd import GMCPHD
     from phdtrack.filters.gm_phd import GMPHD
     from phdtrack.filters.mcmc import MCMC
-    from phdtrack.filters.mht import MHT
+    from phdtrack.filters.mht import MHT, BestHypothesis
     from phdtrack.filters.none import NoFilter
     from phdtrack.filters.particle_cphd import ParticleCPHD
     from phdtrack.filters.particle_phd import ParticlePHD
-    from phdtrack.filters.pmb import PMB
+    from phdtrack.filters.pmb import PMB, BestBernoullis
 
 __getattr__, __dir__ = lazy(
     __name__,
     {
+        "BestBernoullis": "phdtrack.filters.pmb",
+        "BestHypothesis": "phdtrack.filters.mht",
         "GMCPHD": "phdtrack.filters.gm_cphd",
         "GMPHD": "phdtrack.filters.gm_phd",
         "MCMC": "phdtrack.filters.mcmc",
@@ -30,4 +32,15 @@ __getattr__, __dir__ = lazy(
     },
 )
 
-__all__ = ["GMCPHD", "GMPHD", "MCMC", "MHT", "PMB", "NoFilter", "ParticleCPHD", "ParticlePHD"]
+__all__ = [
+    "GMCPHD",
+    "GMPHD",
+    "MCMC",
+    "MHT",
+    "PMB",
+    "BestBernoullis",
+    "BestHypothesis",
+    "NoFilter",
+    "ParticleCPHD",
+    "ParticlePHD",
+]

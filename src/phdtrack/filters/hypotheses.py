@@ -1,19 +1,21 @@
-"""What a filter of multiple hypotheses carries from frame to frame, and the extraction reads: trees of targets' states.
+"""Association hypotheses in clusters: the state of the MHT, how it branches with measurements, and how it is pruned.
 
 A track begins with a measurement and branches wherever it may have gone on in more than one way. The nodes of all tracks'
 trees stand in layers, one for each of the last frames; the leaves are the last layer. A hypothesis says of every track of a
 cluster which leaf is true, or that there is none. Clusters are independent of each other, so that a hypothesis of everything
-is any choice of one from each, and its probability the product. Most clusters are one track with one leaf: those are
-``alone``.
+is any choice of one from each, and its probability the product. Most clusters are one track with one leaf: ``lone`` leaves.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from phdtrack.arrays import sum_by
+from phdtrack.kernels.linkage import competing, components
+from phdtrack.kernels.murty import best_assignments
 from phdtrack.types import F8, I8, Bool, GaussianMixture
 
 
@@ -23,36 +25,31 @@ class Nodes:
 
     Attributes
     ----------
-    mean : (d, L).      covariance : (L, d, d).
-    exist : (L,) probability that the target is there, if the measurements of its history are its own.
-    detection : (L,) measurement of the frame that it took, −1: none.
+    mean : (L, d).      covariance : (L, d, d).
+    r : (L,) probability that the target exists, if the measurements of its history are its own.
+    detection : (L,) measurement of the frame that it took, −1 for none.
     parent : (L,) its node in the frame before; −1 where the track begins.
     label : (L,) the track's number, from 0, none given twice.
-    since : (L,) frames since it last took a measurement.
+    missed : (L,) frames since it last took a measurement.
     """
 
     mean: F8
     covariance: F8
-    exist: F8
+    r: F8
     detection: I8
     parent: I8
     label: I8
-    since: I8
+    missed: I8
 
     def __len__(self) -> int:
-        return len(self.exist)
+        return len(self.r)
 
     def take(self, index: I8 | Bool) -> Nodes:
         """The nodes at ``index`` (integers or a mask), in that order."""
         return Nodes(
-            np.ascontiguousarray(self.mean[:, index]),
-            self.covariance[index],
-            self.exist[index],
-            self.detection[index],
-            self.parent[index],
-            self.label[index],
-            self.since[index],
-        )
+            self.mean[index], self.covariance[index], self.r[index], self.detection[index], self.parent[index],
+            self.label[index], self.missed[index],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,20 +66,20 @@ class Cluster:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypotheses:
-    """The state of a filter of multiple hypotheses.
+    """The state of a multiple hypothesis tracker.
 
     Attributes
     ----------
     layers : nodes of the last frames, oldest first; those of the present are the leaves.
-    alone : (n,) leaves of tracks of which there is nothing else to believe.
+    lone : (n,) leaves of tracks that compete with no other and have one form.
     clusters : the other tracks.
-    fresh : the label that the next new track is given.
+    next_label : the label that the next new track is given.
     """
 
     layers: tuple[Nodes, ...]
-    alone: I8
+    lone: I8
     clusters: tuple[Cluster, ...]
-    fresh: int
+    next_label: int
 
     def __len__(self) -> int:
         """Number of leaves."""
@@ -96,32 +93,283 @@ class Hypotheses:
     @property
     def probability(self) -> F8:
         """(L,) probability that each leaf's history is true."""
-        held = np.concatenate([self.alone, *(c.leaf.ravel() for c in self.clusters)])
-        weight = np.concatenate([np.ones(len(self.alone)), *(np.repeat(c.weight, c.leaf.shape[1]) for c in self.clusters)])
+        held = np.concatenate([self.lone, *(c.leaf.ravel() for c in self.clusters)])
+        weight = np.concatenate([np.ones(len(self.lone)), *(np.repeat(c.weight, c.leaf.shape[1]) for c in self.clusters)])
         # The first place is for what a hypothesis does not hold.
         return sum_by(held + 1, weight, len(self) + 1)[1:]
 
     @property
     def mass(self) -> float:
         """The expected number of targets, over all hypotheses."""
-        return float(self.probability @ self.leaves.exist)
+        return float(self.probability @ self.leaves.r)
 
     def best(self) -> I8:
         """(n,) leaves of the most probable hypothesis, by label."""
-        held = [self.alone, *(cluster.leaf[0] for cluster in self.clusters)]
-        leaves = np.concatenate(held)
+        leaves = np.concatenate([self.lone, *(cluster.leaf[0] for cluster in self.clusters)])
         leaves = leaves[leaves >= 0]
         out: I8 = leaves[np.argsort(self.leaves.label[leaves])]
         return out
 
     def mixture(self) -> GaussianMixture:
-        """The intensity: every leaf weighed with the probability that it is true and its target there."""
-        weight = self.probability * self.leaves.exist
+        """The intensity: every leaf weighed with the probability that it is true and its target exists."""
+        weight = self.probability * self.leaves.r
         there = np.flatnonzero(weight > 0)
         leaves = self.leaves.take(there)
-        return GaussianMixture(weight[there], leaves.mean, leaves.covariance, leaves.label, self.fresh)
+        mean = np.ascontiguousarray(leaves.mean.T)
+        return GaussianMixture(weight[there], mean, leaves.covariance, leaves.label, self.next_label)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scores:
+    """Terms of the log-weights of hypotheses.
+
+    Attributes
+    ----------
+    leaf, measurement : (P,) pairs within the gate.
+    gain : (P,) log r p_D q(z) − log(1 − r p_D): the leaf's detection by the measurement against its being missed.
+    missed : (L,) log(1 − r p_D).
+    unassigned : (N,) log(κ + γ̂): a false alarm or a new target.
+    p_new : (N,) γ̂/(κ + γ̂).
+    """
+
+    leaf: I8
+    measurement: I8
+    gain: F8
+    missed: F8
+    unassigned: F8
+    p_new: F8
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Hypotheses per cluster, their least weight as a share of the best's, least probability that a target exists."""
+
+    max_hypotheses: int
+    hypothesis_threshold: float
+    existence_threshold: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Branches:
+    """The hypotheses of the next frame, made of branches: a leaf and the measurement that it took.
+
+    A branch has the number (leaf + 1)(N + 1) + measurement + 1, where −1 stands for a new track and for a miss. ``lone``
+    (n,), ``clusters``: as in `Hypotheses`, with branches for leaves. ``unassigned`` (N,): the probability that each
+    measurement is no earlier track's.
+    """
+
+    lone: I8
+    clusters: tuple[Cluster, ...]
+    unassigned: F8
 
 
 def before(nodes: Nodes, index: I8) -> I8:
     """(n,) where the parents of nodes at ``index`` (n,) are in the frame before; −1 where the track began or index is −1."""
     return np.where(index >= 0, nodes.parent[index], -1) if len(nodes) else np.full(len(index), -1)
+
+
+def branched(state: Hypotheses, scores: Scores, limits: Limits) -> Branches:
+    """The hypotheses that follow from ``state``, predicted, and the measurements: clusters that share one become one."""
+    lone, count = len(state.lone), len(scores.unassigned)
+    many = lone + len(state.clusters)
+    cluster_of = np.zeros(len(state), np.int64)
+    cluster_of[state.lone] = np.arange(lone)
+    for c, cluster in enumerate(state.clusters, start=lone):
+        cluster_of[cluster.leaf[cluster.leaf >= 0]] = c
+    part = components(many + count, cluster_of[scores.leaf], many + scores.measurement)
+    joint = np.unique(part[cluster_of[scores.leaf]])
+    apart = ~np.isin(part, joint)
+    left = state.lone[apart[:lone]]
+    free = np.flatnonzero(apart[many:] & (scores.p_new >= limits.existence_threshold))
+    out = [_missed(state.clusters[c], scores, limits) for c in np.flatnonzero(apart[lone:many])]
+    unassigned = np.ones(count)
+    members, measured = _lists(part[:many], joint), _lists(part[many:], joint)
+    for clusters, pairs, columns in zip(members, _lists(part[cluster_of[scores.leaf]], joint), measured, strict=True):
+        parts = [
+            Cluster(np.array([[state.lone[c]]]), np.ones(1)) if c < lone else state.clusters[c - lone] for c in clusters
+        ]
+        child, unassigned[columns] = _assigned(_product(parts, limits), pairs, columns, scores, limits)
+        out.append(child)
+    return Branches(np.concatenate([_numbers(left, np.full(len(left), -1), count), free + 1]), tuple(out), unassigned)
+
+
+def _lists(part: I8, wanted: I8) -> list[I8]:
+    """Of each wanted part the places that are in it."""
+    order = np.argsort(part, kind="stable")
+    low, high = np.searchsorted(part[order], wanted), np.searchsorted(part[order], wanted, side="right")
+    return [order[a:b] for a, b in zip(low, high, strict=True)]
+
+
+def _numbers(leaf: I8, measurement: I8, count: int) -> I8:
+    """The branches' numbers; −1 where there is no leaf."""
+    return np.where(leaf >= 0, (leaf + 1) * (count + 1) + measurement + 1, -1)
+
+
+def _product(clusters: list[Cluster], limits: Limits) -> Cluster:
+    """One cluster of all: every choice of a hypothesis from each, the most probable first."""
+    whole = clusters[0]
+    for other in clusters[1:]:
+        a, b = len(whole.weight), len(other.weight)
+        # Both fall: the product of the i-th and the j-th has i·j − 1 others before it.
+        first, second = np.nonzero(np.arange(1, a + 1)[:, None] * np.arange(1, b + 1) <= limits.max_hypotheses)
+        weight = whole.weight[first] * other.weight[second]
+        kept = _best(weight, limits)
+        leaf = np.hstack([whole.leaf[first[kept]], other.leaf[second[kept]]])
+        whole = Cluster(leaf, weight[kept] / weight[kept].sum())
+    return whole
+
+
+def _best(weight: F8, limits: Limits) -> I8:
+    """Which hypotheses are kept, the most probable first."""
+    order = np.argsort(-weight, kind="stable")[: limits.max_hypotheses]
+    out: I8 = order[weight[order] >= limits.hypothesis_threshold * weight[order[0]]]
+    return out
+
+
+def _all_missed(leaf: I8, missed: F8) -> F8:
+    """(H,) log-weights of all tracks being missed."""
+    out: F8 = np.where(leaf >= 0, missed[leaf], 0.0).sum(axis=1)
+    return out
+
+
+def _missed(cluster: Cluster, scores: Scores, limits: Limits) -> Cluster:
+    """A cluster with no measurement inside the gates of its tracks."""
+    log_weight = _all_missed(cluster.leaf, scores.missed)
+    weight = cluster.weight * np.exp(log_weight - log_weight.max())
+    kept = _best(weight, limits)
+    leaf = _numbers(cluster.leaf[kept], np.full(1, -1), len(scores.unassigned))
+    return Cluster(leaf, weight[kept] / weight[kept].sum())
+
+
+def _assigned(cluster: Cluster, pairs: I8, columns: I8, scores: Scores, limits: Limits) -> tuple[Cluster, F8]:
+    """The children of a cluster's hypotheses given its measurements ``columns`` (M,), and `Branches.unassigned` of them."""
+    m, count = len(columns), len(scores.unassigned)
+    leaves, form = np.unique(scores.leaf[pairs], return_inverse=True)
+    gain = np.full((m, len(leaves)), -np.inf)
+    of_pair = scores.measurement[pairs]
+    gain[np.searchsorted(columns, of_pair), form] = scores.gain[pairs] - scores.unassigned[of_pair]
+    place = np.searchsorted(leaves, cluster.leaf)
+    known = (place < len(leaves)) & (leaves[np.minimum(place, len(leaves) - 1)] == cluster.leaf)
+    held = np.where(known, place, -1)
+    base = np.log(cluster.weight) + _all_missed(cluster.leaf, scores.missed)
+    parent, choice, log_weight = best_assignments(
+        gain, scores.unassigned[columns], np.ascontiguousarray(held[:, known.any(axis=0)]), base, limits.max_hypotheses,
+        math.log(limits.hypothesis_threshold),
+    )  # fmt: skip
+    weight = np.exp(log_weight - log_weight[0])
+    weight /= weight.sum()
+    taken = np.full((len(parent), held.shape[1]), -1)
+    track = np.empty(len(leaves), np.int64)
+    track[held[known]] = np.nonzero(known)[1]
+    rows, place = np.nonzero(choice >= 0)
+    taken[rows, track[choice[rows, place]]] = columns[place]
+    new = np.where((choice < 0) & (scores.p_new[columns] >= limits.existence_threshold), columns + 1, -1)
+    leaf = np.hstack([_numbers(cluster.leaf[parent], taken, count), new])
+    return Cluster(leaf[:, (leaf >= 0).any(axis=0)], weight), weight @ (choice < 0)
+
+
+def decided(state: Hypotheses) -> Hypotheses:
+    """Of each cluster the hypotheses that agree with the best about the oldest layer (N-scan pruning).
+
+    Of every track they hold the node that it holds there, or none any more: a hypothesis without a track says nothing of
+    where it was. A node of a track that the best has not is one that the best denies, and its hypotheses go.
+    """
+    root = np.arange(len(state))
+    for nodes in state.layers[:0:-1]:
+        root = before(nodes, root)
+    clusters = []
+    for cluster in state.clusters:
+        held = np.where(cluster.leaf >= 0, root[cluster.leaf], -1)
+        agree = ((held < 0) | (held == held[0])).all(axis=1)
+        clusters.append(cluster if agree.all() else _cluster(cluster.leaf[agree], cluster.weight[agree]))
+    return replace(state, clusters=tuple(clusters))
+
+
+def ended(state: Hypotheses, existence_threshold: float) -> Hypotheses:
+    """Targets below the threshold do not exist; when their last detection is too old, they are forgotten.
+
+    Until then they remain as leaves: their measurements are no others', and the past that is reported shows them.
+    """
+    leaves = state.leaves
+    nodes = replace(leaves, r=np.where(leaves.r >= existence_threshold, leaves.r, 0.0))
+    gone = (nodes.r == 0) & (nodes.missed >= len(state.layers))
+    clusters = []
+    for cluster in state.clusters:
+        lost = (cluster.leaf >= 0) & gone[cluster.leaf]
+        clusters.append(_summed(np.where(lost, -1, cluster.leaf), cluster.weight) if lost.any() else cluster)
+    return replace(state, layers=(*state.layers[:-1], nodes), lone=state.lone[~gone[state.lone]], clusters=tuple(clusters))
+
+
+def _cluster(leaf: I8, weight: F8) -> Cluster:
+    """A cluster without tracks that no hypothesis has."""
+    return Cluster(np.ascontiguousarray(leaf[:, (leaf >= 0).any(axis=0)]), weight / weight.sum())
+
+
+def _summed(leaf: I8, weight: F8) -> Cluster:
+    """A cluster in which equal hypotheses are one, the most probable first."""
+    if leaf.shape[1] == 0:
+        return Cluster(leaf[:1], np.ones(1))
+    # A few short rows: a dictionary is faster than a sort.
+    number: dict[tuple[int, ...], int] = {}
+    which = np.array([number.setdefault(tuple(row), len(number)) for row in leaf.tolist()])
+    total = sum_by(which, weight, len(number))
+    order = np.argsort(-total, kind="stable")
+    return _cluster(np.array(list(number))[order], total[order])
+
+
+def parted(state: Hypotheses) -> Hypotheses:
+    """Clusters divided where tracks have not competed for any measurement of the window: what is left is independent.
+
+    The probability of a part of a hypothesis is the sum over all that have it.
+    """
+    lone, clusters = [state.lone], []
+    trace = _trace(state) if any(c.leaf.shape[1] > 1 and len(c.weight) > 1 for c in state.clusters) else None
+    for cluster in state.clusters:
+        hypotheses, tracks = cluster.leaf.shape
+        if hypotheses == 1:
+            lone.append(cluster.leaf[0])
+        elif tracks == 1 or trace is None:
+            clusters.append(cluster)
+        else:
+            part = competing(cluster.leaf, *trace)
+            for number in range(int(part.max()) + 1):
+                one = cluster if part.max() == 0 else _summed(cluster.leaf[:, part == number], cluster.weight)
+                if one.leaf.shape[0] == 1:
+                    lone.append(one.leaf[0])
+                else:
+                    clusters.append(one)
+    return replace(state, lone=np.concatenate(lone), clusters=tuple(clusters))
+
+
+def _trace(state: Hypotheses) -> tuple[I8, int]:
+    """(L, W) the measurement that each leaf's history rests on in each frame, −1: none; and a number above all of them."""
+    out = np.full((len(state), len(state.layers)), -1)
+    at = np.arange(len(state))
+    for k, nodes in enumerate(reversed(state.layers)):
+        known = at >= 0
+        out[known, k] = nodes.detection[at[known]]
+        at = before(nodes, at)
+    return out, int(out.max(initial=-1)) + 1
+
+
+def compact(state: Hypotheses) -> Hypotheses:
+    """Without leaves that no hypothesis has, and earlier nodes without descendants where they are the greater part."""
+    used = np.zeros(len(state), np.bool_)
+    used[state.lone] = True
+    for cluster in state.clusters:
+        used[cluster.leaf[cluster.leaf >= 0]] = True
+    number = np.append(np.where(used, np.cumsum(used) - 1, -1), -1)
+    nodes, layers = state.leaves.take(used), []
+    for earlier in state.layers[-2::-1]:
+        reached = np.zeros(len(earlier), np.bool_)
+        reached[nodes.parent[nodes.parent >= 0]] = True
+        if 2 * np.count_nonzero(reached) < len(earlier):
+            place = np.append(np.cumsum(reached) - 1, -1)
+            nodes = replace(nodes, parent=place[nodes.parent])
+            earlier = earlier.take(reached)
+        layers.append(nodes)
+        nodes = earlier
+    # Parents of the oldest layer are forgotten.
+    layers.append(replace(nodes, parent=np.full(len(nodes), -1)))
+    clusters = tuple(Cluster(number[c.leaf], c.weight) for c in state.clusters)
+    return replace(state, layers=tuple(layers[::-1]), lone=number[state.lone], clusters=clusters)

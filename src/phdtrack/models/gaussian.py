@@ -30,6 +30,7 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.kernels.gaussian import Births, Expected, Measurements, Predicted
 from phdtrack.kernels.kalman import predicted_covariance
+from phdtrack.kernels.pmb import NewTargets, first_states
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8
 
@@ -55,7 +56,7 @@ def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Tran
         return Predicted(np.ascontiguousarray(centre.T), predicted_covariance(covariance, f, q), p_survive)
     points = sigma_points(columns, covariance)
     d, many, count = points.shape
-    through = motion.transition(points.reshape(d, -1), dt)[0].reshape(-1, many, count)
+    through = motion.transition(points.reshape(d, many * count), dt)[0].reshape(d, many, count)
     step = through - through[:, :1]
     return Predicted(np.ascontiguousarray(_mean(through[:, 0], step).T), _product(step, step) + q, p_survive)
 
@@ -88,7 +89,7 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
         return Expected(np.ascontiguousarray(mean[:, rows]), np.ascontiguousarray(cross[:, rows]), cross, noise, p_detect)
     points = sigma_points(columns, covariance)
     d, many, count = points.shape
-    through = sensor.expected(points.reshape(d, -1)).reshape(-1, many, count)
+    through = sensor.expected(points.reshape(d, many * count)).reshape(len(sensor.angles), many, count)
     step = sensor.innovation(through, through[:, :1])
     z = np.ascontiguousarray(_mean(through[:, 0], step).T)
     return Expected(z, _product(step, step), _product(points - points[:, :1], step), noise, p_detect)
@@ -126,4 +127,25 @@ def _product(a: F8, b: F8) -> F8:
 def _mean(centre: F8, step: F8) -> F8:
     """(r, J) f(m) + Σ e_i/4."""
     out: F8 = centre + WEIGHT * step.sum(axis=1)
+    return out
+
+
+def new_targets(model: Model, z: F8, m: Measurements, dt: float, gate: float, transform: Transform) -> NewTargets:
+    """What targets born in the interval ``dt`` are whose first detections the measurements are.
+
+    Parameters
+    ----------
+    model : the model.
+    z : (m, N) measurements.
+    m : the same as the record that filters take.
+    dt : interval in the model's time unit.
+    gate : in deviations of the innovation.
+    transform : ``linear`` or ``unscented``.
+    """
+    born = births(model, z, dt)
+    n = len(m.z)
+    if len(born.weight) == n and (born.measurement == np.arange(n)).all():
+        # Births are flat around every detection, which alone says where the target is.
+        return NewTargets(model.sensor.p_detect(np.ascontiguousarray(born.mean.T)) * born.density, born.mean, born.first)
+    out: NewTargets = first_states(born, expected(model.sensor, born.mean, born.covariance, transform), m, gate)
     return out

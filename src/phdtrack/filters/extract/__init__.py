@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING
 from phdtrack.files import lazy
 
 if TYPE_CHECKING:
-    from phdtrack.filters.extract.bernoullis import BestBernoullis
     from phdtrack.filters.extract.components import Components
-    from phdtrack.filters.extract.hypotheses import BestHypothesis
     from phdtrack.filters.extract.joint import Joint
     from phdtrack.filters.extract.kmeans import KMeans
     from phdtrack.filters.extract.mixture import Mixture
@@ -21,8 +19,6 @@ if TYPE_CHECKING:
 __getattr__, __dir__ = lazy(
     __name__,
     {
-        "BestBernoullis": "phdtrack.filters.extract.bernoullis",
-        "BestHypothesis": "phdtrack.filters.extract.hypotheses",
         "Components": "phdtrack.filters.extract.components",
         "Joint": "phdtrack.filters.extract.joint",
         "KMeans": "phdtrack.filters.extract.kmeans",
@@ -31,4 +27,4 @@ __getattr__, __dir__ = lazy(
     },
 )
 
-__all__ = ["BestBernoullis", "BestHypothesis", "Components", "Joint", "KMeans", "Mixture", "Raw"]
+__all__ = ["Components", "Joint", "KMeans", "Mixture", "Raw"]

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.kernels.box import apart
 from phdtrack.kernels.joining import likeness
 from phdtrack.kernels.unresolved import join_alike
 from phdtrack.protocols import Sensor
@@ -37,12 +36,3 @@ def joined(mass: F8, mean: F8, cov: F8, sensor: Sensor, overlap: float) -> tuple
         return mass, mean, cov, part
     found: tuple[F8, F8, F8, I8] = join_alike(first, second, shared, boxes, overlap, mass, mean, cov)
     return found
-
-
-def resolved(boxes: F8, overlap: float) -> I8:
-    """Which of the (n, 4) boxes are left if each goes that overlaps one left before it by more than ``overlap`` (IoU)."""
-    if overlap >= 1 or len(boxes) < 2:
-        return np.arange(len(boxes))
-    boxes = np.ascontiguousarray(boxes)
-    left: I8 = apart(boxes, boxes[:, 0].argsort(), overlap)
-    return left

@@ -1,0 +1,290 @@
+"""The Poisson multi-Bernoulli filter with hypotheses about each target: labels and existence inside the recursion [W15].
+
+Targets that have never been detected are a Poisson process, whose intensity is the model's γ. Every first detection starts
+a Bernoulli target: it exists with probability r, has a label, and a few hypotheses about its state, each with a Kalman
+filter and measurements of its own. With p_i the probability that hypothesis i is detected and q_i(z) = N(z; ẑ_i, S_i),
+
+    predict        r ← p_S r,  m_i ← f(m_i),  P_i ← F P_i Fᵀ + Q
+    missed         1 − r Σ w_i p_i;  given that, it exists with probability r Σ w_i (1 − p_i) / (1 − r Σ w_i p_i)
+    detected       r w_i p_i q_i(z), by hypothesis i
+    new or false   κ(z) + γ̂(z),  γ̂ = ∫ p_D g(z|x) γ(x) dx:  a new target with r = γ̂/(κ + γ̂)
+
+The probability of each pair over all ways to give every target at most one measurement, and every measurement to at most
+one target, is found by loopy belief propagation (`kernels.marginals`). Then r is the probability of all hypotheses of the
+target that are left, which are weighed by theirs: the product of Bernoulli densities that is nearest to the posterior
+[W15], but the hypotheses of a target are kept with their pasts instead of being replaced by their mean. So targets that
+cannot be told apart for some frames are not blurred, and the past is read from the hypothesis that wins.
+
+Two things that a constant p_D does not say about detectors are hidden states of a hypothesis.
+
+*Occlusion*: misses come in rows. A visible target is detected with the sensor's p_D, an occluded one never. It changes at
+rates 1/``mean_visible_time`` and 1/``mean_occluded_time``, a Markov chain in continuous time that is visible at a first
+detection.
+
+*Static clutter*: some false alarms come again and again in one place. A first detection is static clutter with probability
+``static_clutter_prior``. It stays where it is, which is never known exactly, and is detected with probability
+``static_clutter_detection_probability`` in each frame. What moves, or is detected more often, is soon known to be a target.
+Static clutter competes for measurements like targets do and is never reported.
+
+The filter knows a model by the arrays that it answers (`models.gaussian`); `kernels.pmb` computes with them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from phdtrack.arrays import GATE, chi2_quantile
+from phdtrack.checks import NonNegative, Positive, PositiveCount, Probability, Share, check
+from phdtrack.errors import InputError
+from phdtrack.kernels.box import apart
+from phdtrack.kernels.pmb import Layer, Settings, Trace, earlier, merged_layer, predicted_layer, updated_layer
+from phdtrack.models.gaussian import Transform, expected, measurements, new_targets, predicted
+from phdtrack.protocols import Model
+from phdtrack.types import F8, I8, Estimates, GaussianMixture, Particles, UpdateInfo
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bernoullis:
+    """The state of a Poisson multi-Bernoulli filter.
+
+    Attributes
+    ----------
+    layers : the targets of the last frames, oldest first.
+    ended : (2, E) frame and hypothesis there of targets that were once confirmed and have been deleted since.
+    next_label : the label that the next new target is given.
+    frame : number of the last layer: how many frames have been predicted.
+    """
+
+    layers: tuple[Layer, ...]
+    ended: I8
+    next_label: int
+    frame: int = 0
+
+    def __len__(self) -> int:
+        """Number of hypotheses."""
+        return len(self.present.weight)
+
+    @property
+    def present(self) -> Layer:
+        """The last frame's targets."""
+        return self.layers[-1]
+
+    @property
+    def mass(self) -> float:
+        """The expected number of targets."""
+        return float(self.present.presence.sum())
+
+    def mixture(self) -> GaussianMixture:
+        """The intensity of the targets: hypotheses with the probability that the target exists and is as they say."""
+        now = self.present
+        target = np.repeat(np.arange(len(now.r)), np.diff(now.offsets))
+        weight = np.where(now.static, 0.0, now.r[target] * now.weight)
+        there = np.flatnonzero(weight > 0)
+        mean = np.ascontiguousarray(now.mean[there].T)
+        return GaussianMixture(weight[there], mean, now.covariance[there], now.label[target[there]], self.next_label)
+
+
+@dataclass(frozen=True, slots=True)
+class PMB:
+    """Settings of the Poisson multi-Bernoulli filter.
+
+    Parameters
+    ----------
+    existence_threshold : targets that exist with less probability are deleted, unless that probability has just risen: a
+        detection that no existing target explains better may start a target, however rare births are.
+    hypothesis_threshold : hypotheses of a target that are less probable are dropped.
+    max_hypotheses : hypotheses kept of a target, the most probable.
+    merge_distance : hypotheses of a target that are within so many deviations of a heavier one are counted as that one.
+    gate_probability : part of the measurements of a hypothesis inside its gate; 1: no gate.
+    transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
+    mean_visible_time : seconds for which, on average, a target can be detected at a stretch; 0: for ever.
+    mean_occluded_time : seconds for which, on average, it then cannot.
+    static_clutter_prior : probability that a first detection which is no single false alarm is static clutter.
+    static_clutter_detection_probability : probability that static clutter is detected in a frame.
+    history : frames for which the hypotheses of the past are kept: so far back the past is revised.
+    initial : targets before the first frame; a weight is the probability that there is one.
+    """
+
+    existence_threshold: Share = 1e-3
+    hypothesis_threshold: Share = 0.01
+    max_hypotheses: PositiveCount = 10
+    merge_distance: NonNegative = 0.1
+    gate_probability: Share = GATE
+    transform: Transform = "linear"
+    mean_visible_time: NonNegative = 2.0
+    mean_occluded_time: Positive = 0.4
+    static_clutter_prior: Probability = 0.05
+    static_clutter_detection_probability: Probability = 0.5
+    history: PositiveCount = 10
+    initial: GaussianMixture | None = None
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def start(self, model: Model, rng: np.random.Generator) -> Bernoullis:
+        """The initial targets, each with one hypothesis; none where none were given."""
+        given = self.initial or GaussianMixture(
+            np.zeros(0), np.zeros((model.motion.dim, 0)), np.zeros((0, model.motion.dim, model.motion.dim))
+        )
+        n, none = len(given), np.full(len(given), -1)
+        r, label, mean = np.minimum(given.weight, 1.0), np.arange(n), np.ascontiguousarray(given.mean.T)
+        cov, static = np.ascontiguousarray(given.covariance), np.zeros(n, np.bool_)
+        layer = Layer(r, label, np.arange(n + 1), np.ones(n), mean, cov, static, np.zeros(n), none, none, label, r, r)
+        return Bernoullis((layer,), np.zeros((2, 0), np.int64), n)
+
+    def predict(self, state: Bernoullis, model: Model, dt: float, rng: np.random.Generator) -> Bernoullis:
+        """A further layer: every hypothesis through f, with p_S of its probability; static clutter stays where it is.
+
+        Parameters
+        ----------
+        state : the targets of the frame before.
+        model : the model of the present frame.
+        dt : interval since the frame before, in the model's time unit.
+        rng : not used.
+
+        Raises
+        ------
+        InputError : the motion spawns targets, which have no Gaussian form.
+        """
+        now = state.present
+        if len(model.warp):
+            mean, cov = model.carried_gaussians(np.ascontiguousarray(now.mean.T), now.covariance)
+            now = now._replace(mean=np.ascontiguousarray(mean.T), covariance=cov)
+        refuse_spawning(model, now.mean, dt, rng)
+        moved = predicted(model, now.mean, now.covariance, dt, self.transform)
+        r, weight, mean, cov, occluded, presence = predicted_layer(now, moved, *self._changes(dt / model.rate))
+        count = len(weight)
+        layer = now._replace(
+            r=r, weight=weight, mean=mean, covariance=cov, occluded=occluded, presence=presence,
+            detection=np.full(count, -1), parent=np.arange(count),
+        )  # fmt: skip
+        return replace(state, layers=(*state.layers[-self.history :], layer), frame=state.frame + 1)
+
+    def _changes(self, seconds: float) -> tuple[float, float]:
+        """Probabilities to be occluded ``seconds`` after being visible, and visible after being occluded."""
+        if self.mean_visible_time == 0:
+            return 0.0, 1.0
+        rate = 1 / self.mean_visible_time + 1 / self.mean_occluded_time
+        changed = -math.expm1(-rate * seconds) / rate
+        return changed / self.mean_visible_time, changed / self.mean_occluded_time
+
+    def update(
+        self, state: Bernoullis, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[Bernoullis, UpdateInfo]:
+        """Every target with the probabilities of the measurements that it may have, and new targets.
+
+        Parameters
+        ----------
+        state : the predicted targets.
+        z : (m, N) measurements.
+        model : the model of the present frame.
+        dt : interval since the frame before, in the model's time unit, in which targets may have been born.
+        rng : not used.
+
+        Returns
+        -------
+        The state, and what was learned: ``evidence`` and ``clutter`` are scaled so that `UpdateInfo.clutter_probability` is
+        the probability that a detection is a false alarm, static clutter included.
+        """
+        return self._updated(state, z, model, dt, 0.0)
+
+    def _updated(
+        self, state: Bernoullis, z: F8, model: Model, dt: float, merge_distance: float
+    ) -> tuple[Bernoullis, UpdateInfo]:
+        """`update`, with the hypotheses within ``merge_distance`` merged."""
+        now = state.present
+        seen = measurements(model, z)
+        gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
+        settings = Settings(
+            self.existence_threshold, self.hypothesis_threshold, float(self.max_hypotheses), merge_distance, gate,
+            self.static_clutter_prior, self.static_clutter_detection_probability,
+        )  # fmt: skip
+        past = state.ended, state.frame, self.history
+        layer, learned, ended = updated_layer(
+            now, expected(model.sensor, now.mean, now.covariance, self.transform), seen,
+            new_targets(model, z, seen, dt, gate, self.transform), settings, state.next_label, past,
+        )  # fmt: skip
+        info = UpdateInfo(
+            learned.mass_predicted, learned.mass_born, learned.mass, learned.evidence, learned.clutter, learned.vanished
+        )
+        label = max(state.next_label, int(layer.label[-1]) + 1) if len(layer.label) else state.next_label
+        return Bernoullis((*state.layers[:-1], layer), ended, label, state.frame), info
+
+    def reduce(self, state: Bernoullis, rng: np.random.Generator) -> Bernoullis:
+        """Hypotheses of one target that have become the same are one."""
+        return replace(state, layers=(*state.layers[:-1], merged_layer(state.present, self.merge_distance)))
+
+    def step(
+        self, state: Bernoullis, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[Bernoullis, UpdateInfo]:
+        """Predict, update and reduce in turn, the last two in one call."""
+        return self._updated(self.predict(state, model, dt, rng), z, model, dt, self.merge_distance)
+
+
+def refuse_spawning(model: Model, mean: F8, dt: float, rng: np.random.Generator) -> None:
+    """Raise `InputError` where the motion spawns targets."""
+    if len(mean) and len(model.motion.spawn(Particles(mean.T, np.ones(len(mean))), dt, rng)):
+        raise InputError("the PMB filter has no spawning", where="motion.births", cure="Use NoSpawn, or the particle filter")
+
+
+@dataclass(frozen=True, slots=True)
+class BestBernoullis:
+    """Settings of the extraction from Bernoulli targets.
+
+    Parameters
+    ----------
+    min_weight : targets that exist with less probability are not reported. A target that was detected again later existed.
+    merge_iou : of targets whose boxes overlap by more (IoU) the one that has been followed for longer is reported; 1: all.
+    """
+
+    min_weight: Share = 0.5
+    merge_iou: Share = 0.5
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def extract(self, state: Bernoullis, z: F8, model: Model) -> Estimates:
+        """The best hypothesis of each target, by label; their weight is the probability that the target exists.
+
+        `Estimates.past` are the same targets, and those that have ended since, in the frames before; None for frames of
+        which the same is reported as a frame ago.
+        """
+        layers = state.layers
+        now = Trace(layers[-1].best, layers[-1].presence)
+        before = Trace(layers[-2].best, layers[-2].presence) if len(layers) > 1 else now
+        found = self._estimates(layers[-1], now, model)
+        frames: list[Estimates | None] = [None] * (len(layers) - 1)
+        for back in range(1, len(layers)):
+            then = layers[-back - 1]
+            now, before, same = earlier(
+                now, before, layers[-back].parent, (then.offsets, then.presence, then.max_r),
+                (state.ended, state.frame - back), back == 1, self.min_weight,
+            )  # fmt: skip
+            if same:
+                break
+            frames[-back] = self._estimates(then, now, model)
+        return replace(found, past=tuple(frames))
+
+    def _estimates(self, layer: Layer, trace: Trace, model: Model) -> Estimates:
+        """The targets of enough presence, without those that overlap one followed for longer."""
+        target = np.flatnonzero((trace.place >= 0) & (trace.presence >= self.min_weight))
+        at = trace.place[target]
+        mean = np.ascontiguousarray(layer.mean[at].T)
+        boxes = model.sensor.boxes(mean)
+        found = Estimates(
+            mean, layer.covariance[at], trace.presence[target], boxes, layer.detection[at], layer.label[target]
+        )
+        # Labels rise with the frame in which a target began.
+        return without_overlaps(found, self.merge_iou)
+
+
+def without_overlaps(found: Estimates, merge_iou: float) -> Estimates:
+    """The estimates without those whose boxes overlap an earlier one that is left by more than ``merge_iou``; 1: all."""
+    if merge_iou >= 1 or len(found) < 2:
+        return found
+    boxes = np.ascontiguousarray(found.xyxy)
+    kept = apart(boxes, boxes[:, 0].argsort(), merge_iou)
+    return found if len(kept) == len(boxes) else found.take(kept)
