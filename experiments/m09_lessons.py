@@ -20,7 +20,7 @@ from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.associate.rejection import FalseTrackRejection, believed
 from phdtrack.errors import InputError
 from phdtrack.label import Label, LabelStore
-from phdtrack.label.hand import REACH, birth_states, time_watched
+from phdtrack.label.births import REACH, birth_states, time_watched
 from phdtrack.label.session import false_boxes, object_boxes, sampled, share_followed
 from phdtrack.metrics import first_output_delays
 from phdtrack.models.learned_scene import laid_over

@@ -12,7 +12,7 @@ from experiments.common import Case, filled
 from experiments.m09_runs import ABLATIONS, GM, GM_IMAGE, IMAGE, PHD, UM, SceneRun, SceneScores
 from phdtrack.arrays import iou
 from phdtrack.associate.rejection import FalseTrackRejection
-from phdtrack.label.hand import REACH, birth_states
+from phdtrack.label.births import REACH, birth_states
 from phdtrack.metrics import evaluate
 from phdtrack.models import LocalClutter, MeasurementBirth, UniformClutter
 from phdtrack.models.learned_scene import ContextBirth, ContextClutter

@@ -26,8 +26,8 @@ import sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from page_cases import session
-from phdtrack.label.app import label_app
-from phdtrack.label.serve import listen, serve
+from phdtrack.label.page import label_app
+from phdtrack.label.page import listen, serve
 address = listen(port={port})
 print(address.url, flush=True)
 serve(label_app(session(Path({labels!r}), {boxes}, {waiting_for!r} and Path({waiting_for!r}))), address)
@@ -44,9 +44,8 @@ def session(labels: Path, boxes: int, waiting_for: Path | None = None):
     import cv2
 
     from phdtrack.label import LabelStore
-    from phdtrack.label.background import Background, Ready
     from phdtrack.label.session import Session
-    from phdtrack.label.suggest import Suggestions
+    from phdtrack.label.suggestions import Background, Ready, Suggestions
     from phdtrack.types import Detections, DetectionTable, SequenceInfo
 
     across = int(np.ceil(np.sqrt(boxes * 4 / 3)))

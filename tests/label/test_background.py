@@ -3,8 +3,7 @@ import time
 
 import numpy as np
 
-from phdtrack.label.background import Background, kept
-from phdtrack.label.suggest import Suggestions
+from phdtrack.label.suggestions import Background, Suggestions, kept
 
 
 def some(count=3):

@@ -4,8 +4,7 @@ import pytest
 from page_cases import session
 from starlette.testclient import TestClient
 
-from phdtrack.label.app import label_app
-from phdtrack.label.guard import COOKIE, POLICY, Guard
+from phdtrack.label.page import COOKIE, POLICY, Guard, label_app
 
 HOST = "127.0.0.1:8000"
 
@@ -62,7 +61,7 @@ def test_with_a_token_nobody_enters_without(app):
 @pytest.mark.parametrize(
     "path",
     [
-        "/static/../label_app.py", "/static/%2e%2e/guard.py", "/static/..%2f..%2fpyproject.toml", "/still/../../etc/passwd",
+        "/static/../page.py", "/static/%2e%2e/page.py", "/static/..%2f..%2fpyproject.toml", "/still/../../etc/passwd",
         "/static//etc/passwd", "/etc/passwd", "/still/99999.jpg", "/crop/1/777.jpg", "/api/frame/99999",
     ],
 )  # fmt: skip
@@ -74,7 +73,7 @@ def test_nothing_else_can_be_read(app, path):
 
 
 def test_an_address_beyond_this_machine_needs_a_token():
-    from phdtrack.label.serve import listen
+    from phdtrack.label.page import listen
 
     for host, needed in (("127.0.0.1", False), ("localhost", False), ("0.0.0.0", True)):
         address = listen(host)
@@ -85,7 +84,7 @@ def test_an_address_beyond_this_machine_needs_a_token():
 
 def test_a_port_that_is_taken_is_told():
     from phdtrack.errors import InputError
-    from phdtrack.label.serve import listen
+    from phdtrack.label.page import listen
 
     address = listen()
     with pytest.raises(InputError, match="cannot listen on"):

@@ -9,7 +9,7 @@ from page_cases import FRAMES, SIZE, session
 from starlette.testclient import TestClient
 
 from phdtrack.label import LabelStore
-from phdtrack.label.app import label_app
+from phdtrack.label.page import label_app
 
 
 @pytest.fixture
@@ -108,19 +108,6 @@ def test_suggestions_leave_out_what_is_marked(page):
     assert len(page.get("/api/suggestions").json()["items"]) == FRAMES + FRAMES // 2 - 2
     page.post("/api/frame/1/undo", json={})
     assert len(page.get("/api/suggestions").json()["items"]) == FRAMES + FRAMES // 2
-
-
-def test_births_have_a_map_of_their_own(page):
-    def drawn(mark):
-        return cv2.imdecode(np.frombuffer(page.get(f"/api/map/{mark}.png").content, np.uint8), cv2.IMREAD_UNCHANGED)
-
-    births = [{"frame": k, "box": 5, "mark": "birth"} for k in range(2, 22)]
-    page.post("/api/frame/2/marks", json={"marks": births})
-    assert drawn("false")[..., 3].max() == 0
-    assert drawn("birth")[..., 3].max() > 150
-    assert drawn("birth")[0, 0, 1] > drawn("birth")[0, 0, 2]
-    assert page.get("/api/labels.csv").text.count("birth") == 20
-    assert page.get("/api/overview").json()["progress"]["births"] == 20
 
 
 def test_frames_of_a_clip_are_answered_and_marked(tmp_path):

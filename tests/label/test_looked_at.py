@@ -70,12 +70,6 @@ def test_false_alarms_and_objects_are_all_that_was_detected_there(tmp_path, seed
     np.testing.assert_array_equal(in_order(both), in_order(boxes(*[(f, k) for f in (2, 4) for k in range(3)])))
 
 
-def test_nothing_was_looked_at(tmp_path):
-    store = marked(tmp_path, *FALSE, looked=())
-    assert object_boxes(store, TABLE).shape == false_boxes(store, TABLE).shape == (4, 0)
-    assert share_followed(store, resting((2, 0)), None) == 0.5
-
-
 def test_the_share_of_false_alarms_on_which_tracks_rest(tmp_path):
     """By hand: of three on frames 2 and 4 two are followed, (2 + 1)/(3 + 2); of others, and of objects, nothing is asked."""
     store = marked(tmp_path, *FALSE)
@@ -84,9 +78,3 @@ def test_the_share_of_false_alarms_on_which_tracks_rest(tmp_path):
     assert share_followed(store, resting((2, 0), (2, 0), (4, -1))) == pytest.approx(2 / 5)
     assert share_followed(store, resting(*FALSE)) == pytest.approx(4 / 5)
     assert share_followed(store, Tracks.empty()) == pytest.approx(1 / 5)
-
-
-def test_where_nothing_is_false_everything_is_an_object_and_nobody_knows_what_is_followed(tmp_path):
-    store = marked(tmp_path)
-    assert object_boxes(store, TABLE).shape == (4, 6)
-    assert share_followed(store, resting((2, 0), (4, 0))) == 0.5

@@ -39,11 +39,6 @@ def test_each_mistake_has_its_colour_where_it_is(one: Mistakes, colour: tuple[in
     assert rows.max() == pytest.approx(34 + 270 - 130, abs=3)
 
 
-def test_titles_count() -> None:
-    one = mistakes("mht", BOX, np.vstack([BOX, BOX]), BOX, switched=True)
-    assert one.title == "mht: 2 missed, 1 false, 1 switched"
-
-
 @pytest.mark.parametrize(
     ("size", "count", "shape"), [((640, 480), 3, (1, 3)), ((640, 480), 4, (2, 2)), ((1224, 370), 3, (3, 1))]
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.report.charts import GroupSeries, group_chart
+from phdtrack.report.charts import GroupSeries
 from phdtrack.report.drawing import identity_colour
 from phdtrack.report.pages import group_sections
 from phdtrack.report.plan import Plan, PlanGroup, PlanScene, draw_contours, extent_of, plan_size
@@ -108,8 +108,3 @@ def test_the_report_tells_counts_events_and_warnings() -> None:
     assert "raw detections" in told
     assert "raw detections" not in group_sections(series(100, raw=False))
     assert "No frame" in group_sections(series(0))
-
-
-@pytest.mark.parametrize("frames", [1, 2, 5000])
-def test_the_chart_of_any_length(frames: int) -> None:
-    assert group_chart(series(frames)).data.startswith(b"<svg")

@@ -61,24 +61,12 @@ def test_the_picture_received_is_not_written_into() -> None:
     assert (out != 90).any()
 
 
-def test_only_rows_of_this_frame_are_drawn() -> None:
-    other = annotate(GREY, 2, rows(BOX, frame=1), Detections.empty())
-    assert (other[30:] == 90).all()
-
-
 def test_a_false_alarm_is_crossed_out() -> None:
     found = Detections.of([BOX])
     believed = annotate(GREY, 1, Tracks.empty(), found, clutter_probability=np.array([0.2]))
     doubted = annotate(GREY, 1, Tracks.empty(), found, clutter_probability=np.array([0.9]))
     assert (believed[130:150, 110:130] == 90).all()
     assert (doubted[130:150, 110:130] != 90).any()
-
-
-def test_the_header_stays_inside_a_narrow_frame() -> None:
-    for wide in (60, 160, 320):
-        out = annotate(np.full((90, wide, 3), 200, np.uint8), 123456, Tracks.empty(), Detections.empty(), mass=123.4)
-        assert (out[:3, : wide // 2] != 200).any()
-        assert (out[45:] == 200).all()
 
 
 def test_line_width_grows_with_the_frame() -> None:

@@ -1,9 +1,6 @@
 from __future__ import annotations
 
-import base64
-
 import cv2
-import matplotlib as mpl
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -86,13 +83,6 @@ def test_trajectories_lie_over_the_background_in_identity_colours() -> None:
     assert image.std() > 30
 
 
-def test_matplotlib_is_left_as_it_was_and_pyplot_unused() -> None:
-    before = dict(mpl.rcParams)
-    for chart in (count_chart, lifetime_chart, timing_chart, trajectory_picture):
-        chart(run_record(4))
-    assert dict(mpl.rcParams) == before
-
-
 @settings(max_examples=8, deadline=None)
 @given(st.integers(1, 3000), st.integers(1, 3000), st.integers(0, 3), st.integers(0, 2), st.floats(0, 60), st.booleans())
 def test_every_figure_can_be_made_of_any_run(
@@ -119,21 +109,3 @@ def test_thinning_gives_means_of_blocks(length: int, limit: int, columns: int) -
     assert len(thin) <= limit
     expected = [values[k : k + block].mean(axis=0) for k in range(0, length, block)]
     np.testing.assert_allclose(thin, np.reshape(expected, (-1, columns)))
-
-
-def test_a_data_address_holds_the_bytes() -> None:
-    picture = Picture("image/png", b"abc", 1, 1)
-    kind, data = picture.address.split(",")
-    assert kind == "data:image/png;base64"
-    assert base64.b64decode(data) == b"abc"
-
-
-def test_one_frame_has_a_time_chart() -> None:
-    svg = drawn(timing_chart(run_record(1)))
-    assert "#3b6fd4" in svg
-
-
-def test_no_time_at_all_has_a_chart() -> None:
-    record = run_record(5)
-    record.series.seconds[:] = 0.0
-    drawn(timing_chart(record))

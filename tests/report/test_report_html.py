@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from report_runs import run_record
 
-from phdtrack.errors import InputError
 from phdtrack.metrics import evaluate
 from phdtrack.report import About, Recorder, report_html, write_report
 from phdtrack.report.rendering import environment
@@ -150,17 +149,6 @@ def test_small_runs_have_a_report(frames: int, objects: int, video: bool) -> Non
     assert ("The detector found nothing." in source) == (objects == 0)
 
 
-@settings(max_examples=3, deadline=None)
-@given(st.integers(1, 400), st.integers(1, 400), st.integers(0, 6), st.integers(0, 3))
-def test_reports_of_any_size_are_well_formed(wide: int, high: int, frames: int, objects: int) -> None:
-    Page(report_html(run_record(frames, objects, info=SequenceInfo(wide, high, 3.0)), {"a": None}))
-
-
-def test_the_band_of_the_number_is_explained_where_there_is_one() -> None:
-    assert "Blue band" in report_html(run_record(5, cardinality=(0.1, 0.9)), {})
-    assert "Blue band" not in report_html(run_record(5), {})
-
-
 def test_a_filter_without_mass_or_judgement_has_a_report() -> None:
     record = run_record(4, 1)
     record.series.mass[:] = np.nan
@@ -169,12 +157,6 @@ def test_a_filter_without_mass_or_judgement_has_a_report() -> None:
     Page(source)
     assert "none of them judged a false alarm" in source
     assert "nan" not in re.sub(r'src="[^"]*"', "", source)
-
-
-def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"report\.html"):
-        write_report(tmp_path / "file" / "report.html", run_record(1), {})
 
 
 def test_every_score_says_what_it_means() -> None:

@@ -1,15 +1,28 @@
+"""What is recorded of a run: numbers per frame, pictures, heat maps, the chain of an MCMC filter."""
+
 from __future__ import annotations
 
+import math
 import tracemalloc
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from report_runs import HIGH, WIDE, run_record, step, walkers
 
 from phdtrack.errors import InputError
 from phdtrack.report import About, Recorder, Series
-from phdtrack.report.record import sentences, still_background
-from phdtrack.types import Particles, SequenceInfo, Tracks, Truth
+from phdtrack.report.record import (
+    LOW_EFFECTIVE,
+    EvenSample,
+    chain_summary,
+    density_map,
+    evenly,
+    sentences,
+    still_background,
+)
+from phdtrack.types import ChainInfo, Particles, SequenceInfo, Tracks, Truth
 
 INFO = SequenceInfo(WIDE, HIGH, 10.0)
 NOTHING = np.zeros((0, 4))
@@ -30,15 +43,6 @@ def test_numbers_of_every_frame_arrive_where_they_belong() -> None:
     np.testing.assert_allclose(series.clutter_mass, 0.2 * series.n_detections)
     np.testing.assert_allclose(series.seconds[1], [1.0, 0.004, 0.002, 0.001])
     np.testing.assert_array_equal(series.truth_count, [1, 1, 0, 0, 0])  # distractors do not count
-
-
-def test_track_count_objects_and_speed() -> None:
-    record = run_record(10, 3)
-    np.testing.assert_array_equal(record.track_count, np.full(10, 3))
-    assert record.n_objects == 3
-    assert record.frames_per_second == pytest.approx(1 / (0.003 + 0.004 + 0.002 + 0.001))
-    assert [rows.identity[0] for rows in record.by_identity()] == [1, 2, 3]
-    assert all((np.diff(rows.frame) == 1).all() for rows in record.by_identity())
 
 
 def test_speed_is_that_of_the_overlapping_stages_where_it_was_measured() -> None:
@@ -73,11 +77,6 @@ def test_heat_maps_are_few_spread_and_hold_the_mass() -> None:
         assert heat.mass == pytest.approx(2.0)
         assert heat.image.shape == (HIGH, WIDE, 3)
         assert heat.detections.shape == (2, 4)
-
-
-def test_the_same_run_keeps_the_same_frames() -> None:
-    first, second = run_record(37), run_record(37)
-    assert [h.number for h in first.heat_maps] == [h.number for h in second.heat_maps]
 
 
 def test_pictures_are_scaled_down_copies() -> None:
@@ -137,3 +136,85 @@ def test_frames_that_compiled_are_no_measure_of_the_speed():
     assert record.frames_per_second == pytest.approx(200)
     assert "ran at 200.0 frames per second, not counting 2 frames of start-up." in " ".join(sentences(record))
     assert np.isnan(run_record(10, 3, about=About(left_out=10)).frames_per_second)
+
+
+def frame(proposed: list[int], accepted: list[int], effective: float) -> ChainInfo:
+    return ChainInfo(("step", "switch"), np.array(proposed), np.array(accepted), effective)
+
+
+def test_means_over_the_frames_that_have_something_to_tell() -> None:
+    frames = [frame([100, 50], [30, 5], 40.0), frame([200, 0], [20, 0], math.nan), frame([10, 10], [5, 3], 10.0)]
+    found = chain_summary(frames)
+    assert found is not None
+    assert found.acceptance == pytest.approx({"step": (0.3 + 0.1 + 0.5) / 3, "switch": (0.1 + 0.3) / 2})
+    assert found.effective == pytest.approx(25.0)
+    assert found.low == pytest.approx(0.5)
+    assert found.warning == ""
+    assert "step 30 %, switch 20 %" in found.sentence
+    assert "25 independent" in found.sentence
+
+
+def test_a_chain_that_hardly_moves_is_a_warning() -> None:
+    found = chain_summary([frame([9, 9], [1, 0], LOW_EFFECTIVE / 2)] * 2 + [frame([9, 9], [1, 0], 2 * LOW_EFFECTIVE)])
+    assert found is not None
+    assert "in 67 % of the frames" in found.warning
+    assert "fewer than 20 " in found.warning
+
+
+def test_where_nobody_was_and_where_no_chain_is() -> None:
+    nobody = chain_summary([frame([0, 0], [0, 0], math.nan)])
+    assert nobody is not None
+    assert nobody.warning == ""
+    assert "none" in nobody.sentence
+    assert "independent" not in nobody.sentence
+    assert chain_summary([]) is None
+
+
+@given(
+    st.integers(1, 90), st.integers(1, 90), st.floats(0.7, 40), st.integers(0, 200), st.integers(0, 4), st.integers(0, 2**31)
+)
+def test_mass_inside_the_frame_is_conserved(wide: int, high: int, cell: float, count: int, smooth: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    state = rng.uniform(-0.3, 1.3, (4, count)) * np.array([wide, high, 1, 1])[:, None]
+    weight = rng.exponential(1.0, count)
+    grid = density_map(Particles(state, weight), SequenceInfo(wide, high, 25.0), cell, smooth=smooth)
+    inside = (state[0] >= 0) & (state[0] < wide) & (state[1] >= 0) & (state[1] < high)
+    assert grid.sum() == pytest.approx(weight[inside].sum(), rel=1e-12, abs=1e-12)
+    assert grid.shape == (int(np.ceil(high / cell)), int(np.ceil(wide / cell)))
+    assert (grid >= 0).all()
+
+
+def test_mass_lands_in_the_cell_of_the_position() -> None:
+    particles = Particles(np.array([[25.0, 3.0], [11.0, 39.0]]), np.array([0.5, 2.0]))
+    grid = density_map(particles, SequenceInfo(40, 40, 25.0), 10, smooth=0)
+    expected = np.zeros((4, 4))
+    expected[1, 2], expected[3, 0] = 0.5, 2.0
+    np.testing.assert_array_equal(grid, expected)
+
+
+@pytest.mark.parametrize(("wide", "high", "cell"), [(0, 10, 1.0), (10, 0, 1.0), (10, 10, 0.0), (10, 10, np.nan)])
+def test_a_grid_without_size_is_refused(wide: int, high: int, cell: float) -> None:
+    with pytest.raises(InputError, match="positive size"):
+        density_map(Particles(np.zeros((2, 0)), np.zeros(0)), SequenceInfo(wide, high, 25.0), cell)
+
+
+@given(st.integers(1, 12), st.integers(0, 500))
+def test_what_is_kept_is_bounded_even_and_enough(capacity: int, count: int) -> None:
+    spread: EvenSample[int] = EvenSample(capacity)
+    for index in range(1, count + 1):
+        spread.put(index, index)
+        assert len(spread.items) <= capacity
+    assert len(spread.items) >= min(count, max(1, capacity // 2))
+    assert len(set(np.diff((0, *spread.items)).tolist())) <= 1
+
+
+@given(st.lists(st.integers(), max_size=30, unique=True), st.integers(0, 8))
+def test_evenly_takes_in_order_and_ends_with_the_last(items: list[int], count: int) -> None:
+    chosen = evenly(tuple(items), count)
+    assert len(chosen) == min(len(items), count)
+    places = [items.index(c) for c in chosen]
+    assert places == sorted(set(places))
+    if chosen:
+        assert chosen[-1] == items[-1]
+        gaps = np.diff([-1, *places])
+        assert gaps.max() - gaps.min() <= 1

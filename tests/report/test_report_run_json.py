@@ -113,11 +113,6 @@ def test_any_configuration_survives(config: dict[str, object]) -> None:
     assert json.loads(json.dumps(document, allow_nan=False)) == document
 
 
-def test_file_names_that_are_no_text_can_be_written(tmp_path: Path) -> None:
-    write_run(tmp_path / "run.json", {"command": "track caf\udce9.mp4 é"})
-    assert json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))["command"] == "track caf\udce9.mp4 é"
-
-
 def test_settings_are_listed_by_dotted_names() -> None:
     pairs = flattened({"a": {"b": {"c": 1}, "d": "x"}, "e": [1.5, None]})
     assert pairs == (("a.b.c", "1"), ("a.d", '"x"'), ("e", "[1.5, null]"))

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from phdtrack.cli.evaluate import BY_TRAJECTORY
 from phdtrack.compare.statistics import OTHERS
 from phdtrack.metrics import evaluate
 from phdtrack.report.rendering import HIGHER_IS_BETTER as HIGHER
 from phdtrack.report.rendering import LOWER_IS_BETTER as LOWER
-from phdtrack.report.rendering import score_direction
 from phdtrack.types import Tracks, Truth
 
 FRAMES, PEOPLE = 20, 3
@@ -62,8 +60,3 @@ def test_every_score_gets_worse_that_way() -> None:
         elif name in HIGHER:
             assert changes.max() <= 1e-12, name
             assert changes.min() < -1e-6, name
-
-
-@pytest.mark.parametrize(("name", "said"), [("OSPA2", "; lower is better"), ("MOTA", ""), ("frames", "")])
-def test_it_is_said_where_less_is_better(name: str, said: str) -> None:
-    assert score_direction(name) == said

@@ -34,7 +34,7 @@ from phdtrack.errors import InputError
 if TYPE_CHECKING:
     from phdtrack.cli.inputs import Inputs
     from phdtrack.config import Settings
-    from phdtrack.label.suggest import Evidence, Suggestions
+    from phdtrack.label.suggestions import Evidence, Suggestions
     from phdtrack.protocols import AnyStages
     from phdtrack.types import DetectionTable, Frame, Image, SequenceInfo
 
@@ -66,18 +66,17 @@ def label(
     Meanwhile a tracker looks for detections that may be false, for a sweep (--no-suggest: it does not). Ctrl-C ends.
     """
     try:
-        from phdtrack.label.serve import listen, serve
+        from phdtrack.label.page import listen, serve
     except ModuleNotFoundError as error:
         raise InputError(
             f"the page needs the package {error.name}", where="phdtrack label", cure="pip install 'phdtrack[web]'"
         ) from error
     from phdtrack.config import load
     from phdtrack.label import LabelStore
-    from phdtrack.label.app import label_app
-    from phdtrack.label.background import Background, Ready
-    from phdtrack.label.hand import clip
+    from phdtrack.label.births import clip
+    from phdtrack.label.page import label_app
     from phdtrack.label.session import Session, sampled
-    from phdtrack.label.suggest import NOTHING
+    from phdtrack.label.suggestions import NOTHING, Background, Ready
 
     result, settings = Output(), load(config, tuple(sets or ()))
     wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
@@ -176,8 +175,7 @@ def suggestions(
     """What may be false on these frames, by a tracker's run over everything; kept in ``file`` for the next time."""
     from phdtrack import __version__
     from phdtrack.config import build
-    from phdtrack.label.background import kept
-    from phdtrack.label.suggest import suggest
+    from phdtrack.label.suggestions import kept, suggest
 
     def made() -> Suggestions:
         stages, whole = build(settings, found.info), range(1, found.last + 1)
@@ -261,7 +259,7 @@ def tracked(table: DetectionTable, fps: float, stages: AnyStages, frames: range,
     import numpy as np
 
     from phdtrack import pipeline
-    from phdtrack.label.suggest import Evidence
+    from phdtrack.label.suggestions import Evidence
     from phdtrack.types import DetectionTable
 
     rows = np.arange(*np.searchsorted(table.frame, [frames.start, frames.stop]))

@@ -24,7 +24,7 @@ from phdtrack.scene.prior import Sizes, detected_sizes, humbled
 if TYPE_CHECKING:
     from phdtrack.cli.label import Labelled
     from phdtrack.label import LabelStore
-    from phdtrack.label.suggest import Evidence, Suggestions
+    from phdtrack.label.suggestions import Evidence, Suggestions
     from phdtrack.protocols import AnyStages
     from phdtrack.types import Tracks
 
@@ -151,7 +151,7 @@ def clutter_of_labels(data: TrainingData) -> Trained:
 def clutter_unattended(data: TrainingData) -> Trained:
     """False alarms from what would be suggested to a person; why not, where that is too little."""
     from phdtrack.label.session import sampled
-    from phdtrack.label.suggest import TICKED, suggest
+    from phdtrack.label.suggestions import TICKED, suggest
 
     if not data.of_boxes:
         return Trained(None, _ONLY_BOXES)
@@ -208,7 +208,7 @@ def births_of_tracks(data: TrainingData, tracks: Tracks) -> Trained:
 
 def births_by_hand(data: TrainingData) -> Trained:
     """Births from marks on the clips about the frames that a person has looked at; why not, where they are too few."""
-    from phdtrack.label.hand import birth_states, time_watched, watched
+    from phdtrack.label.births import birth_states, time_watched, watched
 
     if not data.of_boxes:
         return Trained(None, "births stay as shipped: those marked by hand are boxes in the image (--births tracks)")
@@ -251,7 +251,7 @@ def _boxes(data: TrainingData, found: Suggestions, taken: np.ndarray) -> np.ndar
 
 def _why(found: Suggestions, taken: np.ndarray) -> str:
     """How many were taken for which reason."""
-    from phdtrack.label.suggest import REASONS
+    from phdtrack.label.suggestions import REASONS
 
     many = Counter(REASONS[k] for k in found.reason[taken])
     places = len(np.unique(found.place[taken][found.place[taken] >= 0]))

@@ -11,10 +11,9 @@ import numpy as np
 
 from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.errors import InputError
-from phdtrack.label.background import Ready, Suggester
-from phdtrack.label.hand import clip, everything
+from phdtrack.label.births import all_frames, clip
 from phdtrack.label.store import Label, LabelStore, Mark
-from phdtrack.label.suggest import ALIKE, NOTHING, REASONS, TICKED
+from phdtrack.label.suggestions import ALIKE, NOTHING, REASONS, TICKED, Ready, Suggester
 from phdtrack.scene import RecursiveEM
 from phdtrack.scene.learning import box_density
 from phdtrack.scene.maps import place_map
@@ -45,7 +44,7 @@ class Session:
 
     def overview(self) -> dict[str, object]:
         """Size, name, the frames with how far each is, and the progress."""
-        progress, last = self.store.progress(), everything(self.info, self.table)[-1]
+        progress, last = self.store.progress(), all_frames(self.info, self.table)[-1]
         clips = [(number, done, clip(number, last)) for number, done in self.store.frames()]
         return {
             "name": self.info.name,
@@ -148,7 +147,7 @@ class Session:
         return marks
 
     def _seen(self, number: int) -> int:
-        last = everything(self.info, self.table)[-1]
+        last = all_frames(self.info, self.table)[-1]
         if not any(number in clip(known, last) for known, _ in self.store.frames()):
             raise InputError(f"frame {number} is not one of those to label")
         return number

@@ -12,22 +12,28 @@ Three reasons, each with a score from 0 to 1:
 ``short``     The filter believed it, but its track was short and went nowhere, or too short to be one. At most 0.4, halved
               with each second of its life: of such detections more are true than false, so that they are only shown.
 
-None of them is proof. Who sits there for the whole stretch looks like a place that fires; who is hidden half of the time,
-in a crowd, is rejected.
+None of them is proof. A person who sits there for the whole stretch looks like a place that fires; one who is hidden half of
+the time, in a crowd, is rejected.
+
+Suggestions may be made in a thread while somebody labels already (`Background`), and are kept in a file for the next time.
 """
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from pathlib import Path
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 
 from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks
 
+_COLUMNS = ("frame", "box", "reason", "score", "place")
 Reason = Literal["place", "rejected", "short"]
 REASONS: tuple[Reason, ...] = get_args(Reason)
 # Above this score a suggestion is taken for false until somebody says otherwise; below the other nothing is suggested.
@@ -206,3 +212,76 @@ class _Near:
         lo, hi = np.searchsorted(self._centre, [middle - width, middle + width])
         out: I8 = self._order[lo + np.flatnonzero(iou(box[None], self._xyxy[lo:hi])[0] >= ALIKE)]
         return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """How far it is: the ``share`` that is done, the suggestions when they are there, and why there will be none."""
+
+    share: float
+    suggestions: Suggestions | None = None
+    problem: str = ""
+
+
+class Suggester(Protocol):
+    """Where a session has its suggestions from."""
+
+    def answer(self) -> Answer:
+        """What is known by now."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ready:
+    """Suggestions that are there."""
+
+    suggestions: Suggestions
+
+    def answer(self) -> Answer:
+        """They are there."""
+        return Answer(1.0, self.suggestions)
+
+
+class Background:
+    """Does ``work`` in a thread of its own; that is told how to report its share, and raises where it fails."""
+
+    def __init__(self, work: Callable[[Callable[[float], None]], Suggestions]) -> None:
+        self._work, self._answer = work, Answer(0.0)
+        # A daemon: who closes the page does not wait for suggestions.
+        threading.Thread(target=self._run, name="suggestions", daemon=True).start()
+
+    def answer(self) -> Answer:
+        """What is known by now."""
+        return self._answer
+
+    def _run(self) -> None:
+        try:
+            self._answer = Answer(1.0, self._work(self._told))
+        except Exception as error:
+            self._answer = Answer(1.0, problem=str(error) or type(error).__name__)
+
+    def _told(self, share: float) -> None:
+        self._answer = Answer(share)
+
+
+def kept(path: Path, key: str, make: Callable[[], Suggestions]) -> Suggestions:
+    """The suggestions in the file if they were made for ``key``; else those that ``make`` makes, kept there."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        if document["key"] == key:
+            frame, box, reason, score, place = (np.array(document[name]) for name in _COLUMNS)
+            return Suggestions(
+                frame.astype(np.int64),
+                box.astype(np.int64),
+                reason.astype(np.int64),
+                score.astype(np.float64),
+                place.astype(np.int64),
+            )
+    except (OSError, ValueError, KeyError, TypeError):
+        pass  # There is none yet, or another program's: made anew.
+    found = make()
+    columns = dict(zip(_COLUMNS, (found.frame, found.box, found.reason, found.score, found.place), strict=True))
+    document = {"key": key} | {name: column.tolist() for name, column in columns.items()}
+    part = path.with_name(path.name + ".part")
+    part.write_text(json.dumps(document) + "\n", encoding="utf-8")
+    part.replace(path)
+    return found

@@ -8,7 +8,7 @@ import pytest
 from phdtrack import config
 from phdtrack.arrays import iou
 from phdtrack.cli.label import tracked
-from phdtrack.label.suggest import REASONS, SHOWN, TICKED, Evidence, suggest
+from phdtrack.label.suggestions import REASONS, SHOWN, TICKED, Evidence, suggest
 from phdtrack.simulate import NAMED, default_detector, make_scene
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
 

@@ -30,7 +30,7 @@ def clip(number: int, last: int) -> range:
     return range(max(1, number - REACH), min(last, number + REACH) + 1)
 
 
-def everything(info: SequenceInfo, table: DetectionTable) -> range:
+def all_frames(info: SequenceInfo, table: DetectionTable) -> range:
     """All frames; up to the last detection where the video does not say how many there are."""
     return range(1, (info.frames or table.last) + 1)
 
@@ -48,11 +48,19 @@ def watched(store: LabelStore, stretch: range) -> I8:
 def time_watched(
     store: LabelStore, table: DetectionTable, info: SequenceInfo, rate: float, stretch: range | None = None
 ) -> float:
-    """Time units (``rate`` a second) in which births were looked for: what their number is divided by for s̄.
+    """Time units in which births were looked for: what their number is divided by for s̄.
 
-    ``stretch``: only on its frames; on all where it is not given.
+    Parameters
+    ----------
+    store, table, info : the labels, the detections that they are on, the sequence.
+    rate : time units a second.
+    stretch : the frames that count; all where it is None.
+
+    Returns
+    -------
+    Time units.
     """
-    return len(watched(store, stretch or everything(info, table))) / info.fps * rate
+    return len(watched(store, stretch or all_frames(info, table))) / info.fps * rate
 
 
 def birth_states(
@@ -60,10 +68,18 @@ def birth_states(
 ) -> F8:
     """(6, n) states (px, py, vx, vy, w, h) of the boxes marked as births in the frames that were `watched` [M09 §IV].
 
-    Velocities are pixels per time unit, of which ``rate`` make a second; NaN where a box could not be linked to two of the
-    next three frames' detections.
+    Parameters
+    ----------
+    store, table, info : the labels, the detections that they are on, the sequence.
+    rate : time units a second.
+    stretch : the frames that count; all where it is None.
+
+    Returns
+    -------
+    Pixels, and velocities in pixels per time unit; NaN where a box could not be linked to two of the next three frames'
+    detections.
     """
-    counted = set(watched(store, stretch or everything(info, table)).tolist())
+    counted = set(watched(store, stretch or all_frames(info, table)).tolist())
     states = [
         _state(table, label.frame, label.box, info.fps, rate)
         for label in store.labels()

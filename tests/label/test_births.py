@@ -3,7 +3,7 @@ import pytest
 
 from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.label import Label, LabelStore
-from phdtrack.label.hand import REACH, birth_states, clip, time_watched, watched
+from phdtrack.label.births import REACH, birth_states, clip, time_watched, watched
 from phdtrack.simulate import make_scene
 from phdtrack.types import Detections, DetectionTable, SequenceInfo
 
