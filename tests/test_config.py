@@ -8,21 +8,12 @@ import numpy as np
 import pytest
 
 from phdtrack import config
-from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.cli.settings import as_toml, meanings, toml_value
 from phdtrack.config.kinds import FROM_SEQUENCE, SECTIONS, record
 from phdtrack.config.presets import PRESETS
 from phdtrack.errors import InputError
-from phdtrack.filters import PMB, BestBernoullis, ParticlePHD
-from phdtrack.filters.extract import KMeans, Mixture
 from phdtrack.models import (
-    FixedBirth,
-    LocalClutter,
-    MeasurementBirth,
-    NoSpawn,
-    SplitSpawn,
     UniformBirth,
-    UniformClutter,
 )
 from phdtrack.types import GaussianMixture, SequenceInfo
 
@@ -199,46 +190,7 @@ def test_the_last_named_wins(tmp_path):
     )
 
 
-def test_loading_does_not_change_the_presets():
-    before = repr(PRESETS)
-    config.load(sets=["motion.acceleration=0.5", "birth.kind=ground"], preset="e13")
-    config.load(
-        sets=["sensor.detection_probability=0.5", "birth.births_per_second=2", "filter.max_hypotheses=7"], preset="m09-mht"
-    )
-    for preset in {*IN_THE_IMAGE} - {"m09-mht"}:
-        config.load(
-            sets=[*PARTICLES, "sensor.detection_probability=0.5", "birth.kind=uniform", "clutter.clutter_per_frame=7"],
-            preset=preset,
-        )
-    assert repr(PRESETS) == before
-
-
 # Kinds
-
-
-@pytest.mark.parametrize(("sets", "part", "kind"), [
-    ([], "birth", MeasurementBirth),
-    ([*PARTICLES, "birth.kind=uniform"], "birth", UniformBirth),
-    (["birth.kind=fixed", "birth.boxes=[[1, 2, 3, 4]]"], "birth", FixedBirth),
-    (["clutter.volume=image"], "clutter", UniformClutter),
-    (["clutter.volume=local"], "clutter", LocalClutter),
-])  # fmt: skip
-def test_kinds_of_the_model(sets: list[str], part: str, kind: type):
-    assert isinstance(getattr(config.build(config.load(sets=sets), INFO).model, part), kind)
-
-
-def test_kinds_of_the_other_stages():
-    options = [*PARTICLES, "extract.kind=mixture", "spawn.kind=split", "spawn.rate=0.1"]
-    stages = config.build(config.load(sets=options), INFO)
-    assert isinstance(stages.extractor, Mixture)
-    assert stages.model.motion.births == SplitSpawn(rate=0.1)
-    particles = config.build(config.load(sets=PARTICLES), INFO)
-    assert (type(particles.filter), type(particles.extractor), type(particles.associator)) == (
-        ParticlePHD, KMeans, GraphMatching,
-    )  # fmt: skip
-    plain = config.build(config.load(), INFO)
-    assert (type(plain.filter), type(plain.extractor), type(plain.associator)) == (PMB, BestBernoullis, Labelled)
-    assert plain.model.motion.births == NoSpawn()
 
 
 @pytest.mark.parametrize("kind", SECTIONS["filter"])
@@ -267,14 +219,6 @@ def test_another_kind_does_not_inherit_settings():
     assert same["births_per_second"] == PRESETS["m07"]["birth"]["births_per_second"]
 
 
-@pytest.mark.parametrize("sets", [
-    [*PARTICLES, "birth.kind=uniform", "birth.particles=7"],
-    ["birth.particles=7", "birth.kind=uniform", *PARTICLES],
-])  # fmt: skip
-def test_a_kind_may_stand_behind_its_settings(sets: list[str]):
-    assert config.build(config.load(sets=sets), INFO).model.birth.particles == 7
-
-
 # What depends on the sequence, and boxes
 
 
@@ -285,12 +229,6 @@ def test_the_frame_gives_its_size():
     assert stages.model.motion.frame_size == stages.model.birth.frame_size == (640.0, 480.0)
     assert stages.model.clutter.volume == (640 * 480) ** 2
     assert stages.model.clutter.clutter_per_frame == 2
-
-
-@pytest.mark.parametrize(("scaling", "dim"), [("particle", 6), ("previous", 8)])
-def test_the_motion_remembers_what_the_sensor_needs(scaling: str, dim: int):
-    model = config.build(config.load(sets=[f"sensor.scaling={scaling}"]), INFO).model
-    assert model.motion.dim == len(model.sensor.states(np.ones((4, 1)))[0]) == dim
 
 
 def test_initial_boxes(rng):

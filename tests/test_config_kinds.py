@@ -87,19 +87,6 @@ def test_the_ground_plane_brings_what_fits_it(filter_: str, order: int):
     assert (mine.as_dict()["time"]["units_per_second"], mine.as_dict()["associate"]["gap_cost"]) == (2.0, 0.3)
 
 
-@pytest.mark.parametrize(("sets", "says"), [
-    (["sensor.kind=plane"], "motion.kind=plane"),
-    (["motion.kind=plane", "sensor.kind=box"], "motion.kind=box"),
-    (["motion.kind=plane", "birth.kind=measurement"], "ground or places or scene"),
-    (["motion.kind=plane", "spawn.kind=split"], "spawn.kind"),
-    (["birth.kind=ground"], "motion.kind=plane"),
-    (["clutter.kind=ground"], "motion.kind=plane"),
-])  # fmt: skip
-def test_worlds_that_are_mixed_up(sets: list[str], says: str):
-    with pytest.raises(InputError, match=says):
-        config.load(sets=sets)
-
-
 def test_on_the_ground_a_uniform_density_needs_a_region():
     with pytest.raises(InputError, match="region"):
         config.build(config.load(sets=["motion.kind=plane", "clutter.volume=region"]), INFO)

@@ -69,11 +69,6 @@ def test_what_does_not_fit_is_told(tmp_path, changes, sets, words):
         config.build(config.load(sets=[*written(tmp_path / "scene.json", **changes), *sets]), INFO)
 
 
-def test_a_scene_without_a_file_is_told():
-    with pytest.raises(InputError, match="needs a value for file"):
-        config.load(sets=["birth.kind=scene"])
-
-
 @pytest.mark.parametrize("world", ["plane", "point"])
 def test_without_a_size_births_have_four_components(tmp_path, world):
     low, high = np.array([-10.0, 0, -3, -3]), np.array([10.0, 40, 3, 3])
@@ -114,16 +109,6 @@ def test_the_shipped_model_is_beside_a_scene(tmp_path, name):
     assert alone.birth.around_detections == alone.clutter.around_detections == 0
     paper = config.load(preset="m09", sets=sets)
     assert paper.as_dict()["birth"]["around_detections"] == paper.as_dict()["clutter"]["around_detections"] == 0
-
-
-def test_only_what_is_of_boxes_is_laid_beside(tmp_path):
-    low, high = np.array([-10.0, 0, -3, -3]), np.array([10.0, 40, 3, 3])
-    births = Learned(0.3, uniform_density(low, high), 40)
-    file = written(tmp_path / "scene.json", births=births, rate=1.0)[1]
-    plane = ["motion.kind=plane", "birth.kind=scene", file, "camera.region=[-10, 0, 10, 40]"]
-    assert config.build(config.load(sets=plane), INFO).model.birth.around_detections == 0
-    with pytest.raises(InputError, match="of boxes only"):
-        config.build(config.load(sets=[*plane, "birth.around_detections=0.1"]), INFO)
 
 
 @pytest.mark.parametrize(("name", "kind"), [("pmb", Labelled), ("gm-phd", GraphMatching), ("none", GraphMatching)])

@@ -42,14 +42,6 @@ def test_a_camera_and_how_well_it_fits(tmp_path: Path) -> None:
     np.testing.assert_allclose(camera.ground(pixel), HomographyCamera(PLANE).ground(pixel), atol=0.3)
 
 
-def test_residuals_are_a_table(tmp_path: Path) -> None:
-    said = phdtrack("calibrate", points(tmp_path), "--out", tmp_path / "c.toml")
-    lines = said.out.splitlines()
-    assert lines[0].split() == ["point", "u", "v", "X", "Y", "off,", "px", "off,", "m", "m", "per", "px"]
-    assert [line.split()[0] for line in lines[1:7]] == ["1", "2", "3", "4", "5", "6"]
-    assert lines[-1] == str(tmp_path / "c.toml")
-
-
 def test_four_points_fit_exactly_and_tell_nothing(tmp_path: Path) -> None:
     said = phdtrack("calibrate", points(tmp_path, 4), "--out", tmp_path / "c.toml", "--json")
     assert said.object["rms_pixels"] < 1e-6
@@ -63,13 +55,6 @@ def test_a_header_may_name_the_columns_in_any_order(tmp_path: Path) -> None:
     path = tmp_path / "turned.csv"
     path.write_text("X,Y,u,v,Z\n" + "\n".join(turned) + "\n")
     assert phdtrack("calibrate", path, "--out", tmp_path / "b.toml", "--json").object["points"] == plain["points"]
-
-
-def test_what_is_there_is_kept(tmp_path: Path) -> None:
-    out = tmp_path / "camera.toml"
-    assert phdtrack("calibrate", points(tmp_path), "--out", out).status == 0
-    assert "--overwrite" in refused("calibrate", points(tmp_path), "--out", out)
-    assert phdtrack("calibrate", points(tmp_path), "--out", out, "--overwrite").status == 0
 
 
 @pytest.mark.parametrize(

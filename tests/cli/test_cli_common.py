@@ -86,12 +86,6 @@ def test_usage_errors_are_status_2_without_a_traceback(arguments: list[str]) -> 
     assert any(argument in done.stderr for argument in arguments)
 
 
-def test_nothing_asked_for_is_help() -> None:
-    done = run(sys.executable, "-m", "phdtrack")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert all(command in done.stdout for command in COMMANDS)
-
-
 @pytest.mark.parametrize(
     ("error", "status", "words"),
     [
@@ -113,14 +107,6 @@ def test_errors_become_a_sentence_and_a_status(
     captured = capsys.readouterr()
     assert captured.err.strip() == f"phdtrack: {words}"
     assert captured.out == ""
-
-
-def test_a_mistake_of_ours_is_not_hidden() -> None:
-    def command() -> None:
-        raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        guarded(command)()
 
 
 def test_a_reader_that_goes_away_is_no_error() -> None:

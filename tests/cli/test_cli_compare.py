@@ -131,15 +131,6 @@ def test_a_detector_looks_once_and_its_runs_are_what_track_does(tmp_path: Path) 
     assert looked.stat().st_mtime_ns != before
 
 
-def test_a_video_without_truth_has_counts_and_speed(tmp_path: Path) -> None:
-    scene = tmp_path / "street"
-    phdtrack("simulate", "street", "--seed", 1, "--frames", 25, "--set", "lead_in=-6", "--out", scene)
-    said = phdtrack("compare", scene / "scene.mp4", *QUICK, "--out", tmp_path / "out", "--json")
-    assert said.status == 0
-    assert list(said.object["rows"][0]["scores"]) == ["tracks", "boxes_per_frame", "ms"]
-    assert not (tmp_path / "out" / "worst").exists()
-
-
 def test_a_run_that_fails_is_told_and_the_others_go_on(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -171,15 +162,6 @@ def stopped(out: Path, runs: int, *words: object) -> tuple[int, str, str]:
     process.send_signal(signal.SIGINT)
     printed, said = process.communicate(timeout=120)
     return process.returncode, said, printed
-
-
-def test_ctrl_c_while_a_chain_runs_in_compiled_code_stops_everything(folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    # Nearly all of the time is spent in the kernel.
-    slow = ("--set", "filter.samples=4000", "--set", "filter.thin=5")
-    ended = stopped(out, 1, folder, "--filters", "mcmc", *slow, "--seeds", 200, "--jobs", 1)
-    assert ended == (130, "phdtrack: stopped\n", "")
-    assert 1 <= len(list(out.rglob("tracks.csv"))) < 200
 
 
 def test_ctrl_c_keeps_what_is_done(folder: Path, tmp_path: Path) -> None:

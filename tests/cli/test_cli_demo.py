@@ -31,15 +31,6 @@ def test_both_runs_and_where_to_look(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert "--overwrite" in refused("demo", "--out", out)
 
 
-def test_an_earlier_run_below_is_kept_too(tmp_path: Path) -> None:
-    below = tmp_path / demo.WITHOUT / rundir.TRACKS
-    below.parent.mkdir()
-    below.write_text("precious")
-    assert str(below.parent) in refused("demo", "--out", tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == [demo.WITHOUT]
-    assert below.read_text() == "precious"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
 def test_the_filter_is_better_whatever_the_seed(seed: int, tmp_path: Path) -> None:

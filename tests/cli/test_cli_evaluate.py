@@ -110,18 +110,6 @@ def test_frames_without_any_box_count_where_seqinfo_names_them(truth: Path) -> N
     assert phdtrack("evaluate", "--truth", truth, "--tracks", truth, "--frames", 45, "--json").object["frames"] == 45
 
 
-def test_empty_files_are_no_error(tmp_path: Path) -> None:
-    nothing = tmp_path / "nothing.txt"
-    nothing.write_text("")
-    said = phdtrack("evaluate", "--truth", nothing, "--tracks", nothing, "--json")
-    assert said.status == 0
-    assert said.object["MOTA"] is None
-
-
-def test_missing_file(truth: Path) -> None:
-    assert "nowhere.txt" in refused("evaluate", "--truth", truth, "--tracks", "nowhere.txt")
-
-
 @pytest.mark.parametrize("iou", [0, -1, 1.5, "nan"])
 def test_impossible_threshold(truth: Path, iou: object) -> None:
     assert "--iou" in refused("evaluate", "--truth", truth, "--tracks", truth, "--iou", iou, "--json")
@@ -143,15 +131,3 @@ def test_malformed_tracks_name_file_and_line(truth: Path, tmp_path: Path, line: 
     sentence = refused("evaluate", "--truth", truth, "--tracks", bad)
     assert f"{bad}, line 2" in sentence
     assert words in sentence
-
-
-def test_binary_rubbish(truth: Path, tmp_path: Path) -> None:
-    rubbish = tmp_path / "rubbish.txt"
-    rubbish.write_bytes(bytes(range(256)) * 4)
-    assert str(rubbish) in refused("evaluate", "--truth", truth, "--tracks", rubbish)
-
-
-def test_a_required_option_is_missing(truth: Path) -> None:
-    said = phdtrack("evaluate", "--truth", truth)
-    assert said.status == 2
-    assert "--tracks" in said.err

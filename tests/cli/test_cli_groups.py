@@ -172,16 +172,6 @@ def test_known_positions(tmp_path: Path) -> None:
     assert sum(1 for _ in open_source(out / rundir.PLAN)) == 30
 
 
-def test_the_rate_may_be_given_and_settings_too(tmp_path: Path) -> None:
-    path = obsmat(tmp_path / "obsmat.txt")
-    said = phdtrack(
-        "groups", "--positions", path, "--fps", 30, "--set", "groups.max_distance=0.5", "--out", tmp_path / "a", "--no-video"
-    )
-    assert said.status == 0, said.err
-    assert len({row["group"] for row in table(tmp_path / "a" / rundir.GROUPS)}) == 3
-    assert float(table(tmp_path / "a" / rundir.GROUPS)[-1]["time"]) == pytest.approx(29 * 0.2)
-
-
 @pytest.mark.parametrize(
     ("more", "says"),
     [
@@ -219,13 +209,6 @@ def test_ways_and_velocities_that_do_not_fit_tell_no_rate(tmp_path: Path) -> Non
     assert "anything from" in refused("groups", "--positions", tmp_path / "obsmat.txt", "--out", tmp_path / "run")
 
 
-def test_an_earlier_run_is_kept(tmp_path: Path) -> None:
-    path, out = obsmat(tmp_path / "obsmat.txt"), tmp_path / "run"
-    assert phdtrack("groups", "--positions", path, "--out", out, "--no-video").status == 0
-    assert "--overwrite" in refused("groups", "--positions", path, "--out", out, "--no-video")
-    assert phdtrack("groups", "--positions", path, "--out", out, "--no-video", "--overwrite").status == 0
-
-
 def test_ctrl_c_leaves_the_groups_up_to_there(street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from phdtrack.cli.group_observer import GroupObserver
 
@@ -242,15 +225,3 @@ def test_ctrl_c_leaves_the_groups_up_to_there(street: Path, tmp_path: Path, monk
     assert said.object["complete"] is False
     assert max(int(row["frame"]) for row in table(tmp_path / "run" / rundir.GROUPS)) == 14
     assert sum(1 for _ in open_source(tmp_path / "run" / rundir.PLAN)) == 14
-
-
-@pytest.mark.parametrize("name", ["gm-cphd", "particle-phd", "particle-cphd"])
-def test_any_filter_finds_the_pair(street: Path, tmp_path: Path, name: str) -> None:
-    said = phdtrack("groups", *detected(street), "--filter", name, "--out", tmp_path / "run", "--no-video", "--json")
-    assert said.status == 0, said.err
-    together = defaultdict(list)
-    for row in table(tmp_path / "run" / rundir.MEMBERS):
-        together[row["frame"], row["group"]].append(row["member"])
-    assert sum(len(members) == 2 for members in together.values()) > 0.6 * FRAMES
-    assert max(len(members) for (frame, _), members in together.items() if int(frame) < 25) == 2
-    assert said.object["groups"]["people_mean"] == pytest.approx(3, abs=0.4)

@@ -90,17 +90,6 @@ def test_a_detector_runs_once(sequence):
     assert f"the detections are those of {kept[0].name}" in err
 
 
-def test_detections_alone_are_shown_on_grey(sequence):
-    page = Started("--detections", "det.txt", "--frame-size", "160x120", "--fps", "25", cwd=sequence)
-    first = json.loads(page.ask("api/overview"))["frames"][0]["number"]
-    picture = cv2.imdecode(np.frombuffer(page.ask(f"still/{first}.jpg"), np.uint8), 1)
-    assert picture.shape == (120, 160, 3)
-    assert picture.std() < 3
-    with pytest.raises(urllib.error.HTTPError):
-        page.ask("still/../../det.txt")
-    page.leave()
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -125,16 +125,6 @@ def test_false_alarms_unattended(street, tmp_path):
     assert "Look yourself" in said.out
 
 
-def test_births_alone_where_nobody_marked(street, tmp_path):
-    said = phdtrack(*options(street)[:-2], "--out", tmp_path / "scene.json", "--last", "400")
-    assert said.status == 0, said.err
-    assert "false alarms stay as shipped: nobody has marked any" in said.out
-    scene = read_scene(tmp_path / "scene.json")
-    assert scene.clutter is None
-    assert 25 < scene.births.samples < 50
-    assert "Not learned" in (tmp_path / "scene.html").read_text()
-
-
 def test_mistakes_are_told(street, tmp_path):
     assert "no such file of labels" in refused(*options(street)[:-1], tmp_path / "none")
     (tmp_path / "scene.json").write_text("mine")

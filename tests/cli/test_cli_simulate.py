@@ -25,14 +25,6 @@ def test_the_layout_is_that_of_motchallenge(tmp_path: Path) -> None:
     assert len(np.unique(read_truth(out / "gt" / "gt.txt").identity)) == said.object["objects"]
 
 
-def test_the_seed_decides(tmp_path: Path) -> None:
-    texts = []
-    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        phdtrack("simulate", "street", "--out", tmp_path / name, "--frames", 60, "--seed", seed, "--no-video")
-        texts.append((tmp_path / name / "det" / "det.txt").read_text())
-    assert texts[0] == texts[1] != texts[2]
-
-
 def test_options_change_the_detector_and_nothing_else(tmp_path: Path) -> None:
     perfect = ["--p-detect", 1, "--clutter", 0, "--places", 0, "--jitter", 0]
     said = phdtrack("simulate", "constant", "--out", tmp_path / "s", "--frames", 20, "--no-video", "--json", *perfect)
@@ -47,15 +39,6 @@ def test_a_setting_of_the_scene(tmp_path: Path) -> None:
     common = ["--frames", 20, "--no-video", "--json"]
     said = phdtrack("simulate", "constant", "--out", tmp_path / "s", "--set", "n=3", "--set", "birth_rate=0", *common)
     assert said.object["objects"] == 3
-
-
-def test_the_video_has_as_many_frames(tmp_path: Path) -> None:
-    from phdtrack.video import open_source
-
-    said = phdtrack("simulate", "empty", "--out", tmp_path / "s", "--frames", 5)
-    assert said.status == 0
-    assert "5 frames, no objects" in said.out
-    assert [frame.number for frame in open_source(tmp_path / "s" / "scene.mp4")] == [1, 2, 3, 4, 5]
 
 
 def test_the_look_of_the_video_is_the_scenes_own_and_can_be_changed(tmp_path: Path) -> None:
@@ -89,10 +72,3 @@ def test_the_look_of_the_video_is_the_scenes_own_and_can_be_changed(tmp_path: Pa
 def test_mistakes_are_named(tmp_path: Path, arguments: list[str], words: str) -> None:
     assert words in refused("simulate", *arguments, "--out", tmp_path / "s")
     assert not (tmp_path / "s").exists()
-
-
-def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
-    arguments = ["simulate", "empty", "--frames", 3, "--no-video", "--out", tmp_path]
-    assert phdtrack(*arguments).status == 0
-    assert "--overwrite" in refused(*arguments)
-    assert phdtrack(*arguments, "--overwrite").status == 0

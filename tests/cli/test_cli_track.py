@@ -61,14 +61,6 @@ def test_detections_alone(sequence: Path, tmp_path: Path) -> None:
     assert sorted(set(tracks.identity)) == [1, 2]
 
 
-def test_the_summary_is_for_people(sequence: Path, tmp_path: Path) -> None:
-    said = phdtrack("track", "--detections", sequence / "det" / "det.txt", "--out", tmp_path / "run", "--filter", "none")
-    assert said.status == 0
-    assert "2 objects in 40 frames" in said.out
-    assert str(tmp_path / "run" / rundir.TRACKS) in said.out
-    assert said.err == ""
-
-
 def test_size_and_rate_from_the_options(tmp_path: Path) -> None:
     plain = walkers(tmp_path / "plain", seqinfo=False) / "det" / "det.txt"
     given = ["--frame-size", "320x240", "--fps", 12.5]
@@ -101,16 +93,6 @@ def test_threads_reach_the_filter_and_change_nothing(sequence: Path, tmp_path: P
     assert texts[0] == texts[1] == texts[2]
 
 
-@pytest.mark.parametrize("kind", ["pmb", "none"])
-def test_threads_go_to_who_has_some_and_are_no_mistake_elsewhere(kind: str, sequence: Path, tmp_path: Path) -> None:
-    given = ("track", "--detections", sequence / "det" / "det.txt", "--filter", kind)
-    assert phdtrack(*given, "--out", tmp_path / "one").status == 0
-    said = phdtrack(*given, "--threads", 2, "--out", tmp_path / "two", "--json")
-    assert said.status == 0, said.err
-    assert not any("threads" in values for values in said.object["configuration"].values() if isinstance(values, dict))
-    assert (tmp_path / "one" / rundir.TRACKS).read_bytes() == (tmp_path / "two" / rundir.TRACKS).read_bytes()
-
-
 def test_a_video(clip: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     said = phdtrack("track", clip, "--out", out, "--json")
@@ -128,12 +110,6 @@ def test_a_video_with_detections_beside_it(clip: Path, sequence: Path, tmp_path:
     assert (out / rundir.VIDEO).exists()
     assert said.object["detections"] == 80
     assert said.object["tracks"] == 2
-
-
-def test_no_video_wanted(clip: Path, tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    assert phdtrack("track", clip, "--out", out, "--no-video", "--filter", "none").status == 0
-    assert {path.name for path in out.iterdir()} == FILES
 
 
 def test_a_video_cut_short_is_tracked_as_far_as_it_goes(clip: Path, tmp_path: Path) -> None:
@@ -271,21 +247,6 @@ def test_a_picture_too_small_to_search_leaves_nothing_behind(command: str, clip:
     assert not list((tmp_path / "run").iterdir())
 
 
-def test_the_truth_of_a_longer_sequence_is_doubted(clip: Path, tmp_path: Path) -> None:
-    longer = walkers(tmp_path / "longer", 60) / "gt" / "gt.txt"
-    said = phdtrack("track", clip, "--truth", longer, "--out", tmp_path / "run", "--no-video")
-    assert said.status == 0
-    assert "frame 60" in said.err
-    assert "40" in said.err
-
-
-def test_a_text_file_is_no_video(tmp_path: Path) -> None:
-    fake = tmp_path / "fake.mp4"
-    fake.write_text("not a video")
-    assert "fake.mp4" in refused("track", fake, "--out", tmp_path / "run")
-    assert "fake.mp4" in refused("detect", fake, "--out", tmp_path / "run")
-
-
 def test_an_earlier_run_is_kept(sequence: Path, tmp_path: Path) -> None:
     arguments = ["track", "--detections", sequence / "det" / "det.txt", "--filter", "none", "--out", tmp_path]
     (tmp_path / rundir.TRACKS).write_text("precious")
@@ -295,20 +256,6 @@ def test_an_earlier_run_is_kept(sequence: Path, tmp_path: Path) -> None:
     assert phdtrack(*arguments, "--overwrite").status == 0
     assert (tmp_path / rundir.TRACKS).read_text() != "precious"
     assert (tmp_path / "notes.txt").read_text() == "mine"
-
-
-def test_an_output_that_cannot_be_written(sequence: Path, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("x")
-    for out in (tmp_path / "file", tmp_path / "file" / "below"):
-        assert str(out) in refused("track", "--detections", sequence / "det" / "det.txt", "--out", out)
-
-
-def test_a_mistake_in_the_configuration_names_the_nearest(clip: Path, tmp_path: Path) -> None:
-    config = tmp_path / "my.toml"
-    config.write_text("[filter]\nhistroy = 7\n")
-    sentence = refused("track", clip, "--config", config, "--out", tmp_path / "run")
-    assert "histroy" in sentence
-    assert "Did you mean history" in sentence
 
 
 def test_a_setting_of_another_filter_says_whose_it_is(sequence: Path, tmp_path: Path) -> None:
@@ -349,28 +296,6 @@ def test_ctrl_c_finishes_what_was_done(tmp_path: Path) -> None:
     assert "Ctrl-C" in errors
     assert "Traceback" not in errors
     assert {path.name for path in out.iterdir()} == FILES
-
-
-def test_settings_of_the_filter_that_the_option_names(sequence: Path, tmp_path: Path) -> None:
-    options = ("track", "--detections", sequence / "det" / "det.txt", "--no-video", "--json")
-    run = phdtrack(
-        *options,
-        "--out",
-        tmp_path / "run",
-        "--filter",
-        "mht",
-        "--set",
-        "filter.history=3",
-        "--set",
-        "filter.max_hypotheses=7",
-    ).object
-    settings = run["configuration"]["filter"]
-    assert (settings["kind"], settings["history"], settings["max_hypotheses"]) == ("mht", 3, 7)
-    assert "here there are most, ratio, depth" in refused(
-        *options, "--filter", "mht", "--set", "filter.particles_per_target=3"
-    )
-    assert "two filters" in refused(*options, "--filter", "mht", "--set", "filter.kind=mcmc")
-    assert "--filter" in refused(*options, "--filter", "mhd")
 
 
 def test_ctrl_c_in_compiled_code_is_ctrl_c() -> None:

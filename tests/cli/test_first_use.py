@@ -72,11 +72,6 @@ def test_the_line_comes_when_something_is_compiled_and_only_then(installed: Path
     assert (found["loaded"], found["value"], said) == (1, 20, "")
 
 
-def test_no_line_in_logs(installed: Path) -> None:
-    found, said = run(installed, terminal=False)
-    assert (found["loaded"], said) == (0, "")
-
-
 def test_a_kernel_that_calls_a_changed_one_is_compiled_again(installed: Path) -> None:
     assert run(installed)[0]["value"] == 20
     (installed / "phdtrack" / "kernels" / "leaf.py").write_text(LEAF.format(2))

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import signal
 import threading
-import time
-import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +15,7 @@ import pytest
 from phdtrack import config
 from phdtrack.associate import GraphMatching
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.inputs import DEPTH, Blank, Inputs, rereadable
+from phdtrack.cli.inputs import DEPTH, Inputs, rereadable
 from phdtrack.cli.job import Job, Outcome, Steps, run
 from phdtrack.detect import make_detector
 from phdtrack.errors import InputError
@@ -26,8 +24,7 @@ from phdtrack.filters.extract import Raw
 from phdtrack.formats import DetectionsWriter, TracksWriter, read_detections, read_tracks, write_tracks
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth
 from phdtrack.protocols import Model, Stages
-from phdtrack.report import Annotator
-from phdtrack.types import Detections, Frame, Image, SequenceInfo, Truth
+from phdtrack.types import Detections, Frame, SequenceInfo, Truth
 from phdtrack.video import open_source
 
 INFO = SequenceInfo(96, 64, 25.0, 0, "clip")
@@ -128,12 +125,6 @@ def test_a_whole_run(job: Job, directory: rundir.RunDirectory) -> None:
     assert tracks.xyxy[8] == pytest.approx(box(9), abs=1.0)
 
 
-def test_a_source_that_ends_early_is_a_warning(job: Job, directory: rundir.RunDirectory) -> None:
-    outcome = run(job, directory)
-    assert [warning for warning in outcome.warnings if "cut short" in warning]
-    assert outcome.document["warnings"] == list(outcome.warnings)
-
-
 @pytest.mark.parametrize(
     "error",
     [
@@ -158,18 +149,6 @@ def test_a_run_that_was_stopped_is_scored_on_what_it_saw(job: Job, directory: ru
     assert (outcome.scores.frames, outcome.scores.misses) == (12, 0)
 
 
-def test_a_failing_detector_is_like_a_failing_frame(job: Job, directory: rundir.RunDirectory) -> None:
-    class Broken(Looker):
-        def __call__(self, frame: Frame) -> Detections:
-            if frame.number == 13:
-                raise InputError("expected boxes, got None", where="frame 13")
-            return super().__call__(frame)
-
-    outcome = run(replace(job, inputs=replace(job.inputs, detector=Broken())), directory)
-    assert isinstance(outcome.stop, InputError)
-    consistent(directory, outcome, 12)
-
-
 def test_nothing_computed_leaves_nothing(job: Job, directory: rundir.RunDirectory) -> None:
     (directory.path / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="frame 1"):
@@ -184,27 +163,12 @@ def test_a_camera_gives_its_frames_once(job: Job, directory: rundir.RunDirectory
     consistent(directory, outcome, 12 if at else FRAMES)
 
 
-def test_no_copy_is_made_where_no_video_is_wanted(job: Job, directory: rundir.RunDirectory) -> None:
-    clip = Clip(once=True)
-    inputs = replace(job.inputs, source=clip, again=False)
-    with rereadable(inputs, wanted=False) as source:
-        assert source is clip
-    outcome = run(replace(job, inputs=inputs, video=False), directory)
-    consistent(directory, outcome, FRAMES, video=False)
-
-
 def test_a_copy_of_a_camera_shows_the_same(job: Job) -> None:
     inputs = replace(job.inputs, source=Clip(once=True), again=False)
     with rereadable(inputs, wanted=True) as source:
         first, second = list(source), list(source)
     assert [(f.number, f.time) for f in first] == [(f.number, f.time) for f in second]
     assert max(float(np.abs(a.image.astype(int) - b.image).mean()) for a, b in zip(first, second, strict=True)) < 4
-
-
-def test_detections_alone_give_no_video(job: Job, directory: rundir.RunDirectory) -> None:
-    blank = Blank(replace(INFO, frames=FRAMES))
-    outcome = run(replace(job, inputs=replace(job.inputs, source=blank, pictures=False)), directory)
-    consistent(directory, outcome, FRAMES, video=False)
 
 
 def test_overlap_changes_no_result(job: Job, directory: rundir.RunDirectory) -> None:
@@ -232,45 +196,6 @@ def test_overlap_changes_no_result(job: Job, directory: rundir.RunDirectory) -> 
     pairs = ((rundir.DETECTIONS, "detections.csv"), (rundir.ONLINE, "online.csv"), (rundir.TRACKS, "tracks.csv"))
     for ours, theirs in pairs:
         assert directory.file(ours).read_bytes() == (beside / theirs).read_bytes()
-
-
-@pytest.mark.parametrize("slow", ["detector", "drawing", "nothing"])
-def test_few_frames_live_however_long_the_video(
-    job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch, slow: str
-) -> None:
-    from phdtrack.cli import job as module
-
-    living: list[weakref.ref[object]] = []
-    most = 0
-
-    def count() -> None:
-        nonlocal most
-        living[:] = [ref for ref in living if ref() is not None]
-        most = max(most, len(living))
-
-    class Long(Clip):
-        def __iter__(self) -> Iterator[Frame]:
-            for number in range(1, 151):
-                image = np.full((64, 96, 3), 40, np.uint8)
-                living.append(weakref.ref(image))
-                count()
-                yield Frame(number, (number - 1) / 25.0, image)
-
-    class Slow(Looker):
-        def __call__(self, frame: Frame) -> Detections:
-            time.sleep(0.002 if slow == "detector" else 0)
-            return Detections.empty()
-
-    class Drawing(Annotator):
-        def __call__(self, *args: object, **kwargs: object) -> Image:
-            time.sleep(0.002 if slow == "drawing" else 0)
-            return super().__call__(*args, **kwargs)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(module, "Annotator", Drawing)
-    run(replace(job, inputs=replace(job.inputs, source=Long(), detector=Slow())), directory)
-    # Two belts, and one frame in the hands of each of three stages; twice, for the second pass may begin before the
-    # last frames of the first are given up.
-    assert most <= 2 * (2 * DEPTH + 3)
 
 
 def test_an_interrupt_in_the_loop_stops_the_stages(job: Job, directory: rundir.RunDirectory) -> None:

@@ -10,13 +10,6 @@ from phdtrack.cli import run_directory as rundir
 from phdtrack.errors import InputError
 
 
-def test_a_new_directory_is_made_with_its_parents(tmp_path: Path) -> None:
-    directory = rundir.claim(tmp_path / "a" / "b", overwrite=False)
-    assert directory.path.is_dir()
-    assert list(directory.path.iterdir()) == []
-    assert directory.written() == []
-
-
 def test_an_earlier_run_is_not_replaced_unasked(tmp_path: Path) -> None:
     (tmp_path / "tracks.csv").write_text("precious")
     for function in (rundir.check, rundir.claim):
@@ -33,25 +26,11 @@ def test_overwrite_removes_the_runs_files_and_no_others(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "notes.txt", "tracks.csv.bak"]
 
 
-def test_foreign_files_do_not_stand_in_the_way(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("x")
-    rundir.claim(tmp_path, overwrite=False)
-    assert (tmp_path / "notes.txt").exists()
-
-
 def test_check_changes_nothing(tmp_path: Path) -> None:
     (tmp_path / "tracks.csv").write_text("x")
     rundir.check(tmp_path, overwrite=True)
     rundir.check(tmp_path / "new", overwrite=False)
     assert [path.name for path in tmp_path.iterdir()] == ["tracks.csv"]
-
-
-def test_a_file_is_no_directory(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match="file"):
-        rundir.claim(tmp_path / "file", overwrite=True)
-    with pytest.raises(InputError, match="cannot be written"):
-        rundir.claim(tmp_path / "file" / "below", overwrite=True)
 
 
 def test_a_directory_in_the_place_of_a_file_is_left_alone(tmp_path: Path) -> None:

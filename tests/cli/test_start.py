@@ -6,7 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
 from cli_runner import walkers
 
 # Not pydantic: newer versions of typer load it themselves.
@@ -44,14 +43,6 @@ def modules(program: str, *arguments: object) -> list[str]:
 def test_importing_phdtrack_loads_nothing_heavy() -> None:
     loaded = modules("import phdtrack\nprint(*sys.modules, sep='\\n')")
     assert "phdtrack" in loaded
-    assert HEAVY.isdisjoint(loaded)
-
-
-@pytest.mark.parametrize("asked", [["--version"], ["--help"], ["track", "--help"]])
-def test_version_and_help_load_nothing_heavy(asked: list[str]) -> None:
-    program = "from phdtrack.cli.app import main\ntry:\n    main()\nfinally:\n    print(*sys.modules, sep='\\n')"
-    loaded = modules(program, *asked)
-    assert "phdtrack.cli.track" in loaded
     assert HEAVY.isdisjoint(loaded)
 
 

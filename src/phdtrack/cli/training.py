@@ -32,10 +32,10 @@ _ONLY_BOXES = "false alarms stay as shipped: a density of them is learned for bo
 # Frames, drawn at random, whose suggestions are taken where no person labels: M09's false alarms were of as many.
 UNATTENDED = 200
 LIMITS = (
-    "No person has checked them. A person who sits or stands in one place for nine tenths of the stretch, or for two thirds of "
-    "it while detected in every other frame only, is taken for a false alarm there, and so are people whom others hide in a "
-    "crowd (in a simulated one a quarter of what was taken were people, in streets 3 %). To check them: phdtrack label "
-    "suggests the same boxes."
+    "No person has checked them. A person who sits or stands in one place for nine tenths of the stretch, or for two thirds "
+    "of it while detected in every other frame only, is taken for a false alarm there, and so are people whom others hide "
+    "in a crowd (in a simulated one a quarter of what was taken were people, in streets 3 %). To check them: phdtrack "
+    "label suggests the same boxes."
 )
 
 

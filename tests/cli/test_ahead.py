@@ -32,11 +32,6 @@ def test_the_same_items_in_the_same_order(depth: int) -> None:
         assert list(twice) == []
 
 
-def test_nothing_in_nothing_out() -> None:
-    with ahead(iter(())) as items:
-        assert list(items) == []
-
-
 @pytest.mark.parametrize("error", [ValueError("broken"), KeyboardInterrupt(), SystemExit(3)])
 def test_an_error_comes_after_what_was_made_before_it(error: BaseException) -> None:
     got: list[int] = []
@@ -67,13 +62,6 @@ def test_an_error_in_the_loop_ends_all_stages() -> None:
     # The file that a stage has open is closed, by the thread that used it, when the block has been left.
     assert len(closed) == 1
     assert closed[0] != threading.main_thread().name
-    assert threading.active_count() == before
-
-
-def test_a_stage_that_nobody_takes_from_ends() -> None:
-    before = threading.active_count()
-    with ahead(range(10**9)):
-        pass
     assert threading.active_count() == before
 
 
