@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+from phdtrack.arrays import chi2_quantile
 
 
 def propagated(psi: np.ndarray, rounds: int, settled: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -43,49 +46,93 @@ def enumerated(psi: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return pair / total, missed / total, own / total
 
 
-def weighed(targets, pairs, alone, least, share, most, rounds, settled):
-    """Targets and hypotheses after a measurement.
+@dataclass(frozen=True)
+class Hypothesis:
+    """One of a target: its weight, mean (d,), covariance (d, d), what it is, what it took (−1: nothing), and whence."""
 
-    ``targets`` is a list of (r, [(weight, probability to be detected), …]), ``pairs`` a dictionary of densities by (target,
-    hypothesis in it, measurement). Gives the survivors as a list of (target, r, [(hypothesis in it, measurement, weight),
-    …]), the probabilities that measurements are nobody's, and those of the pairs as a dictionary.
+    weight: float
+    mean: np.ndarray
+    cov: np.ndarray
+    static: bool
+    occluded: float
+    taken: int = -1
+    source: int = -1
+
+
+def density(step: np.ndarray, cov: np.ndarray) -> float:
+    """N(step; 0, cov)."""
+    return float(np.exp(-0.5 * step @ np.linalg.solve(cov, step)) / np.sqrt(np.linalg.det(2 * np.pi * cov)))
+
+
+def updated(targets, z, h, noise, p_d, clutter, new, s, rounds, settled):
+    """The update of the Poisson multi-Bernoulli filter, one target, hypothesis and measurement at a time [W15].
+
+    ``targets`` is a list of (r, [Hypothesis, …]); ``z`` a list of measurements with expected value ``h`` @ mean and noise
+    ``noise``; ``clutter`` κ of each; ``new`` a list of (γ̂, mean, covariance) of each; ``s`` the settings of `filters.PMB`.
+    Gives the targets that are left as (index before, −1 for new ones, r, [Hypothesis, …]), and of each measurement the
+    probability that it is a false alarm, static clutter included.
     """
-    gain, psi = {}, np.zeros((len(targets), len(alone)))
-    for (t, c, j), density in pairs.items():
-        exist, hypotheses = targets[t]
-        weight, seen = hypotheses[c]
-        missed = 1 - exist * sum(w * p for w, p in hypotheses)
-        gain[t, c, j] = exist * weight * seen * density / max(missed, 1e-15) / alone[j]
-        psi[t, j] += gain[t, c, j]
-    belief, nothing, own = propagated(psi, rounds, settled)
-    told = {(t, c, j): belief[t, j] * g / psi[t, j] if psi[t, j] > 0 else 0.0 for (t, c, j), g in gain.items()}
-    kept = []
-    for t, (exist, hypotheses) in enumerate(targets):
-        unseen = sum(w * (1 - p) for w, p in hypotheses)
-        there = min(exist * unseen / max(1 - exist * sum(w * p for w, p in hypotheses), 1e-15), 1.0)
-        options = [(c, j, p) for (s, c, j), p in told.items() if s == t]
-        if unseen > 0:
-            options += [(c, -1, nothing[t] * there * w * (1 - p) / unseen) for c, (w, p) in enumerate(hypotheses)]
-        r = sum(p for *_, p in options)
-        options = [o for o in options if o[2] > 0 and o[2] >= share * r]
-        options = sorted(options, key=lambda o: -o[2])[:most]
-        if (r < least and not r > exist) or not options:
-            continue
-        whole = sum(p for *_, p in options)
-        kept.append((t, min(r, 1.0), [(c, j, p / whole) for c, j, p in options]))
-    return kept, own, told
+    n, share, psi = len(z), {}, np.zeros((len(targets), len(z)))
+    alone = np.array([kappa + gamma for kappa, (gamma, *_) in zip(clutter, new, strict=True)])
+    seen = [
+        [s.static_clutter_detection_probability if x.static else (1 - x.occluded) * p_d for x in forms]
+        for _, forms in targets
+    ]
+    radius = chi2_quantile(len(h), s.gate_probability)
+    for t, (r, forms) in enumerate(targets):
+        missed = 1 - r * sum(x.weight * p for x, p in zip(forms, seen[t], strict=True))
+        for (c, x), j in itertools.product(enumerate(forms), range(n)):
+            step, spread = z[j] - h @ x.mean, h @ x.cov @ h.T + noise
+            if step @ np.linalg.solve(spread, step) <= radius:
+                share[t, c, j] = r * x.weight * seen[t][c] * density(step, spread) / (missed * alone[j])
+                psi[t, j] += share[t, c, j]
+    pair, nothing, p_new = propagated(psi, rounds, settled)
+    out, false = [], [p * kappa / total for p, kappa, total in zip(p_new, clutter, alone, strict=True)]
+    for t, (r, forms) in enumerate(targets):
+        unseen = sum(x.weight * (1 - p) for x, p in zip(forms, seen[t], strict=True))
+        exists = r * unseen / (1 - r * (1 - unseen))
+        options = []
+        for c, x in enumerate(forms):
+            if unseen > 0:
+                hidden = 0.0 if x.static else x.occluded / (1 - seen[t][c])
+                weight = nothing[t] * exists * x.weight * (1 - seen[t][c]) / unseen
+                options.append(replace(x, weight=weight, occluded=hidden, source=c))
+            for j in range(n):
+                if (t, c, j) not in share:
+                    continue
+                probability = pair[t, j] * share[t, c, j] / psi[t, j]
+                false[j] += probability * x.static
+                gain = x.cov @ h.T @ np.linalg.inv(h @ x.cov @ h.T + noise)
+                cov = x.cov - gain @ h @ x.cov
+                if x.static:
+                    np.fill_diagonal(cov, np.maximum(np.diag(cov), 0.5 * np.diag(new[j][2])))
+                mean = x.mean + gain @ (z[j] - h @ x.mean)
+                options.append(Hypothesis(probability, mean, cov, x.static, 0.0, j, c))
+        after = sum(x.weight for x in options)
+        kept = sorted(
+            (x for x in options if x.weight > 0 and x.weight >= s.hypothesis_threshold * after), key=lambda x: -x.weight
+        )
+        kept = kept[: s.max_hypotheses]
+        if kept and (after >= s.existence_threshold or after > r):
+            out.append((t, after, [replace(x, weight=x.weight / sum(y.weight for y in kept)) for x in kept]))
+    for j, (gamma, mean, cov) in enumerate(new):
+        exists, prior = p_new[j] * gamma / alone[j], s.static_clutter_prior
+        false[j] += exists * prior
+        if exists > 0 and exists >= min(s.existence_threshold, 0.5 * gamma / alone[j]):
+            out.append(
+                (-1, exists, [Hypothesis(w, mean, cov, k, 0.0, j) for w, k in ((1 - prior, False), (prior, True)) if w > 0])
+            )
+    return out, false
 
 
-def united(hypotheses, limit):
-    """Of one target's hypotheses (weight, mean, variances, static), heaviest first: which are kept, and their weights."""
-    kept: list[int] = []
-    weight = [w for w, *_ in hypotheses]
-    for c, (w, mean, _, static) in enumerate(hypotheses):
-        for i in kept:
-            _, other, variance, kind = hypotheses[i]
-            if kind == static and ((mean - other) ** 2 / np.maximum(variance, 1e-12)).sum() < limit:
-                weight[i] += w
+def merged(forms: list[Hypothesis], distance: float) -> list[Hypothesis]:
+    """Of one target's hypotheses, heaviest first, each counted as the first like it within so many deviations of that."""
+    kept: list[Hypothesis] = []
+    for x in forms:
+        for i, y in enumerate(kept):
+            if x.static == y.static and ((x.mean - y.mean) ** 2 / np.diag(y.cov)).sum() < distance**2:
+                kept[i] = replace(y, weight=y.weight + x.weight)
                 break
         else:
-            kept.append(c)
-    return kept, [weight[i] for i in kept]
+            kept.append(x)
+    return kept

@@ -325,6 +325,9 @@ def gated(e: Expected, m: Measurements, gate: float) -> Pairs:
     work, along, gate2, wide, high = work_space(e.cross.shape[1], period.size), max(axis, 0), gate * gate, 0.0, 0.0
     # The other of the first two axes, where there is one that is no angle.
     across = 1 - along if period.size > 1 and period[1 - along] == 0.0 else along
+    first, second = np.empty(len(z)), np.empty(len(z))
+    for k in range(len(z)):
+        first[k], second[k] = z[order[k], along], z[order[k], across]
     for j in range(len(extra)):
         wide, high = max(wide, extra[j, along, along]), max(high, extra[j, across, across])
     room, found = 2 * len(seen) + 2 * len(z) + 16, 0 * len(z)
@@ -335,18 +338,19 @@ def gated(e: Expected, m: Measurements, gate: float) -> Pairs:
             reach, width = reach + noise[i, along, along], width + noise[i, across, across]
         reach, width = gate * np.sqrt(reach), gate * np.sqrt(width)
         begin, end, log_det, known = 0 * found, len(z), 0.0, False
+        x, y = seen[i, along], seen[i, across]
         while axis >= 0 and begin < end:
             middle = (begin + end) // 2
-            if z[order[middle], along] < seen[i, along] - reach:
+            if first[middle] < x - reach:
                 begin = middle + 1
             else:
                 end = middle
         for k in range(begin, len(z)):
-            j = order[k]
-            if axis >= 0 and z[j, along] > seen[i, along] + reach:
+            if axis >= 0 and first[k] > x + reach:
                 break
-            if axis >= 0 and abs(z[j, across] - seen[i, across]) > width:
+            if axis >= 0 and abs(second[k] - y) > width:
                 continue
+            j = order[k]
             if len(extra) > 0 or not known:
                 log_det, known = innovation_root(e, m, i, j, work.root), True
             d2 = whitened(e, m, i, j, work)
