@@ -21,12 +21,11 @@ from benchmarks.timing import Spread, clock, took
 from benchmarks.workload import Crowd, Stream, draw
 from phdtrack import config, pipeline
 from phdtrack.associate.rejection import FalseTrackRejection
-from phdtrack.models.learned_scene import laid_over
+from phdtrack.models.scene import FalseAlarmRatio, with_scene
 from phdtrack.protocols import AnyStages
-from phdtrack.scene import ContextDensity, Followed, Learned, grid, marginal
-from phdtrack.scene.density import SHOWN
-from phdtrack.scene.odds import Odds
-from phdtrack.scene.samples import state_volume
+from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, grid, marginal
+from phdtrack.scene.mixture import OBSERVED
+from phdtrack.scene.training import state_volume
 from phdtrack.types import F8
 
 KEYS = ("scene_ratio", "scene")
@@ -79,18 +78,18 @@ def _measured(name: str, stream: Stream, repeats: int) -> Iterator[tuple[Row, di
 
 
 def _learned(stages: AnyStages, size: tuple[float, float], places: Places) -> AnyStages:
-    births = Learned(BIRTHS, _density(size, places.births, (12, 10)))
-    alarms = Learned(ALARMS, marginal(_density(size, places.alarms, (16, 14)), SHOWN))
+    births = LearnedDensity(BIRTHS, _density(size, places.births, (12, 10)))
+    alarms = LearnedDensity(ALARMS, marginal(_density(size, places.alarms, (16, 14)), OBSERVED))
     # People are everywhere.
-    objects = Learned(float(TARGETS), marginal(_density(size, 1, (1, 1), size[0] / 3), SHOWN))
-    seen = Followed(0.1, objects)
-    model = laid_over(stages.model, births, alarms, seen, 500)
+    objects = LearnedDensity(float(TARGETS), marginal(_density(size, 1, (1, 1), size[0] / 3), OBSERVED))
+    seen = TrackedObjects(0.1, objects)
+    model = with_scene(stages.model, births, alarms, seen, 500)
     return replace(
-        stages, model=model, associator=FalseTrackRejection(stages.associator, Odds(alarms, seen, births), 0.1, 5)
+        stages, model=model, associator=FalseTrackRejection(stages.associator, FalseAlarmRatio(alarms, seen, births), 0.1, 5)
     )
 
 
-def _density(size: tuple[float, float], count: int, counts: tuple[int, int], wide: float = 30.0) -> ContextDensity:
+def _density(size: tuple[float, float], count: int, counts: tuple[int, int], wide: float = 30.0) -> SceneDensity:
     """Of states: ``count`` places about so many pixels ``wide``, or the grid."""
     low, high = state_volume(*size, 20.0)
     usual, spread = np.array([0.0, 0, 0, 0, 35, 70]), np.array([wide, wide, 2, 2, 9, 18])
@@ -99,7 +98,7 @@ def _density(size: tuple[float, float], count: int, counts: tuple[int, int], wid
     rng = np.random.default_rng(count)
     mean = np.tile(usual[:, None], count)
     mean[:2] = rng.uniform(0, 1, (2, count)) * np.array(size)[:, None]
-    return ContextDensity(low, high, 0.5, np.full(count, 1 / count), mean, np.tile(np.diag(spread**2), (count, 1, 1)))
+    return SceneDensity(low, high, 0.5, np.full(count, 1 / count), mean, np.tile(np.diag(spread**2), (count, 1, 1)))
 
 
 def _fastest(sides: list[AnyStages], stream: Stream, repeats: int) -> tuple[F8, F8]:

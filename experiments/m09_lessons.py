@@ -23,13 +23,19 @@ from phdtrack.label import Label, LabelStore
 from phdtrack.label.births import REACH, birth_states, time_watched
 from phdtrack.label.session import false_boxes, object_boxes, sampled, share_followed
 from phdtrack.metrics import first_output_delays
-from phdtrack.models.learned_scene import laid_over
+from phdtrack.models.scene import FalseAlarmRatio, with_scene
 from phdtrack.protocols import AnyStages
-from phdtrack.scene import Followed, Learned, RecursiveEM
-from phdtrack.scene.learning import Lesson, learn_births, learn_clutter, learn_objects
-from phdtrack.scene.odds import Odds
-from phdtrack.scene.prior import Sizes, detected_sizes, humbled
-from phdtrack.scene.samples import births_in
+from phdtrack.scene import LearnedDensity, RecursiveEM, TrackedObjects
+from phdtrack.scene.training import (
+    Sizes,
+    Training,
+    births_in,
+    detected_sizes,
+    learn_births,
+    learn_clutter,
+    learn_objects,
+    with_prior,
+)
 from phdtrack.types import F8, I8, Tracks
 
 MARKED = 40
@@ -48,10 +54,10 @@ class LearnedScene:
     ``entered``: how many came in, in the half that was learned from.
     """
 
-    clutter: Learned
-    seen: Followed | None
-    births: Learned | None
-    hand: Learned | None
+    clutter: LearnedDensity
+    seen: TrackedObjects | None
+    births: LearnedDensity | None
+    hand: LearnedDensity | None
     gains: tuple[float, float, float]
     entered: int
 
@@ -69,7 +75,7 @@ def learn(job: tuple[Halves, int]) -> LearnedScene:
         entries = marked_births(case, Path(folder) / "births.sqlite")
         by_hand = birth_states(entries, case.table, case.info, rate)
         watched = time_watched(entries, case.table, case.info, rate)
-    births = own_births(believed(run, Odds(clutter.learned, seen)) if seen else run, case, rate)
+    births = own_births(believed(run, FalseAlarmRatio(clutter.learned, seen)) if seen else run, case, rate)
     hand = _lesson(by_hand, watched, case)
     gains = tuple(lesson.gain if lesson else np.nan for lesson in (clutter, births, hand))
     return LearnedScene(
@@ -82,49 +88,53 @@ def learn(job: tuple[Halves, int]) -> LearnedScene:
     )
 
 
-def told(stages: AnyStages, births: Learned | None, clutter: Learned | None, seen: Followed | None) -> AnyStages:
+def told(
+    stages: AnyStages, births: LearnedDensity | None, clutter: LearnedDensity | None, seen: TrackedObjects | None
+) -> AnyStages:
     """The stages with what a scene has taught; None: as shipped."""
-    model = laid_over(stages.model, births, clutter, seen, MOST)
+    model = with_scene(stages.model, births, clutter, seen, MOST)
     if clutter is None or seen is None:
         return replace(stages, model=model)
     return replace(
-        stages, model=model, associator=FalseTrackRejection(stages.associator, Odds(clutter, seen, births), SURE, SHORTEST)
+        stages,
+        model=model,
+        associator=FalseTrackRejection(stages.associator, FalseAlarmRatio(clutter, seen, births), SURE, SHORTEST),
     )
 
 
-def own_births(tracks: Tracks, case: Case, rate: float) -> Lesson | None:
+def own_births(tracks: Tracks, case: Case, rate: float) -> Training | None:
     """Births from the tracks that the tracker itself makes [M09 §IV]; None where there are too few."""
     return _lesson(births_in(tracks, case.info.fps, rate), case.info.frames / case.info.fps * rate, case)
 
 
-def learned_alarms(case: Case, labels: LabelStore) -> Lesson:
+def learned_alarms(case: Case, labels: LabelStore) -> Training:
     """False alarms from marks."""
     size = float(case.info.width), float(case.info.height)
     lesson = learn_clutter(false_boxes(labels, case.table), labels.progress().done, size, RecursiveEM())
-    return _humbled(lesson, case)
+    return _with_prior(lesson, case)
 
 
-def learned_followed(tracks: Tracks, case: Case, labels: LabelStore) -> Followed | None:
+def learned_followed(tracks: Tracks, case: Case, labels: LabelStore) -> TrackedObjects | None:
     """What the tracker follows of what was marked and of what was not; None where too little was not."""
     size, frames = (float(case.info.width), float(case.info.height)), labels.progress().done
     try:
         objects = learn_objects(object_boxes(labels, case.table), frames, size, RecursiveEM())
     except InputError:
         return None
-    return Followed(share_followed(labels, tracks), _humbled(objects, case).learned)
+    return TrackedObjects(share_followed(labels, tracks), _with_prior(objects, case).learned)
 
 
-def _lesson(states: F8, time_units: float, case: Case) -> Lesson | None:
+def _lesson(states: F8, time_units: float, case: Case) -> Training | None:
     """Births from first states; None where there are too few."""
     try:
         lesson = learn_births(states, time_units, (float(case.info.width), float(case.info.height)), RecursiveEM())
     except InputError:
         return None
-    return _humbled(lesson, case)
+    return _with_prior(lesson, case)
 
 
-def _humbled(lesson: Lesson, case: Case) -> Lesson:
-    return replace(lesson, learned=humbled(lesson.learned, _sizes(case)))
+def _with_prior(lesson: Training, case: Case) -> Training:
+    return replace(lesson, learned=with_prior(lesson.learned, _sizes(case)))
 
 
 def _sizes(case: Case) -> Sizes:

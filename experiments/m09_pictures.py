@@ -11,8 +11,8 @@ import numpy as np
 from experiments.common import pyplot
 from experiments.m09_lessons import LearnedScene
 from phdtrack.compare.statistics import Interval
-from phdtrack.scene import ContextDensity
-from phdtrack.scene.maps import place_map
+from phdtrack.scene import SceneDensity
+from phdtrack.scene.mixture import place_map
 from phdtrack.types import F8, Image
 
 _RED, _GREEN = np.array([220.0, 30, 30]), np.array([20.0, 190, 60])
@@ -37,7 +37,7 @@ def maps(scenes: Mapping[str, tuple[Image, LearnedScene]], path: Path) -> None:
     plt.close(figure)
 
 
-def over(picture: Image, density: ContextDensity | None, colour: F8) -> Image:
+def over(picture: Image, density: SceneDensity | None, colour: F8) -> Image:
     """(H, W, 3) RGB: the picture, darker and grey, with the density's places in ``colour``."""
     grey = np.repeat(0.7 * picture.mean(axis=2, keepdims=True), 3, axis=2)
     if density is None:

@@ -21,8 +21,8 @@ from phdtrack.arrays import iou
 from phdtrack.associate.rejection import believed
 from phdtrack.metrics import evaluate
 from phdtrack.metrics.matching import build, tracking_mapping
+from phdtrack.models.scene import FalseAlarmRatio
 from phdtrack.protocols import AnyStages
-from phdtrack.scene.odds import Odds
 from phdtrack.simulate import DetectorModel, detect, make_scene
 from phdtrack.types import F8, Bool, SequenceInfo, Tracks, Truth
 
@@ -130,7 +130,7 @@ def learned(stages: AnyStages, train: Case, seed: int) -> AnyStages:
         alarms = learned_alarms(train, marks).learned
         run = followed(told(stages, None, alarms, None), train, seed).corrected
         seen = learned_followed(run, train, marks)
-    births = own_births(believed(run, Odds(alarms, seen)) if seen else run, train, stages.model.rate)
+    births = own_births(believed(run, FalseAlarmRatio(alarms, seen)) if seen else run, train, stages.model.rate)
     return told(stages, births.learned if births else None, alarms, seen)
 
 

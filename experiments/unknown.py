@@ -20,10 +20,10 @@ from experiments.scans import FilterRun, Realisation, SetErrors, Stages, apart, 
 from phdtrack import pipeline
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.models import UniformClutter
-from phdtrack.models.followed_rates import FollowRates, priors, with_clutter, with_detection
+from phdtrack.models.learning import RateLearning, priors_of, with_clutter, with_detection
 from phdtrack.protocols import AnyStages, Learning, Model, NoLearning
 from phdtrack.protocols import Stages as Whole
-from phdtrack.scene.rates import Following, Learns
+from phdtrack.scene.rates import RatesLearning, RatesSettings
 from phdtrack.types import F8, Detections
 
 RUNS, FEW = 8, 2
@@ -34,6 +34,9 @@ LABELLED = ("mht", "pmb")
 # Scans until a detection is judged and after which one counts for 37 %; over which tracks are linked, and the probability
 # that a target goes on for another scan without a state.
 WAIT, MEMORY, SPAN, MISS = 3.0, 600.0, 5.0, 0.5
+RATES = RatesSettings(
+    detection=True, clutter=True, birth=True, scores=False, cautious=False, memory=MEMORY, update_interval=0.0
+)
 # Half the side of a target's box, metres: any.
 _HALF = 0.3
 
@@ -74,7 +77,7 @@ def whole(model: Model, stages: Stages, learns: bool, labelled: bool) -> AnyStag
     """Filter and extraction with tracks and, where it ``learns``, rates."""
     learning: Learning[Any] = NoLearning()
     if learns:
-        learning = FollowRates(Following(priors(model), model.rate, MEMORY, WAIT, 0.0, Learns(scores=False)))
+        learning = RateLearning(RatesLearning(RATES, priors_of(model), model.rate, WAIT))
     associator = Labelled() if labelled else GraphMatching(window=SPAN, gap_cost=-model.rate * math.log(MISS))
     return Whole(model, *stages, associator, learning)
 

@@ -11,16 +11,16 @@ from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.cli.settings import Choice, chosen
 from phdtrack.config.kinds import SECTIONS
 from phdtrack.errors import InputError
-from phdtrack.models.learned_scene import ContextBirth, ContextClutter
-from phdtrack.scene import ContextDensity, Followed, Learned, Scene, read_scene, uniform_density, write_scene
+from phdtrack.models.scene import SceneBirth, SceneClutter
+from phdtrack.scene import SceneDensity, TrackedObjects, LearnedDensity, Scene, read_scene, uniform_density, write_scene
 from phdtrack.types import SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0, 100)
-FOLLOWED = Followed(0.1, Learned(3.0, uniform_density(np.zeros(4), np.array([640.0, 480, 640, 480])), 80))
+FOLLOWED = TrackedObjects(0.1, LearnedDensity(3.0, uniform_density(np.zeros(4), np.array([640.0, 480, 640, 480])), 80))
 
 
 def written(path, **changes):
-    clutter = ContextDensity(
+    clutter = SceneDensity(
         np.zeros(4),
         np.array([640.0, 480, 640, 480]),
         0.5,
@@ -29,16 +29,16 @@ def written(path, **changes):
         9 * np.eye(4)[None],
     )
     births = uniform_density(np.array([0.0, 0, -9, -9, 0, 0]), np.array([640.0, 480, 9, 9, 640, 480]))
-    parts = {"width": 640, "height": 480, "rate": 25.0, "source": "street", "births": Learned(0.05, births, 99)}
-    write_scene(path, Scene(**(parts | {"clutter": Learned(1.5, clutter, 30)} | changes)))
+    parts = {"width": 640, "height": 480, "rate": 25.0, "source": "street", "births": LearnedDensity(0.05, births, 99)}
+    write_scene(path, Scene(**(parts | {"clutter": LearnedDensity(1.5, clutter, 30)} | changes)))
     return ["birth.kind=scene", f"birth.file={path}", "clutter.kind=scene", f"clutter.file={path}"]
 
 
 @pytest.mark.parametrize("name", ["particle-phd", "gm-phd", "particle-cphd", "gm-cphd", "mht"])
 def test_every_filter_takes_them(tmp_path, name):
     stages = config.build(config.load(sets=written(tmp_path / "scene.json")), INFO, name)
-    assert type(stages.model.birth) is ContextBirth
-    assert type(stages.model.clutter) is ContextClutter
+    assert type(stages.model.birth) is SceneBirth
+    assert type(stages.model.clutter) is SceneClutter
     assert (stages.model.birth.births_per_second, stages.model.clutter.clutter_per_frame) == (25 * 0.05, 1.5)
     rng = np.random.default_rng(0)
     state = stages.filter.start(stages.model, rng)
@@ -72,9 +72,9 @@ def test_what_does_not_fit_is_told(tmp_path, changes, sets, words):
 @pytest.mark.parametrize("world", ["plane", "point"])
 def test_without_a_size_births_have_four_components(tmp_path, world):
     low, high = np.array([-10.0, 0, -3, -3]), np.array([10.0, 40, 3, 3])
-    births = ContextDensity(low, high, 0.5, np.ones(1), np.array([[1.0, 2, 0, 1]]).T, np.eye(4)[None])
+    births = SceneDensity(low, high, 0.5, np.ones(1), np.array([[1.0, 2, 0, 1]]).T, np.eye(4)[None])
     rate = 1.0 if world == "plane" else 25.0
-    file = written(tmp_path / "scene.json", births=Learned(0.3, births, 40), rate=rate)[1]
+    file = written(tmp_path / "scene.json", births=LearnedDensity(0.3, births, 40), rate=rate)[1]
     kinds = [f"motion.kind={world}", "birth.kind=scene", file, "camera.region=[-10, 0, 10, 40]"]
     birth = config.build(config.load(sets=kinds[: 4 if world == "plane" else 3]), INFO).model.birth
     np.testing.assert_array_equal(birth.density.mean, births.mean)
@@ -118,7 +118,7 @@ def test_who_stays_among_false_alarms_is_held_back(tmp_path, name, kind):
     assert isinstance(vetted, FalseTrackRejection)
     assert isinstance(vetted.associator, kind)
     assert vetted.associator.output_delay == 3
-    assert (vetted.false.clutter.rate, vetted.false.followed.share, vetted.false.births.rate) == (
+    assert (vetted.false.clutter.rate, vetted.false.tracked.share, vetted.false.births.rate) == (
         1.5,
         0.1,
         0.05,

@@ -11,9 +11,8 @@ import pytest
 from phdtrack import Tracker, config
 from phdtrack.arrays import to_xyxy
 from phdtrack.associate.rejection import FalseTrackRejection
-from phdtrack.models.learned_scene import laid_over
-from phdtrack.scene import ContextDensity, Followed, Learned
-from phdtrack.scene.odds import Odds
+from phdtrack.models.scene import FalseAlarmRatio, with_scene
+from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects
 from phdtrack.types import Detections, SequenceInfo, Tracks
 from tracker_cases import PARTICLES, SIZE, equal, feed
 
@@ -22,15 +21,15 @@ SHOWN = [0, 1, 4, 5]
 FLAG, WALK = np.array([[520.0, 100, 40, 70]]).T, np.array([[300.0, 320, 40, 100]]).T
 
 
-def place(at: np.ndarray, deviation: np.ndarray, uniform: float) -> ContextDensity:
-    return ContextDensity(LOW[SHOWN], HIGH[SHOWN], uniform, np.ones(1), at, np.diag(np.square(deviation))[None])
+def place(at: np.ndarray, deviation: np.ndarray, uniform: float) -> SceneDensity:
+    return SceneDensity(LOW[SHOWN], HIGH[SHOWN], uniform, np.ones(1), at, np.diag(np.square(deviation))[None])
 
 
-CLUTTER = Learned(2.0, place(FLAG, np.array([6.0, 6, 4, 6]), 0.2))
-OBJECTS = Followed(0.5, Learned(1.0, place(WALK, np.array([150.0, 40, 8, 15]), 0.3)))
+CLUTTER = LearnedDensity(2.0, place(FLAG, np.array([6.0, 6, 4, 6]), 0.2))
+OBJECTS = TrackedObjects(0.5, LearnedDensity(1.0, place(WALK, np.array([150.0, 40, 8, 15]), 0.3)))
 # They come in on the left.
 ENTRY = np.array([[90.0, 320, 6, 0, 40, 100]]).T, np.diag(np.square([30.0, 40, 2, 1, 8, 15]))[None]
-BIRTHS = Learned(0.01, ContextDensity(LOW, HIGH, 0.2, np.ones(1), *ENTRY))
+BIRTHS = LearnedDensity(0.01, SceneDensity(LOW, HIGH, 0.2, np.ones(1), *ENTRY))
 
 
 def tracker_of(held_back: bool = True, sure: float = 0.0, **sections) -> Tracker:
@@ -40,9 +39,11 @@ def tracker_of(held_back: bool = True, sure: float = 0.0, **sections) -> Tracker
     delay = {"associate": {"output_delay": sections.get("delay", 0)}}
     stages = config.build(config.overlay(config.load(), values | delay, "a test"), SequenceInfo(*SIZE, 25.0))
     if held_back:
-        model = laid_over(stages.model, BIRTHS, CLUTTER, OBJECTS, 300)
+        model = with_scene(stages.model, BIRTHS, CLUTTER, OBJECTS, 300)
         stages = replace(
-            stages, model=model, associator=FalseTrackRejection(stages.associator, Odds(CLUTTER, OBJECTS, BIRTHS), sure)
+            stages,
+            model=model,
+            associator=FalseTrackRejection(stages.associator, FalseAlarmRatio(CLUTTER, OBJECTS, BIRTHS), sure),
         )
     return Tracker(stages=stages, seed=3)
 

@@ -15,9 +15,9 @@ from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.label.births import REACH, birth_states
 from phdtrack.metrics import evaluate
 from phdtrack.models import LocalClutter, MeasurementBirth, UniformClutter
-from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.models.scene import SceneBirth, SceneClutter
 from phdtrack.protocols import Birth, Clutter
-from phdtrack.scene import Followed, Learned, marginal, uniform_density
+from phdtrack.scene import LearnedDensity, TrackedObjects, marginal, uniform_density
 from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
 
@@ -93,14 +93,14 @@ def test_every_run_has_its_births_and_its_clutter(street) -> None:
     # So many a frame as were learned, over the detections of a frame.
     each = train.info.frames / len(train.table.frame)
     shipped, estimated = (MeasurementBirth, 0.005, "local"), (MeasurementBirth, 0.02 * each, "local")
-    learned, by_hand, alone = (ContextBirth, 0.02, 0.005), (ContextBirth, 0.05, 0.005), (ContextBirth, 0.02, 0.0)
+    learned, by_hand, alone = (SceneBirth, 0.02, 0.005), (SceneBirth, 0.05, 0.005), (SceneBirth, 0.02, 0.0)
     assert births == {
         UM: shipped, IMAGE: (MeasurementBirth, 0.005, "image"), GM: learned, GM_IMAGE: alone, "A1": learned, "A2": shipped,
         "A3": estimated, "A4": learned, "A5": estimated, "A6": by_hand,
     }  # fmt: skip
     clutter = {run: told(one.model.clutter) for run, one in stages.items()}
     usual, rated = (LocalClutter, 1.5, None), (LocalClutter, 2.5 * each, None)
-    false, bare = (ContextClutter, 2.5, 1.5), (ContextClutter, 2.5, 0.0)
+    false, bare = (SceneClutter, 2.5, 1.5), (SceneClutter, 2.5, 0.0)
     assert clutter == {
         UM: usual, IMAGE: (UniformClutter, 1.5, None), GM: false, GM_IMAGE: bare, "A1": usual, "A2": false, "A3": rated,
         "A4": rated, "A5": false, "A6": false,
@@ -116,7 +116,7 @@ def _rate(part: Birth | Clutter) -> float:
 
 def told(part: Birth | Clutter) -> tuple[type, float, object]:
     """Kind, rate, and what it stands beside or is spread over."""
-    if isinstance(part, ContextBirth | ContextClutter):
+    if isinstance(part, SceneBirth | SceneClutter):
         return type(part), _rate(part), part.around_detections
     return type(part), _rate(part), part.volume if isinstance(part, MeasurementBirth) else None
 
@@ -126,8 +126,8 @@ def learned_scene(train: Case) -> m09_lessons.LearnedScene:
     width, height = float(train.info.width), float(train.info.height)
     density = uniform_density(np.array([0.0, 0, -9, -9, 5, 5]), np.array([width, height, 9, 9, 90, 180]))
     boxes = marginal(density, (0, 1, 4, 5))
-    seen = Followed(0.1, Learned(3.0, boxes, 50))
-    parts = Learned(2.5, boxes, 9), seen, Learned(0.02, density, 9), Learned(0.05, density, 9)
+    seen = TrackedObjects(0.1, LearnedDensity(3.0, boxes, 50))
+    parts = LearnedDensity(2.5, boxes, 9), seen, LearnedDensity(0.02, density, 9), LearnedDensity(0.05, density, 9)
     return m09_lessons.LearnedScene(*parts, (1.0, 2.0, 3.0), 9)
 
 

@@ -158,7 +158,7 @@ class Tracker:
         """p_D, false alarms, births and the worth of scores as they are estimated now; None where rates are not learned."""
         if self._state.learned is None:
             return None
-        from phdtrack.models.followed_rates import RatesState
+        from phdtrack.models.learning import RatesState
 
         learned = self._state.learned
         return learned.learned.rates if isinstance(learned, RatesState) else None

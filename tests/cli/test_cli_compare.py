@@ -16,7 +16,7 @@ import pytest
 from cli_runner import phdtrack, refused, walkers
 
 from phdtrack.compare import runs
-from phdtrack.scene import Learned, Scene, uniform_density, write_scene
+from phdtrack.scene import LearnedDensity, Scene, uniform_density, write_scene
 
 FILES = {"report.html", "compare.csv", "runs.csv", "compare.json"}
 QUICK = ("--filters", "gm-phd,none", "--seeds", 2, "--jobs", 1)
@@ -200,7 +200,7 @@ def test_somebody_elses_folder_is_left_alone(folder: Path, tmp_path: Path) -> No
 def test_a_learned_scene_is_every_methods(folder: Path, tmp_path: Path) -> None:
     scene = tmp_path / "my scene.json"
     low, high = np.zeros(4), np.array([320.0, 240, 320, 240])
-    learned = Learned(3.0, uniform_density(low, high), 20)
+    learned = LearnedDensity(3.0, uniform_density(low, high), 20)
     write_scene(scene, Scene(320, 240, 25.0, "yard", clutter=learned))
     out = tmp_path / "out"
     said = phdtrack("compare", folder, *QUICK, "--clutter", "4", "--scene", scene, "--out", out)

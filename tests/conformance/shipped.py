@@ -46,10 +46,9 @@ from phdtrack.models import (
     UniformBirth,
     UniformClutter,
 )
-from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.models.scene import FalseAlarmRatio, SceneBirth, SceneClutter
 from phdtrack.protocols import Model
-from phdtrack.scene import ContextDensity, Followed, Learned, uniform_density
-from phdtrack.scene.odds import Odds
+from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, uniform_density
 from phdtrack.types import Detections, Estimates, GaussianMixture, Particles
 from plane_cases import FRAME, LevelCamera
 
@@ -86,10 +85,10 @@ def mixture(dim: int) -> GaussianMixture:
     return GaussianMixture(np.array([0.02, 0.01]), mean, np.tile(4.0 * np.eye(dim), (2, 1, 1)))
 
 
-def learned(low: list[float], high: list[float]) -> ContextDensity:
+def learned(low: list[float], high: list[float]) -> SceneDensity:
     """A density of which a half is one wide Gaussian in the middle."""
     a, b = np.array(low, np.float64), np.array(high, np.float64)
-    return ContextDensity(a, b, 0.5, np.ones(1), (a + b)[:, None] / 2, np.diag(((b - a) / 4) ** 2)[None])
+    return SceneDensity(a, b, 0.5, np.ones(1), (a + b)[:, None] / 2, np.diag(((b - a) / 4) ** 2)[None])
 
 
 BIRTHS = {
@@ -97,7 +96,7 @@ BIRTHS = {
     "measurement, local": MeasurementBirth(births_per_second=0.02, particles=200, volume="local"),
     "uniform": UniformBirth(SIZE, particles=40),
     "fixed": FixedBirth(mixture(6), particles=100),
-    "learned": ContextBirth(0.05, learned([0, 0, -9, -9, 0, 0], [640, 480, 9, 9, 640, 480]), particles=200),
+    "learned": SceneBirth(0.05, learned([0, 0, -9, -9, 0, 0], [640, 480, 9, 9, 640, 480]), particles=200),
 }
 PEOPLE = learned([0, 0, 0, 0], [640, 480, 640, 480])
 BIRTHS["laid over"] = replace(BIRTHS["learned"], around_detections=0.02, among=PEOPLE)
@@ -110,15 +109,15 @@ PLANE_BIRTHS = {
             np.array([0.02, 0.01]), np.array([[0.0, 1], [10, 20], [0, 0], [0, 1]]), np.tile(np.eye(4), (2, 1, 1))
         )
     ),
-    "plane, learned": ContextBirth(0.05, learned([-40, 0, -3, -3], [40, 60, 3, 3]), (0, 1), particles=200),
+    "plane, learned": SceneBirth(0.05, learned([-40, 0, -3, -3], [40, 60, 3, 3]), (0, 1), particles=200),
 }
 POINT_BIRTHS = {
     "point": PointBirth(births_per_second=0.02, particles=200, frame_size=SIZE),
     "point, uniform": UniformBirth(SIZE, particles=40),
 }
 CLUTTERS = {"uniform": UniformClutter(2.0, (640.0 * 480) ** 2), "local": LocalClutter(2.0), "none": UniformClutter(0.0, 1.0)}
-CLUTTERS["learned"] = ContextClutter(2.0, PEOPLE)
-CLUTTERS["laid over"] = ContextClutter(2.0, PEOPLE, around_detections=0.5)
+CLUTTERS["learned"] = SceneClutter(2.0, PEOPLE)
+CLUTTERS["laid over"] = SceneClutter(2.0, PEOPLE, around_detections=0.5)
 PLANE_CLUTTERS = {"plane, region": UniformClutter(2.0, 800.0), "plane, local": LocalPlaneClutter(2.0)}
 FILTERS = {
     "particle-phd": ParticlePHD(particles_per_target=200),
@@ -158,7 +157,9 @@ ASSOCIATORS = {
     "labelled, delayed": Labelled(output_delay=3, history=0.4),
     "labelled, plain": Labelled(bridge_gaps=False, min_track_length=1),
 }
-SCENE_ODDS = Odds(Learned(2.0, PEOPLE), Followed(0.5, Learned(3.0, uniform_density(PEOPLE.low, PEOPLE.high))))
+SCENE_ODDS = FalseAlarmRatio(
+    LearnedDensity(2.0, PEOPLE), TrackedObjects(0.5, LearnedDensity(3.0, uniform_density(PEOPLE.low, PEOPLE.high)))
+)
 ASSOCIATORS |= {
     f"vetted, {name}": FalseTrackRejection(ASSOCIATORS[name], SCENE_ODDS) for name in ("delayed", "labelled, delayed")
 }

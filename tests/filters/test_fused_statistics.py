@@ -16,8 +16,8 @@ from phd_cases import FRAME
 from phdtrack import config, pipeline
 from phdtrack.filters import ParticlePHD
 from phdtrack.filters.blocks import plain
-from phdtrack.models.learned_scene import ContextBirth, ContextClutter
-from phdtrack.scene import ContextDensity, marginal
+from phdtrack.models.scene import SceneBirth, SceneClutter
+from phdtrack.scene import SceneDensity, marginal
 from phdtrack.types import Detections, ParticleBlocks, SequenceInfo
 
 SEEDS = 120
@@ -209,14 +209,14 @@ def test_one_step_with_births_that_were_learned(dt: float, beside: bool):
     cov = np.diag([900.0, 1600, 1.0, 0.5, 16, 64])
     cov[1, 2] = cov[2, 1] = 20.0
     cov[2, 3] = cov[3, 2] = 0.3
-    entrance = ContextDensity(low, high, 0.3, np.ones(1), np.array([[70.0, 430, 5, -1, 24, 52]]).T, cov[None])
+    entrance = SceneDensity(low, high, 0.3, np.ones(1), np.array([[70.0, 430, 5, -1, 24, 52]]).T, cov[None])
     alarms = marginal(entrance, (0, 1, 4, 5))
     model = preset("default", "birth.particles=150")
-    birth, clutter = ContextBirth(0.3, entrance, particles=150), ContextClutter(1.0, alarms)
+    birth, clutter = SceneBirth(0.3, entrance, particles=150), SceneClutter(1.0, alarms)
     if beside:
         # Births and false alarms around each detection too, among objects that are seen in the middle.
         centre = np.array([[300.0, 200, 40, 90]]).T
-        people = ContextDensity(alarms.low, alarms.high, 0.4, np.ones(1), centre, np.diag([8000.0, 4000, 200, 900])[None])
+        people = SceneDensity(alarms.low, alarms.high, 0.4, np.ones(1), centre, np.diag([8000.0, 4000, 200, 900])[None])
         birth, clutter = replace(birth, around_detections=0.2, among=people), replace(clutter, around_detections=0.5)
     model = replace(model, birth=birth, clutter=clutter)
     state, z, about = world(7)

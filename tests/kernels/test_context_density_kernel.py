@@ -8,23 +8,23 @@ import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.context_density import given_detections
+from phdtrack.kernels.scene_density import given_detections
 from phdtrack.models import BoxSensor
-from phdtrack.models.learned_scene import ContextBirth, ContextClutter
-from phdtrack.scene import ContextDensity, marginal
+from phdtrack.models.scene import SceneBirth, SceneClutter
+from phdtrack.scene import SceneDensity, marginal
 from reference import context_twin as twin
 
 KINDS = {"boxes": (6, (0, 1, 4, 5)), "ground": (4, (0, 1)), "shown first": (3, (0, 1)), "nothing hidden": (2, (0, 1))}
 
 
-def learned(rng: np.random.Generator, d: int, count: int, uniform: float = 0.3) -> ContextDensity:
+def learned(rng: np.random.Generator, d: int, count: int, uniform: float = 0.3) -> SceneDensity:
     """Gaussians of many widths: near each other, far, and hardly inside."""
     root = rng.normal(0, 1, (count, d, d)) * rng.uniform(0.3, 6, (count, 1, 1))
     mean = rng.uniform(-25, 25, (d, count))
     mean[:, -1] = 400
     weight = rng.random(count) + 0.1
     low, high = np.full(d, -20.0), np.full(d, 30.0)
-    return ContextDensity(low, high, uniform, weight / weight.sum(), mean, root @ root.transpose(0, 2, 1) + np.eye(d))
+    return SceneDensity(low, high, uniform, weight / weight.sum(), mean, root @ root.transpose(0, 2, 1) + np.eye(d))
 
 
 @pytest.mark.parametrize("d", [1, 2, 4, 6])
@@ -35,10 +35,10 @@ def test_a_density_and_false_alarms_at_points(d: int, rng):
     np.testing.assert_allclose(p(x), twin.mixture_density(x, *asked, 0.0, p.share, p.mean, p.covariance), rtol=1e-10)
     np.testing.assert_allclose(p(x), np.exp(p.log(x)), rtol=1e-10)
     kappa = 2.5 * twin.mixture_density(x, *asked, asked[2], p.share, p.mean, p.covariance)
-    found = ContextClutter(2.5, p).intensity(np.asfortranarray(np.vstack([x, x])))
+    found = SceneClutter(2.5, p).intensity(np.asfortranarray(np.vstack([x, x])))
     np.testing.assert_allclose(found, kappa, rtol=1e-10)
     assert kappa.max() > 2 * kappa.min(), "Gaussians count somewhere"
-    np.testing.assert_array_equal(ContextClutter(0.0, p).intensity(x), np.zeros(x.shape[1]))
+    np.testing.assert_array_equal(SceneClutter(0.0, p).intensity(x), np.zeros(x.shape[1]))
 
 
 @pytest.mark.parametrize(("d", "rows"), KINDS.values(), ids=KINDS)
@@ -47,7 +47,7 @@ def test_what_it_says_of_detections(d: int, rows: tuple[int, ...], rng):
     root = rng.normal(0, 1, (n, d, d))
     state, noise = rng.uniform(-30, 40, (d, n)), root @ root.transpose(0, 2, 1) + 0.1 * np.eye(d)
     state[keep, 0] = p.mean[keep, 0]
-    birth, shown = ContextBirth(2.0, p, rows), marginal(p, rows)
+    birth, shown = SceneBirth(2.0, p, rows), marginal(p, rows)
     found = birth.around((state, noise), 1.5)
     expected = twin.given_detections(
         state, noise, keep, shown.low, shown.high, p.uniform / shown.volume, p.share, p.mean, p.covariance
@@ -68,21 +68,21 @@ def test_nobody_and_nothing(rng):
     p = learned(rng, 6, 3)
     with pytest.raises(InputError, match="expected 6 components, got 4"):
         p(np.zeros((4, 2)))
-    found = ContextBirth(1.0, p).around((np.zeros((6, 0)), np.zeros((0, 6, 6))), 1.0)
+    found = SceneBirth(1.0, p).around((np.zeros((6, 0)), np.zeros((0, 6, 6))), 1.0)
     assert found.density.shape == (0,)
     assert p(np.zeros((6, 0))).shape == (0,)
-    assert ContextClutter(1.0, marginal(p, (0, 1, 4, 5))).intensity(np.zeros((8, 0))).shape == (0,)
+    assert SceneClutter(1.0, marginal(p, (0, 1, 4, 5))).intensity(np.zeros((8, 0))).shape == (0,)
 
 
 @pytest.mark.parametrize("beside", [False, True])
 @pytest.mark.parametrize("scaling", ["particle", "detection", "fixed"])
 def test_as_the_fused_filter_reads_it(scaling: str, beside: bool, rng):
-    """Densities, means and roots of the velocities are those of `ContextBirth.around` for the sensor's states."""
+    """Densities, means and roots of the velocities are those of `SceneBirth.around` for the sensor's states."""
     low, high = np.array([0.0, 0, -9, -9, 0, 0]), np.array([640.0, 480, 9, 9, 640, 480])
     root = rng.normal(0, 1, (8, 6, 6)) * np.array([30, 30, 1, 1, 5, 5])[:, None]
     mean = rng.uniform([100, 100, -4, -4, 30, 60], [500, 380, 4, 4, 60, 120], (8, 6)).T
-    p = ContextDensity(low, high, 0.4, np.full(8, 0.125), mean, root @ root.transpose(0, 2, 1) + np.eye(6))
-    birth, sensor = ContextBirth(0.3, p), BoxSensor(scaling=scaling)
+    p = SceneDensity(low, high, 0.4, np.full(8, 0.125), mean, root @ root.transpose(0, 2, 1) + np.eye(6))
+    birth, sensor = SceneBirth(0.3, p), BoxSensor(scaling=scaling)
     z = np.ascontiguousarray(rng.uniform([50, 50, 20, 40], [700, 430, 90, 140], (40, 4)).T)
     state, cov = sensor.states(z)
     if beside:

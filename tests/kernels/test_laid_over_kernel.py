@@ -9,8 +9,8 @@ import pytest
 from test_gm_step_kernel import scene
 
 from phdtrack.models import BoxSensor
-from phdtrack.models.learned_scene import ContextBirth, ContextClutter
-from phdtrack.scene import ContextDensity, marginal, uniform_density
+from phdtrack.models.scene import SceneBirth, SceneClutter
+from phdtrack.scene import SceneDensity, marginal, uniform_density
 from phdtrack.types import F8
 from reference import context_twin as twin
 
@@ -35,7 +35,7 @@ def around(z: F8) -> list[float]:
     return out
 
 
-def density_at(p: ContextDensity, z: F8, beyond: float) -> F8:
+def density_at(p: SceneDensity, z: F8, beyond: float) -> F8:
     out: F8 = twin.mixture_density(z, p.low, p.high, p.uniform / p.volume, beyond, p.share, p.mean, p.covariance)
     return out
 
@@ -51,15 +51,15 @@ def test_false_alarms_come_to_those_around_each_detection(count: int, rng):
 
 @pytest.mark.parametrize("among", [None, scene(5)[1].density], ids=["anywhere", "objects"])
 @pytest.mark.parametrize("count", [0, 1, 60])
-def test_births_are_those_around_each_detection_by_place(count: int, among: ContextDensity | None, rng):
+def test_births_are_those_around_each_detection_by_place(count: int, among: SceneDensity | None, rng):
     birth, sensor, z = scene(2)[0], BoxSensor(), boxes(rng, count)
     seen = sensor.states(z)
     objects = among or uniform_density(birth.shown.low, birth.shown.high)
     p = marginal(birth.density, SHOWN)
-    plain = ContextBirth(1.0, birth.density).around(seen, 1.0)
+    plain = SceneBirth(1.0, birth.density).around(seen, 1.0)
     born = np.maximum(plain.density, p.uniform / p.volume)
     there = density_at(objects, z, objects.uniform / objects.volume)
-    found = ContextBirth(0.2, birth.density, around_detections=0.05, among=among).around(seen, 2.0)
+    found = SceneBirth(0.2, birth.density, around_detections=0.05, among=among).around(seen, 2.0)
     np.testing.assert_allclose(found.density, 0.1 * np.array(around(z)) * born / there, rtol=1e-9)
     np.testing.assert_array_equal(found.mean, plain.mean)
     np.testing.assert_array_equal(found.covariance, plain.covariance)
@@ -70,5 +70,5 @@ def test_beyond_the_volume_neighbours_count_too():
     """κ is that of the uniform part, and what is around the detection."""
     p = scene(3)[1].density
     z = np.array([[-500.0], [-500], [30], [60]])
-    found = ContextClutter(2.0, p, 0.5).intensity(z)
+    found = SceneClutter(2.0, p, 0.5).intensity(z)
     np.testing.assert_allclose(found, 0.5 / (4 * 30**2 * 60**2) + 2.0 * p.uniform / p.volume)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from phdtrack.models import BoxSensor, MeasurementBirth
-from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.models.scene import SceneBirth, SceneClutter
 from phdtrack.models.volume import image_volume
-from phdtrack.scene import ContextDensity, marginal, uniform_density
+from phdtrack.scene import SceneDensity, marginal, uniform_density
 
 SIZE = (640.0, 480.0)
 LOW, HIGH = np.array([0.0, 0, -30, -30, 0, 0]), np.array([640.0, 480, 30, 30, 640, 480])
@@ -14,15 +14,15 @@ SENSOR = BoxSensor()
 Z = np.array([[100.0, 400], [200, 300], [40, 30], [80, 70]])
 
 
-def entrance(uniform: float = 0.2) -> ContextDensity:
+def entrance(uniform: float = 0.2) -> SceneDensity:
     """One place with people who walk to the right, the faster the further down."""
     cov = np.diag([400.0, 900, 0.5, 0.5, 25, 100])
     cov[1, 2] = cov[2, 1] = 12.0
-    return ContextDensity(LOW, HIGH, uniform, np.ones(1), np.array([[110.0, 210, 4, 1, 42, 82]]).T, cov[None])
+    return SceneDensity(LOW, HIGH, uniform, np.ones(1), np.array([[110.0, 210, 4, 1, 42, 82]]).T, cov[None])
 
 
 def test_without_gaussians_it_is_uniform_birth_over_the_image():
-    learned = ContextBirth(0.02, uniform_density(LOW, HIGH))
+    learned = SceneBirth(0.02, uniform_density(LOW, HIGH))
     plain = MeasurementBirth(0.02, 1000, "image", SIZE)
     covered = np.array([0.0, 0.4])
     a, b = (birth.sample(Z, covered, SENSOR, 1.5, np.random.default_rng(1)) for birth in (learned, plain))
@@ -34,7 +34,7 @@ def test_without_gaussians_it_is_uniform_birth_over_the_image():
 def test_the_evidence_of_newborn_is_that_of_gamma():
     """C(z) = ∫ g γ, by drawing γ; a sensor of fixed noise, for which it is exact but for the 1 % that is cut off."""
     sensor = BoxSensor(scaling="fixed", fixed_noise=(3.0, 6.0))
-    birth, rng = ContextBirth(1.0, entrance()), np.random.default_rng(2)
+    birth, rng = SceneBirth(1.0, entrance()), np.random.default_rng(2)
     drawn = birth.density.sample(1_000_000, rng)
     z = Z[:, :1]
     each = np.exp(sensor.log_likelihood(z[:, [0]], drawn))
@@ -48,7 +48,7 @@ def test_the_evidence_of_newborn_is_that_of_gamma():
 def test_velocities_are_those_of_the_place():
     """Against drawing γ and weighing with the likelihood: mean and spread of the velocities given the detection."""
     sensor = BoxSensor(scaling="fixed", fixed_noise=(3.0, 6.0))
-    birth = ContextBirth(1.0, entrance(uniform=1e-3))
+    birth = SceneBirth(1.0, entrance(uniform=1e-3))
     drawn = birth.density.sample(1_000_000, np.random.default_rng(3))
     for y in (200.0, 240.0):
         z = np.array([[105.0], [y], [40.0], [80.0]])
@@ -65,7 +65,7 @@ def test_velocities_are_those_of_the_place():
 
 
 def test_gaussian_newborn_are_the_learned_ones_and_the_uniform_part_about_detections():
-    birth = ContextBirth(0.5, entrance(uniform=0.2))
+    birth = SceneBirth(0.5, entrance(uniform=0.2))
     mixture = birth.components(Z, np.zeros(2), SENSOR, 2.0)
     flat = MeasurementBirth(0.5 * 0.2, 1000, "image", SIZE).components(Z, np.zeros(2), SENSOR, 2.0)
     assert mixture.weight[0] * birth.density.inside[0] == pytest.approx(0.5 * 2.0 * 0.8)
@@ -75,7 +75,7 @@ def test_gaussian_newborn_are_the_learned_ones_and_the_uniform_part_about_detect
 
 
 def test_covered_detections_bring_nothing_and_rates_scale():
-    birth = ContextBirth(0.5, entrance())
+    birth = SceneBirth(0.5, entrance())
     assert len(birth.sample(Z, np.ones(2), SENSOR, 1.0, np.random.default_rng(5))) == 0
     # The learned Gaussians are there whatever was measured.
     assert len(birth.components(Z, np.ones(2), SENSOR, 1.0)) == 1
@@ -86,7 +86,7 @@ def test_covered_detections_bring_nothing_and_rates_scale():
 
 def test_clutter_integrates_to_its_rate_and_never_vanishes():
     p = marginal(entrance(), (0, 1, 4, 5))
-    clutter = ContextClutter(3.0, p)
+    clutter = SceneClutter(3.0, p)
     rng = np.random.default_rng(7)
     points = np.concatenate([p.sample(50_000, rng), rng.uniform(p.low[:, None], p.high[:, None], (4, 50_000))], axis=1)
     ratio = clutter.intensity(points) / (0.5 * p(points) + 0.5 / p.volume)

@@ -9,8 +9,8 @@ import numpy as np
 
 from phdtrack import config, pipeline
 from phdtrack.metrics import evaluate
-from phdtrack.models.followed_scene import SceneState
-from phdtrack.scene.online import Relearned
+from phdtrack.models.learning import SceneState
+from phdtrack.scene.online import SceneUpdate
 from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.simulate.detector import detect
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
@@ -24,7 +24,7 @@ class Run:
 
     tracks: Tracks
     learned: SceneState | None
-    course: list[Relearned]
+    course: list[SceneUpdate]
 
 
 def street(seed, frames, detector=DETECTOR):

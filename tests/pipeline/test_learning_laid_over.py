@@ -80,11 +80,11 @@ def test_births_go_from_where_objects_are_to_where_they_enter(followed):
     assert np.median(more(there)) < 0.25
 
 
-def test_the_witness_knows_nothing_of_what_was_learned(followed):
+def test_the_shadow_tracker_knows_nothing_of_what_was_learned(followed):
     scene, _, found = followed
     assert found[-1][0].learned.clutter is not None
     plain = steps(stages(scene.info), scene.detections, 1500)
-    witness = found[-1][0].learned.witness.intensity
+    witness = found[-1][0].learned.shadow.intensity
     np.testing.assert_array_equal(witness.present.exist, plain[-1][0].intensity.present.exist)
     np.testing.assert_array_equal(witness.present.mean, plain[-1][0].intensity.present.mean)
     assert not np.array_equal(found[-1][1].info.clutter, plain[-1][1].info.clutter)
@@ -92,7 +92,7 @@ def test_the_witness_knows_nothing_of_what_was_learned(followed):
 
 def test_what_is_in_use_is_written_with_where_objects_are(followed, tmp_path):
     scene, built, found = followed
-    mode = found[-1][0].learned.known.mode
+    mode = found[-1][0].learned.known.regime
     write_scene(tmp_path / "scene.json", built.learning.scene(mode, "street"))
     back = read_scene(tmp_path / "scene.json")
     assert back.births is not None
@@ -110,7 +110,7 @@ def test_what_is_in_use_is_written_with_where_objects_are(followed, tmp_path):
     assert unused.births is None
     again = stages(scene.info, "learn.kind=online", f"learn.file={str(tmp_path / 'scene.json')!r}")
     begun = again.learning.start()
-    assert begun.known.mode.clutter.density.high.tolist() == [640, 360, 640, 360]
+    assert begun.known.regime.clutter.density.high.tolist() == [640, 360, 640, 360]
     assert begun.birth.around_detections == built.model.birth.births_per_second
     assert begun.clutter.density.high[2] < 640
 

@@ -8,7 +8,7 @@ from learning_cases import DETECTOR, joined, scores, seen_again, street, tracked
 
 from phdtrack import Tracker, config, pipeline
 from phdtrack.errors import InputError
-from phdtrack.scene.verdict import Watch, judged, look_of
+from phdtrack.scene.labelling import ObservedFrame, PendingFrames, label
 from phdtrack.simulate import DetectorModel
 from phdtrack.simulate.detector import detect
 from phdtrack.types import Detections, SequenceInfo, Truth
@@ -20,9 +20,9 @@ def test_the_signal_is_right_where_the_filter_alone_is_not():
     state, seen, chance = pipeline.start(stages, rng), [], []
     for k in range(1, 1501):
         state, step = pipeline.advance(stages, state, scene.detections.at(k), k, (k - 1) / 25, rng)
-        seen.append(look_of(step))
+        seen.append(ObservedFrame.of(step))
         chance.append(step.info.clutter_probability)
-    _, verdict = judged(Watch(tuple(seen)), 58.0, 0.9, 25.0)
+    _, verdict = label(PendingFrames(tuple(seen)), 58.0, 0.9, 25.0)
     source, chance = scene.source[: len(verdict.false)], np.concatenate(chance)[: len(verdict.false)]
     mean = {name: verdict.false[rows].mean() for name, rows in sources(source).items()}
     alone = {name: chance[rows].mean() for name, rows in sources(source).items()}
@@ -72,7 +72,7 @@ def test_the_guard_drops_what_has_become_wrong_and_takes_it_up_again():
     scene = street(1, 3500, places)
     table = joined([(scene.detections, 1, 2250), (seen_again(scene, 5, flood), 2251, 3500)])
     run = tracked(scene.info, table, "memory=2.0")
-    turns = [(one.time, one.clutter_used) for one in run.course if any("false alarms" in said for said in one.said)]
+    turns = [(one.time, one.clutter_used) for one in run.course if any("false alarms" in said for said in one.changes)]
     assert [used for _, used in turns] == [True, False, True]
     # 90 s is when they jump; they are judged two seconds later, and every four seconds is learned.
     assert 90 < turns[1][0] < 99
@@ -124,7 +124,7 @@ def test_frames_that_nobody_saw_teach_nothing():
         tracker.update(Detections.empty(observed=False))
     known = tracker.state.learned.known
     assert known.last is None
-    assert known.watch.looks == ()
+    assert known.pending.frames == ()
 
 
 # What is tracked when learning begins goes on for a while. The PMB filter knows sources of its own: little is left to learn.
@@ -156,7 +156,7 @@ def test_modes_by_a_call_from_outside():
     assert rates["night"][0][0] is None
     assert rates["day"][1][0].clutter_per_frame == rates["day"][0][1].clutter_per_frame
     np.testing.assert_array_equal(rates["day"][1][0].density.mean, rates["day"][0][1].density.mean)
-    assert [mode.name for mode in tracker.state.learned.known.modes] == ["first", "day", "night"]
+    assert [mode.name for mode in tracker.state.learned.known.regimes] == ["first", "day", "night"]
     with pytest.raises(InputError, match="learned while tracking"):
         Tracker((640, 360)).mode("day")
 

@@ -5,15 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 
-def false_odds(z, clutter, objects, births, share):
-    """As `context.odds.Odds.log`, from the densities themselves; p(z|b) without its uniform part."""
-    places = clutter.rate * (np.exp(clutter.density.log(z)) - clutter.density.flat)
-    people = objects.rate * np.exp(objects.density.log(z))
-    enter = objects.rate * (np.exp(births.log(z)) - births.flat)
-    kappa = places + clutter.rate * clutter.density.flat
-    return np.log(np.array([share * places / people, kappa / (people + enter)]))
-
-
 def unbelieved(known, odds, identity, detection, confirmed, xyxy, sure):
     """As `kernels.vetting.unbelieved`."""
     told = dict(zip(known.tolist(), odds.T.tolist(), strict=True))

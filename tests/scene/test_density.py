@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.scene import ContextDensity, uniform_density
-from phdtrack.scene.inside import mass_inside
+from phdtrack.scene import SceneDensity, uniform_density
+from phdtrack.scene.mixture import mass_inside
 
 LOW, HIGH = np.array([0.0, 0.0, -2.0]), np.array([10.0, 6.0, 2.0])
 
@@ -12,7 +12,7 @@ def leaking():
     """Two Gaussians with correlated components, of which a good part lies outside."""
     cov = np.array([[[4.0, 1.5, 0.3], [1.5, 2.0, -0.4], [0.3, -0.4, 0.5]], [[1.0, 0, 0], [0, 1, 0], [0, 0, 4.0]]])
     mean = np.array([[0.5, 9.5], [3.0, 1.0], [1.5, 0.0]])
-    return ContextDensity(LOW, HIGH, 0.2, np.array([0.7, 0.3]), mean, cov)
+    return SceneDensity(LOW, HIGH, 0.2, np.array([0.7, 0.3]), mean, cov)
 
 
 def cells(count):
@@ -35,7 +35,7 @@ def test_mass_inside_against_drawing():
         drawn = rng.multivariate_normal(p.mean[:, m], p.covariance[m], 400_000).T
         part = ((drawn >= LOW[:, None]) & (drawn <= HIGH[:, None])).all(axis=0).mean()
         # Four standard errors of the drawing, and what the lattice may be off.
-        assert p.inside[m] == pytest.approx(part, abs=4 * np.sqrt(part * (1 - part) / 400_000) + 1e-3)
+        assert p.truncated_mass[m] == pytest.approx(part, abs=4 * np.sqrt(part * (1 - part) / 400_000) + 1e-3)
 
 
 def test_mass_inside_is_exact_for_independent_components():
@@ -79,4 +79,4 @@ def test_mistakes_are_told(change, words):
     p = leaking()
     parts = {name: getattr(p, name) for name in ("low", "high", "uniform", "weight", "mean", "covariance")}
     with pytest.raises(InputError, match=words):
-        ContextDensity(**(parts | change))
+        SceneDensity(**(parts | change))

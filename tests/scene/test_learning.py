@@ -3,7 +3,7 @@ import pytest
 
 from phdtrack.errors import InputError
 from phdtrack.scene import RecursiveEM
-from phdtrack.scene.learning import learn_births, learn_clutter, learn_objects
+from phdtrack.scene.training import learn_births, learn_clutter, learn_objects
 
 SIZE = (640.0, 480.0)
 

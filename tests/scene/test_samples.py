@@ -3,7 +3,7 @@ import pytest
 
 from phdtrack.arrays import to_cxcywh
 from phdtrack.models.volume import image_volume
-from phdtrack.scene.samples import births_in, first_states, gone, measurement_volume, state_volume
+from phdtrack.scene.training import births_in, distance_gone, first_states, measurement_volume, state_volume
 from phdtrack.types import Tracks
 
 
@@ -67,11 +67,11 @@ def test_rows_may_show_less_than_a_box():
 def test_how_far_a_track_has_gone_is_told_in_sizes():
     """40 frames of 3 pixels, between the middles of the first and of the last fifth 32 of them; √(30 · 120) = 60."""
     one = track(1, 2, 40, (50, 60), (3, 0), (30, 120))
-    assert gone(to_cxcywh(one.xyxy)) == pytest.approx(32 * 3 / 60)
+    assert distance_gone(to_cxcywh(one.xyxy)) == pytest.approx(32 * 3 / 60)
 
 
 def test_light_that_trembles_teaches_no_births():
-    """In one place for long, and one that moves but is gone within a second: nobody has entered."""
+    """In one place for long, and one that moves but is distance_gone within a second: nobody has entered."""
     rng = np.random.default_rng(1)
     light = track(1, 5, 200, (300, 200), (0, 0))
     shaken = light.xyxy + np.tile(rng.normal(size=(200, 2)) * 8, 2)

@@ -5,17 +5,17 @@ import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.scene import ContextDensity, Followed, Learned, Scene, read_scene, uniform_density, write_scene
+from phdtrack.scene import LearnedDensity, Scene, SceneDensity, TrackedObjects, read_scene, uniform_density, write_scene
 
 
 def scene():
     cov = np.array([[[9.0, 1, 0, 0], [1, 4, 0, 0], [0, 0, 2, 0], [0, 0, 0, 3]]])
-    clutter = ContextDensity(np.zeros(4), np.full(4, 100.0), 0.3, np.ones(1), np.full((4, 1), 50.0), cov)
+    clutter = SceneDensity(np.zeros(4), np.full(4, 100.0), 0.3, np.ones(1), np.full((4, 1), 50.0), cov)
     births = uniform_density(np.full(6, -10.0), np.full(6, 10.0))
-    followed = Followed(
-        0.35, Learned(4.25, ContextDensity(clutter.low, clutter.high, 0.6, np.ones(1), clutter.mean, cov), 170)
+    followed = TrackedObjects(
+        0.35, LearnedDensity(4.25, SceneDensity(clutter.low, clutter.high, 0.6, np.ones(1), clutter.mean, cov), 170)
     )
-    learned = Learned(0.02, births, 320), Learned(1.5, clutter, 1800)
+    learned = LearnedDensity(0.02, births, 320), LearnedDensity(1.5, clutter, 1800)
     return Scene(640, 480, 25.0, "street.mp4", *learned, {"held out": -17.25}, followed)
 
 

@@ -29,7 +29,7 @@ from phdtrack.cli.output import Output, counted
 from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from phdtrack.scene.learning import Lesson
+    from phdtrack.scene.training import Training
     from phdtrack.types import Image
 
 
@@ -143,7 +143,7 @@ def _stretch(first: int, last: int, end: int) -> range:
     return stretch
 
 
-def _summary(what: str, lesson: Lesson) -> str:
+def _summary(what: str, lesson: Training) -> str:
     return f"{what}: {counted(len(lesson.learned.density), 'place')} from {counted(lesson.learned.samples, 'sample')}."
 
 

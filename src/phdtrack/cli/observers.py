@@ -21,15 +21,13 @@ from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.config import Settings
 from phdtrack.errors import InputError
 from phdtrack.formats.warps import WarpsWriter, read_warps
-from phdtrack.models.followed_rates import FollowRates, RatesState
-from phdtrack.models.followed_scene import FollowScene, SceneState
+from phdtrack.models.learning import RateLearning, RatesState, SceneLearning, SceneState
 from phdtrack.models.standing import not_standing, refuse_standing
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import Learning, Model
 from phdtrack.report.pages import camera_section, learning_section, rates_section
 from phdtrack.scene import write_scene
-from phdtrack.scene.modes import Mode
-from phdtrack.scene.online import Relearned
+from phdtrack.scene.online import Regime, SceneUpdate
 from phdtrack.scene.rates import Rates
 from phdtrack.types import F8, STILL, Detections, Frame, Image, SequenceInfo, Step, Tracks
 from phdtrack.video.ego_motion import CameraMotion, CameraPath
@@ -83,10 +81,10 @@ def observers_of(settings: Settings, inputs: Inputs, learning: Learning[Any]) ->
     if settings.kind("camera_motion") != "none":
         found.append(CameraObserver(settings.kind("camera_motion"), inputs.info))
     scene = learning
-    if isinstance(learning, FollowRates):
+    if isinstance(learning, RateLearning):
         found.append(RatesObserver(learning))
-        scene = learning.beside
-    if isinstance(scene, FollowScene):
+        scene = learning.other
+    if isinstance(scene, SceneLearning):
         found.append(SceneObserver(scene, inputs.name))
     return tuple(found)
 
@@ -129,7 +127,7 @@ class CameraObserver(RunObserver):
 class RatesObserver(RunObserver):
     """Keeps the rates each time that they are learned."""
 
-    def __init__(self, learning: FollowRates) -> None:
+    def __init__(self, learning: RateLearning) -> None:
         self._rule = learning.rule
         self._course: list[Rates] = []
 
@@ -161,15 +159,17 @@ class RatesObserver(RunObserver):
     def document(self) -> dict[str, object]:
         """The rates over time, thinned to 500 entries."""
         course = [asdict(self._course[k]) for k in _thinned(len(self._course))]
-        return {"rates": {"set": asdict(self._rule.priors), "used": asdict(self._rule.learns), "course": course}}
+        given = self._rule.settings
+        used = {"detection": given.detection, "clutter": given.clutter, "births": given.birth, "scores": given.scores}
+        return {"rates": {"set": asdict(self._rule.priors), "used": used, "course": course}}
 
 
 class SceneObserver(RunObserver):
     """Writes what was learned of the scene, for another run to begin with: a file for each mode, the active one's first."""
 
-    def __init__(self, learning: FollowScene, source: str) -> None:
+    def __init__(self, learning: SceneLearning, source: str) -> None:
         self._learning, self._source = learning, source
-        self._course: list[Relearned] = []
+        self._course: list[SceneUpdate] = []
         self._state: SceneState | None = None
         self._directory: RunDirectory | None = None
 
@@ -181,7 +181,7 @@ class SceneObserver(RunObserver):
     def take(self, step: Step, state: TrackingState) -> None:
         """Keep what this frame taught."""
         learned = state.learned
-        scene: SceneState = learned.beside if isinstance(learned, RatesState) else learned
+        scene: SceneState = learned.other if isinstance(learned, RatesState) else learned
         self._state, last = scene, scene.known.last
         if last is not None and last.number == step.number:
             self._course.append(last)
@@ -204,7 +204,7 @@ class SceneObserver(RunObserver):
         last, rule = self._course[-1], self._learning.rule
         births = f"{last.births * rule.rate * 60:.1f} births a minute{'' if last.births_used else ' (not in use)'}"
         alarms = f"{last.clutter:.2f} false alarms a frame{'' if last.clutter_used else ' (not in use)'}"
-        dropped = sum("out of use" in sentence for one in self._course for sentence in one.said)
+        dropped = sum("out of use" in sentence for one in self._course for sentence in one.changes)
         names = [mode.name for mode in self._modes()]
         modes = f"; modes: {', '.join(names)}" if len(names) > 1 else ""
         drops = f"; what was learned went out of use {counted(dropped, 'time')}" if dropped else ""
@@ -213,31 +213,31 @@ class SceneObserver(RunObserver):
     def document(self) -> dict[str, object]:
         """The same over time, thinned to 500 entries; all that say something are among them."""
         rule = self._learning.rule
-        kept = _thinned(len(self._course), [k for k, one in enumerate(self._course) if one.said])
+        kept = _thinned(len(self._course), [k for k, one in enumerate(self._course) if one.changes])
         course = [
             {
                 "frame": one.number,
                 "seconds": one.time,
-                "mode": one.mode,
+                "mode": one.regime,
                 "births_per_minute": one.births * rule.rate * 60,
                 "false_alarms_per_frame": one.clutter,
                 "births_gain": one.birth_gain,
                 "false_alarms_gain": one.clutter_gain,
                 "births_used": one.births_used,
                 "false_alarms_used": one.clutter_used,
-                "said": list(one.said),
+                "said": list(one.changes),
             }
             for one in (self._course[k] for k in kept)
         ]
         return {"learning": {"memory_minutes": rule.memory / 60, "course": course}}
 
-    def _modes(self) -> list[Mode]:
+    def _modes(self) -> list[Regime]:
         """All modes that know something, the active one first."""
         if self._state is None:
             return []
         known = self._state.known
-        others = [mode for k, mode in enumerate(known.modes) if k != known.active]
-        return [mode for mode in (known.mode, *others) if mode.trusted]
+        others = [mode for k, mode in enumerate(known.regimes) if k != known.active]
+        return [mode for mode in (known.regime, *others) if mode.trusted]
 
 
 def _thinned(count: int, more: Iterable[int] = ()) -> list[int]:

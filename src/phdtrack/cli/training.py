@@ -17,9 +17,8 @@ import numpy as np
 
 from phdtrack.cli.output import counted, progress
 from phdtrack.errors import InputError
-from phdtrack.scene import Followed, RecursiveEM
-from phdtrack.scene.learning import Lesson, learn_births, learn_clutter, learn_objects
-from phdtrack.scene.prior import Sizes, detected_sizes, humbled
+from phdtrack.scene import RecursiveEM, TrackedObjects
+from phdtrack.scene.training import Sizes, Training, detected_sizes, learn_births, learn_clutter, learn_objects, with_prior
 
 if TYPE_CHECKING:
     from phdtrack.cli.label import Labelled
@@ -43,7 +42,7 @@ LIMITS = (
 class Trained:
     """What was learned of one part, None for nothing; what is said of it; ``source``, where it comes from, in words."""
 
-    lesson: Lesson | None
+    lesson: Training | None
     sentence: str
     source: str = ""
 
@@ -59,7 +58,7 @@ class Watched:
     None where that is not known; and a ``sentence`` about it."""
 
     tracks: Tracks
-    followed: Followed | None = None
+    followed: TrackedObjects | None = None
     sentence: str = ""
 
 
@@ -107,9 +106,9 @@ class TrainingData:
         rows = slice(*np.searchsorted(table.frame, [self.stretch.start, self.stretch.stop]))
         return detected_sizes(to_cxcywh(table.detections.xyxy[rows])[2:])
 
-    def humbled(self, lesson: Lesson) -> Lesson:
+    def with_prior(self, lesson: Training) -> Training:
         """What was learned beside what might be anywhere; on the ground, where nothing has a size, as it is."""
-        return replace(lesson, learned=humbled(lesson.learned, self.sizes())) if self.of_boxes else lesson
+        return replace(lesson, learned=with_prior(lesson.learned, self.sizes())) if self.of_boxes else lesson
 
     def store(self) -> LabelStore | None:
         """The labels of these detections, where there are any. Raises `InputError` where they are of others."""
@@ -117,15 +116,15 @@ class TrainingData:
 
         return LabelStore.open(self.labels, self.found.source, self.found.digest, []) if self.labels.exists() else None
 
-    def tracked(self, alarms: Lesson | None = None) -> Evidence:
+    def tracked(self, alarms: Training | None = None) -> Evidence:
         """What a tracker makes of the stretch that knows these false alarms."""
         from phdtrack.cli.label import tracked
-        from phdtrack.models.learned_scene import laid_over
+        from phdtrack.models.scene import with_scene
 
         stages = self.stages
         if alarms is not None:
             # Jmax is of learned births, and there are none yet.
-            stages = replace(stages, model=laid_over(stages.model, None, alarms.learned, None, particles=1))
+            stages = replace(stages, model=with_scene(stages.model, None, alarms.learned, None, particles=1))
         with progress("tracking", len(self.stretch)) as advance:
             return tracked(self.found.table, self.found.info.fps, stages, self.stretch, self.seed, advance)
 
@@ -141,7 +140,7 @@ def clutter_of_labels(data: TrainingData) -> Trained:
         return Trained(None, f"false alarms stay as shipped: no marks were found (phdtrack label, kept in {data.labels})")
     boxes, frames = false_boxes(store, data.found.table, data.stretch), len(looked_at(store, data.stretch))
     try:
-        lesson = data.humbled(learn_clutter(boxes, frames, data.size, RecursiveEM()))
+        lesson = data.with_prior(learn_clutter(boxes, frames, data.size, RecursiveEM()))
     except InputError as error:
         return Trained(None, f"false alarms stay as shipped: {error}")
     text = f"{counted(lesson.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
@@ -159,7 +158,7 @@ def clutter_unattended(data: TrainingData) -> Trained:
     found = suggest(data.tracked(), frames, data.found.info.fps)
     taken = np.flatnonzero(found.score >= TICKED)
     try:
-        lesson = data.humbled(learn_clutter(_boxes(data, found, taken), len(frames), data.size, RecursiveEM()))
+        lesson = data.with_prior(learn_clutter(_boxes(data, found, taken), len(frames), data.size, RecursiveEM()))
     except InputError as error:
         cure = "Look yourself: phdtrack label"
         return Trained(None, f"false alarms stay as shipped: {InputError(error.problem, where=error.where, cure=cure)}")
@@ -169,30 +168,30 @@ def clutter_unattended(data: TrainingData) -> Trained:
     return Trained(lesson, f"false alarms: {text}; {gain_in_words(lesson)}. {LIMITS}", f"{text}. {LIMITS}")
 
 
-def watched_tracks(data: TrainingData, alarms: Lesson | None, *, marked: bool) -> Watched:
+def watched_tracks(data: TrainingData, alarms: Training | None, *, marked: bool) -> Watched:
     """One run behind the false alarms that were learned; ``marked``: a person looked at them, so that it shows what of them
     is followed all the same. Tracks that stay among these are not believed."""
     from phdtrack.associate.rejection import believed
     from phdtrack.label.session import looked_at, object_boxes, share_followed
-    from phdtrack.scene.odds import Odds
+    from phdtrack.models.scene import FalseAlarmRatio
 
     tracks, store = data.tracked(alarms).tracks, data.store() if marked else None
     if alarms is None or store is None:
         return Watched(tracks)
     boxes, frames = object_boxes(store, data.found.table, data.stretch), len(looked_at(store, data.stretch))
     try:
-        objects = data.humbled(learn_objects(boxes, frames, data.size, RecursiveEM()))
+        objects = data.with_prior(learn_objects(boxes, frames, data.size, RecursiveEM()))
     except InputError as error:
         return Watched(tracks, None, f"no track is held back: {error}")
-    followed = Followed(share_followed(store, tracks, data.stretch), objects.learned)
+    followed = TrackedObjects(share_followed(store, tracks, data.stretch), objects.learned)
     text = f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it knows them"
-    kept = believed(tracks, Odds(alarms.learned, followed))
+    kept = believed(tracks, FalseAlarmRatio(alarms.learned, followed))
     return Watched(kept, followed, f"{text}; tracks that stay among them are held back")
 
 
 def births_of_tracks(data: TrainingData, tracks: Tracks) -> Trained:
     """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]; why not, if they are too few."""
-    from phdtrack.scene.samples import births_in
+    from phdtrack.scene.training import births_in
     from phdtrack.types import Detections
 
     info, rate, shown = data.found.info, data.stages.model.rate, None
@@ -223,7 +222,7 @@ def births_by_hand(data: TrainingData) -> Trained:
     return _births(data, states, time_watched(store, table, info, rate, data.stretch), "birth", text)
 
 
-def gain_in_words(lesson: Lesson) -> str:
+def gain_in_words(lesson: Training) -> str:
     """How much likelier unseen samples are than under a uniform density, in words."""
     if not math.isfinite(lesson.gain):
         return "too few samples to measure the gain"
@@ -234,7 +233,7 @@ def _births(data: TrainingData, states: np.ndarray, time: float, noun: str, wher
     """Births from first states; why not, where they are too few."""
     try:
         size, corner = data.region()
-        lesson = data.humbled(learn_births(states, time, size, RecursiveEM(), corner))
+        lesson = data.with_prior(learn_births(states, time, size, RecursiveEM(), corner))
     except InputError as error:
         return Trained(None, f"births stay as shipped: {error}")
     text = f"{counted(states.shape[1], noun)} {where}"

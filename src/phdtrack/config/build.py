@@ -175,7 +175,7 @@ def _birth(settings: Settings, sensor: Any, size: Size, region: Region | None = 
 
 
 def _scene_birth(settings: Settings, size: Size, observed: tuple[int, ...]) -> Birth:
-    from phdtrack.models.learned_scene import ContextBirth, objects_of
+    from phdtrack.models.scene import SceneBirth, objects_of
 
     given, rate = settings.build("birth"), settings.build("time").units_per_second
     scene = _scene(given.file, size)
@@ -198,7 +198,7 @@ def _scene_birth(settings: Settings, size: Size, observed: tuple[int, ...]) -> B
         raise InputError("births around detections are of boxes only", where="birth.around_detections", cure="Leave it out")
     among = objects_of(scene.followed)
     per_second = scene.births.rate * rate
-    return ContextBirth(per_second, scene.births.density, observed, given.particles, given.around_detections, among)
+    return SceneBirth(per_second, scene.births.density, observed, given.particles, given.around_detections, among)
 
 
 def _image_clutter(settings: Settings, motion: str, size: Size) -> Clutter:
@@ -212,12 +212,12 @@ def _image_clutter(settings: Settings, motion: str, size: Size) -> Clutter:
         if given.volume == "local":
             return LocalClutter(given.clutter_per_frame)
         return UniformClutter(given.clutter_per_frame, image_volume(size))
-    from phdtrack.models.learned_scene import ContextClutter
+    from phdtrack.models.scene import SceneClutter
 
     scene = _scene(given.file, size)
     if scene.clutter is None:
         raise InputError("false alarms were not learned in this scene", where=given.file, cure="Leave clutter.kind out")
-    return ContextClutter(scene.clutter.rate, scene.clutter.density, given.around_detections)
+    return SceneClutter(scene.clutter.rate, scene.clutter.density, given.around_detections)
 
 
 def _ground_clutter(settings: Settings, region: Region) -> Clutter:
@@ -238,41 +238,43 @@ def _associator(settings: Settings, size: Size) -> Associator[Any]:
     if settings.kind("clutter") != "scene":
         return associator
     from phdtrack.associate.rejection import FalseTrackRejection
-    from phdtrack.scene.odds import Odds
+    from phdtrack.models.scene import FalseAlarmRatio
 
     given: SceneClutterSettings = settings.build("clutter")
     scene = _scene(given.file, size)
     if not given.reject_false_tracks or scene.clutter is None or scene.followed is None or not scene.followed.share:
         return associator
     same = settings.kind("birth") == "scene" and settings.build("birth").file == given.file
-    false = Odds(scene.clutter, scene.followed, scene.births if same else None)
+    false = FalseAlarmRatio(scene.clutter, scene.followed, scene.births if same else None)
     return FalseTrackRejection(associator, false, given.immediate_confirmation, settings.build("associate").min_track_length)
 
 
 def _learning(settings: Settings, stages: AnyStages, info: SequenceInfo) -> Learning[Any]:
     """What learns the scene from what ``stages`` make of it. Raises `InputError` where a file to begin with does not fit."""
-    from phdtrack.models.followed_scene import FollowScene
+    from phdtrack.models.learning import SceneLearning
     from phdtrack.pipeline import ShadowTracker
-    from phdtrack.scene.online import Following
+    from phdtrack.scene.online import OnlineLearning
 
     given: LearnSettings = settings.build("learn")
     size, rate = (float(info.width), float(info.height)), settings.build("time").units_per_second
     wait = given.verdict_delay + settings.build("associate").output_delay / info.fps
-    rule = Following(*size, rate, 60 * given.memory, wait, settings.build("sensor").detection_probability)
+    rule = OnlineLearning(*size, rate, 60 * given.memory, wait, settings.build("sensor").detection_probability)
     scenes = tuple(_scene(file, size) for file in _scene_files(given.file))
     if any(scene.births is not None and scene.rate != rate for scene in scenes):
         raise InputError(f"births were not learned with {rate:g} time units a second", where=given.file)
-    return FollowScene(rule, stages.model, ShadowTracker(stages), given.particles, scenes)
+    return SceneLearning(rule, stages.model, ShadowTracker(stages), given.particles, scenes)
 
 
 def _rates(settings: Settings, model: Model, other: Learning[Any], info: SequenceInfo) -> Learning[Any]:
     """What learns the rates of ``model`` while tracking, with what ``other`` learns."""
     if settings.kind("rates") == "none":
         return other
-    from phdtrack.models.followed_rates import FollowRates, priors
+    from phdtrack.models.learning import RateLearning, priors_of
+    from phdtrack.scene.rates import RatesLearning, RatesSettings
 
-    rule = settings.build("rates").rule(priors(model), model.rate, settings.build("associate").output_delay / info.fps)
-    return FollowRates(rule, other)
+    given: RatesSettings = settings.build("rates")
+    delay = given.verdict_delay + settings.build("associate").output_delay / info.fps
+    return RateLearning(RatesLearning(given, priors_of(model), model.rate, delay), other)
 
 
 def _scene(file: str, size: Size) -> Scene:

@@ -12,7 +12,7 @@ from phdtrack.kernels.overlaps import rectangle_grid
 from phdtrack.models.births import MeasurementBirth, region
 from phdtrack.models.box_motion import BoxMotion
 from phdtrack.models.box_sensor import BoxSensor
-from phdtrack.models.learned_scene import ContextBirth
+from phdtrack.models.scene import SceneBirth
 from phdtrack.models.spawning import NoSpawn
 from phdtrack.models.volume import image_volume, local_volume
 from phdtrack.protocols import Model
@@ -25,7 +25,7 @@ class BoxModel:
 
     motion: BoxMotion
     sensor: BoxSensor
-    birth: MeasurementBirth | ContextBirth
+    birth: MeasurementBirth | SceneBirth
 
     @property
     def own(self) -> bool:
@@ -43,7 +43,7 @@ def box_model(model: Model) -> BoxModel | None:
     motion, sensor, birth = model.motion, model.sensor, model.birth
     if type(motion) is not BoxMotion or type(sensor) is not BoxSensor:
         return None
-    if type(birth) is not MeasurementBirth and type(birth) is not ContextBirth:
+    if type(birth) is not MeasurementBirth and type(birth) is not SceneBirth:
         return None
     if motion.remember_size or type(motion.births) is not NoSpawn or sensor.scaling in ("previous", "given"):
         return None
@@ -112,14 +112,12 @@ def seen(model: BoxModel, z: F8, explained: float, seconds: float) -> Seen:
     return Seen(table, numbers, flat, velocity, extents, lower, upper, rectangle_grid(lower, upper), *near)
 
 
-def _births(
-    birth: MeasurementBirth | ContextBirth, at_rest: F8, noise: F8, z: F8, speed: F4, seconds: float
-) -> tuple[F4, F4]:
+def _births(birth: MeasurementBirth | SceneBirth, at_rest: F8, noise: F8, z: F8, speed: F4, seconds: float) -> tuple[F4, F4]:
     """`Seen.flat` and `Seen.velocity`; ``at_rest``, ``noise`` (6, N) states of the detections, and their deviations.
 
     ``speed`` (N,) is the deviation of the velocity's amplitude at rest.
     """
-    if isinstance(birth, ContextBirth):
+    if isinstance(birth, SceneBirth):
         return birth.about(at_rest, noise, seconds)
     flat, velocity = np.zeros(z.shape[1], np.float32), np.zeros((5, z.shape[1]), np.float32)
     if birth.volume == "image":

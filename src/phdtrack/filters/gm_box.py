@@ -24,7 +24,7 @@ from phdtrack.models import (
     UniformClutter,
 )
 from phdtrack.models.births import newborn_shape, region
-from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.models.scene import SceneBirth, SceneClutter
 from phdtrack.models.volume import REACH, SIZES, image_volume
 from phdtrack.protocols import Birth, Clutter, Model
 from phdtrack.types import F8, GaussianMixture, UpdateInfo
@@ -70,13 +70,13 @@ def box_model(model: Model, dt: float) -> BoxModel | None:
     if len(sensor.hiders):
         return None
     birth, clutter = model.birth, model.clutter
-    if type(birth) is not MeasurementBirth and type(birth) is not FixedBirth and type(birth) is not ContextBirth:
+    if type(birth) is not MeasurementBirth and type(birth) is not FixedBirth and type(birth) is not SceneBirth:
         return None
     if type(clutter) is ScoredClutter:
         # What it is of matters only to itself: the kernel is given its values, which are those of one frame.
         box = _in_numbers(motion, sensor, birth, None, dt, dt / model.rate)
         return box and replace(box, clutter=clutter)
-    if type(clutter) is not UniformClutter and type(clutter) is not LocalClutter and type(clutter) is not ContextClutter:
+    if type(clutter) is not UniformClutter and type(clutter) is not LocalClutter and type(clutter) is not SceneClutter:
         return None
     return _in_numbers(motion, sensor, birth, clutter, dt, dt / model.rate)
 
@@ -86,8 +86,8 @@ def box_model(model: Model, dt: float) -> BoxModel | None:
 def _in_numbers(
     motion: BoxMotion,
     sensor: BoxSensor,
-    births: MeasurementBirth | FixedBirth | ContextBirth,
-    false: UniformClutter | LocalClutter | ContextClutter | None,
+    births: MeasurementBirth | FixedBirth | SceneBirth,
+    false: UniformClutter | LocalClutter | SceneClutter | None,
     dt: float,
     seconds: float,
 ) -> BoxModel | None:
@@ -134,7 +134,7 @@ def _birth(birth: Birth, seconds: float) -> tuple[float, float, F8] | None:
     """What γ is spread over, its density or rate, and its Gaussians where it is a mixture."""
     if type(birth) is FixedBirth and len(birth.mixture.mean) == gm_model.D:
         return gm_model.NOWHERE, 0.0, _table(birth.mixture, seconds)
-    if type(birth) is ContextBirth and birth.density.dim == gm_model.D and birth.observed == gm_model.ROWS:
+    if type(birth) is SceneBirth and birth.density.dim == gm_model.D and birth.observed == gm_model.ROWS:
         if birth.around_detections > 0:
             return gm_model.PLACES, float(birth.around_detections * seconds), _NOBODY
         return gm_model.IMAGE, float(birth.flat * seconds), _table(birth.given, seconds)
@@ -152,14 +152,14 @@ def _table(given: GaussianMixture, seconds: float) -> F8:
 
 def _scene(birth: Birth, clutter: Clutter | None) -> tuple[F8, F8, F8, F8, F8] | None:
     """`BoxModel.scene`."""
-    births = birth.rows if isinstance(birth, ContextBirth) and birth.around_detections > 0 else None
-    alarms = clutter.rows if isinstance(clutter, ContextClutter) else None
+    births = birth.rows if isinstance(birth, SceneBirth) and birth.around_detections > 0 else None
+    alarms = clutter.rows if isinstance(clutter, SceneClutter) else None
     return None if births is None and alarms is None else (*(births or _NO_BIRTHS), *(alarms or _NO_CLUTTER))
 
 
 def _bounds(birth: Birth) -> tuple[gm_model.Box, gm_model.Box]:
     """Where a detection must lie for a birth about it: in the volume that was learned, or any of positive size."""
-    if isinstance(birth, ContextBirth):
+    if isinstance(birth, SceneBirth):
         low, high = birth.shown.low, birth.shown.high
         return (low[0], low[1], low[2], low[3]), (high[0], high[1], high[2], high[3])
     return (-math.inf, -math.inf, _POSITIVE, _POSITIVE), (math.inf, math.inf, math.inf, math.inf)
@@ -169,7 +169,7 @@ def _clutter(clutter: Clutter | None) -> tuple[float, float] | None:
     """What κ is spread over, and its density or rate, by place that of what is beside. None: κ is given."""
     if clutter is None:
         return gm_model.PLACES, 0.0
-    if type(clutter) is ContextClutter:
+    if type(clutter) is SceneClutter:
         return (gm_model.PLACES, float(clutter.around_detections)) if clutter.density.dim == gm_model.M else None
     if type(clutter) is LocalClutter:
         return gm_model.LOCAL, float(clutter.clutter_per_frame)

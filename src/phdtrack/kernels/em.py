@@ -39,8 +39,8 @@ class Gaussians(NamedTuple):
 class Candidates(NamedTuple):
     """The components that each of B blocks of samples may belong to.
 
-    ``start`` (B + 1,): block b holds the samples from start[b] to start[b + 1]. ``first`` (B + 1,) and ``component`` (P,): its
-    components are component[first[b]:first[b + 1]].
+    ``start`` (B + 1,): block b holds the samples from start[b] to start[b + 1]. ``first`` (B + 1,) and ``component`` (P,):
+    its components are component[first[b]:first[b + 1]].
     """
 
     start: I8

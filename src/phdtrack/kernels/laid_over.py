@@ -6,10 +6,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.context_density import given_detections, mixture_density, newborn_velocities, uncorrelated
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gm_model import ABOUT, ENTRIES, FIXED, PLACES, ROWS, BoxNumbers, D, M, box_numbers, noise
 from phdtrack.kernels.neighbourhoods import summed_densities
+from phdtrack.kernels.scene_density import given_detections, mixture_density, newborn_velocities, uncorrelated
 
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Who is believed among a scene's lasting false alarms (`associate.rejection`, `context.odds`).
+"""Who is believed among a scene's lasting false alarms (`associate.rejection`, `models.scene.FalseAlarmRatio`).
 
 Identities that are remembered stand ascending, (a,), each with the least odds on its way, (2, a).
 """
@@ -10,13 +10,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.laid_over import clutter_by_place
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 B1 = NDArray[np.bool_]
 
-TINY = float(np.finfo(np.float64).tiny)
 # Components of a box.
 M = 4
 
@@ -106,20 +104,3 @@ def remembered(
         for a in range(2):
             told[a, k] = odds[a, source[k]] if source[k] < known.size else lowest[a, source[k] - known.size]
     return name[:left], told, after
-
-
-@njit(**ENTRY)
-def false_odds(
-    z: F8, around: F8, alarms: F8, among: F8, objects: F8, entry: F8, births: F8, share: float, flat: float
-) -> F8:
-    """(2, N) logarithms of false alarms over objects at boxes ``z`` (4, N), see `context.odds`: of who is followed, of any.
-
-    Bounds (11,) and tables (15, M) of the places of false alarms, of objects and of their entries, as
-    `laid_over.clutter_by_place` takes them; ``share`` of false alarms is followed, and ``flat`` of them are anywhere.
-    """
-    places, born = clutter_by_place(z, around, alarms), clutter_by_place(z, entry, births)
-    true, out = clutter_by_place(z, among, objects), np.empty((2, places.size))
-    for j in range(places.size):
-        out[0, j] = np.log(max(share * places[j], TINY)) - np.log(max(true[j], TINY))
-        out[1, j] = np.log(max(places[j] + flat, TINY)) - np.log(max(true[j] + born[j], TINY))
-    return out

@@ -15,8 +15,8 @@ from phdtrack.label.births import all_frames, clip
 from phdtrack.label.store import Label, LabelStore, Mark
 from phdtrack.label.suggestions import ALIKE, NOTHING, REASONS, TICKED, Ready, Suggester
 from phdtrack.scene import RecursiveEM
-from phdtrack.scene.learning import box_density
-from phdtrack.scene.maps import place_map
+from phdtrack.scene.mixture import place_map
+from phdtrack.scene.training import box_density
 from phdtrack.types import F8, DetectionTable, Image, SequenceInfo, Tracks
 
 _FEWEST = 10

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from phdtrack.errors import InputError
 from phdtrack.models.births import FixedBirth
-from phdtrack.models.learned_scene import ContextBirth, ContextClutter
+from phdtrack.models.scene import SceneBirth, SceneClutter
 from phdtrack.protocols import Model
 
 
@@ -19,7 +19,7 @@ def not_standing(what: str) -> InputError:
 
 def refuse_standing(model: Model) -> None:
     """Raise `InputError` where births or false alarms of the model lie at pixels, which a moving camera leaves behind."""
-    if isinstance(model.birth, FixedBirth | ContextBirth):
+    if isinstance(model.birth, FixedBirth | SceneBirth):
         raise not_standing("where targets appear (birth.kind=fixed or scene)")
-    if isinstance(model.clutter, ContextClutter):
+    if isinstance(model.clutter, SceneClutter):
         raise not_standing("where false alarms are (clutter.kind=scene)")

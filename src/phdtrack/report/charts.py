@@ -19,8 +19,8 @@ from markupsafe import Markup
 
 from phdtrack.report.drawing import identity_colour
 from phdtrack.report.record import RunRecord
-from phdtrack.scene.online import Relearned
-from phdtrack.scene.rates import Following, Rates
+from phdtrack.scene.online import SceneUpdate
+from phdtrack.scene.rates import Rates, RatesLearning
 from phdtrack.types import F8, I8, Image
 
 if TYPE_CHECKING:
@@ -223,7 +223,7 @@ def group_chart(series: GroupSeries) -> Picture:
     return _to_svg(figure)
 
 
-def learning_chart(course: Sequence[Relearned], rate: float) -> Picture:
+def learning_chart(course: Sequence[SceneUpdate], rate: float) -> Picture:
     """What was learned of a scene over time: false alarms a frame, births a minute; bars below show when it was in use.
 
     Parameters
@@ -248,7 +248,7 @@ def learning_chart(course: Sequence[Relearned], rate: float) -> Picture:
     return _to_svg(figure)
 
 
-def rates_chart(course: Sequence[Rates], rule: Following) -> Picture:
+def rates_chart(course: Sequence[Rates], rule: RatesLearning) -> Picture:
     """Estimates of p_D and of false alarms over time, and beside it the odds of the best and the worst score."""
     figure = new_figure(_WIDTH, 2.6)
     time = thinned(np.array([one.time for one in course]), 600)

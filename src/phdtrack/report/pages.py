@@ -20,9 +20,9 @@ from phdtrack.report.charts import GroupSeries, Picture
 from phdtrack.report.record import About, RunRecord, sentences
 from phdtrack.report.rendering import page, render
 from phdtrack.report.run_json import flattened, write_text
-from phdtrack.scene import Learned, Scene
-from phdtrack.scene.online import Relearned
-from phdtrack.scene.rates import Following, Rates
+from phdtrack.scene import LearnedDensity, Scene
+from phdtrack.scene.online import SceneUpdate
+from phdtrack.scene.rates import Rates, RatesLearning
 from phdtrack.types import Image
 
 
@@ -101,7 +101,7 @@ def camera_section(told: Sequence[str]) -> Markup:
     return render("camera_motion.html", sentences=[sentence.capitalize() for sentence in told])
 
 
-def learning_section(course: Sequence[Relearned], memory: float, rate: float) -> Markup:
+def learning_section(course: Sequence[SceneUpdate], memory: float, rate: float) -> Markup:
     """What was learned of the scene while it was tracked.
 
     Parameters
@@ -116,31 +116,27 @@ def learning_section(course: Sequence[Relearned], memory: float, rate: float) ->
     """
     if not course:
         return Markup()
-    changes = [(f"{one.time:.1f}", one.mode, sentence) for one in course for sentence in one.said]
+    changes = [(f"{one.time:.1f}", one.regime, sentence) for one in course for sentence in one.changes]
     return render("learning.html", chart=charts.learning_chart(course, rate), memory=memory, changes=changes)
 
 
-def rates_section(course: Sequence[Rates], rule: Following) -> Markup:
-    """What was learned of p_D, false alarms, births, noise and scores; nothing where nothing was learned."""
+def rates_section(course: Sequence[Rates], rule: RatesLearning) -> Markup:
+    """What was learned of p_D, false alarms, births and scores; nothing where nothing was learned."""
     if not course:
         return Markup()
-    last, priors, learns, units = course[-1], rule.priors, rule.learns, rule.rate
+    last, priors, used, units = course[-1], rule.priors, rule.settings, rule.rate
     alarms = "false alarms around each detection" if priors.clutter_each else "false alarms a frame"
     each = " around each detection" if priors.births_each else ""
-    noises = (
-        ("noise of the width, in widths", ".3f", priors.noise.spread, last.noise.spread, learns.noise),
-        ("acceleration, in widths per time unit²", ".4f", priors.noise.acceleration, last.noise.acceleration, learns.noise),
-        ("change of the width, in widths", ".3f", priors.noise.resize, last.noise.resize, learns.noise),
-    )
     rows = (
-        ("probability of detection", ".2f", priors.detection, last.detection, learns.detection),
-        (alarms, ".3g", priors.clutter, last.clutter, learns.clutter),
-        (f"births a second{each}", ".3g", priors.births * units, last.births * units, learns.births),
-        *(noises if priors.noise.spread > 0 else ()),
-        ("odds of the worst score", ".2g", 1.0, last.lowest, learns.scores),
-        ("odds of the best score", ".3g", 1.0, last.highest, learns.scores),
+        ("probability of detection", ".2f", priors.detection, last.detection, used.detection),
+        (alarms, ".3g", priors.clutter, last.clutter, used.clutter),
+        (f"births a second{each}", ".3g", priors.births * units, last.births * units, used.birth),
+        ("odds of the worst score", ".2g", 1.0, last.lowest, used.scores),
+        ("odds of the best score", ".3g", 1.0, last.highest, used.scores),
     )
-    table = [(name, f"{set_:{form}}", f"{found:{form}}", "yes" if used else "no") for name, form, set_, found, used in rows]
+    table = [
+        (name, f"{set_:{form}}", f"{found:{form}}", "yes" if is_used else "no") for name, form, set_, found, is_used in rows
+    ]
     return render("rates.html", chart=charts.rates_chart(course, rule), rows=table)
 
 
@@ -209,7 +205,7 @@ class _ScenePart:
     picture: Picture | None = None
 
 
-def _scene_part(title: str, training: SceneTraining, learned: Learned | None, *, births: bool) -> _ScenePart:
+def _scene_part(title: str, training: SceneTraining, learned: LearnedDensity | None, *, births: bool) -> _ScenePart:
     if learned is None:
         return _ScenePart(title, births)
     scene, density = training.scene, learned.density

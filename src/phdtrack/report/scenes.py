@@ -15,8 +15,8 @@ import numpy as np
 from phdtrack.report.charts import INK, Picture, chart_axes, new_figure, to_jpeg
 from phdtrack.report.drawing import identity_colour
 from phdtrack.report.record import HeatMap, RunRecord
-from phdtrack.scene import Learned, Scene
-from phdtrack.scene.maps import place_map
+from phdtrack.scene import LearnedDensity, Scene
+from phdtrack.scene.mixture import place_map
 from phdtrack.types import F8, Image, SequenceInfo, Tracks
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def heat_picture(heat: HeatMap, info: SequenceInfo) -> Picture:
     return to_jpeg(figure)
 
 
-def map_picture(learned: Learned, scene: Scene, image: Image, *, births: bool) -> Picture:
+def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: bool) -> Picture:
     """Where births or false alarms are expected, over the frame [M09 Figs. 7, 8].
 
     Parameters

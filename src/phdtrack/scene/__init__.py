@@ -1,15 +1,15 @@
-"""What is learned of a scene: where targets are born and where a detector is wrong [M09 §IV]."""
+"""Learned scenes: where targets are born and where a detector is wrong, by training or online [M09 §IV, §VI]."""
 
-from phdtrack.scene.density import ContextDensity, marginal, uniform_density
-from phdtrack.scene.learner import RecursiveEM, grid
-from phdtrack.scene.scene_file import Followed, Learned, Scene, read_scene, write_scene
+from phdtrack.scene.em import RecursiveEM, grid
+from phdtrack.scene.files import LearnedDensity, Scene, TrackedObjects, read_scene, write_scene
+from phdtrack.scene.mixture import SceneDensity, marginal, uniform_density
 
 __all__ = [
-    "ContextDensity",
-    "Followed",
-    "Learned",
+    "LearnedDensity",
     "RecursiveEM",
     "Scene",
+    "SceneDensity",
+    "TrackedObjects",
     "grid",
     "marginal",
     "read_scene",

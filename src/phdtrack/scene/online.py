@@ -1,13 +1,13 @@
-"""Learning while tracking: births and false alarms follow the scene, and what has become wrong is dropped [M09 §VII].
+"""Learning births and false alarms while tracking [M09 §VI], with forgetting, and a guard against what has become wrong.
 
-Frames wait until it is known what became of their detections (`verdict`). Every so often those that are due are judged, and
-what they teach is asked of every mode, then learned by the active one (`modes`), with a memory of some minutes (`part`,
-`recent`). Beside births and false alarms it is learned where objects are detected at all: boxes that are no false alarms.
+Frames wait for their labels (`scene.labelling`). Every few seconds those that are due are labelled, what was learned before
+is scored on them, and the online mixtures of births, of false alarms and of objects' detections learn from them.
 
-**The guard.** What explains new samples no better than what would be used without it is not used until it does (`evidence`).
-Of births that is p(z|b) against p(z|o), by which they are laid over those that are shipped (`models.learned_scene`): the
-likelihood of the new ones, as there are as many of either. False alarms come to those that are shipped, which are no density
-over the image; whether anything is known of where they come is asked against the uniform one. Out of use is as shipped.
+**The guard.** A density is in use only while it explains new samples better than what would be used without it. For births
+that is p(z|b) against p(z|o), the ratio by which births around detections are weighted (`models.scene`). False alarms are
+added to those of the model, which are no density over the image; p(z|c) is compared with the uniform density.
+
+**Regimes.** A scene may be told that it is now in another regime, such as night: each regime has its own mixtures.
 
 Everything is a value: a state goes in and comes out, and the same frames give the same state.
 """
@@ -15,253 +15,286 @@ Everything is a value: a state goes in and comes out, and the same frames give t
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from phdtrack.scene import modes as mode_by
-from phdtrack.scene.modes import Lesson, Mode
-from phdtrack.scene.part import Batch, Part
-from phdtrack.scene.samples import measurement_volume, state_volume
-from phdtrack.scene.scene_file import Followed, Learned, Scene
-from phdtrack.scene.verdict import Verdict, Watch, judged, look_of
-from phdtrack.types import Step
+from phdtrack.scene.files import LearnedDensity, Scene, TrackedObjects
+from phdtrack.scene.labelling import Labels, PendingFrames, label
+from phdtrack.scene.mixture import OBSERVED, SceneDensity, marginal
+from phdtrack.scene.online_mixture import Batch, OnlineMixture
+from phdtrack.scene.training import detected_sizes, measurement_volume, state_volume
+from phdtrack.types import F8, Step
 
-# Parts of the memory after which is learned anew, and seconds at least.
-_BATCHES, _SHORTEST = 30, 1.0
+# Something is learned after this part of the memory, and after so many seconds at least.
+BATCHES, MIN_INTERVAL = 30.0, 1.0
 FIRST = "first"
-_NAMES = (FIRST, "second", "third", "fourth")
+# Frames per second that rates per frame of a scene file are taken for, until frames are counted.
+FRAMES_PER_SECOND = 25.0
 
 
 @dataclass(frozen=True, slots=True)
-class Following:
-    """How a scene is followed.
+class OnlineLearning:
+    """How a scene is learned online.
 
     Parameters
     ----------
     width, height : of the image, pixels.
-    rate : time units a second, of births.
+    rate : time units per second, of births.
     memory : seconds after which a sample counts for 37 %.
-    wait : seconds until a detection is judged.
-    detection : p_D, probability that an object is detected.
-    switch : whether modes are chosen by evidence; otherwise by the name that `advance` is given.
-    most : modes at most that are opened by evidence.
+    delay : seconds until a detection is labelled.
+    detection : p_D.
     """
 
     width: float
     height: float
     rate: float
     memory: float
-    wait: float
+    delay: float
     detection: float
-    switch: bool = False
-    most: int = 4
 
     def interval(self, known: float) -> float:
-        """Seconds between two times of learning in a mode that was active for ``known`` seconds: at first more often."""
-        return max(_SHORTEST, min(self.memory, known) / _BATCHES)
+        """Seconds between two times of learning in a regime of ``known`` seconds: at first more often."""
+        return max(MIN_INTERVAL, min(self.memory, known) / BATCHES)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LearnedParts:
+    """Births, false alarms and objects' detections as densities; None where nothing is known."""
+
+    births: LearnedDensity | None
+    clutter: LearnedDensity | None
+    objects: LearnedDensity | None
+
+    @property
+    def birth_gain(self) -> Callable[[F8], F8] | None:
+        """Gives log p(z|b)/p(z|o) of states (6, k), nats; None where one of the two is not known."""
+        if self.births is None or self.objects is None:
+            return None
+        births, objects = marginal(self.births.density, OBSERVED), self.objects.density
+
+        def gain(x: F8) -> F8:
+            z = np.ascontiguousarray(x[list(OBSERVED)])
+            out: F8 = _log(births, z) - _log(objects, z)
+            return out
+
+        return gain
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batches:
+    """New samples of births, false alarms and objects' detections from the last ``seconds``."""
+
+    births: Batch
+    clutter: Batch
+    objects: Batch
+    seconds: float
+
+    @classmethod
+    def of(cls, labels: Labels, rate: float) -> Batches:
+        """The samples in labels, with ``rate`` time units per second."""
+        possible, seen, per_second = labels.false > 0, labels.false < 1, labels.frames / labels.seconds
+        return cls(
+            Batch(labels.births, np.ones(labels.births.shape[1]), labels.seconds * rate, rate),
+            Batch(labels.box[:, possible], labels.false[possible], labels.frames, per_second),
+            Batch(labels.box[:, seen], 1 - labels.false[seen], labels.frames, per_second),
+            labels.seconds,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Regime:
+    """One state of the scene: its name, its online mixtures, and the seconds for which it was active (``clock``)."""
+
+    name: str
+    births: OnlineMixture
+    clutter: OnlineMixture
+    objects: OnlineMixture
+    clock: float = 0.0
+
+    @cached_property
+    def known(self) -> LearnedParts:
+        """What is known, with the shrinkage prior over the sizes that were detected."""
+        size = np.hstack([self.clutter.recent.samples[2:], self.objects.recent.samples[2:]])
+        if not size.shape[1]:
+            return LearnedParts(None, None, None)
+        sizes = detected_sizes(size)
+        return LearnedParts(*(part.learned(sizes) for part in (self.births, self.clutter, self.objects)))
+
+    @property
+    def births_used(self) -> bool:
+        """Whether births are in use: they are trusted, and it is known where objects are."""
+        return self.births.trusted and len(self.objects.density) > 0
+
+    @property
+    def trusted(self) -> bool:
+        """Whether anything is in use."""
+        return self.births_used or self.clutter.trusted
+
+    @property
+    def used(self) -> LearnedParts:
+        """What is in use, with objects."""
+        births, clutter = self.births_used, self.clutter.trusted
+        known = self.known
+        return LearnedParts(known.births if births else None, known.clutter if clutter else None, known.objects)
+
+    def decided(self, new: Batches, memory: float) -> Regime:
+        """With births and false alarms scored on new samples, and in use or not by the evidence; ``memory`` in seconds."""
+        gain = self.known.birth_gain
+        births = self.births if gain is None else self.births.scored(new.births, memory, gain)
+        return replace(self, births=births.decided(), clutter=self.clutter.scored(new.clutter, memory).decided())
+
+    def updated(self, new: Batches, memory: float) -> Regime:
+        """After learning from new samples; ``memory`` in seconds."""
+        now = self.clock + new.seconds
+        return Regime(
+            self.name,
+            self.births.updated(new.births, now, memory),
+            self.clutter.updated(new.clutter, now, memory),
+            self.objects.updated(new.objects, now, memory),
+            now,
+        )
 
 
 @dataclass(frozen=True, slots=True)
-class Relearned:
-    """What was learned of the scene with frame ``number``, at ``time`` seconds, where learning goes on while tracking.
+class SceneUpdate:
+    """What was learned with frame ``number``, at ``time`` seconds.
 
     Attributes
     ----------
-    mode : name of the mode that learns (day, night).
-    births, clutter : their rates: births per time unit, false alarms per frame.
-    birth_gain, clutter_gain : nats by which samples that were not learned yet were likelier than under another density: as
-        detections of objects, and under a uniform one.
-    births_used, clutter_used : whether what was learned is in use; otherwise that part of the model is as without learning.
-    said : what has changed, in sentences; mostly nothing.
+    regime : name of the regime that learned.
+    births, clutter : rates: births per time unit, false alarms per frame.
+    birth_gain, clutter_gain : nats by which new samples were likelier than as detections of objects, and than uniform ones.
+    births_used, clutter_used : whether each is in use; otherwise that part of the model is as without learning.
+    changes : what came into use or fell out of it, in sentences.
     """
 
     number: int
     time: float
-    mode: str
+    regime: str
     births: float
     clutter: float
     birth_gain: float
     clutter_gain: float
     births_used: bool
     clutter_used: bool
-    said: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Knowledge:
-    """What is known of a scene, and the frames that wait; ``learned``: when something was last learned, ``last``: what."""
+class OnlineScene:
+    """What is known of a scene, and the frames that wait for labels.
 
-    modes: tuple[Mode, ...]
+    ``learned``: seconds at which something was last learned, NaN before; ``last``: what.
+    """
+
+    regimes: tuple[Regime, ...]
     active: int = 0
-    watch: Watch = field(default_factory=Watch)
+    pending: PendingFrames = field(default_factory=PendingFrames)
     learned: float = math.nan
-    last: Relearned | None = None
+    last: SceneUpdate | None = None
 
     @property
-    def mode(self) -> Mode:
+    def regime(self) -> Regime:
         """The active one."""
-        return self.modes[self.active]
+        return self.regimes[self.active]
 
 
-def begin(rule: Following, scenes: tuple[Scene, ...] = ()) -> Knowledge:
-    """Knowing nothing, or what was learned before: each scene is a mode, the first of them is active."""
-    return Knowledge(tuple(_mode(rule, scene) for scene in scenes) or (_new(rule, FIRST),))
+def begin(rule: OnlineLearning, scenes: tuple[Scene, ...] = ()) -> OnlineScene:
+    """Knowing nothing, or what was learned before: each scene is a regime, the first of them is active."""
+    return OnlineScene(tuple(_of_scene(rule, scene) for scene in scenes) or (_unknown(rule, FIRST),))
 
 
-def named(rule: Following, state: Knowledge, name: str) -> Knowledge:
-    """With the mode of this name active; a new one where there is none."""
-    names = [mode.name for mode in state.modes]
+def named(rule: OnlineLearning, state: OnlineScene, name: str) -> OnlineScene:
+    """With the regime of this name active; a new one, which knows nothing, where there is none."""
+    names = [regime.name for regime in state.regimes]
     if name in names:
         return replace(state, active=names.index(name))
-    return replace(state, modes=(*state.modes, _new(rule, name)), active=len(names))
+    return replace(state, regimes=(*state.regimes, _unknown(rule, name)), active=len(names))
 
 
-def advance(rule: Following, state: Knowledge, step: Step) -> Knowledge:
-    """Take in one frame, and learn where it is time to. Frames that nobody observed teach nothing."""
+def advance(rule: OnlineLearning, state: OnlineScene, step: Step) -> OnlineScene:
+    """Take in one frame, and learn when it is time to. Frames that were not observed teach nothing."""
     begun = step.time if math.isnan(state.learned) else state.learned
-    if step.detections.observed:
-        watch = state.watch
-        watch = Watch((*watch.looks, look_of(step)), watch.place, watch.met, watch.sightings)
-        state = Knowledge(state.modes, state.active, watch, state.learned, state.last)
-    if step.time < begun + rule.interval(state.mode.clock) or not state.watch.looks:
-        return state if state.learned == begun else replace(state, learned=begun)
-    watch, verdict = judged(state.watch, step.time - rule.wait, rule.detection, rule.rate)
-    state = replace(state, watch=watch, learned=step.time)
-    return _learned(rule, state, _lesson(rule, verdict), step) if verdict.frames else state
+    pending = state.pending.joined(step)
+    if step.time < begun + rule.interval(state.regime.clock) or not pending.frames:
+        return replace(state, pending=pending, learned=begun)
+    pending, labels = label(pending, step.time - rule.delay, rule.detection, rule.rate)
+    state = replace(state, pending=pending, learned=step.time)
+    return _learned(rule, state, labels, step) if labels.frames else state
 
 
-def _lesson(rule: Following, verdict: Verdict) -> Lesson:
-    """A verdict as samples, births per time unit, false alarms per frame."""
-    possible, seen = verdict.false > 0, verdict.false < 1
-    per_second = verdict.frames / verdict.seconds
-    births = Batch(verdict.births, np.ones(verdict.births.shape[1]), verdict.seconds * rule.rate, rule.rate)
-    clutter = Batch(verdict.box[:, possible], verdict.false[possible], verdict.frames, per_second)
-    objects = Batch(verdict.box[:, seen], 1 - verdict.false[seen], verdict.frames, per_second)
-    return Lesson(births, clutter, objects, verdict.seconds)
+def scene_of(rule: OnlineLearning, regime: Regime, source: str) -> Scene:
+    """What is in use of a regime, as it is written to a file. Which false alarms become tracks is not known."""
+    used = regime.used
+    objects = None if used.objects is None else TrackedObjects(0.0, used.objects)
+    size = round(rule.width), round(rule.height)
+    return Scene(*size, rule.rate, source, used.births, used.clutter, {"mode": regime.name}, objects)
 
 
-def _learned(rule: Following, state: Knowledge, lesson: Lesson, step: Step) -> Knowledge:
-    """Ask all modes, choose one, and have it learn."""
-    before = state.mode
-    every = tuple(mode_by.asked(mode, lesson, rule.memory) for mode in state.modes)
-    active, said = state.active, list[str]()
-    if rule.switch:
-        every, active = _chosen(rule, every, active, lesson)
-        if every[active].name != before.name:
-            said.append(f"mode {every[active].name} after {before.name}")
-    own = mode_by.judged(every[active])
-    if own.name == before.name:
-        said.extend(_turned(before, own))
-    own = mode_by.taught(own, lesson, rule.memory)
-    every = (*every[:active], own, *every[active + 1 :])
-    if rule.switch:
-        every, active = _merged(every, active, said)
-    return replace(state, modes=every, active=active, last=_told(every[active], step, tuple(said)))
+def _learned(rule: OnlineLearning, state: OnlineScene, labels: Labels, step: Step) -> OnlineScene:
+    """Score what is known on new samples, decide what is in use, and learn from them."""
+    new, before = Batches.of(labels, rule.rate), state.regime
+    decided = before.decided(new, rule.memory)
+    regime = decided.updated(new, rule.memory)
+    last = SceneUpdate(
+        step.number,
+        step.time,
+        regime.name,
+        regime.births.rate,
+        regime.clutter.rate,
+        regime.births.evidence.mean,
+        regime.clutter.evidence.mean,
+        regime.births_used,
+        regime.clutter.trusted,
+        _changes(before, decided),
+    )
+    regimes = (*state.regimes[: state.active], regime, *state.regimes[state.active + 1 :])
+    return replace(state, regimes=regimes, last=last)
 
 
-def _chosen(rule: Following, modes: tuple[Mode, ...], active: int, lesson: Lesson) -> tuple[tuple[Mode, ...], int]:
-    """The modes and which is active now: another, or a new one where the active one has lost and no other fits."""
-    own, better = modes[active], mode_by.best([mode.evidence for mode in modes], active)
-    new = own.trusted and own.lost and len(modes) < rule.most
-    # One that has just become better is about to be chosen.
-    new = new and active == better == mode_by.best([mode.newest for mode in modes], active)
-    if own.young(rule.memory) or (better == active and not new):
-        return modes, active
-    # The last samples that it learned were not its own.
-    cleared = mode_by.unlearned(own, lesson.seconds)
-    modes = (*modes[:active], cleared, *modes[active + 1 :])
-    if new:
-        return (*modes, mode_by.forked(cleared, _fresh(modes))), len(modes)
-    return modes, better
-
-
-def _fresh(modes: tuple[Mode, ...]) -> str:
-    """A name that no mode has."""
-    names = {mode.name for mode in modes}
-    return next(name for name in (*_NAMES, *map(str, range(5, len(modes) + 6))) if name not in names)
-
-
-def _merged(modes: tuple[Mode, ...], active: int, said: list[str]) -> tuple[tuple[Mode, ...], int]:
-    """Without a mode that is the same as the active one."""
-    own = modes[active]
-    for k, mode in enumerate(modes):
-        if k != active and own.trusted and mode_by.alike(own, mode):
-            said.append(f"mode {own.name} is {mode.name}")
-            kept = replace(own, name=mode.name) if k < active else own
-            rest = tuple(kept if j == active else modes[j] for j in range(len(modes)) if j != k)
-            return rest, active - (k < active)
-    return modes, active
-
-
-def _turned(before: Mode, now: Mode) -> list[str]:
-    """What is in use now and was not, or no longer is."""
-    said = []
+def _changes(before: Regime, now: Regime) -> tuple[str, ...]:
+    """What came into use or fell out of it, in sentences."""
+    changes = []
     for what, old, new, than in (
         ("births", before.births, now.births, "as any detection of an object"),
         ("false alarms", before.clutter, now.clutter, "under uniform ones"),
     ):
         if new.trusted != old.trusted:
             gain = f"the last samples are {new.newest.mean:+.2f} nats likelier than {than}"
-            said.append(f"learned {what} {'in use' if new.trusted else 'out of use: as without learning'} ({gain})")
-    return said
+            changes.append(f"learned {what} {'in use' if new.trusted else 'out of use: as without learning'} ({gain})")
+    return tuple(changes)
 
 
-def _told(mode: Mode, step: Step, said: tuple[str, ...]) -> Relearned:
-    births, clutter = mode.births, mode.clutter
-    return Relearned(
-        step.number,
-        step.time,
-        mode.name,
-        births.rate,
-        clutter.rate,
-        births.evidence.mean,
-        clutter.evidence.mean,
-        mode.births_used,
-        clutter.trusted,
-        said,
-    )
+def _unknown(rule: OnlineLearning, name: str) -> Regime:
+    """A regime that knows nothing. Births may be as fast as the image is wide in a second."""
+    births = OnlineMixture.unknown(*state_volume(rule.width, rule.height, max(rule.width, rule.height) / rule.rate))
+    boxes = OnlineMixture.unknown(*measurement_volume(rule.width, rule.height))
+    return Regime(name, births, boxes, boxes)
 
 
-def _new(rule: Following, name: str) -> Mode:
-    """A mode that knows nothing. Births may be as fast as the image is wide in a second."""
-    fastest = max(rule.width, rule.height) / rule.rate
-    births = Part.unknown(*state_volume(rule.width, rule.height, fastest))
-    boxes = Part.unknown(*measurement_volume(rule.width, rule.height))
-    return Mode(name, births, boxes, boxes)
+def _of_scene(rule: OnlineLearning, scene: Scene) -> Regime:
+    """What was learned before; any size may come."""
 
+    def known(unknown: OnlineMixture, learned: LearnedDensity | None, rate: float) -> OnlineMixture:
+        if learned is None:
+            return unknown
+        part = OnlineMixture.of(learned, rule.memory, rate)
+        return replace(part, density=replace(part.density, low=unknown.density.low, high=unknown.density.high))
 
-def _mode(rule: Following, scene: Scene) -> Mode:
-    """What was learned before. False alarms a second are those of 25 frames, until frames are counted."""
-    new = _new(rule, str(scene.notes.get("mode", FIRST)))
+    new = _unknown(rule, str(scene.notes.get("mode", FIRST)))
     objects = None if scene.followed is None else scene.followed.objects
-    return replace(
-        new,
-        births=_known(new.births, scene.births, rule.memory, rule.rate),
-        clutter=_known(new.clutter, scene.clutter, rule.memory, 25.0),
-        objects=_known(new.objects, objects, rule.memory, 25.0),
+    return Regime(
+        new.name,
+        known(new.births, scene.births, rule.rate),
+        known(new.clutter, scene.clutter, FRAMES_PER_SECOND),
+        known(new.objects, objects, FRAMES_PER_SECOND),
     )
 
 
-def _known(unknown: Part, learned: Learned | None, memory: float, rate: float) -> Part:
-    """The part of a mode that nothing is ``unknown`` of, with what was learned before; any size may come."""
-    if learned is None:
-        return unknown
-    part = Part.of(learned, memory, rate)
-    return replace(part, density=replace(part.density, low=unknown.density.low, high=unknown.density.high))
-
-
-def scene_of(rule: Following, mode: Mode, source: str) -> Scene:
-    """What of a mode is in use, as it is written to a file. Which false alarms are followed nobody has seen."""
-    used = mode.used
-    followed = None if used.objects is None else Followed(0.0, used.objects)
-    return Scene(
-        round(rule.width),
-        round(rule.height),
-        rule.rate,
-        source,
-        used.births,
-        used.clutter,
-        {"mode": mode.name},
-        followed,
-    )
+def _log(p: SceneDensity, z: F8) -> F8:
+    """(k,) log p at boxes (4, k), nowhere below its uniform part."""
+    out: F8 = np.where(p.contains(z), np.logaddexp.reduce(p.log_parts(z), axis=0), math.log(p.flat))
+    return out

@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
-from phdtrack.scene.rates import Counted, Known, Noise, Priors
-from phdtrack.scene.rates.known import DETECTION, TRACKED, WATCHED
-from phdtrack.scene.sightings import Sightings
+from phdtrack.scene.labelling import TrackEvidence
+from phdtrack.scene.rates import DETECTION_LIMITS, PRIOR_FRAMES, PRIOR_TRACKED, CountedTracks, Priors, RateSums
 from phdtrack.types import Tracks
 
 PRIORS = Priors(0.8, 5.0, 0.02, False, False)
 
 
 def rates(known, priors=PRIORS):
-    return known.rates(priors, Noise(), (1.0, 1.0), 1, 1.0)
+    return known.rates(priors)
 
 
 def walk(identity, frames, speed, confirmed=True):
@@ -24,21 +23,21 @@ def walk(identity, frames, speed, confirmed=True):
     return Tracks(frames, np.full(n, identity), boxes, np.ones(n), np.zeros(n, np.int64), np.full(n, confirmed))
 
 
-def sightings(*tracks):
+def evidence(*tracks):
     rows = Tracks.concatenate(list(tracks))
-    return Sightings.none().met(rows, rows.frame)
+    return TrackEvidence.none().with_rows(rows, rows.frame)
 
 
 def test_without_frames_the_settings_hold():
-    found = rates(Known())
+    found = rates(RateSums())
     assert (found.detection, found.clutter, found.births, found.limited) == (0.8, 5.0, 0.02, ())
 
 
 def test_estimates_are_posterior_means():
-    known = Known(hits=90, span=100, false=200, detections=400, frames=20, births=4, units=100, chances=2000)
+    known = RateSums(hits=90, span=100, false=200, detections=400, frames=20, births=4, units=100, chances=2000)
     found = rates(known)
-    assert found.detection == pytest.approx((TRACKED * 0.8 + 90) / (TRACKED + 100))
-    assert found.clutter == pytest.approx((WATCHED * 5 + 200) / (WATCHED + 20))
+    assert found.detection == pytest.approx((PRIOR_TRACKED * 0.8 + 90) / (PRIOR_TRACKED + 100))
+    assert found.clutter == pytest.approx((PRIOR_FRAMES * 5 + 200) / (PRIOR_FRAMES + 20))
     assert found.births == pytest.approx((5 + 4) / (5 / 0.02 + 100))
     around = rates(known, Priors(0.8, 0.3, 0.01, True, True))
     assert around.clutter == pytest.approx((50 * 0.3 + 200) / (50 + 400))
@@ -46,31 +45,32 @@ def test_estimates_are_posterior_means():
 
 
 def test_much_evidence_outweighs_any_setting_and_limits_are_told():
-    assert rates(Known(hits=5e5, span=1e6)).detection == pytest.approx(0.5, abs=1e-4)
-    low, high = rates(Known(hits=1, span=1e6)), rates(Known(hits=1e6, span=1e6))
-    assert (low.detection, high.detection) == DETECTION
+    assert rates(RateSums(hits=5e5, span=1e6)).detection == pytest.approx(0.5, abs=1e-4)
+    low, high = rates(RateSums(hits=1, span=1e6)), rates(RateSums(hits=1e6, span=1e6))
+    assert (low.detection, high.detection) == DETECTION_LIMITS
     assert low.limited == high.limited == ("detection",)
-    assert "clutter" in rates(Known(false=1e9, frames=10)).limited
+    assert "clutter" in rates(RateSums(false=1e9, frames=10)).limited
 
 
 def test_frames_between_first_and_last_detection_teach():
     # Detected in 6 of the 9 frames after the first, up to the last.
-    counted, known = Counted().counting(Known(), sightings(walk(1, [1, 2, 3, 5, 7, 8, 10], 5)))
+    rows = walk(1, [1, 2, 3, 5, 7, 8, 10], 5)
+    counted, known = CountedTracks().updated(evidence(rows))
     assert (known.hits, known.span) == (6, 9)
     # Asked again, it has nothing more to tell.
-    assert counted.counting(known, sightings(walk(1, [1, 2, 3, 5, 7, 8, 10], 5)))[1] == known
-    more = counted.counting(known, sightings(walk(1, [1, 2, 3, 5, 7, 8, 10, 12], 5)))[1]
-    assert (more.hits, more.span) == (7, 11)
+    assert counted.updated(evidence(rows))[1] == RateSums()
+    more = counted.updated(evidence(walk(1, [1, 2, 3, 5, 7, 8, 10, 12], 5)))[1]
+    assert (more.hits, more.span) == (1, 2)
 
 
 def test_what_stays_in_its_place_and_what_was_not_confirmed_teaches_nothing():
     standing, doubtful = walk(1, [1, 4, 9, 20], 0), walk(2, np.arange(1, 30, 3), 5, confirmed=False)
-    assert Counted().counting(Known(), sightings(standing, doubtful))[1] == Known()
+    assert CountedTracks().updated(evidence(standing, doubtful))[1] == RateSums()
 
 
 def test_fading_keeps_shares():
-    known = Known(hits=90, span=100, false=200, detections=400, frames=20, births=4, units=100, chances=2000)
-    faded = known.faded(0.25)
+    known = RateSums(hits=90, span=100, false=200, detections=400, frames=20, births=4, units=100, chances=2000)
+    faded = RateSums().plus(RateSums()).plus(known).plus(RateSums(), 0.25)
     assert faded.hits / faded.span == known.hits / known.span
     assert faded.frames == 5
 
@@ -79,5 +79,5 @@ def test_the_estimate_of_drawn_waits_is_right():
     rng = np.random.default_rng(0)
     for p in (0.4, 0.7, 0.95):
         tracks = [walk(k, 1 + np.flatnonzero(rng.random(80) < p), 5) for k in range(1, 60)]
-        _, known = Counted().counting(Known(), sightings(*tracks))
+        _, known = CountedTracks().updated(evidence(*tracks))
         assert known.hits / known.span == pytest.approx(p, abs=0.02)

@@ -5,29 +5,28 @@ import math
 import numpy as np
 import pytest
 
-from phdtrack.scene.rates import Judged, Scale, Successive
-from phdtrack.scene.rates.scores import MOST, NEWEST, scale
+from phdtrack.scene.rates import MAX_LOG_RATIO, MAX_SCORES, LabelledScores, ScoreScale, SuccessiveScores
 
 
 def judged(rng, n=2000, share=0.4):
     """Scores of objects N(1, 1) and of false alarms N(0, 1), with the truth of each: odds are exp(s − ½)."""
     false = rng.random(n) < share
-    return Judged().joined(rng.normal(np.where(false, 0.0, 1.0), 1.0), false.astype(float))
+    return LabelledScores().joined(rng.normal(np.where(false, 0.0, 1.0), 1.0), false.astype(float))
 
 
 def test_the_odds_are_those_of_the_two_densities():
-    found = scale(judged(np.random.default_rng(0), NEWEST))
+    found = ScoreScale.learned(judged(np.random.default_rng(0), MAX_SCORES))
     s = np.linspace(-0.7, 1.8, 11)
-    assert np.log(found.odds(s)) == pytest.approx(s - 0.5, abs=0.55)
-    assert np.mean(np.log(found.odds(s)) - (s - 0.5)) == pytest.approx(0, abs=0.12)
+    assert np.log(found.ratio(s)) == pytest.approx(s - 0.5, abs=0.55)
+    assert np.mean(np.log(found.ratio(s)) - (s - 0.5)) == pytest.approx(0, abs=0.12)
 
 
 def test_only_the_order_of_scores_counts():
     told = judged(np.random.default_rng(1))
     s = told.score[:50]
-    plain, bent = scale(told), scale(Judged(1e6 * np.exp(3 * told.score), told.false))
+    plain, bent = ScoreScale.learned(told), ScoreScale.learned(LabelledScores(1e6 * np.exp(3 * told.score), told.false))
     at = np.searchsorted(plain.at, s)
-    assert np.array_equal(plain.worth, bent.worth)
+    assert np.array_equal(plain.log_ratio, bent.log_ratio)
     # Between the same two parts whatever the range.
     assert np.array_equal(at, np.searchsorted(bent.at, 1e6 * np.exp(3 * s)))
 
@@ -36,52 +35,54 @@ def test_odds_never_fall_with_the_score_and_are_bounded():
     for seed in range(20):
         rng = np.random.default_rng(seed)
         n = int(rng.integers(2, 300))
-        told = Judged().joined(np.round(rng.normal(size=n), 1), rng.random(n))
-        odds = scale(told).odds(np.sort(rng.normal(scale=3, size=100)))
+        told = LabelledScores().joined(np.round(rng.normal(size=n), 1), rng.random(n))
+        odds = ScoreScale.learned(told).ratio(np.sort(rng.normal(scale=3, size=100)))
         assert (np.diff(odds) >= -1e-12).all()
-        assert (np.abs(np.log(odds)) <= MOST + 1e-12).all()
+        assert (np.abs(np.log(odds)) <= MAX_LOG_RATIO + 1e-12).all()
 
 
 def test_constant_scores_say_nothing_exactly():
     rng = np.random.default_rng(2)
-    found = scale(Judged().joined(np.full(500, 0.7), (rng.random(500) < 0.5).astype(float)))
-    assert (found.odds(np.array([0.7, 0.1, 5.0])) == 1).all()
-    assert (Scale().odds(np.array([0.3, np.nan])) == 1).all()
+    found = ScoreScale.learned(LabelledScores().joined(np.full(500, 0.7), (rng.random(500) < 0.5).astype(float)))
+    assert (found.ratio(np.array([0.7, 0.1, 5.0])) == 1).all()
+    assert (ScoreScale().ratio(np.array([0.3, np.nan])) == 1).all()
 
 
 def test_scores_without_bounds_and_without_value():
     rng = np.random.default_rng(3)
     told = judged(rng)
     wild = np.concatenate([told.score, [np.inf, np.inf, -np.inf, np.nan]])
-    found = scale(Judged().joined(wild, np.concatenate([told.false, [0.0, 0.0, 1.0, 0.0]])))
+    found = ScoreScale.learned(LabelledScores().joined(wild, np.concatenate([told.false, [0.0, 0.0, 1.0, 0.0]])))
     assert np.isfinite(found.at).all()
-    assert np.isfinite(found.worth).all()
-    odds = found.odds(np.array([-np.inf, 0.5, np.inf, np.nan]))
+    assert np.isfinite(found.log_ratio).all()
+    odds = found.ratio(np.array([-np.inf, 0.5, np.inf, np.nan]))
     assert odds[0] < odds[1] < odds[2]
     assert odds[3] == 1
 
 
 def test_infinite_scores_alone_say_what_their_sign_says():
-    told = Judged().joined(np.repeat([-np.inf, np.inf], 100), np.repeat([1.0, 0.0], 100))
-    assert (np.isfinite(scale(told).odds(np.array([-np.inf, 0.0, np.inf])))).all()
+    told = LabelledScores().joined(np.repeat([-np.inf, np.inf], 100), np.repeat([1.0, 0.0], 100))
+    assert (np.isfinite(ScoreScale.learned(told).ratio(np.array([-np.inf, 0.0, np.inf])))).all()
 
 
 def test_few_detections_say_little():
-    told = Judged().joined(np.array([0.1, 0.9]), np.array([1.0, 0.0]))
-    assert np.abs(np.log(scale(told).odds(told.score))).max() < 0.4
-    many = Judged().joined(np.repeat([0.1, 0.9], 500), np.repeat([1.0, 0.0], 500))
-    assert np.log(scale(many).odds(np.array([0.1, 0.9]))) == pytest.approx([-MOST, MOST], abs=0.2)
+    told = LabelledScores().joined(np.array([0.1, 0.9]), np.array([1.0, 0.0]))
+    assert np.abs(np.log(ScoreScale.learned(told).ratio(told.score))).max() < 0.4
+    many = LabelledScores().joined(np.repeat([0.1, 0.9], 500), np.repeat([1.0, 0.0], 500))
+    assert np.log(ScoreScale.learned(many).ratio(np.array([0.1, 0.9]))) == pytest.approx(
+        [-MAX_LOG_RATIO, MAX_LOG_RATIO], abs=0.2
+    )
 
 
 def test_what_says_nothing_is_worth_one_within_its_noise():
     rng = np.random.default_rng(4)
-    told = Judged().joined(rng.normal(size=3000), (rng.random(3000) < 0.3).astype(float))
-    assert np.abs(np.log(scale(told).odds(rng.normal(size=200)))).max() < math.log(1.6)
+    told = LabelledScores().joined(rng.normal(size=3000), (rng.random(3000) < 0.3).astype(float))
+    assert np.abs(np.log(ScoreScale.learned(told).ratio(rng.normal(size=200)))).max() < math.log(1.6)
 
 
 def test_the_newest_count():
-    told = Judged().joined(np.zeros(NEWEST), np.ones(NEWEST)).joined(np.ones(10), np.zeros(10))
-    assert len(told.score) == NEWEST
+    told = LabelledScores().joined(np.zeros(MAX_SCORES), np.ones(MAX_SCORES)).joined(np.ones(10), np.zeros(10))
+    assert len(told.score) == MAX_SCORES
     assert (told.score[-10:] == 1).all()
 
 
@@ -98,8 +99,8 @@ def series(rng, tracks, frames, correlation):
 
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
 def test_scores_that_are_alike_from_frame_to_frame_count_less(correlation):
-    found = Successive().joined(*series(np.random.default_rng(0), 50, 60, correlation))
-    assert len(found.first) == min(NEWEST, 50 * 59)
+    found = SuccessiveScores().joined(*series(np.random.default_rng(0), 50, 60, correlation))
+    assert len(found.first) == min(MAX_SCORES, 50 * 59)
     # Ranks of a Gaussian series are correlated by 6/π asin(ρ/2).
     ranks = 6 / math.pi * math.asin(correlation / 2)
     assert found.share == pytest.approx((1 - ranks) / (1 + ranks), abs=0.12)
@@ -107,7 +108,7 @@ def test_scores_that_are_alike_from_frame_to_frame_count_less(correlation):
 
 def test_pairs_are_the_same_whether_frames_come_at_once_or_one_by_one():
     identity, frame, score = series(np.random.default_rng(1), 6, 15, 0.5)
-    at_once, one_by_one = Successive().joined(identity, frame, score), Successive()
+    at_once, one_by_one = SuccessiveScores().joined(identity, frame, score), SuccessiveScores()
     for k in range(1, 16):
         one_by_one = one_by_one.joined(identity[frame == k], frame[frame == k], score[frame == k])
     assert sorted(zip(at_once.first, at_once.second, strict=True)) == sorted(
@@ -117,14 +118,14 @@ def test_pairs_are_the_same_whether_frames_come_at_once_or_one_by_one():
 
 
 def test_without_pairs_or_with_constant_ones_a_frame_says_nothing_new():
-    assert Successive().share == 0
-    ones = Successive().joined(np.ones(9, np.int64), np.arange(9), np.full(9, 0.5))
+    assert SuccessiveScores().share == 0
+    ones = SuccessiveScores().joined(np.ones(9, np.int64), np.arange(9), np.full(9, 0.5))
     assert ones.share == 0
-    unknown = Successive().joined(np.ones(9, np.int64), np.arange(9), np.full(9, np.nan))
+    unknown = SuccessiveScores().joined(np.ones(9, np.int64), np.arange(9), np.full(9, np.nan))
     assert len(unknown.first) == 0
 
 
 def test_the_odds_are_to_the_power_of_the_share():
     told = judged(np.random.default_rng(5))
     s = np.linspace(-1, 2, 7)
-    assert np.log(scale(told, 0.3).odds(s)) == pytest.approx(0.3 * np.log(scale(told).odds(s)))
+    assert np.log(ScoreScale.learned(told, 0.3).ratio(s)) == pytest.approx(0.3 * np.log(ScoreScale.learned(told).ratio(s)))

@@ -9,8 +9,8 @@ from phdtrack import Tracker, config, pipeline
 from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD, MHT, ParticlePHD
 from phdtrack.models import FixedBirth, LocalClutter, ScoredClutter, UniformClutter
-from phdtrack.models.followed_rates import RatesState, with_births, with_clutter, with_detection
-from phdtrack.scene.rates import Noise, Scale
+from phdtrack.models.learning import RatesState, with_births, with_clutter, with_detection
+from phdtrack.scene.rates import ScoreScale
 from phdtrack.simulate import Counting, DetectorModel, detect
 from phdtrack.types import Detections, GaussianMixture, SequenceInfo
 
@@ -20,7 +20,7 @@ LEARNED = (
     *(f"rates.{name}=true" for name in ("detection", "clutter", "birth")),
 )
 INFO = SequenceInfo(640, 480, 25.0)
-SIGMOID = Scale(np.array([0.2, 0.8]), np.log([0.1, 10.0]))
+SIGMOID = ScoreScale(np.array([0.2, 0.8]), np.log([0.1, 10.0]))
 
 
 def stages(*sets, filter_name="gm-phd"):
@@ -36,7 +36,7 @@ def knowing(built, scale=SIGMOID, **rates):
     """The learning's state with these rates and this scale."""
     state = built.learning.start()
     learned = replace(state.learned, scale=scale, rates=replace(state.learned.rates, **rates))
-    return RatesState(learned, state.beside)
+    return RatesState(learned, state.other)
 
 
 def test_nothing_known_leaves_the_model_as_it_is():
@@ -141,8 +141,8 @@ def test_frames_that_nobody_saw_teach_nothing():
     for number in range(1, 60):
         state, _ = pipeline.advance(built, state, Detections.empty(observed=False), number, number / 25, rng)
     learned = state.learned.learned
-    assert learned.known.frames == 0
-    assert not learned.watch.looks
+    assert learned.sums.frames == 0
+    assert not learned.pending.frames
     assert learned.rates.detection == built.model.sensor.detection_probability
 
 
@@ -153,8 +153,8 @@ def test_rates_and_a_scene_are_learned_beside_each_other():
     for number in range(1, 120):
         found = Detections.of(place + rng.normal(size=(5, 4)), rng.random(5))
         state, _ = pipeline.advance(built, state, found, number, number / 25, rng)
-    assert state.learned.beside.known.last is not None
-    assert state.learned.learned.known.frames > 0
+    assert state.learned.other.known.last is not None
+    assert state.learned.learned.sums.frames > 0
 
 
 def test_as_shipped_estimates_are_made_and_scores_are_used():
@@ -178,16 +178,6 @@ def test_cautious_estimates_are_used_where_nothing_else_explains_them():
     model = built.learning.model(knowing(built, **lower), set_to)
     assert model.sensor.detection_probability == pytest.approx(0.6)
     assert (model.clutter.clutter_per_frame, model.birth.births_per_second) == pytest.approx((0.9, 25 * 0.05), rel=0.03)
-
-
-def test_noises_replace_those_of_boxes_where_asked_for():
-    built = stages("rates.noise=true")
-    found = Noise(0.08, 0.01, 0.03)
-    model = built.learning.model(knowing(built, noise=found), built.model)
-    assert model.sensor.box_noise == pytest.approx(0.08, rel=0.03)
-    assert (model.motion.acceleration, model.motion.size_noise) == pytest.approx((0.01, 0.03), rel=0.03)
-    kept = stages().learning.model(knowing(stages(), noise=found), built.model)
-    assert kept.motion == built.model.motion
 
 
 def test_there_are_no_more_false_alarms_than_detections():

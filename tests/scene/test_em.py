@@ -1,10 +1,11 @@
-"""The learner on samples from known mixtures, at the sizes and with the grids of the paper."""
+"""Recursive learning at the sizes and with the grids of the paper; EM with missing values; split and merge moves."""
 
 import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.scene import ContextDensity, RecursiveEM, grid, marginal
+from phdtrack.scene import RecursiveEM, SceneDensity, grid, marginal
+from phdtrack.scene.em import Samples, criterion, fitted, improved, moments, parameters
 from phdtrack.types import F8
 
 PLACES = np.array([[100.0, 300, 500, 650], [100, 350, 250, 430]])
@@ -16,15 +17,15 @@ DEVIATION = np.array([25.0, 20, 1, 1, 6, 12])
 CASES = {"births": (6, (12, 10), 320), "clutter": (4, (16, 14), 1800)}
 
 
-def known(dim: int, uniform: float = 1e-3) -> ContextDensity:
+def known(dim: int, uniform: float = 1e-3) -> SceneDensity:
     """Four places well apart, with a uniform part beside them."""
     rows = [0, 1, 2, 3, 4, 5] if dim == 6 else [0, 1, 4, 5]
     low, high = np.array([0.0, 0, -20, -20, 0, 0])[rows], np.array([720.0, 480, 20, 20, 120, 200])[rows]
     mean, cov = np.vstack([PLACES, SPEEDS, SIZES])[rows], np.diag(DEVIATION[rows] ** 2)
-    return ContextDensity(low, high, uniform, WEIGHTS, mean, np.tile(cov, (4, 1, 1)))
+    return SceneDensity(low, high, uniform, WEIGHTS, mean, np.tile(cov, (4, 1, 1)))
 
 
-def begin(p: ContextDensity, counts: tuple[int, int], samples: F8) -> ContextDensity:
+def begin(p: SceneDensity, counts: tuple[int, int], samples: F8) -> SceneDensity:
     """The paper's start: a grid, zero speed, mean size."""
     centre, spread = samples.mean(axis=1), samples.std(axis=1)
     if p.dim == 6:
@@ -32,7 +33,7 @@ def begin(p: ContextDensity, counts: tuple[int, int], samples: F8) -> ContextDen
     return grid(p.low, p.high, counts, centre, spread)
 
 
-def batch_em(p: ContextDensity, samples: F8, iterations: int = 300) -> ContextDensity:
+def batch_em(p: SceneDensity, samples: F8, iterations: int = 300) -> SceneDensity:
     """Maximum likelihood of the whole model by batch EM, begun at the truth."""
     uniform, weight, mean, cov = p.uniform, p.weight, p.mean, p.covariance
     flat = np.log(1 / p.volume)
@@ -47,7 +48,7 @@ def batch_em(p: ContextDensity, samples: F8, iterations: int = 300) -> ContextDe
         mass = share[1:].sum(axis=1)
         weight, mean = mass / mass.sum(), samples @ share[1:].T / mass
         cov = np.array([(s * (d := samples - m[:, None])) @ d.T / s.sum() for s, m in zip(share[1:], mean.T, strict=True)])
-    return ContextDensity(p.low, p.high, uniform, weight, mean, cov)
+    return SceneDensity(p.low, p.high, uniform, weight, mean, cov)
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -208,12 +209,153 @@ def test_births_of_which_some_have_no_velocity():
         assert spread == pytest.approx(deviation, rel=5 / np.sqrt(2 * p.weight[m] * n))
 
 
-def test_what_no_sample_shows_stays():
-    dim, counts, n = CASES["births"]
-    p, rng = known(dim), np.random.default_rng(12)
-    samples = p.sample(n, rng)
-    start = begin(p, counts, samples)
-    samples[2:4] = np.nan
-    found = RecursiveEM().learn(start, samples)
-    np.testing.assert_allclose(found.mean[2:4], 0, atol=1e-9)
-    np.testing.assert_allclose(found.covariance[:, 2:4, 2:4], np.tile(start.covariance[0][2:4, 2:4], (len(found), 1, 1)))
+# Moves
+
+
+LOW, HIGH = np.zeros(4), np.array([640.0, 480, 120, 240])
+WIDE = np.diag([180.0, 130, 8, 20]) ** 2
+PLACE = np.diag([3.0, 8, 3, 8]) ** 2
+
+
+def density(mean: list[list[float]], cov: list[F8], weight: list[float], uniform: float = 0.05) -> SceneDensity:
+    return SceneDensity(LOW, HIGH, uniform, np.array(weight), np.array(mean, np.float64).T, np.array(cov))
+
+
+def samples_of(x: F8, weight: F8 | None = None, floor: float = 1e-4) -> Samples:
+    return Samples.of(x, np.ones(x.shape[1]) if weight is None else weight, np.full(len(x), floor), 1e-3)
+
+
+def likelihood_of(p: SceneDensity, seen: Samples) -> float:
+    return moments(p, seen).log_likelihood
+
+
+def gaussian(x: F8, mean: F8, cov: F8) -> float:
+    """log N, of one sample."""
+    step = x - mean
+    return float(-0.5 * (step @ np.linalg.solve(cov, step) + np.linalg.slogdet(2 * np.pi * cov)[1]))
+
+
+def step_by_step(p: SceneDensity, seen: Samples) -> tuple[F8, F8, F8, float]:
+    """One step of EM sample by sample: masses, means, covariances, and the uniform part's mass."""
+    m, d = len(p), p.dim
+    mass, first, second, flat = np.zeros(m), np.zeros((m, d)), np.zeros((m, d, d)), 0.0
+    for j in range(seen.x.shape[1]):
+        rows = np.flatnonzero(~np.isnan(seen.x[:, j]))
+        rest = np.flatnonzero(np.isnan(seen.x[:, j]))
+        x = seen.x[rows, j]
+        logs = [np.log(p.uniform) - np.log((p.high - p.low)[rows]).sum()]
+        for k in range(m):
+            cov = p.covariance[k][np.ix_(rows, rows)]
+            logs.append(np.log((1 - p.uniform) * p.weight[k]) + gaussian(x, p.mean[rows, k], cov))
+        share = seen.weight[j] * np.exp(np.array(logs) - np.logaddexp.reduce(logs))
+        flat += share[0]
+        for k in range(m):
+            whole, left = np.empty(d), np.zeros((d, d))
+            gain = p.covariance[k][np.ix_(rest, rows)] @ np.linalg.inv(p.covariance[k][np.ix_(rows, rows)])
+            whole[rows], whole[rest] = x, p.mean[rest, k] + gain @ (x - p.mean[rows, k])
+            left[np.ix_(rest, rest)] = p.covariance[k][np.ix_(rest, rest)] - gain @ p.covariance[k][np.ix_(rows, rest)]
+            left[rows, rows] += seen.floor[rows]
+            mass[k] += share[k + 1]
+            first[k] += share[k + 1] * whole
+            second[k] += share[k + 1] * (np.outer(whole, whole) + left)
+    mean = first / mass[:, None]
+    cov = second / mass[:, None, None] - np.einsum("kr,ks->krs", mean, mean)
+    return mass, mean, cov, flat
+
+
+def two() -> SceneDensity:
+    slanted = WIDE.copy()
+    slanted[0, 2] = slanted[2, 0] = 700.0
+    return density([[320, 240, 40, 90], [500, 100, 30, 70]], [slanted, PLACE * 4], [0.7, 0.3])
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_a_step_of_em_is_that_of_each_sample(hidden):
+    rng = np.random.default_rng(1)
+    p = two()
+    x = p.sample(120, rng)
+    if hidden:
+        x[2:, ::3] = np.nan
+        x[1, 1::7] = np.nan
+    seen = samples_of(x, rng.uniform(0.2, 1.5, 120), 0.3)
+    mass, mean, cov, flat = step_by_step(p, seen)
+    ours = moments(p, seen)
+    np.testing.assert_allclose([ours.background, *ours.mass], [flat, *mass], rtol=1e-9)
+    np.testing.assert_allclose(ours.mean.T, mean, rtol=1e-9)
+    np.testing.assert_allclose(ours.covariance, cov, rtol=1e-6, atol=1e-6)
+
+
+def test_em_raises_the_likelihood_step_by_step_and_leaves_what_was_given():
+    rng = np.random.default_rng(2)
+    p = two()
+    seen = samples_of(p.sample(300, rng), floor=1e-9)
+    shifted = density([[300, 260, 45, 80], [480, 120, 33, 75]], [WIDE, PLACE * 9], [0.5, 0.5], 0.5)
+    before = shifted.mean.copy(), shifted.covariance.copy()
+    values = [likelihood_of(fitted(shifted, seen, steps), seen) for steps in range(8)]
+    assert (np.diff(values) > 0).all()
+    np.testing.assert_array_equal(shifted.mean, before[0])
+    np.testing.assert_array_equal(shifted.covariance, before[1])
+    # The truth explains what was drawn of it worse than what was fitted to it.
+    assert likelihood_of(fitted(shifted, seen), seen) > likelihood_of(p, seen)
+
+
+def test_a_component_with_less_than_half_its_parameters_goes_and_the_last_stays():
+    x = two().sample(100, np.random.default_rng(3))
+    far = density([[320, 240, 40, 90], [10, 10, 5, 5]], [WIDE, PLACE], [0.9, 0.1])
+    assert len(fitted(far, samples_of(x))) == 1
+    # Worth little, one component is kept all the same.
+    assert len(fitted(far, samples_of(x, np.full(100, 0.01)))) == 1
+
+
+def test_the_criterion_is_what_it_says():
+    p = two()
+    seen = samples_of(p.sample(50, np.random.default_rng(4)))
+    assert parameters(4) == 14
+    explained = 50 * 0.95 * p.weight
+    prices = [7 * (np.log(n) + 6 / (n - 6)) + 0.5 * np.log(50) for n in explained]
+    expected = sum(prices) - likelihood_of(p, seen)
+    assert criterion(p, seen) == pytest.approx(expected)
+
+
+def places(rng: np.random.Generator) -> F8:
+    """Twenty samples each of two places, four hundred spread out."""
+    spread = np.array([640.0, 480, 1, 1])[:, None] * rng.uniform(0, 1, (4, 400))
+    spread[2:] = np.array([[30.0], [75]]) * np.exp(0.25 * rng.standard_normal(400))
+    mean = np.array([[300.0, 200, 32, 80], [500, 330, 28, 70]]).T
+    each = [m[:, None] + np.array([[3.0], [8], [3], [8]]) * rng.standard_normal((4, 20)) for m in mean.T]
+    return np.hstack([spread, *each])[:, rng.permutation(440)]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_place_that_a_wide_component_has_swallowed_is_found(seed):
+    seen = samples_of(places(np.random.default_rng(seed)), floor=0.1)
+    found = improved(density([[320, 240, 30, 75]], [WIDE], [1.0]), seen, 20)
+    for place in ([300.0, 200, 32, 80], [500, 330, 28, 70]):
+        deviation = np.sqrt(np.einsum("mrr->rm", found.covariance))
+        near = np.flatnonzero((np.abs(found.mean - np.array(place)[:, None]) < [[3], [8], [3], [8]]).all(axis=0))
+        assert len(near) == 1
+        assert (deviation[:2, near[0]] < [6, 16]).all()
+        assert 440 * (1 - found.uniform) * found.weight[near[0]] == pytest.approx(20, abs=6)
+
+
+def test_components_too_many_go():
+    rng = np.random.default_rng(5)
+    flat = rng.uniform(LOW[:, None], HIGH[:, None], (4, 60))
+    place = np.array([[300.0], [200], [32], [80]]) + np.array([[3.0], [8], [3], [8]]) * rng.standard_normal((4, 200))
+    seen = samples_of(np.hstack([flat, place]))
+    same = [[297, 195, 30, 75], [303, 205, 34, 85]]
+    begun = density([*same, [320, 240, 60, 120]], [PLACE, PLACE, np.diag([180.0, 130, 35, 70]) ** 2], [0.4, 0.4, 0.2], 1e-3)
+    found = improved(begun, seen, 20)
+    # One for the place; what is spread evenly over the volume is the uniform part's.
+    assert len(found) == 1
+    assert found.uniform == pytest.approx(60 / 260, abs=0.01)
+    assert len(improved(begun, seen, 0)) == 3
+
+
+def test_two_places_that_share_a_component_are_parted():
+    rng = np.random.default_rng(6)
+    means = np.array([[300.0, 200, 32, 80], [330, 200, 32, 80]])
+    x = np.hstack([m[:, None] + np.array([[3.0], [8], [3], [8]]) * rng.standard_normal((4, 60)) for m in means])
+    found = improved(density([[315, 200, 32, 80]], [np.diag([16.0, 8, 3, 8]) ** 2], [1.0]), samples_of(x), 20)
+    assert len(found) == 2
+    np.testing.assert_allclose(np.sort(found.mean[0]), [300, 330], atol=3)

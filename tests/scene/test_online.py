@@ -1,4 +1,4 @@
-"""Learning while tracking, piece by piece: evidence, what is kept of samples, verdicts on detections, modes, time of day."""
+"""Learning while tracking, piece by piece: evidence, recent samples, labels of detections, what is in use."""
 
 from dataclasses import replace
 
@@ -6,17 +6,11 @@ import numpy as np
 import pytest
 
 from phdtrack.arrays import to_xyxy
-from phdtrack.errors import InputError
-from phdtrack.scene import ContextDensity, Learned
-from phdtrack.scene.clock import clock
-from phdtrack.scene.evidence import Evidence
-from phdtrack.scene.modes import Lesson, Mode, alike, asked, best, taught
-from phdtrack.scene.modes import judged as judged_by
-from phdtrack.scene.part import MOST, Batch, Part
-from phdtrack.scene.prior import PRIOR
-from phdtrack.scene.recent import Recent, relearned, thinned
-from phdtrack.scene.samples import measurement_volume, state_volume
-from phdtrack.scene.verdict import Look, Watch, judged
+from phdtrack.scene import LearnedDensity, SceneDensity
+from phdtrack.scene.labelling import ObservedFrame, PendingFrames, label
+from phdtrack.scene.online import Batches, Regime
+from phdtrack.scene.online_mixture import KEPT_PER_BATCH, Batch, Evidence, OnlineMixture, RecentSamples, relearned, thinned
+from phdtrack.scene.training import PRIOR, measurement_volume, state_volume
 from phdtrack.types import Tracks
 
 LOW, HIGH = measurement_volume(640, 360)
@@ -37,19 +31,16 @@ def test_evidence_decides_by_two_standard_errors_and_else_not_at_all():
     noise = (noise - noise.mean()) / noise.std()
     ones = np.ones(40)
     for shift, expected in ((0.4, (True, False)), (0.2, (False, False)), (-0.2, (False, False)), (-0.4, (False, True))):
-        found = Evidence().seen(noise + shift, ones, 1e9)
+        found = Evidence().with_gains(noise + shift, ones, 1e9)
         # The standard error is 1/√40 = 0.158.
-        assert (found.for_it, found.against_it) == expected
-    assert not Evidence().seen(noise[:9] + 5, ones[:9], 1e9).for_it
+        assert (found.positive, found.negative) == expected
+    assert not Evidence().with_gains(noise[:9] + 5, ones[:9], 1e9).positive
 
 
-def test_evidence_fades_and_joins():
-    old = Evidence().seen(np.full(100, 2.0), np.ones(100), 50)
-    new = old.seen(np.full(100, -1.0), np.ones(100), 50)
+def test_evidence_fades():
+    old = Evidence().with_gains(np.full(100, 2.0), np.ones(100), 50)
+    new = old.with_gains(np.full(100, -1.0), np.ones(100), 50)
     assert new.mean == pytest.approx((100 * np.exp(-2) * 2 - 100) / (100 * np.exp(-2) + 100))
-    both = Evidence(10, 1.0, 2.0).joined(Evidence(30, 3.0, 10.0))
-    assert (both.count, both.mean, both.square) == (40, 2.5, 8.0)
-    assert Evidence().joined(Evidence()) == Evidence()
 
 
 # Samples
@@ -71,18 +62,18 @@ def test_thinning_keeps_the_weight_and_the_shares():
 
 
 def test_old_samples_are_worth_less_and_equal_ones_count_each():
-    kept = Recent(np.zeros((4, 4)), np.full(4, 3.0), np.zeros(4))
-    np.testing.assert_allclose(kept.worth(100.0, 50.0), 1)
-    mixed = Recent(np.zeros((4, 2)), np.ones(2), np.array([0.0, 50.0]))
-    worth = mixed.worth(50.0, 50.0)
+    kept = RecentSamples(np.zeros((4, 4)), np.full(4, 3.0), np.zeros(4))
+    np.testing.assert_allclose(kept.faded(100.0, 50.0), 1)
+    mixed = RecentSamples(np.zeros((4, 2)), np.ones(2), np.array([0.0, 50.0]))
+    worth = mixed.faded(50.0, 50.0)
     assert worth[0] / worth[1] == pytest.approx(np.exp(-1))
 
 
 def follow(samples, rounds=12):
     """A density that learns samples in as many batches."""
-    density, kept = Part.unknown(LOW, HIGH).density, Recent.empty(4)
+    density, kept = OnlineMixture.unknown(LOW, HIGH).density, RecentSamples.empty(4)
     for k, part in enumerate(np.array_split(samples, rounds, axis=1)):
-        kept = kept.joined(Recent(part, np.ones(part.shape[1]), np.full(part.shape[1], float(k))))
+        kept = kept.joined(part, np.ones(part.shape[1]), float(k))
         density = relearned(density, kept, float(k), 100.0)
     return density
 
@@ -121,38 +112,38 @@ def batch(samples, seconds=1.0):
 
 
 def test_the_rate_follows_within_the_memory():
-    rng, part = np.random.default_rng(4), Part.unknown(LOW, HIGH)
+    rng, part = np.random.default_rng(4), OnlineMixture.unknown(LOW, HIGH)
     memory = 60.0
     for k in range(120):
-        part = part.taught(batch(boxes(PLACES[0], 50, rng)), float(k), memory)
+        part = part.updated(batch(boxes(PLACES[0], 50, rng)), float(k), memory)
     assert part.rate == pytest.approx(2.0, rel=1e-6)
     for k in range(120, 180):
-        part = part.taught(batch(boxes(PLACES[0], 25, rng)), float(k), memory)
+        part = part.updated(batch(boxes(PLACES[0], 25, rng)), float(k), memory)
     assert part.rate == pytest.approx(1 + np.exp(-1) * (1 - np.exp(-2)) / (1 - np.exp(-3)), abs=0.02)
-    assert len(part.recent) <= 2 * memory * MOST + MOST
+    assert len(part.recent) <= 2 * memory * KEPT_PER_BATCH + KEPT_PER_BATCH
 
 
 def test_what_is_learned_is_used_after_it_has_explained_what_it_had_not_learned():
-    rng, part, memory = np.random.default_rng(5), Part.unknown(LOW, HIGH), 60.0
+    rng, part, memory = np.random.default_rng(5), OnlineMixture.unknown(LOW, HIGH), 60.0
     used = []
     for k in range(12):
         new = batch(boxes(PLACES[0], 20, rng))
-        part = part.asked(new, memory).judged().taught(new, float(k), memory)
+        part = part.scored(new, memory).decided().updated(new, float(k), memory)
         used.append(part.trusted)
     assert not used[0]
     assert used[-1]
     # Now false alarms come from elsewhere.
     uniform = batch(rng.uniform(0, 1, (4, 40)) * HIGH[:, None])
-    assert not part.asked(uniform, memory).judged().asked(uniform, memory).judged().trusted
+    assert not part.scored(uniform, memory).decided().scored(uniform, memory).decided().trusted
 
 
 def test_what_was_learned_before_counts_as_if_it_had_just_been_seen():
     covariance = np.diag((0.1 * np.tile(PLACES[0, 2:], 2)) ** 2)
-    density = ContextDensity(LOW, HIGH, 0.1, np.ones(1), PLACES[0][:, None], covariance[None])
-    part = Part.of(Learned(2.0, density, 500), 60.0, 25.0)
+    density = SceneDensity(LOW, HIGH, 0.1, np.ones(1), PLACES[0][:, None], covariance[None])
+    part = OnlineMixture.of(LearnedDensity(2.0, density, 500), 60.0, 25.0)
     assert part.trusted
     assert part.rate == 2.0
-    after = part.taught(batch(boxes(PLACES[0], 50, np.random.default_rng(6))), 1.0, 60.0)
+    after = part.updated(batch(boxes(PLACES[0], 50, np.random.default_rng(6))), 1.0, 60.0)
     unseen = boxes(PLACES[0], 500, np.random.default_rng(7))
     assert after.density.log(unseen).mean() == pytest.approx(density.log(unseen).mean(), abs=0.15)
     assert after.rate == pytest.approx(2.0, abs=1e-9)
@@ -190,14 +181,14 @@ def looks(rng, places=True):
         parts.append(stray)
         source.append(0)
         box = to_xyxy(np.array(parts).T)
-        out.append(Look(frame, (frame - 1) / 25, box, np.full(len(parts), 0.8), Tracks.concatenate(rows)))
+        out.append(ObservedFrame(frame, (frame - 1) / 25, box, np.full(len(parts), 0.8), Tracks.concatenate(rows)))
         truth.append(np.array(source))
     return tuple(out), truth
 
 
 def test_verdicts_wait_for_what_became_of_a_detection():
     given, truth = looks(np.random.default_rng(8))
-    watch, verdict = judged(Watch(given), 3.0, 0.9, 25.0)
+    watch, verdict = label(PendingFrames(given), 3.0, 0.9, 25.0)
     assert verdict.frames == 76
     assert verdict.seconds == pytest.approx(76 / 25)
     source = np.concatenate(truth[:76])
@@ -209,17 +200,17 @@ def test_verdicts_wait_for_what_became_of_a_detection():
     assert verdict.births.shape == (6, 1)
     off = np.abs(verdict.births[:, 0] - [21, 200, 4, 0, 30, 80])
     assert (off < [3, 3, 0.4, 0.4, 0.1, 0.1]).all()
-    assert [look.number for look in watch.looks] == list(range(77, 101))
+    assert [look.number for look in watch.frames] == list(range(77, 101))
 
 
 def test_verdicts_do_not_depend_on_how_frames_are_divided():
     given, _ = looks(np.random.default_rng(9))
-    _, whole = judged(Watch(given), 3.0, 0.9, 25.0)
-    watch, parts = Watch(), []
+    _, whole = label(PendingFrames(given), 3.0, 0.9, 25.0)
+    watch, parts = PendingFrames(), []
     for k, look in enumerate(given):
-        watch = replace(watch, looks=(*watch.looks, look))
+        watch = replace(watch, frames=(*watch.frames, look))
         if k + 1 in (60, 80, 100):
-            watch, verdict = judged(watch, {60: 1.5, 80: 2.3, 100: 3.0}[k + 1], 0.9, 25.0)
+            watch, verdict = label(watch, {60: 1.5, 80: 2.3, 100: 3.0}[k + 1], 0.9, 25.0)
             parts.append(verdict)
     np.testing.assert_array_equal(np.concatenate([p.false for p in parts]), whole.false)
     np.testing.assert_array_equal(np.hstack([p.births for p in parts]), whole.births)
@@ -235,52 +226,9 @@ def test_somebody_who_stands_is_no_place_and_a_place_is_nobody():
             box = boxes(PLACES[0], 1, rng, 0.05)
             seen = to_xyxy(box)[: int(fired[k])]
             rows = row(k + 1, 5, box[:, 0], 0 if fired[k] else -1)
-            given.append(Look(k + 1, k / 25, seen, np.full(len(seen), 0.5), rows))
-        _, verdict = judged(Watch(tuple(given)), 4.0, 0.9, 25.0)
+            given.append(ObservedFrame(k + 1, k / 25, seen, np.full(len(seen), 0.5), rows))
+        _, verdict = label(PendingFrames(tuple(given)), 4.0, 0.9, 25.0)
         assert (verdict.false == expected).all()
-
-
-# Modes
-
-
-def mode(name, place, rng, clock=100.0):
-    part = Part.unknown(LOW, HIGH)
-    for k in range(20):
-        part = part.taught(batch(boxes(place, 20, rng)), float(k), 60.0)
-    births, objects = Part.unknown(*state_volume(640, 360, 20)), Part.unknown(LOW, HIGH)
-    return Mode(name, births, replace(part, trusted=True), objects, clock)
-
-
-def test_the_mode_that_explains_what_comes_is_chosen_and_a_tie_changes_nothing():
-    rng = np.random.default_rng(11)
-    day, night, again = mode("day", PLACES[0], rng), mode("night", PLACES[1], rng), mode("again", PLACES[0], rng)
-
-    def after(place, *modes):
-        new = batch(boxes(place, 60, rng))
-        return [m.clutter.asked(new, 60.0).evidence for m in modes]
-
-    assert best(after(PLACES[1], day, night), 0) == 1
-    assert best(after(PLACES[0], day, night), 0) == 0
-    assert best(after(PLACES[0], day, night), 1) == 0
-    assert best(after(PLACES[0], day, again), 0) == 0
-    assert best(after(PLACES[0], day, again), 1) == 1
-    assert alike(day, again)
-    assert not alike(day, night)
-
-
-def test_modes_by_time_of_day():
-    hours = clock("07:30 day, 19:00 night", "06:00")
-    names = [hours.name(3600.0 * h) for h in (0, 1.4, 1.6, 12.9, 13.1, 24, 25.6)]
-    assert names == ["night", "night", "day", "day", "night", "night", "day"]
-    assert clock("", "00:00").names == ()
-    for schedule, start, words in (
-        ("7 day", "00:00", "a time of day"),
-        ("day", "00:00", "times with names"),
-        ("07:00 a, 07:00 b", "00:00", "same time"),
-        ("07:00 a", "25:00", "a time of day"),
-    ):
-        with pytest.raises(InputError, match=words):
-            clock(schedule, start)
 
 
 # Births against detections of objects
@@ -301,12 +249,16 @@ def states(box):
 
 
 def lived(entered, rounds, rng):
-    """A mode after so many lessons of 40 boxes of people and 4 births where ``entered`` says."""
-    unknown = Part.unknown(*state_volume(640, 360, 20)), Part.unknown(LOW, HIGH), Part.unknown(LOW, HIGH)
-    now, nothing = Mode("day", *unknown), Batch(np.zeros((4, 0)), np.zeros(0), 25, 25.0)
+    """A regime after so many batches of 40 boxes of people and 4 births where ``entered`` says."""
+    unknown = (
+        OnlineMixture.unknown(*state_volume(640, 360, 20)),
+        OnlineMixture.unknown(LOW, HIGH),
+        OnlineMixture.unknown(LOW, HIGH),
+    )
+    now, nothing = Regime("day", *unknown), Batch(np.zeros((4, 0)), np.zeros(0), 25, 25.0)
     for _ in range(rounds):
-        lesson = Lesson(batch(states(entered(4, rng))), nothing, batch(walkers(40, rng)), 1.0)
-        now = taught(judged_by(asked(now, lesson, 60.0)), lesson, 60.0)
+        new = Batches(batch(states(entered(4, rng))), nothing, batch(walkers(40, rng)), 1.0)
+        now = now.decided(new, 60.0).updated(new, 60.0)
     return now
 
 
@@ -324,26 +276,28 @@ def test_births_are_used_where_people_come_in_otherwise_than_they_are():
     assert anywhere.births.evidence.mean < 0.2
     # The door is closed, and a dozen people come in anywhere.
     nothing = Batch(np.zeros((4, 0)), np.zeros(0), 25, 25.0)
-    lesson = Lesson(batch(states(walkers(12, rng))), nothing, nothing, 1.0)
-    assert not judged_by(asked(at_door, lesson, 60.0)).births_used
+    new = Batches(batch(states(walkers(12, rng))), nothing, nothing, 1.0)
+    assert not at_door.decided(new, 60.0).births_used
 
 
 def test_births_are_not_used_before_it_is_known_where_objects_are():
     rng = np.random.default_rng(13)
     known = lived(door, 25, rng)
-    alone = replace(known, objects=Part.unknown(LOW, HIGH))
+    alone = replace(known, objects=OnlineMixture.unknown(LOW, HIGH))
     assert known.used.births is not None
     assert alone.births.trusted
     assert alone.used.births is None
-    assert alone.humble.entering is None
+    assert alone.known.birth_gain is None
 
 
 def after(rng, n):
     """What is used of false alarms after two lessons of ``n`` boxes of a place."""
-    part = Part.unknown(LOW, HIGH)
+    part = OnlineMixture.unknown(LOW, HIGH)
     for now in (1.0, 2.0):
-        part = part.taught(batch(boxes(PLACES[0], n, rng)), now, 60.0)
-    return Mode("day", Part.unknown(*state_volume(640, 360, 20)), part, Part.unknown(LOW, HIGH)).humble.clutter
+        part = part.updated(batch(boxes(PLACES[0], n, rng)), now, 60.0)
+    return Regime(
+        "day", OnlineMixture.unknown(*state_volume(640, 360, 20)), part, OnlineMixture.unknown(LOW, HIGH)
+    ).known.clutter
 
 
 def test_what_is_used_is_no_surer_than_its_samples():

@@ -1,32 +1,37 @@
-"""The density of a scene's births or false alarms: a uniform part over a volume and Gaussians beside it [M09 (14), (15)].
+"""The density of a scene's births or false alarms: a uniform part and truncated Gaussians [M09 (14), (15), (21)].
 
     p(x) = α_u 1/V + α_g Σ_m π_m N(x; μ_m, Σ_m) / Z_m     inside the volume, 0 outside;     α_u + α_g = 1, Σ π_m = 1
 
-Z_m is the part of the m-th Gaussian that lies inside: the volume cuts the Gaussians off, so that p integrates to 1 over it.
-The volume is a box, low ≤ x ≤ high.
+The volume is a box, low ≤ x ≤ high. It truncates the Gaussians: Z_m is the mass of the m-th Gaussian inside, so that p
+integrates to 1. Z_m is computed by separation of variables [A. Genz, *Numerical computation of multivariate normal
+probabilities*, J. Comp. Graph. Stat. 1 (1992)] on a lattice of fixed points; for independent components it is exact.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.context_density import mixture_density
-from phdtrack.scene.inside import mass_inside
+from phdtrack.kernels.scene_density import mixture_density
 from phdtrack.types import F8, Bool
 
-# A Gaussian of which less than this lies inside is as good as outside, and never divided by less.
-LEAST_INSIDE = 1e-6
-# Of births, on states of boxes, what detections show: all but the two velocities.
-SHOWN = (0, 1, 4, 5)
+# A Gaussian with less mass inside counts as outside.
+MIN_TRUNCATED_MASS = 1e-6
+# Components of a box state that a measurement shows: all but the two velocities.
+OBSERVED = (0, 1, 4, 5)
+
+
+# Richtmyer's lattice: multiples of the square roots of primes, folded.
+_LATTICE = np.sqrt(np.array([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0]))
+_POINTS = 512
 
 
 @dataclass(frozen=True, eq=False)
-class ContextDensity:
+class SceneDensity:
     """p(x) on a volume.
 
     Attributes
@@ -50,7 +55,7 @@ class ContextDensity:
     def __post_init__(self) -> None:
         if problem := _problem(self):
             raise InputError(
-                problem, where="ContextDensity", cure="Give bounds, shares, means and covariances of one dimension"
+                problem, where="SceneDensity", cure="Give bounds, shares, means and covariances of one dimension"
             )
 
     def __len__(self) -> int:
@@ -67,8 +72,8 @@ class ContextDensity:
         return float(np.prod(self.high - self.low))
 
     @cached_property
-    def inside(self) -> F8:
-        """(M,) Z_m, the part of each Gaussian inside the volume."""
+    def truncated_mass(self) -> F8:
+        """(M,) Z_m, the mass of each Gaussian inside the volume."""
         return mass_inside(self.mean, self.covariance, self.low, self.high)
 
     @property
@@ -77,9 +82,14 @@ class ContextDensity:
         return self.uniform / self.volume
 
     @cached_property
-    def share(self) -> F8:
-        """(M,) α_g π_m / Z_m, by which the Gaussians are weighed; 0 of one that is as good as outside."""
-        return (1 - self.uniform) * self.weight * (self.inside > LEAST_INSIDE) / np.maximum(self.inside, LEAST_INSIDE)
+    def scaled_weight(self) -> F8:
+        """(M,) α_g π_m / Z_m, weights of the untruncated Gaussians; 0 for one that counts as outside."""
+        return (
+            (1 - self.uniform)
+            * self.weight
+            * (self.truncated_mass > MIN_TRUNCATED_MASS)
+            / np.maximum(self.truncated_mass, MIN_TRUNCATED_MASS)
+        )
 
     @cached_property
     def _whitening(self) -> tuple[F8, F8]:
@@ -87,7 +97,7 @@ class ContextDensity:
         root = np.linalg.cholesky(self.covariance)
         log_det = np.log(np.einsum("mrr->mr", root)).sum(axis=1)
         with np.errstate(divide="ignore"):
-            log_peak = np.log(self.share) - log_det - 0.5 * self.dim * math.log(2 * math.pi)
+            log_peak = np.log(self.scaled_weight) - log_det - 0.5 * self.dim * math.log(2 * math.pi)
         return np.linalg.inv(root), log_peak
 
     @cached_property
@@ -97,8 +107,8 @@ class ContextDensity:
         rows, columns = np.tril_indices(self.dim)
         return np.ascontiguousarray(self.mean), np.ascontiguousarray(whiten[:, rows, columns].T), log_peak
 
-    def parts(self, x: F8) -> F8:
-        """(1 + M, L) logarithms of the uniform part and of each Gaussian's at ``x`` (d, L), as if there were no border."""
+    def log_parts(self, x: F8) -> F8:
+        """(1 + M, L) logarithms of the uniform part and of each Gaussian at ``x`` (d, L), as if there were no border."""
         whiten, log_peak = self._whitening
         out = np.empty((1 + len(self), x.shape[1]))
         out[0] = math.log(self.flat)
@@ -107,9 +117,9 @@ class ContextDensity:
             out[1 + m] = log_peak[m] - 0.5 * np.einsum("rl,rl->l", step, step)
         return out
 
-    def shares(self, x: F8) -> F8:
+    def responsibilities(self, x: F8) -> F8:
         """(1 + M, L) the probability that a draw of p at ``x`` (d, L) came from the uniform part and from each Gaussian."""
-        parts = self.parts(x)
+        parts = self.log_parts(x)
         out: F8 = np.exp(parts - np.logaddexp.reduce(parts, axis=0))
         return out
 
@@ -120,19 +130,19 @@ class ContextDensity:
 
     def log(self, x: F8) -> F8:
         """(L,) log p at the columns of ``x`` (d, L); −inf outside the volume."""
-        out: F8 = np.where(self.contains(x), np.logaddexp.reduce(self.parts(x), axis=0), -math.inf)
+        out: F8 = np.where(self.contains(x), np.logaddexp.reduce(self.log_parts(x), axis=0), -math.inf)
         return out
 
     def __call__(self, x: F8) -> F8:
         """(L,) p at the columns of ``x`` (d, L). Raises `InputError` where x has another dimension."""
         if len(x) != self.dim:
-            raise InputError(f"expected {self.dim} components, got {len(x)}", where="ContextDensity")
+            raise InputError(f"expected {self.dim} components, got {len(x)}", where="SceneDensity")
         out: F8 = mixture_density(np.ascontiguousarray(x), 1.0, self.low, self.high, np.array([self.flat, 0.0]), *self.table)
         return out
 
     def sample(self, count: int, rng: np.random.Generator) -> F8:
         """(d, count) draws of p; those of a Gaussian that fall outside are drawn again."""
-        share = (1 - self.uniform) * self.weight * (self.inside > LEAST_INSIDE)
+        share = (1 - self.uniform) * self.weight * (self.truncated_mass > MIN_TRUNCATED_MASS)
         chances = np.append(self.uniform, share)
         part = rng.choice(len(chances), size=count, p=chances / chances.sum()) - 1
         x = rng.uniform(self.low[:, None], self.high[:, None], (self.dim, count))
@@ -147,19 +157,72 @@ class ContextDensity:
         return x
 
 
-def uniform_density(low: F8, high: F8) -> ContextDensity:
+def uniform_density(low: F8, high: F8) -> SceneDensity:
     """The uniform density alone."""
     d = len(low)
-    return ContextDensity(low, high, 1.0, np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d)))
+    return SceneDensity(low, high, 1.0, np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d)))
 
 
-def marginal(p: ContextDensity, rows: tuple[int, ...]) -> ContextDensity:
-    """The density of the components ``rows`` alone. Gaussians are taken not to leak through the other borders."""
+def marginal(p: SceneDensity, rows: tuple[int, ...]) -> SceneDensity:
+    """The density of the components ``rows``; the truncation at the other borders is left out."""
     keep = list(rows)
-    return ContextDensity(p.low[keep], p.high[keep], p.uniform, p.weight, p.mean[keep], p.covariance[:, keep][:, :, keep])
+    return SceneDensity(p.low[keep], p.high[keep], p.uniform, p.weight, p.mean[keep], p.covariance[:, keep][:, :, keep])
 
 
-def _problem(p: ContextDensity) -> str:
+def mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
+    """(M,) masses of Gaussians in the box from ``low`` to ``high``, accurate to about 1e-3 for covariances of states.
+
+    Parameters
+    ----------
+    mean : (d, M), d at most 8.
+    covariance : (M, d, d), positive definite.
+    low, high : (d,).
+    """
+    from scipy.special import ndtr, ndtri
+
+    d, count = mean.shape
+    if count == 0:
+        return np.zeros(0)
+    root = np.linalg.cholesky(covariance)
+    lattice = np.abs(2 * np.modf(np.outer(_LATTICE[: d - 1], np.arange(1, _POINTS + 1)))[0] - 1)
+    y = np.zeros((d, count, _POINTS))
+    product = np.ones((count, _POINTS))
+    for r in range(d):
+        shift = np.einsum("ms,smp->mp", root[:, r, :r], y[:r]) + mean[r][:, None]
+        scale = root[:, r, r][:, None]
+        below, above = ndtr((low[r] - shift) / scale), ndtr((high[r] - shift) / scale)
+        product *= above - below
+        if r < d - 1:
+            # Where nothing is left the point does not matter; ndtri must not be given 0 or 1.
+            y[r] = ndtri(np.clip(below + lattice[r] * (above - below), 1e-300, 1 - 1e-16))
+    inside: F8 = product.mean(axis=1)
+    return inside
+
+
+def place_map(p: SceneDensity, shape: tuple[int, int], step: float, *, sized: bool = True) -> F8:
+    """(H, W) map of where p's Gaussians lie, all sizes and velocities together, with largest value 1 [M09 Figs. 7, 8].
+
+    A quarter of the mean size is added as deviation, because what happens at a place is seen as a box and not as its centre.
+
+    Parameters
+    ----------
+    p : the density; its last two components are width and height where it is ``sized``.
+    shape : rows and columns of the map, which begins at p's lower bounds.
+    step : side of a cell, pixels or metres.
+    sized : whether the states have a size.
+    """
+    cov = p.covariance.copy()
+    for axis in range(2 if sized else 0):
+        cov[:, axis, axis] += (0.25 * p.mean[p.dim - 2 + axis]) ** 2
+    place = marginal(replace(p, covariance=cov), (0, 1))
+    down, across = np.meshgrid((np.arange(shape[0]) + 0.5) * step, (np.arange(shape[1]) + 0.5) * step, indexing="ij")
+    at = np.stack([across.ravel(), down.ravel()]) + place.low[:, None]
+    likely = np.exp(place.log_parts(at)[1:]).sum(axis=0)
+    out: F8 = (likely / max(likely.max(initial=0.0), 1e-300)).reshape(shape)
+    return out
+
+
+def _problem(p: SceneDensity) -> str:
     """What is wrong with it, or nothing."""
     d, m = len(p.low), len(p.weight)
     if p.high.shape != (d,) or p.mean.shape != (d, m) or p.covariance.shape != (m, d, d):

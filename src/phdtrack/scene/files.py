@@ -21,33 +21,36 @@ from typing import Any
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.scene.density import ContextDensity
+from phdtrack.scene.mixture import SceneDensity
 
 FORMAT = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Learned:
-    """A density with its magnitude: ``rate`` is s̄ (births per time unit), r̄ (false alarms per frame), or how many detections
-    of objects there are per frame.
+class LearnedDensity:
+    """A density with its rate.
 
-    ``samples``: the number that it was learned from.
+    Attributes
+    ----------
+    rate : s̄ (births per time unit), r̄ (false alarms per frame) or detections of objects per frame.
+    density : p.
+    samples : number of samples that it was learned from.
     """
 
     rate: float
-    density: ContextDensity
+    density: SceneDensity
     samples: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Followed:
-    """What a tracker follows: the ``share`` of the false alarms that it takes for somebody, and where ``objects`` are.
+class TrackedObjects:
+    """What a tracker follows besides targets: the ``share`` of false alarms that become tracks, and where ``objects`` are.
 
-    A share of 0 is that of a scene in which nobody has looked: then no track is held back.
+    A share of 0 stands for a scene whose detections nobody has looked at: then no track is withheld.
     """
 
     share: float
-    objects: Learned
+    objects: LearnedDensity
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,19 +62,19 @@ class Scene:
     width, height : of the video in pixels.
     rate : time units per second of the births.
     source : the video or the detections that it was learned from.
-    births, clutter : what was learned; None for nothing.
-    followed : of false alarms and of objects, what the tracker follows; None where nobody has looked at enough of them.
-    notes : figures beside, such as held-out log-likelihoods: names and plain values.
+    births, clutter : what was learned; None where there was too little.
+    followed : false alarms and objects that become tracks; None where too few detections were looked at.
+    notes : other figures, such as held-out log-likelihoods: names and plain values.
     """
 
     width: int
     height: int
     rate: float
     source: str
-    births: Learned | None = None
-    clutter: Learned | None = None
+    births: LearnedDensity | None = None
+    clutter: LearnedDensity | None = None
     notes: Mapping[str, float | int | str] = field(default_factory=dict)
-    followed: Followed | None = None
+    followed: TrackedObjects | None = None
 
 
 def write_scene(path: Path, scene: Scene) -> None:
@@ -124,7 +127,7 @@ def read_scene(path: Path) -> Scene:
         raise InputError(f"no learned scene: {type(error).__name__} {error}", where=path, cure="Learn it again") from None
 
 
-def _plain(learned: Learned) -> dict[str, Any]:
+def _plain(learned: LearnedDensity) -> dict[str, Any]:
     p = learned.density
     return {
         "rate": learned.rate,
@@ -138,10 +141,10 @@ def _plain(learned: Learned) -> dict[str, Any]:
     }
 
 
-def _followed(document: Any) -> Followed | None:
+def _followed(document: Any) -> TrackedObjects | None:
     """None for scenes too that were learned before there was any."""
     objects = None if document is None else _learned(document["objects"], 4)
-    return None if objects is None else Followed(_share(float(document["share"])), objects)
+    return None if objects is None else TrackedObjects(_share(float(document["share"])), objects)
 
 
 def _share(share: float) -> float:
@@ -150,7 +153,7 @@ def _share(share: float) -> float:
     return share
 
 
-def _learned(document: Any, *dims: int) -> Learned | None:
+def _learned(document: Any, *dims: int) -> LearnedDensity | None:
     if document is None:
         return None
     low, high, weight = (np.array(document[name], np.float64) for name in ("low", "high", "weight"))
@@ -160,5 +163,5 @@ def _learned(document: Any, *dims: int) -> Learned | None:
     if not 0 <= rate < np.inf or len(low) not in dims:
         wanted = " or ".join(str(dim) for dim in dims)
         raise InputError(f"expected a rate from 0 and {wanted} components, got {rate:g} and {len(low)}")
-    density = ContextDensity(low, high, float(document["uniform"]), weight, np.ascontiguousarray(mean), cov)
-    return Learned(rate, density, int(document["samples"]))
+    density = SceneDensity(low, high, float(document["uniform"]), weight, np.ascontiguousarray(mean), cov)
+    return LearnedDensity(rate, density, int(document["samples"]))

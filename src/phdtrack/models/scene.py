@@ -9,16 +9,15 @@ for a sensor that shows some components of the state with noise R. Velocities ha
 mixture given z, with uniform direction and Gaussian amplitude; of the uniform part those of the sensor. So α_u = 1 is
 `MeasurementBirth` over the same volume. The Gaussian-mixture filters take the Gaussians themselves.
 
-**Beside what is shipped.** The shipped γ and κ are no densities of a scene: they are spread around each detection, and are
-therefore high where much is detected. That is what a filter lives by where people stand close: with κ alone as thin as a
-whole frame makes it, targets take whatever is near. A learned scene can be laid over them: with ``around_detections``, the
-shipped
-rates around each detection, l(z) the density per rate around the detections, and p(z|o) that of where objects are detected,
+**Added to the model's own.** The default γ and κ are no densities of a scene: they are spread around each detection, and
+are therefore high where much is detected. Filters need that where people stand close: κ spread over a whole frame is so low
+that targets take whatever is near. With a rate a around each detection, l(z) the density around the detections per unit of
+rate, and p(z|o) the density of objects' detections,
 
     κ(z) = a l(z) + r̄ p(z|c)      γ(z) = a l(z) p(z|b) / p(z|o)
 
-so that a scene of which nothing is known is the shipped model, false alarms come on top, and of the detections of objects
-as many are births as before, but those where births were seen. This is ours, not M09's; ``around_detections`` of 0 is M09's.
+so that a scene of which nothing is known is the default model, learned false alarms are added, and the total number of
+births stays the same but goes to places where births were seen. This is ours, not M09's; a = 0 is M09's.
 """
 
 from __future__ import annotations
@@ -29,17 +28,18 @@ from functools import cached_property
 import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
-from phdtrack.kernels.context_density import COARSE, given_detections, mixture_density, newborn_about
 from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.laid_over import laid_about, laid_births, laid_clutter
+from phdtrack.kernels.scene_density import COARSE, given_detections, mixture_density, newborn_about
 from phdtrack.models.births import MeasurementBirth, births_around, births_at, gaussians_about, particles_about
 from phdtrack.models.clutter import LocalClutter
 from phdtrack.models.volume import REACH, SIZES
 from phdtrack.protocols import Model, Sensor
-from phdtrack.scene import ContextDensity, Followed, Learned, marginal, uniform_density
-from phdtrack.scene.density import SHOWN
+from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal, uniform_density
+from phdtrack.scene.mixture import OBSERVED
 from phdtrack.types import F4, F8, I8, GaussianMixture, Particles
 
+TINY = float(np.finfo(np.float64).tiny)
 # What `models.volume` calls local: the volume in w²h², how far it reaches in boxes, the sizes in it.
 _NEIGHBOURHOOD = ((2 * REACH) ** 2 * (SIZES[1] - SIZES[0]) ** 2, REACH, *SIZES)
 
@@ -64,7 +64,7 @@ class Around:
 
 
 @dataclass(frozen=True, eq=False)
-class ContextBirth:
+class SceneBirth:
     """γ(x) = s̄ p(x|b) on states [M09 (12), (14)].
 
     Parameters
@@ -78,17 +78,17 @@ class ContextBirth:
     """
 
     births_per_second: NonNegative
-    density: ContextDensity
-    observed: tuple[int, ...] = SHOWN
+    density: SceneDensity
+    observed: tuple[int, ...] = OBSERVED
     particles: PositiveCount = 1000
     around_detections: NonNegative = 0.0
-    among: ContextDensity | None = None
+    among: SceneDensity | None = None
 
     def __post_init__(self) -> None:
         check(self)
 
     @cached_property
-    def shown(self) -> ContextDensity:
+    def shown(self) -> SceneDensity:
         """p of what measurements show, velocities integrated out."""
         return marginal(self.density, self.observed)
 
@@ -128,7 +128,7 @@ class ContextBirth:
         order = np.array([*self.observed, *(r for r in range(p.dim) if r not in self.observed)])
         lower, r = np.tril_indices(p.dim), shown.dim
         cov = p.covariance[:, order][:, :, order]
-        peak2 = np.square(p.share) / (2 * np.pi) ** r
+        peak2 = np.square(p.scaled_weight) / (2 * np.pi) ** r
         with np.errstate(divide="ignore"):
             log_peak = 0.5 * (np.log(peak2) - np.linalg.slogdet(cov[:, :r, :r])[1])
         # Below 0 nothing is near enough.
@@ -158,7 +158,9 @@ class ContextBirth:
     @cached_property
     def given(self) -> GaussianMixture:
         """The Gaussians of γ, whose parts inside the volume have its masses, per second."""
-        return GaussianMixture(self.births_per_second * self.density.share, self.density.mean, self.density.covariance)
+        return GaussianMixture(
+            self.births_per_second * self.density.scaled_weight, self.density.mean, self.density.covariance
+        )
 
     def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
         """The learned Gaussians as they are, and the uniform part as Gaussians about the detections (`gaussians_about`).
@@ -178,8 +180,7 @@ class ContextBirth:
         )
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """γT as Gaussians: around the detections, and without ``around_detections`` the learned ones too, see
-        `components`."""
+        """γT as Gaussians: around the detections, and with a rate of 0 there the learned ones too, see `components`."""
         seen = sensor.states(z)
         if self.around_detections > 0:
             at = self.around(seen, seconds)
@@ -196,7 +197,7 @@ class ContextBirth:
 
 
 @dataclass(frozen=True, eq=False)
-class ContextClutter:
+class SceneClutter:
     """κ(z) = r̄ p(z|c) on measurements [M09 (13), (15)].
 
     Parameters
@@ -208,7 +209,7 @@ class ContextClutter:
     """
 
     clutter_per_frame: NonNegative
-    density: ContextDensity
+    density: SceneDensity
     around_detections: NonNegative = 0.0
 
     def __post_init__(self) -> None:
@@ -235,23 +236,71 @@ class ContextClutter:
         return np.concatenate([[float(self.clutter_per_frame)], flat, low, high]), np.vstack(alarms)
 
 
-def laid_over(
-    model: Model, births: Learned | None, clutter: Learned | None, followed: Followed | None, particles: int
+def with_scene(
+    model: Model,
+    births: LearnedDensity | None,
+    clutter: LearnedDensity | None,
+    followed: TrackedObjects | None,
+    particles: int,
 ) -> Model:
     """The model with what a scene has taught, beside its own births and false alarms where these are spread around each
     detection; None: as they are. ``particles`` is Jmax."""
     birth, false = model.birth, model.clutter
     if births is not None:
         own = birth.births_per_second if isinstance(birth, MeasurementBirth) and birth.volume == "local" else 0.0
-        birth = ContextBirth(
+        birth = SceneBirth(
             births.rate * model.rate, births.density, particles=particles, around_detections=own, among=objects_of(followed)
         )
     if clutter is not None:
         own = false.clutter_per_frame if isinstance(false, LocalClutter) else 0.0
-        false = ContextClutter(clutter.rate, clutter.density, own)
+        false = SceneClutter(clutter.rate, clutter.density, own)
     return replace(model, birth=birth, clutter=false)
 
 
-def objects_of(followed: Followed | None) -> ContextDensity | None:
+def objects_of(followed: TrackedObjects | None) -> SceneDensity | None:
     """p(z|o), None where it is not known."""
     return None if followed is None else followed.objects.density
+
+
+@dataclass(frozen=True, eq=False)
+class FalseAlarmRatio:
+    """Likelihood ratios of false alarms to objects at a place, from what a person marked.
+
+    A light that flickers is detected again and again as if a person stood there; no filter can tell it by its motion. But on
+    the frames that were looked at every detection is known to be a false alarm or an object. With G(z) the Gaussians of
+    κ(z), T(z) the density per frame of objects' detections, λ the share of false alarms that become tracks although κ is
+    known, and B(z) as many detections as objects have, spread as the Gaussians of p(z|b), the ratios are
+
+        λ G(z)/T(z)  of a false alarm that became a track      κ(z)/(T(z) + B(z))  of any false alarm
+
+    B counts because targets enter where others did, which many more frames have shown; where false alarms become tracks
+    births tell nothing, as the tracker's own tracks begin there, too. This is ours, not M09's.
+
+    Parameters
+    ----------
+    clutter : false alarms.
+    tracked : which of them become tracks, and where objects are.
+    births : where targets enter, None where that was not learned.
+    """
+
+    clutter: LearnedDensity
+    tracked: TrackedObjects
+    births: LearnedDensity | None = None
+
+    def log(self, z: F8) -> F8:
+        """(2, N) logarithms of λG/T and of κ/(T + B) at boxes ``z`` (4, N)."""
+        z, objects = np.ascontiguousarray(z), self.tracked.objects
+        gaussians = mixture_density(z, self.clutter.rate, *_table(self.clutter.density, TINY))
+        # The uniform part of objects goes on beyond the volume.
+        present = mixture_density(z, objects.rate, *_table(objects.density, objects.density.flat))
+        entering = 0.0
+        if self.births is not None:
+            entering = mixture_density(z, objects.rate, *_table(marginal(self.births.density, OBSERVED), TINY))
+        flat = self.clutter.rate * self.clutter.density.flat
+        tracked = np.maximum(self.tracked.share * gaussians, TINY) / np.maximum(present, TINY)
+        return np.log([tracked, (gaussians + flat) / np.maximum(present + entering, TINY)])
+
+
+def _table(p: SceneDensity, flat: float) -> tuple[F8, F8, F8, F8, F8, F8]:
+    """The Gaussians of a density with the uniform part ``flat`` everywhere, as `mixture_density` takes them."""
+    return p.low, p.high, np.full(2, flat), *p.table
