@@ -2,20 +2,19 @@
 
 **p_D** is the share of frames, from one detection of a track to its next, in which it was detected: n detections over g
 frames of tracks say n/Σg. Frames before the first and after the last detection of a track do not count, nor do tracks that
-never moved: a place that fires now and then must not teach how often objects are detected. **False alarms** are the sum
-of the probabilities of labelled detections to be false (`scene.labelling`), and until they are labelled, those of the filter,
-so that a rate that is far off is corrected
-within a few frames. **Births** are the first states of tracks of objects.
-Every estimate is the mean under a prior about the setting (Beta for p_D, Gamma for rates) and is kept within limits.
+never moved: a place that fires now and then must not teach how often objects are detected. **False alarms** are the sum of
+the probabilities of labelled detections to be false (`scene.labelling`), and until they are labelled, those of the filter,
+so that a rate that is far off is corrected within a few frames. **Births** are the first states of tracks of objects. Every
+estimate is the mean under a prior about the setting (Beta for p_D, Gamma for rates) and is kept within limits.
 
 A track that breaks at a long gap hides the gap, so that p_D comes out too high; false alarms that return in one place pass
 for objects; an object that was never confirmed is not among the births. *Cautious* estimates therefore only go to the other
 side: p_D below its setting, false alarms and births above theirs.
 
-**Scores** are used by rank. They are cut into parts of equally many detections; in each part the share of false alarms
-is estimated, and shares must fall with the score (isotonic regression by pooling adjacent violators). The score of one frame
-resembles that of the next, so that n frames say as much as n (1 − ρ)/(1 + ρ) independent ones, with ρ the rank correlation of
-successive scores of a track; the logarithm of the likelihood ratio is multiplied by that share.
+**Scores** are used by rank. They are cut into parts of equally many detections; in each part the share of false alarms is
+estimated, and shares must fall with the score (isotonic regression by pooling adjacent violators). The score of one frame
+resembles that of the next, so that n frames say as much as n (1 − ρ)/(1 + ρ) independent ones, with ρ the rank correlation
+of successive scores of a track; the logarithm of the likelihood ratio is multiplied by that share.
 """
 
 from __future__ import annotations
