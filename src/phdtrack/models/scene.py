@@ -298,7 +298,7 @@ class FalseAlarmRatio:
             entering = mixture_density(z, objects.rate, *_table(marginal(self.births.density, OBSERVED), TINY))
         flat = self.clutter.rate * self.clutter.density.flat
         tracked = np.maximum(self.tracked.share * gaussians, TINY) / np.maximum(present, TINY)
-        return np.log([tracked, (gaussians + flat) / np.maximum(present + entering, TINY)])
+        return np.log([tracked, np.maximum(gaussians + flat, TINY) / np.maximum(present + entering, TINY)])
 
 
 def _table(p: SceneDensity, flat: float) -> tuple[F8, F8, F8, F8, F8, F8]:
