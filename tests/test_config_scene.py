@@ -12,7 +12,7 @@ from phdtrack.cli.settings import Choice, chosen
 from phdtrack.config.kinds import SECTIONS
 from phdtrack.errors import InputError
 from phdtrack.models.scene import SceneBirth, SceneClutter
-from phdtrack.scene import SceneDensity, TrackedObjects, LearnedDensity, Scene, read_scene, uniform_density, write_scene
+from phdtrack.scene import LearnedDensity, Scene, SceneDensity, TrackedObjects, read_scene, uniform_density, write_scene
 from phdtrack.types import SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0, 100)
