@@ -1,7 +1,7 @@
 """Marginal probabilities of which target has which measurement, by loopy belief propagation [W14; W15].
 
 Each target has one measurement at most and each measurement one target at most. With ψ_e the odds of a pair e = (target,
-measurement) against the target being missed and the measurement being nobody's, messages go to and fro:
+measurement) against the target being missed and the measurement being no earlier target's, the messages are
 
     μ_e = ψ_e / (1 + Σ_{other pairs of the target} ψ ν)      ν_e = 1 / (1 + Σ_{other pairs of the measurement} μ)
 
@@ -99,8 +99,8 @@ def marginals(odds: F8, target: I8, which: I8, targets: int, measurements: int) 
 
     Returns
     -------
-    pair (E,) : probability that the target has the measurement; missed (T,) : that it has none; own (N,) : that the
-    measurement is nobody's.
+    pair (E,) : probability that the target has the measurement; missed (T,) : that it has none; p_new (N,) : that the
+    measurement is no earlier target's.
     """
     out: tuple[F8, F8, F8] = beliefs(odds, target, which, len(odds), targets, measurements)
     return out

@@ -5,8 +5,8 @@ best assignment of each hypothesis is a node; the best node of all is given out 
 divided: the s-th part has the first s measurements where the node has them and the s-th elsewhere. So the assignments of all
 hypotheses come in order of their total, each once.
 
-Two bounds keep that cheap. Nobody asks for an assignment that is worth less than a share of the best, or less than those
-that will fill the rest of the places. And the dual variables of a node say, before a part is solved, what it can be worth.
+Two bounds keep that cheap. Assignments below a share of the best, or below those that will fill the rest of the places, are
+not needed. And the dual variables of a node bound, before a part is solved, what it can gain.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ def assign(
 
     Parameters
     ----------
-    gain : (m, ≥ n) what a row gains from a column instead of staying alone; −∞: not possible.
+    gain : (m, ≥ n) what a row gains from a column instead of staying unassigned; −∞: not possible.
     n : number of columns.
     first : rows before it have the columns that ``choice`` says.
-    banned : (≥ n + 1,) columns that row ``first`` may not have; the n-th: that it may not stay alone.
-    choice : (m,) the column of each row, −1: alone; in place.
+    banned : (≥ n + 1,) columns that row ``first`` may not have; the n-th: that it may not stay unassigned.
+    choice : (m,) the column of each row, −1: unassigned; in place.
     u, v : (m,), (≥ n,) dual variables of the rows from ``first`` on and of the columns: u_r + v_c ≤ −gain, u_r ≤ 0 where a
-        row may stay alone, with equality where it is so; v_c ≤ 0, and 0 where nobody has the column. Out.
+        row may stay unassigned, with equality where it is; v_c ≤ 0, and 0 where the column is free. Out.
     row_of, distance, via, done : (≥ n,) working space.
     """
     m = choice.size
@@ -137,14 +137,14 @@ def place(status: I8, value: F8, fresh: float) -> int:
 
 
 @njit(**ENTRY)
-def best_assignments(gain: F8, alone: F8, held: I8, base: F8, most: int, log_ratio: float) -> tuple[I8, I8, F8]:
+def best_assignments(gain: F8, unassigned: F8, held: I8, base: F8, most: int, log_ratio: float) -> tuple[I8, I8, F8]:
     """The best assignments of the measurements of a cluster, over all its hypotheses, best first.
 
     Parameters
     ----------
     gain : (m, A) log-weight of each measurement from each of the cluster's tracks, in all their forms, against its being
-        alone and the track's being missed; −∞ outside the gate.
-    alone : (m,) log-weight of each measurement as a false alarm or a new target.
+        unassigned and the track's being missed; −∞ outside the gate.
+    unassigned : (m,) log-weight of each measurement as a false alarm or a new target.
     held : (P, T) which of the A each hypothesis holds, −1: none.
     base : (P,) log-weight of each hypothesis if all its tracks are missed.
     most : at most this many are given.
@@ -166,10 +166,10 @@ def best_assignments(gain: F8, alone: F8, held: I8, base: F8, most: int, log_rat
     ban = np.empty(width + 1, np.bool_)
     row_of, via = np.empty(width, np.int64), np.empty(width, np.int64)
     distance, done = np.empty(width), np.empty(width, np.bool_)
-    own, column, count = np.empty((m, width)), np.empty((parents, width), np.int64), np.zeros(parents, np.int64)
-    lonely = 0.0
+    table, column, count = np.empty((m, width)), np.empty((parents, width), np.int64), np.zeros(parents, np.int64)
+    all_unassigned = 0.0
     for j in range(m):
-        lonely += alone[j]
+        all_unassigned += unassigned[j]
     best = -np.inf
     for p in range(parents):
         n = 0
@@ -180,10 +180,10 @@ def best_assignments(gain: F8, alone: F8, held: I8, base: F8, most: int, log_rat
         count[p] = n
         for j in range(m):
             for c in range(n):
-                own[j, c] = gain[j, column[p, c]]
+                table[j, c] = gain[j, column[p, c]]
         for c in range(n + 1):
             ban[c] = False
-        total = base[p] + lonely + assign(own, n, 0, ban, choice, u, v, row_of, distance, via, done)
+        total = base[p] + all_unassigned + assign(table, n, 0, ban, choice, u, v, row_of, distance, via, done)
         at = place(status, value, total) if total > -np.inf and total >= best + log_ratio else -1
         if at >= 0:
             best = max(best, total)
@@ -204,10 +204,10 @@ def best_assignments(gain: F8, alone: F8, held: I8, base: F8, most: int, log_rat
         p, n = parent[node], count[parent[node]]
         for j in range(m):
             for c in range(n):
-                own[j, c] = gain[j, column[p, c]]
+                table[j, c] = gain[j, column[p, c]]
         for row in range(fixed[node], m):
             least = best + log_ratio
-            loss = bound(own, n, row, fixed[node], banned[node], choices[node], us[node], vs[node])
+            loss = bound(table, n, row, fixed[node], banned[node], choices[node], us[node], vs[node])
             if value[node] - loss < least or place(status, value, value[node] - loss) < 0:
                 continue
             for c in range(n + 1):
@@ -216,7 +216,7 @@ def best_assignments(gain: F8, alone: F8, held: I8, base: F8, most: int, log_rat
             ban[had if had >= 0 else n] = True
             for r in range(m):
                 choice[r] = choices[node, r] if r < row else -1
-            total = base[p] + lonely + assign(own, n, row, ban, choice, u, v, row_of, distance, via, done)
+            total = base[p] + all_unassigned + assign(table, n, row, ban, choice, u, v, row_of, distance, via, done)
             at = place(status, value, total) if total > -np.inf and total >= least else -1
             if at >= 0:
                 status[at], value[at], parent[at], fixed[at] = OPEN, total, p, row
