@@ -1,6 +1,6 @@
 """Does the filter count right? The mass of its intensity against the true number of targets, with known parameters.
 
-Truth by the filter's own model, `phdtrack.simulate.Counting`: ten targets at the start, p_S = 0.99, births that keep the
+Truth by the filter's own model, `experiments.counting_scene`: ten targets at the start, p_S = 0.99, births that keep the
 number. ``known``: the filter is given all of it, also the laws that births and clutter are drawn from. ``shipped``: it is
 given the rates and the noises, but its births and clutter are the package's, uniform over the image and all sizes, while the
 false alarms have the sizes of the targets.
@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from experiments.common import Options, in_parallel, table, write
+from experiments.counting_scene import PAPER_DETECTOR, Counting
 from phdtrack.errors import InputError
 from phdtrack.filters import ParticlePHD
 from phdtrack.filters.extract import KMeans
@@ -25,8 +26,7 @@ from phdtrack.kernels.gaussian import Births
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.models.volume import image_volume
 from phdtrack.protocols import Birth, Clutter, Model, Sensor
-from phdtrack.simulate import Counting, DetectorModel, detect
-from phdtrack.simulate.counting import PAPER_DETECTOR
+from phdtrack.simulate import DetectorModel, detect
 from phdtrack.simulate.detector import ASPECTS, HEIGHTS
 from phdtrack.types import F8, I8, GaussianMixture, Particles
 

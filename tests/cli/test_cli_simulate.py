@@ -27,7 +27,7 @@ def test_the_layout_is_that_of_motchallenge(tmp_path: Path) -> None:
 
 def test_options_change_the_detector_and_nothing_else(tmp_path: Path) -> None:
     perfect = ["--p-detect", 1, "--clutter", 0, "--places", 0, "--jitter", 0]
-    said = phdtrack("simulate", "constant", "--out", tmp_path / "s", "--frames", 20, "--no-video", "--json", *perfect)
+    said = phdtrack("simulate", "street", "--out", tmp_path / "s", "--frames", 60, "--no-video", "--json", *perfect)
     truth = read_truth(tmp_path / "s" / "gt" / "gt.txt")
     assert said.object["detections"] == len(truth)
     found = read_detections(tmp_path / "s" / "det" / "det.txt").detections.xyxy
@@ -37,8 +37,8 @@ def test_options_change_the_detector_and_nothing_else(tmp_path: Path) -> None:
 
 def test_a_setting_of_the_scene(tmp_path: Path) -> None:
     common = ["--frames", 20, "--no-video", "--json"]
-    said = phdtrack("simulate", "constant", "--out", tmp_path / "s", "--set", "n=3", "--set", "birth_rate=0", *common)
-    assert said.object["objects"] == 3
+    said = phdtrack("simulate", "street", "--out", tmp_path / "s", "--set", "arrivals=0", *common)
+    assert said.object["objects"] == 0
 
 
 def test_the_look_of_the_video_is_the_scenes_own_and_can_be_changed(tmp_path: Path) -> None:

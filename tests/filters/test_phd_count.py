@@ -7,9 +7,9 @@ import pytest
 from scipy.integrate import quad
 
 from experiments import count
+from experiments.counting_scene import Counting
 from phdtrack.arrays import to_cxcywh
 from phdtrack.models import BoxSensor
-from phdtrack.simulate import Counting
 from phdtrack.simulate.detector import poisson_boxes
 
 ASKED = 0.10

@@ -41,7 +41,7 @@ def simulate(
         str,
         typer.Argument(
             metavar="SCENE",
-            help="street, crossing, occlusion, crowd, corridor, yard, garden, arcade, empty, constant.",
+            help="street, crossing, occlusion, crowd, corridor, yard, garden, arcade, empty.",
         ),
     ],
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to write; default: runs/SCENE.")] = None,

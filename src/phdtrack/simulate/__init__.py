@@ -1,11 +1,9 @@
 """Scenes with truth, as detections and as video.
 
-`make_scene` gives a named scene (one of `NAMED`: street, crossing, … constant) with truth, simulated detections and where
-each came from; `detect` and `add_clutter` work on any truth or detections; `render` turns a scene into a video that a
-change detector can work on.
+`make_scene` gives one of the scenes in `NAMED`; `detect` and `add_clutter` work on any truth or detections; `render` turns a
+scene into a video.
 """
 
-from phdtrack.simulate.counting import Counting
 from phdtrack.simulate.detector import Detected, DetectorModel, add_clutter, detect
 from phdtrack.simulate.render import Rendered, render
 from phdtrack.simulate.scenario import Entrance, Scenario, Walk
@@ -21,7 +19,6 @@ from phdtrack.simulate.scenes import (
 
 __all__ = [
     "NAMED",
-    "Counting",
     "Detected",
     "DetectorModel",
     "Entrance",

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.simulate.counting import PAPER_DETECTOR, Counting
 from phdtrack.simulate.detector import DetectorModel, detect
 from phdtrack.simulate.scenario import Entrance, Scenario, Walk
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Truth
@@ -23,7 +22,7 @@ class Scene:
     Attributes
     ----------
     info : size, rate, number of frames and name.
-    truth : what an annotator would mark, boxes clipped to the frame (not clipped in `constant`).
+    truth : what an annotator would mark, boxes clipped to the frame.
     figures : what the renderer draws: all figures of which any part is in the frame, boxes not clipped.
     detections : M simulated detections of the truth, with clutter.
     source : (M,) int64 where each came from, as in `Detected`.
@@ -140,8 +139,8 @@ ARCADE = replace(_WATCHED, name="arcade", rows=(0.56, 0.82), arrivals=0.25, obst
 EMPTY = Scenario("empty", frames=300, arrivals=0.0)
 """Nobody comes: every detection is false."""
 
-NAMED: MappingProxyType[str, Scenario | Counting] = MappingProxyType(
-    {w.name: w for w in (STREET, CROSSING, OCCLUSION, CROWD, CORRIDOR, YARD, GARDEN, ARCADE, EMPTY, Counting())}
+NAMED: MappingProxyType[str, Scenario] = MappingProxyType(
+    {w.name: w for w in (STREET, CROSSING, OCCLUSION, CROWD, CORRIDOR, YARD, GARDEN, ARCADE, EMPTY)}
 )
 """All scenes by name."""
 # Where a scene is not as usual: places with persistent false alarms, at which plants grow, and the look of the video.
@@ -159,7 +158,7 @@ def make_scene(name: str, seed: int, detector: DetectorModel | None = None, **se
     ----------
     name : one of `NAMED`.
     seed : what is drawn by chance is drawn from it.
-    detector : None for `default_detector`, with misses where people hide each other; for ``constant`` the papers' sensor.
+    detector : None for `default_detector`, with misses where people hide each other.
     **settings : other settings than the scene's own, as ``frames=100``.
 
     Returns
@@ -181,7 +180,7 @@ def make_scene(name: str, seed: int, detector: DetectorModel | None = None, **se
     return build_scene(replace(world, **settings), seed, detector or default_detector(world))
 
 
-def build_scene(world: Scenario | Counting, seed: int, detector: DetectorModel) -> Scene:
+def build_scene(world: Scenario, seed: int, detector: DetectorModel) -> Scene:
     """The scene of a world with any settings, detected by ``detector``.
 
     Parameters
@@ -201,10 +200,8 @@ def build_scene(world: Scenario | Counting, seed: int, detector: DetectorModel) 
     return Scene(world.info, truth, figures, found.table, found.source, found.places, world.obstacles_px, world.doors_px)
 
 
-def default_detector(world: Scenario | Counting) -> DetectorModel:
+def default_detector(world: Scenario) -> DetectorModel:
     """The detector that a scene is given where none is asked for."""
-    if isinstance(world, Counting):
-        return PAPER_DETECTOR
     return DetectorModel(occlusion=2.0, places=_PLACES.get(world.name, _USUAL_PLACES))
 
 

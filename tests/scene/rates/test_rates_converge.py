@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from experiments.counting_scene import Counting
 from phdtrack import config, pipeline
-from phdtrack.simulate import Counting, DetectorModel, detect
+from phdtrack.simulate import DetectorModel, detect
 
 FRAMES = 300
 LEARNED = (

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.counting_scene import Counting
 from phdtrack import Tracker, config, pipeline
 from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD, MHT, ParticlePHD
 from phdtrack.models import FixedBirth, LocalClutter, ScoredClutter, UniformClutter
 from phdtrack.models.learning import RatesState, with_births, with_clutter, with_detection
 from phdtrack.scene.rates import ScoreScale
-from phdtrack.simulate import Counting, DetectorModel, detect
+from phdtrack.simulate import DetectorModel, detect
 from phdtrack.types import Detections, GaussianMixture, SequenceInfo
 
 LEARNED = (

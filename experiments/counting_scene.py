@@ -1,4 +1,4 @@
-"""`constant`: a scene whose model is known exactly, for experiments that count.
+"""A scene whose model is known exactly, for experiments that count.
 
 Targets move by the motion model with state-dependent variances, one step a frame [M09 (11)]; each stays with p_S; in every
 frame Poisson(birth rate) new ones appear, uniform over the frame. With the default birth rate n (1 − p_S) the expected
@@ -15,7 +15,7 @@ import numpy as np
 from phdtrack.arrays import to_xyxy
 from phdtrack.errors import InputError
 from phdtrack.simulate.detector import DetectorModel, log_uniform
-from phdtrack.simulate.scenario import check_sequence, truth_rows
+from phdtrack.simulate.scenario import truth_rows
 from phdtrack.types import F8, SequenceInfo, Truth
 
 PAPER_DETECTOR = DetectorModel(p_detect=0.95, jitter=0.075, jitter_size=0.15, clutter_rate=1.0)
@@ -29,7 +29,7 @@ class Counting:
     Attributes
     ----------
     n : number of targets in the first frame.
-    name, frames, fps, width, height : of the sequence.
+    frames, fps, width, height : of the sequence.
     p_survive : probability to stay from one frame to the next.
     birth_rate : expected newborn targets per frame; negative: n (1 − p_survive).
     birth_speed : standard deviation of the amplitude of a newborn's velocity, in widths per frame; any direction.
@@ -41,7 +41,6 @@ class Counting:
     """
 
     n: int = 10
-    name: str = "constant"
     frames: int = 200
     fps: float = 25.0
     width: int = 1280
@@ -56,16 +55,15 @@ class Counting:
     leaving: bool = False
 
     def __post_init__(self) -> None:
-        check_sequence(self.info)
         expected = {
-            f"n of 0 or more targets, got {self.n}": self.n >= 0,
+            f"n of 0 or more targets and 1 frame or more, got {self.n} and {self.frames}": self.n >= 0 and self.frames >= 1,
             f"a probability p_survive, got {self.p_survive:g}": 0 <= self.p_survive <= 1,
             "standard deviations of 0 or more": min(self.sd_velocity, self.sd_size) >= 0,
             f"birth_height (low, high), got {self.birth_height}": 0 < self.birth_height[0] <= self.birth_height[1],
         }
         for what, met in expected.items():
             if not met:
-                raise InputError(f"expected {what}", where=f"scenario {self.name}", cure="Change this setting of the scene")
+                raise InputError(f"expected {what}", where="counting scene", cure="Change this setting of the scene")
 
     @property
     def births(self) -> float:
@@ -75,17 +73,7 @@ class Counting:
     @property
     def info(self) -> SequenceInfo:
         """Size, rate, number of frames and name of the sequence."""
-        return SequenceInfo(self.width, self.height, self.fps, self.frames, self.name)
-
-    @property
-    def obstacles_px(self) -> F8:
-        """No obstacles: (0, 4)."""
-        return np.zeros((0, 4))
-
-    @property
-    def doors_px(self) -> F8:
-        """No doors: (0, 4)."""
-        return np.zeros((0, 4))
+        return SequenceInfo(self.width, self.height, self.fps, self.frames, "counting")
 
     def figures(self, rng: np.random.Generator) -> Truth:
         """All targets of all frames, numbered in the order of their births."""
@@ -106,10 +94,6 @@ class Counting:
             parts.append((np.full(len(identity), frame), identity, to_xyxy(x[[0, 1, 4, 5]])))
         frames, identities, boxes = (np.concatenate(column) for column in zip(*parts, strict=True))
         return truth_rows(frames, identities, boxes)
-
-    def truth(self, figures: Truth) -> Truth:
-        """The targets as they are: not clipped, so that the model holds exactly."""
-        return figures
 
     def step(self, x: F8, rng: np.random.Generator) -> F8:
         """(6, L) the states ``x`` (6, L) one frame later [M09 (11)]; sizes are reflected at 0."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from experiments.counting_scene import Counting
 from phdtrack.arrays import to_cxcywh
 from phdtrack.errors import InputError
-from phdtrack.simulate import Counting, make_scene
 from phdtrack.types import Truth
 
 
@@ -32,7 +32,7 @@ def test_noise_of_the_motion() -> None:
 
 def test_second_differences_of_the_truth() -> None:
     """c(k+1) − 2c(k) + c(k−1) = (w(k−1) n(k−1) + w(k) n(k)) / 2: its scaled values have the standard deviation 0.03."""
-    truth = make_scene("constant", 2, n=40, sd_size=0.02).truth
+    truth = Counting(40, sd_size=0.02).figures(np.random.default_rng(2))
     scaled = []
     for identity in np.unique(truth.identity):
         box = to_cxcywh(truth.xyxy[truth.identity == identity])
@@ -84,12 +84,6 @@ def test_leaving_targets_are_gone_and_others_go_on() -> None:
         assert (h > 0).all()
 
 
-def test_sizes_stay_positive_under_extreme_noise() -> None:
-    world = Counting(20, sd_size=2.0, frames=50, leaving=True)
-    box = to_cxcywh(world.figures(np.random.default_rng(0)).xyxy)
-    assert (box[2:] > 0).all()
-
-
 def test_fixed_number() -> None:
     truth = Counting(7, p_survive=1.0).figures(np.random.default_rng(0))
     assert (counts(truth, 200) == 7).all()
@@ -97,5 +91,5 @@ def test_fixed_number() -> None:
 
 @pytest.mark.parametrize("bad", [{"n": -1}, {"p_survive": 1.1}, {"frames": 0}, {"birth_height": (0.0, 10.0)}])
 def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
-    with pytest.raises(InputError, match="scenario constant"):
+    with pytest.raises(InputError, match="counting scene"):
         Counting(**bad)  # type: ignore[arg-type]
