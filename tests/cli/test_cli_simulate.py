@@ -61,12 +61,12 @@ def test_the_look_of_the_video_is_the_scenes_own_and_can_be_changed(tmp_path: Pa
         (["street", "--set", "arrivals"], "NAME=VALUE"),
         (["street", "--set", "arrivals=many"], "expected a number, got 'many'"),
         (["street", "--set", "frames=2.5"], "expected a whole number"),
-        (["street", "--set", "speed=-1"], "a positive speed"),
+        (["street", "--set", "speed=-1"], "Scenario.speed: expected a value above 0, got -1"),
         (["street", "--look", "waves=1"], "Did you mean wave?"),
         (["street", "--look", "lamps=2.5"], "expected a whole number"),
-        (["street", "--look", "shadow=2"], "shadow from 0 to 1"),
-        (["street", "--p-detect", "1.5"], "a probability, for p_detect"),
-        (["street", "--clutter", "-1"], "0 or more, for clutter_rate"),
+        (["street", "--look", "shadow=2"], "Look.shadow: expected a value at most 1"),
+        (["street", "--p-detect", "1.5"], "DetectorModel.p_detect: expected a value at most 1, got 1.5"),
+        (["street", "--clutter", "-1"], "DetectorModel.clutter_rate: expected a value at least 0"),
     ],
 )
 def test_mistakes_are_named(tmp_path: Path, arguments: list[str], words: str) -> None:

@@ -57,17 +57,6 @@ def test_put_scaled_fills_its_box_and_mirrors(mirrored: bool, scale: float) -> N
     assert (right[0] > right[2]) == (not mirrored)
 
 
-def test_put_scaled_moves_by_parts_of_pixels() -> None:
-    """The centre of what is drawn follows the box within a twentieth of a pixel."""
-    centres = []
-    for shift in np.arange(0, 1, 0.125):
-        canvas = np.zeros((60, 60, 3), np.uint8)
-        put_scaled(canvas, pyramid(half_red()), np.array([10.0 + shift, 5, 30 + shift, 45]))
-        weight = canvas.sum(axis=2).sum(axis=0).astype(float)
-        centres.append((weight * (np.arange(60) + 0.5)).sum() / weight.sum() - shift)
-    assert np.ptp(centres) < 0.05
-
-
 def test_figures_differ_between_people_and_phases() -> None:
     a, b = (walking(draw_clothes(np.random.default_rng(seed)), 0.38) for seed in (1, 2))
     assert len(a) == PHASES

@@ -1,21 +1,24 @@
 """A simulated detector: it misses objects, its boxes are not exact, and it reports what is not there.
 
-Each object in the truth is detected with probability p_D (1 − c)^s, c its part hidden by nearer ones; the reported centre
-and size have Gaussian errors in proportion to the box. On top come Poisson clutter, uniform over the frame, and persistent
-places, each of which fires by chance in every frame. The parts draw from random streams of their own, so that the
-detections of the targets are the same whatever the clutter, and a higher p_D only adds to those of a lower one.
+Each object in the truth is detected with probability p_D (1 − c)^s, c its part hidden by nearer ones. On top come Poisson
+clutter, uniform over the frame, and places that fire by chance in every frame. The parts draw from separate random streams:
+the detections of the targets are the same whatever the clutter, and a higher p_D only adds to those of a lower one.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh, to_xyxy
+from phdtrack.checks import Count, NonNegative, Probability, check
 from phdtrack.errors import InputError
 from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo, Truth
+
+Sizes = Literal["truth", "log-uniform"]
+Scores = Literal["constant", "informative"]
 
 MIN_SIZE = 0.2
 """A jittered width or height stays above this part of the true one."""
@@ -43,29 +46,23 @@ class DetectorModel:
     scores : ``constant`` 1; ``informative``: Beta(6, 2) for objects and Beta(2, 4) for false alarms.
     """
 
-    p_detect: float = 0.9
-    occlusion: float = 0.0
-    jitter: float = 0.05
-    jitter_size: float = 0.05
-    clutter_rate: float = 2.0
-    clutter_sizes: Literal["truth", "log-uniform"] = "truth"
-    places: int = 0
-    place_fire: float = 0.5
-    place_jitter: float = 0.1
-    scores: Literal["constant", "informative"] = "constant"
+    p_detect: Probability = 0.9
+    occlusion: NonNegative = 0.0
+    jitter: NonNegative = 0.05
+    jitter_size: NonNegative = 0.05
+    clutter_rate: NonNegative = 2.0
+    clutter_sizes: Sizes = "truth"
+    places: Count = 0
+    place_fire: Probability = 0.5
+    place_jitter: NonNegative = 0.1
+    scores: Scores = "constant"
 
     def __post_init__(self) -> None:
-        amounts = ("occlusion", "jitter", "jitter_size", "clutter_rate", "places", "place_jitter")
-        limits = dict.fromkeys(amounts, (np.inf, "a finite number, 0 or more"))
-        limits |= dict.fromkeys(("p_detect", "place_fire"), (1.0, "a probability"))
-        for name, (high, what) in limits.items():
-            value = getattr(self, name)
-            if not 0 <= value <= high or value == np.inf:
-                raise InputError(f"expected {what}, for {name}, got {value}", where="detector model")
-        for name, known in (("clutter_sizes", ("truth", "log-uniform")), ("scores", ("constant", "informative"))):
+        check(self)
+        for name, known in (("clutter_sizes", get_args(Sizes)), ("scores", get_args(Scores))):
             if getattr(self, name) not in known:
                 problem = f"expected {name} to be {' or '.join(known)}, got {getattr(self, name)!r}"
-                raise InputError(problem, where="detector model")
+                raise InputError(problem, where="DetectorModel")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +96,7 @@ def detect(
 
     Returns
     -------
-    detected : the detections, where each came from, and the persistent places.
+    detected : detections, origins and places.
 
     Raises
     ------
@@ -141,9 +138,8 @@ def add_clutter(
 ) -> DetectionTable:
     """``table`` with Poisson clutter mixed in, in all frames 1 … ``info.frames``.
 
-    Score, class and covariance of each false alarm are those of a detection drawn from the table, so that none of them gives
-    it away; 1 and 0 where the table is empty. Within a frame the order is random. The table's own detections keep their
-    values.
+    Score, class and covariance of each false alarm are those of a detection drawn from the table, so that they do not give
+    it away; 1 and 0 where the table is empty. Within a frame the order is random.
 
     Parameters
     ----------
@@ -205,20 +201,7 @@ def covered(truth: Truth, obstacles: F8) -> F8:
 
 
 def poisson_boxes(info: SequenceInfo, rate: float, sizes: F8, rng: np.random.Generator) -> tuple[I8, F8]:
-    """Poisson false alarms, uniform over the frame.
-
-    Parameters
-    ----------
-    info : size and number of frames of the sequence.
-    rate : expected false alarms in each of the frames 1 … ``info.frames``.
-    sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
-    rng : what draws them.
-
-    Returns
-    -------
-    frame : (M,) int64, ascending.
-    boxes : (M, 4) xyxy, pixels.
-    """
+    """Frames (M,) ascending and boxes (M, 4) of ``rate`` false alarms per frame; ``sizes`` as in `add_clutter`."""
     frame = np.repeat(np.arange(1, info.frames + 1), rng.poisson(rate, info.frames))
     centre = rng.random((len(frame), 2)) * np.array([info.width, info.height])
     size = _draw_sizes(info, len(frame), sizes, rng)

@@ -1,17 +1,14 @@
 """Walking people, drawn once per phase of the step and then only scaled; and the sprites that all pictures are made of.
 
 A sprite is (h, w, 4) uint8: blue, green, red multiplied by the opacity, and the opacity. Premultiplied, it can be scaled and
-moved by parts of pixels without dark or bright seams, and put on a canvas by one multiplication and one addition.
-
-A figure is drawn in units of its height, from the side, walking to the right: y = 0 at the crown, y = 1 at the ground. One
-step cycle has `PHASES` pictures. The arms and legs swing as pendulums, the knee bends while a leg comes forward, and the
-body sinks so far that the lower foot stands on the ground.
+moved by parts of pixels without seams. A figure is drawn in units of its height, from the side, walking to the right: y = 0
+at the crown, y = 1 at the ground. Arms and legs swing as pendulums, and the body sinks until the lower foot stands.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -42,8 +39,7 @@ COAT: tuple[Spot, ...] = (
 """The outline of a coat."""
 
 
-@dataclass(frozen=True, slots=True)
-class Clothes:
+class Clothes(NamedTuple):
     """The colours of one person and the pattern of the coat: 0 plain, 1 stripes, 2 checks."""
 
     skin: Colour
@@ -54,7 +50,7 @@ class Clothes:
 
 
 def draw_clothes(rng: np.random.Generator) -> Clothes:
-    """A person's looks, by chance."""
+    """The looks of a person, drawn by chance."""
     skin, hair, coat, trousers = (each[int(rng.integers(len(each)))] for each in (SKIN, HAIR, COATS, TROUSERS))
     return Clothes(skin, hair, coat, trousers, int(rng.integers(3)))
 
@@ -110,9 +106,11 @@ def _phase(clothes: Clothes, aspect: float, angle: float) -> Image:
     """The sprite of one phase of the step; ``angle`` in radians, 0 where the legs pass each other."""
     pen = _Pen(aspect)
     swing = min(0.5, 1.15 * aspect)
-    legs = [_leg(swing * np.sin(a), 0.6 * max(0.0, float(np.cos(a)))) for a in (angle + np.pi, angle)]
+    thighs = [(swing * np.sin(a), 0.6 * max(0.0, float(np.cos(a)))) for a in (angle + np.pi, angle)]
+    legs = [_limb((0.0, 0.52), (0.235, 0.235), (thigh, thigh - knee)) for thigh, knee in thighs]
     sink = 0.985 - max(foot[1] for *_, foot in legs)
-    far_arm, near_arm = (_arm(0.9 * swing * np.sin(a), sink) for a in (angle, angle + np.pi))
+    swings = [0.9 * swing * np.sin(a) for a in (angle, angle + np.pi)]
+    far_arm, near_arm = (_limb((0.0, 0.21 + sink), (0.15, 0.14), (arm, arm + 0.3)) for arm in swings)
     dark: Colour = (clothes.trousers[0] * 3 // 4, clothes.trousers[1] * 3 // 4, clothes.trousers[2] * 3 // 4)
     pen.limb(clothes.coat, 0.042, *far_arm)
     for leg, colour in zip(legs, (dark, clothes.trousers), strict=True):
@@ -130,18 +128,12 @@ def _phase(clothes: Clothes, aspect: float, angle: float) -> Image:
     return pen.finish()
 
 
-def _leg(angle: float, bend: float) -> tuple[Spot, Spot, Spot]:
-    """Hip, knee and ankle for the angle of the thigh (forward positive) and the bend of the knee, radians."""
-    hip = (0.0, 0.52)
-    knee = (hip[0] + 0.235 * np.sin(angle), hip[1] + 0.235 * np.cos(angle))
-    return hip, knee, (knee[0] + 0.235 * np.sin(angle - bend), knee[1] + 0.235 * np.cos(angle - bend))
-
-
-def _arm(angle: float, sink: float) -> tuple[Spot, Spot, Spot]:
-    """Shoulder, elbow and hand for the angle of the upper arm, radians."""
-    shoulder = (0.0, 0.21 + sink)
-    elbow = (0.15 * np.sin(angle), shoulder[1] + 0.15 * np.cos(angle))
-    return shoulder, elbow, (elbow[0] + 0.14 * np.sin(angle + 0.3), elbow[1] + 0.14 * np.cos(angle + 0.3))
+def _limb(joint: Spot, lengths: Spot, angles: Spot) -> list[Spot]:
+    """The ends of two bones that hang at ``joint``; angles in radians, forward positive."""
+    spots = [joint]
+    for length, angle in zip(lengths, angles, strict=True):
+        spots.append((spots[-1][0] + length * np.sin(angle), spots[-1][1] + length * np.cos(angle)))
+    return spots
 
 
 def _pattern(clothes: Clothes, height: int, width: int) -> Image:

@@ -1,16 +1,14 @@
 """What stands, waves and shines in a rendered scene: backdrop, obstacles, plants, blown leaves, lamps, light and noise.
 
-Plants are drawn once and then bent: a plant's picture is sampled at x − d, with a displacement d that grows from the foot to
-the top, sways as a whole and trembles from leaf to leaf. Gusts scale it: they come and go irregularly, so that a change
-detector fires there often, but not always, and with ever different boxes. Leaves that the wind blows past the camera are
-close and fast: each is in one frame only, smeared along its way. To a background detector they are what Poisson clutter is
-to a filter: detections of any size anywhere, and nothing before or after.
+A plant is drawn once and then bent: its picture is sampled at x − d, with a displacement d that grows from the foot to the
+top and trembles from leaf to leaf. Gusts scale it: a change detector fires there often, not always, with ever different
+boxes. A leaf that the wind blows past the camera is in one frame only: to a detector it is Poisson clutter.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -29,14 +27,21 @@ LEAF_LENGTHS = (0.05, 0.18)
 """Of a blown leaf, smeared, in frame heights."""
 LEAF_COLOURS = ((30, 90, 150), (40, 130, 170), (40, 110, 60), (25, 60, 95))
 GUST_SECONDS = 1.2
-"""How long a gust lasts, about."""
 MIDDLE = 64
-"""The grey level that stands for no noise in the pool."""
+"""The grey level that stands for no noise."""
 SHIFT = 48
-"""The pool of noise is this much larger than a frame; every frame takes another part of it."""
+"""The noise is drawn this much larger than a frame; every frame takes another part of it."""
 
 
-def grain(height: int, width: int, rng: np.random.Generator, coarsest: int = 64) -> F4:
+class Placed(NamedTuple):
+    """A picture (h, w, 3 or 4) and the pixel of its upper left corner."""
+
+    picture: Image
+    left: int
+    top: int
+
+
+def _grain(height: int, width: int, rng: np.random.Generator, coarsest: int = 64) -> F4:
     """(height, width) noise of about unit variance with structure at all scales from 1 to ``coarsest`` pixels."""
     total = np.zeros((height, width), np.float32)
     step = coarsest
@@ -47,7 +52,7 @@ def grain(height: int, width: int, rng: np.random.Generator, coarsest: int = 64)
     return total / np.float32(total.std() + 1e-6)
 
 
-def tinted(colour: tuple[float, float, float], light: F4) -> Image:
+def _tinted(colour: tuple[float, float, float], light: F4) -> Image:
     """(h, w, 3) a surface of ``colour`` (blue, green, red) under the brightness factors ``light`` (h, w)."""
     surface: Image = np.clip(np.array(colour, np.float32) * light[:, :, None], 0, 255).astype(np.uint8)
     return surface
@@ -56,45 +61,45 @@ def tinted(colour: tuple[float, float, float], light: F4) -> Image:
 def backdrop(info: SequenceInfo, base: int, doors: F8, rng: np.random.Generator) -> Image:
     """(H, W, 3) the empty scene; ``base`` is the row where the wall meets the ground, ``doors`` (D, 4) are boxes."""
     wall_rng, ground_rng = rng.spawn(2)
-    picture = np.empty((info.height, info.width, 3), np.uint8)
-    picture[:base] = _wall(base, info.width, wall_rng)
-    picture[base:] = _ground(info.height - base, info.width, ground_rng)
-    for door in doors:
-        _door(picture, door)
-    picture[base : base + 2] = picture[base : base + 2] // 2
+    wall, ground = _wall(base, info.width, wall_rng), _ground(info.height - base, info.width, ground_rng)
+    picture = np.concatenate([wall, ground])
+    for left, top, right, bottom in np.round(doors).astype(int).tolist():
+        edge = max(2, (right - left) // 10)
+        cv2.rectangle(picture, (left - edge, top - edge), (right + edge, bottom), (150, 158, 164), -1)
+        for row in range(max(top, 0), min(bottom, info.height)):
+            shade = 30 + 40 * (row - top) // max(bottom - top, 1)
+            cv2.line(picture, (left, row), (right, row), (shade, shade, shade + 4), 1)
+    picture[base : base + 2] //= 2
     return np.ascontiguousarray(cv2.GaussianBlur(picture, (0, 0), 0.6))
 
 
 def _wall(height: int, width: int, rng: np.random.Generator) -> Image:
-    """(height, width, 3) bricks and windows."""
-    light = 1 + 0.05 * grain(height, width, rng)
+    """(height, width, 3) bricks, and windows whose panes are brighter towards the sky."""
+    light = 1 + 0.05 * _grain(height, width, rng)
     brick = max(6, width // 60)
     for course, row in enumerate(range(0, height, brick // 2)):
         light[row] *= 0.85
         light[row : row + brick // 2, (course % 2) * brick // 2 :: brick] *= 0.88
-    wall = tinted(WALL, light)
-    storey, bay = max(width // 6, 24), max(width // 8, 20)
+    wall = _tinted(WALL, light)
+    storey, bay, frame = max(width // 6, 24), max(width // 8, 20), (168, 176, 180)
+    wide, high = int(0.5 * bay), int(0.5 * storey)
     for top in range(height - int(0.75 * storey), -storey, -storey):
         for left in range(bay // 3, width, bay):
-            _window(wall, left, top, int(0.5 * bay), int(0.5 * storey), float(rng.uniform(0.6, 1.3)))
+            cv2.rectangle(wall, (left - 2, top - 2), (left + wide + 2, top + high + 2), frame, -1)
+            bright = float(rng.uniform(0.6, 1.3))
+            for row in range(max(top, 0), top + high):
+                shade = bright * (1.2 - 0.5 * (row - top) / high)
+                cv2.line(wall, (left, row), (left + wide, row), (int(92 * shade), int(80 * shade), int(66 * shade)), 1)
+            cv2.line(wall, (left + wide // 2, top), (left + wide // 2, top + high), frame, 1)
     return wall
-
-
-def _window(wall: Image, left: int, top: int, width: int, height: int, light: float) -> None:
-    """One window, in place: a frame and a pane that is brighter towards the sky."""
-    cv2.rectangle(wall, (left - 2, top - 2), (left + width + 2, top + height + 2), (168, 176, 180), -1)
-    for row in range(max(top, 0), top + height):
-        shade = light * (1.2 - 0.5 * (row - top) / height)
-        cv2.line(wall, (left, row), (left + width, row), (int(92 * shade), int(80 * shade), int(66 * shade)), 1)
-    cv2.line(wall, (left + width // 2, top), (left + width // 2, top + height), (168, 176, 180), 1)
 
 
 def _ground(height: int, width: int, rng: np.random.Generator) -> Image:
     """(height, width, 3) a pavement of slabs along the wall, then the road; joints converge as seen from above."""
     kerb = int(0.3 * height)
-    light = 1 + 0.045 * grain(height, width, rng) + np.linspace(-0.04, 0.06, height, dtype=np.float32)[:, None]
-    ground = tinted(ROAD, light)
-    ground[:kerb] = tinted(PAVEMENT, light[:kerb])
+    light = 1 + 0.045 * _grain(height, width, rng) + np.linspace(-0.04, 0.06, height, dtype=np.float32)[:, None]
+    ground = _tinted(ROAD, light)
+    ground[:kerb] = _tinted(PAVEMENT, light[:kerb])
     joint = (112, 115, 117)
     for foot in np.linspace(-2 * width, 3 * width, 60):
         cv2.line(ground[:kerb], (width // 2, -2 * height), (int(foot), height), joint, 1, cv2.LINE_AA)
@@ -108,26 +113,17 @@ def _ground(height: int, width: int, rng: np.random.Generator) -> Image:
     return ground
 
 
-def _door(picture: Image, box: F8) -> None:
-    """A dark doorway with a light frame, in place."""
-    left, top, right, bottom = (round(float(v)) for v in box)
-    edge = max(2, (right - left) // 10)
-    cv2.rectangle(picture, (left - edge, top - edge), (right + edge, bottom), (150, 158, 164), -1)
-    for row in range(max(top, 0), min(bottom, picture.shape[0])):
-        shade = 30 + 40 * (row - top) // max(bottom - top, 1)
-        cv2.line(picture, (left, row), (right, row), (shade, shade, shade + 4), 1)
-
-
-def obstacle(box: F8, rng: np.random.Generator) -> Image:
-    """The sprite of a standing thing that fills ``box`` (4,): a stone column, lit from the left."""
+def obstacle(box: F8, rng: np.random.Generator) -> Placed:
+    """A stone column that fills ``box`` (4,), lit from the left."""
     width, height = max(round(float(box[2] - box[0])), 4), max(round(float(box[3] - box[1])), 4)
     across = np.linspace(-0.9, 1, width, dtype=np.float32)
-    light = (1.05 - 0.35 * across**2 - 0.12 * across)[None, :] * (1 + 0.05 * grain(height, width, rng, 16))
-    stone = tinted(STONE, light.astype(np.float32))
+    light = (1.05 - 0.35 * across**2 - 0.12 * across)[None, :] * (1 + 0.05 * _grain(height, width, rng, 16))
+    stone = _tinted(STONE, light.astype(np.float32))
     for row in range(height // 12, height, max(height // 6, 4)):
         cv2.line(stone, (0, row), (width, row), (110, 118, 124), 1)
     stone[: max(2, height // 30)] = stone[: max(2, height // 30)] // 2 + 90
-    return premultiplied(stone, np.full((height, width), 255, np.uint8))
+    sprite = premultiplied(stone, np.full((height, width), 255, np.uint8))
+    return Placed(sprite, round(float(box[0])), round(float(box[1])))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,15 +131,13 @@ class Plant:
     """A plant ready to wave.
 
     ``sprite`` (h, w, 4) with a margin around; ``left``, ``top`` its corner in the picture; ``foot`` the row where it stands;
-    ``x``, ``y`` (h, w) pixel coordinates; ``bend`` (h, w) 0 at the foot, 1 at the top; ``phase`` (h, w) of the trembling.
+    ``bend`` (h, 1) 0 at the foot, 1 at the top; ``phase`` (h, w) of the trembling.
     """
 
     sprite: Image
     left: int
     top: int
     foot: float
-    x: F4
-    y: F4
     bend: F4
     phase: F4
 
@@ -151,9 +145,15 @@ class Plant:
         """Draw the plant on the canvas, in place, at ``time`` in seconds; ``gust`` is its displacement in pixels."""
         sway = gust * (0.7 * np.sin(2 * np.pi * 0.9 * time + self.foot) + 0.3 * np.sin(2 * np.pi * 2.3 * time))
         tremble = np.sin(self.phase + np.float32(2 * np.pi * 3.1 * time))
-        across = self.x - self.bend * (np.float32(sway) + np.float32(0.6 * gust) * tremble)
-        down = self.y - self.bend * np.float32(0.35 * gust) * tremble
+        x, y = _pixels(*self.phase.shape)
+        across = x - self.bend * (np.float32(sway) + np.float32(0.6 * gust) * tremble)
+        down = y - self.bend * np.float32(0.35 * gust) * tremble
         put(canvas, cv2.remap(self.sprite, across, down, cv2.INTER_LINEAR), self.left, self.top)
+
+
+def _pixels(height: int, width: int) -> tuple[F4, F4]:
+    """x (1, width) and y (height, 1) of the pixels of a picture."""
+    return np.arange(width, dtype=np.float32)[None], np.arange(height, dtype=np.float32)[:, None]
 
 
 def grow(box: F8, rng: np.random.Generator) -> Plant:
@@ -161,12 +161,12 @@ def grow(box: F8, rng: np.random.Generator) -> Plant:
     inner = max(round(float(box[2] - box[0])), 8), max(round(float(box[3] - box[1])), 8)
     margin = max(4, inner[1] // 8)
     width, height = inner[0] + 2 * margin, inner[1] + margin
-    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    x, y = _pixels(height, width)
     bend: F4 = np.clip((height - y) / np.float32(height), 0, 1).astype(np.float32) ** np.float32(0.5)
     turn = rng.uniform(0, 2 * np.pi, 3)
     phase: F4 = 0.45 * x + np.float32(turn[0]) + 2 * np.sin(0.23 * y + np.float32(turn[1])) + 0.31 * y
     sprite = _leaves(inner, margin, width, height, rng)
-    return Plant(sprite, round(float(box[0])) - margin, round(float(box[1])) - margin, float(box[3]), x, y, bend, phase)
+    return Plant(sprite, round(float(box[0])) - margin, round(float(box[1])) - margin, float(box[3]), bend, phase)
 
 
 def _leaves(inner: tuple[int, int], margin: int, width: int, height: int, rng: np.random.Generator) -> Image:
@@ -195,48 +195,19 @@ def _leaves(inner: tuple[int, int], margin: int, width: int, height: int, rng: n
 
 
 def gusts(frames: int, fps: float, strength: F8, rng: np.random.Generator) -> F8:
-    """Displacements of plants by the wind: often near 0 and at times twice their strength.
-
-    Parameters
-    ----------
-    frames, fps : number of frames and their rate.
-    strength : (P,) the usual displacement of each plant, pixels.
-    rng : what draws the gusts.
-
-    Returns
-    -------
-    displacement : (frames, P) pixels.
-    """
+    """(frames, P) displacements of plants by the wind, pixels: often near 0, at times twice their ``strength`` (P,)."""
     force = _wandering((frames, len(strength)), GUST_SECONDS * fps, rng)
     return strength * np.clip(0.5 + 0.8 * force, 0.05, 2.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Blown:
-    """All leaves of a sequence: ``frame`` (M,) ascending from 1, ``centre`` (M, 2) pixels, ``sprite`` (M,) its index.
-
-    ``sprites`` are the few different leaves there are, ready to be put on a canvas.
-    """
-
-    frame: I8
-    centre: F8
-    sprite: I8
-    sprites: tuple[Image, ...]
-
-    def fly(self, canvas: Image, number: int) -> None:
-        """Draw the leaves of frame ``number`` on the canvas, in place."""
-        for row in range(*np.searchsorted(self.frame, [number, number + 1])):
-            leaf = self.sprites[self.sprite[row]]
-            left, top = self.centre[row] - np.array([leaf.shape[1], leaf.shape[0]]) / 2
-            put(canvas, leaf, round(float(left)), round(float(top)))
-
-
-def blown(info: SequenceInfo, rate: float, rng: np.random.Generator) -> Blown:
-    """Poisson(``rate``) leaves in each frame, uniform over it."""
+def blown(info: SequenceInfo, rate: float, rng: np.random.Generator) -> tuple[I8, list[Placed]]:
+    """The frames (M,), ascending, and the places of Poisson(``rate``) leaves in each frame, uniform over it."""
     frame = np.repeat(np.arange(1, info.frames + 1), rng.poisson(rate, info.frames))
     centre = rng.random((len(frame), 2)) * np.array([info.width, info.height])
-    sprites = tuple(_blown_leaf(info.height, rng) for _ in range(40)) if len(frame) else ()
-    return Blown(frame, centre, rng.integers(max(len(sprites), 1), size=len(frame)), sprites)
+    sprites = [_blown_leaf(info.height, rng) for _ in range(40)] if len(frame) else []
+    leaves = [sprites[k] for k in rng.integers(max(len(sprites), 1), size=len(frame))]
+    corner = centre - np.array([leaf.shape[1::-1] for leaf in leaves]).reshape(-1, 2) / 2
+    return frame, [Placed(leaf, round(x), round(y)) for leaf, (x, y) in zip(leaves, corner.tolist(), strict=True)]
 
 
 def _blown_leaf(height: int, rng: np.random.Generator) -> Image:
@@ -271,42 +242,16 @@ def _wandering(shape: tuple[int, ...], memory: float, rng: np.random.Generator) 
     return out
 
 
-def camera_noise(info: SequenceInfo, strength: float, rng: np.random.Generator) -> Callable[[Image, float, int], Image]:
-    """What the camera makes of a canvas, the brightness factor and the frame number: noise of ``strength`` grey levels.
-
-    The noise is drawn once, larger than a frame; every frame takes another part of it.
-    """
+def camera_noise(info: SequenceInfo, strength: float, rng: np.random.Generator) -> list[Image]:
+    """For each frame its noise (H, W, 3) of ``strength`` grey levels around `MIDDLE`: parts of one larger picture."""
     shape = (info.height + SHIFT, info.width + SHIFT, 3)
-    noise = rng.normal(MIDDLE, max(strength, 1e-9), size=shape)
-    pool = np.clip(np.rint(noise), 0, 255).astype(np.uint8)
-    corner = rng.integers(0, SHIFT, (info.frames, 2))
-
-    def exposed(canvas: Image, gain: float, number: int) -> Image:
-        top, left = corner[number - 1]
-        part = pool[top : top + info.height, left : left + info.width]
-        seen: Image = cv2.addWeighted(canvas, gain, part, 1.0, -MIDDLE)
-        return seen
-
-    return exposed
+    pool = np.clip(np.rint(rng.normal(MIDDLE, max(strength, 1e-9), size=shape)), 0, 255).astype(np.uint8)
+    corners = rng.integers(0, SHIFT, (info.frames, 2)).tolist()
+    return [pool[top : top + info.height, left : left + info.width] for top, left in corners]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Lamp:
-    """A small light, ``glow`` (h, w, 3) when it is on, with its corner at ``left``, ``top``."""
-
-    glow: Image
-    left: int
-    top: int
-
-    def shine(self, canvas: Image, level: float) -> None:
-        """Add the light to the canvas, in place, at ``level`` from 0 to 1."""
-        height, width = self.glow.shape[:2]
-        room = canvas[self.top : self.top + height, self.left : self.left + width]
-        cv2.addWeighted(room, 1.0, self.glow, level, 0, dst=room)
-
-
-def lamps(info: SequenceInfo, number: int, rng: np.random.Generator) -> tuple[Lamp, ...]:
-    """Lamps and reflections at random places, a fiftieth to a twentieth of the frame wide."""
+def lamps(info: SequenceInfo, number: int, rng: np.random.Generator) -> list[Placed]:
+    """Lamps and reflections at random places, a fiftieth to a twentieth of the frame wide, as they look when they are on."""
     made = []
     for _ in range(number):
         radius = float(rng.uniform(0.012, 0.025)) * info.width
@@ -317,8 +262,8 @@ def lamps(info: SequenceInfo, number: int, rng: np.random.Generator) -> tuple[La
         colour = np.array([rng.uniform(60, 170), rng.uniform(120, 190), 200])
         left = int(rng.integers(0, max(info.width - 2 * half[0] - 1, 1)))
         top = int(rng.integers(0, max(info.height - 2 * half[1] - 1, 1)))
-        made.append(Lamp((shape[:, :, None] * colour).astype(np.uint8), left, top))
-    return tuple(made)
+        made.append(Placed((shape[:, :, None] * colour).astype(np.uint8), left, top))
+    return made
 
 
 def blinking(frames: int, fps: float, number: int, rng: np.random.Generator) -> F8:

@@ -1,7 +1,7 @@
 """The renderer: from a scene to a video with what makes change detection hard.
 
 Painted from back to front: the backdrop, lights on it, shadows, then figures, obstacles and plants by the row of the foot;
-at last the camera adds flicker and noise. Everything that can be drawn beforehand is; a frame costs a few milliseconds.
+at last the camera adds flicker and noise.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
+import cv2
 import numpy as np
 
 from phdtrack.simulate import paint_scenery as scenery
@@ -17,9 +18,6 @@ from phdtrack.simulate.detector import place_boxes
 from phdtrack.simulate.paint_figures import PHASES, STRIDE, draw_clothes, put, put_scaled, pyramid, walking
 from phdtrack.simulate.scenes import Look, Scene
 from phdtrack.types import F8, I8, Bool, Frame, Image, SequenceInfo, Truth
-
-PARTS = 8
-"""Random streams of a rendering: plants' places, backdrop, things, plants, gusts, light, noise, blown leaves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,17 +44,13 @@ class Rendered:
 
 
 def render(scene: Scene, rng: np.random.Generator, look: Look | None = None) -> Rendered:
-    """The video of ``scene``; one number drawn from ``rng`` decides everything that is random in it.
+    """The video of ``scene``, whose frames are painted when they are asked for.
 
     Parameters
     ----------
     scene : what to draw.
-    rng : draws the seed of the video.
+    rng : draws one number, which decides everything that is random in the video.
     look : noise, plants and lights; None for the usual ones.
-
-    Returns
-    -------
-    video : its frames are painted when they are asked for.
     """
     return Rendered(scene, look or Look(), int(rng.integers(2**62)))
 
@@ -70,7 +64,10 @@ class Stage:
         self._scene, self._seed = scene, seed
         self._phase, self._leftward = gait(scene.figures)
         self._wardrobe: dict[int, tuple[tuple[Image, ...], ...]] = {}
-        self._backdrop = scenery.backdrop(info, _wall_base(scene), scene.doors, backdrop_rng)
+        # The wall meets the ground a little above the uppermost foot.
+        highest = float(scene.figures.xyxy[:, 3].min()) if len(scene.figures) else 0.5 * info.height
+        base = int(np.clip(highest - 0.01 * info.height, 0.15 * info.height, 0.6 * info.height))
+        self._backdrop = scenery.backdrop(info, base, scene.doors, backdrop_rng)
         boxes = plant_boxes(scene, look.plants, seed)
         self._plants = [scenery.grow(box, rng) for box, rng in zip(boxes, plants_rng.spawn(len(boxes)), strict=True)]
         self._gusts = scenery.gusts(frames, info.fps, look.wave * (boxes[:, 3] - boxes[:, 1]), gusts_rng)
@@ -79,28 +76,35 @@ class Stage:
         self._lamps = scenery.lamps(info, look.lamps, light_rng)
         self._levels = scenery.blinking(frames, info.fps, look.lamps, light_rng)
         self._gain = scenery.flicker(frames, info.fps, look.flicker, light_rng)
-        self._exposed = scenery.camera_noise(info, look.noise, noise_rng)
-        self._blown = scenery.blown(info, look.blown, blown_rng)
+        self._noise = scenery.camera_noise(info, look.noise, noise_rng)
+        self._blown, self._leaves = scenery.blown(info, look.blown, blown_rng)
         self._shadow = pyramid(scenery.shadow(look.shadow))
 
     def paint(self, number: int) -> Image:
         """(H, W, 3) the picture of frame ``number``, from 1."""
         canvas = self._backdrop.copy()
-        for lamp, level in zip(self._lamps, self._levels[number - 1], strict=True):
-            lamp.shine(canvas, float(level))
+        for (glow, left, top), level in zip(self._lamps, self._levels[number - 1].tolist(), strict=True):
+            room = canvas[top : top + glow.shape[0], left : left + glow.shape[1]]
+            cv2.addWeighted(room, 1.0, glow, level, 0, dst=room)
         figures = self._scene.figures
         here = np.arange(*np.searchsorted(figures.frame, [number, number + 1]))
-        for row in here:
-            self._cast(canvas, figures.xyxy[row])
+        for left, _, right, bottom in figures.xyxy[here]:  # a shadow a little to the right of the feet
+            wide, deep = right - left, 0.16 * (right - left)
+            place = np.array([left + 0.1 * wide, bottom - deep, right + 0.25 * wide, bottom + deep])
+            put_scaled(canvas, self._shadow, place)
         strokes = [(float(figures.xyxy[row, 3]), partial(self._figure, canvas, int(row))) for row in here]
-        for (left, top, _, foot), sprite in zip(self._scene.obstacles.tolist(), self._things, strict=True):
-            strokes.append((foot, partial(put, canvas, sprite, round(left), round(top))))
+        for foot, thing in zip(self._scene.obstacles[:, 3].tolist(), self._things, strict=True):
+            strokes.append((foot, partial(put, canvas, *thing)))
         for plant, gust in zip(self._plants, self._gusts[number - 1], strict=True):
             strokes.append((plant.foot, partial(plant.wave, canvas, number / self._scene.info.fps, float(gust))))
         for _, stroke in sorted(strokes, key=lambda pair: pair[0]):
             stroke()
-        self._blown.fly(canvas, number)
-        return self._exposed(canvas, float(self._gain[number - 1]), number)
+        for leaf in self._leaves[slice(*np.searchsorted(self._blown, [number, number + 1]))]:
+            put(canvas, *leaf)
+        picture: Image = cv2.addWeighted(
+            canvas, float(self._gain[number - 1]), self._noise[number - 1], 1.0, -scenery.MIDDLE
+        )
+        return picture
 
     def _figure(self, canvas: Image, row: int) -> None:
         """Draw one figure."""
@@ -111,13 +115,6 @@ class Stage:
             self._wardrobe[identity] = walking(clothes, aspect)
         sprite = self._wardrobe[identity][self._phase[row]]
         put_scaled(canvas, sprite, box, mirrored=bool(self._leftward[row]))
-
-    def _cast(self, canvas: Image, box: F8) -> None:
-        """Draw the shadow of the figure in ``box``: a little to the right of its feet."""
-        left, _, right, bottom = box
-        wide, deep = right - left, 0.16 * (right - left)
-        place = np.array([left + 0.1 * wide, bottom - deep, right + 0.25 * wide, bottom + deep])
-        put_scaled(canvas, self._shadow, place)
 
 
 def plant_boxes(scene: Scene, number: int, seed: int) -> F8:
@@ -153,14 +150,6 @@ def gait(figures: Truth) -> tuple[I8, Bool]:
     return phase, leftward
 
 
-def _wall_base(scene: Scene) -> int:
-    """The row where the wall meets the ground: a little above the uppermost foot."""
-    height = scene.info.height
-    foot = scene.figures.xyxy[:, 3]
-    highest = float(foot.min()) if len(foot) else 0.5 * height
-    return int(np.clip(highest - 0.01 * height, 0.15 * height, 0.6 * height))
-
-
 def _streams(seed: int) -> list[np.random.Generator]:
-    """The random streams of a rendering."""
-    return np.random.default_rng(seed).spawn(PARTS)
+    """Random streams: plants' places, backdrop, things, plants, gusts, light, noise, blown leaves."""
+    return np.random.default_rng(seed).spawn(8)

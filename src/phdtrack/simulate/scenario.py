@@ -1,16 +1,13 @@
 """Scenes with people: who comes when, from where, and walks where how fast, over a flat ground seen by a level camera.
 
-Arrivals are a Poisson process in time. Each person takes an entrance and another one as exit, walks from one to the other
-over a point between, pauses now and then, and has a speed and a stature of their own. Walks can also be written down
-(`Scenario.walks`), for crossings that must happen. The truth is what lies in the frame, clipped to it, from the moment that
-a given part of the figure is inside; occluded people stay in it, as annotators of benchmarks keep them.
+Arrivals are a Poisson process in time. Each person walks from an entrance to another one over a point between, pauses now
+and then, and has a speed and a stature. `Scenario.walks` adds given walks. The truth is what lies in the frame, clipped
+to it; occluded people stay in it, as annotators of benchmarks keep them.
 
 Lengths on the ground are in body heights. With focal length f (pixels), camera height c (body heights), horizon row y₀ and
 image centre x₀, a foot point at lateral X and depth Z is seen at
 
-    x = x₀ + f X / Z        y = y₀ + f c / Z        and a figure there is   f / Z = (y − y₀) / c   pixels tall:
-
-lower in the picture is larger, and straight walks on the ground are straight in the picture.
+    x = x₀ + f X / Z        y = y₀ + f c / Z        and a figure there is   f / Z = (y − y₀) / c   pixels tall.
 """
 
 from __future__ import annotations
@@ -20,6 +17,8 @@ from typing import Literal
 
 import numpy as np
 
+from phdtrack.arrays import share_inside
+from phdtrack.checks import NonNegative, Positive, PositiveCount, Share, check
 from phdtrack.errors import InputError
 from phdtrack.types import F8, I8, SequenceInfo, Truth
 
@@ -51,10 +50,6 @@ class Camera:
         half = aspect * tall / 2
         return np.stack([foot[:, 0] - half, foot[:, 1] - tall, foot[:, 0] + half, foot[:, 1]], axis=1)
 
-    def row_below(self, bottom: float, stature: float) -> float:
-        """The foot row, in pixels, of a figure whose head just touches the lower edge ``bottom`` of the picture."""
-        return (bottom - stature * self.horizon / self.height) / (1 - stature / self.height)
-
 
 @dataclass(frozen=True, slots=True)
 class Walk:
@@ -76,36 +71,19 @@ class Walk:
     pauses: tuple[Point, ...] = ()
 
     def follow(self, camera: Camera, size: Point, times: F8) -> tuple[F8, I8]:
-        """The foot points at those of the given times at which the walk is under way.
-
-        Parameters
-        ----------
-        camera : the camera that sees the ground.
-        size : width and height of the frame, pixels.
-        times : (T,) seconds.
-
-        Returns
-        -------
-        foot : (n, 2) foot points, pixels.
-        index : (n,) int64 which of the times they belong to.
-        """
+        """Foot points (n, 2) in pixels at those ``times`` (T,) at which the walk is under way, and which (n,) these are."""
         corners = camera.to_ground(np.array(self.points) * np.array(size))
         path = rounded(corners) if len(corners) > 2 else corners
         length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
-        gone = self.speed * walked_seconds(times - self.at, self.pauses)
+        since, paused = times - self.at, 0.0
+        spent = np.zeros_like(since)
+        for walked, pause in self.pauses:
+            spent += np.clip(since - (walked + paused), 0, pause)
+            paused += pause
+        gone = self.speed * (since - spent)
         index = np.flatnonzero((times >= self.at) & (gone <= length[-1]))
         ground = np.stack([np.interp(gone[index], length, path[:, axis]) for axis in (0, 1)], axis=1)
         return camera.to_picture(ground), index
-
-
-def walked_seconds(since: F8, pauses: tuple[Point, ...]) -> F8:
-    """How many of the seconds ``since`` the start of a walk were spent walking and not in its pauses."""
-    spent = np.zeros_like(since)
-    paused = 0.0
-    for walked, pause in pauses:
-        spent += np.clip(since - (walked + paused), 0, pause)
-        paused += pause
-    return since - spent
 
 
 def rounded(corners: F8) -> F8:
@@ -147,38 +125,34 @@ class Scenario:
     """
 
     name: str = "street"
-    frames: int = 500
-    fps: float = 25.0
+    frames: PositiveCount = 500
+    fps: Positive = 25.0
     width: int = 640
     height: int = 360
     horizon: float = 0.12
-    focal: float = 0.9
+    focal: Positive = 0.9
     camera_height: float = 2.7
     rows: Point = (0.52, 0.97)
-    arrivals: float = 0.45
+    arrivals: NonNegative = 0.45
     lead_in: float = 1.0
     entrances: tuple[Entrance, ...] = (Entrance("left"), Entrance("right"))
-    speed: float = 0.75
-    speed_spread: float = 0.15
-    aspect: float = 0.38
+    speed: Positive = 0.75
+    speed_spread: NonNegative = 0.15
+    aspect: Positive = 0.38
     stature_spread: float = 0.06
-    pause_rate: float = 0.05
-    pause_seconds: float = 2.0
+    pause_rate: NonNegative = 0.05
+    pause_seconds: NonNegative = 2.0
     walks: tuple[Walk, ...] = ()
     obstacles: tuple[tuple[float, float, float, float], ...] = ()
-    min_visible: float = 0.3
+    min_visible: Share = 0.3
 
     def __post_init__(self) -> None:
-        check_sequence(self.info)
+        check(self)
         low = min((y for walk in self.walks for _, y in walk.points), default=1.0)
         expected = {
-            f"0 or more arrivals per second, got {self.arrivals:g}": 0 <= self.arrivals < np.inf,
-            f"a positive speed, got {self.speed:g} ± {self.speed_spread:g}": self.speed > 0 and self.speed_spread >= 0,
+            f"at least 16x16 pixels, got {self.width}x{self.height}": min(self.width, self.height) >= 16,
             f"rows below the horizon {self.horizon:g}, got {self.rows}": self.horizon < self.rows[0] <= self.rows[1],
             f"camera_height above the tallest head, 1.3, got {self.camera_height:g}": self.camera_height > 1.3,
-            f"aspect and focal above 0, got {self.aspect:g} and {self.focal:g}": min(self.aspect, self.focal) > 0,
-            f"min_visible in (0, 1], got {self.min_visible:g}": 0 < self.min_visible <= 1,
-            "pause_rate and pause_seconds of 0 or more": min(self.pause_rate, self.pause_seconds) >= 0,
             "walks with two points or more and a positive speed": all(len(w.points) > 1 and w.speed > 0 for w in self.walks),
             f"walks below the horizon {self.horizon:g}, got a foot at {low:g}": low > self.horizon,
         }
@@ -217,7 +191,7 @@ class Scenario:
         for walk in walks:
             foot, index = walk.follow(self.camera, (self.width, self.height), times)
             box = self.camera.boxes(foot, walk.stature, self.aspect)
-            seen = visible(box, self.info) > 0
+            seen = share_inside(box, self.width, self.height) > 0
             if seen.any():
                 parts.append((index[seen] + 1, np.full(int(seen.sum()), len(parts), np.int64), box[seen]))
         frame, identity, boxes = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -225,11 +199,12 @@ class Scenario:
 
     def truth(self, figures: Truth) -> Truth:
         """The figures of which ``min_visible`` is in the frame, boxes clipped to it."""
-        kept = np.flatnonzero(visible(figures.xyxy, self.info) >= self.min_visible)
-        return truth_rows(figures.frame[kept], figures.identity[kept], clip(figures.xyxy[kept], self.info))
+        kept = np.flatnonzero(share_inside(figures.xyxy, self.width, self.height) >= self.min_visible)
+        inside = np.clip(figures.xyxy[kept], 0, np.tile([self.width, self.height], 2).astype(np.float64))
+        return truth_rows(figures.frame[kept], figures.identity[kept], inside)
 
     def _arriving(self, rng: np.random.Generator) -> list[Walk]:
-        """The walks of the people who arrive by chance."""
+        """The walks of the people who arrive by chance; a random stream each, so that one more arrival changes no other."""
         seconds = max(self.frames / self.fps - self.lead_in, 0)
         if not self.entrances or not self.arrivals:
             return []
@@ -237,7 +212,7 @@ class Scenario:
         return [self._draw_walk(float(at), person) for at, person in zip(begins, rng.spawn(len(begins)), strict=True)]
 
     def _draw_walk(self, at: float, rng: np.random.Generator) -> Walk:
-        """One person's way, speed, stature and pauses; a stream each, so that one more arrival changes no other."""
+        """The way, speed, stature and pauses of one person."""
         stature = float(np.clip(rng.normal(1, self.stature_spread), 0.7, 1.3))
         speed = float(max(rng.normal(self.speed, self.speed_spread), 0.3 * self.speed))
         weight = np.array([e.weight for e in self.entrances])
@@ -262,36 +237,14 @@ class Scenario:
             case "right":
                 return 1 + half, row
             case "bottom":
-                return column, self.camera.row_below(self.height, stature) / self.height
+                # The head just touches the lower edge of the picture.
+                row = self.height - stature * self.camera.horizon / self.camera_height
+                return column, row / (1 - stature / self.camera_height) / self.height
             case "door":
                 return entrance.foot
-
-
-def check_sequence(info: SequenceInfo) -> None:
-    """Raise `InputError` where a simulated sequence would have no frames, no rate or hardly any pixels."""
-    expected = {
-        f"1 frame or more, got {info.frames}": info.frames >= 1,
-        f"a positive fps, got {info.fps:g}": info.fps > 0,
-        f"at least 16x16 pixels, got {info.width}x{info.height}": min(info.width, info.height) >= 16,
-    }
-    for what, met in expected.items():
-        if not met:
-            raise InputError(f"expected {what}", where=f"scenario {info.name}", cure="Change this setting of the scene")
 
 
 def truth_rows(frame: I8, identity: I8, xyxy: F8) -> Truth:
     """A `Truth` of the rows (M,), (M,), (M, 4), sorted by frame, then identity, in which every row counts."""
     order = np.lexsort((identity, frame))
     return Truth(frame[order], identity[order], xyxy[order], np.zeros(len(frame), np.bool_))
-
-
-def visible(xyxy: F8, info: SequenceInfo) -> F8:
-    """(n,) part of each box's area that lies in the frame."""
-    inside = clip(xyxy, info)
-    width, height = xyxy[:, 2] - xyxy[:, 0], xyxy[:, 3] - xyxy[:, 1]
-    return (inside[:, 2] - inside[:, 0]) * (inside[:, 3] - inside[:, 1]) / (width * height)
-
-
-def clip(xyxy: F8, info: SequenceInfo) -> F8:
-    """(n, 4) the boxes cut at the frame's borders."""
-    return np.clip(xyxy, 0, np.array([info.width, info.height, info.width, info.height], dtype=np.float64))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from phdtrack.checks import Count, NonNegative, Probability, check
 from phdtrack.errors import InputError
 from phdtrack.simulate.detector import DetectorModel, detect
 from phdtrack.simulate.scenario import Entrance, Scenario, Walk
@@ -56,20 +57,16 @@ class Look:
     blown : leaves that the wind blows past the camera, expected number per frame; each is in one frame only.
     """
 
-    noise: float = 2.0
-    flicker: float = 0.03
-    plants: int = 4
-    wave: float = 0.09
-    lamps: int = 3
-    shadow: float = 0.35
-    blown: float = 0.0
+    noise: NonNegative = 2.0
+    flicker: NonNegative = 0.03
+    plants: Count = 4
+    wave: NonNegative = 0.09
+    lamps: Count = 3
+    shadow: Probability = 0.35
+    blown: NonNegative = 0.0
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
-            high = 1.0 if name == "shadow" else np.finfo(float).max
-            if not 0 <= getattr(self, name) <= high:
-                problem = f"expected {name} {'from 0 to 1' if high == 1 else 'of 0 or more'}, got {getattr(self, name)}"
-                raise InputError(problem, where="look of the rendered scene", cure="Give 0 to leave it out")
+        check(self)
 
 
 def _passing(row: float, lean: float, start: float, at: float, speed: float = 0.75, stature: float = 1.0) -> Walk:
@@ -181,18 +178,7 @@ def make_scene(name: str, seed: int, detector: DetectorModel | None = None, **se
 
 
 def build_scene(world: Scenario, seed: int, detector: DetectorModel) -> Scene:
-    """The scene of a world with any settings, detected by ``detector``.
-
-    Parameters
-    ----------
-    world : who comes when and walks where.
-    seed : what is drawn by chance is drawn from it.
-    detector : settings of the simulated detector.
-
-    Returns
-    -------
-    scene : truth, figures and detections.
-    """
+    """The scene of a world with any settings, seen by ``detector``; ``seed`` decides all that is drawn by chance."""
     world_rng, detector_rng = np.random.default_rng(seed).spawn(2)
     figures = world.figures(world_rng)
     truth = world.truth(figures)
