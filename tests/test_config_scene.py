@@ -128,7 +128,7 @@ def test_who_stays_among_false_alarms_is_held_back(tmp_path, name, kind):
     assert isinstance(alone, FalseTrackRejection)
     assert alone.false.births is None
     other = written(tmp_path / "other.json", followed=FOLLOWED)
-    assert config.build(config.load(sets=[*other[:2], *sets[2:]]), INFO, name).associator.false.births is None
+    assert config.build(config.load(sets=[*other[:2], *sets[2:]]), INFO, name).associator.ratio.births is None
     # Nobody is, where that is said, nobody has looked, or false alarms are not the scene's.
     before = written(tmp_path / "before.json")
     for given in ([*sets, "clutter.reject_false_tracks=false"], before, sets[:2]):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from phdtrack.arrays import to_xyxy
 from phdtrack.associate import Labelled, rejection
-from phdtrack.associate.rejection import FalseTrackRejection, believed
+from phdtrack.associate.rejection import FalseTrackRejection, without_false_tracks
 from phdtrack.tracker import pack, unpack
 from phdtrack.types import Estimates, Tracks
 
@@ -125,7 +125,7 @@ def test_corrected_tracks_begin_where_they_are_believed(inner):
     assert centre(tracks).min() == pytest.approx(280 - 5 * 24, abs=2)
     out = tracks.take(tracks.identity == 1)
     np.testing.assert_allclose(centre(out), 205 + 5 * np.arange(len(out)), atol=0.5)
-    equal(tracks, believed(plain, STRIP))
+    equal(tracks, without_false_tracks(plain, STRIP))
     assert associator.measurements(state).z.shape == (4, 100)
 
 
@@ -138,7 +138,7 @@ def test_what_is_remembered_can_be_saved_in_the_middle(inner):
     for a, b in zip(rest, rows[13:], strict=True):
         equal(a, b)
     np.testing.assert_array_equal(back.identity, wanted.identity)
-    np.testing.assert_array_equal(back.odds, wanted.odds)
+    np.testing.assert_array_equal(back.least, wanted.least)
     equal(associator.flush(back, MODEL), associator.flush(wanted, MODEL))
     equal(associator.finish(back, MODEL), associator.finish(wanted, MODEL))
 
@@ -159,7 +159,7 @@ def test_so_many_are_remembered_and_those_seen_last(monkeypatch):
     frames = [frame((1, 300.0 - 10 * k, -10.0), (2 + k // 2, 400.0), (50 + k // 2, 90.0)) for k in range(40)]
     state, rows = run(associator, frames)
     assert len(state.identity) == 5
-    assert state.odds.shape == (2, 5)
+    assert state.least.shape == (2, 5)
     assert 1 in state.identity
     assert all(bool(r.confirmed[r.identity == 1].all()) for r in rows)
     others = Tracks.concatenate(rows)
@@ -176,7 +176,7 @@ def test_who_is_believed_for_too_few_rows_is_nobody(inner):
 
 
 def test_nothing_in_an_empty_table():
-    assert len(believed(Tracks.empty(), STRIP)) == 0
+    assert len(without_false_tracks(Tracks.empty(), STRIP)) == 0
     associator = FalseTrackRejection(Labelled(), STRIP)
     state, rows = associator.extend(associator.start(), states(np.zeros((0, 2))), Z, 1, 1.0, MODEL)
     assert len(rows) == len(associator.flush(state, MODEL)) == len(associator.finish(state, MODEL)) == 0
@@ -209,13 +209,13 @@ def test_each_is_believed_from_the_first_detection_on_that_is_more_likely_an_obj
     wanted = [k for k in wanted if left.count(rows[k][1]) >= shortest]
     names = {rows[k][1]: 0 for k in wanted}
     names = {who: name for name, who in enumerate(sorted(names), start=1)}
-    found = believed(table(rows), STRIP, shortest)
+    found = without_false_tracks(table(rows), STRIP, shortest)
     equal(found, replace(table(rows).take(np.array(wanted, np.int64)), identity=found.identity))
     assert found.identity.tolist() == [names[rows[k][1]] for k in wanted]
     mixed = [*range(len(rows))]
     order.shuffle(mixed)
     index = np.array(mixed, np.int64)
-    other = believed(table(rows).take(index), STRIP, shortest)
+    other = without_false_tracks(table(rows).take(index), STRIP, shortest)
     equal(Tracks.concatenate([other]), Tracks.concatenate([found]))
 
 

@@ -1,12 +1,11 @@
-"""Tracks that stay where a scene's false alarms are, held back: identities behind what a person has taught of the scene.
+"""False-track rejection: tracks are withheld until they have been where real targets are likelier than false tracks.
 
-Whether a track is a false alarm's or an object's never changes, and false alarms stay where they are. So the odds that a
-track is a false alarm's are those of the place on its way where false alarms are the rarest, and it is believed from the
-first row on at which an object is the likelier. What an object's track tells before is left out, as is what a false alarm's
-told before somebody took it over.
+Whether a track is a false alarm's or a target's never changes, and false alarms stay where they are. So the likelihood ratio
+of a track is the least of the places that it has been at, and it is confirmed from the first row on at which this is below
+1. Rows before are left out.
 
-Online, tracks are confirmed after some states, because most of what is seen once or twice is false. Where the scene says
-that it is not, this need not be waited for: who has been where false alarms are rare among objects is confirmed at once.
+Online, tracks are confirmed after some states, because most of what is detected once or twice is false. A track that has
+been where false alarms of any kind are rare is confirmed at once.
 """
 
 from __future__ import annotations
@@ -19,44 +18,44 @@ import numpy as np
 
 from phdtrack.arrays import to_cxcywh
 from phdtrack.checks import NonNegative, PositiveCount, check
-from phdtrack.kernels.vetting import remembered, unbelieved
 from phdtrack.protocols import Associator, Model
 from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
 
 A = TypeVar("A")
-# So many identities are remembered online, those in view and the newest: cameras run for days.
+# Identities that are remembered online, besides those in view: cameras run for days.
 KEPT = 10_000
 
 
-class FalseOdds(Protocol):
-    """How likely what lies somewhere is a false alarm."""
+class FalseAlarmRatio(Protocol):
+    """How much likelier a detection at some place is a false alarm than a target."""
 
     def log(self, z: F8) -> F8:
-        """(2, N) logarithms of the odds at boxes ``z`` (4, N), centres and sizes: of those that are followed, and of any."""
+        """(2, N) log-ratios at boxes ``z`` (4, N), centres and sizes: of false alarms that are tracked, and of all."""
 
 
 @dataclass(frozen=True, slots=True)
 class RejectionState(Generic[A]):
-    """The associator's state, and of the identities given online (a,), ascending, the least odds (2, a) on their way."""
+    """The associator's state; and of the identities given online (a,), ascending, the least log-ratios (2, a) so far."""
 
     inner: A
     identity: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
-    odds: F8 = field(default_factory=lambda: np.zeros((2, 0)))
+    least: F8 = field(default_factory=lambda: np.zeros((2, 0)))
 
 
 @dataclass(frozen=True, slots=True)
 class FalseTrackRejection(Generic[A]):
-    """An associator whose tracks are believed once they have been where objects are likelier than false alarms.
+    """An associator whose tracks are withheld where a scene's false alarms are.
 
     Parameters
     ----------
-    immediate_confirmation : odds of any false alarm below which who is followed online is confirmed at once, before the
-        associator does.
-    min_track_length : corrected tracks of which fewer rows that rest on detections are believed are left out.
+    associator : what gives identities.
+    ratio : false alarms over targets, by place.
+    immediate_confirmation : ratio of any false alarm below which an online track is confirmed at once.
+    min_track_length : rows that rest on detections, from its confirmation on, below which a corrected track is discarded.
     """
 
     associator: Associator[A]
-    false: FalseOdds
+    ratio: FalseAlarmRatio
     immediate_confirmation: NonNegative = 0.0
     min_track_length: PositiveCount = 1
 
@@ -70,66 +69,74 @@ class FalseTrackRejection(Generic[A]):
     def extend(
         self, state: RejectionState[A], estimates: Estimates, z: F8, number: int, dt: float, model: Model
     ) -> tuple[RejectionState[A], Tracks]:
-        """The online rows, confirmed where the track is believed too, or is surely an object's."""
+        """The associator's online rows, with what is confirmed; arguments as for `Associator.extend`."""
         inner, rows = self.associator.extend(state.inner, estimates, z, number, dt, model)
-        return self._judged(RejectionState(inner, state.identity, state.odds), rows)
+        return self._judged(replace(state, inner=inner), rows)
 
     def flush(self, state: RejectionState[A], model: Model) -> Tracks:
         """The online rows still held back by the output delay."""
         return self._judged(state, self.associator.flush(state.inner, model))[1]
 
     def finish(self, state: RejectionState[A], model: Model) -> Tracks:
-        """The corrected tracks, each from where it is believed on; identities from 1, in the associator's order."""
-        return believed(self.associator.finish(state.inner, model), self.false, self.min_track_length)
+        """The corrected tracks, each from its confirmation on; identities from 1, in the associator's order."""
+        return without_false_tracks(self.associator.finish(state.inner, model), self.ratio, self.min_track_length)
 
     def measurements(self, state: RejectionState[A]) -> MeasurementHistory:
         """The measurements of everything that is remembered."""
         return self.associator.measurements(state.inner)
 
     def _judged(self, state: RejectionState[A], rows: Tracks) -> tuple[RejectionState[A], Tracks]:
-        """The rows, confirmed or not as their tracks' odds say; of several frames in their order."""
-        if len(rows) == 0 or rows.frame[0] == rows.frame[-1]:
-            state, confirmed = self._confirmed(state, rows)
-        else:
-            confirmed = rows.confirmed.copy()
-            for frame in np.unique(rows.frame):
-                here = np.flatnonzero(rows.frame == frame)
-                state, confirmed[here] = self._confirmed(state, rows.take(here))
-        return state, Tracks(rows.frame, rows.identity, rows.xyxy, rows.confidence, rows.detection, confirmed)
+        """The rows, confirmed or not by their tracks' ratios, frame by frame."""
+        confirmed = rows.confirmed.copy()
+        for frame in np.unique(rows.frame):
+            here = np.flatnonzero(rows.frame == frame)
+            state, confirmed[here] = self._confirmed(state, rows.take(here))
+        return state, replace(rows, confirmed=confirmed)
 
     def _confirmed(self, state: RejectionState[A], rows: Tracks) -> tuple[RejectionState[A], Bool]:
-        """The state with the rows of a frame, and who is believed and confirmed by the associator, or surely somebody.
-
-        Who is so already is not asked again.
-        """
-        sure = math.log(self.immediate_confirmation) if self.immediate_confirmation > 0 else -math.inf
-        confirmed, which, least, z = unbelieved(
-            state.identity, state.odds, rows.identity, rows.detection, rows.confirmed, rows.xyxy, sure
-        )
-        if len(which) == 0:
+        """The state with the rows of a frame, and which of them are confirmed. Confirmed tracks are not asked for again."""
+        known = np.isin(rows.identity, state.identity)
+        least = np.full((2, len(rows)), np.inf)
+        least[:, known] = state.least[:, np.searchsorted(state.identity, rows.identity[known])]
+        confirmed = self._sure(least, rows.confirmed)
+        asked = np.flatnonzero(~confirmed & (rows.detection >= 0))
+        if len(asked) == 0:
             return state, confirmed
-        identity, odds, confirmed = remembered(
-            state.identity, state.odds, rows.identity, rows.confirmed, confirmed, which, least, self.false.log(z), sure, KEPT
-        )
-        return RejectionState(state.inner, identity, odds), confirmed
+        least[:, asked] = np.minimum(least[:, asked], self.ratio.log(to_cxcywh(rows.xyxy[asked])))
+        confirmed = self._sure(least, rows.confirmed)
+        others = ~np.isin(state.identity, rows.identity[asked])
+        identity = np.concatenate((state.identity[others], rows.identity[asked]))
+        values = np.concatenate((state.least[:, others], least[:, asked]), axis=1)
+        order = np.argsort(identity)
+        # The oldest that are not in this frame are forgotten.
+        spare = np.flatnonzero(~np.isin(identity[order], rows.identity))[: max(len(identity) - KEPT, 0)]
+        order = np.delete(order, spare)
+        return RejectionState(state.inner, identity[order], values[:, order]), confirmed
+
+    def _sure(self, least: F8, confirmed: Bool) -> Bool:
+        """(n,) rows that the associator has ``confirmed`` and whose track is not false, or that are confirmed at once."""
+        limit = math.log(self.immediate_confirmation) if self.immediate_confirmation > 0 else -math.inf
+        out: Bool = (confirmed & (least[0] < 0)) | (least[1] < limit)
+        return out
 
 
-def believed(tracks: Tracks, false: FalseOdds, shortest: int = 1) -> Tracks:
-    """Tracks, each from where it is believed on, if so many rows on detections are left; identities from 1, in order."""
+def without_false_tracks(tracks: Tracks, ratio: FalseAlarmRatio, min_track_length: int = 1) -> Tracks:
+    """Tracks, each from its confirmation on; identities from 1, in order.
+
+    Parameters
+    ----------
+    tracks : corrected tracks.
+    ratio : false alarms over targets, by place.
+    min_track_length : rows that rest on detections below which a track is left out.
+    """
     kept = np.zeros(len(tracks), np.bool_)
     order = np.lexsort((tracks.frame, tracks.identity))
     for rows in np.split(order, np.flatnonzero(np.diff(tracks.identity[order])) + 1):
-        way = tracks.take(rows)
-        trusted = np.minimum.accumulate(_odds(way, false)[0]) < 0
-        kept[rows] = trusted & (np.count_nonzero(trusted & (way.detection >= 0)) >= shortest)
+        seen = np.flatnonzero(tracks.detection[rows] >= 0)
+        logs = np.full(len(rows), np.inf)
+        logs[seen] = ratio.log(to_cxcywh(tracks.xyxy[rows[seen]]))[0]
+        confirmed = np.minimum.accumulate(logs) < 0
+        kept[rows] = confirmed & (np.count_nonzero(confirmed[seen]) >= min_track_length)
     left = tracks.take(kept)
     _, name = np.unique(left.identity, return_inverse=True)
     return replace(left, identity=name.astype(np.int64) + 1)
-
-
-def _odds(rows: Tracks, false: FalseOdds) -> F8:
-    """(2, M) of rows that rest on a detection; of others nothing is known."""
-    odds = np.full((2, len(rows)), np.inf)
-    seen = np.flatnonzero(rows.detection >= 0)
-    odds[:, seen] = false.log(to_cxcywh(rows.xyxy[seen]))
-    return odds
