@@ -91,7 +91,7 @@ def advance(
     given = _Given.of(explanation, detections.observed, model)
     # Predict and update
     if detections.observed:
-        weighted = stages.learning.weighed(state.learned, model, given.detections)
+        weighted = stages.learning.with_scores(state.learned, model, given.detections)
         watching = _watching(weighted, state.targets, dt)
         intensity, info = stages.filter.step(state.intensity, given.z, watching, dt, rng)
     else:
@@ -237,7 +237,7 @@ def _watching(model: Model, targets: F8, dt: float) -> Model:
     """The model whose sensor knows which targets of the last frame may hide others by now."""
     if targets.shape[1] == 0:
         return model
-    expected, _, _ = model.motion.transition(model.carried(np.ascontiguousarray(targets)), dt)
+    expected, _, _ = model.motion.transition(model.warp_states(np.ascontiguousarray(targets)), dt)
     return replace(model, sensor=model.sensor.watching(expected))
 
 

@@ -1,8 +1,8 @@
-"""One protocol per symbol of the papers and per stage of the pipeline. The pipeline knows these and nothing else.
+"""One protocol for each symbol of the papers and each stage of the pipeline. The pipeline knows these and nothing else.
 
-A model of the world is a value of four parts: motion f, p_S (and spawning β); sensor g, p_D; birth γ; clutter κ. Filters,
-extractors and associators are frozen settings with pure methods: state goes in, state comes out. A model answers with
-arrays and never with objects per target.
+A model is a value of four parts: motion f, p_S (and spawning β); sensor g, p_D; birth γ; clutter κ. Filters, extractors,
+associators and smoothers are frozen settings with pure methods: state goes in, state comes out. A model answers with arrays
+for all targets at once.
 
 Shapes: states x are (d, L), measurements z are (m, N); both are columns, so that each component is contiguous. Functions
 of (z, x) work elementwise and broadcast over everything behind the first axis: ``z[:, pair_z], x[:, pair_x]`` gives one
@@ -39,7 +39,7 @@ from phdtrack.types import (
 
 
 class Motion(Protocol):
-    """f(x|ξ), p_S and β: how targets move, whether they stay, and what they throw off."""
+    """f(x|ξ), p_S and β: how targets move, survive and spawn others."""
 
     @property
     def dim(self) -> int:
@@ -57,18 +57,18 @@ class Motion(Protocol):
     def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of ∫ β(x|ξ) D(ξ) dξ for the intensity ``parents``; an empty set where nothing is spawned."""
 
-    def carried(self, x: F8, warp: F8) -> F8:
-        """(d, L) the states ``x`` (d, L) in the pixels of the next frame, to which ``warp`` (3, 3) takes those of their own.
+    def warp_states(self, x: F8, warp: F8) -> F8:
+        """(d, L) the states ``x`` (d, L) in the pixels of the next frame; ``warp`` (3, 3) is the homography to it.
 
         Raises `InputError` where states do not lie in the image.
         """
 
-    def carried_slope(self, x: F8, warp: F8) -> F8:
-        """(L, d, d) Jacobians of `carried`."""
+    def warp_jacobian(self, x: F8, warp: F8) -> F8:
+        """(L, d, d) Jacobians of `warp_states`."""
 
 
 class Sensor(Protocol):
-    """g(z|x) and p_D: what a target looks like to the detector, and how often it is seen."""
+    """g(z|x) and p_D: what is measured of a target, and how often it is detected."""
 
     @property
     def observed(self) -> tuple[int, ...]:
@@ -79,7 +79,7 @@ class Sensor(Protocol):
         """Whether `expected` is the ``observed`` rows of the state. Of others Gaussians need sigma points."""
 
     def measure(self, detections: Detections) -> F8:
-        """(m, N) the measurement vectors of the detections; a column of NaN for one that tells nothing of any state."""
+        """(m, N) the measurement vectors of the detections; a column of NaN for one that shows no possible state."""
 
     def expected(self, x: F8) -> F8:
         """(r, L) the first components of z that targets at ``x`` (d, L) give, noise aside; of a linear sensor rows of x."""
@@ -120,7 +120,7 @@ class Sensor(Protocol):
         """Whether p_D falls where targets hide each other: what `watching` is for."""
 
     def watching(self, targets: F8) -> Sensor:
-        """The sensor where targets are expected at these states (d, n): the nearer hide what is behind them."""
+        """The sensor while targets are expected at these states (d, n), of which the nearer hide those behind them."""
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles in the position plane outside which g(z|·) is negligible: lower and upper corners, each (2, N)."""
@@ -167,8 +167,8 @@ class Model:
     in time units: what happens in it is predicted and born then.
 
     ``warp`` (3, 3) is how the camera has moved since the frame before: the homography that takes pixels of that frame to
-    this one's; `types.STILL` where it stands. Whoever predicts states takes them along first (`carried`,
-    `carried_gaussians`).
+    this one's; `types.STILL` where it stands still. States are warped before they are predicted (`warp_states`,
+    `warp_gaussians`).
     """
 
     motion: Motion
@@ -179,38 +179,38 @@ class Model:
     first: float = 1.0
     warp: F8 = field(default_factory=lambda: STILL, compare=False)
 
-    def carried(self, x: F8) -> F8:
+    def warp_states(self, x: F8) -> F8:
         """(d, L) states of the frame before, in the pixels of this one."""
-        return self.motion.carried(x, self.warp) if len(self.warp) else x
+        return self.motion.warp_states(x, self.warp) if len(self.warp) else x
 
-    def carried_gaussians(self, mean: F8, covariance: F8) -> tuple[F8, F8]:
+    def warp_gaussians(self, mean: F8, covariance: F8) -> tuple[F8, F8]:
         """Gaussians (d, L), (L, d, d) of the frame before, in the pixels of this one: to first order, J P Jᵀ."""
         if len(self.warp) == 0:
             return mean, covariance
-        slope = self.motion.carried_slope(mean, self.warp)
-        return self.motion.carried(mean, self.warp), slope @ covariance @ slope.transpose(0, 2, 1)
+        slope = self.motion.warp_jacobian(mean, self.warp)
+        return self.motion.warp_states(mean, self.warp), slope @ covariance @ slope.transpose(0, 2, 1)
 
 
 S = TypeVar("S")
 
 
 class Filter(Protocol[S]):
-    """The recursion of an intensity: predict, update, reduce (resample, or prune and merge)."""
+    """The recursion of a filter: predict, update, reduce (resample, or prune and merge)."""
 
     def start(self, model: Model, rng: np.random.Generator) -> S:
         """The state before the first frame."""
 
     def predict(self, state: S, model: Model, dt: float, rng: np.random.Generator) -> S:
-        """The predicted intensity of what was there, ``dt`` later. Births wait for the update: they are driven by z.
+        """The predicted state, ``dt`` later, without births: these are made in the update, from its measurements.
 
         Where the camera has moved (`Model.warp`), states are carried into the pixels of the present frame first.
         """
 
     def update(self, state: S, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[S, UpdateInfo]:
-        """The intensity after the births of the interval ``dt`` and the measurements ``z`` (m, N)."""
+        """The state after the births of the interval ``dt`` and the measurements ``z`` (m, N)."""
 
     def reduce(self, state: S, rng: np.random.Generator) -> S:
-        """The same intensity, described by fewer points."""
+        """The same density with fewer particles or components."""
 
     def step(self, state: S, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[S, UpdateInfo]:
         """Predict, update and reduce, for a frame that was observed: their composition, or a faster form of it."""
@@ -220,10 +220,10 @@ S_contra = TypeVar("S_contra", contravariant=True)
 
 
 class Extractor(Protocol[S_contra]):
-    """From an intensity to states."""
+    """From a filter's state to the states of targets."""
 
     def extract(self, state: S_contra, z: F8, model: Model) -> Estimates:
-        """The peaks of the intensity, given the measurements (m, N) that shaped it."""
+        """The estimated states, given the measurements (m, N) of the frame."""
 
 
 A = TypeVar("A")
@@ -237,10 +237,16 @@ class Associator(Protocol[A]):
         """The state before the first frame."""
 
     def extend(self, state: A, estimates: Estimates, z: F8, number: int, dt: float, model: Model) -> tuple[A, Tracks]:
-        """Take in the states of frame ``number``, ``dt`` after the one before, and the measurements ``z`` (m, N).
+        """The state with those of frame ``number``, and the online rows that are now final.
 
-        States remembered of earlier frames are carried along where the camera has moved (`Model.warp`).
-        Gives the online rows that are now final.
+        Parameters
+        ----------
+        state : after the frame before.
+        estimates : the extracted states.
+        z : (m, N) the measurements.
+        number : frame number.
+        dt : time since the frame before.
+        model : of this frame; states of earlier frames are warped where the camera has moved (`Model.warp`).
         """
 
     def flush(self, state: A, model: Model) -> Tracks:
@@ -254,10 +260,10 @@ class Associator(Protocol[A]):
 
 
 class Smoother(Protocol):
-    """From corrected tracks to better ones, with everything known at the end."""
+    """From corrected tracks to smoothed ones, when everything is known."""
 
     def describe(self, image: Image, xyxy: F8) -> F4:
-        """(N, B) what the boxes (N, 4) of a frame look like, as far as `smooth` asks for it; (N, 0) where it does not."""
+        """(N, B) a description of the image in the boxes (N, 4), as far as `smooth` uses it; (N, 0) where it does not."""
 
     def smooth(self, tracks: Tracks, measurements: MeasurementHistory, model: Model) -> Tracks:
         """The tracks, of which each row rests on a measurement of ``measurements``, or on none."""
@@ -268,7 +274,7 @@ class NoSmoothing:
     """Corrected tracks stay as they are."""
 
     def describe(self, image: Image, xyxy: F8) -> F4:
-        """Nobody asks."""
+        """No description."""
         return np.zeros((len(xyxy), 0), np.float32)
 
     def smooth(self, tracks: Tracks, measurements: MeasurementHistory, model: Model) -> Tracks:
@@ -277,7 +283,7 @@ class NoSmoothing:
 
 
 class Explainer(Protocol[C]):
-    """Which detections are which targets', where it is not one of each: between detector and filter."""
+    """The merged-measurement model: which detections are of several targets, or pieces of one."""
 
     def start(self) -> C:
         """The state before the first frame."""
@@ -301,7 +307,7 @@ class AsDetected:
         return None, Explanation.unchanged(detections)
 
     def advance(self, state: None, explanation: Explanation, estimates: Estimates, model: Model, dt: float) -> None:
-        """Nobody is expected."""
+        """There is no state."""
 
 
 class Learning(Protocol[C]):
@@ -313,14 +319,14 @@ class Learning(Protocol[C]):
     def model(self, state: C, model: Model) -> Model:
         """``model`` with what was learned so far."""
 
-    def weighed(self, state: C, model: Model, detections: Detections) -> Model:
-        """``model`` for a frame of these detections, those that the filter is given: with what their scores say."""
+    def with_scores(self, state: C, model: Model, detections: Detections) -> Model:
+        """``model`` for a frame with these detections, with the likelihood ratios of their scores."""
 
     def advance(self, state: C, step: Step) -> C:
         """Take in what one frame brought."""
 
     def mode(self, state: C, name: str) -> C:
-        """With the mode of the scene that has this name, as day or night, from now on."""
+        """The state with the regime of the scene that has this name, as day or night, from now on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,8 +340,8 @@ class NoLearning:
         """The same."""
         return model
 
-    def weighed(self, state: None, model: Model, detections: Detections) -> Model:
-        """The same: nobody knows what scores are worth."""
+    def with_scores(self, state: None, model: Model, detections: Detections) -> Model:
+        """The same."""
         return model
 
     def advance(self, state: None, step: Step) -> None:

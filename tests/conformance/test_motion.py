@@ -92,14 +92,14 @@ def test_a_camera_that_moves_carries_states_or_is_refused(motion, count: int, rn
     x, warp = fixed(states(rng, count, motion.dim)), fixed(np.array([[1.1, 0.02, 9.0], [-0.02, 1.1, 4.0], [0.0, 0.0, 1.0]]))
     if motion.dim == 5 or type(motion).__name__ == "PlaneMotion":
         with pytest.raises(InputError, match=r"^camera motion: .* does not lie in the image"):
-            motion.carried(x, warp)
+            motion.warp_states(x, warp)
         with pytest.raises(InputError, match=r"^camera motion: .* does not lie in the image"):
-            motion.carried_slope(x, warp)
+            motion.warp_jacobian(x, warp)
         return
-    moved, slope = motion.carried(x, warp), motion.carried_slope(x, warp)
+    moved, slope = motion.warp_states(x, warp), motion.warp_jacobian(x, warp)
     assert moved.shape == x.shape
     assert slope.shape == (count, motion.dim, motion.dim)
     np.testing.assert_allclose(moved[:2], warp[:2, :2] @ x[:2] + warp[:2, 2:])
     # The map is affine: it is its slope, but for the shift.
     np.testing.assert_allclose(np.einsum("nrs,sn->rn", slope, x)[2:], moved[2:])
-    np.testing.assert_array_equal(motion.carried(x, np.eye(3)), x)
+    np.testing.assert_array_equal(motion.warp_states(x, np.eye(3)), x)

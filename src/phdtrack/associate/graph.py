@@ -156,7 +156,7 @@ class GraphMatching:
         mean, covariance = window.mean, window.covariance
         if len(mean):
             if len(model.warp):
-                carried, covariance = model.carried_gaussians(np.ascontiguousarray(mean.T), covariance)
+                carried, covariance = model.warp_gaussians(np.ascontiguousarray(mean.T), covariance)
                 mean = np.ascontiguousarray(carried.T)
             mean, covariance, _ = predicted(model, mean, covariance, dt, "linear")
         _, _, noise = model.motion.transition(estimates.state, dt)

@@ -263,7 +263,7 @@ def _carried_on(known: Identities, due: Due, model: Model) -> Identities:
     """The identities with their states carried on to the frame by the motion model."""
     history, state = due.history, known.state
     if len(due.moment.warp):
-        state = model.motion.carried(state, due.moment.warp)
+        state = model.motion.warp_states(state, due.moment.warp)
     dt = due.moment.time - history[due.place - 1].time
     state, _, _ = model.motion.transition(state, dt)
     return replace(known, state=state, confidence=known.confidence * model.motion.p_survive(state, dt / model.rate))

@@ -119,6 +119,6 @@ def _one_frame_back(state: F8, cov: F8, later: Moment, dt: float, model: Model) 
     cov = back @ (cov + noise[0]) @ back.T
     if len(later.warp):
         homeward = warp_of.back(later.warp)
-        slope = model.motion.carried_slope(state[:, None], homeward)[0]
-        state, cov = model.motion.carried(state[:, None], homeward)[:, 0], slope @ cov @ slope.T
+        slope = model.motion.warp_jacobian(state[:, None], homeward)[0]
+        state, cov = model.motion.warp_states(state[:, None], homeward)[:, 0], slope @ cov @ slope.T
     return state, cov

@@ -342,7 +342,7 @@ def predicted(targets: ExpectedTargets, model: Model, dt: float) -> ExpectedTarg
     """The targets ``dt`` time units later."""
     if not len(targets):
         return targets
-    state, before = model.carried_gaussians(np.ascontiguousarray(targets.state), targets.covariance)
+    state, before = model.warp_gaussians(np.ascontiguousarray(targets.state), targets.covariance)
     mean, jacobian, noise = model.motion.transition(np.ascontiguousarray(state), dt)
     covariance = jacobian @ before @ jacobian.transpose(0, 2, 1) + noise
     there = targets.existence * model.motion.p_survive(targets.state, dt / model.rate)

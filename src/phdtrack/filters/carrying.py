@@ -13,8 +13,8 @@ def carried_particles(state: Particles | ParticleBlocks, model: Model) -> Partic
     if len(model.warp) == 0 or len(state) == 0:
         return state
     if isinstance(state, Particles):
-        return Particles(model.carried(state.state), state.weight)
-    moved = model.carried(state.state.astype(np.float64))
+        return Particles(model.warp_states(state.state), state.weight)
+    moved = model.warp_states(state.state.astype(np.float64))
     return ParticleBlocks(np.ascontiguousarray(moved, np.float32), state.start, state.unit)
 
 
@@ -22,5 +22,5 @@ def carried_mixture(state: GaussianMixture, model: Model) -> GaussianMixture:
     """The same weights and tags, means and covariances carried."""
     if len(model.warp) == 0 or len(state) == 0:
         return state
-    mean, cov = model.carried_gaussians(state.mean, state.covariance)
+    mean, cov = model.warp_gaussians(state.mean, state.covariance)
     return GaussianMixture(state.weight, mean, cov, state.tag, state.fresh)

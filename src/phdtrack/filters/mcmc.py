@@ -109,7 +109,7 @@ class MCMC:
         """Every target of every sample moved by f, and there with the probability p_S of what it had [K05]."""
         if len(state) == 0:
             return state
-        origin = model.carried(state.state)
+        origin = model.warp_states(state.state)
         stays = model.motion.p_survive(origin, dt / model.rate).reshape(state.chance.shape)
         moved = model.motion.sample(origin, dt, rng)
         return replace(state, state=moved, chance=state.chance * stays, origin=origin, interval=dt)
@@ -132,6 +132,6 @@ class MCMC:
     ) -> tuple[JointSamples, UpdateInfo]:
         """Predict and update in turn; with given associations the chain moves what it needs itself."""
         if self.associations == "given":
-            origin = model.carried(state.state)
+            origin = model.warp_states(state.state)
             return self.update(replace(state, state=origin, origin=origin, interval=dt), z, model, dt, rng)
         return self.update(self.predict(state, model, dt, rng), z, model, dt, rng)

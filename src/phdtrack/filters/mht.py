@@ -115,7 +115,7 @@ class MHT:
         leaves, n = state.leaves, len(state)
         mean, cov = leaves.mean, leaves.covariance
         if len(model.warp):
-            columns, cov = model.carried_gaussians(np.ascontiguousarray(mean.T), cov)
+            columns, cov = model.warp_gaussians(np.ascontiguousarray(mean.T), cov)
             mean = np.ascontiguousarray(columns.T)
         refuse_spawning(model, mean, dt, rng)
         moved, missed = predicted(model, mean, cov, dt, self.transform), leaves.missed + 1

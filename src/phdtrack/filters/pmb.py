@@ -151,7 +151,7 @@ class PMB:
         """
         now = state.present
         if len(model.warp):
-            mean, cov = model.carried_gaussians(np.ascontiguousarray(now.mean.T), now.covariance)
+            mean, cov = model.warp_gaussians(np.ascontiguousarray(now.mean.T), now.covariance)
             now = now._replace(mean=np.ascontiguousarray(mean.T), covariance=cov)
         refuse_spawning(model, now.mean, dt, rng)
         moved = predicted(model, now.mean, now.covariance, dt, self.transform)

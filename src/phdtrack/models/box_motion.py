@@ -126,13 +126,13 @@ class BoxMotion:
         """Draws of the spawning term."""
         return self.births.sample(parents, dt, rng)
 
-    def carried(self, x: F8, warp: F8) -> F8:
+    def warp_states(self, x: F8, warp: F8) -> F8:
         """States in the pixels of the next frame: centre, velocity and sizes carried by the homography ``warp``."""
-        return warp_of.carried(x, warp, self._sizes)
+        return warp_of.warp_states(x, warp, self._sizes)
 
-    def carried_slope(self, x: F8, warp: F8) -> F8:
-        """(L, d, d) Jacobians of `carried`."""
-        return warp_of.carried_slope(x, warp, self._sizes)
+    def warp_jacobian(self, x: F8, warp: F8) -> F8:
+        """(L, d, d) Jacobians of `warp_states`."""
+        return warp_of.warp_jacobian(x, warp, self._sizes)
 
     @property
     def _sizes(self) -> tuple[int, ...]:

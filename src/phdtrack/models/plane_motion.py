@@ -81,11 +81,11 @@ class PlaneMotion:
         """Draws of the spawning term."""
         return self.births.sample(parents, dt, rng)
 
-    def carried(self, x: F8, warp: F8) -> F8:
+    def warp_states(self, x: F8, warp: F8) -> F8:
         """Raises `InputError`: the ground does not move with the image."""
         raise no_image("a target on the ground")
 
-    def carried_slope(self, x: F8, warp: F8) -> F8:
+    def warp_jacobian(self, x: F8, warp: F8) -> F8:
         """Raises `InputError`."""
         raise no_image("a target on the ground")
 

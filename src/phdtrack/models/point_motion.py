@@ -85,10 +85,10 @@ class PointMotion:
         """Draws of the spawning term."""
         return self.births.sample(parents, dt, rng)
 
-    def carried(self, x: F8, warp: F8) -> F8:
+    def warp_states(self, x: F8, warp: F8) -> F8:
         """States in the pixels of the next frame, to which the homography ``warp`` leads."""
-        return warp_of.carried(x, warp)
+        return warp_of.warp_states(x, warp)
 
-    def carried_slope(self, x: F8, warp: F8) -> F8:
-        """(L, 4, 4) Jacobians of `carried`."""
-        return warp_of.carried_slope(x, warp)
+    def warp_jacobian(self, x: F8, warp: F8) -> F8:
+        """(L, 4, 4) Jacobians of `warp_states`."""
+        return warp_of.warp_jacobian(x, warp)

@@ -41,8 +41,8 @@ def predict(motion: Motion, mean: F8, covariance: F8, dt: float, warp: F8 = STIL
     warp : (3, 3) the camera's motion in it; `types.STILL` where there is none.
     """
     x = np.ascontiguousarray(mean.T)
-    slope = motion.carried_slope(x, warp) if len(warp) else None
-    moved, jacobian, noise = motion.transition(x if slope is None else motion.carried(x, warp), dt)
+    slope = motion.warp_jacobian(x, warp) if len(warp) else None
+    moved, jacobian, noise = motion.transition(x if slope is None else motion.warp_states(x, warp), dt)
     f = jacobian if slope is None else jacobian @ slope
     return Ahead(moved.T, f @ covariance @ f.transpose(0, 2, 1) + noise, f)
 

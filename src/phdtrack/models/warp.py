@@ -63,7 +63,7 @@ def points(warp: F8, p: F8) -> F8:
     return _local(warp, p)[0]
 
 
-def carried(x: F8, warp: F8, sizes: tuple[int, ...] = ()) -> F8:
+def warp_states(x: F8, warp: F8, sizes: tuple[int, ...] = ()) -> F8:
     """(d, n) states ``x`` (px, py, vx, vy, …) in the pixels that ``warp`` leads to; rows ``sizes`` are lengths."""
     place, slope, depth = _local(warp, x[:2])
     moved: F8 = np.array(x, dtype=np.float64)
@@ -74,8 +74,8 @@ def carried(x: F8, warp: F8, sizes: tuple[int, ...] = ()) -> F8:
     return moved
 
 
-def carried_slope(x: F8, warp: F8, sizes: tuple[int, ...] = ()) -> F8:
-    """(n, d, d) Jacobians of `carried`: J for places and velocities, and how J and the scale change from place to place."""
+def warp_jacobian(x: F8, warp: F8, sizes: tuple[int, ...] = ()) -> F8:
+    """(n, d, d) Jacobians of `warp_states`: J for places and velocities, and how J and the scale change with the place."""
     d, n = x.shape
     _, slope, depth = _local(warp, x[:2])
     g, scale, speed = warp[2, :2], _scale(warp, depth), _times(slope, x[2:4])

@@ -34,8 +34,7 @@ from phdtrack.types import F8, I8, Bool, MeasurementHistory
 
 @dataclass(frozen=True, slots=True)
 class Terms:
-    """Settings: in model time the mean time ``occluded``, the longest ``gap`` and ``overlap``; P(``reentry``); time units per
-    second."""
+    """Settings: mean time ``occluded``, longest ``gap`` and ``overlap`` in model time; P(``reentry``); time units per second."""
 
     occluded: float
     gap: float

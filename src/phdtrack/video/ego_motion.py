@@ -100,7 +100,7 @@ class CameraPath:
             return
         middle = np.array([[self.width / 2], [self.height / 2]])
         # A unit step to the right, as a state's velocity.
-        moved = warp_of.carried(np.vstack([middle, [[1.0], [0.0], [1.0]]]), warp, (4,))[:, 0]
+        moved = warp_of.warp_states(np.vstack([middle, [[1.0], [0.0], [1.0]]]), warp, (4,))[:, 0]
         step = float(np.hypot(*(moved[:2] - middle[:, 0])))
         self.pixels += step
         self.largest = max(self.largest, step)

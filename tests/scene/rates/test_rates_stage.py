@@ -45,7 +45,7 @@ def test_nothing_known_leaves_the_model_as_it_is():
     state = built.learning.start()
     model = built.learning.model(state, built.model)
     assert (model.sensor, model.birth, model.clutter) == (built.model.sensor, built.model.birth, built.model.clutter)
-    assert built.learning.weighed(state, model, Detections.of(boxes(3, np.random.default_rng(0)))) is model
+    assert built.learning.with_scores(state, model, Detections.of(boxes(3, np.random.default_rng(0)))) is model
 
 
 def test_rates_replace_those_of_the_model_in_steps():
@@ -73,7 +73,7 @@ def test_odds_divide_the_false_alarms(volume):
     built = stages(f"clutter.volume={volume}")
     rng = np.random.default_rng(1)
     found = Detections.of(boxes(4, rng), [0.1, 0.5, 0.9, np.nan])
-    model = built.learning.weighed(knowing(built), built.model, found)
+    model = built.learning.with_scores(knowing(built), built.model, found)
     z = model.sensor.measure(found)
     plain = built.model.clutter.intensity(z)
     assert model.clutter.intensity(z) == pytest.approx(plain / np.array([0.1, 1.0, 10.0, 1.0]))
@@ -107,7 +107,7 @@ def test_a_low_score_confirms_but_starts_nobody(recursion):
         state = recursion.start(built.model, rng)
         for score in scores:
             found = Detections.of(box, [score])
-            model = built.learning.weighed(knowing(built), built.model, found)
+            model = built.learning.with_scores(knowing(built), built.model, found)
             state, info = recursion.step(state, model.sensor.measure(found), model, 1.0, rng)
         return info.mass
 
@@ -163,7 +163,7 @@ def test_as_shipped_estimates_are_made_and_scores_are_used():
     state = knowing(built, detection=0.6, clutter=0.9, births=0.002)
     assert built.learning.model(state, built.model).sensor == built.model.sensor
     found = Detections.of(boxes(2, np.random.default_rng(8)), [0.1, 0.9])
-    assert isinstance(built.learning.weighed(state, built.model, found).clutter, ScoredClutter)
+    assert isinstance(built.learning.with_scores(state, built.model, found).clutter, ScoredClutter)
 
 
 def test_cautious_estimates_are_used_where_nothing_else_explains_them():
@@ -186,9 +186,9 @@ def test_there_are_no_more_false_alarms_than_detections():
     state = built.learning.start()
     model = built.learning.model(state, built.model)
     assert model.clutter.clutter_per_frame == 90
-    seven = built.learning.weighed(state, model, Detections.of(boxes(7, np.random.default_rng(9))))
+    seven = built.learning.with_scores(state, model, Detections.of(boxes(7, np.random.default_rng(9))))
     assert seven.clutter.clutter_per_frame == pytest.approx(7, rel=0.03)
-    many = built.learning.weighed(state, model, Detections.of(boxes(200, np.random.default_rng(9))))
+    many = built.learning.with_scores(state, model, Detections.of(boxes(200, np.random.default_rng(9))))
     assert many.clutter.clutter_per_frame == 90
     cautious = stages("clutter.volume=image", "clutter.clutter_per_frame=90.0", "rates.cautious=true")
-    assert cautious.learning.weighed(state, model, Detections.of(boxes(7, np.random.default_rng(9)))) is model
+    assert cautious.learning.with_scores(state, model, Detections.of(boxes(7, np.random.default_rng(9)))) is model
