@@ -118,7 +118,7 @@ def test_who_stays_among_false_alarms_is_held_back(tmp_path, name, kind):
     assert isinstance(vetted, FalseTrackRejection)
     assert isinstance(vetted.associator, kind)
     assert vetted.associator.output_delay == 3
-    assert (vetted.false.clutter.rate, vetted.false.tracked.share, vetted.false.births.rate) == (
+    assert (vetted.ratio.clutter.rate, vetted.ratio.tracked.share, vetted.ratio.births.rate) == (
         1.5,
         0.1,
         0.05,
@@ -126,7 +126,7 @@ def test_who_stays_among_false_alarms_is_held_back(tmp_path, name, kind):
     # Births count where they are of the same scene.
     alone = config.build(config.load(sets=sets[2:]), INFO, name).associator
     assert isinstance(alone, FalseTrackRejection)
-    assert alone.false.births is None
+    assert alone.ratio.births is None
     other = written(tmp_path / "other.json", followed=FOLLOWED)
     assert config.build(config.load(sets=[*other[:2], *sets[2:]]), INFO, name).associator.ratio.births is None
     # Nobody is, where that is said, nobody has looked, or false alarms are not the scene's.

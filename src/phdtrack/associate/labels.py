@@ -1,8 +1,7 @@
-"""Identities that the filter itself gives: a target's label is its identity.
+"""Identities by the labels of filters that follow targets one by one (`Estimates.tag`), instead of links between states.
 
-For filters that follow targets one by one (`Estimates.tag`), instead of linking states afterwards. Where a filter revises
-the past (`Estimates.past`: the best explanation of the last frames may be another one by now), the corrected tracks and the
-online rows that are held back by ``output_delay`` show it as it is seen at last.
+Where a filter revises the past (`Estimates.past`), its last word stands in corrected tracks and in the online rows that
+``output_delay`` holds back.
 """
 
 from __future__ import annotations
@@ -21,9 +20,15 @@ from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lives:
-    """What is known of each label (a,), ascending: its ``identity``, 0 before its first row is given, the ``count`` of its
-    states that rest on detections, the model time of the ``last`` of them, whether it was ``confirmed``."""
+class LabelTable:
+    """What is known of each label (a,), ascending.
+
+    Attributes
+    ----------
+    label, identity : its number, and the identity given to it; 0 before its first row.
+    count, last : its states that rest on detections, and the model time of the last of them.
+    confirmed : whether it has been confirmed.
+    """
 
     label: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
     identity: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -31,15 +36,15 @@ class Lives:
     last: F8 = field(default_factory=lambda: np.zeros(0))
     confirmed: Bool = field(default_factory=lambda: np.zeros(0, np.bool_))
 
-    def including(self, moments: Sequence[Moment]) -> Lives:
-        """With a place for every label of the moments."""
+    def including(self, moments: Sequence[Moment]) -> LabelTable:
+        """The table with a row for every label of the moments."""
         tag = np.concatenate([m.estimates.tag for m in moments])
         fresh = np.unique(tag[~self._knows(tag)])
         if len(fresh) == 0:
             return self
         label, none = np.concatenate([self.label, fresh]), np.zeros(len(fresh), np.int64)
         order = np.argsort(label, kind="stable")
-        return Lives(
+        return LabelTable(
             label[order],
             np.concatenate([self.identity, none])[order],
             np.concatenate([self.count, none])[order],
@@ -48,14 +53,14 @@ class Lives:
         )
 
     def _knows(self, labels: I8) -> Bool:
-        """Which of the labels have a place."""
+        """(n,) which of the labels have a row."""
         if len(self.label) == 0:
             return np.zeros(len(labels), np.bool_)
         found: Bool = self.label[np.minimum(self.places(labels), len(self.label) - 1)] == labels
         return found
 
-    def counting(self, moments: Sequence[Moment]) -> Lives:
-        """With the states of the moments counted, whose labels all have a place."""
+    def counting(self, moments: Sequence[Moment]) -> LabelTable:
+        """The table with the states of the moments counted, whose labels all have a row."""
         if not moments:
             return self
         resting = np.concatenate([m.estimates.detection for m in moments]) >= 0
@@ -64,27 +69,31 @@ class Lives:
         last = self.last.copy()
         np.maximum.at(last, place, time)
         count = self.count + np.bincount(place, minlength=len(self.label))
-        return Lives(self.label, self.identity, count, last, self.confirmed)
+        return LabelTable(self.label, self.identity, count, last, self.confirmed)
 
     def places(self, labels: I8) -> I8:
-        """Where the labels are."""
+        """(n,) the rows of the labels."""
         return np.searchsorted(self.label, labels).astype(np.int64)
 
-    def take(self, kept: Bool) -> Lives:
-        """Those that are kept."""
-        return Lives(self.label[kept], self.identity[kept], self.count[kept], self.last[kept], self.confirmed[kept])
+    def take(self, kept: Bool) -> LabelTable:
+        """The rows that are kept."""
+        return LabelTable(self.label[kept], self.identity[kept], self.count[kept], self.last[kept], self.confirmed[kept])
 
 
 @dataclass(frozen=True, slots=True)
 class LabelledState:
-    """Frames that no revision reaches any more, those that one may reach, and what is known of the labels in the first.
+    """What is carried from frame to frame.
 
-    ``used`` counts the identities given online.
+    Attributes
+    ----------
+    history, recent : frames that no revision reaches any more, and those that one may reach.
+    table : what is known of the labels in the first.
+    time, used : model time; identities given online.
     """
 
     history: History = field(default_factory=History)
     recent: tuple[Moment, ...] = ()
-    lives: Lives = field(default_factory=Lives)
+    table: LabelTable = field(default_factory=LabelTable)
     time: float = 0.0
     used: int = 0
 
@@ -102,19 +111,14 @@ class Labelled:
 
     Parameters
     ----------
-    min_track_length : tracks of fewer states that rest on detections are discarded (offline) or not yet confirmed (online).
-    output_delay : frames by which the online output lags, so that states are reported as later frames have revised them and
-        tracks
-        are confirmed by what follows; 0 allowed.
+    min_track_length : states that rest on detections below which a track is discarded (offline) or not confirmed (online).
+    output_delay : frames by which the online output lags, so that what follows can revise states and confirm tracks.
     max_coast : seconds for which, at most, a confirmed track is continued online past its last detection. Corrected tracks
-        end
-        with their last one.
-    bridge_gaps : fill the gaps of tracks with predicted, flagged boxes, smoothed in corrected tracks. Without, no row is
-        given
-        that rests on no detection.
-    history : seconds after which the past is forgotten, for cameras that run for days: the corrected tracks then go no
-        further back (a little more is kept than this), and a label that is seen again after that is a new identity. 0:
-        nothing is.
+        end with their last one.
+    bridge_gaps : fill the gaps of tracks with predicted rows, smoothed in corrected tracks. Otherwise every row rests on a
+        detection.
+    history : seconds after which the past is forgotten, for cameras that run for days; 0: never. Corrected tracks then go no
+        further back than this and a little more, and a label that is seen again later is a new identity.
     """
 
     min_track_length: PositiveCount = 5
@@ -133,22 +137,22 @@ class Labelled:
     def extend(
         self, state: LabelledState, estimates: Estimates, z: F8, number: int, dt: float, model: Model
     ) -> tuple[LabelledState, Tracks]:
-        """Take in the states of frame ``number`` and what they revise; give the online rows that are now due.
+        """The state with those of frame ``number`` and what they revise, and the online rows that are now due.
 
-        Raises `InputError` where states have no label.
+        Arguments are as for `Associator.extend`. Raises `InputError` where states have no label.
         """
         time = state.time + dt
         reach = min(len(estimates.past), len(state.recent))
-        settled, revised = state.recent[: len(state.recent) - reach], state.recent[len(state.recent) - reach :]
+        settled, reached = state.recent[: len(state.recent) - reach], state.recent[len(state.recent) - reach :]
         seen = estimates.past[len(estimates.past) - reach :]
         now = Moment(number, time, 0, _one_each(estimates), NO_LINKS, z, model.warp)
-        again = tuple(m if e is None else _told_anew(m, e) for m, e in zip(revised, seen, strict=True))
+        again = tuple(m if e is None else _revised(m, e) for m, e in zip(reached, seen, strict=True))
         history = state.history
         for moment in settled:
             history = history.append(moment)
-        told = (now, *(m for m, e in zip(again, seen, strict=True) if e is not None))
-        lives, recent = state.lives.including(told).counting(settled), (*again, now)
-        extended = LabelledState(history, recent, lives, time, state.used)
+        changed = (now, *(m for m, e in zip(again, seen, strict=True) if e is not None))
+        table, recent = state.table.including(changed).counting(settled), (*again, now)
+        extended = LabelledState(history, recent, table, time, state.used)
         due = len(extended) - 1 - self.output_delay
         if due < 0:
             return extended, Tracks.empty()
@@ -182,8 +186,8 @@ class Labelled:
         return measurements((*state.history, *state.recent))
 
     def _give(self, state: LabelledState, due: int, model: Model) -> tuple[LabelledState, Tracks]:
-        """The rows of the frame at place ``due``, as it is seen now; the state then knows their identities."""
-        moment, known = state[due], state.lives
+        """The state with the identities of the frame at place ``due``, and its rows as it is seen now."""
+        moment, known = state[due], state.table
         present = known.counting(state.recent)
         estimates = moment.estimates
         place = present.places(estimates.tag)
@@ -192,10 +196,10 @@ class Labelled:
         shown = np.flatnonzero((estimates.detection >= 0) | coasting)
         place, confirmed = place[shown], confirmed[shown]
         fresh = place[present.identity[place] == 0]
-        identity, believed = present.identity.copy(), present.confirmed.copy()
+        identity, sure = present.identity.copy(), present.confirmed.copy()
         identity[fresh] = state.used + 1 + np.arange(len(fresh))
-        believed[place] = confirmed
-        lives = Lives(known.label, identity, known.count, known.last, believed)
+        sure[place] = confirmed
+        table = LabelTable(known.label, identity, known.count, known.last, sure)
         order = np.argsort(identity[place])
         shown = shown[order]
         rows = Tracks(
@@ -206,22 +210,22 @@ class Labelled:
             estimates.detection[shown],
             confirmed[order],
         )
-        return LabelledState(state.history, state.recent, lives, state.time, state.used + len(fresh)), rows
+        return LabelledState(state.history, state.recent, table, state.time, state.used + len(fresh)), rows
 
     def _recent(self, state: LabelledState, due: int, model: Model) -> LabelledState:
-        """The state without what is past remembering; rows still due stay."""
+        """The state without what is forgotten; rows still due stay."""
         if self.history == 0:
             return state
         since = min(state.time - self.history * model.rate, state[due].time)
-        # Who is told of in a frame that may still be revised has a place.
+        # A label of a frame that may still be revised has a row.
         first = min(due, len(state.history))
         here = np.concatenate([state[k].estimates.tag for k in range(first, len(state))])
-        kept = (state.lives.last >= since) | np.isin(state.lives.label, here)
-        return replace(state, history=state.history.since(since), lives=state.lives.take(kept))
+        kept = (state.table.last >= since) | np.isin(state.table.label, here)
+        return replace(state, history=state.history.since(since), table=state.table.take(kept))
 
 
 def _one_each(estimates: Estimates) -> Estimates:
-    """The states alone, of those that share a label the heaviest."""
+    """The states without their past; of those that share a label the heaviest."""
     if len(estimates.tag) != len(estimates):
         raise InputError(
             f"{len(estimates)} states bring no labels to identify them by",
@@ -229,14 +233,14 @@ def _one_each(estimates: Estimates) -> Estimates:
             cure="Use associate.kind=graph, or a filter that labels targets",
         )
     e = estimates
-    alone = Estimates(e.state, e.covariance, e.weight, e.xyxy, e.detection, e.tag) if e.past else e
+    single = Estimates(e.state, e.covariance, e.weight, e.xyxy, e.detection, e.tag) if e.past else e
     if (e.tag[1:] > e.tag[:-1]).all():
-        return alone
+        return single
     heaviest = np.argsort(-e.weight, kind="stable")
     _, first = np.unique(e.tag[heaviest], return_index=True)
-    return alone if len(first) == len(e) else alone.take(np.sort(heaviest[first]))
+    return single if len(first) == len(e) else single.take(np.sort(heaviest[first]))
 
 
-def _told_anew(m: Moment, estimates: Estimates) -> Moment:
+def _revised(m: Moment, estimates: Estimates) -> Moment:
     """The moment with these states instead of its own."""
     return Moment(m.number, m.time, m.first, _one_each(estimates), m.final, m.z, m.warp)

@@ -112,7 +112,7 @@ def back_dated(
 def _one_frame_back(state: F8, cov: F8, later: Moment, dt: float, model: Model) -> tuple[F8, F8]:
     """State (d,) and covariance (d, d) in the frame before ``later``, by the inverse transition."""
     _, jacobian, noise = model.motion.transition(state[:, None], dt)
-    # A component that the transition forgets (a remembered size) cannot be told from what came after: it stays.
+    # A component that the transition forgets (a remembered size) cannot be inferred from what came after: it stays.
     back = np.linalg.pinv(jacobian[0])
     forgotten = ~jacobian[0].any(axis=0)
     state = np.where(forgotten, state, back @ state)

@@ -83,7 +83,7 @@ class SceneLearning:
             return model
         return replace(model, birth=state.birth or model.birth, clutter=state.clutter or model.clutter)
 
-    def weighed(self, state: SceneState, model: Model, detections: Detections) -> Model:
+    def with_scores(self, state: SceneState, model: Model, detections: Detections) -> Model:
         """The same model: scores are not learned here."""
         return model
 
@@ -149,9 +149,9 @@ class RateLearning:
             model = replace(model, birth=with_births(model.birth, model.rate * _rounded(found.births, priors.births)))
         return self.other.model(state.other, model)
 
-    def weighed(self, state: RatesState, model: Model, detections: Detections) -> Model:
+    def with_scores(self, state: RatesState, model: Model, detections: Detections) -> Model:
         """The model with the false alarms of a frame by the number and the scores of its detections."""
-        model = self.other.weighed(state.other, model, detections)
+        model = self.other.with_scores(state.other, model, detections)
         if len(detections) == 0:
             return model
         used, priors, learned = self.rule.settings, self.rule.priors, state.learned

@@ -34,7 +34,7 @@ from phdtrack.types import F8, I8, Bool, MeasurementHistory
 
 @dataclass(frozen=True, slots=True)
 class Terms:
-    """Settings: mean time ``occluded``, longest ``gap`` and ``overlap`` in model time; P(``reentry``); time units per second."""
+    """Mean time ``occluded``, longest ``gap`` and ``overlap`` in model time; P(``reentry``); time units a second."""
 
     occluded: float
     gap: float
