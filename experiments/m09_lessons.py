@@ -17,7 +17,7 @@ from experiments.common import Case, followed
 from experiments.m09_scenes import Halves
 from phdtrack import config
 from phdtrack.arrays import iou, to_cxcywh
-from phdtrack.associate.rejection import FalseTrackRejection, believed
+from phdtrack.associate.rejection import FalseTrackRejection, without_false_tracks
 from phdtrack.errors import InputError
 from phdtrack.label import Label, LabelStore
 from phdtrack.label.births import REACH, birth_states, time_watched
@@ -75,7 +75,7 @@ def learn(job: tuple[Halves, int]) -> LearnedScene:
         entries = marked_births(case, Path(folder) / "births.sqlite")
         by_hand = birth_states(entries, case.table, case.info, rate)
         watched = time_watched(entries, case.table, case.info, rate)
-    births = own_births(believed(run, FalseAlarmRatio(clutter.learned, seen)) if seen else run, case, rate)
+    births = own_births(without_false_tracks(run, FalseAlarmRatio(clutter.learned, seen)) if seen else run, case, rate)
     hand = _lesson(by_hand, watched, case)
     gains = tuple(lesson.gain if lesson else np.nan for lesson in (clutter, births, hand))
     return LearnedScene(

@@ -18,7 +18,7 @@ from experiments.common import Case, built, followed, mot15, table
 from experiments.m09_lessons import learned_alarms, learned_followed, marked_false, own_births, told
 from experiments.m09_scenes import stretch
 from phdtrack.arrays import iou
-from phdtrack.associate.rejection import believed
+from phdtrack.associate.rejection import without_false_tracks
 from phdtrack.metrics import evaluate
 from phdtrack.metrics.matching import build, tracking_mapping
 from phdtrack.models.scene import FalseAlarmRatio
@@ -130,7 +130,7 @@ def learned(stages: AnyStages, train: Case, seed: int) -> AnyStages:
         alarms = learned_alarms(train, marks).learned
         run = followed(told(stages, None, alarms, None), train, seed).corrected
         seen = learned_followed(run, train, marks)
-    births = own_births(believed(run, FalseAlarmRatio(alarms, seen)) if seen else run, train, stages.model.rate)
+    births = own_births(without_false_tracks(run, FalseAlarmRatio(alarms, seen)) if seen else run, train, stages.model.rate)
     return told(stages, births.learned if births else None, alarms, seen)
 
 

@@ -119,7 +119,8 @@ def damaged(saved) -> dict[str, object]:
         "no fields": saved | {"state": {"record": "phdtrack.pipeline:TrackingState", "fields": []}},
         "a missing field": saved | {"state": {"record": "phdtrack.pipeline:TrackingState", "fields": {"number": 3}}},
         "an unknown record inside": saved | {
-            "state": {"record": "phdtrack.pipeline:TrackingState", "fields": fields | {"intensity": {"record": "Mystery", "fields": {}}}}
+            "state": {"record": "phdtrack.pipeline:TrackingState", "fields":
+                      fields | {"intensity": {"record": "Mystery", "fields": {}}}}
         },
     }  # fmt: skip
 

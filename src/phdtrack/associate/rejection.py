@@ -26,7 +26,7 @@ A = TypeVar("A")
 KEPT = 10_000
 
 
-class FalseAlarmRatio(Protocol):
+class LikelihoodRatio(Protocol):
     """How much likelier a detection at some place is a false alarm than a target."""
 
     def log(self, z: F8) -> F8:
@@ -55,7 +55,7 @@ class FalseTrackRejection(Generic[A]):
     """
 
     associator: Associator[A]
-    ratio: FalseAlarmRatio
+    ratio: LikelihoodRatio
     immediate_confirmation: NonNegative = 0.0
     min_track_length: PositiveCount = 1
 
@@ -120,7 +120,7 @@ class FalseTrackRejection(Generic[A]):
         return out
 
 
-def without_false_tracks(tracks: Tracks, ratio: FalseAlarmRatio, min_track_length: int = 1) -> Tracks:
+def without_false_tracks(tracks: Tracks, ratio: LikelihoodRatio, min_track_length: int = 1) -> Tracks:
     """Tracks, each from its confirmation on; identities from 1, in order.
 
     Parameters

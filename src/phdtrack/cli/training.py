@@ -171,7 +171,7 @@ def clutter_unattended(data: TrainingData) -> Trained:
 def watched_tracks(data: TrainingData, alarms: Training | None, *, marked: bool) -> Watched:
     """One run behind the false alarms that were learned; ``marked``: a person looked at them, so that it shows what of them
     is followed all the same. Tracks that stay among these are not believed."""
-    from phdtrack.associate.rejection import believed
+    from phdtrack.associate.rejection import without_false_tracks
     from phdtrack.label.session import looked_at, object_boxes, share_followed
     from phdtrack.models.scene import FalseAlarmRatio
 
@@ -185,7 +185,7 @@ def watched_tracks(data: TrainingData, alarms: Training | None, *, marked: bool)
         return Watched(tracks, None, f"no track is held back: {error}")
     followed = TrackedObjects(share_followed(store, tracks, data.stretch), objects.learned)
     text = f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it knows them"
-    kept = believed(tracks, FalseAlarmRatio(alarms.learned, followed))
+    kept = without_false_tracks(tracks, FalseAlarmRatio(alarms.learned, followed))
     return Watched(kept, followed, f"{text}; tracks that stay among them are held back")
 
 
