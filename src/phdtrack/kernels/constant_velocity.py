@@ -16,7 +16,7 @@ BLOCK = 256
 
 
 @njit(**INNER)
-def _noises(
+def motion_noises(
     size: float, dt: float, acceleration: float, resize: float, smallest: float, scaled: bool
 ) -> tuple[float, float, float, float]:
     """Along one axis, of one box: variances of position, with velocity, of velocity and of size [M09 (11)]."""
@@ -38,7 +38,7 @@ def box_motion_noise(
     # As many axes as there are and not 2: the compiler would write the loop out.
     for axis in range(size.shape[0]):
         for i in range(size.shape[1]):
-            own, mixed, speed, extent = _noises(size[axis, i], dt, acceleration, resize, smallest, scaled)
+            own, mixed, speed, extent = motion_noises(size[axis, i], dt, acceleration, resize, smallest, scaled)
             out[axis, axis, i] = own
             out[axis, axis + 2, i] = mixed
             out[axis + 2, axis, i] = mixed
@@ -92,7 +92,7 @@ def predict_boxes(
             a, b, c, d = place[axis, axis], place[v, axis], place[v, v], place[axis + 4, axis + 4]
             for i in range(width):
                 t = target + i
-                own, mixed, speed, extent = _noises(mean[axis + 4, t], dt, acceleration, resize, smallest, scaled)
+                own, mixed, speed, extent = motion_noises(mean[axis + 4, t], dt, acceleration, resize, smallest, scaled)
                 cov[a, t] += own
                 cov[b, t] += mixed
                 cov[c, t] += speed
@@ -108,6 +108,6 @@ def predict_boxes(
                     cov[k, target + i] += times * old[p, source + i]
     for axis in range(axes):
         for i in range(n):
-            own, _, _, extent = _noises(mean[axis + 4, count + i], dt, acceleration, resize, smallest, scaled)
+            own, _, _, extent = motion_noises(mean[axis + 4, count + i], dt, acceleration, resize, smallest, scaled)
             noise[place[axis, axis], i] = own
             noise[place[axis + 4, axis + 4], i] = extent

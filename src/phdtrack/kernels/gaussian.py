@@ -200,7 +200,7 @@ def innovation_root(e: Expected, m: Measurements, i: int, j: int, root: F8) -> f
 
     NaN where S is not positive definite. Without noise of measurements j does not count.
     """
-    size, log_det = root.shape[0], 0.0
+    size, product = root.shape[0], 1.0
     of_target, of_measurement = len(e.noise) > 0, len(m.noise) > 0
     for a in range(size):
         for b in range(a + 1):
@@ -214,11 +214,11 @@ def innovation_root(e: Expected, m: Measurements, i: int, j: int, root: F8) -> f
             if a == b:
                 # Not positive: NaN, with which nothing is within a gate.
                 root[a, a] = np.sqrt(value) if value > 0.0 else np.nan
-                log_det += np.log(value) if value > 0.0 else np.nan
+                product *= root[a, a]
             else:
                 root[a, b] = value / root[b, b]
-    total: float = log_det + size * LOG_2PI
-    return total
+    log_det: float = 2.0 * np.log(product) + size * LOG_2PI
+    return log_det
 
 
 @njit(**INNER)

@@ -16,10 +16,12 @@ import numpy as np
 from phdtrack.arrays import draw, sum_by
 from phdtrack.checks import NonNegative, PositiveCount, Probability, Share, check
 from phdtrack.errors import InputError
+from phdtrack.kernels.box_model import births_about
 from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.grid import points_in_rectangles
+from phdtrack.kernels.neighbourhoods import summed_densities
 from phdtrack.kernels.pairs import quadratic_form
-from phdtrack.models.volume import Volume, image_volume, in_neighbourhood, local_volume
+from phdtrack.models.volume import REACH, SIZES, Volume, image_volume, in_neighbourhood, local_volume
 from phdtrack.protocols import Sensor
 from phdtrack.types import F4, F8, I8, GaussianMixture, Particles
 
@@ -69,7 +71,11 @@ class MeasurementBirth:
 
     def density(self, z: F8) -> F8:
         """(N,) γ per second at the detections themselves."""
-        return self._intensity(z[:4], z)
+        if self.volume == "image":
+            return self._intensity(z[:4], z)
+        each = self.births_per_second / local_volume(z)
+        local: F8 = summed_densities(np.ascontiguousarray(z[:4]), each, REACH, *SIZES)
+        return local
 
     def expected(self, z: F8, seconds: float) -> float:
         """births_per_second·seconds, of each detection where ``local``."""
@@ -230,14 +236,9 @@ def births_around(seen: tuple[F8, F8], rows: tuple[int, ...], density: F8) -> Bi
     (a = 3.70 for boxes, 3.61 for points). Filters divide m where Gaussians of several detections overlap.
     """
     mean, first = seen
-    fresh = np.flatnonzero(density > 0)
-    first, density, shown = first[fresh], density[fresh], list(rows)
-    noise = first[:, shown][:, :, shown]
     volume, stretch = newborn_shape(len(rows))
-    cov = first.copy()
-    cov[np.ix_(range(len(fresh)), rows, rows)] = (stretch - 1) * noise
-    weight = density * volume * np.sqrt(np.linalg.det(noise))
-    return Births(weight, np.ascontiguousarray(mean[:, fresh].T), cov, fresh, density, first)
+    out: Births = births_about(mean, first, np.array(rows), density, volume, stretch)
+    return out
 
 
 def gaussians_about(

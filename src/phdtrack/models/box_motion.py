@@ -24,6 +24,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack.checks import NonNegative, Positive, Probability, check
+from phdtrack.kernels.box_model import BoxDynamics
 from phdtrack.kernels.constant_velocity import box_motion_noise
 from phdtrack.models import warp as warp_of
 from phdtrack.models.spawning import NoSpawn, Spawn
@@ -121,6 +122,13 @@ class BoxMotion:
         box_motion_noise(mean[4:6], float(dt), self.acceleration, self.size_noise, self.min_size, self.scaled_noise, noise)
         # One Jacobian for all, as np.broadcast_to would give it in more time than the rest takes for a few states.
         return mean, np.ndarray((n, d, d), np.float64, f, 0, (0, *f.strides)), noise.transpose(2, 0, 1)
+
+    def dynamics(self, dt: float, seconds: float) -> BoxDynamics:
+        """The motion over an interval of ``dt`` time units, as the kernels of boxes take it."""
+        return BoxDynamics(
+            float(dt), self.acceleration, self.size_noise, self.min_size, self.scaled_noise,
+            self.survival_probability**seconds, *self.frame_size,
+        )  # fmt: skip
 
     def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of the spawning term."""

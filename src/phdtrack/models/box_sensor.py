@@ -28,9 +28,11 @@ from phdtrack.arrays import GATE, chi2_quantile, to_cxcywh
 from phdtrack.checks import NonNegative, Positive, Probability, Share, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.box import box_corners, box_gate, box_noise
+from phdtrack.kernels.box_model import DETECTION, FIXED, GIVEN, PARTICLE, PREVIOUS, BoxNoise, states_of_boxes
 from phdtrack.models.occlusion import NOBODY, Hiders, seen_part
 from phdtrack.types import F8, Detections
 
+_SCALINGS = {"particle": PARTICLE, "detection": DETECTION, "fixed": FIXED, "given": GIVEN, "previous": PREVIOUS}
 Scaling = Literal["particle", "detection", "previous", "fixed", "given"]
 # Rows of the state that a measurement shows, in the order of its components.
 OBSERVED = (0, 1, 4, 5)
@@ -216,26 +218,27 @@ class BoxSensor:
 
         The velocity of uniform direction and Gaussian amplitude a has variance a²/2 per axis.
         """
-        n, d = z.shape[1], 8 if self.scaling == "previous" else 6
-        x = np.zeros((d, n))
-        x[:2], x[4:6], x[6:] = z[:2], z[2:4], z[2 : d - 4]
-        cov = np.zeros((n, d, d))
-        np.einsum("nrr->nr", cov)[...] = np.square(self.noise(x, z)).T
-        return x, cov
+        speed = self.birth_speed_pixels if self.scaling == "fixed" else self.birth_speed
+        found: tuple[F8, F8] = states_of_boxes(
+            np.ascontiguousarray(z), 8 if self.scaling == "previous" else 6, self.numbers, speed / math.sqrt(2)
+        )
+        return found
 
-    def noise(self, x: F8, z: F8 | None = None) -> F8:
-        """Deviations of the state's components: the measurement's, and an unknown velocity's."""
+    @property
+    def numbers(self) -> BoxNoise:
+        """The noise as the kernels of boxes take it."""
+        position, size = self.fixed_noise
+        return BoxNoise(_SCALINGS[self.scaling], self.box_noise, self.min_noise, position**2, size**2)
+
+    def noise(self, x: F8) -> F8:
+        """Deviations of the state's components: the measurement's of a box of this size, and an unknown velocity's."""
         if self.scaling == "fixed":
             position, size = self.fixed_noise
             speed = max(self.birth_speed_pixels / math.sqrt(2), 1e-6)
-            out: F8 = np.repeat([position, speed, size], [2, 2, len(x) - 4])[:, None] * np.ones(x.shape[1])
-            return out
-        # A detection at hand gives its own size, or its own noise; a box of this size would be measured about so.
-        out = box_noise(x, 6 if self.scaling == "previous" else 4, self.box_noise, self.min_noise, self.birth_speed)
-        if z is not None and self.scaling == "given":
-            out[list(OBSERVED)] = np.sqrt(z[4:8])
-        elif z is not None and self.scaling == "detection":
-            out[list(OBSERVED)] = self._sigmas(z, x)
+            constant: F8 = np.repeat([position, speed, size], [2, 2, len(x) - 4])[:, None] * np.ones(x.shape[1])
+            return constant
+        row = 6 if self.scaling == "previous" else 4
+        out: F8 = box_noise(x, row, self.box_noise, self.min_noise, self.birth_speed)
         return out
 
     def boxes(self, x: F8) -> F8:

@@ -18,19 +18,26 @@ are then the same as sums about the centre, e_i = f(χ_i) − f(m):
 
 For linear functions both are the same but for rounding. Differences of measurements are the sensor's (`Sensor.innovation`),
 so that angles are compared the short way round.
+
+Boxes, which most users follow, are answered for by kernels of their own (`kernels.box_model`); any other motion or sensor by
+the methods of its protocol.
 """
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from phdtrack.errors import InputError
+from phdtrack.kernels.box_model import expected_boxes, linear_expected, predicted_boxes
 from phdtrack.kernels.gaussian import Births, Expected, Measurements, Predicted
 from phdtrack.kernels.kalman import predicted_covariance
 from phdtrack.kernels.pmb import NewTargets, first_states
+from phdtrack.models.box_motion import BoxMotion
+from phdtrack.models.box_sensor import BoxSensor
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8
 
@@ -49,7 +56,11 @@ def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Tran
     dt : interval in the model's time unit.
     transform : ``linear`` or ``unscented``, see above.
     """
-    motion, columns = model.motion, np.ascontiguousarray(mean.T)
+    motion = model.motion
+    if type(motion) is BoxMotion and transform == "linear" and not motion.remember_size:
+        boxes: Predicted = predicted_boxes(mean, covariance, motion.dynamics(dt, dt / model.rate))
+        return boxes
+    columns = np.ascontiguousarray(mean.T)
     p_survive = motion.p_survive(columns, dt / model.rate)
     centre, f, q = motion.transition(columns, dt)
     if transform == "linear":
@@ -75,6 +86,11 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
     ------
     InputError : ``transform`` is ``linear`` and the sensor is not.
     """
+    if type(sensor) is BoxSensor and transform == "linear":
+        seen: Expected = expected_boxes(mean, covariance, sensor.numbers, sensor.detection_probability)
+        if len(sensor.hiders):
+            return seen._replace(p_detect=sensor.p_detect(np.ascontiguousarray(mean.T)))
+        return seen
     columns = np.ascontiguousarray(mean.T)
     noise, p_detect = sensor.target_noise(columns), sensor.p_detect(columns)
     if transform == "linear":
@@ -84,9 +100,7 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
                 where="filter.transform",
                 cure="Use filter.transform=unscented, or particles",
             )
-        rows = list(sensor.observed)
-        cross = np.ascontiguousarray(covariance[:, :, rows])
-        return Expected(np.ascontiguousarray(mean[:, rows]), np.ascontiguousarray(cross[:, rows]), cross, noise, p_detect)
+        return Expected(*linear_expected(mean, covariance, np.array(sensor.observed)), noise, p_detect)
     points = sigma_points(columns, covariance)
     d, many, count = points.shape
     through = sensor.expected(points.reshape(d, many * count)).reshape(len(sensor.angles), many, count)
@@ -97,9 +111,15 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
 
 def measurements(model: Model, z: F8) -> Measurements:
     """The measurements ``z`` (m, N) of a frame, with their noise and κ(z)."""
-    period = np.array([2 * math.pi if angle else 0.0 for angle in model.sensor.angles])
+    period = _periods(model.sensor.angles)
     rows = np.ascontiguousarray(z[: len(period)].T)
     return Measurements(rows, model.sensor.measurement_noise(z), model.clutter.intensity(z), period)
+
+
+@lru_cache(maxsize=8)
+def _periods(angles: tuple[bool, ...]) -> F8:
+    """(r,) 2π for angles, else 0."""
+    return np.array([2 * math.pi if angle else 0.0 for angle in angles])
 
 
 def births(model: Model, z: F8, dt: float) -> Births:

@@ -1,0 +1,204 @@
+"""The Gaussian-mixture PHD filter [V06, E13 §4].
+
+With a linear Gaussian motion and sensor the intensity of `particle_phd` stays a mixture D(x) = Σ w_i N(x; m_i, P_i), and the
+recursion is a Kalman filter for every Gaussian:
+
+    predict   w_i ← p_S w_i,  m_i ← f(m_i),  P_i ← F P_i Fᵀ + Q
+    update    D(x) = (1 − p_D) D⁺(x) + Σ_z Σ_i p_D w_i q_i(z) / (κ(z) + C(z)) N(x; m_i + K(z − H m_i), (I − K H) P_i)
+              q_i(z) = N(z; H m_i, S_i),  S_i = H P_i Hᵀ + R,  K = P_i Hᵀ S_i⁻¹,  C(z) = Σ_i p_D w_i q_i(z)
+
+The model answers with arrays (`models.gaussian`), taken at the means where they depend on the state; the update and the
+reduction are compiled over them (`kernels.gm_update`, `kernels.gm_merge`). A measurement touches only the Gaussians in whose
+gate it is, so that the cost grows linearly with the number of targets. A mixture grows with every measurement;
+`GMPHD.reduce` prunes, merges and caps it.
+
+Every Gaussian carries a tag, by which its history can be read [P09 §III]: a newborn's is new; prediction and update keep it,
+so that the Gaussians that a measurement and a missed one make of one have the same; a union has that of its strongest. Of
+those that share a tag and weigh ``split_weight`` or more after reduction the heaviest keeps it, and the others, which are
+targets now, are given new ones. Lighter ones may share theirs with a target and take it over when it fades. Tags count from 0
+and none is given twice; `GaussianMixture.fresh` is the next.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from phdtrack.arrays import GATE, chi2_quantile
+from phdtrack.checks import Count, NonNegative, Share, check
+from phdtrack.errors import InputError
+from phdtrack.kernels.gaussian import Births, Expected, Measurements
+from phdtrack.kernels.gm_merge import reduced
+from phdtrack.kernels.gm_update import Rows, phd_update
+from phdtrack.models.gaussian import Transform, births, expected, measurements, predicted
+from phdtrack.protocols import Model
+from phdtrack.types import F8, GaussianMixture, Particles, UpdateInfo
+
+# Mass within this region of a detection explains it, M(z).
+REGION = 0.99
+
+
+class Answers(NamedTuple):
+    """What a model says of a frame, and how far Gaussians reach in it.
+
+    Attributes
+    ----------
+    rows : the predicted Gaussians, and behind them the births; weights and tags are of the predicted ones only.
+    births : the births.
+    expected : what all of them say of measurements.
+    measurements : the measurements.
+    gate : deviations of the innovation beyond which a measurement does not touch a Gaussian.
+    region : squared distance within which predicted mass explains a detection.
+    """
+
+    rows: Rows
+    births: Births
+    expected: Expected
+    measurements: Measurements
+    gate: float
+    region: float
+
+
+@dataclass(frozen=True, slots=True)
+class GMPHD:
+    """Settings of the GM-PHD filter; the defaults are E13's, without its cap.
+
+    Parameters
+    ----------
+    weight_threshold : Gaussians that weigh less are dropped.
+    merge_distance : Mahalanobis distance (not squared) up to which a Gaussian is united with a stronger one, in its own
+        covariance.
+    max_components : J_max, Gaussians kept, the heaviest; 0 for all, of which there are at most the mass divided by
+        ``weight_threshold``. In practice there are some for each target, and for each false alarm as long as one that was not
+        seen again takes to fade, log(weight / weight_threshold) / −log(1 − p_D) frames. E13's is 100.
+    keep_mass : what pruning and capping drop is given to the rest, so that the expected number stays; False is as Vo and Ma
+        print it.
+    gate_probability : part of the measurements of a Gaussian inside its gate; those beyond do not touch it; 1: no gate.
+    split_weight : what shares its tag with a heavier Gaussian keeps it below this weight, see above; 0: no two share one.
+    transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
+    skip_empty_frames : leave the intensity as predicted when a frame brings no detection, as D14 does.
+    initial : the intensity before the first frame.
+    """
+
+    weight_threshold: NonNegative = 1e-5
+    merge_distance: NonNegative = 2.0
+    max_components: Count = 0
+    keep_mass: bool = True
+    gate_probability: Share = GATE
+    split_weight: NonNegative = 0.5
+    transform: Transform = "linear"
+    skip_empty_frames: bool = False
+    initial: GaussianMixture | None = None
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def start(self, model: Model, rng: np.random.Generator) -> GaussianMixture:
+        """The initial intensity, each Gaussian with a tag; empty where none was given."""
+        given, d = self.initial, model.motion.dim
+        if given is None:
+            return GaussianMixture(np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d)))
+        return tagged(given)
+
+    def predict(self, state: GaussianMixture, model: Model, dt: float, rng: np.random.Generator) -> GaussianMixture:
+        """Every Gaussian through f, weighed with p_S [V06 (24)–(29)].
+
+        Raises `InputError` where the motion spawns: spawned targets are drawn as particles and have no Gaussian form.
+        """
+        if len(state) == 0:
+            return state
+        rows, fresh = self._predicted(state, model, dt, rng)
+        return GaussianMixture(rows.weight, np.ascontiguousarray(rows.mean.T), rows.covariance, rows.tag, fresh)
+
+    def update(
+        self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[GaussianMixture, UpdateInfo]:
+        """Add the births, then update every Gaussian with every measurement within its gate [V06 (32)–(38)].
+
+        The mass that explains a detection, which decides where targets are born, is that of the Gaussians within the 99 %
+        region of it. Where κ(z) + C(z) = 0 the detection's term is 0 and counted in ``info.vanished``.
+        """
+        state = tagged(state)
+        rows, info, fresh = self._updated(rows_of(state), state.fresh, z, model, dt, 0.0)
+        return GaussianMixture(rows.weight, np.ascontiguousarray(rows.mean.T), rows.covariance, rows.tag, fresh), info
+
+    def reduce(self, state: GaussianMixture, rng: np.random.Generator) -> GaussianMixture:
+        """Prune, merge, cap: the strongest first, with all that are near it, moment-matched [V06 Table II, E13 §4].
+
+        Tags as above [P09 §III].
+        """
+        state = tagged(state)
+        return self.reduced(rows_of(state), state.mass, state.fresh)
+
+    def step(
+        self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[GaussianMixture, UpdateInfo]:
+        """Predict, update and reduce; Gaussians that pruning would drop are not made."""
+        rows, fresh = self._predicted(state, model, dt, rng)
+        rows, info, fresh = self._updated(rows, fresh, z, model, dt, self.weight_threshold)
+        return self.reduced(rows, info.mass, fresh), info
+
+    def _predicted(self, state: GaussianMixture, model: Model, dt: float, rng: np.random.Generator) -> tuple[Rows, int]:
+        """The predicted Gaussians that survive, and the next tag."""
+        state = tagged(state)
+        if len(model.motion.spawn(Particles(state.mean, state.weight), dt, rng)):
+            raise InputError(
+                "the GM-PHD filter has no spawning", where="motion.births", cure="Use NoSpawn, or the particle filter"
+            )
+        mean, covariance = model.carried_gaussians(state.mean, state.covariance)
+        after = predicted(model, np.ascontiguousarray(mean.T), np.ascontiguousarray(covariance), dt, self.transform)
+        weight = state.weight * after.p_survive
+        rows = Rows(weight, after.mean, after.covariance, state.tag)
+        if np.count_nonzero(weight) < len(weight):
+            alive = weight > 0
+            rows = Rows(weight[alive], after.mean[alive], after.covariance[alive], state.tag[alive])
+        return rows, state.fresh
+
+    def answered(self, rows: Rows, z: F8, model: Model, dt: float) -> Answers:
+        """What the model says of predicted Gaussians and a frame's measurements ``z`` (m, N)."""
+        born = births(model, z, dt)
+        mean = np.concatenate((rows.mean, born.mean))
+        covariance = np.concatenate((rows.covariance, born.covariance))
+        seen = expected(model.sensor, mean, covariance, self.transform)
+        r = seen.z.shape[1]
+        return Answers(
+            Rows(rows.weight, mean, covariance, rows.tag), born, seen, measurements(model, z),
+            math.sqrt(chi2_quantile(r, self.gate_probability)), chi2_quantile(r, REGION),
+        )  # fmt: skip
+
+    def _updated(
+        self, rows: Rows, fresh: int, z: F8, model: Model, dt: float, threshold: float
+    ) -> tuple[Rows, UpdateInfo, int]:
+        """The Gaussians after births and measurements, what was learned, and the next tag; lighter ones left out."""
+        a = self.answered(rows, z, model, dt)
+        if z.shape[1] == 0 and self.skip_empty_frames:
+            a = a._replace(expected=a.expected._replace(p_detect=np.zeros(len(a.rows.mean))))
+        *after, evidence, (before, born, mass), vanished, fresh = phd_update(*a, fresh, float(threshold))
+        return Rows(*after), UpdateInfo(before, born, mass, evidence, a.measurements.clutter, vanished), fresh
+
+    def reduced(self, rows: Rows, mass: float, fresh: int) -> GaussianMixture:
+        """Fewer Gaussians of this mass for the same intensity; ``fresh`` is the next tag."""
+        axes = tuple(range(rows.mean.shape[1]))
+        return GaussianMixture(
+            *reduced(
+                rows, axes, float(self.weight_threshold), float(self.merge_distance), self.max_components,
+                float(self.split_weight), mass if self.keep_mass else -1.0, fresh,
+            )
+        )  # fmt: skip
+
+
+def rows_of(state: GaussianMixture) -> Rows:
+    """A Gaussian a row, in the layout that the kernels are compiled for."""
+    ordered = np.ascontiguousarray
+    return Rows(ordered(state.weight), ordered(state.mean.T), ordered(state.covariance), ordered(state.tag))
+
+
+def tagged(mixture: GaussianMixture) -> GaussianMixture:
+    """The mixture, with new tags where it has none."""
+    if len(mixture.tag) == len(mixture):
+        return mixture
+    tag = mixture.fresh + np.arange(len(mixture))
+    return GaussianMixture(mixture.weight, mixture.mean, mixture.covariance, tag, mixture.fresh + len(mixture))

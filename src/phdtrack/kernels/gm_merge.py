@@ -1,0 +1,278 @@
+"""Fewer Gaussians for the same intensity: prune, merge, cap, in time linear in their number; and whose tag is whose.
+
+Merging as printed takes the strongest remaining Gaussian j and unites with it all i of small (m_i − m_j)ᵀ P_i⁻¹ (m_i − m_j),
+then the strongest of the rest, and so on. Asked the other way round: each Gaussian, by descending weight, joins the
+strongest head that it is near, or becomes a head itself. The groups are the same, and because the distance is in its own
+covariance, the heads that can be near lie in a rectangle about its mean: a grid of heads answers at once.
+
+A union has the tag of its strongest [P09 §III].
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.gm_order import descending
+from phdtrack.kernels.gm_update import Rows
+
+F8 = NDArray[np.float64]
+I8 = NDArray[np.int64]
+
+
+# ``axes`` is (0, 1, …, d − 1): the length of a tuple is known when a function is compiled, and loops of known length are
+# unrolled, which saves a third of the time.
+Axes = tuple[int, ...]
+
+
+@njit(**INNER)
+def _apart(step: F8, cov: F8, i: int, limit: float, axes: Axes) -> bool:
+    """Whether one component alone says that stepᵀ cov_i⁻¹ step is above ``limit``: it is at least step_r² / cov_rr."""
+    far = False
+    for r in range(len(axes)):
+        far |= step[r] * step[r] > limit * cov[i, r, r]
+    return far
+
+
+@njit(**INNER)
+def _factor(cov: F8, i: int, work: F8, inverse: F8, axes: Axes) -> None:
+    """cov_i = L D Lᵀ without roots: L below the diagonal of ``work`` (d, d), (L D)ᵀ above it, and 1/D in ``inverse`` (d,).
+
+    NaN where it is not positive definite.
+    """
+    for r in range(len(axes)):
+        pivot = cov[i, r, r]
+        for c in range(r):
+            value = cov[i, r, c]
+            for t in range(c):
+                value -= work[t, r] * work[c, t]
+            work[c, r] = value
+            work[r, c] = value * inverse[c]
+            pivot -= value * work[r, c]
+        inverse[r] = 1.0 / pivot if pivot > 0.0 else np.nan
+
+
+@njit(**INNER)
+def _distance2(step: F8, work: F8, inverse: F8, axes: Axes) -> float:
+    """stepᵀ cov⁻¹ step from the factors of `_factor`; overwrites ``step`` with L⁻¹ step."""
+    total = 0.0
+    for r in range(len(axes)):
+        for t in range(r):
+            step[r] -= work[r, t] * step[t]
+        total += step[r] * step[r] * inverse[r]
+    return total
+
+
+@njit(**INNER)
+def _cells(x: F8, cov: F8, alive: I8) -> tuple[float, float, float, float, int, int]:
+    """Origin, inverse cell size and number of cells of the heads' grid: about four deviations, at most 2 a Gaussian."""
+    n = alive.size
+    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
+    wide, high, sums = 0.0, 0.0, 0.0
+    for i in alive:
+        x0, x1 = min(x0, x[i, 0]), max(x1, x[i, 0])
+        y0, y1 = min(y0, x[i, 1]), max(y1, x[i, 1])
+        sums += x[i, 0] + x[i, 1]
+        wide += np.sqrt(cov[i, 0, 0])
+        high += np.sqrt(cov[i, 1, 1])
+    # A cell made of NaN would be written through.
+    if not np.isfinite(sums + wide + high):
+        raise ValueError("means and variances must be finite, and variances not negative")
+    width, height = max(4.0 * wide / n, 1e-9), max(4.0 * high / n, 1e-9)
+    columns, lines = (x1 - x0) / width + 1.0, (y1 - y0) / height + 1.0
+    most = 2.0 * n
+    if columns * lines > most:
+        shrink = np.sqrt(columns / most * lines)
+        columns, lines = max(1.0, min(columns / shrink, most)), max(1.0, min(lines / shrink, most))
+    nx, ny = int(columns), int(lines)
+    return x0, y0, nx / max(x1 - x0, 1e-9), ny / max(y1 - y0, 1e-9), nx, ny
+
+
+@njit(**INNER)
+def _cell(value: float, origin: float, scale: float, count: int) -> int:
+    """Index of the cell that holds ``value``, clamped to the grid."""
+    position = (value - origin) * scale
+    if not position > 0.0:  # also NaN
+        return 0
+    return count - 1 if position >= count else int(position)
+
+
+@njit(**INNER)
+def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) -> tuple[I8, I8, I8]:
+    """Indices by descending weight (n,), the number of the group of each of these (n,), the head of each group (k,)."""
+    n, d = alive.size, len(axes)
+    own, group, head = np.empty(n), np.empty(n, np.int64), np.empty(n, np.int64)
+    for k in range(n):
+        own[k] = weight[alive[k]]
+    order = descending(own)
+    for k in range(n):
+        order[k] = alive[order[k]]
+    limit = distance * distance
+    x0, y0, sx, sy, nx, ny = _cells(x, cov, alive)
+    first, after = np.empty(nx * ny, np.int64), np.empty(n, np.int64)
+    for c in range(nx * ny):
+        first[c] = -1
+    work, inverse, step = np.empty((d, d)), np.empty(d), np.empty(d)
+    count = 0
+    for k in range(n):
+        i = order[k]
+        px, py = x[i, 0], x[i, 1]
+        reach_x, reach_y = distance * np.sqrt(cov[i, 0, 0]), distance * np.sqrt(cov[i, 1, 1])
+        best, known = n, False
+        left, right = _cell(px - reach_x, x0, sx, nx), _cell(px + reach_x, x0, sx, nx)
+        for line in range(_cell(py - reach_y, y0, sy, ny), _cell(py + reach_y, y0, sy, ny) + 1):
+            for column in range(left, right + 1):
+                g = first[line * nx + column]
+                while g >= 0:
+                    # The strongest head counts; a weaker one than found already need not be asked.
+                    if g < best and abs(x[head[g], 0] - px) <= reach_x and abs(x[head[g], 1] - py) <= reach_y:
+                        for r in range(d):
+                            step[r] = x[head[g], r] - x[i, r]
+                        if not _apart(step, cov, i, limit, axes):
+                            if not known:
+                                _factor(cov, i, work, inverse, axes)
+                                known = True
+                            if _distance2(step, work, inverse, axes) <= limit:
+                                best = g
+                    g = after[g]
+        if best == n:
+            best = count
+            head[count] = i
+            home = _cell(py, y0, sy, ny) * nx + _cell(px, x0, sx, nx)
+            after[count], first[home] = first[home], count
+            count += 1
+        group[k] = best
+    return order, group, head[:count]
+
+
+@njit(**INNER)
+def _united(
+    weight: F8, x: F8, cov: F8, tag: I8, order: I8, group: I8, head: I8, axes: Axes, most: int, wanted: float
+) -> tuple[F8, F8, F8, I8]:
+    """Mass (k,), mean (d, k), covariance (k, d, d) and tag (k,) of the groups, the ``most`` heaviest; see `reduced`."""
+    d, count = len(axes), head.size
+    mass, step, members = np.empty(count), np.empty(d), np.empty(count, np.int64)
+    about, spread = np.empty((count, d)), np.empty((count, d, d))
+    for g in range(count):
+        mass[g], members[g] = 0.0, 0
+    for k in range(order.size):
+        i, g = order[k], group[k]
+        w, h = weight[i], head[g]
+        mass[g] += w
+        members[g] += 1
+        if members[g] == 1:
+            continue
+        if members[g] == 2:
+            # Sums about the head, the strongest, so that no digits are lost far from the origin.
+            for r in range(d):
+                about[g, r] = 0.0
+                for s in range(r + 1):
+                    spread[g, r, s] = weight[h] * cov[h, r, s]
+        for r in range(d):
+            step[r] = x[i, r] - x[h, r]
+            about[g, r] += w * step[r]
+            for s in range(r + 1):
+                spread[g, r, s] += w * (cov[i, r, s] + step[r] * step[s])
+    capped = 0 < most < count
+    size = most if capped else count
+    kept = descending(mass) if capped else order
+    total = 0.0
+    for k in range(size):
+        total += mass[kept[k] if capped else k]
+    scale = wanted / total if wanted >= 0.0 and total > 0.0 else 1.0
+    out_mass, out_mean, out_cov, out_tag = (
+        np.empty(size),
+        np.empty((d, size)),
+        np.empty((size, d, d)),
+        np.empty(size, np.int64),
+    )
+    for k in range(size):
+        g = kept[k] if capped else k
+        i = head[g]
+        out_mass[k], out_tag[k] = scale * mass[g], tag[i]
+        # A head without weight has members without weight: it stands for them.
+        alone = members[g] == 1 or not mass[g] > 0.0
+        share = 0.0 if alone else 1.0 / mass[g]
+        for r in range(d):
+            step[r] = 0.0 if alone else about[g, r] * share
+            out_mean[r, k] = x[i, r] + step[r]
+            for s in range(r + 1):
+                value = cov[i, r, s] if alone else spread[g, r, s] * share - step[r] * step[s]
+                out_cov[k, r, s] = value
+                out_cov[k, s, r] = value
+    return out_mass, out_mean, out_cov, out_tag
+
+
+@njit(**INNER)
+def parted(weight: F8, tag: I8, split: float, fresh: int) -> int:
+    """Give new tags, from ``fresh`` on, to those of ``split`` or more that share theirs with a heavier one; the next tag.
+
+    ``weight`` (J,), ``tag`` (J,), which is written into. The tags that have been seen stand in a table by their last bits,
+    each with the heaviest that has it; what finds its place taken goes to the next.
+    """
+    heavy, size = 0, 2
+    for i in range(weight.size):
+        heavy += weight[i] >= split
+    while size < 2 * heavy:
+        size *= 2
+    table = np.empty(size, np.int64)
+    for c in range(size):
+        table[c] = -1
+    for i in range(weight.size):
+        if not weight[i] >= split:
+            continue
+        c = tag[i] & (size - 1)
+        while table[c] >= 0 and tag[table[c]] != tag[i]:
+            c = (c + 1) & (size - 1)
+        held, loser = table[c], i
+        if held < 0 or weight[i] > weight[held]:
+            table[c], loser = i, held
+        if loser >= 0:
+            tag[loser] = fresh
+            fresh += 1
+    return fresh
+
+
+@njit(**INNER)
+def _alive(weight: F8, prune: float) -> I8:
+    """Indices of what is no lighter than ``prune``."""
+    out, count = np.empty(weight.size, np.int64), 0
+    for i in range(weight.size):
+        if weight[i] >= prune:
+            out[count] = i
+            count += 1
+    return out[:count]
+
+
+@njit(**ENTRY)
+def reduced(
+    rows: Rows, axes: Axes, threshold: float, distance: float, most: int, split: float, mass: float, fresh: int
+) -> tuple[F8, F8, F8, I8, int]:
+    """Prune, merge and cap: weight (k,), mean (d, k), covariance (k, d, d), tag (k,); the next tag.
+
+    Each group has mass, mean and covariance of its members and the tag of its strongest, by whose weights they are ordered.
+
+    Parameters
+    ----------
+    rows : the Gaussians.
+    axes : (0, 1, …, d − 1).
+    threshold : what is lighter is left out.
+    distance : Mahalanobis distance (not squared) up to which two are one.
+    most : as many of what merging leaves, the heaviest, are kept; 0: all.
+    split : see `parted`.
+    mass : the weights are scaled to this sum; where it is negative they stay.
+    fresh : the first new tag.
+
+    Raises
+    ------
+    ValueError : a mean or a variance is NaN or infinite, or a variance negative.
+    """
+    weight, x, cov, tag = rows
+    alive = _alive(weight, threshold)
+    if alive.size == 0:
+        return np.empty(0), np.empty((len(axes), 0)), np.empty((0, len(axes), len(axes))), alive, fresh
+    order, group, head = _groups(weight, x, cov, alive, distance, axes)
+    w, mean, covs, tags = _united(weight, x, cov, tag, order, group, head, axes, most, mass)
+    return w, mean, covs, tags, parted(w, tags, split, fresh)
