@@ -193,7 +193,8 @@ class GaussianMixture:
     Attributes
     ----------
     weight : (J,) float64 ≥ 0.      mean : (d, J) float64.      covariance : (J, d, d) float64.
-    tag : (J,) int64 from 0, by which a Gaussian's history can be read, see `filters.gm_phd`; (0,) in a mixture that is no
+    tag : (J,) int64 from 0, by which a Gaussian's history can be read, see `filters.phd_gaussian`; (0,) in a mixture that
+        is no
         filter's state.
     fresh : the tag that the next new Gaussian is given: none that was ever given is as large.
     """

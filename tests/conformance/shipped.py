@@ -165,10 +165,16 @@ ASSOCIATORS |= {
 }
 
 
+def often(birth: MeasurementBirth | ContextBirth) -> MeasurementBirth | ContextBirth:
+    """25 times as many births a second."""
+    rates = ("births_per_second", "around_detections") if isinstance(birth, ContextBirth) else ("births_per_second",)
+    return replace(birth, **{name: 25 * getattr(birth, name) for name in rates})
+
+
 def model_of(sensor: BoxSensor | None = None) -> Model:
     sensor = sensor or SENSORS["particle"]
     motion = BoxMotion(frame_size=SIZE, remember_size=sensor.scaling == "previous")
-    return Model(motion, sensor, BIRTHS["measurement, image"], CLUTTERS["uniform"])
+    return Model(motion, sensor, often(BIRTHS["measurement, image"]), CLUTTERS["uniform"])
 
 
 def detections(rng: np.random.Generator, n: int) -> Detections:

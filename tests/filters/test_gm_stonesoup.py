@@ -55,7 +55,7 @@ def test_update(rng):
     root = rng.normal(0, 1.5, (3, 6, 6))
     mixture = GaussianMixture(np.array([0.8, 0.5, 1.1]), mean, root @ root.transpose(0, 2, 1) + np.eye(6))
     z = np.hstack([mean[[0, 1, 4, 5]] + rng.normal(0, 2, (4, 3)), [[302.0], [203], [58], [118]]])
-    ours, _ = GMPHD(gate_probability=1e3).update(mixture, z, MODEL, 1.0, rng)
+    ours, _ = GMPHD(gate_probability=1.0).update(mixture, z, MODEL, 1.0, rng)
     expected = sorted(theirs(mixture, z), key=lambda c: float(c.weight))
     # Theirs may leave out what weighs next to nothing.
     expected = [c for c in expected if float(c.weight) > 1e-6]

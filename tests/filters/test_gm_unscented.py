@@ -12,8 +12,8 @@ from phd_cases import FRAME, NoBirth
 from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD
 from phdtrack.filters.composed import composed_step
-from phdtrack.filters.transforms import sigma_points
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
+from phdtrack.models.gaussian import sigma_points
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
 
@@ -122,8 +122,16 @@ class Distant:
     def expected(self, x):
         return np.vstack([x[:2], np.hypot(x[0] - 40.0, x[1])])
 
+    angles: tuple[bool, ...] = (False, False, False)
+
     def innovation(self, z, seen):
         return z[:3] - seen
+
+    def target_noise(self, x):
+        return self.covariance(x, x)
+
+    def measurement_noise(self, z):
+        return np.zeros((0, 3, 3))
 
     def covariance(self, z, x):
         return np.tile(np.diag([4.0, 4.0, 0.01]), (z.shape[1], 1, 1))

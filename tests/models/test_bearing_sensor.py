@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD
-from phdtrack.filters.transforms import expected, posteriors
+from phdtrack.kernels.gaussian import Measurements, pair_posteriors
 from phdtrack.models import BearingSensor, FixedBirth, TurningMotion, UniformClutter
+from phdtrack.models.gaussian import expected
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
 
@@ -108,6 +109,15 @@ def test_the_detection_probability_falls_with_the_range():
     np.testing.assert_allclose(BearingSensor(fade=2000.0, origin=SENSOR.origin).p_detect(x), [0.98, 0.98 * math.exp(-0.5)])
 
 
+def corrected(state: GaussianMixture, z: np.ndarray, sensor: BearingSensor) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (d, 1) and covariance (1, d, d) of one Gaussian after one measurement (2, 1)."""
+    none, mean = np.zeros(1, np.int64), state.mean.T.copy()
+    seen = expected(sensor, mean, state.covariance, "unscented")
+    measured = Measurements(z.T.copy(), np.zeros((0, 2, 2)), np.zeros(1), np.array([2 * math.pi, 0.0]))
+    after, cov = pair_posteriors(mean, state.covariance, seen, measured, none, none)
+    return after.T, cov
+
+
 def gaussian(place: tuple[float, float], sd: float) -> GaussianMixture:
     return GaussianMixture(np.ones(1), at(place), np.diag([sd**2, sd**2, 50.0, 50.0, 0.01])[None])
 
@@ -116,13 +126,13 @@ def gaussian(place: tuple[float, float], sd: float) -> GaussianMixture:
 def test_sigma_points_have_the_moments_of_draws(place: tuple[float, float], rng):
     """Of 400 000; the second Gaussian lies across the cut at ±π."""
     state = gaussian(place, 50.0)
-    seen = expected(state, SENSOR, "unscented")
+    seen = expected(SENSOR, state.mean.T.copy(), state.covariance, "unscented")
     x = rng.multivariate_normal(state.mean[:, 0], state.covariance[0], 400_000).T
-    step = SENSOR.innovation(SENSOR.expected(x), seen.mean)
+    step = SENSOR.innovation(SENSOR.expected(x), seen.z.T)
     spread = np.cov(step)
     assert (np.abs(step.mean(1)) < 5 * np.sqrt(np.diag(spread) / 400_000) + 0.002 * np.sqrt(np.diag(spread))).all()
     scale = np.sqrt(np.outer(np.diag(spread), np.diag(spread)))
-    assert (np.abs(seen.spread[0] - spread) < 0.02 * scale).all()
+    assert (np.abs(seen.covariance[0] - spread) < 0.02 * scale).all()
     cross = np.cov(np.vstack([x, step]))[:5, 5:]
     wide = np.sqrt(np.outer(np.diag(state.covariance[0]), np.diag(spread)))
     assert (np.abs(seen.cross[0] - cross) < 0.02 * wide).all()
@@ -138,8 +148,7 @@ def test_errors_are_what_the_update_says(rng):
         state = gaussian((100 + 1000 * math.sin(angle), -50 + 1000 * math.cos(angle)), 50.0)
         x = rng.multivariate_normal(state.mean[:, 0], state.covariance[0])[:, None]
         z = SENSOR.expected(x) + rng.normal(size=(2, 1)) * [[0.035], [10.0]]
-        none = np.zeros(1, np.int64)
-        mean, cov = posteriors(state, z, none, none, SENSOR, "unscented")
+        mean, cov = corrected(state, z, SENSOR)
         step = x[:, 0] - mean[:, 0]
         errors.append(step @ np.linalg.solve(cov[0], step))
     assert np.mean(errors) == pytest.approx(5, abs=4 * math.sqrt(10 / 2000) + 0.05)
@@ -162,8 +171,7 @@ def test_a_turning_target_is_followed_within_what_the_filter_says(rng):
             x = motion.sample(x, 1.0, rng)
             z = sensor.expected(x) + rng.normal(size=(2, 1)) * [[0.01], [5.0]]
             state = recursion.predict(state, model, 1.0, rng)
-            none = np.zeros(1, np.int64)
-            mean, cov = posteriors(state, z, none, none, sensor, "unscented")
+            mean, cov = corrected(state, z, sensor)
             state = GaussianMixture(np.ones(1), mean, cov)
             step = x[:, 0] - mean[:, 0]
             errors.append(step @ np.linalg.solve(cov[0], step))

@@ -247,9 +247,9 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     "filter": {
         "pmb": "phdtrack.filters.pmb:PMB",
         "particle-phd": "phdtrack.filters.particle_phd:ParticlePHD",
-        "gm-phd": "phdtrack.filters.gm_phd:GMPHD",
+        "gm-phd": "phdtrack.filters.phd_gaussian:GMPHD",
         "particle-cphd": "phdtrack.filters.particle_cphd:ParticleCPHD",
-        "gm-cphd": "phdtrack.filters.gm_cphd:GMCPHD",
+        "gm-cphd": "phdtrack.filters.cphd:GMCPHD",
         "mcmc": "phdtrack.filters.mcmc:MCMC",
         "mht": "phdtrack.filters.mht:MHT",
         "none": "phdtrack.filters.none:NoFilter",

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 from phdtrack.files import lazy
 
 if TYPE_CHECKING:
-    from phdtrack.filters.gm_cphd import GMCPHD
-    from phdtrack.filters.gm_phd import GMPHD
+    from phdtrack.filters.cphd import GMCPHD
     from phdtrack.filters.mcmc import MCMC
     from phdtrack.filters.mht import MHT, BestHypothesis
     from phdtrack.filters.none import NoFilter
     from phdtrack.filters.particle_cphd import ParticleCPHD
     from phdtrack.filters.particle_phd import ParticlePHD
+    from phdtrack.filters.phd_gaussian import GMPHD
     from phdtrack.filters.pmb import PMB, BestBernoullis
 
 __getattr__, __dir__ = lazy(
@@ -21,8 +21,8 @@ __getattr__, __dir__ = lazy(
     {
         "BestBernoullis": "phdtrack.filters.pmb",
         "BestHypothesis": "phdtrack.filters.mht",
-        "GMCPHD": "phdtrack.filters.gm_cphd",
-        "GMPHD": "phdtrack.filters.gm_phd",
+        "GMCPHD": "phdtrack.filters.cphd",
+        "GMPHD": "phdtrack.filters.phd_gaussian",
         "MCMC": "phdtrack.filters.mcmc",
         "MHT": "phdtrack.filters.mht",
         "NoFilter": "phdtrack.filters.none",

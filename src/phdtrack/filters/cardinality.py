@@ -28,8 +28,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.filters.intensities import Points
-from phdtrack.filters.meeting import Meeting
 from phdtrack.kernels.esf import log_products, log_sums_without, thinned
 from phdtrack.types import F8
 
@@ -88,12 +86,18 @@ def with_births(cardinality: F8, mass: float, detections: int) -> F8:
     return np.convolve(cardinality, np.exp(log_poisson(mass, _enough(mass) + detections)))
 
 
-def weigh(cardinality: F8, meeting: Meeting[Points], births: float) -> Weighing:
-    """The number with ``births`` expected and after the scan, from that before both."""
-    grown = with_births(cardinality, births, len(meeting.evidence))
-    known, missed = meeting.intensity.mass, float(meeting.missed.sum())
-    whole = known + max(births - meeting.born, 0.0)
-    return factors(grown, whole, missed * whole / known if known > 0 else whole, meeting.evidence, meeting.clutter)
+def weigh(cardinality: F8, known: float, missed: float, births: float, unseen: float, evidence: F8, clutter: F8) -> Weighing:
+    """The number with births and after the scan, from that before both.
+
+    Parameters
+    ----------
+    cardinality : (n,) probabilities of 0, 1, 2, … targets before births and scan.
+    known, missed : M = ∫D⁺ and ∫(1 − p_D) D⁺ of what the intensity holds, its births included.
+    births, unseen : expected number of births, and of those that the intensity does not hold.
+    evidence, clutter : (N,) C(z) and κ(z), per unit of measurement volume.
+    """
+    grown, whole = with_births(cardinality, births, len(evidence)), known + unseen
+    return factors(grown, whole, missed * whole / known if known > 0 else whole, evidence, clutter)
 
 
 def factors(cardinality: F8, mass: float, missed: float, evidence: F8, clutter: F8) -> Weighing:

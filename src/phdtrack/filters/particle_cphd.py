@@ -66,7 +66,11 @@ class ParticleCPHD:
     def update(self, state: State, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[State, UpdateInfo]:
         """Draw the newborn, then update the number and every particle [V07]."""
         meeting = _intensity(self).meet(state.intensity, z, model, dt, rng)
-        weighing = weigh(state.cardinality, meeting, model.birth.expected(z, dt / model.rate))
+        births = model.birth.expected(z, dt / model.rate)
+        weighing = weigh(
+            state.cardinality, meeting.intensity.mass, float(meeting.missed.sum()), births, max(births - meeting.born, 0.0),
+            meeting.evidence, meeting.clutter,
+        )  # fmt: skip
         particles = weighed(meeting, weighing.missed, weighing.detected)
         info = replace(meeting.info(particles.mass), cardinality=weighing.cardinality)
         return Cardinalised(particles, weighing.cardinality), info

@@ -15,7 +15,8 @@ gate it is, so that the cost grows linearly with the number of targets. A mixtur
 Every Gaussian carries a tag, by which its history can be read [P09 §III]: a newborn's is new; prediction and update keep it,
 so that the Gaussians that a measurement and a missed one make of one have the same; a union has that of its strongest. Of
 those that share a tag and weigh ``split_weight`` or more after reduction the heaviest keeps it, and the others, which are
-targets now, are given new ones. Lighter ones may share theirs with a target and take it over when it fades. Tags count from 0
+targets now, are given new ones. Lighter ones may share theirs with a target and take it over when it fades. Tags count from
+0
 and none is given twice; `GaussianMixture.fresh` is the next.
 """
 
@@ -72,7 +73,8 @@ class GMPHD:
     merge_distance : Mahalanobis distance (not squared) up to which a Gaussian is united with a stronger one, in its own
         covariance.
     max_components : J_max, Gaussians kept, the heaviest; 0 for all, of which there are at most the mass divided by
-        ``weight_threshold``. In practice there are some for each target, and for each false alarm as long as one that was not
+        ``weight_threshold``. In practice there are some for each target, and for each false alarm as long as one that was
+        not
         seen again takes to fade, log(weight / weight_threshold) / −log(1 − p_D) frames. E13's is 100.
     keep_mass : what pruning and capping drop is given to the rest, so that the expected number stays; False is as Vo and Ma
         print it.

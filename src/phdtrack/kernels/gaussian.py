@@ -405,3 +405,26 @@ def pair_posteriors(mean: F8, covariance: F8, e: Expected, m: Measurements, gaus
     """`posteriors`, to be called from Python."""
     out: tuple[F8, F8] = posteriors(mean, covariance, e, m, gaussian, measurement)
     return out
+
+
+@njit(cache=True)
+def predicted_covariance(cov: F8, f: F8, q: F8) -> F8:
+    """(n, d, d) F P Fᵀ + Q of each; all three are (n, d, d)."""
+    n, d, _ = cov.shape
+    out = np.empty((n, d, d))
+    half = np.empty((d, d))
+    for i in range(n):
+        for r in range(d):
+            for s in range(d):
+                total = 0.0
+                for t in range(d):
+                    total += f[i, r, t] * cov[i, t, s]
+                half[r, s] = total
+        for r in range(d):
+            for s in range(r + 1):
+                total = q[i, r, s]
+                for t in range(d):
+                    total += half[r, t] * f[i, s, t]
+                out[i, r, s] = total
+                out[i, s, r] = total
+    return out

@@ -7,7 +7,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gm_model import ABOUT, ENTRIES, FIXED, PLACES, ROWS, BoxNumbers, D, M, box_numbers, noise
 from phdtrack.kernels.neighbourhoods import summed_densities
 from phdtrack.kernels.scene_density import given_detections, mixture_density, newborn_velocities, uncorrelated
 
@@ -15,10 +14,9 @@ F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 
-# Rows of the tables of boxes: what `given_detections` and `mixture_density` take of Gaussians, one below the other.
-GIVEN_ROWS, MIXTURE_ROWS = D + ENTRIES + 2, M + M * (M + 1) // 2 + 1
-# Columns of bounds behind what is flat: those below, and those above.
-BOUNDS = 2 * M
+# Components of a measured box, and rows of a table of Gaussians as `mixture_density` takes it, one below the other.
+M = 4
+MIXTURE_ROWS = M + M * (M + 1) // 2 + 1
 
 
 @njit(**INNER)
@@ -111,51 +109,11 @@ def laid_about(
 
 
 @njit(**INNER)
-def _told_alone(z: F8, b: BoxNumbers) -> tuple[F8, F8]:
-    """States (d, N) at rest that boxes ``z`` tell of, and their covariances (N, d, d)."""
-    m, n = z.shape
-    boxes, state, cov = np.empty((1, m)), np.empty((D, n)), np.empty((n, D, D))
-    for j in range(n):
-        for r in range(m):
-            boxes[0, r] = z[r, j]
-        here = noise(b, z[2, j], z[3, j], boxes, 0)
-        speed = max(b.deviation_fixed if b.scaling == FIXED else b.deviation_scaled * np.sqrt(z[2, j] * z[3, j]), 1e-6)
-        for r in range(D):
-            for s in range(D):
-                cov[j, r, s] = 0.0
-            state[r, j], cov[j, r, r] = 0.0, speed * speed
-        for a in range(M):
-            state[ROWS[a], j], cov[j, ROWS[a], ROWS[a]] = z[a, j], here[a]
-    return state, cov
-
-
-@njit(**INNER)
-def births_by_place(z: F8, b: BoxNumbers, bounds: F8, births: F8, objects: F8) -> tuple[F8, F8, F8]:
-    """p(z|b) / p(z|o) at boxes ``z`` (4 or more, N), and states (d, N), (N, d, d) with the velocities that were learned.
-
-    ``births`` (29, M): means, triangles of covariances, peak2 and reach as `given_detections` takes them; ``objects``
-    (15, K): means, L⁻¹ and logarithms of the peaks as `mixture_density` does. ``bounds`` (19,): of births what is flat, and
-    low and high; of objects the same, with what is flat twice.
-    """
-    order = np.empty(D, np.int64)
-    for r in range(M):
-        order[r] = ROWS[r]
-    order[M], order[M + 1] = 2, 3
-    state, cov = _told_alone(z, b)
-    out: tuple[F8, F8, F8] = _likelier(
-        z, state, cov, order, bounds[1 : 1 + M], bounds[1 + M : 1 + BOUNDS], bounds[0], births[:D],
-        births[D : D + ENTRIES], births[D + ENTRIES], births[D + ENTRIES + 1], bounds[3 + BOUNDS : 3 + BOUNDS + M],
-        bounds[3 + BOUNDS + M :], bounds[1 + BOUNDS : 3 + BOUNDS], objects[:M], objects[M : MIXTURE_ROWS - 1],
-        objects[MIXTURE_ROWS - 1],
-    )  # fmt: skip
-    return out
-
-
-@njit(**INNER)
 def clutter_by_place(z: F8, bounds: F8, alarms: F8) -> F8:
     """(N,) r̄ p(z|c) at boxes ``z`` (4 or more, N); (0,) where it was not learned.
 
-    ``alarms`` (15, M) are as objects are in `births_by_place`; ``bounds`` (11,): the rate, what is flat, twice, low and
+    ``alarms`` (15, M) have means, L⁻¹ and logarithms of the peaks as `mixture_density` takes them; ``bounds`` (11,): the
+    rate, what is flat, twice, low and
     high; not learned: (0,).
     """
     if bounds.size == 0:
@@ -165,22 +123,3 @@ def clutter_by_place(z: F8, bounds: F8, alarms: F8) -> F8:
         alarms[MIXTURE_ROWS - 1],
     )  # fmt: skip
     return out
-
-
-@njit(**ENTRY)
-def scene_about(z: F8, model: F8, bounds: F8, entrances: F8, objects: F8, around: F8, alarms: F8) -> tuple[F8, F8]:
-    """What `gm_step.box_step` is given of a learned scene at the boxes ``z`` (m, N), in one call.
-
-    ``bounds``, ``entrances`` and ``objects`` are those of `births_by_place`, ``around`` and ``alarms`` those of
-    `clutter_by_place`. Returns how many times as many births there are, with the velocities (N, 6), (0, 6) where births are
-    not by place; and r̄ p(z|c) (N,), (0,) where false alarms are not.
-    """
-    b, kappa = box_numbers(model), clutter_by_place(z, around, alarms)
-    if b.birth != PLACES:
-        return np.empty((0, ABOUT)), kappa
-    ratio, x, p = births_by_place(z, b, bounds, entrances, objects)
-    rows = np.empty((ratio.size, ABOUT))
-    for j in range(ratio.size):
-        rows[j, 0], rows[j, 1], rows[j, 2] = ratio[j], x[2, j], x[3, j]
-        rows[j, 3], rows[j, 4], rows[j, 5] = p[j, 2, 2], p[j, 3, 2], p[j, 3, 3]
-    return rows, kappa

@@ -6,7 +6,7 @@ Measurement z = (θ, r): θ in radians, from the y axis towards the x axis, and 
 
 Bearings are compared the short way round, so that none is far from another across ±π. g(z|x) is a density per radian and
 metre, and so must be κ(z): uniform clutter over a half disc of radius R that is uniform in bearing and range has the volume
-πR. The sensor is not linear: Gaussians go through it by sigma points (`filters.transforms`).
+πR. The sensor is not linear: Gaussians go through it by sigma points (`models.gaussian`).
 
     p_D(x) = p_D · exp(−|p − o|² / 2ℓ²)
 

@@ -33,8 +33,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.kernels.box_model import expected_boxes, linear_expected, predicted_boxes
-from phdtrack.kernels.gaussian import Births, Expected, Measurements, Predicted
-from phdtrack.kernels.kalman import predicted_covariance
+from phdtrack.kernels.gaussian import Births, Expected, Measurements, Predicted, predicted_covariance
 from phdtrack.kernels.pmb import NewTargets, first_states
 from phdtrack.models.box_motion import BoxMotion
 from phdtrack.models.box_sensor import BoxSensor
@@ -100,7 +99,8 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
                 where="filter.transform",
                 cure="Use filter.transform=unscented, or particles",
             )
-        return Expected(*linear_expected(mean, covariance, np.array(sensor.observed)), noise, p_detect)
+        z, spread, cross = linear_expected(mean, covariance, np.array(sensor.observed))
+        return Expected(z, spread, cross, noise, p_detect)
     points = sigma_points(columns, covariance)
     d, many, count = points.shape
     through = sensor.expected(points.reshape(d, many * count)).reshape(len(sensor.angles), many, count)

@@ -142,14 +142,6 @@ class SceneBirth:
         p = uniform_density(self.shown.low, self.shown.high) if self.among is None else self.among
         return p.low, p.high, np.full(2, p.flat), *p.table
 
-    @cached_property
-    def rows(self) -> tuple[F8, F8, F8]:
-        """The same of boxes as `kernels.laid_over.births_by_place` takes it: bounds, births, objects."""
-        _, _, low, high, flat, *births = self._table
-        among_low, among_high, among_flat, *objects = self._among
-        bounds = np.concatenate([[flat], low, high, among_flat, among_low, among_high])
-        return bounds, np.vstack(births), np.vstack(objects)
-
     @property
     def flat(self) -> float:
         """The uniform part of γ, per second and unit of what measurements show."""

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inner_kernels import from_python
-from phdtrack.kernels.gm_order import descending
-from phdtrack.kernels.gm_reduce import parted, reduced, triangles
+from phdtrack.kernels.gm_merge import descending, parted, reduced
+from phdtrack.kernels.gm_update import Rows
 from reference import gm_twin as twin
 
 descending, parted = from_python(descending, parted)
@@ -45,9 +45,8 @@ def kernel(weight, mean, cov, prune, distance, most, redistribute):
 def tagging(weight, mean, cov, tag, prune, distance, most, redistribute, fresh, split=0.5):
     mass = weight.sum() if redistribute else -1.0
     axes = tuple(range(len(mean)))
-    return reduced(
-        weight, np.ascontiguousarray(mean.T), triangles(cov), tag, axes, prune, distance, most, mass, split, fresh
-    )
+    rows = Rows(weight, np.ascontiguousarray(mean.T), cov, tag)
+    return reduced(rows, axes, prune, distance, most, split, mass, fresh)
 
 
 @pytest.mark.parametrize("d", [2, 4, 6])

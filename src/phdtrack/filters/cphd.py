@@ -1,13 +1,14 @@
 """The Gaussian-mixture cardinalised PHD filter [V07].
 
-The mixture goes the way of `gm_phd`, and the distribution of the number of targets beside it (`cardinality`). What a scan
-says of the number bears on all weights at once: the count hardly jumps when a target is missed or a false alarm appears.
-The price is that the weight of a missed target goes to the others for that scan, wherever they are.
+The mixture goes the way of `phd_gaussian`, and with it the distribution of the number of targets (`cardinality`). What a
+scan
+says of the number bears on all weights at once: the count hardly jumps when a target is missed or a false alarm appears. The
+price is that the weight of a missed target goes to the others for that scan, wherever they are.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -15,10 +16,10 @@ import numpy as np
 from phdtrack.arrays import GATE
 from phdtrack.checks import Count, NonNegative, Share, check
 from phdtrack.filters.cardinality import nobody, poisson, survived, weigh
-from phdtrack.filters.composed import composed_step
-from phdtrack.filters.gm_phd import GMPHD
 from phdtrack.filters.intensities import Cardinalised
-from phdtrack.filters.transforms import Transform
+from phdtrack.filters.phd_gaussian import GMPHD, rows_of, tagged
+from phdtrack.kernels.gm_update import phd_mixture, phd_terms
+from phdtrack.models.gaussian import Transform
 from phdtrack.protocols import Model
 from phdtrack.types import F8, GaussianMixture, UpdateInfo
 
@@ -70,13 +71,17 @@ class GMCPHD:
         return Cardinalised(mixture, survived(state.cardinality, mixture.mass / state.mass))
 
     def update(self, state: State, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[State, UpdateInfo]:
-        """Add the newborn, then update the number and every Gaussian [V07]."""
-        recursion = _intensity(self)
-        meeting = recursion.meet(state.intensity, z, model, dt)
-        weighing = weigh(state.cardinality, meeting, model.birth.expected(z, dt / model.rate))
-        mixture = recursion.weighed(meeting, weighing.missed, weighing.detected, z, model)
-        info = replace(meeting.info(mixture.mass), cardinality=weighing.cardinality)
-        return Cardinalised(mixture, weighing.cardinality), info
+        """Add the births, then update the number and every Gaussian [V07]."""
+        mixture = tagged(state.intensity)
+        a = _intensity(self).answered(rows_of(mixture), z, model, dt)
+        t, kappa = phd_terms(a.rows.weight, *a[1:]), a.measurements.clutter
+        births = model.birth.expected(z, dt / model.rate)
+        unseen = max(births - t.born, 0.0)
+        w = weigh(state.cardinality, t.predicted, t.missed, births, unseen, t.evidence, kappa)
+        rows, mass, fresh = phd_mixture(a.rows, a.expected, a.measurements, t, w.missed, w.detected, mixture.fresh, 0.0)
+        after = GaussianMixture(rows.weight, np.ascontiguousarray(rows.mean.T), rows.covariance, rows.tag, fresh)
+        info = UpdateInfo(t.predicted, t.born, mass, t.evidence, kappa, cardinality=w.cardinality)
+        return Cardinalised(after, w.cardinality), info
 
     def reduce(self, state: State, rng: np.random.Generator) -> State:
         """Prune, merge, cap; the number stays, unless nothing is left."""
@@ -85,7 +90,8 @@ class GMCPHD:
 
     def step(self, state: State, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[State, UpdateInfo]:
         """Predict, update and reduce."""
-        return composed_step(self, state, z, model, dt, rng)
+        updated, info = self.update(self.predict(state, model, dt, rng), z, model, dt, rng)
+        return self.reduce(updated, rng), info
 
 
 @lru_cache(maxsize=8)
