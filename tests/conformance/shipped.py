@@ -165,9 +165,9 @@ ASSOCIATORS |= {
 }
 
 
-def often(birth: MeasurementBirth | ContextBirth) -> MeasurementBirth | ContextBirth:
+def often(birth: MeasurementBirth | SceneBirth) -> MeasurementBirth | SceneBirth:
     """25 times as many births a second."""
-    rates = ("births_per_second", "around_detections") if isinstance(birth, ContextBirth) else ("births_per_second",)
+    rates = ("births_per_second", "around_detections") if isinstance(birth, SceneBirth) else ("births_per_second",)
     return replace(birth, **{name: 25 * getattr(birth, name) for name in rates})
 
 

@@ -145,9 +145,7 @@ def test_nothing_comes_of_nothing(filter_, rng):
 
 @pytest.mark.parametrize("scene", ["learned", "laid over"])
 def test_every_learned_scene_will_do(filter_, scene: str):
-    """A step is what it is defined as, on average over seeds to 4.5 standard errors, and who is seen again is there.
-
-    """
+    """A step is what it is defined as, on average over seeds to 4.5 standard errors, and who is seen again is there."""
     model = replace(model_of(), birth=often(BIRTHS[scene]), clutter=CLUTTERS[scene])
     ours, theirs = (averages(advance, filter_, model, 1.0, seeds) for advance, seeds in (
         (type(filter_).step, range(30)), (step, range(100, 130))

@@ -16,15 +16,15 @@ from reference import context_twin as twin
 SHOWN = (0, 1, 4, 5)
 
 
-def scene(seed: int, count: int = 12) -> tuple[ContextBirth, ContextClutter]:
+def scene(seed: int, count: int = 12) -> tuple[SceneBirth, SceneClutter]:
     """Births and false alarms with learned densities: wide Gaussians, narrow ones, and one that leaks."""
     rng = np.random.default_rng(seed)
     low, high = np.array([0.0, 0, -30, -30, 0, 0]), np.array([640.0, 480, 30, 30, 640, 480])
     mean = rng.uniform([50, 50, -5, -5, 20, 20], [600, 430, 5, 5, 90, 90], (count, 6)).T
     mean[0, 0] = 5.0
     root = rng.normal(0, 1, (count, 6, 6)) * rng.uniform(1, 8, (count, 1, 1)) * np.array([4, 4, 0.2, 0.2, 1, 1])[:, None]
-    p = ContextDensity(low, high, 0.3, np.full(count, 1 / count), mean, root @ root.transpose(0, 2, 1) + np.eye(6))
-    return ContextBirth(0.2, p), ContextClutter(4.0, marginal(p, (0, 1, 4, 5)))
+    p = SceneDensity(low, high, 0.3, np.full(count, 1 / count), mean, root @ root.transpose(0, 2, 1) + np.eye(6))
+    return SceneBirth(0.2, p), SceneClutter(4.0, marginal(p, (0, 1, 4, 5)))
 
 
 def boxes(rng: np.random.Generator, count: int) -> F8:
