@@ -46,7 +46,7 @@ def around(z: F8) -> list[float]:
 
 
 def density_at(p: SceneDensity, z: F8, beyond: float) -> F8:
-    out: F8 = twin.mixture_density(z, p.low, p.high, p.uniform / p.volume, beyond, p.share, p.mean, p.covariance)
+    out: F8 = twin.mixture_density(z, p.low, p.high, p.uniform / p.volume, beyond, p.scaled_weight, p.mean, p.covariance)
     return out
 
 

@@ -68,7 +68,7 @@ def test_gaussian_newborn_are_the_learned_ones_and_the_uniform_part_about_detect
     birth = SceneBirth(0.5, entrance(uniform=0.2))
     mixture = birth.components(Z, np.zeros(2), SENSOR, 2.0)
     flat = MeasurementBirth(0.5 * 0.2, 1000, "image", SIZE).components(Z, np.zeros(2), SENSOR, 2.0)
-    assert mixture.weight[0] * birth.density.inside[0] == pytest.approx(0.5 * 2.0 * 0.8)
+    assert mixture.weight[0] * birth.density.truncated_mass[0] == pytest.approx(0.5 * 2.0 * 0.8)
     np.testing.assert_array_equal(mixture.mean[:, 0], birth.density.mean[:, 0])
     np.testing.assert_allclose(mixture.weight[1:], flat.weight)
     np.testing.assert_allclose(mixture.covariance[1:], flat.covariance)
