@@ -150,7 +150,7 @@ class GMPHD:
             raise InputError(
                 "the GM-PHD filter has no spawning", where="motion.births", cure="Use NoSpawn, or the particle filter"
             )
-        mean, covariance = model.carried_gaussians(state.mean, state.covariance)
+        mean, covariance = model.warp_gaussians(state.mean, state.covariance)
         after = predicted(model, np.ascontiguousarray(mean.T), np.ascontiguousarray(covariance), dt, self.transform)
         weight = state.weight * after.p_survive
         rows = Rows(weight, after.mean, after.covariance, state.tag)
