@@ -22,6 +22,8 @@ Real = NDArray[np.floating[Any]]
 
 # Samples that are shared among their components at a time.
 CHUNK = 128
+# A component of less mass than this has no samples: its square must not vanish.
+NO_MASS = 1e-100
 # A share of a sample below which nothing of a component moves by more than rounding.
 NEGLIGIBLE = 1e-14
 # The largest value of M·τ·β: at 1 the recursive rule for the weights divides by 0.
@@ -191,7 +193,7 @@ def _from_sums(mixture: Gaussians, mass: F8, first: F8, second: F8) -> tuple[F8,
     """Means (d, k) and covariances (k, d, d) from sums of steps from the old means."""
     mean, cov = mixture.mean.copy(), mixture.covariance.copy()
     for j in range(mass.size):
-        if mass[j] <= 0.0:
+        if mass[j] < NO_MASS:
             continue
         for r in range(mean.shape[0]):
             mean[r, j] += first[j, r] / mass[j]

@@ -14,7 +14,7 @@ A component whose weight turns negative is removed. α_u follows the same rule w
   settles: without the prior, with a rate that falls like 1/k.
 * β o_m/π_m stays below 1, and F, a small diagonal, keeps every covariance above itself.
 * Samples are weighted, and may have gaps (NaN): a birth that a person marked has a place but no velocity. The recursion
-  takes the mean of the other samples for a gap; EM afterwards treats it as a missing value.
+  fills a gap from the nearest complete sample; EM afterwards treats it as a missing value.
 * α_u begins at 1 − 1e-3, because from 1 nothing is ever learned, and stays within [1e-3, 1 − 1e-3].
 
 The recursion ends in a local optimum. EM for the whole model, uniform part included, then tries moves: a component goes; one
@@ -98,13 +98,13 @@ class RecursiveEM:
         passes = self.passes or _passes(n, total, len(density), tau)
         rng = np.random.default_rng(self.seed)
         order = np.concatenate([rng.permutation(n) for _ in range(passes + min(passes, SETTLING_PASSES))])
-        mean, variance = known_moments(x, weights)
+        _, variance = known_moments(x, weights)
         floor: F8 = np.maximum(self.floor**2 * variance, (1e-4 * (density.high - density.low)) ** 2)
         volume = float(np.log(density.high - density.low).sum())
         left, uniform = recursive_em(
             Gaussians(density.weight, density.mean, density.covariance),
             min(density.uniform, 1 - MIN_UNIFORM),
-            np.ascontiguousarray(np.where(np.isnan(x), mean[:, None], x).T),
+            np.ascontiguousarray(_filled(x, variance).T),
             weights,
             order,
             Recursion(tau, self.memory or total, MIN_UNIFORM, volume, passes * n, floor),
@@ -324,6 +324,19 @@ def _crowds(p: SceneDensity, owner: I8, x: F8, floor: F8) -> list[I8]:
     score = -np.log(radius2) - marginal(p, (0, 1)).log(place)
     members = (np.flatnonzero(owner == part) for part in np.unique(owner))
     return [near[those[np.argmax(score[those])]] for those in members]
+
+
+def _filled(x: F8, variance: F8) -> F8:
+    """Samples (d, n) whose gaps are filled from the nearest complete one, with 0 where there is none."""
+    gaps = np.isnan(x)
+    complete = x[:, ~gaps.any(axis=0)]
+    out = np.where(gaps, 0.0, x)
+    if complete.shape[1]:
+        for j in np.flatnonzero(gaps.any(axis=0)):
+            step = np.where(gaps[:, [j]], 0.0, complete - out[:, [j]])
+            nearest = np.argmin((np.square(step) / np.maximum(variance, 1e-300)[:, None]).sum(axis=0))
+            out[gaps[:, j], j] = complete[gaps[:, j], nearest]
+    return out
 
 
 def _passes(n: int, total: float, components: int, tau: float) -> int:
