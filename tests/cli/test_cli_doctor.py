@@ -57,7 +57,7 @@ def test_something_essential_missing_is_status_1(monkeypatch: pytest.MonkeyPatch
 def test_it_says_where_kernels_are_kept_and_whether_any_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def said(lasting: bool = True) -> doctor.Check:
         monkeypatch.setattr(kernels, "CACHE", kernels.Cache(tmp_path, lasting))
-        return {check.name: check for check in doctor.examine().checks}["cache of compiled kernels"]
+        return {check.name: check for check in doctor.examine()}["cache of compiled kernels"]
 
     assert said().ok
     assert f"{tmp_path} (cold" in said().detail

@@ -15,18 +15,7 @@ from typing import Annotated, Any, ParamSpec
 import typer
 
 from phdtrack import __version__
-from phdtrack.cli import (
-    calibrate,
-    compare,
-    doctor,
-    evaluate,
-    groups,
-    label,
-    learn,
-    settings,
-    simulate,
-    track,
-)
+from phdtrack.cli import calibrate, compare, doctor, evaluate, groups, label, learn, settings, simulate, track
 from phdtrack.errors import InputError, interrupted
 
 P = ParamSpec("P")

@@ -52,8 +52,13 @@ def calibrate(
     if out.exists() and not overwrite:
         raise InputError("the file is there already", where=f"--out {out}", cure="Say --overwrite, or choose another --out.")
     pixel, world, origin = read_points(points)
-    if size:
-        check_inside(pixel, size, origin)
+    for row, (u, v) in enumerate(pixel.T):
+        if size and not (0 <= u <= size[0] and 0 <= v <= size[1]):
+            raise InputError(
+                f"expected a pixel inside of {size[0]}x{size[1]}, came ({u:g}, {v:g})",
+                where=origin.at(row),
+                cure="The first two numbers are the pixel, the others its place in metres; or is --image-size another?",
+            )
     try:
         fitted = fit_homography(pixel, world)
     except InputError as error:
@@ -108,41 +113,28 @@ def named(path: Path, header: tuple[str, ...]) -> list[int]:
     return found
 
 
-def check_inside(pixel: F8, size: tuple[int, int], origin: Origin) -> None:
-    """Raise `InputError` for a pixel (2, N) that lies outside of the image."""
-    for row, (u, v) in enumerate(pixel.T):
-        if not (0 <= u <= size[0] and 0 <= v <= size[1]):
-            raise InputError(
-                f"expected a pixel inside of {size[0]}x{size[1]}, came ({u:g}, {v:g})",
-                where=origin.at(row),
-                cure="The first two numbers are the pixel, the others its place in metres; or is --image-size another?",
-            )
-
-
 def report(out: Output, fitted: Calibration, pixel: F8, world: F8, file: Path, size: tuple[int, int] | None) -> None:
     """The residuals of all points in pixels and metres, and what the camera can tell of the ground."""
     import numpy as np
 
     from phdtrack.ground.uncertainty import footprint
+    from phdtrack.groups import polygon_area
 
     count, metres = pixel.shape[1], np.linalg.norm(fitted.camera.jacobian(pixel), ord=2, axis=(1, 2))
-    rows = [
-        [str(i + 1), f"{u:g}", f"{v:g}", f"{x:g}", f"{y:g}", f"{missed:.2f}", f"{off:.3f}", f"{coarse:.3f}"]
-        for i, ((u, v), (x, y), missed, off, coarse) in enumerate(
-            zip(pixel.T, world.T, fitted.pixel_error, fitted.ground_error, metres, strict=True)
-        )
-    ]
+    table = np.vstack([pixel, world, fitted.pixel_error, fitted.ground_error, metres]).T.tolist()
+    form = ("{:g}", "{:g}", "{:g}", "{:g}", "{:.2f}", "{:.3f}", "{:.3f}")
+    rows = [[str(i), *(f.format(v) for f, v in zip(form, row, strict=True))] for i, row in enumerate(table, start=1)]
     out.table(["point", "u", "v", "X", "Y", "off, px", "off, m", "m per px"], rows, words=())
     rms = {"px": float(np.sqrt((fitted.pixel_error**2).mean())), "m": float(np.sqrt((fitted.ground_error**2).mean()))}
     out.say(f"{counted(count, 'point')}: {rms['px']:.2f} pixels and {rms['m']:.3f} m off (root mean square)")
     if count == 4:
         out.warn("four points are always fitted exactly: how good the camera is, only more points can tell")
-    seen = area(footprint(fitted.camera, size, LIMIT)) if size else None
+    corners = footprint(fitted.camera, size, LIMIT) if size else None
+    seen = None if corners is None else abs(polygon_area(np.hstack([corners, corners[:, :1]])))
     if seen is not None:
         out.say(f"the image shows {seen:.0f} m² of ground within {LIMIT:g} m")
     out.say(str(file))
     keys = ("u", "v", "X", "Y", "pixels", "metres", "metres_per_pixel")
-    table = np.vstack([pixel, world, fitted.pixel_error, fitted.ground_error, metres]).T.tolist()
     out.document(
         {
             "camera": str(file),
@@ -153,11 +145,3 @@ def report(out: Output, fitted: Calibration, pixel: F8, world: F8, file: Path, s
             "ground_area": seen,
         }
     )
-
-
-def area(polygon: F8) -> float:
-    """Square metres inside of a polygon (2, K)."""
-    import numpy as np
-
-    x, y = polygon
-    return float(abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2)

@@ -29,6 +29,12 @@ FILES = (rundir.REPORT, CELLS, EACH, DOCUMENT)
 # A comparison takes hours: the pace of the last half minute would tell nothing of its end.
 PACE = 24 * 3600.0
 MOST_WARNINGS = 12
+MEANING = {
+    rundir.REPORT: "tables, plots, the worst frames",
+    CELLS: "every score with its interval, a row for each line of the table",
+    EACH: "every run, and the folder it is kept in",
+    FRAMES: "the worst frames as pictures",
+}
 # What decides a run, in words.
 MEANINGS = {
     "phdtrack": "versions of phdtrack",
@@ -105,6 +111,7 @@ def compare(
     from phdtrack.cli.evaluate import check_iou
     from phdtrack.compare import DetectionChoice, SettingsSource, check_scores, plan, run, steps, summary
     from phdtrack.compare.failures import worst_frames
+    from phdtrack.compare.results import notes, shown
     from phdtrack.report import write_run
 
     result = Output(json)
@@ -112,11 +119,15 @@ def compare(
     rundir.check(out, overwrite or ours, FILES)
     check_iou(iou)
     wanted = check_scores(listed(scores))
+    try:
+        rates = tuple(float(part) for part in listed(clutter))
+    except ValueError:
+        raise InputError(f"expected numbers as 0,5,10, got {clutter!r}", where="--clutter") from None
     made = plan(
         sequences,
         filters=listed(filters),
         detections=DetectionChoice(listed(detections), listed(detectors), max_width, truth),
-        clutter=rates(clutter),
+        clutter=rates,
         seeds=seeds,
         variants=variants or (),
         settings=SettingsSource(preset, config, (*(() if scene is None else (f"scene={scene}",)), *(sets or ()))),
@@ -129,7 +140,9 @@ def compare(
     began, processes = time.perf_counter(), jobs or os.cpu_count() or 1
     with progress("comparing", steps(made), PACE) as advance:
         comparison = run(made, out, processes, anew=overwrite, advance=advance)
-    results = Results(comparison, summary(comparison), wanted, time.perf_counter() - began, processes == 1)
+    found, seconds = summary(comparison), time.perf_counter() - began
+    remarks = notes(found, comparison, in_turn=processes == 1)
+    results = Results(comparison, found, shown(found, wanted), remarks, seconds)
     write(results, list(worst_frames(comparison, worst)), directory)
     tell(result, results, directory)
     if comparison.failed:
@@ -139,14 +152,6 @@ def compare(
 def listed(text: str) -> tuple[str, ...]:
     """What stands between commas."""
     return tuple(part.strip() for part in text.split(",") if part.strip())
-
-
-def rates(text: str) -> tuple[float, ...]:
-    """Numbers between commas. Raises `InputError` for what is none."""
-    try:
-        return tuple(float(part) for part in listed(text))
-    except ValueError:
-        raise InputError(f"expected numbers as 0,5,10, got {text!r}", where="--clutter") from None
 
 
 def compile_for(out: Output, plan: Plan) -> None:
@@ -162,31 +167,13 @@ def compile_for(out: Output, plan: Plan) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Results:
-    """A comparison with its summary; ``wanted`` are the scores asked for, ``seconds`` what it took this time.
-
-    ``sequential``: its runs ran one after the other.
-    """
+    """A comparison with its summary, the scores to show, what to know of the numbers, and the seconds it took this time."""
 
     comparison: Comparison
     summary: Summary
-    wanted: tuple[str, ...]
+    scores: tuple[str, ...]
+    notes: tuple[str, ...]
     seconds: float
-    sequential: bool
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What a reader should know of the numbers."""
-        from phdtrack.compare.results import notes
-
-        comparison = self.comparison
-        return notes(self.summary, comparison, in_turn=self.sequential)
-
-    @property
-    def scores(self) -> tuple[str, ...]:
-        """The scores to show."""
-        from phdtrack.compare.results import shown
-
-        return shown(self.summary, self.wanted)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -194,9 +181,8 @@ class Results:
         from phdtrack.compare.store import RunResult
 
         said = [f"{run} failed: {reason}" for run, reason in self.comparison.failed]
-        said += [
-            outcome.warning for _, outcome in self.comparison.runs if isinstance(outcome, RunResult) and outcome.warning
-        ]
+        outcomes = (outcome for _, outcome in self.comparison.runs if isinstance(outcome, RunResult))
+        said += [outcome.warning for outcome in outcomes if outcome.warning]
         each = tuple(dict.fromkeys(said))
         more = len(each) - MOST_WARNINGS
         return each if more < 1 else (*each[:MOST_WARNINGS], f"and {more} more, see {EACH}")
@@ -287,16 +273,8 @@ def tell(out: Output, results: Results, directory: rundir.RunDirectory) -> None:
     for sentence in (results.sentence, *sentences(plan, found), *results.notes):
         out.say(sentence)
     out.say()
-    for file, meaning in _meanings(directory.path):
-        out.say(f"  {file}  {meaning}")
+    for name, meaning in MEANING.items():
+        file = directory.path / name
+        if file.is_file() or (file.is_dir() and any(file.iterdir())):
+            out.say(f"  {file}  {meaning}")
     out.document(json_value(results.document))
-
-
-def _meanings(folder: Path) -> list[tuple[Path, str]]:
-    pairs = [
-        (folder / rundir.REPORT, "tables, plots, the worst frames"),
-        (folder / CELLS, "every score with its interval, a row for each line of the table"),
-        (folder / EACH, "every run, and the folder it is kept in"),
-        (folder / FRAMES, "the worst frames as pictures"),
-    ]
-    return [(file, meaning) for file, meaning in pairs if file.is_file() or (file.is_dir() and any(file.iterdir()))]

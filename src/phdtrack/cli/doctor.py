@@ -21,18 +21,7 @@ from phdtrack import __version__
 from phdtrack.cli.options import Json
 from phdtrack.cli.output import Output
 
-PACKAGES = (
-    "numpy",
-    "scipy",
-    "numba",
-    "opencv-python-headless",
-    "av",
-    "typer",
-    "rich",
-    "pydantic",
-    "matplotlib",
-    "pyarrow",
-)
+PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "av", "typer", "rich", "pydantic", "matplotlib", "pyarrow")
 DECODERS = ("h264", "hevc", "vp9", "av1", "mpeg1video", "mpeg2video", "mpeg4", "mjpeg")
 HEADLESS = "pip install 'opencv-python-headless>=4.8,<5'"
 
@@ -42,19 +31,21 @@ def doctor(json: Json = False) -> None:
 
     Exit status 1 where something essential does not work.
     """
-    found, out = examine(), Output(json)
-    for name, version in found.versions:
+    checks, out = examine(), Output(json)
+    ok = all(check.ok for check in checks if check.essential)
+    for name, version in versions():
         out.say(f"{name:24} {version or 'not installed'}")
     out.say()
-    for check in found.checks:
+    for check in checks:
         mark = "ok     " if check.ok else "MISSING" if check.essential else "absent "
         out.say(f"{mark}  {check.name}: {check.detail}")
         if check.cure:
             out.say(f"         {check.cure}")
     out.say()
-    out.say("Everything essential works here." if found.ok else "Something essential does not work here: see MISSING above.")
-    out.document(found.as_dict())
-    if not found.ok:
+    out.say("Everything essential works here." if ok else "Something essential does not work here: see MISSING above.")
+    numbers = {name: version or None for name, version in versions()}
+    out.document({"ok": ok, "versions": numbers, "checks": [asdict(check) for check in checks]})
+    if not ok:
         raise typer.Exit(1)
 
 
@@ -69,45 +60,19 @@ class Check:
     essential: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Examination:
-    """All that `examine` found; ``versions`` are pairs of package and version, an empty version where it is missing."""
-
-    versions: tuple[tuple[str, str], ...]
-    checks: tuple[Check, ...]
-
-    @property
-    def ok(self) -> bool:
-        """Whether everything essential works."""
-        return all(check.ok for check in self.checks if check.essential)
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {
-            "ok": self.ok,
-            "versions": {name: version or None for name, version in self.versions},
-            "checks": [asdict(check) for check in self.checks],
-        }
-
-
-def examine() -> Examination:
+def examine() -> list[Check]:
     """Look at everything. Never raises: what fails is a check that failed."""
-    checks = [
+    return [
         _tried("OpenCV", _opencv, essential=True, cure=HEADLESS),
         _tried("detector face (cascades)", _cascades, cure=HEADLESS),
         _tried("detector person (HOG)", _hog, cure=HEADLESS),
         _tried("video in", _decoders, essential=True, cure="pip install --force-reinstall av"),
         _tried("video out (H.264)", _encoders, cure="pip install --force-reinstall av; or track with --no-video"),
         _tried("compiled kernels", _kernels, essential=True, cure="pip install --force-reinstall numba"),
-        _tried(
-            "cache of compiled kernels",
-            _cache,
-            cure="Set NUMBA_CACHE_DIR to a folder that can be written into.",
-        ),
+        _tried("cache of compiled kernels", _cache, cure="Set NUMBA_CACHE_DIR to a folder that can be written into."),
         _tried("report (plots)", _plots, cure="pip install --force-reinstall matplotlib"),
         _tried("Parquet files", _parquet, cure="pip install pyarrow"),
     ]
-    return Examination(versions(), tuple(checks))
 
 
 def versions() -> tuple[tuple[str, str], ...]:
@@ -161,9 +126,9 @@ def _hog() -> str:
 
 
 def _decoders() -> str:
-    from av.codec import Codec
+    from av import codecs_available
 
-    found = [name for name in DECODERS if _has_codec(Codec, name, "r")]
+    found = [name for name in DECODERS if name in codecs_available]
     if not found:
         raise RuntimeError("FFmpeg has no decoder for any usual video")
     return "reads " + ", ".join(found)
@@ -179,14 +144,6 @@ def _encoders() -> str:
             for _ in range(3):
                 writer.write(np.zeros((48, 64, 3), np.uint8))
     return "writes mp4 files that play in a browser"
-
-
-def _has_codec(codec: Any, name: str, mode: str) -> bool:
-    try:
-        codec(name, mode)
-    except Exception:  # PyAV's exceptions have changed their names and bases between versions
-        return False
-    return True
 
 
 def _kernels() -> str:

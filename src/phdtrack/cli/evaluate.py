@@ -13,7 +13,7 @@ from phdtrack.cli.output import Output, number
 from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from phdtrack.metrics import Scores, TargetErrors
+    from phdtrack.metrics import Scores
     from phdtrack.types import Tracks, Truth
 
 # In the order of the table: the key of `Scores.as_dict`, and what it says.
@@ -87,6 +87,8 @@ def evaluate(
     """
     from phdtrack.formats import find_seqinfo, read_tracks, read_truth
     from phdtrack.metrics import evaluate as score
+    from phdtrack.metrics import tgospa_boxes
+    from phdtrack.report.rendering import score_direction
 
     check_iou(iou)
     annotated, given = read_truth(truth), read_tracks(tracks)
@@ -98,13 +100,16 @@ def evaluate(
     out.say(f"{tracks} against {truth}: {scores.frames} frames, {scores.truth_objects} objects, match from IoU {iou:g}")
     out.say()
     score_table(out, [("", scores)])
-    whole = trajectory_scores(annotated, given, scores.frames) if t_gospa else {}
-    if whole:
-        trajectory_table(out, whole)
-    errors = located(annotated, given, rmse) if rmse else None
-    if errors is not None:
-        error_table(out, errors, rmse)
-    out.document({**scores.as_dict(), **whole, **({"RMSE": errors.as_dict()} if errors is not None else {})})
+    whole: dict[str, float] = {}
+    if t_gospa:
+        parts = tgospa_boxes(annotated, given, frames=scores.frames)
+        values = (parts.distance, parts.localisation, parts.missed, parts.false, parts.switching)
+        pairs = zip(BY_TRAJECTORY, values, strict=True)
+        whole = {key: value / max(scores.frames, 1) for (key, _), value in pairs}
+        rows = [[key, number(whole[key]), meaning + score_direction(key)] for key, meaning in BY_TRAJECTORY]
+        out.table(["", "", ""], rows, words=(0, 2))
+    located = located_errors(out, annotated, given, rmse) if rmse else {}
+    out.document({**scores.as_dict(), **whole, **located})
 
 
 def check_iou(iou: float) -> None:
@@ -124,44 +129,20 @@ def score_table(out: Output, runs: Sequence[tuple[str, Scores]]) -> None:
     out.table(["", *(title for title, _ in runs), ""], rows, words=(0, len(runs) + 1))
 
 
-def trajectory_scores(truth: Truth, tracks: Tracks, frames: int) -> dict[str, float]:
-    """T-GOSPA and its parts by the keys of `BY_TRAJECTORY`, per frame of the sequence."""
-    from phdtrack.metrics import tgospa_boxes
-
-    parts = tgospa_boxes(truth, tracks, frames=frames)
-    values = (parts.distance, parts.localisation, parts.missed, parts.false, parts.switching)
-    return {key: value / max(frames, 1) for (key, _), value in zip(BY_TRAJECTORY, values, strict=True)}
-
-
-def trajectory_table(out: Output, found: dict[str, float]) -> None:
-    """The same as a table."""
-    from phdtrack.report.rendering import score_direction
-
-    out.table(
-        ["", "", ""],
-        [[key, number(found[key]), meaning + score_direction(key)] for key, meaning in BY_TRAJECTORY],
-        words=(0, 2),
-    )
-
-
-def located(truth: Truth, tracks: Tracks, gate: float) -> TargetErrors:
-    """Errors of the boxes' centres in pixels, object by object; distractors are left out."""
+def located_errors(out: Output, truth: Truth, tracks: Tracks, gate: float) -> dict[str, object]:
+    """A table of the errors of the boxes' centres in pixels, object by object without distractors; the same for JSON."""
     from phdtrack.metrics import rmse_per_target
 
     kept = ~truth.distractor
     centre, found = ((xyxy[:, :2] + xyxy[:, 2:]).T / 2 for xyxy in (truth.xyxy[kept], tracks.xyxy))
-    return rmse_per_target(truth.frame[kept], truth.identity[kept], centre, tracks.frame, found, gate)
-
-
-def error_table(out: Output, errors: TargetErrors, gate: float) -> None:
-    """A row for each object, and one for all of them."""
+    errors = rmse_per_target(truth.frame[kept], truth.identity[kept], centre, tracks.frame, found, gate)
+    columns = (errors.identity, errors.frames, errors.mapped, errors.rmse_axis.T, errors.rmse)
     rows = [
-        [str(who), str(frames), str(mapped), *(number(float(error), 2) for error in (*axes, whole))]
-        for who, frames, mapped, axes, whole in zip(
-            errors.identity, errors.frames, errors.mapped, errors.rmse_axis.T, errors.rmse, strict=True
-        )
+        [str(identity), str(frames), str(mapped), *(number(float(error), 2) for error in (*axes, whole))]
+        for identity, frames, mapped, axes, whole in zip(*columns, strict=True)
     ]
     total = ["all", str(errors.frames.sum()), str(errors.mapped.sum()), "", "", number(errors.overall, 2)]
     out.say()
     out.say(f"RMSE of box centres in pixels, pairs nearer than {gate:g}:")
     out.table(["object", "frames", "mapped", "x", "y", "RMSE"], [*rows, total])
+    return {"RMSE": errors.as_dict()}

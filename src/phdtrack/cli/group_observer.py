@@ -1,14 +1,14 @@
 """Groups of people during a run: `GroupObserver` finds them, `GroupFiles` writes them, `Story` draws and reports them.
 
-The files are groups.csv, members.csv, events.csv and warnings.csv. Contours are polygons in WKT (``MULTIPOLYGON``), on the
-ground in metres and, where there is a camera, in pixels of the image. Rings that run clockwise on the ground are holes.
+Contours are polygons in WKT (``MULTIPOLYGON``), on the ground in metres and, where there is a camera, in pixels of the
+image. Rings that run clockwise on the ground are holes.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -29,14 +29,21 @@ from phdtrack.protocols import AnyStages, Camera
 from phdtrack.report.charts import GroupSeries
 from phdtrack.report.pages import group_sections
 from phdtrack.report.plan import Plan, PlanGroup, PlanScene, draw_contours, extent_of, plan_size
-from phdtrack.types import F8, I8, GaussianMixture, Image, SequenceInfo, Step, Tracks
+from phdtrack.types import F8, I8, GaussianMixture, Image, Step, Tracks
 from phdtrack.video import VideoWriter
 
 # Metres between a row given online and the corrected one of the same person.
 _SAME = 0.5
 # Pictures of the report; smallest and usual height of a plan in pixels.
 _STILLS, _MIN_HEIGHT, _HEIGHT = 4, 480, 720
+_NOWHERE: F8 = np.zeros((2, 0))
 _EMPTY = "MULTIPOLYGON EMPTY"
+_HEADS = {
+    rundir.GROUPS: "frame,time,group,count,deviation,x,y,vx,vy,contours,contours_image",
+    rundir.MEMBERS: "frame,group,member",
+    rundir.EVENTS: "frame,time,event,group,other",
+    rundir.WARNINGS: "frame,time,first,second,seconds,distance,deviation,x,y,probability",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,17 +60,12 @@ class GroupObserver(RunObserver):
     """Finds groups during a run on the ground plane.
 
     Members are the identities of the confirmed online rows. A frame's rows come ``delay`` frames later; until then its
-    mixture waits.
+    mixture waits. ``story``, another observer of the run, takes in the groups.
     """
 
-    draws = True
-
-    def __init__(
-        self, settings: GroupStages, stages: AnyStages, info: SequenceInfo, around: Surroundings, delay: int
-    ) -> None:
-        self._settings, self._stages, self._info, self._delay = settings, stages, info, delay
-        self._story = Story(around, raw=True)
-        self._camera = around.camera
+    def __init__(self, settings: GroupStages, stages: AnyStages, camera: Camera | None, delay: int, story: Story) -> None:
+        self._settings, self._stages, self._camera = settings, stages, camera
+        self._delay, self._story = delay, story
         self._state, self._waiting = LifeCycleState(), deque[_Waiting]()
         self._files: GroupFiles | None = None
 
@@ -99,23 +101,6 @@ class GroupObserver(RunObserver):
 
         self._story.rename(corrected)
 
-    def drawing(self, directory: RunDirectory, *, pictures: bool) -> AbstractContextManager[Draw]:
-        """plan.mp4, with the annotated pictures on its left where there are any."""
-        size = (self._info.width, self._info.height) if pictures else None
-        return self._story.video(directory, self._info.fps, picture=size)
-
-    def section(self) -> Markup:
-        """Counts, plan, events and warnings for the report."""
-        return self._story.section()
-
-    def sentences(self) -> tuple[str, ...]:
-        """What happened, in words."""
-        return self._story.sentences()
-
-    def document(self) -> dict[str, object]:
-        """What happened, for programs."""
-        return self._story.document()
-
     def _group(self, waiting: _Waiting, tracks: Tracks) -> None:
         rows = tracks.take((tracks.frame == waiting.number) & tracks.confirmed)
         place = places(self._stages.model.sensor, rows.xyxy)
@@ -126,7 +111,7 @@ class GroupObserver(RunObserver):
         if self._files is not None:
             self._files.write(frame)
         at = np.searchsorted(rows.identity, frame.member)
-        self._story.take(frame, place[:, at], waiting.detections)
+        self._story.add(frame, place[:, at], waiting.detections)
 
 
 def nearest(people: F8, place: F8, identity: I8) -> I8:
@@ -146,14 +131,9 @@ class GroupFiles:
     def __init__(self, directory: RunDirectory, camera: Camera | None) -> None:
         self._camera = camera
         with ExitStack() as files:
-            self._groups, self._members, self._events, self._warnings = (
-                files.enter_context(Lines(directory.file(name)))
-                for name in (rundir.GROUPS, rundir.MEMBERS, rundir.EVENTS, rundir.WARNINGS)
-            )
-            self._groups.write("frame,time,group,count,deviation,x,y,vx,vy,contours,contours_image")
-            self._members.write("frame,group,member")
-            self._events.write("frame,time,event,group,other")
-            self._warnings.write("frame,time,first,second,seconds,distance,deviation,x,y,probability")
+            self._files = [files.enter_context(Lines(directory.file(name))) for name in _HEADS]
+            for file, head in zip(self._files, _HEADS.values(), strict=True):
+                file.write(head)
             self._open = files.pop_all()
 
     def __enter__(self) -> Self:
@@ -171,28 +151,22 @@ class GroupFiles:
             values = ",".join(f"{value:.7g}" for value in numbers)
             world, image = polygons(frame.contours[g]), self._image(frame.contours[g])
             rows.append(f'{n},{at},{frame.identity[g]},{values},"{world}","{image}"')
-        _write(self._groups, rows)
         order = np.lexsort((frame.member, frame.membership))
-        _write(self._members, [f"{n},{frame.membership[i]},{frame.member[i]}" for i in order])
-        _write(self._events, [f"{e.frame},{e.time:.6f},{e.kind},{e.group},{e.other}" for e in frame.events])
-        _write(
-            self._warnings,
-            [
-                f"{n},{at},{w.first},{w.second},{w.seconds:.4g},{w.distance:.4g},{w.deviation:.4g},"
-                f"{w.place[0]:.7g},{w.place[1]:.7g},{w.probability:.4g}"
-                for w in frame.warnings
-            ],
-        )
+        members = [f"{n},{frame.membership[i]},{frame.member[i]}" for i in order]
+        events = [f"{e.frame},{e.time:.6f},{e.kind},{e.group},{e.other}" for e in frame.events]
+        warnings = [
+            f"{n},{at},{w.first},{w.second},{w.seconds:.4g},{w.distance:.4g},{w.deviation:.4g},"
+            f"{w.place[0]:.7g},{w.place[1]:.7g},{w.probability:.4g}"
+            for w in frame.warnings
+        ]
+        for file, lines in zip(self._files, (rows, members, events, warnings), strict=True):
+            if lines:
+                file.write("\n".join(lines))
 
     def _image(self, rings: Sequence[F8]) -> str:
         if self._camera is None:
             return _EMPTY
         return polygons(rings, [in_image(self._camera, ring) for ring in rings])
-
-
-def _write(file: Lines, rows: list[str]) -> None:
-    if rows:
-        file.write("\n".join(rows))
 
 
 def in_image(camera: Camera, ring: F8) -> F8:
@@ -201,7 +175,7 @@ def in_image(camera: Camera, ring: F8) -> F8:
     pixel = camera.pixels(ring)
     seen = pixel[:, np.isfinite(pixel).all(axis=0)]
     if seen.shape[1] < 3:
-        return np.zeros((2, 0))
+        return _NOWHERE
     return seen if np.array_equal(seen[:, 0], seen[:, -1]) else np.hstack([seen, seen[:, :1]])
 
 
@@ -237,36 +211,31 @@ class Surroundings:
     """What stays the same in all frames: the camera, if any, what it sees (2, K), and lines to be drawn (2, K)."""
 
     camera: Camera | None = None
-    field: F8 = field(default_factory=lambda: np.zeros((2, 0)))
+    field: F8 = field(default_factory=lambda: _NOWHERE)
     edges: tuple[F8, ...] = ()
 
 
-class Story:
-    """Takes in frames, draws and reports at the end. ``raw`` says whether there are detections.
+class Story(RunObserver):
+    """Keeps every frame's plan, contours included (some hundred bytes a person), and draws and reports it at the end.
 
-    Of every frame the plan's scene is kept, contours included: some hundred bytes a person.
+    ``picture`` is the width and height of the frames, None where positions are known and nothing was detected.
     """
 
-    def __init__(self, around: Surroundings, *, raw: bool) -> None:
-        self._around, self._raw = around, raw
+    draws = True
+
+    def __init__(self, around: Surroundings, fps: float, picture: tuple[int, int] | None = None) -> None:
+        self._around, self._fps, self._picture = around, fps, picture
         self._scenes: list[PlanScene] = []
         self._deviation: list[float] = []
-        self._detected: list[int] = []
         self._events: list[Event] = []
         self._warnings: list[tuple[float, Encounter]] = []
 
-    @property
-    def scenes(self) -> Sequence[PlanScene]:
-        """The frames so far."""
-        return self._scenes
-
-    def take(self, frame: GroupFrame, people: F8, detections: F8) -> None:
+    def add(self, frame: GroupFrame, people: F8, detections: F8) -> None:
         """Take in a frame, the places (2, n) of its people with identities, those of its detections (2, N)."""
         groups = tuple(_plan_group(frame, g) for g in range(len(frame)))
         encounters = tuple((w.first, w.second, w.seconds) for w in frame.warnings)
         self._scenes.append(PlanScene(frame.number, frame.time, detections, people, frame.member, groups, encounters))
         self._deviation.append(frame.deviation)
-        self._detected.append(detections.shape[1])
         self._events.extend(frame.events)
         self._warnings.extend((frame.time, warned) for warned in frame.warnings)
 
@@ -275,17 +244,28 @@ class Story:
         self._scenes = [replace(scene, identity=name(scene)) for scene in self._scenes]
 
     @contextmanager
-    def video(self, directory: RunDirectory, fps: float, *, picture: tuple[int, int] | None) -> Iterator[_Film]:
-        """plan.mp4 being drawn; ``picture`` is the size (width, height) of the frames beside it, None for the plan alone."""
-        width, height = (0, _HEIGHT) if picture is None else (picture[0], max(picture[1], _MIN_HEIGHT))
-        if picture is not None:
-            width = 2 * round(picture[0] * height / picture[1] / 2)
-        plan = self._plan(height + height % 2)
-        with VideoWriter(directory.file(rundir.PLAN), width + plan.width, plan.height, fps) as video:
-            yield _Film(video, plan, width, self._around.camera, {scene.number: scene for scene in self._scenes})
+    def drawing(self, directory: RunDirectory, *, pictures: bool) -> Iterator[Draw]:
+        """plan.mp4, with the annotated pictures on its left where there are any."""
+        left, height = 0, _HEIGHT
+        if pictures and self._picture is not None:
+            height = max(self._picture[1], _MIN_HEIGHT)
+            left = 2 * round(self._picture[0] * height / self._picture[1] / 2)
+        plan, scenes = self._plan(height + height % 2), {scene.number: scene for scene in self._scenes}
+        with VideoWriter(directory.file(rundir.PLAN), left + plan.width, plan.height, self._fps) as video:
+
+            def draw(number: int, picture: Image) -> None:
+                scene = scenes.get(number, PlanScene(number, 0.0, _NOWHERE, _NOWHERE, np.zeros(0, np.int64), ()))
+                drawn = plan.draw(scene)
+                if left:
+                    shown = self._with_contours(picture, scene.groups)
+                    shown = cv2.resize(shown, (left, plan.height), interpolation=cv2.INTER_LINEAR)
+                    drawn = np.hstack([shown, drawn])
+                video.write(drawn)
+
+            yield draw
 
     def section(self) -> Markup:
-        """The sections of the report."""
+        """Counts, plan, events and warnings for the report."""
         return group_sections(replace(self._series(), stills=self._stills()))
 
     def sentences(self) -> tuple[str, ...]:
@@ -317,13 +297,13 @@ class Story:
         }
 
     def _series(self) -> GroupSeries:
-        scenes = self._scenes
+        scenes, seen = self._scenes, self._scenes if self._picture is not None else []
         return GroupSeries(
             times=np.array([scene.time for scene in scenes]),
             people=np.array([scene.people_in_groups for scene in scenes]),
             deviation=np.array(self._deviation),
-            groups=np.array([_named(scene) for scene in scenes], np.int64),
-            detections=np.array(self._detected if self._raw else [], np.int64),
+            groups=np.array([sum(group.identity > 0 for group in scene.groups) for scene in scenes], np.int64),
+            detections=np.array([scene.detections.shape[1] for scene in seen], np.int64),
             events=[(e.time, e.kind, e.group, e.other) for e in sorted(self._events, key=lambda e: e.time)],
             warnings=[(time, w.first, w.second, w.seconds, w.probability) for time, w in self._warnings],
         )
@@ -341,33 +321,19 @@ class Story:
         """A plan of the ground on which people were."""
         people = [scene.people for scene in self._scenes]
         centres = [group.centre[:, None] for scene in self._scenes for group in scene.groups if group.identity]
-        extent = extent_of(np.hstack([np.zeros((2, 0)), *people, *centres]))
+        extent = extent_of(np.hstack([_NOWHERE, *people, *centres]))
         width, height = plan_size(extent, height)
         return Plan(extent, width, height, self._around.field, self._around.edges)
 
-
-class _Film:
-    """Draws one frame after the other: the annotated picture, the plan beside it."""
-
-    def __init__(
-        self, video: VideoWriter, plan: Plan, width: int, camera: Camera | None, scenes: dict[int, PlanScene]
-    ) -> None:
-        self._video, self._plan, self._width, self._camera, self._scenes = video, plan, width, camera, scenes
-
-    def __call__(self, number: int, picture: Image) -> None:
-        """The next frame; ``picture`` is empty where there is none."""
-        empty = PlanScene(number, 0.0, np.zeros((2, 0)), np.zeros((2, 0)), np.zeros(0, np.int64), ())
-        scene = self._scenes.get(number, empty)
-        drawn = self._plan.draw(scene)
-        if self._width:
-            left = picture if self._camera is None else draw_contours(picture, _seen(self._camera, scene.groups))
-            size = (self._width, self._plan.height)
-            drawn = np.hstack([cv2.resize(left, size, interpolation=cv2.INTER_LINEAR), drawn])
-        self._video.write(drawn)
-
-
-def _named(scene: PlanScene) -> int:
-    return sum(group.identity > 0 for group in scene.groups)
+    def _with_contours(self, picture: Image, groups: Sequence[PlanGroup]) -> Image:
+        """The picture with the contours that the camera shows."""
+        camera = self._around.camera
+        if camera is None:
+            return picture
+        rings = [[r for r in (in_image(camera, ring) for ring in group.contours) if r.shape[1]] for group in groups]
+        return draw_contours(
+            picture, tuple(replace(group, contours=tuple(seen)) for group, seen in zip(groups, rings, strict=True))
+        )
 
 
 def _plan_group(frame: GroupFrame, g: int) -> PlanGroup:
@@ -375,9 +341,3 @@ def _plan_group(frame: GroupFrame, g: int) -> PlanGroup:
     return PlanGroup(
         int(frame.identity[g]), float(groups.count[g]), float(groups.deviation[g]), mean[:2], mean[2:4], frame.contours[g]
     )
-
-
-def _seen(camera: Camera, groups: tuple[PlanGroup, ...]) -> tuple[PlanGroup, ...]:
-    """The groups with contours in pixels."""
-    rings = [tuple(r for r in (in_image(camera, ring) for ring in group.contours) if r.shape[1]) for group in groups]
-    return tuple(replace(group, contours=seen) for group, seen in zip(groups, rings, strict=True))

@@ -106,6 +106,7 @@ def groups(
     """
     from phdtrack.cli.settings import Choice, chosen
     from phdtrack.cli.track import prepare
+    from phdtrack.formats.positions import read_positions
 
     result = Output(json)
     if out is not None:
@@ -114,9 +115,13 @@ def groups(
     choice = Choice(filter_name, preset, config, tuple(sets or ()), seed, truth, threads)
     if positions is not None:
         _check_unused(wanted, choice, camera)
-        known = read_known(positions, fps, chosen(choice), () if edges is None else read_edges(edges), video=video)
+        lines = () if edges is None else read_edges(edges)
+        known = read_positions(positions)
+        if not len(known):
+            raise InputError("expected people, came a file without any", where=positions)
+        given = KnownPositions(positions, known, fps or rate_of(known, positions), chosen(choice), lines, video)
         name = positions.resolve().parent.name or positions.stem
-        group_known(result, known, rundir.claim(out or Path("runs") / name, overwrite, NAMES))
+        group_known(result, given, rundir.claim(out or Path("runs") / name, overwrite, NAMES))
         return
     settings = ground_settings(choice, camera)
     job = prepare(wanted, choice, settings, command_line(), video=video)
@@ -162,19 +167,18 @@ def ground_settings(choice: Choice, camera: Path | None) -> Settings:
 
 def with_groups(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
     """The job with an observer of groups."""
-    from phdtrack.cli.group_observer import GroupObserver, Surroundings
+    from phdtrack.cli.group_observer import GroupObserver, Story, Surroundings
     from phdtrack.config import build_groups
     from phdtrack.ground.uncertainty import footprint
     from phdtrack.models import PlaneSensor
 
-    stages, info = job.stages, job.inputs.info
+    stages, size = job.stages, (job.inputs.info.width, job.inputs.info.height)
     sensor, around = stages.model.sensor, Surroundings(edges=edges)
     if isinstance(sensor, PlaneSensor) and sensor.camera is not None:
-        seen = footprint(sensor.camera, (info.width, info.height), settings.build("camera").max_distance)
-        around = Surroundings(sensor.camera, seen, edges)
-    delay = settings.build("associate").output_delay
-    observer = GroupObserver(build_groups(settings, stages), stages, info, around, delay)
-    return replace(job, observers=(*job.observers, observer))
+        around = Surroundings(sensor.camera, footprint(sensor.camera, size, settings.build("camera").max_distance), edges)
+    delay, story = settings.build("associate").output_delay, Story(around, job.inputs.info.fps, size)
+    observer = GroupObserver(build_groups(settings, stages), stages, around.camera, delay, story)
+    return replace(job, observers=(*job.observers, observer, story))
 
 
 def _check_unused(wanted: Wanted, choice: Choice, camera: Path | None) -> None:
@@ -202,7 +206,7 @@ def _check_unused(wanted: Wanted, choice: Choice, camera: Path | None) -> None:
 
 @dataclass(frozen=True, slots=True)
 class KnownPositions:
-    """Known positions to group: people read from ``path``, at ``fps`` frames per second, and how."""
+    """People with known positions, read from ``path``, and how their groups are found; ``fps`` is of the frames' numbers."""
 
     path: Path
     positions: Positions
@@ -212,29 +216,6 @@ class KnownPositions:
     video: bool
 
 
-def read_known(path: Path, fps: float, settings: Settings, edges: tuple[F8, ...], *, video: bool) -> KnownPositions:
-    """What `group_known` needs.
-
-    Parameters
-    ----------
-    path : file of positions (obsmat.txt).
-    fps : frames per second; 0: estimated from people's displacements and velocities.
-    settings : of the groups.
-    edges : lines (2, K) in metres to draw on the plan.
-    video : whether to draw plan.mp4.
-
-    Raises
-    ------
-    InputError : the file cannot be read, is empty, or its rate cannot be estimated.
-    """
-    from phdtrack.formats.positions import read_positions
-
-    positions = read_positions(path)
-    if not len(positions):
-        raise InputError("expected people, came a file without any", where=path)
-    return KnownPositions(path, positions, fps or rate_of(positions, path), settings, edges, video)
-
-
 def group_known(result: Output, job: KnownPositions, directory: rundir.RunDirectory) -> None:
     """Find groups among known positions, write everything, and say what was found."""
     import numpy as np
@@ -242,16 +223,22 @@ def group_known(result: Output, job: KnownPositions, directory: rundir.RunDirect
     from phdtrack import config
     from phdtrack.cli.doctor import installed_versions
     from phdtrack.cli.group_observer import Story, Surroundings
+    from phdtrack.cli.inputs import NO_PICTURE
     from phdtrack.report import About, write_run
     from phdtrack.report.pages import positions_page
     from phdtrack.report.run_json import json_value, write_text
 
     started, clock = datetime.now(UTC), time.perf_counter()
-    story = Story(Surroundings(edges=job.edges), raw=False)
     frames = np.unique(job.positions.frame).tolist()
+    # One picture for each frame with people, as fast as these usually follow each other.
+    step = float(np.median(np.diff(frames))) if len(frames) > 1 else 1.0
+    story = Story(Surroundings(edges=job.edges), job.fps / step)
     _group_frames(job, config.build_groups(job.settings), story, frames, directory)
     if job.video:
-        _draw_frames(job, story, frames, directory)
+        with story.drawing(directory, pictures=False) as draw, progress("drawing", len(frames)) as advance:
+            for done, number in enumerate(frames, start=1):
+                draw(number, NO_PICTURE)
+                advance(done)
     people = len(np.unique(job.positions.identity))
     first = f"{people} people in {len(frames)} frames at {job.fps:.4g} frames per second."
     summary = (first, *story.sentences())
@@ -302,20 +289,7 @@ def _group_frames(
             carriers = np.arange(len(here))
             state, frame = stages.advance(state, known_people(here.state), here.identity, carriers, number, at)
             files.write(frame)
-            story.take(frame, here.state[:2], nothing)
-            advance(done)
-
-
-def _draw_frames(job: KnownPositions, story: Story, frames: list[int], directory: rundir.RunDirectory) -> None:
-    """plan.mp4, one picture for each frame with people, as fast as these usually follow each other."""
-    import numpy as np
-
-    from phdtrack.cli.inputs import NO_PICTURE
-
-    step = float(np.median(np.diff(frames))) if len(frames) > 1 else 1.0
-    with story.video(directory, job.fps / step, picture=None) as draw, progress("drawing", len(frames)) as advance:
-        for done, number in enumerate(frames, start=1):
-            draw(number, NO_PICTURE)
+            story.add(frame, here.state[:2], nothing)
             advance(done)
 
 

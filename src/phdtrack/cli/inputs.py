@@ -18,18 +18,19 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from phdtrack.cli.options import DEFAULT_DETECTOR, Wanted
+from phdtrack.cli.output import progress
+from phdtrack.detect import TableDetector, make_detector, typed
 from phdtrack.detect.convert import within_frame
 from phdtrack.errors import InputError
+from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
 from phdtrack.protocols import Detector
 from phdtrack.types import Detections, DetectionTable, Frame, Image, SequenceInfo
-
-if TYPE_CHECKING:
-    from phdtrack.video import VideoSource
+from phdtrack.video import VideoSource, VideoWriter, open_source
 
 NO_PICTURE: Image = np.zeros((0, 0, 3), np.uint8)
 TABLES = (".txt", ".csv", ".tsv", ".json", ".xml", ".parquet")
@@ -74,6 +75,20 @@ def detected(detector: Detector, frames: Iterable[Frame]) -> Iterator[tuple[Fram
         yield frame, found, time.perf_counter() - clock
 
 
+def write_detected(inputs: Inputs, path: Path) -> Iterator[int]:
+    """Run the detector over everything; after each frame, which is in the file by then, the number of its boxes."""
+    with (
+        DetectionsWriter(path) as writer,
+        progress("detecting", inputs.info.frames) as advance,
+        ahead(inputs.source) as pictures,
+        ahead(detected(inputs.detector, pictures)) as looked,
+    ):
+        for count, (frame, found, _) in enumerate(looked, start=1):
+            writer.append(frame.number, found)
+            advance(count)
+            yield len(found)
+
+
 def open_inputs(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
     """Open what the options name; ``parameters`` are the detector's own settings.
 
@@ -84,12 +99,24 @@ def open_inputs(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
     if not 0 <= wanted.fps < math.inf:
         raise InputError(f"expected frames per second above 0, got {wanted.fps:g}", where="--fps")
     if wanted.detections is None:
-        return _from_video(wanted, parameters)
-    given = (("--detector", wanted.detector not in ("", "file")), ("--max-width", wanted.max_width), ("--mask", wanted.mask))
-    for option, used in given:
+        detector = _detector(wanted, parameters)
+        source = open_source(wanted.source, fps=wanted.fps)
+        _check_size(wanted, source.info)
+        again = comes_again(wanted.source)
+        return Inputs(source.info, source, detector, wanted.source, wanted.detector or DEFAULT_DETECTOR, True, again)
+    path, given = wanted.detections, {"--max-width": wanted.max_width, "--mask": wanted.mask}
+    for option, used in ({"--detector": wanted.detector not in ("", "file")} | given).items():
         if used:
-            raise _no_work(option, wanted)
-    return _with_video(wanted, wanted.detections) if wanted.source else _from_file(wanted, wanted.detections)
+            problem = f"the detections come from {path}, so there is no detector that this could change"
+            raise InputError(problem, where=option, cure=f"Leave out {option} or --detections.")
+    table = read_detections(path)
+    frames = open_source(wanted.source, fps=wanted.fps) if wanted.source else Blank(_sequence(wanted, path, table))
+    if wanted.source:
+        _check_size(wanted, frames.info)
+    seen, left_out = within_frame(table, frames.info, path)
+    name, pictures = wanted.source or str(path), bool(wanted.source)
+    again = not pictures or comes_again(wanted.source)
+    return Inputs(frames.info, frames, TableDetector(seen), name, str(path), pictures, again, left_out)
 
 
 def frame_size(text: str) -> tuple[int, int]:
@@ -105,10 +132,8 @@ def frame_size(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def _from_video(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
-    from phdtrack.detect import make_detector, typed
-    from phdtrack.video import open_source
-
+def _detector(wanted: Wanted, parameters: dict[str, Any]) -> Detector:
+    """The detector that the options name. Raises `InputError` where there is none, or nothing to look at."""
     if wanted.detector == "file":
         raise InputError("the detector file reads a file of detections", where="--detector", cure="Say --detections FILE.")
     if wanted.detector == "callable":
@@ -129,54 +154,16 @@ def _from_video(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
         )
     name = wanted.detector or DEFAULT_DETECTOR
     try:
-        detector = make_detector(name, max_width=wanted.max_width, mask=wanted.mask, **typed(name, parameters))
+        return make_detector(name, max_width=wanted.max_width, mask=wanted.mask, **typed(name, parameters))
     except InputError as error:
-        raise _as_typed(error, parameters) from error
-    source = open_source(wanted.source, fps=wanted.fps)
-    _same_size(wanted, source.info)
-    return Inputs(source.info, source, detector, wanted.source, name, True, comes_again(wanted.source))
-
-
-def _as_typed(error: InputError, parameters: dict[str, Any]) -> InputError:
-    """The error in the user's own words: ``detector.min_area``, not the record of settings that refused the value."""
-    setting = error.where.rpartition(".")[2]
-    where = f"detector.{setting}" if setting in parameters else error.where or "--detector"
-    return InputError(error.problem, where=where, cure=error.cure)
-
-
-def _no_work(option: str, wanted: Wanted) -> InputError:
-    """The error for an option that changes what a detector does, where the detections are given."""
-    problem = f"the detections come from {wanted.detections}, so there is no detector that this could change"
-    return InputError(problem, where=option, cure=f"Leave out {option} or --detections.")
-
-
-def _with_video(wanted: Wanted, path: Path) -> Inputs:
-    from phdtrack.detect import TableDetector
-    from phdtrack.formats import read_detections
-    from phdtrack.video import open_source
-
-    table = read_detections(path)
-    source = open_source(wanted.source, fps=wanted.fps)
-    _same_size(wanted, source.info)
-    seen, left_out = within_frame(table, source.info, path)
-    again = comes_again(wanted.source)
-    return Inputs(source.info, source, TableDetector(seen), wanted.source, str(path), True, again, left_out)
-
-
-def _from_file(wanted: Wanted, path: Path) -> Inputs:
-    from phdtrack.detect import TableDetector
-    from phdtrack.formats import read_detections
-
-    table = read_detections(path)
-    info = _sequence(wanted, path, table)
-    seen, left_out = within_frame(table, info, path)
-    return Inputs(info, Blank(info), TableDetector(seen), str(path), str(path), False, True, left_out)
+        # In the user's own words: detector.min_area, not the record of settings that refused the value.
+        setting = error.where.rpartition(".")[2]
+        where = f"detector.{setting}" if setting in parameters else error.where or "--detector"
+        raise InputError(error.problem, where=where, cure=error.cure) from error
 
 
 def _sequence(wanted: Wanted, path: Path, table: DetectionTable) -> SequenceInfo:
     """Size, rate and length of a sequence of which there are detections only: options first, then seqinfo.ini."""
-    from phdtrack.formats import find_seqinfo
-
     found = find_seqinfo(path) or SequenceInfo(0, 0, 0.0, 0, path.stem)
     if wanted.frame_size:
         width, height = frame_size(wanted.frame_size)
@@ -190,7 +177,7 @@ def _sequence(wanted: Wanted, path: Path, table: DetectionTable) -> SequenceInfo
     return found
 
 
-def _same_size(wanted: Wanted, info: SequenceInfo) -> None:
+def _check_size(wanted: Wanted, info: SequenceInfo) -> None:
     """With a video its own size holds, and another one in the options is a mistake."""
     if wanted.frame_size and frame_size(wanted.frame_size) != (info.width, info.height):
         raise InputError(
@@ -251,8 +238,6 @@ class _Copied:
         return self._again()
 
     def _copying(self) -> Generator[Frame, None, None]:
-        from phdtrack.video import VideoWriter
-
         info = self.info
         with VideoWriter(self._path, info.width, info.height, info.fps, quality=_FINE) as copy:
             for frame in self._source:
@@ -261,8 +246,6 @@ class _Copied:
                 yield frame
 
     def _again(self) -> Iterator[Frame]:
-        from phdtrack.video import open_source
-
         for (number, at), frame in zip(self._seen, open_source(self._path), strict=False):
             # The copy of an odd size is padded by a row or a column.
             yield Frame(number, at, frame.image[: self.info.height, : self.info.width])

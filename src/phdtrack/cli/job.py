@@ -132,16 +132,6 @@ class Job:
     observers: tuple[RunObserver, ...] = ()
     mover: Mover = standing
 
-    @property
-    def filter_name(self) -> str:
-        """``filter.kind``, as configured."""
-        return str(self.configured("filter", "kind"))
-
-    def configured(self, section: str, name: str) -> object:
-        """The value of a setting."""
-        values = self.configuration[section]
-        return values[name] if isinstance(values, dict) else ""
-
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
@@ -197,7 +187,8 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         if not done.seen and done.stop is not None:
             directory.clear()
             raise done.stop
-        tracks = _finish(job, directory)
+        tracks = job.steps.finish()
+        write_tracks(directory.file(rundir.TRACKS), tracks, places(job.stages.model.sensor, tracks.xyxy))
         for observer in job.observers:
             observer.finish(tracks)
         scores = None if job.truth is None else _scores(job.truth, tracks, done.last)
@@ -218,7 +209,7 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         tracking_seconds=done.seconds,
         left_out=done.left_out,
         versions=job.versions,
-        scores=() if scores is None else tuple((key, _plain(value)) for key, value in scores.as_dict().items()),
+        scores=() if scores is None else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
         warnings=warnings,
         notes=(*notes, WHICH),
     )
@@ -252,7 +243,8 @@ def _loop(job: Job, source: VideoSource, directory: RunDirectory) -> _Progress:
                     for observer in job.observers:
                         observer.take(step, job.steps.state)
                     done.recorder.add(frame.image if inputs.pictures else None, step, job.steps.particles, seconds)
-                    done.seen.append(_seen(step))
+                    seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
+                    done.seen.append(seen)
                     advance(len(done.seen))
                     pace.frame()
             held = job.steps.flush()
@@ -266,17 +258,6 @@ def _loop(job: Job, source: VideoSource, directory: RunDirectory) -> _Progress:
     return done
 
 
-def _seen(step: Step) -> _Seen:
-    return _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
-
-
-def _finish(job: Job, directory: RunDirectory) -> Tracks:
-    """The corrected tracks of all frames, written."""
-    tracks = job.steps.finish()
-    write_tracks(directory.file(rundir.TRACKS), tracks, places(job.stages.model.sensor, tracks.xyxy))
-    return tracks
-
-
 def _scores(truth: Truth, tracks: Tracks, last: int) -> Scores:
     from phdtrack.metrics import evaluate
 
@@ -287,12 +268,17 @@ def _draw(job: Job, source: VideoSource, directory: RunDirectory, done: _Progres
     """The videos of the frames that were tracked; what stopped it, if anything did."""
     try:
         with ExitStack() as files:
-            draw = _videos(job, directory, files)
+            draw, info = list[Draw](), job.inputs.info
+            if job.inputs.pictures:
+                video = files.enter_context(VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps))
+                draw.append(lambda number, picture: video.write(picture))
+            for observer in job.observers:
+                draw.append(files.enter_context(observer.drawing(directory, pictures=job.inputs.pictures)))
             advance = files.enter_context(progress("drawing", len(done.seen)))
             pictures: Iterable[Image] = repeat(NO_PICTURE)
             if job.inputs.pictures:
                 frames = files.enter_context(ahead(source))
-                drawn = _pictures(Annotator(job.inputs.info), done.seen, frames, tracks)
+                drawn = _pictures(Annotator(info), done.seen, frames, tracks)
                 pictures = files.enter_context(ahead(drawn))
             for count, (seen, picture) in enumerate(zip(done.seen, pictures, strict=False), start=1):
                 for one in draw:
@@ -306,17 +292,6 @@ def _draw(job: Job, source: VideoSource, directory: RunDirectory, done: _Progres
 def _as_meant(stop: Stop) -> Stop:
     """Ctrl-C, in whatever form it comes out of compiled code, or the error itself."""
     return KeyboardInterrupt() if interrupted(stop) and not isinstance(stop, KeyboardInterrupt) else stop
-
-
-def _videos(job: Job, directory: RunDirectory, files: ExitStack) -> list[Draw]:
-    """What to call with every annotated picture: the video of these, and those of observers."""
-    info, draw = job.inputs.info, list[Draw]()
-    if job.inputs.pictures:
-        video = files.enter_context(VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps))
-        draw.append(lambda number, picture: video.write(picture))
-    for observer in job.observers:
-        draw.append(files.enter_context(observer.drawing(directory, pictures=job.inputs.pictures)))
-    return draw
 
 
 def _pictures(annotate: Annotator, seen: Sequence[_Seen], frames: Iterable[Frame], tracks: Tracks) -> Iterator[Image]:
@@ -402,10 +377,6 @@ def shown(particles: Particles, sensor: Sensor) -> Particles | None:
 
 def _reason(stop: Stop) -> str:
     return "stopped by Ctrl-C" if isinstance(stop, KeyboardInterrupt) else f"ended ({stop or type(stop).__name__})"
-
-
-def _plain(value: float | None) -> float:
-    return math.nan if value is None else value
 
 
 def _written(job: Job, directory: RunDirectory, record: RunRecord, *, complete: bool) -> dict[str, object]:

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -32,11 +33,10 @@ from phdtrack.cli.output import Advance, Output, counted, progress
 from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from phdtrack.cli.inputs import Inputs
     from phdtrack.config import Settings
     from phdtrack.label.suggestions import Evidence, Suggestions
     from phdtrack.protocols import AnyStages
-    from phdtrack.types import DetectionTable, Frame, Image, SequenceInfo
+    from phdtrack.types import DetectionTable, SequenceInfo
 
 _CLIP_WIDTH = 640
 
@@ -124,7 +124,7 @@ def to_label(wanted: Wanted, parameters: dict[str, Any], labels: Path, result: O
     Without either the default detector looks. So a detector runs once, and the marked boxes are the same when a
     person goes on another day. Raises `InputError` as `open_inputs`, and where there is nothing to label.
     """
-    from phdtrack.cli.inputs import comes_again, open_inputs
+    from phdtrack.cli.inputs import comes_again, open_inputs, write_detected
     from phdtrack.formats import read_detections
 
     if wanted.source and not comes_again(wanted.source):
@@ -138,20 +138,32 @@ def to_label(wanted: Wanted, parameters: dict[str, Any], labels: Path, result: O
         table, last = read_detections(wanted.detections), max(inputs.info.frames, 1)
         last = max(last, table.last) if not wanted.source or not inputs.info.frames else last
     else:
-        path = _kept_at(labels, wanted, parameters)
+        more = [parameters, wanted.max_width, str(wanted.mask or ""), wanted.fps]
+        digest = hashlib.sha256(json.dumps(more, sort_keys=True, default=str).encode()).hexdigest()[:8]
+        path = labels.with_name(f"{labels.stem}.{wanted.detector}-{digest}.detections.csv")
         if path.exists():
             result.note(f"the detections are those of {path}")
         else:
-            _detect(inputs, path)
+            # The file appears when it is whole.
+            part = path.with_name(path.name + ".part")
+            try:
+                for _ in write_detected(inputs, part):
+                    pass
+                part.replace(path)
+            finally:
+                part.unlink(missing_ok=True)
         table = read_detections(path)
         last = max(inputs.info.frames, table.last)
     if len(table) == 0:
         raise InputError("there are no detections to label", where=wanted.source or wanted.detections or "")
-    return Labelled(wanted.source, replace(inputs.info, frames=last), table, last, _digest(table))
+    digest = hashlib.sha256(table.frame.tobytes() + table.detections.xyxy.round(3).tobytes()).hexdigest()[:32]
+    return Labelled(wanted.source, replace(inputs.info, frames=last), table, last, digest)
 
 
 def stills(source: str, fps: float, numbers: Collection[int], around: Collection[int] = ()) -> dict[int, bytes]:
     """The frames ``numbers`` of a video as JPEG, and those ``around`` them as small ones; it is read up to the last."""
+    import cv2
+
     from phdtrack.cli.inputs import ahead
     from phdtrack.video import open_source
 
@@ -159,12 +171,14 @@ def stills(source: str, fps: float, numbers: Collection[int], around: Collection
     if not source or not numbers:
         return kept
     last = max([*numbers, *around])
-    with progress("reading frames", last) as advance, ahead(_until(iter(open_source(source, fps=fps)), last)) as frames:
+    with progress("reading frames", last) as advance, ahead(islice(open_source(source, fps=fps), last)) as frames:
         for frame in frames:
-            if frame.number in numbers:
-                kept[frame.number] = _jpeg(frame.image, 92)
-            elif frame.number in around:
-                kept[frame.number] = _jpeg(_small(frame.image), 80)
+            if frame.number in numbers or frame.number in around:
+                whole, (height, width) = frame.number in numbers, frame.image.shape[:2]
+                scale = 1.0 if whole else min(1.0, _CLIP_WIDTH / width)
+                image = frame.image if scale == 1 else cv2.resize(frame.image, (_CLIP_WIDTH, round(height * scale)))
+                _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 92 if whole else 80])
+                kept[frame.number] = data.tobytes()
             advance(frame.number)
     return kept
 
@@ -192,63 +206,6 @@ def labels_file(source: str, detections: Path | None) -> Path:
     if path is None:
         raise InputError("nothing to label", where="SOURCE", cure="Name a video, or say --detections FILE")
     return path.with_name(f"{path.stem if path.is_file() else path.name}.labels.sqlite")
-
-
-def _small(image: Image) -> Image:
-    """A frame of a clip: it is seen for a moment, and there are many."""
-    import cv2
-    import numpy as np
-
-    height, width = image.shape[:2]
-    scale = _CLIP_WIDTH / width
-    return image if scale >= 1 else np.asarray(cv2.resize(image, (_CLIP_WIDTH, round(height * scale))), np.uint8)
-
-
-def _jpeg(image: Image, quality: int) -> bytes:
-    import cv2
-
-    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    assert done
-    return data.tobytes()
-
-
-def _until(frames: Iterator[Frame], last: int) -> Iterator[Frame]:
-    for frame in frames:
-        yield frame
-        if frame.number >= last:
-            return
-
-
-def _detect(inputs: Inputs, path: Path) -> None:
-    """Run the detector over everything; the file appears when it is whole."""
-    from phdtrack.cli.inputs import ahead, detected
-    from phdtrack.formats import DetectionsWriter
-
-    part = path.with_name(path.name + ".part")
-    try:
-        with (
-            DetectionsWriter(part) as writer,
-            progress("detecting", inputs.info.frames) as advance,
-            ahead(inputs.source) as pictures,
-            ahead(detected(inputs.detector, pictures)) as looked,
-        ):
-            for frame, found, _ in looked:
-                writer.append(frame.number, found)
-                advance(frame.number)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def _kept_at(labels: Path, wanted: Wanted, parameters: dict[str, Any]) -> Path:
-    """Where the detections of this detector with these parameters are kept."""
-    more = [parameters, wanted.max_width, str(wanted.mask or ""), wanted.fps]
-    digest = hashlib.sha256(json.dumps(more, sort_keys=True, default=str).encode()).hexdigest()[:8]
-    return labels.with_name(f"{labels.stem}.{wanted.detector}-{digest}.detections.csv")
-
-
-def _digest(table: DetectionTable) -> str:
-    return hashlib.sha256(table.frame.tobytes() + table.detections.xyxy.round(3).tobytes()).hexdigest()[:32]
 
 
 def tracked(table: DetectionTable, fps: float, stages: AnyStages, frames: range, seed: int, advance: Advance) -> Evidence:

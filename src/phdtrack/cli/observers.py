@@ -1,8 +1,6 @@
-"""What goes along with a run: observers that take in every step and tell about it at the end.
+"""What goes along with a run: observers that take in every step and report it at the end, and how the camera moves.
 
-`RunObserver` has the moments of a run at which an observer is asked; `CameraObserver`, `RatesObserver` and
-`SceneObserver` tell of the camera's motion, of rates and of a scene that were learned. The groups on the ground are in
-`group_observer`. How the camera moves is measured or read here, too (`mover_of`).
+`RunObserver` has the moments of a run at which an observer is asked. The groups on the ground are in `group_observer`.
 """
 
 from __future__ import annotations
@@ -171,12 +169,6 @@ class SceneObserver(RunObserver):
         self._learning, self._source = learning, source
         self._course: list[SceneUpdate] = []
         self._state: SceneState | None = None
-        self._directory: RunDirectory | None = None
-
-    def open(self, directory: RunDirectory) -> AbstractContextManager[object]:
-        """Remember where the files go."""
-        self._directory = directory
-        return nullcontext()
 
     def take(self, step: Step, state: TrackingState) -> None:
         """Keep what this frame taught."""
@@ -186,11 +178,12 @@ class SceneObserver(RunObserver):
         if last is not None and last.number == step.number:
             self._course.append(last)
 
-    def finish(self, tracks: Tracks) -> None:
-        """Write the scenes."""
-        if self._directory is not None:
-            for file, mode in zip(rundir.SCENES, self._modes(), strict=False):
-                write_scene(self._directory.file(file), self._learning.scene(mode, self._source))
+    @contextmanager
+    def open(self, directory: RunDirectory) -> Iterator[None]:
+        """The scenes are written at the end, however the run ends."""
+        yield
+        for file, mode in zip(rundir.SCENES, self._modes(), strict=False):
+            write_scene(directory.file(file), self._learning.scene(mode, self._source))
 
     def section(self) -> Markup:
         """Rates over time, and what changed."""
@@ -256,16 +249,20 @@ def moved(mover: Mover, looked: Iterable[tuple[Frame, Detections, float]]) -> It
         yield frame, found, mover(frame, found), seconds
 
 
-def mover_of(settings: Settings, inputs: Inputs) -> Mover:
+def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover:
     """How the camera moves, as the settings ask for: not at all, as measured in the pictures, or as a file has it.
 
     Raises
     ------
-    InputError : pictures are asked for and there are none, or the file cannot be read or does not belong to this sequence.
+    InputError : pictures are asked for and there are none, the file cannot be read or does not belong to this sequence, or
+        settings hold only while the camera stands still.
     """
     kind, chosen = settings.kind("camera_motion"), settings.build("camera_motion")
     if kind == "none":
         return standing
+    refuse_standing(model)
+    if settings.kind("learn") != "none":
+        raise not_standing("learning where false alarms and entrances are (learn.kind=online)")
     if kind == "flow":
         if not inputs.pictures:
             raise InputError(
@@ -297,12 +294,3 @@ def mover_of(settings: Settings, inputs: Inputs) -> Mover:
         return warps.between(start, frame.number)
 
     return read
-
-
-def check_moving(settings: Settings, model: Model) -> None:
-    """Raise `InputError` where settings hold only while the camera stands still, and it does not."""
-    if settings.kind("camera_motion") == "none":
-        return
-    refuse_standing(model)
-    if settings.kind("learn") != "none":
-        raise not_standing("learning where false alarms and entrances are (learn.kind=online)")

@@ -28,7 +28,6 @@ MAIN = {
     "clutter": ("clutter_per_frame",),
     "associate": ("min_track_length", "max_coast", "output_delay"),
 }
-_WIDTH = 125
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,10 +137,6 @@ def meanings(kind: type[Any]) -> dict[str, str]:
     _, _, parameters = text.partition("Parameters\n----------\n")
     for names, words in re.findall(r"^([\w, ]+?) : (.*(?:\n    .*)*)", parameters.split("\n\n")[0], re.MULTILINE):
         found |= dict.fromkeys(names.split(", "), words)
-    return {name: _line(words) for name, words in found.items()}
-
-
-def _line(words: str) -> str:
-    """One line of a docstring's words: its first sentence."""
-    line = " ".join(words.split())
-    return re.split(r"(?<=[^.\d])\. ", line)[0].rstrip(".").replace("``", "").replace("`", "")
+    # The first sentence of each, on one line.
+    said = {name: re.split(r"(?<=[^.\d])\. ", " ".join(words.split()))[0] for name, words in found.items()}
+    return {name: words.rstrip(".").replace("`", "") for name, words in said.items()}

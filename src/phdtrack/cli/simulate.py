@@ -18,7 +18,7 @@ from phdtrack.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from phdtrack.simulate import DetectorModel, Look, Scene
+    from phdtrack.simulate import Look, Scene
 
 TRUTH = "gt/gt.txt"
 DETECTIONS = "det/det.txt"
@@ -72,51 +72,37 @@ def simulate(
     import numpy as np
 
     from phdtrack.formats import write_detections, write_truth
-    from phdtrack.simulate import make_scene
+    from phdtrack.simulate import NAMED, default_detector, default_look, make_scene
 
-    model = detector_model(name, p_detect, clutter, places, jitter)
-    picture = look_settings(name, look or [])
-    scene = make_scene(name, seed, model, **scene_settings(name, [*(sets or []), *([f"frames={frames}"] if frames else [])]))
+    if name not in NAMED:
+        make_scene(name, seed)  # which says what scenes there are
+    world, model, picture = NAMED[name], default_detector(NAMED[name]), default_look(name)
+    given: dict[str, Any] = {
+        "p_detect": p_detect,
+        "clutter_rate": clutter,
+        "places": places,
+        "jitter": jitter,
+        "jitter_size": jitter,
+    }
+    model = replace(model, **{key: value for key, value in given.items() if value is not None})
+    picture = replace(picture, **_assigned(look or [], picture, "--look"))
+    scene = make_scene(name, seed, model, **_assigned(sets or [], world, "--set") | ({"frames": frames} if frames else {}))
     target, result = rundir.claim(out or Path("runs") / name, overwrite, FILES), Output(json)
     write_truth(target.file(TRUTH), scene.truth)
     write_detections(target.file(DETECTIONS), scene.detections)
-    target.file(SEQINFO).write_text(seqinfo(scene), encoding="utf-8")
+    info = scene.info
+    lines = ["[Sequence]", f"name={info.name}", f"frameRate={info.fps:g}", f"seqLength={info.frames}"]
+    lines += [f"imWidth={info.width}", f"imHeight={info.height}", ""]
+    target.file(SEQINFO).write_text("\n".join(lines), encoding="utf-8")
     if video:
         render_video(scene, np.random.default_rng(seed), target.file(VIDEO), picture)
     objects = len(set(scene.truth.identity.tolist()))
-    parts = [(scene.info.frames, "frame"), (objects, "object"), (len(scene.detections), "detection")]
+    parts = [(info.frames, "frame"), (objects, "object"), (len(scene.detections), "detection")]
     result.say(f"{name}: {', '.join(counted(*part) for part in parts)}, in {target.path}")
     files = [str(file) for file in target.written()]
     result.say("\n".join(f"  {file}" for file in files))
-    result.document(
-        {
-            "scene": name,
-            "seed": seed,
-            "frames": scene.info.frames,
-            "objects": objects,
-            "detections": len(scene.detections),
-            "files": files,
-        }
-    )
-
-
-def detector_model(
-    name: str, p_detect: float | None, clutter: float | None, places: int | None, jitter: float | None
-) -> DetectorModel | None:
-    """The scene's own detector with what the options change; None for a name that `make_scene` will refuse."""
-    from phdtrack.simulate import NAMED, default_detector
-
-    if name not in NAMED:
-        return None
-    own = default_detector(NAMED[name])
-    return replace(
-        own,
-        p_detect=own.p_detect if p_detect is None else p_detect,
-        clutter_rate=own.clutter_rate if clutter is None else clutter,
-        places=own.places if places is None else places,
-        jitter=own.jitter if jitter is None else jitter,
-        jitter_size=own.jitter_size if jitter is None else jitter,
-    )
+    about = {"scene": name, "seed": seed, "frames": info.frames, "objects": objects}
+    result.document(about | {"detections": len(scene.detections), "files": files})
 
 
 def demo(
@@ -185,59 +171,28 @@ def render_video(scene: Scene, rng: np.random.Generator, path: Path, look: Look 
             advance(frame.number)
 
 
-def seqinfo(scene: Scene) -> str:
-    """The text of seqinfo.ini."""
-    info = scene.info
-    about = {"name": info.name, "frameRate": f"{info.fps:g}", "seqLength": info.frames}
-    size = {"imWidth": info.width, "imHeight": info.height}
-    return "\n".join(["[Sequence]", *(f"{key}={value}" for key, value in (about | size).items()), ""])
-
-
-def scene_settings(name: str, assignments: Sequence[str]) -> dict[str, int | float]:
-    """The settings of scene ``name`` that ``assignments`` ("frames=100") give; empty for a scene that does not exist.
+def _assigned(texts: Sequence[str], settings: Any, option: str) -> dict[str, Any]:
+    """What assignments as "frames=100" give to those fields of the record ``settings`` that are numbers.
 
     Raises
     ------
     InputError : not of the form NAME=VALUE, no number setting has this name, or the value is no number of its type.
     """
-    from phdtrack.simulate import NAMED
-
-    if name not in NAMED:
-        return {}
-    world = NAMED[name]
-    types = {f.name: type(getattr(world, f.name)) for f in fields(world)}
+    types = {f.name: type(getattr(settings, f.name)) for f in fields(settings)}
     numeric = {key: kind for key, kind in types.items() if kind in (int, float)}
-    return dict(_assigned(text, numeric, "--set") for text in assignments)
-
-
-def look_settings(name: str, assignments: Sequence[str]) -> Look:
-    """The look of scene ``name`` with what ``assignments`` ("wave=0.2") change.
-
-    Raises
-    ------
-    InputError : not of the form NAME=VALUE, there is no such setting, or the value is no number of its type, or impossible.
-    """
-    from phdtrack.simulate import default_look
-
-    look = default_look(name)
-    numeric: dict[str, type[int] | type[float]] = {f.name: type(getattr(look, f.name)) for f in fields(look)}
-    # Each is a number of its own field's type, which a dictionary of all of them cannot say.
-    changed: dict[str, Any] = dict(_assigned(text, numeric, "--look") for text in assignments)
-    return replace(look, **changed)
-
-
-def _assigned(text: str, numeric: dict[str, type[int] | type[float]], option: str) -> tuple[str, int | float]:
-    key, equals, value = (part.strip() for part in text.partition("="))
-    where = f"{option} {text}"
-    if not equals or not key:
-        raise InputError("expected NAME=VALUE", where=where)
-    if key not in numeric:
-        close = difflib.get_close_matches(key, numeric, 1)
-        cure = f"Did you mean {close[0]}?" if close else f"There are {', '.join(numeric)}."
-        raise InputError(f"this scene has no setting {key} that is a number", where=where, cure=cure)
-    kind = numeric[key]
-    try:
-        return key, kind(value)
-    except ValueError:
-        wanted = "a whole number" if kind is int else "a number"
-        raise InputError(f"expected {wanted}, got {value!r}", where=where) from None
+    found = {}
+    for text in texts:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        where = f"{option} {text}"
+        if not equals or not key:
+            raise InputError("expected NAME=VALUE", where=where)
+        if key not in numeric:
+            close = difflib.get_close_matches(key, numeric, 1)
+            cure = f"Did you mean {close[0]}?" if close else f"There are {', '.join(numeric)}."
+            raise InputError(f"this scene has no setting {key} that is a number", where=where, cure=cure)
+        try:
+            found[key] = numeric[key](value)
+        except ValueError:
+            wanted = "a whole number" if numeric[key] is int else "a number"
+            raise InputError(f"expected {wanted}, got {value!r}", where=where) from None
+    return found

@@ -33,12 +33,11 @@ from phdtrack.cli.options import (
     TruthFile,
     Wanted,
 )
-from phdtrack.cli.output import Output, counted, progress
+from phdtrack.cli.output import Output, counted
 from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from phdtrack.cli.inputs import Inputs
-    from phdtrack.cli.job import Job, Outcome
+    from phdtrack.cli.job import Job
     from phdtrack.cli.settings import Choice
     from phdtrack.config import Settings
 
@@ -118,27 +117,22 @@ def detect(
 
     What was detected is written frame by frame, so that Ctrl-C loses nothing.
     """
-    from phdtrack.cli.inputs import ahead, detected, open_inputs
+    from phdtrack.cli.inputs import open_inputs, write_detected
     from phdtrack.config import load
-    from phdtrack.formats import DetectionsWriter
 
     wanted = Wanted(source, detector=detector, fps=fps, max_width=max_width, mask=mask)
     inputs = open_inputs(wanted, load(config, tuple(sets or ())).detector)
     target, result = rundir.claim(out or Path("runs") / inputs.info.name, overwrite, (rundir.DETECTIONS,)), Output(json)
     frames = boxes = 0
     clock = time.perf_counter()
-    with DetectionsWriter(target.file(rundir.DETECTIONS)) as writer, progress("detecting", inputs.info.frames) as advance:
-        try:
-            with ahead(inputs.source) as pictures, ahead(detected(inputs.detector, pictures)) as looked:
-                for frame, found, _ in looked:
-                    writer.append(frame.number, found)
-                    frames, boxes = frames + 1, boxes + len(found)
-                    advance(frames)
-        except InputError:
-            if not frames:
-                # Nothing was looked at: an empty file would be taken for "nothing was detected".
-                target.clear()
-            raise
+    try:
+        for count in write_detected(inputs, target.file(rundir.DETECTIONS)):
+            frames, boxes = frames + 1, boxes + count
+    except InputError:
+        if not frames:
+            # Nothing was looked at: an empty file would be taken for "nothing was detected".
+            target.clear()
+        raise
     seconds = time.perf_counter() - clock
     warnings = [sentence for sentence in (inputs.source.note, inputs.source.problem) if sentence]
     for sentence in warnings:
@@ -146,26 +140,28 @@ def detect(
     rate = frames / seconds if seconds > 0 else 0.0
     done = f"{counted(boxes, 'box')} in {counted(frames, 'frame')} by {inputs.described}"
     result.say(f"{done}, {rate:.0f} frames per second: {target.file(rundir.DETECTIONS)}")
-    result.document(
-        {
-            "source": source,
-            "detector": inputs.described,
-            "frames": frames,
-            "detections": boxes,
-            "frames_per_second": rate,
-            "file": str(target.file(rundir.DETECTIONS)),
-            "warnings": warnings,
-        }
-    )
+    about = {"source": source, "detector": inputs.described, "frames": frames, "detections": boxes}
+    result.document(about | {"frames_per_second": rate, "file": str(target.file(rundir.DETECTIONS)), "warnings": warnings})
 
 
 def finish(result: Output, job: Job, directory: rundir.RunDirectory) -> None:
     """Run the job and say what came of it. Raises what ended it before its time: that decides the exit status."""
+    from phdtrack.cli.evaluate import score_table
     from phdtrack.cli.job import announced, run
 
     with announced(result):
         outcome = run(job, directory)
-    tell(result, outcome, directory)
+    for warning in outcome.warnings:
+        result.warn(warning)
+    for sentence in (*outcome.summary, ""):
+        result.say(sentence)
+    for file, meaning in MEANING.items():
+        if directory.file(file).exists():
+            result.say(f"  {directory.file(file)}  {meaning}")
+    if outcome.scores is not None:
+        result.say()
+        score_table(result, [("", outcome.scores)])
+    result.document(outcome.document)
     if outcome.stop is not None:
         raise outcome.stop
 
@@ -173,24 +169,6 @@ def finish(result: Output, job: Job, directory: rundir.RunDirectory) -> None:
 def command_line() -> str:
     """What was typed, so that it can be typed again."""
     return shlex.join(["phdtrack", *sys.argv[1:]])
-
-
-def tell(out: Output, outcome: Outcome, directory: rundir.RunDirectory) -> None:
-    """The outcome in plain words, or as JSON."""
-    from phdtrack.cli.evaluate import score_table
-
-    for warning in outcome.warnings:
-        out.warn(warning)
-    for sentence in outcome.summary:
-        out.say(sentence)
-    out.say()
-    for file, meaning in MEANING.items():
-        if directory.file(file).exists():
-            out.say(f"  {directory.file(file)}  {meaning}")
-    if outcome.scores is not None:
-        out.say()
-        score_table(out, [("", outcome.scores)])
-    out.document(outcome.document)
 
 
 def prepare(wanted: Wanted, choice: Choice, settings: Settings, command: str, *, video: bool) -> Job:
@@ -206,7 +184,7 @@ def prepare(wanted: Wanted, choice: Choice, settings: Settings, command: str, *,
     from phdtrack.cli.doctor import installed_versions
     from phdtrack.cli.inputs import open_inputs
     from phdtrack.cli.job import Job, Steps
-    from phdtrack.cli.observers import check_moving, mover_of, observers_of
+    from phdtrack.cli.observers import mover_of, observers_of
     from phdtrack.formats import read_truth
 
     truth = None if choice.truth is None else read_truth(choice.truth)
@@ -217,37 +195,27 @@ def prepare(wanted: Wanted, choice: Choice, settings: Settings, command: str, *,
         wanted = replace(wanted, last=int(truth.frame.max()))
     inputs = open_inputs(wanted, settings.detector)
     stages = config.build(settings, inputs.info, moving=True)
-    check_moving(settings, stages.model)
+    read: dict[str, object] = {"source": wanted.source}
+    if wanted.detections is not None:
+        read["detections"] = str(wanted.detections)
+    else:
+        read |= {"detector": inputs.described, "max_width": wanted.max_width}
+        read |= {"mask": str(wanted.mask or ""), "fps": inputs.info.fps}
     return Job(
         inputs=inputs,
         stages=stages,
         steps=Steps(stages, np.random.default_rng(choice.seed)),
         seed=choice.seed,
         configuration=settings.as_dict(),
-        read=_described(wanted, inputs),
+        read=read,
         command=command,
         title=inputs.name,
         versions=installed_versions(),
         truth=truth,
         video=video,
         observers=observers_of(settings, inputs, stages.learning),
-        mover=mover_of(settings, inputs),
+        mover=mover_of(settings, inputs, stages.model),
     )
-
-
-def _described(wanted: Wanted, inputs: Inputs) -> dict[str, object]:
-    """What was read, for run.json."""
-    if wanted.detections is not None:
-        return {"source": wanted.source, "detections": str(wanted.detections)}
-    detector = wanted.detector or DEFAULT_DETECTOR
-    mask = "" if wanted.mask is None else str(wanted.mask)
-    return {
-        "source": wanted.source,
-        "detector": detector,
-        "max_width": wanted.max_width,
-        "mask": mask,
-        "fps": inputs.info.fps,
-    }
 
 
 MEANING = {

@@ -9,23 +9,37 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phdtrack.cli.output import counted, progress
+from phdtrack.arrays import to_cxcywh
+from phdtrack.associate.rejection import without_false_tracks
+from phdtrack.cli.label import Labelled, tracked
+from phdtrack.cli.output import Output, counted, progress
 from phdtrack.errors import InputError
-from phdtrack.scene import RecursiveEM, TrackedObjects
-from phdtrack.scene.training import Sizes, Training, detected_sizes, learn_births, learn_clutter, learn_objects, with_prior
-
-if TYPE_CHECKING:
-    from phdtrack.cli.label import Labelled
-    from phdtrack.label import LabelStore
-    from phdtrack.label.suggestions import Evidence, Suggestions
-    from phdtrack.protocols import AnyStages
-    from phdtrack.types import Tracks
+from phdtrack.label import LabelStore
+from phdtrack.label.births import birth_states, time_watched, watched
+from phdtrack.label.session import false_boxes, looked_at, object_boxes, sampled, share_followed
+from phdtrack.label.suggestions import REASONS, TICKED, Evidence, Suggestions, suggest
+from phdtrack.models import PlaneSensor
+from phdtrack.models.region import EVERYWHERE
+from phdtrack.models.scene import FalseAlarmRatio, with_scene
+from phdtrack.protocols import AnyStages
+from phdtrack.report.pages import SceneTraining
+from phdtrack.scene import RecursiveEM, Scene, TrackedObjects
+from phdtrack.scene.training import (
+    Training,
+    births_in,
+    detected_sizes,
+    learn_births,
+    learn_clutter,
+    learn_objects,
+    with_prior,
+)
+from phdtrack.types import F8, I8, Detections, Image, Tracks
 
 _ONLY_BOXES = "false alarms stay as shipped: a density of them is learned for boxes in the image only (motion.kind=box)"
 # Frames, drawn at random, whose suggestions are taken where no person labels: M09's false alarms were of as many.
@@ -87,9 +101,6 @@ class TrainingData:
 
         Raises `InputError` where the ground has no region.
         """
-        from phdtrack.models import PlaneSensor
-        from phdtrack.models.region import EVERYWHERE
-
         sensor = self.stages.model.sensor
         if not isinstance(sensor, PlaneSensor):
             return self.size, (0.0, 0.0)
@@ -98,29 +109,21 @@ class TrainingData:
         left, low, right, high = sensor.borders
         return (right - left, high - low), (left, low)
 
-    def sizes(self) -> Sizes:
-        """The sizes that are detected in the stretch, widened."""
-        from phdtrack.arrays import to_cxcywh
-
+    def with_prior(self, lesson: Training) -> Training:
+        """What was learned, and a little of any size detected in the stretch; on the ground, without sizes, as it is."""
+        if not self.of_boxes:
+            return lesson
         table = self.found.table
         rows = slice(*np.searchsorted(table.frame, [self.stretch.start, self.stretch.stop]))
-        return detected_sizes(to_cxcywh(table.detections.xyxy[rows])[2:])
-
-    def with_prior(self, lesson: Training) -> Training:
-        """What was learned beside what might be anywhere; on the ground, where nothing has a size, as it is."""
-        return replace(lesson, learned=with_prior(lesson.learned, self.sizes())) if self.of_boxes else lesson
+        sizes = detected_sizes(to_cxcywh(table.detections.xyxy[rows])[2:])
+        return replace(lesson, learned=with_prior(lesson.learned, sizes))
 
     def store(self) -> LabelStore | None:
         """The labels of these detections, where there are any. Raises `InputError` where they are of others."""
-        from phdtrack.label import LabelStore
-
         return LabelStore.open(self.labels, self.found.source, self.found.digest, []) if self.labels.exists() else None
 
     def tracked(self, alarms: Training | None = None) -> Evidence:
         """What a tracker makes of the stretch that knows these false alarms."""
-        from phdtrack.cli.label import tracked
-        from phdtrack.models.scene import with_scene
-
         stages = self.stages
         if alarms is not None:
             # Jmax is of learned births, and there are none yet.
@@ -131,50 +134,48 @@ class TrainingData:
 
 def clutter_of_labels(data: TrainingData) -> Trained:
     """False alarms from marks [M09 §IV]; why not, where there are none to learn from."""
-    from phdtrack.label.session import false_boxes, looked_at
-
-    if not data.of_boxes:
-        return Trained(None, _ONLY_BOXES)
-    store = data.store()
+    store = data.store() if data.of_boxes else None
     if store is None:
-        return Trained(None, f"false alarms stay as shipped: no marks were found (phdtrack label, kept in {data.labels})")
+        missing = f"false alarms stay as shipped: no marks were found (phdtrack label, kept in {data.labels})"
+        return Trained(None, missing if data.of_boxes else _ONLY_BOXES)
     boxes, frames = false_boxes(store, data.found.table, data.stretch), len(looked_at(store, data.stretch))
-    try:
-        lesson = data.with_prior(learn_clutter(boxes, frames, data.size, RecursiveEM()))
-    except InputError as error:
-        return Trained(None, f"false alarms stay as shipped: {error}")
-    text = f"{counted(lesson.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
-    return Trained(lesson, f"false alarms: {text}; {gain_in_words(lesson)}", f"{text} by a person.")
+
+    def learned() -> tuple[Training, str]:
+        lesson = learn_clutter(boxes, frames, data.size, RecursiveEM())
+        return lesson, f"{counted(lesson.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
+
+    return _trained(data, "false alarms", learned, by=" by a person")
 
 
 def clutter_unattended(data: TrainingData) -> Trained:
     """False alarms from what would be suggested to a person; why not, where that is too little."""
-    from phdtrack.label.session import sampled
-    from phdtrack.label.suggestions import TICKED, suggest
-
     if not data.of_boxes:
         return Trained(None, _ONLY_BOXES)
     frames = [data.stretch.start + k - 1 for k in sampled(len(data.stretch), UNATTENDED, data.seed)]
     found = suggest(data.tracked(), frames, data.found.info.fps)
     taken = np.flatnonzero(found.score >= TICKED)
-    try:
-        lesson = data.with_prior(learn_clutter(_boxes(data, found, taken), len(frames), data.size, RecursiveEM()))
-    except InputError as error:
-        cure = "Look yourself: phdtrack label"
-        return Trained(None, f"false alarms stay as shipped: {InputError(error.problem, where=error.where, cure=cure)}")
-    text = (
-        f"{counted(lesson.learned.samples, 'box')} of {counted(len(frames), 'frame')} taken for false ({_why(found, taken)})"
+    rows = np.searchsorted(data.found.table.frame, found.frame[taken]) + found.box[taken]
+    boxes = to_cxcywh(data.found.table.detections.xyxy[rows])
+
+    def learned() -> tuple[Training, str]:
+        try:
+            lesson = learn_clutter(boxes, len(frames), data.size, RecursiveEM())
+        except InputError as error:
+            raise InputError(error.problem, where=error.where, cure="Look yourself: phdtrack label") from None
+        many = f"{counted(lesson.learned.samples, 'box')} of {counted(len(frames), 'frame')}"
+        return lesson, f"{many} taken for false ({_why(found, taken)})"
+
+    made = _trained(data, "false alarms", learned)
+    return (
+        made
+        if made.lesson is None
+        else replace(made, sentence=f"{made.sentence}. {LIMITS}", source=f"{made.source} {LIMITS}")
     )
-    return Trained(lesson, f"false alarms: {text}; {gain_in_words(lesson)}. {LIMITS}", f"{text}. {LIMITS}")
 
 
 def watched_tracks(data: TrainingData, alarms: Training | None, *, marked: bool) -> Watched:
     """One run behind the false alarms that were learned; ``marked``: a person looked at them, so that it shows what of them
     is followed all the same. Tracks that stay among these are not believed."""
-    from phdtrack.associate.rejection import without_false_tracks
-    from phdtrack.label.session import looked_at, object_boxes, share_followed
-    from phdtrack.models.scene import FalseAlarmRatio
-
     tracks, store = data.tracked(alarms).tracks, data.store() if marked else None
     if alarms is None or store is None:
         return Watched(tracks)
@@ -191,9 +192,6 @@ def watched_tracks(data: TrainingData, alarms: Training | None, *, marked: bool)
 
 def births_of_tracks(data: TrainingData, tracks: Tracks) -> Trained:
     """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]; why not, if they are too few."""
-    from phdtrack.scene.training import births_in
-    from phdtrack.types import Detections
-
     info, rate, shown = data.found.info, data.stages.model.rate, None
     if not data.of_boxes:
         sensor = data.stages.model.sensor
@@ -201,14 +199,12 @@ def births_of_tracks(data: TrainingData, tracks: Tracks) -> Trained:
     states = births_in(tracks, info.fps, rate, shown)
     # Feet that no ground is under.
     states = states[:, np.isfinite(states).all(axis=0)]
-    time = len(data.stretch) / info.fps * rate
-    return _births(data, states, time, "track", f"began in {counted(len(data.stretch), 'frame')}")
+    text = f"{counted(states.shape[1], 'track')} began in {counted(len(data.stretch), 'frame')}"
+    return _births(data, states, len(data.stretch) / info.fps * rate, text)
 
 
 def births_by_hand(data: TrainingData) -> Trained:
     """Births from marks on the clips about the frames that a person has looked at; why not, where they are too few."""
-    from phdtrack.label.births import birth_states, time_watched, watched
-
     if not data.of_boxes:
         return Trained(None, "births stay as shipped: those marked by hand are boxes in the image (--births tracks)")
     store = data.store()
@@ -216,42 +212,37 @@ def births_by_hand(data: TrainingData) -> Trained:
         return Trained(None, f"births stay as shipped: no marks were found (phdtrack label, kept in {data.labels})")
     table, info, rate = data.found.table, data.found.info, data.stages.model.rate
     states = birth_states(store, table, info, rate, data.stretch)
-    seen = counted(len(watched(store, data.stretch)), "frame")
     unknown = int(np.isnan(states[2]).sum())
-    text = f"marked by a person on {seen}" + (f" ({unknown} of unknown velocity)" if unknown else "")
-    return _births(data, states, time_watched(store, table, info, rate, data.stretch), "birth", text)
+    text = f"{counted(states.shape[1], 'birth')} marked by a person on {counted(len(watched(store, data.stretch)), 'frame')}"
+    text += f" ({unknown} of unknown velocity)" if unknown else ""
+    return _births(data, states, time_watched(store, table, info, rate, data.stretch), text)
 
 
-def gain_in_words(lesson: Training) -> str:
-    """How much likelier unseen samples are than under a uniform density, in words."""
-    if not math.isfinite(lesson.gain):
-        return "too few samples to measure the gain"
-    return f"samples not learned from are {lesson.gain:+.2f} nats likelier than under a uniform density"
-
-
-def _births(data: TrainingData, states: np.ndarray, time: float, noun: str, where: str) -> Trained:
+def _births(data: TrainingData, states: F8, time: float, text: str) -> Trained:
     """Births from first states; why not, where they are too few."""
-    try:
+
+    def learned() -> tuple[Training, str]:
         size, corner = data.region()
-        lesson = data.with_prior(learn_births(states, time, size, RecursiveEM(), corner))
+        return learn_births(states, time, size, RecursiveEM(), corner), text
+
+    return _trained(data, "births", learned)
+
+
+def _trained(data: TrainingData, part: str, learned: Callable[[], tuple[Training, str]], by: str = "") -> Trained:
+    """What ``learned`` gives, with what it says of it and its gain on unseen samples; why nothing, where it fails."""
+    try:
+        lesson, text = learned()
+        lesson = data.with_prior(lesson)
     except InputError as error:
-        return Trained(None, f"births stay as shipped: {error}")
-    text = f"{counted(states.shape[1], noun)} {where}"
-    return Trained(lesson, f"births: {text}; {gain_in_words(lesson)}", f"{text}.")
+        return Trained(None, f"{part} stay as shipped: {error}")
+    gain = "too few samples to measure the gain"
+    if math.isfinite(lesson.gain):
+        gain = f"samples not learned from are {lesson.gain:+.2f} nats likelier than under a uniform density"
+    return Trained(lesson, f"{part}: {text}; {gain}", f"{text}{by}.")
 
 
-def _boxes(data: TrainingData, found: Suggestions, taken: np.ndarray) -> np.ndarray:
-    """(4, n) centres and sizes of the suggested boxes ``taken``."""
-    from phdtrack.arrays import to_cxcywh
-
-    rows = np.searchsorted(data.found.table.frame, found.frame[taken]) + found.box[taken]
-    return to_cxcywh(data.found.table.detections.xyxy[rows])
-
-
-def _why(found: Suggestions, taken: np.ndarray) -> str:
+def _why(found: Suggestions, taken: I8) -> str:
     """How many were taken for which reason."""
-    from phdtrack.label.suggestions import REASONS
-
     many = Counter(REASONS[k] for k in found.reason[taken])
     places = len(np.unique(found.place[taken][found.place[taken] >= 0]))
     said = []
@@ -260,3 +251,52 @@ def _why(found: Suggestions, taken: np.ndarray) -> str:
     if many["rejected"]:
         said.append(f"{many['rejected']} that the filter rejected")
     return ", ".join(said)
+
+
+def train(
+    data: TrainingData, births: str, clutter: str, source: str, picture: Image, result: Output
+) -> tuple[SceneTraining, str]:
+    """What was learned of a scene, and a summary of it in words.
+
+    Parameters
+    ----------
+    data : what is learned from.
+    births : ``tracks`` or ``hand``.
+    clutter : ``labels`` or ``unattended``.
+    source : name of the video or of the detections.
+    picture : a frame, as the ground of the report's maps; empty where there is none.
+    result : where to say what is learned and what is not.
+
+    Raises
+    ------
+    InputError : nothing could be learned.
+    """
+    alarms = clutter_unattended(data) if clutter == "unattended" else clutter_of_labels(data)
+    result.say(alarms.sentence)
+    marked = clutter == "labels" and alarms.lesson is not None
+    seen = watched_tracks(data, alarms.lesson, marked=marked) if marked or births == "tracks" else None
+    if seen is not None and seen.sentence:
+        result.say(seen.sentence)
+    born = births_by_hand(data) if seen is None or births == "hand" else births_of_tracks(data, seen.tracks)
+    result.say(born.sentence)
+    if born.lesson is None and alarms.lesson is None:
+        raise InputError("nothing could be learned", where=source, cure="Mark false detections, or learn longer")
+    gains = {"births gain": born.gain, "clutter gain": alarms.gain}
+    notes: dict[str, float | int | str] = {name: value for name, value in gains.items() if math.isfinite(value)}
+    notes |= {"births from": births, "clutter from": clutter, "first": data.stretch.start, "last": data.stretch.stop - 1}
+    scene = Scene(
+        data.found.info.width,
+        data.found.info.height,
+        data.stages.model.rate,
+        source,
+        born.lesson.learned if born.lesson else None,
+        alarms.lesson.learned if alarms.lesson else None,
+        notes,
+        seen.followed if seen is not None else None,
+    )
+    lead = " ".join(
+        f"{part}: {counted(len(lesson.learned.density), 'place')} from {counted(lesson.learned.samples, 'sample')}."
+        for part, lesson in (("Births", born.lesson), ("False alarms", alarms.lesson))
+        if lesson is not None
+    )
+    return SceneTraining(scene, picture, born.gain, alarms.gain, born.source, alarms.source), lead

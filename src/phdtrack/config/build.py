@@ -60,7 +60,11 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
 
         return Stages(model, settings.build("filter"), Raw(), associator, smoother=settings.build("smooth"))
     initial = settings.values("filter").get("initial", [])
-    mixture = _initial(settings, model, initial) if initial else None
+    mixture = None
+    if initial and settings.kind("motion") == "plane":
+        mixture = _places([place for place in initial if len(place) == 5])
+    elif initial:
+        mixture = _boxes(model.sensor, [box for box in initial if len(box) == 4], 1.0)
     stages = Stages(
         model,
         settings.build("filter", initial=mixture, frame_size=size),
@@ -115,7 +119,7 @@ def _model(settings: Settings, info: SequenceInfo) -> Model:
     more: dict[str, Any] = {"births": settings.build("spawn"), "frame_size": size}
     if motion == "box":
         more["remember_size"] = sensor.scaling == "previous"
-    birth, clutter = _birth(settings, sensor, size), _image_clutter(settings, motion, size)
+    birth, clutter = _birth(settings, sensor, size), _clutter(settings, size, None)
     return Model(settings.build("motion", **more), sensor, birth, clutter, rate)
 
 
@@ -132,11 +136,9 @@ def _ground_model(settings: Settings, info: SequenceInfo, size: Size) -> Model:
     sensor = settings.build("sensor", camera=camera, borders=region, frame_size=size)
     # A target that has left what can be seen would else live on, as it is never missed there.
     borders = region if sensor.view else EVERYWHERE
-    motion, rate = (
-        settings.build("motion", births=settings.build("spawn"), borders=borders),
-        settings.build("time").units_per_second,
-    )
-    birth, clutter = _birth(settings, sensor, size, region), _ground_clutter(settings, region)
+    rate = settings.build("time").units_per_second
+    motion = settings.build("motion", births=settings.build("spawn"), borders=borders)
+    birth, clutter = _birth(settings, sensor, size, region), _clutter(settings, size, region)
     return Model(motion, sensor, birth, clutter, rate, first=rate / info.fps)
 
 
@@ -201,35 +203,28 @@ def _scene_birth(settings: Settings, size: Size, observed: tuple[int, ...]) -> B
     return SceneBirth(per_second, scene.births.density, observed, given.particles, given.around_detections, among)
 
 
-def _image_clutter(settings: Settings, motion: str, size: Size) -> Clutter:
-    from phdtrack.models.clutter import LocalClutter, UniformClutter
+def _clutter(settings: Settings, size: Size, region: Region | None) -> Clutter:
+    """Where false alarms are: on the ground in ``region``, and in an image of this size where that is None."""
+    from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, UniformClutter
+    from phdtrack.models.region import area
     from phdtrack.models.volume import image_area, image_volume
 
-    given = settings.build("clutter")
+    given, motion = settings.build("clutter"), settings.kind("motion")
+    if settings.kind("clutter") == "scene":
+        from phdtrack.models.scene import SceneClutter
+
+        scene = _scene(given.file, size)
+        if scene.clutter is None:
+            raise InputError("false alarms were not learned in this scene", where=given.file, cure="Leave clutter.kind out")
+        return SceneClutter(scene.clutter.rate, scene.clutter.density, given.around_detections)
     if motion == "point":
         return UniformClutter(given.clutter_per_frame, image_area(size))
-    if settings.kind("clutter") == "image":
-        if given.volume == "local":
-            return LocalClutter(given.clutter_per_frame)
-        return UniformClutter(given.clutter_per_frame, image_volume(size))
-    from phdtrack.models.scene import SceneClutter
-
-    scene = _scene(given.file, size)
-    if scene.clutter is None:
-        raise InputError("false alarms were not learned in this scene", where=given.file, cure="Leave clutter.kind out")
-    return SceneClutter(scene.clutter.rate, scene.clutter.density, given.around_detections)
-
-
-def _ground_clutter(settings: Settings, region: Region) -> Clutter:
-    from phdtrack.models.clutter import LocalPlaneClutter, UniformClutter
-    from phdtrack.models.region import area
-
-    given = settings.build("clutter")
-    if given.density > 0:
+    if region is not None and given.density > 0:
         return UniformClutter(given.density, 1.0)
     if given.volume == "local":
-        return LocalPlaneClutter(given.clutter_per_frame)
-    return UniformClutter(given.clutter_per_frame, area(region, "clutter.clutter_per_frame on the ground"))
+        return LocalClutter(given.clutter_per_frame) if region is None else LocalPlaneClutter(given.clutter_per_frame)
+    where = "clutter.clutter_per_frame on the ground"
+    return UniformClutter(given.clutter_per_frame, image_volume(size) if region is None else area(region, where))
 
 
 def _associator(settings: Settings, size: Size) -> Associator[Any]:
@@ -259,7 +254,12 @@ def _learning(settings: Settings, stages: AnyStages, info: SequenceInfo) -> Lear
     size, rate = (float(info.width), float(info.height)), settings.build("time").units_per_second
     wait = given.verdict_delay + settings.build("associate").output_delay / info.fps
     rule = OnlineLearning(*size, rate, 60 * given.memory, wait, settings.build("sensor").detection_probability)
-    scenes = tuple(_scene(file, size) for file in _scene_files(given.file))
+    files = [given.file] if given.file else []
+    if given.file and Path(given.file).is_dir():
+        files = sorted(str(file) for file in Path(given.file).glob("scene*.json"))
+        if not files:
+            raise InputError("there is no scene*.json in this folder", where=given.file, cure="Name a run that has learned")
+    scenes = tuple(_scene(file, size) for file in files)
     if any(scene.births is not None and scene.rate != rate for scene in scenes):
         raise InputError(f"births were not learned with {rate:g} time units a second", where=given.file)
     return SceneLearning(rule, stages.model, ShadowTracker(stages), given.particles, scenes)
@@ -289,23 +289,6 @@ def _scene(file: str, size: Size) -> Scene:
             cure="Learn it on this video: phdtrack learn",
         )
     return scene
-
-
-def _scene_files(named: str) -> list[str]:
-    """The files of a scene's modes: those of a folder by name, or the file itself."""
-    if not Path(named).is_dir() or not named:
-        return [named] if named else []
-    found = sorted(str(file) for file in Path(named).glob("scene*.json"))
-    if not found:
-        raise InputError("there is no scene*.json in this folder", where=named, cure="Name a run that has learned")
-    return found
-
-
-def _initial(settings: Settings, model: Model, values: Boxes | Places) -> GaussianMixture:
-    """The intensity before the first frame: boxes of weight 1, or places with their weights."""
-    if settings.kind("motion") == "plane":
-        return _places([place for place in values if len(place) == 5])
-    return _boxes(model.sensor, [box for box in values if len(box) == 4], 1.0)
 
 
 def _boxes(sensor: Any, boxes: Boxes, weight: float) -> GaussianMixture:

@@ -22,8 +22,17 @@ Places = list[tuple[float, float, float, float, float]]
 """Of each: x, y in metres, weight, standard deviations of position (m) and of velocity (m/s)."""
 
 
+class _Checked:
+    """Settings within the bounds of their annotations."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
 @dataclass(frozen=True, slots=True)
-class TimeSettings:
+class TimeSettings(_Checked):
     """The time unit of the model.
 
     Parameters
@@ -32,9 +41,6 @@ class TimeSettings:
     """
 
     units_per_second: Positive = 25.0
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +72,7 @@ class CameraSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class ClutterSettings:
+class ClutterSettings(_Checked):
     """False alarms of boxes.
 
     Parameters
@@ -78,12 +84,9 @@ class ClutterSettings:
     clutter_per_frame: NonNegative = 1.0
     volume: Volume = "image"
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True, slots=True)
-class PointClutterSettings:
+class PointClutterSettings(_Checked):
     """False alarms of points, spread over the image.
 
     Parameters
@@ -93,12 +96,9 @@ class PointClutterSettings:
 
     clutter_per_frame: NonNegative = 1.0
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True, slots=True)
-class GroundClutterSettings:
+class GroundClutterSettings(_Checked):
     """False alarms on the ground.
 
     Parameters
@@ -112,12 +112,9 @@ class GroundClutterSettings:
     volume: PlaneVolume = "local"
     density: NonNegative = 0.0
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True, slots=True)
-class FixedBirthSettings:
+class FixedBirthSettings(_Checked):
     """Births at given boxes.
 
     Parameters
@@ -131,12 +128,9 @@ class FixedBirthSettings:
     births_per_second: NonNegative = 0.25
     particles: PositiveCount = 300
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True, slots=True)
-class PlacesBirthSettings:
+class PlacesBirthSettings(_Checked):
     """Births at given places of the ground.
 
     Parameters
@@ -148,12 +142,9 @@ class PlacesBirthSettings:
     places: Places
     particles: PositiveCount = 300
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True, slots=True)
-class SceneBirthSettings:
+class SceneBirthSettings(_Checked):
     """Births as `phdtrack learn` has learned them in this scene.
 
     Parameters
@@ -167,12 +158,9 @@ class SceneBirthSettings:
     particles: PositiveCount = 500
     around_detections: NonNegative = 0.0
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True, slots=True)
-class SceneClutterSettings:
+class SceneClutterSettings(_Checked):
     """False alarms as `phdtrack learn` has learned them in this scene.
 
     Parameters
@@ -189,12 +177,9 @@ class SceneClutterSettings:
     reject_false_tracks: bool = True
     immediate_confirmation: NonNegative = 0.1
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True, slots=True)
-class LearnSettings:
+class LearnSettings(_Checked):
     """Learning births and false alarms while tracking, see `scene.online`.
 
     Parameters
@@ -209,9 +194,6 @@ class LearnSettings:
     verdict_delay: NonNegative = 2.0
     particles: PositiveCount = 500
     file: str = ""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 # section → kind → "module:class" of its settings; the first kind is the default. A class is imported when it is chosen.

@@ -54,15 +54,8 @@ _FV: Table = {
     "sensor": {"detection_probability": 0.95, "scaling": "fixed"},
 }
 
-# What another kind of motion brings. On the ground a second without a state costs as much as elsewhere 0.6 s.
-_WORLDS: Mapping[str, Table] = {
-    "box": {},
-    "plane": {
-        "time": {"units_per_second": 1.0},
-        "associate": {"gap_cost": 1.609},
-    },
-    "point": {},
-}
+# On the ground a second without a state costs as much as elsewhere 0.6 s.
+_ON_THE_GROUND: Table = {"time": {"units_per_second": 1.0}, "associate": {"gap_cost": 1.609}}
 
 
 def _around(births: float, alarms: float) -> Table:
@@ -87,10 +80,8 @@ _BY_FILTER: Mapping[str, Table] = {
     "gm-cphd": _PHD,
     "mcmc": _PHD,
     "mht": _PHD,
-    # A raw detection has no known velocity, so that the links of true tracks gain less than those of filtered states.
     "none": _PHD,
 }
-_UNFILTERED: Table = {"associate": {"min_link_gain": 0.6}}
 
 PRESETS: Mapping[str, Table] = {
     "default": {
@@ -104,7 +95,6 @@ PRESETS: Mapping[str, Table] = {
         "sensor": {**_PAPER["sensor"], "scaling": "detection"},
         "birth": {**_PAPER["birth"], "volume": "local"},
         "clutter": {**_PAPER["clutter"], "volume": "local"},
-        "extract": {**_PAPER["extract"], "kind": "kmeans"},
     },
     "m09": _M09,
     "fv": _FV,
@@ -191,11 +181,13 @@ def values_of(preset: str, motion: str = "", filter_name: str = "") -> dict[str,
         table["filter"] = {"kind": filter_name}
         for section, kinds in FITTING["filter", filter_name].items():
             table[section] = table.get(section, {}) | {"kind": kinds[0]}
-    _add(table, _WORLDS[motion])
+    if motion == "plane":
+        _add(table, _ON_THE_GROUND)
     if preset == "default" and motion == "box":
         _add(table, _BY_FILTER[filter_name])
     if filter_name == "none":
-        _add(table, _UNFILTERED)
+        # A raw detection has no known velocity, so that the links of true tracks gain less than those of filtered states.
+        _add(table, {"associate": {"min_link_gain": 0.6}})
     return table
 
 

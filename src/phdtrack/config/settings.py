@@ -42,7 +42,8 @@ class Settings:
 
     def kind(self, section: str) -> str:
         """The kind of a section."""
-        return str(self._kinds().get(section, first_kind(section)))
+        said = [table[section]["kind"] for table in (self.given, self._preset()) if "kind" in table.get(section, {})]
+        return str(said[0]) if said else first_kind(section)
 
     def values(self, section: str) -> Values:
         """What the preset and the user say of a section, without its kind: the constructor's defaults complete it."""
@@ -73,15 +74,6 @@ class Settings:
     def detector(self) -> Values:
         """Parameters for the detector, which checks them itself."""
         return dict(self.given.get("detector", {}))
-
-    def _kinds(self) -> dict[str, str]:
-        """The kinds that preset and user name."""
-        return {
-            section: values["kind"]
-            for table in (self._preset(), self.given)
-            for section, values in table.items()
-            if "kind" in values
-        }
 
     def _preset(self) -> dict[str, Values]:
         """The preset's values with the user's filter and kind of motion."""
@@ -122,7 +114,11 @@ def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "", f
     options = [_assignment(text) for text in sets if not _scene_named(text)]
     scene = next((_scene_named(text) for text in reversed(sets) if _scene_named(text)), scene)
     if filter_name:
-        options = [_Entry("filter", "kind", filter_name, "--filter"), *_one_filter(options, filter_name)]
+        for entry in options:
+            if (entry.section, entry.key) == ("filter", "kind") and entry.value != filter_name:
+                problem = f"--filter {filter_name} and {entry.where} name two filters"
+                raise InputError(problem, where="--filter", cure="Leave one out")
+        options = [_Entry("filter", "kind", filter_name, "--filter"), *options]
     settings = _laid_over(Settings(named, {}), _entries(document, where))
     if scene:
         options = _taught(settings, str(scene), options)
@@ -265,14 +261,6 @@ def _scene_named(text: str) -> str:
     """The file of ``scene=FILE``; empty for another option."""
     name, _, value = text.partition("=")
     return value.strip().strip("'\"") if name.strip() == "scene" else ""
-
-
-def _one_filter(options: list[_Entry], name: str) -> list[_Entry]:
-    """The options. Raises `InputError` where one names another filter than ``name``."""
-    for entry in options:
-        if (entry.section, entry.key) == ("filter", "kind") and entry.value != name:
-            raise InputError(f"--filter {name} and {entry.where} name two filters", where="--filter", cure="Leave one out")
-    return options
 
 
 def _assignment(text: str) -> _Entry:
