@@ -12,9 +12,7 @@ from phdtrack.cli.settings import as_toml, meanings, toml_value
 from phdtrack.config.kinds import FROM_SEQUENCE, SECTIONS, record
 from phdtrack.config.presets import PRESETS
 from phdtrack.errors import InputError
-from phdtrack.models import (
-    UniformBirth,
-)
+from phdtrack.models import UniformBirth
 from phdtrack.types import GaussianMixture, SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0)
@@ -220,15 +218,6 @@ def test_another_kind_does_not_inherit_settings():
 
 
 # What depends on the sequence, and boxes
-
-
-def test_the_frame_gives_its_size():
-    stages = config.build(
-        config.load(sets=["clutter.volume=image", "birth.volume=image", "clutter.clutter_per_frame=2"]), INFO
-    )
-    assert stages.model.motion.frame_size == stages.model.birth.frame_size == (640.0, 480.0)
-    assert stages.model.clutter.volume == (640 * 480) ** 2
-    assert stages.model.clutter.clutter_per_frame == 2
 
 
 def test_initial_boxes(rng):

@@ -124,23 +124,15 @@ def test_the_region_is_what_the_camera_shows(data):
     assert seen.motion.borders == (left, low, right, high)
 
 
-@pytest.mark.parametrize("named", ["option", "file", "over"])
-def test_who_labels_targets_is_asked_for_their_identities(named: str, tmp_path):
-    """Unless somebody chose otherwise; what both kinds of association know is kept."""
-    path = tmp_path / "mine.toml"
-    path.write_text('[filter]\nkind = "mht"\n[associate]\noutput_delay = 3\n', encoding="utf-8")
-    settings = {
-        "option": lambda: config.load(sets=["associate.output_delay=3", "filter.kind=mht"]),
-        "file": lambda: config.load(path),
-        "over": lambda: config.overlay(config.load(sets=["associate.output_delay=3"]), {"filter": {"kind": "mht"}}),
-    }[named]()
+def test_a_filter_that_labels_targets_brings_their_identities():
+    """Unless another association was chosen; what both kinds of association know is kept."""
+    settings = config.load(sets=["associate.output_delay=3", "filter.kind=mht"])
     stages = config.build(settings, INFO)
     assert (type(stages.filter), type(stages.extractor)) == (MHT, BestHypothesis)
     assert stages.associator == Labelled(output_delay=3)
     graph = config.load(sets=["filter.kind=mht", "associate.kind=graph", "associate.window=1"])
     assert config.build(graph, INFO).associator == GraphMatching(window=1.0)
-    back = config.build(settings, INFO, "particle-phd")
-    assert back.associator == GraphMatching(output_delay=3)
+    assert config.build(settings, INFO, "particle-phd").associator == GraphMatching(output_delay=3)
 
 
 def test_m09s_rival_has_its_printed_parameters():

@@ -121,11 +121,6 @@ def test_files_that_cannot_be_read(tmp_path):
         assert str(path) in str(error.value)
 
 
-def test_an_unknown_preset_is_told():
-    with pytest.raises(InputError, match="Did you mean m09"):
-        config.load(preset="m9")
-
-
 @pytest.mark.parametrize("values", [0.9, "detection", [("detection", 0.9)], None])
 def test_sections_laid_over_must_be_sections(values):
     with pytest.raises(InputError, match="section"):

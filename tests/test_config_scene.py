@@ -118,11 +118,7 @@ def test_who_stays_among_false_alarms_is_held_back(tmp_path, name, kind):
     assert isinstance(vetted, FalseTrackRejection)
     assert isinstance(vetted.associator, kind)
     assert vetted.associator.output_delay == 3
-    assert (vetted.ratio.clutter.rate, vetted.ratio.tracked.share, vetted.ratio.births.rate) == (
-        1.5,
-        0.1,
-        0.05,
-    )
+    assert (vetted.ratio.clutter.rate, vetted.ratio.tracked.share, vetted.ratio.births.rate) == (1.5, 0.1, 0.05)
     # Births count where they are of the same scene.
     alone = config.build(config.load(sets=sets[2:]), INFO, name).associator
     assert isinstance(alone, FalseTrackRejection)

@@ -99,35 +99,14 @@ def test_a_detector_looks_once_and_its_runs_are_what_track_does(tmp_path: Path) 
     assert said.status == 0
     (looked,) = (out / "detections").rglob("detections.csv")
     before = looked.stat().st_mtime_ns
-    video = (
-        "track",
-        scene / "scene.mp4",
-        "--max-width",
-        320,
-        "--filter",
-        "gm-phd",
-        "--no-video",
-        "--out",
-        tmp_path / "track",
-    )
-    assert phdtrack(*video).status == 0
+    video = ("track", scene / "scene.mp4", "--max-width", 320, "--filter", "gm-phd", "--no-video")
+    assert phdtrack(*video, "--out", tmp_path / "track").status == 0
     kept = out / "runs" / "street" / "change" / "clutter-0" / "gm-phd" / "seed-1" / "tracks.csv"
     assert kept.read_text() == (tmp_path / "track" / "tracks.csv").read_text()
-    phdtrack(
-        "compare",
-        scene,
-        "--detectors",
-        "change",
-        *QUICK,
-        "--max-width",
-        320,
-        "--out",
-        out,
-        "--set",
-        "sensor.detection_probability=0.8",
-    )
+    again = ("compare", scene, "--detectors", "change", *QUICK, "--out", out, "--max-width")
+    phdtrack(*again, 320, "--set", "sensor.detection_probability=0.8")
     assert looked.stat().st_mtime_ns == before
-    phdtrack("compare", scene, "--detectors", "change", *QUICK, "--max-width", 160, "--out", out)
+    phdtrack(*again, 160)
     assert looked.stat().st_mtime_ns != before
 
 
@@ -189,14 +168,6 @@ def test_mistakes_are_one_sentence_and_leave_nothing(folder: Path, tmp_path: Pat
     assert not (tmp_path / "out").exists()
 
 
-def test_somebody_elses_folder_is_left_alone(folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "report.html").write_text("mine")
-    assert "--overwrite" in refused("compare", folder, *QUICK, "--out", out)
-    assert (out / "report.html").read_text() == "mine"
-
-
 def test_a_learned_scene_is_every_methods(folder: Path, tmp_path: Path) -> None:
     scene = tmp_path / "my scene.json"
     low, high = np.zeros(4), np.array([320.0, 240, 320, 240])
@@ -207,14 +178,7 @@ def test_a_learned_scene_is_every_methods(folder: Path, tmp_path: Path) -> None:
     assert said.status == 0, said.err
     for row in rows(out / "runs.csv"):
         configuration = json.loads((out / row["folder"] / "run.json").read_text())["configuration"]
-        told = {
-            "kind": "scene",
-            "file": str(scene),
-            "around_detections": 0.3,
-            "reject_false_tracks": True,
-            "immediate_confirmation": 0.1,
-        }
-        assert configuration["clutter"] == told
+        assert (configuration["clutter"]["kind"], configuration["clutter"]["file"]) == ("scene", str(scene))
     # What is learned anew makes runs anew.
     write_scene(scene, Scene(320, 240, 25.0, "yard", clutter=replace(learned, rate=4.0)))
     again = phdtrack("compare", folder, *QUICK, "--clutter", "4", "--scene", scene, "--out", out)

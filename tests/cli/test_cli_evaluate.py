@@ -7,26 +7,8 @@ from pathlib import Path
 import pytest
 from cli_runner import phdtrack, refused, walkers
 
-KEYS = [
-    "MODA",
-    "N_MODA",
-    "MODP",
-    "MOTA",
-    "MOTA_log",
-    "MOTP",
-    "IDF1",
-    "HOTA",
-    "OSPA",
-    "GOSPA",
-    "OSPA2",
-    "SFDA",
-    "ATA",
-    "id_switches",
-    "misses",
-    "false_positives",
-    "fragments",
-    "frames",
-]
+KEYS = ["MODA", "N_MODA", "MODP", "MOTA", "MOTA_log", "MOTP", "IDF1", "HOTA", "OSPA", "GOSPA", "OSPA2", "SFDA", "ATA"]
+KEYS += ["id_switches", "misses", "false_positives", "fragments", "frames"]
 
 
 @pytest.fixture

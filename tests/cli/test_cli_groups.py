@@ -137,16 +137,6 @@ def test_members_are_the_online_identities_with_any_delay(street: Path, tmp_path
         assert told >= set(range(3, FRAMES + 1))
 
 
-def test_the_first_pixel_may_be_one(street: Path, tmp_path: Path) -> None:
-    places = []
-    for first in (0, 1):
-        out = tmp_path / str(first)
-        said = phdtrack("groups", *detected(street), "--out", out, "--no-video", "--set", f"camera.first_pixel={first}")
-        assert said.status == 0, said.err
-        places.append(np.loadtxt(out / rundir.TRACKS, delimiter=",")[:5, 7:9])
-    assert places[1] - places[0] == pytest.approx(np.tile([-0.1, 0.1], (5, 1)), abs=1e-3)
-
-
 def obsmat(path: Path) -> Path:
     """Two together, one alone, from frame 780 on, six frames of 15 a second apart."""
     rows = []

@@ -75,11 +75,3 @@ def test_who_comes_out_of_a_door_is_followed(walkers: Path, scene: Path, name: s
     scores = phdtrack("track", *options(walkers), *told, "--out", tmp_path / "run").object["scores"]
     assert scores["MOTA"] > 0.75
     assert scores["false_tracks"] == 0
-
-
-def test_it_does_not_fit_boxes(walkers: Path, scene: Path, tmp_path: Path):
-    boxes = ("--detections", walkers / "det.txt", "--frame-size", "640x480", "--fps", RATE)
-    boxes += ("--set", "time.units_per_second=1")
-    said = phdtrack("track", *boxes, "--scene", scene, "--no-video", "--out", tmp_path / "run")
-    assert said.status != 0
-    assert "expected births of 6 components, got 4" in said.err

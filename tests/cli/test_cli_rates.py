@@ -31,11 +31,7 @@ def test_the_rates_are_told_and_their_course_is_kept(street, tmp_path):
     assert course[-1]["detection"] < 0.8
     assert course[-1]["lowest"] < 1 < course[-1]["highest"]
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    for words in (
-        "Rates learned from the stream",
-        "probability of detection",
-        "odds of the best score",
-    ):
+    for words in ("Rates learned from the stream", "probability of detection", "odds of the best score"):
         assert words in page
     assert run == json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))
 

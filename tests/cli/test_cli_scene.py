@@ -1,6 +1,5 @@
 """What learning a scene buys, through the commands: simulate, mark on 40 frames as the truth says, learn, track."""
 
-import json
 from pathlib import Path
 
 import pytest
@@ -53,21 +52,6 @@ def test_places_that_fire_are_unlearned_in_forty_frames(tmp_path: Path, name: st
     assert taught["false_positives"] <= 0.15 * plain["false_positives"]
     assert taught["false_tracks"] < plain["false_tracks"]
     assert taught["MOTA"] > max(0.9, plain["MOTA"] + 0.3)
-
-
-def test_what_nobody_marked_is_unlearned_too(tmp_path: Path):
-    """The same places, taken from what would be suggested: learned on the first half of the scene, tracked on all of it."""
-    yard = tmp_path / "yard"
-    assert phdtrack("simulate", "street", "--out", yard, "--frames", 600, "--seed", 1, "--no-video").status == 0
-    detections, scene = yard / "det" / "det.txt", tmp_path / "scene.json"
-    learned = phdtrack("learn", "--detections", detections, "--clutter", "unattended", "--last", 300, "--out", scene)
-    assert learned.status == 0, learned.err
-    common = ("track", "--detections", detections, "--truth", yard / "gt" / "gt.txt", "--no-video", "--json")
-    plain = phdtrack(*common, "--out", tmp_path / "plain").object["scores"]
-    taught = phdtrack(*common, "--out", tmp_path / "taught", "--scene", scene).object["scores"]
-    print(f"MOTA {plain['MOTA']:.3f} uniform, {taught['MOTA']:.3f} unattended")
-    assert taught["MOTA"] > max(0.9, plain["MOTA"] + 0.3)
-    assert taught["false_positives"] <= 0.15 * plain["false_positives"]
 
 
 @pytest.fixture(scope="module")
@@ -123,23 +107,3 @@ def test_who_stays_among_lights_that_tremble_is_held_back(light_runs: dict[str, 
     assert taught["false_positives"] < 0.6 * unvetted["false_positives"] < 0.6 * plain["false_positives"]
     assert taught["misses"] <= plain["misses"], "the people are there"
     assert taught["MOTA"] > max(0.85, plain["MOTA"] + 0.3)
-
-
-@pytest.mark.parametrize("name", ["none", "gm-phd"])
-def test_other_filters_hold_back_too(lights: Path, name: str):
-    scene = ("--scene", lights / "scene.json", "--filter", name)
-    taught = tracked(lights, f"taught-{name}", *scene)
-    unvetted = tracked(lights, f"unvetted-{name}", *scene, "--set", "clutter.reject_false_tracks=false")
-    gone, late = (unvetted[what] - taught[what] for what in ("false_positives", "misses"))
-    print(f"{name}: {gone} of {unvetted['false_positives']} false boxes gone, {-late} more missed")
-    assert gone > 0.3 * unvetted["false_positives"]
-    assert -late < 0.1 * gone, "who enters there is reported later"
-
-
-def test_a_scene_that_knows_nothing_of_what_is_followed_holds_nobody_back(lights: Path, light_runs: dict[str, dict]):
-    """As files of before, and those of learning unattended or while tracking."""
-    scene = json.loads((lights / "scene.json").read_text())
-    del scene["followed"]
-    (lights / "before.json").write_text(json.dumps(scene))
-    tracked(lights, "before", "--scene", lights / "before.json")
-    assert (lights / "before" / "tracks.csv").read_text() == (lights / "unvetted" / "tracks.csv").read_text()

@@ -61,6 +61,17 @@ def test_detections_alone(sequence: Path, tmp_path: Path) -> None:
     assert sorted(set(tracks.identity)) == [1, 2]
 
 
+@pytest.mark.parametrize("kind", ["gm-phd", "gm-cphd"])
+def test_a_whole_run_of_a_gaussian_mixture(kind: str, sequence: Path, tmp_path: Path) -> None:
+    given = ("--detections", sequence / "det" / "det.txt", "--truth", sequence / "gt" / "gt.txt", "--filter", kind)
+    said = phdtrack("track", *given, "--out", tmp_path / "run", "--json")
+    assert said.status == 0, said.err
+    assert {path.name for path in (tmp_path / "run").iterdir()} == FILES
+    assert said.object["configuration"]["filter"]["kind"] == kind
+    assert said.object["tracks"] == 2
+    assert said.object["scores"]["MOTA"] > 0.9
+
+
 def test_size_and_rate_from_the_options(tmp_path: Path) -> None:
     plain = walkers(tmp_path / "plain", seqinfo=False) / "det" / "det.txt"
     given = ["--frame-size", "320x240", "--fps", 12.5]
@@ -101,6 +112,13 @@ def test_a_video(clip: Path, tmp_path: Path) -> None:
     assert said.object["frames"] == 40
     assert len(list(open_source(out / rundir.VIDEO))) == 40
     assert len(read_tracks(out / rundir.TRACKS)) > 30
+
+
+def test_no_video_is_drawn_unless_wanted(clip: Path, tmp_path: Path) -> None:
+    said = phdtrack("track", clip, "--no-video", "--filter", "none", "--out", tmp_path / "run", "--json")
+    assert said.status == 0, said.err
+    assert said.object["frames"] == 40
+    assert {path.name for path in (tmp_path / "run").iterdir()} == FILES
 
 
 def test_a_video_with_detections_beside_it(clip: Path, sequence: Path, tmp_path: Path) -> None:
@@ -208,18 +226,13 @@ def as_toml(configuration: dict[str, Any]) -> str:
         (["{clip}", "--detector", "mog2", "--detections", "{det}"], ["--detector", "det.txt"]),
         (["{clip}", "--mask", "{det}", "--detections", "{det}"], ["--mask"]),
         (["{clip}", "--mask", "nowhere.png"], ["nowhere.png"]),
-        (["{clip}", "--filter", "partcle-phd"], ["partcle-phd", "particle-phd"]),
         (["{clip}", "--frame-size", "100x100"], ["--frame-size", "320x240"]),
-        (["{clip}", "--set", "filtre.particles_per_target=3"], ["filtre"]),
-        (["{clip}", "--set", "nonsense"], ["nonsense"]),
-        (["{clip}", "--set", "sensor.detection_probability=2"], ["detection", "2"]),
         (["{clip}", "--set", "detector.min_aera=0.1"], ["min_aera", "min_area"]),
         (["{clip}", "--set", "detector.min_area=big"], ["detector.min_area", "a number", "'big'"]),
         (["{clip}", "--set", "detector.window=2.5"], ["detector.window", "whole number"]),
         (["{clip}", "--set", "detector.window=0"], ["detector.window"]),
         (["{clip}", "--detector", "mog2", "--set", "detector.min_area=-1"], ["detector.min_area", "-1"]),
         (["{clip}", "--detector", "callable"], ["--detector", "phdtrack.Tracker"]),
-        (["{clip}", "--preset", "m08"], ["m08"]),
         (["{clip}", "--config", "nowhere.toml"], ["nowhere.toml"]),
         (["{clip}", "--truth", "nowhere.txt"], ["nowhere.txt"]),
         (["--detections", "nowhere.txt"], ["nowhere.txt"]),
@@ -251,24 +264,13 @@ def test_an_earlier_run_is_kept(sequence: Path, tmp_path: Path) -> None:
     arguments = ["track", "--detections", sequence / "det" / "det.txt", "--filter", "none", "--out", tmp_path]
     (tmp_path / rundir.TRACKS).write_text("precious")
     assert "--overwrite" in refused(*arguments)
+    (tmp_path / "folder" / rundir.REPORT).mkdir(parents=True)
+    assert "report.html is a directory" in refused(*arguments[:-1], tmp_path / "folder", "--overwrite")
     assert (tmp_path / rundir.TRACKS).read_text() == "precious"
     (tmp_path / "notes.txt").write_text("mine")
     assert phdtrack(*arguments, "--overwrite").status == 0
     assert (tmp_path / rundir.TRACKS).read_text() != "precious"
     assert (tmp_path / "notes.txt").read_text() == "mine"
-
-
-def test_a_setting_of_another_filter_says_whose_it_is(sequence: Path, tmp_path: Path) -> None:
-    options = (
-        "--detections",
-        sequence / "det" / "det.txt",
-        "--set",
-        "filter.particles_per_target=300",
-        "--out",
-        tmp_path / "run",
-    )
-    assert "It goes with filter.kind=particle-phd" in refused("track", *options)
-    assert phdtrack("track", *options, "--filter", "particle-phd").status == 0
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX systems")

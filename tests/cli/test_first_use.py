@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 import phdtrack
-from phdtrack.kernels import cache
 
 SOURCES = Path(phdtrack.__file__).parent
 FIRST = "compiling kernels"
@@ -113,15 +112,3 @@ def test_without_any_folder_it_runs_and_says_how_to_mend_it(installed: Path, tmp
     assert "NUMBA_CACHE_DIR" in said
     # The folder lived as long as the process.
     assert list(temporary.iterdir()) == []
-
-
-def test_the_digest_follows_names_and_contents(tmp_path: Path) -> None:
-    versions = ({"a": "1", "b": "2"}, {"a": "2", "b": "1"}, {"a": "1"}, {"a": "1", "c": "2"}, {"a": "12", "b": ""})
-    seen = set()
-    for number, files in enumerate((*versions, versions[0])):
-        folder = tmp_path / str(number)
-        folder.mkdir()
-        for name, text in files.items():
-            (folder / f"{name}.py").write_text(text)
-        seen.add(cache.digest(folder))
-    assert len(seen) == len(versions)

@@ -29,8 +29,7 @@ LIMIT = 100.0
 
 def calibrate(
     points: Annotated[
-        Path,
-        typer.Argument(metavar="POINTS", help="Text or CSV, a line a point: u v X Y (pixels, metres on the ground)."),
+        Path, typer.Argument(metavar="POINTS", help="Text or CSV, a line a point: u v X Y (pixels, metres on the ground).")
     ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where to write the camera.")] = Path("camera.toml"),
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a camera that is there already.")] = False,

@@ -39,9 +39,7 @@ def learn(
     clutter: Annotated[
         str,
         typer.Option(
-            "--clutter",
-            metavar="FROM",
-            help="labels: marked with `phdtrack label`; unattended: suggested, unchecked.",
+            "--clutter", metavar="FROM", help="labels: marked with `phdtrack label`; unattended: suggested, unchecked."
         ),
     ] = "labels",
     first: Annotated[int, typer.Option("--first", metavar="N", min=1, help="Learn from this frame on.")] = 1,

@@ -57,8 +57,7 @@ CameraMotion = Annotated[
 ]
 TruthFile = Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="Annotated objects to score against.")]
 Config = Annotated[
-    Path | None,
-    typer.Option("--config", metavar="FILE", help="Settings in a TOML file; an unknown name is an error."),
+    Path | None, typer.Option("--config", metavar="FILE", help="Settings in a TOML file; an unknown name is an error.")
 ]
 Sets = Annotated[
     list[str] | None,

@@ -39,10 +39,7 @@ LAMPS = 0
 def simulate(
     name: Annotated[
         str,
-        typer.Argument(
-            metavar="SCENE",
-            help="street, crossing, occlusion, crowd, corridor, yard, garden, arcade, empty.",
-        ),
+        typer.Argument(metavar="SCENE", help="street, crossing, occlusion, crowd, corridor, yard, garden, arcade, empty."),
     ],
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to write; default: runs/SCENE.")] = None,
     overwrite: Overwrite = False,

@@ -76,8 +76,7 @@ def track(
     learn_online: Annotated[
         bool,
         typer.Option(
-            "--learn-online",
-            help="Learn where false alarms and entrances are while tracking, from nothing or from --scene.",
+            "--learn-online", help="Learn where false alarms and entrances are while tracking, from nothing or from --scene."
         ),
     ] = False,
     camera_motion: CameraMotion = "",

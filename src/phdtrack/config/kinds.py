@@ -244,10 +244,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "joint": "phdtrack.filters.extract.joint:Joint",
         "hypotheses": "phdtrack.filters.mht:BestHypothesis",
     },
-    "associate": {
-        "labelled": "phdtrack.associate.labels:Labelled",
-        "graph": "phdtrack.associate.graph:GraphMatching",
-    },
+    "associate": {"labelled": "phdtrack.associate.labels:Labelled", "graph": "phdtrack.associate.graph:GraphMatching"},
     "learn": {"none": "phdtrack.protocols:NoLearning", "online": f"{__name__}:LearnSettings"},
     "rates": {"none": "phdtrack.protocols:NoLearning", "learned": "phdtrack.scene.rates:RatesSettings"},
     "merged_measurements": {
