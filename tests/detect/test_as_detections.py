@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from phdtrack.detect.convert import as_detections, check_inside
 from phdtrack.errors import InputError
@@ -96,16 +92,3 @@ def test_boxes_outside_the_frame() -> None:
     assert len(check_inside(found, 100, 50, drop=True)) == 2
     assert found.xyxy[0, 0] == -5
     assert check_inside(found, 200, 50) is found
-
-
-@given(arrays(np.float64, st.tuples(st.integers(0, 6), st.integers(3, 7))))
-def test_any_table_is_taken_whole_or_refused_with_a_reason(table: np.ndarray) -> None:
-    before = table.copy()
-    found = None
-    with contextlib.suppress(InputError):
-        found = as_detections(table, where="frame 1")
-    if found is not None:
-        assert len(found) == (len(table) if table.size else 0)
-        assert np.isfinite(found.xyxy).all()
-        assert (found.xyxy[:, 2:] > found.xyxy[:, :2]).all()
-    np.testing.assert_array_equal(table, before)

@@ -8,8 +8,9 @@ import pytest
 from detect_scenes import HEIGHT, WIDTH, Scene
 
 from phdtrack.arrays import iou
-from phdtrack.detect import ChangeDetector, MeanBackgroundDetector, MeanBackgroundSettings, make_detector
-from phdtrack.detect.change import Reference, chi2_quantile, median_image, relit
+from phdtrack.detect import make_detector
+from phdtrack.detect.background import MeanBackgroundDetector, MeanBackgroundSettings
+from phdtrack.detect.change import ChangeDetector, chi2_quantile, median_image, relit
 from phdtrack.errors import InputError
 from phdtrack.protocols import Detector
 from phdtrack.types import Detections, Frame, Image
@@ -82,18 +83,6 @@ def test_flicker_lights_nothing_up() -> None:
     assert sum(counts[5:]) == 0
 
 
-def test_flicker_does_not_hide_what_moves() -> None:
-    scene = Scene(frames=100, flicker=0.1)
-    detector = ChangeDetector()
-    hits = seen = 0
-    for frame in scene:
-        found, truth = detector(frame), scene.truth[frame.number]
-        if frame.number > 40 and len(truth) and truth[0, 2] - truth[0, 0] == 24:
-            seen += 1
-            hits += len(found) > 0 and iou(truth, found.xyxy).max() > 0.5
-    assert hits >= 0.95 * seen > 0
-
-
 def test_a_sudden_change_of_exposure_is_compensated() -> None:
     detector = ChangeDetector()
     gain = (1.0,) * 60 + (0.75,) * 60
@@ -144,15 +133,6 @@ def test_where_an_object_stood_from_the_start_no_ghost_remains() -> None:
     assert sum(counts) == 0
 
 
-def test_objects_in_the_first_frames_do_not_spoil_the_reference() -> None:
-    scene = Scene(frames=60, squares=2, speed=3)
-    detector = ChangeDetector()
-    found = [detector(frame) for frame in scene]
-    late = range(30, 60)
-    wrong = sum(len(found[i]) > len(scene.truth[i + 1]) for i in late)
-    assert wrong <= 2
-
-
 def test_people_who_touch_are_parted() -> None:
     image = np.full((288, 384, 3), 128, np.uint8)
     detector = make_detector("change", learn=0.5)
@@ -169,22 +149,6 @@ def test_people_who_touch_are_parted() -> None:
     assert len(together(last)) == 1
 
 
-def test_fragments_are_joined() -> None:
-    image = np.full((288, 384, 3), 128, np.uint8)
-    parted = image.copy()
-    parted[60:100, 100:130] = 20
-    parted[110:150, 100:130] = 20
-    results = []
-    for join in (0.15, 0.0):
-        detector = make_detector("change", learn=0.5, join=join)
-        for frame in still(image, 30):
-            detector(frame)
-        (last,) = still(parted, 1, 30)
-        results.append(detector(last))
-    assert [len(found) for found in results] == [1, 2]
-    np.testing.assert_allclose(results[0].xyxy, [[100, 60, 130, 150]], atol=2)
-
-
 def test_the_signed_form_sees_only_the_dark() -> None:
     image = np.full((120, 160, 3), 128, np.uint8)
     both = image.copy()
@@ -199,27 +163,10 @@ def test_the_signed_form_sees_only_the_dark() -> None:
     np.testing.assert_allclose(dark.xyxy, [[20, 20, 50, 60]], atol=3)
 
 
-def test_nothing_is_detected_while_the_mean_is_learned() -> None:
-    detector = make_detector("mean-background", frames=20)
-    counts = [len(detector(frame)) for frame in Scene(frames=60)]
-    assert sum(counts[:20]) == 0
-    assert sum(counts[20:]) > 0
-
-
 @pytest.mark.parametrize("count", [1, 3, 5, 9])
 def test_the_median_is_numpys(count: int, rng: np.random.Generator) -> None:
     images = list(rng.integers(0, 256, (count, 7, 5, 3), np.uint8))
     np.testing.assert_array_equal(median_image(images), np.median(images, axis=0))
-
-
-def test_the_reference_is_there_at_once_and_ends_learning() -> None:
-    reference = Reference(np.full((4, 4, 3), 10, np.uint8), 0.0, 1.0, 5)
-    assert reference.learning
-    assert reference.image[0, 0, 0] == 10
-    news = [reference.sample(np.full((4, 4, 3), 50, np.uint8), 0.25 * (i + 1)) for i in range(6)]
-    assert news == [False, True, False, True, False, False]
-    assert not reference.learning
-    assert reference.image[0, 0, 0] == 50
 
 
 def test_light_is_fitted_though_a_third_of_the_picture_has_changed(rng: np.random.Generator) -> None:

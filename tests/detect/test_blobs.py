@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from phdtrack.detect import BlobSettings
-from phdtrack.detect.components import clean, components, detections
+from phdtrack.detect.components import BlobSettings, detections
 from phdtrack.detect.convert import as_detections, check_inside
 from phdtrack.types import Image
 
@@ -56,12 +55,6 @@ def test_specks_and_bridges_go_and_gaps_close() -> None:
     assert len(detections(gap, BlobSettings(join=0))) == 1
 
 
-def test_small_components_are_dropped_by_the_share_of_the_frame() -> None:
-    mask = mask_of((20, 20, 32, 32))
-    assert len(detections(mask, BlobSettings(min_area=0.002))) == 1
-    assert len(detections(mask, BlobSettings(min_area=0.008))) == 0
-
-
 def test_three_in_a_row_are_parted_and_a_wide_thing_is_not() -> None:
     mask = np.zeros(SHAPE, np.uint8)
     for x in (40, 62, 84):
@@ -78,9 +71,3 @@ def test_one_behind_the_other_is_not_joined() -> None:
     assert len(detections(slender, BlobSettings(join=0.15))) == 2
     beside = mask_of((40, 20, 60, 60), (70, 20, 90, 60))
     assert len(detections(beside, BlobSettings(join=0.15))) == 2
-
-
-def test_contours_lie_in_the_mask() -> None:
-    mask = clean(mask_of((20, 20, 60, 100)), BlobSettings())
-    (contour,) = components(mask, BlobSettings())
-    assert (mask[contour[:, 0, 1], contour[:, 0, 0]] == 255).all()

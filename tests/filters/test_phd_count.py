@@ -57,5 +57,5 @@ def test_the_births_of_the_scene_have_the_mass_of_what_can_be_drawn(rng):
     z = np.stack([x.ravel(), y.ravel(), 0.4 * h.ravel(), h.ravel()])
     z = z[:, rng.permutation(z.shape[1])[:1200]]
     birth = count.SceneBirth(scene, rate=0.3, most=8)
-    masses = [birth.sample(z, np.zeros(1200), BoxSensor(), 2.0, rng).mass for _ in range(3)]
+    masses = [birth.sample(z, np.zeros(1200), BoxSensor(), 2 / 25, rng).mass for _ in range(3)]
     assert np.mean(masses) == pytest.approx(0.6, rel=0.03)

@@ -1,10 +1,8 @@
-"""Background subtraction with a fixed mean background [D14 §II-B].
+"""Background subtraction with a fixed mean background [D14 §II-B], and OpenCV's adaptive subtractors MOG2 and KNN.
 
-The background is the mean of the first n grey frames, or of frames given beforehand. The difference of background and frame
-is smoothed by a Gaussian low-pass and thresholded; connected components give the boxes. The signed form, background −
-frame, sees only what is darker than the background; the absolute one sees both.
-
-OpenCV's adaptive background subtractors, MOG2 and KNN, with the clean-up of `blobs`. Their shadow pixels are removed.
+The fixed background is the mean of the first n grey frames, or of frames given beforehand. Its difference to a frame is
+smoothed by a Gaussian low-pass and thresholded; connected components give the boxes. Shadow pixels of MOG2 and KNN are
+removed.
 """
 
 from __future__ import annotations
@@ -61,10 +59,8 @@ class MeanBackgroundDetector:
     def reset(self) -> None:
         """Forget the background, except frames given beforehand."""
         self._seen = len(self._given)
-        self._complete = bool(self._given)
-        self._sum: F4 | None = None
-        if self._given:
-            self._sum = np.sum([_grey(image) for image in self._given], axis=0, dtype=np.float32)
+        self._wanted = self._seen or self.settings.frames
+        self._sum: F4 | None = np.sum([_grey(i) for i in self._given], axis=0, dtype=np.float32) if self._given else None
 
     def __call__(self, frame: Frame) -> Detections:
         """[D14 §II-B] The boxes of what differs from the background; none while it is learned."""
@@ -72,10 +68,9 @@ class MeanBackgroundDetector:
         if self._sum is None:
             self._sum = np.zeros(grey.shape, np.float32)
         check_same_size(frame, self._sum.shape)
-        if not self._complete:
+        if self._seen < self._wanted:
             self._sum += grey
             self._seen += 1
-            self._complete = self._seen >= self.settings.frames
             return Detections.empty()
         difference = self._sum / np.float32(self._seen) - grey
         if not self.settings.signed:
@@ -115,9 +110,8 @@ class SubtractorSettings:
 
     def __post_init__(self) -> None:
         if self.method not in _FACTORIES:
-            raise InputError(
-                f"method must be one of {', '.join(_FACTORIES)}, not {self.method!r}", where="SubtractorSettings"
-            )
+            problem = f"method must be one of {', '.join(_FACTORIES)}, not {self.method!r}"
+            raise InputError(problem, where="SubtractorSettings")
         check(self)
 
 
@@ -155,12 +149,7 @@ class SubtractorDetector:
         return blobs.detections(cv2.compare(mask, _SURELY_FOREGROUND, cv2.CMP_GT), settings.blobs)
 
 
-def _mog2(threshold: float) -> Any:
-    return cv2.createBackgroundSubtractorMOG2(varThreshold=threshold or 16.0, detectShadows=True)
-
-
-def _knn(threshold: float) -> Any:
-    return cv2.createBackgroundSubtractorKNN(dist2Threshold=threshold or 400.0, detectShadows=True)
-
-
-_FACTORIES: dict[str, Callable[[float], Any]] = {"mog2": _mog2, "knn": _knn}
+_FACTORIES: dict[str, Callable[[float], Any]] = {
+    "mog2": lambda threshold: cv2.createBackgroundSubtractorMOG2(varThreshold=threshold or 16.0, detectShadows=True),
+    "knn": lambda threshold: cv2.createBackgroundSubtractorKNN(dist2Threshold=threshold or 400.0, detectShadows=True),
+}

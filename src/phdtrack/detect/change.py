@@ -1,17 +1,4 @@
-"""Global illumination: how the light of a frame differs from the light in which the reference was learned.
-
-Clouds, mains flicker and the camera's automatic exposure change all pixels of a channel alike, to good approximation by a
-gain and an offset. They are fitted robustly (median ratio, then least squares on what lies near the line) on a sparse grid
-of background pixels, and the reference is brought into the frame's light; what differs then is a change in the scene.
-
-The reference image of a scene: learned quickly at the start, adapted slowly ever after.
-
-At the start the reference is the per-pixel median of samples spread over the first seconds: it shows the background
-wherever that was seen more than half of the time, though objects move about from the first frame on. It is there from the
-second frame on and gets better with every second sample. Then it adapts exponentially, on background with one time
-constant and on foreground with a much longer one, so that an object that stops stays an object for a while.
-
-Statistical colour change detection against a reference that adapts [M07] [M09], after Cavallaro and Ebrahimi (2004).
+"""Statistical colour change detection against a reference that adapts [M07] [M09], after Cavallaro and Ebrahimi (2004).
 
 Without change, frame and reference differ by noise. The difference of each pixel is taken in three channels c that keep
 brightness apart from colour (logarithm of luma; the two chroma differences), divided by the deviation that noise explains
@@ -19,18 +6,20 @@ there, and summed; the mean of that over a small window W is the statistic, comp
 
     T(p) = (1/|W|) Σ_{q∈W} (1/s(q)) Σ_c d_c(q)² / σ_c²   >   χ²₃(1 − false alarm rate)
 
-The noise has three parts:
+The noise has three parts: the camera's, σ_c, estimated in every frame from the quartile of the differences of successive
+frames; local light (shadows, reflections), which is relative, hence the logarithm, stronger towards dark, and the same all
+over a window; and the scene's, s(q) ≥ 1, learned for each pixel (leaves, edges that tremble).
 
-* the camera's, σ_c, estimated in every frame from the quartile of the differences of successive frames, which moving
-  objects do not move;
-* local light: shadows, reflections. It is relative, hence the logarithm, and stronger towards dark; its deviations are
-  settings. It is the same all over a window, which is why the window adds no degrees of freedom;
-* the scene's own, s(q) ≥ 1, learned for each pixel: a tape in the wind, leaves, edges that tremble.
+*Global illumination* (clouds, flicker, exposure) changes all pixels of a channel by about a gain and an offset. They are
+fitted robustly on a sparse grid of background pixels, and the reference is brought into the light of the frame.
 
-Light that changes all over the frame (flicker, clouds, exposure) is taken out before: `illumination`. What remains is
-cleaned and made boxes by `blobs`. A component whose outline is a stronger edge in the reference than in the frame is where
-an object stood when the reference was learned and has left since; it is not reported, and when it lasts the reference takes
-it in.
+*The reference* is at the start the per-pixel median of samples spread over the first seconds, which shows the background
+wherever it was seen more than half of the time. Then it adapts exponentially, on foreground with a much longer time
+constant, so that an object that stops stays an object for a while.
+
+What remains is cleaned and made boxes by `components`. A component whose outline is a stronger edge in the reference than in
+the frame is where an object stood when the reference was learned and has left since; it is not reported, and when it lasts
+the reference takes it in.
 """
 
 from __future__ import annotations
@@ -50,6 +39,8 @@ from phdtrack.detect import components as blobs
 from phdtrack.detect.components import BlobSettings, Contour, check_odd, check_same_size
 from phdtrack.types import F8, Bool, Detections, Frame, Image
 
+F4 = NDArray[np.float32]
+
 _GRID_POINTS = 4000
 _DARKEST, _BRIGHTEST = 8, 245
 _FEWEST = 50
@@ -58,7 +49,7 @@ _ROUNDS = 3
 
 
 def relit(reference: Image, frame: Image, foreground: Image) -> Image:
-    """``reference`` (H, W, 3) in the light of ``frame`` (H, W, 3); ``foreground`` (H, W) is left out where it is not 0.
+    """``reference`` in the light of ``frame``.
 
     Parameters
     ----------
@@ -99,15 +90,8 @@ def _line(x: F8, y: F8, background: Bool) -> tuple[float, float]:
     return gain, offset
 
 
-F4 = NDArray[np.float32]
-
-
 def median_image(images: Sequence[Image]) -> Image:
-    """Per-pixel median of an odd number of images of one shape, uint8.
-
-    By exchanges of neighbours until the upper half has sunk: minimum and maximum of whole images are vectorised, which
-    makes this several times faster than sorting each pixel's values.
-    """
+    """Per-pixel median of an odd number of uint8 images, by exchanges: several times faster than sorting each pixel."""
     ranked = list(images)
     middle = len(ranked) // 2
     for last in range(len(ranked) - 1, middle - 1, -1):
@@ -117,7 +101,7 @@ def median_image(images: Sequence[Image]) -> Image:
 
 
 class Reference:
-    """The learned background of one camera.
+    """The learned background of one camera; ``samples`` are those of the latest median.
 
     Parameters
     ----------
@@ -127,7 +111,7 @@ class Reference:
     """
 
     def __init__(self, first: Image, time: float, learn: float, samples: int) -> None:
-        self._samples = [first]
+        self.samples = [first]
         self._missing = samples - 1
         self._spacing = learn / samples
         self._due = time + self._spacing
@@ -144,28 +128,23 @@ class Reference:
         """Whether samples for the median are still to be taken."""
         return self._missing > 0
 
-    @property
-    def samples(self) -> tuple[Image, ...]:
-        """The samples of the latest median."""
-        return tuple(self._samples)
-
     def sample(self, image: Image, time: float) -> bool:
         """Take ``image`` as a sample if one is due at ``time`` seconds; True where that gave a new median."""
         if not self.learning:
-            self._samples.clear()
+            self.samples.clear()
             return False
         if time < self._due:
             return False
         self._due += self._spacing
         self._missing -= 1
-        self._samples.append(image)
-        if len(self._samples) % 2 == 0:
+        self.samples.append(image)
+        if len(self.samples) % 2 == 0:
             return False
-        self._mean = median_image(self._samples).astype(np.float32)
+        self._mean = median_image(self.samples).astype(np.float32)
         return True
 
     def blend(self, image: Image, share: float, where: Image) -> None:
-        """Move ``share`` (0 to 1) of the way to ``image`` where the mask ``where`` (H, W) is not 0.
+        """Move a part of the way to ``image``.
 
         Parameters
         ----------
@@ -223,21 +202,14 @@ class ChangeSettings:
         check_odd(self, "window", "samples")
 
 
-@dataclass(frozen=True, slots=True)
-class _Channels:
-    """A picture as (H, W) uint8 planes: logarithm of luma, and the two chroma differences."""
-
-    luma: Image
-    red: Image
-    blue: Image
-
-    @classmethod
-    def of(cls, image: Image) -> _Channels:
-        luma, red, blue = cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb))
-        return cls(cv2.LUT(luma, _LOG), red, blue)
-
-
 _LOG: Image = np.rint(_LOG_SCALE * np.log1p(np.arange(256) / _LOG_KNEE)).astype(np.uint8)
+Planes = tuple[Image, Image, Image]
+
+
+def _planes(image: Image) -> Planes:
+    """A picture as (H, W) uint8 planes: logarithm of luma, and the two chroma differences."""
+    luma, red, blue = cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb))
+    return cv2.LUT(luma, _LOG), red, blue
 
 
 class ChangeDetector:
@@ -258,12 +230,12 @@ class ChangeDetector:
             self._begin(frame)
             return Detections.empty()
         check_same_size(frame, self._foreground.shape)
-        channels = _Channels.of(frame.image)
-        self._learn_camera_noise(channels)
+        planes = _planes(frame.image)
+        self._learn_camera_noise(planes)
         if self._reference.sample(frame.image, frame.time):
             self._learn_scene_noise()
         expected = relit(self._reference.image, frame.image, self._foreground)
-        energy = self._energy(channels, _Channels.of(expected))
+        energy = self._energy(planes, _planes(expected))
         mask = blobs.clean(self._changed(energy), self.settings.blobs)
         found = blobs.components(mask, self.settings.blobs)
         ghosts = [_is_ghost(contour, frame.image, expected) for contour in found]
@@ -278,14 +250,13 @@ class ChangeDetector:
         self._scene: F4 = np.full(shape, float(CHANNELS), np.float32)
         self._haunted: F4 = np.zeros(shape, np.float32)
         self._camera: F8 = np.ones(CHANNELS)
-        self._previous = _Channels.of(frame.image)
+        self._previous = _planes(frame.image)
         self._time = frame.time
 
-    def _learn_camera_noise(self, now: _Channels) -> None:
+    def _learn_camera_noise(self, now: Planes) -> None:
         """σ_c from the third quartile of |difference of successive frames| on a sparse grid."""
-        before = self._previous
-        planes = ((now.luma, before.luma), (now.red, before.red), (now.blue, before.blue))
-        quartile = [np.percentile(cv2.absdiff(a[::4, ::4], b[::4, ::4]), 75) for a, b in planes]
+        pairs = zip(now, self._previous, strict=True)
+        quartile = [np.percentile(cv2.absdiff(a[::4, ::4], b[::4, ::4]), 75) for a, b in pairs]
         latest = np.array(quartile) / (_QUARTILE_OF_NORMAL * np.sqrt(2))
         self._camera = _NOISE_MEMORY * self._camera + (1 - _NOISE_MEMORY) * latest
         self._previous = now
@@ -296,32 +267,28 @@ class ChangeDetector:
         samples = self._reference.samples
         if len(samples) < 5:
             return
-        expected = _Channels.of(self._reference.image)
-        energies = np.stack([self._energy(_Channels.of(sample), expected) for sample in samples])
+        expected = _planes(self._reference.image)
+        energies = np.stack([self._energy(_planes(sample), expected) for sample in samples])
         typical = np.median(energies, axis=0).astype(np.float32) / _MEDIAN_OF_CHI2
         spread = cv2.dilate(cv2.blur(typical, (5, 5)), np.ones((3, 3), np.uint8))
         self._scene = np.minimum(spread, np.float32(CHANNELS * _LOUDEST))
 
-    def _energy(self, image: _Channels, expected: _Channels) -> F4:
-        """(H, W) Σ_c d_c² / σ_c²."""
+    def _energy(self, image: Planes, expected: Planes) -> F4:
+        """(H, W) Σ_c d_c² / σ_c², the variances of local light and camera added."""
         light = self.settings
         terms = (
-            (cv2.subtract(expected.luma, image.luma), _LOG_SCALE * light.shadow, 0),
-            (cv2.subtract(image.luma, expected.luma), _LOG_SCALE * light.glare, 0),
-            (cv2.absdiff(image.red, expected.red), light.chroma, 1),
-            (cv2.absdiff(image.blue, expected.blue), light.chroma, 2),
+            (cv2.subtract(expected[0], image[0]), _LOG_SCALE * light.shadow, 0),
+            (cv2.subtract(image[0], expected[0]), _LOG_SCALE * light.glare, 0),
+            (cv2.absdiff(image[1], expected[1]), light.chroma, 1),
+            (cv2.absdiff(image[2], expected[2]), light.chroma, 2),
         )
         # A difference of 8-bit planes has 256 values: one look-up per term is all the arithmetic there is.
-        total: F4 = np.zeros(image.luma.shape, np.float32)
+        total: F4 = np.zeros(image[0].shape, np.float32)
         for difference, deviation, channel in terms:
-            cv2.add(total, cv2.LUT(difference, self._table(deviation, channel)), dst=total)
+            variance = deviation**2 + float(self._camera[channel]) ** 2
+            table = (np.arange(256, dtype=np.float64) ** 2 / variance).astype(np.float32)
+            cv2.add(total, cv2.LUT(difference, table), dst=total)
         return total
-
-    def _table(self, light: float, channel: int) -> F4:
-        """(256,) d²/σ² for each difference d, with the variances of local light and camera added."""
-        variance = light**2 + float(self._camera[channel]) ** 2
-        table: F4 = (np.arange(256, dtype=np.float64) ** 2 / variance).astype(np.float32)
-        return table
 
     def _changed(self, energy: F4) -> Image:
         """The raw mask: the window's mean must pass, and half of it the pixel itself, which keeps outlines sharp."""

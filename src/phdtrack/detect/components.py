@@ -1,16 +1,13 @@
-"""Checks that several detectors make beside the bounds of their settings.
-
-From a foreground mask to boxes: clean-up, connected components, parting of what touches, joining of fragments.
+"""From a foreground mask to boxes: clean-up, connected components, parting of what touches, joining of fragments.
 
 All background detectors share this. Sizes are fractions of the frame, so that one setting serves every resolution:
 
 1. *Clean*: peel the foreground's border (bridges between neighbours and specks go), then close gaps, higher than wide.
-2. *Components*: outer contours; those with too little area are dropped. (Contours with their bounding boxes cost a
-   fortieth of labelling every pixel.)
-3. *Split*: objects side by side make one component. Its column profile (foreground pixels per column) has a peak for
-   each and a valley between; a valley deep enough, with enough of the component on either side, is where it is cut.
-4. *Join*: fragments one above the other (a coat that looks like the wall behind it) become one box, unless the box would
-   be much higher than wide, as one person behind another is.
+2. *Components*: outer contours with enough area (a fortieth of the time of labelling every pixel).
+3. *Split*: objects side by side make one component. Its column profile (foreground pixels per column) has a peak for each
+   and a valley between; a valley deep enough, with enough of the component on either side, is where it is cut.
+4. *Join*: fragments one above the other become one box, unless it would be much higher than wide, as one person behind
+   another is.
 """
 
 from __future__ import annotations
@@ -83,7 +80,7 @@ class BlobSettings:
 
 
 class Box(NamedTuple):
-    """Left, top, right, bottom in whole pixels; right and bottom are one beyond the last."""
+    """Corners in whole pixels; right and bottom are one beyond the last."""
 
     left: int
     top: int
@@ -94,7 +91,7 @@ class Box(NamedTuple):
 def clean(mask: Image, settings: BlobSettings) -> Image:
     """(H, W) uint8, 255 where ``mask`` (H, W) still is foreground after peeling and closing."""
     height = mask.shape[0]
-    radius = _radius(height, settings)
+    radius = round(settings.peel * height)  # 0 in small pictures, where a pixel is a good part of an arm
     across = max(1, round(settings.closing * height / 3)) | 1
     along = max(1, round(settings.closing * height)) | 1
     peeled = cv2.erode(mask, _element(2 * radius + 1, 2 * radius + 1, cv2.MORPH_RECT)) if radius else mask
@@ -122,9 +119,10 @@ def boxes(contours: Sequence[Contour], shape: tuple[int, ...], settings: BlobSet
     settings : which components count.
     """
     height, width = shape[:2]
-    joined = _join([_box(contour) for contour in contours], settings.join)
+    boxes = [Box(x, y, x + w, y + h) for x, y, w, h in map(cv2.boundingRect, contours)]
+    joined = _join(boxes, settings.join) if settings.join > 0 else boxes
     rows = np.array(sorted(joined, key=lambda box: (box.top, box.left)), np.float64).reshape(-1, 4)
-    grown = _radius(height, settings)
+    grown = round(settings.peel * height)
     inside: F8 = np.clip(rows + np.array([-grown, -grown, grown, grown]), 0, [width, height, width, height])
     return inside
 
@@ -135,19 +133,9 @@ def detections(mask: Image, settings: BlobSettings) -> Detections:
     return Detections.of(boxes(components(cleaned, settings), mask.shape, settings))
 
 
-def _radius(height: int, settings: BlobSettings) -> int:
-    """By how many pixels the foreground is peeled; none in small pictures, where a pixel is a good part of an arm."""
-    return round(settings.peel * height)
-
-
 def _element(across: int, along: int, kind: int = cv2.MORPH_ELLIPSE) -> Image:
     element: Image = cv2.getStructuringElement(kind, (across, along))
     return element
-
-
-def _box(contour: Contour) -> Box:
-    x, y, width, height = cv2.boundingRect(contour)
-    return Box(x, y, x + width, y + height)
 
 
 def _split(contour: Contour, depth: float, least: float) -> list[Contour]:
@@ -209,8 +197,6 @@ def _union(a: Box, b: Box) -> Box:
 
 def _belong(a: Box, b: Box, gap: float) -> bool:
     """Whether two boxes are fragments of one upright object."""
-    if gap <= 0:
-        return False
     both = _union(a, b)
     width, height = both.right - both.left, both.bottom - both.top
     shared = min(a.right, b.right) - max(a.left, b.left)

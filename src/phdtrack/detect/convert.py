@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from phdtrack.arrays import share_inside
 from phdtrack.errors import InputError
-from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, SequenceInfo
+from phdtrack.types import F8, Detections, DetectionTable, SequenceInfo
 
 _COLUMNS = "boxes as (N, 4) left, top, right, bottom; (N, 5) with confidence; (N, 6) with confidence and class"
 
@@ -21,12 +22,7 @@ _LARGEST_CLASS = 2.0**53
 
 
 def as_detections(obj: object, *, where: str = "") -> Detections:
-    """``obj`` as `Detections`, checked.
-
-    Parameters
-    ----------
-    obj : a `Detections`, an object with ``.xyxy``, or an array-like (N, 4), (N, 5) or (N, 6); see the module.
-    where : what the message of an error starts with ("frame 12").
+    """``obj``, in one of the forms above, as `Detections`, checked; ``where`` begins the message of an error ("frame 12").
 
     Raises
     ------
@@ -71,7 +67,7 @@ def check_inside(detections: Detections, width: int, height: int, *, where: str 
     where : what the message names.
     drop : leave boxes outside out instead of raising.
     """
-    inside = _overlaps_frame(detections.xyxy, width, height)
+    inside = share_inside(detections.xyxy, width, height) > 0
     if inside.all():
         return detections
     if drop:
@@ -82,13 +78,6 @@ def check_inside(detections: Detections, width: int, height: int, *, where: str 
         where=where,
         cure="Boxes are left, top, right, bottom in pixels of the original video; check their scale and order.",
     )
-
-
-def _overlaps_frame(xyxy: F8, width: int, height: int) -> Bool:
-    """(N,) True where a box shares some area with the frame."""
-    left, top, right, bottom = xyxy.T
-    inside: Bool = (left < width) & (top < height) & (right > 0) & (bottom > 0)
-    return inside
 
 
 def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple[DetectionTable, tuple[str, ...]]:
@@ -104,7 +93,7 @@ def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple
     ------
     InputError : all of them are outside: the size or the units are wrong.
     """
-    kept = _overlaps_frame(table.detections.xyxy, info.width, info.height)
+    kept = share_inside(table.detections.xyxy, info.width, info.height) > 0
     if kept.all():
         return table, ()
     outside = int((~kept).sum())
@@ -141,14 +130,12 @@ def _attribute(obj: object, names: tuple[str, str], n: int, where: str) -> F8 | 
 
 
 def _assembled(xyxy: F8, confidence: F8 | None, class_id: F8 | None, where: str) -> Detections:
-    if class_id is None:
-        return _checked(Detections.of(xyxy, confidence), where)
+    class_id = np.zeros(len(xyxy)) if class_id is None else class_id
     whole = (np.abs(class_id) < _LARGEST_CLASS) & (np.rint(class_id) == class_id)
     if not whole.all():
         row = int(np.argmin(whole))
         raise InputError(f"row {row} (from 0): the class must be a whole number, not {class_id[row]:g}", where=where)
-    label: I8 = class_id.astype(np.int64)
-    return _checked(Detections.of(xyxy, confidence, label), where)
+    return _checked(Detections.of(xyxy, confidence, class_id.astype(np.int64)), where)
 
 
 def _checked(detections: Detections, where: str) -> Detections:

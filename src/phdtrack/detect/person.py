@@ -1,12 +1,8 @@
-"""What OpenCV 4 ships and 5 dropped: asked for when it is used, with the line that mends its absence.
+"""Faces by a Viola–Jones cascade [M07], and pedestrians by histograms of oriented gradients, both as OpenCV 4 ships them.
 
-Faces by a Viola–Jones cascade of boosted classifiers [M07], trained files as OpenCV ships them.
-
-Pedestrians on single images: histograms of oriented gradients with the support vector machine that OpenCV ships.
-
-It was trained on windows of 64×128 pixels in which the person is 96 high, so the frame is enlarged for smaller people. Its
-hits are windows with a margin, which is cut off; overlapping ones are reduced to the strongest. Confidence is the margin
-of the support vector machine, which is not bounded.
+The pedestrians' support vector machine was trained on windows of 64×128 pixels in which the person is 96 high, so the frame
+is enlarged for smaller people. Its hits have a margin, which is cut off; of overlapping ones the strongest stays. Confidence
+is the margin of the support vector machine, which is not bounded. OpenCV 5 dropped both detectors: `shipped` says so.
 """
 
 from __future__ import annotations
@@ -49,9 +45,8 @@ def cascade_file(name: str) -> Path:
     if not path.is_file():
         names = sorted(file.stem.removeprefix("haarcascade_") for file in folder.glob("haarcascade_*.xml"))
         known = f"Shipped are {', '.join(names)}." if names else f"This OpenCV ships none. Mend it by: {MEND}"
-        raise InputError(
-            f"there is no cascade {name!r}", where="cascade", cure=f"{known} An .xml file of your own works too."
-        )
+        cure = f"{known} An .xml file of your own works too."
+        raise InputError(f"there is no cascade {name!r}", where="cascade", cure=cure)
     return path
 
 
@@ -173,19 +168,11 @@ class PersonDetector:
 
 
 def strongest(boxes: F8, score: F8, overlap: float) -> I8:
-    """Indices of the (N, 4) boxes, by falling ``score`` (N,), that overlap no stronger kept one by more than ``overlap``.
-
-    Parameters
-    ----------
-    boxes : (N, 4) xyxy.
-    score : (N,).
-    overlap : largest IoU with a stronger box that is kept.
-    """
+    """Indices of the boxes (N, 4), by falling ``score`` (N,), whose IoU with every stronger kept one is ≤ ``overlap``."""
     order = np.argsort(-score, kind="stable")
     shared = iou(boxes[order], boxes[order])
     kept = np.ones(len(order), np.bool_)
     for i in range(len(order)):
         if kept[i]:
             kept[i + 1 :] &= shared[i, i + 1 :] <= overlap
-    indices: I8 = order[kept]
-    return indices
+    return order[kept]

@@ -1,7 +1,4 @@
-"""A detector's own settings from files and options: their types, which the detector itself takes for granted.
-
-Detectors by name: the one list of what there is, and how options of that name become settings.
-"""
+"""Detectors by name: the one list of what there is, and how options of that name become settings."""
 
 from __future__ import annotations
 
@@ -31,16 +28,15 @@ def typed(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     ------
     InputError : a value of another type.
     """
-    defaults = {field.name: field.default for field in detector_parameters(name)}
-    return {key: _as(type(defaults[key]), key, value) if key in defaults else value for key, value in parameters.items()}
-
-
-def _as(kind: type, key: str, value: Any) -> Any:
-    if kind is float and type(value) is int:
-        return float(value)
-    if kind in _WORDS and type(value) is not kind:
-        raise InputError(f"expected {_WORDS[kind]}, got {value!r}", where=f"detector.{key}")
-    return value
+    kinds = {field.name: type(field.default) for field in detector_parameters(name)}
+    values = dict(parameters)
+    for key, value in values.items():
+        kind = kinds.get(key, type(value))
+        if kind is float and type(value) is int:
+            values[key] = float(value)
+        elif kind in _WORDS and type(value) is not kind:
+            raise InputError(f"expected {_WORDS[kind]}, got {value!r}", where=f"detector.{key}")
+    return values
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +71,12 @@ def detector_names() -> tuple[tuple[str, str], ...]:
 
 def detector_parameters(name: str) -> tuple[dataclasses.Field[Any], ...]:
     """The parameters of detector ``name`` with their defaults, those of the clean-up included."""
-    entry = _entry(name)
-    fixed = {key for key, _ in entry.fixed}
-    return tuple(field for field in _flat(entry.settings) if field.name not in fixed)
+    if name not in _ENTRIES:
+        raise InputError(f"there is no detector {name!r}", cure=_suggest(name, DETECTORS))
+    flat: list[dataclasses.Field[Any]] = []
+    for field in dataclasses.fields(_ENTRIES[name].settings):
+        flat.extend(dataclasses.fields(BlobSettings) if field.name == "blobs" else (field,))
+    return tuple(field for field in flat if field.name not in dict(_ENTRIES[name].fixed))
 
 
 def make_detector(
@@ -96,20 +95,10 @@ def make_detector(
     ------
     InputError : an unknown name or parameter (the nearest one is suggested), or a value out of range.
     """
-    if name in _GIVEN:
-        detector = _given(name, parameters)
-    else:
-        entry = _entry(name)
-        detector = entry.build(_settings(name, entry, parameters))
+    detector = _given(name, parameters) if name in _GIVEN else _learning(name, parameters)
     if max_width:
         detector = Rescaled(detector, max_width)
     return detector if mask is None else Masked(detector, mask)
-
-
-def _entry(name: str) -> _Entry:
-    if name not in _ENTRIES:
-        raise InputError(f"there is no detector {name!r}", cure=_suggest(name, DETECTORS))
-    return _ENTRIES[name]
 
 
 def _given(name: str, parameters: dict[str, Any]) -> Detector:
@@ -120,24 +109,17 @@ def _given(name: str, parameters: dict[str, Any]) -> Detector:
         raise InputError(f"detector {name!r} takes {needed}; got {', '.join(parameters) or 'nothing'}") from None
 
 
-def _settings(name: str, entry: _Entry, parameters: dict[str, Any]) -> Any:
+def _learning(name: str, parameters: dict[str, Any]) -> Detector:
     known = tuple(field.name for field in detector_parameters(name))
     for key in parameters:
         if key not in known:
             raise InputError(f"detector {name!r} has no parameter {key!r}", cure=_suggest(key, known))
-    own = {field.name for field in dataclasses.fields(entry.settings)}
-    values = {key: value for key, value in parameters.items() if key in own} | dict(entry.fixed)
-    if "blobs" in own:
-        values["blobs"] = BlobSettings(**{key: value for key, value in parameters.items() if key not in own})
-    return entry.settings(**values)
-
-
-def _flat(settings: type[Any]) -> tuple[dataclasses.Field[Any], ...]:
-    """The fields of a settings class, with those of `BlobSettings` in the place of ``blobs``."""
-    flat: list[dataclasses.Field[Any]] = []
-    for field in dataclasses.fields(settings):
-        flat.extend(dataclasses.fields(BlobSettings) if field.name == "blobs" else (field,))
-    return tuple(flat)
+    entry = _ENTRIES[name]
+    names = {field.name for field in dataclasses.fields(entry.settings)}
+    values = {key: value for key, value in parameters.items() if key in names} | dict(entry.fixed)
+    if "blobs" in names:
+        values["blobs"] = BlobSettings(**{key: value for key, value in parameters.items() if key not in names})
+    return entry.build(entry.settings(**values))
 
 
 def _suggest(name: str, known: tuple[str, ...]) -> str:

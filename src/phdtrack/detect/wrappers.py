@@ -1,7 +1,5 @@
-"""Detections that come from elsewhere: a table read from a file, or any function of the picture.
-
-Detectors around detectors: search a smaller picture; report only a region of interest.
-"""
+"""Detections from a table or from any function of the picture; detectors around detectors, which search a smaller picture or
+report only a region of interest."""
 
 from __future__ import annotations
 
@@ -88,22 +86,15 @@ class Rescaled:
             )
         image: Image = cv2.resize(frame.image, small, interpolation=cv2.INTER_AREA)
         found = self._detector(Frame(frame.number, frame.time, image))
-        sx, sy = width / small[0], height / small[1]
-        covariance = found.covariance
-        if covariance is not None:
-            factor = np.array([sx, sy, sx, sy])
-            covariance = covariance * factor[:, None] * factor[None, :]
-        boxes = found.xyxy * np.array([sx, sy, sx, sy])
-        return Detections(boxes, found.confidence, found.class_id, covariance, found.observed)
+        factor = np.tile([width / small[0], height / small[1]], 2)
+        covariance = None if found.covariance is None else found.covariance * np.outer(factor, factor)
+        return Detections(found.xyxy * factor, found.confidence, found.class_id, covariance, found.observed)
 
 
 class Masked:
-    """``detector``, of whose boxes those are kept that lie at least half inside a region of interest.
+    """``detector``, which sees the whole picture; boxes at least half inside a region of interest are kept.
 
-    Parameters
-    ----------
-    detector : the detector inside; it sees the whole picture.
-    mask : (H, W) array or image file, of the frame's size; the region is where it is not 0.
+    ``mask``, an (H, W) array or image file of the frame's size, is not 0 in the region.
     """
 
     def __init__(self, detector: Detector, mask: Image | Bool | str | Path) -> None:
@@ -132,17 +123,11 @@ class Masked:
                 cure="Draw the mask on a frame of this video, at its full size.",
             )
         found = self._detector(frame)
-        return found.take(self._share(found.xyxy) >= _INSIDE)
-
-    def _share(self, xyxy: F8) -> F8:
-        """(N,) the share of each box's area within the frame that is in the region."""
-        height, width = self._shape
-        corners = np.rint(xyxy).astype(np.int64)
-        left, right = np.clip(corners[:, [0, 2]], 0, width).T
-        top, bottom = np.clip(corners[:, [1, 3]], 0, height).T
+        corners = np.rint(found.xyxy).astype(np.int64)
+        left, right = np.clip(corners[:, [0, 2]], 0, self._shape[1]).T
+        top, bottom = np.clip(corners[:, [1, 3]], 0, self._shape[0]).T
         total = self._sum[bottom, right] - self._sum[top, right] - self._sum[bottom, left] + self._sum[top, left]
-        share: F8 = total / np.maximum((right - left) * (bottom - top), 1)
-        return share
+        return found.take(total >= _INSIDE * np.maximum((right - left) * (bottom - top), 1))
 
 
 def _read_mask(path: Path) -> Image:
