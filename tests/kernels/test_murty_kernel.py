@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inner_kernels import from_python
-from phdtrack.kernels.murty import assign, best_assignments
+from phdtrack.kernels.murty import Assignment, Work, assign, best_assignments
 from reference.hypotheses_twin import all_assignments
 
 [assign] = from_python(assign)
@@ -69,19 +69,8 @@ def test_the_dual_variables_certify_an_assignment(seed: int, whole: bool):
         choice[row] = column if gain[row, column] > -np.inf else -1
     fixed = choice.copy()
     u, v = np.zeros(m), np.zeros(n)
-    total = assign(
-        gain,
-        n,
-        first,
-        banned,
-        choice,
-        u,
-        v,
-        np.empty(n, np.int64),
-        np.empty(n),
-        np.empty(n, np.int64),
-        np.empty(n, np.bool_),
-    )
+    work = Work(np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n), np.empty(n, np.bool_))
+    total = assign(gain, n, first, banned, Assignment(choice, u, v), work)
     taken = set(fixed[fixed >= 0].tolist())
     free = [c for c in range(n) if c not in taken]
     options = gain[first:].copy()

@@ -40,7 +40,8 @@ from phdtrack.arrays import GATE, chi2_quantile
 from phdtrack.checks import NonNegative, Positive, PositiveCount, Probability, Share, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.box import apart
-from phdtrack.kernels.pmb import Layer, Settings, Trace, earlier, merged_layer, predicted_layer, updated_layer
+from phdtrack.kernels.pmb import Layer, Settings, merged_layer, predicted_layer, updated_layer
+from phdtrack.kernels.pmb_past import Trace, earlier
 from phdtrack.models.gaussian import Transform, expected, measurements, new_targets, predicted
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, Particles, UpdateInfo

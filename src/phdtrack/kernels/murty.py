@@ -11,6 +11,8 @@ not needed. And the dual variables of a node bound, before a part is solved, wha
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -24,79 +26,123 @@ B1 = NDArray[np.bool_]
 FREE, OPEN, DONE = 0, 1, 2
 
 
+class Assignment(NamedTuple):
+    """An assignment of m rows to n columns with its dual variables.
+
+    ``choice`` (m,) is the column of each row, −1: unassigned. ``u`` (m,), ``v`` (≥ n,) are the dual variables of rows and
+    columns: u_r + v_c ≤ −gain, u_r ≤ 0 where a row may stay unassigned, with equality where it is; v_c ≤ 0, and 0 where the
+    column is free.
+    """
+
+    choice: I8
+    u: F8
+    v: F8
+
+
+class Work(NamedTuple):
+    """Working space of a shortest path, each (≥ n,): the row of a column, rows and lengths of the path, what is settled."""
+
+    row_of: I8
+    via: I8
+    distance: F8
+    done: B1
+
+
+class Nodes(NamedTuple):
+    """Sets of assignments, each with its best one; the k-th has ``status`` FREE, OPEN or DONE.
+
+    ``value`` of its best assignment; ``parent`` the hypothesis; rows before ``fixed`` are fixed, and row ``fixed`` may not
+    have the columns ``banned``. ``choice``, ``u``, ``v`` are the best assignments, by row.
+    """
+
+    status: I8
+    value: F8
+    parent: I8
+    fixed: I8
+    choice: I8
+    u: F8
+    v: F8
+    banned: B1
+
+
 @njit(**INNER)
-def assign(
-    gain: F8, n: int, first: int, banned: B1, choice: I8, u: F8, v: F8, row_of: I8, distance: F8, via: I8, done: B1
-) -> float:
+def augment(gain: F8, n: int, row: int, first: int, banned: B1, x: Assignment, work: Work) -> bool:
+    """Assign ``row`` too, in place, by the shortest augmenting path (Jonker and Volgenant); False where it cannot be done.
+
+    Arguments as of `assign`.
+    """
+    choice, u, v = x.choice, x.u, x.v
+    row_of, via, distance, done = work.row_of, work.via, work.distance, work.done
+    least = np.inf if row == first and banned[n] else 0.0
+    for c in range(n):
+        if row_of[c] != -2 and not (row == first and banned[c]):
+            least = min(least, -gain[row, c] - v[c])
+        distance[c], done[c] = np.inf, row_of[c] == -2
+    if least == np.inf:
+        return False
+    u[row] = least
+    here, reached, shortest, loser, end = row, 0.0, np.inf, -1, -1
+    while True:
+        if not (here == first and banned[n]) and reached - u[here] < shortest:
+            shortest, loser = reached - u[here], here
+        best, chosen = np.inf, -1
+        for c in range(n):
+            if done[c]:
+                continue
+            if not (here == first and banned[c]):
+                along = reached - gain[here, c] - u[here] - v[c]
+                if along < distance[c]:
+                    distance[c], via[c] = along, here
+            if distance[c] < best:
+                best, chosen = distance[c], c
+        if chosen < 0 or shortest <= best:
+            break
+        if row_of[chosen] < 0:
+            shortest, loser, end = best, -1, chosen
+            break
+        done[chosen] = True
+        here, reached = row_of[chosen], best
+    if shortest == np.inf:
+        return False
+    u[row] += shortest
+    for c in range(n):
+        if done[c] and row_of[c] >= 0:
+            u[row_of[c]] += shortest - distance[c]
+            v[c] -= shortest - distance[c]
+    if end < 0:
+        end = choice[loser] if loser != row else -1
+        choice[loser] = -1
+    while end >= 0:
+        owner = via[end]
+        before = choice[owner] if owner != row else -1
+        choice[owner], row_of[end] = end, owner
+        end = before
+    return True
+
+
+@njit(**INNER)
+def assign(gain: F8, n: int, first: int, banned: B1, x: Assignment, work: Work) -> float:
     """Assign the rows from ``first`` on as well as can be; the sum of all rows' gains, −∞ where it cannot be done.
 
     Parameters
     ----------
     gain : (m, ≥ n) what a row gains from a column instead of staying unassigned; −∞: not possible.
     n : number of columns.
-    first : rows before it have the columns that ``choice`` says.
+    first : rows before it have the columns that ``x.choice`` says.
     banned : (≥ n + 1,) columns that row ``first`` may not have; the n-th: that it may not stay unassigned.
-    choice : (m,) the column of each row, −1: unassigned; in place.
-    u, v : (m,), (≥ n,) dual variables of the rows from ``first`` on and of the columns: u_r + v_c ≤ −gain, u_r ≤ 0 where a
-        row may stay unassigned, with equality where it is; v_c ≤ 0, and 0 where the column is free. Out.
-    row_of, distance, via, done : (≥ n,) working space.
+    x : the assignment, written in place; its dual variables are of the rows from ``first`` on.
+    work : working space.
     """
-    m = choice.size
-    total = 0.0
+    choice, row_of, v, total = x.choice, work.row_of, x.v, 0.0
     for c in range(n):
-        row_of[c] = -1
-        v[c] = 0.0
+        row_of[c], v[c] = -1, 0.0
     for r in range(first):
         if choice[r] >= 0:
             row_of[choice[r]] = -2
-            total += gain[r, choice[r]]
-    for row in range(first, m):
-        least = np.inf if row == first and banned[n] else 0.0
-        for c in range(n):
-            if row_of[c] != -2 and not (row == first and banned[c]):
-                least = min(least, -gain[row, c] - v[c])
-            distance[c], done[c] = np.inf, row_of[c] == -2
-        if least == np.inf:
+    for row in range(first, choice.size):
+        if not augment(gain, n, row, first, banned, x, work):
             return -np.inf
-        u[row] = least
-        here, reached = row, 0.0
-        shortest, loser, end = np.inf, -1, -1
-        while True:
-            if not (here == first and banned[n]) and reached - u[here] < shortest:
-                shortest, loser = reached - u[here], here
-            best, chosen = np.inf, -1
-            for c in range(n):
-                if done[c]:
-                    continue
-                if not (here == first and banned[c]):
-                    along = reached - gain[here, c] - u[here] - v[c]
-                    if along < distance[c]:
-                        distance[c], via[c] = along, here
-                if distance[c] < best:
-                    best, chosen = distance[c], c
-            if chosen < 0 or shortest <= best:
-                break
-            if row_of[chosen] < 0:
-                shortest, loser, end = best, -1, chosen
-                break
-            done[chosen] = True
-            here, reached = row_of[chosen], best
-        if shortest == np.inf:
-            return -np.inf
-        u[row] += shortest
-        for c in range(n):
-            if done[c] and row_of[c] >= 0:
-                u[row_of[c]] += shortest - distance[c]
-                v[c] -= shortest - distance[c]
-        if end < 0:
-            end = choice[loser] if loser != row else -1
-            choice[loser] = -1
-        while end >= 0:
-            owner = via[end]
-            before = choice[owner] if owner != row else -1
-            choice[owner], row_of[end] = end, owner
-            end = before
-    for row in range(first, m):
+    for row in range(choice.size):
         if choice[row] >= 0:
             total += gain[row, choice[row]]
     return total
@@ -136,6 +182,54 @@ def place(status: I8, value: F8, fresh: float) -> int:
     return found
 
 
+@njit(**INNER)
+def keep(nodes: Nodes, total: float, least: float, parent: int, fixed: int, banned: B1, x: Assignment) -> None:
+    """Keep the assignment as an open node, where its value ``total`` is ``least`` or more and there is room."""
+    at = place(nodes.status, nodes.value, total) if total > -np.inf and total >= least else -1
+    if at >= 0:
+        nodes.status[at], nodes.value[at], nodes.parent[at], nodes.fixed[at] = OPEN, total, parent, fixed
+        for r in range(x.choice.size):
+            nodes.choice[at, r], nodes.u[at, r] = x.choice[r], x.u[r]
+        for c in range(x.v.size):
+            nodes.v[at, c] = x.v[c]
+        for c in range(banned.size):
+            nodes.banned[at, c] = banned[c]
+
+
+@njit(**INNER)
+def columns_of(gain: F8, held: I8, table: F8, column: I8) -> int:
+    """How many tracks a hypothesis holds; their numbers into ``column`` and their gains into the columns of ``table``."""
+    n = 0
+    for t in range(held.size):
+        if held[t] >= 0:
+            column[n] = held[t]
+            for j in range(gain.shape[0]):
+                table[j, n] = gain[j, held[t]]
+            n += 1
+    return n
+
+
+@njit(**INNER)
+def divide(nodes: Nodes, node: int, table: F8, n: int, limits: tuple[float, float], x: Assignment, work: Work) -> None:
+    """Keep the parts of what remains of a node's set: the s-th has the first rows as the node and the s-th otherwise.
+
+    ``limits``: the value of leaving all rows unassigned, and the least value that is kept.
+    """
+    parent, fixed, m, banned = nodes.parent[node], nodes.fixed[node], x.choice.size, np.empty(n + 1, np.bool_)
+    choice, u, v, old = nodes.choice[node].copy(), nodes.u[node].copy(), nodes.v[node].copy(), nodes.banned[node].copy()
+    for row in range(fixed, m):
+        most = nodes.value[node] - bound(table, n, row, fixed, old, choice, u, v)
+        if most < limits[1] or place(nodes.status, nodes.value, most) < 0:
+            continue
+        for c in range(n + 1):
+            banned[c] = old[c] if row == fixed else False
+        banned[choice[row] if choice[row] >= 0 else n] = True
+        for r in range(m):
+            x.choice[r] = choice[r] if r < row else -1
+        total = limits[0] + assign(table, n, row, banned, x, work)
+        keep(nodes, total, limits[1], parent, row, banned, x)
+
+
 @njit(**ENTRY)
 def best_assignments(gain: F8, unassigned: F8, held: I8, base: F8, most: int, log_ratio: float) -> tuple[I8, I8, F8]:
     """The best assignments of the measurements of a cluster, over all its hypotheses, best first.
@@ -156,76 +250,36 @@ def best_assignments(gain: F8, unassigned: F8, held: I8, base: F8, most: int, lo
     weight (K,) : their log-weights.
     """
     m, width = gain.shape[0], held.shape[1]
-    parents = base.size
-    status = np.zeros(most, np.int64)
-    value = np.empty(most)
-    parent, fixed = np.empty(most, np.int64), np.empty(most, np.int64)
-    choices, banned = np.empty((most, m), np.int64), np.empty((most, width + 1), np.bool_)
-    us, vs = np.empty((most, m)), np.empty((most, width))
-    choice, u, v = np.empty(m, np.int64), np.empty(m), np.empty(width)
-    ban = np.empty(width + 1, np.bool_)
-    row_of, via = np.empty(width, np.int64), np.empty(width, np.int64)
-    distance, done = np.empty(width), np.empty(width, np.bool_)
-    table, column, count = np.empty((m, width)), np.empty((parents, width), np.int64), np.zeros(parents, np.int64)
-    all_unassigned = 0.0
-    for j in range(m):
-        all_unassigned += unassigned[j]
-    best = -np.inf
-    for p in range(parents):
-        n = 0
-        for t in range(width):
-            if held[p, t] >= 0:
-                column[p, n] = held[p, t]
-                n += 1
-        count[p] = n
-        for j in range(m):
-            for c in range(n):
-                table[j, c] = gain[j, column[p, c]]
-        for c in range(n + 1):
-            ban[c] = False
-        total = base[p] + all_unassigned + assign(table, n, 0, ban, choice, u, v, row_of, distance, via, done)
-        at = place(status, value, total) if total > -np.inf and total >= best + log_ratio else -1
-        if at >= 0:
-            best = max(best, total)
-            status[at], value[at], parent[at], fixed[at] = OPEN, total, p, 0
-            choices[at], us[at], vs[at], banned[at] = choice, u, v, ban
-    given = 0
-    order = np.empty(most, np.int64)
+    nodes = Nodes(
+        np.zeros(most, np.int64), np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64),
+        np.empty((most, m), np.int64), np.empty((most, m)), np.empty((most, width)), np.empty((most, width + 1), np.bool_),
+    )  # fmt: skip
+    x = Assignment(np.empty(m, np.int64), np.empty(m), np.empty(width))
+    work = Work(np.empty(width, np.int64), np.empty(width, np.int64), np.empty(width), np.empty(width, np.bool_))
+    table, column, free = np.empty((m, width)), np.empty(width, np.int64), np.zeros(width + 1, np.bool_)
+    rest, best = unassigned.sum(), -np.inf
+    for p in range(base.size):
+        n = columns_of(gain, held[p], table, column)
+        for r in range(m):
+            x.choice[r] = -1
+        total = base[p] + rest + assign(table, n, 0, free, x, work)
+        keep(nodes, total, best + log_ratio, p, 0, free, x)
+        best = max(best, total)
+    parent, choice, weight, given = np.empty(most, np.int64), np.empty((most, m), np.int64), np.empty(most), 0
     while given < most:
         node = -1
         for i in range(most):
-            if status[i] == OPEN and (node < 0 or value[i] > value[node]):
+            if nodes.status[i] == OPEN and (node < 0 or nodes.value[i] > nodes.value[node]):
                 node = i
-        if node < 0 or value[node] < best + log_ratio:
+        if node < 0 or nodes.value[node] < best + log_ratio:
             break
-        status[node] = DONE
-        order[given] = node
+        nodes.status[node] = DONE
+        p = nodes.parent[node]
+        n = columns_of(gain, held[p], table, column)
+        parent[given], weight[given] = p, nodes.value[node]
+        for j in range(m):
+            c = nodes.choice[node, j]
+            choice[given, j] = column[c] if c >= 0 else -1
         given += 1
-        p, n = parent[node], count[parent[node]]
-        for j in range(m):
-            for c in range(n):
-                table[j, c] = gain[j, column[p, c]]
-        for row in range(fixed[node], m):
-            least = best + log_ratio
-            loss = bound(table, n, row, fixed[node], banned[node], choices[node], us[node], vs[node])
-            if value[node] - loss < least or place(status, value, value[node] - loss) < 0:
-                continue
-            for c in range(n + 1):
-                ban[c] = banned[node, c] if row == fixed[node] else False
-            had = choices[node, row]
-            ban[had if had >= 0 else n] = True
-            for r in range(m):
-                choice[r] = choices[node, r] if r < row else -1
-            total = base[p] + all_unassigned + assign(table, n, row, ban, choice, u, v, row_of, distance, via, done)
-            at = place(status, value, total) if total > -np.inf and total >= least else -1
-            if at >= 0:
-                status[at], value[at], parent[at], fixed[at] = OPEN, total, p, row
-                choices[at], us[at], vs[at], banned[at] = choice, u, v, ban
-    out_parent, out_choice, out_value = np.empty(given, np.int64), np.empty((given, m), np.int64), np.empty(given)
-    for k in range(given):
-        node = order[k]
-        out_parent[k], out_value[k] = parent[node], value[node]
-        for j in range(m):
-            c = choices[node, j]
-            out_choice[k, j] = column[parent[node], c] if c >= 0 else -1
-    return out_parent, out_choice, out_value
+        divide(nodes, node, table, n, (base[p] + rest, best + log_ratio), x, work)
+    return parent[:given], choice[:given], weight[:given]
