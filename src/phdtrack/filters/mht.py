@@ -46,8 +46,8 @@ from phdtrack.filters.hypotheses import (
     parted,
 )
 from phdtrack.filters.pmb import refuse_spawning, without_overlaps
-from phdtrack.kernels.gaussian import Expected, Measurements, gated_pairs, pair_posteriors
-from phdtrack.kernels.pmb import NEVER, TINY, NewTargets
+from phdtrack.kernels.gaussian import Expected, Measurements, NewTargets, gated_pairs, pair_posteriors
+from phdtrack.kernels.pmb import NEVER, TINY
 from phdtrack.models.gaussian import Transform, expected, measurements, new_targets, predicted
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo

@@ -428,3 +428,56 @@ def predicted_covariance(cov: F8, f: F8, q: F8) -> F8:
                 out[i, r, s] = total
                 out[i, s, r] = total
     return out
+
+
+class NewTargets(NamedTuple):
+    """Targets whose first detection is measurement j: ``density`` (N,) γ̂, ``mean`` (N, d), ``covariance`` (N, d, d)."""
+
+    density: F8
+    mean: F8
+    covariance: F8
+
+
+@njit(**ENTRY)
+def first_states(births: Births, e: Expected, m: Measurements, gate: float) -> NewTargets:
+    """γ̂(z) = ∫ p_D g(z|x) γ(x) dx, and mean and covariance of p_D g(z|x) γ(x) given z.
+
+    Parameters
+    ----------
+    births : γ. One around a detection is flat there: the detection alone says where the target is.
+    e : what the births say of measurements; without births that stand for themselves ``p_detect`` is enough.
+    m : the measurements.
+    gate : in deviations.
+    """
+    n, d, count = len(m.z), births.mean.shape[1], births.weight.size
+    pairs = gated(e, m, gate)
+    states, covs = posteriors(births.mean, births.covariance, e, m, pairs.gaussian, pairs.measurement)
+    density, mean, cov = np.zeros(n), np.zeros((n, d)), np.zeros((n, d, d))
+    total = pairs.gaussian.size + count
+    part, of = np.zeros(total), np.zeros(total, np.int64)
+    for q in range(total):
+        b = pairs.gaussian[q] if q < pairs.gaussian.size else q - pairs.gaussian.size
+        around = births.measurement[b] >= 0
+        if q < pairs.gaussian.size:
+            of[q] = pairs.measurement[q]
+            part[q] = 0.0 if around else births.weight[b] * e.p_detect[b] * np.exp(pairs.log_density[q])
+        elif around:
+            of[q], part[q] = births.measurement[b], e.p_detect[b] * births.density[b]
+        density[of[q]] += part[q]
+    # First the means, then the covariances about them.
+    for turn in range(2):
+        for q in range(total):
+            if not part[q] > 0.0:
+                continue
+            j, b = of[q], q - pairs.gaussian.size
+            share = part[q] / density[j]
+            for k in range(d):
+                state = states[q, k] if b < 0 else births.mean[b, k]
+                if turn == 0:
+                    mean[j, k] += share * state
+                    continue
+                for c in range(d):
+                    other = states[q, c] if b < 0 else births.mean[b, c]
+                    value = covs[q, k, c] if b < 0 else births.first[b, k, c]
+                    cov[j, k, c] += share * (value + (state - mean[j, k]) * (other - mean[j, c]))
+    return NewTargets(density, mean, cov)

@@ -33,8 +33,15 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.kernels.box_model import expected_boxes, linear_expected, predicted_boxes
-from phdtrack.kernels.gaussian import Births, Expected, Measurements, Predicted, predicted_covariance
-from phdtrack.kernels.pmb import NewTargets, first_states
+from phdtrack.kernels.gaussian import (
+    Births,
+    Expected,
+    Measurements,
+    NewTargets,
+    Predicted,
+    first_states,
+    predicted_covariance,
+)
 from phdtrack.models.box_motion import BoxMotion
 from phdtrack.models.box_sensor import BoxSensor
 from phdtrack.protocols import Model, Sensor
