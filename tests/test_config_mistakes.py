@@ -6,7 +6,6 @@ import pytest
 
 from phdtrack import config
 from phdtrack.checks import bounds
-from phdtrack.cli.settings import toml_value
 from phdtrack.config.kinds import SECTIONS, record
 from phdtrack.errors import InputError
 from phdtrack.types import SequenceInfo
@@ -56,19 +55,6 @@ def test_mistakes_in_options(option: str, says: str):
         config.load(sets=["motion.survival_probability=0.98", option])
     assert says in str(error.value)
     assert str(error.value).startswith(f"--set {option}: ")
-
-
-@pytest.mark.parametrize(("option", "says"), [m for m in MISTAKES if m[0].count("=") == 1 and not m[0].endswith("=")])
-def test_the_same_mistakes_in_a_file(option: str, says: str, tmp_path):
-    path, _, value = option.partition("=")
-    section, _, key = path.partition(".")
-    bare = value.isalpha() and value not in ("true", "nan")
-    file = tmp_path / "settings.toml"
-    file.write_text(f"[{section}]\n{key} = {toml_value(value) if bare else value}\n", encoding="utf-8")
-    with pytest.raises(InputError) as error:
-        config.load(file)
-    assert says in str(error.value)
-    assert str(error.value).startswith(f"{file}: ")
 
 
 @pytest.mark.parametrize("filter_name", ["pmb", "particle-phd"])

@@ -36,10 +36,9 @@ def test_the_rates_are_told_and_their_course_is_kept(street, tmp_path):
     assert run == json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))
 
 
-def test_rates_and_a_scene_are_told_beside_each_other(street, tmp_path):
+def test_rates_and_a_scene_are_reported_together(street, tmp_path):
     sets = ("--filter", "gm-phd", "--set", "rates.kind=learned", "--learn-online")
-    run = phdtrack(*options(street, tmp_path / "both", "--json", *sets)).object
-    assert run["rates"]["course"]
-    assert run["learning"]["course"]
-    said = phdtrack(*options(street, tmp_path / "said", *sets)).out
-    assert "estimated from the stream" in " ".join(said.split())
+    said = phdtrack(*options(street, tmp_path / "both", "--json", *sets))
+    assert said.object["rates"]["course"]
+    assert said.object["learning"]["course"]
+    assert "estimated from the stream" in " ".join(said.err.split())

@@ -12,18 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phdtrack import config
 from phdtrack.associate import GraphMatching
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.inputs import DEPTH, Inputs, rereadable
+from phdtrack.cli.inputs import DEPTH, Inputs
 from phdtrack.cli.job import Job, Outcome, Steps, run
-from phdtrack.detect import make_detector
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
 from phdtrack.filters.extract import Raw
-from phdtrack.formats import DetectionsWriter, TracksWriter, read_detections, read_tracks, write_tracks
+from phdtrack.formats import read_detections, read_tracks
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth
 from phdtrack.protocols import Model, Stages
+from phdtrack.report import About
 from phdtrack.types import Detections, Frame, SequenceInfo, Truth
 from phdtrack.video import open_source
 
@@ -79,12 +78,9 @@ def job() -> Job:
         inputs=Inputs(INFO, clip, Looker(), "clip", "looker", pictures=True, again=True),
         stages=stages,
         steps=Steps(stages, np.random.default_rng(0)),
-        seed=0,
         configuration={"filter": {"name": "none"}},
         read={"source": "clip", "detector": "looker"},
-        command="phdtrack track clip",
-        title="clip",
-        versions=(("phdtrack", "0"),),
+        about=About("clip", "phdtrack track clip"),
     )
 
 
@@ -161,41 +157,6 @@ def test_a_camera_gives_its_frames_once(job: Job, directory: rundir.RunDirectory
     clip = Clip(once=True, error=KeyboardInterrupt() if at else None, at=at)
     outcome = run(replace(job, inputs=replace(job.inputs, source=clip, again=False)), directory)
     consistent(directory, outcome, 12 if at else FRAMES)
-
-
-def test_a_copy_of_a_camera_shows_the_same(job: Job) -> None:
-    inputs = replace(job.inputs, source=Clip(once=True), again=False)
-    with rereadable(inputs, wanted=True) as source:
-        first, second = list(source), list(source)
-    assert [(f.number, f.time) for f in first] == [(f.number, f.time) for f in second]
-    assert max(float(np.abs(a.image.astype(int) - b.image).mean()) for a, b in zip(first, second, strict=True)) < 4
-
-
-def test_overlap_changes_no_result(job: Job, directory: rundir.RunDirectory) -> None:
-    """Against the plain loop: detector and filter of the same settings, one frame after the other in this thread."""
-    info = SequenceInfo(96, 64, 25.0, 0, "clip")
-    stages = config.build(config.load(), info)
-    changing = replace(job, stages=stages, steps=Steps(stages, np.random.default_rng(5)))
-    detector = make_detector("change")
-    inputs = replace(job.inputs, detector=make_detector("change"))
-    run(replace(changing, inputs=inputs), directory)
-    plain, found, online = Steps(stages, np.random.default_rng(5)), [], []
-    for frame in Clip():
-        seen = detector(frame)
-        online.append(plain.advance(frame.number, frame.time, seen).tracks)
-        found.append((frame.number, seen))
-    assert sum(len(seen) for _, seen in found) > 0
-    beside = directory.path / "plain"
-    beside.mkdir()
-    with DetectionsWriter(beside / "detections.csv") as detections, TracksWriter(beside / "online.csv") as rows:
-        for (number, seen), tracks in zip(found, online, strict=True):
-            detections.append(number, seen)
-            rows.append(tracks)
-        rows.append(plain.flush())
-    write_tracks(beside / "tracks.csv", plain.finish())
-    pairs = ((rundir.DETECTIONS, "detections.csv"), (rundir.ONLINE, "online.csv"), (rundir.TRACKS, "tracks.csv"))
-    for ours, theirs in pairs:
-        assert directory.file(ours).read_bytes() == (beside / theirs).read_bytes()
 
 
 def test_an_interrupt_in_the_loop_stops_the_stages(job: Job, directory: rundir.RunDirectory) -> None:

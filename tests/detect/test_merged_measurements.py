@@ -258,6 +258,6 @@ def test_blobs_are_explained_where_a_background_model_finds_them(
     file.write_text("1,-1,10,10,20,30,0.9\n", encoding="utf-8")
     wanted = Wanted(str(folder), file if detections else None, detector, fps=25.0)
     choice = Choice(sets=sets)
-    job = prepare(wanted, choice, chosen(choice), "phdtrack track", video=False)
-    assert job.configured("merged_measurements", "kind") == kind
+    job = prepare(wanted, choice, chosen(choice), video=False)
+    assert job.configuration["merged_measurements"]["kind"] == kind
     assert isinstance(job.stages.explainer, MergedMeasurements) == (kind == "explained")

@@ -124,7 +124,7 @@ def groups(
         group_known(result, given, rundir.claim(out or Path("runs") / name, overwrite, NAMES))
         return
     settings = ground_settings(choice, camera)
-    job = prepare(wanted, choice, settings, command_line(), video=video)
+    job = prepare(wanted, choice, settings, video=video)
     job = with_groups(job, settings, () if edges is None else read_edges(edges))
     finish(result, job, rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite, NAMES))
 

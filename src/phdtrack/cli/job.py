@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import repeat
 from typing import TYPE_CHECKING
@@ -115,18 +115,15 @@ class Steps:
 class Job:
     """What is to be run.
 
-    ``configuration`` and ``read``, what was read and how, decide the result; ``command`` is the line that asked for it.
+    ``configuration`` and ``read``, what was read and how, decide the result; ``about`` has title, command, seed, versions.
     """
 
     inputs: Inputs
     stages: AnyStages
     steps: Steps
-    seed: int
     configuration: dict[str, object]
     read: dict[str, object]
-    command: str
-    title: str
-    versions: tuple[tuple[str, str], ...]
+    about: About
     truth: Truth | None = None
     video: bool = True
     observers: tuple[RunObserver, ...] = ()
@@ -200,15 +197,12 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
     if chain is not None:
         notes, doubts = (*notes, chain.sentence), (*doubts, *filter(None, [chain.warning]))
     warnings = (*_problems(job, done), *doubts)
-    about = About(
-        title=job.title,
-        command=job.command,
-        seed=job.seed,
+    about = replace(
+        job.about,
         started=started.isoformat(timespec="seconds"),
         seconds=time.perf_counter() - clock,
         tracking_seconds=done.seconds,
         left_out=done.left_out,
-        versions=job.versions,
         scores=() if scores is None else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
         warnings=warnings,
         notes=(*notes, WHICH),

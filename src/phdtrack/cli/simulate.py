@@ -119,7 +119,7 @@ def demo(
     from phdtrack.cli.evaluate import score_table
     from phdtrack.cli.job import announced, run
     from phdtrack.cli.settings import Choice, chosen
-    from phdtrack.cli.track import command_line, prepare
+    from phdtrack.cli.track import prepare
     from phdtrack.formats import write_truth
     from phdtrack.simulate import Look, make_scene
 
@@ -134,7 +134,7 @@ def demo(
     outcomes = []
     for filter_name, place in (("pmb", directory), ("none", rundir.claim(out / WITHOUT, overwrite))):
         choice = Choice(filter_name, seed=seed, truth=directory.file(DEMO_TRUTH))
-        job = prepare(Wanted(str(directory.file(VIDEO))), choice, chosen(choice), command_line(), video=True)
+        job = prepare(Wanted(str(directory.file(VIDEO))), choice, chosen(choice), video=True)
         with announced(result):
             outcome = run(job, place)
         for warning in outcome.warnings:

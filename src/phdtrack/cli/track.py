@@ -95,7 +95,7 @@ def track(
         rundir.check(out, overwrite)
     wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
     choice = Choice(filter_name, preset, config, tuple(sets or ()), seed, truth, threads, scene, learn_online, camera_motion)
-    job = prepare(wanted, choice, chosen(choice), command_line(), video=video)
+    job = prepare(wanted, choice, chosen(choice), video=video)
     directory = rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite)
     finish(result, job, directory)
 
@@ -170,7 +170,7 @@ def command_line() -> str:
     return shlex.join(["phdtrack", *sys.argv[1:]])
 
 
-def prepare(wanted: Wanted, choice: Choice, settings: Settings, command: str, *, video: bool) -> Job:
+def prepare(wanted: Wanted, choice: Choice, settings: Settings, *, video: bool) -> Job:
     """Everything that a run needs; ``settings`` are those `chosen`, or made of them.
 
     Raises
@@ -185,6 +185,7 @@ def prepare(wanted: Wanted, choice: Choice, settings: Settings, command: str, *,
     from phdtrack.cli.job import Job, Steps
     from phdtrack.cli.observers import mover_of, observers_of
     from phdtrack.formats import read_truth
+    from phdtrack.report import About
 
     truth = None if choice.truth is None else read_truth(choice.truth)
     if wanted.detections is None:
@@ -204,12 +205,9 @@ def prepare(wanted: Wanted, choice: Choice, settings: Settings, command: str, *,
         inputs=inputs,
         stages=stages,
         steps=Steps(stages, np.random.default_rng(choice.seed)),
-        seed=choice.seed,
         configuration=settings.as_dict(),
         read=read,
-        command=command,
-        title=inputs.name,
-        versions=installed_versions(),
+        about=About(inputs.name, command_line(), choice.seed, versions=installed_versions()),
         truth=truth,
         video=video,
         observers=observers_of(settings, inputs, stages.learning),

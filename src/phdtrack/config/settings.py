@@ -153,7 +153,12 @@ def _laid_over(settings: Settings, entries: Iterable[_Entry]) -> Settings:
         if entry.section not in SECTIONS:
             raise _unknown("section", entry.section, list(SECTIONS), entry.where)
         if entry.key == "kind" and entry.section != "detector":
-            _check_kind(entry)
+            kinds = list(SECTIONS[entry.section])
+            if kinds == [""]:
+                problem = f"[{entry.section}] comes in one kind only, got kind = {entry.value!r}"
+                raise InputError(problem, where=entry.where)
+            if not isinstance(entry.value, str) or entry.value not in kinds:
+                raise _unknown(f"kind of {entry.section}", str(entry.value), kinds, entry.where)
             if given.get(entry.section, {}).get("kind", settings.kind(entry.section)) != entry.value:
                 # Another kind has other settings.
                 given[entry.section] = {}
@@ -173,14 +178,6 @@ def _laid_over(settings: Settings, entries: Iterable[_Entry]) -> Settings:
             value = entry.value if entry.section == "detector" else _checked(merged, entry)
             given.setdefault(entry.section, {})[entry.key] = value
     return merged
-
-
-def _check_kind(entry: _Entry) -> None:
-    kinds = list(SECTIONS[entry.section])
-    if kinds == [""]:
-        raise InputError(f"[{entry.section}] comes in one kind only, got kind = {entry.value!r}", where=entry.where)
-    if not isinstance(entry.value, str) or entry.value not in kinds:
-        raise _unknown(f"kind of {entry.section}", str(entry.value), kinds, entry.where)
 
 
 def _checked(settings: Settings, entry: _Entry) -> Any:
