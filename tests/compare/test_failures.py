@@ -9,7 +9,7 @@ import pytest
 from compare_cases import FRAMES, small
 
 from phdtrack.compare import Comparison, run
-from phdtrack.compare.failures import MIN_SECONDS_BETWEEN, _chosen, _conditions, _mistakes, worst_frames, write_frames
+from phdtrack.compare.failures import _conditions, _mistakes, worst_frames, write_frames
 from phdtrack.compare.store import RunResult
 
 
@@ -39,23 +39,6 @@ def test_mistakes_of_all_frames_are_those_of_the_scores(comparison: Comparison) 
             assert sum(len(frame.found) for frame in drawn) == outcome.scores.matches
             each = [len(frame.missed) + len(frame.false) + int(frame.switched.sum()) for frame in drawn]
             np.testing.assert_array_equal(one.errors[1:], each)
-
-
-def test_the_frames_are_those_of_the_greatest_difference_and_apart(comparison: Comparison) -> None:
-    conditions = list(_conditions(comparison, comparison.plan.cases[0].sequence))
-    values = {
-        "differ most": [np.ptp(one.errors, axis=0) for one in conditions],
-        "most mistakes": [one.errors.sum(axis=0) for one in conditions],
-    }
-    place = {id(condition): i for i, condition in enumerate(conditions)}
-    for number in (1, 5):
-        chosen = [(place[id(condition)], frame, why.split(", ")) for condition, frame, why in _chosen(conditions, number)]
-        assert len({(i, frame) for i, frame, _ in chosen}) == len(chosen)
-        for why, each in values.items():
-            frames = [(i, frame) for i, frame, reasons in chosen if why in reasons]
-            # Whatever else is shown, the worst is.
-            assert max(each[i][frame] for i, frame in frames) == max(int(one.max()) for one in each)
-            assert all(abs(a - b) >= MIN_SECONDS_BETWEEN * 25 for k, (_, a) in enumerate(frames) for _, b in frames[:k])
 
 
 def test_pictures_are_written_and_show_something(comparison: Comparison, tmp_path: Path) -> None:

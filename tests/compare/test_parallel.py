@@ -62,7 +62,3 @@ def test_ctrl_c_in_compiled_code_is_no_failed_run() -> None:
     assert next(found) == (0, 4)
     with pytest.raises(KeyboardInterrupt):
         next(found)
-
-
-def test_nothing_to_do_starts_nothing() -> None:
-    assert list(outcomes([], 4)) == []

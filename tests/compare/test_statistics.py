@@ -19,12 +19,6 @@ def test_two_values_have_the_widest_interval() -> None:
     assert not found.clear
 
 
-def test_five_values() -> None:
-    found = interval([1.0, 2.0, 3.0, 4.0, 5.0])
-    assert found.half == pytest.approx(2.776 * math.sqrt(2.5 / 5), abs=1e-3)
-    assert found.clear
-
-
 def test_one_value_has_no_interval_and_none_no_mean() -> None:
     assert (interval([0.7]).mean, interval([0.7]).low, interval([0.7]).high) == (0.7, 0.7, 0.7)
     assert math.isnan(interval([0.7]).half)

@@ -9,7 +9,7 @@ from compare_cases import small
 
 from phdtrack.compare import Comparison, Summary, check_scores, run, summary
 from phdtrack.compare.plans import Run
-from phdtrack.compare.results import notes, sentences, table, written
+from phdtrack.compare.results import sentences, table, written
 from phdtrack.compare.runs import Failed
 from phdtrack.compare.statistics import Row, interval
 from phdtrack.compare.store import RunResult
@@ -108,10 +108,3 @@ def test_a_best_is_named_only_where_it_is_more_than_chance(comparison: Compariso
     assert sentences(still, Summary((d, e))) == ("Without added clutter e has the highest MOTA, 0.200; d 0.100.",)
     # One seed tells nothing from chance.
     assert "not told apart" in sentences(still, Summary((made_up("f", [0.5]), made_up("g", [0.9]))))[0]
-
-
-def test_hints_fit_what_was_done(comparison: Comparison) -> None:
-    found, again = summary(comparison), replace(comparison, reused=1)
-    assert "say --jobs 1" in notes(found, again, in_turn=False)[0]
-    assert "--overwrite" in notes(found, again, in_turn=True)[0]
-    assert notes(found, comparison, in_turn=True)[0].endswith("extraction and association.")

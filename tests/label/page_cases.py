@@ -45,7 +45,7 @@ def session(labels: Path, boxes: int, waiting_for: Path | None = None):
 
     from phdtrack.label import LabelStore
     from phdtrack.label.session import Session
-    from phdtrack.label.suggestions import Background, Ready, Suggestions
+    from phdtrack.label.suggestions import Answer, Background, Suggestions
     from phdtrack.types import Detections, DetectionTable, SequenceInfo
 
     across = int(np.ceil(np.sqrt(boxes * 4 / 3)))
@@ -71,7 +71,7 @@ def session(labels: Path, boxes: int, waiting_for: Path | None = None):
             time.sleep(0.02)
         return found
 
-    suggester = Ready(found) if waiting_for is None else Background(waits)
+    suggester = (lambda: Answer(1.0, found)) if waiting_for is None else Background(waits)
     return Session(store, table, stills, SequenceInfo(*SIZE, 25.0, FRAMES, "drawn"), suggester)
 
 

@@ -13,10 +13,10 @@ def some(count=3):
 
 def settled(background):
     for _ in range(1000):
-        if background.answer().suggestions is not None or background.answer().problem:
+        if background().suggestions is not None or background().problem:
             break
         time.sleep(0.01)
-    return background.answer()
+    return background()
 
 
 def test_the_share_is_told_while_it_works():
@@ -29,10 +29,10 @@ def test_the_share_is_told_while_it_works():
 
     background = Background(work)
     for _ in range(1000):
-        if background.answer().share:
+        if background().share:
             break
         time.sleep(0.01)
-    assert (background.answer().share, background.answer().suggestions) == (0.25, None)
+    assert (background().share, background().suggestions) == (0.25, None)
     go.set()
     assert len(settled(background).suggestions) == 3
 

@@ -4,7 +4,8 @@ import pytest
 from page_cases import session
 from starlette.testclient import TestClient
 
-from phdtrack.label.page import COOKIE, POLICY, Guard, label_app
+from phdtrack.errors import InputError
+from phdtrack.label.page import COOKIE, POLICY, Guard, label_app, listen
 
 HOST = "127.0.0.1:8000"
 
@@ -73,20 +74,10 @@ def test_nothing_else_can_be_read(app, path):
 
 
 def test_an_address_beyond_this_machine_needs_a_token():
-    from phdtrack.label.page import listen
-
     for host, needed in (("127.0.0.1", False), ("localhost", False), ("0.0.0.0", True)):
         address = listen(host)
+        with pytest.raises(InputError, match="cannot listen on"):
+            listen(host, address.listening.getsockname()[1])
         address.listening.close()
         assert bool(address.token) is needed
         assert ("token=" in address.url) is needed
-
-
-def test_a_port_that_is_taken_is_told():
-    from phdtrack.errors import InputError
-    from phdtrack.label.page import listen
-
-    address = listen()
-    with pytest.raises(InputError, match="cannot listen on"):
-        listen(port=address.listening.getsockname()[1])
-    address.listening.close()

@@ -82,6 +82,7 @@ def test_the_map_shows_where_false_boxes_were_marked(page):
         ("marks", {"marks": []}, "a mark or more"),
         ("marks", marks(0) | {"key": "x" * 200}, "a short text as key"),
         ("undo", [1], "a JSON object"),
+        ("undo", ["x" * 5_000_000], "at most"),
     ],
 )
 def test_what_cannot_be_used_is_told_and_changes_nothing(page, path, sent, words):
@@ -89,13 +90,6 @@ def test_what_cannot_be_used_is_told_and_changes_nothing(page, path, sent, words
     assert answer.status_code == 400
     assert words in answer.json()["error"]
     assert page.get("/api/overview").json()["progress"]["false"] == 0
-
-
-def test_unknown_orders_and_endless_bodies(page):
-    assert page.post("/api/frame/1/erase", json={}).status_code == 404
-    answer = page.post("/api/frame/1/marks", content=b"x" * 5_000_000)
-    assert answer.status_code == 400
-    assert "at most" in answer.json()["error"]
 
 
 def test_suggestions_leave_out_what_is_marked(page):

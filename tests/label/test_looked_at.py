@@ -61,15 +61,6 @@ def test_of_a_stretch_only_its_frames_count(tmp_path):
     assert share_followed(store, run, range(3, 4)) == 0.5
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_false_alarms_and_objects_are_all_that_was_detected_there(tmp_path, seed):
-    rng = np.random.default_rng(seed)
-    false = [(int(f), k) for f in (2, 3, 4, 5) for k in np.flatnonzero(rng.random(3) < 0.5).tolist()]
-    store = marked(tmp_path, *false)
-    both = np.hstack([false_boxes(store, TABLE), object_boxes(store, TABLE)])
-    np.testing.assert_array_equal(in_order(both), in_order(boxes(*[(f, k) for f in (2, 4) for k in range(3)])))
-
-
 def test_the_share_of_false_alarms_on_which_tracks_rest(tmp_path):
     """By hand: of three on frames 2 and 4 two are followed, (2 + 1)/(3 + 2); of others, and of objects, nothing is asked."""
     store = marked(tmp_path, *FALSE)

@@ -20,7 +20,7 @@ def false(frame, *boxes):
 
 def test_a_mark_is_there_and_can_be_taken_back(store):
     store.mark(10, false(10, 0, 3))
-    store.mark(10, [Label(10, 3, "none"), Label(10, 5, "birth")])
+    store.mark(10, [Label(10, 3, "none"), Label(10, 5, "false"), Label(10, 5, "birth")])
     assert store.labels() == [Label(10, 0, "false"), Label(10, 5, "birth")]
     assert store.steps(10) == (2, 0)
     store.undo(10)
@@ -36,19 +36,13 @@ def test_a_mark_is_there_and_can_be_taken_back(store):
     assert store.labels(10) == [Label(10, 0, "false"), Label(10, 5, "birth")]
 
 
-def test_undoing_belongs_to_a_frame(store):
-    store.mark(10, false(10, 1))
+def test_one_action_may_reach_over_frames(store):
+    store.mark(10, false(10, 1) + false(20, 4) + false(30, 0))
     store.mark(20, false(20, 2))
+    assert len(store.labels()) == 4
     store.undo(30)
     store.undo(10)
     assert store.labels() == false(20, 2)
-
-
-def test_one_action_may_reach_over_frames(store):
-    store.mark(10, false(10, 1) + false(20, 4) + false(30, 0))
-    assert len(store.labels()) == 3
-    store.undo(10)
-    assert store.labels() == []
 
 
 def test_what_was_undone_does_not_return_after_something_new(store):
@@ -113,13 +107,6 @@ def test_what_is_sent_twice_counts_once(store):
     assert store.progress().done == 1
 
 
-def test_a_key_of_what_failed_may_be_used_again(store):
-    with pytest.raises(InputError):
-        store.mark(10, [Label(10, 0, "maybe")], key="a")
-    store.mark(10, false(10, 0), key="a")
-    assert store.labels() == false(10, 0)
-
-
 def test_many_people_at_once_lose_no_click(store):
     def person(who):
         own = LabelStore(store.path)
@@ -142,15 +129,3 @@ def test_a_process_that_is_killed_loses_no_click_that_was_kept(store):
     done = subprocess.run([sys.executable, "-c", program], check=False)
     assert done.returncode == -9
     assert store.labels() == false(10, *range(25))
-
-
-def test_labels_are_exported(store, tmp_path):
-    store.mark(10, [*false(10, 3), Label(20, 1, "birth")])
-    assert store.export(tmp_path / "labels.csv") == 2
-    assert (tmp_path / "labels.csv").read_text().split() == ["frame,box,mark", "10,3,false", "20,1,birth"]
-
-
-def test_of_two_marks_on_one_box_in_one_action_the_last_counts(tmp_path):
-    store = LabelStore.open(tmp_path / "labels", "a", "d", [1])
-    store.mark(1, [Label(1, 0, "false"), Label(1, 0, "birth")])
-    assert store.labels() == [Label(1, 0, "birth")]

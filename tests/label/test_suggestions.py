@@ -39,7 +39,6 @@ def measured(table: DetectionTable, truth: Truth, info: SequenceInfo):
     for name, mine in {**{r: found.reason == k for k, r in enumerate(REASONS)}, "all": found.score >= TICKED}.items():
         hit = false[rows[mine & (found.score >= TICKED)]]
         out[name] = (len(hit), hit.mean() if len(hit) else np.nan, hit.sum() / every)
-        print(f"{info.name}: {name}: {out[name][0]} ticked, precision {out[name][1]:.3f}, recall {out[name][2]:.3f}")
     return out
 
 

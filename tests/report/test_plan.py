@@ -57,15 +57,11 @@ def test_the_field_of_view_and_edges_lie_behind() -> None:
     assert colour_at(image, 9.0, 6.3) == pytest.approx([80, 120, 150], abs=30)
 
 
-def test_detections_are_crosses_and_those_without_a_place_are_left_out() -> None:
-    image = PLAN.draw(scene(detections=np.array([[5.3, np.nan, 1e6], [3.3, 2.0, 0.0]])))
-    assert colour_at(image, 5.3, 3.3).max() < 120
-    assert (PLAN.draw(scene(detections=np.array([[np.nan], [1.0]])))[20:] == PLAN.draw(scene())[20:]).all()
-
-
-def test_a_warning_is_a_line_between_the_groups() -> None:
+def test_detections_and_warnings_are_drawn_where_they_have_a_place() -> None:
     two = (group(1, ()), PlanGroup(2, 1.0, 0.0, np.array([6.0, 1.0]), np.zeros(2), ()))
-    image = PLAN.draw(scene(groups=two, encounters=((1, 2, 1.5), (1, 7, 2.0))))
+    crosses = np.array([[5.3, np.nan, 1e6], [7.3, 2.0, 0.0]])
+    image = PLAN.draw(scene(groups=two, encounters=((1, 2, 1.5), (1, 7, 2.0)), detections=crosses))
+    assert colour_at(image, 5.3, 7.3).max() < 120
     quarter = np.array([-6.0, 8.0]) + 0.25 * np.array([12.0, -7.0])
     assert colour_at(image, *quarter) == pytest.approx([60, 60, 208], abs=40)
 

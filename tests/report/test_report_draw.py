@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack.errors import InputError
-from phdtrack.report import Annotator, annotate
-from phdtrack.report.drawing import COLOURS, identity_colour, ink_on
+from phdtrack.report import Annotator
+from phdtrack.report.drawing import COLOURS, identity_colour
 from phdtrack.types import Detections, SequenceInfo, Tracks
 
 BOX = (100.0, 80.0, 140.0, 200.0)
@@ -25,6 +25,11 @@ def rows(*boxes: tuple[float, ...], frame: int = 1, identity: int = 1, seen: boo
         np.full(n, 0 if seen else -1),
         np.full(n, confirmed),
     )
+
+
+def annotate(image: np.ndarray, *given: object, **more: object) -> np.ndarray:
+    """One frame without trails."""
+    return Annotator(SequenceInfo(320, 240, 25.0))(image, *given, **more)  # type: ignore[arg-type]
 
 
 def coloured(image: np.ndarray, identity: int = 1) -> np.ndarray:
@@ -52,32 +57,12 @@ def test_an_unconfirmed_box_is_faint_and_has_no_label() -> None:
     assert (faint[60:78, 100:130] == 90).all()
 
 
-def test_the_picture_received_is_not_written_into() -> None:
-    image = GREY.copy()
-    image.flags.writeable = False
-    out = annotate(image, 1, rows(BOX), Detections.of([[10, 10, 50, 50]]), mass=1.0)
-    assert (image == 90).all()
-    assert out is not image
-    assert (out != 90).any()
-
-
 def test_a_false_alarm_is_crossed_out() -> None:
     found = Detections.of([BOX])
     believed = annotate(GREY, 1, Tracks.empty(), found, clutter_probability=np.array([0.2]))
     doubted = annotate(GREY, 1, Tracks.empty(), found, clutter_probability=np.array([0.9]))
     assert (believed[130:150, 110:130] == 90).all()
     assert (doubted[130:150, 110:130] != 90).any()
-
-
-def test_line_width_grows_with_the_frame() -> None:
-    def width(scale: int) -> int:
-        image = np.zeros((240 * scale, 320 * scale, 3), np.uint8)
-        out = annotate(image, 1, rows(tuple(scale * v for v in BOX)), Detections.empty())
-        return int(coloured(out)[150 * scale, : 120 * scale].sum())
-
-    assert width(1) == 1
-    assert 2 <= width(2) <= 4
-    assert 5 <= width(9) <= 12
 
 
 def test_trails_follow_the_feet_and_fade() -> None:
@@ -90,15 +75,12 @@ def test_trails_follow_the_feet_and_fade() -> None:
     assert (strength[:105] == 0).all()  # beyond one second: forgotten
 
 
-def test_trails_end_when_the_track_does_and_at_reset() -> None:
+def test_trails_end_when_the_track_does() -> None:
     annotator = Annotator(SequenceInfo(320, 240, 10.0), trail_seconds=1.0)
     for number in (1, 2, 3):
         annotator(GREY, number, rows((50.0 * number, 80, 50.0 * number + 20, 150), frame=number), Detections.empty())
     assert (annotator(GREY, 5, Tracks.empty(), Detections.empty())[100:] != 90).any()
     assert (annotator(GREY, 40, Tracks.empty(), Detections.empty())[100:] == 90).all()
-    annotator(GREY, 41, rows(BOX, frame=41), Detections.empty())
-    annotator.reset()
-    assert (annotator(GREY, 42, Tracks.empty(), Detections.empty())[100:] == 90).all()
 
 
 wild = st.floats(allow_nan=True, allow_infinity=True, width=32) | st.floats(-20, 90)
@@ -142,9 +124,3 @@ def test_neighbouring_identities_differ_for_every_sight(sight: str) -> None:
     seen = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     lab = cv2.cvtColor(seen[None].astype(np.float32), cv2.COLOR_RGB2LAB)[0]
     assert np.linalg.norm(lab - np.roll(lab, 1, axis=0), axis=1).min() > 40
-
-
-def test_colours_are_stable_and_their_ink_legible() -> None:
-    assert identity_colour(3) == identity_colour(3 + len(COLOURS)) != identity_colour(4)
-    for colour in (*COLOURS, (0, 0, 0), (255, 255, 255)):
-        assert abs(sum(ink_on(colour)) / 3 - np.dot(colour, (0.3, 0.59, 0.11))) > 90

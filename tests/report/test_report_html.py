@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from report_runs import run_record
 
+from phdtrack.errors import InputError
 from phdtrack.metrics import evaluate
 from phdtrack.report import About, Recorder, report_html, write_report
 from phdtrack.report.rendering import environment
@@ -140,13 +141,19 @@ def test_an_empty_run_has_a_report() -> None:
     assert page.images == []
 
 
-@pytest.mark.parametrize(("frames", "objects"), [(1, 1), (5, 0), (1, 0)])
-@pytest.mark.parametrize("video", [True, False])
-def test_small_runs_have_a_report(frames: int, objects: int, video: bool) -> None:
-    source = report_html(run_record(frames, objects, video=video), {})
+@settings(max_examples=4, deadline=None)
+@given(st.integers(0, 30), st.integers(0, 6), st.booleans(), st.booleans())
+def test_a_report_of_any_size_is_well_formed(frames: int, objects: int, video: bool, truth: bool) -> None:
+    source = report_html(run_record(frames, objects, video=video, truth=truth), {})
     Page(source)
     offline(source)
-    assert ("The detector found nothing." in source) == (objects == 0)
+    assert ("The detector found nothing." in source) == (objects == 0 < frames)
+
+
+def test_a_report_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"file/report\.html.*could not be written"):
+        write_report(tmp_path / "file" / "report.html", run_record(1))
 
 
 def test_a_filter_without_mass_or_judgement_has_a_report() -> None:

@@ -16,37 +16,16 @@ from phdtrack.report.rendering import counted, duration, grouped, percent
 from phdtrack.report.run_json import flattened, json_value
 from phdtrack.types import SequenceInfo, Tracks
 
-KEYS = [
-    "command",
-    "title",
-    "summary",
-    "versions",
-    "seed",
-    "started",
-    "seconds",
-    "source",
-    "frames",
-    "frames_per_second",
-    "stages",
-    "tracks",
-    "track_rows",
-    "predicted_rows",
-    "detections",
-    "expected_false_alarms",
-    "expected_count_mean",
-    "scores",
-    "warnings",
-    "notes",
-    "configuration",
-    "frames_left_out",
-    "chain",
-]
+KEYS = """
+command title summary versions seed started seconds source frames frames_per_second stages tracks track_rows predicted_rows
+detections expected_false_alarms expected_count_mean scores warnings notes configuration frames_left_out chain
+"""
 
 
 def test_keys_and_values() -> None:
     about = About("T", "c", 5, "now", 2.5, (("phdtrack", "1"),), (("MOTA", 0.5), ("GOSPA", float("nan"))), ("w",), ("n",))
     document = run_document(run_record(9, 2, about=about), {"filter": {"name": "gm"}})
-    assert list(document) == KEYS
+    assert list(document) == KEYS.split()
     assert document["scores"] == {"MOTA": 0.5, "GOSPA": None}
     assert document["versions"] == {"phdtrack": "1"}
     assert (document["frames"], document["tracks"], document["detections"]) == (9, 2, 18)
@@ -78,24 +57,12 @@ class Setting:
 def test_values_of_every_kind_become_json() -> None:
     value = {
         "array": np.array([1.0, np.inf]),
-        "scalar": np.float64("nan"),
-        "whole": np.int64(3),
         "truth": np.True_,
-        "tuple": (1, "a", None),
-        "path": Path("a") / "b",
-        "setting": Setting(float("inf"), Path("x")),
+        "tuple": (1, "a"),
+        "setting": Setting(np.nan, Path("x")),
         3: 1,
     }
-    expected = {
-        "array": [1.0, None],
-        "scalar": None,
-        "whole": 3,
-        "truth": True,
-        "tuple": [1, "a", None],
-        "path": str(Path("a") / "b"),
-        "setting": {"rate": None, "place": "x"},
-        "3": 1,
-    }
+    expected = {"array": [1.0, None], "truth": True, "tuple": [1, "a"], "setting": {"rate": None, "place": "x"}, "3": 1}
     assert json_value(value) == expected
     assert json_value(value)["truth"] is True
 

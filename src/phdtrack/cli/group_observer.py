@@ -14,7 +14,6 @@ from typing import Self
 
 import cv2
 import numpy as np
-from markupsafe import Markup
 
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.job import places
@@ -264,7 +263,7 @@ class Story(RunObserver):
 
             yield draw
 
-    def section(self) -> Markup:
+    def section(self) -> str:
         """Counts, plan, events and warnings for the report."""
         return group_sections(replace(self._series(), stills=self._stills()))
 

@@ -20,7 +20,6 @@ from itertools import repeat
 from typing import TYPE_CHECKING
 
 import numpy as np
-from markupsafe import Markup
 from numba.core import event
 
 from phdtrack import pipeline
@@ -375,7 +374,7 @@ def _reason(stop: Stop) -> str:
 
 def _written(job: Job, directory: RunDirectory, record: RunRecord, *, complete: bool) -> dict[str, object]:
     """Report and run.json; the latter's content."""
-    more = Markup("\n").join(observer.section() for observer in job.observers)
+    more = "\n".join(observer.section() for observer in job.observers)
     write_report(directory.file(rundir.REPORT), record, job.configuration | {"input": job.read}, more)
     document = run_document(record, job.configuration)
     about = {"complete": complete, "input": job.read, "directory": str(directory.path)}

@@ -76,7 +76,7 @@ def label(
     from phdtrack.label.births import clip
     from phdtrack.label.page import label_app
     from phdtrack.label.session import Session, sampled
-    from phdtrack.label.suggestions import NOTHING, Background, Ready
+    from phdtrack.label.suggestions import NOTHING, Answer, Background
 
     result, settings = Output(), load(config, tuple(sets or ()))
     wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
@@ -88,9 +88,8 @@ def label(
     pictures = stills(found.source, fps, set(numbers), around)
     address = listen(host, port)
     kept = file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
-    suggester = (
-        Background(lambda advance: suggestions(found, settings, numbers, kept, advance)) if suggest else Ready(NOTHING)
-    )
+    work = Background(lambda advance: suggestions(found, settings, numbers, kept, advance)) if suggest else None
+    suggester = work or (lambda: Answer(1.0, NOTHING))
     session = Session(store, found.table, pictures, found.info, suggester)
     progress = store.progress()
     result.say(f"{counted(progress.frames, 'frame')}, {progress.done} of them looked at; the marks are kept in {file}")

@@ -10,8 +10,6 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict
 from typing import Any
 
-from markupsafe import Markup
-
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import Inputs
 from phdtrack.cli.output import counted
@@ -60,9 +58,9 @@ class RunObserver:
         """Its video: a function of each frame's number and annotated picture, which is empty without ``pictures``."""
         return nullcontext(lambda number, picture: None)
 
-    def section(self) -> Markup:
+    def section(self) -> str:
         """Its section of the report."""
-        return Markup()
+        return ""
 
     def sentences(self) -> tuple[str, ...]:
         """The same in a few words, for the terminal."""
@@ -109,7 +107,7 @@ class CameraObserver(RunObserver):
                 self._file.append(step.number, step.warp)
         self._first = False
 
-    def section(self) -> Markup:
+    def section(self) -> str:
         """How far the camera went."""
         return camera_section(self.sentences())
 
@@ -135,7 +133,7 @@ class RatesObserver(RunObserver):
         if known.learned.rates.number == step.number:
             self._course.append(known.learned.rates)
 
-    def section(self) -> Markup:
+    def section(self) -> str:
         """The rates over time."""
         return rates_section(self._course, self._rule)
 
@@ -185,7 +183,7 @@ class SceneObserver(RunObserver):
         for file, mode in zip(rundir.SCENES, self._modes(), strict=False):
             write_scene(directory.file(file), self._learning.scene(mode, self._source))
 
-    def section(self) -> Markup:
+    def section(self) -> str:
         """Rates over time, and what changed."""
         rule = self._learning.rule
         return learning_section(self._course, rule.memory / 60, rule.rate)

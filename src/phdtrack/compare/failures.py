@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,8 +27,7 @@ MIN_SECONDS_BETWEEN = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scored:
-    """A method's tracks under a condition, matched with the truth. ``errors`` (F + 1,) mistakes in each frame, by its
-    number."""
+    """A method's tracks under a condition, matched with the truth. ``errors`` (F + 1,) are mistakes by number of frame."""
 
     method: str
     tracks: Tracks
@@ -135,17 +135,13 @@ def _value(errors: I8, why: str) -> I8:
 def _pictures(sequence: SequenceFiles, numbers: set[int]) -> dict[int, Image]:
     """The frames of these numbers, as far as the source can be read."""
     found: dict[int, Image] = {}
-    if not sequence.source or not numbers:
-        return found
-    try:
-        for frame in open_source(sequence.source):
+    # Where the source cannot be read the boxes can be seen without the picture.
+    with suppress(InputError):
+        for frame in open_source(sequence.source) if sequence.source and numbers else ():
             if frame.number in numbers:
                 found[frame.number] = frame.image.copy()
             if frame.number >= max(numbers):
                 break
-    except InputError:
-        # The boxes can be seen without the picture.
-        return found
     return found
 
 

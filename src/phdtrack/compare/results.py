@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,33 +17,22 @@ from phdtrack.compare.statistics import OTHERS, SCORES, SHOWN, Interval, Row, Su
 from phdtrack.errors import InputError
 from phdtrack.report.charts import MethodScores, Picture, jpeg, score_bars, score_lines
 from phdtrack.report.record import About
-from phdtrack.report.rendering import lines, page, score_direction
+from phdtrack.report.rendering import lines, render, score_direction
 from phdtrack.report.run_json import flattened
 
-_COUNTS = (
-    "id_switches",
-    "misses",
-    "false_positives",
-    "fragments",
-    "false_tracks",
-    "mostly_tracked",
-    "mostly_lost",
-    "tracks",
-)
-_DIGITS = {"ms": 2, "boxes_per_frame": 2, "delay_mean": 1} | dict.fromkeys(_COUNTS, 1)
+_COUNTS = "id_switches misses false_positives fragments false_tracks mostly_tracked mostly_lost tracks"
+_DIGITS = {"ms": 2, "boxes_per_frame": 2, "delay_mean": 1} | dict.fromkeys(_COUNTS.split(), 1)
 _LABELS = {"id_switches": "switches", "ms": "ms per frame"}
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
+class Table(NamedTuple):
     """Lines of text under a head: sequence, detections, clutter and filter, then scores."""
 
     head: tuple[str, ...]
     rows: Sequence[tuple[str, ...]]
 
 
-@dataclass(frozen=True, slots=True)
-class _Shown:
+class _Shown(NamedTuple):
     """A picture with its caption, which is its alternative text too."""
 
     picture: Picture
@@ -137,17 +126,9 @@ def document_of(row: Row) -> dict[str, object]:
         {name: {"mean": one.mean, "half": one.half, "seeds": one.count} for name, one in part.items()}
         for part in (row.values, row.ahead)
     )
-    return {
-        "sequence": row.sequence,
-        "detections": row.detections,
-        "cases": row.cases,
-        "clutter": row.rate,
-        "filter": row.method,
-        "random": row.random,
-        "failed": row.failed,
-        "scores": scores,
-        "ahead": ahead,
-    }
+    where = {"sequence": row.sequence, "detections": row.detections, "cases": row.cases, "clutter": row.rate}
+    run = {"filter": row.method, "random": row.random, "failed": row.failed}
+    return {**where, **run, "scores": scores, "ahead": ahead}
 
 
 def described(plan: Plan) -> str:
@@ -184,9 +165,9 @@ def notes(found: Summary, comparison: Comparison, *, in_turn: bool) -> tuple[str
     -------
     Sentences.
     """
-    still = dict.fromkeys(row.method for row in found.rows if not row.random and not row.failed)
     many = len(comparison.plan.seeds) > 1
-    return lines("comparison_notes.txt", still=list(still) if many else [], in_turn=in_turn, kept=comparison.reused > 0)
+    still = dict.fromkeys(row.method for row in found.rows if many and not row.random and not row.failed)
+    return lines("comparison_notes.txt", still=list(still), in_turn=in_turn, kept=comparison.reused > 0)
 
 
 def comparison_page(
@@ -213,7 +194,7 @@ def comparison_page(
     ]
     settings = {method.name: method.settings.as_dict() for method in plan.methods}
     more = {"input": given, "clutter": list(plan.rates), "seeds": list(plan.seeds), "iou": plan.iou}
-    return page(
+    return render(
         "comparison.html",
         title=about.title,
         source=described(plan),

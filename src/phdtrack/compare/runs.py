@@ -1,10 +1,8 @@
 """A comparison from plan to results: what is kept already is taken, everything else is run and kept.
 
 First every detector looks at every video once. Then each cell runs with its first seed, and with the others where they may
-give
-something else, because clutter was added or something was drawn at random. Work is shared out to processes: one that dies,
-of
-memory for example, is reported as failed, and another takes its place.
+give something else, because clutter was added or something was drawn at random. Work is shared out to processes: one that
+dies, of memory for example, is reported as failed, and another takes its place.
 """
 
 from __future__ import annotations
@@ -26,20 +24,9 @@ from typing import TypeVar
 import numpy as np
 
 from phdtrack import config, pipeline
+from phdtrack.compare import store
 from phdtrack.compare.plans import Case, Cell, DetectorRun, Plan, Run
-from phdtrack.compare.store import (
-    DETECTIONS,
-    TRACKS,
-    RunResult,
-    changed,
-    decides_detections,
-    decides_run,
-    digest,
-    kept,
-    read_about,
-    whole,
-    write_about,
-)
+from phdtrack.compare.store import DETECTIONS, RunResult
 from phdtrack.detect import make_detector
 from phdtrack.detect.convert import within_frame
 from phdtrack.errors import InputError, interrupted
@@ -85,6 +72,11 @@ class Comparison:
         found = self.results.get(Run(cell, seed).place)
         return self.results[Run(cell, self.plan.seeds[0]).place] if found is None else found
 
+    def is_random(self, cell: Cell) -> bool:
+        """Whether another seed may give something else."""
+        first = self.result(cell, self.plan.seeds[0])
+        return isinstance(first, Failed) or first.drawn
+
     @property
     def runs(self) -> list[tuple[Run, RunResult | Failed]]:
         """All runs that were needed, in the plan's order."""
@@ -127,7 +119,7 @@ def run(plan: Plan, folder: Path, jobs: int = 1, *, anew: bool = False, advance:
         work.detect()
         work.track([run for run in plan.runs if run.seed == plan.seeds[0]])
         others = [run for run in plan.runs if run.seed != plan.seeds[0]]
-        needed = [run for run in others if run.cell.rate or work.is_random(run.cell)]
+        needed = [run for run in others if run.cell.rate or work.done.is_random(run.cell)]
         work.count(len(others) - len(needed))
         work.track(needed)
     finally:
@@ -161,15 +153,16 @@ class _Work:
         """Every detector on its videos, where that is not kept."""
         todo: list[Detect] = []
         for case in self.done.plan.cases:
-            decided_by = decides_detections(case)
-            self.digests[case.place] = digest(decided_by)
+            decided_by = store.decides_detections(case)
+            self.digests[case.place] = store.digest(decided_by)
             if not isinstance(case.detections, DetectorRun):
                 continue
             place = self.done.detected[case.place] = self.done.folder / "detections" / case.place
-            if self.anew or read_about(place).get("digest") != digest(decided_by) or not (place / DETECTIONS).is_file():
-                todo.append(Detect(case, place, decided_by))
-            else:
+            there = store.read_about(place).get("digest") == self.digests[case.place] and (place / DETECTIONS).is_file()
+            if there and not self.anew:
                 self.count()
+            else:
+                todo.append(Detect(case, place, decided_by))
         for number, result in outcomes(todo, self.jobs):
             if isinstance(result, Failed):
                 self.done.detected[todo[number].case.place] = result
@@ -181,29 +174,21 @@ class _Work:
         for run in runs:
             case, place = run.cell.case.place, self.done.folder / run.place
             detected = self.done.detected.get(case)
-            if isinstance(detected, Failed):
-                self.done.results[run.place] = detected
-                self.count()
-                continue
-            decided_by = decides_run(run, self.digests[case], self.done.plan.iou)
-            before = None if self.anew else kept(place, decided_by)
+            decided_by = store.decides_run(run, self.digests[case], self.done.plan.iou)
+            before = detected if isinstance(detected, Failed) else None if self.anew else store.kept(place, decided_by)
             if before is not None:
                 self.done.results[run.place] = before
-                self.done.reused += 1
+                self.done.reused += isinstance(before, RunResult)
                 self.count()
                 continue
+            assert not isinstance(detected, Failed)
             todo.append(Track(run, self.done.plan.iou, place, detected, decided_by))
-            earlier = {} if self.anew else read_about(place).get("decided_by", {})
-            new = changed(earlier, decided_by) if earlier else []
+            earlier = {} if self.anew else store.read_about(place).get("decided_by", {})
+            new = store.changed(earlier, decided_by) if earlier else []
             self.done.outdated += [name for name in new if name not in self.done.outdated]
         for number, result in outcomes(todo, self.jobs):
             self.done.results[todo[number].run.place] = result
             self.count()
-
-    def is_random(self, cell: Cell) -> bool:
-        """Whether another seed may give something else."""
-        first = self.done.results[Run(cell, self.done.plan.seeds[0]).place]
-        return isinstance(first, Failed) or first.drawn
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +205,7 @@ class Detect:
         assert isinstance(given, DetectorRun)
         detector = make_detector(given.name, max_width=given.max_width, **given.parameters)
         source = open_source(self.case.sequence.source)
-        with whole(self.place) as folder:
+        with store.whole(self.place) as folder:
             began = time.perf_counter()
             with DetectionsWriter(folder / DETECTIONS) as writer:
                 for frame in source:
@@ -229,7 +214,7 @@ class Detect:
                     times.append(frame.time)
             seconds = (time.perf_counter() - began) / max(len(times), 1)
             about = {"seconds_per_frame": seconds, "warning": source.problem, "numbers": numbers, "times": times}
-            write_about(folder, self.decided_by, **about)
+            store.write_about(folder, self.decided_by, **about)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,7 +239,7 @@ def run_input(run: Run, detected: Path | None) -> RunInput:
     info, warnings = case.info, []
     if isinstance(case.detections, DetectorRun):
         assert detected is not None
-        about = read_about(detected)
+        about = store.read_about(detected)
         table, times = read_detections(detected / DETECTIONS), np.array(about["times"], np.float64)
         numbers = np.array(about["numbers"], np.int64)
         info = replace(info, frames=int(numbers.max(initial=0)))
@@ -295,11 +280,11 @@ class Track:
         numbers = (frames, len(given.table), len(np.unique(tracks.identity)), len(tracks))
         result = RunResult(*numbers, drawn, seconds, counts, self.iou, given.warning)
         scores = {} if result.scores is None else result.scores.as_dict()
-        with whole(self.place) as folder:
-            write_tracks(folder / TRACKS, tracks)
+        with store.whole(self.place) as folder:
+            write_tracks(folder / store.TRACKS, tracks)
             settings = self.run.cell.method.settings.as_dict()
             about = {"run": str(self.run), "scores": scores, "configuration": settings, "outcome": result}
-            write_about(folder, self.decided_by, **about)
+            store.write_about(folder, self.decided_by, **about)
         return result
 
 
@@ -318,11 +303,9 @@ def tracked(run: Run, given: RunInput) -> tuple[Tracks, bool, float]:
     return tracks, drawn, float(np.median(seconds)) if seconds else 0.0
 
 
-def _position(rng: np.random.Generator) -> tuple[str, int]:
+def _position(rng: np.random.Generator) -> tuple[str, object]:
     """What a generator has drawn and spawned moves this on."""
-    seeds = rng.bit_generator.seed_seq
-    children = seeds.n_children_spawned if isinstance(seeds, np.random.SeedSequence) else 0
-    return str(rng.bit_generator.state), children
+    return str(rng.bit_generator.state), getattr(rng.bit_generator.seed_seq, "n_children_spawned", 0)
 
 
 def outcomes(work: Sequence[Callable[[], T]], jobs: int) -> Iterator[tuple[int, T | Failed]]:

@@ -11,10 +11,10 @@ import json
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -35,11 +35,6 @@ _NO_RESULT = ("cli", "label", "report", "compare", "detect", "video", "groups", 
 _DETECTING = ("detect", "video", "formats", _RUNS)
 # Sections of the settings on which no track depends; the detector's are among what decides the detections.
 _NO_TRACK = ("detector", "groups", "contours", "life_cycle", "encounters")
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-T = TypeVar("T", bound="DataclassInstance")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +103,9 @@ def kept(folder: Path, decided_by: Mapping[str, object]) -> RunResult | None:
     if document.get("digest") != digest(decided_by) or not (folder / TRACKS).is_file():
         return None
     try:
-        return _from_json(RunResult, document["outcome"])
+        outcome = dict(document["outcome"])
+        counts = outcome.pop("counts")
+        return RunResult(**outcome, counts=None if counts is None else _record(Counts, counts))
     except (KeyError, TypeError, ValueError):
         return None
 
@@ -119,16 +116,16 @@ def digest(value: Mapping[str, object]) -> str:
     return hashlib.sha256(text.encode("utf-8", "backslashreplace")).hexdigest()[:32]
 
 
-@lru_cache(maxsize=4096)
-def _contents(path: Path, changed: int) -> str:
-    return _digest_of([path])
-
-
 def contents(path: Path) -> str:
     """The digest of a file's contents; a folder stands for the images in it. A file is read again when its time changes."""
     if path.is_file():
         return _contents(path, path.stat().st_mtime_ns)
     return _digest_of(sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES))
+
+
+@lru_cache(maxsize=4096)
+def _contents(path: Path, changed: int) -> str:
+    return _digest_of([path])
 
 
 def decides_run(run: Run, detections: str, iou: float) -> dict[str, object]:
@@ -212,15 +209,8 @@ def _files(value: object) -> list[str]:
     return [value] if isinstance(value, str) and value and Path(value).is_file() else []
 
 
-def _from_json(kind: type[T], values: Mapping[str, Any]) -> T:
-    """A frozen record of plain values, arrays and such records, from what JSON made of it."""
+def _record(kind: type[Any], values: Mapping[str, Any]) -> Any:
+    """A record of numbers, arrays and such records, from what JSON made of it."""
     hints = get_type_hints(kind)
-    out: dict[str, Any] = {}
-    for entry in fields(kind):
-        hint, value = hints[entry.name], values[entry.name]
-        if hint == Counts | None:
-            hint = Counts
-        if value is not None and is_dataclass(hint) and isinstance(hint, type):
-            value = _from_json(hint, value)
-        out[entry.name] = np.array(value) if isinstance(value, list) else value
-    return kind(**out)
+    made = {name: _record(hints[name], value) if isinstance(value, dict) else value for name, value in values.items()}
+    return kind(**{name: np.array(value) if isinstance(value, list) else value for name, value in made.items()})

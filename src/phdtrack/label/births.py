@@ -1,9 +1,9 @@
-"""Births marked by hand: in which frames somebody looked for them, and the states that they give [M09 §IV].
+"""Births marked by hand: in which frames births were looked for, and the states that they give [M09 §IV].
 
-A drawn frame is hardly ever the one in which somebody enters. So births are looked for on the short clip about each drawn
-frame, and the mark goes on the first box of whoever was not there in the frame before. Nothing comes before the first frame
-of a clip: births are not counted on it. Then every frame that is counted has been searched, and the number of marks over
-the number of these frames, each once where clips overlap, is the rate of births without bias.
+A drawn frame is hardly ever the one in which a target enters. So births are looked for on the short clip about each drawn
+frame, and the mark goes on the first box of a target that was not there in the frame before. Nothing comes before the first
+frame of a clip: births are not counted on it. The number of marks over the number of the other frames, each once where clips
+overlap, is the rate of births without bias.
 """
 
 from __future__ import annotations
@@ -70,9 +70,7 @@ def birth_states(
 
     Parameters
     ----------
-    store, table, info : the labels, the detections that they are on, the sequence.
-    rate : time units a second.
-    stretch : the frames that count; all where it is None.
+    store, table, info, rate, stretch : as in `time_watched`.
 
     Returns
     -------

@@ -4,8 +4,7 @@ Only the browser on this machine, or a client with the token, may talk to it:
 
 * ``Host`` must be one that the server was started for: a foreign name that leads here (DNS rebinding) is refused.
 * What changes anything must come from the page itself: ``Origin``, where sent, must be the server's, and a header is
-required
-  that no form on another site can send.
+  required that no form on another site can send.
 * With a token, every request must bring it: as ``?token=…`` the first time, then as a cookie that only this server gets.
 * Every answer has a content security policy that lets the page load from here and from nowhere else.
 """
@@ -59,56 +58,40 @@ _KEPT = {"Cache-Control": "private, max-age=86400, immutable"}
 def label_app(session: Session) -> Starlette:
     """The application; `Guard` belongs around it."""
 
-    def number(request: Request) -> int:
-        return int(request.path_params["number"])
-
-    def page(request: Request, sent: dict[str, Any]) -> Response:
-        return Response((STATIC / "label.html").read_bytes(), media_type="text/html; charset=utf-8")
-
-    def overview(request: Request, sent: dict[str, Any]) -> Response:
-        return JSONResponse(session.overview())
-
-    def frame(request: Request, sent: dict[str, Any]) -> Response:
-        return JSONResponse(session.frame(number(request)))
+    def values(request: Request) -> list[int]:
+        """The numbers of the frame and, where the address has one, of the box."""
+        return [int(request.path_params[name]) for name in ("number", "box") if name in request.path_params]
 
     def still(request: Request, sent: dict[str, Any]) -> Response:
-        session.frame(number(request))
-        return Response(session.still(number(request)), media_type="image/jpeg", headers=_KEPT)
-
-    def crop(request: Request, sent: dict[str, Any]) -> Response:
-        data = session.crop(number(request), int(request.path_params["box"]))
-        return Response(data, media_type="image/jpeg", headers=_KEPT)
-
-    def alike(request: Request, sent: dict[str, Any]) -> Response:
-        return JSONResponse(session.alike(number(request), int(request.path_params["box"])))
-
-    def suggestions(request: Request, sent: dict[str, Any]) -> Response:
-        return JSONResponse(session.suggestions())
+        session.frame(*values(request))
+        return Response(session.still(*values(request)), media_type="image/jpeg", headers=_KEPT)
 
     def place_map(request: Request, sent: dict[str, Any]) -> Response:
         mark: Mark = "birth" if request.path_params["mark"] == "birth" else "false"
         return Response(session.place_map(mark), media_type="image/png")
 
     def export(request: Request, sent: dict[str, Any]) -> Response:
-        lines = ["frame,box,mark", *(f"{x.frame},{x.box},{x.mark}" for x in session.store.labels())]
         name = {"Content-Disposition": 'attachment; filename="labels.csv"'}
-        return PlainTextResponse("\n".join(lines) + "\n", media_type="text/csv", headers=name)
+        return PlainTextResponse(session.store.csv(), media_type="text/csv", headers=name)
 
-    def change(request: Request, sent: dict[str, Any]) -> Response:
-        return _changed(session, number(request), request.path_params["what"], sent)
-
+    answers: dict[str, Callable[[Request, dict[str, Any]], Response]] = {
+        "/": lambda request, sent: Response((STATIC / "label.html").read_bytes(), media_type="text/html; charset=utf-8"),
+        "/api/overview": lambda request, sent: JSONResponse(session.overview()),
+        "/api/frame/{number:int}": lambda request, sent: JSONResponse(session.frame(*values(request))),
+        "/api/frame/{number:int}/alike/{box:int}": lambda request, sent: JSONResponse(session.alike(*values(request))),
+        "/api/suggestions": lambda request, sent: JSONResponse(session.suggestions()),
+        "/api/map/{mark:str}.png": place_map,
+        "/api/labels.csv": export,
+        "/still/{number:int}.jpg": still,
+        "/crop/{number:int}/{box:int}.jpg": lambda request, sent: Response(
+            session.crop(*values(request)), media_type="image/jpeg", headers=_KEPT
+        ),
+    }
+    change = _answer(lambda request, sent: _changed(session, request, sent))
     return Starlette(
         routes=[
-            Route("/", _answer(page)),
-            Route("/api/overview", _answer(overview)),
-            Route("/api/frame/{number:int}", _answer(frame)),
-            Route("/api/frame/{number:int}/alike/{box:int}", _answer(alike)),
-            Route("/api/frame/{number:int}/{what:str}", _answer(change), methods=["POST"]),
-            Route("/api/suggestions", _answer(suggestions)),
-            Route("/api/map/{mark:str}.png", _answer(place_map)),
-            Route("/api/labels.csv", _answer(export)),
-            Route("/still/{number:int}.jpg", _answer(still)),
-            Route("/crop/{number:int}/{box:int}.jpg", _answer(crop)),
+            *(Route(path, _answer(work)) for path, work in answers.items()),
+            Route("/api/frame/{number:int}/{what:str}", change, methods=["POST"]),
             Mount("/static", StaticFiles(directory=STATIC)),
         ]
     )
@@ -127,8 +110,9 @@ def _answer(work: Callable[[Request, dict[str, Any]], Response]) -> Callable[[Re
     return endpoint
 
 
-def _changed(session: Session, number: int, what: str, sent: dict[str, Any]) -> Response:
+def _changed(session: Session, request: Request, sent: dict[str, Any]) -> Response:
     """Change the marks of a frame as the page asks; the frame as it is then."""
+    number, what = int(request.path_params["number"]), request.path_params["what"]
     store, key = session.store, _text(sent, "key")
     match what:
         case "marks":

@@ -3,8 +3,8 @@ suggestions, what was learned so far."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.errors import InputError
 from phdtrack.label.births import all_frames, clip
 from phdtrack.label.store import Label, LabelStore, Mark
-from phdtrack.label.suggestions import ALIKE, NOTHING, REASONS, TICKED, Ready, Suggester
+from phdtrack.label.suggestions import ALIKE, NOTHING, REASONS, TICKED, Answer
 from phdtrack.scene import RecursiveEM
 from phdtrack.scene.mixture import place_map
 from phdtrack.scene.training import box_density
@@ -24,8 +24,8 @@ _MAP_WIDTH = 320
 # Red and green, as blue, green, red.
 _COLOURS: Mapping[str, tuple[int, int, int]] = {"false": (40, 40, 220), "birth": (90, 170, 30)}
 _OUTLINE = (62, 210, 255)
-# More crops than these nobody looks through at once; the next ones follow when these are dealt with.
-_CROPS = 600
+# Crops that are shown at once; the next ones follow when these are dealt with. Their size in pixels.
+_CROPS, _SIDE = 600, 96
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +40,7 @@ class Session:
     table: DetectionTable
     stills: Mapping[int, bytes]
     info: SequenceInfo
-    suggester: Suggester = field(default_factory=lambda: Ready(NOTHING))
+    suggester: Callable[[], Answer] = lambda: Answer(1.0, NOTHING)
 
     def overview(self) -> dict[str, object]:
         """Size, name, the frames with how far each is, and the progress."""
@@ -52,12 +52,7 @@ class Session:
             "height": self.info.height,
             "fps": self.info.fps,
             "frames": [{"number": number, "done": done, "clip": [c.start, c.stop - 1]} for number, done, c in clips],
-            "progress": {
-                "done": progress.done,
-                "frames": progress.frames,
-                "false": progress.false,
-                "births": progress.births,
-            },
+            "progress": asdict(progress),
         }
 
     def frame(self, number: int) -> dict[str, object]:
@@ -77,8 +72,8 @@ class Session:
         """The picture of a frame as JPEG."""
         return self.stills[number] if number in self.stills else _jpeg(self._grey())
 
-    def crop(self, number: int, box: int, side: int = 96) -> bytes:
-        """The picture of one detection, outlined, with what is around it, as JPEG: at most ``side`` pixels wide and high."""
+    def crop(self, number: int, box: int) -> bytes:
+        """The picture of one detection, outlined, with what is around it, as JPEG of at most 96 × 96 pixels."""
         image = self._picture(number)
         height, width = image.shape[:2]
         left, top, right, bottom = self._box(number, box) * width / self.info.width
@@ -86,8 +81,8 @@ class Session:
         x, y = max(0, int(left - margin)), max(0, int(top - margin))
         part = image[y : min(height, int(bottom + margin) + 1), x : min(width, int(right + margin) + 1)]
         if part.size == 0:
-            part = self._grey()[:side, :side]
-        scale = side / max(part.shape[:2])
+            part = self._grey()[:_SIDE, :_SIDE]
+        scale = _SIDE / max(part.shape[:2])
         size = (max(1, round(part.shape[1] * scale)), max(1, round(part.shape[0] * scale)))
         drawn = cv2.resize(part, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
         corners = [(round(scale * (a - x)), round(scale * (b - y))) for a, b in ((left, top), (right, bottom))]
@@ -110,7 +105,7 @@ class Session:
         ``ticked`` is the score from which it is taken for false unless somebody says otherwise, ``more`` the number of
         suggestions that are left out for now.
         """
-        answer = self.suggester.answer()
+        answer = self.suggester()
         marked = {(label.frame, label.box) for label in self.store.labels()}
         found = answer.suggestions or NOTHING
         columns = (found.frame, found.box, found.reason, found.score.round(3), found.place)
@@ -129,7 +124,7 @@ class Session:
         scale = min(1.0, _MAP_WIDTH / self.info.width)
         shape = (max(1, round(self.info.height * scale)), max(1, round(self.info.width * scale)))
         picture = np.zeros((*shape, 4), np.uint8)
-        boxes = marked_boxes(self.store.labels(), self.table, mark)
+        boxes = _marked(self.store.labels(), self.table, mark)
         if boxes.shape[1] >= _FEWEST:
             size = (float(self.info.width), float(self.info.height))
             density = box_density(boxes, size, RecursiveEM())
@@ -171,9 +166,15 @@ class Session:
 
 
 def sampled(last: int, count: int, seed: int) -> list[int]:
-    """``count`` of the frames 1 … last, or all where there are fewer, drawn at random and in random order."""
-    rng = np.random.default_rng(seed)
-    return [int(number) for number in rng.permutation(last)[:count] + 1]
+    """Frames drawn at random, in random order.
+
+    Parameters
+    ----------
+    last : they are drawn from 1 … last.
+    count : how many; all where there are fewer.
+    seed : the same seed gives the same frames.
+    """
+    return [int(number) for number in np.random.default_rng(seed).permutation(last)[:count] + 1]
 
 
 def looked_at(store: LabelStore, stretch: range | None = None) -> list[int]:
@@ -182,30 +183,48 @@ def looked_at(store: LabelStore, stretch: range | None = None) -> list[int]:
 
 
 def false_boxes(store: LabelStore, table: DetectionTable, stretch: range | None = None) -> F8:
-    """(4, n) centres and sizes of all boxes of ``table`` that are marked as false on frames that were `looked_at`.
+    """The boxes that are marked as false on frames that were `looked_at`: on other frames more may be false.
 
-    On other frames more may be false: marking all like one marks some of them.
+    Parameters
+    ----------
+    store, table : the labels, and the detections that they are on.
+    stretch : the frames that count; all where it is None.
+
+    Returns
+    -------
+    (4, n) centres and sizes, pixels.
     """
     done = set(looked_at(store, stretch))
-    return marked_boxes([label for label in store.labels() if label.frame in done], table, "false")
+    return _marked([label for label in store.labels() if label.frame in done], table, "false")
 
 
 def object_boxes(store: LabelStore, table: DetectionTable, stretch: range | None = None) -> F8:
-    """(4, n) centres and sizes of all boxes of ``table`` that are not marked as false on frames that were `looked_at`."""
-    false = _false(store)
-    found = [
-        box
-        for number in looked_at(store, stretch)
-        for k, box in enumerate(table.at(number).xyxy)
-        if (number, k) not in false
-    ]
+    """The boxes that are not marked as false on frames that were `looked_at`.
+
+    Parameters
+    ----------
+    store, table, stretch : as in `false_boxes`.
+
+    Returns
+    -------
+    (4, n) centres and sizes, pixels.
+    """
+    false, done = _false(store), looked_at(store, stretch)
+    found = [box for frame in done for k, box in enumerate(table.at(frame).xyxy) if (frame, k) not in false]
     return to_cxcywh(np.array(found).reshape(-1, 4))
 
 
 def share_followed(store: LabelStore, tracks: Tracks, stretch: range | None = None) -> float:
-    """The share of the false alarms on which rows of ``tracks`` rest, of those marked on frames that were `looked_at`.
+    """The share of the false alarms marked on frames that were `looked_at` on which tracks rest.
 
-    By Laplace's rule: (k + 1)/(n + 2) for k of n, because of none of few it is not known that none ever will be.
+    Parameters
+    ----------
+    store, stretch : as in `false_boxes`.
+    tracks : made of the same detections.
+
+    Returns
+    -------
+    (k + 1)/(n + 2) for k of n, Laplace's rule: none of a few does not mean that there never will be one.
     """
     done = set(looked_at(store, stretch))
     false = {pair for pair in _false(store) if pair[0] in done}
@@ -218,7 +237,7 @@ def _false(store: LabelStore) -> set[tuple[int, int]]:
     return {(label.frame, label.box) for label in store.labels() if label.mark == "false"}
 
 
-def marked_boxes(labels: Sequence[Label], table: DetectionTable, mark: Mark) -> F8:
+def _marked(labels: Sequence[Label], table: DetectionTable, mark: Mark) -> F8:
     """(4, n) centres and sizes of the boxes of ``table`` that carry this mark."""
     boxes = [table.at(label.frame).xyxy[label.box] for label in labels if label.mark == mark]
     return to_cxcywh(np.array(boxes).reshape(-1, 4))

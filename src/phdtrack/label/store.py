@@ -1,16 +1,12 @@
 """Labels of detections in one SQLite file: every mark is kept the moment it is made, by however many people at once.
 
-A file is a list of actions, each of one or more marks; nothing is ever overwritten. What a box is, is said by the last
-mark on it whose action is not undone. So undoing is a flag, two people who mark the same box both keep their click, and the
-later one counts.
-
-A page that does not know whether its click arrived sends it again. So everything that changes a file may carry a ``key``,
-and what carries one that the file has seen changes nothing.
+A file is a list of actions, each of one or more marks; nothing is ever overwritten. The last mark on a box whose action is
+not undone counts. So undoing is a flag, and of two people who mark the same box both keep their click. A page that does not
+know whether its click arrived sends it again: what carries a ``key`` that the file has seen changes nothing.
 """
 
 from __future__ import annotations
 
-import csv
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -21,7 +17,7 @@ from typing import Literal, get_args
 from phdtrack.errors import InputError
 
 Mark = Literal["false", "birth", "none"]
-"""``false``: the detector is wrong there. ``birth``: somebody enters there. ``none``: neither, after all."""
+"""``false``: the detector is wrong there. ``birth``: a target enters there. ``none``: neither, after all."""
 MARKS: tuple[str, ...] = get_args(Mark)
 FORMAT = "1"
 _PATIENCE = 30.0
@@ -76,10 +72,17 @@ class LabelStore:
 
     @classmethod
     def open(cls, path: Path, source: str, digest: str, frames: Sequence[int]) -> LabelStore:
-        """The file for ``source`` whose detections have ``digest``; made where there is none, gone on with where there is.
+        """The labels of some detections; the file is made where there is none, gone on with where there is.
 
-        ``frames`` are the numbers to label, in the order to show them; those that a file holds already stay, in front.
-        Raises `InputError` where the file is another's, or no file of labels.
+        Parameters
+        ----------
+        path : of the file.
+        source, digest : name of the video or file, and a digest of its detections.
+        frames : numbers to label, in the order to show them; those that a file holds already stay, in front.
+
+        Raises
+        ------
+        InputError : the file is that of other detections, or no file of labels.
         """
         store = cls(path)
         try:
@@ -87,7 +90,12 @@ class LabelStore:
                 db.executescript("PRAGMA journal_mode = WAL;" + _TABLES)
                 with db:
                     known = dict(db.execute("SELECT name, value FROM about"))
-                    if problem := _stranger(known, source, digest):
+                    if known.get("format", FORMAT) != FORMAT:
+                        raise InputError(f"expected labels of format {FORMAT}, got {known['format']!r}", where=path)
+                    if known.get("detections", digest) != digest:
+                        problem = (
+                            f"the labels are those of other detections (of {known.get('source')}), not of these of {source}"
+                        )
                         raise InputError(problem, where=path, cure="Give another --labels file, or the detections of then")
                     about = {"format": FORMAT, "source": source, "detections": digest}
                     db.executemany("INSERT OR IGNORE INTO about VALUES (?, ?)", about.items())
@@ -99,7 +107,18 @@ class LabelStore:
         return store
 
     def mark(self, frame: int, marks: Iterable[Label], who: str = "", key: str = "") -> None:
-        """Keep the ``marks`` that somebody made while looking at ``frame``, as one action; of two on one box the last."""
+        """Keep marks as one action; of two on one box the last counts.
+
+        Parameters
+        ----------
+        frame : that was looked at meanwhile; the marks may be on others.
+        marks : one or more.
+        who, key : a name, and what tells that the same is sent again.
+
+        Raises
+        ------
+        InputError : no mark, or an unknown one.
+        """
         rows = list(marks)
         if not rows:
             raise InputError("expected a mark or more", where=f"frame {frame}")
@@ -123,7 +142,14 @@ class LabelStore:
         self._turn("SELECT min(id) FROM action WHERE frame = ? AND undone = 1", frame, 0, key)
 
     def finish(self, frame: int, done: bool = True, key: str = "") -> None:
-        """Say that ``frame`` has been looked at, or has not after all. A frame without false boxes is one too."""
+        """Say that a frame has been looked at. One without false boxes is looked at too.
+
+        Parameters
+        ----------
+        frame : its number.
+        done : False where it has not been looked at after all.
+        key : as in `mark`.
+        """
         with self._change(key) as db:
             db.execute("UPDATE frame SET done = ? WHERE number = ?", (int(done), frame))
 
@@ -153,14 +179,10 @@ class LabelStore:
         births = sum(label.mark == "birth" for label in labels)
         return Progress(sum(done for _, done in listed), len(listed), len(labels) - births, births)
 
-    def export(self, path: Path) -> int:
-        """Write the labels as CSV: frame, box, mark; how many."""
-        labels = self.labels()
-        with path.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(("frame", "box", "mark"))
-            writer.writerows((label.frame, label.box, label.mark) for label in labels)
-        return len(labels)
+    def csv(self) -> str:
+        """The labels as CSV: frame, box, mark."""
+        lines = ["frame,box,mark", *(f"{label.frame},{label.box},{label.mark}" for label in self.labels())]
+        return "\n".join(lines) + "\n"
 
     def _turn(self, which: str, frame: int, undone: int, key: str) -> None:
         with self._change(key) as db:
@@ -195,14 +217,3 @@ class LabelStore:
             yield db
         finally:
             db.close()
-
-
-def _stranger(known: dict[str, str], source: str, digest: str) -> str:
-    """Why a file that says this of itself is not the one for ``source``; nothing if it is, or is new."""
-    if not known:
-        return ""
-    if known.get("format") != FORMAT:
-        return f"expected labels of format {FORMAT}, got {known.get('format')!r}"
-    if known.get("detections") != digest:
-        return f"the labels are those of other detections (of {known.get('source')}), not of these of {source}"
-    return ""

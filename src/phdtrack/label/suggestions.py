@@ -2,20 +2,18 @@
 
 Three reasons, each with a score from 0 to 1:
 
-``place``     Its place fires too often. A *still* detection is one that no track holds that goes somewhere there. Such ones
-              at one place and of one size (IoU ≥ ½) come from something that stays: from an object, on n frames with
-              n ~ Poisson(s · fps) if it stays for s seconds; and these are the frames of one stay, in few runs. A place
-              that fires does so all along: the n of T frames in which it does are drawn at random, with n(T − n + 1)/T
-              runs [Wald and Wolfowitz 1940], or, where it fires in bursts, it leaves hardly any s seconds out. The score
-              is P(N < n), times how far one of the two holds.
-``rejected``  The filter did not believe it and no track rests on it: its posterior probability κ/(κ + C) of being clutter.
-``short``     The filter believed it, but its track was short and went nowhere, or too short to be one. At most 0.4, halved
-              with each second of its life: of such detections more are true than false, so that they are only shown.
+``place``     Its place fires too often. A *still* detection is one that no track holds that moves there. Such ones at one
+              place and of one size (IoU ≥ ½) come from something that stays: from an object, on n frames with
+              n ~ Poisson(s · fps) if it stays for s seconds, in few runs. A place that fires does so all along: the n of T
+              frames in which it does are drawn at random, with n(T − n + 1)/T runs [Wald and Wolfowitz 1940], or, where it
+              fires in bursts, it leaves hardly any s seconds out. The score is P(N < n), times how far one of the two holds.
+``rejected``  The filter took it for clutter and no track rests on it: its posterior probability κ/(κ + C) of being clutter.
+``short``     Its track was short and hardly moved, or there were too few detections for a track. At most 0.4, halved with
+              each second of its life: of such detections more are true than false, so that they are only shown.
 
 None of them is proof. A person who sits there for the whole stretch looks like a place that fires; one who is hidden half of
-the time, in a crowd, is rejected.
-
-Suggestions may be made in a thread while somebody labels already (`Background`), and are kept in a file for the next time.
+the time, in a crowd, is rejected. Suggestions may be made in a thread while a person labels already (`Background`), and are
+kept in a file for the next time.
 """
 
 from __future__ import annotations
@@ -24,16 +22,15 @@ import json
 import math
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal, Protocol, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
 from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks
 
-_COLUMNS = ("frame", "box", "reason", "score", "place")
 Reason = Literal["place", "rejected", "short"]
 REASONS: tuple[Reason, ...] = get_args(Reason)
 # Above this score a suggestion is taken for false until somebody says otherwise; below the other nothing is suggested.
@@ -97,7 +94,18 @@ NOTHING = Suggestions(_NONE, _NONE, _NONE, np.zeros(0), _NONE)
 
 
 def suggest(evidence: Evidence, frames: Sequence[int], fps: float) -> Suggestions:
-    """What may be false among the detections of ``frames``; those outside the stretch have nothing to suggest."""
+    """What may be false among the detections of some frames.
+
+    Parameters
+    ----------
+    evidence : of the whole stretch.
+    frames : whose detections are asked about; those outside the stretch have nothing to suggest.
+    fps : frames per second.
+
+    Returns
+    -------
+    Worst first.
+    """
     table = evidence.table
     own = _tracks_of(table, evidence.tracks)
     speed, span = _lives(table, own, fps)
@@ -153,8 +161,8 @@ def _places(evidence: Evidence, still: Bool, asked: Bool, fps: float) -> tuple[I
     frame, xyxy = evidence.table.frame, evidence.table.detections.xyxy
     rows, candidates = np.flatnonzero(still), np.flatnonzero(asked)
     where, score = np.full(len(frame), -1), np.zeros(len(frame))
-    everything, members, stretch = _Near(xyxy[rows]), _Near(xyxy[candidates]), (evidence.first, evidence.last)
-    fired = [frame[rows[everything.alike(box)]] for box in xyxy[candidates]]
+    stretch = evidence.first, evidence.last
+    fired = [frame[rows[_alike(box, xyxy[rows])]] for box in xyxy[candidates]]
     likely = np.array([_fires(hits, stretch, fps) for hits in fired])
     seeds, numbers = np.zeros((0, 4)), list[int]()
     # The middle of a place has the most around it.
@@ -163,7 +171,7 @@ def _places(evidence: Evidence, still: Bool, asked: Bool, fps: float) -> tuple[I
             break
         if where[candidates[seed]] < 0:
             box = xyxy[candidates[seed]]
-            alike = candidates[members.alike(box)]
+            alike = candidates[_alike(box, xyxy[candidates])]
             alike = alike[where[alike] < 0]
             numbers.append(_number(box, seeds, numbers))
             seeds = np.vstack([seeds, box])
@@ -197,21 +205,9 @@ def _rising(value: float, between: tuple[float, float]) -> float:
     return min(1.0, max(0.0, (value - between[0]) / (between[1] - between[0])))
 
 
-class _Near:
-    """Boxes (n, 4) in order of their centres, so that few of them are compared with each."""
-
-    def __init__(self, xyxy: F8) -> None:
-        centre = (xyxy[:, 0] + xyxy[:, 2]) / 2
-        self._order = np.argsort(centre, kind="stable")
-        self._centre, self._xyxy = centre[self._order], xyxy[self._order]
-
-    def alike(self, box: F8) -> I8:
-        """Which boxes overlap with ``box`` (4,) enough to be in its place and of its size."""
-        # Boxes that share half of their union have centres no farther apart than this one is wide.
-        middle, width = (box[0] + box[2]) / 2, box[2] - box[0]
-        lo, hi = np.searchsorted(self._centre, [middle - width, middle + width])
-        out: I8 = self._order[lo + np.flatnonzero(iou(box[None], self._xyxy[lo:hi])[0] >= ALIKE)]
-        return out
+def _alike(box: F8, others: F8) -> I8:
+    """Which of ``others`` (n, 4) are in the place and of the size of ``box`` (4,)."""
+    return np.flatnonzero(iou(box[None], others)[0] >= ALIKE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,64 +219,53 @@ class Answer:
     problem: str = ""
 
 
-class Suggester(Protocol):
-    """Where a session has its suggestions from."""
-
-    def answer(self) -> Answer:
-        """What is known by now."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Ready:
-    """Suggestions that are there."""
-
-    suggestions: Suggestions
-
-    def answer(self) -> Answer:
-        """They are there."""
-        return Answer(1.0, self.suggestions)
-
-
 class Background:
-    """Does ``work`` in a thread of its own; that is told how to report its share, and raises where it fails."""
+    """Does ``work`` in a thread.
+
+    ``work`` gets a function that reports the share that is done, and raises where it fails.
+    """
 
     def __init__(self, work: Callable[[Callable[[float], None]], Suggestions]) -> None:
         self._work, self._answer = work, Answer(0.0)
-        # A daemon: who closes the page does not wait for suggestions.
+        # A daemon: the page can be closed before there are suggestions.
         threading.Thread(target=self._run, name="suggestions", daemon=True).start()
 
-    def answer(self) -> Answer:
+    def __call__(self) -> Answer:
         """What is known by now."""
         return self._answer
 
     def _run(self) -> None:
         try:
-            self._answer = Answer(1.0, self._work(self._told))
+            self._answer = Answer(1.0, self._work(self._advance))
         except Exception as error:
             self._answer = Answer(1.0, problem=str(error) or type(error).__name__)
 
-    def _told(self, share: float) -> None:
+    def _advance(self, share: float) -> None:
         self._answer = Answer(share)
 
 
 def kept(path: Path, key: str, make: Callable[[], Suggestions]) -> Suggestions:
-    """The suggestions in the file if they were made for ``key``; else those that ``make`` makes, kept there."""
+    """Suggestions from a file, or made and kept there.
+
+    Parameters
+    ----------
+    path : of the file.
+    key : those in the file count if they were made for the same.
+    make : makes them otherwise.
+
+    Returns
+    -------
+    The suggestions.
+    """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        if document["key"] == key:
-            frame, box, reason, score, place = (np.array(document[name]) for name in _COLUMNS)
-            return Suggestions(
-                frame.astype(np.int64),
-                box.astype(np.int64),
-                reason.astype(np.int64),
-                score.astype(np.float64),
-                place.astype(np.int64),
-            )
-    except (OSError, ValueError, KeyError, TypeError):
+        if document.pop("key") == key:
+            score = np.array(document.pop("score"), np.float64)
+            return Suggestions(score=score, **{name: np.array(column, np.int64) for name, column in document.items()})
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         pass  # There is none yet, or another program's: made anew.
     found = make()
-    columns = dict(zip(_COLUMNS, (found.frame, found.box, found.reason, found.score, found.place), strict=True))
-    document = {"key": key} | {name: column.tolist() for name, column in columns.items()}
+    document = {"key": key} | {name: column.tolist() for name, column in asdict(found).items()}
     part = path.with_name(path.name + ".part")
     part.write_text(json.dumps(document) + "\n", encoding="utf-8")
     part.replace(path)

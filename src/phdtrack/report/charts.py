@@ -1,8 +1,7 @@
 """The charts of reports as SVG, and the style that they share. Each function gives a `Picture`.
 
-`Figure` objects are made directly, so that neither pyplot nor a display is needed and no rcParams change. matplotlib takes
-half a second to import: it is imported where a figure is made. Long runs are thinned to block means, which the label of
-the time axis says: a chart cannot show more points than pixels.
+`Figure` objects are made directly: neither pyplot nor a display is needed and no rcParams change. matplotlib takes half a
+second to import: it is imported where a figure is made. Long runs are thinned to block means, as the time axis says.
 """
 
 from __future__ import annotations
@@ -11,14 +10,14 @@ import base64
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
 from markupsafe import Markup
 
 from phdtrack.report.drawing import identity_colour
-from phdtrack.report.record import RunRecord
+from phdtrack.report.record import STAGES, RunRecord, shrunk
 from phdtrack.scene.online import SceneUpdate
 from phdtrack.scene.rates import Rates, RatesLearning
 from phdtrack.types import F8, I8, Image
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 
 INK, _GRID = "#3a4250", "#dfe3ea"
 _BLUE, _ORANGE, _GREEN, _RED, _GREY = "#3b6fd4", "#e08a1e", "#2a9d74", "#c0504d", "#9aa5b8"
-_STAGES = (_GREY, _BLUE, _ORANGE, _GREEN, "#a45cc0", _RED)
+_STAGES = (_GREY, _BLUE, _ORANGE, _GREEN)
 _METHODS = ((_BLUE, "o"), (_ORANGE, "s"), (_GREEN, "D"), ("#a45cc0", "^"), (_RED, "v"), ("#7a8599", "P"))
 _WIDTH = 8.2
 _POINTS, _BARS = 1200, 200
@@ -93,10 +92,7 @@ def to_jpeg(figure: Figure) -> Picture:
 
 def jpeg(image: Image, max_width: int = 1400) -> Picture:
     """A picture (H, W, 3) BGR as JPEG, shrunk to ``max_width`` pixels where it is wider."""
-    high, wide = image.shape[:2]
-    if wide > max_width:
-        size = (max_width, round(high * max_width / wide))
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(image.dtype)
+    image = shrunk(image, max_width)
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 87])
     return Picture("image/jpeg", data.tobytes(), image.shape[1], image.shape[0])
 
@@ -104,12 +100,9 @@ def jpeg(image: Image, max_width: int = 1400) -> Picture:
 def thinned(values: F8 | I8, limit: int) -> F8:
     """(n, …) means over consecutive blocks of ``values`` (N, …), so that n ≤ ``limit``; unchanged where N ≤ ``limit``."""
     values = values.astype(np.float64)
-    block = _block(len(values), limit)
-    if block == 1:
-        return values
-    starts = np.arange(0, len(values), block)
+    starts = np.arange(0, len(values), _block(len(values), limit))
     counts = np.diff([*starts, len(values)]).reshape(-1, *[1] * (values.ndim - 1))
-    means: F8 = np.add.reduceat(values, starts, axis=0) / counts
+    means: F8 = np.add.reduceat(values, starts, axis=0) / counts if len(starts) else values
     return means
 
 
@@ -120,21 +113,17 @@ def count_chart(record: RunRecord) -> Picture:
     """
     series = record.series
     figure, axes = _time_axes(series.times, "objects in the frame", 3.1)
-    time = thinned(series.times, _POINTS)
     if len(series.count_range):
         # Half an object to either side: a number that is certain has a band too.
         low, high = thinned(series.count_range, _POINTS).T
         low, high = np.maximum(low - 0.5, 0), high + 0.5
+        time = thinned(series.times, _POINTS)
         axes.fill_between(time, low, high, step="mid", color=_BLUE, alpha=0.18, linewidth=0, label="number, 90 %")
-    detections = thinned(series.n_detections, _POINTS)
-    axes.plot(time, detections, ".", color=_GREY, markersize=3, alpha=0.7, label="detections")
+    _detections(axes, series.times, series.n_detections)
     if len(series.truth_count):
-        truth = thinned(series.truth_count, _POINTS)
-        axes.plot(time, truth, color=_GREEN, linewidth=5, alpha=0.4, drawstyle="steps-mid", label="truth")
-    tracks = thinned(record.track_count, _POINTS)
-    axes.plot(time, tracks, color=_ORANGE, linewidth=1.5, drawstyle="steps-mid", label="tracks")
-    mass = thinned(series.mass, _POINTS)
-    axes.plot(time, mass, color=_BLUE, linewidth=1.2, label="expected count (mass of the filter)")
+        _steps(axes, series.times, series.truth_count, color=_GREEN, linewidth=5, alpha=0.4, label="truth")
+    _steps(axes, series.times, record.track_count, color=_ORANGE, linewidth=1.5, label="tracks")
+    _plot(axes, series.times, series.mass, color=_BLUE, linewidth=1.2, label="expected count (mass of the filter)")
     axes.set_ylim(bottom=0)
     return _to_svg(figure)
 
@@ -146,14 +135,19 @@ def lifetime_chart(record: RunRecord) -> Picture:
     names, row = np.unique(record.tracks.identity, return_inverse=True)
     figure, axes = _time_axes(record.series.times, "identity", float(np.clip(0.8 + 0.17 * len(names), 1.6, 9.0)), limit=0)
     axes.grid(False, axis="y")
-    # All bars are one collection, which is fast with thousands, and become pixels where outlines would swell the file.
-    y, start, end, predicted = _stretches(record, row)
+    # A bar is a stretch of consecutive frames, all seen or all predicted. All bars are one collection, which is fast with
+    # thousands, and become pixels where outlines would swell the file.
+    order = np.lexsort((record.tracks.frame, record.tracks.predicted, row))
+    row, frame, predicted = row[order], record.tracks.frame[order], record.tracks.predicted[order]
+    cut = (np.diff(row) != 0) | np.diff(predicted) | (np.diff(frame) > 1)
+    first, last = np.flatnonzero(np.r_[True, cut]), np.flatnonzero(np.r_[cut, True])
+    seconds = np.interp(frame, record.series.numbers, record.series.times)
+    y, start, end = row[first], seconds[first], seconds[last] + _interval(record)
     corners = np.stack([np.stack([start, end, end, start], axis=1), y[:, None] + [-0.4, -0.4, 0.4, 0.4]], axis=2)
-    alpha = np.where(predicted, 0.35, 1.0).tolist()
+    alpha = np.where(predicted[first], 0.35, 1.0).tolist()
     colours = [(*(part / 255 for part in identity_colour(int(names[k]))), a) for k, a in zip(y, alpha, strict=True)]
     bars = PolyCollection(list(corners), facecolors=colours, linewidths=0, rasterized=len(y) > _OUTLINES)
-    axes.add_collection(bars, autolim=True)
-    axes.autoscale_view(scaley=False, scalex=not len(record.series))
+    axes.add_collection(bars, autolim=False)
     if len(names) <= _LABELLED_ROWS:
         axes.set_yticks(range(len(names)), names.astype(str))
     else:
@@ -171,8 +165,7 @@ def timing_chart(record: RunRecord) -> Picture:
     if len(table) == 1:
         time, table = time + np.array([0.0, _interval(record)]), np.repeat(table, 2, axis=0)
     if len(table):
-        colours = [_STAGES[k % len(_STAGES)] for k in range(len(series.stages))]
-        axes.stackplot(time, table.T, labels=series.stages, colors=colours, step="post", linewidth=0)
+        axes.stackplot(time, table.T, labels=STAGES, colors=_STAGES, step="post", linewidth=0)
         total = table.sum(axis=1)
         axes.set_ylim(0, max(min(1.25 * float(np.quantile(total, 0.97)), 1.05 * float(total.max())), 1e-3))
     return _to_svg(figure)
@@ -209,16 +202,13 @@ class GroupSeries:
 def group_chart(series: GroupSeries) -> Picture:
     """People, groups and raw detections over time [E13 Fig. 2]."""
     figure, axes = _time_axes(series.times, "number", 3.1)
-    time, people, deviation, groups = (
-        thinned(each, _POINTS) for each in (series.times, series.people, series.deviation, series.groups)
-    )
+    time, people, deviation = (thinned(each, _POINTS) for each in (series.times, series.people, series.deviation))
     if len(series.detections):
-        raw = thinned(series.detections, _POINTS)
-        axes.plot(time, raw, ".", color=_GREY, markersize=3, alpha=0.7, label="detections")
+        _detections(axes, series.times, series.detections)
     low = np.maximum(people - deviation, 0)
     axes.fill_between(time, low, people + deviation, color=_BLUE, alpha=0.25, linewidth=0, label="one deviation")
     axes.plot(time, people, color=_BLUE, linewidth=1.3, label="people estimated")
-    axes.plot(time, groups, color=_ORANGE, linewidth=1.5, drawstyle="steps-mid", label="groups")
+    _steps(axes, series.times, series.groups, color=_ORANGE, linewidth=1.5, label="groups")
     axes.set_ylim(bottom=0)
     return _to_svg(figure)
 
@@ -226,20 +216,13 @@ def group_chart(series: GroupSeries) -> Picture:
 def learning_chart(course: Sequence[SceneUpdate], rate: float) -> Picture:
     """What was learned of a scene over time: false alarms a frame, births a minute; bars below show when it was in use.
 
-    Parameters
-    ----------
-    course : what was known after each frame that taught something.
-    rate : time units of the model a second.
-
-    Returns
-    -------
-    The chart.
+    ``course`` is what was known after each frame that taught something, ``rate`` the model's time units a second.
     """
     axes = chart_axes(figure := new_figure(_WIDTH, 2.8), "time in seconds", "rate")
     time = np.array([one.time for one in course])
     clutter, births = np.array([one.clutter for one in course]), np.array([one.births for one in course]) * rate * 60
-    axes.plot(thinned(time, 600), thinned(clutter, 600), color=_RED, label="false alarms a frame")
-    axes.plot(thinned(time, 600), thinned(births, 600), color=_GREEN, label="births a minute")
+    _plot(axes, time, clutter, color=_RED, label="false alarms a frame")
+    _plot(axes, time, births, color=_GREEN, label="births a minute")
     unit = 0.01 * float(max(clutter.max(), births.max(), 1e-3))
     used = ((3, _RED, [one.clutter_used for one in course]), (7, _GREEN, [one.births_used for one in course]))
     for place, colour, known in used:
@@ -249,23 +232,24 @@ def learning_chart(course: Sequence[SceneUpdate], rate: float) -> Picture:
 
 
 def rates_chart(course: Sequence[Rates], rule: RatesLearning) -> Picture:
-    """Estimates of p_D and of false alarms over time, and beside it the odds of the best and the worst score."""
+    """Estimates of p_D and of false alarms over time, and at the right the odds of the best and the worst score."""
     figure = new_figure(_WIDTH, 2.6)
-    time = thinned(np.array([one.time for one in course]), 600)
-    left = chart_axes(figure, "time in seconds", "rate", 121)
     clutter = "false alarms, share" if rule.priors.clutter_each else "false alarms a frame"
-    left.plot(time, thinned(np.array([one.detection for one in course]), 600), color="#2b6cb0", label="p_D")
-    left.plot(time, thinned(np.array([one.clutter for one in course]), 600), color=_RED, label=clutter)
+    time, detection, alarms, best, worst = np.array(
+        [(one.time, one.detection, one.clutter, one.highest, one.lowest) for one in course]
+    ).T
+    left = chart_axes(figure, "time in seconds", "rate", 121)
+    _plot(left, time, detection, color="#2b6cb0", label="p_D")
+    _plot(left, time, alarms, color=_RED, label=clutter)
     right = chart_axes(figure, "time in seconds", "odds of a score", 122)
-    right.plot(time, thinned(np.array([one.highest for one in course]), 600), color=_GREEN, label="best")
-    right.plot(time, thinned(np.array([one.lowest for one in course]), 600), color="#8a6d3b", label="worst")
-    left.set_ylim(bottom=0)
-    right.set_ylim(bottom=0)
+    _plot(right, time, best, color=_GREEN, label="best")
+    _plot(right, time, worst, color="#8a6d3b", label="worst")
+    for axes in (left, right):
+        axes.set_ylim(bottom=0)
     return _to_svg(figure)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MethodScores:
+class MethodScores(NamedTuple):
     """A method's score at n places: ``mean``, and ``low`` and ``high`` (n,) ends of the interval; NaN where unknown."""
 
     label: str
@@ -276,8 +260,7 @@ class MethodScores:
     @property
     def reach(self) -> F8:
         """(2, n) how far the interval reaches below and above the mean."""
-        ends: F8 = np.abs(np.vstack([self.mean - self.low, self.high - self.mean]))
-        return ends
+        return np.abs(np.vstack([self.mean - self.low, self.high - self.mean]))
 
 
 def score_lines(x: F8, x_label: str, y_label: str, methods: Sequence[MethodScores]) -> Picture:
@@ -328,18 +311,6 @@ def score_bars(groups: Sequence[str], y_label: str, methods: Sequence[MethodScor
     return _to_svg(figure)
 
 
-def _stretches(record: RunRecord, row: I8) -> tuple[I8, F8, F8, I8]:
-    """Of consecutive frames of one identity, all seen or all predicted: row in the chart, start, end (seconds),
-    predicted."""
-    tracks = record.tracks
-    order = np.lexsort((tracks.frame, tracks.predicted, row))
-    row, frame, predicted = row[order], tracks.frame[order], tracks.predicted[order].astype(np.int64)
-    cut = (np.diff(row) != 0) | (np.diff(predicted) != 0) | (np.diff(frame) > 1)
-    first, last = np.flatnonzero(np.r_[True, cut])[: len(row)], np.flatnonzero(np.r_[cut, True])[: len(row)]
-    start, end = _seconds(record, frame[first]), _seconds(record, frame[last]) + _interval(record)
-    return row[first], start, end, predicted[first]
-
-
 def _interval(record: RunRecord) -> float:
     """The median time between frames in seconds, else that of the stated rate."""
     steps = np.diff(record.series.times)
@@ -348,14 +319,16 @@ def _interval(record: RunRecord) -> float:
     return float(np.median(steps)) if len(steps) else stated
 
 
-def _seconds(record: RunRecord, frames: I8) -> F8:
-    """Times of the frames; those beyond the run follow at the interval."""
-    numbers, times = record.series.numbers, record.series.times
-    if not len(numbers):
-        return (frames - 1).astype(np.float64) * _interval(record)
-    beyond = np.minimum(frames - numbers[0], 0) + np.maximum(frames - numbers[-1], 0)
-    seconds: F8 = np.interp(frames, numbers, times) + beyond * _interval(record)
-    return seconds
+def _plot(axes: Axes, times: F8, values: F8 | I8, *style: str, **look: Any) -> None:
+    axes.plot(thinned(times, _POINTS), thinned(values, _POINTS), *style, **look)
+
+
+def _steps(axes: Axes, times: F8, values: I8, **look: Any) -> None:
+    _plot(axes, times, values, drawstyle="steps-mid", **look)
+
+
+def _detections(axes: Axes, times: F8, counts: I8) -> None:
+    _plot(axes, times, counts, ".", color=_GREY, markersize=3, alpha=0.7, label="detections")
 
 
 def _time_axes(times: F8, y_label: str, height: float, limit: int = _POINTS) -> tuple[Figure, Axes]:

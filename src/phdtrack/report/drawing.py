@@ -12,16 +12,16 @@ Drawn from the back to the front:
 The twelve colours of identities are light enough for dark pictures and strong enough for white paper. Consecutive ones
 differ by at least 40 units of CIE L*a*b*, for normal sight and in the simulation of protanopia and deuteranopia by
 Machado, Oliveira and Fernandes (2009). They repeat, so that wherever an identity is drawn its number stands there too.
-Colours are RGB here, BGR in the picture. The functions `rectangle` to `plate` write into the picture that they are given.
+Colours are RGB here, BGR in the picture. The functions from `outline` on write into the picture that they are given.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 from itertools import pairwise
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -32,20 +32,8 @@ from phdtrack.types import F8, Detections, Image, SequenceInfo, Tracks
 
 Rgb = tuple[int, int, int]
 Corners = tuple[int, int, int, int]
-COLOURS: tuple[Rgb, ...] = (
-    (0xFF, 0x9F, 0x1C),
-    (0x1F, 0xB5, 0xAD),
-    (0xFF, 0xE1, 0x4D),
-    (0xA7, 0x8B, 0xFA),
-    (0x2E, 0xC2, 0x7E),
-    (0x4D, 0x7C, 0xFE),
-    (0xFF, 0x4D, 0x4D),
-    (0xE8, 0xD5, 0xFF),
-    (0xC9, 0x8B, 0x5B),
-    (0x4C, 0xC9, 0xF0),
-    (0xB5, 0xE8, 0x53),
-    (0xFF, 0x7A, 0xC6),
-)
+_HEX = "ff9f1c 1fb5ad ffe14d a78bfa 2ec27e 4d7cfe ff4d4d e8d5ff c98b5b 4cc9f0 b5e853 ff7ac6"
+COLOURS: tuple[Rgb, ...] = tuple((each[0], each[1], each[2]) for each in map(bytes.fromhex, _HEX.split()))
 BLACK: Rgb = (0, 0, 0)
 WHITE: Rgb = (255, 255, 255)
 _FALSE_ALARM: Rgb = (200, 45, 45)
@@ -62,79 +50,6 @@ def ink_on(colour: Rgb) -> Rgb:
     """Black or white, whichever is easier to read on ``colour`` (by relative luminance)."""
     red, green, blue = ((c / 255) ** 2.2 for c in colour)
     return BLACK if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.2 else WHITE
-
-
-def annotate(
-    image: Image,
-    number: int,
-    tracks: Tracks,
-    detections: Detections,
-    *,
-    trails: Mapping[int, F8] | None = None,
-    mass: float = math.nan,
-    clutter_probability: F8 = _UNKNOWN,
-) -> Image:
-    """A new picture: the frame with everything drawn on it.
-
-    Parameters
-    ----------
-    image : (H, W, 3) BGR uint8.
-    number : of the frame, from 1.
-    tracks : rows of any frames; those of frame ``number`` are drawn.
-    detections : the boxes of this frame.
-    trails : identity → (n, 2) earlier points, oldest first.
-    mass : the filter's expected count; left out of the header where not finite.
-    clutter_probability : (N,) for the detections, or (0,) where unknown.
-
-    Returns
-    -------
-    (H, W, 3) BGR uint8.
-
-    Raises
-    ------
-    InputError : the picture is not (H, W, 3) uint8, or the probabilities do not fit the detections.
-    """
-    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
-        raise InputError(
-            f"expected a BGR picture (H, W, 3) of uint8, got {image.shape} of {image.dtype}", where=f"frame {number}"
-        )
-    if len(clutter_probability) not in (0, len(detections)):
-        problem = f"expected a clutter probability for each of {len(detections)} detections, got {len(clutter_probability)}"
-        raise InputError(problem, where=f"frame {number}")
-    out, pen = image.copy(), Pen.for_frame(*image.shape[:2])
-    false_alarm = clutter_probability > 0.5 if len(clutter_probability) else np.zeros(len(detections), np.bool_)
-    for false, colour in ((False, WHITE), (True, _FALSE_ALARM)):
-        for corners in visible(detections.xyxy[false_alarm == false], out):
-            faint_rectangle(out, corners, colour, pen.thin, opacity=0.75, crossed=false)
-    for identity, points in (trails or {}).items():
-        _fading_line(out, points, identity_colour(identity), pen.line)
-    rows = tracks.take(tracks.frame == number)
-    _draw_tracks(out, rows, pen)
-    count = int(rows.confirmed.sum())
-    header = f"frame {number}   {count} track{'' if count == 1 else 's'}"
-    header += f"   expected count {mass:.1f}" if math.isfinite(mass) else ""
-    plate(out, header, (0, 0), BLACK, pen, opacity=0.65)
-    return out
-
-
-def _draw_tracks(out: Image, rows: Tracks, pen: Pen) -> None:
-    """Outlines from the top of the frame downwards, because what stands lower is usually nearer; then all labels."""
-    labels: list[tuple[Corners, int]] = []
-    for i in np.lexsort((rows.xyxy[:, 3], rows.confirmed)):
-        corners, identity = placed(rows.xyxy[i], out), int(rows.identity[i])
-        if corners is None:
-            continue
-        colour = identity_colour(identity)
-        if not rows.confirmed[i]:
-            faint_rectangle(out, corners, colour, pen.line, opacity=0.4)
-            continue
-        if rows.predicted[i]:
-            dashed_rectangle(out, corners, colour, pen)
-        else:
-            rectangle(out, corners, colour, pen)
-        labels.append((corners, identity))
-    for corners, identity in labels:
-        plate(out, str(identity), corners[:2], identity_colour(identity), pen)
 
 
 class Annotator:
@@ -161,8 +76,63 @@ class Annotator:
         mass: float = math.nan,
         clutter_probability: F8 = _UNKNOWN,
     ) -> Image:
-        """`annotate` with trails. ``tracks`` may hold rows of other frames too, such as the whole corrected sequence."""
+        """A new picture: the frame with everything drawn on it.
+
+        Parameters
+        ----------
+        image : (H, W, 3) BGR uint8.
+        number : of the frame, from 1.
+        tracks : rows of any frames; those of frame ``number`` are drawn.
+        detections : the boxes of this frame.
+        mass : the filter's expected count; left out of the header where not finite.
+        clutter_probability : (N,) for the detections, or (0,) where unknown.
+
+        Returns
+        -------
+        (H, W, 3) BGR uint8.
+
+        Raises
+        ------
+        InputError : the picture is not (H, W, 3) uint8, or the probabilities do not fit the detections.
+        """
+        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+            raise InputError(
+                f"expected a BGR picture (H, W, 3) of uint8, got {image.shape} of {image.dtype}", where=f"frame {number}"
+            )
+        if len(clutter_probability) not in (0, len(detections)):
+            problem = (
+                f"expected a clutter probability for each of {len(detections)} detections, got {len(clutter_probability)}"
+            )
+            raise InputError(problem, where=f"frame {number}")
+        out, pen = image.copy(), Pen.for_frame(*image.shape[:2])
+        false_alarm = clutter_probability > 0.5 if len(clutter_probability) else np.zeros(len(detections), np.bool_)
+        for false, colour in ((False, WHITE), (True, _FALSE_ALARM)):
+            for found in visible(detections.xyxy[false_alarm == false], out):
+                faint_rectangle(out, found, colour, pen.thin, opacity=0.75, crossed=false)
         rows = tracks.take(tracks.frame == number)
+        for identity, points in self._trails_with(rows, number).items():
+            _fading_line(out, points, identity_colour(identity), pen.line)
+        labels: list[tuple[Corners, int]] = []
+        # From the top of the frame downwards, because what stands lower is usually nearer; then all labels.
+        for i in np.lexsort((rows.xyxy[:, 3], rows.confirmed)):
+            corners, identity = placed(rows.xyxy[i], out), int(rows.identity[i])
+            if corners is None:
+                continue
+            if rows.confirmed[i]:
+                outline(out, corners, identity_colour(identity), pen, dashed=bool(rows.predicted[i]))
+                labels.append((corners, identity))
+            else:
+                faint_rectangle(out, corners, identity_colour(identity), pen.line, opacity=0.4)
+        for corners, identity in labels:
+            plate(out, str(identity), corners[:2], identity_colour(identity), pen)
+        count = int(rows.confirmed.sum())
+        header = f"frame {number}   {count} track{'' if count == 1 else 's'}"
+        header += f"   expected count {mass:.1f}" if math.isfinite(mass) else ""
+        plate(out, header, (0, 0), BLACK, pen, opacity=0.65)
+        return out
+
+    def _trails_with(self, rows: Tracks, number: int) -> dict[int, F8]:
+        """(n, 2) earlier and present feet of each identity, oldest first; those too old are forgotten."""
         for identity, box in rows.take(rows.confirmed):
             trail = self._trails.setdefault(identity, deque(maxlen=self._length))
             trail.append((number, float(box[0] + box[2]) / 2, float(box[3])))
@@ -170,16 +140,10 @@ class Annotator:
             while trail and trail[0][0] <= number - self._length:
                 trail.popleft()
         self._trails = {identity: trail for identity, trail in self._trails.items() if trail}
-        trails = {i: np.array([point[1:] for point in trail]) for i, trail in self._trails.items()}
-        return annotate(image, number, rows, detections, trails=trails, mass=mass, clutter_probability=clutter_probability)
-
-    def reset(self) -> None:
-        """Forget all trails: another sequence begins."""
-        self._trails.clear()
+        return {identity: np.array(trail)[:, 1:] for identity, trail in self._trails.items()}
 
 
-@dataclass(frozen=True, slots=True)
-class Pen:
+class Pen(NamedTuple):
     """Widths of a line, a thin line and of letters, length of a dash, in pixels, and a font scale, to suit a frame."""
 
     line: int
@@ -192,13 +156,8 @@ class Pen:
     def for_frame(cls, height: int, width: int) -> Pen:
         """480 lines are the unit; very small frames keep text that can still be read."""
         unit = min(height, 0.75 * width) / 480
-        return cls(
-            line=max(1, round(1.6 * unit)),
-            thin=max(1, round(0.7 * unit)),
-            font=max(0.34, 0.39 * unit),
-            bold=max(1, round(unit)),
-            dash=max(5, round(8 * unit)),
-        )
+        line, thin, bold, dash = (max(least, round(part * unit)) for part, least in ((1.6, 1), (0.7, 1), (1, 1), (8, 5)))
+        return cls(line, thin, max(0.34, 0.39 * unit), bold, dash)
 
 
 def placed(box: F8, image: Image) -> Corners | None:
@@ -220,13 +179,18 @@ def visible(boxes: Iterable[F8], image: Image) -> list[Corners]:
     return [corners for box in boxes if (corners := placed(box, image)) is not None]
 
 
-def rectangle(image: Image, box: Corners, colour: Rgb, pen: Pen) -> None:
-    """A closed outline."""
-    cv2.rectangle(image, box[:2], box[2:], colour[::-1], pen.line)
+def outline(image: Image, box: Corners, colour: Rgb, pen: Pen, *, dashed: bool = False) -> None:
+    """Draw a closed rectangle, or one of dashes whose corners are always drawn, so that the shape stays clear.
 
-
-def dashed_rectangle(image: Image, box: Corners, colour: Rgb, pen: Pen) -> None:
-    """An outline of dashes with corners always drawn, so that the shape stays clear."""
+    Parameters
+    ----------
+    image : is drawn on.
+    box, colour, pen : where, and how.
+    dashed : whether there are gaps.
+    """
+    if not dashed:
+        cv2.rectangle(image, box[:2], box[2:], colour[::-1], pen.line)
+        return
     x0, y0, x1, y1 = box
     lines = [((a, y), (b, y)) for a, b in _dashes(x0, x1, pen.dash) for y in (y0, y1)]
     lines += [((x, a), (x, b)) for a, b in _dashes(y0, y1, pen.dash) for x in (x0, x1)]
@@ -237,8 +201,8 @@ def dashed_rectangle(image: Image, box: Corners, colour: Rgb, pen: Pen) -> None:
 def _dashes(start: int, end: int, dash: int) -> list[tuple[int, int]]:
     """An odd number of equal pieces from ``start`` to ``end``, every other one drawn, the first and last among them."""
     pieces = max(3, 2 * round((end - start) / dash / 2) + 1)
-    edges = np.linspace(start, end, pieces + 1).round().astype(int)
-    return [(int(a), int(b)) for a, b in zip(edges[0::2], edges[1::2], strict=True)]
+    edges = np.linspace(start, end, pieces + 1).round().astype(int).tolist()
+    return list(zip(edges[0::2], edges[1::2], strict=True))
 
 
 def faint_rectangle(image: Image, box: Corners, colour: Rgb, width: int, *, opacity: float, crossed: bool = False) -> None:

@@ -8,31 +8,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from phdtrack.report.drawing import (
-    BLACK,
-    WHITE,
-    Pen,
-    Rgb,
-    dashed_rectangle,
-    faint_rectangle,
-    placed,
-    plate,
-    rectangle,
-    visible,
-)
+from phdtrack.report.drawing import BLACK, WHITE, Pen, Rgb, faint_rectangle, outline, placed, plate, visible
 from phdtrack.types import F8, I8, Bool, Image
 
 MISSED: Rgb = (255, 77, 77)
 FALSE: Rgb = (255, 159, 28)
 SWITCHED: Rgb = (255, 64, 255)
 RIGHT: Rgb = (46, 194, 126)
-_LEGEND = (
-    ("right", RIGHT),
-    ("missed (truth)", MISSED),
-    ("false", FALSE),
-    ("identity switched", SWITCHED),
-    ("detection", WHITE),
-)
+_LEGEND = {"right": RIGHT, "missed (truth)": MISSED, "false": FALSE, "identity switched": SWITCHED, "detection": WHITE}
 _NARROWEST, _WIDEST = 480, 720
 _BAR, _GAP = 28, 6
 
@@ -92,18 +75,15 @@ def side_by_side(
         out[top : top + high, left : left + wide] = _panel(ground, wide / size[0], detections, one)
     plate(out, heading, (_GAP, _BAR - 4), BLACK, pen)
     x = _GAP
-    for label, colour in _LEGEND:
+    for label, colour in _LEGEND.items():
         plate(out, label, (x, len(out) - 6), colour, pen)
         x += cv2.getTextSize(label, cv2.FONT_HERSHEY_SIMPLEX, pen.font, pen.bold)[0][0] + 18
     return out
 
 
 def _columns(count: int, aspect: float) -> int:
-    """How many panels of this width over height stand side by side, so that the whole is nearest to the shape of a page (2
-    : 1).
-
-    Up to four panels fill their rows.
-    """
+    """How many panels of this width over height stand side by side, so that the whole is nearest to a page's shape (2 : 1).
+    Up to four panels fill their rows."""
     columns = [each for each in range(1, count + 1) if count > 4 or count % each == 0]
     shapes = np.array([aspect * each / -(-count // each) for each in columns])
     return columns[int(np.argmin(np.abs(np.log(shapes / 2))))]
@@ -119,10 +99,10 @@ def _panel(ground: Image, scale: float, detections: F8, one: Mistakes) -> Image:
         corners = placed(raw, out)
         if corners is not None:
             colour = SWITCHED if switched else RIGHT
-            rectangle(out, corners, colour, pen)
+            outline(out, corners, colour, pen)
             plate(out, str(identity), corners[:2], colour, pen)
     # On top: where a box is wrong, the one that it should have been is what one wants to see.
     for box in visible(one.missed * scale, out):
-        dashed_rectangle(out, box, MISSED, pen)
+        outline(out, box, MISSED, pen, dashed=True)
     plate(out, one.title, (0, 0), BLACK, pen, opacity=0.75)
     return out

@@ -19,6 +19,8 @@ _GRID, _INK, _WITHOUT_IDENTITY = (228, 231, 236), (58, 66, 80), (140, 140, 140)
 _FIELD, _EDGE, _WARNING = (216, 228, 246), (150, 120, 80), (208, 60, 60)
 # Lines of the grid across the picture at most.
 _MOST_LINES = 12
+# Around what is shown, metres.
+_MARGIN = 1.5
 # Pictures are drawn in sixteenths of a pixel.
 _FRACTION_BITS = 4
 
@@ -82,6 +84,16 @@ class PlanScene:
         """Expected number of people in all groups."""
         return sum(group.count for group in self.groups)
 
+    @property
+    def header(self) -> str:
+        """Frame, time and numbers in words."""
+        named, detected = (
+            sum(group.identity > 0 for group in self.groups),
+            int(np.isfinite(self.detections).all(axis=0).sum()),
+        )
+        crosses = f"   {detected} detections" if detected else ""
+        return f"frame {self.number}   {self.time:.1f} s   {self.people_in_groups:.1f} people in {named} groups{crosses}"
+
 
 @dataclass(frozen=True, slots=False, eq=False)
 class Plan:
@@ -135,7 +147,7 @@ class Plan:
         for group in scene.groups:
             for _, (x, y) in self._shown(group.centre[:, None]) if group.label else ():
                 plate(out, group.label, (x + gap, y - gap), group.colour, pen)
-        plate(out, _header(scene), (0, 0), _INK, pen, opacity=0.85)
+        plate(out, scene.header, (0, 0), _INK, pen, opacity=0.85)
         return out
 
     @cached_property
@@ -204,24 +216,14 @@ class Plan:
         return [(k, (int(x), int(y))) for k, (x, y) in spots if 0 <= x < self.width and 0 <= y < self.height]
 
 
-def extent_of(places: F8, least: float = 8.0, margin: float = 1.5) -> tuple[float, float, float, float]:
-    """The part of the ground to show: all places but the outermost hundredth on each side, which may be false alarms.
+def extent_of(places: F8) -> tuple[float, float, float, float]:
+    """Left, low, right, high in metres of the ground to show, at least 8 m wide and high.
 
-    Parameters
-    ----------
-    places : (2, N) metres, NaN where not known.
-    least : width and height at least, metres.
-    margin : around the places, metres.
-
-    Returns
-    -------
-    Left, low, right, high in metres.
+    It holds all ``places`` (2, N), NaN where not known, but the outermost hundredth on each side, which may be false alarms.
     """
     known = places[:, np.isfinite(places).all(axis=0)]
-    if known.shape[1] == 0:
-        return -least / 2, -least / 2, least / 2, least / 2
-    low, high = np.quantile(known, [0.01, 0.99], axis=1)
-    middle, half = (low + high) / 2, np.maximum((high - low) / 2 + margin, least / 2)
+    low, high = np.quantile(known, [0.01, 0.99], axis=1) if known.size else np.zeros((2, 2))
+    middle, half = (low + high) / 2, np.maximum((high - low) / 2 + _MARGIN, 4.0)
     (left, below), (right, above) = (middle - half).tolist(), (middle + half).tolist()
     return left, below, right, above
 
@@ -240,13 +242,6 @@ def draw_contours(image: Image, groups: tuple[PlanGroup, ...]) -> Image:
         rings = [_fixed(np.clip(ring, -1e4, 1e4)) for ring in group.contours]
         cv2.polylines(out, rings, True, group.colour[::-1], pen.line, cv2.LINE_AA, _FRACTION_BITS)
     return out
-
-
-def _header(scene: PlanScene) -> str:
-    named = sum(group.identity > 0 for group in scene.groups)
-    detected = int(np.isfinite(scene.detections).all(axis=0).sum())
-    crosses = f"   {detected} detections" if detected else ""
-    return f"frame {scene.number}   {scene.time:.1f} s   {scene.people_in_groups:.1f} people in {named} groups{crosses}"
 
 
 def _round_step(least: float) -> float:

@@ -1,11 +1,8 @@
 """What the report of a run shows, and the recorder that collects it while the run goes on.
 
-A `Recorder` keeps numbers per frame and a handful of pictures, so that memory does not grow with the video beyond some
-hundred bytes a frame. Which frames become heat maps is decided in one pass without knowing how many frames there will be
-(`EvenSample`). Pictures are kept at most ``picture_width`` pixels wide.
-
-A heat map is the intensity D over position [M07 Fig. 1]: the particles' weights, which sum to the expected number of
-objects, are added up in small cells of the frame; velocity and size are integrated away.
+A `Recorder` keeps numbers per frame and a handful of small pictures, so that memory does not grow with the video beyond
+some hundred bytes a frame. A heat map is the intensity D over position [M07 Fig. 1]: the particles' weights, which sum to
+the expected number of objects, are added up in small cells of the frame; velocity and size are integrated away.
 """
 
 from __future__ import annotations
@@ -13,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -22,12 +19,11 @@ from phdtrack.errors import InputError
 from phdtrack.report.rendering import lines
 from phdtrack.types import F8, I8, ChainInfo, Image, Particles, SequenceInfo, Step, Tracks, Truth
 
-T = TypeVar("T")
 STAGES = ("detect", "filter", "extract", "associate")
 NO_IMAGE: Image = np.zeros((0, 0, 3), np.uint8)
 LOW_EFFECTIVE = 20.0
 """Effective samples below which positions are doubtful: their error by chance is 1/√20 = 22 % of their posterior spread."""
-_CELLS_ACROSS = 128
+_HEAT_MAPS, _PICTURE_WIDTH, _CELLS_ACROSS = 4, 800, 128
 # Mean distance of the frames from their median, in grey levels, up to which the camera counts as fixed: crowds and noise
 # stay below, a turned camera lies far above.
 _FIXED_CAMERA = 10.0
@@ -40,8 +36,7 @@ class About:
     Attributes
     ----------
     title, command, started : the heading, the line that was run, an ISO time.
-    seed : of everything random.
-    seconds : wall time of everything.
+    seed, seconds : of everything random; wall time of everything.
     versions, scores : pairs of name and value.
     warnings, notes : sentences to show.
     tracking_seconds : wall time of detection and tracking, which overlap; 0 where not measured.
@@ -69,11 +64,10 @@ class Series:
     ----------
     numbers : (F,) frame numbers from 1, ascending.
     times : (F,) seconds.
-    n_detections, n_estimates : (F,) detections, states extracted.
-    mass : (F,) expected number of objects, the integral of the intensity.
+    n_detections : (F,) detections.
+    mass : (F,) expected number of objects, the integral of the intensity; NaN where the filter has none.
     clutter_mass : (F,) expected number of false alarms, the sum of κ/(κ + C) over the detections.
-    seconds : (F, S) time that each stage took, in the order of ``stages``.
-    stages : the S names.
+    seconds : (F, S) time that each of the `STAGES` took.
     truth_count : (F,) annotated objects, or (0,) where there is no truth.
     count_range : (F, 2) between which numbers the filter's number of objects lies with 90 % probability; NaN in frames
         without a distribution, (0, 2) where no frame has one.
@@ -82,22 +76,11 @@ class Series:
     numbers: I8
     times: F8
     n_detections: I8
-    n_estimates: I8
     mass: F8
     clutter_mass: F8
     seconds: F8
-    stages: tuple[str, ...] = STAGES
-    truth_count: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
-    count_range: F8 = field(default_factory=lambda: np.zeros((0, 2)))
-
-    def __post_init__(self) -> None:
-        per_frame = (self.times, self.n_detections, self.n_estimates, self.mass, self.clutter_mass, self.seconds)
-        lengths = {len(self.numbers), *map(len, per_frame)} | ({len(self.truth_count), len(self.count_range)} - {0})
-        if len(lengths) != 1 or self.seconds.shape[1:] != (len(self.stages),):
-            raise InputError(
-                f"expected the same number of frames in every series and a column for each of {self.stages}, "
-                f"got lengths {sorted(lengths)} and times of shape {self.seconds.shape}"
-            )
+    truth_count: I8
+    count_range: F8
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -108,8 +91,7 @@ class Series:
         return self.mass[np.isfinite(self.mass)]
 
 
-@dataclass(frozen=True, slots=True)
-class StageTime:
+class StageTime(NamedTuple):
     """Milliseconds per frame of one stage: mean, median and 95th percentile; ``share`` of the whole (0–1)."""
 
     name: str
@@ -218,7 +200,7 @@ class RunRecord:
     @property
     def track_count(self) -> I8:
         """(F,) tracks in each frame."""
-        return count_rows(self.tracks.frame, self.series.numbers)
+        return _count(self.tracks.frame, self.series.numbers)
 
     @property
     def n_objects(self) -> int:
@@ -251,8 +233,7 @@ class RunRecord:
     def frames_per_second(self) -> float:
         """Frames over the wall time of detection and tracking; NaN where no time was measured.
 
-        Frames in which kernels were compiled or loaded do not count (see `About`). Where only the stages were measured and
-        not the whole, it is the frames over the sum of the stages, as if they did not overlap.
+        Without it, it is the frames over the sum of the stages, as if they did not overlap.
         """
         about = self.about
         total = about.tracking_seconds if about.left_out else about.tracking_seconds or float(self.series.seconds.sum())
@@ -264,10 +245,11 @@ class RunRecord:
         table = 1000 * self.series.seconds
         if not len(table):
             return ()
-        names, table = (*self.series.stages, "together"), np.column_stack([table, table.sum(axis=1)])
+        table = np.column_stack([table, table.sum(axis=1)])
         share = table.sum(axis=0) / max(float(table[:, -1].sum()), 1e-12)
         columns = (table.mean(axis=0), np.median(table, axis=0), np.quantile(table, 0.95, axis=0), share)
-        return tuple(StageTime(name, *each) for name, each in zip(names, np.array(columns).T.tolist(), strict=True))
+        rows = np.array(columns).T.tolist()
+        return tuple(StageTime(name, *each) for name, each in zip((*STAGES, "together"), rows, strict=True))
 
 
 def sentences(record: RunRecord) -> tuple[str, ...]:
@@ -275,27 +257,19 @@ def sentences(record: RunRecord) -> tuple[str, ...]:
     return lines("summary.txt", record=record, known_speed=math.isfinite(record.frames_per_second))
 
 
-def count_rows(frame: I8, numbers: I8) -> I8:
-    """(F,) how many entries of ``frame`` (M,) equal each of ``numbers`` (F,)."""
-    ordered = np.sort(frame)
-    return np.searchsorted(ordered, numbers, side="right") - np.searchsorted(ordered, numbers, side="left")
-
-
 class Recorder:
     """Collects a `RunRecord` while a run goes on: `add` every frame in order, `record` at the end or when it breaks off.
 
-    Parameters
-    ----------
-    info : the sequence. Pictures need its width and height; numbers do not.
-    heat_maps : how many frames to show with the intensity over them.
-    picture_width : width to which kept frames are scaled down, pixels.
+    Of a stream of unknown length it keeps the frames whose index is a multiple of a stride. When these are too many, every
+    other one is dropped and the stride doubles: what is kept is always spread evenly.
     """
 
-    def __init__(self, info: SequenceInfo, *, heat_maps: int = 4, picture_width: int = 800) -> None:
-        self._info, self._wanted, self._picture_width = info, heat_maps, picture_width
+    def __init__(self, info: SequenceInfo) -> None:
+        self._info = info
         self._rows: list[tuple[float, ...]] = []
         self._chains: list[ChainInfo] = []
-        self._kept: EvenSample[tuple[Image, HeatMap | None]] = EvenSample(3 * heat_maps)
+        self._kept: list[tuple[int, Image, HeatMap | None]] = []
+        self._stride = 1
 
     def add(self, image: Image | None, step: Step, particles: Particles | None, detect_seconds: float) -> None:
         """Take in one frame.
@@ -307,20 +281,23 @@ class Recorder:
         particles : the filter's, None where it has none.
         detect_seconds : time that detection took, seconds.
         """
-        info = step.info
-        row = (step.number, step.time, len(step.detections), len(step.estimates), info.mass, info.clutter_probability.sum())
+        info, size = step.info, self._info
+        row = (step.number, step.time, len(step.detections), info.mass, info.clutter_probability.sum())
         self._rows.append((*row, *_likely_range(info.cardinality), detect_seconds, *step.seconds))
         if info.chain is not None:
             self._chains.append(info.chain)
         index = len(self._rows)
-        if not (self._kept.wants(index) and self._info.width > 0 and self._info.height > 0):
+        if index % self._stride or not (size.width > 0 and size.height > 0):
             return
-        small, heat = NO_IMAGE if image is None else _shrunk(image, self._picture_width), None
+        small, heat = NO_IMAGE if image is None else shrunk(image, _PICTURE_WIDTH).copy(), None
         if particles is not None:
-            cell = default_cell(self._info)
-            density = density_map(particles, self._info, cell)
+            cell = max(1.0, round(max(size.width, size.height) / _CELLS_ACROSS))
+            density = density_map(particles, size, cell)
             heat = HeatMap(step.number, small, density, cell, step.detections.xyxy, step.estimates.xyxy)
-        self._kept.put(index, (small, heat))
+        self._kept.append((index, small, heat))
+        if len(self._kept) > 3 * _HEAT_MAPS:
+            self._stride *= 2
+            self._kept = [each for each in self._kept if each[0] % self._stride == 0]
 
     @property
     def chain(self) -> ChainSummary | None:
@@ -340,84 +317,38 @@ class Recorder:
         -------
         The record.
         """
-        maps = tuple(heat for _, heat in self._kept.items if heat is not None)
-        images = [image for image, _ in self._kept.items if image.size]
+        maps = [heat for _, _, heat in self._kept if heat is not None]
+        # Evenly spaced, the last one among them.
+        shown = np.linspace(len(maps), 0, min(_HEAT_MAPS, len(maps)), endpoint=False)[::-1].round().astype(int) - 1
+        images = [image for _, image, _ in self._kept if image.size]
         background = still_background(images) if images else NO_IMAGE
-        return RunRecord(self._info, self._series(truth), tracks, about, evenly(maps, self._wanted), background, self.chain)
+        heat_maps = tuple(maps[i] for i in shown)
+        return RunRecord(self._info, self._series(truth), tracks, about, heat_maps, background, self.chain)
 
     def _series(self, truth: Truth | None) -> Series:
-        table = np.array(self._rows, dtype=np.float64).reshape(-1, 8 + len(STAGES))
-        numbers, ranges = table[:, 0].astype(np.int64), table[:, 6:8]
+        table = np.array(self._rows, dtype=np.float64).reshape(-1, 7 + len(STAGES))
+        numbers, ranges = table[:, 0].astype(np.int64), table[:, 5:7]
         return Series(
             numbers=numbers,
             times=table[:, 1],
             n_detections=table[:, 2].astype(np.int64),
-            n_estimates=table[:, 3].astype(np.int64),
-            mass=table[:, 4],
-            clutter_mass=table[:, 5],
-            seconds=table[:, 8:],
-            truth_count=np.zeros(0, np.int64) if truth is None else count_rows(truth.frame[~truth.distractor], numbers),
+            mass=table[:, 3],
+            clutter_mass=table[:, 4],
+            seconds=table[:, 7:],
+            truth_count=np.zeros(0, np.int64) if truth is None else _count(truth.frame[~truth.distractor], numbers),
             count_range=ranges if np.isfinite(ranges).any() else ranges[:0],
         )
 
 
-class EvenSample(Generic[T]):
-    """Keeps at most ``capacity`` items of a stream of unknown length, spread evenly over all of them.
-
-    Items whose index is a multiple of the stride are kept. When more than the capacity are held, every other one is
-    dropped and the stride doubles: the same stream keeps the same items, and once it has reached the capacity at least
-    half of it is held.
-    """
-
-    def __init__(self, capacity: int) -> None:
-        self._capacity = max(1, capacity)
-        self._stride = 1
-        self._kept: list[tuple[int, T]] = []
-
-    def wants(self, index: int) -> bool:
-        """Whether item ``index`` (from 1, ascending) would be kept: ask before making an expensive item."""
-        return index % self._stride == 0
-
-    def put(self, index: int, item: T) -> None:
-        """Offer item ``index`` (from 1, ascending)."""
-        if not self.wants(index):
-            return
-        self._kept.append((index, item))
-        while len(self._kept) > self._capacity:
-            self._stride *= 2
-            self._kept = [pair for pair in self._kept if self.wants(pair[0])]
-
-    @property
-    def items(self) -> tuple[T, ...]:
-        """Everything held, in the order of the stream."""
-        return tuple(item for _, item in self._kept)
-
-
-def evenly(items: tuple[T, ...], count: int) -> tuple[T, ...]:
-    """At most ``count`` of the items, evenly spaced, the last one among them."""
-    if len(items) <= count:
-        return items
-    index = np.linspace(len(items), 0, count, endpoint=False)[::-1].round().astype(int) - 1
-    return tuple(items[i] for i in index)
-
-
-def default_cell(info: SequenceInfo) -> float:
-    """Side of a heat map's cell in pixels, about 128 cells across the longer side of the frame; at least one pixel."""
-    return max(1.0, round(max(info.width, info.height) / _CELLS_ACROSS))
-
-
 def density_map(particles: Particles, info: SequenceInfo, cell: float, *, smooth: int = 2) -> F8:
-    """The expected number of objects in each cell of the frame [M07 Fig. 1].
-
-    Its sum is the mass of the particles whose position lies inside the frame: at the borders the edge row stands in for its
-    missing neighbour, so that smoothing loses nothing.
+    """The expected number of objects in each cell of the frame [M07 Fig. 1]: the mass of the particles inside the frame.
 
     Parameters
     ----------
     particles : (d, N) states with x and y, pixels, in rows 0 and 1, and their weights.
     info : the size of the frame.
     cell : side of a cell, pixels.
-    smooth : passes with the kernel (1, 2, 1)/4 along both axes, against the grain of few particles.
+    smooth : passes with the kernel (1, 2, 1)/4 along both axes, against the grain of few particles; they lose no mass.
 
     Returns
     -------
@@ -445,15 +376,26 @@ def density_map(particles: Particles, info: SequenceInfo, cell: float, *, smooth
 
 def still_background(images: Sequence[Image]) -> Image:
     """(H, W, 3) the scene without what moves, from at least one frame (BGR); frames of another size than the first are
-    left out.
-
-    With a fixed camera it is the median. With a moving camera a median would mix several views: then it is the middle frame.
-    """
+    left out. With a fixed camera it is the median, with a moving one, whose views a median would mix, the middle frame."""
     same = [image for image in images if image.shape == images[0].shape]
     stack = np.stack(same)
     median = np.median(stack, axis=0).astype(np.uint8)
     fixed = np.abs(stack.astype(np.int16) - median).mean() <= _FIXED_CAMERA
     return median if fixed else same[len(same) // 2].copy()
+
+
+def shrunk(image: Image, width: int) -> Image:
+    """The picture at most ``width`` pixels wide; itself where it is not wider."""
+    high, wide = image.shape[:2]
+    if wide <= width:
+        return image
+    small: Image = cv2.resize(image, (width, max(1, round(high * width / wide))), interpolation=cv2.INTER_AREA)
+    return small
+
+
+def _count(frame: I8, numbers: I8) -> I8:
+    """(F,) how many entries of ``frame`` (M,) equal each of ``numbers`` (F,)."""
+    return np.bincount(frame, minlength=int(numbers.max(initial=0)) + 1)[numbers]
 
 
 def _likely_range(cardinality: F8) -> tuple[float, float]:
@@ -462,12 +404,3 @@ def _likely_range(cardinality: F8) -> tuple[float, float]:
         return math.nan, math.nan
     low, high = np.searchsorted(np.cumsum(cardinality), (0.05, 0.95))
     return float(low), float(min(high, len(cardinality) - 1))
-
-
-def _shrunk(image: Image, width: int) -> Image:
-    """A copy at most ``width`` pixels wide, never enlarged."""
-    high, wide = image.shape[:2]
-    if wide <= width:
-        return image.copy()
-    small: Image = cv2.resize(image, (width, max(1, round(high * width / wide))), interpolation=cv2.INTER_AREA)
-    return small

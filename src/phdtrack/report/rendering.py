@@ -12,28 +12,21 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from markupsafe import Markup
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
 NBSP = "\u00a0"
 """A space that does not break; unlike the narrow ones every legacy terminal encoding has it."""
-LOWER_IS_BETTER = frozenset(
-    (
-        *("OSPA", "GOSPA", "OSPA2", "id_switches", "misses", "false_positives", "fragments", "false_tracks", "mostly_lost"),
-        *("delay_mean", "count_error_rms"),
-        *("TGOSPA", "TGOSPA_localisation", "TGOSPA_missed", "TGOSPA_false", "TGOSPA_switching"),
-        # Milliseconds per frame.
-        "ms",
-    )
-)
-HIGHER_IS_BETTER = frozenset(
-    (
-        *("MODA", "N_MODA", "MODP", "MOTA", "MOTA_log", "MOTP", "IDF1", "HOTA", "SFDA", "ATA", "DetA", "AssA", "IDP", "IDR"),
-        *("N_MODA_detection", "ATA_matched", "matches", "mostly_tracked", "objects_found"),
-    )
-)
+_LOWER = """
+OSPA GOSPA OSPA2 TGOSPA TGOSPA_localisation TGOSPA_missed TGOSPA_false TGOSPA_switching id_switches misses false_positives
+fragments false_tracks mostly_lost delay_mean count_error_rms ms
+"""
+_HIGHER = """
+MODA N_MODA MODP MOTA MOTA_log MOTP IDF1 HOTA SFDA ATA DetA AssA IDP IDR N_MODA_detection ATA_matched matches
+mostly_tracked objects_found
+"""
+LOWER_IS_BETTER, HIGHER_IS_BETTER = frozenset(_LOWER.split()), frozenset(_HIGHER.split())
 """Scores by name. A score in neither set is a plain count, or is best at 0."""
 _NOT_SHOWN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
 
@@ -49,17 +42,13 @@ def grouped(number: float) -> str:
 
 
 def counted(number: int, noun: str, plural: str = "") -> str:
-    """A number with its noun, such as "1 frame" and "2 frames".
+    """A number with its noun, as "1 frame" and "2 frames".
 
     Parameters
     ----------
     number : how many.
     noun : in the singular.
     plural : where it is not the noun with an s.
-
-    Returns
-    -------
-    Text for people.
     """
     return f"{grouped(number)} {noun if number == 1 else plural or noun + 's'}"
 
@@ -88,19 +77,14 @@ def score(value: float) -> str:
     return grouped(value) if isinstance(value, int | np.integer) else f"{value:.3f}"
 
 
-def render(template: str, **context: object) -> Markup:
-    """The text of a template in ``report/templates``, which can be put into another one as it is."""
-    return Markup(environment().get_template(template).render(context))
-
-
-def page(template: str, **context: object) -> str:
-    """A whole page as plain text."""
-    return str(render(template, **context))
+def render(template: str, **context: object) -> str:
+    """The text of a template in ``report/templates``; in another one it is `markupsafe.Markup`."""
+    return environment().get_template(template).render(context)
 
 
 def lines(template: str, **context: object) -> tuple[str, ...]:
     """The sentences of a text template, which has one on each line."""
-    return tuple(line.strip() for line in page(template, **context).split("\n") if line.strip())
+    return tuple(line.strip() for line in render(template, **context).split("\n") if line.strip())
 
 
 @cache

@@ -100,9 +100,8 @@ def flattened(config: Mapping[str, object], prefix: str = "") -> tuple[tuple[str
     """Pairs (dotted name, text) of a nested configuration, in its order: the form that ``--set`` takes."""
     pairs: list[tuple[str, str]] = []
     for key, value in config.items():
-        name = f"{prefix}{key}"
         if isinstance(value, Mapping):
-            pairs.extend(flattened(value, f"{name}."))
+            pairs += flattened(value, f"{prefix}{key}.")
         else:
-            pairs.append((name, json.dumps(json_value(value), ensure_ascii=False)))
+            pairs.append((f"{prefix}{key}", json.dumps(json_value(value), ensure_ascii=False)))
     return tuple(pairs)

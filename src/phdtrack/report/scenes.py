@@ -1,8 +1,7 @@
-"""Pictures of a report that lie over the scene: trajectories, the intensity, what was learned. Each gives a `Picture`
-(JPEG).
+"""Pictures of a report that lie over the scene: trajectories, the intensity, what was learned. Each is a `Picture` (JPEG).
 
-The photograph is turned grey and darkened, so that colour belongs to the data alone. Axes are pixels of the original video.
-Without video the same pictures are drawn on a dark ground.
+The photograph is turned grey and darkened, so that colour belongs to the data. Without video the same pictures are drawn on
+a dark ground. Axes are pixels of the original video.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from phdtrack.report.drawing import identity_colour
 from phdtrack.report.record import HeatMap, RunRecord
 from phdtrack.scene import LearnedDensity, Scene
 from phdtrack.scene.mixture import place_map
-from phdtrack.types import F8, Image, SequenceInfo, Tracks
+from phdtrack.types import F8, Image, SequenceInfo
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,7 +46,8 @@ def trajectory_picture(record: RunRecord) -> Picture:
     feet = [np.stack([(rows.xyxy[:, 0] + rows.xyxy[:, 2]) / 2, rows.xyxy[:, 3]], axis=1) for rows in tracks]
     seen = [np.where(rows.predicted[:, None], np.nan, way) for rows, way in zip(tracks, feet, strict=True)]
     for ways, width, alpha in ((feet, 0.8, 0.8), (seen, 1.8, 1.0)):
-        broken = [_broken(rows, way) for rows, way in zip(tracks, ways, strict=True)]
+        cuts = [np.flatnonzero(np.diff(rows.frame) > 1) + 1 for rows in tracks]
+        broken = [np.insert(way, cut, np.nan, axis=0) for way, cut in zip(ways, cuts, strict=True)]
         axes.add_collection(LineCollection(broken, colors=colours, linewidths=width, alpha=alpha))
     for way, colour in zip(feet, colours, strict=True):
         axes.scatter(way[0, 0], way[0, 1], s=24, facecolors="none", edgecolors=colour, linewidths=1.0)
@@ -85,15 +85,10 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
 
     Parameters
     ----------
-    learned : their density, over pixels or, for births on the ground, over metres: then it is drawn on a plan of their
-        region.
+    learned : over pixels or, for births on the ground, over metres: then it is drawn on a plan of their region.
     scene : whose they are.
     image : (H, W, 3) BGR frame, or (0, 0, 3).
     births : whether to draw the mean way of the next second as arrows.
-
-    Returns
-    -------
-    The picture.
     """
     p = learned.density
     (left, top), (wide, high) = p.low[:2], (p.high - p.low)[:2]
@@ -138,9 +133,3 @@ def _over_scene(info: SequenceInfo, image: Image, width: float, *, darkness: flo
     axes.set_ylim(info.height, 0)
     axes.set_aspect("equal" if _MOST_STRETCHED > info.width / info.height > 1 / _MOST_STRETCHED else "auto")
     return figure, axes
-
-
-def _broken(rows: Tracks, points: F8) -> F8:
-    """``points`` (M, 2) of the rows of one identity with a break (NaN) wherever frames are missing."""
-    broken: F8 = np.insert(points, np.flatnonzero(np.diff(rows.frame) > 1) + 1, np.nan, axis=0)
-    return broken
