@@ -341,7 +341,9 @@ class Recorder:
 
 
 def density_map(particles: Particles, info: SequenceInfo, cell: float, *, smooth: int = 2) -> F8:
-    """The expected number of objects in each cell of the frame [M07 Fig. 1]: the mass of the particles inside the frame.
+    """The expected number of objects in each cell of the frame [M07 Fig. 1].
+
+    Its sum is the mass of the particles inside the frame.
 
     Parameters
     ----------
