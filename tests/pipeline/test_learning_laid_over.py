@@ -84,9 +84,9 @@ def test_the_shadow_tracker_knows_nothing_of_what_was_learned(followed):
     scene, _, found = followed
     assert found[-1][0].learned.clutter is not None
     plain = steps(stages(scene.info), scene.detections, 1500)
-    witness = found[-1][0].learned.shadow.intensity
-    np.testing.assert_array_equal(witness.present.exist, plain[-1][0].intensity.present.exist)
-    np.testing.assert_array_equal(witness.present.mean, plain[-1][0].intensity.present.mean)
+    shadow = found[-1][0].learned.shadow.intensity.present
+    np.testing.assert_array_equal(shadow.r, plain[-1][0].intensity.present.r)
+    np.testing.assert_array_equal(shadow.mean, plain[-1][0].intensity.present.mean)
     assert not np.array_equal(found[-1][1].info.clutter, plain[-1][1].info.clutter)
 
 
@@ -96,7 +96,7 @@ def test_what_is_in_use_is_written_with_where_objects_are(followed, tmp_path):
     write_scene(tmp_path / "scene.json", built.learning.scene(mode, "street"))
     back = read_scene(tmp_path / "scene.json")
     assert back.births is not None
-    assert back.clutter.clutter_per_frame == mode.clutter.clutter_per_frame
+    assert back.clutter.rate == mode.clutter.rate
     objects = scores(scene.truth, pipeline.finish(built, found[-1][0]), 1, 1500).truth_boxes / 1500
     assert back.followed.objects.rate == pytest.approx(0.9 * objects, rel=0.1)
     # Which false alarms are followed nobody has seen, so that nobody is held back.
