@@ -113,7 +113,9 @@ class GMPHD:
         if len(state) == 0:
             return state
         rows, fresh = self._predicted(state, model, dt, rng)
-        return GaussianMixture(rows.weight, np.ascontiguousarray(rows.mean.T), rows.covariance, rows.tag, fresh)
+        alive = rows.weight > 0
+        mean = np.ascontiguousarray(rows.mean[alive].T)
+        return GaussianMixture(rows.weight[alive], mean, rows.covariance[alive], rows.tag[alive], fresh)
 
     def update(
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
@@ -144,7 +146,7 @@ class GMPHD:
         return self.reduced(rows, info.mass, fresh), info
 
     def _predicted(self, state: GaussianMixture, model: Model, dt: float, rng: np.random.Generator) -> tuple[Rows, int]:
-        """The predicted Gaussians that survive, and the next tag."""
+        """The predicted Gaussians, of weight 0 where none survives, and the next tag."""
         state = tagged(state)
         if len(model.motion.spawn(Particles(state.mean, state.weight), dt, rng)):
             raise InputError(
@@ -153,11 +155,7 @@ class GMPHD:
         mean, covariance = model.warp_gaussians(state.mean, state.covariance)
         after = predicted(model, np.ascontiguousarray(mean.T), np.ascontiguousarray(covariance), dt, self.transform)
         weight = state.weight * after.p_survive
-        rows = Rows(weight, after.mean, after.covariance, state.tag)
-        if np.count_nonzero(weight) < len(weight):
-            alive = weight > 0
-            rows = Rows(weight[alive], after.mean[alive], after.covariance[alive], state.tag[alive])
-        return rows, state.fresh
+        return Rows(weight, after.mean, after.covariance, state.tag), state.fresh
 
     def answered(self, rows: Rows, z: F8, model: Model, dt: float) -> Answers:
         """What the model says of predicted Gaussians and a frame's measurements ``z`` (m, N)."""

@@ -193,3 +193,14 @@ def states_of_boxes(z: F8, dim: int, noise: BoxNoise, speed: float) -> tuple[F8,
             a = 2 + c % 2
             x[c, j], cov[j, c, c] = z[a, j], here[a]
     return x, cov
+
+
+@njit(**ENTRY)
+def births_of_boxes(z: F8, noise: BoxNoise, speed: float, density: F8, volume: float, stretch: float) -> Births:
+    """`births_about` boxes ``z`` (m, N), with states of six components as of `states_of_boxes`."""
+    rows = np.empty(len(ROWS), np.int64)
+    for a in range(len(ROWS)):
+        rows[a] = ROWS[a]
+    mean, first = states_of_boxes(z, 6, noise, speed)
+    out: Births = births_about(mean, first, rows, density, volume, stretch)
+    return out

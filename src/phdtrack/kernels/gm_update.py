@@ -13,7 +13,19 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import Births, Expected, Measurements, Pairs, gated, posteriors
+from phdtrack.kernels.gaussian import (
+    Births,
+    Expected,
+    Measurements,
+    Pairs,
+    gain,
+    gated,
+    innovation_root,
+    posterior_covariance,
+    posterior_mean,
+    whitened,
+    work_space,
+)
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -36,7 +48,7 @@ class Terms(NamedTuple):
     Attributes
     ----------
     weight : (L,) of D⁺; births whose detection is explained weigh 0.
-    kept : (K,) which of the L are part of D⁺.
+    kept : (K,) which of the L weigh more than 0.
     gaussian, measurement : (P,) pairs within the gate.
     share : (P,) p_D w q of each.
     evidence : (N,) C(z).
@@ -105,7 +117,7 @@ def terms_of(before: F8, births: Births, e: Expected, m: Measurements, gate: flo
     evidence, explained, kept = np.zeros(n), np.zeros(n), np.empty(weight.size, np.int64)
     used, predicted, missed, born = 0, 0.0, 0.0, 0.0
     for i in range(weight.size):
-        if i < old or weight[i] > 0.0:
+        if weight[i] > 0.0:
             kept[used] = i
             used += 1
             predicted += weight[i]
@@ -150,28 +162,16 @@ def mixture_of(
     threshold : lighter Gaussians are left out.
     """
     used, d, old = terms.kept.size, before.mean.shape[1], before.tag.size
-    chosen, mass = np.empty(terms.share.size, np.int64), 0.0
-    share, tag = np.empty(terms.share.size), np.empty(terms.weight.size, np.int64)
+    tag, mass, room = np.empty(terms.weight.size, np.int64), 0.0, used
     for i in range(old):
         tag[i] = before.tag[i]
     for k in range(used):
         if terms.kept[k] >= old:
             tag[terms.kept[k]] = fresh
             fresh += 1
-    found = 0
     for p in range(terms.share.size):
-        value = terms.share[p] * detected[terms.measurement[p]]
-        mass += value
-        if value >= threshold:
-            chosen[found], share[found] = p, value
-            found += 1
-    gaussian, measurement = np.empty(found, np.int64), np.empty(found, np.int64)
-    for p in range(found):
-        gaussian[p], measurement[p] = terms.gaussian[chosen[p]], terms.measurement[chosen[p]]
-    mean, covariance = posteriors(before.mean, before.covariance, e, m, gaussian, measurement)
-    out = Rows(
-        np.empty(used + found), np.empty((used + found, d)), np.empty((used + found, d, d)), np.empty(used + found, np.int64)
-    )
+        room += terms.share[p] * detected[terms.measurement[p]] >= threshold
+    out = Rows(np.empty(room), np.empty((room, d)), np.empty((room, d, d)), np.empty(room, np.int64))
     k = 0
     for row in range(used):
         i = terms.kept[row]
@@ -184,13 +184,21 @@ def mixture_of(
                 for s in range(d):
                     out.covariance[k, r, s] = before.covariance[i, r, s]
             k += 1
-    for p in range(found):
-        out.weight[k], out.tag[k] = share[p], tag[gaussian[p]]
-        for r in range(d):
-            out.mean[k, r] = mean[p, r]
-            for s in range(d):
-                out.covariance[k, r, s] = covariance[p, r, s]
-        k += 1
+    work, last, fixed = work_space(d, m.period.size), -1, len(m.noise) == 0
+    for p in range(terms.share.size):
+        i, j = terms.gaussian[p], terms.measurement[p]
+        value = terms.share[p] * detected[j]
+        mass += value
+        if value >= threshold:
+            if not (fixed and last == i):
+                innovation_root(e, m, i, j, work.root)
+                gain(e, i, work)
+                last = i
+            whitened(e, m, i, j, work)
+            out.weight[k], out.tag[k] = value, tag[i]
+            posterior_mean(before.mean, i, work, out.mean, k)
+            posterior_covariance(before.covariance, i, work, out.covariance, k)
+            k += 1
     return Rows(out.weight[:k], out.mean[:k], out.covariance[:k], out.tag[:k]), mass, fresh
 
 

@@ -16,11 +16,12 @@ import numpy as np
 from phdtrack.arrays import draw, sum_by
 from phdtrack.checks import NonNegative, PositiveCount, Probability, Share, check
 from phdtrack.errors import InputError
-from phdtrack.kernels.box_model import births_about
+from phdtrack.kernels.box_model import births_about, births_of_boxes
 from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.kernels.neighbourhoods import summed_densities
 from phdtrack.kernels.pairs import quadratic_form
+from phdtrack.models.box_sensor import BoxSensor
 from phdtrack.models.volume import REACH, SIZES, Volume, image_volume, in_neighbourhood, local_volume
 from phdtrack.protocols import Sensor
 from phdtrack.types import F4, F8, I8, GaussianMixture, Particles
@@ -67,7 +68,13 @@ class MeasurementBirth:
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """γT as Gaussians around the detections, see `births_around`."""
-        return births_around(sensor.states(z), sensor.observed, self.density(z) * seconds)
+        density = self.density(z) * seconds
+        if type(sensor) is BoxSensor and sensor.scaling != "previous":
+            boxes: Births = births_of_boxes(
+                np.ascontiguousarray(z), sensor.numbers, sensor.speed, density, *newborn_shape(4)
+            )
+            return boxes
+        return births_around(sensor.states(z), sensor.observed, density)
 
     def density(self, z: F8) -> F8:
         """(N,) γ per second at the detections themselves."""

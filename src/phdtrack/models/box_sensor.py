@@ -218,11 +218,14 @@ class BoxSensor:
 
         The velocity of uniform direction and Gaussian amplitude a has variance a²/2 per axis.
         """
-        speed = self.birth_speed_pixels if self.scaling == "fixed" else self.birth_speed
-        found: tuple[F8, F8] = states_of_boxes(
-            np.ascontiguousarray(z), 8 if self.scaling == "previous" else 6, self.numbers, speed / math.sqrt(2)
-        )
+        dim = 8 if self.scaling == "previous" else 6
+        found: tuple[F8, F8] = states_of_boxes(np.ascontiguousarray(z), dim, self.numbers, self.speed)
         return found
+
+    @property
+    def speed(self) -> float:
+        """Deviation of an unknown velocity along each axis, in √(wh) per time unit, or in pixels where noises are fixed."""
+        return (self.birth_speed_pixels if self.scaling == "fixed" else self.birth_speed) / math.sqrt(2)
 
     @property
     def numbers(self) -> BoxNoise:
