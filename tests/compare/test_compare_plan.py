@@ -96,9 +96,3 @@ def test_malformed_files_are_told_with_their_line(tmp_path: Path) -> None:
     (folder / "seqinfo.ini").unlink()
     with pytest.raises(InputError, match="size and rate"):
         planned([str(folder)])
-
-
-def test_two_folders_of_one_name_are_refused(tmp_path: Path) -> None:
-    folders = [str(sequence(tmp_path / parent / "a")) for parent in ("x", "y")]
-    with pytest.raises(InputError, match="twice"):
-        planned(folders)

@@ -45,15 +45,6 @@ def test_the_range_of_the_number_is_kept_where_the_filter_has_a_distribution() -
     assert run_record(3).series.count_range.shape == (0, 2)
 
 
-def test_nothing_at_all() -> None:
-    record = Recorder(INFO).record(Tracks.empty(), About())
-    assert len(record.series) == 0
-    assert record.by_identity() == ()
-    assert record.heat_maps == ()
-    assert record.background.shape == (0, 0, 3)
-    assert np.isnan(record.frames_per_second)
-
-
 @pytest.mark.parametrize("frames", [2, 12, 13, 100])
 def test_heat_maps_are_few_spread_and_hold_the_mass(frames: int) -> None:
     record = run_record(frames, 2)

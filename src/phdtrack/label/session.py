@@ -173,6 +173,10 @@ def sampled(last: int, count: int, seed: int) -> list[int]:
     last : they are drawn from 1 … last.
     count : how many; all where there are fewer.
     seed : the same seed gives the same frames.
+
+    Returns
+    -------
+    Frame numbers.
     """
     return [int(number) for number in np.random.default_rng(seed).permutation(last)[:count] + 1]
 

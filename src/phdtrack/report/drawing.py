@@ -112,19 +112,7 @@ class Annotator:
         rows = tracks.take(tracks.frame == number)
         for identity, points in self._trails_with(rows, number).items():
             _fading_line(out, points, identity_colour(identity), pen.line)
-        labels: list[tuple[Corners, int]] = []
-        # From the top of the frame downwards, because what stands lower is usually nearer; then all labels.
-        for i in np.lexsort((rows.xyxy[:, 3], rows.confirmed)):
-            corners, identity = placed(rows.xyxy[i], out), int(rows.identity[i])
-            if corners is None:
-                continue
-            if rows.confirmed[i]:
-                outline(out, corners, identity_colour(identity), pen, dashed=bool(rows.predicted[i]))
-                labels.append((corners, identity))
-            else:
-                faint_rectangle(out, corners, identity_colour(identity), pen.line, opacity=0.4)
-        for corners, identity in labels:
-            plate(out, str(identity), corners[:2], identity_colour(identity), pen)
+        _draw_tracks(out, rows, pen)
         count = int(rows.confirmed.sum())
         header = f"frame {number}   {count} track{'' if count == 1 else 's'}"
         header += f"   expected count {mass:.1f}" if math.isfinite(mass) else ""
@@ -141,6 +129,22 @@ class Annotator:
                 trail.popleft()
         self._trails = {identity: trail for identity, trail in self._trails.items() if trail}
         return {identity: np.array(trail)[:, 1:] for identity, trail in self._trails.items()}
+
+
+def _draw_tracks(out: Image, rows: Tracks, pen: Pen) -> None:
+    """Outlines from the top of the frame downwards, because what stands lower is usually nearer; then all labels."""
+    labels: list[tuple[Corners, int]] = []
+    for i in np.lexsort((rows.xyxy[:, 3], rows.confirmed)):
+        corners, identity = placed(rows.xyxy[i], out), int(rows.identity[i])
+        if corners is None:
+            continue
+        if rows.confirmed[i]:
+            outline(out, corners, identity_colour(identity), pen, dashed=bool(rows.predicted[i]))
+            labels.append((corners, identity))
+        else:
+            faint_rectangle(out, corners, identity_colour(identity), pen.line, opacity=0.4)
+    for corners, identity in labels:
+        plate(out, str(identity), corners[:2], identity_colour(identity), pen)
 
 
 class Pen(NamedTuple):

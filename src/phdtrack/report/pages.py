@@ -48,6 +48,10 @@ def report_html(record: RunRecord, config: Mapping[str, object], more: str = "")
     Parameters
     ----------
     record, config, more : as in `write_report`.
+
+    Returns
+    -------
+    HTML.
     """
     about, speed = record.about, record.frames_per_second
     return render(
@@ -86,6 +90,10 @@ def positions_page(about: About, source: str, lead: str, sections: str, config: 
     source, lead : where the positions come from, what happened.
     sections : of `group_sections`.
     config : the settings, listed at the end.
+
+    Returns
+    -------
+    HTML.
     """
     given = {"title": about.title, "about": about, "source": source, "lead": lead, "sections": Markup(sections)}
     return render("positions.html", settings=flattened(config), **given)
@@ -104,6 +112,10 @@ def learning_section(course: Sequence[SceneUpdate], memory: float, rate: float) 
     course : what was known after each frame that taught something.
     memory : time after which what was seen counts for 37 %, minutes.
     rate : time units of the model a second.
+
+    Returns
+    -------
+    HTML.
     """
     if not course:
         return ""
@@ -146,6 +158,10 @@ def scene_page(training: SceneTraining, lead: str, command: str) -> str:
     training : what was learned.
     lead : the same in words.
     command : how to use it.
+
+    Returns
+    -------
+    HTML.
     """
 
     def drawn(births: bool) -> charts.Picture | None:

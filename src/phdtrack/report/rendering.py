@@ -49,6 +49,10 @@ def counted(number: int, noun: str, plural: str = "") -> str:
     number : how many.
     noun : in the singular.
     plural : where it is not the noun with an s.
+
+    Returns
+    -------
+    Text for people.
     """
     return f"{grouped(number)} {noun if number == 1 else plural or noun + 's'}"
 

@@ -89,6 +89,10 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
     scene : whose they are.
     image : (H, W, 3) BGR frame, or (0, 0, 3).
     births : whether to draw the mean way of the next second as arrows.
+
+    Returns
+    -------
+    The picture.
     """
     p = learned.density
     (left, top), (wide, high) = p.low[:2], (p.high - p.low)[:2]
