@@ -80,6 +80,10 @@ class LabelStore:
         source, digest : name of the video or file, and a digest of its detections.
         frames : numbers to label, in the order to show them; those that a file holds already stay, in front.
 
+        Returns
+        -------
+        The labels.
+
         Raises
         ------
         InputError : the file is that of other detections, or no file of labels.
