@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from benchmarks.parts import Outcome, Row, Scale, Skipped
 from benchmarks.timing import Spread, in_turns
-from phdtrack.kernels.box_blocks import ALIVE, BLOCK, IH, IW, ROWS, SCALE, H, W, X, Y, likelihood_own, own_precisions
+from phdtrack.kernels.particle_models import BLOCK, NORM, H, OwnSize, W, X, Y
+from phdtrack.kernels.particles import ROWS, SEEN, WEIGHT, evaluate
 
 KEYS = ("c_kernel",)
 SOURCE = Path(__file__).resolve().parent / "kernel.c"
@@ -43,21 +44,16 @@ VARIANTS = (
 )
 DETECTIONS, CALLS = 64, 200
 REGION = 13.28
+SENSOR = OwnSize(np.float32(0.15), np.float32(1.0))
 F4 = NDArray[np.float32]
 
 
 @njit
-def numba_calls(s: F4, n: int, d: F4, region: np.float32, calls: int, out: F4) -> None:
-    """``calls`` times all detections of ``d`` against the block ``s``; sums and counts into ``out`` (count, 2)."""
+def numba_calls(sensor: OwnSize, s: F4, table: F4, region: np.float32, calls: int, out: F4) -> None:
+    """``calls`` times all detections of ``table`` against the block ``s``; sums and counts into ``out`` (count, 2)."""
     for _ in range(calls):
-        for j in range(d.shape[1]):
-            out[j, 0], out[j, 1] = likelihood_own(s, n, d, j, region)
-
-
-@njit
-def numba_precisions(s: F4, n: int, spread: np.float32, floor: np.float32) -> None:
-    """`own_precisions`, which only kernels may call."""
-    own_precisions(s, n, spread, floor)
+        for j in range(table.shape[1]):
+            out[j, 0], out[j, 1] = evaluate(sensor, table, j, s, BLOCK, region)
 
 
 def block(rng: np.random.Generator) -> tuple[F4, F4]:
@@ -65,11 +61,9 @@ def block(rng: np.random.Generator) -> tuple[F4, F4]:
     s = np.zeros(ROWS * BLOCK, np.float32)
     for row, mean, sd in ((X, 300, 3), (Y, 200, 5), (W, 35, 4), (H, 70, 8)):
         s[row : row + BLOCK] = rng.normal(mean, sd, BLOCK)
-    s[ALIVE : ALIVE + BLOCK] = 1
-    numba_precisions(s, BLOCK, np.float32(0.15), np.float32(1.0))
-    d = np.zeros((16, DETECTIONS), np.float32)
-    d[:4] = np.array([[300], [200], [35], [70]]) + np.array([[4], [7], [5], [10]]) * rng.standard_normal((4, DETECTIONS))
-    return s, d
+    s[WEIGHT : WEIGHT + BLOCK] = s[SEEN : SEEN + BLOCK] = 1
+    around = np.array([[4], [7], [5], [10]]) * rng.standard_normal((4, DETECTIONS))
+    return s, (np.array([[300], [200], [35], [70]]) + around).astype(np.float32)
 
 
 def compiled(folder: Path) -> dict[str, Any]:
@@ -92,7 +86,9 @@ def compiled(folder: Path) -> dict[str, Any]:
 
 def caller(function: Any, s: F4, d: F4, out: F4) -> Callable[[], None]:
     """``CALLS`` calls of a C function on the block."""
-    rows = np.concatenate([s[row : row + BLOCK] for row in (X, Y, W, H, IW, IH, SCALE, ALIVE)])
+    x, y, w, h, weight = (s[row : row + BLOCK] for row in (X, Y, W, H, WEIGHT))
+    iw, ih = (1 / np.maximum(SENSOR.noise * size, SENSOR.min_noise) for size in (w, h))
+    rows = np.concatenate([x, y, w, h, iw, ih, NORM * (iw * ih) ** 2, weight]).astype(np.float32)
     z, g = np.ascontiguousarray(d[:4].T), np.zeros(BLOCK, np.float32)
     pointer = ctypes.POINTER(ctypes.c_float)
     function.argtypes = [pointer, ctypes.c_int, pointer, ctypes.c_int, ctypes.c_float, pointer, pointer]
@@ -114,7 +110,7 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
     with tempfile.TemporaryDirectory() as folder:
         functions = compiled(Path(folder))
         results = {name: np.zeros((DETECTIONS, 2), np.float32) for name in functions}
-        calls = [lambda: numba_calls(s, BLOCK, d, np.float32(REGION), CALLS, mine)]
+        calls = [lambda: numba_calls(SENSOR, s, d, np.float32(REGION), CALLS, mine)]
         calls += [caller(function, s, d, results[name]) for name, function in functions.items()]
         spent = in_turns(calls, scale.repeats, warm_up=2)
     for name, found in results.items():

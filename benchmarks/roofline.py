@@ -23,8 +23,9 @@ from benchmarks.parts import Outcome, Row, Scale
 from benchmarks.timing import Spread, seconds
 from benchmarks.twins import NEWBORN
 from benchmarks.workload import Crowd, draw, stages
-from phdtrack.kernels.box_blocks import BLOCK, ROWS, fill_normals
 from phdtrack.kernels.fast32 import FAST, exp32
+from phdtrack.kernels.particle_models import BLOCK
+from phdtrack.kernels.particles import ROWS, fill_normals
 
 KEYS = ("roofline",)
 PARTICLE = 24

@@ -21,7 +21,7 @@ from experiments.counting_scene import PAPER_DETECTOR, Counting
 from phdtrack.errors import InputError
 from phdtrack.filters import ParticlePHD
 from phdtrack.filters.extract import KMeans
-from phdtrack.filters.particle_phd import Intensity
+from phdtrack.filters.phd_particle import Intensity
 from phdtrack.kernels.gaussian import Births
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.models.volume import image_volume

@@ -10,7 +10,7 @@ import numpy as np
 from experiments.common import Case, detections_in
 from phdtrack.arrays import iou
 from phdtrack.simulate import DetectorModel, Look, Scene, detect, render
-from phdtrack.simulate.scenario import clip, truth_rows, visible
+from phdtrack.simulate.scenario import truth_rows, visible
 from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo, Tracks, Truth
 
 Parting = Literal["crossing", "turning back"]
@@ -84,7 +84,8 @@ class Meeting:
     def truth(self, figures: Truth) -> Truth:
         """Those of whom enough is in the frame."""
         kept = np.flatnonzero(visible(figures.xyxy, self.info) >= _VISIBLE)
-        return truth_rows(figures.frame[kept], figures.identity[kept], clip(figures.xyxy[kept], self.info))
+        inside = np.clip(figures.xyxy[kept], 0, np.tile([self.info.width, self.info.height], 2).astype(np.float64))
+        return truth_rows(figures.frame[kept], figures.identity[kept], inside)
 
 
 def _smooth(way: F8) -> F8:

@@ -86,15 +86,6 @@ def draw(mixture: GaussianMixture, count: int, scale: float, rng: np.random.Gene
     return Particles(np.ascontiguousarray(state.transpose(1, 0, 2).reshape(d, k * count)), weight)
 
 
-@lru_cache(maxsize=16)
 def region_radius2(dims: int, probability: float = 0.99) -> float:
-    """The squared radius that holds this part of a standard Gaussian in an even number of dimensions: 13.28 in four.
-
-    By halving, from 1 − F(r²) = e^(−r²/2) Σ_{k < dims/2} (r²/2)^k / k!: importing SciPy takes longer.
-    """
-    low, high = 0.0, 400.0
-    for _ in range(64):
-        half = (low + high) / 4
-        outside = math.exp(-half) * sum(half**k / math.factorial(k) for k in range(dims // 2))
-        low, high = (low, 2 * half) if outside < 1 - probability else (2 * half, high)
-    return (low + high) / 2
+    """The squared radius that holds this part of a standard Gaussian in ``dims`` dimensions: 13.28 in four."""
+    return chi2_quantile(dims, probability)

@@ -19,6 +19,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.kernels.gaussian import Births
+from phdtrack.kernels.particle_models import SensorNumbers
 from phdtrack.types import (
     F4,
     F8,
@@ -30,6 +31,7 @@ from phdtrack.types import (
     GaussianMixture,
     Image,
     MeasurementHistory,
+    ParticleBlocks,
     Particles,
     SequenceInfo,
     Step,
@@ -48,13 +50,16 @@ class Motion(Protocol):
     def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
         """(d, L) one draw of f(·|ξ) for each column of ``x`` (d, L)."""
 
+    def particle_model(self, dt: float, seconds: float) -> Any:
+        """The numbers of f over ``dt`` and p_S over ``seconds``: a record of `kernels.particle_models`."""
+
     def p_survive(self, x: F8, seconds: float) -> F8:
         """(L,) probability that a target at ``x`` is still there after so many seconds."""
 
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean (d, n), Jacobian F (n, d, d) and noise covariance Q (n, d, d) of f(·|x) for the columns of ``x`` (d, n)."""
 
-    def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
+    def spawn(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of ∫ β(x|ξ) D(ξ) dξ for the intensity ``parents``; an empty set where nothing is spawned."""
 
     def warp_states(self, x: F8, warp: F8) -> F8:
@@ -121,6 +126,9 @@ class Sensor(Protocol):
 
     def watching(self, targets: F8) -> Sensor:
         """The sensor while targets are expected at these states (d, n), of which the nearer hide those behind them."""
+
+    def particle_model(self, z: F8) -> SensorNumbers:
+        """The numbers of g and p_D, and a column for each measurement of ``z`` (m, N), for `kernels.particle_models`."""
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles in the position plane outside which g(z|·) is negligible: lower and upper corners, each (2, N)."""

@@ -16,12 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 F8 = NDArray[np.float64]
 F4 = NDArray[np.float32]
+Real = NDArray[np.floating[Any]]
 I8 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 Image = NDArray[np.uint8]
@@ -137,10 +139,18 @@ class Truth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Particles:
-    """A weighted particle set: ``state`` (d, L) float64, ``weight`` (L,) float64 ≥ 0, whose sum is the expected count."""
+    """A weighted particle set.
+
+    Attributes
+    ----------
+    state : (d, L) float64.
+    weight : (L,) float64 ≥ 0, whose sum is the expected number of targets.
+    start : (R + 1,) where runs of neighbouring particles begin, 0 … L; (0,) where the order says nothing.
+    """
 
     state: F8
     weight: F8
+    start: I8 = field(default_factory=_none)
 
     def __len__(self) -> int:
         return len(self.weight)
@@ -153,37 +163,48 @@ class Particles:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParticleBlocks:
-    """Particles of equal weight in blocks of neighbours: what the fused particle filter carries from frame to frame.
+    """Particles in blocks of neighbours: what the particle filters carry from frame to frame.
 
     A block is a run of at most 256 particles that lie close together: what is near one of them is found once for all.
 
     Attributes
     ----------
-    state : (d, L) float32, C-contiguous: 24 bytes a particle for boxes.
+    state : (d, L) C-contiguous; float32 for boxes, 24 bytes a particle, float64 for others.
     start : (B + 1,) int64 ascending from 0 to L: block b holds the columns start[b] … start[b + 1] − 1.
-    unit : weight of each particle.
+    unit : weight of a particle whose share is 1.
+    share : (L,) of the state's type, weights in units; (0,) where all are 1, as after resampling.
+    extents : (B, 6) left, top, right, bottom of each block's positions, mean width and height of its neighbourhoods; (0, 6)
+        where they are not known.
     """
 
-    state: F4
+    state: Real
     start: I8
     unit: float
+    share: Real = field(default_factory=lambda: np.zeros(0, np.float32))
+    extents: Real = field(default_factory=lambda: np.zeros((0, 6), np.float32))
 
     @classmethod
-    def empty(cls, dim: int) -> ParticleBlocks:
+    def empty(cls, dim: int, dtype: DTypeLike = np.float32) -> ParticleBlocks:
         """No particles of dimension ``dim``."""
-        return cls(np.zeros((dim, 0), np.float32), np.zeros(1, np.int64), 0.0)
+        return cls(np.zeros((dim, 0), dtype), np.zeros(1, np.int64), 0.0, np.zeros(0, dtype), np.zeros((0, 6), dtype))
 
     def __len__(self) -> int:
         return int(self.start[-1])
 
     @property
+    def weight(self) -> F8:
+        """(L,) weights."""
+        weight: F8 = self.unit * self.share.astype(np.float64) if len(self.share) else np.full(len(self), self.unit)
+        return weight
+
+    @property
     def mass(self) -> float:
         """The integral of the intensity: the expected number of targets."""
-        return self.unit * len(self)
+        return self.unit * (float(self.share.sum(dtype=np.float64)) if len(self.share) else len(self))
 
     def particles(self) -> Particles:
         """The same intensity as plain particles; a copy in float64."""
-        return Particles(self.state.astype(np.float64), np.full(len(self), self.unit))
+        return Particles(self.state.astype(np.float64), self.weight)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -44,6 +44,7 @@ class RingSensor:
 
     table: tuple[float, ...] = (0.6, 0.25, 0.15, 0.25)
     linear: bool = False
+    observed: tuple[int, ...] = (0, 1)
 
     def log_likelihood(self, z, x):
         apart = np.abs(z[0] - x[0]).astype(int) % CELLS

@@ -12,9 +12,7 @@ from mcmc_cases import CELLS, RingMotion, ring, variation
 from phdtrack.errors import InputError
 from phdtrack.filters import MCMC
 from phdtrack.filters.intensities import JointSamples
-from phdtrack.filters.mcmc_ancestors import proposals
-from phdtrack.filters.mcmc_given import each_chain, joint_chain
-from phdtrack.filters.mcmc_settings import Ancestry, Chain, Interaction
+from phdtrack.filters.mcmc_given import Ancestry, Chain, Interaction, each_chain, joint_chain, proposals
 from phdtrack.models import PlaneMotion, PlaneSensor, PointMotion, PointSensor
 from phdtrack.protocols import Model
 

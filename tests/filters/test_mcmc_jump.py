@@ -10,9 +10,9 @@ from mcmc_cases import apart, joint_law, ring, variation
 
 from inner_kernels import from_python
 from phdtrack.filters.intensities import JointSamples
-from phdtrack.filters.mcmc_jump import jump_update
-from phdtrack.filters.mcmc_settings import Chain, Interaction, Jumps
-from phdtrack.kernels.mcmc_jump import Options, jump_chain, option_tables, redraw_one, redraw_two
+from phdtrack.filters.mcmc import Jumps, jump_update
+from phdtrack.filters.mcmc_given import Chain, Interaction
+from phdtrack.kernels.mcmc import Options, jump_chain, option_tables, redraw_one, redraw_two
 
 PAIRS = [(0, 1), (0, 2), (1, 2)]
 # Two targets that were there, and a newborn one, at two measurements; each has two states of his own.

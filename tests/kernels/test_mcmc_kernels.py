@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.kernels.mcmc_apart import total_penalty
-from phdtrack.kernels.mcmc_given import independent_chain, linear_chain
-from phdtrack.kernels.mcmc_jump import Options, jump_chain, option_tables
+from phdtrack.kernels.mcmc import Options, independent_chain, jump_chain, linear_chain, option_tables, total_penalty
 from reference.mcmc_twin import JumpChain
 from reference.mcmc_twin import independent_chain as independent_twin
 from reference.mcmc_twin import linear_chain as linear_twin

@@ -98,7 +98,7 @@ def option_tables(candidate, which, weight, absent):
 
 
 class JumpChain:
-    """The chain over existence, association and states; see `kernels.mcmc_jump.jump_chain` for what the arguments are."""
+    """The chain over existence, association and states; see `kernels.mcmc.jump_chain` for what the arguments are."""
 
     def __init__(self, old, measurements, options, member, place, strength, boxes, rng):
         self.old, self.options, self.member, self.place = old, options, member, place

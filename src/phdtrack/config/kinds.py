@@ -228,9 +228,9 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     },
     "filter": {
         "pmb": "phdtrack.filters.pmb:PMB",
-        "particle-phd": "phdtrack.filters.particle_phd:ParticlePHD",
+        "particle-phd": "phdtrack.filters.phd_particle:ParticlePHD",
         "gm-phd": "phdtrack.filters.phd_gaussian:GMPHD",
-        "particle-cphd": "phdtrack.filters.particle_cphd:ParticleCPHD",
+        "particle-cphd": "phdtrack.filters.cphd_particle:ParticleCPHD",
         "gm-cphd": "phdtrack.filters.cphd:GMCPHD",
         "mcmc": "phdtrack.filters.mcmc:MCMC",
         "mht": "phdtrack.filters.mht:MHT",

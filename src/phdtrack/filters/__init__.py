@@ -8,12 +8,12 @@ from phdtrack.files import lazy
 
 if TYPE_CHECKING:
     from phdtrack.filters.cphd import GMCPHD
+    from phdtrack.filters.cphd_particle import ParticleCPHD
     from phdtrack.filters.mcmc import MCMC
     from phdtrack.filters.mht import MHT, BestHypothesis
     from phdtrack.filters.none import NoFilter
-    from phdtrack.filters.particle_cphd import ParticleCPHD
-    from phdtrack.filters.particle_phd import ParticlePHD
     from phdtrack.filters.phd_gaussian import GMPHD
+    from phdtrack.filters.phd_particle import ParticlePHD
     from phdtrack.filters.pmb import PMB, BestBernoullis
 
 __getattr__, __dir__ = lazy(
@@ -27,8 +27,8 @@ __getattr__, __dir__ = lazy(
         "MHT": "phdtrack.filters.mht",
         "NoFilter": "phdtrack.filters.none",
         "PMB": "phdtrack.filters.pmb",
-        "ParticleCPHD": "phdtrack.filters.particle_cphd",
-        "ParticlePHD": "phdtrack.filters.particle_phd",
+        "ParticleCPHD": "phdtrack.filters.cphd_particle",
+        "ParticlePHD": "phdtrack.filters.phd_particle",
     },
 )
 

@@ -9,31 +9,198 @@ whose marginal of x is the exact posterior of that mixture. Two kinds of moves l
 
 * redraw: for one target, x_t' ~ f(·|x_t^r). What is left of the Hastings ratio is g(z_t|x_t') / g(z_t|x_t) and the
   interaction: f stands in target and proposal, and need have no density.
-* another ancestor: r' ~ q, and all targets anew from f(·|x^r'). The ratio is that of Π g / q(r). `mcmc_ancestors` has q.
+* another ancestor: r' ~ q, and all targets anew from f(·|x^r'). The ratio is that of Π g / q(r). See below for q.
 
 With ancestors of their own a target's r_t is redrawn along with it, which makes of the mixture the product of every target's
 own (1/M) Σ_r f(x_t|x_t^r) [K05]. All proposals can then be drawn at once.
 
 A target whose label is new has N draws about its measurement, with what the sensor knows from it alone: the posterior
 under a flat prior of its position. In its first frame it takes no part in the interaction.
+
+Of M samples few predict a precise measurement well, and of many targets hardly any does for all at once. A proposal that
+knows the scan, q(r) ∝ Π_t p̂(z_t | x_t^r), finds them. It is a fixed law while a frame's chain runs, so any will do as long
+as it leaves nobody out; the better it is, the more is accepted.
+
+p̂ is the Gaussian view of ∫ g(z|x) f(x|x^r) dx: N(z; H F x^r, H Q Hᵀ + R), exact for linear models. Where the sensor is not
+linear, it is the mean of g over a few draws of f. A small share of the proposals is uniform, for what either leaves out.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from phdtrack.arrays import draw
 from phdtrack.errors import InputError
 from phdtrack.filters.intensities import JointSamples
-from phdtrack.filters.mcmc_ancestors import Proposal, choose, proposals
-from phdtrack.filters.mcmc_linear import linear_parts
-from phdtrack.filters.mcmc_settings import Ancestry, Chain, effective_samples
-from phdtrack.kernels.mcmc_apart import total_penalty
-from phdtrack.kernels.mcmc_given import independent_chain, linear_chain
-from phdtrack.protocols import Model
+from phdtrack.kernels.gaussian import gaussian_parts
+from phdtrack.kernels.mcmc import independent_chain, linear_chain, total_penalty
+from phdtrack.models import PlaneMotion, PlaneSensor, PointMotion, PointSensor
+from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8, Bool, ChainInfo, GaussianMixture, UpdateInfo
 
 MOVES = ("redraw", "ancestor")
+# Share of uniform proposals among those that know the scan, and draws where there is no linear view.
+UNIFORM, DRAWS = 0.05, 8
+
+
+@dataclass(frozen=True, slots=True)
+class Interaction:
+    """``strength`` of the pairwise potential, 0 for none; of ``boxes``, or of points with a ``reach`` [K05]."""
+
+    strength: float
+    boxes: bool
+    reach: float
+
+    def places(self, x: F8, sensor: Sensor) -> F8:
+        """(L, 4) where states are, as `kernels.mcmc` wants it; (0, 4) where nobody asks."""
+        if self.strength == 0:
+            return np.zeros((0, 4))
+        if self.boxes:
+            return np.ascontiguousarray(sensor.boxes(x))
+        return np.ascontiguousarray(np.vstack([x[:2] / self.reach, np.zeros((2, x.shape[1]))]).T)
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """A chain of ``samples`` kept after ``burn`` steps, one of every ``thin``, with an interaction of targets."""
+
+    samples: int
+    burn: int
+    thin: int
+    interaction: Interaction
+
+    @property
+    def steps(self) -> int:
+        """How many there are in all."""
+        return self.burn + self.thin * self.samples
+
+
+@dataclass(frozen=True, slots=True)
+class Ancestry:
+    """Of the form with given associations: see `mcmc.MCMC`."""
+
+    joint: bool
+    switch: float
+    informed: bool
+    greedy: bool
+
+
+def effective_samples(series: F8) -> float:
+    """How many independent draws would tell the means of ``series`` (k, N) as well: least over its rows, by batch means.
+
+    With b = √N batches the variance of a batch's mean, times its length, is that of the chain's asymptotic error; NaN for
+    no rows or fewer than four samples, N where a row is constant.
+    """
+    count = series.shape[1]
+    length = int(np.sqrt(count))
+    if len(series) == 0 or length < 2:
+        return float("nan")
+    used = series[:, : count // length * length]
+    means = used.reshape(len(series), -1, length).mean(axis=2)
+    spread, batches = used.var(axis=1), length * means.var(axis=1, ddof=1)
+    share = np.divide(spread, batches, out=np.ones(len(series)), where=batches > 0)
+    return float(count * min(1.0, share.min()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposal:
+    """A law q over M samples: ``log`` (M,) log q, ``running`` (M,) sums of q."""
+
+    log: F8
+    running: F8
+
+
+def choose(proposal: Proposal, uniform: F8) -> I8:
+    """Draws of q by uniform numbers (k,) in [0, 1)."""
+    place: I8 = np.searchsorted(proposal.running, uniform * proposal.running[-1], side="right")
+    return place
+
+
+def proposals(
+    informed: bool, joint: bool, origin: F8, dt: float, z: F8, model: Model, rng: np.random.Generator
+) -> list[Proposal]:
+    """One q for all targets together (``joint``), or one each, of samples ``origin`` (d, n·M) for measurements (m, n)."""
+    n = z.shape[1]
+    many = origin.shape[1] // n
+    if not informed:
+        flat = Proposal(np.full(many, -np.log(many)), np.arange(1.0, many + 1))
+        return [flat] * (1 if joint else n)
+    parts = linear_parts(model, z, dt) if dt else None
+    if parts is None:
+        fits = _fits(origin, dt, z[:, np.repeat(np.arange(n), many)], model, rng).reshape(n, many)
+    else:
+        fits = parts.fits(origin)
+    if joint:
+        fits = fits.sum(axis=0, keepdims=True)
+    return [_law(fit) for fit in fits]
+
+
+def _law(fit: F8) -> Proposal:
+    weight = np.exp(fit - fit.max())
+    share = (1 - UNIFORM) * weight / weight.sum() + UNIFORM / len(weight)
+    return Proposal(np.log(share), np.cumsum(share))
+
+
+def _fits(origin: F8, dt: float, z: F8, model: Model, rng: np.random.Generator) -> F8:
+    """(L,) log p̂(z|ξ), up to what is the same for all, of pairs of columns of ``z`` (m, L) and ``origin`` (d, L)."""
+    sensor = model.sensor
+    if dt == 0:
+        return sensor.log_likelihood(z, origin)
+    if not sensor.linear:
+        trials = [sensor.log_likelihood(z, model.motion.sample(origin, dt, rng)) for _ in range(DRAWS)]
+        return np.asarray(np.logaddexp.reduce(trials, axis=0))
+    mean, _, noise = model.motion.transition(origin, dt)
+    rows = list(sensor.observed)
+    spread = noise[:, rows][:, :, rows] + sensor.covariance(z, mean)
+    apart = sensor.innovation(z, sensor.expected(mean))
+    distance2, log_det = gaussian_parts(apart, spread)
+    return np.asarray(-0.5 * (distance2 + log_det))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearParts:
+    """x = F ξ + L ν, z = (px, py) + noise of covariance R.
+
+    Attributes
+    ----------
+    step, root : (d, d) F and L, with Q = L Lᵀ of whatever rank.
+    z : (2, n) measured positions.        inverse : (n, 3) R⁻¹ of each, packed as xx, xy, yy.
+    predictive : (n, 2, 2) (H L Lᵀ Hᵀ + R)⁻¹.
+    """
+
+    step: F8
+    root: F8
+    z: F8
+    inverse: F8
+    predictive: F8
+
+    def fits(self, origin: F8) -> F8:
+        """(n, M) log N(z; H F ξ, H Q Hᵀ + R) of each target's samples ``origin`` (d, n·M), up to a constant."""
+        n = self.z.shape[1]
+        apart = self.z[:, :, None] - (self.step[:2] @ origin).reshape(2, n, -1)
+        (a, b), (_, c) = self.predictive.transpose(1, 2, 0)[:, :, :, None]
+        out: F8 = -0.5 * (a * apart[0] ** 2 + 2 * b * apart[0] * apart[1] + c * apart[1] ** 2)
+        return out
+
+
+def linear_parts(model: Model, z: F8, dt: float) -> LinearParts | None:
+    """The parts for measurements ``z`` (m, n) after ``dt``, or None where the model is none of those known to be linear."""
+    if not isinstance(model.motion, PlaneMotion | PointMotion) or not isinstance(model.sensor, PlaneSensor | PointSensor):
+        return None
+    # Of both, F and Q are the same for all states and R for all states of one measurement.
+    _, step, noise = model.motion.transition(np.zeros((model.motion.dim, 1)), dt)
+    size, axes = np.linalg.eigh(noise[0])
+    spread = model.sensor.covariance(z, np.zeros((model.motion.dim, z.shape[1])))
+    inverse = np.linalg.inv(spread)
+    total: F8 = spread + noise[0, :2, :2]
+    predictive = np.asarray(np.linalg.inv(total), np.float64)
+    packed = np.stack([inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1]], axis=1)
+    root = axes * np.sqrt(np.maximum(size, 0.0))
+    return LinearParts(
+        np.ascontiguousarray(step[0]), np.ascontiguousarray(root), np.ascontiguousarray(z[:2]), packed, predictive
+    )
 
 
 def given_update(
@@ -138,7 +305,7 @@ def each_chain(
 def joint_chain(
     chain: Chain, switches: Bool, proposal: Proposal, origin: F8, dt: float, z: F8, model: Model, rng: np.random.Generator
 ) -> tuple[F8, I8]:
-    """One ancestor for all targets, for any model: what `kernels.mcmc_given.linear_chain` does, in the open.
+    """One ancestor for all targets, for any model: what `kernels.mcmc.linear_chain` does, in the open.
 
     Slow, because what the next proposals are drawn from is known only when an ancestor has been accepted or not.
     """

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.filters.composed import composed_step
 from phdtrack.protocols import Model
 from phdtrack.types import F8, Particles, UpdateInfo
 
@@ -39,4 +38,4 @@ class NoFilter:
         self, state: Particles, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[Particles, UpdateInfo]:
         """Predict, update and reduce in turn."""
-        return composed_step(self, state, z, model, dt, rng)
+        return self.update(self.start(model, rng), z, model, dt, rng)

@@ -1,132 +1,207 @@
-"""Newborn boxes around the detections, placed from one table of standard points a frame instead of being stored.
+"""Newborn particles around the measurements: where they lie, and the density of the proposal that they were drawn from.
 
-Positions and sizes come from the observation noise inside its 99 % region, their radii stratified. A point of the unit
-sphere in four dimensions is two angles and a share: of two independent complex normals, the share of the first in the
-squared radius is uniform. Every detection takes its own stretch of the frame's table: each one's newborn follow the proposal
-exactly; those of two detections in one frame are not independent of each other, which changes no expectation, and the
-table is drawn anew for every frame.
+The newborn of measurement j are the columns first[j] … first[j + 1] − 1. All of a frame are placed from one table of points
+of a truncated standard Gaussian, of which each measurement takes its own stretch: each one's newborn follow the proposal
+exactly; those of two measurements in one frame are not independent of each other, which changes no expectation.
 """
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.box_blocks import ALIVE, IH, IW, MINUS_TWO, ZERO, ZH, ZW, ZX, ZY, H, U, W, X, Y
-from phdtrack.kernels.fast32 import ENTRY, FAST, HALF, INNER, ONE, VECTOR, cos_sin_turn, exp32, log32
-from phdtrack.kernels.philox import ROUNDS, philox, unit
+from phdtrack.kernels.fast32 import ENTRY, FAST, HALF, exp32
+from phdtrack.kernels.grid import make_grid, overlapping
 
-F4 = NDArray[np.float32]
+F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 F = np.float32
-# Rows of the table of detections beside those of `box_blocks`: the deviations, one over them for the proposal, and the
-# densities there of the proposal (J_i at its peak) and of γ.
-SX, SY, SW, SH, BX, BY, BW, BH, PEAK, DENSITY = range(9, 19)
-COLUMNS = 19
-SMALLEST = F(1e-3)
-LOWEST_SIZE, HIGHEST_SIZE = F(0.5), F(1.5)
-STAGE_POINT, STAGE_VELOCITY = np.uint32(2), np.uint32(3)
-ALL = np.uint32(0xFFFFFFFF)
 GOLDEN = 0.6180339887498949
+U = np.uint64
+Real = NDArray[np.floating[Any]]
 
 
-@njit(**ENTRY, fastmath=FAST)
-def standard_points(count: int, radius: F4, key: I8) -> F4:
-    """(7, count) points of a standard Gaussian in four dimensions inside its kept part, exp(−r²/2) of each, and velocities.
+class Proposal(NamedTuple):
+    """The Gaussians about N measurements that newborn particles are drawn from.
 
-    ``radius`` are the radii at equal steps of the quantile. The quantiles are a golden-section sequence, so that every
-    stretch of the points has about every radius; its random start makes the law of each single one exact. The velocities
-    (2, count) have uniform direction and standard Gaussian amplitude [M07 §2].
+    ``mean`` (d, N) states; ``rows`` (r,) of the state that measurements show; ``root``, ``inverse`` (N, r, r) the Cholesky
+    factor of what is shown and its inverse; ``velocity`` (N, 2, 2) a factor for velocities; ``peak`` (N,) the density at the
+    mean, J_j of them together; ``reach`` (2, N) half the extent in position.
     """
-    k0, k1 = np.uint32(key[0]), np.uint32(key[1])
-    out = np.empty((7, count), np.float32)
-    x, y, w, h, density, vx, vy = out[0], out[1], out[2], out[3], out[4], out[5], out[6]
-    a, _, _, _ = philox(ALL, ALL, STAGE_POINT, np.uint32(0), k0, k1, ROUNDS)
-    start, cells, last = np.float64(unit(a)), np.float64(radius.size - 1), np.int32(radius.size - 2)
+
+    mean: F8
+    rows: I8
+    root: F8
+    inverse: F8
+    velocity: F8
+    peak: F8
+    reach: F8
+
+
+@njit(**ENTRY)
+def proposals(mean: F8, cov: F8, rows: I8, counts: I8, limit: float, kept: float) -> Proposal:
+    """The proposals from states (d, N) and covariances (N, d, d).
+
+    Parameters
+    ----------
+    rows, counts : (r,) rows of the state that measurements show, and (N,) newborn of each measurement.
+    limit, kept : the squared radius at which a Gaussian is cut, and the part of it inside.
+    """
+    count, r = counts.size, rows.size
+    root, inverse, velocity = np.zeros((count, r, r)), np.zeros((count, r, r)), np.empty((count, 2, 2))
+    peak, reach = np.empty(count), np.empty((2, count))
+    for j in range(count):
+        peak[j] = counts[j] / (kept * (2.0 * np.pi) ** (0.5 * r))
+        for a in range(r):
+            for b in range(a + 1):
+                rest = cov[j, rows[a], rows[b]]
+                for c in range(b):
+                    rest -= root[j, a, c] * root[j, b, c]
+                root[j, a, b] = np.sqrt(rest) if a == b else rest / root[j, b, b]
+            peak[j] /= root[j, a, a]
+            inverse[j, a, a] = 1.0 / root[j, a, a]
+            for b in range(a):
+                total = 0.0
+                for c in range(b, a):
+                    total += root[j, a, c] * inverse[j, c, b]
+                inverse[j, a, b] = -total / root[j, a, a]
+        for a in range(reach.shape[0]):
+            reach[a, j] = np.sqrt(limit * cov[j, rows[a], rows[a]])
+        # The covariance of a uniform direction and a Gaussian amplitude is half the amplitude's variance.
+        velocity[j, 0, 0], velocity[j, 0, 1] = np.sqrt(2.0 * cov[j, 2, 2]), 0.0
+        velocity[j, 1, 0] = 2.0 * cov[j, 3, 2] / velocity[j, 0, 0] if cov[j, 2, 2] > 0.0 else 0.0
+        velocity[j, 1, 1] = np.sqrt(max(2.0 * cov[j, 3, 3] - velocity[j, 1, 0] ** 2, 0.0))
+    return Proposal(mean, rows, root, inverse, velocity, peak, reach)
+
+
+@njit(**ENTRY)
+def standard_points(normal: F8, uniform: F8, radii: F8) -> F8:
+    """(r + 3, P) standard Gaussian vectors inside a truncated region, velocities, and exp(−r²/2) of each vector.
+
+    The quantiles of the radii are a golden-section sequence, so that every stretch of the points has about every radius: the
+    importance weights of a flat γ follow the radius alone, and a thousand independent ones would leave the mass of the
+    newborn uncertain by 9 %. Velocities have uniform direction and standard Gaussian amplitude [M07 §2].
+
+    Parameters
+    ----------
+    normal, uniform : (r + 1, P), (P + 1,) standard normal numbers and uniform ones.
+    radii : (K,) the radii at equal steps of the quantile.
+    """
+    r, count = normal.shape[0] - 1, normal.shape[1]
+    out, cells = np.empty((r + 3, count)), radii.size - 1
     for i in range(count):
-        _, b, c, e = philox(np.uint32(i), np.uint32(0), STAGE_POINT, np.uint32(0), k0, k1, ROUNDS)
-        x[i], y[i], w[i] = unit(b), unit(c), unit(e)
-    for i in range(count):
-        turn = start + GOLDEN * i
-        h[i] = F((turn - np.floor(turn)) * cells)
-    for i in range(count):
-        below = np.int32(h[i])
-        below = below if below < last else last
-        density[i] = radius[below] + (radius[below + np.int32(1)] - radius[below]) * (h[i] - F(below))
-    for i in range(count):
-        first = density[i] * np.sqrt(x[i])
-        cosine, sine = cos_sin_turn(y[i])
-        h[i] = density[i] * np.sqrt(ONE - x[i])
-        x[i], y[i] = first * cosine, first * sine
-    for i in range(count):
-        second = h[i]
-        cosine, sine = cos_sin_turn(w[i])
-        w[i], h[i] = second * cosine, second * sine
-        density[i] = exp32(-HALF * density[i] * density[i])
-    for i in range(count):
-        a, b, c, _ = philox(np.uint32(i), np.uint32(0), STAGE_VELOCITY, np.uint32(0), k0, k1, ROUNDS)
-        vx[i], vy[i] = np.sqrt(MINUS_TWO * log32(unit(a))) * cos_sin_turn(unit(b))[0], unit(c)
-    for i in range(count):
-        cosine, sine = cos_sin_turn(vy[i])
-        vx[i], vy[i] = vx[i] * cosine, vx[i] * sine
+        turn = uniform[count] + GOLDEN * i
+        place = (turn - np.floor(turn)) * cells
+        below = min(int(place), cells - 1)
+        radius, square = radii[below] + (radii[below + 1] - radii[below]) * (place - below), 0.0
+        for a in range(r):
+            square += normal[a, i] * normal[a, i]
+        for a in range(r):
+            out[a, i] = normal[a, i] * radius / np.sqrt(square)
+        angle = 2.0 * np.pi * uniform[i]
+        out[r, i], out[r + 1, i] = normal[r, i] * np.cos(angle), normal[r, i] * np.sin(angle)
+        out[r + 2, i] = np.exp(-0.5 * radius * radius)
     return out
 
 
-@njit(**INNER)
-def stretch(j: int, room: int, k0: np.uint32, k1: np.uint32) -> np.int64:
-    """Where in the standard points those of detection j begin, 0 ≤ … ≤ ``room``."""
-    a, _, _, _ = philox(np.uint32(j), ALL, STAGE_POINT, np.uint32(0), k0, k1, ROUNDS)
-    return np.int64(a) % (room + 1)
+@njit(**(ENTRY | {"fastmath": FAST}))
+def place_newborn(about: Proposal, points: Real, begin: I8, first: I8, out: Real) -> None:
+    """Write newborn states into ``out`` (d, L), from ``points`` (r + 2, P), of each measurement from ``begin`` (N,) on."""
+    d, count = about.mean.shape
+    r, real = about.rows.size, out.dtype.type
+    for j in range(count):
+        at, n, source = U(first[j]), first[j + 1] - first[j], U(begin[j])
+        for a in range(d):
+            middle = real(about.mean[a, j])
+            for i in range(U(n)):
+                out[a, at + i] = middle
+        for a in range(r):
+            row = U(about.rows[a])
+            for c in range(a + 1):
+                factor = real(about.root[j, a, c])
+                if factor != real(0):
+                    for i in range(U(n)):
+                        out[row, at + i] += factor * points[c, source + i]
+        for a in range(2):
+            for c in range(a + 1):
+                factor = real(about.velocity[j, a, c])
+                if factor != real(0):
+                    for i in range(U(n)):
+                        out[2 + a, at + i] += factor * points[r + c, source + i]
 
 
-@njit(**VECTOR)
-def place_newborn(s: F4, n: int, points: F4, first: int, d: F4, j: int) -> None:
-    """The points ``first`` … first + n − 1 around detection j into X, Y, W, H, their own proposal's density into IW."""
-    zx, zy, zw, zh = d[ZX, j], d[ZY, j], d[ZW, j], d[ZH, j]
-    sx, sy, sw, sh, peak = d[SX, j], d[SY, j], d[SW, j], d[SH, j], d[PEAK, j]
-    for i in range(n):
-        p = U(first) + U(i)
-        s[X + i], s[Y + i], s[IW + i] = zx + sx * points[0, p], zy + sy * points[1, p], peak * points[4, p]
-        s[W + i], s[H + i] = zw + sw * points[2, p], zh + sh * points[3, p]
+@njit(**(ENTRY | {"fastmath": FAST}))
+def proposal_density(about: Proposal, shown: Real, first: I8, own: Real, begin: I8, limit: float) -> Real:
+    """(L,) Σ_i J_i p_i(x) at newborn particles that show ``shown`` (r, L) [M07 §2].
 
-
-@njit(**VECTOR)
-def weigh_newborn(
-    s: F4, n: int, d: F4, j: int, neighbour: I8, count: int, limit: np.float32, local: bool, flat: np.float32
-) -> np.float32:
-    """Importance weights γ(x) / Σ_i J_i p_i(x) into ALIVE, with the proposals and γ of all neighbours [M07 §2]; their sum.
-
-    ``flat``: γ where it is the same everywhere, else 0: with ``local`` it is the sum of the neighbourhoods that hold x. IW
-    holds the particles' own proposal already.
+    p_i is cut at the squared radius ``limit``. ``own`` (P,): exp(−r²/2) of the points that a measurement's own newborn were
+    placed from: on the rim of its region rounding could put a particle outside.
     """
-    for i in range(n):
-        s[IH + i] = flat
-    for m in range(count):
-        k = neighbour[m]
-        zx, zy, zw, zh = d[ZX, k], d[ZY, k], d[ZW, k], d[ZH, k]
-        bx, by, bw, bh, peak = d[BX, k], d[BY, k], d[BW, k], d[BH, k], d[PEAK, k]
-        if peak > ZERO and k != j:
+    r, count = shown.shape[0], first.size - 1
+    lower, upper = about.mean[:2] - about.reach, about.mean[:2] + about.reach
+    grid, found = make_grid(lower, upper, 0.0, 0.0), np.empty(count, np.int64)
+    longest = 0
+    for j in range(count):
+        longest = max(longest, first[j + 1] - first[j])
+    real = shown.dtype.type
+    out, squares, part = np.empty(first[count]), np.empty(longest, shown.dtype), np.empty(longest, shown.dtype)
+    for j in range(count):
+        at, n = first[j], first[j + 1] - first[j]
+        if n == 0:
+            continue
+        for i in range(n):
+            out[at + i] = about.peak[j] * own[begin[j] + i]
+        for m in range(overlapping(lower[0, j], lower[1, j], upper[0, j], upper[1, j], grid, found)):
+            k = found[m]
+            if k == j or about.peak[k] == 0.0:
+                continue
             for i in range(n):
-                dx, dy, dw, dh = (s[X + i] - zx) * bx, (s[Y + i] - zy) * by, (s[W + i] - zw) * bw, (s[H + i] - zh) * bh
-                distance2 = (dx * dx + dy * dy) + (dw * dw + dh * dh)
-                p = peak * exp32(-HALF * distance2)
-                s[IW + i] += p if distance2 <= limit else ZERO
-        if local:
-            density = d[DENSITY, k]
-            least_w, most_w, least_h, most_h = LOWEST_SIZE * zw, HIGHEST_SIZE * zw, LOWEST_SIZE * zh, HIGHEST_SIZE * zh
+                squares[i] = real(0)
+            for a in range(r):
+                for i in range(n):
+                    part[i] = real(0)
+                for c in range(a + 1):
+                    factor, middle = real(about.inverse[k, a, c]), real(about.mean[about.rows[c], k])
+                    if factor != real(0):
+                        for i in range(n):
+                            part[i] += factor * (shown[c, at + i] - middle)
+                for i in range(n):
+                    squares[i] += part[i] * part[i]
+            peak, rim = about.peak[k], real(limit)
             for i in range(n):
-                w, h = s[W + i], s[H + i]
-                there = (abs(s[X + i] - zx) <= zw) & (abs(s[Y + i] - zy) <= zh)
-                alike = (w >= least_w) & (w <= most_w) & (h >= least_h) & (h <= most_h)
-                s[IH + i] += density if there & alike else ZERO
-    total = ZERO
-    for i in range(n):
-        w, h = s[W + i], s[H + i]
-        weight = s[IH + i] / s[IW + i]
-        weight = weight if (w > ZERO) & (h > ZERO) else ZERO
-        s[ALIVE + i] = weight
-        total += weight
-        # A size that cannot be still needs a deviation above zero in the likelihood.
-        s[W + i], s[H + i] = w if w > SMALLEST else SMALLEST, h if h > SMALLEST else SMALLEST
-    return total
+                density = peak * float(exp32(-HALF * F(squares[i])))
+                out[at + i] += density if squares[i] <= rim else 0.0
+    return out
+
+
+@njit(**ENTRY)
+def density_within(shown: Real, first: I8, lower: F8, upper: F8, density: F8) -> F8:
+    """(L,) Σ_k density_k over the boxes ``lower``, ``upper`` (r, N) of measurement space that hold each of ``shown`` (r, L).
+
+    Particles lie in runs, ``first`` (M + 1,), of which each is asked for its neighbours once.
+    """
+    r, count = shown.shape[0], first.size - 1
+    grid, found = make_grid(lower[:2].copy(), upper[:2].copy(), 0.0, 0.0), np.empty(lower.shape[1], np.int64)
+    out, held = np.zeros(shown.shape[1]), np.empty(shown.shape[1], np.bool_)
+    for j in range(count):
+        begin, end = first[j], first[j + 1]
+        if end == begin:
+            continue
+        left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+        for i in range(begin, end):
+            x, y = shown[0, i], shown[1, i]
+            left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
+        for m in range(overlapping(left, top, right, bottom, grid, found)):
+            k = found[m]
+            for i in range(begin, end):
+                held[i] = True
+            for a in range(r):
+                low, high = lower[a, k], upper[a, k]
+                for i in range(begin, end):
+                    held[i] &= (shown[a, i] >= low) & (shown[a, i] <= high)
+            for i in range(begin, end):
+                out[i] += density[k] if held[i] else 0.0
+    return out

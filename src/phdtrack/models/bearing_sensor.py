@@ -22,6 +22,7 @@ import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile, to_cxcywh
 from phdtrack.checks import NonNegative, Positive, Probability, Share, check
+from phdtrack.kernels.particle_models import BearingRange, SensorNumbers
 from phdtrack.types import F8, Bool, Detections
 
 TURN = 2 * math.pi
@@ -125,6 +126,13 @@ class BearingSensor:
     def occlusion(self) -> bool:
         """Nobody hides anybody."""
         return False
+
+    def particle_model(self, z: F8) -> SensorNumbers:
+        """The numbers of g and p_D for the particle filters, and a column for each measurement [V06 §IV-C]."""
+        factor = 1 / (TURN * self.bearing * self.reach)
+        x, y = self.origin
+        model = BearingRange(float(x), float(y), 1 / self.bearing, 1 / self.reach, factor, 10 * self.reach)
+        return SensorNumbers(model, np.ascontiguousarray(z[:2], np.float64), np.zeros(0))
 
     def watching(self, targets: F8) -> BearingSensor:
         """The sensor itself."""

@@ -13,23 +13,26 @@ from functools import lru_cache
 
 import numpy as np
 
-from phdtrack.arrays import draw, sum_by
+from phdtrack.arrays import draw, region_radius2, sum_by
 from phdtrack.checks import NonNegative, PositiveCount, Probability, Share, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.box_model import births_about, births_of_boxes
 from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.kernels.neighbourhoods import summed_densities
+from phdtrack.kernels.newborn import density_within, place_newborn, proposal_density, proposals, standard_points
 from phdtrack.kernels.pairs import quadratic_form
 from phdtrack.models.box_sensor import BoxSensor
-from phdtrack.models.volume import REACH, SIZES, Volume, image_volume, in_neighbourhood, local_volume
+from phdtrack.models.volume import REACH, SIZES, Volume, image_volume, local_volume
 from phdtrack.protocols import Sensor
-from phdtrack.types import F4, F8, I8, GaussianMixture, Particles
+from phdtrack.types import F8, I8, GaussianMixture, Particles
 
 # The part of a Gaussian proposal that newborn particles are drawn from. Outside, the importance ratio of a flat γ to the
 # proposal grows like exp(r²/2) and its variance is infinite: that mass is dropped.
 KEPT = 0.99
-# A density of births at what measurements show (r, L), drawn about the measurements (L,).
+# So many more points are drawn than one detection needs, so that detections have different ones.
+SPARE = 128
+# A density of births at what measurements show (r, L); those about measurement j are first[j] … first[j + 1] − 1.
 Gamma = Callable[[F8, I8], F8]
 
 
@@ -57,14 +60,18 @@ class MeasurementBirth:
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """Particles around the detections that weigh what γ is there [M07 §2], see `particles_about`."""
 
-        def gamma(x: F8, of: I8) -> F8:
-            return self._intensity(x, z[: len(x)]) * seconds
-
-        return particles_about(covered, sensor.states(z), sensor.observed, self.particles, gamma, rng)
+        return particles_about(
+            covered,
+            sensor.states(z),
+            sensor.observed,
+            self.particles,
+            lambda x, first: self._intensity(x, first, z[:4]) * seconds,
+            rng,
+        )
 
     def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
         """Gaussians about the detections that have the density of γ there, see `gaussians_about`."""
-        return gaussians_about(z, covered, sensor, lambda x: self._intensity(x, z[: len(x)]) * seconds)
+        return gaussians_about(z, covered, sensor, lambda x: self.density(x) * seconds)
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """γT as Gaussians around the detections, see `births_around`."""
@@ -79,7 +86,7 @@ class MeasurementBirth:
     def density(self, z: F8) -> F8:
         """(N,) γ per second at the detections themselves."""
         if self.volume == "image":
-            return self._intensity(z[:4], z)
+            return self._intensity(z[:4], np.zeros(1, np.int64), z)
         each = self.births_per_second / local_volume(z)
         local: F8 = summed_densities(np.ascontiguousarray(z[:4]), each, REACH, *SIZES)
         return local
@@ -88,14 +95,14 @@ class MeasurementBirth:
         """births_per_second·seconds, of each detection where ``local``."""
         return self.births_per_second * seconds * (z.shape[1] if self.volume == "local" else 1)
 
-    def _intensity(self, observed: F8, z: F8) -> F8:
-        """γ per second at positions and sizes (m, L); 0 where a size is not positive."""
+    def _intensity(self, shown: F8, first: I8, z: F8) -> F8:
+        """γ per second at positions and sizes (4, L), which lie in the runs ``first``; 0 where a size is not positive."""
         if self.volume == "image":
-            return np.where((observed[2:4] > 0).all(0), self.births_per_second / image_volume(self.frame_size), 0.0)
-        point, which = points_in_rectangles(observed[0], observed[1], z[:2] - z[2:4], z[:2] + z[2:4])
-        near = in_neighbourhood(observed[:, point], z[:, which])
-        density = self.births_per_second / local_volume(z)[which[near]]
-        return sum_by(point[near], density, observed.shape[1])
+            return np.where((shown[2:4] > 0).all(0), self.births_per_second / image_volume(self.frame_size), 0.0)
+        lower = np.concatenate([z[:2] - REACH * z[2:4], SIZES[0] * z[2:4]])
+        upper = np.concatenate([z[:2] + REACH * z[2:4], SIZES[1] * z[2:4]])
+        out: F8 = density_within(np.ascontiguousarray(shown), first, lower, upper, self.births_per_second / local_volume(z))
+        return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,8 +198,8 @@ def particles_about(
 
     What a measurement shows is drawn from the observation noise inside its 99 % region (the mass of γ outside all these
     regions is dropped), the velocity about its mean with uniform direction and Gaussian amplitude. γ uses the same law of
-    velocities, which therefore cancels in the weight: ``gamma`` gives its density at what measurements show (r, L), drawn
-    about the measurements (L,).
+    velocities, which therefore cancels in the weight: ``gamma`` gives its density at what measurements show (r, L), of which
+    those about measurement j are first[j] … first[j + 1] − 1.
 
     ``seen`` are the states and covariances that the measurements show, as `Sensor.states` gives them, ``rows`` are
     `Sensor.observed`, ``particles`` is Jmax.
@@ -200,21 +207,26 @@ def particles_about(
     mean, cov = seen
     observed = list(rows)
     counts = np.ceil(particles * np.clip(1.0 - covered, 0.0, 1.0)).astype(np.int64)
-    parent = np.repeat(np.arange(mean.shape[1]), counts)
-    if len(parent) == 0:
+    if not counts.any():
         return Particles(np.zeros((len(mean), 0)), np.zeros(0))
-    observed_cov = cov[:, observed][:, :, observed]
-    limit = _chi2_quantile(len(observed))
-    state = mean[:, parent]
-    root = np.linalg.cholesky(observed_cov)
-    state[observed] += np.einsum("jrs,sj->rj", root[parent], _truncated_normal(len(observed), counts, rng))
-    _draw_velocity(state, cov, parent, rng)
-    density = gamma(state[observed], parent)
+    limit = region_radius2(len(observed), KEPT)
+    about = proposals(mean, cov, np.array(observed), counts, limit, KEPT)
+    first, begin = np.zeros(len(counts) + 1, np.int64), (SPARE * rng.random(len(counts))).astype(np.int64)
+    np.cumsum(counts, out=first[1:])
+    many = int(counts.max()) + SPARE
+    points = standard_points(rng.standard_normal((len(observed) + 1, many)), rng.random(many + 1), _radii(len(observed)))
+    # Boxes in the precision of their filter: there are many.
+    state = np.empty((len(mean), first[-1]), np.float32 if len(observed) == 4 else np.float64)
+    place_newborn(about, points.astype(state.dtype), begin, first, state)
+    shown = state[observed]
+    density = gamma(shown, first)
+    weight = density / proposal_density(about, shown, first, points[-1], begin, limit)
     # Of a small box the noise's region reaches sizes below 0, where nothing is born.
     possible = density > 0
-    state, density = state[:, possible], density[possible]
-    log_proposal = _log_mixture(state[observed], mean[observed], observed_cov, counts, limit)
-    return Particles(state, density * np.exp(-log_proposal))
+    if not possible.all():
+        first = np.concatenate([[0], np.cumsum(possible)])[first]
+        state, weight = state[:, possible], weight[possible]
+    return Particles(state, weight, np.unique(first))
 
 
 def births_at(mixture: GaussianMixture, seconds: float) -> Births:
@@ -271,7 +283,7 @@ def gaussians_about(
     noise = cov[:, rows][:, :, rows]
     volume, stretch = newborn_shape(len(rows))
     wide = stretch * noise
-    limit = _chi2_quantile(len(rows))
+    limit = region_radius2(len(rows), KEPT)
     reach = np.sqrt(limit * np.stack([wide[:, 0, 0], wide[:, 1, 1]]))
     shown = np.ascontiguousarray(mean[rows])
     point, which = points_in_rectangles(shown[0], shown[1], shown[:2] - reach, shown[:2] + reach)
@@ -283,65 +295,25 @@ def gaussians_about(
     return GaussianMixture(mass, mean, cov)
 
 
-def _chi2_quantile(dof: int) -> float:
-    """The squared radius that holds the kept part of a standard Gaussian in ``dof`` dimensions (13.28 in four)."""
-    return float(_squared_radius(dof, np.array([KEPT]))[0])
-
-
-def _squared_radius(dof: int, part: F8) -> F8:
-    """The squared radii that hold these parts of a standard Gaussian in ``dof`` dimensions.
-
-    In an even number of them by halving, from 1 − F(r²) = e^(−r²/2) Σ_{k < dof/2} (r²/2)^k / k!: SciPy, which has them all,
-    takes long to import.
-    """
-    if dof % 2:
-        from scipy.special import chdtri
-
-        return np.asarray(chdtri(dof, 1 - part), np.float64)
-    low, high = np.zeros(len(part)), np.full(len(part), 400.0)
-    for _ in range(64):
-        half = (low + high) / 4
-        left = np.exp(-half) * sum(half**k / math.factorial(k) for k in range(dof // 2))
-        outside = left < 1 - part
-        low, high = np.where(outside, low, 2 * half), np.where(outside, 2 * half, high)
-    # Next to 1 the sum above is rounded: nothing is held by no radius.
-    middle: F8 = np.where(part > 0, (low + high) / 2, 0.0)
-    return middle
-
-
 @lru_cache(maxsize=8)
 def newborn_shape(dof: int) -> tuple[float, float]:
     """Volume of the kept region of a unit Gaussian, and 1 + a of `gaussians_about`, in ``dof`` dimensions."""
     ball = math.pi ** (dof / 2) / math.gamma(dof / 2 + 1)
-    volume = ball * _chi2_quantile(dof) ** (dof / 2)
+    volume = ball * region_radius2(dof, KEPT) ** (dof / 2)
     return volume, volume ** (2 / dof) / (2 * math.pi)
 
 
-@lru_cache(maxsize=1)
-def region() -> tuple[float, F4]:
-    """The squared radius of a Gaussian's kept part in four dimensions, and the radii at equal steps of its quantile."""
-    return _chi2_quantile(4), _radius_table(4)[1].astype(np.float32)
-
-
 @lru_cache(maxsize=8)
-def _radius_table(dof: int) -> tuple[F8, F8]:
-    """Quantiles, and the radii at them, of a standard Gaussian in ``dof`` dimensions inside its kept part."""
-    quantile = np.linspace(0, 1, 2049)
-    return quantile, np.sqrt(_squared_radius(dof, KEPT * quantile))
-
-
-def _truncated_normal(rows: int, counts: I8, rng: np.random.Generator) -> F8:
-    """(rows, Σcounts) standard Gaussian vectors inside the kept part, ``counts`` (N,) of them for each detection.
-
-    The radii of one detection's vectors are stratified: the importance weights of a flat γ follow the radius alone, and a
-    thousand independent ones would leave the mass of the newborn uncertain by 9 %.
-    """
-    total = int(counts.sum())
-    direction = rng.standard_normal((rows, total))
-    rank = np.arange(total) - np.repeat(np.cumsum(counts) - counts, counts)
-    radius = np.interp((rank + rng.random(total)) / np.repeat(counts, counts), *_radius_table(rows))
-    out: F8 = direction * (radius / np.sqrt((direction**2).sum(0)))
-    return out
+def _radii(dof: int) -> F8:
+    """The radii at equal steps of the quantile of a standard Gaussian in ``dof`` (even) dimensions inside its kept part."""
+    part = KEPT * np.linspace(0, 1, 2049)
+    low, high = np.zeros(len(part)), np.full(len(part), 400.0)
+    for _ in range(64):
+        half = (low + high) / 4
+        left = np.exp(-half) * sum(half**k / math.factorial(k) for k in range(dof // 2))
+        low, high = np.where(left < 1 - part, low, 2 * half), np.where(left < 1 - part, 2 * half, high)
+    # Next to 1 the sum above is rounded: nothing is held by no radius.
+    return np.sqrt(np.where(part > 0, (low + high) / 2, 0.0))
 
 
 def _draw_velocity(state: F8, cov: F8, parent: I8, rng: np.random.Generator) -> None:
@@ -352,20 +324,3 @@ def _draw_velocity(state: F8, cov: F8, parent: I8, rng: np.random.Generator) -> 
     x, y = amplitude * np.cos(angle), amplitude * np.sin(angle)
     state[2] += root[:, 0, 0] * x
     state[3] += root[:, 1, 0] * x + root[:, 1, 1] * y
-
-
-def _log_mixture(points: F8, mean: F8, cov: F8, counts: I8, limit: float) -> F8:
-    """(L,) log Σ_i J_i p_i(x), p_i the Gaussian about ``mean[:, i]`` cut at Mahalanobis distance² ``limit``."""
-    # A particle on the rim of its own region may come out just outside by rounding.
-    limit *= 1 + 1e-9
-    reach = np.sqrt(limit * np.stack([cov[:, 0, 0], cov[:, 1, 1]]))
-    point, which = points_in_rectangles(points[0], points[1], mean[:2] - reach, mean[:2] + reach)
-    distance2 = quadratic_form(points, mean, np.linalg.inv(cov), point, which)
-    _, log_det = np.linalg.slogdet(cov)
-    log_norm = -0.5 * log_det - 0.5 * len(points) * math.log(2 * math.pi) - math.log(KEPT)
-    inside = distance2 <= limit
-    density = counts[which] * np.exp(log_norm[which] - 0.5 * distance2)
-    total = sum_by(point[inside], density[inside], points.shape[1])
-    # Far from the origin rounding can throw a particle out of every region: it weighs nothing.
-    out: F8 = np.log(total, out=np.full_like(total, np.inf), where=total > 0)
-    return out

@@ -26,9 +26,10 @@ import numpy as np
 from phdtrack.checks import NonNegative, Positive, Probability, check
 from phdtrack.kernels.box_model import BoxDynamics
 from phdtrack.kernels.constant_velocity import box_motion_noise
+from phdtrack.kernels.particle_models import BoxWalk
 from phdtrack.models import warp as warp_of
 from phdtrack.models.spawning import NoSpawn, Spawn
-from phdtrack.types import F8, Particles
+from phdtrack.types import F8, ParticleBlocks, Particles
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +108,19 @@ class BoxMotion:
             stays[~inside] = 0.0
         return stays
 
+    def particle_model(self, dt: float, seconds: float) -> BoxWalk:
+        """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [M09 (11)]."""
+        root, (width, height) = math.sqrt(dt), self.frame_size
+        rest = self.drawn * math.sqrt((dt**3 - dt) / 12) if dt > 1 else 0.0
+        framed = width > 0 and height > 0
+        return BoxWalk(*(
+            np.float32(value)
+            for value in (
+                dt, self.drawn * root, self.size_noise * root, rest, self.min_size, self.scaled_noise,
+                self.survival_probability**seconds, width * framed, height * framed,
+            )
+        ))  # fmt: skip
+
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean, Jacobian and noise covariance of f(·|x) over the interval ``dt`` [M09 (11)]."""
         d, n = x.shape
@@ -130,7 +144,7 @@ class BoxMotion:
             self.survival_probability**seconds, *self.frame_size,
         )  # fmt: skip
 
-    def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
+    def spawn(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of the spawning term."""
         return self.births.sample(parents, dt, rng)
 

@@ -29,6 +29,7 @@ from phdtrack.checks import NonNegative, Positive, Probability, Share, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.box import box_corners, box_gate, box_noise
 from phdtrack.kernels.box_model import DETECTION, FIXED, GIVEN, PARTICLE, PREVIOUS, BoxNoise, states_of_boxes
+from phdtrack.kernels.particle_models import GivenSize, OwnSize, SensorNumbers, SizeBefore
 from phdtrack.models.occlusion import NOBODY, Hiders, seen_part
 from phdtrack.types import F8, Detections
 
@@ -185,6 +186,18 @@ class BoxSensor:
         return self.detection_probability * seen_part(
             self.hiders, x[list(OBSERVED)], boxes, -boxes[:, 3], OWN, self.min_detection_probability
         )
+
+    def particle_model(self, z: F8) -> SensorNumbers:
+        """The numbers of g and p_D for the particle filters, and a column for each measurement [M07 §2, M09 §III]."""
+        detection = np.full(0 if len(self.hiders) else 1, self.detection_probability, np.float32)
+        if self.scaling in ("particle", "previous"):
+            own = OwnSize if self.scaling == "particle" else SizeBefore
+            # A floor of zero would let the deviation of a vanishing box vanish.
+            model = own(np.float32(self.box_noise), np.float32(max(self.min_noise, 1e-3)))
+            return SensorNumbers(model, np.ascontiguousarray(z[:4], np.float32), detection)
+        per = np.stack([np.broadcast_to(1 / sigma, z.shape[1]) for sigma in self._sigmas(z, z)])
+        table = np.concatenate([z[:4], per]).astype(np.float32)
+        return SensorNumbers(GivenSize(np.float32((2 * math.pi) ** -2)), table, detection)
 
     def watching(self, targets: F8) -> BoxSensor:
         """The sensor where targets are expected at these states; itself without them, or without ``occlusion``."""

@@ -18,10 +18,11 @@ from typing import Literal
 import numpy as np
 
 from phdtrack.checks import NonNegative, Probability, check
+from phdtrack.kernels.particle_models import Walk, walk
 from phdtrack.models.region import EVERYWHERE, Region, check_region, inside
 from phdtrack.models.spawning import NoSpawn, Spawn
 from phdtrack.models.warp import no_image
-from phdtrack.types import F8, Particles
+from phdtrack.types import F8, ParticleBlocks, Particles
 
 Form = Literal["piecewise", "continuous"]
 
@@ -66,6 +67,10 @@ class PlaneMotion:
         """p_S^seconds inside the region, 0 outside."""
         return np.where(inside(x, self.borders), self.survival_probability**seconds, 0.0)
 
+    def particle_model(self, dt: float, seconds: float) -> Walk:
+        """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [E13 §4]."""
+        return walk(dt, variances(self.acceleration, dt, self.form), self.survival_probability**seconds, self.borders)
+
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean, Jacobian and noise covariance of f(·|x) over ``dt`` seconds [E13 §4]."""
         n = x.shape[1]
@@ -77,7 +82,7 @@ class PlaneMotion:
         # Laid out in memory as `BoxMotion` does, for which the kernels are compiled.
         return mean, np.ndarray((n, 4, 4), np.float64, f, 0, (0, *f.strides)), q.transpose(2, 0, 1)
 
-    def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
+    def spawn(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of the spawning term."""
         return self.births.sample(parents, dt, rng)
 

@@ -28,6 +28,7 @@ from phdtrack.arrays import GATE, chi2_quantile, share_inside, to_cxcywh
 from phdtrack.checks import Positive, Probability, Share, check
 from phdtrack.errors import InputError
 from phdtrack.ground import ground_covariance
+from phdtrack.kernels.particle_models import SensorNumbers, position_numbers
 from phdtrack.models.occlusion import NOBODY, Hiders, seen_part
 from phdtrack.models.region import EVERYWHERE, Region, check_region, inside
 from phdtrack.protocols import Camera
@@ -201,6 +202,10 @@ class PlaneSensor:
             depth = self.camera.depth(np.ascontiguousarray(x[:2]))
             out *= seen_part(self.hiders, x[:2], boxes, depth, OWN, self.min_detection_probability)
         return out
+
+    def particle_model(self, z: F8) -> SensorNumbers:
+        """The numbers of g and p_D for the particle filters, and a column for each measurement."""
+        return SensorNumbers(*position_numbers(z, self.covariance(z, z)), np.zeros(0))
 
     def watching(self, targets: F8) -> PlaneSensor:
         """The sensor where people are expected at these states; itself without them, or where occlusion is not asked for."""

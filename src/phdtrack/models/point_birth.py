@@ -38,7 +38,7 @@ class PointBirth:
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """Particles around the detections that weigh what γ is there [M07 §2], see `births.particles_about`."""
         return particles_about(
-            covered, sensor.states(z), sensor.observed, self.particles, lambda x, of: self._intensity(x) * seconds, rng
+            covered, sensor.states(z), sensor.observed, self.particles, lambda x, first: self._intensity(x) * seconds, rng
         )
 
     def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:

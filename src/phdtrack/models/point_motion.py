@@ -19,9 +19,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack.checks import NonNegative, Probability, check
+from phdtrack.kernels.particle_models import Walk, walk
 from phdtrack.models import warp as warp_of
 from phdtrack.models.spawning import NoSpawn, Spawn
-from phdtrack.types import F8, Particles
+from phdtrack.types import F8, ParticleBlocks, Particles
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +69,10 @@ class PointMotion:
         """p_S^seconds, everywhere."""
         return np.full(x.shape[1], self.survival_probability**seconds)
 
+    def particle_model(self, dt: float, seconds: float) -> Walk:
+        """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [D14]."""
+        return walk(dt, self._variances(dt), self.survival_probability**seconds, (0, 0, 0, 0))
+
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean, Jacobian and noise covariance of f(·|x) over ``dt`` time units [D14]."""
         n = x.shape[1]
@@ -81,7 +86,7 @@ class PointMotion:
         # Laid out in memory as `BoxMotion` does, for which the kernels are compiled.
         return mean, np.ndarray((n, 4, 4), np.float64, f, 0, (0, *f.strides)), q.transpose(2, 0, 1)
 
-    def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
+    def spawn(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of the spawning term."""
         return self.births.sample(parents, dt, rng)
 

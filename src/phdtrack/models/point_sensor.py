@@ -15,6 +15,7 @@ import numpy as np
 from phdtrack.arrays import GATE, chi2_quantile, to_cxcywh
 from phdtrack.checks import Positive, Probability, Share, check
 from phdtrack.errors import InputError
+from phdtrack.kernels.particle_models import SensorNumbers, position_numbers
 from phdtrack.types import F8, Detections
 
 
@@ -107,6 +108,10 @@ class PointSensor:
     def occlusion(self) -> bool:
         """Points hide nobody."""
         return False
+
+    def particle_model(self, z: F8) -> SensorNumbers:
+        """The numbers of g and p_D for the particle filters, and a column for each measurement."""
+        return SensorNumbers(*position_numbers(z, self.covariance(z, z)), np.array([self.detection_probability]))
 
     def watching(self, targets: F8) -> PointSensor:
         """Itself: points hide nobody."""

@@ -58,9 +58,9 @@ class Around:
     covariance: F8
     density: F8
 
-    def flat(self, x: F8, of: I8) -> F8:
-        """(L,) γT at ``x`` (r, L), drawn about the detections ``of`` (L,); 0 where a size is not positive."""
-        return np.where((x[2:] > 0).all(axis=0), self.density[of], 0.0)
+    def flat(self, x: F8, first: I8) -> F8:
+        """(L,) γT at ``x`` (r, L), in runs about the detections; 0 where a size is not positive."""
+        return np.where((x[2:] > 0).all(axis=0), np.repeat(self.density, np.diff(first)), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ class SceneBirth:
         """Particles around the detections with the evidence and the velocities of γT there [M07 §2, M09 (12)]."""
         at = self.around(sensor.states(z), seconds)
         rows = self.observed
-        return particles_about(covered, (at.mean, at.covariance), rows, self.particles, lambda x, of: at.flat(x, of), rng)
+        return particles_about(covered, (at.mean, at.covariance), rows, self.particles, at.flat, rng)
 
     def around(self, seen: tuple[F8, F8], seconds: float) -> Around:
         """What γT is around detections whose states and covariances, as `Sensor.states` gives them, are ``seen``."""

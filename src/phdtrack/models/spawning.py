@@ -8,13 +8,13 @@ from typing import Protocol
 import numpy as np
 
 from phdtrack.checks import NonNegative, Probability, check
-from phdtrack.types import F8, Particles
+from phdtrack.types import F8, ParticleBlocks, Particles
 
 
 class Spawn(Protocol):
     """The spawning part of a motion."""
 
-    def sample(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
+    def sample(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of ∫ β(x|ξ) D(ξ) dξ."""
 
 
@@ -22,7 +22,7 @@ class Spawn(Protocol):
 class NoSpawn:
     """β = 0, as in all four papers."""
 
-    def sample(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
+    def sample(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
         """Nothing."""
         return Particles(np.zeros((len(parents.state), 0)), np.zeros(0))
 
@@ -45,14 +45,14 @@ class SplitSpawn:
     def __post_init__(self) -> None:
         check(self)
 
-    def sample(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
+    def sample(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of β(x|ξ) = rate·dt · N(x; ξ, distance² · size²) over the intensity ``parents``."""
         mass = self.rate * dt * parents.mass
         count = int(np.ceil(self.fraction * len(parents)))
         if count == 0 or mass <= 0:
             return Particles(np.zeros((len(parents.state), 0)), np.zeros(0))
         chosen = rng.choice(len(parents), size=count, p=parents.weight / parents.mass)
-        state = parents.state[:, chosen]
+        state = parents.state[:, chosen].astype(np.float64)
         size: F8 = state[4:6]
         state[:2] += self.distance * size * rng.standard_normal((2, count))
         return Particles(state, np.full(count, mass / count))

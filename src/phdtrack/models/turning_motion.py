@@ -19,11 +19,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack.checks import NonNegative, Probability, check
+from phdtrack.kernels.particle_models import TurningWalk, walk
 from phdtrack.models.plane_motion import Form, fill, push, variances
 from phdtrack.models.region import EVERYWHERE, Region, check_region, inside
 from phdtrack.models.spawning import NoSpawn, Spawn
 from phdtrack.models.warp import no_image
-from phdtrack.types import F8, Particles
+from phdtrack.types import F8, ParticleBlocks, Particles
 
 # Below this angle the series of s' is exact to rounding, and its closed form is not.
 SMALL = 1e-2
@@ -75,6 +76,12 @@ class TurningMotion:
         """p_S^seconds inside the region, 0 outside."""
         return np.where(inside(x, self.borders), self.survival_probability**seconds, 0.0)
 
+    def particle_model(self, dt: float, seconds: float) -> TurningWalk:
+        """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [V06 §IV-C]."""
+        noise = variances(self.acceleration, dt, self.form)
+        straight = walk(dt, noise, self.survival_probability**seconds, self.borders)
+        return TurningWalk(straight, math.sqrt(self._turn_variance(dt)))
+
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean, Jacobian and noise covariance of f(·|x) over ``dt`` seconds [V06 §IV-C]."""
         n = x.shape[1]
@@ -83,7 +90,7 @@ class TurningMotion:
         q[4, 4] = self._turn_variance(dt)
         return turned(x, dt), slopes(x, dt), np.ascontiguousarray(q.transpose(2, 0, 1))
 
-    def spawn(self, parents: Particles, dt: float, rng: np.random.Generator) -> Particles:
+    def spawn(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
         """Draws of the spawning term."""
         return self.births.sample(parents, dt, rng)
 

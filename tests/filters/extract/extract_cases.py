@@ -7,7 +7,7 @@ from functools import reduce
 import numpy as np
 
 from phdtrack.filters.extract import KMeans, Mixture
-from phdtrack.filters.particle_phd import join
+from phdtrack.filters.phd_particle import join
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth
 from phdtrack.protocols import Model
 from phdtrack.types import Particles

@@ -1,16 +1,19 @@
-"""Philox 4x32, a counter-based generator [Salmon et al. 2011]: four random words for each (counter, key), in any order.
+"""Random numbers that depend on a counter and a key alone, so that threads cannot change a result.
 
-So a draw can be repeated without being stored, and does not depend on which thread makes it. Seven rounds are the fewest
-that pass BigCrush according to its authors; the tests compare seven and ten with their published answers.
+`philox` is Philox 4x32 [Salmon et al. 2011]: four random words for each counter and key, in any order. Seven rounds are the
+fewest that pass BigCrush according to its authors. `xoroshiro` is xoroshiro64* [Blackman and Vigna 2021], a small generator
+for single precision: a stream costs half as much as a counter, and its first state is a counter's words.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import INNER, VECTOR
 
+U4 = NDArray[np.uint32]
 W = np.uint32
 D = np.uint64
 ROUNDS = 7
@@ -20,6 +23,8 @@ HIGH, LOW = D(32), D(0xFFFFFFFF)
 TO_23_BITS = W(9)
 STEP = np.float32(2.0**-23)
 HALF_STEP = np.float32(2.0**-24)
+STAR = D(0x9E3779BB)
+TURN_A, BACK_A, SHIFT, TURN_B, BACK_B = W(26), W(6), W(9), W(13), W(19)
 
 
 @njit(**INNER)
@@ -38,3 +43,12 @@ def philox(
 def unit(word: np.uint32) -> np.float32:
     """A uniform number in (0, 1): the middle of one of 2²³ equal cells (of 2²⁴ the last would round to 1)."""
     return np.float32(np.int32(word >> TO_23_BITS)) * STEP + HALF_STEP
+
+
+@njit(**INNER)
+def xoroshiro(a: np.uint32, b: np.uint32) -> tuple[np.uint32, np.uint32, np.uint32]:
+    """A word of 32 bits, of which the upper are the better ones, and the state after it; (0, 0) is no state."""
+    word = W((D(a) * STAR) & LOW)
+    b = W(b ^ a)
+    a = W(W(W(a << TURN_A) | W(a >> BACK_A)) ^ b ^ W(b << SHIFT))
+    return word, a, W(W(b << TURN_B) | W(b >> BACK_B))

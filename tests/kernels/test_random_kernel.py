@@ -10,9 +10,9 @@ from numba import config, njit
 from scipy import stats
 
 from inner_kernels import from_python
-from phdtrack.kernels.box_blocks import BLOCK, LANES, N0, ROWS, fill_normals
-from phdtrack.kernels.philox import ROUNDS, philox, unit
-from phdtrack.kernels.xoroshiro import xoroshiro
+from phdtrack.kernels.particle_models import BLOCK, N0
+from phdtrack.kernels.particles import LANES, ROWS, fill_normals
+from phdtrack.kernels.random import ROUNDS, philox, unit, xoroshiro
 from reference import fused_twin as twins
 
 fill_normals, philox, unit, xoroshiro = from_python(fill_normals, philox, unit, xoroshiro)
@@ -96,16 +96,6 @@ def test_normals_are_those_of_the_twin():
     found = normals((12345, 0xDEADBEEF), 1, 2)
     for b, i in ((0, 0), (0, 1), (0, 255), (1, 0), (1, 77)):
         np.testing.assert_allclose(found[:, b, i], twins.normals(i, b, 1, (12345, 0xDEADBEEF)), rtol=1e-5, atol=2e-6)
-
-
-def test_few_normals_are_the_first_of_many_and_no_more_is_written():
-    s = np.full(ROWS * BLOCK, 7.0, np.float32)
-    fill_normals(s, 5, np.uint32(0), np.uint32(0), np.uint32(3), np.uint32(4))
-    rows = s.reshape(ROWS, BLOCK)
-    np.testing.assert_array_equal(rows[6:10, :5], normals(blocks=1)[:, 0, :5].astype(np.float32))
-    # The rows behind ALIVE are the streams'.
-    assert (np.delete(rows, [*range(6, 10), *range(13, 18)], axis=0) == 7).all()
-    assert (rows[6:10, 5:] == 7).all()
 
 
 def test_moments_and_law_of_the_normals():

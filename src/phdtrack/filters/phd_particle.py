@@ -1,0 +1,312 @@
+"""The particle (SMC) PHD filter [M07 §2, M09 §III].
+
+The intensity D(x), whose integral over a region is the expected number of targets there, is carried by weighted particles:
+
+    predict   D⁺(x) = ∫ [p_S(ξ) f(x|ξ) + β(x|ξ)] D(ξ) dξ + γ(x)                                          [M07 (4)]
+    update    D(x)  = [1 − p_D(x) + Σ_z p_D(x) g(z|x) / (κ(z) + C(z))] D⁺(x),   C(z) = ∫ p_D g D⁺ dx     [M07 (5), M09 (10)]
+
+Particles lie in blocks of neighbours. A detection touches only the blocks that its gate overlaps, so that the cost grows
+linearly with the number of targets; what the gate drops is bounded by the sensor's gate. The compiled sweeps over blocks
+(`kernels.particles`) call the functions of the model (`kernels.particle_models`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from phdtrack.arrays import draw, region_radius2, sum_by
+from phdtrack.checks import Count, PositiveCount, check
+from phdtrack.filters.intensities import UpdatedParticles
+from phdtrack.filters.threads import in_ranges
+from phdtrack.kernels import particles as sweeps
+from phdtrack.kernels.blocks import cut
+from phdtrack.kernels.grid import Grid, make_grid
+from phdtrack.kernels.particle_models import BLOCK, SensorNumbers, precision
+from phdtrack.protocols import Model
+from phdtrack.types import F8, GaussianMixture, ParticleBlocks, Particles, Real, UpdateInfo
+
+Intensity = Particles | ParticleBlocks | UpdatedParticles
+# κ + C below this counts as 0 where likelihoods are in single precision: they have no tail below 1e-38.
+FAINT = 1e-30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Blocks of particles and their likelihoods: the particles that were there, or the newborn."""
+
+    blocks: ParticleBlocks
+    weights: sweeps.Weights
+    pairs: sweeps.Pairs
+    sums: sweeps.Sums
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UpdateTerms:
+    """The terms of an update before they are weighed: D = a (1 − p_D) D⁺ + Σ_z b_z p_D g(z|·) D⁺.
+
+    For the PHD filter a = 1 and b_z = 1/(κ(z) + C(z)); for the cardinalised one see `cardinality`.
+
+    Attributes
+    ----------
+    parts : the particles that were there, and the newborn.
+    mass, born : of D⁺, newborn included; of the newborn.
+    missed : (2,) ∫ (1 − p_D) D⁺ of the parts.
+    evidence, clutter : (N,) C(z) and κ(z), per unit of measurement volume.
+    """
+
+    parts: tuple[Part, Part]
+    mass: float
+    born: float
+    missed: F8
+    evidence: F8
+    clutter: F8
+
+    def info(self, mass: float, vanished: int = 0) -> UpdateInfo:
+        """What the update learned, ``mass`` being that after it."""
+        return UpdateInfo(self.mass, self.born, mass, self.evidence, self.clutter, vanished)
+
+    def factors(self) -> tuple[F8, int]:
+        """(N,) 1/(κ + C) [V06 (32); M07 (5)], and how many are 0 because κ + C is, to the smallest normal number."""
+        total = self.clutter + self.evidence
+        single = self.parts[0].blocks.state.dtype == np.float32
+        known = total >= (FAINT if single else np.finfo(np.float64).tiny)
+        return np.divide(1.0, total, out=np.zeros_like(total), where=known), int(np.count_nonzero(~known))
+
+    def weighed(self, missed: float, detected: F8, threads: int) -> UpdatedParticles:
+        """The updated particles: missed terms times ``missed``, those of each detection times ``detected`` (N,)."""
+        old, new = self.parts
+        return UpdatedParticles(
+            _with_share(old.blocks, self._shares(old, missed, detected, threads)),
+            _with_share(new.blocks, self._shares(new, missed, detected, threads)),
+        )
+
+    def _shares(self, part: Part, missed: float, detected: F8, threads: int) -> Real:
+        result = np.empty(len(part.blocks), part.blocks.state.dtype)
+
+        def work(lo: int, hi: int) -> None:
+            sweeps.weigh(lo, hi, missed, detected, part.weights, part.blocks.start, part.pairs, part.sums.g, result)
+
+        in_ranges(work, len(part.blocks.start) - 1, threads)
+        return result
+
+
+@dataclass(frozen=True, slots=True)
+class ParticlePHD:
+    """Settings of the particle PHD filter.
+
+    Parameters
+    ----------
+    particles_per_target : ρ, particles per expected target after resampling.
+    min_particles : lower bound on the number of particles while there are any. At first, when hardly any target is
+        expected, ρ would leave a handful to each that has just begun, too few to hold its velocity.
+    max_particles : upper bound on the number of particles; 0 for none.
+    skip_empty_frames : leave the intensity as predicted when a frame brings no detection, as D14 does. The default is the
+        filter's update, (1 − p_D) D⁺.
+    threads : threads that share a frame's work, 0 for one per core; the result is the same to the bit.
+    initial : the intensity before the first frame.
+    """
+
+    particles_per_target: PositiveCount = 1500
+    min_particles: Count = 0
+    max_particles: Count = 0
+    skip_empty_frames: bool = False
+    threads: Count = 1
+    initial: Particles | GaussianMixture | None = None
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def start(self, model: Model, rng: np.random.Generator) -> Particles:
+        """The initial intensity, a mixture as ρ particles per component; empty where none was given."""
+        if isinstance(self.initial, GaussianMixture):
+            return draw(self.initial, self.particles_per_target, 1.0, rng)
+        if self.initial is not None:
+            return self.initial
+        return Particles(np.zeros((model.motion.dim, 0)), np.zeros(0))
+
+    def predict(self, state: Intensity, model: Model, dt: float, rng: np.random.Generator) -> ParticleBlocks:
+        """The particles moved by f and weighed with p_S, and those that are spawned [M07 (4), D14 Alg. 2].
+
+        Parameters
+        ----------
+        state : the intensity after the frame before.
+        model : of the world; where the camera has moved, states are carried into the present frame's pixels first.
+        dt : the interval since that frame, in the model's time unit.
+        rng : a frame takes two words of it for the key of all draws.
+        """
+        motion = model.motion.particle_model(dt, dt / model.rate)
+        blocks = carried(in_blocks(state, precision(motion)), model)
+        # Words of 32 bits from `random`: `integers` takes ten times as long for so few.
+        key = (rng.random(2) * 2.0**32).astype(np.int64)
+        if len(blocks) == 0:
+            return blocks
+        moved, share = np.empty_like(blocks.state), np.empty(len(blocks), blocks.state.dtype)
+
+        def work(lo: int, hi: int) -> None:
+            sweeps.predict(lo, hi, motion, blocks.state, blocks.share, blocks.start, key, moved, share)
+
+        in_ranges(work, len(blocks.start) - 1, self.threads)
+        predicted = ParticleBlocks(moved, blocks.start, blocks.unit, share)
+        spawned = model.motion.spawn(blocks, dt, rng)
+        return predicted if len(spawned) == 0 else joined(predicted, in_blocks(spawned, moved.dtype))
+
+    def update(
+        self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[UpdatedParticles, UpdateInfo]:
+        """The intensity after births and the measurements [M07 (5), M09 (10)].
+
+        Where κ(z) + C(z) = 0 (no clutter and nothing to explain the detection), the detection's term is 0 and counted in
+        ``info.vanished``.
+
+        Parameters
+        ----------
+        state : the predicted intensity.
+        z : (m, N) measurements.
+        model, dt, rng : as in `predict`; births are those of the interval.
+        """
+        terms = self.terms(state, z, model, dt, rng)
+        factor, vanished = terms.factors()
+        if z.shape[1] == 0 and self.skip_empty_frames:
+            return UpdatedParticles(terms.parts[0].blocks, terms.parts[1].blocks), terms.info(terms.mass)
+        result = terms.weighed(1.0, factor, self.threads)
+        return result, terms.info(result.mass, vanished)
+
+    def terms(self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator) -> UpdateTerms:
+        """The terms of the update: newborn particles are drawn, and all likelihoods computed."""
+        numbers, region = model.sensor.particle_model(z), region_radius2(len(model.sensor.observed))
+        dtype = precision(numbers.model)
+        gates = make_grid(*model.sensor.gate(z), 0.0, 0.0)
+        before = in_blocks(state, dtype)
+        old = self._part(before, numbers, gates, region, model)
+        covered: F8 = old.blocks.unit * sum_by(old.pairs.which, old.sums.near, z.shape[1])
+        newborn = in_blocks(model.birth.sample(z, covered, model.sensor, dt / model.rate, rng), dtype)
+        new = self._part(newborn, numbers, gates, region, model)
+        parts, units = (old, new), np.array([old.blocks.unit, new.blocks.unit])
+        evidence = sum(
+            unit * np.bincount(part.pairs.which, part.sums.evidence, z.shape[1])
+            for part, unit in zip(parts, units, strict=True)
+        )
+        mass = units * [part.sums.mass.sum() for part in parts]
+        missed = units * [part.sums.missed.sum() for part in parts]
+        clutter = model.clutter.intensity(z)
+        return UpdateTerms(parts, float(mass.sum()), float(mass[1]), missed, np.asarray(evidence), clutter)
+
+    def _part(self, blocks: ParticleBlocks, numbers: SensorNumbers, gates: Grid, region: float, model: Model) -> Part:
+        """Likelihoods of the particles and the detections near them."""
+        dtype, count = blocks.state.dtype, len(blocks.start) - 1
+        detect = numbers.detection
+        if len(detect) == 0:
+            detect = model.sensor.p_detect(blocks.state.astype(np.float64))
+        extents = sweeps.bound(numbers.model, blocks.state, blocks.start)
+        pairs = sweeps.pair_up(extents, blocks.start, gates)
+        weights, many = sweeps.Weights(blocks.share, np.asarray(detect, dtype)), len(pairs.which)
+        g = np.empty(pairs.place[-1], dtype)
+        sums = sweeps.Sums(g, np.empty(many), np.empty(many), np.empty(count), np.empty(count))
+
+        def work(lo: int, hi: int) -> None:
+            sweeps.likelihoods(
+                lo, hi, numbers.model, numbers.table, region, blocks.state, weights, blocks.start, pairs, sums
+            )  # fmt: skip
+
+        in_ranges(work, count, self.threads)
+        return Part(ParticleBlocks(blocks.state, blocks.start, blocks.unit, blocks.share, extents), weights, pairs, sums)
+
+    def reduce(self, state: Intensity, rng: np.random.Generator) -> ParticleBlocks:
+        """Systematic resampling to ρ particles per expected target, which keeps the mass exactly [M07 §2]."""
+        parts = (state.old, state.born) if isinstance(state, UpdatedParticles) else (in_blocks(state, np.dtype(np.float64)),)
+        masses = np.concatenate([part.unit * sweeps.masses(part.share, part.start) for part in parts])
+        mass, first = float(masses.sum()), parts[0].state
+        count, offset = self.particles(mass), rng.random()
+        if count == 0:
+            return ParticleBlocks.empty(len(first), first.dtype)
+        extents = np.concatenate([part.extents if len(part.extents) else _extents(part) for part in parts])
+        teeth, start = sweeps.comb(masses, extents, count, offset)
+        out, shift = np.empty((len(first), count), first.dtype), 0
+        for part in parts:
+
+            def work(lo: int, hi: int, part: ParticleBlocks = part, shift: int = shift) -> None:
+                sweeps.pick(lo, hi, teeth, shift, part.state, part.share, part.start, out)
+
+            in_ranges(work, len(part.start) - 1, self.threads)
+            shift += len(part.start) - 1
+        return ParticleBlocks(out, start, mass / count)
+
+    def particles(self, mass: float) -> int:
+        """How many particles carry this mass: round(ρ·M̂) [M07 §2] within the bounds, 0 where that is 0."""
+        count = round(self.particles_per_target * mass)
+        if count == 0:
+            return 0
+        count = max(count, self.min_particles)
+        return min(count, self.max_particles) if self.max_particles else count
+
+    def step(
+        self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[ParticleBlocks, UpdateInfo]:
+        """Predict, update and reduce."""
+        updated, info = self.update(self.predict(state, model, dt, rng), z, model, dt, rng)
+        return self.reduce(updated, rng), info
+
+
+def in_blocks(state: Intensity, dtype: np.dtype[np.floating]) -> ParticleBlocks:
+    """The intensity in blocks of neighbours, its states as numbers of this type."""
+    if isinstance(state, ParticleBlocks):
+        return state
+    if isinstance(state, UpdatedParticles):
+        return joined(state.old, state.born)
+    if len(state) == 0:
+        return ParticleBlocks.empty(len(state.state), dtype)
+    x, weight, start = state.state, state.weight, state.start
+    if len(start):
+        # Runs of neighbours, as births are drawn: each is divided into blocks.
+        whole = -(-np.diff(start) // BLOCK)
+        each = np.concatenate([[0], np.cumsum(whole)])
+        rank = np.arange(each[-1]) - np.repeat(each[:-1], whole)
+        start = np.append(np.repeat(start[:-1], whole) + BLOCK * rank, len(state))
+    else:
+        x, weight, start = cut(x, weight, BLOCK)
+    unit = float(weight.max())
+    share = np.zeros(0, dtype) if (weight == unit).all() else (weight / (unit or 1.0)).astype(dtype)
+    return ParticleBlocks(np.ascontiguousarray(x, dtype), start, unit, share)
+
+
+def carried(state: ParticleBlocks, model: Model) -> ParticleBlocks:
+    """The same weights at the states carried into the present frame's pixels (`Model.warp`)."""
+    if len(model.warp) == 0 or len(state) == 0:
+        return state
+    moved = np.ascontiguousarray(model.warp_states(state.state.astype(np.float64)), state.state.dtype)
+    return ParticleBlocks(moved, state.start, state.unit, state.share)
+
+
+def joined(a: ParticleBlocks, b: ParticleBlocks) -> ParticleBlocks:
+    """The sum of two intensities."""
+    if len(b) == 0 or len(a) == 0:
+        return a if len(b) == 0 else b
+    unit = a.unit or b.unit
+    share = [
+        (part.share if len(part.share) else np.ones(len(part), part.state.dtype))
+        * part.state.dtype.type(part.unit / (unit or 1.0))
+        for part in (a, b)
+    ]
+    extents = np.concatenate([a.extents, b.extents]) if len(a.extents) and len(b.extents) else np.zeros((0, 6))
+    return ParticleBlocks(
+        np.concatenate([a.state, b.state], axis=1),
+        np.concatenate([a.start, len(a) + b.start[1:]]),
+        unit,
+        np.concatenate(share),
+        extents,
+    )
+
+
+def _with_share(blocks: ParticleBlocks, share: Real) -> ParticleBlocks:
+    return ParticleBlocks(blocks.state, blocks.start, blocks.unit, share, blocks.extents)
+
+
+def _extents(blocks: ParticleBlocks) -> Real:
+    """(B, 6) bounds of positions, and as the neighbourhood what the block is itself."""
+    if len(blocks) == 0:
+        return np.zeros((0, 6), blocks.state.dtype)
+    x, begin = blocks.state[:2], blocks.start[:-1]
+    low, high = np.minimum.reduceat(x, begin, axis=1), np.maximum.reduceat(x, begin, axis=1)
+    return np.ascontiguousarray(np.concatenate([low, high, high - low]).T)

@@ -1,0 +1,428 @@
+"""What the particle sweeps ask of a model: small compiled functions of one particle, chosen by the model's record.
+
+A motion and a sensor hand over a record of their numbers (`BoxWalk`, `OwnSize`, …). The functions `move`, `survives`,
+`seen`, `distance` and `neighbourhood` have one implementation for each type of record. The sweeps (`kernels.particles`)
+call them, and Numba compiles the sweeps for the types that they are given. To add a model, write a record and register its
+functions here with `implements`.
+
+Particles lie in a scratch array: row r of particle i is ``s[r * BLOCK + i]``. Rows 0 to 7 are the state, rows 8 to 15 hold
+standard normal numbers while particles are moved.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+from numba.extending import overload
+from numpy.typing import NDArray
+
+from phdtrack.kernels.fast32 import FAST, HALF, ONE, exp32
+
+F8 = NDArray[np.float64]
+Real = NDArray[np.floating[Any]]
+Number = Any
+F = np.float32
+# Particles of a block.
+BLOCK = 256
+X, Y, VX, VY, W, H, W0, H0 = (BLOCK * row for row in range(8))
+N0, N1, N2, N3, N4, N5 = (BLOCK * row for row in range(8, 14))
+TURN = W
+ZERO, FOUR, MINUS_HALF = F(0.0), F(4.0), F(-0.5)
+_COMPILE = {"error_model": "numpy", "no_cfunc_wrapper": True, "no_cpython_wrapper": True, "fastmath": FAST}
+
+_FORMS: dict[str, dict[type, Callable[..., Any]]] = {}
+
+
+def implements(function: Callable[..., Any], *models: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """A decorator that makes a function the implementation of ``function`` for these types of records."""
+
+    def register(form: Callable[..., Any]) -> Callable[..., Any]:
+        _FORMS.setdefault(function.__name__, {}).update(dict.fromkeys(models, form))
+        return form
+
+    return register
+
+
+def normals(model: Number) -> int:
+    """How many standard normal numbers `move` needs, 4 or 8."""
+    count: int = _FORMS["normals"][type(model)](model)
+    return count
+
+
+def survives(model: Number, s: Real, i: int) -> Number:
+    """p_S of particle i, before it is moved."""
+    return _FORMS["survives"][type(model)](model, s, i)
+
+
+def move(model: Number, s: Real, i: int) -> None:
+    """Replace the state of particle i by a draw of f(·|x), from the normal numbers in the rows N0, N1, …"""
+    _FORMS["move"][type(model)](model, s, i)
+
+
+def seen(model: Number, table: Real, j: int) -> Number:
+    """The numbers of measurement j that `distance` reads, as a tuple; ``table`` has a column for each measurement."""
+    return _FORMS["seen"][type(model)](model, table, j)
+
+
+def distance(model: Number, z: Number, s: Real, i: int) -> Number:
+    """d² and c of particle i and the measurement ``z`` of `seen`, with g(z|x) = c·exp(−d²/2)."""
+    return _FORMS["distance"][type(model)](model, z, s, i)
+
+
+def neighbourhood(model: Number, s: Real, i: int) -> Number:
+    """Width and height within which particles near particle i are put into one block."""
+    return _FORMS["neighbourhood"][type(model)](model, s, i)
+
+
+def exp_half(d2: Number) -> Number:
+    """exp(−d²/2): in single precision a polynomial, which vectorises."""
+    return _exp_half_single(d2) if isinstance(d2, np.float32) else _exp_half_double(d2)
+
+
+def _exp_half_single(d2: Number) -> Number:
+    return exp32(MINUS_HALF * d2)
+
+
+def _exp_half_double(d2: Number) -> Number:
+    return math.exp(-0.5 * d2)
+
+
+@overload(exp_half, jit_options=_COMPILE)
+def _exp_half(d2: Number) -> Callable[..., Any]:
+    return _exp_half_single if d2 == types.float32 else _exp_half_double
+
+
+def word(number: Number) -> Number:
+    """The 32 bits that `number` has put into a number of the scratch array."""
+    return _word_single(number) if isinstance(number, np.float32) else _word_double(number)
+
+
+def _word_single(number: Number) -> Number:
+    return F(number).view(np.uint32)
+
+
+def _word_double(number: Number) -> Number:
+    return np.uint32(number)
+
+
+@overload(word, jit_options=_COMPILE)
+def _word(number: Number) -> Callable[..., Any]:
+    return _word_single if number == types.float32 else _word_double
+
+
+def number(bits: Number, like: Number) -> Number:
+    """A number of the type of ``like`` that holds these 32 bits."""
+    return _number_single(bits, like) if isinstance(like, np.float32) else _number_double(bits, like)
+
+
+def _number_single(bits: Number, like: Number) -> Number:
+    return np.uint32(bits).view(np.float32)
+
+
+def _number_double(bits: Number, like: Number) -> Number:
+    return np.float64(bits)
+
+
+@overload(number, jit_options=_COMPILE)
+def _number(bits: Number, like: Number) -> Callable[..., Any]:
+    return _number_single if like == types.float32 else _number_double
+
+
+@overload(normals, jit_options=_COMPILE)
+def _normals(model: Number) -> Callable[..., Any] | None:
+    return _FORMS["normals"].get(getattr(model, "instance_class", type(None)))
+
+
+@overload(survives, jit_options=_COMPILE)
+def _survives(model: Number, s: Real, i: int) -> Callable[..., Any] | None:
+    return _FORMS["survives"].get(getattr(model, "instance_class", type(None)))
+
+
+@overload(move, jit_options=_COMPILE)
+def _move(model: Number, s: Real, i: int) -> Callable[..., Any] | None:
+    return _FORMS["move"].get(getattr(model, "instance_class", type(None)))
+
+
+@overload(seen, jit_options=_COMPILE)
+def _seen(model: Number, table: Real, j: int) -> Callable[..., Any] | None:
+    return _FORMS["seen"].get(getattr(model, "instance_class", type(None)))
+
+
+@overload(distance, jit_options=_COMPILE)
+def _distance(model: Number, z: Number, s: Real, i: int) -> Callable[..., Any] | None:
+    return _FORMS["distance"].get(getattr(model, "instance_class", type(None)))
+
+
+@overload(neighbourhood, jit_options=_COMPILE)
+def _neighbourhood(model: Number, s: Real, i: int) -> Callable[..., Any] | None:
+    return _FORMS["neighbourhood"].get(getattr(model, "instance_class", type(None)))
+
+
+class SensorNumbers(NamedTuple):
+    """What a sensor hands over for one frame.
+
+    ``model`` : its record; ``table`` (k, N) the measurements' columns for `seen`; ``detection`` (1,) p_D, or (0,) where it
+    differs from target to target: then `Sensor.p_detect` is asked.
+    """
+
+    model: Number
+    table: Real
+    detection: Real
+
+
+def precision(model: Number) -> np.dtype[np.floating[Any]]:
+    """The type of numbers in which particles of a model are kept: single precision for boxes."""
+    single = isinstance(model, BoxWalk | OwnSize | SizeBefore | GivenSize)
+    return np.dtype(np.float32 if single else np.float64)
+
+
+class BoxWalk(NamedTuple):
+    """`models.BoxMotion` over one interval [M09 (11)].
+
+    ``dt``, ``kick`` (deviation of the velocity's change), ``resize`` (of the sizes), ``rest`` (of the position beside what
+    the velocity explains, for dt > 1), ``min_size``, ``scaled`` (1: noises are multiples of the size), ``survival``, and the
+    frame's ``width`` and ``height`` (0: no border).
+    """
+
+    dt: np.float32
+    kick: np.float32
+    resize: np.float32
+    rest: np.float32
+    min_size: np.float32
+    scaled: np.float32
+    survival: np.float32
+    width: np.float32
+    height: np.float32
+
+
+class Walk(NamedTuple):
+    """Constant velocity with white noise, of points in an image or on a plane [D14, E13 §4].
+
+    The velocity of an axis changes by ``kick``·n, the position by ``dt``·v + ``coupled``·n + ``rest``·n'. ``survival``
+    inside the borders ``left``, ``low``, ``right``, ``high``, outside 0.
+    """
+
+    dt: float
+    kick: float
+    coupled: float
+    rest: float
+    survival: float
+    left: float
+    low: float
+    right: float
+    high: float
+
+
+class TurningWalk(NamedTuple):
+    """The same on circles: the turn rate in row 4 changes by ``turn``·n [V06 §IV-C]."""
+
+    walk: Walk
+    turn: float
+
+
+class OwnSize(NamedTuple):
+    """`models.BoxSensor` whose deviations follow the particle's size."""
+
+    noise: np.float32
+    min_noise: np.float32
+
+
+class SizeBefore(NamedTuple):
+    """The same, by the size before the last move."""
+
+    noise: np.float32
+    min_noise: np.float32
+
+
+class GivenSize(NamedTuple):
+    """`models.BoxSensor` whose deviations are the measurement's: rows 4 to 7 of the table hold one over them."""
+
+    norm: np.float32
+
+
+class PlanePoint(NamedTuple):
+    """A measured position; rows 2 to 4 of the table hold R⁻¹ as xx, xy, yy, row 5 the density's factor.
+
+    ``reach`` is the extent of a block.
+    """
+
+    reach: float
+
+
+class BearingRange(NamedTuple):
+    """`models.BearingSensor`: place of the sensor, one over the deviations, the density's factor, extent of a block."""
+
+    x: float
+    y: float
+    per_bearing: float
+    per_range: float
+    factor: float
+    reach: float
+
+
+def walk(dt: float, noise: tuple[float, float, float], survival: float, borders: tuple[float, float, float, float]) -> Walk:
+    """Constant velocity with the ``noise`` of position, both, and velocity of an axis; borders all 0 are none."""
+    place, both, speed = noise
+    kick = math.sqrt(speed)
+    coupled = both / kick if kick > 0 else 0.0
+    edges = (-math.inf, -math.inf, math.inf, math.inf) if borders == (0, 0, 0, 0) else borders
+    left, low, right, high = (float(edge) for edge in edges)
+    return Walk(float(dt), kick, coupled, math.sqrt(max(place - coupled**2, 0.0)), float(survival), left, low, right, high)
+
+
+def position_numbers(z: F8, covariance: F8) -> tuple[PlanePoint, F8]:
+    """Measured positions (2, N) with their covariances (N, 2, 2), as `PlanePoint` reads them."""
+    inverse = np.linalg.inv(covariance)
+    factor = np.sqrt(np.linalg.det(inverse)) / (2 * math.pi)
+    # Ten deviations hold the particles of one target, and few more.
+    reach = 10 * math.sqrt(float(np.trace(covariance, axis1=1, axis2=2).mean()) / 2) if z.shape[1] else 1.0
+    return PlanePoint(reach), np.stack([z[0], z[1], inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1], factor])
+
+
+@implements(normals, BoxWalk)
+def _normals_box(model: Number) -> int:
+    return 8 if model.rest > ZERO else 4
+
+
+@implements(normals, TurningWalk)
+def _eight(model: Number) -> int:
+    return 8
+
+
+@implements(normals, Walk)
+def _four(model: Number) -> int:
+    return 4
+
+
+@implements(survives, BoxWalk)
+def _survives_box(model: Number, s: Real, i: int) -> Number:
+    x, y, w, h = s[X + i], s[Y + i], HALF * s[W + i], HALF * s[H + i]
+    inside = (x > -w) & (x < model.width + w) & (y > -h) & (y < model.height + h)
+    return model.survival if inside | (model.width <= ZERO) else ZERO
+
+
+@implements(move, BoxWalk)
+def _move_box(model: Number, s: Real, i: int) -> None:
+    smallest, w, h = model.min_size, s[W + i], s[H + i]
+    # The sizes before the move, which states of eight components carry [M07 §4].
+    s[W0 + i], s[H0 + i] = w, h
+    unit_x = ONE + model.scaled * ((w if w > smallest else smallest) - ONE)
+    unit_y = ONE + model.scaled * ((h if h > smallest else smallest) - ONE)
+    push_x, push_y = model.kick * unit_x * s[N0 + i], model.kick * unit_y * s[N1 + i]
+    vx, vy = s[VX + i], s[VY + i]
+    s[X + i] += model.dt * (vx + HALF * push_x) + model.rest * unit_x * s[N4 + i]
+    s[Y + i] += model.dt * (vy + HALF * push_y) + model.rest * unit_y * s[N5 + i]
+    s[VX + i], s[VY + i] = vx + push_x, vy + push_y
+    s[W + i] = smallest + abs(w + model.resize * unit_x * s[N2 + i] - smallest)
+    s[H + i] = smallest + abs(h + model.resize * unit_y * s[N3 + i] - smallest)
+
+
+@implements(survives, Walk)
+def _survives_plane(model: Number, s: Real, i: int) -> Number:
+    x, y = s[X + i], s[Y + i]
+    inside = (x >= model.left) & (x <= model.right) & (y >= model.low) & (y <= model.high)
+    return model.survival if inside else 0.0
+
+
+@implements(move, Walk)
+def _move_plane(model: Number, s: Real, i: int) -> None:
+    nx, ny, vx, vy = s[N0 + i], s[N1 + i], s[VX + i], s[VY + i]
+    s[X + i] += model.dt * vx + model.coupled * nx + model.rest * s[N2 + i]
+    s[Y + i] += model.dt * vy + model.coupled * ny + model.rest * s[N3 + i]
+    s[VX + i], s[VY + i] = vx + model.kick * nx, vy + model.kick * ny
+
+
+@implements(survives, TurningWalk)
+def _survives_turning(model: Number, s: Real, i: int) -> Number:
+    return survives(model.walk, s, i)
+
+
+@implements(move, TurningWalk)
+def _move_turning(model: Number, s: Real, i: int) -> None:
+    walk = model.walk
+    angle, vx, vy = s[TURN + i] * walk.dt, s[VX + i], s[VY + i]
+    half = 0.5 * angle
+    along = math.sin(angle) / angle if abs(angle) > 1e-8 else 1.0
+    across = math.sin(half) * math.sin(half) / half if abs(half) > 1e-8 else 0.0
+    cos, sin, nx, ny = math.cos(angle), math.sin(angle), s[N0 + i], s[N1 + i]
+    s[X + i] += walk.dt * (along * vx - across * vy) + walk.coupled * nx + walk.rest * s[N2 + i]
+    s[Y + i] += walk.dt * (across * vx + along * vy) + walk.coupled * ny + walk.rest * s[N3 + i]
+    s[VX + i], s[VY + i] = cos * vx - sin * vy + walk.kick * nx, sin * vx + cos * vy + walk.kick * ny
+    s[TURN + i] += model.turn * s[N4 + i]
+
+
+@implements(seen, OwnSize, SizeBefore)
+def _seen_box(model: Number, table: Real, j: int) -> Number:
+    return table[0, j], table[1, j], table[2, j], table[3, j]
+
+
+@implements(distance, OwnSize)
+def _distance_own(model: Number, z: Number, s: Real, i: int) -> Number:
+    w, h = s[W + i], s[H + i]
+    sw, sh = model.noise * w, model.noise * h
+    iw, ih = ONE / (sw if sw > model.min_noise else model.min_noise), ONE / (sh if sh > model.min_noise else model.min_noise)
+    dx, dy, dw, dh = (z[0] - s[X + i]) * iw, (z[1] - s[Y + i]) * ih, (z[2] - w) * iw, (z[3] - h) * ih
+    return FOUR * (dx * dx + dy * dy) + (dw * dw + dh * dh), NORM * (iw * ih) * (iw * ih)
+
+
+@implements(distance, SizeBefore)
+def _distance_before(model: Number, z: Number, s: Real, i: int) -> Number:
+    sw, sh = model.noise * s[W0 + i], model.noise * s[H0 + i]
+    iw, ih = ONE / (sw if sw > model.min_noise else model.min_noise), ONE / (sh if sh > model.min_noise else model.min_noise)
+    dx, dy, dw, dh = (z[0] - s[X + i]) * iw, (z[1] - s[Y + i]) * ih, (z[2] - s[W + i]) * iw, (z[3] - s[H + i]) * ih
+    return FOUR * (dx * dx + dy * dy) + (dw * dw + dh * dh), NORM * (iw * ih) * (iw * ih)
+
+
+# (2π)⁻² times 4, because σ_px σ_py = σ_w σ_h / 4.
+NORM = F(4.0 / (2.0 * np.pi) ** 2)
+
+
+@implements(seen, GivenSize)
+def _seen_given(model: Number, table: Real, j: int) -> Number:
+    ix, iy, iw, ih = table[4, j], table[5, j], table[6, j], table[7, j]
+    return table[0, j], table[1, j], table[2, j], table[3, j], ix, iy, iw, ih, model.norm * (ix * iy) * (iw * ih)
+
+
+@implements(distance, GivenSize)
+def _distance_given(model: Number, z: Number, s: Real, i: int) -> Number:
+    dx, dy, dw, dh = (z[0] - s[X + i]) * z[4], (z[1] - s[Y + i]) * z[5], (z[2] - s[W + i]) * z[6], (z[3] - s[H + i]) * z[7]
+    return (dx * dx + dy * dy) + (dw * dw + dh * dh), z[8]
+
+
+@implements(neighbourhood, OwnSize, SizeBefore, GivenSize)
+def _neighbourhood_box(model: Number, s: Real, i: int) -> Number:
+    return s[W + i], s[H + i]
+
+
+@implements(seen, PlanePoint)
+def _seen_point(model: Number, table: Real, j: int) -> Number:
+    return table[0, j], table[1, j], table[2, j], table[3, j], table[4, j], table[5, j]
+
+
+@implements(distance, PlanePoint)
+def _distance_point(model: Number, z: Number, s: Real, i: int) -> Number:
+    dx, dy = z[0] - s[X + i], z[1] - s[Y + i]
+    return z[2] * dx * dx + 2.0 * z[3] * dx * dy + z[4] * dy * dy, z[5]
+
+
+@implements(neighbourhood, PlanePoint, BearingRange)
+def _neighbourhood_plane(model: Number, s: Real, i: int) -> Number:
+    return model.reach, model.reach
+
+
+@implements(seen, BearingRange)
+def _seen_bearing(model: Number, table: Real, j: int) -> Number:
+    return table[0, j], table[1, j]
+
+
+@implements(distance, BearingRange)
+def _distance_bearing(model: Number, z: Number, s: Real, i: int) -> Number:
+    east, north = s[X + i] - model.x, s[Y + i] - model.y
+    turn = z[0] - math.atan2(east, north)
+    turn = (turn - 2.0 * math.pi * np.rint(turn / (2.0 * math.pi))) * model.per_bearing
+    longer = (z[1] - math.sqrt(east * east + north * north)) * model.per_range
+    return turn * turn + longer * longer, model.factor

@@ -1,0 +1,410 @@
+"""The particle PHD filter: against a dense definition, and what holds whatever the intensity."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from phd_cases import FRAME, crowd, seen_by, with_births, world
+
+from phdtrack import Tracker
+from phdtrack.errors import InputError
+from phdtrack.filters import NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.filters.phd_particle import in_blocks
+from phdtrack.filters.threads import in_ranges
+from phdtrack.models import (
+    BoxMotion,
+    FixedBirth,
+    PlaneBirth,
+    PlaneMotion,
+    PlaneSensor,
+    PointBirth,
+    PointMotion,
+    PointSensor,
+    SplitSpawn,
+    UniformBirth,
+    UniformClutter,
+)
+from phdtrack.models.volume import image_volume
+from phdtrack.protocols import Model
+from phdtrack.tracker import pack, unpack
+from phdtrack.types import Detections, GaussianMixture, ParticleBlocks, Particles
+
+seeds = st.integers(0, 2**32 - 1)
+NOTHING = Particles(np.zeros((6, 0)), np.zeros(0))
+NO_BOXES = np.zeros((4, 0))
+SINGLE = np.dtype(np.float32)
+
+
+def dense(state: Particles, z: np.ndarray, model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Weights and evidence after the update [M07 (5)], every particle with every measurement."""
+    seen = state.weight * model.sensor.p_detect(state.state)
+    likelihood = np.exp(model.sensor.log_likelihood(z[:, None, :], state.state[:, :, None]))
+    evidence = seen @ likelihood
+    total = evidence + model.clutter.intensity(z)
+    return state.weight - seen + seen * (likelihood / total).sum(axis=1), evidence
+
+
+def check(state: ParticleBlocks) -> None:
+    """What blocks of particles must be."""
+    assert state.state.flags.c_contiguous
+    assert state.start[0] == 0
+    sizes = np.diff(state.start)
+    assert ((sizes > 0) & (sizes <= 256)).all()
+    assert state.start[-1] == state.state.shape[1] == len(state)
+    assert np.isfinite(state.state).all()
+
+
+def identical(a: ParticleBlocks, b: ParticleBlocks) -> None:
+    np.testing.assert_array_equal(a.state, b.state)
+    np.testing.assert_array_equal(a.start, b.start)
+    np.testing.assert_array_equal(a.weight, b.weight)
+
+
+@pytest.mark.parametrize("scaling", ["particle", "detection", "previous", "fixed", "given"])
+def test_the_update_is_the_dense_one(scaling: str, rng):
+    """A gate that lets everything in: the definition, to single precision."""
+    model = world(detection_probability=0.9, scaling=scaling, gate_probability=1.0)
+    state = crowd(rng, 4, 60, width=200.0)
+    if scaling == "previous":
+        state = Particles(np.vstack([state.state, 1.1 * state.state[4:6]]), state.weight)
+    z = seen_by(rng, state, 6)
+    if scaling == "given":
+        z = np.vstack([z, np.full((4, 6), 16.0)])
+    blocks = in_blocks(state, SINGLE)
+    updated, info = ParticlePHD().update(blocks, z, model, 1.0, rng)
+    weight, evidence = dense(blocks.particles(), z, model)
+    # A position of 600 pixels is known to 6e-5 pixels in single precision, and g at d deviations to d times that.
+    np.testing.assert_allclose(info.evidence, evidence, rtol=1e-4, atol=1e-9 * evidence.max())
+    np.testing.assert_allclose(updated.weight, weight, rtol=1e-4, atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["plane", "point"])
+def test_on_the_plane_and_of_points_the_update_is_the_dense_one_in_double_precision(kind: str, rng):
+    clutter = UniformClutter(1.0, 400.0)
+    plane = Model(PlaneMotion(), PlaneSensor(gate_probability=1.0, view=False), PlaneBirth(0.0), clutter)
+    point = Model(PointMotion(), PointSensor(gate_probability=1.0), PointBirth(0.0, frame_size=(20, 20)), clutter)
+    model = plane if kind == "plane" else point
+    at = rng.uniform(0, 20, (2, 5))
+    x = np.repeat(np.vstack([at, np.zeros((2, 5))]), 80, axis=1) + rng.normal(0, 1, (4, 400))
+    z = at if kind == "point" else np.vstack([at, np.repeat([[0.5], [0.1], [0.4]], 5, axis=1)])
+    blocks = in_blocks(Particles(x, rng.uniform(0.5, 1.5, 400) / 80), np.dtype(np.float64))
+    updated, info = ParticlePHD().update(blocks, z, model, 1.0, rng)
+    weight, evidence = dense(blocks.particles(), z, model)
+    np.testing.assert_allclose(info.evidence, evidence, rtol=1e-10)
+    np.testing.assert_allclose(updated.weight, weight, rtol=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_the_gate_drops_is_bounded(seed: int):
+    """A dropped pair is outside of the gate: its likelihood is below that share of its peak."""
+    rng = np.random.default_rng(seed)
+    state, model = in_blocks(crowd(rng, 5, 60, spread=0.3, width=150.0), SINGLE), world(detection_probability=0.9)
+    z = seen_by(rng, state.particles(), 8)
+    updated, info = ParticlePHD().update(state, z, model, 1.0, rng)
+    weight, evidence = dense(state.particles(), z, model)
+    own = state.state[[0, 1, 4, 5]].astype(float)
+    peak = np.exp(model.sensor.log_likelihood(own, state.state.astype(float)))
+    dropped = evidence - info.evidence
+    assert np.all(dropped >= -1e-4 * evidence)
+    assert np.all(dropped <= 4e-6 * (0.9 * state.weight * peak).sum() + 1e-4 * evidence)
+    share = np.abs(dropped) / (evidence + model.clutter.intensity(z))
+    assert np.abs(updated.weight - weight).sum() <= 2 * share.sum() + 1e-4
+
+
+def test_detection_probability_may_depend_on_the_state(rng):
+    """p_D is a model: here targets of the left half are hidden by a nearer one."""
+    model = world(gate_probability=1.0, occlusion=True, detection_probability=0.8)
+    state = in_blocks(crowd(rng, 4, 40, width=200.0), SINGLE)
+    hidden = replace(model, sensor=model.sensor.watching(np.array([[100.0, 300, 0, 0, 150, 500]]).T))
+    z = seen_by(rng, state.particles(), 5)
+    updated, info = ParticlePHD().update(state, z, hidden, 1.0, rng)
+    weight, evidence = dense(state.particles(), z, hidden)
+    assert np.ptp(hidden.sensor.p_detect(state.state.astype(float))) > 0.3
+    np.testing.assert_allclose(info.evidence, evidence, rtol=1e-4)
+    np.testing.assert_allclose(updated.weight, weight, rtol=1e-4, atol=1e-7)
+
+
+@given(seeds, st.integers(0, 4), st.floats(0.01, 2), st.integers(1, 400))
+@settings(max_examples=40, deadline=None)
+def test_reducing_keeps_the_mass_in_equal_weights(seed: int, targets: int, mass: float, particles_per_target: int):
+    rng = np.random.default_rng(seed)
+    state = crowd(rng, targets, 30, mass)
+    reduced = ParticlePHD(particles_per_target).reduce(state, rng)
+    check(reduced)
+    assert len(reduced) == round(particles_per_target * state.mass)
+    if len(reduced):
+        assert reduced.mass == pytest.approx(state.mass, rel=1e-9)
+        assert {tuple(x) for x in reduced.state.T} <= {tuple(x) for x in state.state.T}
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.3, 0.5, 0.999])
+def test_every_particle_has_its_share_of_offspring(offset: float, rng):
+    """Systematic: within one of its share, wherever the comb starts; particles without weight have none."""
+    state = crowd(rng, 3, 200)
+    state.weight[::7] = 0.0
+
+    class Comb:
+        def random(self):
+            return offset
+
+    reduced = ParticlePHD(400).reduce(state, Comb())
+    count = {tuple(x): 0 for x in state.state.T}
+    for x in reduced.state.T:
+        count[tuple(x)] += 1
+    found, share = np.array(list(count.values())), state.weight / state.mass * len(reduced)
+    assert np.abs(found - share).max() < 1.01
+    assert found[::7].max() == 0
+
+
+def test_bounds_on_the_number_of_particles(rng):
+    state = crowd(rng, 5, 100)
+    for bounds, wanted in (
+        ({"max_particles": 700}, 700), ({"min_particles": 6000}, 6000), ({"min_particles": 800, "max_particles": 600}, 600),
+        ({"min_particles": 900}, 5000),
+    ):  # fmt: skip
+        few = ParticlePHD(1000, **bounds).reduce(state, rng)
+        assert len(few) == wanted
+        assert few.mass == pytest.approx(state.mass)
+    nothing = replace(state, weight=1e-6 * state.weight)
+    assert len(ParticlePHD(100, min_particles=700).reduce(nothing, rng)) == 0
+
+
+@given(seeds, st.floats(0.1, 5), st.floats(0.01, 1))
+@settings(max_examples=30, deadline=None)
+def test_predicting_multiplies_the_mass_with_survival(seed: int, dt: float, survival: float):
+    rng = np.random.default_rng(seed)
+    state = crowd(rng, 3, 40)
+    model = replace(world(), motion=BoxMotion(survival_probability=survival**25))
+    predicted = ParticlePHD().predict(state, model, dt, rng)
+    assert predicted.mass == pytest.approx(state.mass * survival**dt, rel=1e-6)
+    spawning = replace(model, motion=BoxMotion(survival_probability=survival**25, births=SplitSpawn(rate=0.1, fraction=0.5)))
+    predicted = ParticlePHD().predict(state, spawning, dt, rng)
+    assert predicted.mass == pytest.approx(state.mass * (survival**dt + 0.1 * dt), rel=1e-5)
+
+
+@pytest.mark.parametrize("dt", [0.5, 1.0, 3.0])
+@pytest.mark.parametrize("kind", ["box", "fixed", "plane", "point"])
+def test_motion_has_the_moments_of_the_transition(kind: str, dt: float, rng):
+    motion = {
+        "box": BoxMotion(), "fixed": BoxMotion(1.5, 2.0, scaled_noise=False), "plane": PlaneMotion(), "point": PointMotion()
+    }[kind]  # fmt: skip
+    x = np.array([[300.0, 200, 3, -2, 60, 120]]).T[: motion.dim]
+    model, count = replace(world(), motion=motion), 50_000
+    state = Particles(np.repeat(x, count, axis=1), np.full(count, 1 / count))
+    moved = ParticlePHD().predict(state, model, dt, rng).state.astype(float)
+    mean, _, cov = motion.transition(x, dt)
+    size = np.sqrt(cov[0].diagonal())
+    assert (np.abs(moved.mean(1) - mean[:, 0]) / size * np.sqrt(count)).max() < 5
+    np.testing.assert_allclose(
+        np.cov(moved) / np.outer(size, size), cov[0] / np.outer(size, size), atol=5 * np.sqrt(2 / count)
+    )
+
+
+def test_targets_that_left_the_frame_are_no_more(rng):
+    state = crowd(rng, 6, 50)
+    moved = state.state.copy()
+    moved[0, :100] = -1e4
+    predicted = ParticlePHD().predict(Particles(moved, state.weight), world(), 1.0, rng)
+    assert predicted.mass == pytest.approx(0.99 * state.weight[100:].sum(), rel=1e-6)
+    assert ParticlePHD(200).reduce(predicted, rng).state[0].min() > -1000
+
+
+@pytest.mark.parametrize("p_detect", [0.0, 0.7, 1.0])
+def test_an_empty_scan_leaves_what_is_missed(p_detect: float, rng):
+    state = crowd(rng, 3, 50)
+    updated, info = ParticlePHD().update(state, NO_BOXES, world(detection_probability=p_detect), 1.0, rng)
+    assert updated.mass == info.mass == pytest.approx((1 - p_detect) * state.mass, rel=1e-6)
+    assert info.mass_predicted == pytest.approx(state.mass, rel=1e-6)
+    assert info.mass_born == 0
+    skipped, info = ParticlePHD(skip_empty_frames=True).update(state, NO_BOXES, world(), 1.0, rng)
+    assert info.mass == info.mass_predicted == pytest.approx(3, rel=1e-6)
+    assert skipped.mass == pytest.approx(3, rel=1e-6)
+
+
+def test_births_come_in_an_empty_scan_too(rng):
+    model = world(birth=UniformBirth(FRAME, births_per_second=25 * 0.2), detection_probability=0.9)
+    updated, info = ParticlePHD().update(NOTHING, NO_BOXES, model, 2.0, rng)
+    assert info.mass_born == pytest.approx(0.4)
+    assert updated.mass == info.mass == pytest.approx(0.04, rel=1e-6)
+
+
+@pytest.mark.parametrize("scaling", ["particle", "detection", "fixed"])
+def test_the_order_of_detections_does_not_matter(scaling: str, rng):
+    state = crowd(rng, 5, 80)
+    z = seen_by(rng, state, 9)
+    model, order = world(scaling=scaling), rng.permutation(9)
+    a, about_a = ParticlePHD().update(state, z, model, 1.0, rng)
+    b, about_b = ParticlePHD().update(state, np.ascontiguousarray(z[:, order]), model, 1.0, rng)
+    np.testing.assert_allclose(a.weight, b.weight, rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(about_a.evidence[order], about_b.evidence, rtol=1e-6)
+
+
+@given(seeds, st.integers(0, 4), st.integers(0, 6), st.sampled_from(["particle", "detection", "fixed"]))
+@settings(max_examples=40, deadline=None)
+def test_masses_add_up(seed: int, targets: int, n: int, scaling: str):
+    """Every detection brings C/(κ + C), every target (1 − p_D) of itself, and the state holds it."""
+    rng = np.random.default_rng(seed)
+    model = with_births(world(scaling=scaling, detection_probability=0.9))
+    state = crowd(rng, targets, 40) if targets else NOTHING
+    z = seen_by(rng, state, n) if targets else rng.uniform(20, 90, (4, n))
+    after, info = ParticlePHD(300).step(state, z, model, 1.0, rng)
+    check(after)
+    claimed = (info.evidence / (info.evidence + info.clutter)).sum()
+    assert info.mass == pytest.approx(0.1 * info.mass_predicted + claimed, rel=2e-5, abs=1e-9)
+    assert len(after) == round(300 * info.mass)
+    assert after.mass == pytest.approx(info.mass if len(after) else 0.0)
+
+
+def test_a_detection_that_nothing_explains_vanishes_and_is_counted(rng):
+    """κ = 0 and C = 0: the term is 0, not NaN."""
+    state = crowd(rng, 2, 60, width=200.0)
+    near, far = seen_by(rng, state, 1), np.array([[5000.0], [5000], [20], [40]])
+    model = world(clutter=UniformClutter(0.0, 1.0), detection_probability=1.0)
+    updated, info = ParticlePHD().update(state, np.hstack([far, near, far + 50]), model, 1.0, rng)
+    assert info.vanished == 2
+    assert updated.mass == pytest.approx(1.0, rel=1e-5)
+    np.testing.assert_array_equal(info.clutter_probability[[0, 2]], [1.0, 1.0])
+    empty, info = ParticlePHD().update(NOTHING, far, model, 1.0, rng)
+    assert (info.vanished, empty.mass) == (1, 0.0)
+
+
+@pytest.mark.parametrize("deviations", [5.0, 12, 13.1, 14, 20, 38, 39.5, 1000])
+def test_a_likelihood_far_out_in_its_tail_does_not_poison_the_weights(deviations: float, rng):
+    """κ = 0 and a size so unlike all particles that single precision does not know g, or its reciprocal."""
+    x = np.repeat(np.array([[100.0, 100, 0, 0, 20, 40], [100.0, 100, 0, 0, 20.3, 40]]).T, 100, axis=1)
+    z = np.array([[100.0], [100], [20 + 20 * 0.15 * deviations], [40]])
+    model = world(clutter=UniformClutter(0.0, 1.0), detection_probability=0.9)
+    state = Particles(x, np.full(200, 0.01))
+    for _ in range(2):
+        state, info = ParticlePHD(300).step(state, z, model, 1.0, rng)
+        assert info.mass == pytest.approx(0.1 * info.mass_predicted + 1 - info.vanished, rel=1e-4)
+        check(state)
+
+
+def test_covered_detections_have_no_births(rng):
+    state = crowd(rng, 1, 300, mass=1.2, spread=0.03)
+    z = np.average(state.state, axis=1, weights=state.weight)[[0, 1, 4, 5], None]
+    _, info = ParticlePHD().update(state, z, with_births(world()), 1.0, rng)
+    assert info.mass_born == 0
+    _, info = ParticlePHD().update(Particles(state.state, state.weight / 2.4), z, with_births(world()), 1.0, rng)
+    assert 0 < info.mass_born < 0.05
+
+
+def test_with_births_the_order_does_not_matter_on_average(rng):
+    state = crowd(rng, 2, 80)
+    z = np.hstack([seen_by(rng, state, 2), [[50.0, 60], [400, 405], [20, 30], [50, 60]]])
+    model = with_births(world())
+
+    def evidence(order: list[int], first: int) -> np.ndarray:
+        draws = (np.random.default_rng(first + k) for k in range(60))
+        return np.array([ParticlePHD().update(state, z[:, order].copy(), model, 1.0, own)[1].evidence for own in draws])
+
+    a, b = evidence([0, 1, 2, 3], 0), evidence([3, 2, 1, 0], 100)[:, ::-1]
+    error = np.sqrt((a.var(0) + b.var(0)) / 60)
+    assert np.all(np.abs(a.mean(0) - b.mean(0)) <= 4.5 * error + 1e-12)
+
+
+def test_boxes_of_any_size_and_far_outside_of_the_frame(rng):
+    state = crowd(rng, 2, 200)
+    far = np.array([[-1e6, 1e6, 300, 3e7, 10], [200, 1e6, -1e5, -3e7, 10], [1, 50, 5000, 40, 1], [2, 80, 9000, 70, 1]])
+    for _ in range(4):
+        z = np.hstack([seen_by(rng, state.particles() if isinstance(state, ParticleBlocks) else state, 2), far])
+        state, info = ParticlePHD(300).step(state, z, with_births(world()), 1.0, rng)
+        check(state)
+        assert np.isfinite(info.evidence).all()
+
+
+def test_a_frame_that_was_not_looked_at_comes_in_between(rng):
+    model, state = world(), crowd(rng, 3, 250)
+    predicted = ParticlePHD().predict(state, model, 1.0, rng)
+    after, info = ParticlePHD(300).step(predicted, seen_by(rng, state, 3), model, 1.0, rng)
+    check(after)
+    assert info.mass_predicted == pytest.approx(state.mass * 0.99**2, rel=1e-5)
+    assert len(after.start) - 1 < 30, "in blocks"
+
+
+def test_the_initial_intensity(rng):
+    given_particles = crowd(rng, 2, 20)
+    assert ParticlePHD(initial=given_particles).start(world(), rng) is given_particles
+    cov = np.stack([np.diag([25.0, 9, 1, 1, 4, 16])] * 2)
+    mean = np.array([[100.0, 50, 1, 0, 20, 40], [300, 60, 0, 1, 30, 50]]).T
+    drawn = ParticlePHD(5000, initial=GaussianMixture(np.array([1.0, 0.5]), mean, cov)).start(world(), rng)
+    first = drawn.state[0] < 200
+    assert (drawn.weight[first].sum(), drawn.weight[~first].sum()) == (pytest.approx(1.0), pytest.approx(0.5))
+    np.testing.assert_allclose(drawn.state[0, first].mean(), 100, atol=4 * 5 / np.sqrt(5000))
+
+
+def test_fixed_births_pass_through(rng):
+    mean, cov = np.array([[100.0, 50, 1, 0, 20, 40]]).T, np.eye(6)[None]
+    model = world(birth=FixedBirth(GaussianMixture(np.array([25 * 0.02]), mean, cov), 50))
+    updated, info = ParticlePHD().update(crowd(rng, 2, 100), NO_BOXES, model, 1.5, rng)
+    assert info.mass_born == pytest.approx(0.03)
+    assert len(updated) == 250
+
+
+@pytest.mark.parametrize("recursion", [ParticlePHD(300), ParticleCPHD(300)])
+def test_any_number_of_threads_and_the_same_seed_give_the_same_bits(recursion, rng):
+    first = crowd(rng, 70, 300, width=4000.0)
+    scans = [seen_by(rng, first, n) for n in (90, 0, 60)]
+    for z in scans:
+        z.flags.writeable = False
+    model = with_births(replace(world(), motion=BoxMotion()), most=100)
+
+    def run(threads: int, seed: int):
+        own, filter_ = np.random.default_rng(seed), replace(recursion, threads=threads, initial=first)
+        state = filter_.start(model, own)
+        for z in scans:
+            state, info = filter_.step(state, z, model, 1.5, own)
+        return getattr(state, "intensity", state), info
+
+    one, info = run(1, 5)
+    for threads in (1, 2, 3, 0):
+        state, other = run(threads, 5)
+        identical(state, one)
+        assert other.mass == info.mass
+    assert not np.array_equal(run(1, 6)[0].state[:, :100], one.state[:, :100])
+
+
+@pytest.mark.parametrize("count", [0, 1, 5, 97, 1000])
+def test_ranges_cover_the_work_in_order(count: int):
+    for threads in (0, 1, 3, 8):
+        parts = in_ranges(lambda lo, hi: list(range(lo, hi)), count, threads)
+        assert [i for part in parts for i in part] == list(range(count))
+
+
+def test_a_resumed_tracker_goes_on_bit_for_bit(rng):
+    """Saved after a frame with clutter, an empty one, one that was not looked at, and later."""
+    setting = {"filter": {"kind": "particle-phd", "particles_per_target": 200}, "birth": {"particles": 200}}
+    boxes = np.array([[100.0, 100, 140, 200], [500.0, 250, 540, 350]])
+    scans = [boxes + 2 * k + rng.normal(0, 1, (2, 4)) for k in range(12)]
+    scans[5], scans[7] = np.zeros((0, 4)), Detections.empty(observed=False)
+    for after in (6, 8):
+        whole, first, second = (Tracker((640, 480), **setting) for _ in range(3))
+        for k, found in enumerate(scans):
+            whole.update(found)
+            (first if k < after else second).update(found)
+            if k == after - 1:
+                second.load_state_dict(pickle.loads(pickle.dumps(first.state_dict())))
+        identical(whole.state.intensity, second.state.intensity)
+    identical(unpack(pickle.loads(pickle.dumps(pack(whole.state.intensity)))), whole.state.intensity)
+
+
+def test_settings_out_of_bounds():
+    for wrong in ({"particles_per_target": 0}, {"max_particles": -1}):
+        with pytest.raises(InputError, match=next(iter(wrong))):
+            ParticlePHD(**wrong)
+
+
+def test_no_filter_takes_each_detection_for_a_target(rng):
+    model, z = world(), seen_by(rng, crowd(rng, 3, 10), 5)
+    state, info = NoFilter().step(NOTHING, z, model, 1.0, rng)
+    np.testing.assert_array_equal(state.state[[0, 1, 4, 5]], z)
+    assert info.mass == state.mass == 5
+    assert len(NoFilter().predict(state, model, 1.0, rng)) == 0
+    np.testing.assert_array_equal(info.clutter_probability, np.zeros(5))
+    assert image_volume(FRAME) == 640.0**2 * 480.0**2
