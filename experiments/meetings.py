@@ -10,7 +10,7 @@ import numpy as np
 from experiments.common import Case, detections_in
 from phdtrack.arrays import iou
 from phdtrack.simulate import DetectorModel, Look, Scene, detect, render
-from phdtrack.simulate.scenario import truth_rows, visible
+from phdtrack.simulate.scenario import truth_rows
 from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo, Tracks, Truth
 
 Parting = Literal["crossing", "turning back"]
@@ -78,13 +78,13 @@ class Meeting:
             boxes.append(np.stack([centre - wide / 2, feet - TALL, centre + wide / 2, feet], axis=1))
         frame = np.tile(np.arange(1, len(time) + 1), 2)
         xyxy = np.concatenate(boxes)
-        inside = visible(xyxy, self.info) > 0
+        inside = _visible(xyxy, self.info) > 0
         return truth_rows(frame[inside], np.repeat([1, 2], len(time))[inside], xyxy[inside])
 
     def truth(self, figures: Truth) -> Truth:
         """Those of whom enough is in the frame."""
-        kept = np.flatnonzero(visible(figures.xyxy, self.info) >= _VISIBLE)
-        inside = np.clip(figures.xyxy[kept], 0, np.tile([self.info.width, self.info.height], 2).astype(np.float64))
+        kept = np.flatnonzero(_visible(figures.xyxy, self.info) >= _VISIBLE)
+        inside = _clip(figures.xyxy[kept], self.info)
         return truth_rows(figures.frame[kept], figures.identity[kept], inside)
 
 
@@ -158,3 +158,16 @@ def _identity(case: Case, tracks: Tracks, who: int, frames: I8) -> int:
     counts = np.bincount(votes)
     counts[0] = 0
     return int(counts.argmax()) if counts.any() else 0
+
+
+def _clip(xyxy: F8, info: SequenceInfo) -> F8:
+    """(n, 4) the boxes cut at the frame's borders."""
+    inside: F8 = np.clip(xyxy, 0, np.tile([info.width, info.height], 2).astype(np.float64))
+    return inside
+
+
+def _visible(xyxy: F8, info: SequenceInfo) -> F8:
+    """(n,) part of each box's area that lies in the frame."""
+    size, inside = xyxy[:, 2:] - xyxy[:, :2], _clip(xyxy, info)
+    part: F8 = (inside[:, 2:] - inside[:, :2]).prod(axis=1) / size.prod(axis=1)
+    return part
