@@ -22,7 +22,7 @@ from phdtrack.metrics import evaluate
 from phdtrack.metrics.clear import count_tracking
 from phdtrack.metrics.groups import nearest
 from phdtrack.metrics.identity import count_identities
-from phdtrack.metrics.matching import FramePair, Scene, tracking_mapping
+from phdtrack.metrics.matching import FramePair, Scene, ratio, tracking_mapping
 from phdtrack.types import F8, I8, DetectionTable, Tracks
 
 SEQUENCE, KINDS = "PETS09-S2L1", ("public", "frcnn")
@@ -177,11 +177,11 @@ def errors(truth: Places, found: Places, far: float) -> F8:
 def on_the_ground(truth: Places, found: Places, frames: int) -> GroundScores:
     """All scores on the ground."""
     scene = ground_scene(truth, found, frames, NEAR)
-    counted = count_tracking(scene, tracking_mapping(scene, 0.5))
+    counted, names = count_tracking(scene, tracking_mapping(scene, 0.5)), count_identities(scene, 0.5)
     off = errors(truth, found, FAR)
     return GroundScores(
-        counted.mota(1.0, 1.0),
-        count_identities(scene, 0.5).idf1(),
+        1 - ratio(counted.misses + counted.false_positives + counted.switches, counted.truth_boxes),
+        ratio(2 * names.true_positives, names.truth_boxes + names.output_boxes),
         math.sqrt(float((off**2).mean())),
         float(np.median(off)),
         float(np.count_nonzero(off <= NEAR) / len(truth.frame)),

@@ -15,11 +15,6 @@ def frame(truth, output, off=0.0, found=None):
     return LabelledFrame(np.array(truth), place, np.array(output, np.int64), place[:, kept] + off)
 
 
-def test_the_right_groups_score_one_whatever_their_names():
-    scores = score_groups([frame([1, 1, 2, 2, 0], [7, 7, 3, 3, 9])])
-    assert (scores.true_positives, scores.f1(), scores.switches) == (2, 1.0, 0)
-
-
 def test_pairs_are_counted_as_by_hand():
     # Truth: 0-1, 0-2, 1-2, 3-4. Output: 0-1, 2-3.
     scores = score_groups([frame([1, 1, 1, 2, 2], [1, 1, 2, 2, 3])])
@@ -27,11 +22,6 @@ def test_pairs_are_counted_as_by_hand():
     assert scores.precision() == 0.5
     assert scores.recall() == 0.25
     assert scores.f1() == pytest.approx(1 / 3)
-
-
-def test_people_who_are_not_found_are_missing_from_their_groups():
-    scores = score_groups([frame([1, 1], [1], found=[0])])
-    assert (scores.true_positives, scores.false_positives, scores.false_negatives) == (0, 0, 1)
 
 
 def test_pairs_with_nobody_are_false():
@@ -53,11 +43,6 @@ def test_a_switch_is_a_change_of_the_name_that_most_carry():
 def test_people_alone_make_no_pairs():
     scores = score_groups([frame([0, 0], [0, 0])])
     assert math.isnan(scores.f1())
-
-
-def test_nothing_scores_nothing():
-    none = LabelledFrame(np.zeros(0, np.int64), np.zeros((2, 0)), np.zeros(0, np.int64), np.zeros((2, 0)))
-    assert math.isnan(score_groups([none]).f1())
 
 
 def test_as_many_as_can_be_are_mapped():

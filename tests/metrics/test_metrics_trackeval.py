@@ -28,7 +28,7 @@ def compare(ours: Scores, theirs: Figures) -> None:
         close(ours.HOTA, np.mean(hota["HOTA"]))
         close(ours.DetA, np.mean(hota["DetA"]))
         close(ours.AssA, np.mean(hota["AssA"]))
-        close(ours.counts.hota.hota_per_alpha(), hota["HOTA"])
+        close(ours.counts.hota.per_alpha()[0], hota["HOTA"])
 
 
 @pytest.mark.parametrize("distractors", [False, True])
@@ -40,13 +40,6 @@ def test_random_sequences(seed: int, distractors: bool):
     for threshold in (0.5, 0.3):
         ours = evaluate(truth, tracks, frames=32, iou=threshold)
         compare(ours, figures(truth, tracks, 32, threshold))
-
-
-def test_the_random_sequences_hold_every_kind_of_error():
-    truth, tracks = random_case(np.random.default_rng(3), objects=8, frames=60)
-    scores = evaluate(truth, tracks)
-    for count in (scores.id_switches, scores.misses, scores.false_positives, scores.fragments, scores.false_tracks):
-        assert count >= 3
 
 
 def test_distractors_matter_in_the_random_sequences():
@@ -76,18 +69,4 @@ def test_real_sequences(data, sequence: str, detector: str):
     ours = evaluate(truth, tracks)
     assert ours.id_switches > 0
     assert ours.fragments > 0
-    compare(ours, figures(truth, tracks, ours.frames))
-
-
-@pytest.mark.data
-@pytest.mark.parametrize("sequence", ["PETS09-S2L1", "ADL-Rundle-6"])
-def test_real_sequence_with_distractors(data, sequence: str):
-    """Every fourth person of the annotation is declared one."""
-    people = real_truth(data, sequence)
-    truth = truth_of(people.frame, people.identity, people.xyxy, people.identity % 4 == 0)
-    rows = ~truth.distractor
-    without = truth_of(people.frame[rows], people.identity[rows], people.xyxy[rows])
-    tracks = crude_tracks(real_detections(data, sequence, "det_frcnn"))
-    ours = evaluate(truth, tracks)
-    assert ours.false_positives < evaluate(without, tracks).false_positives - 100
     compare(ours, figures(truth, tracks, ours.frames))

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from metric_cases import REAL, close, crude_tracks, perfect, random_case, real_detections, real_truth, tracks_of, truth_of
+from metric_cases import REAL, close, crude_tracks, random_case, real_detections, real_truth, tracks_of, truth_of
 from trackeval_oracle import preprocessed, trackeval
 
 from phdtrack.arrays import iou
-from phdtrack.metrics import evaluate, pool, tgospa_boxes
+from phdtrack.metrics import evaluate, pool
 from phdtrack.types import Tracks, Truth
 from reference import metrics_twins as twins
 
@@ -104,28 +104,3 @@ def test_pooled_tracks_are_those_of_the_sequences_one_after_the_other():
     )
     together = evaluate(truth, tracks, frames=60)
     close([ours.OSPA2, ours.SFDA, ours.ATA], [together.OSPA2, together.SFDA, together.ATA])
-
-
-def test_tgospa_of_groups_that_share_nothing_is_the_sum_over_them():
-    truth, tracks = random_case(np.random.default_rng(2), frames=25, objects=6)
-    here = tgospa_boxes(truth, tracks)
-    twice = tgospa_boxes(
-        truth_of(
-            np.tile(truth.frame, 2),
-            np.concatenate([truth.identity, truth.identity + 10**6]),
-            np.concatenate([truth.xyxy, truth.xyxy + 10**4]),
-        ),
-        tracks_of(
-            np.tile(tracks.frame, 2),
-            np.concatenate([tracks.identity, tracks.identity + 10**6]),
-            np.concatenate([tracks.xyxy, tracks.xyxy + 10**4]),
-        ),
-    )
-    assert here.switching > 0
-    assert twice.distance == pytest.approx(2 * here.distance)
-
-
-def test_extremes():
-    truth, _ = random_case(np.random.default_rng(0))
-    assert pytest.approx(0, abs=1e-12) == evaluate(truth, perfect(truth)).OSPA2
-    assert evaluate(truth, Tracks.empty()).OSPA2 == 1

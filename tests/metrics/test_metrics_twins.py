@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from metric_cases import close, crude_tracks, perfect, random_case, real_detections, real_truth, tracks_of, truth_of
+from metric_cases import close, random_case, tracks_of, truth_of
 
-from phdtrack.arrays import iou
 from phdtrack.metrics import evaluate, first_output_delays
 from phdtrack.types import Detections, DetectionTable
 from reference import metrics_twins as twins
@@ -37,16 +36,6 @@ def test_tracking_scores(seed: int, threshold: float, miss: float, false: float)
     close([ours.MOTA, ours.MOTA_log, ours.MOTP], [twin.mota, twin.mota_log, twin.motp], 1e-12)
     assert ours.objects_found == len(twin.delays)
     assert ours.delay_mean == pytest.approx(np.mean(list(twin.delays.values()) or [np.nan]), nan_ok=True)
-
-
-@pytest.mark.data
-def test_detection_scores_of_a_real_sequence(data):
-    truth = real_truth(data, "TUD-Campus")
-    tracks = crude_tracks(real_detections(data, "TUD-Campus", "det_frcnn"))
-    few = tracks.take(tracks.identity % 3 != 0)
-    moda, modp = twins.moda_modp(truth, few, 0.5, 1.0, 1.0)
-    ours = evaluate(truth, few)
-    close([ours.MODA, ours.MODP], [moda, modp], 1e-12)
 
 
 def test_both_mappings_differ_where_a_newcomer_overlaps_more():
@@ -94,30 +83,3 @@ def test_delay_counts_from_the_first_detection():
     assert delays.mapped.tolist() == [0, 4, 2]
     assert delays.delay == pytest.approx([np.nan, 2, -3], nan_ok=True)
     assert evaluate(truth, tracks).delay_mean == (3 + 1) / 2
-
-
-@given(seeds)
-@settings(max_examples=30, deadline=None)
-def test_first_detections_against_a_loop(seed: int):
-    truth, tracks = random_case(np.random.default_rng(seed), objects=3, distractors=True)
-    table = DetectionTable(tracks.frame, Detections.of(tracks.xyxy))
-    delays = first_output_delays(truth, tracks, table, 0.4)
-    rows = np.argsort(truth.frame, kind="stable")
-    for identity, detected in zip(delays.identity, delays.detected, strict=True):
-        hits = [
-            int(truth.frame[r])
-            for r in rows
-            if truth.identity[r] == identity
-            and not truth.distractor[r]
-            and (iou(truth.xyxy[r : r + 1], tracks.xyxy[tracks.frame == truth.frame[r]]) >= 0.4).any()
-        ]
-        assert detected == (hits[0] if hits else 0)
-
-
-def test_output_of_detections_has_no_delay():
-    truth, _ = random_case(np.random.default_rng(5), objects=4)
-    tracks = perfect(truth)
-    table = DetectionTable(np.sort(truth.frame), Detections.of(truth.xyxy[np.argsort(truth.frame, kind="stable")]))
-    assert (first_output_delays(truth, tracks, table).delay == 0).all()
-    late = tracks.take(tracks.frame > truth.frame.min() + 2)
-    assert np.nanmax(first_output_delays(truth, late, table).delay) == 3

@@ -4,9 +4,9 @@ Two people who are in a frame together are a pair; the pair is positive where bo
 
     F1 = 2 TP / (2 TP + FP + FN)    over the pairs of all frames
 
-A person of the output is the person of the truth that he is mapped to one to one, nearest first in sum, within a distance.
-Pairs of annotated people of whom one was not found are missed (FN), and pairs of one output group of whom one is nobody are
-false (FP). A group of the truth switches where the output identity that most of its members carry is not the last one.
+People of output and truth are mapped one to one, within a distance. Pairs of annotated people of whom one was not found are
+missed (FN), and pairs of one output group with an unmapped member are false (FP). A group of the truth switches where the
+output identity that most of its members carry is not the last one.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from phdtrack.types import F8, I8
 class LabelledFrame:
     """One frame: groups (n,) and positions (2, n) of the truth, and of the output (m,), (2, m), metres.
 
-    Groups are identities from 1; 0 is somebody alone.
+    Groups are identities from 1; 0 is a person without group.
     """
 
     truth_group: I8
@@ -67,12 +67,11 @@ def score_groups(frames: Iterable[LabelledFrame], within: float = 1.0) -> GroupS
         for group in np.unique(frame.truth_group[frame.truth_group > 0]).tolist():
             found = output_of[(frame.truth_group == group) & (output_of >= 0)]
             carried = frame.output_group[found]
-            carried = carried[carried > 0]
-            if len(carried) == 0:
-                continue
-            name = _commonest(carried, last.get(group, 0))
-            switches += group in last and last[group] != name
-            last[group] = name
+            names, times = np.unique(carried[carried > 0], return_counts=True)
+            best = names[times == times.max(initial=0)]
+            if len(best) and last.get(group) not in best:
+                switches += group in last
+                last[group] = int(best[0])
     return GroupScores(int(sums[0]), int(sums[1]), int(sums[2]), switches)
 
 
@@ -96,23 +95,11 @@ def nearest(a: F8, b: F8, within: float) -> tuple[I8, I8]:
 
 def _pairs(frame: LabelledFrame, output_of: I8) -> I8:
     """Numbers of pairs that are rightly together, wrongly together, and wrongly apart."""
-    truth = _together(frame.truth_group)
-    output = _together(frame.output_group)
+    truth, output = (
+        (group[:, None] == group) & (group > 0) & ~np.eye(len(group), dtype=np.bool_)
+        for group in (frame.truth_group, frame.output_group)
+    )
     found = output_of >= 0
     both = output[np.ix_(output_of[found], output_of[found])] & truth[np.ix_(found, found)]
     right = int(both.sum()) // 2
     return np.array([right, int(output.sum()) // 2 - right, int(truth.sum()) // 2 - right], np.int64)
-
-
-def _together(group: I8) -> np.typing.NDArray[np.bool_]:
-    """(n, n) whether two different people are of one group."""
-    same: np.typing.NDArray[np.bool_] = (group[:, None] == group) & (group > 0)
-    np.fill_diagonal(same, False)
-    return same
-
-
-def _commonest(carried: I8, last: int) -> int:
-    """The identity that most carry; of several such the last one if it is among them, otherwise the smallest."""
-    names, times = np.unique(carried, return_counts=True)
-    best = names[times == times.max()]
-    return last if last in best else int(best[0])

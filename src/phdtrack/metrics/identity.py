@@ -1,4 +1,4 @@
-"""IDF1: how many boxes carry the right name, when each annotated identity may claim one output identity.
+"""The sums behind IDF1: how many boxes carry the right name, when each annotated identity may claim one output identity.
 
     IDTP = max over one-to-one mappings of identities of Σ (frames in which the two overlap at IoU ≥ threshold)
     IDF1 = 2 IDTP / (annotated boxes + output boxes)
@@ -30,7 +30,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.metrics.matching import ROUNDING, Matches, Scene, assign, match, ratio
+from phdtrack.metrics.matching import ROUNDING, Matches, Scene, assign, match
 from phdtrack.types import F8, I8
 
 
@@ -41,18 +41,6 @@ class IdentityCounts:
     true_positives: int
     truth_boxes: int
     output_boxes: int
-
-    def idf1(self) -> float:
-        """IDF1; 0 where one side is empty, NaN where both are."""
-        return ratio(2 * self.true_positives, self.truth_boxes + self.output_boxes)
-
-    def recall(self) -> float:
-        """IDR: share of the annotated boxes that are named right; NaN without truth."""
-        return ratio(self.true_positives, self.truth_boxes)
-
-    def precision(self) -> float:
-        """IDP: share of the output boxes that are named right; NaN without output."""
-        return ratio(self.true_positives, self.output_boxes)
 
 
 def count_identities(scene: Scene, threshold: float) -> IdentityCounts:
@@ -78,51 +66,24 @@ class HotaCounts:
     truth_boxes: int
     output_boxes: int
 
-    def det_a_per_alpha(self) -> F8:
-        """(19,) DetA_α; NaN where both sides are empty."""
+    def per_alpha(self) -> tuple[F8, F8, F8]:
+        """(19,) each: HOTA_α, DetA_α and AssA_α; NaN where both sides are empty, AssA 0 where no pair is mapped."""
         either = self.truth_boxes + self.output_boxes - self.true_positives
-        return np.divide(self.true_positives, either, out=np.full_like(either, np.nan), where=either > 0)
-
-    def ass_a_per_alpha(self) -> F8:
-        """(19,) AssA_α; 0 where no pair is mapped, NaN where both sides are empty."""
-        value = self.association / np.maximum(1, self.true_positives)
-        return np.where(self.truth_boxes + self.output_boxes > 0, value, np.nan)
-
-    def hota_per_alpha(self) -> F8:
-        """(19,) HOTA_α."""
-        value: F8 = np.sqrt(self.det_a_per_alpha() * self.ass_a_per_alpha())
-        return value
-
-    def hota(self) -> float:
-        """Mean of HOTA_α."""
-        return float(self.hota_per_alpha().mean())
-
-    def det_a(self) -> float:
-        """Mean of DetA_α."""
-        return float(self.det_a_per_alpha().mean())
-
-    def ass_a(self) -> float:
-        """Mean of AssA_α."""
-        return float(self.ass_a_per_alpha().mean())
+        det_a = np.divide(self.true_positives, either, out=np.full_like(either, np.nan), where=either > 0)
+        ass_a = np.where(either > 0, self.association / np.maximum(1, self.true_positives), np.nan)
+        return np.sqrt(det_a * ass_a), det_a, ass_a
 
 
 def count_hota(scene: Scene) -> HotaCounts:
     """The sums of ``scene`` for all thresholds."""
-    of_truth, of_output = _lengths(scene)
+    of_truth, of_output = (np.zeros(len(names), np.int64) for names in (scene.truth_identity, scene.output_identity))
+    for pair in scene.pairs:
+        of_truth[pair.truth] += 1
+        of_output[pair.output] += 1
     aligned = _alignment(scene, of_truth, of_output)
     mapping = match(scene, lambda pair: aligned[np.ix_(pair.truth, pair.output)] * pair.iou)
     found, association = _associations(mapping, of_truth, of_output)
     return HotaCounts(found, association, int(of_truth.sum()), int(of_output.sum()))
-
-
-def _lengths(scene: Scene) -> tuple[I8, I8]:
-    """(G,), (O,) number of boxes of every identity."""
-    of_truth = np.zeros(len(scene.truth_identity), np.int64)
-    of_output = np.zeros(len(scene.output_identity), np.int64)
-    for pair in scene.pairs:
-        of_truth[pair.truth] += 1
-        of_output[pair.output] += 1
-    return of_truth, of_output
 
 
 def _alignment(scene: Scene, of_truth: I8, of_output: I8) -> F8:

@@ -1,8 +1,8 @@
-"""Scores of whole objects and whole tracks: how late, how long, and how many that are nobody. Under the tracking mapping.
+"""Scores of whole objects and whole tracks under the tracking mapping: how late, how long, and how many are false.
 
 * Delay of an object: frames from its first in the truth to its first mapped one.
-* Delay from the first detection: the same, but counted from the first frame in which some detection overlaps it at IoU ≥
-  threshold, which is what a tracker can be blamed for: the figure by which M09 compares birth models.
+* Delay from the first detection: the same, but from the first frame in which some detection overlaps it at IoU ≥ threshold:
+  the figure by which M09 compares birth models.
 * A false track: an output identity that is never mapped to any object.
 * Mostly tracked: mapped in more than 80 % of its frames; mostly lost: in less than 20 % (as in TrackEval).
 """
@@ -15,7 +15,7 @@ import numpy as np
 
 from phdtrack.arrays import iou as overlaps
 from phdtrack.errors import InputError
-from phdtrack.metrics.matching import ROUNDING, Matches, Scene, build, ratio, tracking_mapping
+from phdtrack.metrics.matching import ROUNDING, Matches, Scene, build, tracking_mapping
 from phdtrack.types import F8, I8, DetectionTable, Tracks, Truth
 
 
@@ -30,10 +30,6 @@ class LifetimeCounts:
     mostly_lost: int
     identities: int
     false_tracks: int
-
-    def delay_mean(self) -> float:
-        """Mean delay in frames over the objects that were found; NaN without any."""
-        return ratio(self.delay, self.found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +47,10 @@ class Delays:
 
 def count_lifetimes(scene: Scene, mapping: Matches) -> LifetimeCounts:
     """The sums of ``scene`` under its tracking ``mapping``."""
-    appeared, boxes = _appearances(scene)
+    appeared, boxes = (np.zeros(len(scene.truth_identity), np.int64) for _ in range(2))
+    for pair in reversed(scene.pairs):
+        appeared[pair.truth] = pair.number
+        boxes[pair.truth] += 1
     mapped = first_mapped(scene, mapping)
     share = np.bincount(mapping.truth, minlength=len(boxes)) / np.maximum(1, boxes)
     found = mapped > 0
@@ -100,16 +99,6 @@ def check_threshold(iou: float) -> None:
     """Raise `InputError` unless 0 < ``iou`` ≤ 1."""
     if not 0 < iou <= 1:
         raise InputError(f"expected an overlap threshold in (0, 1], got {iou}", where="iou")
-
-
-def _appearances(scene: Scene) -> tuple[I8, I8]:
-    """(G,) first frame of each object; (G,) number of its boxes."""
-    first = np.zeros(len(scene.truth_identity), np.int64)
-    boxes = np.zeros(len(scene.truth_identity), np.int64)
-    for pair in reversed(scene.pairs):
-        first[pair.truth] = pair.number
-        boxes[pair.truth] += 1
-    return first, boxes
 
 
 def _first_detected(truth: Truth, identity: I8, detections: DetectionTable, threshold: float) -> I8:

@@ -1,31 +1,21 @@
-"""Counts that add up: what a sequence contributes to a score over many.
+"""Truth and output of one sequence laid side by side, frame by frame, and the mappings between their boxes.
 
-Every metric keeps sums, and forms quotients last. Pooling sequences is then adding their sums.
+Every metric keeps sums, and forms quotients last: pooling sequences is adding their sums (`total`).
 
-One-to-one assignment: the Hungarian algorithm behind every mapping and every distance between sets.
-
-Truth and output of one sequence laid side by side, frame by frame: what every metric of this package reads.
-
-Before anything is scored, three things happen here.
-
-* Both sides are checked: shapes, frame numbers from 1, finite boxes with left ≤ right and top ≤ bottom, one row per identity
-  and frame.
-* Distractors are taken out the way MOTChallenge does it since MOT16. In each frame all annotated boxes, distractors
-  included, are matched with the output for the largest total overlap among pairs at IoU ≥ 0.5; output boxes that fall to a
-  distractor are removed, then the distractors themselves. The 0.5 is the benchmark's and does not follow the threshold of
-  the scores.
-* Rows are put into an order of their own (frame, then box), so that no score depends on the order in which rows came, even
-  where two assignments tie.
+Before anything is scored, three things happen here. Both sides are checked. Distractors are taken out the way MOTChallenge
+does it since MOT16: in each frame all annotated boxes, distractors included, are matched with the output for the largest
+total overlap among pairs at IoU ≥ 0.5; output boxes that fall to a distractor are removed, then the distractors. Rows are
+put into an order of frame, then box, so that no score depends on the order of rows, even where two assignments tie.
 
 Notation: n annotated and m output boxes in a frame; G annotated and O output identities in the sequence, known by index.
 
-Mappings between annotated and output boxes over a sequence. Scores differ in the mapping that they count on:
+Scores differ in the mapping that they count on:
 
 * `detection_mapping`: the largest total overlap among pairs at IoU ≥ threshold, each frame for itself. MODA, MODP.
 * `tracking_mapping`: first as many pairs as possible of those that were mapped before, then the largest total overlap.
   N_MODA, MOTA, MOTP, switches, fragments, delays, false tracks.
-* The mapping of `hota.py`: overlap weighted by how well the two identities agree over the sequence. HOTA.
-* The mapping of `identity.py`: one for the sequence; identities are mapped, not boxes. IDF1.
+* Those of `identity.py`: overlap weighted by how well the two identities agree over the sequence (HOTA), and one mapping of
+  identities for the sequence (IDF1).
 
 "Mapped before" means: in the last frame that held boxes on both sides. A frame with an empty side neither breaks nor makes a
 mapping, in agreement with TrackEval's CLEAR [M09 (22)–(25)].
@@ -35,8 +25,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from dataclasses import dataclass, fields, is_dataclass
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -56,7 +46,7 @@ def total(parts: Sequence[T]) -> T:
     sums = {}
     for field in fields(first):
         values = [getattr(part, field.name) for part in parts]
-        sums[field.name] = total(values) if hasattr(values[0], "__dataclass_fields__") else sum(values[1:], values[0])
+        sums[field.name] = total(values) if is_dataclass(values[0]) else sum(values[1:], values[0])
     return type(first)(**sums)
 
 
@@ -93,22 +83,6 @@ def cheapest(cost: F8) -> tuple[I8, I8]:
 
 
 DISTRACTOR_IOU = 0.5
-
-
-class Rows(Protocol):
-    """What truth and tracks have in common: ``frame`` (M,), ``identity`` (M,), ``xyxy`` (M, 4)."""
-
-    @property
-    def frame(self) -> I8:
-        """(M,) frame numbers from 1."""
-
-    @property
-    def identity(self) -> I8:
-        """(M,) identities."""
-
-    @property
-    def xyxy(self) -> F8:
-        """(M, 4) boxes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,24 +130,20 @@ def build(truth: Truth, tracks: Tracks, frames: int = 0) -> Scene:
     """
     if frames < 0:
         raise InputError(f"expected a number of frames ≥ 0, got {frames}", where="frames")
-    check(truth, "truth")
-    check(tracks, "tracks")
+    _check(truth, "truth")
+    _check(tracks, "tracks")
     _check_unique(truth.frame[~truth.distractor], truth.identity[~truth.distractor], "truth")
     _check_unique(tracks.frame, tracks.identity, "tracks")
     last = frames or max(truth.frame.max(initial=0), tracks.frame.max(initial=0))
     rows_t, rows_o = _ordered(truth, last), _ordered(tracks, last)
     numbers = np.union1d(truth.frame[rows_t], tracks.frame[rows_o])
-    raw = []
-    for number, t, o in zip(
-        numbers, _split(truth.frame, rows_t, numbers), _split(tracks.frame, rows_o, numbers), strict=True
-    ):
-        kept = _frame(truth, tracks, t, o, int(number))
-        if len(kept.truth) or len(kept.output):
-            raw.append(kept)
-    return _relabelled(raw, int(last))
+    each_t = np.split(rows_t, np.searchsorted(truth.frame[rows_t], numbers[1:]))
+    each_o = np.split(rows_o, np.searchsorted(tracks.frame[rows_o], numbers[1:]))
+    raw = [_frame(truth, tracks, t, o, k) for k, t, o in zip(numbers.tolist(), each_t, each_o, strict=False)]
+    return _relabelled([pair for pair in raw if len(pair.truth) or len(pair.output)], int(last))
 
 
-def check(rows: Rows, name: str) -> None:
+def _check(rows: Truth | Tracks, name: str) -> None:
     """Raise `InputError` where shapes, frame numbers or boxes of ``rows`` are not what they should be."""
     count = len(rows.frame)
     if rows.frame.shape != (count,) or rows.identity.shape != (count,) or rows.xyxy.shape != (count, 4):
@@ -206,15 +176,9 @@ def _check_unique(frame: I8, identity: I8, name: str) -> None:
         )
 
 
-def _ordered(rows: Rows, last: int) -> I8:
-    box = rows.xyxy
-    order = np.lexsort((rows.identity, box[:, 3], box[:, 2], box[:, 1], box[:, 0], rows.frame))
-    kept: I8 = order[rows.frame[order] <= last]
-    return kept
-
-
-def _split(frame: I8, rows: I8, numbers: I8) -> list[I8]:
-    return np.split(rows, np.searchsorted(frame[rows], numbers[1:])) if len(numbers) else []
+def _ordered(rows: Truth | Tracks, last: int) -> I8:
+    order = np.lexsort((rows.identity, *rows.xyxy.T[::-1], rows.frame))
+    return order[rows.frame[order] <= last]
 
 
 def _frame(truth: Truth, tracks: Tracks, t: I8, o: I8, number: int) -> FramePair:

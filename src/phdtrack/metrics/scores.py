@@ -25,7 +25,7 @@ from phdtrack.metrics.clear import (
 )
 from phdtrack.metrics.identity import HotaCounts, IdentityCounts, count_hota, count_identities
 from phdtrack.metrics.lifetimes import LifetimeCounts, check_threshold, count_lifetimes
-from phdtrack.metrics.matching import Scene, build, detection_mapping, total, tracking_mapping
+from phdtrack.metrics.matching import Scene, build, detection_mapping, ratio, total, tracking_mapping
 from phdtrack.metrics.sets import SetCounts, count_sets
 from phdtrack.types import Tracks, Truth
 
@@ -41,7 +41,7 @@ class Settings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Counts:
-    """The sums behind all scores, each with its meaning in its own module. `sums.total` adds them."""
+    """The sums behind all scores, each with its meaning in its own module. `total` adds them."""
 
     detections: DetectionCounts
     tracking: TrackingCounts
@@ -128,8 +128,11 @@ def evaluate(
     InputError : for settings out of range, wrong shapes, frame numbers below 1, boxes without finite extent, or an
         identity twice in a frame of either side.
     """
+    check_threshold(iou)
+    for name, cost in (("miss_cost", miss_cost), ("false_positive_cost", false_positive_cost)):
+        if not 0 <= cost < math.inf:
+            raise InputError(f"expected a finite cost ≥ 0, got {cost}", where=name)
     settings = Settings(iou, miss_cost, false_positive_cost)
-    _check(settings)
     return scores_of(count(build(truth, tracks, frames), iou), settings)
 
 
@@ -166,35 +169,37 @@ def pool(parts: Sequence[Scores]) -> Scores:
 
 
 def scores_of(counts: Counts, settings: Settings) -> Scores:
-    """The scores that follow from ``counts``."""
-    costs = settings.miss_cost, settings.false_positive_cost
+    """The scores that follow from ``counts`` [M09 (22)–(25)]."""
     boxes, tracking, names, sets = counts.detections, counts.tracking, counts.identities, counts.sets
-    lives = counts.lifetimes
+    tracks, lives = counts.tracks, counts.lifetimes
+    miss, false = settings.miss_cost, settings.false_positive_cost
+    n_moda = 1 - ratio(miss * tracking.misses + false * tracking.false_positives, tracking.truth_boxes)
+    hota, det_a, ass_a = (float(part.mean()) for part in counts.hota.per_alpha())
     return Scores(
-        MODA=boxes.moda(*costs),
-        N_MODA=tracking.n_moda(*costs),
-        MODP=boxes.modp(),
-        MOTA=tracking.mota(*costs),
-        MOTA_log=tracking.mota_log(*costs),
-        MOTP=tracking.motp(),
-        IDF1=names.idf1(),
-        HOTA=counts.hota.hota(),
-        OSPA=sets.ospa(),
-        GOSPA=sets.gospa(),
-        OSPA2=counts.tracks.ospa2(),
-        SFDA=sets.sfda(),
-        ATA=counts.tracks.ata(),
+        MODA=1 - ratio(miss * boxes.miss_ratio + false * boxes.false_ratio, boxes.truth_frames),
+        N_MODA=n_moda,
+        MODP=ratio(boxes.precision, boxes.mapped_frames),
+        MOTA=n_moda - ratio(tracking.switches, tracking.truth_boxes),
+        MOTA_log=n_moda - ratio(tracking.log_switches, tracking.truth_boxes),
+        MOTP=ratio(tracking.overlap, tracking.matches),
+        IDF1=ratio(2 * names.true_positives, names.truth_boxes + names.output_boxes),
+        HOTA=hota,
+        OSPA=ratio(sets.ospa_sum, sets.frames),
+        GOSPA=ratio(sets.gospa_sum, sets.frames),
+        OSPA2=1 - ratio(tracks.stda, max(tracks.objects, tracks.identities)),
+        SFDA=ratio(sets.fda_sum, sets.occupied),
+        ATA=ratio(2 * tracks.stda, tracks.objects + tracks.identities),
         id_switches=tracking.switches,
         misses=tracking.misses,
         false_positives=tracking.false_positives,
         fragments=tracking.fragments,
         frames=sets.frames,
-        DetA=counts.hota.det_a(),
-        AssA=counts.hota.ass_a(),
-        IDP=names.precision(),
-        IDR=names.recall(),
-        N_MODA_detection=boxes.n_moda(*costs),
-        ATA_matched=counts.tracks.ata_matched(),
+        DetA=det_a,
+        AssA=ass_a,
+        IDP=ratio(names.true_positives, names.output_boxes),
+        IDR=ratio(names.true_positives, names.truth_boxes),
+        N_MODA_detection=1 - ratio(miss * boxes.misses + false * boxes.false_positives, boxes.truth_boxes),
+        ATA_matched=ratio(2 * tracks.matched, tracks.objects + tracks.identities),
         truth_boxes=tracking.truth_boxes,
         output_boxes=names.output_boxes,
         matches=tracking.matches,
@@ -204,16 +209,9 @@ def scores_of(counts: Counts, settings: Settings) -> Scores:
         mostly_tracked=lives.mostly_tracked,
         mostly_lost=lives.mostly_lost,
         objects_found=lives.found,
-        delay_mean=lives.delay_mean(),
-        count_error_mean=sets.count_error_mean(),
-        count_error_rms=sets.count_error_rms(),
+        delay_mean=ratio(lives.delay, lives.found),
+        count_error_mean=ratio(sets.count_error, sets.frames),
+        count_error_rms=math.sqrt(ratio(sets.count_error_squared, sets.frames)),
         counts=counts,
         settings=settings,
     )
-
-
-def _check(settings: Settings) -> None:
-    check_threshold(settings.iou)
-    for name, cost in (("miss_cost", settings.miss_cost), ("false_positive_cost", settings.false_positive_cost)):
-        if not 0 <= cost < math.inf:
-            raise InputError(f"expected a finite cost ≥ 0, got {cost}", where=name)

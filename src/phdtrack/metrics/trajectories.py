@@ -9,9 +9,8 @@ trajectories that begins or ends between two frames; a switch costs γ^p, a mapp
 may stay mapped while one is absent, at c^p/2 like a miss. With γ = 0 it is the sum of GOSPA^p over the frames. The
 relaxation to weights keeps it a metric, and makes it a linear programme; at the optimum the weights are mostly 0 or 1.
 
-Pairs that never come nearer than c are left out, for mapping them cannot pay. Pairs that share no trajectory with others,
-not even by a chain, are a programme of their own. A programme has two variables per remaining pair and frame and takes
-seconds (800 frames, 19 people, 190 tracks: 5 s), which is why `evaluate` does not include it.
+Pairs that never come nearer than c are left out, and pairs that share no trajectory with others, not even by a chain, are a
+separate programme. It takes seconds (800 frames, 19 people, 190 tracks: 5 s), so `evaluate` does not include it.
 
 Notation: K frames, n true and m output trajectories, Q pairs of them that come nearer than c at some time.
 
@@ -33,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.errors import InputError
-from phdtrack.metrics.matching import build, cheapest
+from phdtrack.metrics.matching import build, cheapest, ratio
 from phdtrack.metrics.sets import check_order, euclidean
 from phdtrack.types import F8, I8, Bool, Tracks, Truth
 
@@ -176,26 +175,15 @@ class TargetErrors:
     @property
     def overall(self) -> float:
         """RMSE over all mapped pairs of all targets; NaN without any."""
-        seen = self.mapped > 0
-        if not seen.any():
-            return float("nan")
-        return float(np.sqrt(np.average(self.rmse[seen] ** 2, weights=self.mapped[seen])))
+        squares = np.nansum(self.rmse**2 * self.mapped)
+        return float(np.sqrt(ratio(float(squares), int(self.mapped.sum()))))
 
     def as_dict(self) -> dict[str, object]:
         """``overall``, and ``objects`` with identity, frames, mapped, rmse and rmse_axis each; NaN where never mapped."""
-        return {
-            "overall": self.overall,
-            "objects": [
-                {
-                    "identity": int(self.identity[i]),
-                    "frames": int(self.frames[i]),
-                    "mapped": int(self.mapped[i]),
-                    "rmse": float(self.rmse[i]),
-                    "rmse_axis": self.rmse_axis[:, i].tolist(),
-                }
-                for i in range(len(self.identity))
-            ],
-        }
+        names = ("identity", "frames", "mapped", "rmse", "rmse_axis")
+        columns = (self.identity, self.frames, self.mapped, self.rmse, self.rmse_axis.T)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        return {"overall": self.overall, "objects": [dict(zip(names, row, strict=True)) for row in rows]}
 
 
 def rmse_per_target(truth_frame: I8, truth_identity: I8, truth_point: F8, frame: I8, point: F8, gate: float) -> TargetErrors:
