@@ -87,8 +87,6 @@ def evaluate(
     """
     from phdtrack.formats import find_seqinfo, read_tracks, read_truth
     from phdtrack.metrics import evaluate as score
-    from phdtrack.metrics import tgospa_boxes
-    from phdtrack.report.rendering import score_direction
 
     check_iou(iou)
     annotated, given = read_truth(truth), read_tracks(tracks)
@@ -100,14 +98,7 @@ def evaluate(
     out.say(f"{tracks} against {truth}: {scores.frames} frames, {scores.truth_objects} objects, match from IoU {iou:g}")
     out.say()
     score_table(out, [("", scores)])
-    whole: dict[str, float] = {}
-    if t_gospa:
-        parts = tgospa_boxes(annotated, given, frames=scores.frames)
-        values = (parts.distance, parts.localisation, parts.missed, parts.false, parts.switching)
-        pairs = zip(BY_TRAJECTORY, values, strict=True)
-        whole = {key: value / max(scores.frames, 1) for (key, _), value in pairs}
-        rows = [[key, number(whole[key]), meaning + score_direction(key)] for key, meaning in BY_TRAJECTORY]
-        out.table(["", "", ""], rows, words=(0, 2))
+    whole = trajectory_scores(out, annotated, given, scores.frames) if t_gospa else {}
     located = located_errors(out, annotated, given, rmse) if rmse else {}
     out.document({**scores.as_dict(), **whole, **located})
 
@@ -127,6 +118,19 @@ def score_table(out: Output, runs: Sequence[tuple[str, Scores]]) -> None:
         [key, *(number(column[key]) for column in columns), meaning + score_direction(key)] for key, meaning in EXPLAINED
     ]
     out.table(["", *(title for title, _ in runs), ""], rows, words=(0, len(runs) + 1))
+
+
+def trajectory_scores(out: Output, truth: Truth, tracks: Tracks, frames: int) -> dict[str, float]:
+    """A table of T-GOSPA and its parts, per frame of the sequence; the same for JSON."""
+    from phdtrack.metrics import tgospa_boxes
+    from phdtrack.report.rendering import score_direction
+
+    parts = tgospa_boxes(truth, tracks, frames=frames)
+    values = (parts.distance, parts.localisation, parts.missed, parts.false, parts.switching)
+    found = {key: value / max(frames, 1) for (key, _), value in zip(BY_TRAJECTORY, values, strict=True)}
+    rows = [[key, number(found[key]), meaning + score_direction(key)] for key, meaning in BY_TRAJECTORY]
+    out.table(["", "", ""], rows, words=(0, 2))
+    return found
 
 
 def located_errors(out: Output, truth: Truth, tracks: Tracks, gate: float) -> dict[str, object]:

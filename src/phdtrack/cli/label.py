@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import webbrowser
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -88,15 +90,13 @@ def label(
     pictures = stills(found.source, fps, set(numbers), around)
     address = listen(host, port)
     kept = file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
-    work = Background(lambda advance: suggestions(found, settings, numbers, kept, advance)) if suggest else None
+    work = Background(partial(suggestions, found, settings, numbers, kept)) if suggest else None
     suggester = work or (lambda: Answer(1.0, NOTHING))
     session = Session(store, found.table, pictures, found.info, suggester)
     progress = store.progress()
     result.say(f"{counted(progress.frames, 'frame')}, {progress.done} of them looked at; the marks are kept in {file}")
     result.say(f"the page: {address.url}   (Ctrl-C ends)")
     if browser:
-        import webbrowser
-
         webbrowser.open(address.url)
     serve(label_app(session), address)
     progress = store.progress()

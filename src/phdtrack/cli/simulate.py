@@ -74,14 +74,9 @@ def simulate(
     if name not in NAMED:
         make_scene(name, seed)  # which says what scenes there are
     world, model, picture = NAMED[name], default_detector(NAMED[name]), default_look(name)
-    given: dict[str, Any] = {
-        "p_detect": p_detect,
-        "clutter_rate": clutter,
-        "places": places,
-        "jitter": jitter,
-        "jitter_size": jitter,
-    }
-    model = replace(model, **{key: value for key, value in given.items() if value is not None})
+    values = {"p_detect": p_detect, "clutter_rate": clutter, "places": places, "jitter": jitter, "jitter_size": jitter}
+    given: dict[str, Any] = {key: value for key, value in values.items() if value is not None}
+    model = replace(model, **given)
     picture = replace(picture, **_assigned(look or [], picture, "--look"))
     scene = make_scene(name, seed, model, **_assigned(sets or [], world, "--set") | ({"frames": frames} if frames else {}))
     target, result = rundir.claim(out or Path("runs") / name, overwrite, FILES), Output(json)

@@ -175,7 +175,7 @@ def clutter_unattended(data: TrainingData) -> Trained:
 
 def watched_tracks(data: TrainingData, alarms: Training | None, *, marked: bool) -> Watched:
     """One run behind the false alarms that were learned; ``marked``: a person looked at them, so that it shows what of them
-    is followed all the same. Tracks that stay among these are not believed."""
+    is followed all the same. Tracks that stay among these are left out."""
     tracks, store = data.tracked(alarms).tracks, data.store() if marked else None
     if alarms is None or store is None:
         return Watched(tracks)

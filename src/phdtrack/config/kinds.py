@@ -328,7 +328,13 @@ def first_kind(section: str) -> str:
 
 @cache
 def settable(section: str, kind: str, motion: str) -> Mapping[str, Any]:
-    """The settings of a kind and the type of each, bounds included; ``motion`` is the kind of motion."""
+    """The settings of a kind and the type of each, bounds included.
+
+    Parameters
+    ----------
+    section, kind : a section and one of its kinds.
+    motion : the kind of ``[motion]``, which decides what ``filter.initial`` is a list of.
+    """
     chosen = record(section, kind)
     hints = get_type_hints(chosen, include_extras=True)
     known = {field.name: hints[field.name] for field in fields(chosen) if field.name not in FROM_SEQUENCE}

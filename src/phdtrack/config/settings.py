@@ -128,7 +128,18 @@ def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "", f
 
 
 def overlay(settings: Settings, sections: Mapping[str, Mapping[str, Any]], where: str = "settings") -> Settings:
-    """``settings`` with the values of ``sections`` in place of theirs; ``where`` is for error messages."""
+    """``settings`` with the values of ``sections`` in place of theirs.
+
+    Parameters
+    ----------
+    settings : what is changed.
+    sections : values by section and name.
+    where : who asks, for error messages.
+
+    Raises
+    ------
+    InputError : as `load`.
+    """
     merged = _laid_over(settings, _entries(sections, where))
     _check(merged, where)
     return merged
