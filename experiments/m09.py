@@ -286,7 +286,7 @@ def _lessons(found: SceneResults) -> str:
         )
         gains = (number(gain) for gain in one.gains)
         followed = f"{one.seen.share:.0%}" if one.seen else "–"
-        clutter = (f"{one.clutter.clutter_per_frame:.2f}", one.clutter.samples, len(one.clutter.density))
+        clutter = (f"{one.clutter.rate:.2f}", one.clutter.samples, len(one.clutter.density))
         rows.append((name, *clutter, followed, *births, *hand, *gains))
     header = (
         "scene", "r̄", "boxes marked", "places", "followed", "s̄", "tracks", "places", "s̄ by hand", "marks", "places",

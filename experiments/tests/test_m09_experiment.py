@@ -92,10 +92,10 @@ def test_every_run_has_its_births_and_its_clutter(street) -> None:
     births = {run: told(one.model.birth) for run, one in stages.items()}
     # So many a frame as were learned, over the detections of a frame.
     each = train.info.frames / len(train.table.frame)
-    shipped, estimated = (MeasurementBirth, 0.005, "local"), (MeasurementBirth, 0.02 * each, "local")
-    learned, by_hand, alone = (SceneBirth, 0.02, 0.005), (SceneBirth, 0.05, 0.005), (SceneBirth, 0.02, 0.0)
+    shipped, estimated = (MeasurementBirth, 0.125, "local"), (MeasurementBirth, 0.5 * each, "local")
+    learned, by_hand, alone = (SceneBirth, 0.5, 0.125), (SceneBirth, 1.25, 0.125), (SceneBirth, 0.5, 0.0)
     assert births == {
-        UM: shipped, IMAGE: (MeasurementBirth, 0.005, "image"), GM: learned, GM_IMAGE: alone, "A1": learned, "A2": shipped,
+        UM: shipped, IMAGE: (MeasurementBirth, 0.125, "image"), GM: learned, GM_IMAGE: alone, "A1": learned, "A2": shipped,
         "A3": estimated, "A4": learned, "A5": estimated, "A6": by_hand,
     }  # fmt: skip
     clutter = {run: told(one.model.clutter) for run, one in stages.items()}
@@ -148,7 +148,7 @@ def test_the_sweep_sets_the_rates_and_the_volume() -> None:
     assert isinstance(local.clutter, LocalClutter)
     assert isinstance(image.clutter, UniformClutter)
     for model in (local, image):
-        assert (model.birth.births_per_second, model.clutter.clutter_per_frame) == (0.02, 4.0)
+        assert (model.birth.births_per_second, model.clutter.clutter_per_frame) == pytest.approx((0.5, 4.0))
     assert (local.birth.volume, image.birth.volume) == ("local", "image")
 
 

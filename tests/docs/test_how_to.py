@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 from experiments import __main__ as experiments
 from phdtrack.cli.app import app
 
-PAGES = Path(__file__).resolve().parents[2] / "docs" / "how-to"
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = ROOT / "docs" / "how-to"
 NAMES = sorted(page.name for page in PAGES.glob("*.md"))
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -77,3 +78,26 @@ def test_pages_have_something_to_run_and_are_listed() -> None:
             assert any(block.language in ("console", "python") for block in blocks(name)), name
     links = re.findall(r"\]\(([^):]+\.md)\)", index)
     assert all((PAGES / link).is_file() for link in links)
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/architecture.md"])
+def test_programs_of_the_front_pages_run(page: str) -> None:
+    text, names = (ROOT / page).read_text(encoding="utf-8"), {"__name__": "page"}
+    programs = [m[2] for m in BLOCK.finditer(text) if m[1] == "python"]
+    assert programs
+    for program in programs:
+        exec(compile(program, page, "exec"), names)
+
+
+@pytest.mark.parametrize(("page", "most"), [("README.md", 110), ("docs/architecture.md", 150)])
+def test_the_front_pages_stay_short_and_their_links_lead_somewhere(page: str, most: int) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= most
+    for link in re.findall(r"\]\(([^):#]+)\)", text):
+        assert ((ROOT / page).parent / link).exists(), link
+
+
+def test_the_architecture_names_every_package() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    packages = {path.parent.name for path in (ROOT / "src" / "phdtrack").glob("*/__init__.py")}
+    assert {name for name in packages if f"| `{name}` |" not in text} == set()

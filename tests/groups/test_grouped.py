@@ -108,7 +108,7 @@ def test_one_miss_drops_nobody_whatever_the_filter(name: str) -> None:
         step = steps.advance(k, k / info.fps, walk.detections(k))
     z = stages.model.sensor.measure(walk.detections(walk.frames))
     lightest = settings_of_groups.grouping.min_weight
-    mixture = mixture_of(steps.intensity, step, z, stages, lightest)
+    mixture = mixture_of(steps.state.intensity, step, z, stages, lightest)
     heavy = mixture.mean[:2, mixture.weight >= lightest]
     missed = np.array([0.3 * walk.frames, 8.0])
     assert np.hypot(*(heavy - missed[:, None])).min() < 1.0

@@ -32,9 +32,9 @@ def test_a_density_and_false_alarms_at_points(d: int, rng):
     p = learned(rng, d, 7)
     x = np.hstack([rng.uniform(-30, 40, (d, 40)), p.mean[:, :3] + 0.1, np.full((d, 1), -20.0)])
     asked = p.low, p.high, p.uniform / p.volume
-    np.testing.assert_allclose(p(x), twin.mixture_density(x, *asked, 0.0, p.share, p.mean, p.covariance), rtol=1e-10)
+    np.testing.assert_allclose(p(x), twin.mixture_density(x, *asked, 0.0, p.scaled_weight, p.mean, p.covariance), rtol=1e-10)
     np.testing.assert_allclose(p(x), np.exp(p.log(x)), rtol=1e-10)
-    kappa = 2.5 * twin.mixture_density(x, *asked, asked[2], p.share, p.mean, p.covariance)
+    kappa = 2.5 * twin.mixture_density(x, *asked, asked[2], p.scaled_weight, p.mean, p.covariance)
     found = SceneClutter(2.5, p).intensity(np.asfortranarray(np.vstack([x, x])))
     np.testing.assert_allclose(found, kappa, rtol=1e-10)
     assert kappa.max() > 2 * kappa.min(), "Gaussians count somewhere"
@@ -50,7 +50,7 @@ def test_what_it_says_of_detections(d: int, rows: tuple[int, ...], rng):
     birth, shown = SceneBirth(2.0, p, rows), marginal(p, rows)
     found = birth.around((state, noise), 1.5)
     expected = twin.given_detections(
-        state, noise, keep, shown.low, shown.high, p.uniform / shown.volume, p.share, p.mean, p.covariance
+        state, noise, keep, shown.low, shown.high, p.uniform / shown.volume, p.scaled_weight, p.mean, p.covariance
     )
     density, mean, cov = given_detections(state, noise, *birth._table[:-1], np.full(9, 1e9))
     np.testing.assert_allclose(density, expected[0], rtol=1e-9)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inner_kernels import from_python
-from phdtrack.kernels.birth_table import detection_table, neighbours
 from phdtrack.kernels.overlaps import cell_of, overlapping, rectangle_grid
 from reference import fused_twin as twins
 
@@ -73,28 +71,3 @@ def test_cells_are_clamped():
     cells = {-5.0: 0, 0.0: 0, 0.99: 0, 1.0: 1, 3.5: 3, 99.0: 3, np.inf: 3, -np.inf: 0, np.nan: 0}
     for value, cell in cells.items():
         assert cell_of(value, 0.0, 1.0, 4) == cell
-
-
-@pytest.mark.parametrize("local", [True, False])
-@given(st.lists(rectangle, max_size=8), st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
-def test_neighbours_are_all_that_matter(local: bool, boxes, seed: int):
-    """First the gates in which newborn can lie, then those whose proposal or births reach them."""
-    rng = np.random.default_rng(seed)
-    z = np.array(boxes, np.float64).reshape(-1, 4).T + np.array([0, 0, 1, 1])[:, None]
-    z = np.ascontiguousarray(z)
-    noise = np.ones((6, z.shape[1]))
-    noise[:2] = z[2:] * rng.uniform(0.1, 0.5, (2, z.shape[1]))
-    half = z[2:] * rng.uniform(0.3, 0.7, (2, z.shape[1]))
-    lower, upper = z[:2] - half, z[:2] + half
-    volume = np.ones(z.shape[1])
-    _, _, reach, _, low, high = detection_table(z, noise, 0.1, volume, 1.0, lower, upper, local)
-    np.testing.assert_array_equal(reach, noise[:2])
-    start, near, touching = neighbours(z, reach, lower, upper, low, high, *rectangle_grid(low, high))
-    assert (start[0], start[-1]) == (0, len(near))
-    for j, (gates, everything) in enumerate(twins.neighbours(z, reach, lower, upper, local)):
-        mine = near[start[j] : start[j + 1]].tolist()
-        assert set(mine[: touching[j]]) == gates
-        assert set(mine) == everything
-        assert len(mine) == len(everything)
-        assert j in mine

@@ -16,7 +16,7 @@ from phdtrack.types import Detections
 BOX = Detections.of([[100, 100, 140, 200]])
 
 
-KINDS = {"pmb": [], "particle-phd": ["filter.kind=particle-phd", "filter.particles_per_target=50", "birth.particles=50"]}
+KINDS = {"pmb": [], "particle-phd": ["filter.kind=particle-phd", "filter.particles_per_target=200", "birth.particles=200"]}
 
 
 @pytest.fixture(params=KINDS)

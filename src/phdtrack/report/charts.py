@@ -140,7 +140,8 @@ def lifetime_chart(record: RunRecord) -> Picture:
     order = np.lexsort((record.tracks.frame, record.tracks.predicted, row))
     row, frame, predicted = row[order], record.tracks.frame[order], record.tracks.predicted[order]
     cut = (np.diff(row) != 0) | np.diff(predicted) | (np.diff(frame) > 1)
-    first, last = np.flatnonzero(np.r_[True, cut]), np.flatnonzero(np.r_[cut, True])
+    edges = np.r_[len(row) > 0, cut, len(row) > 0].astype(np.bool_)[: len(row) + 1]
+    first, last = np.flatnonzero(edges[:-1]), np.flatnonzero(edges[1:])
     seconds = np.interp(frame, record.series.numbers, record.series.times)
     y, start, end = row[first], seconds[first], seconds[last] + _interval(record)
     corners = np.stack([np.stack([start, end, end, start], axis=1), y[:, None] + [-0.4, -0.4, 0.4, 0.4]], axis=2)

@@ -7,7 +7,6 @@ from functools import reduce
 import numpy as np
 
 from phdtrack.filters.extract import KMeans, Mixture
-from phdtrack.filters.phd_particle import join
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth
 from phdtrack.protocols import Model
 from phdtrack.types import Particles
@@ -55,3 +54,8 @@ def seen(*states) -> np.ndarray:
 
 def nearest_state(estimates, at) -> int:
     return int(np.argmin(np.abs(estimates.state[:2] - np.asarray(at)[:2, None]).sum(0)))
+
+
+def join(a: Particles, b: Particles) -> Particles:
+    """The sum of two intensities."""
+    return Particles(np.hstack([a.state, b.state]), np.concatenate([a.weight, b.weight]))

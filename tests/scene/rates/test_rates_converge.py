@@ -62,7 +62,7 @@ def test_scores_that_tell_objects_from_false_alarms_are_found_to():
     _, _, learned = course("gm-phd", 1, p_detect=0.8, clutter_rate=10.0, scores="informative")
     # Beta(6, 2) against Beta(2, 4): the ratio is 2.1 s⁴/(1 − s)².
     at = np.array([0.35, 0.5, 0.65])
-    assert np.log(learned.scale.odds(at)) == pytest.approx(np.log(2.1 * at**4 / (1 - at) ** 2), abs=1.0)
+    assert np.log(learned.scale.ratio(at)) == pytest.approx(np.log(2.1 * at**4 / (1 - at) ** 2), abs=1.0)
     _, _, constant_ones = course("gm-phd", 1, frames=100, p_detect=0.8, clutter_rate=10.0)
     assert len(constant_ones.scale.at) == 0
 
