@@ -36,4 +36,5 @@ def test_both_runs_and_where_to_look(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_the_filter_is_better_whatever_the_seed(seed: int, tmp_path: Path) -> None:
     said = phdtrack("demo", "--out", tmp_path / "demo", "--seed", seed, "--json")
     with_filter, without = said.object["with_filter"]["scores"], said.object["without_filter"]["scores"]
-    assert all(with_filter[key] > without[key] for key in ("MODA", "MOTA", "IDF1"))
+    # MODA may fall: it counts no identities, and the filter waits before it reports.
+    assert all(with_filter[key] > without[key] for key in ("MOTA", "IDF1"))

@@ -82,7 +82,7 @@ def test_pages_have_something_to_run_and_are_listed() -> None:
 
 @pytest.mark.parametrize("page", ["README.md", "docs/architecture.md"])
 def test_programs_of_the_front_pages_run(page: str) -> None:
-    text, names = (ROOT / page).read_text(encoding="utf-8"), {"__name__": "page"}
+    text, names = (ROOT / page).read_text(encoding="utf-8"), {"__name__": "__main__"}
     programs = [m[2] for m in BLOCK.finditer(text) if m[1] == "python"]
     assert programs
     for program in programs:

@@ -327,7 +327,7 @@ def parted(state: Hypotheses) -> Hypotheses:
     for cluster in state.clusters:
         hypotheses, tracks = cluster.leaf.shape
         if hypotheses == 1:
-            lone.append(cluster.leaf[0])
+            lone.append(_present(cluster.leaf[0]))
         elif tracks == 1 or trace is None:
             clusters.append(cluster)
         else:
@@ -335,10 +335,16 @@ def parted(state: Hypotheses) -> Hypotheses:
             for number in range(int(part.max()) + 1):
                 one = cluster if part.max() == 0 else _summed(cluster.leaf[:, part == number], cluster.weight)
                 if one.leaf.shape[0] == 1:
-                    lone.append(one.leaf[0])
+                    lone.append(_present(one.leaf[0]))
                 else:
                     clusters.append(one)
     return replace(state, lone=np.concatenate(lone), clusters=tuple(clusters))
+
+
+def _present(leaf: I8) -> I8:
+    """The leaves that there are, without the −1 of tracks that a hypothesis has not."""
+    present: I8 = leaf[leaf >= 0]
+    return present
 
 
 def _trace(state: Hypotheses) -> tuple[I8, int]:
