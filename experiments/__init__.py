@@ -1,1 +1,1 @@
-"""The measured tables of docs/results/: one script per table, ours beside the paper's where there is one."""
+"""The measured tables of docs/results/: one script per table, next to the paper's figures where there are any."""

@@ -33,14 +33,12 @@ EXPERIMENTS = {
     "plane": Experiment("tracks on the ground plane, in metres, next to those in the image"),
     "e13": Experiment("E13 Figs. 1 and 2: people and groups on E13's own sequence"),
     "d14": Experiment("D14 Tables I-III: SMC PHD and MCMC filters on centroids, by particles and noise"),
-    "occlusion": Experiment("what occlusion costs a detector, and what a filter makes of it"),
     "videos": Experiment("from a video to tracks, with the package's detectors"),
     "blobs": Experiment("merged and split blobs: with and without a model of merged measurements"),
     "m07": Experiment("M07 Table 1 and M09 Fig. 16: PHD against no filter and multiple hypotheses"),
     "m09": Experiment("M09 Figs. 14-16: births and false alarms learned from a scene, part by part"),
-    "peers": Experiment("next to the trackers that people use today, and what each default is worth"),
+    "peers": Experiment("compared with widely used trackers; what each part of the default filter contributes"),
     "cameras": Experiment("new cameras and detectors on which nothing was chosen, next to other trackers"),
-    "particles": Experiment("how many particles real detections need"),
 }
 
 

@@ -1,8 +1,8 @@
-"""New cameras and today's detectors, on which nothing was chosen: the default tracker beside ten motion-only trackers.
+"""New cameras and today's detectors, on which nothing was chosen: the default tracker and ten motion-only trackers.
 
 The sequences are in the folder ``more`` of the real data (MOT17, MOT20, DanceTrack, KITTI, cells, players, aerial views).
 All are tracked with one set of defaults, and the camera's motion is not given. Boxes without an area are left out. The
-scorer and the peers' scores are in the folder ``bench`` beside the data."""
+scorer and the peers' scores are in the folder ``bench`` next to the data."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def track(job: CameraRun) -> None:
 
 
 def scored(results: Path, output: str) -> list[Row]:
-    """The scores of every case and of every group (whose sequence is ALL), by the scorer beside the data."""
+    """The scores of every case and of every group (whose sequence is ALL), by the scorer in the folder next to the data."""
     kept = results / f"{output}.csv"
     command = [sys.executable, str(bench() / "score_more.py"), "--data", str(need_data() / "more")]
     command += ["--results", str(results / output), "--name", output, "--out", str(kept)]
@@ -75,8 +75,8 @@ def pairs_won(rows: Sequence[Row], peers: Sequence[Row]) -> tuple[int, int]:
     """In how many (case, score) pairs the value is at least the best peer's, and how many pairs there are."""
     won = of = 0
     for row in (row for row in rows if row["sequence"] != "ALL"):
-        beside = best([p for p in peers if (p["sequence"], p["detector"]) == (row["sequence"], row["detector"])])
-        won += sum(float(row[score]) >= value for score, value in zip(SCORES, beside, strict=True))
+        peer_best = best([p for p in peers if (p["sequence"], p["detector"]) == (row["sequence"], row["detector"])])
+        won += sum(float(row[score]) >= value for score, value in zip(SCORES, peer_best, strict=True))
         of += len(SCORES)
     return won, of
 
@@ -92,9 +92,9 @@ def main(options: Options) -> Path:
     peers, of_groups = _read(folder / "peers_more.csv"), _read(folder / "peers_more_groups.csv")
     lines = []
     for online, corrected in zip(*(_groups(rows[output]) for output in OUTPUTS), strict=True):
-        beside = best([row for row in of_groups if row["group"] == online["group"]])
+        peer_best = best([row for row in of_groups if row["group"] == online["group"]])
         values = [[float(row[score]) for score in SCORES] for row in (online, corrected)]
-        lines.append([online["group"], *(" / ".join(f"{v:.1f}" for v in cells) for cells in (beside, *values))])
+        lines.append([online["group"], *(" / ".join(f"{v:.1f}" for v in cells) for cells in (peer_best, *values))])
     won = {output: pairs_won(rows[output], peers) for output in OUTPUTS}
     return write(
         "cameras",

@@ -154,7 +154,7 @@ def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, options: 
     """
     processes = min(options.jobs or os.cpu_count() or 1, max(len(jobs), 1))
     _say(f"{label}: {len(jobs)} runs, {processes} at a time")
-    began = told = time.perf_counter()
+    began = last_line = time.perf_counter()
     terminal = sys.stderr.isatty()
     with ProcessPoolExecutor(max_workers=processes) as pool:
         futures = [pool.submit(work, job) for job in jobs]
@@ -164,9 +164,9 @@ def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, options: 
                 future.result()
             now = time.perf_counter()
             last = done == len(jobs)
-            if terminal or last or now - told > QUIET:
+            if terminal or last or now - last_line > QUIET:
                 _say(f"{label}: {done} of {len(jobs)}, {now - began:.0f} s", changing=terminal, last=last)
-                told = now
+                last_line = now
     return [future.result() for future in futures]
 
 

@@ -2,7 +2,8 @@
 
 Every filter is given the same centroids, made of a truth with Gaussian noise, and D14's model (preset ``d14``): constant
 velocity, process variance 2 on every component, the measurement's own variance. The MCMC filters and the Kalman filters are
-told who was measured, as D14 has it; the PHD filter is not. States are mapped to the truth one to one within `GATE` pixels.
+given the identity of each measurement, as in D14; the PHD filter is not. States are mapped to the truth one to one within
+`GATE` pixels.
 
 What the Kalman filter per target gives is the exact mean of the posterior of given associations: the MCMC sampler's error
 against it is the sampler's own. Three worlds: points drawn from D14's model, where that mean is the best there is; the

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments import m09_pictures, m09_places
+from experiments import m09_pictures
 from experiments.common import Options, in_parallel, table, with_interval, write
 from experiments.m09_lessons import LearnedScene, learn
 from experiments.m09_runs import (
@@ -25,7 +25,7 @@ from experiments.m09_runs import (
     UM,
     SceneRun,
     SceneScores,
-    race,
+    seconds_per_frame,
     work,
 )
 from experiments.m09_scenes import FRAMES, HELD_OUT, REAL, RENDERED, SHORT, Halves, halves, picture
@@ -39,7 +39,7 @@ QUARTER = 2500
 RUNS = (UM, IMAGE, GM, GM_IMAGE, *ABLATIONS)
 # Filter and run; nothing else than the filter differs.
 RIVALS = ((UM, "none"), (UM, "mht"), (GM, "mht"), (UM, "gm-phd"), (GM, "gm-phd"), (UM, "particle-phd"), (GM, "particle-phd"))
-RACES = (PHD, "gm-phd", "mht", "particle-phd")
+TIMED = (PHD, "gm-phd", "mht", "particle-phd")
 SCORES = ("MODA", "MODP", "MOTA", "MOTP")
 # The paper's findings: one run above another.
 FINDINGS = (("A2", "A1"), ("A5", "A4"), (GM, "A2"), ("A6", GM))
@@ -52,7 +52,7 @@ class SceneResults:
     scenes: Mapping[str, Halves]
     runs_: Mapping[SceneRun, SceneScores]
     learned: Mapping[tuple[str, int], LearnedScene]
-    races: Mapping[tuple[str, str], tuple[float, float, float]]
+    timings: Mapping[tuple[str, str], tuple[float, float, float]]
 
     def seeds(self, scene: str) -> int:
         """How many seeds there are."""
@@ -138,13 +138,11 @@ def main(options: Options) -> Path:
     jobs = [(run, scenes[run.scene], learned[run.scene, run.seed]) for run in runs]
     scored = dict(zip(runs, in_parallel(work, jobs, "m09", options), strict=True))
     # One at a time, without other runs next to them as far as this command goes.
-    raced = [(name, filter_) for name in (RENDERED[0], REAL[0]) if name in names for filter_ in RACES[: 1 if quick else 4]]
-    races = {(n, f): race(f, scenes[n], learned[n, 1], 400 if quick else 1000) for n, f in raced}
-    crossed = m09_places.runs_of(quick, options.number(SEEDS, 1))
-    places = dict(zip(crossed, in_parallel(m09_places.work, crossed, "m09, places", options), strict=True))
-    found = SceneResults(scenes, scored, learned, races)
+    timed = [(name, filter_) for name in (RENDERED[0], REAL[0]) if name in names for filter_ in TIMED[: 1 if quick else 4]]
+    timings = {(n, f): seconds_per_frame(f, scenes[n], learned[n, 1], 400 if quick else 1000) for n, f in timed}
+    found = SceneResults(scenes, scored, learned, timings)
     draw(found, options.folder)
-    return write("m09", options, **figures(found), places=m09_places.summary(places))
+    return write("m09", options, **figures(found))
 
 
 def draw(found: SceneResults, out: Path) -> None:
@@ -267,7 +265,7 @@ def _rivals(found: SceneResults) -> str:
 
 def _rates(found: SceneResults) -> str:
     rows = []
-    for (scene, filter_), seconds in found.races.items():
+    for (scene, filter_), seconds in found.timings.items():
         uniform, learned, detector = seconds
         times = (f"{1e3 * each:.2f}" for each in seconds)
         whole = (detector + learned) / (detector + uniform)

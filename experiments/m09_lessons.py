@@ -1,8 +1,8 @@
 """What is learned of a scene from its first half, as M09 does: false alarms from marks, births from tracks or from marks.
 
-The truth stands for the person: a detection that overlaps nobody by 0.3 is marked as false, on 40 frames drawn at random;
-the first detection of whoever comes in is marked as a birth, on every frame of the half. Marks go through the file of
-labels, as a person's clicks do.
+The truth makes the marks: on 40 frames drawn at random a detection that overlaps no annotated box by 0.3 is marked as false;
+on every frame of the half the first detection of each person who enters is marked as a birth. Marks go through the file of
+labels, as those of the labelling page do.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from phdtrack.scene.training import (
 from phdtrack.types import F8, I8, Tracks
 
 MARKED = 40
-# Nobody: a detection that overlaps everybody by less. Somebody's: one that overlaps him by as much as a match needs.
-NOBODY, SOMEBODY = 0.3, 0.5
-# As shipped: most particles a detection, odds of a false alarm where who is seen is confirmed at once, rows of a track.
+# IoU with the annotated boxes below which a detection is false, and from which on it is an object's.
+NO_OBJECT, OBJECT = 0.3, 0.5
+# As shipped: most particles a detection, odds of a false alarm below which a track is confirmed at once, rows of a track.
 MOST, SURE, SHORTEST = 500, 0.1, 5
 
 
@@ -70,7 +70,7 @@ def learn(job: tuple[Halves, int]) -> LearnedScene:
     with TemporaryDirectory() as folder:
         marks = marked_false(case, Path(folder) / "false.sqlite", seed)
         clutter = learned_alarms(case, marks)
-        run = followed(told(stages, None, clutter.learned, None), case, seed).corrected
+        run = followed(with_learned(stages, None, clutter.learned, None), case, seed).corrected
         seen = learned_followed(run, case, marks)
         entries = marked_births(case, Path(folder) / "births.sqlite")
         by_hand = birth_states(entries, case.table, case.info, rate)
@@ -88,7 +88,7 @@ def learn(job: tuple[Halves, int]) -> LearnedScene:
     )
 
 
-def told(
+def with_learned(
     stages: AnyStages, births: LearnedDensity | None, clutter: LearnedDensity | None, seen: TrackedObjects | None
 ) -> AnyStages:
     """The stages with what a scene has taught; None: as shipped."""
@@ -142,12 +142,12 @@ def _sizes(case: Case) -> Sizes:
 
 
 def marked_false(case: Case, path: Path, seed: int, count: int = MARKED) -> LabelStore:
-    """Labels in which everything that is nobody is marked as false, on ``count`` frames drawn at random."""
+    """Labels in which every detection without an object is marked as false, on ``count`` frames drawn at random."""
     store = LabelStore.open(path, case.name, "truth", sampled(case.info.frames, count, seed))
     for number, _ in store.frames():
         boxes = case.table.at(number).xyxy
         people = case.truth.xyxy[case.truth.frame == number]
-        false = np.flatnonzero(iou(boxes, people).max(axis=1, initial=0) < NOBODY)
+        false = np.flatnonzero(iou(boxes, people).max(axis=1, initial=0) < NO_OBJECT)
         if len(false):
             store.mark(number, [Label(number, int(k), "false") for k in false])
         store.finish(number)
@@ -168,7 +168,7 @@ def marked_births(case: Case, path: Path) -> LabelStore:
 
 def first_boxes(case: Case) -> tuple[I8, I8]:
     """(G,) frame and index of the first detection of each object that is ever detected."""
-    found = first_output_delays(case.truth, Tracks.empty(), case.table, SOMEBODY)
+    found = first_output_delays(case.truth, Tracks.empty(), case.table, OBJECT)
     seen = found.detected > 0
     boxes = []
     for identity, frame in zip(found.identity[seen].tolist(), found.detected[seen].tolist(), strict=True):

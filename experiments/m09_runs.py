@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from experiments.common import Case, followed
-from experiments.m09_lessons import LearnedScene, told
+from experiments.m09_lessons import LearnedScene, with_learned
 from experiments.m09_scenes import Halves, detector_seconds, stretch
 from phdtrack import config, pipeline
 from phdtrack.metrics import Scores, evaluate, first_output_delays
@@ -52,7 +52,7 @@ class SceneScores:
     scores : of the corrected tracks.     blocks : of the same in a quarter of the stretch each.
     live : scores of the confirmed online rows.
     inside, outside : delay of each object found, by its identity: frames from its first detection to its first confirmed
-        online row; of those who are first detected where people enter, and elsewhere.
+        online row; of those first detected where people enter, and elsewhere.
     """
 
     scores: Scores
@@ -98,7 +98,7 @@ def stages_of(one: SceneRun, halved: Halves, scene: LearnedScene) -> AnyStages:
     births = {GM: scene.births, GM_IMAGE: scene.births, "A1": scene.births, "A4": scene.births, "A6": scene.hand}
     clutter = scene.clutter if one.run in (GM, GM_IMAGE, "A2", "A5", "A6") else None
     # M09 knows of no false alarms that last.
-    return told(stages, births.get(one.run), clutter, None if one.run == GM_IMAGE else scene.seen)
+    return with_learned(stages, births.get(one.run), clutter, None if one.run == GM_IMAGE else scene.seen)
 
 
 def swept(run: str, filter_name: str, rates: tuple[float, float], info: SequenceInfo) -> AnyStages:
@@ -153,7 +153,7 @@ def entered(truth: Truth, identity: int, frame: int, entries: F8) -> bool:
 TURN = 50
 
 
-def race(filter_name: str, halved: Halves, learned: LearnedScene, frames: int) -> tuple[float, float, float]:
+def seconds_per_frame(filter_name: str, halved: Halves, learned: LearnedScene, frames: int) -> tuple[float, float, float]:
     """Median seconds that a frame takes, uniform and learned, and in the detector.
 
     Both run block by block in turn on the same frames, so that what else a machine does slows both.

@@ -52,7 +52,7 @@ def named(case: Case, identity: I8) -> Tracks:
     return Tracks(truth.frame, identity, truth.xyxy, np.ones(n), np.full(n, -1), np.ones(n, np.bool_))
 
 
-def test_identities_after_a_blob_are_told_apart(case: Case) -> None:
+def test_identities_after_a_blob_are_kept_apart(case: Case) -> None:
     true, frame = case.truth.identity, case.truth.frame
     late = frame > touching(case.truth)[1] - 5
     expected: dict[Leave, I8] = {
@@ -60,8 +60,8 @@ def test_identities_after_a_blob_are_told_apart(case: Case) -> None:
         "swapped": np.where(late, 3 - true, true),
         "new": np.where(late & (true == 2), 9, true),
     }
-    for told, identity in expected.items():
-        assert leaving(case, named(case, identity)) == told
+    for leave, identity in expected.items():
+        assert leaving(case, named(case, identity)) == leave
     rows = named(case, true)
     assert leaving(case, rows.take(~late | (true == 1))) == "lost"
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from experiments import m09, m09_lessons, m09_pictures, m09_places, m09_runs, m09_scenes
+from experiments import m09, m09_lessons, m09_pictures, m09_runs, m09_scenes
 from experiments.common import Case, filled
 from experiments.m09_runs import ABLATIONS, GM, GM_IMAGE, IMAGE, PHD, UM, SceneRun, SceneScores
 from phdtrack.arrays import iou
@@ -89,7 +89,7 @@ def test_every_run_has_its_births_and_its_clutter(street) -> None:
     train = m09_scenes.stretch(case, 1, 300)
     scene, halved = learned_scene(train), m09_scenes.Halves("street", train, case, np.zeros((0, 4)))
     stages = {run: m09_runs.stages_of(SceneRun("street", 1, run), halved, scene) for run in m09.RUNS}
-    births = {run: told(one.model.birth) for run, one in stages.items()}
+    births = {run: rate_and_kind(one.model.birth) for run, one in stages.items()}
     # So many a frame as were learned, over the detections of a frame.
     each = train.info.frames / len(train.table.frame)
     shipped, estimated = (MeasurementBirth, 0.125, "local"), (MeasurementBirth, 0.5 * each, "local")
@@ -98,7 +98,7 @@ def test_every_run_has_its_births_and_its_clutter(street) -> None:
         UM: shipped, IMAGE: (MeasurementBirth, 0.125, "image"), GM: learned, GM_IMAGE: alone, "A1": learned, "A2": shipped,
         "A3": estimated, "A4": learned, "A5": estimated, "A6": by_hand,
     }  # fmt: skip
-    clutter = {run: told(one.model.clutter) for run, one in stages.items()}
+    clutter = {run: rate_and_kind(one.model.clutter) for run, one in stages.items()}
     usual, rated = (LocalClutter, 1.5, None), (LocalClutter, 2.5 * each, None)
     false, bare = (SceneClutter, 2.5, 1.5), (SceneClutter, 2.5, 0.0)
     assert clutter == {
@@ -114,7 +114,7 @@ def _rate(part: Birth | Clutter) -> float:
     return getattr(part, "births_per_second", None) or part.clutter_per_frame
 
 
-def told(part: Birth | Clutter) -> tuple[type, float, object]:
+def rate_and_kind(part: Birth | Clutter) -> tuple[type, float, object]:
     """Kind, rate, and what it stands beside or is spread over."""
     if isinstance(part, SceneBirth | SceneClutter):
         return type(part), _rate(part), part.around_detections
@@ -164,42 +164,6 @@ def test_delays_are_parted_by_where_somebody_is_first_detected() -> None:
     assert m09_runs.delays(case, tracks, np.zeros((0, 4))) == ({}, {1: 3.0, 2: 1.0})
 
 
-def test_false_tracks_are_there_or_elsewhere_and_people_are_not_false() -> None:
-    truth = Truth(np.arange(1, 11), np.ones(10, np.int64), np.tile([0.0, 0, 10, 20], (10, 1)), np.zeros(10, np.bool_))
-    places = np.array([[200.0, 0, 220, 40]])
-    kinds = {1: [0.0, 0, 10, 20], 2: [201.0, 0, 221, 40], 3: [400.0, 0, 410, 20]}
-    frame, identity = np.tile(np.arange(1, 11), 3), np.repeat([1, 2, 3], 10)
-    xyxy = np.array([kinds[one] for one in identity])
-    # The one at the place was somewhere else first, for less than half of its time.
-    xyxy[(identity == 2) & (frame < 5)] += 300
-    tracks = Tracks(frame, identity, xyxy, np.ones(30), np.full(30, -1), np.ones(30, np.bool_))
-    assert m09_places.false_tracks(truth, tracks, places) == (1, 10, 1)
-    assert m09_places.false_tracks(truth, tracks.take(np.flatnonzero(identity == 1)), places) == (0, 0, 0)
-
-
-def test_who_is_mapped_and_in_which_share_of_his_frames() -> None:
-    frame, identity = np.tile(np.arange(1, 11), 2), np.repeat([1, 2], 10)
-    xyxy = np.where((identity == 1)[:, None], [0.0, 0, 10, 20], [100.0, 0, 110, 20])
-    truth = Truth(frame, identity, xyxy, np.zeros(20, np.bool_))
-    kept = np.flatnonzero((identity == 1) & (frame <= 7))
-    tracks = Tracks(frame[kept], identity[kept], xyxy[kept], np.ones(7), np.full(7, -1), np.ones(7, np.bool_))
-    mapped = m09_places.mapped_rows(truth, tracks)
-    np.testing.assert_array_equal(mapped, (identity == 1) & (frame <= 7))
-    np.testing.assert_allclose(m09_places.shares_of(truth, frame == 1, mapped), [0.7, 0.0])
-    np.testing.assert_allclose(m09_places.shares_of(truth, (frame == 1) & (identity == 2), mapped), [0.0])
-
-
-def test_places_that_fire_are_forgotten_and_nobody_with_them() -> None:
-    """40 marked frames: most of what false tracks hold there is gone, and who crosses the places is still tracked."""
-    found = [m09_places.work(m09_places.PlacesRun("street", 2.0, "gm-phd", seed)) for seed in (1, 2)]
-    before, after = (sum(one.frames[k] for one in found) for k in range(2))
-    assert before > 2000
-    assert m09_places.gone(before, after) > 0.7
-    assert sum(one.crossing for one in found) > 15
-    assert sum(one.lost for one in found) == sum(one.never for one in found) == 0
-    assert all(one.MOTA[1] > one.MOTA[0] + 0.2 for one in found)
-
-
 # What the page counts, of made-up scores.
 
 
@@ -238,9 +202,9 @@ def found(street) -> m09.SceneResults:
         scored[run] = outcome(*errors.get(kind, errors[UM]))
         if run.rates == m09_runs.LOCAL_SWEEP[2]:
             scored[run] = outcome(2, 2, 3.0)
-    races = {("garden", PHD): (1e-3, 1.02e-3, 4e-3), ("garden", "mht"): (1e-3, 1.2e-3, 4e-3)}
+    timings = {("garden", PHD): (1e-3, 1.02e-3, 4e-3), ("garden", "mht"): (1e-3, 1.2e-3, 4e-3)}
     learned = learned_scene(m09_scenes.stretch(street[0], 1, 300))
-    return m09.SceneResults(scenes, scored, {(name, 1): learned for name in scenes}, races)
+    return m09.SceneResults(scenes, scored, {(name, 1): learned for name in scenes}, timings)
 
 
 def test_every_run_is_run_once(found: m09.SceneResults) -> None:
@@ -252,12 +216,8 @@ def test_every_run_is_run_once(found: m09.SceneResults) -> None:
 
 
 def test_the_page_has_every_table(found: m09.SceneResults) -> None:
-    run = m09_places.PlacesRun("street", 2.0, "gm-phd", 1)
-    crossed = {run: m09_places.PlacesOutcome((20, 1), (400, 10), (3, 2), (0.5, 0.75), (90, 85), 100, 12, 1, 0, 0)}
-    text = filled("m09", **m09.figures(found), places=m09_places.summary(crossed))
+    text = filled("m09", **m09.figures(found))
     lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
-    there = ["20 → 1", "95.0%", "400 → 10", "97.5%", "3 → 2", "0.500 → 0.750", "12", "1", "0", "0", "0.900 → 0.850 of 100"]
-    assert ["street", "2", "gm-phd", *there] in lines
     assert ["garden", GM, "3.0", "4.0", "1", "1", "0.800", "4"] in lines
     assert ["arcade", "around detections", "5", "0.01", "3", "0.900", "0.825", "-0.075", "0.050", "0.150"] in lines
     assert ["garden", "mht", "1.00", "1.20", "4.00", "1.20", "1.040"] in lines

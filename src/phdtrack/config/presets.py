@@ -6,7 +6,7 @@ A table has a section for each part; ``birth.scene`` stands for ``[birth]`` wher
 ``default``: what `phdtrack track` uses: the Poisson multi-Bernoulli filter with M09's model, of targets that keep their
 velocity and their size better, live longer and are detected less surely, as today's detectors have it; newborn that may be
 faster, births and clutter around the detections. What else differs from filter to filter stands in `_BY_FILTER`
-(docs/results/defaults.md has why, docs/results/particles.md the number of particles).
+(docs/results/defaults.md has why).
 ``m07``: Maggio et al. 2007: likelihood scaled by the detection, births and clutter around the detections, K-means.
 ``m09``: Maggio and Cavallaro 2009: M07's numbers (M09 prints none of its own) with the likelihood scaled by the particle, no
 floor, births and clutter uniform over the image, and extraction by a Gaussian mixture at 0.5.

@@ -7,7 +7,7 @@ of one single other covers [E13 §6],
     p_D(x) = p_D · max(1 − c^1.5, least)
 
 The exponent was measured: of boxes that are covered to 5, 22, 45, 65 and 87 %, detectors find .98, .86, .72, .50 and .18 of
-what they find of free ones (docs/results/occlusion.md). The union of several hiders would be more exact by what two
+what they find of free ones. The union of several hiders would be more exact by what two
 hide beside each other of a third, and would cost a sweep over their edges for every particle.
 
 Those who hide are the targets that the last frame showed, where the motion expects them now, and not the boxes of this
