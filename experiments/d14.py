@@ -81,7 +81,7 @@ class CorridorErrors:
         """Distance from the exact posterior mean where the model is true, over the seeds of the chains."""
         few = range(seeds_of("model", self.seeds))
         jobs = (CorridorRun("model", name, number, variance, seed) for variance in VARIANCES for seed in few)
-        return float(np.mean([self.results[job].beside for job in jobs]))
+        return float(np.mean([self.results[job].to_posterior for job in jobs]))
 
 
 def overall(outcome: RunErrors) -> float:
@@ -101,7 +101,7 @@ def seconds(outcome: RunErrors) -> float:
 
 
 def with_misses(outcome: RunErrors) -> float:
-    """RMSE per axis over all frames of all targets alike, where who is not located counts as being the gate away."""
+    """RMSE per axis over all frames of all targets alike, with the gate as the error of a target not located."""
     near = np.where(outcome.located > 0, outcome.truth, 0.0) ** 2
     return math.sqrt((outcome.located * near + (1 - outcome.located) * GATE**2 / 2).mean())
 
@@ -115,7 +115,7 @@ def located_mean(values: F8) -> F8:
 
 
 def spread(values: F8) -> str:
-    """Mean and confidence interval as a cell; a single value alone."""
+    """Mean and confidence interval as a cell; a single value without an interval."""
     found = interval(values.tolist())
     return f"{found.mean:.2f} ± {found.half:.2f}" if found.count > 1 else f"{found.mean:.2f}"
 
@@ -183,7 +183,7 @@ def target_tables(found: CorridorErrors) -> str:
 
 
 def ranges(found: CorridorErrors) -> str:
-    """The paper's ranges beside ours, over variances, worlds and targets, of means over seeds."""
+    """The paper's ranges and ours, over variances, worlds and targets, of means over seeds."""
     rows = []
     for name in FILTERS:
         cells = []
@@ -207,7 +207,7 @@ def typical(found: CorridorErrors, world: str, name: str, number: int) -> float:
 
 
 def times(found: CorridorErrors) -> str:
-    """Seconds for each sequence, by filter and N. The paper's stand beside the corridor, as long as its sequence."""
+    """Seconds for each sequence, by filter and N. The paper's stand in the row of the corridor."""
     rows = []
     for world, title in WORLDS.items():
         for number in found.numbers:
@@ -249,7 +249,7 @@ def figures(found: CorridorErrors) -> dict[str, object]:
 
 
 def beyond(seeds: int) -> list[CorridorRun]:
-    """The runs beside the grid: the chains with more samples."""
+    """The chains with more samples than the grid has."""
     few = range(seeds_of("model", seeds))
     return [CorridorRun("model", name, BEYOND, variance, seed) for name in CHAINS for variance in VARIANCES for seed in few]
 

@@ -41,7 +41,7 @@ FILTERS: dict[str, tuple[str, ...]] = {
     "MCMC": (*_GIVEN, "filter.ancestors=each"),
     "MCMC greedy": (*_GIVEN, "filter.greedy=true"),
 }
-"""What each filter changes of the preset; N is set beside it. With ``joint``, all targets of a sample have one ancestor."""
+"""What each filter changes of the preset, besides N. With ``joint`` all targets of a sample have one ancestor."""
 MODEL_SEEDS = 3
 """At most so many seeds of the points drawn from the model, each of which draws paths too."""
 SETTLED = 25
@@ -50,7 +50,7 @@ SETTLED = 25
 
 @dataclass(frozen=True, slots=True)
 class CorridorRun:
-    """One run; ``number`` is N, 0 for the Kalman filter. The measurements depend on world, variance and seed alone."""
+    """One run; ``number`` is N, 0 for the Kalman filter. The measurements depend on world, variance and seed only."""
 
     world: str
     filter: str
@@ -61,7 +61,7 @@ class CorridorRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """Points (2, M) of frames (M,), and who they are (M,); −1 where nobody says."""
+    """Points (2, M) of frames (M,), and their identities (M,); −1 where unknown."""
 
     frame: I8
     identity: I8
@@ -76,10 +76,10 @@ class RunErrors:
     ----------
     truth, measurement : (G,) against each target's true and measured centroids; NaN for a target never located.
     located : (G,) share of its frames in which a state is within the gate of the truth.
-    overall, settled, beside : over all targets, against the truth; in the frames after their first second; against the
+    overall, settled, to_posterior : over all targets, against the truth; in the frames after their first second; against the
         Kalman filter's states.
     detected : over all targets, against the measurements.
-    spare : states a frame that are nobody's.
+    spare : states a frame that are mapped to no target.
     seconds : of processor time for the whole sequence, filter and extraction.
     """
 
@@ -88,7 +88,7 @@ class RunErrors:
     located: F8
     overall: float
     settled: float
-    beside: float
+    to_posterior: float
     detected: float
     spare: float
     seconds: float
@@ -148,7 +148,7 @@ def track(job: CorridorRun) -> tuple[Points, float]:
 def kalman(model: Model, scans: Sequence[F8]) -> Points:
     """Means of the exact posterior where the associations are given: a Kalman filter for every target.
 
-    A target starts at its first measurement with what the sensor knows from it alone.
+    A target starts at its first measurement with what the sensor knows from it.
     """
     rows = list(model.sensor.observed)
     mean, cov, label = np.zeros((4, 0)), np.zeros((0, 4, 4)), np.zeros(0)
@@ -169,7 +169,7 @@ def kalman(model: Model, scans: Sequence[F8]) -> Points:
 
 
 def updated(model: Model, rows: list[int], mean: F8, cov: F8, z: F8) -> tuple[F8, F8]:
-    """Means (d, n) and covariances of targets of whom ``z`` (m, n) was measured, column by column."""
+    """Means (d, n) and covariances of targets with measurements ``z`` (m, n), column by column."""
     cross = cov[:, :, rows]
     innovation = cross[:, rows] + model.sensor.covariance(z, mean)
     gain = np.linalg.solve(innovation, cross.transpose(0, 2, 1)).transpose(0, 2, 1)

@@ -112,7 +112,7 @@ def detected(number: int, clutter: float, rng: np.random.Generator) -> Detection
     boxes = truth().xyxy[truth().frame == number]
     seen = boxes[rng.random(len(boxes)) < FREE * (1 - FALL * covered(boxes))]
     false = truth().xyxy[rng.integers(len(truth()), size=rng.poisson(clutter))]
-    # A false alarm has the size of somebody and stands near where somebody has stood.
+    # A false alarm has the size of an annotated box and stands near one.
     everything = np.vstack([_jittered(seen, 1.0, rng), _jittered(false, 5.0, rng)])
     return Detections.of(everything[rng.permutation(len(everything))])
 

@@ -34,7 +34,7 @@ OWN = (2.0, 1.0)
 HOLDS = (0.0, 0.5, 1.0)
 # The detector: deviation in metres, detection probability, false alarms a frame, margin around where people walk.
 NOISE, DETECTION, CLUTTER, MARGIN = 0.2, 0.9, 0.5, 1.0
-# People farther from the true ones are somebody else, metres.
+# States farther than this from all true positions are false, metres.
 WITHIN = 1.0
 
 
@@ -190,7 +190,7 @@ def middles(rows: Tracks) -> F8:
 
 
 def by_frame(where: WalkedScene, frames: Sequence[Seen], grouping: Grouping) -> GroupScores:
-    """Who is together, frame by frame for itself."""
+    """Scores of the groups of each frame for itself."""
     return score_groups(_clusters(where, frames, grouping), WITHIN)
 
 
@@ -201,7 +201,7 @@ def _clusters(where: WalkedScene, frames: Sequence[Seen], grouping: Grouping) ->
 
 
 def over_time(where: WalkedScene, frames: Sequence[Seen], name: str, grouping: Grouping, hold: float) -> GroupScores:
-    """Who is together by the groups that people of kind ``name`` have accepted."""
+    """Scores of the groups that people of kind ``name`` have accepted."""
     return score_groups(_lives(where, frames, name, grouping, GroupLifeCycle(hold)), WITHIN)
 
 
@@ -241,7 +241,7 @@ def _truth(where: WalkedScene, k: int) -> tuple[I8, F8]:
 
 
 def _group(label: I8, carrier: I8) -> I8:
-    """(n,) the cluster from 1 of who is carried by a Gaussian; 0 for nobody's, and where it is too light."""
+    """(n,) the cluster from 1 of each person's Gaussian; 0 where there is none or its weight is too low."""
     return np.where(carrier >= 0, np.append(label, -1)[carrier] + 1, 0)
 
 
@@ -255,7 +255,7 @@ def work(job: GroupRun) -> GroupOutcome:
         settings = settings_of(where)
         info = SequenceInfo(0, 0, 1 / INTERVAL, len(where.number), job.sequence)
         stages = config.build(settings, info, "gm-phd")
-        # As the product: so low that one miss drops nobody.
+        # As the product: so low that one miss removes no one.
         lightest = build_groups(config.overlay(settings, {"filter": {"kind": "gm-phd"}}), stages).grouping.min_weight
         frames = filtered(where, stages, lightest, job.seed)
     grid = {(near, slow): by_frame(where, frames, Grouping(near, slow, lightest)) for near in NEAR for slow in SLOW}

@@ -25,7 +25,7 @@ _VISIBLE = 0.3
 Leave = Literal["right", "swapped", "new", "lost"]
 # Their axes are this far apart, in widths, when they begin to touch as a detector sees it.
 _TOUCH = 1.3
-# Frames before and after in which identities are read; how many beside the touch itself are left out.
+# Frames before and after in which identities are read; how many around the touch itself are left out.
 _BEFORE, _AFTER, _AROUND = 10, 17, 3
 _MATCH = 0.4
 

@@ -1,8 +1,8 @@
-"""Beside the trackers that people use today: same detections, no score threshold, one parameter set, TrackEval's scores.
+"""Our filters and widely used trackers: same detections, no score threshold, one parameter set, TrackEval's scores.
 
-Writes two pages: peers.md, and defaults.md, which says what speaks for the default filter and what its parts are worth.
+Writes two pages: peers.md, and defaults.md, which compares the filters and the parts of the default one.
 
-Peers' scores come from `bench/peers.csv` beside the real sequences, and so do the clutter cases (`bench/make_clutter.py`,
+Peers' scores come from `bench/peers.csv` next to the real sequences, and so do the clutter cases (`bench/make_clutter.py`,
 run as it is): nothing of a peer is measured here. Every filter has the shipped defaults. Truth that the benchmark marks as
 not to be counted is left out, as TrackEval does for MOT15, so that scores compare.
 """
@@ -33,7 +33,7 @@ SEQUENCES: Mapping[str, tuple[str, ...]] = {
     "public": ("PETS09-S2L1", "TUD-Campus", "ETH-Sunnyday", "KITTI-17"),
 }
 RATES = (0, 5, 20)
-# Uniform clutter, and the same with five places that fire.
+# Uniform clutter, and the same with five places with repeated false boxes.
 CLUTTER = tuple(f"{kind}{rate}" for kind in "up" for rate in RATES)
 # Peers have been scored on the first.
 SEEDS = 3

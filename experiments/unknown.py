@@ -1,7 +1,7 @@
 """The standard linear-Gaussian scenario with p_D and λ unknown, or λ wrong by a factor of three: a section of vo.md.
 
-The filter begins with wrong rates and learns them from the scans (`rates`), or keeps them. Which detections are whose, which
-p_D is learned from, tracks say: of the association, or, of the MHT, the filter's own.
+The filter begins with wrong rates and learns them from the scans (`rates`), or keeps them. p_D is learned from the tracks:
+those of the association, or the MHT's own.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from phdtrack.scene.rates import RatesLearning, RatesSettings
 from phdtrack.types import F8, Detections
 
 RUNS, FEW = 8, 2
-# What an image-based tracker begins with where nobody knows better: the package's own p_D, ten false alarms a scan.
+# What an image-based tracker begins with without further knowledge: the package's own p_D, ten false alarms a scan.
 P_DETECT, CLUTTER = 0.8, 10.0
 FILTERS = ("gm-phd", "gm-cphd", "particle-phd", "mht", "pmb")
 LABELLED = ("mht", "pmb")
