@@ -1,16 +1,28 @@
-"""Births and false alarms with learned densities: their mass, their velocities, their limits."""
+"""Births and false alarms with learned densities, also added to those around each detection, Gaussian by Gaussian."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from phdtrack.models import BoxSensor, MeasurementBirth
-from phdtrack.models.scene import SceneBirth, SceneClutter
-from phdtrack.models.volume import image_volume
-from phdtrack.scene import SceneDensity, marginal, uniform_density
+from phdtrack import config
+from phdtrack.filters import GMPHD, PMB
+from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
+from phdtrack.models.scene import SceneBirth, SceneClutter, with_scene
+from phdtrack.models.volume import image_volume, local_volume
+from phdtrack.protocols import Model
+from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal, uniform_density
+from phdtrack.types import F8, SequenceInfo
+from reference import context_twin as twin
 
 SIZE = (640.0, 480.0)
 LOW, HIGH = np.array([0.0, 0, -30, -30, 0, 0]), np.array([640.0, 480, 30, 30, 640, 480])
-SENSOR = BoxSensor()
+SHOWN = [0, 1, 4, 5]
+SENSOR, FIXED = BoxSensor(), BoxSensor(scaling="fixed", fixed_noise=(3.0, 6.0))
+MODEL = Model(BoxMotion(frame_size=SIZE), SENSOR, MeasurementBirth(0.05, 300, "local"), LocalClutter(0.4))
+ANYWHERE, ANY_BOX = uniform_density(LOW, HIGH), uniform_density(LOW[SHOWN], HIGH[SHOWN])
+# Of which nothing is known but that objects and births are detected anywhere.
+BLANK = LearnedDensity(0.01, ANYWHERE), LearnedDensity(0.0, ANY_BOX), TrackedObjects(0.3, LearnedDensity(4.0, ANY_BOX))
 Z = np.array([[100.0, 400], [200, 300], [40, 30], [80, 70]])
 
 
@@ -21,42 +33,106 @@ def entrance(uniform: float = 0.2) -> SceneDensity:
     return SceneDensity(LOW, HIGH, uniform, np.ones(1), np.array([[110.0, 210, 4, 1, 42, 82]]).T, cov[None])
 
 
+def square() -> SceneDensity:
+    """Where people are detected: mostly in the middle."""
+    cov = np.diag([6400.0, 3600, 100, 400])
+    return SceneDensity(LOW[SHOWN], HIGH[SHOWN], 0.4, np.ones(1), np.array([[320.0, 240, 40, 80]]).T, cov[None])
+
+
+def boxes(rng: np.random.Generator, n: int) -> F8:
+    """(4, n) boxes in a few crowds and anywhere, some of them beyond the frame."""
+    middle = rng.uniform([[-30.0], [-30]], [[660], [500]], (2, 5))[:, rng.integers(0, 5, n)]
+    return np.vstack([middle + rng.normal(0, 25, (2, n)), rng.uniform([[20.0], [50]], [[60], [120]], (2, n))])
+
+
+def learned(rng: np.random.Generator, d: int, count: int) -> SceneDensity:
+    """Gaussians of many widths: near each other, far, and hardly inside."""
+    root = rng.normal(0, 1, (count, d, d)) * rng.uniform(0.3, 6, (count, 1, 1))
+    mean = rng.uniform(-25, 25, (d, count))
+    mean[:, -1] = 400
+    weight = rng.random(count) + 0.1
+    low, high = np.full(d, -20.0), np.full(d, 30.0)
+    return SceneDensity(low, high, 0.3, weight / weight.sum(), mean, root @ root.transpose(0, 2, 1) + np.eye(d))
+
+
+def near_each(z: F8) -> F8:
+    """l(z): detections within a box's size, of half to one and a half times its size, each over 4w²h²."""
+    near = np.abs(z[:2, :, None] - z[:2, None]) <= z[2:, None]
+    alike = (0.5 * z[2:, None] <= z[2:, :, None]) & (z[2:, :, None] <= 1.5 * z[2:, None])
+    return ((near & alike).all(axis=0) / (4 * (z[2] * z[3]) ** 2)).sum(axis=1)
+
+
+@pytest.mark.parametrize("d", [1, 2, 4, 6])
+def test_a_density_and_false_alarms_at_points(d: int, rng):
+    p = learned(rng, d, 7)
+    x = np.hstack([rng.uniform(-30, 40, (d, 40)), p.mean[:, :3] + 0.1, np.full((d, 1), -20.0)])
+    asked, gaussians = (p.low, p.high, p.uniform / p.volume), (p.gaussians.weight, p.mean, p.covariance)
+    np.testing.assert_allclose(p(x), twin.mixture_density(x, *asked, 0.0, *gaussians), rtol=1e-10)
+    np.testing.assert_allclose(p(x), np.exp(p.log(x)), rtol=1e-10)
+    kappa = 2.5 * twin.mixture_density(x, *asked, asked[2], *gaussians)
+    # Further rows of a measurement, such as its own noise, do not count.
+    found = SceneClutter(2.5, p).intensity(np.asfortranarray(np.vstack([x, x])))
+    np.testing.assert_allclose(found, kappa, rtol=1e-10)
+    assert kappa.max() > 2 * kappa.min(), "Gaussians count somewhere"
+    np.testing.assert_array_equal(SceneClutter(0.0, p).intensity(x), np.zeros(x.shape[1]))
+
+
+@pytest.mark.parametrize(("d", "rows"), [(6, (0, 1, 4, 5)), (4, (0, 1)), (3, (0, 1)), (2, (0, 1))])
+def test_what_a_density_says_of_detections(d: int, rows: tuple[int, ...], rng):
+    """Boxes, the ground, one velocity, none: density through the noise, and what detections do not show given them."""
+    p, n, keep = learned(rng, d, 9), 90, list(rows)
+    root = rng.normal(0, 1, (n, d, d))
+    state, noise = rng.uniform(-30, 40, (d, n)), root @ root.transpose(0, 2, 1) + 0.1 * np.eye(d)
+    state[keep, 0] = p.mean[keep, 0]
+    noise[:, [r for r in range(d) if r not in rows]] *= np.eye(d)[[r for r in range(d) if r not in rows]]
+    noise[:, :, [r for r in range(d) if r not in rows]] *= np.eye(d)[:, [r for r in range(d) if r not in rows]]
+    found, shown = SceneBirth(2.0, p, rows).around((state, noise), 1.5), marginal(p, rows)
+    density, mean, cov = twin.given_detections(
+        state, noise, keep, shown.low, shown.high, p.uniform / shown.volume, p.gaussians.weight, p.mean, p.covariance
+    )
+    # What is left out is nothing to single precision.
+    np.testing.assert_allclose(found.density, 3.0 * density, rtol=1e-6)
+    np.testing.assert_allclose(found.mean, mean, atol=1e-3)
+    np.testing.assert_allclose(found.covariance, cov, rtol=1e-4, atol=0.1)
+    assert len(np.unique(density.round(12))) > 12, "Gaussians count, and places beyond the volume have none"
+    assert (density == 0).any()
+
+
+def test_nothing_detected(rng):
+    p = learned(rng, 6, 3)
+    assert SceneBirth(1.0, p).around((np.zeros((6, 0)), np.zeros((0, 6, 6))), 1.0).density.shape == (0,)
+    assert SceneClutter(1.0, marginal(p, (0, 1, 4, 5)), 0.4).intensity(np.zeros((8, 0))).shape == (0,)
+
+
 def test_without_gaussians_it_is_uniform_birth_over_the_image():
-    learned = SceneBirth(0.02, uniform_density(LOW, HIGH))
-    plain = MeasurementBirth(0.02, 1000, "image", SIZE)
+    scene, plain = SceneBirth(0.02, ANYWHERE), MeasurementBirth(0.02, 1000, "image", SIZE)
     covered = np.array([0.0, 0.4])
-    a, b = (birth.sample(Z, covered, SENSOR, 1.5, np.random.default_rng(1)) for birth in (learned, plain))
-    assert image_volume(SIZE) == pytest.approx(marginal(learned.density, learned.observed).volume)
+    a, b = (birth.sample(Z, covered, SENSOR, 1.5, np.random.default_rng(1)) for birth in (scene, plain))
+    assert image_volume(SIZE) == pytest.approx(ANY_BOX.volume)
     np.testing.assert_allclose(a.state, b.state)
     np.testing.assert_allclose(a.weight, b.weight)
 
 
 def test_the_evidence_of_newborn_is_that_of_gamma():
     """C(z) = ∫ g γ, by drawing γ; a sensor of fixed noise, for which it is exact but for the 1 % that is cut off."""
-    sensor = BoxSensor(scaling="fixed", fixed_noise=(3.0, 6.0))
-    birth, rng = SceneBirth(1.0, entrance()), np.random.default_rng(2)
-    drawn = birth.density.sample(1_000_000, rng)
-    z = Z[:, :1]
-    each = np.exp(sensor.log_likelihood(z[:, [0]], drawn))
-    found = []
-    for k in range(20):
-        born = birth.sample(z, np.zeros(1), sensor, 1.0, np.random.default_rng(k))
-        found.append(float(born.weight @ np.exp(sensor.log_likelihood(z[:, [0]], born.state))))
+    birth, z = SceneBirth(1.0, entrance()), Z[:, :1]
+    each = np.exp(FIXED.log_likelihood(z, birth.density.sample(1_000_000, np.random.default_rng(2))))
+    drawn = [birth.sample(z, np.zeros(1), FIXED, 1.0, np.random.default_rng(k)) for k in range(20)]
+    found = [float(born.weight @ np.exp(FIXED.log_likelihood(z, born.state))) for born in drawn]
     assert np.mean(found) == pytest.approx(0.99 * each.mean(), rel=0.02)
 
 
 def test_velocities_are_those_of_the_place():
     """Against drawing γ and weighing with the likelihood: mean and spread of the velocities given the detection."""
-    sensor = BoxSensor(scaling="fixed", fixed_noise=(3.0, 6.0))
     birth = SceneBirth(1.0, entrance(uniform=1e-3))
     drawn = birth.density.sample(1_000_000, np.random.default_rng(3))
     for y in (200.0, 240.0):
         z = np.array([[105.0], [y], [40.0], [80.0]])
-        weight = np.exp(sensor.log_likelihood(z, drawn))
+        weight = np.exp(FIXED.log_likelihood(z, drawn))
         weight /= weight.sum()
         mean = drawn[2:4] @ weight
         spread = (drawn[2:4] - mean[:, None]) * weight @ (drawn[2:4] - mean[:, None]).T
-        parts = [birth.sample(z, np.zeros(1), sensor, 1.0, np.random.default_rng(k)) for k in range(30)]
+        parts = [birth.sample(z, np.zeros(1), FIXED, 1.0, np.random.default_rng(k)) for k in range(30)]
         velocity, share = np.hstack([part.state[2:4] for part in parts]), np.concatenate([part.weight for part in parts])
         share /= share.sum()
         ours = velocity @ share
@@ -65,33 +141,139 @@ def test_velocities_are_those_of_the_place():
 
 
 def test_gaussian_newborn_are_the_learned_ones_and_the_uniform_part_about_detections():
-    birth = SceneBirth(0.5, entrance(uniform=0.2))
-    mixture = birth.components(Z, np.zeros(2), SENSOR, 2.0)
-    flat = MeasurementBirth(0.5 * 0.2, 1000, "image", SIZE).components(Z, np.zeros(2), SENSOR, 2.0)
-    assert mixture.weight[0] * birth.density.truncated_mass[0] == pytest.approx(0.5 * 2.0 * 0.8)
-    np.testing.assert_array_equal(mixture.mean[:, 0], birth.density.mean[:, 0])
-    np.testing.assert_allclose(mixture.weight[1:], flat.weight)
-    np.testing.assert_allclose(mixture.covariance[1:], flat.covariance)
+    birth, flat = SceneBirth(0.5, entrance(uniform=0.2)), MeasurementBirth(0.5 * 0.2, 1000, "image", SIZE)
+    found, uniform = (one.gaussians(Z, SENSOR, 2.0) for one in (birth, flat))
+    assert found.weight[0] * birth.density.truncated_mass[0] == pytest.approx(0.5 * 2.0 * 0.8)
+    np.testing.assert_array_equal(found.mean[0], birth.density.mean[:, 0])
+    for ours, theirs in zip(found, uniform, strict=True):
+        np.testing.assert_allclose(ours[1:], theirs)
 
 
 def test_covered_detections_bring_nothing_and_rates_scale():
     birth = SceneBirth(0.5, entrance())
     assert len(birth.sample(Z, np.ones(2), SENSOR, 1.0, np.random.default_rng(5))) == 0
-    # The learned Gaussians are there whatever was measured.
-    assert len(birth.components(Z, np.ones(2), SENSOR, 1.0)) == 1
     assert birth.expected(Z, 3.0) == 1.5
+    assert replace(birth, around_detections=0.05).expected(Z, 2.0) == pytest.approx(2 * 0.05 * 2)
     one, three = (birth.sample(Z, np.zeros(2), SENSOR, dt, np.random.default_rng(6)).mass for dt in (1.0, 3.0))
     assert three == pytest.approx(3 * one)
 
 
 def test_clutter_integrates_to_its_rate_and_never_vanishes():
     p = marginal(entrance(), (0, 1, 4, 5))
-    clutter = SceneClutter(3.0, p)
-    rng = np.random.default_rng(7)
+    clutter, rng = SceneClutter(3.0, p), np.random.default_rng(7)
     points = np.concatenate([p.sample(50_000, rng), rng.uniform(p.low[:, None], p.high[:, None], (4, 50_000))], axis=1)
     ratio = clutter.intensity(points) / (0.5 * p(points) + 0.5 / p.volume)
     assert ratio.mean() == pytest.approx(3, abs=5 * ratio.std() / np.sqrt(ratio.size) + 0.01)
     outside = np.array([[-50.0], [200], [40], [80]])
     assert clutter.intensity(outside)[0] == pytest.approx(3.0 * p.uniform / p.volume)
-    # Further rows of a measurement, such as its own noise, are none of the density's business.
-    assert clutter.intensity(np.vstack([Z, np.ones((4, 2))])) == pytest.approx(clutter.intensity(Z))
+
+
+# Added to births and false alarms around each detection
+
+
+@pytest.mark.parametrize("count", [1, 60])
+def test_false_alarms_are_added_to_those_around_each_detection(count: int, rng):
+    p, z = marginal(entrance(), (0, 1, 4, 5)), boxes(rng, count)
+    there = twin.mixture_density(z, p.low, p.high, p.flat, p.flat, p.gaussians.weight, p.mean, p.covariance)
+    found = SceneClutter(4.0, p, around_detections=0.7).intensity(np.vstack([z, z]))
+    np.testing.assert_allclose(found, 0.7 * near_each(z) + 4.0 * there, rtol=1e-10)
+
+
+@pytest.mark.parametrize("among", [None, square()], ids=["anywhere", "objects"])
+def test_births_are_those_around_each_detection_by_place(among: SceneDensity | None, rng):
+    """γ = a l(z) p(z|b)/p(z|o), neither density below its uniform part."""
+    places = marginal(entrance(), (0, 1, 4, 5)), square()
+    z = np.hstack([boxes(rng, 40), *(np.clip(p.sample(20, rng), 1, None) for p in places)])
+    seen, objects = SENSOR.states(z), among or ANY_BOX
+    plain = SceneBirth(1.0, entrance()).around(seen, 1.0)
+    born, there = np.maximum(plain.density, 0.2 / ANY_BOX.volume), np.maximum(objects(z), objects.flat)
+    found = SceneBirth(0.2, entrance(), around_detections=0.05, among=among).around(seen, 2.0)
+    np.testing.assert_allclose(found.density, 0.1 * near_each(z) * born / there, rtol=1e-9)
+    np.testing.assert_array_equal(found.mean, plain.mean)
+    np.testing.assert_array_equal(found.covariance, plain.covariance)
+    assert found.density.max() > 30 * found.density.min(), "places count"
+
+
+def test_births_around_detections_reach_beyond_the_volume():
+    z = np.array([[-40.0, 320], [240, 600], [40, 40], [90, 90]])
+    seen = SENSOR.states(z)
+    assert (SceneBirth(0.01, entrance()).around(seen, 1.0).density == 0).all()
+    birth = SceneBirth(0.01, entrance(), around_detections=0.05)
+    np.testing.assert_allclose(birth.around(seen, 1.0).density, 0.05 / local_volume(z) * 0.2, rtol=1e-12)
+    assert len(birth.sample(z, np.zeros(2), SENSOR, 1.0, np.random.default_rng(0))) > 1000
+    assert len(birth.gaussians(z, SENSOR, 1.0).weight) == 2
+
+
+def test_their_particles_have_the_evidence_of_gamma_and_the_velocities_of_the_place():
+    z = np.array([[115.0], [205], [40], [85]])
+    birth = SceneBirth(0.01, entrance(), particles=1000, around_detections=0.05, among=square())
+    wanted = birth.around(FIXED.states(z), 2.0).density[0]
+    drawn = [birth.sample(z, np.zeros(1), FIXED, 2.0, np.random.default_rng(k)) for k in range(20)]
+    found = [float(born.weight @ np.exp(FIXED.log_likelihood(z, born.state))) for born in drawn]
+    assert np.mean(found) == pytest.approx(0.99 * wanted, rel=0.02)
+    assert all(born.state[2].mean() > 2 for born in drawn)
+
+
+def test_their_gaussians_have_gamma_at_their_detection_and_the_velocity_of_the_place():
+    z = np.array([[500.0, 110], [400, 215], [40, 42], [80, 84]])
+    birth = SceneBirth(0.01, entrance(), around_detections=0.05, among=square())
+    at, found = birth.around(SENSOR.states(z), 1.0), birth.gaussians(z, SENSOR, 1.0)
+    np.testing.assert_array_equal(found.mean, at.mean.T)
+    np.testing.assert_array_equal(found.density, at.density)
+    np.testing.assert_array_equal(found.first, at.covariance)
+    assert abs(found.mean[0, 2]) < 0.1
+    assert found.mean[1, 2] > 3.5
+
+
+# In a whole model
+
+
+def test_a_scene_of_which_nothing_is_known_has_the_default_densities(rng):
+    model, z = with_scene(MODEL, BLANK[0], LearnedDensity(1.5, ANY_BOX), BLANK[2], 300), boxes(rng, 60)
+    np.testing.assert_allclose(model.clutter.intensity(z), MODEL.clutter.intensity(z) + 1.5 / ANY_BOX.volume, rtol=1e-12)
+    for dt in (1.0, 2.5):
+        mine, default = (birth.gaussians(z, SENSOR, dt) for birth in (model.birth, MODEL.birth))
+        for ours, theirs in zip(mine, default, strict=True):
+            np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
+        assert model.birth.expected(z, dt) == pytest.approx(MODEL.birth.expected(z, dt))
+
+
+@pytest.mark.parametrize("recursion", [PMB(), GMPHD()], ids=["pmb", "gm-phd"])
+def test_filters_do_there_what_they_do_with_the_default_model(recursion, rng):
+    """Walkers among false alarms, frame by frame, with gaps: the same targets."""
+    models = with_scene(MODEL, *BLANK, 300), MODEL
+    states = [recursion.start(MODEL, rng)] * 2
+    walkers = np.array([[100.0, 500], [200, 210], [40, 50], [90, 100]])
+    for k in range(15):
+        walkers[:2] += np.array([[4.0, -5], [1, 1]])
+        z = np.ascontiguousarray(np.hstack([walkers + rng.normal(0, 1, (4, 2)), boxes(rng, 3)]))
+        steps = [recursion.step(s, z, m, 1.0 + (k % 5 == 4), rng) for s, m in zip(states, models, strict=True)]
+        states, info = zip(*steps, strict=True)
+        np.testing.assert_allclose(info[0].evidence, info[1].evidence, rtol=1e-6)
+        assert info[0].mass == pytest.approx(info[1].mass, rel=1e-6)
+    assert info[0].mass > 1.5
+
+
+def test_what_was_not_learned_stays_as_it_is():
+    births, clutter = LearnedDensity(0.02, entrance()), LearnedDensity(3.0, square())
+    followed = TrackedObjects(0.3, LearnedDensity(5.0, square()))
+    assert with_scene(MODEL, None, None, followed, 300) == MODEL
+    model = with_scene(MODEL, births, None, None, 300)
+    assert model.clutter is MODEL.clutter
+    birth = model.birth
+    assert (birth.births_per_second, birth.around_detections, birth.particles, birth.among) == (25 * 0.02, 0.05, 300, None)
+    model = with_scene(MODEL, None, clutter, followed, 300)
+    assert model.birth is MODEL.birth
+    assert (model.clutter.clutter_per_frame, model.clutter.around_detections) == (3.0, 0.4)
+    assert with_scene(MODEL, births, clutter, followed, 300).birth.among is followed.objects.density
+    # Births and false alarms that are spread over the image are replaced by the scene's, as M09's are.
+    image = replace(MODEL, birth=MeasurementBirth(0.05, 300, "image", SIZE), clutter=UniformClutter(2.0, ANY_BOX.volume))
+    own = with_scene(image, births, clutter, followed, 300)
+    assert own.birth.around_detections == own.clutter.around_detections == 0
+
+
+def test_a_scene_is_added_to_the_default_settings():
+    model = config.build(config.load(), SequenceInfo(640, 480, 25.0)).model
+    over = with_scene(model, *BLANK, 300)
+    assert over.birth.around_detections == model.birth.births_per_second > 0
+    assert over.clutter.around_detections == model.clutter.clutter_per_frame > 0

@@ -17,7 +17,7 @@ def mixture_density(x, low, high, uniform, outside, weight, mean, cov):
 
 
 def given_detections(state, noise, rows, low, high, uniform, weight, mean, cov):
-    """Densities (n,), means (d, n), covariances (n, d, d) of `kernels.context_density.given_detections`."""
+    """Densities (n,), means (d, n), covariances (n, d, d) of `SceneBirth.around`."""
     hidden = [r for r in range(len(state)) if r not in rows]
     densities, states, covs = [], state.copy(), noise.copy()
     for j in range(state.shape[1]):

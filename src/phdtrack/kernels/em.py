@@ -1,7 +1,10 @@
-"""Expectation-maximisation for Gaussian mixtures: one batch step, and the recursive form [M09 §III-B, (16)-(20)].
+"""Gaussian mixtures: expectation-maximisation [M09 §III-B], its recursive form [M09 (16)-(20)], and densities.
 
-The mixture may stand beside a background density of known value at every sample (a uniform part, other components). Samples
-are weighted, and may come in blocks of which each names the components that it can belong to.
+This is the one EM of the package. `em_step` is one batch step: give it the weighted samples (d, n), the logarithm of the
+density beside the mixture at each (a uniform part, other components; (0,) for none), the mixture, and the components that
+each block of samples may belong to (`one_block` where all may). It gives the mass, mean and covariance of each component's
+samples, from which the caller makes the next mixture. `recursive_em` takes one sample at a time. `log_densities` has each
+Gaussian's density at points.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR
-from phdtrack.kernels.gaussian import factor, norm2
+from phdtrack.kernels.gaussian import LOG_2PI, factor, norm2
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -95,7 +98,7 @@ def _whitened(mixture: Gaussians) -> tuple[F8, F8]:
     for j in range(count):
         log_det = factor(mixture.covariance[j], root)
         log_weight = math.log(mixture.weight[j]) if mixture.weight[j] > 0.0 else -math.inf
-        log_peak[j] = log_weight - 0.5 * (log_det + d * math.log(2.0 * math.pi))
+        log_peak[j] = log_weight - 0.5 * (log_det + d * LOG_2PI)
         for r in range(d):
             inverse[j, r, r] = 1.0 / root[r, r]
             for s in range(r):
@@ -250,6 +253,20 @@ def em_step(x: Real, weight: F8, log_background: F8, mixture: Gaussians, candida
     return Moments(mass, mean, cov, background, log_likelihood)
 
 
+@njit(**(ENTRY | {"fastmath": FAST}))
+def log_densities(x: F8, mixture: Gaussians) -> F8:
+    """(k, n) log(weight · N(x)) of every Gaussian at points ``x`` (d, n)."""
+    (d, n), count = x.shape, mixture.weight.size
+    inverse, log_peak = _whitened(mixture)
+    out, step, part = np.empty((count, n)), np.empty((d, CHUNK)), np.empty(CHUNK)
+    for begin in range(0, n, CHUNK):
+        size = min(CHUNK, n - begin)
+        for j in range(count):
+            _steps(x, begin, size, mixture.mean, j, step)
+            _log_density(step, size, inverse[j], log_peak[j], part, out[j, begin:])
+    return out
+
+
 @njit(**INNER)
 def _shares(weight: F8, alive: int, log_density: F8) -> float:
     """Turn log N_m(x) into o_m = π_m N_m(x) / Σ_j π_j N_j(x) in place; gives the logarithm of the sum."""
@@ -269,7 +286,7 @@ def _shares(weight: F8, alive: int, log_density: F8) -> float:
 @njit(**INNER)
 def _refactor(cov: F8, root: F8, log_peak: F8, m: int) -> None:
     """Write Cholesky's factor of component ``m`` and the logarithm of its peak density."""
-    log_peak[m] = -0.5 * (factor(cov[m], root[m]) + cov.shape[1] * math.log(2.0 * math.pi))
+    log_peak[m] = -0.5 * (factor(cov[m], root[m]) + cov.shape[1] * LOG_2PI)
 
 
 @njit(**INNER)

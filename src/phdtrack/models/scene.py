@@ -6,8 +6,8 @@ is taken as flat, with the value that makes the evidence of what is born there e
     ∫ g(z|x) γ(x) dx = s̄ [α_u/V + α_g Σ_m π_m N(z; μ_m, Σ_m + R) / Z_m]
 
 for a sensor that shows some components of the state with noise R. Velocities have the mean and covariance of the same
-mixture given z, with uniform direction and Gaussian amplitude; of the uniform part those of the sensor. So α_u = 1 is
-`MeasurementBirth` over the same volume. The Gaussian-mixture filters take the Gaussians themselves.
+mixture given z; of the uniform part those of the sensor. So α_u = 1 is `MeasurementBirth` over the same volume. The
+Gaussian-mixture filters take the Gaussians themselves.
 
 **Added to the model's own.** The default γ and κ are no densities of a scene: they are spread around each detection, and
 are therefore high where much is detected. Filters need that where people stand close: κ spread over a whole frame is so low
@@ -22,45 +22,37 @@ births stays the same but goes to places where births were seen. This is ours, n
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
-from phdtrack.kernels.gaussian import Births
-from phdtrack.kernels.laid_over import laid_about, laid_births, laid_clutter
-from phdtrack.kernels.scene_density import COARSE, given_detections, mixture_density, newborn_about
+from phdtrack.kernels.box_model import linear_expected
+from phdtrack.kernels.gaussian import Births, Expected, Measurements, first_states
 from phdtrack.models.births import MeasurementBirth, births_around, births_at, gaussians_about, particles_about
 from phdtrack.models.clutter import LocalClutter
-from phdtrack.models.volume import REACH, SIZES
 from phdtrack.protocols import Model, Sensor
-from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal, uniform_density
+from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal
 from phdtrack.scene.mixture import OBSERVED
-from phdtrack.types import F4, F8, I8, GaussianMixture, Particles
+from phdtrack.types import F8, I8, GaussianMixture, Particles
 
 TINY = float(np.finfo(np.float64).tiny)
-# What `models.volume` calls local: the volume in w²h², how far it reaches in boxes, the sizes in it.
-_NEIGHBOURHOOD = ((2 * REACH) ** 2 * (SIZES[1] - SIZES[0]) ** 2, REACH, *SIZES)
+# At detections, what of a Gaussian adds less than e^-16, 1e-7, of the uniform part is left out.
+NEGLIGIBLE = 16.0
+# l(z) of one false alarm, or birth, around each detection.
+LOCAL = LocalClutter(1.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Around:
-    """γT around each of N detections.
+class Around(NamedTuple):
+    """γT around each of N detections: its ``density`` (N,) per unit of what measurements show, and the states ``mean``
+    (d, N) with ``covariance`` (N, d, d) about which newborn are drawn."""
 
-    Attributes
-    ----------
-    mean : (d, N) state about which newborn are drawn.     covariance : (N, d, d) with which they are.
-    density : (N,) γT there, per unit of what measurements show.
-    """
-
+    density: F8
     mean: F8
     covariance: F8
-    density: F8
-
-    def flat(self, x: F8, first: I8) -> F8:
-        """(L,) γT at ``x`` (r, L), in runs about the detections; 0 where a size is not positive."""
-        return np.where((x[2:] > 0).all(axis=0), np.repeat(self.density, np.diff(first)), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +66,7 @@ class SceneBirth:
     observed : the rows of the state that measurements show; the others are velocities.
     particles : Jmax, particles drawn around a detection of which nothing is predicted.
     around_detections : births a second around each detection, of boxes, where nothing is known; 0: s̄ p(x|b) alone.
-    among : p(z|o), for births beside others; None: uniform over the volume.
+    among : p(z|o), for births around detections; None: uniform over the volume.
     """
 
     births_per_second: NonNegative
@@ -87,84 +79,26 @@ class SceneBirth:
     def __post_init__(self) -> None:
         check(self)
 
-    @cached_property
-    def shown(self) -> SceneDensity:
-        """p of what measurements show, velocities integrated out."""
-        return marginal(self.density, self.observed)
-
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """Particles around the detections with the evidence and the velocities of γT there [M07 §2, M09 (12)]."""
-        at = self.around(sensor.states(z), seconds)
-        rows = self.observed
-        return particles_about(covered, (at.mean, at.covariance), rows, self.particles, at.flat, rng)
+        density, mean, cov = self.around(sensor.states(z), seconds)
 
-    def around(self, seen: tuple[F8, F8], seconds: float) -> Around:
-        """What γT is around detections whose states and covariances, as `Sensor.states` gives them, are ``seen``."""
-        if self.around_detections > 0:
-            density, state, cov = laid_births(
-                *seen, *self._table, *self._among, self.around_detections * seconds, *_NEIGHBOURHOOD
-            )
-            return Around(state, cov, density)
-        density, state, cov = given_detections(*seen, *self._table)
-        return Around(state, cov, self.births_per_second * seconds * density)
+        def gamma(x: F8, first: I8) -> F8:
+            """γT at ``x`` (r, L), in runs about the detections; 0 where a size is not positive."""
+            return np.where((x[2:] > 0).all(axis=0), np.repeat(density, np.diff(first)), 0.0)
 
-    def about(self, state: F8, deviation: F8, seconds: float) -> tuple[F4, F4]:
-        """`around` in single precision for noise without correlations: densities (N,), and velocities (5, N).
-
-        ``state`` (d, N) are those at rest, ``deviation`` (d, N) the noise's; velocities as `newborn_about` gives them.
-        """
-        if self.around_detections > 0:
-            laid: tuple[F4, F4] = laid_about(
-                state, deviation, *self._table, *self._among, self.around_detections * seconds, *_NEIGHBOURHOOD
-            )
-            return laid
-        alone: tuple[F4, F4] = newborn_about(state, deviation, self.births_per_second * seconds, *self._table)
-        return alone
-
-    @cached_property
-    def _table(self) -> tuple[I8, int, F8, F8, float, F8, F8, F8, F8]:
-        """The density as `given_detections` takes it."""
-        p, shown = self.density, self.shown
-        order = np.array([*self.observed, *(r for r in range(p.dim) if r not in self.observed)])
-        lower, r = np.tril_indices(p.dim), shown.dim
-        cov = p.covariance[:, order][:, :, order]
-        peak2 = np.square(p.scaled_weight) / (2 * np.pi) ** r
-        with np.errstate(divide="ignore"):
-            log_peak = 0.5 * (np.log(peak2) - np.linalg.slogdet(cov[:, :r, :r])[1])
-        # Below 0 nothing is near enough.
-        reach = 2 * np.maximum(log_peak - np.log(shown.flat) + COARSE, -1.0)
-        triangles = np.ascontiguousarray(cov[:, *lower].T)
-        return order, r, shown.low, shown.high, shown.flat, p.mean[order], triangles, peak2, reach
-
-    @cached_property
-    def _among(self) -> tuple[F8, F8, F8, F8, F8, F8]:
-        """p(z|o) as `mixture_density` takes it, nowhere below its uniform part."""
-        p = uniform_density(self.shown.low, self.shown.high) if self.among is None else self.among
-        return p.low, p.high, np.full(2, p.flat), *p.table
-
-    @property
-    def flat(self) -> float:
-        """The uniform part of γ, per second and unit of what measurements show."""
-        return self.births_per_second * self.shown.flat
-
-    @cached_property
-    def given(self) -> GaussianMixture:
-        """The Gaussians of γ, whose parts inside the volume have its masses, per second."""
-        return GaussianMixture(
-            self.births_per_second * self.density.scaled_weight, self.density.mean, self.density.covariance
-        )
+        return particles_about(covered, (mean, cov), self.observed, self.particles, gamma, rng)
 
     def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
         """The learned Gaussians as they are, and the uniform part as Gaussians about the detections (`gaussians_about`).
 
-        What of a Gaussian lies beyond the volume is not cut off here; the parts inside have the masses of γT. Births that
-        are spread around each detection are Gaussians about the detections, with the velocities that were learned.
+        With births around detections, Gaussians about these alone, with the velocities that were learned.
         """
         if self.around_detections > 0:
-            at = self.around(sensor.states(z), seconds)
-            return gaussians_about(z, covered, sensor, lambda x: at.density, (at.mean, at.covariance))
-        given = self.given
-        spread = gaussians_about(z, covered, sensor, lambda x: np.where(self.shown.contains(x), self.flat * seconds, 0.0))
+            density, mean, cov = self.around(sensor.states(z), seconds)
+            return gaussians_about(z, covered, sensor, lambda x: density, (mean, cov))
+        given = self._given
+        spread = gaussians_about(z, covered, sensor, lambda x: self._flat(x, seconds))
         return GaussianMixture(
             np.concatenate([given.weight * seconds, spread.weight]),
             np.hstack([given.mean, spread.mean]),
@@ -172,20 +106,83 @@ class SceneBirth:
         )
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """γT as Gaussians: around the detections, and with a rate of 0 there the learned ones too, see `components`."""
+        """γT as Gaussians: those about the detections, and the learned ones where there are no births around detections.
+
+        What of a learned Gaussian lies beyond the volume is not cut off; the part inside has the mass of γT.
+        """
         seen = sensor.states(z)
         if self.around_detections > 0:
-            at = self.around(seen, seconds)
-            return births_around((at.mean, at.covariance), self.observed, at.density)
-        given, observed = births_at(self.given, seconds), z[: len(self.observed)]
-        spread = births_around(seen, self.observed, np.where(self.shown.contains(observed), self.flat * seconds, 0.0))
-        return Births(*(np.concatenate(parts) for parts in zip(given, spread, strict=True)))
+            density, mean, cov = self.around(seen, seconds)
+            return births_around((mean, cov), self.observed, density)
+        spread = births_around(seen, self.observed, self._flat(z[: len(self.observed)], seconds))
+        return _joined(births_at(self._given, seconds), spread)
 
     def expected(self, z: F8, seconds: float) -> float:
-        """s̄T, or so many of each detection as there are beside."""
+        """s̄T, or with births around detections so many of each."""
         if self.around_detections > 0:
             return float(self.around_detections * seconds * z.shape[1])
         return self.births_per_second * seconds
+
+    def around(self, seen: tuple[F8, F8], seconds: float) -> Around:
+        """What γT is around detections.
+
+        Parameters
+        ----------
+        seen : states (d, N) and covariances (N, d, d) that the detections show, as `Sensor.states` gives them.
+        seconds : T.
+
+        Returns
+        -------
+        The density, and the states with the velocities that were learned.
+        """
+        state, cov = seen
+        rows, n, shown = np.array(self.observed), state.shape[1], self._shown
+        z, noise, columns = state[rows], cov[:, rows[:, None], rows], np.ascontiguousarray(state.T)
+        # The uniform part is flat around every detection, which alone says what is born there.
+        uniform = Births(np.zeros(n), columns, cov, np.arange(n), np.full(n, shown.flat), cov)
+        gaussians, e, gate = self._learned
+        of = _joined(gaussians, uniform)
+        m = Measurements(np.ascontiguousarray(z.T), noise, np.zeros(n), np.zeros(len(rows)))
+        found = first_states(of, e._replace(p_detect=np.ones(len(of.weight))), m, gate)
+        mean, covariance = found.mean.T.copy(), found.covariance
+        mean[rows] = z
+        covariance[:, rows], covariance[:, :, rows] = cov[:, rows], cov[:, :, rows]
+        density = np.where(shown.contains(z), found.density, 0.0)
+        if not self.around_detections:
+            return Around(self.births_per_second * seconds * density, mean, covariance)
+        objects = 1 / shown.volume if self.among is None else self.among(z, outside=self.among.flat)
+        local = self.around_detections * seconds * LOCAL.intensity(z)
+        return Around(local * np.maximum(density, shown.flat) / objects, mean, covariance)
+
+    @cached_property
+    def _shown(self) -> SceneDensity:
+        """p of what measurements show, velocities integrated out."""
+        return marginal(self.density, self.observed)
+
+    @cached_property
+    def _given(self) -> GaussianMixture:
+        """The Gaussians of γ per second, whose parts inside the volume have its masses."""
+        weight, mean, covariance = self.density.gaussians
+        return GaussianMixture(self.births_per_second * weight, mean, covariance)
+
+    @cached_property
+    def _learned(self) -> tuple[Births, Expected, float]:
+        """The Gaussians of p, what they say of detections, and the deviations beyond which none of them counts."""
+        mixture = GaussianMixture(*self.density.gaussians)
+        born, r = births_at(mixture, 1.0), len(self.observed)
+        z, spread, cross = linear_expected(born.mean, born.covariance, np.array(self.observed))
+        log_peak = np.log(np.maximum(born.weight, TINY)) - 0.5 * np.linalg.slogdet(2 * math.pi * spread)[1]
+        gate2 = 2 * (log_peak.max(initial=-math.inf) - math.log(self._shown.flat) + NEGLIGIBLE)
+        return born, Expected(z, spread, cross, np.zeros((0, r, r)), np.ones(len(z))), math.sqrt(max(gate2, 0.0))
+
+    def _flat(self, z: F8, seconds: float) -> F8:
+        """(N,) the uniform part of γT at what measurements show (r, N)."""
+        return np.where(self._shown.contains(z), self.births_per_second * self._shown.flat * seconds, 0.0)
+
+
+def _joined(first: Births, second: Births) -> Births:
+    """The births of both."""
+    return Births(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +194,7 @@ class SceneClutter:
     clutter_per_frame : r̄, expected false alarms per frame.
     density : p(z|c) on what measurements show (r). Where it does not reach, κ is that of its uniform part: a detection
         beyond the volume is no more certain to be a target than one in an empty place.
-    around_detections : false alarms a frame around each detection, of boxes, that come to these; 0: none.
+    around_detections : false alarms a frame around each detection, of boxes, that are added; 0: none.
     """
 
     clutter_per_frame: NonNegative
@@ -209,23 +206,8 @@ class SceneClutter:
 
     def intensity(self, z: F8) -> F8:
         """(N,) κ per frame and unit of measurement space."""
-        z, rate = np.ascontiguousarray(z), float(self.clutter_per_frame)
-        if self.around_detections > 0 and z.shape[1]:
-            laid: F8 = laid_clutter(z, rate, *self._table, float(self.around_detections), *_NEIGHBOURHOOD)
-            return laid
-        out: F8 = mixture_density(z, rate, *self._table)
-        return out
-
-    @cached_property
-    def _table(self) -> tuple[F8, F8, F8, F8, F8, F8]:
-        """The density as `mixture_density` takes it, nowhere below its uniform part."""
-        return self.density.low, self.density.high, np.full(2, self.density.flat), *self.density.table
-
-    @cached_property
-    def rows(self) -> tuple[F8, F8]:
-        """The same of boxes as `kernels.laid_over.clutter_by_place` takes it: bounds, and false alarms."""
-        low, high, flat, *alarms = self._table
-        return np.concatenate([[float(self.clutter_per_frame)], flat, low, high]), np.vstack(alarms)
+        learned = self.clutter_per_frame * self.density(z[: self.density.dim], outside=self.density.flat)
+        return learned + self.around_detections * LOCAL.intensity(z) if self.around_detections else learned
 
 
 def with_scene(
@@ -235,8 +217,19 @@ def with_scene(
     followed: TrackedObjects | None,
     particles: int,
 ) -> Model:
-    """The model with what a scene has taught, beside its own births and false alarms where these are spread around each
-    detection; None: as they are. ``particles`` is Jmax."""
+    """The model with what a scene has taught, added to its own births and false alarms where these are around detections.
+
+    Parameters
+    ----------
+    model : the model.
+    births, clutter : what was learned; None: as they are.
+    followed : where objects are; None where it is not known.
+    particles : Jmax.
+
+    Returns
+    -------
+    The model with other births and false alarms.
+    """
     birth, false = model.birth, model.clutter
     if births is not None:
         own = birth.births_per_second if isinstance(birth, MeasurementBirth) and birth.volume == "local" else 0.0
@@ -281,18 +274,14 @@ class FalseAlarmRatio:
 
     def log(self, z: F8) -> F8:
         """(2, N) logarithms of λG/T and of κ/(T + B) at boxes ``z`` (4, N)."""
-        z, objects = np.ascontiguousarray(z), self.tracked.objects
-        gaussians = mixture_density(z, self.clutter.rate, *_table(self.clutter.density, TINY))
-        # The uniform part of objects goes on beyond the volume.
-        present = mixture_density(z, objects.rate, *_table(objects.density, objects.density.flat))
-        entering = 0.0
+        objects, alarms = self.tracked.objects, self.clutter.density
+        # The Gaussians count inside the volume only; the uniform parts go on beyond it.
+        gaussians = self.clutter.rate * np.where(alarms.contains(z), alarms.gaussian_part(z), 0.0)
+        present = objects.rate * objects.density(z, outside=objects.density.flat)
+        entering = np.zeros(z.shape[1])
         if self.births is not None:
-            entering = mixture_density(z, objects.rate, *_table(marginal(self.births.density, OBSERVED), TINY))
-        flat = self.clutter.rate * self.clutter.density.flat
+            born = marginal(self.births.density, OBSERVED)
+            entering = objects.rate * np.where(born.contains(z), born.gaussian_part(z), 0.0)
         tracked = np.maximum(self.tracked.share * gaussians, TINY) / np.maximum(present, TINY)
-        return np.log([tracked, np.maximum(gaussians + flat, TINY) / np.maximum(present + entering, TINY)])
-
-
-def _table(p: SceneDensity, flat: float) -> tuple[F8, F8, F8, F8, F8, F8]:
-    """The Gaussians of a density with the uniform part ``flat`` everywhere, as `mixture_density` takes them."""
-    return p.low, p.high, np.full(2, flat), *p.table
+        any_alarm = np.maximum(gaussians + self.clutter.rate * alarms.flat, TINY)
+        return np.log([tracked, any_alarm / np.maximum(present + entering, TINY)])

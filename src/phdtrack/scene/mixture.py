@@ -16,15 +16,13 @@ from functools import cached_property
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.scene_density import mixture_density
+from phdtrack.kernels.em import Gaussians, log_densities
 from phdtrack.types import F8, Bool
 
 # A Gaussian with less mass inside counts as outside.
 MIN_TRUNCATED_MASS = 1e-6
 # Components of a box state that a measurement shows: all but the two velocities.
 OBSERVED = (0, 1, 4, 5)
-
-
 # Richtmyer's lattice: multiples of the square roots of primes, folded.
 _LATTICE = np.sqrt(np.array([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0]))
 _POINTS = 512
@@ -82,40 +80,16 @@ class SceneDensity:
         return self.uniform / self.volume
 
     @cached_property
-    def scaled_weight(self) -> F8:
-        """(M,) α_g π_m / Z_m, weights of the untruncated Gaussians; 0 for one that counts as outside."""
-        return (
-            (1 - self.uniform)
-            * self.weight
-            * (self.truncated_mass > MIN_TRUNCATED_MASS)
-            / np.maximum(self.truncated_mass, MIN_TRUNCATED_MASS)
-        )
-
-    @cached_property
-    def _whitening(self) -> tuple[F8, F8]:
-        """L⁻¹ (M, d, d), and logarithms of the Gaussians' peaks (M,)."""
-        root = np.linalg.cholesky(self.covariance)
-        log_det = np.log(np.einsum("mrr->mr", root)).sum(axis=1)
-        with np.errstate(divide="ignore"):
-            log_peak = np.log(self.scaled_weight) - log_det - 0.5 * self.dim * math.log(2 * math.pi)
-        return np.linalg.inv(root), log_peak
-
-    @cached_property
-    def table(self) -> tuple[F8, F8, F8]:
-        """The Gaussians as `mixture_density` takes them: means (d, M), L⁻¹ (d(d + 1)/2, M), logarithms of the peaks (M,)."""
-        whiten, log_peak = self._whitening
-        rows, columns = np.tril_indices(self.dim)
-        return np.ascontiguousarray(self.mean), np.ascontiguousarray(whiten[:, rows, columns].T), log_peak
+    def gaussians(self) -> Gaussians:
+        """The Gaussians, untruncated, with weights α_g π_m / Z_m; 0 for one that counts as outside."""
+        weight = (1 - self.uniform) * self.weight / np.maximum(self.truncated_mass, MIN_TRUNCATED_MASS)
+        inside = self.truncated_mass > MIN_TRUNCATED_MASS
+        return Gaussians(weight * inside, np.ascontiguousarray(self.mean), np.ascontiguousarray(self.covariance))
 
     def log_parts(self, x: F8) -> F8:
         """(1 + M, L) logarithms of the uniform part and of each Gaussian at ``x`` (d, L), as if there were no border."""
-        whiten, log_peak = self._whitening
-        out = np.empty((1 + len(self), x.shape[1]))
-        out[0] = math.log(self.flat)
-        for m in range(len(self)):
-            step = whiten[m] @ (x - self.mean[:, m, None])
-            out[1 + m] = log_peak[m] - 0.5 * np.einsum("rl,rl->l", step, step)
-        return out
+        found: F8 = log_densities(np.ascontiguousarray(x), self.gaussians)
+        return np.vstack([np.full((1, x.shape[1]), math.log(self.flat)), found])
 
     def responsibilities(self, x: F8) -> F8:
         """(1 + M, L) the probability that a draw of p at ``x`` (d, L) came from the uniform part and from each Gaussian."""
@@ -133,16 +107,25 @@ class SceneDensity:
         out: F8 = np.where(self.contains(x), np.logaddexp.reduce(self.log_parts(x), axis=0), -math.inf)
         return out
 
-    def __call__(self, x: F8) -> F8:
-        """(L,) p at the columns of ``x`` (d, L). Raises `InputError` where x has another dimension."""
+    def __call__(self, x: F8, outside: float = 0.0) -> F8:
+        """(L,) p at the columns of ``x`` (d, L), and ``outside`` where they lie outside the volume.
+
+        Raises `InputError` where x has another dimension.
+        """
         if len(x) != self.dim:
             raise InputError(f"expected {self.dim} components, got {len(x)}", where="SceneDensity")
-        out: F8 = mixture_density(np.ascontiguousarray(x), 1.0, self.low, self.high, np.array([self.flat, 0.0]), *self.table)
+        out: F8 = self.gaussian_part(x) + self.flat
+        out[~self.contains(x)] = outside
+        return out
+
+    def gaussian_part(self, x: F8) -> F8:
+        """(L,) p at the columns of ``x`` (d, L) without the uniform part, as if there were no border."""
+        out: F8 = np.exp(log_densities(np.ascontiguousarray(x), self.gaussians)).sum(axis=0)
         return out
 
     def sample(self, count: int, rng: np.random.Generator) -> F8:
         """(d, count) draws of p; those of a Gaussian that fall outside are drawn again."""
-        share = (1 - self.uniform) * self.weight * (self.truncated_mass > MIN_TRUNCATED_MASS)
+        share = self.gaussians.weight * self.truncated_mass
         chances = np.append(self.uniform, share)
         part = rng.choice(len(chances), size=count, p=chances / chances.sum()) - 1
         x = rng.uniform(self.low[:, None], self.high[:, None], (self.dim, count))
@@ -217,7 +200,7 @@ def place_map(p: SceneDensity, shape: tuple[int, int], step: float, *, sized: bo
     place = marginal(replace(p, covariance=cov), (0, 1))
     down, across = np.meshgrid((np.arange(shape[0]) + 0.5) * step, (np.arange(shape[1]) + 0.5) * step, indexing="ij")
     at = np.stack([across.ravel(), down.ravel()]) + place.low[:, None]
-    likely = np.exp(place.log_parts(at)[1:]).sum(axis=0)
+    likely = place.gaussian_part(at)
     out: F8 = (likely / max(likely.max(initial=0.0), 1e-300)).reshape(shape)
     return out
 
@@ -225,10 +208,11 @@ def place_map(p: SceneDensity, shape: tuple[int, int], step: float, *, sized: bo
 def _problem(p: SceneDensity) -> str:
     """What is wrong with it, or nothing."""
     d, m = len(p.low), len(p.weight)
-    if p.high.shape != (d,) or p.mean.shape != (d, m) or p.covariance.shape != (m, d, d):
-        shapes = (p.low.shape, p.high.shape, p.weight.shape, p.mean.shape, p.covariance.shape)
-        return f"bounds, weights, means and covariances do not fit each other: shapes {', '.join(map(str, shapes))}"
-    if not all(np.isfinite(part).all() for part in (p.low, p.high, p.weight, p.mean, p.covariance)):
+    parts = (p.low, p.high, p.weight, p.mean, p.covariance)
+    if [part.shape for part in parts] != [(d,), (d,), (m,), (d, m), (m, d, d)]:
+        shapes = ", ".join(str(part.shape) for part in parts)
+        return f"bounds, weights, means and covariances do not fit each other: shapes {shapes}"
+    if not all(np.isfinite(part).all() for part in parts):
         return "every number must be finite"
     if not (p.high > p.low).all():
         return f"every bound above must exceed the one below, got {p.low} and {p.high}"
