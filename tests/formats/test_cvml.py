@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.formats import read_detections, read_groups, read_tracks, read_truth
+from phdtrack.formats import read_detections, read_tracks, read_truth
 
 GOOD = """<?xml version="1.0" encoding="UTF-8"?>
 <dataset name="x">
@@ -32,7 +32,7 @@ def put(folder: Path, content: str) -> Path:
     return path
 
 
-def test_boxes_and_groups(tmp_path: Path) -> None:
+def test_boxes_of_objects_and_not_of_groups(tmp_path: Path) -> None:
     path = put(tmp_path, GOOD)
     truth = read_truth(path)
     assert truth.frame.tolist() == [1, 1, 3]
@@ -41,10 +41,6 @@ def test_boxes_and_groups(tmp_path: Path) -> None:
     assert not truth.distractor.any()
     assert read_tracks(path).identity.tolist() == [0, 7, 7]
     assert read_detections(path).detections.xyxy.tolist() == truth.xyxy.tolist()
-    groups = read_groups(path)
-    assert groups.frame.tolist() == [1, 1]
-    assert groups.group.tolist() == [2, 2]
-    assert groups.member.tolist() == [0, 7]
 
 
 def test_another_first_frame(tmp_path: Path) -> None:
@@ -56,7 +52,7 @@ def test_another_first_frame(tmp_path: Path) -> None:
 
 def test_a_data_set_without_frames_is_empty(tmp_path: Path) -> None:
     path = put(tmp_path, "<dataset/>")
-    assert len(read_truth(path)) == len(read_groups(path)) == 0
+    assert len(read_truth(path)) == 0
 
 
 @pytest.mark.parametrize(
@@ -90,21 +86,6 @@ def test_the_message_names_the_line(tmp_path: Path, change: tuple[str, str], lin
 
 
 @pytest.mark.parametrize(
-    ("members", "words"),
-    [
-        ("0, x", "a member of group 2, came 'x'"),
-        ("0, 1.5", "whole number of 0 or more for the member, came 1.5"),
-        ("0 inf", "for the member, came inf"),
-    ],
-)
-def test_bad_members(tmp_path: Path, members: str, words: str) -> None:
-    path = put(tmp_path, GOOD.replace("0, 7", members))
-    with pytest.raises(InputError, match=words) as caught:
-        read_groups(path)
-    assert caught.value.where == f"{path}, line 9"
-
-
-@pytest.mark.parametrize(
     "declaration",
     [
         '<!DOCTYPE dataset [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;">]>',
@@ -114,6 +95,6 @@ def test_bad_members(tmp_path: Path, members: str, words: str) -> None:
 )
 def test_document_types_and_entities_are_refused(tmp_path: Path, declaration: str) -> None:
     path = put(tmp_path, f"{declaration}\n<dataset/>")
-    for reader in (read_truth, read_detections, read_groups):
+    for reader in (read_truth, read_detections):
         with pytest.raises(InputError, match=r"line 1: .*without a document type and entities.*DOCTYPE"):
             reader(path)

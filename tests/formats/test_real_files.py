@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phdtrack.formats import find_seqinfo, read_detections, read_groups, read_tracks, read_truth
+from phdtrack.formats import find_seqinfo, read_detections, read_tracks, read_truth
 
 pytestmark = pytest.mark.data
 
@@ -54,16 +54,12 @@ def test_pets_2009(data: Path) -> None:
     first = text[: text.index('<frame number="1"')].count("<object ")
     assert (truth.frame == 1).sum() == first
     np.testing.assert_allclose(truth.xyxy[0, [0, 2]].mean(), 630.1302)
-    assert len(read_groups(path)) == 0
 
 
 def test_caviar(data: Path) -> None:
     path = data / "caviar" / "cols1gt.xml"
-    text, truth, groups = path.read_text(), read_truth(path), read_groups(path)
+    text, truth = path.read_text(), read_truth(path)
     assert len(truth) == text.count("<object ")
     assert len(np.unique(truth.identity)) == 6
     assert truth.frame.max() == text.count("<frame ") == 295
-    assert len(groups) == 2 * text.count("<members>3,4</members>")
-    assert set(groups.member.tolist()) == {3, 4}
-    assert groups.frame.tolist() == np.repeat(np.arange(1, 296), 2).tolist()
     assert len(read_detections(path)) == len(truth)

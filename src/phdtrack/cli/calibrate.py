@@ -12,7 +12,7 @@ from phdtrack.cli.output import Output, counted
 from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from phdtrack.formats.text import Origin
+    from phdtrack.formats.rows import Origin
     from phdtrack.ground import Calibration
     from phdtrack.types import F8
 

@@ -1,6 +1,5 @@
 """Files of detections, truth, tracks and states: MOTChallenge, CSV, Parquet, COCO JSON, CVML (CAVIAR, PETS); seqinfo.ini."""
 
-from phdtrack.formats.cvml import GroupMembers, read_groups
 from phdtrack.formats.read import read_detections, read_tracks, read_truth
 from phdtrack.formats.seqinfo import find_seqinfo, read_seqinfo
 from phdtrack.formats.warps import Warps, WarpsWriter, read_warps
@@ -15,14 +14,12 @@ from phdtrack.formats.write import (
 
 __all__ = [
     "DetectionsWriter",
-    "GroupMembers",
     "StatesWriter",
     "TracksWriter",
     "Warps",
     "WarpsWriter",
     "find_seqinfo",
     "read_detections",
-    "read_groups",
     "read_seqinfo",
     "read_tracks",
     "read_truth",

@@ -1,312 +1,185 @@
-"""Which column means what: by position in MOTChallenge files, by name where there is a header.
+"""Which column of a table means what, in text and in Parquet files: by the names in a header, or by position.
 
-By position (1-based), the same for all: 1 frame, 2 identity, 3–6 left, top, width, height, 7 confidence (optional). Then
+A MOTChallenge file has no header. It is read as if it had one, the names by position (1-based) being: 1 frame, 2 identity,
+3–6 left, top, width, height, 7 confidence (optional). Then
 
 * detections: 11 class, 12–21 the upper triangle, by rows, of the covariance of (centre x, centre y, width, height);
 * truth of 8 or 9 columns (MOT16 and later): 8 class; in 10 columns (MOT15) 8–10 are places in the world, not used;
 * tracks: 11 detection, 12 confirmed.
 
 By name, a box may be given by left, top, width, height, by left, top, right, bottom, or by its centre and size. Plain
-``x, y`` with a size means left and top, as in COCO, unless the header names left or centre otherwise.
-
-`rows_of_text` and `rows_of_parquet` make `Rows` of the columns. A Parquet file has the names of columns of a CSV file with
-a header; it needs pyarrow, which is imported on use.
+``x, y`` with a size means left and top, as in COCO, unless the header names left or centre otherwise. A Parquet file needs
+pyarrow, which is imported on use.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import Enum, auto
+from enum import Enum
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.formats.rows import Rows
-from phdtrack.formats.text import Origin, Text, normalise, numbers, scan
+from phdtrack.formats.rows import Kind, Origin, Rows, Source
+from phdtrack.formats.text import normalise, numbers, scan
 from phdtrack.types import F8
 
-Aliases = tuple[str, ...]
-
-LEFT: Aliases = ("left", "bb_left", "bbox_left", "xmin", "x_min", "x1")
-TOP: Aliases = ("top", "bb_top", "bbox_top", "ymin", "y_min", "y1")
-RIGHT: Aliases = ("right", "bb_right", "bbox_right", "xmax", "x_max", "x2")
-BOTTOM: Aliases = ("bottom", "bb_bottom", "bbox_bottom", "ymax", "y_max", "y2")
-WIDTH: Aliases = ("width", "bb_width", "bbox_width", "w")
-HEIGHT: Aliases = ("height", "bb_height", "bbox_height", "h")
-CENTRE_X: Aliases = ("cx", "xc", "center_x", "centre_x", "x_center", "x_centre")
-CENTRE_Y: Aliases = ("cy", "yc", "center_y", "centre_y", "y_center", "y_centre")
-
-
-class Kind(Enum):
-    """What a file is read as."""
-
-    DETECTIONS = auto()
-    TRUTH = auto()
-    TRACKS = auto()
-
-
-class Role(Enum):
-    """What a column is used for: the names by which a header may call it, the usual one first (boxes: see `Form`)."""
-
-    FRAME = ("frame", "frame_id", "frame_number", "frame_no", "frame_num", "frame_idx", "frame_index", "frameid")
-    IDENTITY = ("identity", "id", "track_id", "trackid", "tracker_id", "target_id", "object_id", "track", "label")
-    BOX = ("box",)
-    CONFIDENCE = ("confidence", "conf", "score", "probability", "prob")
-    CLASS = ("class", "class_id", "category_id", "category", "cls")
-    COVARIANCE = ("covariance",)
-    DISTRACTOR = ("distractor", "ignore", "ignored")
-    DETECTION = ("detection", "detection_index")
-    CONFIRMED = ("confirmed", "is_confirmed")
-
-
-class Form(Enum):
-    """How four columns give a box."""
-
-    CORNER_SIZE = (LEFT, TOP, WIDTH, HEIGHT)
-    CORNERS = (LEFT, TOP, RIGHT, BOTTOM)
-    CENTRE_SIZE = (CENTRE_X, CENTRE_Y, WIDTH, HEIGHT)
-    PLAIN = (("x",), ("y",), WIDTH, HEIGHT)
-
-
-COVARIANCE: tuple[Aliases, ...] = tuple((f"cov_{a}_{b}",) for i, a in enumerate("xywh") for b in "xywh"[i:])
-
+_LEFT = ("left", "bb_left", "bbox_left", "xmin", "x_min", "x1")
+_TOP = ("top", "bb_top", "bbox_top", "ymin", "y_min", "y1")
+_RIGHT = ("right", "bb_right", "bbox_right", "xmax", "x_max", "x2")
+_BOTTOM = ("bottom", "bb_bottom", "bbox_bottom", "ymax", "y_max", "y2")
+_WIDTH = ("width", "bb_width", "bbox_width", "w")
+_HEIGHT = ("height", "bb_height", "bbox_height", "h")
+_CENTRE_X = ("cx", "xc", "center_x", "centre_x", "x_center", "x_centre")
+_CENTRE_Y = ("cy", "yc", "center_y", "centre_y", "y_center", "y_centre")
+_COVARIANCE = tuple(f"cov_{a}_{b}" for i, a in enumerate("xywh") for b in "xywh"[i:])
+# By what names a header may call the fields of `Rows`, the usual one first. No header has capitals when it is compared:
+# the class of MOTChallenge's truth is known by its position only.
+_FIELDS = {
+    "frame": ("frame", "frame_id", "frame_number", "frame_no", "frame_num", "frame_idx", "frame_index", "frameid"),
+    "identity": ("identity", "id", "track_id", "trackid", "tracker_id", "target_id", "object_id", "track", "label"),
+    "confidence": ("confidence", "conf", "score", "probability", "prob"),
+    "class_id": ("class", "class_id", "category_id", "category", "cls"),
+    "mot_class": ("MOT class",),
+    "distractor": ("distractor", "ignore", "ignored"),
+    "detection": ("detection", "detection_index"),
+    "confirmed": ("confirmed", "is_confirmed"),
+}
+_NEEDED = {Kind.DETECTIONS: ("frame",), Kind.TRUTH: ("frame", "identity"), Kind.TRACKS: ("frame", "identity")}
 _OPTIONAL = {
-    Kind.DETECTIONS: (Role.CONFIDENCE, Role.CLASS),
-    Kind.TRUTH: (Role.CONFIDENCE, Role.DISTRACTOR),
-    Kind.TRACKS: (Role.CONFIDENCE, Role.DETECTION, Role.CONFIRMED),
+    Kind.DETECTIONS: ("confidence", "class_id"),
+    Kind.TRUTH: ("confidence", "mot_class", "distractor"),
+    Kind.TRACKS: ("confidence", "detection", "confirmed"),
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """The columns in use: ``columns`` 0-based in the file, the role of each, its label in messages, and the box's form."""
+class _Form(Enum):
+    """How four columns give a box."""
 
-    roles: tuple[Role, ...]
-    columns: tuple[int, ...]
-    labels: tuple[str, ...]
-    form: Form = Form.CORNER_SIZE
-
-    def place(self, role: Role) -> list[int]:
-        """Which of ``columns`` have this role."""
-        return [i for i, r in enumerate(self.roles) if r is role]
-
-    def without(self, absent: Sequence[int]) -> Layout:
-        """The same layout less the file's columns ``absent``."""
-        keep = [i for i, column in enumerate(self.columns) if column not in absent]
-        return Layout(
-            tuple(self.roles[i] for i in keep),
-            tuple(self.columns[i] for i in keep),
-            tuple(self.labels[i] for i in keep),
-            self.form,
-        )
-
-    @property
-    def optional(self) -> list[int]:
-        """The file's columns that may be empty from top to bottom."""
-        needed = (Role.FRAME, Role.IDENTITY, Role.BOX, Role.COVARIANCE)
-        return [column for role, column in zip(self.roles, self.columns, strict=True) if role not in needed]
+    CORNER_SIZE = (_LEFT, _TOP, _WIDTH, _HEIGHT)
+    CORNERS = (_LEFT, _TOP, _RIGHT, _BOTTOM)
+    CENTRE_SIZE = (_CENTRE_X, _CENTRE_Y, _WIDTH, _HEIGHT)
+    PLAIN = (("x",), ("y",), _WIDTH, _HEIGHT)
 
 
-def by_position(kind: Kind, width: int, where: str | Path) -> Layout:
-    """The layout of a file of ``width`` columns without a header.
+class _Column(NamedTuple):
+    """The field of `Rows` that a column fills, or a part of it (``xyxy``, ``covariance``); its index and its name."""
 
-    Parameters
-    ----------
-    kind : what the file is read as.
-    width : its number of columns.
-    where : what messages name.
-
-    Raises
-    ------
-    InputError : there are fewer than six columns.
-    """
-    if width < 6:
-        raise InputError(
-            f"expected at least 6 columns (frame, id, left, top, width, height), came {width}",
-            where=where,
-            cure="Give the columns in this order, or name them in a header line.",
-        )
-    names = [aliases[0] for aliases in Form.CORNER_SIZE.value]
-    spec = [
-        (Role.FRAME, "frame"),
-        (Role.IDENTITY, "id"),
-        *((Role.BOX, name) for name in names),
-        (Role.CONFIDENCE, "confidence"),
-    ]
-    columns = list(range(min(width, 7)))
-    if kind is Kind.DETECTIONS:
-        spec += [(Role.CLASS, "class")] + [(Role.COVARIANCE, aliases[0]) for aliases in COVARIANCE]
-        columns += range(10, 21) if width >= 21 else [10] if width > 10 else []
-    elif kind is Kind.TRUTH:
-        spec += [(Role.CLASS, "class")]
-        columns += [7] if width in (8, 9) else []
-    else:
-        spec += [(Role.DETECTION, "detection"), (Role.CONFIRMED, "confirmed")]
-        columns += [10, 11] if width >= 12 else []
-    used = list(zip(spec, columns, strict=False))
-    if kind is Kind.DETECTIONS:  # the identity is −1 there by convention; whatever it is, it is not used
-        used = [entry for entry in used if entry[0][0] is not Role.IDENTITY]
-    return Layout(tuple(r for (r, _), _ in used), tuple(c for _, c in used), tuple(name for (_, name), _ in used))
+    field: str
+    at: int
+    name: str
 
 
-def by_name(kind: Kind, header: Sequence[str], where: str | Path) -> Layout:
-    """The layout that a ``header`` of lower-case names tells; unknown names are passed over.
-
-    Parameters
-    ----------
-    kind : what the file is read as.
-    header : lower-case names of its columns.
-    where : what messages name.
-
-    Raises
-    ------
-    InputError : there is no column for the frame, for the box, or (truth and tracks) for the identity.
-    """
-    form = next((form for form in Form if all(_find(header, aliases) >= 0 for aliases in form.value)), None)
-    wanted = [Role.FRAME] if kind is Kind.DETECTIONS else [Role.FRAME, Role.IDENTITY]
-    missing = next((role.value for role in wanted if _find(header, role.value) < 0), None)
-    if form is None or missing is not None:
-        what, cure = _missing(missing)
-        came = ", ".join(header)
-        raise InputError(f"no column for the {what}; the columns are {came[:200]}", where=where, cure=cure)
-    found = [(role, _find(header, role.value)) for role in wanted]
-    found += [(Role.BOX, _find(header, aliases)) for aliases in form.value]
-    found += [(role, i) for role in _OPTIONAL[kind] if (i := _find(header, role.value)) >= 0]
-    covariance = [_find(header, aliases) for aliases in COVARIANCE]
-    if kind is Kind.DETECTIONS and min(covariance) >= 0:
-        found += [(Role.COVARIANCE, i) for i in covariance]
-    return Layout(tuple(r for r, _ in found), tuple(c for _, c in found), tuple(header[c] for _, c in found), form)
-
-
-def _find(header: Sequence[str], aliases: Aliases) -> int:
-    """The column with the first of the ``aliases`` that the header has; −1 for none."""
-    return next((header.index(name) for name in aliases if name in header), -1)
-
-
-def _missing(aliases: Aliases | None) -> tuple[str, str]:
-    if aliases is not None:
-        return aliases[0], f"Name it one of {', '.join(aliases)}."
-    return "box", "Name left, top, width, height, or left, top, right, bottom, or cx, cy, width, height."
-
-
-def rows_of_text(path: Path, content: bytes, kind: Kind, first: int) -> Rows:
-    """The boxes in a text table; ``first`` is the number that the file gives the first frame.
-
-    Parameters
-    ----------
-    path : the file, for messages.
-    content : its bytes.
-    kind : what it is read as.
-    first : the number that the file gives the first frame.
+def rows_of_text(source: Source) -> Rows:
+    """The boxes in a text table.
 
     Raises
     ------
     InputError : the content is no text, or a column or a number is missing or wrong.
     """
+    path, content, kind, first = source
     text = scan(path, content)
-    if not len(text) and not text.header:
-        return assemble(text.origin, by_position(kind, 6, path), np.zeros((0, 6)), first)
-    layout = by_name(kind, text.header, path) if text.header else by_position(kind, text.width, text.origin.at(0))
-    layout = layout.without(_empty(text, layout))
-    return assemble(text.origin, layout, numbers(text, layout.columns, layout.labels), first)
+    if text.header or not len(text):
+        form, columns = _layout(kind, text.header or _by_position(kind, 6), path)
+    else:
+        if text.width < 6:
+            problem = f"expected at least 6 columns (frame, id, left, top, width, height), came {text.width}"
+            cure = "Give the columns in this order, or name them in a header line."
+            raise InputError(problem, where=text.origin.at(0), cure=cure)
+        form, columns = _layout(kind, _by_position(kind, text.width), path)
+    start = text.cells(0) if len(text) else []
+    suspects = [c.at for c in columns if c.field in _OPTIONAL[kind] and (c.at >= len(start) or not start[c.at])]
+    if suspects and start:  # an optional column without any value is as good as absent
+        cells = [text.cells(row) for row in range(len(text))]
+        empty = [i for i in suspects if all(i >= len(line) or not line[i] for line in cells)]
+        columns = [c for c in columns if c.at not in empty]
+    values = numbers(text, [c.at for c in columns], [c.name for c in columns])
+    return _rows(text.origin, form, columns, values, first)
 
 
-def _empty(text: Text, layout: Layout) -> list[int]:
-    """The optional columns without a value in any line: as good as absent."""
-    if not len(text):
-        return []
-    start = text.cells(0)
-    suspects = [c for c in layout.optional if c >= len(start) or not start[c]]
-    if not suspects:
-        return []
-    cells = [text.cells(row) for row in range(len(text))]
-    return [c for c in suspects if all(c >= len(line) or not line[c] for line in cells)]
-
-
-def assemble(origin: Origin, layout: Layout, values: F8, first: int) -> Rows:
-    """Rows from the ``values`` (M, k) of the k columns of ``layout``.
-
-    Parameters
-    ----------
-    origin : where each row stands in its file.
-    layout : the k columns in use.
-    values : (M, k).
-    first : the number that the file gives the first frame.
-    """
-
-    def column(role: Role) -> F8 | None:
-        place = layout.place(role)
-        return np.ascontiguousarray(values[:, place[0]]) if place else None
-
-    covariance = layout.place(Role.COVARIANCE)
-    return Rows(
-        origin,
-        np.ascontiguousarray(values[:, layout.place(Role.FRAME)[0]]),
-        _corners(values[:, layout.place(Role.BOX)], layout.form),
-        first,
-        identity=column(Role.IDENTITY),
-        confidence=column(Role.CONFIDENCE),
-        class_id=column(Role.CLASS),
-        distractor=column(Role.DISTRACTOR),
-        detection=column(Role.DETECTION),
-        confirmed=column(Role.CONFIRMED),
-        covariance=values[:, covariance] if covariance else None,
-    )
-
-
-def _corners(box: F8, form: Form) -> F8:
-    """(M, 4) left, top, right, bottom from the four columns of a box."""
-    if form is Form.CORNERS:
-        return np.ascontiguousarray(box)
-    start, size = box[:, :2], box[:, 2:]
-    with np.errstate(invalid="ignore", over="ignore"):
-        if form is Form.CENTRE_SIZE:
-            return np.hstack([start - size / 2, start + size / 2])
-        return np.hstack([start, start + size])
-
-
-def rows_of_parquet(path: Path, content: bytes, kind: Kind, first: int) -> Rows:
-    """The boxes in a Parquet file; ``first`` is the number that it gives the first frame.
-
-    Parameters
-    ----------
-    path : the file, for messages.
-    content : its bytes.
-    kind : what it is read as.
-    first : the number that the file gives the first frame.
+def rows_of_parquet(source: Source) -> Rows:
+    """The boxes in a Parquet file.
 
     Raises
     ------
     InputError : pyarrow is not installed, the file is no Parquet, or a column is missing or holds no numbers.
     """
+    path, content, kind, first = source
     try:
         import pyarrow as arrow
         import pyarrow.parquet as parquet
     except ImportError:
         cure = "Install it: pip install 'phdtrack[parquet]'."
-        raise InputError(
-            "reading Parquet needs the package pyarrow, which is not installed", where=path, cure=cure
-        ) from None
+        problem = "reading Parquet needs the package pyarrow, which is not installed"
+        raise InputError(problem, where=path, cure=cure) from None
     try:
         file = parquet.ParquetFile(arrow.BufferReader(content))
         names = [str(name) for name in file.schema_arrow.names]
         if len(set(names)) < len(names):
             raise InputError("expected columns of different names, came two of the same", where=path)
-        layout = by_name(kind, [normalise(name) for name in names], path)
-        table = file.read(columns=[names[c] for c in layout.columns])
+        form, columns = _layout(kind, [normalise(name) for name in names], path)
+        table = file.read(columns=[names[c.at] for c in columns])
     except (arrow.ArrowException, OSError, UnicodeDecodeError) as error:  # a broken footer can be any of them
         raise InputError(f"expected a Parquet file, which cannot be read: {error}", where=path) from None
-    absent = [c for c in layout.optional if table[names[c]].null_count == len(table)]
-    layout = layout.without(absent)
-    origin = Origin(path, "row", np.arange(1, len(table) + 1))
-    values = np.empty((len(table), len(layout.columns)))
-    for i, c in enumerate(layout.columns):
+    found, values = [], []
+    for column in columns:
+        data = table[names[column.at]]
+        if column.field in _OPTIONAL[kind] and data.null_count == len(table):
+            continue
         try:
-            column = table[names[c]].cast(arrow.float64())
+            values.append(data.cast(arrow.float64()).fill_null(np.nan).to_numpy())
         except arrow.ArrowException:
-            problem = f"expected numbers in the column {names[c]}, came {table[names[c]].type}"
+            problem = f"expected numbers in the column {names[column.at]}, came {data.type}"
             raise InputError(problem, where=path, cure="Convert it before it is written.") from None
-        values[:, i] = column.fill_null(np.nan).to_numpy()
-    return assemble(origin, layout, values, first)
+        found.append(column)
+    return _rows(Origin(path, "row", np.arange(1, len(table) + 1)), form, found, np.stack(values, axis=1), first)
+
+
+def _by_position(kind: Kind, width: int) -> list[str]:
+    """The names of the columns of a file without a header, "" for those that are not used."""
+    names = ["frame", "id", "left", "top", "width", "height", "confidence"][:width] + [""] * (width - 7)
+    if kind is Kind.DETECTIONS and width > 10:
+        names[10] = "class"
+        names[11:21] = _COVARIANCE if width >= 21 else names[11:21]
+    elif kind is Kind.TRUTH and width in (8, 9):
+        names[7] = "MOT class"
+    elif kind is Kind.TRACKS and width >= 12:
+        names[10:12] = "detection", "confirmed"
+    return names
+
+
+def _layout(kind: Kind, header: Sequence[str], path: Path) -> tuple[_Form, list[_Column]]:
+    """How boxes are given, and the columns to be read; unknown names are passed over."""
+    form = next((form for form in _Form if all(_find(header, names) >= 0 for names in form.value)), None)
+    missing = next((_FIELDS[field] for field in _NEEDED[kind] if _find(header, _FIELDS[field]) < 0), None)
+    if missing is not None or form is None:
+        cure = "Name left, top, width, height, or left, top, right, bottom, or cx, cy, width, height."
+        what, cure = ("box", cure) if missing is None else (missing[0], f"Name it one of {', '.join(missing)}.")
+        raise InputError(f"no column for the {what}; the columns are {', '.join(header)[:200]}", where=path, cure=cure)
+    wanted = [(field, _find(header, _FIELDS[field])) for field in (*_NEEDED[kind], *_OPTIONAL[kind])]
+    wanted += [("xyxy", _find(header, names)) for names in form.value]
+    if kind is Kind.DETECTIONS and all(name in header for name in _COVARIANCE):
+        wanted += [("covariance", header.index(name)) for name in _COVARIANCE]
+    return form, [_Column(field, i, header[i]) for field, i in wanted if i >= 0]
+
+
+def _find(header: Sequence[str], names: Sequence[str]) -> int:
+    """The column with the first of the ``names`` that the header has; −1 for none."""
+    return next((header.index(name) for name in names if name in header), -1)
+
+
+def _rows(origin: Origin, form: _Form, columns: Sequence[_Column], values: F8, first: int) -> Rows:
+    """Rows from the ``values`` (M, k) of the k columns."""
+    place = {c.field: [i for i, other in enumerate(columns) if other.field == c.field] for c in columns}
+    box = values[:, place.pop("xyxy")]
+    with np.errstate(invalid="ignore", over="ignore"):
+        if form is _Form.CENTRE_SIZE:
+            box = np.hstack([box[:, :2] - box[:, 2:] / 2, box[:, :2] + box[:, 2:] / 2])
+        elif form is not _Form.CORNERS:
+            box = np.hstack([box[:, :2], box[:, :2] + box[:, 2:]])
+    frame = values[:, place.pop("frame")[0]].copy()
+    covariance = values[:, place.pop("covariance")] if "covariance" in place else None
+    others = {field: values[:, i].copy() for field, (i,) in place.items()}
+    return Rows(origin, frame, np.ascontiguousarray(box), first, covariance=covariance, **others)

@@ -5,7 +5,7 @@ Values are separated by semicolons, tabs, commas or blanks, found from the first
 value at the end of every line are understood. Numbers have a decimal point.
 
 There are two ways through a file. NumPy parses a clean one in one go. Where that fails, the lines are read one by one:
-either the reason is found and told with its line, or it was harmless (quotes, say).
+either the reason is found and reported with its line, or it was harmless (quotes, say).
 """
 
 from __future__ import annotations
@@ -18,20 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.types import F8, I8
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Origin:
-    """Where rows came from: ``path``, and for each row the 1-based ``number`` (M,) of its ``unit`` ("line", "row") there."""
-
-    path: Path
-    unit: str
-    number: I8
-
-    def at(self, row: int) -> str:
-        """The place of row ``row`` in words: "det.txt, line 12"."""
-        return f"{self.path}, {self.unit} {self.number[row]}"
+from phdtrack.formats.rows import Origin
+from phdtrack.types import F8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +38,7 @@ class Text:
 
     origin: Origin
     lines: list[str]
-    delimiter: str | None
+    delimiter: str | None = None
     pieces: int = 0
     width: int = 0
     header: tuple[str, ...] = ()
@@ -70,20 +58,18 @@ def scan(path: Path, content: bytes) -> Text:
     ------
     InputError : the content is not UTF-8 text.
     """
-    text = _decode(path, content).replace("\r\n", "\n").replace("\r", "\n")
-    everything = text.split("\n")
+    everything = _decode(path, content).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     kept = [i for i, line in enumerate(everything) if line and not line.isspace() and line.lstrip()[0] != "#"]
     lines = [everything[i] for i in kept]
     number = np.array(kept, dtype=np.int64) + 1
     if not lines:
-        return Text(Origin(path, "line", number), [], ",")
+        return Text(Origin(path, "line", number), [])
     delimiter = next((d for d in ";\t," if d in lines[0]), None)
     first = _split(lines[0], delimiter)
-    width = _filled(first)
-    if any(_is_number(cell) for cell in first):
-        return Text(Origin(path, "line", number), lines, delimiter, len(first), width)
-    header = tuple(normalise(cell) for cell in first)
-    return Text(Origin(path, "line", number[1:]), lines[1:], delimiter, len(first), width, header)
+    named = not any(_is_number(cell) for cell in first)
+    header = tuple(normalise(cell) for cell in first) if named else ()
+    origin = Origin(path, "line", number[named:])
+    return Text(origin, lines[named:], delimiter, len(first), _filled(first), header)
 
 
 def normalise(name: str) -> str:
@@ -104,24 +90,19 @@ def numbers(text: Text, columns: Sequence[int], labels: Sequence[str]) -> F8:
     ------
     InputError : a value is not a number, or a line has more or fewer values than the first.
     """
-    if not len(text) or not columns:
-        return np.zeros((len(text), len(columns)))
-    if _regular(text):
-        try:
-            return np.loadtxt(text.lines, delimiter=text.delimiter, comments=None, usecols=list(columns), ndmin=2)
-        except ValueError:
-            pass  # the slow way finds the line
+    if not len(text):
+        return np.zeros((0, len(columns)))
+    try:
+        table = np.loadtxt(text.lines, delimiter=text.delimiter, comments=None, ndmin=2)
+        if table.shape[1] == text.pieces:
+            return table[:, list(columns)]
+    except ValueError:
+        pass  # the slow way finds the line
     return np.array([_parse(text, row, columns, labels) for row in range(len(text))])
 
 
-def _regular(text: Text) -> bool:
-    """Whether every line has as many values as the first, with no quotes to be careful about."""
-    if text.delimiter is None:
-        return {len(line.split()) for line in text.lines} == {text.pieces}
-    return {line.count(text.delimiter) + 1 for line in text.lines} == {text.pieces} and not any('"' in x for x in text.lines)
-
-
 def _parse(text: Text, row: int, columns: Sequence[int], labels: Sequence[str]) -> list[float]:
+    """The values of one line."""
     cells = text.cells(row)
     if len(cells) != text.pieces and _filled(cells) != text.width:
         raise InputError(
@@ -162,7 +143,6 @@ def _is_number(cell: str) -> bool:
 
 def _decode(path: Path, content: bytes) -> str:
     """The content as text; NUL bytes and whatever is not UTF-8 are refused."""
-    expected = "expected detections, truth or tracks as text, XML, JSON or Parquet"
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError("expected UTF-8 text, came UTF-16", where=path, cure="Save it as UTF-8.")
     bad = content.find(b"\0")
@@ -172,6 +152,5 @@ def _decode(path: Path, content: bytes) -> str:
         except UnicodeDecodeError as error:
             bad = error.start
     line = content.count(b"\n", 0, bad) + 1
-    raise InputError(
-        f"{expected}, came bytes that are no UTF-8 text", where=f"{path}, line {line}", cure="Is it the right file?"
-    )
+    problem = "expected detections, truth or tracks as text, XML, JSON or Parquet, came bytes that are no UTF-8 text"
+    raise InputError(problem, where=f"{path}, line {line}", cure="Is it the right file?")

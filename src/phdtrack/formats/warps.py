@@ -16,6 +16,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
+from phdtrack.formats.rows import Rule, enforce
 from phdtrack.formats.text import Text, numbers, scan
 from phdtrack.formats.write import Lines
 from phdtrack.models.warp import after, as_warp
@@ -46,36 +47,28 @@ def read_warps(path: AnyPath) -> Warps:
     InputError : the file cannot be read; a line has other than 7 or 10 numbers; a frame number is none or comes twice; a
         matrix is no motion of a camera.
     """
-    path = Path(path)
-    text = scan(path, load(path))
-    columns = _columns(text, path)
-    values = numbers(text, columns, [_NAMES[k] for k in range(len(columns))])
-    for row, number in enumerate(values[:, 0]):
-        if not number >= 1 or number % 1:
-            raise InputError(
-                f"expected a frame number from 1, came {number:g}",
-                where=text.origin.at(row),
-                cure="Frames count from 1; the matrix of frame 2 leads there from frame 1.",
-            )
+    text = scan(Path(path), load(path))
+    columns = _columns(text)
+    values = numbers(text, columns, _NAMES[: len(columns)])
+    cure = "Frames count from 1; the matrix of frame 2 leads there from frame 1."
+    wrong = ~((values[:, 0] >= 1) & (values[:, 0] % 1 == 0))
+    enforce(text.origin, Rule(wrong, lambda i: f"expected a frame number from 1, came {values[i, 0]:g}", cure))
     order = np.argsort(values[:, 0], kind="stable")
     frame = values[order, 0].astype(np.int64)
-    twice = np.flatnonzero(np.diff(frame) == 0)
-    if len(twice):
-        raise InputError(f"frame {frame[twice[0]]} comes twice", where=text.origin.at(int(order[twice[0] + 1])))
-    rows = -(-(len(columns) - 1) // 3)
-    matrix = [as_warp(values[k, 1:].reshape(rows, 3), text.origin.at(int(k))) for k in order]
+    again = np.zeros(len(order), np.bool_)
+    again[order[1:]] = np.diff(frame) == 0
+    enforce(text.origin, Rule(again, lambda i: f"frame {values[i, 0]:.0f} comes twice"))
+    matrix = [as_warp(values[k, 1:].reshape(-1, 3), text.origin.at(int(k))) for k in order]
     return Warps(frame, np.array(matrix).reshape(-1, 3, 3))
 
 
-def _columns(text: Text, path: Path) -> list[int]:
+def _columns(text: Text) -> list[int]:
     """Where frame, g11, g12, … stand."""
     if text.header:
         found = [name for name in _NAMES if name in text.header]
         if found not in (list(_NAMES), list(_NAMES[:_AFFINE])):
-            raise InputError(
-                f"expected the columns {', '.join(_NAMES)}, the last three optional, came {', '.join(text.header)}",
-                where=path,
-            )
+            wanted = f"expected the columns {', '.join(_NAMES)}, the last three optional"
+            raise InputError(f"{wanted}, came {', '.join(text.header)}", where=text.origin.path)
         return [text.header.index(name) for name in found]
     if len(text) and text.width not in (len(_NAMES), _AFFINE):
         raise InputError(
@@ -83,16 +76,11 @@ def _columns(text: Text, path: Path) -> list[int]:
             where=text.origin.at(0),
             cure=f"The columns are {','.join(_NAMES)}; the last three may be left out.",
         )
-    return list(range(text.width if len(text) else _AFFINE))
+    return list(range(text.width or _AFFINE))
 
 
 class WarpsWriter(Lines):
-    """Such a file, frame by frame.
-
-    Raises
-    ------
-    InputError : the file cannot be written.
-    """
+    """Such a file, frame by frame. Raises `InputError` where it cannot be written."""
 
     def __init__(self, path: AnyPath) -> None:
         super().__init__(path)

@@ -23,7 +23,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath
-from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Estimates, Tracks, Truth
+from phdtrack.types import F8, I8, Detections, DetectionTable, Estimates, Tracks, Truth
 
 # Seven digits: a thousandth of a pixel in the largest pictures, and boxes in other units do not collapse.
 _BOX = "%.7g,%.7g,%.7g,%.7g"
@@ -35,7 +35,7 @@ _PEDESTRIAN, _DISTRACTOR = 1, 8
 
 
 class Lines:
-    """A text file that is written line by line; ``close`` may be called twice."""
+    """A text file that is written line by line; ``close`` may be called twice. `InputError` where it cannot be written."""
 
     def __init__(self, path: AnyPath) -> None:
         self.path = Path(path)
@@ -61,10 +61,8 @@ class Lines:
         self._file.close()
 
     def _failed(self, error: OSError) -> InputError:
-        reason = error.strerror or str(error)
-        return InputError(
-            f"the file cannot be written: {reason}", where=self.path, cure="Choose another place for the output."
-        )
+        problem = f"the file cannot be written: {error.strerror or error}"
+        return InputError(problem, where=self.path, cure="Choose another place for the output.")
 
     def __enter__(self) -> Self:
         return self
@@ -74,17 +72,12 @@ class Lines:
 
 
 class TracksWriter(Lines):
-    """``tracks.csv``, frame by frame.
-
-    Raises
-    ------
-    InputError : the file cannot be written.
-    """
+    """``tracks.csv``, frame by frame."""
 
     def append(self, tracks: Tracks, place: F8 | None = None) -> None:
         """Write the rows as they come, of one frame or many; ``place`` (2, M) on the ground, NaN where not known."""
         place = np.full((2, len(tracks)), np.nan) if place is None else place
-        known: Bool = np.isfinite(place[0]) & np.isfinite(place[1])
+        known = np.isfinite(place).all(axis=0)
         self.write(
             _TRACK,
             tracks.frame,
@@ -99,12 +92,7 @@ class TracksWriter(Lines):
 
 
 class DetectionsWriter(Lines):
-    """``detections.csv``, frame by frame. A frame that was not observed leaves no trace, as an empty one.
-
-    Raises
-    ------
-    InputError : the file cannot be written.
-    """
+    """``detections.csv``, frame by frame. A frame that was not observed leaves no trace, as an empty one."""
 
     def append(self, frame: int, detections: Detections) -> None:
         """Write the detections of frame ``frame``, counted from 1."""
@@ -122,12 +110,7 @@ class DetectionsWriter(Lines):
 
 
 class StatesWriter(Lines):
-    """``states.csv``, frame by frame: what was extracted before it had identities. The header comes with the first frame.
-
-    Raises
-    ------
-    InputError : the file cannot be written.
-    """
+    """``states.csv``, frame by frame: what was extracted before it had identities. The header comes with the first frame."""
 
     def __init__(self, path: AnyPath) -> None:
         super().__init__(path)
@@ -138,9 +121,8 @@ class StatesWriter(Lines):
 
         Parameters
         ----------
-        frame : its number, from 1.
-        time : seconds.
-        estimates : the states.
+        frame, time : number from 1; seconds.
+        estimates : its states.
         """
         dim, n = estimates.state.shape
         if not self._started:
@@ -158,7 +140,7 @@ class StatesWriter(Lines):
 
 
 def write_tracks(path: AnyPath, tracks: Tracks, place: F8 | None = None) -> None:
-    """Write the tracks of a sequence and, where known, their places (2, M); an existing file is replaced.
+    """Write the tracks of a sequence; an existing file is replaced.
 
     Parameters
     ----------
@@ -175,27 +157,16 @@ def write_tracks(path: AnyPath, tracks: Tracks, place: F8 | None = None) -> None
 
 
 def write_detections(path: AnyPath, table: DetectionTable) -> None:
-    """Write the detections of a sequence; an existing file is replaced.
-
-    Raises
-    ------
-    InputError : the file cannot be written.
-    """
+    """Write the detections of a sequence; an existing file is replaced. `InputError` where it cannot be written."""
     with DetectionsWriter(path) as writer:
         writer.append_table(table)
 
 
 def write_truth(path: AnyPath, truth: Truth) -> None:
-    """Write truth as MOT16 has it: scored rows as pedestrians with flag 1, distractors with flag 0.
-
-    Raises
-    ------
-    InputError : the file cannot be written.
-    """
-    flag = (~truth.distractor).astype(np.int64)
+    """Write truth as MOT16 has it: scored rows as pedestrians with flag 1, distractors with flag 0."""
     label = np.where(truth.distractor, _DISTRACTOR, _PEDESTRIAN)
     with Lines(path) as file:
-        file.write(_TRUTH, truth.frame, truth.identity, _ltwh(truth.xyxy), flag, label)
+        file.write(_TRUTH, truth.frame, truth.identity, _ltwh(truth.xyxy), (~truth.distractor).astype(np.int64), label)
 
 
 def _ltwh(xyxy: F8) -> F8:
