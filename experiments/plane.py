@@ -19,10 +19,10 @@ from experiments.common import Case, Options, built, in_parallel, mot15, need_da
 from phdtrack import pipeline
 from phdtrack.ground import CountedFrom, read_camera
 from phdtrack.metrics import evaluate
-from phdtrack.metrics.clear import count_tracking
+from phdtrack.metrics.counts import count
 from phdtrack.metrics.groups import nearest
-from phdtrack.metrics.identity import count_identities
-from phdtrack.metrics.matching import FramePair, Scene, ratio, tracking_mapping
+from phdtrack.metrics.matching import FramePair, Scene
+from phdtrack.metrics.scores import scores_of
 from phdtrack.types import F8, I8, DetectionTable, Tracks
 
 SEQUENCE, KINDS = "PETS09-S2L1", ("public", "frcnn")
@@ -160,7 +160,7 @@ def ground_scene(truth: Places, found: Places, frames: int, near: float) -> Scen
         apart = np.hypot(*(truth.point[:, t, None] - found.point[:, None, o]))
         closeness = np.maximum(1 - np.nan_to_num(apart, nan=np.inf) / (2 * near), 0.0)
         pairs.append(FramePair(number, who[t], which[o], closeness))
-    return Scene(tuple(pairs), frames, names, outputs, _sizes(pairs, 0), _sizes(pairs, 1))
+    return Scene(tuple(pairs), frames, names, outputs)
 
 
 def errors(truth: Places, found: Places, far: float) -> F8:
@@ -176,12 +176,11 @@ def errors(truth: Places, found: Places, far: float) -> F8:
 
 def on_the_ground(truth: Places, found: Places, frames: int) -> GroundScores:
     """All scores on the ground."""
-    scene = ground_scene(truth, found, frames, NEAR)
-    counted, names = count_tracking(scene, tracking_mapping(scene, 0.5)), count_identities(scene, 0.5)
+    scores = scores_of(count(ground_scene(truth, found, frames, NEAR), 0.5), 0.5)
     off = errors(truth, found, FAR)
     return GroundScores(
-        1 - ratio(counted.misses + counted.false_positives + counted.switches, counted.truth_boxes),
-        ratio(2 * names.true_positives, names.truth_boxes + names.output_boxes),
+        scores.MOTA,
+        scores.IDF1,
         math.sqrt(float((off**2).mean())),
         float(np.median(off)),
         float(np.count_nonzero(off <= NEAR) / len(truth.frame)),
@@ -236,11 +235,6 @@ def in_the_image(given: Case, tracks: Tracks) -> tuple[float, float]:
 def numbers(frame: I8, frames: int) -> F8:
     """(frames,) rows in each frame from 1."""
     return np.bincount(frame, minlength=frames + 1)[1 : frames + 1].astype(np.float64)
-
-
-def _sizes(pairs: Sequence[FramePair], side: int) -> I8:
-    """(F,) how many the truth (0) or the output (1) has in each frame."""
-    return np.array([pair.iou.shape[side] for pair in pairs], np.int64)
 
 
 def main(options: Options) -> Path:

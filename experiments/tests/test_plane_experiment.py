@@ -5,7 +5,6 @@ import pytest
 
 from experiments.common import with_error
 from experiments.plane import Places, errors, ground_scene, numbers, with_detections
-from phdtrack.metrics.clear import count_tracking
 from phdtrack.metrics.matching import tracking_mapping
 from phdtrack.types import Detections, DetectionTable, Tracks
 
@@ -19,13 +18,13 @@ def test_half_an_overlap_is_the_distance_of_a_match() -> None:
     found = places([1, 2, 3], [4, 4, 5], (0.5, 0), (10, 1.0), (np.nan, np.nan))
     scene = ground_scene(truth, found, 3, 1.0)
     assert [pair.iou.tolist() for pair in scene.pairs] == [[[0.75], [0.0]], [[0.5]], []]
-    counted = count_tracking(scene, tracking_mapping(scene, 0.5))
-    assert (counted.matches, counted.misses, counted.false_positives) == (2, 1, 1)
+    assert tracking_mapping(scene, 0.5).iou.tolist() == [0.75, 0.5]
+    assert (scene.truth_boxes.sum(), scene.output_boxes.sum()) == (3, 3)
 
 
 def test_a_match_is_no_farther_than_near() -> None:
     scene = ground_scene(places([1], [1], (0, 0)), places([1], [1], (0, 1.01)), 1, 1.0)
-    assert count_tracking(scene, tracking_mapping(scene, 0.5)).matches == 0
+    assert len(tracking_mapping(scene, 0.5).iou) == 0
 
 
 def test_errors_are_of_pairs_one_to_one_of_the_same_frame() -> None:

@@ -14,24 +14,23 @@ from reference import metrics_twins as twins
 
 seeds = st.integers(0, 2**32 - 1)
 thresholds = st.sampled_from([0.3, 0.5, 0.7])
-costs = st.floats(0, 3)
 
 
-@given(seeds, thresholds, costs, costs)
+@given(seeds, thresholds)
 @settings(max_examples=60, deadline=None)
-def test_detection_scores(seed: int, threshold: float, miss: float, false: float):
+def test_detection_scores(seed: int, threshold: float):
     truth, tracks = random_case(np.random.default_rng(seed), frames=8, objects=3, side=60)
-    moda, modp = twins.moda_modp(truth, tracks, threshold, miss, false)
-    ours = evaluate(truth, tracks, iou=threshold, miss_cost=miss, false_positive_cost=false)
+    moda, modp = twins.moda_modp(truth, tracks, threshold)
+    ours = evaluate(truth, tracks, iou=threshold)
     close([ours.MODA, ours.MODP], [moda, modp], 1e-12)
 
 
-@given(seeds, thresholds, costs, costs)
+@given(seeds, thresholds)
 @settings(max_examples=60, deadline=None)
-def test_tracking_scores(seed: int, threshold: float, miss: float, false: float):
+def test_tracking_scores(seed: int, threshold: float):
     truth, tracks = random_case(np.random.default_rng(seed), frames=10, objects=3, side=60)
-    twin = twins.tracking(truth, tracks, threshold, miss, false)
-    ours = evaluate(truth, tracks, iou=threshold, miss_cost=miss, false_positive_cost=false)
+    twin = twins.tracking(truth, tracks, threshold)
+    ours = evaluate(truth, tracks, iou=threshold)
     assert (ours.id_switches, ours.false_tracks) == (twin.switches, twin.false_tracks)
     close([ours.MOTA, ours.MOTA_log, ours.MOTP], [twin.mota, twin.mota_log, twin.motp], 1e-12)
     assert ours.objects_found == len(twin.delays)

@@ -48,7 +48,7 @@ def best_mapping(truth: list[Box], output: list[Box], threshold: float, kept: Pa
     return best
 
 
-def moda_modp(truth, tracks, threshold: float, miss_cost: float, false_cost: float) -> tuple[float, float]:
+def moda_modp(truth, tracks, threshold: float) -> tuple[float, float]:
     """Means of MODA(k) over frames with truth, of MODP(k) over frames with a mapped pair."""
     gt, out = by_frame(truth), by_frame(tracks)
     moda, modp = [], []
@@ -56,7 +56,7 @@ def moda_modp(truth, tracks, threshold: float, miss_cost: float, false_cost: flo
         t, o = [box for _, box in gt.get(k, [])], [box for _, box in out.get(k, [])]
         pairs = best_mapping(t, o, threshold)
         if t:
-            wrong = miss_cost * (len(t) - len(pairs)) + false_cost * (len(o) - len(pairs))
+            wrong = len(t) + len(o) - 2 * len(pairs)
             moda.append(1 - wrong / len(t))
         if pairs:
             modp.append(math.fsum(overlap(t[i], o[j]) for i, j in pairs) / len(pairs))
@@ -73,7 +73,7 @@ class Tracking:
     false_tracks: int
 
 
-def tracking(truth, tracks, threshold: float, miss_cost: float, false_cost: float) -> Tracking:
+def tracking(truth, tracks, threshold: float) -> Tracking:
     """MOTA and its kin, the delay from the first annotated to the first mapped frame, and output that is nobody's."""
     gt, out = by_frame(truth), by_frame(tracks)
     wrong = switches = boxes = 0.0
@@ -88,7 +88,7 @@ def tracking(truth, tracks, threshold: float, miss_cost: float, false_cost: floa
         kept = tuple((i, j) for i, (a, _) in enumerate(t) for j, (b, _) in enumerate(o) if before.get(a) == b)
         pairs = best_mapping([box for _, box in t], [box for _, box in o], threshold, kept)
         boxes += len(t)
-        wrong += miss_cost * (len(t) - len(pairs)) + false_cost * (len(o) - len(pairs))
+        wrong += len(t) + len(o) - 2 * len(pairs)
         ious += [overlap(t[i][1], o[j][1]) for i, j in pairs]
         for name, _ in t:
             appeared.setdefault(name, k)

@@ -15,7 +15,6 @@ from phdtrack.compare.runs import Comparison, Failed, RunInput, run_input
 from phdtrack.compare.store import TRACKS
 from phdtrack.errors import InputError
 from phdtrack.formats import read_tracks
-from phdtrack.metrics.clear import switches
 from phdtrack.metrics.matching import Matches, Scene, build, tracking_mapping
 from phdtrack.report.mistakes import Mistakes, side_by_side
 from phdtrack.types import F8, I8, Image, Tracks, Truth
@@ -96,7 +95,7 @@ def _scored(comparison: Comparison, run: Run, given: RunInput, truth: Truth) -> 
     scene = build(truth, tracks, given.info.frames)
     mapping = tracking_mapping(scene, comparison.plan.iou)
     matched = mapping.per_frame(scene)
-    switched = np.bincount(mapping.position[switches(mapping)], minlength=len(scene.pairs))
+    switched = np.bincount(mapping.position[mapping.switches()], minlength=len(scene.pairs))
     errors = np.zeros(given.info.frames + 1, np.int64)
     for pair, count in zip(scene.pairs, scene.truth_boxes + scene.output_boxes - 2 * matched + switched, strict=True):
         errors[pair.number] = count
@@ -171,7 +170,7 @@ def _mistakes(truth: Truth, one: _Scored, frame: int) -> Mistakes:
         one.method,
         _boxes(one.tracks.frame, one.tracks.identity, one.tracks.xyxy, frame, found),
         found,
-        switches(one.mapping)[here],
+        one.mapping.switches()[here],
         _boxes(truth.frame[counted], truth.identity[counted], truth.xyxy[counted], frame, missed),
         _boxes(one.tracks.frame, one.tracks.identity, one.tracks.xyxy, frame, false),
     )

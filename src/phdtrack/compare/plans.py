@@ -11,7 +11,7 @@ from typing import Any
 
 from phdtrack.config import Settings, load
 from phdtrack.errors import InputError
-from phdtrack.metrics.lifetimes import check_threshold
+from phdtrack.metrics.matching import check_threshold
 from phdtrack.types import SequenceInfo
 
 # Sections whose settings belong to one kind of filter; those of others hold for all.

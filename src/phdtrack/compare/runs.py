@@ -31,8 +31,8 @@ from phdtrack.detect import make_detector
 from phdtrack.detect.convert import within_frame
 from phdtrack.errors import InputError, interrupted
 from phdtrack.formats import DetectionsWriter, read_detections, read_truth, write_tracks
+from phdtrack.metrics.counts import count
 from phdtrack.metrics.matching import build
-from phdtrack.metrics.scores import count
 from phdtrack.simulate import add_clutter
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Tracks, Truth
 from phdtrack.video import open_source

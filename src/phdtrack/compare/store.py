@@ -21,8 +21,8 @@ import numpy as np
 import phdtrack
 from phdtrack.compare.plans import Case, DetectorRun, Run
 from phdtrack.metrics import Scores
-from phdtrack.metrics import Settings as ScoreSettings
-from phdtrack.metrics.scores import Counts, scores_of
+from phdtrack.metrics.counts import Counts
+from phdtrack.metrics.scores import scores_of
 from phdtrack.report.run_json import json_value, write_run
 from phdtrack.video.sources import SUFFIXES
 
@@ -65,7 +65,7 @@ class RunResult:
     @property
     def scores(self) -> Scores | None:
         """The scores that follow from the counts."""
-        return None if self.counts is None else scores_of(self.counts, ScoreSettings(self.iou))
+        return None if self.counts is None else scores_of(self.counts, self.iou)
 
 
 @contextmanager

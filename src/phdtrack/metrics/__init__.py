@@ -1,14 +1,12 @@
 """How good are tracks: VACE and CLEAR scores, IDF1, HOTA, OSPA, GOSPA, T-GOSPA, RMSE, lives of tracks."""
 
-from phdtrack.metrics.lifetimes import Delays, first_output_delays
-from phdtrack.metrics.scores import Scores, Settings, evaluate, pool
+from phdtrack.metrics.scores import Delays, Scores, evaluate, first_output_delays, pool
 from phdtrack.metrics.sets import gospa, ospa
 from phdtrack.metrics.trajectories import TargetErrors, TGospaParts, rmse_per_target, tgospa_boxes, tgospa_of
 
 __all__ = [
     "Delays",
     "Scores",
-    "Settings",
     "TGospaParts",
     "TargetErrors",
     "evaluate",

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.metrics.matching import assign, ratio
-from phdtrack.types import F8, I8
+from phdtrack.types import F8, I8, Bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +35,10 @@ class LabelledFrame:
 
 @dataclass(frozen=True, slots=True)
 class GroupScores:
-    """Pairs of people rightly together, wrongly together and wrongly apart; and identity switches of annotated groups."""
+    """Pairs of people rightly together, wrongly together and wrongly apart; and identity switches of annotated groups.
+
+    Precision, recall and F1 are NaN where they have no pair to count.
+    """
 
     true_positives: int = 0
     false_positives: int = 0
@@ -43,15 +46,15 @@ class GroupScores:
     switches: int = 0
 
     def precision(self) -> float:
-        """Share of the output's pairs that are right; NaN without any."""
+        """Share of the output's pairs that are right."""
         return ratio(self.true_positives, self.true_positives + self.false_positives)
 
     def recall(self) -> float:
-        """Share of the annotated pairs that are found; NaN without any."""
+        """Share of the annotated pairs that are found."""
         return ratio(self.true_positives, self.true_positives + self.false_negatives)
 
     def f1(self) -> float:
-        """F1 of the pairs; NaN where there are none on either side."""
+        """F1 of the pairs."""
         return ratio(2 * self.true_positives, 2 * self.true_positives + self.false_positives + self.false_negatives)
 
 
@@ -93,13 +96,14 @@ def nearest(a: F8, b: F8, within: float) -> tuple[I8, I8]:
     return assign(np.where(apart < within, most - apart / within, 0.0))
 
 
+def _together(group: I8) -> Bool:
+    """(n, n) whether two people are of one group, each pair once."""
+    return np.triu((group[:, None] == group) & (group > 0), k=1)
+
+
 def _pairs(frame: LabelledFrame, output_of: I8) -> I8:
     """Numbers of pairs that are rightly together, wrongly together, and wrongly apart."""
-    truth, output = (
-        (group[:, None] == group) & (group > 0) & ~np.eye(len(group), dtype=np.bool_)
-        for group in (frame.truth_group, frame.output_group)
-    )
-    found = output_of >= 0
-    both = output[np.ix_(output_of[found], output_of[found])] & truth[np.ix_(found, found)]
-    right = int(both.sum()) // 2
-    return np.array([right, int(output.sum()) // 2 - right, int(truth.sum()) // 2 - right], np.int64)
+    truth, output = _together(frame.truth_group), _together(frame.output_group)
+    carried = np.append(frame.output_group, 0)[output_of]  # 0 for those who were not found
+    right = int((truth & _together(carried)).sum())
+    return np.array([right, int(output.sum()) - right, int(truth.sum()) - right], np.int64)

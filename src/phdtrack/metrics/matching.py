@@ -1,6 +1,4 @@
-"""Truth and output of one sequence laid side by side, frame by frame, and the mappings between their boxes.
-
-Every metric keeps sums, and forms quotients last: pooling sequences is adding their sums (`total`).
+"""Truth and output of one sequence side by side, frame by frame, and the mappings between their boxes.
 
 Before anything is scored, three things happen here. Both sides are checked. Distractors are taken out the way MOTChallenge
 does it since MOT16: in each frame all annotated boxes, distractors included, are matched with the output for the largest
@@ -9,13 +7,10 @@ put into an order of frame, then box, so that no score depends on the order of r
 
 Notation: n annotated and m output boxes in a frame; G annotated and O output identities in the sequence, known by index.
 
-Scores differ in the mapping that they count on:
+Two mappings are made here:
 
-* `detection_mapping`: the largest total overlap among pairs at IoU ≥ threshold, each frame for itself. MODA, MODP.
+* `detection_mapping`: the largest total overlap among pairs at IoU ≥ threshold, each frame for itself.
 * `tracking_mapping`: first as many pairs as possible of those that were mapped before, then the largest total overlap.
-  N_MODA, MOTA, MOTP, switches, fragments, delays, false tracks.
-* Those of `identity.py`: overlap weighted by how well the two identities agree over the sequence (HOTA), and one mapping of
-  identities for the sequence (IDF1).
 
 "Mapped before" means: in the last frame that held boxes on both sides. A frame with an empty side neither breaks nor makes a
 mapping, in agreement with TrackEval's CLEAR [M09 (22)–(25)].
@@ -24,30 +19,20 @@ mapping, in agreement with TrackEval's CLEAR [M09 (22)–(25)].
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, is_dataclass
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from phdtrack.arrays import iou
 from phdtrack.errors import InputError
-from phdtrack.types import F8, I8, Tracks, Truth
+from phdtrack.types import F8, I8, Bool, Tracks, Truth
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-T = TypeVar("T", bound="DataclassInstance")
-
-
-def total(parts: Sequence[T]) -> T:
-    """The sum, field by field, of frozen dataclasses of one type whose fields can be added, or are such dataclasses."""
-    first = parts[0]
-    sums = {}
-    for field in fields(first):
-        values = [getattr(part, field.name) for part in parts]
-        sums[field.name] = total(values) if is_dataclass(values[0]) else sum(values[1:], values[0])
-    return type(first)(**sums)
+# Overlaps are quotients of sums; one rounding below the threshold still counts as on it, as in TrackEval.
+ROUNDING = float(np.finfo(np.float64).eps)
+_DISTRACTOR_IOU = 0.5
+# Larger than any total overlap that a frame can hold, so that a kept pair outweighs all new ones.
+_KEEP = 1000.0
 
 
 def ratio(numerator: float, denominator: float) -> float:
@@ -55,34 +40,31 @@ def ratio(numerator: float, denominator: float) -> float:
     return numerator / denominator if denominator else math.nan
 
 
-# Overlaps are quotients of sums; one rounding below the threshold still counts as on it, as in TrackEval.
-ROUNDING = float(np.finfo(np.float64).eps)
-
-
 def above(overlap: F8, threshold: float) -> F8:
     """``overlap`` (n, m) where it reaches ``threshold``, 0 elsewhere."""
     return np.where(overlap >= threshold - ROUNDING, overlap, 0.0)
 
 
+def check_threshold(threshold: float) -> None:
+    """Raise `InputError` unless 0 < ``threshold`` ≤ 1."""
+    if not 0 < threshold <= 1:
+        raise InputError(f"expected an overlap threshold in (0, 1], got {threshold}", where="iou")
+
+
 def assign(score: F8) -> tuple[I8, I8]:
     """Rows and columns (k,) of the one-to-one mapping with the largest total ``score`` (n, m), less its pairs of score 0."""
-    # Imported here: it takes most of a second, and the command line starts without it.
-    from scipy.optimize import linear_sum_assignment
-
-    rows, columns = linear_sum_assignment(score, maximize=True)
+    rows, columns = cheapest(-score)
     real = score[rows, columns] > 0
-    return rows[real].astype(np.int64), columns[real].astype(np.int64)
+    return rows[real], columns[real]
 
 
 def cheapest(cost: F8) -> tuple[I8, I8]:
     """Rows and columns (min(n, m),) of the mapping of the smaller side into the larger with the least ``cost`` (n, m)."""
+    # Imported here: it takes most of a second, and the command line starts without it.
     from scipy.optimize import linear_sum_assignment
 
     rows, columns = linear_sum_assignment(cost)
     return rows.astype(np.int64), columns.astype(np.int64)
-
-
-DISTRACTOR_IOU = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,22 +83,34 @@ class Scene:
 
     Attributes
     ----------
-    pairs : the frames that hold a box on at least one side, ascending.
+    pairs : the F frames that hold a box on at least one side, ascending.
     frames : the number of frames of the sequence, empty ones included.
     truth_identity, output_identity : (G,), (O,) the identities behind the indices; O counts what distractors left over.
-    truth_boxes, output_boxes : (F,) number of boxes on each side of each of the F ``pairs``.
     """
 
     pairs: tuple[FramePair, ...]
     frames: int
     truth_identity: I8
     output_identity: I8
-    truth_boxes: I8
-    output_boxes: I8
+
+    @property
+    def numbers(self) -> I8:
+        """(F,) the frames' numbers."""
+        return np.array([pair.number for pair in self.pairs], np.int64)
+
+    @property
+    def truth_boxes(self) -> I8:
+        """(F,) annotated boxes in each frame."""
+        return np.array([pair.iou.shape[0] for pair in self.pairs], np.int64)
+
+    @property
+    def output_boxes(self) -> I8:
+        """(F,) output boxes in each frame."""
+        return np.array([pair.iou.shape[1] for pair in self.pairs], np.int64)
 
 
 def build(truth: Truth, tracks: Tracks, frames: int = 0) -> Scene:
-    """Lay ``truth`` beside ``tracks`` over the frames 1…``frames``, leaving later rows out; 0: all frames of either.
+    """``truth`` and ``tracks`` side by side, frame by frame, without distractors.
 
     Parameters
     ----------
@@ -130,45 +124,45 @@ def build(truth: Truth, tracks: Tracks, frames: int = 0) -> Scene:
     """
     if frames < 0:
         raise InputError(f"expected a number of frames ≥ 0, got {frames}", where="frames")
-    _check(truth, "truth")
-    _check(tracks, "tracks")
-    _check_unique(truth.frame[~truth.distractor], truth.identity[~truth.distractor], "truth")
-    _check_unique(tracks.frame, tracks.identity, "tracks")
-    last = frames or max(truth.frame.max(initial=0), tracks.frame.max(initial=0))
+    _check(truth, ~truth.distractor, "truth")
+    _check(tracks, np.ones(len(tracks.frame), np.bool_), "tracks")
+    last = int(frames or max(truth.frame.max(initial=0), tracks.frame.max(initial=0)))
     rows_t, rows_o = _ordered(truth, last), _ordered(tracks, last)
     numbers = np.union1d(truth.frame[rows_t], tracks.frame[rows_o])
     each_t = np.split(rows_t, np.searchsorted(truth.frame[rows_t], numbers[1:]))
     each_o = np.split(rows_o, np.searchsorted(tracks.frame[rows_o], numbers[1:]))
     raw = [_frame(truth, tracks, t, o, k) for k, t, o in zip(numbers.tolist(), each_t, each_o, strict=False)]
-    return _relabelled([pair for pair in raw if len(pair.truth) or len(pair.output)], int(last))
+    none = np.zeros(0, np.int64)
+    names_t, names_o = (np.unique(np.concatenate([none, *ids])) for ids in ([p.truth for p in raw], [p.output for p in raw]))
+    pairs = (
+        FramePair(p.number, np.searchsorted(names_t, p.truth), np.searchsorted(names_o, p.output), p.iou)
+        for p in raw
+        if len(p.truth) or len(p.output)
+    )
+    return Scene(tuple(pairs), last, names_t, names_o)
 
 
-def _check(rows: Truth | Tracks, name: str) -> None:
-    """Raise `InputError` where shapes, frame numbers or boxes of ``rows`` are not what they should be."""
-    count = len(rows.frame)
-    if rows.frame.shape != (count,) or rows.identity.shape != (count,) or rows.xyxy.shape != (count, 4):
-        shapes = f"{rows.frame.shape}, {rows.identity.shape}, {rows.xyxy.shape}"
+def _check(rows: Truth | Tracks, counted: Bool, name: str) -> None:
+    """Raise `InputError` for bad shapes, frame numbers or boxes, or where a counted identity is twice in a frame."""
+    frame, identity, xyxy = rows.frame, rows.identity, rows.xyxy
+    if identity.shape != frame.shape or xyxy.shape != (len(frame), 4):
+        shapes = f"{frame.shape}, {identity.shape}, {xyxy.shape}"
         raise InputError(f"expected frame (M,), identity (M,), xyxy (M, 4), got {shapes}", where=name)
-    if count and rows.frame.min() < 1:
-        raise InputError(
-            f"expected frame numbers from 1, got {rows.frame.min()}", where=name, cure="Add 1 to frames that count from 0."
-        )
-    extent = (rows.xyxy[:, 2] >= rows.xyxy[:, 0]) & (rows.xyxy[:, 3] >= rows.xyxy[:, 1])
-    bad = np.flatnonzero(~(np.isfinite(rows.xyxy).all(axis=1) & extent))
+    if len(frame) and frame.min() < 1:
+        cure = "Add 1 to frames that count from 0."
+        raise InputError(f"expected frame numbers from 1, got {frame.min()}", where=name, cure=cure)
+    bad = np.flatnonzero(~(np.isfinite(xyxy).all(axis=1) & (xyxy[:, 2:] >= xyxy[:, :2]).all(axis=1)))
     if len(bad):
-        box = [float(v) for v in rows.xyxy[bad[0]]]
         raise InputError(
-            f"expected finite boxes with left ≤ right and top ≤ bottom, got {box}",
-            where=f"{name}, frame {rows.frame[bad[0]]}, identity {rows.identity[bad[0]]}",
+            f"expected finite boxes with left ≤ right and top ≤ bottom, got {xyxy[bad[0]].tolist()}",
+            where=f"{name}, frame {frame[bad[0]]}, identity {identity[bad[0]]}",
             cure="Boxes are left, top, right, bottom, not left, top, width, height.",
         )
-
-
-def _check_unique(frame: I8, identity: I8, name: str) -> None:
     order = np.lexsort((identity, frame))
-    same = (np.diff(frame[order]) == 0) & (np.diff(identity[order]) == 0)
-    if same.any():
-        row = order[int(np.argmax(same))]
+    order = order[counted[order]]
+    same = np.flatnonzero((np.diff(frame[order]) == 0) & (np.diff(identity[order]) == 0))
+    if len(same):
+        row = order[same[0]]
         raise InputError(
             f"expected one row per identity and frame, got identity {identity[row]} twice",
             where=f"{name}, frame {frame[row]}",
@@ -182,30 +176,14 @@ def _ordered(rows: Truth | Tracks, last: int) -> I8:
 
 
 def _frame(truth: Truth, tracks: Tracks, t: I8, o: I8, number: int) -> FramePair:
+    """A frame without its distractors and the output that falls to them; it has identities in place of indices yet."""
     overlap = iou(truth.xyxy[t], tracks.xyxy[o])
     counts = ~truth.distractor[t]
     left = np.ones(len(o), np.bool_)
     if not counts.all():
-        rows, columns = assign(above(overlap, DISTRACTOR_IOU))
+        rows, columns = assign(above(overlap, _DISTRACTOR_IOU))
         left[columns[~counts[rows]]] = False
     return FramePair(number, truth.identity[t[counts]], tracks.identity[o[left]], overlap[np.ix_(counts, left)])
-
-
-def _relabelled(raw: list[FramePair], frames: int) -> Scene:
-    none = np.zeros(0, np.int64)
-    truth_identity = np.unique(np.concatenate([none, *(p.truth for p in raw)]))
-    output_identity = np.unique(np.concatenate([none, *(p.output for p in raw)]))
-    pairs = tuple(
-        FramePair(p.number, np.searchsorted(truth_identity, p.truth), np.searchsorted(output_identity, p.output), p.iou)
-        for p in raw
-    )
-    truth_boxes = np.array([len(p.truth) for p in pairs], np.int64)
-    output_boxes = np.array([len(p.output) for p in pairs], np.int64)
-    return Scene(pairs, frames, truth_identity, output_identity, truth_boxes, output_boxes)
-
-
-# Larger than any total overlap that a frame can hold, so that a kept pair outweighs all new ones.
-KEEP = 1000.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -228,51 +206,58 @@ class Matches:
         """(F,) number of mapped pairs in each of the scene's frames."""
         return np.bincount(self.position, minlength=len(scene.pairs)).astype(np.int64)
 
-    def iou_per_frame(self, scene: Scene) -> F8:
-        """(F,) sum of the overlaps in each of the scene's frames."""
-        return np.bincount(self.position, self.iou, minlength=len(scene.pairs)).astype(np.float64)
+    def histories(self) -> tuple[I8, Bool]:
+        """The order (K,) by object, then frame; (K−1,) whether the next pair in it is of the same object."""
+        order = np.argsort(self.truth, kind="stable")
+        return order, np.diff(self.truth[order]) == 0
+
+    def switches(self) -> Bool:
+        """(K,) True where the object was mapped before, and to another output."""
+        order, again = self.histories()
+        switched = np.zeros(len(order), np.bool_)
+        switched[order[1:]] = again & (np.diff(self.output[order]) != 0)
+        return switched
+
+    def first_frames(self, scene: Scene) -> I8:
+        """(G,) the number of the first frame in which each object is mapped, 0 where it never is."""
+        first = np.zeros(len(scene.truth_identity), np.int64)
+        # Backwards, so that the earliest frame is written last.
+        first[self.truth[::-1]] = scene.numbers[self.position[::-1]]
+        return first
 
 
-Part = tuple[int, I8, I8, F8]
+def match(scene: Scene, score: Callable[[FramePair, I8], F8]) -> Matches:
+    """The mapping with the largest total score (n, m) in every frame; pairs of score 0 stay unmapped.
 
-
-def match(scene: Scene, score: Callable[[FramePair], F8]) -> Matches:
-    """The mapping with the largest total ``score(pair)`` (n, m) in every frame; pairs of score 0 stay unmapped."""
-    return gather([_part(position, pair, score(pair)) for position, pair in enumerate(scene.pairs) if pair.iou.size])
+    ``score`` is given the frame, and for each of the G objects the output that it was mapped to in the last frame with boxes
+    on both sides, −1 for none.
+    """
+    position, truth, output = ([np.zeros(0, np.int64)] for _ in range(3))
+    overlap = [np.zeros(0)]
+    before = np.full(len(scene.truth_identity), -1)
+    for i, pair in enumerate(scene.pairs):
+        if pair.iou.size:
+            rows, columns = assign(score(pair, before))
+            position.append(np.full(len(rows), i))
+            truth.append(pair.truth[rows])
+            output.append(pair.output[columns])
+            overlap.append(pair.iou[rows, columns])
+            before = np.full_like(before, -1)
+            before[truth[-1]] = output[-1]
+    return Matches(np.concatenate(position), np.concatenate(truth), np.concatenate(output), np.concatenate(overlap))
 
 
 def detection_mapping(scene: Scene, threshold: float) -> Matches:
     """The largest total overlap among pairs at IoU ≥ ``threshold``, each frame for itself."""
-    return match(scene, lambda pair: above(pair.iou, threshold))
+    return match(scene, lambda pair, _: above(pair.iou, threshold))
 
 
 def tracking_mapping(scene: Scene, threshold: float) -> Matches:
     """As `detection_mapping`, but pairs mapped in the frame before stay mapped while their IoU is ≥ ``threshold``."""
-    parts: list[Part] = []
-    before = np.full(len(scene.truth_identity), -1)
-    for position, pair in enumerate(scene.pairs):
-        if not pair.iou.size:
-            continue
-        kept = before[pair.truth][:, None] == pair.output[None, :]
+
+    def score(pair: FramePair, before: I8) -> F8:
         overlap = above(pair.iou, threshold)
-        part = _part(position, pair, overlap + KEEP * (kept & (overlap > 0)))
-        before = np.full_like(before, -1)
-        before[part[1]] = part[2]
-        parts.append(part)
-    return gather(parts)
+        kept = before[pair.truth][:, None] == pair.output
+        return np.where(kept & (overlap > 0), overlap + _KEEP, overlap)
 
-
-def gather(parts: list[Part]) -> Matches:
-    """The parts of single frames in one record."""
-    none = np.zeros(0, np.int64)
-    return Matches(
-        np.repeat(np.array([p[0] for p in parts], np.int64), [len(p[1]) for p in parts]),
-        np.concatenate([none, *(p[1] for p in parts)]),
-        np.concatenate([none, *(p[2] for p in parts)]),
-        np.concatenate([np.zeros(0), *(p[3] for p in parts)]),
-    )
-
-
-def _part(position: int, pair: FramePair, score: F8) -> Part:
-    rows, columns = assign(score)
-    return position, pair.truth[rows], pair.output[columns], pair.iou[rows, columns]
+    return match(scene, score)

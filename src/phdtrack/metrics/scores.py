@@ -1,4 +1,4 @@
-"""All scores of a sequence, or of several pooled. The modules beside this one say what each means and on which mapping.
+"""All scores of a sequence, or of several pooled; `counts.py` says what each means.
 
 `evaluate` scores one sequence; `pool` adds the sums behind several such results and forms the scores again, which is not
 the mean of the scores: MODA is the mean over the frames of all sequences, N_MODA, MOTA, IDF1 and HOTA are pooled as in
@@ -6,6 +6,9 @@ TrackEval's combined row, OSPA and GOSPA are means over all frames, SFDA over th
 of the sequences one after the other, with new identities in each.
 
 A score whose denominator is empty is NaN, never 0 or 1 by convention: MOTA without truth, MOTP without a mapped pair.
+
+`first_output_delays`: per object the frames from its first detection to its first mapped output, the figure by which M09
+compares birth models.
 """
 
 from __future__ import annotations
@@ -14,49 +17,20 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 
+import numpy as np
+
+from phdtrack.arrays import iou as overlaps
 from phdtrack.errors import InputError
-from phdtrack.metrics.clear import (
-    DetectionCounts,
-    TrackCounts,
-    TrackingCounts,
-    count_detections,
-    count_tracking,
-    count_whole_tracks,
-)
-from phdtrack.metrics.identity import HotaCounts, IdentityCounts, count_hota, count_identities
-from phdtrack.metrics.lifetimes import LifetimeCounts, check_threshold, count_lifetimes
-from phdtrack.metrics.matching import Scene, build, detection_mapping, ratio, total, tracking_mapping
-from phdtrack.metrics.sets import SetCounts, count_sets
-from phdtrack.types import Tracks, Truth
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """``iou``: the overlap that makes a match (HOTA has its own); c_m and c_f, the costs in MODA, N_MODA and MOTA."""
-
-    iou: float = 0.5
-    miss_cost: float = 1.0
-    false_positive_cost: float = 1.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Counts:
-    """The sums behind all scores, each with its meaning in its own module. `total` adds them."""
-
-    detections: DetectionCounts
-    tracking: TrackingCounts
-    identities: IdentityCounts
-    hota: HotaCounts
-    sets: SetCounts
-    lifetimes: LifetimeCounts
-    tracks: TrackCounts
+from phdtrack.metrics.counts import Counts, count
+from phdtrack.metrics.matching import above, build, check_threshold, ratio, tracking_mapping
+from phdtrack.types import F8, I8, DetectionTable, Tracks, Truth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scores:
     """Scores of a sequence or of several; NaN where undefined. Shares are at most 1, not per cent; delays are in frames.
 
-    ``counts`` and ``settings`` are what they were made of; `as_dict` leaves them out.
+    ``counts`` are the sums and ``iou`` the overlap that made a match; `as_dict` leaves them out.
     """
 
     MODA: float
@@ -96,23 +70,15 @@ class Scores:
     count_error_mean: float
     count_error_rms: float
     counts: Counts = field(repr=False)
-    settings: Settings = field(repr=False)
+    iou: float = field(repr=False)
 
     def as_dict(self) -> dict[str, float | int | None]:
         """The scores by name, for JSON: None in place of NaN."""
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("counts", "settings")}
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("counts", "iou")}
         return {name: None if math.isnan(value) else value for name, value in values.items()}
 
 
-def evaluate(
-    truth: Truth,
-    tracks: Tracks,
-    *,
-    frames: int = 0,
-    iou: float = 0.5,
-    miss_cost: float = 1.0,
-    false_positive_cost: float = 1.0,
-) -> Scores:
+def evaluate(truth: Truth, tracks: Tracks, *, frames: int = 0, iou: float = 0.5) -> Scores:
     """Score ``tracks`` against ``truth``.
 
     Parameters
@@ -120,8 +86,7 @@ def evaluate(
     truth : annotated boxes; output matched to its distractors counts neither for nor against, as in MOT16 and later.
     tracks : every row counts, confirmed or not, predicted or not. `Tracks.take` chooses among them.
     frames : number of frames of the sequence, rows after it are left out; 0: up to the last frame of either side.
-    iou : the overlap from which a pair of boxes may match, in (0, 1]; pixels do not matter.
-    miss_cost, false_positive_cost : c_m and c_f ≥ 0 in MODA, N_MODA, MOTA and MOTA_log.
+    iou : the overlap from which a pair of boxes may match, in (0, 1]; HOTA has its own.
 
     Raises
     ------
@@ -129,89 +94,116 @@ def evaluate(
         identity twice in a frame of either side.
     """
     check_threshold(iou)
-    for name, cost in (("miss_cost", miss_cost), ("false_positive_cost", false_positive_cost)):
-        if not 0 <= cost < math.inf:
-            raise InputError(f"expected a finite cost ≥ 0, got {cost}", where=name)
-    settings = Settings(iou, miss_cost, false_positive_cost)
-    return scores_of(count(build(truth, tracks, frames), iou), settings)
-
-
-def count(scene: Scene, iou: float) -> Counts:
-    """The sums of one sequence."""
-    tracking = tracking_mapping(scene, iou)
-    return Counts(
-        detections=count_detections(scene, detection_mapping(scene, iou)),
-        tracking=count_tracking(scene, tracking),
-        identities=count_identities(scene, iou),
-        hota=count_hota(scene),
-        sets=count_sets(scene),
-        lifetimes=count_lifetimes(scene, tracking),
-        tracks=count_whole_tracks(scene, iou),
-    )
+    return scores_of(count(build(truth, tracks, frames), iou), iou)
 
 
 def pool(parts: Sequence[Scores]) -> Scores:
-    """The scores over several sequences, each one's result of `evaluate` (or of `pool`) with the same settings.
+    """The scores over several sequences, each one's result of `evaluate` (or of `pool`) with the same threshold.
 
     Raises
     ------
-    InputError : for no results, or results with different settings.
+    InputError : for no results, or results with different thresholds.
     """
     if not parts:
         raise InputError("expected the scores of at least one sequence, got none")
-    different = [part.settings for part in parts if part.settings != parts[0].settings]
+    iou = parts[0].iou
+    different = [part.iou for part in parts if part.iou != iou]
     if different:
-        raise InputError(
-            f"expected results with the same settings, got {parts[0].settings} and {different[0]}",
-            cure="Evaluate all sequences with the same threshold and costs.",
-        )
-    return scores_of(total([part.counts for part in parts]), parts[0].settings)
+        problem = f"expected results with the same settings, got IoU {iou} and {different[0]}"
+        raise InputError(problem, cure="Evaluate all sequences with the same threshold.")
+    return scores_of(Counts(*(sum(getattr(part.counts, f.name) for part in parts) for f in fields(Counts))), iou)
 
 
-def scores_of(counts: Counts, settings: Settings) -> Scores:
-    """The scores that follow from ``counts`` [M09 (22)–(25)]."""
-    boxes, tracking, names, sets = counts.detections, counts.tracking, counts.identities, counts.sets
-    tracks, lives = counts.tracks, counts.lifetimes
-    miss, false = settings.miss_cost, settings.false_positive_cost
-    n_moda = 1 - ratio(miss * tracking.misses + false * tracking.false_positives, tracking.truth_boxes)
-    hota, det_a, ass_a = (float(part.mean()) for part in counts.hota.per_alpha())
+def hota_per_alpha(counts: Counts) -> tuple[F8, F8, F8]:
+    """(19,) each: HOTA_α, DetA_α and AssA_α; NaN where both sides are empty, AssA 0 where no pair is mapped."""
+    found = counts.hota_matches
+    either = counts.truth_boxes + counts.output_boxes - found
+    det_a = np.divide(found, either, out=np.full_like(either, np.nan), where=either > 0)
+    ass_a = np.where(either > 0, counts.hota_association / np.maximum(1, found), np.nan)
+    return np.sqrt(det_a * ass_a), det_a, ass_a
+
+
+def scores_of(counts: Counts, iou: float) -> Scores:
+    """The scores that follow from ``counts``, made with the threshold ``iou`` [M09 (22)–(25)]."""
+    c, boxes, tracks = counts, counts.truth_boxes, counts.objects + counts.identities
+    wrong = boxes + c.output_boxes - 2 * c.matches
+    hota, det_a, ass_a = (float(part.mean()) for part in hota_per_alpha(c))
     return Scores(
-        MODA=1 - ratio(miss * boxes.miss_ratio + false * boxes.false_ratio, boxes.truth_frames),
-        N_MODA=n_moda,
-        MODP=ratio(boxes.precision, boxes.mapped_frames),
-        MOTA=n_moda - ratio(tracking.switches, tracking.truth_boxes),
-        MOTA_log=n_moda - ratio(tracking.log_switches, tracking.truth_boxes),
-        MOTP=ratio(tracking.overlap, tracking.matches),
-        IDF1=ratio(2 * names.true_positives, names.truth_boxes + names.output_boxes),
+        MODA=1 - ratio(c.miss_ratio + c.false_ratio, c.truth_frames),
+        N_MODA=1 - ratio(wrong, boxes),
+        MODP=ratio(c.precision, c.detected_frames),
+        MOTA=1 - ratio(wrong + c.switches, boxes),
+        MOTA_log=1 - ratio(wrong + c.log_switches, boxes),
+        MOTP=ratio(c.overlap, c.matches),
+        IDF1=ratio(2 * c.identity_matches, boxes + c.output_boxes),
         HOTA=hota,
-        OSPA=ratio(sets.ospa_sum, sets.frames),
-        GOSPA=ratio(sets.gospa_sum, sets.frames),
-        OSPA2=1 - ratio(tracks.stda, max(tracks.objects, tracks.identities)),
-        SFDA=ratio(sets.fda_sum, sets.occupied),
-        ATA=ratio(2 * tracks.stda, tracks.objects + tracks.identities),
-        id_switches=tracking.switches,
-        misses=tracking.misses,
-        false_positives=tracking.false_positives,
-        fragments=tracking.fragments,
-        frames=sets.frames,
+        OSPA=ratio(c.ospa, c.frames),
+        GOSPA=ratio(c.gospa, c.frames),
+        OSPA2=1 - ratio(c.stda, max(c.objects, c.identities)),
+        SFDA=ratio(c.fda, c.occupied),
+        ATA=ratio(2 * c.stda, tracks),
+        id_switches=c.switches,
+        misses=boxes - c.matches,
+        false_positives=c.output_boxes - c.matches,
+        fragments=c.fragments,
+        frames=c.frames,
         DetA=det_a,
         AssA=ass_a,
-        IDP=ratio(names.true_positives, names.output_boxes),
-        IDR=ratio(names.true_positives, names.truth_boxes),
-        N_MODA_detection=1 - ratio(miss * boxes.misses + false * boxes.false_positives, boxes.truth_boxes),
-        ATA_matched=ratio(2 * tracks.matched, tracks.objects + tracks.identities),
-        truth_boxes=tracking.truth_boxes,
-        output_boxes=names.output_boxes,
-        matches=tracking.matches,
-        truth_objects=lives.objects,
-        output_identities=lives.identities,
-        false_tracks=lives.false_tracks,
-        mostly_tracked=lives.mostly_tracked,
-        mostly_lost=lives.mostly_lost,
-        objects_found=lives.found,
-        delay_mean=ratio(lives.delay, lives.found),
-        count_error_mean=ratio(sets.count_error, sets.frames),
-        count_error_rms=math.sqrt(ratio(sets.count_error_squared, sets.frames)),
-        counts=counts,
-        settings=settings,
+        IDP=ratio(c.identity_matches, c.output_boxes),
+        IDR=ratio(c.identity_matches, boxes),
+        N_MODA_detection=1 - ratio(boxes + c.output_boxes - 2 * c.detected, boxes),
+        ATA_matched=ratio(2 * c.stda_matched, tracks),
+        truth_boxes=boxes,
+        output_boxes=c.output_boxes,
+        matches=c.matches,
+        truth_objects=c.objects,
+        output_identities=c.identities,
+        false_tracks=c.false_tracks,
+        mostly_tracked=c.mostly_tracked,
+        mostly_lost=c.mostly_lost,
+        objects_found=c.found,
+        delay_mean=ratio(c.delay, c.found),
+        count_error_mean=ratio(c.count_error, c.frames),
+        count_error_rms=math.sqrt(ratio(c.count_error_squared, c.frames)),
+        counts=c,
+        iou=iou,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Delays:
+    """Per object: ``identity`` (G,) ascending, ``detected`` and ``mapped`` (G,) first frames, 0 where never, ``delay`` (G,).
+
+    ``delay`` is mapped − detected in frames, negative where the output came first, NaN where either never came.
+    """
+
+    identity: I8
+    detected: I8
+    mapped: I8
+    delay: F8
+
+
+def first_output_delays(truth: Truth, tracks: Tracks, detections: DetectionTable, iou: float = 0.5) -> Delays:
+    """How many frames after its first detection each annotated object is first mapped to an output row.
+
+    Parameters
+    ----------
+    truth, tracks : as for `evaluate`; distractors do not count.
+    detections : the detections that the tracks were made from.
+    iou : the overlap at which a detection or an output row is the object's.
+
+    Raises
+    ------
+    InputError : for rows that `evaluate` would refuse, or a threshold outside (0, 1].
+    """
+    check_threshold(iou)
+    scene = build(truth, tracks)
+    mapped = tracking_mapping(scene, iou).first_frames(scene)
+    detected = np.zeros_like(mapped)
+    for number in np.unique(truth.frame)[::-1].tolist():
+        rows = np.flatnonzero((truth.frame == number) & ~truth.distractor)
+        overlap = above(overlaps(truth.xyxy[rows], detections.at(number).xyxy), iou)
+        seen = truth.identity[rows[overlap.max(axis=1, initial=0.0) > 0]]
+        detected[np.searchsorted(scene.truth_identity, seen)] = number
+    delay = np.where((mapped > 0) & (detected > 0), (mapped - detected).astype(np.float64), np.nan)
+    return Delays(scene.truth_identity, detected, mapped, delay)

@@ -1,4 +1,4 @@
-"""OSPA, GOSPA, SFDA and the number of boxes, frame by frame: scores that know no identities and no threshold.
+"""OSPA and GOSPA of points: distances that know no identities.
 
 OSPA: one distance between two sets of points, for where they are and how many (Schuhmacher, Vo, Vo 2008).
 
@@ -14,51 +14,17 @@ GOSPA: OSPA without the division, with a price per missed and per false point (R
 
 With α = 2 this is the least, over all partial mappings, of Σ_mapped d^p + c^p/2 (number of missed + number of false points).
 It grows with the number of errors, where OSPA stays below c.
-
-On boxes the base distance is 1 − IoU, with c = 1, p = 1, α = 2; OSPA and GOSPA are means over all frames of the sequence, in
-which a frame that is empty on both sides counts 0, and SFDA is one over the frames that are not.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.metrics.matching import Scene, assign, cheapest
+from phdtrack.metrics.matching import cheapest
 from phdtrack.types import F8
-
-
-@dataclass(frozen=True, slots=True)
-class SetCounts:
-    """Sums over ``frames`` frames, ``occupied`` of which hold a box on either side: OSPA, GOSPA, FDA, the error of the
-    count (output − truth), and its square."""
-
-    frames: int
-    occupied: int
-    ospa_sum: float
-    gospa_sum: float
-    fda_sum: float
-    count_error: int
-    count_error_squared: int
-
-
-def count_sets(scene: Scene) -> SetCounts:
-    """The sums of ``scene``."""
-    ospa_sum = gospa_sum = fda_sum = 0.0
-    for pair in scene.pairs:
-        n, m = pair.iou.shape
-        # With distance 1 − IoU the cheapest mapping is the one with most overlap, and serves all scores.
-        overlap = float(pair.iou[assign(pair.iou)].sum())
-        least = min(n, m) - overlap
-        ospa_sum += (least + abs(n - m)) / max(n, m)
-        gospa_sum += least + abs(n - m) / 2
-        fda_sum += 2 * overlap / (n + m)
-    error = scene.output_boxes - scene.truth_boxes
-    sums = ospa_sum, gospa_sum, fda_sum
-    return SetCounts(scene.frames, len(scene.pairs), *sums, int(error.sum()), int(np.square(error).sum()))
 
 
 def ospa(x: F8, y: F8, c: float, p: float = 1.0) -> float:
@@ -72,7 +38,7 @@ def ospa(x: F8, y: F8, c: float, p: float = 1.0) -> float:
 
     Raises
     ------
-    InputError : for points of different dimension or not finite, c ≤ 0, or p outside [1, ∞).
+    InputError : for points that do not fit or are not finite, c ≤ 0, or p outside [1, ∞).
     """
     least, n, m = _least(x, y, c, p)
     return float(((least + c**p * abs(n - m)) / max(n, m, 1)) ** (1 / p))
@@ -90,7 +56,7 @@ def gospa(x: F8, y: F8, c: float, p: float = 1.0, alpha: float = 2.0) -> float:
 
     Raises
     ------
-    InputError : for points of different dimension or not finite, c ≤ 0, p outside [1, ∞), or alpha outside (0, 2].
+    InputError : as `ospa`, or for alpha outside (0, 2].
     """
     if not 0 < alpha <= 2:
         raise InputError(f"expected 0 < alpha ≤ 2, got {alpha}", where="alpha")
