@@ -25,16 +25,16 @@ from numba.core import event
 PROGRAM = """
 import json, sys, time
 from benchmarks.compile import watched
-from phdtrack.cli import job
+from phdtrack.tracker import Tracker
 
-report, path, advance = {}, sys.argv.pop(1), job.Steps.advance
+report, path, update = {}, sys.argv.pop(1), Tracker.update
 
 def first(self, *frame):
-    step = advance(self, *frame)
+    rows = update(self, *frame)
     report.setdefault("first_frame", time.time())
-    return step
+    return rows
 
-job.Steps.advance = first
+Tracker.update = first
 from phdtrack.cli.app import main
 with watched() as kernels:
     try:

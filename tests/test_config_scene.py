@@ -8,7 +8,8 @@ import pytest
 from phdtrack import config
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.associate.rejection import FalseTrackRejection
-from phdtrack.cli.settings import Choice, chosen
+from phdtrack.cli.options import TrackingOptions
+from phdtrack.cli.settings import chosen, scene_settings
 from phdtrack.config.kinds import SECTIONS
 from phdtrack.errors import InputError
 from phdtrack.models.scene import SceneBirth, SceneClutter
@@ -135,7 +136,7 @@ def test_who_stays_among_false_alarms_is_held_back(tmp_path, name, kind):
 
 
 def track(path, *sets, preset=""):
-    return chosen(Choice(scene=path, sets=sets, preset=preset))
+    return chosen(TrackingOptions(sets=list(sets), preset=preset), scene_settings(path))
 
 
 def test_a_scene_is_taken_whole_and_options_change_it(tmp_path):

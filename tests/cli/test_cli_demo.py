@@ -19,7 +19,7 @@ def test_both_runs_and_where_to_look(tmp_path: Path, monkeypatch: pytest.MonkeyP
     said = phdtrack("demo", "--out", out, "--json")
     assert said.status == 0, said.err
     for folder in (out, out / demo.WITHOUT):
-        assert set(rundir.FILES) <= {path.name for path in folder.iterdir()}
+        assert {rundir.TRACKS, rundir.VIDEO, rundir.REPORT, rundir.RUN} <= {path.name for path in folder.iterdir()}
         assert str(folder) in said.err
     assert len(list(open_source(out / demo.VIDEO))) == 60
     lines = [line.split() for line in said.err.splitlines()]

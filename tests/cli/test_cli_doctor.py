@@ -47,7 +47,8 @@ def test_something_essential_missing_is_status_1(monkeypatch: pytest.MonkeyPatch
     def broken() -> str:
         raise ImportError("libav: cannot open shared object file")
 
-    monkeypatch.setattr(doctor, "_decoders", broken)
+    checks = [(name, broken if name == "video in" else trial, *rest) for name, trial, *rest in doctor.CHECKS]
+    monkeypatch.setattr(doctor, "CHECKS", checks)
     said = phdtrack("doctor")
     assert said.status == 1
     assert "MISSING  video in: ImportError: libav: cannot open shared object file" in said.out

@@ -12,7 +12,6 @@ import pytest
 from cli_runner import phdtrack, refused
 
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.groups import NAMES
 from phdtrack.formats import read_tracks
 from phdtrack.types import Step
 from phdtrack.video import VideoWriter, open_source
@@ -61,7 +60,7 @@ def test_a_video_with_detections(street: Path, tmp_path: Path) -> None:
         "--edges", street / "edges.txt", "--out", out, "--json",
     )  # fmt: skip
     assert said.status == 0, said.err
-    assert {path.name for path in out.iterdir()} == set(NAMES)
+    assert {path.name for path in out.iterdir()} == set(rundir.GROUP_FILES)
     document = said.object
     assert document == json.loads((out / rundir.RUN).read_text())
     assert document["groups"]["identities"] >= 2
@@ -109,7 +108,7 @@ def test_tracks_have_their_place(street: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     said = phdtrack("groups", *detected(street), "--out", out, "--no-video")
     assert said.status == 0, said.err
-    assert {path.name for path in out.iterdir()} == set(NAMES) - {rundir.PLAN, rundir.VIDEO}
+    assert {path.name for path in out.iterdir()} == set(rundir.GROUP_FILES) - {rundir.PLAN, rundir.VIDEO}
     rows = np.loadtxt(out / rundir.TRACKS, delimiter=",")
     foot = np.stack([rows[:, 2] + rows[:, 4] / 2, rows[:, 3] + rows[:, 5]])
     assert rows[:, 7] == pytest.approx(0.1 * foot[0], abs=1e-3)
@@ -153,7 +152,7 @@ def test_known_positions(tmp_path: Path) -> None:
     said = phdtrack("groups", "--positions", obsmat(tmp_path / "obsmat.txt"), "--out", out, "--json")
     assert said.status == 0, said.err
     tracked = {rundir.TRACKS, rundir.ONLINE, rundir.STATES, rundir.DETECTIONS, rundir.VIDEO}
-    assert {path.name for path in out.iterdir()} == set(NAMES) - tracked
+    assert {path.name for path in out.iterdir()} == set(rundir.GROUP_FILES) - tracked
     assert said.object == json.loads((out / rundir.RUN).read_text())
     assert said.object["input"]["fps"] == pytest.approx(15)
     assert {(row["group"], row["member"]) for row in table(out / rundir.MEMBERS)} == {("1", "5"), ("1", "8"), ("2", "9")}

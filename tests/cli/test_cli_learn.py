@@ -5,7 +5,7 @@ import pytest
 from cli_runner import phdtrack, refused
 
 from phdtrack.cli.label import to_label
-from phdtrack.cli.options import Wanted
+from phdtrack.cli.options import SourceOptions
 from phdtrack.cli.output import Output
 from phdtrack.label import Label, LabelStore
 from phdtrack.scene import read_scene
@@ -37,7 +37,7 @@ def street(tmp_path_factory):
         f"{rows[r][0]},-1,{rows[r][1]:.2f},{rows[r][2]:.2f},{rows[r][3]:.2f},{rows[r][4]:.2f},1,-1,-1,-1" for r in order
     ]
     (folder / "det.txt").write_text("\n".join(lines) + "\n")
-    found = to_label(Wanted("", folder / "det.txt", "", "720x480", 25.0), {}, folder / "labels", Output())
+    found = to_label(SourceOptions("", folder / "det.txt", "", "720x480", 25.0), {}, folder / "labels", Output())
     store = LabelStore.open(folder / "labels", str(folder / "det.txt"), found.digest, range(1, 201))
     for number in range(1, 201):
         flags = [k for k, box in enumerate(found.table.at(number).xyxy) if box[0] > 500]

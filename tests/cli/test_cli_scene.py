@@ -7,7 +7,7 @@ from cli_runner import phdtrack
 
 from phdtrack.arrays import iou
 from phdtrack.cli.label import to_label
-from phdtrack.cli.options import Wanted
+from phdtrack.cli.options import SourceOptions
 from phdtrack.cli.output import Output
 from phdtrack.formats import read_truth
 from phdtrack.label import Label, LabelStore
@@ -16,7 +16,7 @@ from phdtrack.label.session import sampled
 
 def marked(folder: Path, detections: Path, last: int) -> Path:
     """Labels of what is on no annotated person, on 40 of the first ``last`` frames drawn at random."""
-    labels, wanted = folder / "labels.sqlite", Wanted(detections=detections)
+    labels, wanted = folder / "labels.sqlite", SourceOptions(detections=detections)
     found, truth = to_label(wanted, {}, labels, Output()), read_truth(folder / "gt" / "gt.txt")
     store = LabelStore.open(labels, str(detections), found.digest, sampled(last, 40, seed=0))
     for number, _ in store.frames():

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from phdtrack.cli.group_observer import nearest
-from phdtrack.cli.job import places, shown
+from phdtrack.cli.job import places, shown_particles
 from phdtrack.models import BoxSensor, PlaneSensor
 from phdtrack.types import Particles
 from plane_cases import LevelCamera, people
 
 CAMERA = LevelCamera()
+
+
+def shown(particles: Particles, sensor: object) -> Particles | None:
+    stages = SimpleNamespace(filter=None, model=SimpleNamespace(sensor=sensor))
+    return shown_particles(stages, particles)  # type: ignore[arg-type]
 
 
 def test_boxes_of_states_stand_where_the_states_are() -> None:

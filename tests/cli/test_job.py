@@ -15,7 +15,7 @@ import pytest
 from phdtrack.associate import GraphMatching
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import DEPTH, Inputs
-from phdtrack.cli.job import Job, Outcome, Steps, run
+from phdtrack.cli.job import Job, Outcome, run
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
 from phdtrack.filters.extract import Raw
@@ -28,6 +28,7 @@ from phdtrack.video import open_source
 
 INFO = SequenceInfo(96, 64, 25.0, 0, "clip")
 FRAMES = 20
+FILES = {rundir.TRACKS, rundir.ONLINE, rundir.STATES, rundir.DETECTIONS, rundir.VIDEO, rundir.REPORT, rundir.RUN}
 
 
 def box(number: int) -> list[float]:
@@ -77,7 +78,6 @@ def job() -> Job:
     return Job(
         inputs=Inputs(INFO, clip, Looker(), "clip", "looker", pictures=True, again=True),
         stages=stages,
-        steps=Steps(stages, np.random.default_rng(0)),
         configuration={"filter": {"name": "none"}},
         read={"source": "clip", "detector": "looker"},
         about=About("clip", "phdtrack track clip"),
@@ -96,7 +96,7 @@ def reading(job: Job, **changes: object) -> Job:
 
 def consistent(directory: rundir.RunDirectory, outcome: Outcome, frames: int, *, video: bool = True) -> None:
     """All files are there, complete, and of the same ``frames`` frames."""
-    present = set(rundir.FILES) - (set() if video else {rundir.VIDEO})
+    present = FILES - (set() if video else {rundir.VIDEO})
     assert {path.name for path in directory.path.iterdir()} == present
     assert outcome.frames == frames
     tracks = read_tracks(directory.file(rundir.TRACKS))

@@ -13,17 +13,17 @@ HEAVY = {"numpy", "scipy", "numba", "cv2", "av", "matplotlib", "rich", "pyarrow"
 # What nobody needs for tracking, whoever brought it along.
 NEVER = {"scipy.optimize", "scipy.stats", "scipy.spatial", "scipy.ndimage", "sklearn", "torch", "pandas", "stonesoup", "PIL"}
 TRACKING = """
-from phdtrack.cli import job
+from phdtrack.tracker import Tracker
 
-advance, loaded = job.Steps.advance, []
+update, loaded = Tracker.update, []
 
 def first(self, *frame):
-    step = advance(self, *frame)
+    rows = update(self, *frame)
     if not loaded:
         loaded.extend(sys.modules)
-    return step
+    return rows
 
-job.Steps.advance = first
+Tracker.update = first
 from phdtrack.cli.app import main
 try:
     main()

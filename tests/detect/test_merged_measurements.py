@@ -15,8 +15,8 @@ from experiments.common import Case
 from experiments.meetings import PARTINGS, leaving, met
 from phdtrack import config
 from phdtrack.arrays import intersection, to_cxcywh
-from phdtrack.cli.options import Wanted
-from phdtrack.cli.settings import Choice, chosen
+from phdtrack.cli.options import SourceOptions, TrackingOptions
+from phdtrack.cli.settings import chosen
 from phdtrack.cli.track import prepare
 from phdtrack.detect.merged import ExpectedTargets, MergedMeasurements
 from phdtrack.errors import InputError
@@ -256,8 +256,8 @@ def test_blobs_are_explained_where_a_background_model_finds_them(
         cv2.imwrite(str(folder / f"{number:03d}.png"), np.full((48, 64, 3), 90, np.uint8))
     file = tmp_path / "det.txt"
     file.write_text("1,-1,10,10,20,30,0.9\n", encoding="utf-8")
-    wanted = Wanted(str(folder), file if detections else None, detector, fps=25.0)
-    choice = Choice(sets=sets)
-    job = prepare(wanted, choice, chosen(choice), video=False)
+    source = SourceOptions(str(folder), file if detections else None, detector, fps=25.0)
+    options = TrackingOptions(sets=list(sets))
+    job = prepare(source, options, chosen(options), video=False)
     assert job.configuration["merged_measurements"]["kind"] == kind
     assert isinstance(job.stages.explainer, MergedMeasurements) == (kind == "explained")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from group_cases import people
 
+from phdtrack import pipeline
 from phdtrack.config import build, build_groups, load, overlay
 from phdtrack.filters.intensities import Cardinalised
 from phdtrack.groups import Grouping, GroupLifeCycle, LifeCycleState
@@ -95,20 +96,17 @@ class Walk:
 
 @pytest.mark.parametrize("name", ["gm-phd", "gm-cphd", "particle-phd", "particle-cphd"])
 def test_one_miss_drops_nobody_whatever_the_filter(name: str) -> None:
-    from phdtrack.cli.job import Steps
-
     info = SequenceInfo(60, 60, 5.0)
     sets = ["motion.kind=plane", "sensor.scaling=fixed", "sensor.fixed_noise=0.3", "camera.region=[-30, -30, 30, 30]"]
     settings = overlay(load(sets=sets), {"filter": {"kind": name}})
     stages, walk = build(settings, info), Walk()
     settings_of_groups = build_groups(settings, stages)
     assert settings_of_groups.grouping.min_weight < 0.1 * 0.99
-    steps = Steps(stages, np.random.default_rng(0))
-    for k in range(1, walk.frames + 1):
-        step = steps.advance(k, k / info.fps, walk.detections(k))
+    frames = ((k, k / info.fps, walk.detections(k)) for k in range(1, walk.frames + 1))
+    *_, (state, step) = pipeline.run(stages, frames, np.random.default_rng(0))
     z = stages.model.sensor.measure(walk.detections(walk.frames))
     lightest = settings_of_groups.grouping.min_weight
-    mixture = mixture_of(steps.state.intensity, step, z, stages, lightest)
+    mixture = mixture_of(state.intensity, step, z, stages, lightest)
     heavy = mixture.mean[:2, mixture.weight >= lightest]
     missed = np.array([0.3 * walk.frames, 8.0])
     assert np.hypot(*(heavy - missed[:, None])).min() < 1.0

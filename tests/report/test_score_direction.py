@@ -50,7 +50,7 @@ def test_every_score_gets_worse_that_way() -> None:
     assert set(best) == (set(best) & LOWER) | (set(best) & HIGHER) | PLAIN
     assert not LOWER & HIGHER
     assert not PLAIN & (LOWER | HIGHER)
-    assert set(best) | set(OTHERS) | {key for key, _ in BY_TRAJECTORY} >= LOWER | HIGHER
+    assert set(best) | set(OTHERS) | set(BY_TRAJECTORY) >= LOWER | HIGHER
     for name, perfect in best.items():
         assert perfect is not None
         changes = np.array([float(each[name]) - perfect for each in found if each[name] is not None])

@@ -8,9 +8,11 @@ With ``--json`` stdout carries exactly one JSON object, and everything else goes
 from __future__ import annotations
 
 import functools
+import inspect
 import sys
 from collections.abc import Callable
-from typing import Annotated, Any, ParamSpec
+from dataclasses import fields, is_dataclass
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
@@ -18,7 +20,7 @@ from phdtrack import __version__
 from phdtrack.cli import calibrate, compare, doctor, evaluate, groups, label, learn, settings, simulate, track
 from phdtrack.errors import InputError, interrupted
 
-P = ParamSpec("P")
+Command = Callable[..., None]
 
 app = typer.Typer(
     name="phdtrack",
@@ -31,13 +33,13 @@ app = typer.Typer(
 )
 
 
-def guarded(command: Callable[P, None]) -> Callable[P, None]:
+def guarded(command: Command) -> Command:
     """The command with its errors said in one sentence and turned into an exit status."""
 
     @functools.wraps(command)
-    def run(*args: P.args, **kwargs: P.kwargs) -> None:
+    def run(**options: Any) -> None:
         try:
-            command(*args, **kwargs)
+            command(**options)
         except InputError as error:
             raise failed(str(error), 2) from error
         except KeyboardInterrupt as error:
@@ -53,6 +55,32 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
             where = f"{error.filename}: " if error.filename else ""
             raise failed(f"{where}{error.strerror or error}", 1) from error
 
+    return run
+
+
+def with_options(command: Command) -> Command:
+    """The command with the fields of each record among its parameters as options of their own."""
+    parameters = inspect.signature(command, eval_str=True).parameters
+    records: dict[str, Any] = {name: one.annotation for name, one in parameters.items() if is_dataclass(one.annotation)}
+    options: list[inspect.Parameter] = []
+    for name, parameter in parameters.items():
+        if name not in records:
+            options.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+            continue
+        hints = get_type_hints(records[name], include_extras=True)
+        for field in fields(records[name]):
+            kind = inspect.Parameter.KEYWORD_ONLY
+            options.append(inspect.Parameter(field.name, kind, default=field.default, annotation=hints[field.name]))
+
+    def run(**values: Any) -> None:
+        made = {
+            name: record(**{field.name: values.pop(field.name) for field in fields(record)})
+            for name, record in records.items()
+        }
+        command(**values, **made)
+
+    run.__doc__, run.__annotations__ = command.__doc__, {one.name: one.annotation for one in options}
+    run.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
     return run
 
 
@@ -76,19 +104,22 @@ def common(
     """From a video, or any detector's boxes, to tracks: a filter of random finite sets between detector and identities."""
 
 
-app.command("demo")(guarded(simulate.demo))
-app.command("track")(guarded(track.track))
-app.command("groups")(guarded(groups.groups))
-app.command("detect")(guarded(track.detect))
-app.command("evaluate")(guarded(evaluate.evaluate))
-app.command("compare")(guarded(compare.compare))
-app.command("simulate")(guarded(simulate.simulate))
-app.command("label")(guarded(label.label))
-app.command("learn")(guarded(learn.learn))
-app.command("calibrate")(guarded(calibrate.calibrate))
-app.command("settings")(guarded(settings.settings))
-app.command("doctor")(guarded(doctor.doctor))
-
+_COMMANDS = (
+    simulate.demo,
+    track.track,
+    groups.groups,
+    track.detect,
+    evaluate.evaluate,
+    compare.compare,
+    simulate.simulate,
+    label.label,
+    learn.learn,
+    calibrate.calibrate,
+    settings.settings,
+    doctor.doctor,
+)
+for _command in _COMMANDS:
+    app.command(_command.__name__)(with_options(guarded(_command)))
 
 # What typer raises for a command line that cannot be read. Some versions bring a click of their own, others import it.
 Misuse: type[Exception] = typer.BadParameter.__bases__[0]

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from phdtrack.cli.options import Json
 from phdtrack.cli.output import Output, counted
 from phdtrack.errors import InputError
 
@@ -31,13 +30,13 @@ def calibrate(
     points: Annotated[
         Path, typer.Argument(metavar="POINTS", help="Text or CSV, a line a point: u v X Y (pixels, metres on the ground).")
     ],
+    output: Output,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where to write the camera.")] = Path("camera.toml"),
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a camera that is there already.")] = False,
     image_size: Annotated[
         str,
         typer.Option("--image-size", "--frame-size", metavar="WxH", help="Size of the frames: no point may lie outside."),
     ] = "",
-    json: Json = False,
 ) -> None:
     """Make a camera of four or more points of flat ground, and say how well it fits each of them.
 
@@ -53,18 +52,16 @@ def calibrate(
     pixel, world, origin = read_points(points)
     for row, (u, v) in enumerate(pixel.T):
         if size and not (0 <= u <= size[0] and 0 <= v <= size[1]):
-            raise InputError(
-                f"expected a pixel inside of {size[0]}x{size[1]}, came ({u:g}, {v:g})",
-                where=origin.at(row),
-                cure="The first two numbers are the pixel, the others its place in metres; or is --image-size another?",
-            )
+            problem = f"expected a pixel inside of {size[0]}x{size[1]}, came ({u:g}, {v:g})"
+            cure = "The first two numbers are the pixel, the others its place in metres; or is --image-size another?"
+            raise InputError(problem, where=origin.at(row), cure=cure)
     try:
         fitted = fit_homography(pixel, world)
     except InputError as error:
         raise InputError(error.problem, where=points, cure=error.cure) from None
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(calibration_text(fitted, size), encoding="utf-8")
-    report(Output(json), fitted, pixel, world, out, size)
+    report(output, fitted, pixel, world, out, size)
 
 
 def read_points(path: Path) -> tuple[F8, F8, Origin]:
@@ -80,34 +77,29 @@ def read_points(path: Path) -> tuple[F8, F8, Origin]:
     from phdtrack.formats.text import numbers, scan
 
     text = scan(path, load(path))
-    columns = named(path, text.header) if text.header else list(range(text.width))
+    columns = _columns(path, text.header) if text.header else list(range(text.width))
     if len(columns) not in (4, 5) and len(text):
-        raise InputError(
-            f"expected 4 or 5 numbers a line, u v X Y and maybe Z, came {len(columns)}", where=text.origin.at(0)
-        )
+        problem = f"expected 4 or 5 numbers a line, u v X Y and maybe Z, came {len(columns)}"
+        raise InputError(problem, where=text.origin.at(0))
     table = numbers(text, columns, ["u", "v", "X", "Y", "Z"][: len(columns)]) if len(text) else np.zeros((0, 4))
-    for row in np.flatnonzero(~np.isfinite(table).all(axis=1)):
-        raise InputError("expected finite numbers", where=text.origin.at(int(row)))
-    for row in np.flatnonzero(table[:, 4:].any(axis=1)):
-        raise InputError(
-            f"expected points of the ground, Z = 0, came Z = {table[row, 4]:g}",
-            where=text.origin.at(int(row)),
-            cure="A homography knows flat ground only: leave out points above it, or calibrate with OpenCV.",
-        )
+    for row, values in enumerate(table):
+        if not np.isfinite(values).all():
+            raise InputError("expected finite numbers", where=text.origin.at(row))
+        if values[4:].any():
+            problem = f"expected points of the ground, Z = 0, came Z = {values[4]:g}"
+            cure = "A homography knows flat ground only: leave out points above it, or calibrate with OpenCV."
+            raise InputError(problem, where=text.origin.at(row), cure=cure)
     return np.ascontiguousarray(table[:, :2].T), np.ascontiguousarray(table[:, 2:4].T), text.origin
 
 
-def named(path: Path, header: tuple[str, ...]) -> list[int]:
+def _columns(path: Path, header: tuple[str, ...]) -> list[int]:
     """The columns of u, v, X, Y, and Z where there is one."""
     found = []
     for names in COLUMNS:
         places = [i for i, name in enumerate(header) if name in names]
         if len(places) > 1 or (not places and names[0] != "z"):
-            raise InputError(
-                f"expected one column {names[0]}, came {'none' if not places else len(places)}",
-                where=path,
-                cure="The header names u and v, pixels, and X and Y, metres.",
-            )
+            problem = f"expected one column {names[0]}, came {len(places) or 'none'}"
+            raise InputError(problem, where=path, cure="The header names u and v, pixels, and X and Y, metres.")
         found += places
     return found
 
@@ -121,16 +113,17 @@ def report(out: Output, fitted: Calibration, pixel: F8, world: F8, file: Path, s
 
     count, metres = pixel.shape[1], np.linalg.norm(fitted.camera.jacobian(pixel), ord=2, axis=(1, 2))
     table = np.vstack([pixel, world, fitted.pixel_error, fitted.ground_error, metres]).T.tolist()
-    form = ("{:g}", "{:g}", "{:g}", "{:g}", "{:.2f}", "{:.3f}", "{:.3f}")
-    rows = [[str(i), *(f.format(v) for f, v in zip(form, row, strict=True))] for i, row in enumerate(table, start=1)]
+    form = "{} {:g} {:g} {:g} {:g} {:.2f} {:.3f} {:.3f}"
+    rows = [form.format(i, *row).split() for i, row in enumerate(table, start=1)]
     out.table(["point", "u", "v", "X", "Y", "off, px", "off, m", "m per px"], rows, words=())
-    rms = {"px": float(np.sqrt((fitted.pixel_error**2).mean())), "m": float(np.sqrt((fitted.ground_error**2).mean()))}
-    out.say(f"{counted(count, 'point')}: {rms['px']:.2f} pixels and {rms['m']:.3f} m off (root mean square)")
+    rms_px, rms_m = (float(np.sqrt((error**2).mean())) for error in (fitted.pixel_error, fitted.ground_error))
+    out.say(f"{counted(count, 'point')}: {rms_px:.2f} pixels and {rms_m:.3f} m off (root mean square)")
     if count == 4:
-        out.warn("four points are always fitted exactly: how good the camera is, only more points can tell")
-    corners = footprint(fitted.camera, size, LIMIT) if size else None
-    seen = None if corners is None else abs(polygon_area(np.hstack([corners, corners[:, :1]])))
-    if seen is not None:
+        out.warn(["four points are always fitted exactly: how good the camera is, only more points can tell"])
+    seen = None
+    if size:
+        corners = footprint(fitted.camera, size, LIMIT)
+        seen = abs(polygon_area(np.hstack([corners, corners[:, :1]])))
         out.say(f"the image shows {seen:.0f} m² of ground within {LIMIT:g} m")
     out.say(str(file))
     keys = ("u", "v", "X", "Y", "pixels", "metres", "metres_per_pixel")
@@ -139,8 +132,8 @@ def report(out: Output, fitted: Calibration, pixel: F8, world: F8, file: Path, s
             "camera": str(file),
             "homography": fitted.matrix.tolist(),
             "points": [dict(zip(keys, row, strict=True)) for row in table],
-            "rms_pixels": rms["px"],
-            "rms_metres": rms["m"],
+            "rms_pixels": rms_px,
+            "rms_metres": rms_m,
             "ground_area": seen,
         }
     )

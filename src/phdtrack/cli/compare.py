@@ -8,33 +8,33 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.options import Config, Iou, Json, MaxWidth, Preset, SceneFile, Sets
-from phdtrack.cli.output import Output, counted, progress
+from phdtrack.cli.evaluate import check_iou
+from phdtrack.cli.output import Output, command_line, counted, progress
+from phdtrack.cli.settings import scene_settings
 from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from phdtrack.compare import Comparison, Plan, Summary
-    from phdtrack.compare.failures import WorstFrame
+    from phdtrack.compare import Comparison, Plan
+    from phdtrack.compare.results import Table
 
 DOCUMENT, CELLS, EACH, FRAMES = "compare.json", "compare.csv", "runs.csv", "worst"
-FILES = (rundir.REPORT, CELLS, EACH, DOCUMENT)
-# A comparison takes hours: the pace of the last half minute would tell nothing of its end.
-PACE = 24 * 3600.0
-MOST_WARNINGS = 12
-MEANING = {
+FILES = {
     rundir.REPORT: "tables, plots, the worst frames",
     CELLS: "every score with its interval, a row for each line of the table",
     EACH: "every run, and the folder it is kept in",
-    FRAMES: "the worst frames as pictures",
+    DOCUMENT: "",
 }
+# A comparison takes hours: the pace of the last half minute would tell nothing of its end.
+PACE = 24 * 3600.0
+MOST_WARNINGS = 12
 # What decides a run, in words.
 MEANINGS = {
     "phdtrack": "versions of phdtrack",
@@ -48,6 +48,7 @@ def compare(
         list[str],
         typer.Argument(metavar="SEQUENCE", help="Folders as MOTChallenge lays them out (seqinfo.ini, gt, det), or videos."),
     ],
+    output: Output,
     filters: Annotated[
         str,
         typer.Option("--filters", metavar="NAME,...", help="The first is what others are compared to; default: pmb,none."),
@@ -78,15 +79,15 @@ def compare(
             "filter.kind and preset may be among them. May be given again.",
         ),
     ] = None,
-    preset: Preset = "",
-    config: Config = None,
-    sets: Sets = None,
-    scene: SceneFile = None,
+    preset: given.Preset = "",
+    config: given.Config = None,
+    sets: given.Sets = None,
+    scene: given.SceneFile = None,
     truth: Annotated[
         str, typer.Option("--truth", metavar="FILE", help="Annotated objects of a video; {} stands for its name.")
     ] = "",
-    max_width: MaxWidth = 0,
-    iou: Iou = 0.5,
+    max_width: given.MaxWidth = 0,
+    iou: given.Iou = 0.5,
     scores: Annotated[
         str,
         typer.Option("--scores", metavar="NAME,...", help="What to show, as MOTA,IDF1,ms; the CSV files hold everything."),
@@ -100,7 +101,6 @@ def compare(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where everything is kept.")] = Path("runs/compare"),
     jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=0, help="Processes; 0: one per core.")] = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Run everything anew, also what is kept already.")] = False,
-    json: Json = False,
 ) -> None:
     """Compare filters: one table, with confidence intervals over seeds, plots, and the frames in which they differ most.
 
@@ -108,13 +108,9 @@ def compare(
     what is decided by something that has changed: a setting, a file, phdtrack itself. What --scene has taught holds for
     every filter. A run that fails is named in the table, the others go on, and the exit status is 1.
     """
-    from phdtrack.cli.evaluate import check_iou
-    from phdtrack.compare import DetectionChoice, SettingsSource, check_scores, plan, run, steps, summary
-    from phdtrack.compare.failures import worst_frames
-    from phdtrack.compare.results import notes, shown
+    from phdtrack.compare import DetectionChoice, SettingsSource, check_scores, plan, run, steps
     from phdtrack.report import write_run
 
-    result = Output(json)
     ours = (out / DOCUMENT).is_file()
     rundir.check(out, overwrite or ours, FILES)
     check_iou(iou)
@@ -130,21 +126,17 @@ def compare(
         clutter=rates,
         seeds=seeds,
         variants=variants or (),
-        settings=SettingsSource(preset, config, (*(() if scene is None else (f"scene={scene}",)), *(sets or ()))),
+        settings=SettingsSource(preset, config, (*scene_settings(scene), *(sets or ()))),
         iou=iou,
     )
     directory = rundir.claim(out, True, FILES)
     # Whatever ends this, the next one knows the folder for its own.
     write_run(directory.file(DOCUMENT), {"complete": False})
-    compile_for(result, made)
+    compile_for(output, made)
     began, processes = time.perf_counter(), jobs or os.cpu_count() or 1
     with progress("comparing", steps(made), PACE) as advance:
         comparison = run(made, out, processes, anew=overwrite, advance=advance)
-    found, seconds = summary(comparison), time.perf_counter() - began
-    remarks = notes(found, comparison, in_turn=processes == 1)
-    results = Results(comparison, found, shown(found, wanted), remarks, seconds)
-    write(results, list(worst_frames(comparison, worst)), directory)
-    tell(result, results, directory)
+    finish(output, comparison, wanted, worst, directory, time.perf_counter() - began, in_turn=processes == 1)
     if comparison.failed:
         raise typer.Exit(1)
 
@@ -165,116 +157,98 @@ def compile_for(out: Output, plan: Plan) -> None:
             detections_needed(build(method.settings, info), info, (info.width / 20, info.height / 10))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Results:
-    """A comparison with its summary, the scores to show, what to know of the numbers, and the seconds it took this time."""
-
-    comparison: Comparison
-    summary: Summary
-    scores: tuple[str, ...]
-    notes: tuple[str, ...]
-    seconds: float
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What a user should know, each sentence once."""
-        from phdtrack.compare.store import RunResult
-
-        said = [f"{run} failed: {reason}" for run, reason in self.comparison.failed]
-        outcomes = (outcome for _, outcome in self.comparison.runs if isinstance(outcome, RunResult))
-        said += [outcome.warning for outcome in outcomes if outcome.warning]
-        each = tuple(dict.fromkeys(said))
-        more = len(each) - MOST_WARNINGS
-        return each if more < 1 else (*each[:MOST_WARNINGS], f"and {more} more, see {EACH}")
-
-    @property
-    def sentence(self) -> str:
-        """What was run, and how much of it was there already."""
-        from phdtrack.compare.results import described
-        from phdtrack.report.rendering import duration
-
-        comparison = self.comparison
-        reused = f", {comparison.reused} of them kept from before" if comparison.reused else ""
-        if comparison.outdated:
-            said = " and ".join(MEANINGS.get(name, name) for name in comparison.outdated)
-            reused += f", others run again because of other {said}"
-        return (
-            f"{counted(len(comparison.results), 'run')}{reused}, in {duration(self.seconds)}: {described(comparison.plan)}."
-        )
-
-    @property
-    def document(self) -> dict[str, object]:
-        """For programs."""
-        from phdtrack.cli.track import command_line
-        from phdtrack.compare.results import document_of
-
-        comparison = self.comparison
-        return {
-            "complete": True,
-            "command": command_line(),
-            "runs": len(comparison.results),
-            "reused": comparison.reused,
-            "outdated": comparison.outdated,
-            "failed": [{"run": str(run), "reason": reason} for run, reason in comparison.failed],
-            "seconds": self.seconds,
-            "warnings": self.warnings,
-            "rows": [document_of(row) for row in self.summary.rows],
-            "directory": str(comparison.folder),
-        }
-
-
-def write(results: Results, frames: Sequence[WorstFrame], directory: rundir.RunDirectory) -> None:
-    """Everything but the runs, which are there already. Pictures of an earlier comparison go."""
+def finish(
+    out: Output,
+    comparison: Comparison,
+    wanted: Sequence[str],
+    worst: int,
+    directory: rundir.RunDirectory,
+    seconds: float,
+    *,
+    in_turn: bool,
+) -> None:
+    """Write everything but the runs, which are there already, and say who is ahead of the first method by how much."""
     from phdtrack.cli.doctor import installed_versions
-    from phdtrack.cli.track import command_line
-    from phdtrack.compare.failures import write_frames
-    from phdtrack.compare.results import comparison_page, write_cells, write_runs
+    from phdtrack.compare import results, summary
+    from phdtrack.compare.failures import worst_frames, write_frames
     from phdtrack.report import About, write_run
     from phdtrack.report.run_json import json_value, write_text
 
-    comparison, place = results.comparison, directory.file
-    write_cells(place(CELLS), results.summary)
-    write_runs(place(EACH), comparison)
+    found, plan = summary(comparison), comparison.plan
+    names, notes, warnings = (
+        results.shown(found, wanted),
+        results.notes(found, comparison, in_turn=in_turn),
+        doubts(comparison),
+    )
+    frames = list(worst_frames(comparison, worst))
+    results.write_cells(directory.file(CELLS), found)
+    results.write_runs(directory.file(EACH), comparison)
+    # Pictures of an earlier comparison go.
     for old in (directory.path / FRAMES).glob("*-clutter-*-frame-*.png"):
         old.unlink()
     write_frames(directory.path / FRAMES, frames)
     about = About(
-        title="Comparison of " + ", ".join(method.name for method in comparison.plan.methods),
+        title="Comparison of " + ", ".join(method.name for method in plan.methods),
         command=command_line(),
-        seed=comparison.plan.seeds[0],
+        seed=plan.seeds[0],
         started=datetime.now(UTC).isoformat(timespec="seconds"),
-        seconds=results.seconds,
+        seconds=seconds,
         versions=installed_versions(),
-        warnings=results.warnings,
-        notes=results.notes,
+        warnings=warnings,
+        notes=notes,
     )
-    page = comparison_page(comparison, results.summary, results.scores, frames, about)
-    write_text(place(rundir.REPORT), page)
-    write_run(place(DOCUMENT), json_value(results.document))
+    write_text(directory.file(rundir.REPORT), results.comparison_page(comparison, found, names, frames, about))
+    rows = [results.document_of(row) for row in found.rows]
+    document = json_value(document_of(comparison, about) | {"rows": rows, "directory": str(comparison.folder)})
+    write_run(directory.file(DOCUMENT), document)
+    out.warn(warnings)
+    _table(out, results.table(found.rows, names))
+    if apart := [row for row in found.widest if row.ahead]:
+        out.say("", f"Difference to {plan.methods[0].name}, seed by seed:")
+        _table(out, results.table(apart, names, ahead=True))
+    out.say("", described(comparison, seconds), *results.sentences(plan, found), *notes, "", *directory.listing())
+    if frames:
+        out.say(f"  {directory.path / FRAMES}  the worst frames as pictures")
+    out.document(document)
 
 
-def tell(out: Output, results: Results, directory: rundir.RunDirectory) -> None:
-    """The table, who is ahead of the first and by how much, and where everything lies."""
-    from phdtrack.compare.results import sentences, table
-    from phdtrack.report.run_json import json_value
+def _table(out: Output, table: Table) -> None:
+    out.table(table.head, table.rows, words=(0, 1, 3))
 
-    found, names, plan = results.summary, results.scores, results.comparison.plan
-    for warning in results.warnings:
-        out.warn(warning)
-    lines = table(found.rows, names)
-    out.table(lines.head, lines.rows, words=(0, 1, 3))
-    apart = [row for row in found.widest if row.ahead]
-    if apart:
-        out.say()
-        out.say(f"Difference to {plan.methods[0].name}, seed by seed:")
-        lines = table(apart, names, ahead=True)
-        out.table(lines.head, lines.rows, words=(0, 1, 3))
-    out.say()
-    for sentence in (results.sentence, *sentences(plan, found), *results.notes):
-        out.say(sentence)
-    out.say()
-    for name, meaning in MEANING.items():
-        file = directory.path / name
-        if file.is_file() or (file.is_dir() and any(file.iterdir())):
-            out.say(f"  {file}  {meaning}")
-    out.document(json_value(results.document))
+
+def doubts(comparison: Comparison) -> tuple[str, ...]:
+    """What a user should know, each sentence once."""
+    from phdtrack.compare.store import RunResult
+
+    said = [f"{run} failed: {reason}" for run, reason in comparison.failed]
+    said += [result.warning for _, result in comparison.runs if isinstance(result, RunResult) and result.warning]
+    each = tuple(dict.fromkeys(said))
+    more = len(each) - MOST_WARNINGS
+    return each if more < 1 else (*each[:MOST_WARNINGS], f"and {more} more, see {EACH}")
+
+
+def described(comparison: Comparison, seconds: float) -> str:
+    """What was run, and how much of it was there already."""
+    from phdtrack.compare import results
+    from phdtrack.report.rendering import duration
+
+    reused = f", {comparison.reused} of them kept from before" if comparison.reused else ""
+    if comparison.outdated:
+        said = " and ".join(MEANINGS.get(name, name) for name in comparison.outdated)
+        reused += f", others run again because of other {said}"
+    plan = results.described(comparison.plan)
+    return f"{counted(len(comparison.results), 'run')}{reused}, in {duration(seconds)}: {plan}."
+
+
+def document_of(comparison: Comparison, about: Any) -> dict[str, object]:
+    """What was run and how it went, for programs."""
+    return {
+        "complete": True,
+        "command": about.command,
+        "runs": len(comparison.results),
+        "reused": comparison.reused,
+        "outdated": comparison.outdated,
+        "failed": [{"run": str(run), "reason": reason} for run, reason in comparison.failed],
+        "seconds": about.seconds,
+        "warnings": about.warnings,
+    }

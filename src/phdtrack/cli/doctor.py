@@ -18,35 +18,11 @@ from typing import Any
 import typer
 
 from phdtrack import __version__
-from phdtrack.cli.options import Json
 from phdtrack.cli.output import Output
 
 PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "av", "typer", "rich", "pydantic", "matplotlib", "pyarrow")
 DECODERS = ("h264", "hevc", "vp9", "av1", "mpeg1video", "mpeg2video", "mpeg4", "mjpeg")
 HEADLESS = "pip install 'opencv-python-headless>=4.8,<5'"
-
-
-def doctor(json: Json = False) -> None:
-    """Say what works on this machine, and how to mend what does not.
-
-    Exit status 1 where something essential does not work.
-    """
-    checks, out = examine(), Output(json)
-    ok = all(check.ok for check in checks if check.essential)
-    for name, version in versions():
-        out.say(f"{name:24} {version or 'not installed'}")
-    out.say()
-    for check in checks:
-        mark = "ok     " if check.ok else "MISSING" if check.essential else "absent "
-        out.say(f"{mark}  {check.name}: {check.detail}")
-        if check.cure:
-            out.say(f"         {check.cure}")
-    out.say()
-    out.say("Everything essential works here." if ok else "Something essential does not work here: see MISSING above.")
-    numbers = {name: version or None for name, version in versions()}
-    out.document({"ok": ok, "versions": numbers, "checks": [asdict(check) for check in checks]})
-    if not ok:
-        raise typer.Exit(1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,23 +32,38 @@ class Check:
     name: str
     ok: bool
     detail: str
-    cure: str = ""
-    essential: bool = False
+    cure: str
+    essential: bool
+
+
+def doctor(output: Output) -> None:
+    """Say what works on this machine, and how to mend what does not.
+
+    Exit status 1 where something essential does not work.
+    """
+    checks = examine()
+    ok = all(check.ok for check in checks if check.essential)
+    output.say(*(f"{name:24} {version or 'not installed'}" for name, version in versions()), "")
+    for check in checks:
+        mark = "ok     " if check.ok else "MISSING" if check.essential else "absent "
+        output.say(f"{mark}  {check.name}: {check.detail}", *([f"         {check.cure}"] if check.cure else []))
+    verdict = "Everything essential works here." if ok else "Something essential does not work here: see MISSING above."
+    output.say("", verdict)
+    numbers = {name: version or None for name, version in versions()}
+    output.document({"ok": ok, "versions": numbers, "checks": [asdict(check) for check in checks]})
+    if not ok:
+        raise typer.Exit(1)
 
 
 def examine() -> list[Check]:
     """Look at everything. Never raises: what fails is a check that failed."""
-    return [
-        _tried("OpenCV", _opencv, essential=True, cure=HEADLESS),
-        _tried("detector face (cascades)", _cascades, cure=HEADLESS),
-        _tried("detector person (HOG)", _hog, cure=HEADLESS),
-        _tried("video in", _decoders, essential=True, cure="pip install --force-reinstall av"),
-        _tried("video out (H.264)", _encoders, cure="pip install --force-reinstall av; or track with --no-video"),
-        _tried("compiled kernels", _kernels, essential=True, cure="pip install --force-reinstall numba"),
-        _tried("cache of compiled kernels", _cache, cure="Set NUMBA_CACHE_DIR to a folder that can be written into."),
-        _tried("report (plots)", _plots, cure="pip install --force-reinstall matplotlib"),
-        _tried("Parquet files", _parquet, cure="pip install pyarrow"),
-    ]
+    found = []
+    for name, trial, essential, cure in CHECKS:
+        try:
+            found.append(Check(name, True, trial(), "", essential))
+        except Exception as error:  # whatever a broken installation raises is the finding
+            found.append(Check(name, False, f"{type(error).__name__}: {error}", cure, essential))
+    return found
 
 
 def versions() -> tuple[tuple[str, str], ...]:
@@ -91,14 +82,6 @@ def _version(package: str) -> str:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return ""
-
-
-def _tried(name: str, trial: Callable[[], str], *, cure: str, essential: bool = False) -> Check:
-    """The check that ``trial`` makes: its words where it works, those of its exception where it does not."""
-    try:
-        return Check(name, True, trial(), essential=essential)
-    except Exception as error:  # whatever a broken installation raises is the finding
-        return Check(name, False, f"{type(error).__name__}: {error}", cure, essential)
 
 
 def _module(name: str) -> Any:
@@ -121,34 +104,29 @@ def _cascades() -> str:
 
 
 def _hog() -> str:
-    weights = _module("cv2").HOGDescriptor_getDefaultPeopleDetector()
-    return f"pedestrian model with {len(weights)} weights"
+    return f"pedestrian model with {len(_module('cv2').HOGDescriptor_getDefaultPeopleDetector())} weights"
 
 
 def _decoders() -> str:
-    from av import codecs_available
-
-    found = [name for name in DECODERS if name in codecs_available]
+    found = [name for name in DECODERS if name in _module("av").codecs_available]
     if not found:
         raise RuntimeError("FFmpeg has no decoder for any usual video")
     return "reads " + ", ".join(found)
 
 
 def _encoders() -> str:
+    import numpy as np
+
     from phdtrack.video import VideoWriter
 
-    with tempfile.TemporaryDirectory() as folder:
-        import numpy as np
-
-        with VideoWriter(Path(folder) / "try.mp4", 64, 48, 25.0) as writer:
-            for _ in range(3):
-                writer.write(np.zeros((48, 64, 3), np.uint8))
+    with tempfile.TemporaryDirectory() as folder, VideoWriter(Path(folder) / "try.mp4", 64, 48, 25.0) as writer:
+        for _ in range(3):
+            writer.write(np.zeros((48, 64, 3), np.uint8))
     return "writes mp4 files that play in a browser"
 
 
 def _kernels() -> str:
-    import numba
-
+    numba = _module("numba")
     if numba.njit(lambda x: x + 1)(1) != 2:
         raise RuntimeError("a compiled function gave a wrong result")
     state = "switched off by NUMBA_DISABLE_JIT" if numba.config.DISABLE_JIT else f"{numba.get_num_threads()} threads"
@@ -156,13 +134,11 @@ def _kernels() -> str:
 
 
 def _cache() -> str:
-    from phdtrack.kernels import CACHE
-
-    if not CACHE.lasting:
+    cache = _module("phdtrack.kernels").CACHE
+    if not cache.lasting:
         raise RuntimeError("no folder can be written into, so every run compiles anew")
-    kept = CACHE.kept
-    state = f"warm, {kept} kernels" if kept else "cold, the first run compiles for some ten seconds"
-    return f"{CACHE.folder} ({state})"
+    state = f"warm, {cache.kept} kernels" if cache.kept else "cold, the first run compiles for some ten seconds"
+    return f"{cache.folder} ({state})"
 
 
 def _plots() -> str:
@@ -174,3 +150,17 @@ def _plots() -> str:
 def _parquet() -> str:
     _module("pyarrow.parquet")
     return f"pyarrow {_version('pyarrow')}"
+
+
+# Name for people, what is tried, whether it is essential, and what to do where it fails.
+CHECKS: list[tuple[str, Callable[[], str], bool, str]] = [
+    ("OpenCV", _opencv, True, HEADLESS),
+    ("detector face (cascades)", _cascades, False, HEADLESS),
+    ("detector person (HOG)", _hog, False, HEADLESS),
+    ("video in", _decoders, True, "pip install --force-reinstall av"),
+    ("video out (H.264)", _encoders, False, "pip install --force-reinstall av; or track with --no-video"),
+    ("compiled kernels", _kernels, True, "pip install --force-reinstall numba"),
+    ("cache of compiled kernels", _cache, False, "Set NUMBA_CACHE_DIR to a folder that can be written into."),
+    ("report (plots)", _plots, False, "pip install --force-reinstall matplotlib"),
+    ("Parquet files", _parquet, False, "pip install pyarrow"),
+]

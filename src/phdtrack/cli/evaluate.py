@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from phdtrack.cli.options import Iou, Json
+from phdtrack.cli import options as given
 from phdtrack.cli.output import Output, number
 from phdtrack.errors import InputError
 
@@ -17,35 +17,35 @@ if TYPE_CHECKING:
     from phdtrack.types import Tracks, Truth
 
 # In the order of the table: the key of `Scores.as_dict`, and what it says.
-EXPLAINED = (
-    ("MODA", "detection accuracy, mean over frames"),
-    ("N_MODA", "detection accuracy, pooled"),
-    ("MODP", "overlap of matched boxes, mean over frames"),
-    ("MOTA", "tracking accuracy"),
-    ("MOTA_log", "the same, switches counted as ln(1 + n)"),
-    ("MOTP", "overlap of matched boxes, pooled"),
-    ("IDF1", "identities kept"),
-    ("HOTA", "detection and association in one"),
-    ("OSPA", "distance on boxes 1 − IoU, c = 1, p = 1"),
-    ("GOSPA", "the same base, c = 1, p = 1, α = 2"),
-    ("OSPA2", "the same base between whole tracks"),
-    ("SFDA", "overlap of boxes, misses and false ones as 0, mean over frames"),
-    ("ATA", "overlap of whole tracks, misses and false ones as 0"),
-    ("id_switches", "an object's identity changed"),
-    ("misses", "annotated boxes without a track"),
-    ("false_positives", "track boxes without an annotation"),
-    ("fragments", "a track of an object broke off and went on"),
-    ("false_tracks", "tracks that follow no object"),
-    ("delay_mean", "frames from an object's appearance to its first track box"),
-    ("frames", "frames scored"),
-)
-BY_TRAJECTORY = (
-    ("TGOSPA", "GOSPA of whole tracks per frame, a switch costs γ = 1"),
-    ("TGOSPA_localisation", "its part for how boxes lie"),
-    ("TGOSPA_missed", "its part for misses"),
-    ("TGOSPA_false", "its part for false boxes"),
-    ("TGOSPA_switching", "its part for switches, and for tracks that break off while their object goes on"),
-)
+EXPLAINED = {
+    "MODA": "detection accuracy, mean over frames",
+    "N_MODA": "detection accuracy, pooled",
+    "MODP": "overlap of matched boxes, mean over frames",
+    "MOTA": "tracking accuracy",
+    "MOTA_log": "the same, switches counted as ln(1 + n)",
+    "MOTP": "overlap of matched boxes, pooled",
+    "IDF1": "identities kept",
+    "HOTA": "detection and association in one",
+    "OSPA": "distance on boxes 1 − IoU, c = 1, p = 1",
+    "GOSPA": "the same base, c = 1, p = 1, α = 2",
+    "OSPA2": "the same base between whole tracks",
+    "SFDA": "overlap of boxes, misses and false ones as 0, mean over frames",
+    "ATA": "overlap of whole tracks, misses and false ones as 0",
+    "id_switches": "an object's identity changed",
+    "misses": "annotated boxes without a track",
+    "false_positives": "track boxes without an annotation",
+    "fragments": "a track of an object broke off and went on",
+    "false_tracks": "tracks that follow no object",
+    "delay_mean": "frames from an object's appearance to its first track box",
+    "frames": "frames scored",
+}
+BY_TRAJECTORY = {
+    "TGOSPA": "GOSPA of whole tracks per frame, a switch costs γ = 1",
+    "TGOSPA_localisation": "its part for how boxes lie",
+    "TGOSPA_missed": "its part for misses",
+    "TGOSPA_false": "its part for false boxes",
+    "TGOSPA_switching": "its part for switches, and for tracks that break off while their object goes on",
+}
 
 
 def evaluate(
@@ -53,7 +53,8 @@ def evaluate(
         Path, typer.Option("--truth", metavar="FILE", help="Annotated objects: MOTChallenge gt.txt, CSV, XML.")
     ],
     tracks: Annotated[Path, typer.Option("--tracks", metavar="FILE", help="Tracks to score: MOTChallenge or CSV.")],
-    iou: Iou = 0.5,
+    output: Output,
+    iou: given.Iou = 0.5,
     frames: Annotated[
         int,
         typer.Option(
@@ -78,7 +79,6 @@ def evaluate(
             help="RMSE of box centres per object, too; pairs from PX pixels on are misses and false ones. 0: without.",
         ),
     ] = 0.0,
-    json: Json = False,
 ) -> None:
     """Score tracks against annotated objects.
 
@@ -89,18 +89,17 @@ def evaluate(
     from phdtrack.metrics import evaluate as score
 
     check_iou(iou)
-    annotated, given = read_truth(truth), read_tracks(tracks)
-    if not frames:
-        found = find_seqinfo(truth)
-        last = max([*annotated.frame, *given.frame], default=0)
-        frames = max(found.frames, int(last)) if found else 0
-    scores, out = score(annotated, given, frames=frames, iou=iou), Output(json)
-    out.say(f"{tracks} against {truth}: {scores.frames} frames, {scores.truth_objects} objects, match from IoU {iou:g}")
-    out.say()
-    score_table(out, [("", scores)])
-    whole = trajectory_scores(out, annotated, given, scores.frames) if t_gospa else {}
-    located = located_errors(out, annotated, given, rmse) if rmse else {}
-    out.document({**scores.as_dict(), **whole, **located})
+    annotated, found = read_truth(truth), read_tracks(tracks)
+    known = None if frames else find_seqinfo(truth)
+    if known is not None:
+        frames = max(known.frames, int(max([*annotated.frame, *found.frame], default=0)))
+    scores = score(annotated, found, frames=frames, iou=iou)
+    output.say(f"{tracks} against {truth}: {scores.frames} frames, {scores.truth_objects} objects, match from IoU {iou:g}")
+    output.say()
+    score_table(output, {"": scores})
+    whole = trajectory_scores(output, annotated, found, scores.frames) if t_gospa else {}
+    located = located_errors(output, annotated, found, rmse) if rmse else {}
+    output.document({**scores.as_dict(), **whole, **located})
 
 
 def check_iou(iou: float) -> None:
@@ -109,44 +108,47 @@ def check_iou(iou: float) -> None:
         raise InputError(f"expected an overlap above 0 and at most 1, got {iou:g}", where="--iou", cure="0.5 is usual.")
 
 
-def score_table(out: Output, runs: Sequence[tuple[str, Scores]]) -> None:
-    """The scores of each run (its title, its scores) in a column of its own, and what each of them says."""
+def score_table(out: Output, runs: Mapping[str, Scores]) -> None:
+    """The scores of each run, by its title, in a column of its own, and what each of them says."""
+    _table(out, {title: scores.as_dict() for title, scores in runs.items()}, EXPLAINED)
+
+
+def _table(out: Output, columns: Mapping[str, Mapping[str, float | None]], meanings: Mapping[str, str]) -> None:
     from phdtrack.report.rendering import score_direction
 
-    columns = [scores.as_dict() for _, scores in runs]
     rows = [
-        [key, *(number(column[key]) for column in columns), meaning + score_direction(key)] for key, meaning in EXPLAINED
+        [key, *(number(column[key]) for column in columns.values()), meaning + score_direction(key)]
+        for key, meaning in meanings.items()
     ]
-    out.table(["", *(title for title, _ in runs), ""], rows, words=(0, len(runs) + 1))
+    out.table(["", *columns, ""], rows, words=(0, len(columns) + 1))
 
 
 def trajectory_scores(out: Output, truth: Truth, tracks: Tracks, frames: int) -> dict[str, float]:
     """A table of T-GOSPA and its parts, per frame of the sequence; the same for JSON."""
     from phdtrack.metrics import tgospa_boxes
-    from phdtrack.report.rendering import score_direction
 
     parts = tgospa_boxes(truth, tracks, frames=frames)
     values = (parts.distance, parts.localisation, parts.missed, parts.false, parts.switching)
-    found = {key: value / max(frames, 1) for (key, _), value in zip(BY_TRAJECTORY, values, strict=True)}
-    rows = [[key, number(found[key]), meaning + score_direction(key)] for key, meaning in BY_TRAJECTORY]
-    out.table(["", "", ""], rows, words=(0, 2))
+    found = {key: value / max(frames, 1) for key, value in zip(BY_TRAJECTORY, values, strict=True)}
+    _table(out, {"": found}, BY_TRAJECTORY)
     return found
 
 
 def located_errors(out: Output, truth: Truth, tracks: Tracks, gate: float) -> dict[str, object]:
     """A table of the errors of the boxes' centres in pixels, object by object without distractors; the same for JSON."""
+    import numpy as np
+
     from phdtrack.metrics import rmse_per_target
 
     kept = ~truth.distractor
     centre, found = ((xyxy[:, :2] + xyxy[:, 2:]).T / 2 for xyxy in (truth.xyxy[kept], tracks.xyxy))
     errors = rmse_per_target(truth.frame[kept], truth.identity[kept], centre, tracks.frame, found, gate)
-    columns = (errors.identity, errors.frames, errors.mapped, errors.rmse_axis.T, errors.rmse)
+    counts, sizes = np.stack([errors.identity, errors.frames, errors.mapped]), np.vstack([errors.rmse_axis, errors.rmse])
     rows = [
-        [str(identity), str(frames), str(mapped), *(number(float(error), 2) for error in (*axes, whole))]
-        for identity, frames, mapped, axes, whole in zip(*columns, strict=True)
+        [*map(str, whole), *(number(error, 2) for error in exact)]
+        for whole, exact in zip(counts.T.tolist(), sizes.T.tolist(), strict=True)
     ]
     total = ["all", str(errors.frames.sum()), str(errors.mapped.sum()), "", "", number(errors.overall, 2)]
-    out.say()
-    out.say(f"RMSE of box centres in pixels, pairs nearer than {gate:g}:")
+    out.say("", f"RMSE of box centres in pixels, pairs nearer than {gate:g}:")
     out.table(["object", "frames", "mapped", "x", "y", "RMSE"], [*rows, total])
     return {"RMSE": errors.as_dict()}

@@ -1,4 +1,4 @@
-"""What a run reads: a video, a video with detections beside it, or detections alone.
+"""What a run reads: a video, a video with detections, or detections alone.
 
 Every source becomes the same thing, frames and a detector, so that the loop behind it knows one case only. Without a
 video the frames have empty pictures, and the detector looks its boxes up by frame number.
@@ -11,18 +11,18 @@ from __future__ import annotations
 import math
 import re
 import tempfile
-import threading
 import time
-from collections.abc import Generator, Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any, TypeVar
 
 import numpy as np
 
-from phdtrack.cli.options import DEFAULT_DETECTOR, Wanted
+from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions
 from phdtrack.cli.output import progress
 from phdtrack.detect import TableDetector, make_detector, typed
 from phdtrack.detect.convert import within_frame
@@ -34,6 +34,11 @@ from phdtrack.video import VideoSource, VideoWriter, open_source
 
 NO_PICTURE: Image = np.zeros((0, 0, 3), np.uint8)
 TABLES = (".txt", ".csv", ".tsv", ".json", ".xml", ".parquet")
+# Items under way: one being made, one ready, and one to even out stages whose pace varies.
+DEPTH = 3
+# Quality of the copy of a camera's frames: hardly distinguishable, because it is encoded once more when it is drawn on.
+_FINE = 16
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,72 +94,72 @@ def write_detected(inputs: Inputs, path: Path) -> Iterator[int]:
             yield len(found)
 
 
-def open_inputs(wanted: Wanted, parameters: dict[str, Any]) -> Inputs:
+def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0) -> Inputs:
     """Open what the options name; ``parameters`` are the detector's own settings.
+
+    ``last`` is the last annotated frame: a sequence without a video is at least that long.
 
     Raises
     ------
     InputError : options that do not go together, or anything that cannot be read.
     """
-    if not 0 <= wanted.fps < math.inf:
-        raise InputError(f"expected frames per second above 0, got {wanted.fps:g}", where="--fps")
-    if wanted.detections is None:
-        detector = _detector(wanted, parameters)
-        source = open_source(wanted.source, fps=wanted.fps)
-        _check_size(wanted, source.info)
-        again = comes_again(wanted.source)
-        return Inputs(source.info, source, detector, wanted.source, wanted.detector or DEFAULT_DETECTOR, True, again)
-    path, given = wanted.detections, {"--max-width": wanted.max_width, "--mask": wanted.mask}
-    for option, used in ({"--detector": wanted.detector not in ("", "file")} | given).items():
+    if not 0 <= given.fps < math.inf:
+        raise InputError(f"expected frames per second above 0, got {given.fps:g}", where="--fps")
+    if given.detections is not None:
+        return _with_file(given, given.detections, last)
+    detector, source = _detector(given, parameters), _video(given)
+    name = given.detector or DEFAULT_DETECTOR
+    return Inputs(source.info, source, detector, given.source, name, True, comes_again(given.source))
+
+
+def _with_file(given: SourceOptions, path: Path, last: int) -> Inputs:
+    """Detections from a file, with a video or without."""
+    useless = {"--detector": given.detector not in ("", "file"), "--max-width": given.max_width, "--mask": given.mask}
+    for option, used in useless.items():
         if used:
             problem = f"the detections come from {path}, so there is no detector that this could change"
             raise InputError(problem, where=option, cure=f"Leave out {option} or --detections.")
-    table = read_detections(path)
-    frames = open_source(wanted.source, fps=wanted.fps) if wanted.source else Blank(_sequence(wanted, path, table))
-    if wanted.source:
-        _check_size(wanted, frames.info)
+    table, pictures = read_detections(path), bool(given.source)
+    frames = _video(given) if pictures else Blank(_sequence(given, path, table, last))
     seen, left_out = within_frame(table, frames.info, path)
-    name, pictures = wanted.source or str(path), bool(wanted.source)
-    again = not pictures or comes_again(wanted.source)
+    name, again = given.source or str(path), not pictures or comes_again(given.source)
     return Inputs(frames.info, frames, TableDetector(seen), name, str(path), pictures, again, left_out)
 
 
-def frame_size(text: str) -> tuple[int, int]:
-    """Width and height in pixels from ``WxH``.
+def _video(given: SourceOptions) -> VideoSource:
+    """The video; its own size holds, and another one in the options is a mistake."""
+    source = open_source(given.source, fps=given.fps)
+    if given.frame_size and frame_size(given.frame_size) != (source.info.width, source.info.height):
+        size = f"{source.info.width}x{source.info.height}"
+        problem = f"{given.source} has frames of {size} pixels, not {given.frame_size}"
+        raise InputError(problem, where="--frame-size", cure="Leave it out: it is for detections without a video.")
+    return source
 
-    Raises
-    ------
-    InputError : the text is no size.
-    """
+
+def frame_size(text: str) -> tuple[int, int]:
+    """Width and height in pixels from ``WxH``. Raises `InputError` where the text is no size."""
     match = re.fullmatch(r"\s*(\d+)\s*[x×X*]\s*(\d+)\s*", text)
     if not match or not int(match[1]) or not int(match[2]):
         raise InputError(f"expected a size as 1920x1080, got {text!r}", where="--frame-size")
     return int(match[1]), int(match[2])
 
 
-def _detector(wanted: Wanted, parameters: dict[str, Any]) -> Detector:
+def _detector(given: SourceOptions, parameters: dict[str, Any]) -> Detector:
     """The detector that the options name. Raises `InputError` where there is none, or nothing to look at."""
-    if wanted.detector == "file":
+    if given.detector == "file":
         raise InputError("the detector file reads a file of detections", where="--detector", cure="Say --detections FILE.")
-    if wanted.detector == "callable":
-        raise InputError(
-            "a callable is a function of your own program", where="--detector", cure="Use phdtrack.Tracker there."
-        )
-    if not wanted.source:
-        raise InputError(
-            "nothing to work on",
-            where="SOURCE",
-            cure="Name a video, a folder of images or a camera's number; or say --detections FILE.",
-        )
-    if Path(wanted.source).suffix.lower() in TABLES:
-        raise InputError(
-            "expected a video, and by its name this is a table",
-            where=wanted.source,
-            cure=f"For detections say --detections {wanted.source}.",
-        )
-    name = wanted.detector or DEFAULT_DETECTOR
+    if given.detector == "callable":
+        cure = "Use phdtrack.Tracker there."
+        raise InputError("a callable is a function of your own program", where="--detector", cure=cure)
+    if not given.source:
+        cure = "Name a video, a folder of images or a camera's number; or say --detections FILE."
+        raise InputError("nothing to work on", where="SOURCE", cure=cure)
+    if Path(given.source).suffix.lower() in TABLES:
+        cure = f"For detections say --detections {given.source}."
+        raise InputError("expected a video, and by its name this is a table", where=given.source, cure=cure)
+    name = given.detector or DEFAULT_DETECTOR
     try:
-        return make_detector(name, max_width=wanted.max_width, mask=wanted.mask, **typed(name, parameters))
+        return make_detector(name, max_width=given.max_width, mask=given.mask, **typed(name, parameters))
     except InputError as error:
         # In the user's own words: detector.min_area, not the record of settings that refused the value.
         setting = error.where.rpartition(".")[2]
@@ -162,29 +167,16 @@ def _detector(wanted: Wanted, parameters: dict[str, Any]) -> Detector:
         raise InputError(error.problem, where=where, cure=error.cure) from error
 
 
-def _sequence(wanted: Wanted, path: Path, table: DetectionTable) -> SequenceInfo:
+def _sequence(given: SourceOptions, path: Path, table: DetectionTable, last: int) -> SequenceInfo:
     """Size, rate and length of a sequence of which there are detections only: options first, then seqinfo.ini."""
     found = find_seqinfo(path) or SequenceInfo(0, 0, 0.0, 0, path.stem)
-    if wanted.frame_size:
-        width, height = frame_size(wanted.frame_size)
-        found = replace(found, width=width, height=height)
-    found = replace(found, fps=wanted.fps or found.fps, frames=max(found.frames, table.last, wanted.last))
-    beside = "or put a seqinfo.ini beside the file or one folder up, or name the video."
-    if not found.width or not found.height:
-        raise InputError("the size of the frames is not known", where=path, cure=f"Say --frame-size WxH, {beside}")
-    if not found.fps:
-        raise InputError("the rate of the frames is not known", where=path, cure=f"Say --fps F, {beside}")
-    return found
-
-
-def _check_size(wanted: Wanted, info: SequenceInfo) -> None:
-    """With a video its own size holds, and another one in the options is a mistake."""
-    if wanted.frame_size and frame_size(wanted.frame_size) != (info.width, info.height):
-        raise InputError(
-            f"{wanted.source} has frames of {info.width}x{info.height} pixels, not {wanted.frame_size}",
-            where="--frame-size",
-            cure="Leave it out: it is for detections without a video.",
-        )
+    width, height = frame_size(given.frame_size) if given.frame_size else (found.width, found.height)
+    fps, where_else = given.fps or found.fps, "or put a seqinfo.ini beside the file or one folder up, or name the video."
+    if not width or not height:
+        raise InputError("the size of the frames is not known", where=path, cure=f"Say --frame-size WxH, {where_else}")
+    if not fps:
+        raise InputError("the rate of the frames is not known", where=path, cure=f"Say --fps F, {where_else}")
+    return replace(found, width=width, height=height, fps=fps, frames=max(found.frames, table.last, last))
 
 
 def comes_again(source: str) -> bool:
@@ -192,68 +184,33 @@ def comes_again(source: str) -> bool:
     return "://" not in source and not (source.isdecimal() and not Path(source).exists())
 
 
-# Quality of the copy of a camera's frames: hardly distinguishable, because it is encoded once more when it is drawn on.
-_FINE = 16
-
-
 @contextmanager
-def rereadable(inputs: Inputs, wanted: bool) -> Iterator[VideoSource]:
-    """The frames of ``inputs``, to be gone through twice where that is ``wanted``.
+def rereadable(inputs: Inputs, needed: bool) -> Iterator[tuple[Iterable[Frame], Callable[[], Iterable[Frame]]]]:
+    """The frames of ``inputs`` and a function that gives those that were read once more, where that is ``needed``.
 
-    Frames that come only once, those of a camera or of a stream on the network, are copied into a temporary file on the
-    way; it lives as long as this does.
+    Frames that come only once are copied into a temporary file on the way; it lives as long as this does.
     """
-    if inputs.again or not wanted:
-        yield inputs.source
+    info, source, seen = inputs.info, inputs.source, list[tuple[int, float]]()
+    if inputs.again or not needed:
+        yield source, lambda: source
         return
     with tempfile.TemporaryDirectory(prefix="phdtrack-") as folder:
-        yield _Copied(inputs.source, Path(folder) / "frames.mp4")
+        path = Path(folder) / "frames.mp4"
+        with VideoWriter(path, info.width, info.height, info.fps, quality=_FINE) as copy:
 
+            def first() -> Iterator[Frame]:
+                for frame in source:
+                    copy.write(frame.image)
+                    seen.append((frame.number, frame.time))
+                    yield frame
 
-class _Copied:
-    """The first time the frames of ``source``, copied into ``path`` on the way; from then on those of the copy."""
+            def again() -> Iterator[Frame]:
+                copy.close()
+                for (number, at), frame in zip(seen, open_source(path), strict=False):
+                    # The copy of an odd size is padded by a row or a column.
+                    yield Frame(number, at, frame.image[: info.height, : info.width])
 
-    def __init__(self, source: VideoSource, path: Path) -> None:
-        self._source, self._path = source, path
-        self.info = source.info
-        self._seen: list[tuple[int, float]] = []
-        self._first: Generator[Frame, None, None] | None = None
-
-    @property
-    def note(self) -> str:
-        """What the source did to be read."""
-        return self._source.note
-
-    @property
-    def problem(self) -> str:
-        """What the source lost, known at its end."""
-        return self._source.problem
-
-    def __iter__(self) -> Iterator[Frame]:
-        if self._first is None:
-            self._first = self._copying()
-            return self._first
-        # The first pass may have stopped half-way: only closing completes the copy.
-        self._first.close()
-        return self._again()
-
-    def _copying(self) -> Generator[Frame, None, None]:
-        info = self.info
-        with VideoWriter(self._path, info.width, info.height, info.fps, quality=_FINE) as copy:
-            for frame in self._source:
-                copy.write(frame.image)
-                self._seen.append((frame.number, frame.time))
-                yield frame
-
-    def _again(self) -> Iterator[Frame]:
-        for (number, at), frame in zip(self._seen, open_source(self._path), strict=False):
-            # The copy of an odd size is padded by a row or a column.
-            yield Frame(number, at, frame.image[: self.info.height, : self.info.width])
-
-
-T = TypeVar("T")
-DEPTH = 3
-"""Items under way: one being made, one ready, and one to even out stages whose pace varies."""
+            yield first(), again
 
 
 @contextmanager
@@ -273,35 +230,25 @@ def ahead(items: Iterable[T], depth: int = DEPTH) -> Iterator[Iterator[T]]:
     items : run through once, in that thread, and closed there where it is a generator.
     depth : how many items at most are being made or wait to be taken, at least 1.
     """
-    free, stop = threading.Semaphore(depth), threading.Event()
-    ready: SimpleQueue[tuple[T] | BaseException] = SimpleQueue()
+    iterator, under_way = iter(items), deque[Future[tuple[T] | None]]()
 
-    def make() -> None:
+    def made() -> tuple[T] | None:
+        for item in iterator:
+            return (item,)
+        return None
+
+    def taken(stage: ThreadPoolExecutor) -> Iterator[T]:
+        under_way.extend(stage.submit(made) for _ in range(depth))
+        while (one := under_way.popleft().result()) is not None:
+            under_way.append(stage.submit(made))
+            yield one[0]
+
+    with ThreadPoolExecutor(1, "phdtrack stage") as stage:
         try:
-            iterator = iter(items)
-            try:
-                # A place is taken before an item is made: that bounds how many live.
-                while free.acquire() and not stop.is_set():
-                    ready.put((next(iterator),))
-            finally:
+            yield taken(stage)
+        finally:
+            for future in under_way:
+                future.cancel()
+            if isinstance(iterator, Generator):
                 # Here and not by the garbage collector: files are closed by the thread that used them.
-                if isinstance(iterator, Generator):
-                    iterator.close()
-        except BaseException as error:  # StopIteration among them: all belong to the loop that takes the items
-            ready.put(error)
-
-    def taken() -> Iterator[T]:
-        while isinstance(message := ready.get(), tuple):
-            free.release()
-            yield message[0]
-        if not isinstance(message, StopIteration):
-            raise message
-
-    stage = threading.Thread(target=make, name="phdtrack stage", daemon=True)
-    stage.start()
-    try:
-        yield taken()
-    finally:
-        stop.set()
-        free.release()
-        stage.join()
+                stage.submit(iterator.close)

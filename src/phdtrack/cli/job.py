@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -35,29 +35,17 @@ from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter, write
 from phdtrack.kernels import CACHE
 from phdtrack.models import PlaneSensor
 from phdtrack.protocols import AnyStages, Sensor
-from phdtrack.report import About, Annotator, Recorder, RunRecord, run_document, sentences, write_report, write_run
-from phdtrack.types import (
-    F4,
-    F8,
-    STILL,
-    Detections,
-    Frame,
-    Image,
-    ParticleBlocks,
-    Particles,
-    SequenceInfo,
-    Step,
-    Tracks,
-    Truth,
-)
-from phdtrack.video import VideoSource, VideoWriter
+from phdtrack.report import About, Annotator, Recorder, run_document, sentences, write_report, write_run
+from phdtrack.tracker import Tracker
+from phdtrack.types import F4, F8, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Tracks, Truth
+from phdtrack.video import VideoWriter
 
 if TYPE_CHECKING:
     from phdtrack.metrics import Scores
 
 Stop = Exception | KeyboardInterrupt
 
-WHICH = (
+_WHICH = (
     f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they were given "
     "frame by frame, which did not change afterwards."
 )
@@ -70,46 +58,6 @@ ALWAYS = (
 _TRIED, _SLOW = 25, 5
 
 
-class Steps:
-    """The tracker as the run drives it: it holds the state between frames; everything else is `pipeline`'s."""
-
-    def __init__(self, stages: AnyStages, rng: np.random.Generator) -> None:
-        self._stages, self._rng = stages, rng
-        self.state = pipeline.start(stages, rng)
-        self._looks: dict[int, F4] = {}
-
-    def look(self, frame: Frame, detections: Detections) -> None:
-        """Remember what the detections of a frame look like, where stitching compares it."""
-        looks = self._stages.smoother.describe(frame.image, detections.xyxy)
-        if looks.shape[1]:
-            self._looks[frame.number] = looks
-
-    def advance(self, number: int, time: float, detections: Detections, warp: F8 = STILL) -> Step:
-        """Take in the detections of frame ``number`` at ``time`` seconds; ``warp`` is how the camera has moved."""
-        self.state, step = pipeline.advance(self._stages, self.state, detections, number, time, self._rng, warp)
-        return step
-
-    @property
-    def particles(self) -> Particles | None:
-        """The filter's particles after the last frame where the image shows them (`shown`); None where there are none."""
-        intensity = self.state.intensity
-        if isinstance(intensity, Cardinalised):
-            intensity = intensity.intensity
-        if isinstance(intensity, ParticleBlocks):
-            intensity = intensity.particles()
-        if isinstance(self._stages.filter, NoFilter) or not isinstance(intensity, Particles):
-            return None
-        return shown(intensity, self._stages.model.sensor)
-
-    def flush(self) -> Tracks:
-        """The online rows that the output delay held back."""
-        return self._stages.associator.flush(self.state.association, self._stages.model)
-
-    def finish(self) -> Tracks:
-        """The corrected tracks of everything taken in so far."""
-        return pipeline.finish(self._stages, self.state, self._looks)
-
-
 @dataclass(frozen=True, slots=True)
 class Job:
     """What is to be run.
@@ -119,7 +67,6 @@ class Job:
 
     inputs: Inputs
     stages: AnyStages
-    steps: Steps
     configuration: dict[str, object]
     read: dict[str, object]
     about: About
@@ -156,16 +103,18 @@ class _Seen:
 
 @dataclass(slots=True)
 class _Progress:
-    """How far it got. ``lost``: what the source said when it ended; ``stop`` ended the loop, ``cut`` the drawing.
+    """How far it got. ``stop`` ended the loop, ``cut`` the drawing; ``lost`` is what the source said when it ended.
 
     ``seconds`` is what the loop took, but for ``left_out`` frames in which kernels were compiled or loaded.
     """
 
+    tracker: Tracker
     recorder: Recorder
-    lost: str = ""
+    looks: dict[int, F4] = field(default_factory=dict)
+    seen: list[_Seen] = field(default_factory=list)
     seconds: float = 0.0
     left_out: int = 0
-    seen: list[_Seen] = field(default_factory=list)
+    lost: str = ""
     stop: Stop | None = None
     cut: Stop | None = None
 
@@ -178,24 +127,22 @@ class _Progress:
 def run(job: Job, directory: RunDirectory) -> Outcome:
     """Run the job. Raises only where nothing was computed; the directory is then left without files of this run."""
     started, clock = datetime.now(UTC), time.perf_counter()
-    with rereadable(job.inputs, job.video) as source:
-        done = _loop(job, source, directory)
+    with rereadable(job.inputs, job.video) as (frames, again):
+        done = _track(job, frames, directory)
         if not done.seen and done.stop is not None:
             directory.clear()
             raise done.stop
-        tracks = job.steps.finish()
+        tracks = pipeline.finish(job.stages, done.tracker.state, done.looks)
         write_tracks(directory.file(rundir.TRACKS), tracks, places(job.stages.model.sensor, tracks.xyxy))
         for observer in job.observers:
-            observer.finish(tracks)
+            observer.finish(directory, tracks)
         scores = None if job.truth is None else _scores(job.truth, tracks, done.last)
         if job.video and (job.inputs.pictures or any(observer.draws for observer in job.observers)):
-            done.cut = _draw(job, source, directory, done, tracks)
-    stop = done.stop or done.cut
+            done.cut = _draw(job, again(), directory, done, tracks)
     notes, doubts = _confirmation(job, done)
     chain = done.recorder.chain
     if chain is not None:
-        notes, doubts = (*notes, chain.sentence), (*doubts, *filter(None, [chain.warning]))
-    warnings = (*_problems(job, done), *doubts)
+        notes, doubts = [*notes, chain.sentence], [*doubts, *filter(None, [chain.warning])]
     about = replace(
         job.about,
         started=started.isoformat(timespec="seconds"),
@@ -203,51 +150,69 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         tracking_seconds=done.seconds,
         left_out=done.left_out,
         scores=() if scores is None else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
-        warnings=warnings,
-        notes=(*notes, WHICH),
+        warnings=(*_problems(job, done), *doubts),
+        notes=(*notes, _WHICH),
     )
-    record = done.recorder.record(tracks, about, job.truth)
-    document = _written(job, directory, record, complete=stop is None)
-    summary = (*sentences(record), *(sentence for observer in job.observers for sentence in observer.sentences()))
-    return Outcome(document, summary, len(done.seen), scores, warnings, stop)
+    record, reports = done.recorder.record(tracks, about, job.truth), [observer.report() for observer in job.observers]
+    sections = "\n".join(report.section for report in reports)
+    write_report(directory.file(rundir.REPORT), record, job.configuration | {"input": job.read}, sections)
+    stop = done.stop or done.cut
+    document = run_document(record, job.configuration) | {"complete": stop is None, "input": job.read}
+    document = finish_document(document, directory, *(report.document for report in reports))
+    summary = (*sentences(record), *(sentence for report in reports for sentence in report.sentences))
+    return Outcome(document, summary, len(done.seen), scores, about.warnings, stop)
 
 
-def _loop(job: Job, source: VideoSource, directory: RunDirectory) -> _Progress:
-    """Every frame through detector and steps, into files and record, until the source ends or something stops it."""
-    inputs, place, sensor = job.inputs, directory.file, job.stages.model.sensor
-    done = _Progress(Recorder(inputs.info))
+def finish_document(document: dict[str, object], directory: RunDirectory, *more: dict[str, object]) -> dict[str, object]:
+    """Write run.json: the document, where the files are, and what observers add."""
+    run = directory.file(rundir.RUN)
+    files = {file.name: str(file) for file in directory.written()} | {run.name: str(run)}
+    document = document | {"directory": str(directory.path), "files": files}
+    for part in more:
+        document |= part
+    write_run(run, document)
+    return document
+
+
+def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progress:
+    """Every frame through detector and tracker, into files and record, until the source ends or something stops it."""
+    inputs, stages, sensor = job.inputs, job.stages, job.stages.model.sensor
+    tracker = Tracker(stages=stages, fps=inputs.info.fps, seed=job.about.seed)
+    done = _Progress(tracker, Recorder(inputs.info))
     with ExitStack() as files:
-        detections = files.enter_context(DetectionsWriter(place(rundir.DETECTIONS)))
-        states = files.enter_context(StatesWriter(place(rundir.STATES)))
-        online = files.enter_context(TracksWriter(place(rundir.ONLINE)))
+        detections = files.enter_context(DetectionsWriter(directory.file(rundir.DETECTIONS)))
+        states = files.enter_context(StatesWriter(directory.file(rundir.STATES)))
+        online = files.enter_context(TracksWriter(directory.file(rundir.ONLINE)))
         advance = files.enter_context(progress("tracking", inputs.info.frames))
         for observer in job.observers:
-            files.enter_context(observer.open(directory))
+            observer.open(directory, files)
         pace = files.enter_context(paced())
         try:
             with ahead(source) as frames, ahead(moved(job.mover, detected(inputs.detector, frames))) as looked:
                 for frame, found, warp, seconds in looked:
-                    step = job.steps.advance(frame.number, frame.time, found, warp)
-                    if inputs.pictures:
-                        job.steps.look(frame, found)
+                    rows = tracker.update(found, frame.number, frame.time, warp if len(warp) else None)
+                    step = tracker.step
+                    assert step is not None
+                    if inputs.pictures and (looks := stages.smoother.describe(frame.image, found.xyxy)).shape[1]:
+                        done.looks[frame.number] = looks
                     detections.append(frame.number, found)
                     states.append(frame.number, frame.time, step.estimates)
-                    online.append(step.tracks, places(sensor, step.tracks.xyxy))
+                    online.append(rows, places(sensor, rows.xyxy))
                     for observer in job.observers:
-                        observer.take(step, job.steps.state)
-                    done.recorder.add(frame.image if inputs.pictures else None, step, job.steps.particles, seconds)
+                        observer.take(step, tracker.state)
+                    image = frame.image if inputs.pictures else None
+                    done.recorder.add(image, step, shown_particles(stages, tracker.state.intensity), seconds)
                     seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
                     done.seen.append(seen)
                     advance(len(done.seen))
                     pace.frame()
-            held = job.steps.flush()
+            held = tracker.flush()
             online.append(held, places(sensor, held.xyxy))
             for observer in job.observers:
                 observer.flush(held)
         except (Exception, KeyboardInterrupt) as stop:
             done.stop = _as_meant(stop)
-        done.seconds, done.left_out = pace.seconds, pace.left_out
-    done.lost = source.problem
+        done.seconds, done.left_out, done.lost = pace.seconds, pace.left_out, inputs.source.problem
     return done
 
 
@@ -257,22 +222,21 @@ def _scores(truth: Truth, tracks: Tracks, last: int) -> Scores:
     return evaluate(truth, tracks, frames=last)
 
 
-def _draw(job: Job, source: VideoSource, directory: RunDirectory, done: _Progress, tracks: Tracks) -> Stop | None:
+def _draw(job: Job, again: Iterable[Frame], directory: RunDirectory, done: _Progress, tracks: Tracks) -> Stop | None:
     """The videos of the frames that were tracked; what stopped it, if anything did."""
     try:
         with ExitStack() as files:
             draw, info = list[Draw](), job.inputs.info
+            pictures: Iterable[Image] = repeat(NO_PICTURE)
             if job.inputs.pictures:
                 video = files.enter_context(VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps))
                 draw.append(lambda number, picture: video.write(picture))
+                frames = files.enter_context(ahead(again))
+                pictures = files.enter_context(ahead(_annotated(Annotator(info), done.seen, frames, tracks)))
             for observer in job.observers:
-                draw.append(files.enter_context(observer.drawing(directory, pictures=job.inputs.pictures)))
+                one = observer.drawing(directory, files, pictures=job.inputs.pictures)
+                draw += [one] if one is not None else []
             advance = files.enter_context(progress("drawing", len(done.seen)))
-            pictures: Iterable[Image] = repeat(NO_PICTURE)
-            if job.inputs.pictures:
-                frames = files.enter_context(ahead(source))
-                drawn = _pictures(Annotator(info), done.seen, frames, tracks)
-                pictures = files.enter_context(ahead(drawn))
             for count, (seen, picture) in enumerate(zip(done.seen, pictures, strict=False), start=1):
                 for one in draw:
                     one(seen.number, picture)
@@ -282,12 +246,7 @@ def _draw(job: Job, source: VideoSource, directory: RunDirectory, done: _Progres
     return None
 
 
-def _as_meant(stop: Stop) -> Stop:
-    """Ctrl-C, in whatever form it comes out of compiled code, or the error itself."""
-    return KeyboardInterrupt() if interrupted(stop) and not isinstance(stop, KeyboardInterrupt) else stop
-
-
-def _pictures(annotate: Annotator, seen: Sequence[_Seen], frames: Iterable[Frame], tracks: Tracks) -> Iterator[Image]:
+def _annotated(annotate: Annotator, seen: list[_Seen], frames: Iterable[Frame], tracks: Tracks) -> Iterator[Image]:
     """The frames that were seen, drawn on."""
     numbers = [one.number for one in seen]
     first, last = (np.searchsorted(tracks.frame, numbers, side=side) for side in ("left", "right"))
@@ -296,7 +255,12 @@ def _pictures(annotate: Annotator, seen: Sequence[_Seen], frames: Iterable[Frame
         yield annotate(frame.image, one.number, rows, one.detections, mass=one.mass, clutter_probability=chances)
 
 
-def _problems(job: Job, done: _Progress) -> tuple[str, ...]:
+def _as_meant(stop: Stop) -> Stop:
+    """Ctrl-C, in whatever form it comes out of compiled code, or the error itself."""
+    return KeyboardInterrupt() if interrupted(stop) and not isinstance(stop, KeyboardInterrupt) else stop
+
+
+def _problems(job: Job, done: _Progress) -> list[str]:
     """What did not go as it should, in sentences: what the source lost, and what stopped the run."""
     said = [sentence for sentence in (*job.inputs.warnings, job.inputs.source.note, done.lost) if sentence]
     annotated = 0 if job.truth is None else int(job.truth.frame.max(initial=0))
@@ -309,14 +273,18 @@ def _problems(job: Job, done: _Progress) -> tuple[str, ...]:
         said.append(f"{_reason(done.stop)} after frame {done.last}; the results hold the frames up to there")
     if done.cut is not None:
         said.append(f"{_reason(done.cut)} while the video was drawn; {rundir.VIDEO} is not whole, everything else is")
-    return tuple(said)
+    return said
 
 
-def _confirmation(job: Job, done: _Progress) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _reason(stop: Stop) -> str:
+    return "stopped by Ctrl-C" if isinstance(stop, KeyboardInterrupt) else f"ended ({stop or type(stop).__name__})"
+
+
+def _confirmation(job: Job, done: _Progress) -> tuple[list[str], list[str]]:
     """After how many detections of the usual size an object is reported: notes, and warnings where it takes long."""
     boxes = [seen.detections.xyxy for seen in done.seen if len(seen.detections)]
     if isinstance(job.stages.filter, NoFilter) or not boxes:
-        return (), ()
+        return [], []
     xyxy = np.concatenate(boxes)
     width, height = np.median(xyxy[:, 2:] - xyxy[:, :2], axis=0)
     needed = detections_needed(job.stages, job.inputs.info, (float(width), float(height)))
@@ -324,9 +292,9 @@ def _confirmation(job: Job, done: _Progress) -> tuple[tuple[str, ...], tuple[str
     after = after if needed else f"within {_TRIED} coherent detections"
     note = f"With these settings an object is {'' if needed else 'not '}reported {after}."
     if 1 <= needed <= _SLOW:
-        return (note,), ()
+        return [note], []
     cure = "raise birth.births_per_second, lower clutter.clutter_per_frame, or widen both volumes (birth.volume=image)"
-    return (note,), (f"an object is {'reported only' if needed else 'not reported'} {after}: {cure}",)
+    return [note], [f"an object is {'reported only' if needed else 'not reported'} {after}: {cure}"]
 
 
 def detections_needed(stages: AnyStages, info: SequenceInfo, size: tuple[float, float]) -> int:
@@ -335,15 +303,11 @@ def detections_needed(stages: AnyStages, info: SequenceInfo, size: tuple[float, 
     The ratio of the densities of births and of clutter decides it, which settings do not show. So it is tried: an object
     of ``size`` (width, height in pixels) stands still in the middle of the frame and is detected in every frame.
     """
-    rng = np.random.default_rng(0)
     centre, half = np.array([info.width, info.height]) / 2, np.array(size) / 2
-    box = np.concatenate([centre - half, centre + half])[None, :]
-    state = pipeline.start(stages, rng)
-    for number in range(1, _TRIED + 1):
-        state, step = pipeline.advance(stages, state, Detections.of(box), number, number / info.fps, rng)
-        if len(step.estimates):
-            return number
-    return 0
+    box = Detections.of(np.concatenate([centre - half, centre + half])[None, :])
+    frames = ((number, number / info.fps, box) for number in range(1, _TRIED + 1))
+    steps = pipeline.run(stages, frames, np.random.default_rng(0))
+    return next((step.number for _, step in steps if len(step.estimates)), 0)
 
 
 def places(sensor: Sensor, xyxy: F8) -> F8:
@@ -357,9 +321,14 @@ def places(sensor: Sensor, xyxy: F8) -> F8:
     return sensor.camera.ground(np.stack([middle, xyxy[:, 3]]))
 
 
-def shown(particles: Particles, sensor: Sensor) -> Particles | None:
-    """The particles where the image shows them: rows 0 and 1 the middle of their boxes in pixels, as detections are drawn.
-    None where the world is a plan without an image."""
+def shown_particles(stages: AnyStages, intensity: object) -> Particles | None:
+    """The filter's particles where the image shows them: rows 0 and 1 the middle of their boxes in pixels, as detections
+    are drawn. None where the filter has none, or the world is a plan without an image."""
+    particles = intensity.intensity if isinstance(intensity, Cardinalised) else intensity
+    particles = particles.particles() if isinstance(particles, ParticleBlocks) else particles
+    if isinstance(stages.filter, NoFilter) or not isinstance(particles, Particles):
+        return None
+    sensor = stages.model.sensor
     if not isinstance(sensor, PlaneSensor):
         return particles
     if sensor.camera is None:
@@ -368,68 +337,54 @@ def shown(particles: Particles, sensor: Sensor) -> Particles | None:
     return Particles(np.vstack([(boxes[:, :2] + boxes[:, 2:]).T / 2, particles.state[2:]]), particles.weight)
 
 
-def _reason(stop: Stop) -> str:
-    return "stopped by Ctrl-C" if isinstance(stop, KeyboardInterrupt) else f"ended ({stop or type(stop).__name__})"
-
-
-def _written(job: Job, directory: RunDirectory, record: RunRecord, *, complete: bool) -> dict[str, object]:
-    """Report and run.json; the latter's content."""
-    more = "\n".join(observer.section() for observer in job.observers)
-    write_report(directory.file(rundir.REPORT), record, job.configuration | {"input": job.read}, more)
-    document = run_document(record, job.configuration)
-    about = {"complete": complete, "input": job.read, "directory": str(directory.path)}
-    files = {file.name: str(file) for file in directory.written()} | {rundir.RUN: str(directory.file(rundir.RUN))}
-    document = document | about | {"files": files}
-    for observer in job.observers:
-        document |= observer.document()
-    write_run(directory.file(rundir.RUN), document)
-    return document
-
-
 @dataclass(slots=True)
 class Pace:
-    """``seconds`` of wall time that frames took in which nothing was compiled or loaded; ``left_out``: the other frames."""
+    """``seconds`` of wall time that frames took in which nothing was compiled or loaded; ``left_out``: the other frames.
 
+    To load or to compile a kernel for arguments of new types Numba takes a lock, which ``locks`` records.
+    """
+
+    locks: event.RecordingListener
     seconds: float = 0.0
     left_out: int = 0
-    _loading: bool = False
     _clock: float = field(default_factory=time.perf_counter)
 
     def frame(self) -> None:
         """A frame is done; the next one begins."""
         now = time.perf_counter()
-        if self._loading:
+        if self.locks.buffer:
             self.left_out += 1
+            self.locks.buffer.clear()
         else:
             self.seconds += now - self._clock
-        self._clock, self._loading = now, False
-
-    def loading(self, started: event.Event) -> None:
-        """A kernel met arguments of new types: to load or to compile it, Numba has taken a lock."""
-        self._loading = True
-
-
-# Numba has no types.
-class _Listener(event.Listener):  # type: ignore[misc]
-    """Calls ``started`` at the start of each of Numba's events."""
-
-    def __init__(self, started: Callable[[event.Event], None]) -> None:
-        self._started = started
-
-    def on_start(self, event: event.Event) -> None:
-        """An event starts."""
-        self._started(event)
-
-    def on_end(self, event: event.Event) -> None:
-        """Nothing."""
+        self._clock = now
 
 
 @contextmanager
 def paced() -> Iterator[Pace]:
     """The pace of the frames from now on, without those in which kernels were compiled or loaded."""
-    pace = Pace()
-    with event.install_listener("numba:compiler_lock", _Listener(pace.loading)):
-        yield pace
+    with event.install_recorder("numba:compiler_lock") as locks:
+        yield Pace(locks)
+
+
+# Numba has no types.
+class _Announcement(event.Listener):  # type: ignore[misc]
+    """Says once that a kernel of ours is compiled."""
+
+    def __init__(self, out: Output) -> None:
+        self._out, self._said = out, False
+
+    def on_start(self, event: event.Event) -> None:
+        """A function begins to be compiled."""
+        if not self._said and event.data["dispatcher"].py_func.__module__.startswith("phdtrack."):
+            self._said = True
+            if not CACHE.lasting:
+                self._out.warn([ALWAYS])
+            elif sys.stderr.isatty():
+                self._out.note(FIRST)
+
+    def on_end(self, event: event.Event) -> None:
+        """Nothing."""
 
 
 @contextmanager
@@ -439,17 +394,5 @@ def announced(out: Output) -> Iterator[None]:
     Kernels that are loaded from disk say nothing. The line comes on a terminal only, as a progress bar does; that kernels
     cannot be kept is said in any case, because the user can change it.
     """
-    said = False
-
-    def begun(started: event.Event) -> None:
-        nonlocal said
-        if said or not started.data["dispatcher"].py_func.__module__.startswith("phdtrack."):
-            return
-        said = True
-        if not CACHE.lasting:
-            out.warn(ALWAYS)
-        elif sys.stderr.isatty():
-            out.note(FIRST)
-
-    with event.install_listener("numba:compile", _Listener(begun)):
+    with event.install_listener("numba:compile", _Announcement(out)):
         yield

@@ -17,24 +17,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from phdtrack.cli.options import (
-    DEFAULT_DETECTOR,
-    Config,
-    DetectionsFile,
-    Detector,
-    Fps,
-    FrameSize,
-    LabelsFile,
-    Mask,
-    MaxWidth,
-    Recorded,
-    Sets,
-    Wanted,
-)
+from phdtrack.cli import options as given
+from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions
 from phdtrack.cli.output import Advance, Output, counted, progress
 from phdtrack.errors import InputError
 
 if TYPE_CHECKING:
+    from phdtrack.cli.inputs import Inputs
     from phdtrack.config import Settings
     from phdtrack.label.suggestions import Evidence, Suggestions
     from phdtrack.protocols import AnyStages
@@ -44,10 +33,8 @@ _CLIP_WIDTH = 640
 
 
 def label(
-    source: Recorded = "",
-    detections: DetectionsFile = None,
-    detector: Detector = "",
-    labels: LabelsFile = None,
+    source: SourceOptions,
+    labels: given.Labels = None,
     frames: Annotated[int, typer.Option("--frames", metavar="N", min=1, help="Frames to look at.")] = 40,
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the draw of frames.")] = 0,
     port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="0: any that is free.")] = 0,
@@ -56,110 +43,105 @@ def label(
     ] = "127.0.0.1",
     suggest: Annotated[bool, typer.Option("--suggest/--no-suggest", help="Look for detections that may be false.")] = True,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
-    config: Config = None,
-    sets: Sets = None,
-    frame_size: FrameSize = "",
-    fps: Fps = 0.0,
-    max_width: MaxWidth = 0,
-    mask: Mask = None,
+    config: given.Config = None,
+    sets: given.Sets = None,
 ) -> None:
     """Mark false detections and births on frames drawn at random: the page says how. Every click is kept at once.
 
     Meanwhile a tracker looks for detections that may be false, for a sweep (--no-suggest: it does not). Ctrl-C ends.
     """
     try:
-        from phdtrack.label.page import listen, serve
+        from phdtrack.label.page import label_app, listen, serve
     except ModuleNotFoundError as error:
-        raise InputError(
-            f"the page needs the package {error.name}", where="phdtrack label", cure="pip install 'phdtrack[web]'"
-        ) from error
+        problem = f"the page needs the package {error.name}"
+        raise InputError(problem, where="phdtrack label", cure="pip install 'phdtrack[web]'") from error
     from phdtrack.config import load
     from phdtrack.label import LabelStore
     from phdtrack.label.births import clip
-    from phdtrack.label.page import label_app
     from phdtrack.label.session import Session, sampled
     from phdtrack.label.suggestions import NOTHING, Answer, Background
 
-    result, settings = Output(), load(config, tuple(sets or ()))
-    wanted = Wanted(source, detections, detector, frame_size, fps, max_width, mask)
-    file = labels or labels_file(source, detections)
-    found = to_label(wanted, settings.detector, file, result)
-    store = LabelStore.open(file, source or str(detections), found.digest, sampled(found.last, frames, seed))
+    output, settings = Output(), load(config, sets or ())
+    file = labels or labels_file(source)
+    found = to_label(source, settings.detector, file, output)
+    store = LabelStore.open(file, found.name, found.digest, sampled(found.last, frames, seed))
     numbers = [number for number, _ in store.frames()]
     around = {frame for number in numbers for frame in clip(number, found.last)}
-    pictures = stills(found.source, fps, set(numbers), around)
+    pictures = stills(source, set(numbers), around)
     address = listen(host, port)
     kept = file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
-    work = Background(partial(suggestions, found, settings, numbers, kept)) if suggest else None
-    suggester = work or (lambda: Answer(1.0, NOTHING))
-    session = Session(store, found.table, pictures, found.info, suggester)
-    progress = store.progress()
-    result.say(f"{counted(progress.frames, 'frame')}, {progress.done} of them looked at; the marks are kept in {file}")
-    result.say(f"the page: {address.url}   (Ctrl-C ends)")
+    work = Background(partial(suggestions, found, settings, numbers, kept)) if suggest else lambda: Answer(1.0, NOTHING)
+    session = Session(store, found.table, pictures, found.info, work)
+    state = store.progress()
+    output.say(
+        f"{counted(state.frames, 'frame')}, {state.done} of them looked at; the marks are kept in {file}",
+        f"the page: {address.url}   (Ctrl-C ends)",
+    )
     if browser:
         webbrowser.open(address.url)
     serve(label_app(session), address)
-    progress = store.progress()
-    result.say(
-        f"{progress.done} of {counted(progress.frames, 'frame')} looked at, {progress.false} false, "
-        f"{counted(progress.births, 'birth')}: {file}"
-    )
+    state = store.progress()
+    looked = f"{state.done} of {counted(state.frames, 'frame')} looked at"
+    output.say(f"{looked}, {state.false} false, {counted(state.births, 'birth')}: {file}")
 
 
 @dataclass(frozen=True, slots=True)
 class Labelled:
-    """A sequence to label: ``source`` is empty where there are detections only; ``last``, also in ``info``, ends it."""
+    """A sequence to label: the ``name`` of the video or of the detections; ``last``, also in ``info``, ends it."""
 
-    source: str
+    name: str
     info: SequenceInfo
     table: DetectionTable
     last: int
     digest: str
 
 
-def to_label(wanted: Wanted, parameters: dict[str, Any], labels: Path, result: Output) -> Labelled:
+def to_label(source: SourceOptions, parameters: dict[str, Any], labels: Path, output: Output) -> Labelled:
     """The detections of everything that the options name; a detector's are kept in a file beside ``labels``.
 
     Without either the default detector looks. So a detector runs once, and the marked boxes are the same when a
     person goes on another day. Raises `InputError` as `open_inputs`, and where there is nothing to label.
     """
-    from phdtrack.cli.inputs import comes_again, open_inputs, write_detected
+    from phdtrack.cli.inputs import comes_again, open_inputs
     from phdtrack.formats import read_detections
 
-    if wanted.source and not comes_again(wanted.source):
-        raise InputError("frames of a camera come once only", where=wanted.source, cure="Record a video and label that")
-    if wanted.detections is None and not wanted.detector:
-        wanted = replace(wanted, detector=DEFAULT_DETECTOR)
-    inputs = open_inputs(wanted, parameters)
-    for sentence in inputs.warnings:
-        result.warn(sentence)
-    if wanted.detections is not None:
-        table, last = read_detections(wanted.detections), max(inputs.info.frames, 1)
-        last = max(last, table.last) if not wanted.source or not inputs.info.frames else last
-    else:
-        more = [parameters, wanted.max_width, str(wanted.mask or ""), wanted.fps]
-        digest = hashlib.sha256(json.dumps(more, sort_keys=True, default=str).encode()).hexdigest()[:8]
-        path = labels.with_name(f"{labels.stem}.{wanted.detector}-{digest}.detections.csv")
-        if path.exists():
-            result.note(f"the detections are those of {path}")
-        else:
-            # The file appears when it is whole.
-            part = path.with_name(path.name + ".part")
-            try:
-                for _ in write_detected(inputs, part):
-                    pass
-                part.replace(path)
-            finally:
-                part.unlink(missing_ok=True)
-        table = read_detections(path)
-        last = max(inputs.info.frames, table.last)
+    if source.source and not comes_again(source.source):
+        raise InputError("frames of a camera come once only", where=source.source, cure="Record a video and label that")
+    inputs = open_inputs(source, parameters)
+    output.warn(inputs.warnings)
+    table = read_detections(source.detections or _kept_detections(source, parameters, labels, inputs, output))
+    last = max(inputs.info.frames, 1)
+    if source.detections is None or not source.source or not inputs.info.frames:
+        last = max(last, table.last)
+    name = source.source or str(source.detections)
     if len(table) == 0:
-        raise InputError("there are no detections to label", where=wanted.source or wanted.detections or "")
+        raise InputError("there are no detections to label", where=name)
     digest = hashlib.sha256(table.frame.tobytes() + table.detections.xyxy.round(3).tobytes()).hexdigest()[:32]
-    return Labelled(wanted.source, replace(inputs.info, frames=last), table, last, digest)
+    return Labelled(name, replace(inputs.info, frames=last), table, last, digest)
 
 
-def stills(source: str, fps: float, numbers: Collection[int], around: Collection[int] = ()) -> dict[int, bytes]:
+def _kept_detections(
+    source: SourceOptions, parameters: dict[str, Any], labels: Path, inputs: Inputs, output: Output
+) -> Path:
+    """The file of what the detector sees, by its name and settings; it appears when it is whole."""
+    from phdtrack.cli.inputs import write_detected
+
+    more = [parameters, source.max_width, str(source.mask or ""), source.fps]
+    digest = hashlib.sha256(json.dumps(more, sort_keys=True, default=str).encode()).hexdigest()[:8]
+    path = labels.with_name(f"{labels.stem}.{source.detector or DEFAULT_DETECTOR}-{digest}.detections.csv")
+    if path.exists():
+        output.note(f"the detections are those of {path}")
+        return path
+    part = path.with_name(path.name + ".part")
+    try:
+        for _ in write_detected(inputs, part):
+            pass
+        return part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def stills(source: SourceOptions, numbers: Collection[int], around: Collection[int]) -> dict[int, bytes]:
     """The frames ``numbers`` of a video as JPEG, and those ``around`` them as small ones; it is read up to the last."""
     import cv2
 
@@ -167,15 +149,16 @@ def stills(source: str, fps: float, numbers: Collection[int], around: Collection
     from phdtrack.video import open_source
 
     kept: dict[int, bytes] = {}
-    if not source or not numbers:
+    if not source.source or not numbers:
         return kept
     last = max([*numbers, *around])
-    with progress("reading frames", last) as advance, ahead(islice(open_source(source, fps=fps), last)) as frames:
-        for frame in frames:
-            if frame.number in numbers or frame.number in around:
-                whole, (height, width) = frame.number in numbers, frame.image.shape[:2]
-                scale = 1.0 if whole else min(1.0, _CLIP_WIDTH / width)
-                image = frame.image if scale == 1 else cv2.resize(frame.image, (_CLIP_WIDTH, round(height * scale)))
+    frames = islice(open_source(source.source, fps=source.fps), last)
+    with progress("reading frames", last) as advance, ahead(frames) as pictures:
+        for frame in pictures:
+            whole, (height, width) = frame.number in numbers, frame.image.shape[:2]
+            if whole or frame.number in around:
+                small = not whole and width > _CLIP_WIDTH
+                image = cv2.resize(frame.image, (_CLIP_WIDTH, round(height * _CLIP_WIDTH / width))) if small else frame.image
                 _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 92 if whole else 80])
                 kept[frame.number] = data.tobytes()
             advance(frame.number)
@@ -199,9 +182,9 @@ def suggestions(
     return kept(file, hashlib.sha256(json.dumps(decides, default=str).encode()).hexdigest(), made)
 
 
-def labels_file(source: str, detections: Path | None) -> Path:
+def labels_file(source: SourceOptions) -> Path:
     """The file of labels that goes with a video, or with detections."""
-    path = Path(source) if source else detections
+    path = Path(source.source) if source.source else source.detections
     if path is None:
         raise InputError("nothing to label", where="SOURCE", cure="Name a video, or say --detections FILE")
     return path.with_name(f"{path.stem if path.is_file() else path.name}.labels.sqlite")
@@ -220,13 +203,10 @@ def tracked(table: DetectionTable, fps: float, stages: AnyStages, frames: range,
 
     rows = np.arange(*np.searchsorted(table.frame, [frames.start, frames.stop]))
     rng, clutter = np.random.default_rng(seed), []
-    state = pipeline.start(stages, rng)
-    for count, number in enumerate(frames, start=1):
-        seen = table.at(number)
-        state, step = pipeline.advance(stages, state, seen, number, (number - 1) / fps, rng)
-        found = step.info.clutter_probability
-        clutter.append(found if len(found) == len(seen) else np.zeros(len(seen)))
-        advance(count)
+    given = ((number, (number - 1) / fps, table.at(number)) for number in frames)
+    for after, step in pipeline.run(stages, given, rng):
+        state, found = after, step.info.clutter_probability
+        clutter.append(found if len(found) else np.zeros(len(step.detections)))
+        advance(len(clutter))
     stretch = DetectionTable(table.frame[rows], table.detections.take(rows))
-    said = np.concatenate([np.zeros(0), *clutter])
-    return Evidence(stretch, frames.start, frames.stop - 1, said, pipeline.finish(stages, state))
+    return Evidence(stretch, frames.start, frames.stop - 1, np.concatenate(clutter), pipeline.finish(stages, state))

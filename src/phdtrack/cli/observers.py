@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import ExitStack
 from dataclasses import asdict
-from typing import Any
+from typing import Any, NamedTuple
 
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import Inputs
@@ -23,27 +23,35 @@ from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import Learning, Model
 from phdtrack.report.pages import camera_section, learning_section, rates_section
 from phdtrack.scene import write_scene
-from phdtrack.scene.online import Regime, SceneUpdate
+from phdtrack.scene.online import SceneUpdate
 from phdtrack.scene.rates import Rates
 from phdtrack.types import F8, STILL, Detections, Frame, Image, SequenceInfo, Step, Tracks
 from phdtrack.video.ego_motion import CameraMotion, CameraPath
 
 Draw = Callable[[int, Image], None]
+"""Draws a frame, by its number and its annotated picture, which is empty where the run has none."""
 Mover = Callable[[Frame, Detections], F8]
 """(3, 3) from the pixels of the last frame to those of this one, or `types.STILL`."""
 # Entries of a course in run.json.
 _MAX_ENTRIES = 500
 
 
+class Report(NamedTuple):
+    """What came of an observer: for run.json, for the terminal, and as markup for the report."""
+
+    document: dict[str, object]
+    sentences: tuple[str, ...] = ()
+    section: str = ""
+
+
 class RunObserver:
-    """An observer that does nothing; others override what they need."""
+    """An observer without files and videos; others override what they need."""
 
     draws = False
     """Whether it has a video of its own."""
 
-    def open(self, directory: RunDirectory) -> AbstractContextManager[object]:
-        """Its files, open while the run lasts."""
-        return nullcontext()
+    def open(self, directory: RunDirectory, files: ExitStack) -> None:
+        """Open its files until ``files`` are closed."""
 
     def take(self, step: Step, state: TrackingState) -> None:
         """Take in one frame's step and the tracker's state after it."""
@@ -51,24 +59,16 @@ class RunObserver:
     def flush(self, rows: Tracks) -> None:
         """Take in the online rows that the output delay held back; no step follows."""
 
-    def finish(self, tracks: Tracks) -> None:
+    def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
         """Take in the corrected tracks of the whole run, before anything is drawn or reported."""
 
-    def drawing(self, directory: RunDirectory, *, pictures: bool) -> AbstractContextManager[Draw]:
-        """Its video: a function of each frame's number and annotated picture, which is empty without ``pictures``."""
-        return nullcontext(lambda number, picture: None)
+    def drawing(self, directory: RunDirectory, files: ExitStack, *, pictures: bool) -> Draw | None:
+        """What draws its video until ``files`` are closed; ``pictures``: there are annotated ones."""
+        return None
 
-    def section(self) -> str:
-        """Its section of the report."""
-        return ""
-
-    def sentences(self) -> tuple[str, ...]:
-        """The same in a few words, for the terminal."""
-        return ()
-
-    def document(self) -> dict[str, object]:
-        """The same for programs, for run.json."""
-        return {}
+    def report(self) -> Report:
+        """What came of it."""
+        return Report({})
 
 
 def observers_of(settings: Settings, inputs: Inputs, learning: Learning[Any]) -> tuple[RunObserver, ...]:
@@ -76,48 +76,36 @@ def observers_of(settings: Settings, inputs: Inputs, learning: Learning[Any]) ->
     found = list[RunObserver]()
     if settings.kind("camera_motion") != "none":
         found.append(CameraObserver(settings.kind("camera_motion"), inputs.info))
-    scene = learning
     if isinstance(learning, RateLearning):
         found.append(RatesObserver(learning))
-        scene = learning.other
-    if isinstance(scene, SceneLearning):
-        found.append(SceneObserver(scene, inputs.name))
+        learning = learning.other
+    if isinstance(learning, SceneLearning):
+        found.append(SceneObserver(learning, inputs.name))
     return tuple(found)
 
 
 class CameraObserver(RunObserver):
-    """Writes the camera's motion for another run to read, and tells how far the camera went."""
+    """Writes the camera's motion for another run to read, and reports how far the camera went."""
 
     def __init__(self, kind: str, info: SequenceInfo) -> None:
-        self._kind, self._path = kind, CameraPath(info.width, info.height)
-        self._first = True
-        self._file: WarpsWriter | None = None
+        self._kind, self._path, self._first = kind, CameraPath(info.width, info.height), True
 
-    @contextmanager
-    def open(self, directory: RunDirectory) -> Iterator[None]:
-        """The file of the motion, open while the run lasts."""
-        with WarpsWriter(directory.file(rundir.CAMERA_MOTION)) as self._file:
-            yield
+    def open(self, directory: RunDirectory, files: ExitStack) -> None:
+        """Open the file of the motion."""
+        self._file = files.enter_context(WarpsWriter(directory.file(rundir.CAMERA_MOTION)))
 
     def take(self, step: Step, state: TrackingState) -> None:
         """Write one motion; before the first frame there is none."""
         if not self._first:
             self._path.add(step.warp)
-            if self._file is not None and len(step.warp):
+            if len(step.warp):
                 self._file.append(step.number, step.warp)
         self._first = False
 
-    def section(self) -> str:
-        """How far the camera went."""
-        return camera_section(self.sentences())
-
-    def sentences(self) -> tuple[str, ...]:
+    def report(self) -> Report:
         """How far the camera went, and how often that is not known."""
-        return (self._path.sentence(),)
-
-    def document(self) -> dict[str, object]:
-        """How far the camera went, for programs."""
-        return {"camera_motion": {"kind": self._kind} | self._path.document()}
+        said = (self._path.sentence(),)
+        return Report({"camera_motion": {"kind": self._kind} | self._path.document()}, said, camera_section(said))
 
 
 class RatesObserver(RunObserver):
@@ -133,14 +121,17 @@ class RatesObserver(RunObserver):
         if known.learned.rates.number == step.number:
             self._course.append(known.learned.rates)
 
-    def section(self) -> str:
-        """The rates over time."""
-        return rates_section(self._course, self._rule)
+    def report(self) -> Report:
+        """The rates over time, at most 500 of them, and those at the end."""
+        given = self._rule.settings
+        used = {"detection": given.detection, "clutter": given.clutter, "births": given.birth, "scores": given.scores}
+        course = [asdict(self._course[k]) for k in _thinned(len(self._course))]
+        document: dict[str, object] = {"rates": {"set": asdict(self._rule.priors), "used": used, "course": course}}
+        return Report(document, (self._sentence(),), rates_section(self._course, self._rule))
 
-    def sentences(self) -> tuple[str, ...]:
-        """The rates at the end."""
+    def _sentence(self) -> str:
         if not self._course:
-            return ("no rates were learned: the run is too short",)
+            return "no rates were learned: the run is too short"
         last, priors = self._course[-1], self._rule.priors
         said = [f"objects are detected in {100 * last.detection:.0f} % of frames (set: {100 * priors.detection:.0f} %)"]
         if priors.clutter_each:
@@ -150,14 +141,7 @@ class RatesObserver(RunObserver):
         if last.lowest < 1 < last.highest:
             said.append(f"the best scores count {last.highest:.2f} : 1 for an object, the worst 1 : {1 / last.lowest:.2f}")
         limits = f"; kept within limits: {', '.join(last.limited)}" if last.limited else ""
-        return (f"estimated from the stream: {'; '.join(said)}{limits}",)
-
-    def document(self) -> dict[str, object]:
-        """The rates over time, thinned to 500 entries."""
-        course = [asdict(self._course[k]) for k in _thinned(len(self._course))]
-        given = self._rule.settings
-        used = {"detection": given.detection, "clutter": given.clutter, "births": given.birth, "scores": given.scores}
-        return {"rates": {"set": asdict(self._rule.priors), "used": used, "course": course}}
+        return f"estimated from the stream: {'; '.join(said)}{limits}"
 
 
 class SceneObserver(RunObserver):
@@ -166,43 +150,27 @@ class SceneObserver(RunObserver):
     def __init__(self, learning: SceneLearning, source: str) -> None:
         self._learning, self._source = learning, source
         self._course: list[SceneUpdate] = []
-        self._state: SceneState | None = None
+        self._modes: list[str] = []
 
     def take(self, step: Step, state: TrackingState) -> None:
         """Keep what this frame taught."""
         learned = state.learned
-        scene: SceneState = learned.other if isinstance(learned, RatesState) else learned
-        self._state, last = scene, scene.known.last
+        self._state: SceneState = learned.other if isinstance(learned, RatesState) else learned
+        last = self._state.known.last
         if last is not None and last.number == step.number:
             self._course.append(last)
 
-    @contextmanager
-    def open(self, directory: RunDirectory) -> Iterator[None]:
-        """The scenes are written at the end, however the run ends."""
-        yield
-        for file, mode in zip(rundir.SCENES, self._modes(), strict=False):
+    def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
+        """Write all modes that know something."""
+        known = self._state.known
+        others = [mode for k, mode in enumerate(known.regimes) if k != known.active]
+        modes = [mode for mode in (known.regime, *others) if mode.trusted]
+        self._modes = [mode.name for mode in modes]
+        for file, mode in zip(rundir.SCENES, modes, strict=False):
             write_scene(directory.file(file), self._learning.scene(mode, self._source))
 
-    def section(self) -> str:
-        """Rates over time, and what changed."""
-        rule = self._learning.rule
-        return learning_section(self._course, rule.memory / 60, rule.rate)
-
-    def sentences(self) -> tuple[str, ...]:
-        """What is known at the end, and how often it went out of use."""
-        if not self._course:
-            return ("nothing was learned of the scene: the run is too short",)
-        last, rule = self._course[-1], self._learning.rule
-        births = f"{last.births * rule.rate * 60:.1f} births a minute{'' if last.births_used else ' (not in use)'}"
-        alarms = f"{last.clutter:.2f} false alarms a frame{'' if last.clutter_used else ' (not in use)'}"
-        dropped = sum("out of use" in sentence for one in self._course for sentence in one.changes)
-        names = [mode.name for mode in self._modes()]
-        modes = f"; modes: {', '.join(names)}" if len(names) > 1 else ""
-        drops = f"; what was learned went out of use {counted(dropped, 'time')}" if dropped else ""
-        return (f"learned of the scene: {alarms}, {births}{modes}{drops}",)
-
-    def document(self) -> dict[str, object]:
-        """The same over time, thinned to 500 entries; all that say something are among them."""
+    def report(self) -> Report:
+        """Rates over time and what changed; at most 500 entries, all that say something among them."""
         rule = self._learning.rule
         kept = _thinned(len(self._course), [k for k, one in enumerate(self._course) if one.changes])
         course = [
@@ -220,15 +188,20 @@ class SceneObserver(RunObserver):
             }
             for one in (self._course[k] for k in kept)
         ]
-        return {"learning": {"memory_minutes": rule.memory / 60, "course": course}}
+        minutes = rule.memory / 60
+        document: dict[str, object] = {"learning": {"memory_minutes": minutes, "course": course}}
+        return Report(document, (self._sentence(),), learning_section(self._course, minutes, rule.rate))
 
-    def _modes(self) -> list[Regime]:
-        """All modes that know something, the active one first."""
-        if self._state is None:
-            return []
-        known = self._state.known
-        others = [mode for k, mode in enumerate(known.regimes) if k != known.active]
-        return [mode for mode in (known.regime, *others) if mode.trusted]
+    def _sentence(self) -> str:
+        if not self._course:
+            return "nothing was learned of the scene: the run is too short"
+        last, per_minute = self._course[-1], self._learning.rule.rate * 60
+        births = f"{last.births * per_minute:.1f} births a minute{'' if last.births_used else ' (not in use)'}"
+        alarms = f"{last.clutter:.2f} false alarms a frame{'' if last.clutter_used else ' (not in use)'}"
+        modes = f"; modes: {', '.join(self._modes)}" if len(self._modes) > 1 else ""
+        dropped = sum("out of use" in sentence for one in self._course for sentence in one.changes)
+        drops = f"; what was learned went out of use {counted(dropped, 'time')}" if dropped else ""
+        return f"learned of the scene: {alarms}, {births}{modes}{drops}"
 
 
 def _thinned(count: int, more: Iterable[int] = ()) -> list[int]:
@@ -278,11 +251,8 @@ def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover:
     warps = read_warps(chosen.file)
     last = int(warps.frame[-1]) if len(warps.frame) else 0
     if inputs.info.frames and last > inputs.info.frames:
-        raise InputError(
-            f"the camera's motion goes on to frame {last}, and {inputs.name} has {inputs.info.frames}",
-            where=chosen.file,
-            cure="Is it the motion of this sequence?",
-        )
+        problem = f"the camera's motion goes on to frame {last}, and {inputs.name} has {inputs.info.frames}"
+        raise InputError(problem, where=chosen.file, cure="Is it the motion of this sequence?")
     before = 0
 
     def read(frame: Frame, found: Detections) -> F8:

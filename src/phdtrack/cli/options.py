@@ -1,4 +1,7 @@
-"""Options that more than one command has, each described once. Nothing heavy is imported here, for a quick start."""
+"""Options that more than one command has, each described once. Nothing heavy is imported here, for a quick start.
+
+A command may have one of the records below among its parameters: `app.command` makes an option of each of its fields.
+"""
 
 from __future__ import annotations
 
@@ -38,24 +41,29 @@ Fps = Annotated[
 Detector = Annotated[
     str, typer.Option("--detector", metavar="NAME", help="change (default), mean-background, mog2, knn, face or person.")
 ]
-Recorded = Annotated[
-    str, typer.Argument(metavar="SOURCE", help="Video or folder of images; left out with detections alone.")
+Source = Annotated[
+    str,
+    typer.Argument(
+        metavar="SOURCE",
+        help="Video, folder or pattern of images, camera number; left out where detections or positions are all there is.",
+    ),
 ]
-LabelsFile = Annotated[
-    Path | None, typer.Option("--labels", metavar="FILE", help="Marks of `phdtrack label`; default: beside the video.")
+Filter = Annotated[
+    str,
+    typer.Option(
+        "--filter",
+        metavar="NAME",
+        help="pmb (default), gm-phd (default of groups), particle-phd, gm-cphd, particle-cphd, mht, mcmc, or none: "
+        "association of raw detections.",
+    ),
 ]
 SceneFile = Annotated[
     Path | None, typer.Option("--scene", metavar="FILE", help="What `phdtrack learn` has learned of this scene.")
 ]
-CameraMotion = Annotated[
-    str,
-    typer.Option(
-        "--camera-motion",
-        metavar="flow|FILE|none",
-        help="Compensate a camera that moves: measured in the pictures, or a matrix for each frame (default: none).",
-    ),
-]
 TruthFile = Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="Annotated objects to score against.")]
+Labels = Annotated[
+    Path | None, typer.Option("--labels", metavar="FILE", help="Marks of `phdtrack label`; default: beside the video.")
+]
 Config = Annotated[
     Path | None, typer.Option("--config", metavar="FILE", help="Settings in a TOML file; an unknown name is an error.")
 ]
@@ -77,7 +85,7 @@ DetectionsFile = Annotated[
     Path | None, typer.Option("--detections", metavar="FILE", help="Detections instead of a detector.")
 ]
 Out = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="The run's directory; default: runs/ and the source's name.")
+    Path | None, typer.Option("--out", metavar="DIR", help="The directory to write; default: runs/ and the source's name.")
 ]
 Threads = Annotated[
     int | None,
@@ -94,17 +102,26 @@ DEFAULT_DETECTOR = "change"
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
-    """What the options say, before anything is opened. Empty text and 0 stand for an option that was not given.
+class SourceOptions:
+    """What is read. Empty text, 0 and None stand for an option that was not given."""
 
-    ``last`` is the last annotated frame: a sequence without a video is at least that long.
-    """
+    source: Source = ""
+    detections: DetectionsFile = None
+    detector: Detector = ""
+    frame_size: FrameSize = ""
+    fps: Fps = 0.0
+    max_width: MaxWidth = 0
+    mask: Mask = None
 
-    source: str = ""
-    detections: Path | None = None
-    detector: str = ""
-    frame_size: str = ""
-    fps: float = 0.0
-    max_width: int = 0
-    mask: Path | None = None
-    last: int = 0
+
+@dataclass(frozen=True, slots=True)
+class TrackingOptions:
+    """How it is tracked. Empty text and None stand for an option that was not given."""
+
+    filter_name: Filter = ""
+    preset: Preset = ""
+    config: Config = None
+    sets: Sets = None
+    seed: Seed = 0
+    truth: TruthFile = None
+    threads: Threads = None

@@ -1,17 +1,20 @@
 """What the commands say, and where: results on stdout; progress, warnings and errors on stderr.
 
-With ``--json`` stdout belongs to one JSON object alone, and every sentence moves to stderr.
+With ``--json`` stdout belongs to one JSON object, and every sentence moves to stderr.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
+
+from phdtrack.cli.options import Json
 
 Advance = Callable[[int], None]
 
@@ -20,24 +23,25 @@ Advance = Callable[[int], None]
 class Output:
     """Where a command's words go; ``json``: stdout is kept for one JSON object."""
 
-    json: bool = False
+    json: Json = False
 
-    def say(self, text: str = "") -> None:
-        """A sentence for the user."""
-        print(text, file=sys.stderr if self.json else sys.stdout, flush=True)
+    def say(self, *lines: str) -> None:
+        """Lines for the user; an empty one without any."""
+        print(*lines, sep="\n", file=sys.stderr if self.json else sys.stdout, flush=True)
 
-    def warn(self, text: str) -> None:
-        """A sentence about something that is not as it should be, but does not stop the job."""
-        print(f"phdtrack: warning: {text}", file=sys.stderr, flush=True)
+    def warn(self, sentences: Iterable[str]) -> None:
+        """Sentences about what is not as it should be, but does not stop the job."""
+        for sentence in sentences:
+            self.note(f"warning: {sentence}")
 
     def note(self, text: str) -> None:
         """A sentence about what is going on; on stderr, like progress."""
         print(f"phdtrack: {text}", file=sys.stderr, flush=True)
 
     def document(self, value: dict[str, Any]) -> None:
-        """The one JSON object, where it was asked for."""
+        """The one JSON object, where it was asked for. What JSON cannot write (NaN, infinities) is null."""
         if self.json:
-            print(json_text(value))
+            print(json.dumps(_finite(value), indent=2, allow_nan=False, ensure_ascii=False))
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[str]], *, words: Sequence[int] = (0,)) -> None:
         """Columns under a head, which is left out where it is blank; ``words`` are the columns aligned left."""
@@ -49,20 +53,13 @@ class Output:
             self.say("  ".join(cells).rstrip())
 
 
-def json_text(value: Any) -> str:
-    """JSON in which numbers that JSON cannot write (NaN, infinities) are null."""
-    return json.dumps(finite(value), indent=2, allow_nan=False, ensure_ascii=False)
-
-
-def finite(value: Any) -> Any:
+def _finite(value: Any) -> Any:
     """The same value with NaN and infinities replaced by None, at any depth; tuples become lists."""
     if isinstance(value, dict):
-        return {str(key): finite(item) for key, item in value.items()}
+        return {str(key): _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -76,6 +73,11 @@ def counted(count: int, noun: str) -> str:
     """ "no boxes", "1 box", "2 boxes"."""
     many = f"{noun}es" if noun.endswith("x") else f"{noun}s"
     return f"{count or 'no'} {noun if count == 1 else many}"
+
+
+def command_line() -> str:
+    """What was typed, so that it can be typed again."""
+    return shlex.join(["phdtrack", *sys.argv[1:]])
 
 
 @contextmanager

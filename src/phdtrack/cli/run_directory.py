@@ -7,46 +7,63 @@ whatever else lies in the directory stays.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from phdtrack.errors import InputError
 
-TRACKS = "tracks.csv"
-ONLINE = "tracks_online.csv"
-STATES = "states.csv"
-DETECTIONS = "detections.csv"
-VIDEO = "annotated.mp4"
-REPORT = "report.html"
-RUN = "run.json"
-GROUPS = "groups.csv"
-MEMBERS = "members.csv"
-EVENTS = "events.csv"
-WARNINGS = "warnings.csv"
-PLAN = "plan.mp4"
-CAMERA_MOTION = "camera_motion.csv"
-FILES = (TRACKS, ONLINE, STATES, DETECTIONS, VIDEO, REPORT, RUN)
-# What a run that learns leaves of its scene besides, a file for each mode.
+TRACKS, ONLINE, STATES, DETECTIONS = "tracks.csv", "tracks_online.csv", "states.csv", "detections.csv"
+GROUPS, MEMBERS, EVENTS, WARNINGS = "groups.csv", "members.csv", "events.csv", "warnings.csv"
+VIDEO, PLAN, REPORT, RUN, CAMERA_MOTION = "annotated.mp4", "plan.mp4", "report.html", "run.json", "camera_motion.csv"
+# What a run that learns leaves of its scene, a file for each mode.
 SCENES = ("scene.json", *(f"scene-{k}.json" for k in range(2, 9)))
-RUN_FILES = (*FILES, *SCENES, CAMERA_MOTION)
-# What `phdtrack groups` writes besides.
-GROUP_FILES = (GROUPS, MEMBERS, EVENTS, WARNINGS, PLAN)
+_TABLES = {
+    TRACKS: "tracks, corrected, MOTChallenge",
+    ONLINE: "the same as they came, frame by frame",
+    STATES: "the filter's states before they had identities",
+    DETECTIONS: "what the detector saw",
+}
+_PAGES = {REPORT: "the run in pictures and numbers", RUN: "everything that decided it, for programs"}
+# What each file is; without words it is not listed for people.
+RUN_FILES = {
+    **_TABLES,
+    VIDEO: "to look at",
+    CAMERA_MOTION: "how the camera moved, for --camera-motion",
+    **dict.fromkeys(SCENES, ""),
+    SCENES[0]: "what was learned of the scene, for --scene",
+    **_PAGES,
+}
+GROUP_FILES = {
+    **_TABLES,
+    GROUPS: "every group in every frame: count, place, contour",
+    MEMBERS: "members of each group",
+    EVENTS: "groups that appear, vanish, merge, split",
+    WARNINGS: "groups about to meet",
+    VIDEO: "to look at",
+    PLAN: "the ground from above",
+    **_PAGES,
+}
 
 
 @dataclass(frozen=True, slots=True)
 class RunDirectory:
-    """A directory that is ready to be written into: it exists, and none of the files ``names`` did when it was claimed."""
+    """A directory that is ready to be written into; none of its ``files`` was there when it was claimed."""
 
     path: Path
-    names: tuple[str, ...] = RUN_FILES
+    files: Mapping[str, str]
 
     def file(self, name: str) -> Path:
-        """Where the file ``name``, one of ``names``, lies."""
+        """Where the file ``name`` lies."""
         return self.path / name
 
     def written(self) -> list[Path]:
-        """Those of the files that exist by now, in the order of ``names``."""
-        return [self.path / name for name in self.names if (self.path / name).exists()]
+        """Those of the files that exist by now."""
+        return [self.path / name for name in self.files if (self.path / name).exists()]
+
+    def listing(self) -> list[str]:
+        """A line for each of these that says what it is."""
+        return [f"  {self.file(name)}  {what}" for name, what in self.files.items() if what and self.file(name).exists()]
 
     def clear(self) -> None:
         """Remove the files again: nothing came of the run, and what is there would be taken for a result."""
@@ -54,41 +71,39 @@ class RunDirectory:
             file.unlink()
 
 
-def check(path: Path, overwrite: bool, names: tuple[str, ...] = RUN_FILES) -> None:
+def check(path: Path, overwrite: bool, files: Mapping[str, str] = RUN_FILES) -> None:
     """Fail early where `claim` would fail because of what is there already; changes nothing.
 
     Raises
     ------
-    InputError : ``path`` is a file, or holds one of ``names`` and ``overwrite`` is False.
+    InputError : ``path`` is a file, or holds one of ``files`` and ``overwrite`` is False.
     """
+    where = f"--out {path}"
     if path.exists() and not path.is_dir():
-        raise InputError("a directory was expected, and this is a file", where=f"--out {path}", cure="Choose another --out.")
-    held = [name for name in names if (path / name).exists()]
+        raise InputError("a directory was expected, and this is a file", where=where, cure="Choose another --out.")
+    held = [name for name in files if (path / name).exists()]
     if folders := [name for name in held if (path / name).is_dir()]:
-        raise InputError(f"{folders[0]} is a directory, where a file is to be written", where=f"--out {path}")
+        raise InputError(f"{folders[0]} is a directory, where a file is to be written", where=where)
     if held and not overwrite:
-        raise InputError(
-            f"the directory holds an earlier run ({', '.join(held)})",
-            where=f"--out {path}",
-            cure="Say --overwrite to replace these files, or choose another --out.",
-        )
+        problem = f"the directory holds an earlier run ({', '.join(held)})"
+        raise InputError(problem, where=where, cure="Say --overwrite to replace these files, or choose another --out.")
 
 
-def claim(path: Path, overwrite: bool, names: tuple[str, ...] = RUN_FILES) -> RunDirectory:
+def claim(path: Path, overwrite: bool, files: Mapping[str, str] = RUN_FILES) -> RunDirectory:
     """The directory made ready; files of an earlier run are removed, so that none can be taken for this one's.
 
     Raises
     ------
     InputError : as `check`, or the directory cannot be made or written into.
     """
-    check(path, overwrite, names)
+    check(path, overwrite, files)
     try:
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):
             pass
-        for name in names:
+        for name in files:
             (path / name).unlink(missing_ok=True)
     except OSError as error:
         problem = f"cannot be written into ({error.strerror or error})"
         raise InputError(problem, where=f"--out {path}", cure="Choose another --out.") from error
-    return RunDirectory(path, names)
+    return RunDirectory(path, files)

@@ -8,13 +8,14 @@ from __future__ import annotations
 import inspect
 import json
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from phdtrack.cli.options import Config, Json, Preset, Sets
+from phdtrack.cli import options as given
+from phdtrack.cli.options import TrackingOptions
 from phdtrack.cli.output import Output
 
 if TYPE_CHECKING:
@@ -27,27 +28,12 @@ MAIN = {
     "birth": ("births_per_second",),
     "clutter": ("clutter_per_frame",),
     "associate": ("min_track_length", "max_coast", "output_delay"),
+    "filter": ("kind",),
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """How to track. Empty text and None stand for an option that was not given; ``truth`` is the file to score against."""
-
-    filter_name: str = ""
-    preset: str = ""
-    config: Path | None = None
-    sets: tuple[str, ...] = ()
-    seed: int = 0
-    truth: Path | None = None
-    threads: int | None = None
-    scene: Path | None = None
-    learn_online: bool = False
-    camera_motion: str = ""
-
-
-def chosen(choice: Choice) -> Settings:
-    """The settings: those of preset and file with the options in their place.
+def chosen(options: TrackingOptions, first: Sequence[str] = ()) -> Settings:
+    """The settings: those of preset and file, then of ``first``, then of the options, each in place of those before.
 
     Raises
     ------
@@ -56,30 +42,33 @@ def chosen(choice: Choice) -> Settings:
     from phdtrack.config import load, overlay
     from phdtrack.config.kinds import settable
 
-    sets = list(choice.sets)
-    if choice.scene is not None:
-        sets.insert(0, f"scene={choice.scene}")
-    if choice.learn_online:
-        sets.insert(0, "learn.kind=online")
-    if choice.camera_motion in ("none", "flow"):
-        sets.insert(0, f"camera_motion.kind={choice.camera_motion}")
-    elif choice.camera_motion:
-        sets[:0] = ["camera_motion.kind=file", f"camera_motion.file={json.dumps(choice.camera_motion)}"]
-    settings = load(choice.config, sets, choice.preset, choice.filter_name)
-    if choice.threads is None:
+    settings = load(options.config, [*first, *(options.sets or ())], options.preset, options.filter_name)
+    if options.threads is None:
         return settings
     # Filter and extraction, where they can use more than one.
     sharing = [name for name in ("filter", "extract") if "threads" in settable(name, settings.kind(name), "")]
-    return overlay(settings, {name: {"threads": choice.threads} for name in sharing}, "--threads")
+    return overlay(settings, {name: {"threads": options.threads} for name in sharing}, "--threads")
+
+
+def scene_settings(scene: Path | None, camera_motion: str = "", *, learn_online: bool = False) -> list[str]:
+    """What the options of a scene and of a moving camera stand for, as ``--set`` has it."""
+    sets = [] if scene is None else [f"scene={scene}"]
+    if learn_online:
+        sets.append("learn.kind=online")
+    if camera_motion in ("none", "flow"):
+        sets.append(f"camera_motion.kind={camera_motion}")
+    elif camera_motion:
+        sets += ["camera_motion.kind=file", f"camera_motion.file={json.dumps(camera_motion)}"]
+    return sets
 
 
 def settings(
-    preset: Preset = "",
-    filter_name: Annotated[str, typer.Option("--filter", metavar="NAME", help="Another filter than the preset's.")] = "",
-    config_file: Config = None,
-    sets: Sets = None,
+    output: Output,
+    preset: given.Preset = "",
+    filter_name: given.Filter = "",
+    config: given.Config = None,
+    sets: given.Sets = None,
     everything: Annotated[bool, typer.Option("--all", help="Every setting, not only the dozen to know.")] = False,
-    json: Json = False,
 ) -> None:
     """Print settings as TOML, with units and meaning, for --config to read back.
 
@@ -87,9 +76,9 @@ def settings(
     """
     from phdtrack.config import load
 
-    found, out = load(config_file, tuple(sets or ()), preset, filter_name), Output(json)
-    out.say(as_toml(found, everything=everything))
-    out.document(found.as_dict())
+    found = load(config, sets or (), preset, filter_name)
+    output.say(as_toml(found, everything=everything))
+    output.document(found.as_dict())
 
 
 def as_toml(found: Settings, *, everything: bool) -> str:
@@ -102,28 +91,21 @@ def as_toml(found: Settings, *, everything: bool) -> str:
     for section, values in found.as_dict().items():
         if section == "preset":
             continue
-        kind, kinds = found.kind(section), list(SECTIONS[section])
-        given = found.given.get(section, {})
-        shown = {k: v for k, v in values.items() if everything or k in MAIN.get(section, ()) or k in given}
-        if section == "filter":
-            shown = {"kind": kind, **shown}
-        shown = {key: value for key, value in shown.items() if key != "kind" or everything or section == "filter" or given}
-        if not shown:
-            continue
-        lines += ["", f"[{section}]"]
-        meaning = meanings(record(section, kind))
-        for key, value in shown.items():
-            words = f"{', '.join(kinds)}" if key == "kind" else meaning.get(key, "")
-            line = f"{key} = {toml_value(value)}"
-            lines.append(f"{line}  # {words}" if words else line)
+        said = {*MAIN.get(section, ()), *found.given.get(section, {})}
+        if found.given.get(section):
+            said.add("kind")
+        meaning = meanings(record(section, found.kind(section))) | {"kind": ", ".join(SECTIONS[section])}
+        shown = {name: value for name, value in values.items() if everything or name in said}
+        lines += ["", f"[{section}]"] if shown else []
+        for name, value in shown.items():
+            words = meaning.get(name, "")
+            lines.append(f"{name} = {toml_value(value)}" + (f"  # {words}" if words else ""))
     return "\n".join(lines)
 
 
 def toml_value(value: Any) -> str:
     """A value as TOML writes it."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
+    if isinstance(value, (bool, str)):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(toml_value(item) for item in value)}]"

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.options import Json, Overwrite, Seed, Wanted
+from phdtrack.cli.options import SourceOptions, TrackingOptions
 from phdtrack.cli.output import Output, counted, progress
 from phdtrack.errors import InputError
 
@@ -24,7 +25,7 @@ TRUTH = "gt/gt.txt"
 DETECTIONS = "det/det.txt"
 SEQINFO = "seqinfo.ini"
 VIDEO = "scene.mp4"
-FILES = (TRUTH, DETECTIONS, SEQINFO, VIDEO)
+FILES = dict.fromkeys((TRUTH, DETECTIONS, SEQINFO, VIDEO), "")
 # The scene of the demonstration.
 SCENE = "street"
 FRAMES = 300
@@ -41,9 +42,10 @@ def simulate(
         str,
         typer.Argument(metavar="SCENE", help="street, crossing, occlusion, crowd, corridor, yard, garden, arcade, empty."),
     ],
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to write; default: runs/SCENE.")] = None,
-    overwrite: Overwrite = False,
-    seed: Seed = 0,
+    output: Output,
+    out: given.Out = None,
+    overwrite: given.Overwrite = False,
+    seed: given.Seed = 0,
     frames: Annotated[int, typer.Option("--frames", metavar="N", min=0, help="Number of frames; 0: as the scene has.")] = 0,
     p_detect: Annotated[float | None, typer.Option("--p-detect", metavar="P", help="Detection probability.")] = None,
     clutter: Annotated[float | None, typer.Option("--clutter", metavar="F", help="Poisson false alarms per frame.")] = None,
@@ -59,7 +61,6 @@ def simulate(
         typer.Option("--look", metavar="NAME=VALUE", help="How the video looks: wave=0.3, lamps=8, noise, flicker, …"),
     ] = None,
     video: Annotated[bool, typer.Option("--video/--no-video", help="Render the scene as a video, too.")] = True,
-    json: Json = False,
 ) -> None:
     """Simulate a scene: truth, detections of it, and a video.
 
@@ -75,11 +76,11 @@ def simulate(
         make_scene(name, seed)  # which says what scenes there are
     world, model, picture = NAMED[name], default_detector(NAMED[name]), default_look(name)
     values = {"p_detect": p_detect, "clutter_rate": clutter, "places": places, "jitter": jitter, "jitter_size": jitter}
-    given: dict[str, Any] = {key: value for key, value in values.items() if value is not None}
-    model = replace(model, **given)
+    said: dict[str, Any] = {key: value for key, value in values.items() if value is not None}
+    model = replace(model, **said)
     picture = replace(picture, **_assigned(look or [], picture, "--look"))
     scene = make_scene(name, seed, model, **_assigned(sets or [], world, "--set") | ({"frames": frames} if frames else {}))
-    target, result = rundir.claim(out or Path("runs") / name, overwrite, FILES), Output(json)
+    target = rundir.claim(out or Path("runs") / name, overwrite, FILES)
     write_truth(target.file(TRUTH), scene.truth)
     write_detections(target.file(DETECTIONS), scene.detections)
     info = scene.info
@@ -90,18 +91,17 @@ def simulate(
         render_video(scene, np.random.default_rng(seed), target.file(VIDEO), picture)
     objects = len(set(scene.truth.identity.tolist()))
     parts = [(info.frames, "frame"), (objects, "object"), (len(scene.detections), "detection")]
-    result.say(f"{name}: {', '.join(counted(*part) for part in parts)}, in {target.path}")
     files = [str(file) for file in target.written()]
-    result.say("\n".join(f"  {file}" for file in files))
+    output.say(f"{name}: {', '.join(counted(*part) for part in parts)}, in {target.path}", *(f"  {file}" for file in files))
     about = {"scene": name, "seed": seed, "frames": info.frames, "objects": objects}
-    result.document(about | {"detections": len(scene.detections), "files": files})
+    output.document(about | {"detections": len(scene.detections), "files": files})
 
 
 def demo(
+    output: Output,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where to write.")] = Path("demo-run"),
-    overwrite: Overwrite = False,
-    seed: Seed = 7,
-    json: Json = False,
+    overwrite: given.Overwrite = False,
+    seed: given.Seed = 7,
 ) -> None:
     """Render a street and track the people in it, with the filter and without.
 
@@ -113,37 +113,35 @@ def demo(
 
     from phdtrack.cli.evaluate import score_table
     from phdtrack.cli.job import announced, run
-    from phdtrack.cli.settings import Choice, chosen
+    from phdtrack.cli.settings import chosen
     from phdtrack.cli.track import prepare
     from phdtrack.formats import write_truth
     from phdtrack.simulate import Look, make_scene
 
-    result = Output(json)
     rundir.check(out / WITHOUT, overwrite)
-    directory = rundir.claim(out, overwrite, (VIDEO, DEMO_TRUTH, *rundir.RUN_FILES))
+    directory = rundir.claim(out, overwrite, {VIDEO: "", DEMO_TRUTH: ""} | rundir.RUN_FILES)
+    movie, truth = directory.file(VIDEO), directory.file(DEMO_TRUTH)
     scene = make_scene(SCENE, seed, frames=FRAMES, arrivals=ARRIVALS)
-    write_truth(directory.file(DEMO_TRUTH), scene.truth)
+    write_truth(truth, scene.truth)
     look = Look(flicker=FLICKER, plants=PLANTS, wave=WAVE, blown=BLOWN, lamps=LAMPS)
-    render_video(scene, np.random.default_rng(seed), directory.file(VIDEO), look)
-    result.say(f"The scene: {directory.file(VIDEO)}, {scene.info.frames} frames, flickering light, leaves in the wind.")
-    outcomes = []
-    for filter_name, place in (("pmb", directory), ("none", rundir.claim(out / WITHOUT, overwrite))):
-        choice = Choice(filter_name, seed=seed, truth=directory.file(DEMO_TRUTH))
-        job = prepare(Wanted(str(directory.file(VIDEO))), choice, chosen(choice), video=True)
-        with announced(result):
-            outcome = run(job, place)
-        for warning in outcome.warnings:
-            result.warn(warning)
+    render_video(scene, np.random.default_rng(seed), movie, look)
+    output.say(f"The scene: {movie}, {scene.info.frames} frames, flickering light, leaves in the wind.")
+    outcomes = {}
+    without = rundir.claim(out / WITHOUT, overwrite)
+    for title, filter_name, place in (("with filter", "pmb", directory), ("without", "none", without)):
+        options = TrackingOptions(filter_name, seed=seed, truth=truth)
+        job = prepare(SourceOptions(str(movie)), options, chosen(options), video=True)
+        with announced(output):
+            outcome = outcomes[title] = run(job, place)
+        output.warn(outcome.warnings)
         if outcome.stop is not None:
             raise outcome.stop
-        outcomes.append(outcome)
-    result.say()
-    pairs = zip(("with filter", "without"), outcomes, strict=True)
-    score_table(result, [(title, outcome.scores) for title, outcome in pairs if outcome.scores is not None])
-    result.say()
-    result.say(f"Look at {directory.file(rundir.VIDEO)} and {directory.file(rundir.REPORT)},")
-    result.say(f"and at the same without the filter in {out / WITHOUT}.")
-    result.document({"with_filter": outcomes[0].document, "without_filter": outcomes[1].document})
+    output.say()
+    score_table(output, {title: outcome.scores for title, outcome in outcomes.items() if outcome.scores is not None})
+    output.say("", f"Look at {directory.file(rundir.VIDEO)} and {directory.file(rundir.REPORT)},")
+    output.say(f"and at the same without the filter in {out / WITHOUT}.")
+    with_filter, without_filter = (outcome.document for outcome in outcomes.values())
+    output.document({"with_filter": with_filter, "without_filter": without_filter})
 
 
 def render_video(scene: Scene, rng: np.random.Generator, path: Path, look: Look | None = None) -> None:
@@ -170,8 +168,8 @@ def _assigned(texts: Sequence[str], settings: Any, option: str) -> dict[str, Any
     ------
     InputError : not of the form NAME=VALUE, no number setting has this name, or the value is no number of its type.
     """
-    types = {f.name: type(getattr(settings, f.name)) for f in fields(settings)}
-    numeric = {key: kind for key, kind in types.items() if kind in (int, float)}
+    values = {field.name: getattr(settings, field.name) for field in fields(settings)}
+    numeric = {key: type(value) for key, value in values.items() if type(value) in (int, float)}
     found = {}
     for text in texts:
         key, equals, value = (part.strip() for part in text.partition("="))
@@ -185,6 +183,6 @@ def _assigned(texts: Sequence[str], settings: Any, option: str) -> dict[str, Any
         try:
             found[key] = numeric[key](value)
         except ValueError:
-            wanted = "a whole number" if numeric[key] is int else "a number"
-            raise InputError(f"expected {wanted}, got {value!r}", where=where) from None
+            expected = "a whole number" if numeric[key] is int else "a number"
+            raise InputError(f"expected {expected}, got {value!r}", where=where) from None
     return found

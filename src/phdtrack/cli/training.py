@@ -29,7 +29,7 @@ from phdtrack.models.region import EVERYWHERE
 from phdtrack.models.scene import FalseAlarmRatio, with_scene
 from phdtrack.protocols import AnyStages
 from phdtrack.report.pages import SceneTraining
-from phdtrack.scene import RecursiveEM, Scene, TrackedObjects
+from phdtrack.scene import LearnedDensity, RecursiveEM, Scene, TrackedObjects
 from phdtrack.scene.training import (
     Training,
     births_in,
@@ -41,7 +41,7 @@ from phdtrack.scene.training import (
 )
 from phdtrack.types import F8, I8, Detections, Image, Tracks
 
-_ONLY_BOXES = "false alarms stay as shipped: a density of them is learned for boxes in the image only (motion.kind=box)"
+_ONLY_BOXES = "a density of them is learned for boxes in the image only (motion.kind=box)"
 # Frames, drawn at random, whose suggestions are taken where no person labels: M09's false alarms were of as many.
 UNATTENDED = 200
 LIMITS = (
@@ -61,19 +61,14 @@ class Trained:
     source: str = ""
 
     @property
+    def learned(self) -> LearnedDensity | None:
+        """Rate and density."""
+        return None if self.lesson is None else self.lesson.learned
+
+    @property
     def gain(self) -> float:
         """Nats per unseen sample above the uniform density; NaN where that is not known."""
-        return self.lesson.gain if self.lesson is not None else math.nan
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Watched:
-    """The ``tracks`` of a run that knew the false alarms, without false tracks; which of the false alarms it ``followed``,
-    None where that is not known; and a ``sentence`` about it."""
-
-    tracks: Tracks
-    followed: TrackedObjects | None = None
-    sentence: str = ""
+        return math.nan if self.lesson is None else self.lesson.gain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +115,11 @@ class TrainingData:
 
     def store(self) -> LabelStore | None:
         """The labels of these detections, where there are any. Raises `InputError` where they are of others."""
-        return LabelStore.open(self.labels, self.found.source, self.found.digest, []) if self.labels.exists() else None
+        return LabelStore.open(self.labels, self.found.name, self.found.digest, []) if self.labels.exists() else None
+
+    def no_marks(self) -> InputError:
+        """To raise where there are no labels."""
+        return InputError(f"no marks were found (phdtrack label, kept in {self.labels})")
 
     def tracked(self, alarms: Training | None = None) -> Evidence:
         """What a tracker makes of the stretch that knows these false alarms."""
@@ -134,13 +133,14 @@ class TrainingData:
 
 def clutter_of_labels(data: TrainingData) -> Trained:
     """False alarms from marks [M09 §IV]; why not, where there are none to learn from."""
-    store = data.store() if data.of_boxes else None
-    if store is None:
-        missing = f"false alarms stay as shipped: no marks were found (phdtrack label, kept in {data.labels})"
-        return Trained(None, missing if data.of_boxes else _ONLY_BOXES)
-    boxes, frames = false_boxes(store, data.found.table, data.stretch), len(looked_at(store, data.stretch))
+    store = data.store()
 
     def learned() -> tuple[Training, str]:
+        if not data.of_boxes:
+            raise InputError(_ONLY_BOXES)
+        if store is None:
+            raise data.no_marks()
+        boxes, frames = false_boxes(store, data.found.table, data.stretch), len(looked_at(store, data.stretch))
         lesson = learn_clutter(boxes, frames, data.size, RecursiveEM())
         return lesson, f"{counted(lesson.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
 
@@ -149,16 +149,16 @@ def clutter_of_labels(data: TrainingData) -> Trained:
 
 def clutter_unattended(data: TrainingData) -> Trained:
     """False alarms from what would be suggested to a person; why not, where that is too little."""
-    if not data.of_boxes:
-        return Trained(None, _ONLY_BOXES)
-    frames = [data.stretch.start + k - 1 for k in sampled(len(data.stretch), UNATTENDED, data.seed)]
-    found = suggest(data.tracked(), frames, data.found.info.fps)
-    taken = np.flatnonzero(found.score >= TICKED)
-    rows = np.searchsorted(data.found.table.frame, found.frame[taken]) + found.box[taken]
-    boxes = to_cxcywh(data.found.table.detections.xyxy[rows])
 
     def learned() -> tuple[Training, str]:
+        if not data.of_boxes:
+            raise InputError(_ONLY_BOXES)
+        frames = [data.stretch.start + k - 1 for k in sampled(len(data.stretch), UNATTENDED, data.seed)]
+        found = suggest(data.tracked(), frames, data.found.info.fps)
+        taken = np.flatnonzero(found.score >= TICKED)
+        rows = np.searchsorted(data.found.table.frame, found.frame[taken]) + found.box[taken]
         try:
+            boxes = to_cxcywh(data.found.table.detections.xyxy[rows])
             lesson = learn_clutter(boxes, len(frames), data.size, RecursiveEM())
         except InputError as error:
             raise InputError(error.problem, where=error.where, cure="Look yourself: phdtrack label") from None
@@ -166,66 +166,70 @@ def clutter_unattended(data: TrainingData) -> Trained:
         return lesson, f"{many} taken for false ({_why(found, taken)})"
 
     made = _trained(data, "false alarms", learned)
-    return (
-        made
-        if made.lesson is None
-        else replace(made, sentence=f"{made.sentence}. {LIMITS}", source=f"{made.source} {LIMITS}")
-    )
+    if made.lesson is None:
+        return made
+    return replace(made, sentence=f"{made.sentence}. {LIMITS}", source=f"{made.source} {LIMITS}")
 
 
-def watched_tracks(data: TrainingData, alarms: Training | None, *, marked: bool) -> Watched:
-    """One run behind the false alarms that were learned; ``marked``: a person looked at them, so that it shows what of them
-    is followed all the same. Tracks that stay among these are left out."""
-    tracks, store = data.tracked(alarms).tracks, data.store() if marked else None
-    if alarms is None or store is None:
-        return Watched(tracks)
+def _why(found: Suggestions, taken: I8) -> str:
+    """How many were taken for which reason."""
+    many, places = Counter(REASONS[k] for k in found.reason[taken]), found.place[taken]
+    count = len(np.unique(places[places >= 0]))
+    said = [f"{many['place']} at {counted(count, 'place')} that fire too often"] if many["place"] else []
+    return ", ".join([*said, *([f"{many['rejected']} that the filter rejected"] if many["rejected"] else [])])
+
+
+def without_followed(data: TrainingData, alarms: Training, tracks: Tracks) -> tuple[Tracks, TrackedObjects | None, str]:
+    """The tracks of a run that knew the marked false alarms, but for those that stay among them; which of the false alarms
+    it followed all the same, None where that is not known; and a sentence about it."""
+    store = data.store()
+    if store is None:
+        return tracks, None, ""
     boxes, frames = object_boxes(store, data.found.table, data.stretch), len(looked_at(store, data.stretch))
     try:
         objects = data.with_prior(learn_objects(boxes, frames, data.size, RecursiveEM()))
     except InputError as error:
-        return Watched(tracks, None, f"no track is held back: {error}")
+        return tracks, None, f"no track is held back: {error}"
     followed = TrackedObjects(share_followed(store, tracks, data.stretch), objects.learned)
     text = f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it knows them"
     kept = without_false_tracks(tracks, FalseAlarmRatio(alarms.learned, followed))
-    return Watched(kept, followed, f"{text}; tracks that stay among them are held back")
+    return kept, followed, f"{text}; tracks that stay among them are held back"
 
 
 def births_of_tracks(data: TrainingData, tracks: Tracks) -> Trained:
     """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]; why not, if they are too few."""
-    info, rate, shown = data.found.info, data.stages.model.rate, None
+    info, model, shown = data.found.info, data.stages.model, None
     if not data.of_boxes:
-        sensor = data.stages.model.sensor
-        shown = sensor.measure(Detections.of(tracks.xyxy))[: len(sensor.observed)]
-    states = births_in(tracks, info.fps, rate, shown)
+        shown = model.sensor.measure(Detections.of(tracks.xyxy))[: len(model.sensor.observed)]
+    states = births_in(tracks, info.fps, model.rate, shown)
     # Feet that no ground is under.
     states = states[:, np.isfinite(states).all(axis=0)]
     text = f"{counted(states.shape[1], 'track')} began in {counted(len(data.stretch), 'frame')}"
-    return _births(data, states, len(data.stretch) / info.fps * rate, text)
+    return _trained(data, "births", lambda: _births(data, states, len(data.stretch) / info.fps * model.rate, text))
 
 
 def births_by_hand(data: TrainingData) -> Trained:
     """Births from marks on the clips about the frames that a person has looked at; why not, where they are too few."""
-    if not data.of_boxes:
-        return Trained(None, "births stay as shipped: those marked by hand are boxes in the image (--births tracks)")
     store = data.store()
-    if store is None:
-        return Trained(None, f"births stay as shipped: no marks were found (phdtrack label, kept in {data.labels})")
-    table, info, rate = data.found.table, data.found.info, data.stages.model.rate
-    states = birth_states(store, table, info, rate, data.stretch)
-    unknown = int(np.isnan(states[2]).sum())
-    text = f"{counted(states.shape[1], 'birth')} marked by a person on {counted(len(watched(store, data.stretch)), 'frame')}"
-    text += f" ({unknown} of unknown velocity)" if unknown else ""
-    return _births(data, states, time_watched(store, table, info, rate, data.stretch), text)
-
-
-def _births(data: TrainingData, states: F8, time: float, text: str) -> Trained:
-    """Births from first states; why not, where they are too few."""
 
     def learned() -> tuple[Training, str]:
-        size, corner = data.region()
-        return learn_births(states, time, size, RecursiveEM(), corner), text
+        if not data.of_boxes:
+            raise InputError("those marked by hand are boxes in the image (--births tracks)")
+        if store is None:
+            raise data.no_marks()
+        where = (store, data.found.table, data.found.info, data.stages.model.rate, data.stretch)
+        states, frames = birth_states(*where), len(watched(store, data.stretch))
+        text = f"{counted(states.shape[1], 'birth')} marked by a person on {counted(frames, 'frame')}"
+        unknown = int(np.isnan(states[2]).sum())
+        text += f" ({unknown} of unknown velocity)" if unknown else ""
+        return _births(data, states, time_watched(*where), text)
 
     return _trained(data, "births", learned)
+
+
+def _births(data: TrainingData, states: F8, time: float, text: str) -> tuple[Training, str]:
+    size, corner = data.region()
+    return learn_births(states, time, size, RecursiveEM(), corner), text
 
 
 def _trained(data: TrainingData, part: str, learned: Callable[[], tuple[Training, str]], by: str = "") -> Trained:
@@ -241,21 +245,7 @@ def _trained(data: TrainingData, part: str, learned: Callable[[], tuple[Training
     return Trained(lesson, f"{part}: {text}; {gain}", f"{text}{by}.")
 
 
-def _why(found: Suggestions, taken: I8) -> str:
-    """How many were taken for which reason."""
-    many = Counter(REASONS[k] for k in found.reason[taken])
-    places = len(np.unique(found.place[taken][found.place[taken] >= 0]))
-    said = []
-    if many["place"]:
-        said.append(f"{many['place']} at {counted(places, 'place')} that fire too often")
-    if many["rejected"]:
-        said.append(f"{many['rejected']} that the filter rejected")
-    return ", ".join(said)
-
-
-def train(
-    data: TrainingData, births: str, clutter: str, source: str, picture: Image, result: Output
-) -> tuple[SceneTraining, str]:
+def train(data: TrainingData, births: str, clutter: str, picture: Image, output: Output) -> tuple[SceneTraining, str]:
     """What was learned of a scene, and a summary of it in words.
 
     Parameters
@@ -263,40 +253,33 @@ def train(
     data : what is learned from.
     births : ``tracks`` or ``hand``.
     clutter : ``labels`` or ``unattended``.
-    source : name of the video or of the detections.
     picture : a frame, as the ground of the report's maps; empty where there is none.
-    result : where to say what is learned and what is not.
+    output : where to say what is learned and what is not.
 
     Raises
     ------
     InputError : nothing could be learned.
     """
-    alarms = clutter_unattended(data) if clutter == "unattended" else clutter_of_labels(data)
-    result.say(alarms.sentence)
-    marked = clutter == "labels" and alarms.lesson is not None
-    seen = watched_tracks(data, alarms.lesson, marked=marked) if marked or births == "tracks" else None
-    if seen is not None and seen.sentence:
-        result.say(seen.sentence)
-    born = births_by_hand(data) if seen is None or births == "hand" else births_of_tracks(data, seen.tracks)
-    result.say(born.sentence)
+    alarms, followed = clutter_unattended(data) if clutter == "unattended" else clutter_of_labels(data), None
+    output.say(alarms.sentence)
+    marked, tracks = clutter == "labels" and alarms.lesson is not None, None
+    if marked or births == "tracks":
+        tracks = data.tracked(alarms.lesson).tracks
+    if marked and alarms.lesson is not None and tracks is not None:
+        tracks, followed, sentence = without_followed(data, alarms.lesson, tracks)
+        output.say(*filter(None, [sentence]))
+    born = births_by_hand(data) if tracks is None or births == "hand" else births_of_tracks(data, tracks)
+    output.say(born.sentence)
     if born.lesson is None and alarms.lesson is None:
-        raise InputError("nothing could be learned", where=source, cure="Mark false detections, or learn longer")
+        raise InputError("nothing could be learned", where=data.found.name, cure="Mark false detections, or learn longer")
     gains = {"births gain": born.gain, "clutter gain": alarms.gain}
     notes: dict[str, float | int | str] = {name: value for name, value in gains.items() if math.isfinite(value)}
     notes |= {"births from": births, "clutter from": clutter, "first": data.stretch.start, "last": data.stretch.stop - 1}
-    scene = Scene(
-        data.found.info.width,
-        data.found.info.height,
-        data.stages.model.rate,
-        source,
-        born.lesson.learned if born.lesson else None,
-        alarms.lesson.learned if alarms.lesson else None,
-        notes,
-        seen.followed if seen is not None else None,
-    )
+    info, name, rate = data.found.info, data.found.name, data.stages.model.rate
+    scene = Scene(info.width, info.height, rate, name, born.learned, alarms.learned, notes, followed)
     lead = " ".join(
-        f"{part}: {counted(len(lesson.learned.density), 'place')} from {counted(lesson.learned.samples, 'sample')}."
-        for part, lesson in (("Births", born.lesson), ("False alarms", alarms.lesson))
-        if lesson is not None
+        f"{part}: {counted(len(learned.density), 'place')} from {counted(learned.samples, 'sample')}."
+        for part, learned in (("Births", scene.births), ("False alarms", scene.clutter))
+        if learned is not None
     )
     return SceneTraining(scene, picture, born.gain, alarms.gain, born.source, alarms.source), lead
