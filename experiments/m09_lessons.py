@@ -20,8 +20,7 @@ from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.associate.rejection import FalseTrackRejection, without_false_tracks
 from phdtrack.errors import InputError
 from phdtrack.label import Label, LabelStore
-from phdtrack.label.births import REACH, birth_states, time_watched
-from phdtrack.label.session import false_boxes, object_boxes, sampled, share_followed
+from phdtrack.label.samples import REACH, Marks, sampled
 from phdtrack.metrics import first_output_delays
 from phdtrack.models.scene import FalseAlarmRatio, with_scene
 from phdtrack.protocols import AnyStages
@@ -68,13 +67,12 @@ def learn(job: tuple[Halves, int]) -> LearnedScene:
     stages = config.build(config.load(), case.info)
     rate = stages.model.rate
     with TemporaryDirectory() as folder:
-        marks = marked_false(case, Path(folder) / "false.sqlite", seed)
+        marks = Marks(marked_false(case, Path(folder) / "false.sqlite", seed), case.table, case.info)
         clutter = learned_alarms(case, marks)
         run = followed(with_learned(stages, None, clutter.learned, None), case, seed).corrected
         seen = learned_followed(run, case, marks)
-        entries = marked_births(case, Path(folder) / "births.sqlite")
-        by_hand = birth_states(entries, case.table, case.info, rate)
-        watched = time_watched(entries, case.table, case.info, rate)
+        entries = Marks(marked_births(case, Path(folder) / "births.sqlite"), case.table, case.info)
+        by_hand, watched = entries.birth_states(rate), entries.time_watched(rate)
     births = own_births(without_false_tracks(run, FalseAlarmRatio(clutter.learned, seen)) if seen else run, case, rate)
     hand = _lesson(by_hand, watched, case)
     gains = tuple(lesson.gain if lesson else np.nan for lesson in (clutter, births, hand))
@@ -107,21 +105,21 @@ def own_births(tracks: Tracks, case: Case, rate: float) -> Training | None:
     return _lesson(births_in(tracks, case.info.fps, rate), case.info.frames / case.info.fps * rate, case)
 
 
-def learned_alarms(case: Case, labels: LabelStore) -> Training:
+def learned_alarms(case: Case, marks: Marks) -> Training:
     """False alarms from marks."""
     size = float(case.info.width), float(case.info.height)
-    lesson = learn_clutter(false_boxes(labels, case.table), labels.progress().done, size, RecursiveEM())
+    lesson = learn_clutter(marks.false_boxes, len(marks.looked_at), size, RecursiveEM())
     return _with_prior(lesson, case)
 
 
-def learned_followed(tracks: Tracks, case: Case, labels: LabelStore) -> TrackedObjects | None:
+def learned_followed(tracks: Tracks, case: Case, marks: Marks) -> TrackedObjects | None:
     """What the tracker follows of what was marked and of what was not; None where too little was not."""
-    size, frames = (float(case.info.width), float(case.info.height)), labels.progress().done
+    size, frames = (float(case.info.width), float(case.info.height)), len(marks.looked_at)
     try:
-        objects = learn_objects(object_boxes(labels, case.table), frames, size, RecursiveEM())
+        objects = learn_objects(marks.object_boxes, frames, size, RecursiveEM())
     except InputError:
         return None
-    return TrackedObjects(share_followed(labels, tracks), _with_prior(objects, case).learned)
+    return TrackedObjects(marks.share_followed(tracks), _with_prior(objects, case).learned)
 
 
 def _lesson(states: F8, time_units: float, case: Case) -> Training | None:

@@ -12,7 +12,7 @@ from experiments.common import Case, filled
 from experiments.m09_runs import ABLATIONS, GM, GM_IMAGE, IMAGE, PHD, UM, SceneRun, SceneScores
 from phdtrack.arrays import iou
 from phdtrack.associate.rejection import FalseTrackRejection
-from phdtrack.label.births import REACH, birth_states
+from phdtrack.label.samples import REACH, Marks
 from phdtrack.metrics import evaluate
 from phdtrack.models import LocalClutter, MeasurementBirth, UniformClutter
 from phdtrack.models.scene import SceneBirth, SceneClutter
@@ -71,7 +71,7 @@ def test_births_are_marked_where_somebody_is_first_detected(street, tmp_path) ->
     ]
     assert np.mean(right) > 0.9
     store = m09_lessons.marked_births(case, tmp_path / "births.sqlite")
-    states = birth_states(store, case.table, case.info, 25.0)
+    states = Marks(store, case.table, case.info).birth_states(25.0)
     # Every frame but the first of the first clip is searched.
     assert states.shape[1] == (number > 1).sum()
     assert {frame for frame, done in store.frames() if done} == set(range(1 + REACH, case.info.frames + REACH, 2 * REACH))

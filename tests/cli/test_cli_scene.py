@@ -11,7 +11,7 @@ from phdtrack.cli.options import SourceOptions
 from phdtrack.cli.output import Output
 from phdtrack.formats import read_truth
 from phdtrack.label import Label, LabelStore
-from phdtrack.label.session import sampled
+from phdtrack.label.samples import sampled
 
 
 def marked(folder: Path, detections: Path, last: int) -> Path:

@@ -26,8 +26,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from page_cases import session
-from phdtrack.label.page import label_app
-from phdtrack.label.page import listen, serve
+from phdtrack.label.page import label_app, listen, serve
 address = listen(port={port})
 print(address.url, flush=True)
 serve(label_app(session(Path({labels!r}), {boxes}, {waiting_for!r} and Path({waiting_for!r}))), address)
@@ -44,8 +43,8 @@ def session(labels: Path, boxes: int, waiting_for: Path | None = None):
     import cv2
 
     from phdtrack.label import LabelStore
-    from phdtrack.label.session import Session
-    from phdtrack.label.suggestions import Answer, Background, Suggestions
+    from phdtrack.label.page import Session
+    from phdtrack.label.suggestions import Background, Suggestions
     from phdtrack.types import Detections, DetectionTable, SequenceInfo
 
     across = int(np.ceil(np.sqrt(boxes * 4 / 3)))
@@ -65,14 +64,16 @@ def session(labels: Path, boxes: int, waiting_for: Path | None = None):
     score = np.concatenate([np.full(len(places), 0.99), np.where(rejected <= 20, 0.95, 0.5)])
     found = Suggestions(np.concatenate([places, rejected]), 3 + kind, kind, score, -kind)
 
-    def waits(told):
-        told(0.25)
-        while not waiting_for.exists():
+    def waits(report):
+        report(0.25)
+        while waiting_for is not None and not waiting_for.exists():
             time.sleep(0.02)
         return found
 
-    suggester = (lambda: Answer(1.0, found)) if waiting_for is None else Background(waits)
-    return Session(store, table, stills, SequenceInfo(*SIZE, 25.0, FRAMES, "drawn"), suggester)
+    background = Background(waits)
+    while waiting_for is None and background.found is None:
+        time.sleep(0.001)
+    return Session(store, table, stills, SequenceInfo(*SIZE, 25.0, FRAMES, "drawn"), background)
 
 
 @contextlib.contextmanager

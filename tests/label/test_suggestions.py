@@ -1,5 +1,7 @@
 """Suggestions by what a tracker with uniform models made of simulated and real detections."""
 
+import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +10,7 @@ import pytest
 from phdtrack import config
 from phdtrack.arrays import iou
 from phdtrack.cli.label import tracked
-from phdtrack.label.suggestions import REASONS, SHOWN, TICKED, Evidence, suggest
+from phdtrack.label.suggestions import REASONS, SHOWN, TICKED, Background, Evidence, Suggestions, kept, suggest
 from phdtrack.simulate import NAMED, default_detector, make_scene
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
 
@@ -139,3 +141,60 @@ def test_a_short_track_is_shown_and_not_ticked():
 def test_nothing_comes_of_nothing():
     empty = DetectionTable(np.zeros(0, np.int64), Detections.empty())
     assert len(suggest(Evidence(empty, 1, 10, np.zeros(0), Tracks.empty()), [1, 2], FPS)) == 0
+
+
+def some(count=3):
+    number = np.arange(count)
+    return Suggestions(number + 1, number, number % 3, number / count, -number)
+
+
+def wait_until(true):
+    for _ in range(1000):
+        if true():
+            return
+        time.sleep(0.01)
+    raise AssertionError("nothing came in ten seconds")
+
+
+def test_the_share_that_is_done_is_known_while_it_works():
+    go = threading.Event()
+
+    def work(report):
+        report(0.25)
+        go.wait(30)
+        return some()
+
+    background = Background(work)
+    wait_until(lambda: background.share)
+    assert (background.share, background.found) == (0.25, None)
+    go.set()
+    wait_until(lambda: background.found is not None)
+    assert len(background.found) == 3
+
+
+def test_what_goes_wrong_is_known():
+    def work(report):
+        raise OSError("the disk is full")
+
+    background = Background(work)
+    wait_until(lambda: background.problem)
+    assert background.problem == "the disk is full"
+
+
+def test_suggestions_are_made_once(tmp_path):
+    made = []
+
+    def make():
+        made.append(1)
+        return some(4)
+
+    path = tmp_path / "suggestions.json"
+    first, again = kept(path, "key", make), kept(path, "key", make)
+    assert len(made) == 1
+    for name in ("frame", "box", "reason", "score", "place"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
+        assert getattr(first, name).dtype == getattr(again, name).dtype
+    kept(path, "another key", make)
+    path.write_text("not mine")
+    kept(path, "another key", make)
+    assert len(made) == 3

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.report.charts import MethodScores, jpeg, score_bars, score_lines
-from phdtrack.report.mistakes import FALSE, MISSED, RIGHT, SWITCHED, Mistakes, side_by_side
+from phdtrack.report.charts import MethodScores, jpeg, score_chart
+from phdtrack.report.drawing import FALSE, MISSED, RIGHT, SWITCHED, Mistakes, side_by_side
 from phdtrack.types import F8
 
 NONE = np.zeros((0, 4))
@@ -55,9 +55,9 @@ def test_charts_hold_with_gaps_and_with_one_rate() -> None:
     whole = MethodScores("a", np.array([0.5, 0.4]), np.array([0.4, 0.3]), np.array([0.6, 0.5]))
     gap = MethodScores("b", np.array([nan, -0.4]), np.array([nan, -0.4]), np.array([nan, -0.4]))
     for picture in (
-        score_lines(np.array([0.0, 10.0]), "clutter", "MOTA", [whole, gap]),
-        score_bars(["one", "another with a long name"], "MOTA", [whole, gap]),
-        score_bars([], "MOTA", []),
+        score_chart(np.array([0.0, 10.0]), "clutter", "MOTA", [whole, gap]),
+        score_chart(["one", "another with a long name"], "", "MOTA", [whole, gap]),
+        score_chart([], "", "MOTA", []),
     ):
         assert picture.mime == "image/svg+xml"
         assert b"http://www.w3.org/2000/svg" in picture.data

@@ -7,7 +7,7 @@ import pytest
 
 from phdtrack.report.charts import GroupSeries
 from phdtrack.report.drawing import identity_colour
-from phdtrack.report.pages import group_sections
+from phdtrack.report.pages import render
 from phdtrack.report.plan import Plan, PlanGroup, PlanScene, draw_contours, extent_of, plan_size
 
 PLAN = Plan((-10.0, 0.0, 10.0, 10.0), 400, 200)
@@ -97,10 +97,10 @@ def series(frames: int, *, raw: bool = True) -> GroupSeries:
 
 
 def test_the_report_tells_counts_events_and_warnings() -> None:
-    told = group_sections(series(100))
+    told = render("groups.html", series=series(100))
     assert "People and groups" in told
     assert "10 more rows in events.csv" in told
     assert "1 and 2" in told
     assert "raw detections" in told
-    assert "raw detections" not in group_sections(series(100, raw=False))
-    assert "No frame" in group_sections(series(0))
+    assert "raw detections" not in render("groups.html", series=series(100, raw=False))
+    assert "No frame" in render("groups.html", series=series(0))

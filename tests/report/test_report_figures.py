@@ -10,9 +10,16 @@ from hypothesis import strategies as st
 from report_runs import run_record
 
 from phdtrack.report import report_html
-from phdtrack.report.charts import Picture, count_chart, lifetime_chart, thinned, timing_chart
-from phdtrack.report.record import HeatMap, RunRecord
-from phdtrack.report.scenes import heat_picture, trajectory_picture
+from phdtrack.report.charts import (
+    Picture,
+    count_chart,
+    heat_picture,
+    lifetime_chart,
+    thinned,
+    timing_chart,
+    trajectory_picture,
+)
+from phdtrack.report.record import HeatMap
 from phdtrack.types import SequenceInfo, Tracks
 
 
@@ -41,15 +48,15 @@ def test_the_count_chart_draws_truth_only_where_there_is_one() -> None:
 def test_a_lifetime_has_a_bar_for_each_stretch() -> None:
     record = run_record(12, 1, truth=False)  # every third frame predicted: 4 stretches seen, 4 predicted
     svg = drawn(lifetime_chart(record))
-    assert svg.count("fill-opacity: 0.35") == 4
-    assert svg.count("fill: #ff9f1c") == 8
+    assert svg.count("stroke-opacity: 0.35") == 4
+    assert svg.count("stroke: #ff9f1c") == 8
 
 
 def test_thousands_of_bars_become_pixels() -> None:
     n = 4000
     many = Tracks(np.ones(n, int), np.arange(1, n + 1), np.ones((n, 4)), np.ones(n), np.zeros(n, int), np.ones(n, bool))
     info = SequenceInfo(20, 20, 10.0)
-    picture = lifetime_chart(RunRecord(info, run_record(3).series, many))
+    picture = lifetime_chart(replace(run_record(3), info=info, tracks=many))
     assert "<image" in drawn(picture)
     assert len(picture.data) < 300_000
 

@@ -14,7 +14,7 @@ from report_runs import run_record
 from phdtrack.errors import InputError
 from phdtrack.metrics import evaluate
 from phdtrack.report import About, Recorder, report_html, write_report
-from phdtrack.report.rendering import environment
+from phdtrack.report.pages import environment
 from phdtrack.types import SequenceInfo, Tracks, Truth
 
 VOID = {"meta", "img", "br"}
@@ -158,8 +158,8 @@ def test_a_report_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
 def test_a_filter_without_mass_or_judgement_has_a_report() -> None:
     record = run_record(4, 1)
-    record.series.mass[:] = np.nan
-    record.series.clutter_mass[:] = np.nan
+    record.mass[:] = np.nan
+    record.clutter_mass[:] = np.nan
     source = report_html(record, {})
     Page(source)
     assert "none of them judged a false alarm" in source

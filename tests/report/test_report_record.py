@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from report_runs import HIGH, WIDE, run_record, step, walkers
 
 from phdtrack.errors import InputError
-from phdtrack.report import About, Recorder
-from phdtrack.report.record import LOW_EFFECTIVE, chain_summary, density_map, sentences, still_background
+from phdtrack.report import About, Recorder, sentences
+from phdtrack.report.record import LOW_EFFECTIVE, chain_summary, density_map
 from phdtrack.types import ChainInfo, Particles, SequenceInfo, Tracks, Truth
 
 INFO = SequenceInfo(WIDE, HIGH, 10.0)
@@ -26,23 +26,23 @@ def test_numbers_of_every_frame_arrive_where_they_belong() -> None:
         recorder.add(None, step(number, boxes[:number], clutter=0.2), None, 0.5 * number)
     frame = np.array([1, 1, 2, 7])
     truth = Truth(frame, np.array([1, 2, 1, 1]), np.ones((4, 4)), np.array([False, True, False, False]))
-    series = recorder.record(Tracks.empty(), About(), truth).series
-    np.testing.assert_array_equal(series.numbers, [1, 2, 3, 4, 5])
-    np.testing.assert_allclose(series.times, [0.1, 0.2, 0.3, 0.4, 0.5])
-    np.testing.assert_array_equal(series.n_detections, [1, 2, 3, 3, 3])
-    np.testing.assert_allclose(series.mass, 0.8 * series.n_detections)
-    np.testing.assert_allclose(series.clutter_mass, 0.2 * series.n_detections)
-    np.testing.assert_allclose(series.seconds[1], [1.0, 0.004, 0.002, 0.001])
-    np.testing.assert_array_equal(series.truth_count, [1, 1, 0, 0, 0])  # distractors do not count
+    record = recorder.record(Tracks.empty(), About(), truth)
+    np.testing.assert_array_equal(record.numbers, [1, 2, 3, 4, 5])
+    np.testing.assert_allclose(record.times, [0.1, 0.2, 0.3, 0.4, 0.5])
+    np.testing.assert_array_equal(record.n_detections, [1, 2, 3, 3, 3])
+    np.testing.assert_allclose(record.mass, 0.8 * record.n_detections)
+    np.testing.assert_allclose(record.clutter_mass, 0.2 * record.n_detections)
+    np.testing.assert_allclose(record.seconds[1], [1.0, 0.004, 0.002, 0.001])
+    np.testing.assert_array_equal(record.truth_count, [1, 1, 0, 0, 0])  # distractors do not count
 
 
 def test_the_range_of_the_number_is_kept_where_the_filter_has_a_distribution() -> None:
     recorder = Recorder(INFO)
     for number, held in enumerate([(0.04, 0.02, 0.5, 0.4, 0.03, 0.01), (), (1.0,), (0.0, 0.0, 1.0)], start=1):
         recorder.add(None, step(number, NOTHING, cardinality=held), None, 0.0)
-    found = recorder.record(Tracks.empty(), About()).series.count_range
+    found = recorder.record(Tracks.empty(), About()).count_range
     np.testing.assert_array_equal(found, [[1, 3], [np.nan, np.nan], [0, 0], [2, 2]])
-    assert run_record(3).series.count_range.shape == (0, 2)
+    assert run_record(3).count_range.shape == (0, 2)
 
 
 @pytest.mark.parametrize("frames", [2, 12, 13, 100])
@@ -76,18 +76,6 @@ def test_memory_does_not_grow_with_the_pictures() -> None:
     held, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert held < 12 * 160 * 120 * 3 + 1500 * 1000
-
-
-def test_a_still_camera_gives_the_scene_without_objects() -> None:
-    images = [np.full((20, 90, 3), 100, np.uint8) for _ in range(5)]
-    for k, image in enumerate(images):
-        image[:, 6 * k : 6 * k + 3] = 255
-    assert (still_background(images) == 100).all()
-
-
-def test_a_moving_camera_gives_one_of_its_frames(rng: np.random.Generator) -> None:
-    images = [rng.integers(0, 255, (20, 30, 3), dtype=np.uint8) for _ in range(5)]
-    assert (still_background(images) == images[2]).all()
 
 
 def test_frames_that_compiled_are_no_measure_of_the_speed():

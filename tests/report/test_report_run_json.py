@@ -12,8 +12,7 @@ from report_runs import run_record
 
 from phdtrack.errors import InputError
 from phdtrack.report import About, Recorder, run_document, sentences, write_run
-from phdtrack.report.rendering import counted, duration, grouped, percent
-from phdtrack.report.run_json import flattened, json_value
+from phdtrack.report.words import counted, duration, flattened, grouped, json_value, percent
 from phdtrack.types import SequenceInfo, Tracks
 
 KEYS = """

@@ -7,8 +7,8 @@ import numpy as np
 from phdtrack.cli.evaluate import BY_TRAJECTORY
 from phdtrack.compare.statistics import OTHERS
 from phdtrack.metrics import evaluate
-from phdtrack.report.rendering import HIGHER_IS_BETTER as HIGHER
-from phdtrack.report.rendering import LOWER_IS_BETTER as LOWER
+from phdtrack.report.words import HIGHER_IS_BETTER as HIGHER
+from phdtrack.report.words import LOWER_IS_BETTER as LOWER
 from phdtrack.types import Tracks, Truth
 
 FRAMES, PEOPLE = 20, 3

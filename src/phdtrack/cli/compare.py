@@ -172,7 +172,7 @@ def finish(
     from phdtrack.compare import results, summary
     from phdtrack.compare.failures import worst_frames, write_frames
     from phdtrack.report import About, write_run
-    from phdtrack.report.run_json import json_value, write_text
+    from phdtrack.report.words import json_value, write_text
 
     found, plan = summary(comparison), comparison.plan
     names, notes, warnings = (
@@ -230,7 +230,7 @@ def doubts(comparison: Comparison) -> tuple[str, ...]:
 def described(comparison: Comparison, seconds: float) -> str:
     """What was run, and how much of it was there already."""
     from phdtrack.compare import results
-    from phdtrack.report.rendering import duration
+    from phdtrack.report.words import duration
 
     reused = f", {comparison.reused} of them kept from before" if comparison.reused else ""
     if comparison.outdated:

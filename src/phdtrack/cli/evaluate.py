@@ -114,7 +114,7 @@ def score_table(out: Output, runs: Mapping[str, Scores]) -> None:
 
 
 def _table(out: Output, columns: Mapping[str, Mapping[str, float | None]], meanings: Mapping[str, str]) -> None:
-    from phdtrack.report.rendering import score_direction
+    from phdtrack.report.words import score_direction
 
     rows = [
         [key, *(number(column[key]) for column in columns.values()), meaning + score_direction(key)]

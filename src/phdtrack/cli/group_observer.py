@@ -26,7 +26,7 @@ from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, mixture_
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages, Camera
 from phdtrack.report.charts import GroupSeries
-from phdtrack.report.pages import group_sections
+from phdtrack.report.pages import render
 from phdtrack.report.plan import Plan, PlanGroup, PlanScene, draw_contours, extent_of, plan_size
 from phdtrack.types import F8, I8, GaussianMixture, Image, Step, Tracks
 from phdtrack.video import VideoWriter
@@ -155,12 +155,12 @@ class GroupStory(RunObserver):
             "warnings": len(self._warnings),
         }
         if not scenes:
-            return Report({"groups": document}, (), group_sections(series))
+            return Report({"groups": document}, (), render("groups.html", series=series))
         changes = ", ".join(counted(kinds[kind], kind) for kind in ("merge", "split"))
         pairs = len({(warned.first, warned.second) for _, warned in self._warnings})
         said = f"{people:.1f} people in {groups:.1f} groups on average; {changes} of groups, "
         said += f"{counted(pairs, 'pair')} of groups warned of."
-        return Report({"groups": document}, (said,), group_sections(series))
+        return Report({"groups": document}, (said,), render("groups.html", series=series))
 
     def _stills(self) -> list[tuple[int, Image]]:
         """The plan at some frames, spread over those with people."""

@@ -170,8 +170,8 @@ def group_known(
     from phdtrack.cli.group_observer import GroupStory, Surroundings
     from phdtrack.cli.job import finish_document
     from phdtrack.report import About
-    from phdtrack.report.pages import positions_page
-    from phdtrack.report.run_json import json_value, write_text
+    from phdtrack.report.pages import render
+    from phdtrack.report.words import flattened, json_value, write_text
 
     started, clock, frames = datetime.now(UTC), time.perf_counter(), np.unique(known.frame).tolist()
     # One picture for each frame with people, as fast as these usually follow each other.
@@ -185,7 +185,8 @@ def group_known(
     title, versions = path.parent.name or path.name, installed_versions()
     about = About(title=title, command=command_line(), versions=versions, notes=(_NOTE,))
     used = {name: value for name, value in settings.as_dict().items() if name in GROUP_SECTIONS}
-    page = positions_page(about, str(path), " ".join(summary), found.section, used)
+    given = {"title": title, "source": str(path), "lead": " ".join(summary), "settings": flattened(used)}
+    page = render("positions.html", about=about, sections=found.section, **given)
     write_text(directory.file(rundir.REPORT), page)
     document = {
         "command": about.command,

@@ -57,9 +57,9 @@ def label(
         raise InputError(problem, where="phdtrack label", cure="pip install 'phdtrack[web]'") from error
     from phdtrack.config import load
     from phdtrack.label import LabelStore
-    from phdtrack.label.births import clip
-    from phdtrack.label.session import Session, sampled
-    from phdtrack.label.suggestions import NOTHING, Answer, Background
+    from phdtrack.label.page import Session
+    from phdtrack.label.samples import clip, sampled
+    from phdtrack.label.suggestions import Background
 
     output, settings = Output(), load(config, sets or ())
     file = labels or labels_file(source)
@@ -70,7 +70,7 @@ def label(
     pictures = stills(source, set(numbers), around)
     address = listen(host, port)
     kept = file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
-    work = Background(partial(suggestions, found, settings, numbers, kept)) if suggest else lambda: Answer(1.0, NOTHING)
+    work = Background(partial(suggestions, found, settings, numbers, kept)) if suggest else None
     session = Session(store, found.table, pictures, found.info, work)
     state = store.progress()
     output.say(

@@ -41,7 +41,7 @@ def learn(
     from phdtrack.cli.label import labels_file, to_label
     from phdtrack.cli.training import TrainingData, train
     from phdtrack.config import build, load
-    from phdtrack.report.pages import scene_page
+    from phdtrack.report.pages import render
     from phdtrack.scene import write_scene
     from phdtrack.video import open_source
 
@@ -66,7 +66,8 @@ def learn(
     write_scene(target, training.scene)
     page = target.with_name(target.name.removesuffix(".json") + ".html")
     use = f"phdtrack track {source.source or f'--detections {source.detections}'} --scene {target}"
-    page.write_text(scene_page(training, lead, use), encoding="utf-8")
+    text = render("scene.html", title="Learned scene", training=training, lead=lead, command=use)
+    page.write_text(text, encoding="utf-8")
     output.say(f"{target}, with its maps in {page}; use it: {use}")
     followed = training.scene.followed
     output.document(

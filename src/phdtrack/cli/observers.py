@@ -21,7 +21,7 @@ from phdtrack.models.learning import RateLearning, RatesState, SceneLearning, Sc
 from phdtrack.models.standing import not_standing, refuse_standing
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import Learning, Model
-from phdtrack.report.pages import camera_section, learning_section, rates_section
+from phdtrack.report.pages import render
 from phdtrack.scene import write_scene
 from phdtrack.scene.online import SceneUpdate
 from phdtrack.scene.rates import Rates
@@ -105,7 +105,11 @@ class CameraObserver(RunObserver):
     def report(self) -> Report:
         """How far the camera went, and how often that is not known."""
         said = (self._path.sentence(),)
-        return Report({"camera_motion": {"kind": self._kind} | self._path.document()}, said, camera_section(said))
+        return Report(
+            {"camera_motion": {"kind": self._kind} | self._path.document()},
+            said,
+            render("camera_motion.html", sentences=said),
+        )
 
 
 class RatesObserver(RunObserver):
@@ -127,7 +131,7 @@ class RatesObserver(RunObserver):
         used = {"detection": given.detection, "clutter": given.clutter, "births": given.birth, "scores": given.scores}
         course = [asdict(self._course[k]) for k in _thinned(len(self._course))]
         document: dict[str, object] = {"rates": {"set": asdict(self._rule.priors), "used": used, "course": course}}
-        return Report(document, (self._sentence(),), rates_section(self._course, self._rule))
+        return Report(document, (self._sentence(),), render("rates.html", course=self._course, rule=self._rule))
 
     def _sentence(self) -> str:
         if not self._course:
@@ -190,7 +194,8 @@ class SceneObserver(RunObserver):
         ]
         minutes = rule.memory / 60
         document: dict[str, object] = {"learning": {"memory_minutes": minutes, "course": course}}
-        return Report(document, (self._sentence(),), learning_section(self._course, minutes, rule.rate))
+        section = render("learning.html", course=self._course, memory=minutes, rate=rule.rate)
+        return Report(document, (self._sentence(),), section)
 
     def _sentence(self) -> str:
         if not self._course:

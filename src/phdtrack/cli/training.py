@@ -21,8 +21,7 @@ from phdtrack.cli.label import Labelled, tracked
 from phdtrack.cli.output import Output, counted, progress
 from phdtrack.errors import InputError
 from phdtrack.label import LabelStore
-from phdtrack.label.births import birth_states, time_watched, watched
-from phdtrack.label.session import false_boxes, looked_at, object_boxes, sampled, share_followed
+from phdtrack.label.samples import Marks, sampled
 from phdtrack.label.suggestions import REASONS, TICKED, Evidence, Suggestions, suggest
 from phdtrack.models import PlaneSensor
 from phdtrack.models.region import EVERYWHERE
@@ -113,9 +112,12 @@ class TrainingData:
         sizes = detected_sizes(to_cxcywh(table.detections.xyxy[rows])[2:])
         return replace(lesson, learned=with_prior(lesson.learned, sizes))
 
-    def store(self) -> LabelStore | None:
-        """The labels of these detections, where there are any. Raises `InputError` where they are of others."""
-        return LabelStore.open(self.labels, self.found.name, self.found.digest, []) if self.labels.exists() else None
+    def marks(self) -> Marks | None:
+        """A person's marks on these detections, where there are any. Raises `InputError` where they are on others."""
+        if not self.labels.exists():
+            return None
+        store = LabelStore.open(self.labels, self.found.name, self.found.digest, [])
+        return Marks(store, self.found.table, self.found.info, self.stretch)
 
     def no_marks(self) -> InputError:
         """To raise where there are no labels."""
@@ -133,15 +135,15 @@ class TrainingData:
 
 def clutter_of_labels(data: TrainingData) -> Trained:
     """False alarms from marks [M09 §IV]; why not, where there are none to learn from."""
-    store = data.store()
+    marks = data.marks()
 
     def learned() -> tuple[Training, str]:
         if not data.of_boxes:
             raise InputError(_ONLY_BOXES)
-        if store is None:
+        if marks is None:
             raise data.no_marks()
-        boxes, frames = false_boxes(store, data.found.table, data.stretch), len(looked_at(store, data.stretch))
-        lesson = learn_clutter(boxes, frames, data.size, RecursiveEM())
+        frames = len(marks.looked_at)
+        lesson = learn_clutter(marks.false_boxes, frames, data.size, RecursiveEM())
         return lesson, f"{counted(lesson.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
 
     return _trained(data, "false alarms", learned, by=" by a person")
@@ -182,15 +184,15 @@ def _why(found: Suggestions, taken: I8) -> str:
 def without_followed(data: TrainingData, alarms: Training, tracks: Tracks) -> tuple[Tracks, TrackedObjects | None, str]:
     """The tracks of a run that knew the marked false alarms, but for those that stay among them; which of the false alarms
     it followed all the same, None where that is not known; and a sentence about it."""
-    store = data.store()
-    if store is None:
+    marks = data.marks()
+    if marks is None:
         return tracks, None, ""
-    boxes, frames = object_boxes(store, data.found.table, data.stretch), len(looked_at(store, data.stretch))
     try:
-        objects = data.with_prior(learn_objects(boxes, frames, data.size, RecursiveEM()))
+        lesson = learn_objects(marks.object_boxes, len(marks.looked_at), data.size, RecursiveEM())
+        objects = data.with_prior(lesson)
     except InputError as error:
         return tracks, None, f"no track is held back: {error}"
-    followed = TrackedObjects(share_followed(store, tracks, data.stretch), objects.learned)
+    followed = TrackedObjects(marks.share_followed(tracks), objects.learned)
     text = f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it knows them"
     kept = without_false_tracks(tracks, FalseAlarmRatio(alarms.learned, followed))
     return kept, followed, f"{text}; tracks that stay among them are held back"
@@ -210,19 +212,19 @@ def births_of_tracks(data: TrainingData, tracks: Tracks) -> Trained:
 
 def births_by_hand(data: TrainingData) -> Trained:
     """Births from marks on the clips about the frames that a person has looked at; why not, where they are too few."""
-    store = data.store()
+    marks = data.marks()
 
     def learned() -> tuple[Training, str]:
         if not data.of_boxes:
             raise InputError("those marked by hand are boxes in the image (--births tracks)")
-        if store is None:
+        if marks is None:
             raise data.no_marks()
-        where = (store, data.found.table, data.found.info, data.stages.model.rate, data.stretch)
-        states, frames = birth_states(*where), len(watched(store, data.stretch))
+        rate = data.stages.model.rate
+        states, frames = marks.birth_states(rate), len(marks.watched)
         text = f"{counted(states.shape[1], 'birth')} marked by a person on {counted(frames, 'frame')}"
         unknown = int(np.isnan(states[2]).sum())
         text += f" ({unknown} of unknown velocity)" if unknown else ""
-        return _births(data, states, time_watched(*where), text)
+        return _births(data, states, marks.time_watched(rate), text)
 
     return _trained(data, "births", learned)
 

@@ -16,7 +16,7 @@ from phdtrack.compare.store import TRACKS
 from phdtrack.errors import InputError
 from phdtrack.formats import read_tracks
 from phdtrack.metrics.matching import Matches, Scene, build, tracking_mapping
-from phdtrack.report.mistakes import Mistakes, side_by_side
+from phdtrack.report.drawing import Mistakes, side_by_side
 from phdtrack.types import F8, I8, Image, Tracks, Truth
 from phdtrack.video import open_source
 

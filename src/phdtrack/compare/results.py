@@ -15,10 +15,10 @@ from phdtrack.compare.plans import Plan
 from phdtrack.compare.runs import Comparison, Failed
 from phdtrack.compare.statistics import OTHERS, SCORES, SHOWN, Interval, Row, Summary, values_of
 from phdtrack.errors import InputError
-from phdtrack.report.charts import MethodScores, Picture, jpeg, score_bars, score_lines
+from phdtrack.report.charts import MethodScores, Picture, jpeg, score_chart
+from phdtrack.report.pages import lines, render
 from phdtrack.report.record import About
-from phdtrack.report.rendering import lines, render, score_direction
-from phdtrack.report.run_json import flattened
+from phdtrack.report.words import flattened, score_direction
 
 _COUNTS = "id_switches misses false_positives fragments false_tracks mostly_tracked mostly_lost tracks"
 _DIGITS = {"ms": 2, "boxes_per_frame": 2, "delay_mean": 1} | dict.fromkeys(_COUNTS.split(), 1)
@@ -221,7 +221,7 @@ def _charts(plan: Plan, found: Summary, single: Sequence[Row], names: Sequence[s
         shown = []
         for name in names:
             series = [_series(method, [by_rate[method, rate] for rate in rates], name) for method in methods]
-            picture = score_lines(rates, "added clutter, boxes per frame", _label(name), series)
+            picture = score_chart(rates, "added clutter, boxes per frame", _label(name), series)
             shown.append(_Shown(picture, _caption(f"{_label(name)} {over}", name)))
         charts.append(("By added clutter", shown))
     for rate in plan.rates:
@@ -230,7 +230,7 @@ def _charts(plan: Plan, found: Summary, single: Sequence[Row], names: Sequence[s
         shown = []
         for name in names:
             series = [_series(method, [rows[*place, method] for place in places], name) for method in methods]
-            picture = score_bars([" ".join(place) for place in places], _label(name), series)
+            picture = score_chart([" ".join(place) for place in places], "", _label(name), series)
             shown.append(_Shown(picture, _caption(_label(name), name)))
         charts.append((f"By sequence, {rate:g} added boxes per frame" if rate else "By sequence, as detected", shown))
     return charts

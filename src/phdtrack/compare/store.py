@@ -23,7 +23,7 @@ from phdtrack.compare.plans import Case, DetectorRun, Run
 from phdtrack.metrics import Scores
 from phdtrack.metrics.counts import Counts
 from phdtrack.metrics.scores import scores_of
-from phdtrack.report.run_json import json_value, write_run
+from phdtrack.report.words import json_value, write_run
 from phdtrack.video.sources import SUFFIXES
 
 RUN = "run.json"

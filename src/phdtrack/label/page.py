@@ -1,4 +1,4 @@
-"""The page on which a person marks false detections and births: its addresses, who may use it, and how it is started.
+"""The page on which a person marks false detections and births: what it shows, who may use it, and how it is started.
 
 Only the browser on this machine, or a client with the token, may talk to it:
 
@@ -17,24 +17,32 @@ import ipaddress
 import json
 import secrets
 import socket
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.datastructures import MutableHeaders
+from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp
 
+from phdtrack.arrays import iou
 from phdtrack.errors import InputError
-from phdtrack.label.session import Session
-from phdtrack.label.store import Label, Mark
+from phdtrack.label.samples import boxes_of, clip, last_frame
+from phdtrack.label.store import Label, LabelStore
+from phdtrack.label.suggestions import ALIKE, REASONS, TICKED, Background
+from phdtrack.scene import RecursiveEM
+from phdtrack.scene.mixture import place_map
+from phdtrack.scene.training import box_density
+from phdtrack.types import F8, Detections, DetectionTable, Image, SequenceInfo
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -47,97 +55,224 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-ASKED = "x-phdtrack"
-COOKIE = "phdtrack_token"
+# Of answers of a media type: pictures never change, and the labels are a file to keep.
+_OF_TYPE = {
+    "image/jpeg": {"Cache-Control": "private, max-age=86400, immutable"},
+    "text/csv": {"Content-Disposition": 'attachment; filename="labels.csv"'},
+}
+JSON = "application/json"
+ASKED, COOKIE = "x-phdtrack", "phdtrack_token"
 STATIC = Path(__file__).parent / "static"
-# A person's clicks: a lasso around every box of a full frame is far below.
-_LONGEST = 4_000_000
-_KEPT = {"Cache-Control": "private, max-age=86400, immutable"}
+# Bytes of a person's clicks: a lasso around every box of a full frame is far below.
+_MAX_BYTES = 4_000_000
+# A map is drawn from so many marks on, in red or green (BGR), of this width.
+_MIN_MARKS, _MAP_WIDTH = 10, 320
+_COLOURS = {"false": (40, 40, 220), "birth": (90, 170, 30)}
+_OUTLINE, _GREY = (62, 210, 255), 96
+# Crops that are shown at once; the next ones follow when these are dealt with. Their size in pixels.
+_CROPS, _SIDE = 600, 96
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Session:
+    """What a person who labels looks at; a mapping or a list is sent as JSON, bytes as a picture.
+
+    Attributes
+    ----------
+    store : keeps the marks.
+    table, info : the detections, and the sequence.
+    stills : the frames as JPEG by number, those of the clips too, of any size; the others are shown grey.
+    background : looks for what may be false; None where nothing does.
+    """
+
+    store: LabelStore
+    table: DetectionTable
+    stills: Mapping[int, bytes]
+    info: SequenceInfo
+    background: Background | None = None
+
+    def overview(self) -> dict[str, object]:
+        """Size, name, the frames with how far each is, and the progress."""
+        info, last = self.info, last_frame(self.info, self.table)
+        clips = [(number, done, clip(number, last)) for number, done in self.store.frames()]
+        return {
+            "name": info.name,
+            "width": info.width,
+            "height": info.height,
+            "fps": info.fps,
+            "frames": [{"number": number, "done": done, "clip": [c.start, c.stop - 1]} for number, done, c in clips],
+            "progress": asdict(self.store.progress()),
+        }
+
+    def frame(self, number: int) -> dict[str, object]:
+        """The boxes of a frame (left, top, right, bottom, score), their marks by index, and what can be undone."""
+        found, (undo, redo) = self._boxes(number), self.store.steps(number)
+        return {
+            "number": number,
+            "boxes": np.column_stack([found.xyxy, found.confidence]).round(2).tolist(),
+            "marks": {str(label.box): label.mark for label in self.store.labels(number)},
+            "undo": undo,
+            "redo": redo,
+            "picture": number in self.stills,
+        }
+
+    def still(self, number: int) -> bytes:
+        """The picture of a frame."""
+        self._boxes(number)
+        grey = np.full((self.info.height, self.info.width, 3), _GREY, np.uint8)
+        return self.stills[number] if number in self.stills else _encoded(grey)
+
+    def crop(self, number: int, box: int) -> bytes:
+        """The picture of one detection, outlined, with what is around it, of at most 96 × 96 pixels."""
+        image = cv2.imdecode(np.frombuffer(self.still(number), np.uint8), cv2.IMREAD_COLOR)
+        assert image is not None
+        corners = (self._box(number, box) * image.shape[1] / self.info.width).reshape(2, 2)
+        margin = 0.2 * (corners[1] - corners[0]).max()
+        (x, y), (right, bottom) = np.maximum([corners[0] - margin, corners[1] + margin + 1], 0).astype(int).tolist()
+        part = np.asarray(image[y:bottom, x:right], np.uint8)
+        if part.size == 0:
+            part = np.full((_SIDE, _SIDE, 3), _GREY, np.uint8)
+        scale = _SIDE / max(part.shape[:2])
+        size = (max(1, round(part.shape[1] * scale)), max(1, round(part.shape[0] * scale)))
+        part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), np.uint8)
+        first, second = (scale * (corners - (x, y))).round().astype(int).tolist()
+        cv2.rectangle(part, first, second, _OUTLINE)
+        return _encoded(part)
+
+    def alike(self, number: int, box: int) -> list[tuple[int, int]]:
+        """(frame, box) of the unmarked detections on all frames to label that lie where this one does, itself included."""
+        this, marked, found = self._box(number, box), self._marked, list[tuple[int, int]]()
+        for other, _ in self.store.frames():
+            near = np.flatnonzero(iou(this[None], self.table.at(other).xyxy)[0] >= ALIKE).tolist()
+            found += [(other, k) for k in near if (other, k) not in marked]
+        return found
+
+    def suggestions(self) -> dict[str, object]:
+        """What may be false, worst first, of what has no mark: frame, box, reason, score, place; how far it is.
+
+        ``ticked`` is the score from which it is taken for false unless somebody says otherwise, ``more`` the number of
+        suggestions that are left out for now.
+        """
+        work, marked = self.background, self._marked
+        found = None if work is None else work.found
+        rows = [] if found is None else [row for row in found.rows if row[:2] not in marked]
+        return {
+            "ready": work is None or found is not None or bool(work.problem),
+            "share": 1.0 if work is None else work.share,
+            "problem": "" if work is None else work.problem,
+            "ticked": TICKED,
+            "items": [(*row[:2], REASONS[row[2]], round(row[3], 3), row[4]) for row in rows[:_CROPS]],
+            "more": max(0, len(rows) - _CROPS),
+        }
+
+    def place_map(self, mark: str) -> bytes:
+        """What was learned of the marked boxes' places so far: coloured where they are likely, clear where not."""
+        scale = min(1.0, _MAP_WIDTH / self.info.width)
+        shape = (max(1, round(self.info.height * scale)), max(1, round(self.info.width * scale)))
+        picture = np.zeros((*shape, 4), np.uint8)
+        boxes = boxes_of([label for label in self.store.labels() if label.mark == mark], self.table)
+        if boxes.shape[1] >= _MIN_MARKS:
+            density = box_density(boxes, (float(self.info.width), float(self.info.height)), RecursiveEM())
+            picture[..., :3] = _COLOURS[mark]
+            # By the square root a place a quarter as likely as the worst is still plain to see.
+            picture[..., 3] = (200 * np.sqrt(place_map(density, shape, 1 / scale))).astype(np.uint8)
+        return _encoded(picture, ".png")
+
+    def change(self, number: int, what: str, sent: Mapping[str, Any]) -> dict[str, object]:
+        """Change the marks of a frame as the page asks.
+
+        Parameters
+        ----------
+        number : of the frame.
+        what : marks, undo, redo or done.
+        sent : the page's JSON: ``marks``, ``who``, ``done``, and the ``key`` of the request.
+
+        Returns
+        -------
+        The frame as it is then, and the progress.
+
+        Raises
+        ------
+        InputError : what was sent cannot be used; nothing has changed.
+        """
+        store, key = self.store, _text(sent, "key")
+        match what:
+            case "marks":
+                marks = [_label(item) for item in sent.get("marks", [])]
+                for label in marks:
+                    self._box(label.frame, label.box)
+                store.mark(number, marks, _text(sent, "who"), key)
+            case "undo":
+                store.undo(number, key)
+            case "redo":
+                store.redo(number, key)
+            case "done":
+                store.finish(number, bool(sent.get("done", True)), key)
+            case _:
+                raise InputError(f"nothing is called {what}")
+        return self.frame(number) | {"progress": asdict(store.progress())}
+
+    def _boxes(self, number: int) -> Detections:
+        """The detections of a frame to label, or of the clip about one."""
+        last = last_frame(self.info, self.table)
+        if not any(number in clip(known, last) for known, _ in self.store.frames()):
+            raise InputError(f"frame {number} is not one of those to label")
+        return self.table.at(number)
+
+    def _box(self, number: int, box: int) -> F8:
+        """(4,) corners of a detection of such a frame."""
+        found = self._boxes(number)
+        if not 0 <= box < len(found):
+            raise InputError(f"frame {number} has {len(found)} detections, and no number {box}")
+        return np.array(found.xyxy[box])
+
+    @property
+    def _marked(self) -> set[tuple[int, int]]:
+        """Frame and box of everything that has a mark."""
+        return {(label.frame, label.box) for label in self.store.labels()}
 
 
 def label_app(session: Session) -> Starlette:
     """The application; `Guard` belongs around it."""
-
-    def values(request: Request) -> list[int]:
-        """The numbers of the frame and, where the address has one, of the box."""
-        return [int(request.path_params[name]) for name in ("number", "box") if name in request.path_params]
-
-    def still(request: Request, sent: dict[str, Any]) -> Response:
-        session.frame(*values(request))
-        return Response(session.still(*values(request)), media_type="image/jpeg", headers=_KEPT)
-
-    def place_map(request: Request, sent: dict[str, Any]) -> Response:
-        mark: Mark = "birth" if request.path_params["mark"] == "birth" else "false"
-        return Response(session.place_map(mark), media_type="image/png")
-
-    def export(request: Request, sent: dict[str, Any]) -> Response:
-        name = {"Content-Disposition": 'attachment; filename="labels.csv"'}
-        return PlainTextResponse(session.store.csv(), media_type="text/csv", headers=name)
-
-    answers: dict[str, Callable[[Request, dict[str, Any]], Response]] = {
-        "/": lambda request, sent: Response((STATIC / "label.html").read_bytes(), media_type="text/html; charset=utf-8"),
-        "/api/overview": lambda request, sent: JSONResponse(session.overview()),
-        "/api/frame/{number:int}": lambda request, sent: JSONResponse(session.frame(*values(request))),
-        "/api/frame/{number:int}/alike/{box:int}": lambda request, sent: JSONResponse(session.alike(*values(request))),
-        "/api/suggestions": lambda request, sent: JSONResponse(session.suggestions()),
-        "/api/map/{mark:str}.png": place_map,
-        "/api/labels.csv": export,
-        "/still/{number:int}.jpg": still,
-        "/crop/{number:int}/{box:int}.jpg": lambda request, sent: Response(
-            session.crop(*values(request)), media_type="image/jpeg", headers=_KEPT
-        ),
+    answers: dict[str, tuple[Callable[..., object], str]] = {
+        "/": ((STATIC / "label.html").read_bytes, "text/html; charset=utf-8"),
+        "/api/overview": (session.overview, JSON),
+        "/api/frame/{number:int}": (session.frame, JSON),
+        "/api/frame/{number:int}/alike/{box:int}": (session.alike, JSON),
+        "/api/suggestions": (session.suggestions, JSON),
+        "/api/map/{mark:str}.png": (session.place_map, "image/png"),
+        "/api/labels.csv": (session.store.csv, "text/csv"),
+        "/still/{number:int}.jpg": (session.still, "image/jpeg"),
+        "/crop/{number:int}/{box:int}.jpg": (session.crop, "image/jpeg"),
     }
-    change = _answer(lambda request, sent: _changed(session, request, sent))
-    return Starlette(
-        routes=[
-            *(Route(path, _answer(work)) for path, work in answers.items()),
-            Route("/api/frame/{number:int}/{what:str}", change, methods=["POST"]),
-            Mount("/static", StaticFiles(directory=STATIC)),
-        ]
-    )
+    routes = [Route(path, _endpoint(work, media)) for path, (work, media) in answers.items()]
+    change = Route("/api/frame/{number:int}/{what:str}", _endpoint(session.change, JSON), methods=["POST"])
+    return Starlette(routes=[*routes, change, Mount("/static", StaticFiles(directory=STATIC))])
 
 
-def _answer(work: Callable[[Request, dict[str, Any]], Response]) -> Callable[[Request], Any]:
-    """``work`` in a thread, with the JSON that was sent; what it cannot use is a 400 with a sentence."""
+def _endpoint(work: Callable[..., Any], media: str) -> Callable[[Request], Any]:
+    """``work`` in a thread, with the path's parameters and the JSON sent; what it cannot use is a 400 with a sentence."""
 
     async def endpoint(request: Request) -> Response:
+        given = dict(request.path_params)
         try:
-            sent = await _sent(request)
-            return await run_in_threadpool(work, request, sent)
+            if request.method == "POST":
+                given["sent"] = await _sent(request)
+            answer = await run_in_threadpool(work, **given)
         except InputError as error:
             return JSONResponse({"error": str(error)}, 400)
+        return JSONResponse(answer) if media == JSON else Response(answer, 200, _OF_TYPE.get(media), media)
 
     return endpoint
 
 
-def _changed(session: Session, request: Request, sent: dict[str, Any]) -> Response:
-    """Change the marks of a frame as the page asks; the frame as it is then."""
-    number, what = int(request.path_params["number"]), request.path_params["what"]
-    store, key = session.store, _text(sent, "key")
-    match what:
-        case "marks":
-            marks = session.checked([_label(item) for item in sent.get("marks", [])])
-            store.mark(number, marks, _text(sent, "who"), key)
-        case "undo":
-            store.undo(number, key)
-        case "redo":
-            store.redo(number, key)
-        case "done":
-            store.finish(number, bool(sent.get("done", True)), key)
-        case _:
-            return JSONResponse({"error": f"nothing is called {what}"}, 404)
-    return JSONResponse(session.frame(number) | {"progress": session.overview()["progress"]})
-
-
 async def _sent(request: Request) -> dict[str, Any]:
-    """The JSON object of a request that changes something; {} of one that asks."""
-    if request.method != "POST":
-        return {}
+    """The JSON object of a request that changes something."""
     body = bytearray()
     async for part in request.stream():
         body += part
-        if len(body) > _LONGEST:
-            raise InputError(f"expected at most {_LONGEST} bytes")
+        if len(body) > _MAX_BYTES:
+            raise InputError(f"expected at most {_MAX_BYTES} bytes")
     try:
         sent = json.loads(body or b"{}")
     except ValueError:
@@ -147,7 +282,7 @@ async def _sent(request: Request) -> dict[str, Any]:
     return sent
 
 
-def _text(sent: dict[str, Any], name: str) -> str:
+def _text(sent: Mapping[str, Any], name: str) -> str:
     value = sent.get(name, "")
     if not isinstance(value, str) or len(value) > 100:
         raise InputError(f"expected a short text as {name}")
@@ -160,49 +295,45 @@ def _label(item: Any) -> Label:
     return Label(item["frame"], item["box"], item.get("mark", ""))
 
 
-@dataclass(frozen=True, slots=True)
-class Guard:
-    """ASGI middleware: ``hosts`` are the values of ``Host`` that are answered; ``token`` empty for none."""
+def _encoded(image: Image, suffix: str = ".jpg") -> bytes:
+    return cv2.imencode(suffix, image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
 
-    app: ASGIApp
-    hosts: frozenset[str]
-    token: str = ""
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer, refuse, and put the headers on."""
-        if scope["type"] != "http":
-            await self.app(scope, receive, send)
-            return
-        request = Request(scope)
+class Guard(BaseHTTPMiddleware):
+    """Refuses who may not use the page, and puts the headers on every answer.
 
-        async def sealed(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in HEADERS.items():
-                    headers[name] = value
-                headers.setdefault("Cache-Control", "no-store")
-                if self.token and self._given(request) == self.token:
-                    headers.append("Set-Cookie", f"{COOKIE}={self.token}; Path=/; HttpOnly; SameSite=Strict")
-            await send(message)
+    Parameters
+    ----------
+    app : the application inside.
+    hosts : the values of ``Host`` that are answered.
+    token : that every request must bring; empty for none.
+    """
 
-        refusal = self._refusal(request)
-        await (refusal or self.app)(scope, receive, sealed)
+    def __init__(self, app: ASGIApp, hosts: frozenset[str], token: str = "") -> None:
+        super().__init__(app)
+        self._hosts, self._token = hosts, token
 
-    def _refusal(self, request: Request) -> Response | None:
-        host = request.headers.get("host", "")
-        if host not in self.hosts:
+    async def dispatch(self, request: Request, call_next: RequestResponseEndpoint) -> Response:
+        """The answer, or a refusal."""
+        given = request.query_params.get("token") or request.cookies.get(COOKIE, "")
+        answer = self._refusal(request, given) or await call_next(request)
+        answer.headers.update(HEADERS)
+        answer.headers.setdefault("Cache-Control", "no-store")
+        if self._token and given == self._token:
+            answer.set_cookie(COOKIE, self._token, httponly=True, samesite="strict")
+        return answer
+
+    def _refusal(self, request: Request, given: str) -> Response | None:
+        host, origin = request.headers.get("host", ""), request.headers.get("origin")
+        if host not in self._hosts:
             return PlainTextResponse(f"this server is not {host!r}\n", 421)
-        origin = request.headers.get("origin")
-        if origin is not None and origin not in {f"http://{known}" for known in self.hosts}:
+        if origin is not None and origin not in {f"http://{known}" for known in self._hosts}:
             return PlainTextResponse("requests of other sites are refused\n", 403)
         if request.method not in ("GET", "HEAD") and request.headers.get(ASKED) != "1":
             return PlainTextResponse(f"the header {ASKED}: 1 is missing\n", 403)
-        if self.token and not hmac.compare_digest(self._given(request).encode(), self.token.encode()):
+        if self._token and not hmac.compare_digest(given.encode(), self._token.encode()):
             return PlainTextResponse("open the address with ?token=… that the terminal shows\n", 401)
         return None
-
-    def _given(self, request: Request) -> str:
-        return request.query_params.get("token") or request.cookies.get(COOKIE, "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,10 +354,9 @@ def listen(host: str = "127.0.0.1", port: int = 0) -> Address:
     except (OSError, ValueError) as error:
         problem = getattr(error, "strerror", None) or error
         raise InputError(f"cannot listen on {host}:{port} ({problem})", where="--port", cure="Choose another port") from None
-    taken = listening.getsockname()[1]
+    taken, shown = listening.getsockname()[1], f"[{host}]" if ":" in host else host
     names = {"127.0.0.1", "localhost", "[::1]"} if loopback else {host, socket.gethostname(), socket.getfqdn()}
     token = "" if loopback else secrets.token_urlsafe(16)
-    shown = f"[{host}]" if ":" in host else host
     url = f"http://{shown}:{taken}/" + (f"?token={token}" if token else "")
     return Address(listening, url, token, frozenset(f"{name}:{taken}" for name in names))
 

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from phdtrack.errors import InputError
 
@@ -20,9 +20,11 @@ Mark = Literal["false", "birth", "none"]
 """``false``: the detector is wrong there. ``birth``: a target enters there. ``none``: neither, after all."""
 MARKS: tuple[str, ...] = get_args(Mark)
 FORMAT = "1"
-_PATIENCE = 30.0
+# Seconds to wait while another person's click is written.
+_TIMEOUT = 30.0
 
 _TABLES = """
+PRAGMA journal_mode = WAL;
 CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 CREATE TABLE IF NOT EXISTS frame (
     number INTEGER PRIMARY KEY, place INTEGER NOT NULL, done INTEGER NOT NULL DEFAULT 0
@@ -35,13 +37,13 @@ CREATE TABLE IF NOT EXISTS mark (
     action INTEGER NOT NULL REFERENCES action (id), frame INTEGER NOT NULL, box INTEGER NOT NULL, mark TEXT NOT NULL,
     PRIMARY KEY (action, frame, box)
 ) STRICT;
-CREATE TABLE IF NOT EXISTS told (key TEXT PRIMARY KEY) STRICT;
+CREATE TABLE IF NOT EXISTS request (key TEXT PRIMARY KEY) STRICT;
 CREATE INDEX IF NOT EXISTS mark_by_box ON mark (frame, box, action);
 """
 # SQLite takes the columns beside max(…) from the row that has the maximum.
 _CURRENT = """
 SELECT m.frame, m.box, m.mark, max(m.action) FROM mark m JOIN action a ON a.id = m.action
-WHERE a.undone = 0 {where} GROUP BY m.frame, m.box ORDER BY m.frame, m.box
+WHERE a.undone = 0 AND m.frame = coalesce(?, m.frame) GROUP BY m.frame, m.box ORDER BY m.frame, m.box
 """
 
 
@@ -64,11 +66,11 @@ class Progress:
     births: int
 
 
+@dataclass(frozen=True, slots=True)
 class LabelStore:
     """The labels in one file. Every method opens it, does one thing wholly or not at all, and closes it."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    path: Path
 
     @classmethod
     def open(cls, path: Path, source: str, digest: str, frames: Sequence[int]) -> LabelStore:
@@ -88,24 +90,20 @@ class LabelStore:
         ------
         InputError : the file is that of other detections, or no file of labels.
         """
-        store = cls(path)
+        store, about = cls(path), {"format": FORMAT, "source": source, "detections": digest}
         try:
-            with store._connection() as db:
-                db.executescript("PRAGMA journal_mode = WAL;" + _TABLES)
-                with db:
-                    known = dict(db.execute("SELECT name, value FROM about"))
-                    if known.get("format", FORMAT) != FORMAT:
-                        raise InputError(f"expected labels of format {FORMAT}, got {known['format']!r}", where=path)
-                    if known.get("detections", digest) != digest:
-                        problem = (
-                            f"the labels are those of other detections (of {known.get('source')}), not of these of {source}"
-                        )
-                        raise InputError(problem, where=path, cure="Give another --labels file, or the detections of then")
-                    about = {"format": FORMAT, "source": source, "detections": digest}
-                    db.executemany("INSERT OR IGNORE INTO about VALUES (?, ?)", about.items())
-                    (after,) = db.execute("SELECT coalesce(max(place) + 1, 0) FROM frame").fetchone()
-                    rows = [(int(number), after + k) for k, number in enumerate(frames)]
-                    db.executemany("INSERT OR IGNORE INTO frame (number, place) VALUES (?, ?)", rows)
+            with store._connection() as db, db:
+                db.executescript(_TABLES)
+                known = about | dict(db.execute("SELECT name, value FROM about"))
+                if known["format"] != FORMAT:
+                    raise InputError(f"expected labels of format {FORMAT}, got {known['format']!r}", where=path)
+                if known["detections"] != digest:
+                    problem = f"the labels are those of other detections (of {known['source']}), not of these of {source}"
+                    raise InputError(problem, where=path, cure="Give another --labels file, or the detections of then")
+                db.executemany("INSERT OR IGNORE INTO about VALUES (?, ?)", about.items())
+                place = "(SELECT coalesce(max(place) + 1, 0) FROM frame)"
+                rows = [(int(number),) for number in frames]
+                db.executemany(f"INSERT OR IGNORE INTO frame (number, place) VALUES (?, {place})", rows)
         except sqlite3.DatabaseError as error:
             raise InputError(f"cannot be used as a file of labels ({error})", where=path) from None
         return store
@@ -123,27 +121,29 @@ class LabelStore:
         ------
         InputError : no mark, or an unknown one.
         """
-        rows = list(marks)
+        rows = [(label.frame, label.box, label.mark) for label in marks]
         if not rows:
             raise InputError("expected a mark or more", where=f"frame {frame}")
-        for row in rows:
-            if row.mark not in MARKS or row.box < 0:
-                raise InputError(f"expected one of {', '.join(MARKS)} on a box from 0, got {row.mark!r} on {row.box}")
-        with self._change(key) as db:
-            number = db.execute("INSERT INTO action (frame, who) VALUES (?, ?)", (frame, who)).lastrowid
+        for _, box, mark in rows:
+            if mark not in MARKS or box < 0:
+                raise InputError(f"expected one of {', '.join(MARKS)} on a box from 0, got {mark!r} on {box}")
+        self._change(
+            key,
             # What was undone before is gone for good once something new was done: redoing would mix the two.
-            db.execute("UPDATE action SET undone = 2 WHERE frame = ? AND undone = 1", (frame,))
-            db.executemany(
-                "INSERT OR REPLACE INTO mark VALUES (?, ?, ?, ?)", [(number, m.frame, m.box, m.mark) for m in rows]
-            )
+            ("UPDATE action SET undone = 2 WHERE frame = ? AND undone = 1", [(frame,)]),
+            ("INSERT INTO action (frame, who) VALUES (?, ?)", [(frame, who)]),
+            ("INSERT OR REPLACE INTO mark SELECT max(id), ?, ?, ? FROM action", rows),
+        )
 
     def undo(self, frame: int, key: str = "") -> None:
         """Take back the last action made on ``frame``, if there is one."""
-        self._turn("SELECT max(id) FROM action WHERE frame = ? AND undone = 0", frame, 1, key)
+        last = "SELECT max(id) FROM action WHERE frame = ? AND undone = 0"
+        self._change(key, (f"UPDATE action SET undone = 1 WHERE id = ({last})", [(frame,)]))
 
     def redo(self, frame: int, key: str = "") -> None:
         """Make the action on ``frame`` that was undone last count again, if there is one."""
-        self._turn("SELECT min(id) FROM action WHERE frame = ? AND undone = 1", frame, 0, key)
+        first = "SELECT min(id) FROM action WHERE frame = ? AND undone = 1"
+        self._change(key, (f"UPDATE action SET undone = 0 WHERE id = ({first})", [(frame,)]))
 
     def finish(self, frame: int, done: bool = True, key: str = "") -> None:
         """Say that a frame has been looked at. One without false boxes is looked at too.
@@ -154,69 +154,50 @@ class LabelStore:
         done : False where it has not been looked at after all.
         key : as in `mark`.
         """
-        with self._change(key) as db:
-            db.execute("UPDATE frame SET done = ? WHERE number = ?", (int(done), frame))
+        self._change(key, ("UPDATE frame SET done = ? WHERE number = ?", [(int(done), frame)]))
 
     def steps(self, frame: int) -> tuple[int, int]:
         """How many actions on ``frame`` can be undone and redone."""
-        question = "SELECT coalesce(sum(undone = 0), 0), coalesce(sum(undone = 1), 0) FROM action WHERE frame = ?"
-        with self._connection() as db:
-            undo, redo = db.execute(question, (frame,)).fetchone()
-        return int(undo), int(redo)
+        known = [undone for (undone,) in self._rows("SELECT undone FROM action WHERE frame = ?", frame)]
+        return known.count(0), known.count(1)
 
     def labels(self, frame: int | None = None) -> list[Label]:
         """What every marked box is, or those of one ``frame``; boxes marked as ``none`` again are not listed."""
-        where, values = ("", ()) if frame is None else ("AND m.frame = ?", (frame,))
-        with self._connection() as db:
-            rows = db.execute(_CURRENT.format(where=where), values).fetchall()
-        return [Label(number, box, mark) for number, box, mark, _ in rows if mark != "none"]
+        return [Label(number, box, mark) for number, box, mark, _ in self._rows(_CURRENT, frame) if mark != "none"]
 
     def frames(self) -> list[tuple[int, bool]]:
         """The frames to label in the order to show them, and which of them have been looked at."""
-        with self._connection() as db:
-            rows = db.execute("SELECT number, done FROM frame ORDER BY place").fetchall()
-        return [(number, bool(done)) for number, done in rows]
+        return [(number, bool(done)) for number, done in self._rows("SELECT number, done FROM frame ORDER BY place")]
 
     def progress(self) -> Progress:
         """How far the work is."""
-        listed, labels = self.frames(), self.labels()
-        births = sum(label.mark == "birth" for label in labels)
-        return Progress(sum(done for _, done in listed), len(listed), len(labels) - births, births)
+        done, marks = [done for _, done in self.frames()], [label.mark for label in self.labels()]
+        return Progress(sum(done), len(done), marks.count("false"), marks.count("birth"))
 
     def csv(self) -> str:
         """The labels as CSV: frame, box, mark."""
-        lines = ["frame,box,mark", *(f"{label.frame},{label.box},{label.mark}" for label in self.labels())]
-        return "\n".join(lines) + "\n"
+        return "frame,box,mark\n" + "".join(f"{label.frame},{label.box},{label.mark}\n" for label in self.labels())
 
-    def _turn(self, which: str, frame: int, undone: int, key: str) -> None:
-        with self._change(key) as db:
-            (number,) = db.execute(which, (frame,)).fetchone()
-            db.execute("UPDATE action SET undone = ? WHERE id = ?", (undone, number))
-
-    @contextmanager
-    def _change(self, key: str) -> Iterator[sqlite3.Connection]:
-        """A connection for one change, kept when the block ends; undone where ``key`` has been seen before."""
+    def _rows(self, question: str, *values: int | None) -> list[tuple[Any, ...]]:
+        """The answer to a question."""
         with self._connection() as db:
-            # From the start alone with the file: what is read first must still hold when it is written.
+            return db.execute(question, values).fetchall()
+
+    def _change(self, key: str, *steps: tuple[str, Sequence[tuple[object, ...]]]) -> None:
+        """Take all steps, a statement and its rows each, or none of them where ``key`` has been seen before."""
+        with self._connection() as db, db:
+            # From the start no other connection writes: what is read first must still hold when it is written.
             db.execute("BEGIN IMMEDIATE")
-            seen = key and db.execute("SELECT 1 FROM told WHERE key = ?", (key,)).fetchone()
-            try:
-                if key and not seen:
-                    db.execute("INSERT INTO told VALUES (?)", (key,))
-                yield db
-            except BaseException:
-                db.rollback()
-                raise
-            if seen:
-                db.rollback()
-            else:
-                db.commit()
+            if key and not db.execute("INSERT OR IGNORE INTO request VALUES (?)", (key,)).rowcount:
+                return
+            for statement, rows in steps:
+                db.executemany(statement, rows)
 
     @contextmanager
     def _connection(self) -> Iterator[sqlite3.Connection]:
-        db = sqlite3.connect(self.path, timeout=_PATIENCE)
+        """An open connection; a click is on the disk when the page is told that it was kept."""
+        db = sqlite3.connect(self.path, timeout=_TIMEOUT)
         try:
-            # A click is on the disk when the page is told that it was kept.
             db.execute("PRAGMA synchronous = FULL")
             yield db
         finally:

@@ -22,7 +22,7 @@ import json
 import math
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -44,8 +44,8 @@ STAY, SLOW = 4.0, 0.5
 # Runs, as part of those that frames at random would make, and windows of s seconds with a detection, as part of all: from
 # where on they speak for a place that fires, and where they leave no doubt. Fewer windows than these tell nothing.
 _RUNS, _SPREAD, _WINDOWS = (0.5, 0.8), (0.8, 0.95), 15
-# Seconds up to which a track is short, and how much is made of it.
-SHORT, _MOST = 1.0, 0.4
+# Seconds up to which a track is short, and its score at most.
+SHORT, _MAX_SHORT = 1.0, 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,9 +88,18 @@ class Suggestions:
     def __len__(self) -> int:
         return len(self.frame)
 
+    @classmethod
+    def of(cls, rows: Sequence[tuple[float, ...]] = ()) -> Suggestions:
+        """Suggestions from rows (frame, box, reason, score, place)."""
+        columns = np.array(rows, np.float64).reshape(-1, 5).T
+        frame, box, reason, place = columns[[0, 1, 2, 4]].astype(np.int64)
+        return cls(frame, box, reason, columns[3], place)
 
-_NONE = np.zeros(0, np.int64)
-NOTHING = Suggestions(_NONE, _NONE, _NONE, np.zeros(0), _NONE)
+    @property
+    def rows(self) -> list[tuple[int, int, int, float, int]]:
+        """(frame, box, reason, score, place) of each."""
+        columns = (self.frame, self.box, self.reason, self.score, self.place)
+        return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
 def suggest(evidence: Evidence, frames: Sequence[int], fps: float) -> Suggestions:
@@ -109,15 +118,12 @@ def suggest(evidence: Evidence, frames: Sequence[int], fps: float) -> Suggestion
     table = evidence.table
     own = _tracks_of(table, evidence.tracks)
     speed, span = _lives(table, own, fps)
-    held, goes = own >= 0, speed >= SLOW
-    asked = np.isin(table.frame, np.asarray(frames, np.int64))
-    scores = np.zeros((len(REASONS), len(table)))
-    place, scores[0] = _places(evidence, ~goes, asked & ~goes, fps)
-    scores[1] = np.where(held, 0.0, evidence.clutter)
-    brief = ~goes & (span < SHORT)
-    scores[2] = np.where(brief, _MOST * 0.5**span * (1 - speed / SLOW), 0.0)
-    reason = np.argmax(scores, axis=0)
-    score = scores[reason, np.arange(len(table))]
+    asked, goes = np.isin(table.frame, np.asarray(frames, np.int64)), speed >= SLOW
+    place, fires = _places(evidence, ~goes, asked & ~goes, fps)
+    rejected = np.where(own >= 0, 0.0, evidence.clutter)
+    short = np.where(~goes & (span < SHORT), _MAX_SHORT * 0.5**span * (1 - speed / SLOW), 0.0)
+    scores = np.stack([fires, rejected, short])
+    reason, score = scores.argmax(axis=0), scores.max(axis=0)
     rows = np.flatnonzero(asked & (score >= SHOWN))
     rows = rows[np.argsort(-score[rows], kind="stable")]
     within = rows - np.searchsorted(table.frame, table.frame[rows])
@@ -141,17 +147,13 @@ def _lives(table: DetectionTable, own: I8, fps: float) -> tuple[F8, F8]:
     box = to_cxcywh(table.detections.xyxy)
     speed, span = np.zeros((2, len(table)))
     order = np.argsort(own, kind="stable")
-    for rows in np.split(order, np.flatnonzero(np.diff(own[order])) + 1) if len(order) else []:
-        if own[rows[0]] < 0:
-            continue
-        time = table.frame[rows] / fps
+    for rows in np.split(order, np.searchsorted(own[order], np.arange(own.max(initial=-1) + 1)))[1:]:
+        time, here = table.frame[rows] / fps, np.arange(len(rows))
         total = np.hstack([np.zeros((2, 1)), np.cumsum(box[:2, rows], axis=1)])
-        here = np.arange(len(rows))
         first, last = np.searchsorted(time, time - 1.0), np.searchsorted(time, time + 1.0, side="right")
         before = (total[:, here + 1] - total[:, first]) / (here + 1 - first)
         behind = (total[:, last] - total[:, here]) / (last - here)
-        size = np.sqrt(box[2, rows] * box[3, rows]).mean()
-        speed[rows] = np.hypot(*(behind - before)) / size
+        speed[rows] = np.hypot(*(behind - before)) / np.sqrt(box[2, rows] * box[3, rows]).mean()
         span[rows] = time[-1] - time[0] + 1 / fps
     return speed, span
 
@@ -161,48 +163,40 @@ def _places(evidence: Evidence, still: Bool, asked: Bool, fps: float) -> tuple[I
     frame, xyxy = evidence.table.frame, evidence.table.detections.xyxy
     rows, candidates = np.flatnonzero(still), np.flatnonzero(asked)
     where, score = np.full(len(frame), -1), np.zeros(len(frame))
-    stretch = evidence.first, evidence.last
-    fired = [frame[rows[_alike(box, xyxy[rows])]] for box in xyxy[candidates]]
-    likely = np.array([_fires(hits, stretch, fps) for hits in fired])
-    seeds, numbers = np.zeros((0, 4)), list[int]()
+    fired = [frame[rows[_alike(xyxy[k], xyxy[rows])]] for k in candidates]
+    likely = np.array([_fires(hits, evidence, fps) for hits in fired])
+    seeds, numbers = np.zeros((0, 4)), np.zeros(0, np.int64)
     # The middle of a place has the most around it.
     for seed in np.lexsort((-np.array([len(hits) for hits in fired]), -likely)):
+        box = xyxy[candidates[seed]]
         if likely[seed] < SHOWN:
             break
         if where[candidates[seed]] < 0:
-            box = xyxy[candidates[seed]]
+            # The number of the place that the box overlaps with, or a new one.
+            overlap = iou(box[None], seeds)[0]
+            known = overlap.max(initial=0.0) >= _SAME
+            number = numbers[np.argmax(overlap)] if known else numbers.max(initial=-1) + 1
+            seeds, numbers = np.vstack([seeds, box]), np.append(numbers, number)
             alike = candidates[_alike(box, xyxy[candidates])]
             alike = alike[where[alike] < 0]
-            numbers.append(_number(box, seeds, numbers))
-            seeds = np.vstack([seeds, box])
-            where[alike], score[alike] = numbers[-1], likely[seed]
+            where[alike], score[alike] = number, likely[seed]
     return where, score
 
 
-def _number(box: F8, seeds: F8, numbers: list[int]) -> int:
-    """The number of the place that ``box`` (4,) belongs to by what it overlaps with, or a new one."""
-    overlap = iou(box[None], seeds)[0]
-    return numbers[int(np.argmax(overlap))] if overlap.max(initial=0.0) >= _SAME else max(numbers, default=-1) + 1
-
-
-def _fires(frame: I8, stretch: tuple[int, int], fps: float) -> float:
-    """How surely a place fires by itself that has still detections in these frames of a stretch from … to."""
+def _fires(frame: I8, evidence: Evidence, fps: float) -> float:
+    """How surely a place fires by itself that has still detections in these frames of the stretch."""
     from scipy.special import gammaincc
 
-    hits, length = np.unique(frame) - stretch[0], stretch[1] - stretch[0] + 1
+    hits, length = np.unique(frame) - evidence.first, evidence.last - evidence.first + 1
     n, window = len(hits), STAY * fps
     if n < 2:
         return 0.0
     often = float(gammaincc(n, window))  # P(N < n)
-    runs = 1 + int((np.diff(hits) > 1).sum())
-    parts, windows = length / window, len(np.unique(hits // window))
-    all_along = _rising(windows / math.ceil(parts), _SPREAD) if parts >= _WINDOWS else 0.0
-    return often * max(_rising(runs / (n * (length - n + 1) / length), _RUNS), all_along)
-
-
-def _rising(value: float, between: tuple[float, float]) -> float:
-    """0 below, 1 above, and a straight line between."""
-    return min(1.0, max(0.0, (value - between[0]) / (between[1] - between[0])))
+    runs, windows = 1 + (np.diff(hits) > 1).sum(), len(np.unique(hits // window))
+    at_random = np.interp(runs / (n * (length - n + 1) / length), _RUNS, (0, 1))
+    parts = length / window
+    all_along = np.interp(windows / math.ceil(parts), _SPREAD, (0, 1)) if parts >= _WINDOWS else 0.0
+    return often * float(max(at_random, all_along))
 
 
 def _alike(box: F8, others: F8) -> I8:
@@ -210,38 +204,28 @@ def _alike(box: F8, others: F8) -> I8:
     return np.flatnonzero(iou(box[None], others)[0] >= ALIKE)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Answer:
-    """How far it is: the ``share`` that is done, the suggestions when they are there, and why there will be none."""
-
-    share: float
-    suggestions: Suggestions | None = None
-    problem: str = ""
-
-
 class Background:
-    """Does ``work`` in a thread.
+    """Makes suggestions in a thread.
 
+    ``share`` of the work is done; ``found`` are the suggestions when they are there; ``problem`` is why there will be none.
     ``work`` gets a function that reports the share that is done, and raises where it fails.
     """
 
     def __init__(self, work: Callable[[Callable[[float], None]], Suggestions]) -> None:
-        self._work, self._answer = work, Answer(0.0)
+        self.share, self.problem = 0.0, ""
+        self.found: Suggestions | None = None
         # A daemon: the page can be closed before there are suggestions.
-        threading.Thread(target=self._run, name="suggestions", daemon=True).start()
+        threading.Thread(target=self._run, args=(work,), name="suggestions", daemon=True).start()
 
-    def __call__(self) -> Answer:
-        """What is known by now."""
-        return self._answer
-
-    def _run(self) -> None:
+    def _run(self, work: Callable[[Callable[[float], None]], Suggestions]) -> None:
         try:
-            self._answer = Answer(1.0, self._work(self._advance))
+            self.found = work(self._advance)
         except Exception as error:
-            self._answer = Answer(1.0, problem=str(error) or type(error).__name__)
+            self.problem = str(error) or type(error).__name__
+        self.share = 1.0
 
     def _advance(self, share: float) -> None:
-        self._answer = Answer(share)
+        self.share = share
 
 
 def kept(path: Path, key: str, make: Callable[[], Suggestions]) -> Suggestions:
@@ -259,14 +243,12 @@ def kept(path: Path, key: str, make: Callable[[], Suggestions]) -> Suggestions:
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        if document.pop("key") == key:
-            score = np.array(document.pop("score"), np.float64)
-            return Suggestions(score=score, **{name: np.array(column, np.int64) for name, column in document.items()})
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        if document["key"] == key:
+            return Suggestions.of(document["rows"])
+    except (OSError, ValueError, KeyError, TypeError):
         pass  # There is none yet, or another program's: made anew.
     found = make()
-    document = {"key": key} | {name: column.tolist() for name, column in asdict(found).items()}
     part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps(document) + "\n", encoding="utf-8")
+    part.write_text(json.dumps({"key": key, "rows": found.rows}) + "\n", encoding="utf-8")
     part.replace(path)
     return found

@@ -1,40 +1,49 @@
-"""The charts of reports as SVG, and the style that they share. Each function gives a `Picture`.
+"""The charts and pictures of reports. Each function gives a `Picture`: charts are SVG, what lies over a photograph JPEG.
 
 `Figure` objects are made directly: neither pyplot nor a display is needed and no rcParams change. matplotlib takes half a
 second to import: it is imported where a figure is made. Long runs are thinned to block means, as the time axis says.
+
+The photograph is turned grey and darkened, so that colour belongs to the data. Without video the same pictures are drawn on
+a dark ground. Axes are pixels of the original video.
 """
 
 from __future__ import annotations
 
 import base64
 import io
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
-from markupsafe import Markup
 
-from phdtrack.report.drawing import identity_colour
-from phdtrack.report.record import STAGES, RunRecord, shrunk
+from phdtrack.report.drawing import feet, identity_colour
+from phdtrack.report.record import STAGES, HeatMap, RunRecord, shrunk
+from phdtrack.scene import LearnedDensity, Scene
+from phdtrack.scene.mixture import place_map
 from phdtrack.scene.online import SceneUpdate
 from phdtrack.scene.rates import Rates, RatesLearning
-from phdtrack.types import F8, I8, Image
+from phdtrack.types import F8, I8, Image, SequenceInfo
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INK, _GRID = "#3a4250", "#dfe3ea"
+_INK, _GRID, _DARK, _CYAN = "#3a4250", "#dfe3ea", "#1b1f27", "#4cc9f0"
 _BLUE, _ORANGE, _GREEN, _RED, _GREY = "#3b6fd4", "#e08a1e", "#2a9d74", "#c0504d", "#9aa5b8"
-_STAGES = (_GREY, _BLUE, _ORANGE, _GREEN)
 _METHODS = ((_BLUE, "o"), (_ORANGE, "s"), (_GREEN, "D"), ("#a45cc0", "^"), (_RED, "v"), ("#7a8599", "P"))
-_WIDTH = 8.2
+# Inches.
+_WIDE, _NARROW = 8.2, 5.4
 _POINTS, _BARS = 1200, 200
-_LABELLED_ROWS, _OUTLINES = 60, 3000
+# Identities with a label each, and bars that are outlines rather than pixels.
+_LABELS, _LABELLED_ROWS, _OUTLINES = 80, 60, 3000
 # Characters of all labels together that fit beside each other.
 _LABEL_ROOM = 45
+_MAX_STRETCH, _CELLS = 6.0, 160
+# Gaussians lighter than this are drawn without an arrow.
+_MIN_WEIGHT = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,129 +56,9 @@ class Picture:
     height: int
 
     @property
-    def address(self) -> Markup:
+    def address(self) -> str:
         """The picture as a ``data:`` address."""
-        return Markup(f"data:{self.mime};base64,{base64.b64encode(self.data).decode('ascii')}")
-
-
-def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of ``width`` × ``height`` inches that lays itself out."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def chart_axes(figure: Figure, x_label: str, y_label: str, position: int = 111) -> Axes:
-    """New axes in the style of all charts: a light grid behind, no frame at the top and right.
-
-    Parameters
-    ----------
-    figure : gets the axes.
-    x_label, y_label : what the axes show, with units.
-    position : rows, columns and number of the axes, as matplotlib's ``add_subplot`` takes them.
-
-    Returns
-    -------
-    The axes.
-    """
-    axes = figure.add_subplot(position)
-    axes.set_xlabel(x_label, fontsize=10, color=INK)
-    axes.set_ylabel(y_label, fontsize=10, color=INK)
-    axes.tick_params(labelsize=9, colors=INK)
-    axes.grid(True, color=_GRID, linewidth=0.8)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(INK)
-    return axes
-
-
-def to_jpeg(figure: Figure) -> Picture:
-    """The figure as JPEG on white, for photographs."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="jpg", dpi=144, facecolor="white", pil_kwargs={"quality": 87})
-    return _picture("image/jpeg", buffer.getvalue(), figure)
-
-
-def jpeg(image: Image, max_width: int = 1400) -> Picture:
-    """A picture (H, W, 3) BGR as JPEG, shrunk to ``max_width`` pixels where it is wider."""
-    image = shrunk(image, max_width)
-    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 87])
-    return Picture("image/jpeg", data.tobytes(), image.shape[1], image.shape[0])
-
-
-def thinned(values: F8 | I8, limit: int) -> F8:
-    """(n, …) means over consecutive blocks of ``values`` (N, …), so that n ≤ ``limit``; unchanged where N ≤ ``limit``."""
-    values = values.astype(np.float64)
-    starts = np.arange(0, len(values), _block(len(values), limit))
-    counts = np.diff([*starts, len(values)]).reshape(-1, *[1] * (values.ndim - 1))
-    means: F8 = np.add.reduceat(values, starts, axis=0) / counts if len(starts) else values
-    return means
-
-
-def count_chart(record: RunRecord) -> Picture:
-    """Objects over time: annotated (where there is truth), detected, expected by the filter, tracked.
-
-    Where the filter carries the distribution of the number, a band shows between which numbers it lies with 90 %.
-    """
-    series = record.series
-    figure, axes = _time_axes(series.times, "objects in the frame", 3.1)
-    if len(series.count_range):
-        # Half an object to either side: a number that is certain has a band too.
-        low, high = thinned(series.count_range, _POINTS).T
-        low, high = np.maximum(low - 0.5, 0), high + 0.5
-        time = thinned(series.times, _POINTS)
-        axes.fill_between(time, low, high, step="mid", color=_BLUE, alpha=0.18, linewidth=0, label="number, 90 %")
-    _detections(axes, series.times, series.n_detections)
-    if len(series.truth_count):
-        _steps(axes, series.times, series.truth_count, color=_GREEN, linewidth=5, alpha=0.4, label="truth")
-    _steps(axes, series.times, record.track_count, color=_ORANGE, linewidth=1.5, label="tracks")
-    _plot(axes, series.times, series.mass, color=_BLUE, linewidth=1.2, label="expected count (mass of the filter)")
-    axes.set_ylim(bottom=0)
-    return _to_svg(figure)
-
-
-def lifetime_chart(record: RunRecord) -> Picture:
-    """One bar for each identity from its first to its last frame; lighter where predicted, white where missing."""
-    from matplotlib.collections import PolyCollection
-
-    names, row = np.unique(record.tracks.identity, return_inverse=True)
-    figure, axes = _time_axes(record.series.times, "identity", float(np.clip(0.8 + 0.17 * len(names), 1.6, 9.0)), limit=0)
-    axes.grid(False, axis="y")
-    # A bar is a stretch of consecutive frames, all seen or all predicted. All bars are one collection, which is fast with
-    # thousands, and become pixels where outlines would swell the file.
-    order = np.lexsort((record.tracks.frame, record.tracks.predicted, row))
-    row, frame, predicted = row[order], record.tracks.frame[order], record.tracks.predicted[order]
-    cut = (np.diff(row) != 0) | np.diff(predicted) | (np.diff(frame) > 1)
-    edges = np.r_[len(row) > 0, cut, len(row) > 0].astype(np.bool_)[: len(row) + 1]
-    first, last = np.flatnonzero(edges[:-1]), np.flatnonzero(edges[1:])
-    seconds = np.interp(frame, record.series.numbers, record.series.times)
-    y, start, end = row[first], seconds[first], seconds[last] + _interval(record)
-    corners = np.stack([np.stack([start, end, end, start], axis=1), y[:, None] + [-0.4, -0.4, 0.4, 0.4]], axis=2)
-    alpha = np.where(predicted[first], 0.35, 1.0).tolist()
-    colours = [(*(part / 255 for part in identity_colour(int(names[k]))), a) for k, a in zip(y, alpha, strict=True)]
-    bars = PolyCollection(list(corners), facecolors=colours, linewidths=0, rasterized=len(y) > _OUTLINES)
-    axes.add_collection(bars, autolim=False)
-    if len(names) <= _LABELLED_ROWS:
-        axes.set_yticks(range(len(names)), names.astype(str))
-    else:
-        axes.set_yticks([])
-        axes.set_ylabel(f"{len(names)} identities, the lowest number on top", fontsize=10, color=INK)
-    axes.set_ylim(max(len(names), 1) - 0.4, -0.6)
-    return _to_svg(figure)
-
-
-def timing_chart(record: RunRecord) -> Picture:
-    """Milliseconds of each stage over the run, stacked. The scale leaves out single spikes, such as a first compilation."""
-    series = record.series
-    figure, axes = _time_axes(series.times, "milliseconds per frame", 2.7, limit=_BARS)
-    time, table = thinned(series.times, _BARS), thinned(1000 * series.seconds, _BARS)
-    if len(table) == 1:
-        time, table = time + np.array([0.0, _interval(record)]), np.repeat(table, 2, axis=0)
-    if len(table):
-        axes.stackplot(time, table.T, labels=STAGES, colors=_STAGES, step="post", linewidth=0)
-        total = table.sum(axis=1)
-        axes.set_ylim(0, max(min(1.25 * float(np.quantile(total, 0.97)), 1.05 * float(total.max())), 1e-3))
-    return _to_svg(figure)
+        return f"data:{self.mime};base64,{base64.b64encode(self.data).decode('ascii')}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,18 +89,84 @@ class GroupSeries:
         return len(self.times)
 
 
+class MethodScores(NamedTuple):
+    """A method's score at n places: ``mean``, and ``low`` and ``high`` (n,) ends of the interval; NaN where unknown."""
+
+    label: str
+    mean: F8
+    low: F8
+    high: F8
+
+
+def count_chart(record: RunRecord) -> Picture:
+    """Objects over time: annotated (where there is truth), detected, expected by the filter, tracked.
+
+    Where the filter carries the distribution of the number, a band shows between which numbers it lies with 90 %.
+    """
+    times, axes = record.times, _time_axes(record.times, "objects in the frame", 3.1)
+    if len(record.count_range):
+        # Half an object to either side: a number that is certain has a band too.
+        low, high = record.count_range.T
+        _band(axes, times, np.maximum(low - 0.5, 0), high + 0.5, label="number, 90 %", step="mid")
+    _plot(axes, times, record.n_detections, ".", color=_GREY, markersize=3, alpha=0.7, label="detections")
+    if len(record.truth_count):
+        _steps(axes, times, record.truth_count, color=_GREEN, linewidth=5, alpha=0.4, label="truth")
+    _steps(axes, times, record.track_count, color=_ORANGE, label="tracks")
+    _plot(axes, times, record.mass, color=_BLUE, label="expected count (mass of the filter)")
+    return _to_svg(axes, bottom=0)
+
+
 def group_chart(series: GroupSeries) -> Picture:
     """People, groups and raw detections over time [E13 Fig. 2]."""
-    figure, axes = _time_axes(series.times, "number", 3.1)
-    time, people, deviation = (thinned(each, _POINTS) for each in (series.times, series.people, series.deviation))
+    times, axes = series.times, _time_axes(series.times, "number", 3.1)
     if len(series.detections):
-        _detections(axes, series.times, series.detections)
-    low = np.maximum(people - deviation, 0)
-    axes.fill_between(time, low, people + deviation, color=_BLUE, alpha=0.25, linewidth=0, label="one deviation")
-    axes.plot(time, people, color=_BLUE, linewidth=1.3, label="people estimated")
-    _steps(axes, series.times, series.groups, color=_ORANGE, linewidth=1.5, label="groups")
-    axes.set_ylim(bottom=0)
-    return _to_svg(figure)
+        _plot(axes, times, series.detections, ".", color=_GREY, markersize=3, alpha=0.7, label="detections")
+    low, high = np.maximum(series.people - series.deviation, 0), series.people + series.deviation
+    _band(axes, times, low, high, label="one deviation")
+    _plot(axes, times, series.people, color=_BLUE, label="people estimated")
+    _steps(axes, times, series.groups, color=_ORANGE, label="groups")
+    return _to_svg(axes, bottom=0)
+
+
+def lifetime_chart(record: RunRecord) -> Picture:
+    """One bar for each identity from its first to its last frame; lighter where predicted, white where missing."""
+    names, row = np.unique(record.tracks.identity, return_inverse=True)
+    height = float(np.clip(0.8 + 0.17 * len(names), 1.6, 9.0))
+    axes = _time_axes(record.times, "identity", height, limit=0)
+    axes.grid(False, axis="y")
+    # A bar is a stretch of consecutive frames, all seen or all predicted. All bars are one collection, which is fast with
+    # thousands, and become pixels where outlines would swell the file.
+    order = np.lexsort((record.tracks.frame, record.tracks.predicted, row))
+    row, frame, predicted = row[order], record.tracks.frame[order], record.tracks.predicted[order]
+    cut = (np.diff(row, prepend=-1) != 0) | np.diff(predicted, prepend=False) | (np.diff(frame, prepend=0) > 1)
+    first = np.flatnonzero(cut)
+    last = np.append(first[1:], len(row)) - 1 if len(first) else first
+    start, end = (np.interp(frame[k], record.numbers, record.times) for k in (first, last))
+    shades = np.where(predicted[first], 0.35, 1.0).tolist()
+    colours = [(*np.divide(identity_colour(int(names[k])), 255), a) for k, a in zip(row[first], shades, strict=True)]
+    thick = 0.8 * 72 * (height - 0.6) / max(len(names), 1)
+    bars = axes.hlines(row[first], start, end + _interval(record), colors=colours, linewidth=thick)
+    bars.set(capstyle="butt", rasterized=len(first) > _OUTLINES)
+    if len(names) <= _LABELLED_ROWS:
+        axes.set_yticks(range(len(names)), names.astype(str))
+    else:
+        axes.set_yticks([])
+        axes.set_ylabel(f"{len(names)} identities, the lowest number on top", fontsize=10, color=_INK)
+    axes.set_ylim(max(len(names), 1) - 0.4, -0.6)
+    return _to_svg(axes)
+
+
+def timing_chart(record: RunRecord) -> Picture:
+    """Milliseconds of each stage over the run, stacked. The scale leaves out single spikes, such as a first compilation."""
+    axes = _time_axes(record.times, "milliseconds per frame", 2.7, limit=_BARS)
+    time, table = thinned(record.times, _BARS), thinned(1000 * record.seconds, _BARS)
+    if len(table) == 1:
+        time, table = time + np.array([0.0, _interval(record)]), np.repeat(table, 2, axis=0)
+    if len(table):
+        axes.stackplot(time, table.T, labels=STAGES, colors=(_GREY, _BLUE, _ORANGE, _GREEN), step="post", linewidth=0)
+        total = table.sum(axis=1)
+        axes.set_ylim(0, max(min(1.25 * float(np.quantile(total, 0.97)), 1.05 * float(total.max())), 1e-3))
+    return _to_svg(axes)
 
 
 def learning_chart(course: Sequence[SceneUpdate], rate: float) -> Picture:
@@ -219,7 +174,7 @@ def learning_chart(course: Sequence[SceneUpdate], rate: float) -> Picture:
 
     ``course`` is what was known after each frame that taught something, ``rate`` the model's time units a second.
     """
-    axes = chart_axes(figure := new_figure(_WIDTH, 2.8), "time in seconds", "rate")
+    axes = _chart_axes(_figure(_WIDE, 2.8), "time in seconds", "rate")
     time = np.array([one.time for one in course])
     clutter, births = np.array([one.clutter for one in course]), np.array([one.births for one in course]) * rate * 60
     _plot(axes, time, clutter, color=_RED, label="false alarms a frame")
@@ -229,47 +184,31 @@ def learning_chart(course: Sequence[SceneUpdate], rate: float) -> Picture:
     for place, colour, known in used:
         low, high = -(place + 2) * unit, -place * unit
         axes.fill_between(time, low, high, where=np.array(known) > 0, color=colour, linewidth=0, step="post")
-    return _to_svg(figure)
+    return _to_svg(axes)
 
 
 def rates_chart(course: Sequence[Rates], rule: RatesLearning) -> Picture:
     """Estimates of p_D and of false alarms over time, and at the right the odds of the best and the worst score."""
-    figure = new_figure(_WIDTH, 2.6)
-    clutter = "false alarms, share" if rule.priors.clutter_each else "false alarms a frame"
+    figure = _figure(_WIDE, 2.6)
     time, detection, alarms, best, worst = np.array(
         [(one.time, one.detection, one.clutter, one.highest, one.lowest) for one in course]
     ).T
-    left = chart_axes(figure, "time in seconds", "rate", 121)
+    left = _chart_axes(figure, "time in seconds", "rate", 121)
     _plot(left, time, detection, color="#2b6cb0", label="p_D")
-    _plot(left, time, alarms, color=_RED, label=clutter)
-    right = chart_axes(figure, "time in seconds", "odds of a score", 122)
+    _plot(left, time, alarms, color=_RED, label=f"false alarms{', share' if rule.priors.clutter_each else ' a frame'}")
+    left.set_ylim(bottom=0)
+    right = _chart_axes(figure, "time in seconds", "odds of a score", 122)
     _plot(right, time, best, color=_GREEN, label="best")
     _plot(right, time, worst, color="#8a6d3b", label="worst")
-    for axes in (left, right):
-        axes.set_ylim(bottom=0)
-    return _to_svg(figure)
+    return _to_svg(right, bottom=0)
 
 
-class MethodScores(NamedTuple):
-    """A method's score at n places: ``mean``, and ``low`` and ``high`` (n,) ends of the interval; NaN where unknown."""
-
-    label: str
-    mean: F8
-    low: F8
-    high: F8
-
-    @property
-    def reach(self) -> F8:
-        """(2, n) how far the interval reaches below and above the mean."""
-        return np.abs(np.vstack([self.mean - self.low, self.high - self.mean]))
-
-
-def score_lines(x: F8, x_label: str, y_label: str, methods: Sequence[MethodScores]) -> Picture:
-    """A line with intervals for each method, moved a little to the side so that all can be seen.
+def score_chart(places: F8 | Sequence[str], x_label: str, y_label: str, methods: Sequence[MethodScores]) -> Picture:
+    """The scores of each method with their intervals, moved a little to the side so that all can be seen.
 
     Parameters
     ----------
-    x : (n,) where the scores were taken.
+    places : n numbers, which are joined by a line, or n names, at which the scores were taken.
     x_label, y_label : what the axes show.
     methods : n scores each.
 
@@ -277,47 +216,128 @@ def score_lines(x: F8, x_label: str, y_label: str, methods: Sequence[MethodScore
     -------
     The chart.
     """
-    axes = chart_axes(figure := new_figure(5.4, 3.0), x_label, y_label)
-    offset = 0.012 * float(np.ptp(x)) * (np.arange(len(methods)) - (len(methods) - 1) / 2)
+    axes, named = _chart_axes(_figure(_NARROW, 3.0), x_label, y_label), not isinstance(places, np.ndarray)
+    names = [str(place) if named else f"{place:g}" for place in places]
+    x = np.arange(len(names), dtype=np.float64) if named else np.asarray(places, np.float64)
+    apart = min(0.8 / max(len(methods), 1), 0.2) if named else 0.012 * float(np.ptp(x))
     for i, one in enumerate(methods):
-        colour, marker = _METHODS[i % len(_METHODS)]
-        bars = axes.errorbar(x + offset[i], one.mean, one.reach, color=colour, capsize=3, linewidth=1.6, marker=marker)
-        bars.set_label(one.label)
-    axes.set_xticks(x, [f"{value:g}" for value in x])
-    return _to_svg(figure)
+        (colour, marker), at = _METHODS[i % len(_METHODS)], x + apart * (i - (len(methods) - 1) / 2)
+        reach = np.abs(np.vstack([one.mean - one.low, one.high - one.mean]))
+        line = "" if named else "-"
+        axes.errorbar(at, one.mean, reach, color=colour, capsize=3, marker=marker, linestyle=line, label=one.label)
+    crowded = named and max(map(len, names), default=0) * len(names) > _LABEL_ROOM
+    axes.set_xticks(x, names, rotation=25 if crowded else 0, ha="right" if crowded else "center")
+    return _to_svg(axes)
 
 
-def score_bars(groups: Sequence[str], y_label: str, methods: Sequence[MethodScores]) -> Picture:
-    """For each group a bar with its interval of each method.
+def trajectory_picture(record: RunRecord) -> Picture:
+    """The way of every identity's foot point over the scene: full where seen, thin where predicted, broken where rows are
+    missing; a ring where it appeared, its number where it was last seen."""
+    from matplotlib.collections import LineCollection
+
+    info = record.info
+    if not (info.width > 0 and info.height > 0):
+        # A frame that holds all tracks, where its size is not known.
+        reach = np.maximum(np.ceil(record.tracks.xyxy.max(axis=0, initial=1.0)), 1).astype(int)
+        info = SequenceInfo(int(reach[2]), int(reach[3]), info.fps)
+    axes = _over_scene(info, record.background, _WIDE, darkness=0.4)
+    tracks = record.by_identity()
+    colours = ["#{:02x}{:02x}{:02x}".format(*identity_colour(int(rows.identity[0]))) for rows in tracks]
+    for width, alpha in ((0.8, 0.8), (1.8, 1.0)):
+        ways = []
+        for rows in tracks:
+            way = np.where(rows.predicted[:, None] & (alpha == 1), np.nan, feet(rows.xyxy))
+            ways.append(np.insert(way, np.flatnonzero(np.diff(rows.frame) > 1) + 1, np.nan, axis=0))
+        axes.add_collection(LineCollection(ways, colors=colours, linewidths=width, alpha=alpha))
+    for rows, colour in zip(tracks, colours, strict=True):
+        (x, y), (x_end, y_end), name = feet(rows.xyxy[:1])[0], feet(rows.xyxy[-1:])[0], str(rows.identity[0])
+        axes.scatter(x, y, s=24, facecolors="none", edgecolors=colour, linewidths=1.0)
+        if len(tracks) <= _LABELS:
+            plate = {"boxstyle": "round,pad=0.2", "facecolor": colour, "linewidth": 0}
+            axes.text(x_end, y_end, name, color="black", fontsize=7.5, ha="center", va="center", bbox=plate, clip_on=True)
+    return _to_jpeg(axes)
+
+
+def heat_picture(heat: HeatMap, info: SequenceInfo) -> Picture:
+    """The intensity over one frame [M07 Fig. 1]: colour where objects are expected, a cross for every detection, a ring for
+    every state extracted."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    axes = _over_scene(info, heat.image, _NARROW, darkness=0.5)
+    high, wide = heat.density.shape
+    top = max(float(heat.density.max(initial=0.0)), 1e-9)
+    _shade(axes, heat.density, top, (0, wide * heat.cell, high * heat.cell, 0), "nearest")
+    for boxes, marker, size, colour in ((heat.detections, "+", 6.0, "#ffffff"), (heat.estimates, "o", 12.0, _CYAN)):
+        x, y = (boxes[:, :2] + boxes[:, 2:]).T / 2
+        axes.plot(x, y, marker, color=colour, markersize=size, markerfacecolor="none", linestyle="")
+    axes.set(xlim=(0, info.width), ylim=(info.height, 0))
+    bar = axes.figure.colorbar(ScalarMappable(Normalize(0, top), "inferno"), ax=axes, shrink=0.75, aspect=30, pad=0.015)
+    bar.set_label(f"objects in {heat.cell:g} × {heat.cell:g} pixels", fontsize=10, color=_INK)
+    bar.ax.tick_params(labelsize=9, colors=_INK)
+    return _to_jpeg(axes)
+
+
+def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: bool) -> Picture:
+    """Where births or false alarms are expected, over the frame [M09 Figs. 7, 8].
 
     Parameters
     ----------
-    groups : n names.
-    y_label : what the axis shows.
-    methods : n scores each.
+    learned : over pixels or, for births on the ground, over metres: then it is drawn on a plan of their region.
+    scene : whose they are.
+    image : (H, W, 3) BGR frame, or (0, 0, 3).
+    births : whether to draw the mean way of the next second as arrows.
 
     Returns
     -------
-    The chart.
+    The picture.
     """
-    axes = chart_axes(figure := new_figure(5.4, 3.0), "", y_label)
-    axes.grid(False, axis="x")
-    place, width = np.arange(len(groups), dtype=np.float64), 0.8 / max(len(methods), 1)
-    for i, one in enumerate(methods):
-        at, (colour, _) = place + (i - (len(methods) - 1) / 2) * width, _METHODS[i % len(_METHODS)]
-        axes.bar(at, one.mean, 0.92 * width, yerr=one.reach, color=colour, ecolor=INK, label=one.label)
-    axes.axhline(0, color=INK, linewidth=0.8)
-    crowded = max(map(len, groups), default=0) * len(groups) > _LABEL_ROOM
-    axes.set_xticks(place, groups, rotation=25 if crowded else 0, ha="right" if crowded else "center")
-    return _to_svg(figure)
+    p = learned.density
+    (left, top), (wide, high) = p.low[:2], (p.high - p.low)[:2]
+    ground = (left, top, wide, high) != (0, 0, scene.width, scene.height)
+    if ground:
+        axes = _chart_axes(_figure(_WIDE, _WIDE * min(max(high / wide, 0.3), 1.5)), "x in metres", "y in metres")
+    else:
+        axes = _over_scene(SequenceInfo(scene.width, scene.height, 25.0), image, _WIDE, darkness=0.5)
+    step = max(wide, high) / _CELLS
+    shape = (math.ceil(high / step), math.ceil(wide / step))
+    extent = (left, left + shape[1] * step, top + shape[0] * step, top)
+    _shade(axes, place_map(p, shape, step, sized=p.dim == 6 or not births), 1.0, extent, "bilinear")
+    for m in np.flatnonzero(p.weight >= _MIN_WEIGHT) if births else ():
+        start, way = p.mean[:2, m], p.mean[2:4, m] * scene.rate
+        style = {"arrowstyle": "-|>", "color": _CYAN, "linewidth": 1 + 4 * float(p.weight[m])}
+        axes.annotate("", xy=tuple(start + way), xytext=tuple(start), arrowprops=style)
+    # Of a plan the far end is above, of a picture row 0.
+    axes.set(xlim=(left, left + wide), ylim=(top, top + high) if ground else (top + high, top))
+    return _to_jpeg(axes)
+
+
+def jpeg(image: Image, max_width: int = 1400) -> Picture:
+    """A picture (H, W, 3) BGR as JPEG, shrunk to ``max_width`` pixels where it is wider."""
+    image = shrunk(image, max_width)
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 87])
+    return Picture("image/jpeg", data.tobytes(), image.shape[1], image.shape[0])
+
+
+def thinned(values: F8 | I8, limit: int) -> F8:
+    """(n, …) means over consecutive blocks of ``values`` (N, …), so that n ≤ ``limit``; unchanged where N ≤ ``limit``."""
+    values = values.astype(np.float64)
+    starts = np.arange(0, len(values), _block(len(values), limit))
+    counts = np.diff([*starts, len(values)]).reshape(-1, *[1] * (values.ndim - 1))
+    means: F8 = np.add.reduceat(values, starts, axis=0) / counts if len(starts) else values
+    return means
+
+
+def _block(length: int, limit: int) -> int:
+    """Frames that `thinned` puts into one point."""
+    return max(1, -(-length // max(limit, 1)))
 
 
 def _interval(record: RunRecord) -> float:
     """The median time between frames in seconds, else that of the stated rate."""
-    steps = np.diff(record.series.times)
-    steps = steps[steps > 0]
+    steps = np.diff(record.times)
     stated = 1 / record.info.fps if record.info.fps > 1e-3 else 1.0
-    return float(np.median(steps)) if len(steps) else stated
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else stated
 
 
 def _plot(axes: Axes, times: F8, values: F8 | I8, *style: str, **look: Any) -> None:
@@ -328,39 +348,88 @@ def _steps(axes: Axes, times: F8, values: I8, **look: Any) -> None:
     _plot(axes, times, values, drawstyle="steps-mid", **look)
 
 
-def _detections(axes: Axes, times: F8, counts: I8) -> None:
-    _plot(axes, times, counts, ".", color=_GREY, markersize=3, alpha=0.7, label="detections")
+def _band(axes: Axes, times: F8, low: F8, high: F8, **look: Any) -> None:
+    time, low, high = (thinned(each, _POINTS) for each in (times, low, high))
+    axes.fill_between(time, low, high, color=_BLUE, alpha=0.18, linewidth=0, **look)
 
 
-def _time_axes(times: F8, y_label: str, height: float, limit: int = _POINTS) -> tuple[Figure, Axes]:
+def _figure(width: float, height: float) -> Figure:
+    """An empty figure of ``width`` × ``height`` inches that lays itself out."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _chart_axes(figure: Figure, x_label: str, y_label: str, position: int = 111) -> Axes:
+    """New axes in the style of all charts: a light grid behind, no frame at the top and right."""
+    axes = figure.add_subplot(position)
+    axes.set_xlabel(x_label, fontsize=10, color=_INK)
+    axes.set_ylabel(y_label, fontsize=10, color=_INK)
+    axes.tick_params(labelsize=9, colors=_INK)
+    axes.grid(True, color=_GRID, linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(_INK)
+    return axes
+
+
+def _time_axes(times: F8, y_label: str, height: float, limit: int = _POINTS) -> Axes:
     """Axes over the whole run, whose label says how many of the ``times`` (F,) are in one of at most ``limit`` points."""
     block = _block(len(times), limit or len(times))
     label = "time in seconds" if block == 1 else f"time in seconds (each point the mean of {block} frames)"
-    axes = chart_axes(figure := new_figure(_WIDTH, height), label, y_label)
+    axes = _chart_axes(_figure(_WIDE, height), label, y_label)
     if len(times) and times[-1] > times[0]:
         axes.set_xlim(float(times[0]), float(times[-1]))
-    return figure, axes
+    return axes
 
 
-def _block(length: int, limit: int) -> int:
-    """Frames that `thinned` puts into one point."""
-    return max(1, -(-length // max(limit, 1)))
+def _over_scene(info: SequenceInfo, image: Image, width: float, *, darkness: float) -> Axes:
+    """Axes that are the frame in pixels, over the darkened grey photograph or a dark ground."""
+    height = float(np.clip((width - 1.2) * info.height / info.width + 0.7, 1.8, 9.0))
+    axes = _chart_axes(_figure(width, height), "x in pixels", "y in pixels")
+    axes.grid(False)
+    axes.spines[:].set(visible=True, color="black")
+    axes.set_facecolor(_DARK)
+    if image.size:
+        grey = image @ np.array([0.114, 0.587, 0.299]) * (1 - darkness)
+        axes.imshow(grey, cmap="gray", vmin=0, vmax=255, extent=(0, info.width, info.height, 0))
+    stretched = not 1 / _MAX_STRETCH < info.width / info.height < _MAX_STRETCH
+    axes.set(xlim=(0, info.width), ylim=(info.height, 0), aspect="auto" if stretched else "equal")
+    return axes
 
 
-def _to_svg(figure: Figure) -> Picture:
+def _shade(axes: Axes, density: F8, top: float, extent: tuple[float, float, float, float], interpolation: str) -> None:
+    """Colour by the density: clear where nothing is expected, quickly opaque above it, because a weak mass matters."""
+    share = np.clip(density / top, 0, 1)
+    alpha = np.where(share > 0.004, 0.25 + 0.7 * share**0.5, 0.0)
+    axes.imshow(density, cmap="inferno", extent=extent, alpha=alpha, vmin=0, vmax=top, interpolation=interpolation)
+
+
+def _to_svg(axes: Axes, bottom: float | None = None) -> Picture:
     """The figure with legends above its axes, as SVG on a transparent ground: text as outlines, no date."""
-    for axes in figure.axes:
-        handles, _ = axes.get_legend_handles_labels()
+    axes.set_ylim(bottom=bottom)
+    for each in axes.figure.axes:
+        handles, _ = each.get_legend_handles_labels()
         if handles:
-            look = {"ncols": len(handles), "frameon": False, "fontsize": 9.0, "labelcolor": INK}
-            axes.legend(loc="lower left", bbox_to_anchor=(0, 1), **look)
-    buffer = io.BytesIO()
+            look = {"ncols": len(handles), "frameon": False, "fontsize": 9.0, "labelcolor": _INK}
+            each.legend(loc="lower left", bbox_to_anchor=(0, 1), **look)
     nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
-    figure.savefig(buffer, format="svg", transparent=True, metadata=nothing)
-    text = buffer.getvalue()
-    return _picture("image/svg+xml", text[text.index(b"<svg") :], figure)
+    return _picture(axes, "svg", transparent=True, metadata=nothing)
 
 
-def _picture(mime: str, data: bytes, figure: Figure) -> Picture:
-    wide, high = figure.get_size_inches()
-    return Picture(mime, data, round(96 * float(wide)), round(96 * float(high)))
+def _to_jpeg(axes: Axes) -> Picture:
+    """The figure as JPEG on white, for photographs."""
+    return _picture(axes, "jpg", dpi=144, facecolor="white", pil_kwargs={"quality": 87})
+
+
+def _picture(axes: Axes, kind: str, **look: Any) -> Picture:
+    from matplotlib.figure import Figure
+
+    figure, buffer = axes.figure, io.BytesIO()
+    assert isinstance(figure, Figure)
+    figure.savefig(buffer, format=kind, **look)
+    wide, high = (round(96 * float(inches)) for inches in figure.get_size_inches())
+    data = buffer.getvalue()
+    if kind == "svg":
+        return Picture("image/svg+xml", data[data.index(b"<svg") :], wide, high)
+    return Picture("image/jpeg", data, wide, high)

@@ -1,6 +1,6 @@
-"""The annotated frame, and the drawing over OpenCV that it shares with the plan and the pictures of mistakes.
+"""Boxes drawn on frames: the annotated video, and the mistakes of several methods side by side.
 
-Drawn from the back to the front:
+An annotated frame shows, from the back to the front:
 
 * detections: thin white outlines; thin red ones with a cross where the filter takes them for false alarms (posterior
   clutter probability above one half);
@@ -12,31 +12,33 @@ Drawn from the back to the front:
 The twelve colours of identities are light enough for dark pictures and strong enough for white paper. Consecutive ones
 differ by at least 40 units of CIE L*a*b*, for normal sight and in the simulation of protanopia and deuteranopia by
 Machado, Oliveira and Fernandes (2009). They repeat, so that wherever an identity is drawn its number stands there too.
-Colours are RGB here, BGR in the picture. The functions from `outline` on write into the picture that they are given.
+Colours are RGB here, BGR in the picture. `outline` and `plate` write into the picture that they are given.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Iterable
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from phdtrack.errors import InputError
-from phdtrack.types import F8, Detections, Image, SequenceInfo, Tracks
+from phdtrack.types import F8, I8, Bool, Detections, Image, SequenceInfo, Tracks
 
 Rgb = tuple[int, int, int]
-Corners = tuple[int, int, int, int]
 _HEX = "ff9f1c 1fb5ad ffe14d a78bfa 2ec27e 4d7cfe ff4d4d e8d5ff c98b5b 4cc9f0 b5e853 ff7ac6"
 COLOURS: tuple[Rgb, ...] = tuple((each[0], each[1], each[2]) for each in map(bytes.fromhex, _HEX.split()))
 BLACK: Rgb = (0, 0, 0)
 WHITE: Rgb = (255, 255, 255)
 _FALSE_ALARM: Rgb = (200, 45, 45)
+MISSED, FALSE, SWITCHED, RIGHT = (255, 77, 77), (255, 159, 28), (255, 64, 255), (46, 194, 126)
+_LEGEND = {"right": RIGHT, "missed (truth)": MISSED, "false": FALSE, "identity switched": SWITCHED, "detection": WHITE}
+# Widths of a panel of mistakes, height of the bars above and below, and what lies between panels, pixels.
+_WIDTHS, _BAR, _GAP = (480, 720), 28, 6
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _UNKNOWN: F8 = np.zeros(0)
 
@@ -46,10 +48,9 @@ def identity_colour(identity: int) -> Rgb:
     return COLOURS[(identity - 1) % len(COLOURS)]
 
 
-def ink_on(colour: Rgb) -> Rgb:
-    """Black or white, whichever is easier to read on ``colour`` (by relative luminance)."""
-    red, green, blue = ((c / 255) ** 2.2 for c in colour)
-    return BLACK if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.2 else WHITE
+def feet(xyxy: F8) -> F8:
+    """(n, 2) the middle of the lower edge of each box (n, 4)."""
+    return np.stack([(xyxy[:, 0] + xyxy[:, 2]) / 2, xyxy[:, 3]], axis=1)
 
 
 class Annotator:
@@ -62,9 +63,8 @@ class Annotator:
     """
 
     def __init__(self, info: SequenceInfo, *, trail_seconds: float = 1.5) -> None:
-        rate = info.fps if info.fps > 0 else 25.0
-        self._length = max(2, round(trail_seconds * rate))
-        self._trails: dict[int, deque[tuple[int, float, float]]] = {}
+        self._length = max(2, round(trail_seconds * (info.fps if info.fps > 0 else 25.0)))
+        self._past = Tracks.empty()
 
     def __call__(
         self,
@@ -95,56 +95,46 @@ class Annotator:
         ------
         InputError : the picture is not (H, W, 3) uint8, or the probabilities do not fit the detections.
         """
+        where, known = f"frame {number}", len(clutter_probability)
         if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+            raise InputError(f"expected a BGR picture (H, W, 3) of uint8, got {image.shape} of {image.dtype}", where=where)
+        if known not in (0, len(detections)):
             raise InputError(
-                f"expected a BGR picture (H, W, 3) of uint8, got {image.shape} of {image.dtype}", where=f"frame {number}"
+                f"expected a clutter probability for each of {len(detections)} detections, got {known}", where=where
             )
-        if len(clutter_probability) not in (0, len(detections)):
-            problem = (
-                f"expected a clutter probability for each of {len(detections)} detections, got {len(clutter_probability)}"
-            )
-            raise InputError(problem, where=f"frame {number}")
-        out, pen = image.copy(), Pen.for_frame(*image.shape[:2])
-        false_alarm = clutter_probability > 0.5 if len(clutter_probability) else np.zeros(len(detections), np.bool_)
+        pen, glaze, rows = Pen.of(image), _Glaze(image), tracks.take(tracks.frame == number)
+        false_alarm = clutter_probability > 0.5 if known else np.zeros(len(detections), np.bool_)
         for false, colour in ((False, WHITE), (True, _FALSE_ALARM)):
-            for found in visible(detections.xyxy[false_alarm == false], out):
-                faint_rectangle(out, found, colour, pen.thin, opacity=0.75, crossed=false)
-        rows = tracks.take(tracks.frame == number)
-        for identity, points in self._trails_with(rows, number).items():
-            _fading_line(out, points, identity_colour(identity), pen.line)
-        _draw_tracks(out, rows, pen)
+            for _, box in _corners(detections.xyxy[false_alarm == false], image):
+                glaze.box(box, colour, pen.thin, 0.75, crossed=false)
+        self._trails(glaze, number, rows.take(rows.confirmed), pen)
+        # From the top of the frame downwards, because what stands lower is usually nearer.
+        rows = rows.take(np.argsort(rows.xyxy[:, 3], kind="stable"))
+        boxes = [(k, box, identity_colour(int(rows.identity[k]))) for k, box in _corners(rows.xyxy, image)]
+        for k, box, colour in boxes:
+            if not rows.confirmed[k]:
+                glaze.box(box, colour, pen.line, 0.4)
+        out, confirmed = glaze.mixed(), [each for each in boxes if rows.confirmed[each[0]]]
+        for k, box, colour in confirmed:
+            outline(out, box, colour, pen, dashed=bool(rows.predicted[k]))
+        for k, box, colour in confirmed:
+            plate(out, str(rows.identity[k]), box[:2], colour, pen)
         count = int(rows.confirmed.sum())
         header = f"frame {number}   {count} track{'' if count == 1 else 's'}"
         header += f"   expected count {mass:.1f}" if math.isfinite(mass) else ""
         plate(out, header, (0, 0), BLACK, pen, opacity=0.65)
         return out
 
-    def _trails_with(self, rows: Tracks, number: int) -> dict[int, F8]:
-        """(n, 2) earlier and present feet of each identity, oldest first; those too old are forgotten."""
-        for identity, box in rows.take(rows.confirmed):
-            trail = self._trails.setdefault(identity, deque(maxlen=self._length))
-            trail.append((number, float(box[0] + box[2]) / 2, float(box[3])))
-        for trail in self._trails.values():
-            while trail and trail[0][0] <= number - self._length:
-                trail.popleft()
-        self._trails = {identity: trail for identity, trail in self._trails.items() if trail}
-        return {identity: np.array(trail)[:, 1:] for identity, trail in self._trails.items()}
-
-
-def _draw_tracks(out: Image, rows: Tracks, pen: Pen) -> None:
-    """Outlines from the top of the frame downwards, because what stands lower is usually nearer; then all labels."""
-    labels: list[tuple[Corners, int]] = []
-    for i in np.lexsort((rows.xyxy[:, 3], rows.confirmed)):
-        corners, identity = placed(rows.xyxy[i], out), int(rows.identity[i])
-        if corners is None:
-            continue
-        if rows.confirmed[i]:
-            outline(out, corners, identity_colour(identity), pen, dashed=bool(rows.predicted[i]))
-            labels.append((corners, identity))
-        else:
-            faint_rectangle(out, corners, identity_colour(identity), pen.line, opacity=0.4)
-    for corners, identity in labels:
-        plate(out, str(identity), corners[:2], identity_colour(identity), pen)
+    def _trails(self, glaze: _Glaze, number: int, rows: Tracks, pen: Pen) -> None:
+        """A line through the earlier and present feet of each identity, which fades towards the oldest."""
+        past = Tracks.concatenate([self._past, rows])
+        self._past = past = past.take(past.frame > number - self._length)
+        for identity in np.unique(past.identity).tolist():
+            points = feet(past.xyxy[past.identity == identity])
+            points = np.clip(points[np.isfinite(points).all(axis=1)], -1e4, 1e4).round().astype(int)
+            for k, (a, b) in enumerate(pairwise(points.tolist()), start=1):
+                strength = (30 + 200 * k / (len(points) - 1)) / 255
+                glaze.line(a, b, identity_colour(identity), pen.line, strength)
 
 
 class Pen(NamedTuple):
@@ -157,33 +147,54 @@ class Pen(NamedTuple):
     dash: int
 
     @classmethod
-    def for_frame(cls, height: int, width: int) -> Pen:
+    def of(cls, image: Image) -> Pen:
         """480 lines are the unit; very small frames keep text that can still be read."""
-        unit = min(height, 0.75 * width) / 480
+        unit = min(image.shape[0], 0.75 * image.shape[1]) / 480
         line, thin, bold, dash = (max(least, round(part * unit)) for part, least in ((1.6, 1), (0.7, 1), (1, 1), (8, 5)))
         return cls(line, thin, max(0.34, 0.39 * unit), bold, dash)
 
 
-def placed(box: F8, image: Image) -> Corners | None:
-    """Whole-pixel left, top, right, bottom; None where nothing of the box could be drawn (not finite, or outside).
+class _Glaze:
+    """What lets the picture through: drawn on a copy, which is mixed with the picture by the opacity of each pixel."""
+
+    def __init__(self, image: Image) -> None:
+        self._image, self._over = image, image.copy()
+        self._opacity: Image = np.zeros(image.shape[:2], np.uint8)
+
+    def box(self, box: Sequence[int], colour: Rgb, width: int, opacity: float, *, crossed: bool = False) -> None:
+        """The outline of a box, with its diagonals where it is ``crossed``."""
+        cv2.rectangle(self._over, box[:2], box[2:], colour[::-1], width)
+        cv2.rectangle(self._opacity, box[:2], box[2:], round(255 * opacity), width)
+        if crossed:
+            self.line(box[:2], box[2:], colour, width, opacity)
+            self.line((box[0], box[3]), (box[2], box[1]), colour, width, opacity)
+
+    def line(self, start: Sequence[int], end: Sequence[int], colour: Rgb, width: int, opacity: float) -> None:
+        """A line; the margin of the opacity holds its smoothed edge."""
+        cv2.line(self._over, start, end, colour[::-1], width, cv2.LINE_AA)
+        cv2.line(self._opacity, start, end, round(255 * opacity), width + 2)
+
+    def mixed(self) -> Image:
+        """A new picture with everything drawn so far."""
+        out, place = self._image.copy(), np.nonzero(self._opacity)
+        alpha = self._opacity[place][:, None].astype(np.uint16)
+        out[place] = ((out[place] * (255 - alpha) + self._over[place] * alpha + 127) // 255).astype(np.uint8)
+        return out
+
+
+def _corners(boxes: F8, image: Image) -> list[tuple[int, list[int]]]:
+    """The index and the whole-pixel left, top, right, bottom of those boxes (n, 4) of which something can be drawn.
 
     Boxes reaching far out are cut one frame beyond the edges: OpenCV's coordinates overflow otherwise.
     """
-    high, wide = image.shape[:2]
-    left, right = sorted((float(box[0]), float(box[2])))
-    top, bottom = sorted((float(box[1]), float(box[3])))
-    if not np.isfinite(box).all() or right < 0 or bottom < 0 or left > wide or top > high:
-        return None
-    x0, y0, x1, y1 = np.clip((left, top, right, bottom), (-wide, -high) * 2, (2 * wide, 2 * high) * 2).round().astype(int)
-    return int(x0), int(y0), int(x1), int(y1)
+    size = np.array(image.shape[1::-1], np.float64)
+    low, high = np.minimum(boxes[:, :2], boxes[:, 2:]), np.maximum(boxes[:, :2], boxes[:, 2:])
+    seen = np.flatnonzero(np.isfinite(boxes).all(axis=1) & (high >= 0).all(axis=1) & (low <= size).all(axis=1))
+    cut = np.hstack([np.clip(each[seen], -size, 2 * size) for each in (low, high)]).round().astype(int)
+    return list(zip(seen.tolist(), cut.tolist(), strict=True))
 
 
-def visible(boxes: Iterable[F8], image: Image) -> list[Corners]:
-    """The corners of those boxes (4,) of which something can be drawn."""
-    return [corners for box in boxes if (corners := placed(box, image)) is not None]
-
-
-def outline(image: Image, box: Corners, colour: Rgb, pen: Pen, *, dashed: bool = False) -> None:
+def outline(image: Image, box: Sequence[int], colour: Rgb, pen: Pen, *, dashed: bool = False) -> None:
     """Draw a closed rectangle, or one of dashes whose corners are always drawn, so that the shape stays clear.
 
     Parameters
@@ -195,60 +206,17 @@ def outline(image: Image, box: Corners, colour: Rgb, pen: Pen, *, dashed: bool =
     if not dashed:
         cv2.rectangle(image, box[:2], box[2:], colour[::-1], pen.line)
         return
-    x0, y0, x1, y1 = box
-    lines = [((a, y), (b, y)) for a, b in _dashes(x0, x1, pen.dash) for y in (y0, y1)]
-    lines += [((x, a), (x, b)) for a, b in _dashes(y0, y1, pen.dash) for x in (x0, x1)]
-    for start, end in lines:
-        cv2.line(image, start, end, colour[::-1], pen.line)
+    left, top, right, bottom = box
+    for a, b in pairwise(np.array([[left, top], [right, top], [right, bottom], [left, bottom], [left, top]])):
+        # An odd number of equal pieces, every other one drawn, the first and last among them.
+        pieces = max(3, 2 * round(float(np.abs(b - a).max()) / pen.dash / 2) + 1)
+        edges = np.linspace(a, b, pieces + 1).round().astype(int).tolist()
+        for start, end in zip(edges[0::2], edges[1::2], strict=True):
+            cv2.line(image, start, end, colour[::-1], pen.line)
 
 
-def _dashes(start: int, end: int, dash: int) -> list[tuple[int, int]]:
-    """An odd number of equal pieces from ``start`` to ``end``, every other one drawn, the first and last among them."""
-    pieces = max(3, 2 * round((end - start) / dash / 2) + 1)
-    edges = np.linspace(start, end, pieces + 1).round().astype(int).tolist()
-    return list(zip(edges[0::2], edges[1::2], strict=True))
-
-
-def faint_rectangle(image: Image, box: Corners, colour: Rgb, width: int, *, opacity: float, crossed: bool = False) -> None:
-    """An outline that lets the picture through.
-
-    Parameters
-    ----------
-    image : is drawn on.
-    box, colour : where, and how.
-    width : of the line, pixels.
-    opacity : from 0 to 1.
-    crossed : whether to draw the diagonals too.
-    """
-    x0, y0, x1, y1 = box
-    near, far = (width, width), (width + x1 - x0, width + y1 - y0)
-    mask = np.zeros((far[1] + width + 1, far[0] + width + 1), np.uint8)
-    level = round(255 * opacity)
-    cv2.rectangle(mask, near, far, level, width)
-    if crossed:
-        cv2.line(mask, near, far, level, width, cv2.LINE_AA)
-        cv2.line(mask, (near[0], far[1]), (far[0], near[1]), level, width, cv2.LINE_AA)
-    _blend(image, (x0 - width, y0 - width), mask, colour)
-
-
-def _fading_line(image: Image, points: F8, colour: Rgb, width: int) -> None:
-    """A line through ``points`` (n, 2), oldest first, that fades towards the oldest."""
-    high, wide = image.shape[:2]
-    inside = points[np.isfinite(points).all(axis=1)]
-    inside = np.clip(inside, (-wide, -high), (2 * wide, 2 * high)).round().astype(int)
-    if len(inside) < 2:
-        return
-    margin = width + 1
-    low = inside.min(axis=0) - margin
-    size = inside.max(axis=0) - low + margin + 1
-    mask = np.zeros((int(size[1]), int(size[0])), np.uint8)
-    for k, (a, b) in enumerate(pairwise((inside - low).tolist()), start=1):
-        cv2.line(mask, a, b, round(30 + 200 * k / (len(inside) - 1)), width, cv2.LINE_AA)
-    _blend(image, (int(low[0]), int(low[1])), mask, colour)
-
-
-def plate(image: Image, text: str, corner: tuple[int, int], fill: Rgb, pen: Pen, *, opacity: float = 1.0) -> None:
-    """Text on a coloured plate, moved and shrunk to stay in the frame.
+def plate(image: Image, text: str, corner: Sequence[int], fill: Rgb, pen: Pen, *, opacity: float = 1.0) -> int:
+    """Draw text on a coloured plate, moved and shrunk to stay in the frame.
 
     Parameters
     ----------
@@ -258,30 +226,115 @@ def plate(image: Image, text: str, corner: tuple[int, int], fill: Rgb, pen: Pen,
     fill : its colour.
     pen : the size of the letters.
     opacity : of the plate, from 0 to 1.
+
+    Returns
+    -------
+    The plate's width in pixels.
     """
-    high, wide = image.shape[:2]
-    text, font = text.encode("ascii", "replace").decode("ascii"), pen.font
-    (text_wide, text_high), below = cv2.getTextSize(text, _FONT, font, pen.bold)
-    pad = max(2, text_high // 4)
-    if text_wide + 2 * pad > wide:
-        font *= max(0.1, (wide - 2 * pad) / text_wide)
-        (text_wide, text_high), below = cv2.getTextSize(text, _FONT, font, pen.bold)
+    text, font, room = text.encode("ascii", "replace").decode("ascii"), pen.font, image.shape[1]
+    (wide, high), below = cv2.getTextSize(text, _FONT, font, pen.bold)
+    pad = max(2, high // 4)
+    if wide + 2 * pad > room:
+        font *= max(0.1, (room - 2 * pad) / wide)
+        (wide, high), below = cv2.getTextSize(text, _FONT, font, pen.bold)
     under = pad + (0 if text.isdigit() else below // 2)
-    plate_wide, plate_high = text_wide + 2 * pad, text_high + pad + under
-    x = min(max(corner[0], 0), max(wide - plate_wide, 0))
-    bottom = min(max(corner[1], plate_high), max(high, plate_high))
-    ground = np.full((plate_high, plate_wide), round(255 * opacity), np.uint8)
-    _blend(image, (x, bottom - plate_high), ground, fill)
-    cv2.putText(image, text, (x + pad, bottom - under), _FONT, font, ink_on(fill)[::-1], pen.bold, cv2.LINE_AA)
+    wide, high = wide + 2 * pad, high + pad + under
+    left = min(max(corner[0], 0), max(room - wide, 0))
+    bottom = min(max(corner[1], high), max(image.shape[0], high))
+    ground = image[bottom - high : bottom, left : left + wide]
+    ground[:] = (ground * (1 - opacity) + np.array(fill[::-1]) * opacity + 0.5).astype(np.uint8)
+    # Black or white, whichever is easier to read by relative luminance.
+    light = np.array([0.2126, 0.7152, 0.0722]) @ (np.array(fill) / 255) ** 2.2 > 0.2
+    cv2.putText(image, text, (left + pad, bottom - under), _FONT, font, BLACK if light else WHITE, pen.bold, cv2.LINE_AA)
+    return int(wide)
 
 
-def _blend(image: Image, corner: tuple[int, int], opacity: NDArray[np.uint8], colour: Rgb) -> None:
-    """Blend ``colour`` into the picture at (left, top) with ``opacity`` (h, w), 0–255; parts outside are cut off."""
-    (left, top), (high, wide) = corner, image.shape[:2]
-    x0, y0 = max(left, 0), max(top, 0)
-    x1, y1 = min(left + opacity.shape[1], wide), min(top + opacity.shape[0], high)
-    if x0 >= x1 or y0 >= y1:
-        return
-    part = image[y0:y1, x0:x1]
-    alpha = opacity[y0 - top : y1 - top, x0 - left : x1 - left, None].astype(np.uint16)
-    part[:] = ((part * (255 - alpha) + np.array(colour[::-1], np.uint16) * alpha + 127) // 255).astype(np.uint8)
+@dataclass(frozen=True, slots=True, eq=False)
+class Mistakes:
+    """What a method made of a frame; boxes xyxy in pixels of the video.
+
+    Attributes
+    ----------
+    method : its name.
+    found : (k, 4) boxes on an annotated object.
+    identity, switched : (k,) their identities, and whether the object had another one before.
+    missed, false : (n, 4) annotated boxes, (m, 4) boxes of tracks, without a partner.
+    """
+
+    method: str
+    found: F8
+    identity: I8
+    switched: Bool
+    missed: F8
+    false: F8
+
+    @property
+    def title(self) -> str:
+        """The method and its mistakes in words."""
+        return f"{self.method}: {len(self.missed)} missed, {len(self.false)} false, {int(self.switched.sum())} switched"
+
+    def drawn(self, ground: Image, scale: float, detections: F8) -> Image:
+        """A copy of ``ground`` with the boxes, whose pixels are ``scale`` times as large there.
+
+        Parameters
+        ----------
+        ground : (h, w, 3) BGR.
+        scale : pixels of the ground per pixel of the video.
+        detections : (N, 4) what the method was given.
+
+        Returns
+        -------
+        (h, w, 3) BGR.
+        """
+        pen, glaze = Pen.of(ground), _Glaze(ground)
+        for _, box in _corners(detections * scale, ground):
+            glaze.box(box, WHITE, pen.thin, 0.6)
+        for _, box in _corners(self.false * scale, ground):
+            glaze.box(box, FALSE, pen.line, 1.0, crossed=True)
+        out = glaze.mixed()
+        for k, box in _corners(self.found * scale, ground):
+            colour = SWITCHED if self.switched[k] else RIGHT
+            outline(out, box, colour, pen)
+            plate(out, str(self.identity[k]), box[:2], colour, pen)
+        # On top: where a box is wrong, the one that it should have been is what one wants to see.
+        for _, box in _corners(self.missed * scale, ground):
+            outline(out, box, MISSED, pen, dashed=True)
+        plate(out, self.title, (0, 0), BLACK, pen, opacity=0.75)
+        return out
+
+
+def side_by_side(
+    image: Image | None, size: tuple[int, int], heading: str, detections: F8, methods: Sequence[Mistakes]
+) -> Image:
+    """A picture with a panel for each method, on the frame where there is one, on a plain ground otherwise.
+
+    Parameters
+    ----------
+    image : (H, W, 3) BGR, or None.
+    size : width and height that the boxes are in.
+    heading : what stands above everything.
+    detections : (N, 4) what all methods were given.
+    methods : what each made of it.
+
+    Returns
+    -------
+    (h, w, 3) BGR.
+    """
+    wide = int(np.clip(size[0], *_WIDTHS))
+    high = max(1, round(size[1] * wide / size[0]))
+    ground = np.full((high, wide, 3), 46, np.uint8)
+    if image is not None and image.size:
+        ground = cv2.resize(image, (wide, high), interpolation=cv2.INTER_AREA).astype(np.uint8)
+    # The shape of the whole is the one nearest to a page's (2 : 1). Up to four panels fill their rows.
+    count = len(methods)
+    shapes = [(columns, -(-count // columns)) for columns in range(1, count + 1) if count > 4 or count % columns == 0]
+    columns, rows = min(shapes, key=lambda shape: abs(math.log(wide / high * shape[0] / shape[1] / 2)))
+    out = np.full((2 * _BAR + rows * (high + _GAP) + _GAP, columns * (wide + _GAP) + _GAP, 3), 20, np.uint8)
+    for i, one in enumerate(methods):
+        top, left = _BAR + _GAP + (i // columns) * (high + _GAP), _GAP + (i % columns) * (wide + _GAP)
+        out[top : top + high, left : left + wide] = one.drawn(ground, wide / size[0], detections)
+    pen, x = Pen.of(np.zeros((480, 640, 3), np.uint8)), _GAP
+    plate(out, heading, (_GAP, _BAR - 4), BLACK, pen)
+    for label, colour in _LEGEND.items():
+        x += plate(out, label, (x, len(out) - 6), colour, pen) + 12
+    return out

@@ -1,28 +1,67 @@
-"""The pages and sections of reports, from the templates in ``report/templates``.
+"""The pages and sections of reports, from the Jinja2 templates in ``report/templates``.
 
 A report is one file that can be read without network, on a phone, on paper and in the dark: pictures are ``data:``
-addresses, the style sheet is inline, there is no script, and a content security policy forbids to fetch anything.
+addresses, the style sheet is inline, there is no script, and a content security policy forbids to fetch anything. Whatever a
+template prints is escaped, unless it is `markupsafe.Markup`. Control characters and lone surrogates, which no browser
+shows, become �.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
 from markupsafe import Markup
 
-from phdtrack.report import charts, scenes
-from phdtrack.report.charts import GroupSeries
-from phdtrack.report.record import About, RunRecord, sentences
-from phdtrack.report.rendering import render
-from phdtrack.report.run_json import flattened, write_text
+from phdtrack.report import charts, words
+from phdtrack.report.record import RunRecord
+from phdtrack.report.words import flattened, json_value, write_text
 from phdtrack.scene import Scene
-from phdtrack.scene.online import SceneUpdate
-from phdtrack.scene.rates import Rates, RatesLearning
 from phdtrack.types import Image
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+_NOT_SHOWN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
+
+
+@cache
+def environment() -> Environment:
+    """Where the templates are, and the functions that they can call. Jinja2 is imported here, on first use."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+
+    made = Environment(
+        loader=PackageLoader("phdtrack.report"),
+        autoescape=select_autoescape(("html",)),
+        finalize=lambda value: _NOT_SHOWN.sub("\ufffd", value) if type(value) is str else value,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.globals["charts"] = charts
+    for function in (words.grouped, words.counted, words.duration, words.percent, words.score, words.score_direction):
+        made.filters[function.__name__] = function
+    return made
+
+
+def render(template: str, **context: object) -> Markup:
+    """The text of a template in ``report/templates``."""
+    return Markup(environment().get_template(template).render(context))
+
+
+def lines(template: str, **context: object) -> tuple[str, ...]:
+    """The sentences of a text template, which has one on each line."""
+    return tuple(str(line).strip() for line in render(template, **context).split("\n") if line.strip())
+
+
+def sentences(record: RunRecord) -> tuple[str, ...]:
+    """What happened in a run, in a few sentences for the report, the terminal and ``run.json``."""
+    return lines("summary.txt", record=record)
 
 
 def write_report(path: Path, record: RunRecord, config: Mapping[str, object] | None = None, more: str = "") -> None:
@@ -43,91 +82,48 @@ def write_report(path: Path, record: RunRecord, config: Mapping[str, object] | N
 
 
 def report_html(record: RunRecord, config: Mapping[str, object], more: str = "") -> str:
-    """The whole page as text.
+    """The whole page as text; see `write_report`."""
+    title = record.about.title or record.info.name or "Tracking run"
+    lead, settings = " ".join(sentences(record)), flattened(config)
+    return str(render("run.html", title=title, lead=lead, record=record, more=Markup(more), settings=settings))
 
-    Parameters
-    ----------
-    record, config, more : as in `write_report`.
 
-    Returns
-    -------
-    HTML.
+def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, object]:
+    """The run as JSON values: ``config`` is the whole configuration as nested mappings.
+
+    Times are seconds. ``frames_per_second`` is that of detection and tracking, without drawing and without the
+    ``frames_left_out`` in which kernels were compiled or loaded; ``stages`` are milliseconds per frame, whose sum may
+    exceed a frame's share of the time because stages overlap. ``chain`` is null but for MCMC filters.
     """
-    about, speed = record.about, record.frames_per_second
-    return render(
-        "run.html",
-        title=about.title or record.info.name or "Tracking run",
-        lead=" ".join(sentences(record)),
-        record=record,
-        median=float(np.median(record.lifetimes)) if len(record.tracks) else 0.0,
-        speed=f"{speed:.1f}" if math.isfinite(speed) else "–",
-        more=Markup(more),
-        settings=flattened(config),
-        charts=charts,
-        scenes=scenes,
-    )
-
-
-def group_sections(series: GroupSeries) -> str:
-    """Counts, plan, events and the first warning of each pair of groups."""
-    words = {"merge": "into ", "split": "from "}
-    events = [
-        (f"{time:.1f}", kind, group, f"{words.get(kind, '')}{other}" if other else "")
-        for time, kind, group, other in series.events
-    ]
-    first: dict[tuple[int, int], tuple[str, ...]] = {}
-    for time, a, b, seconds, probability in series.warnings:
-        first.setdefault((a, b), (f"{time:.1f}", f"{a} and {b}", f"{seconds:.1f}", f"{probability:.2f}"))
-    return render("groups.html", series=series, events=events, warnings=list(first.values()), charts=charts)
-
-
-def positions_page(about: About, source: str, lead: str, sections: str, config: Mapping[str, object]) -> str:
-    """The page of groups among people whose positions are known.
-
-    Parameters
-    ----------
-    about : title, notes, command.
-    source, lead : where the positions come from, what happened.
-    sections : of `group_sections`.
-    config : the settings, listed at the end.
-
-    Returns
-    -------
-    HTML.
-    """
-    given = {"title": about.title, "about": about, "source": source, "lead": lead, "sections": Markup(sections)}
-    return render("positions.html", settings=flattened(config), **given)
-
-
-def camera_section(told: Sequence[str]) -> str:
-    """How far the camera went, from sentences without a capital letter and full stop."""
-    return render("camera_motion.html", sentences=[sentence.capitalize() for sentence in told])
-
-
-def learning_section(course: Sequence[SceneUpdate], memory: float, rate: float) -> str:
-    """What was learned of the scene while it was tracked; nothing where nothing was learned.
-
-    Parameters
-    ----------
-    course : what was known after each frame that taught something.
-    memory : time after which what was seen counts for 37 %, minutes.
-    rate : time units of the model a second.
-
-    Returns
-    -------
-    HTML.
-    """
-    if not course:
-        return ""
-    changes = [(f"{one.time:.1f}", one.regime, sentence) for one in course for sentence in one.changes]
-    return render("learning.html", chart=charts.learning_chart(course, rate), memory=memory, changes=changes)
-
-
-def rates_section(course: Sequence[Rates], rule: RatesLearning) -> str:
-    """What was learned of p_D, false alarms, births and scores; nothing where nothing was learned."""
-    if not course:
-        return ""
-    return render("rates.html", chart=charts.rates_chart(course, rule), last=course[-1], rule=rule)
+    about, info = record.about, record.info
+    document = {
+        "command": about.command,
+        "title": about.title,
+        "summary": sentences(record),
+        "versions": dict(about.versions),
+        "seed": about.seed,
+        "started": about.started,
+        "seconds": about.seconds,
+        "source": {"name": info.name, "width": info.width, "height": info.height, "fps": info.fps},
+        "frames": len(record),
+        "frames_per_second": record.frames_per_second,
+        "stages": {
+            s.name: {"mean": s.mean, "median": s.median, "p95": s.high, "share": s.share} for s in record.stage_times[:-1]
+        },
+        "tracks": record.n_objects,
+        "track_rows": len(record.tracks),
+        "predicted_rows": int(record.tracks.predicted.sum()),
+        "detections": int(record.n_detections.sum()),
+        "expected_false_alarms": record.false_alarms,
+        "expected_count_mean": float(record.mass.mean()) if len(record) else math.nan,
+        "scores": dict(about.scores),
+        "warnings": about.warnings,
+        "notes": about.notes,
+        "configuration": config,
+        "frames_left_out": about.left_out,
+        "chain": record.chain,
+    }
+    return {key: json_value(value) for key, value in document.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,24 +144,3 @@ class SceneTraining:
     clutter_gain: float = math.nan
     births_from: str = ""
     clutter_from: str = ""
-
-
-def scene_page(training: SceneTraining, lead: str, command: str) -> str:
-    """The page of a learned scene: where births and false alarms are expected, and how well that predicts.
-
-    Parameters
-    ----------
-    training : what was learned.
-    lead : the same in words.
-    command : how to use it.
-
-    Returns
-    -------
-    HTML.
-    """
-
-    def drawn(births: bool) -> charts.Picture | None:
-        learned = training.scene.births if births else training.scene.clutter
-        return None if learned is None else scenes.map_picture(learned, training.scene, training.image, births=births)
-
-    return render("scene.html", title="Learned scene", training=training, lead=lead, command=command, drawn=drawn)

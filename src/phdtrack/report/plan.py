@@ -6,6 +6,7 @@ Drawn with OpenCV on white, x to the right and y upwards, with a grid in metres.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -17,10 +18,8 @@ from phdtrack.types import F8, I8, Bool, Image
 
 _GRID, _INK, _WITHOUT_IDENTITY = (228, 231, 236), (58, 66, 80), (140, 140, 140)
 _FIELD, _EDGE, _WARNING = (216, 228, 246), (150, 120, 80), (208, 60, 60)
-# Lines of the grid across the picture at most.
-_MOST_LINES = 12
-# Around what is shown, metres.
-_MARGIN = 1.5
+# Lines of the grid across the picture at most; metres around what is shown.
+_MAX_LINES, _MARGIN = 12, 1.5
 # Pictures are drawn in sixteenths of a pixel.
 _FRACTION_BITS = 4
 
@@ -87,10 +86,8 @@ class PlanScene:
     @property
     def header(self) -> str:
         """Frame, time and numbers in words."""
-        named, detected = (
-            sum(group.identity > 0 for group in self.groups),
-            int(np.isfinite(self.detections).all(axis=0).sum()),
-        )
+        named = sum(group.identity > 0 for group in self.groups)
+        detected = int(np.isfinite(self.detections).all(axis=0).sum())
         crosses = f"   {detected} detections" if detected else ""
         return f"frame {self.number}   {self.time:.1f} s   {self.people_in_groups:.1f} people in {named} groups{crosses}"
 
@@ -121,27 +118,28 @@ class Plan:
 
     def pixels(self, place: F8) -> F8:
         """(2, N) pixels of places (2, N) on the ground."""
-        left, low, right, high = self.extent
-        middle = np.array([[(left + right) / 2], [(low + high) / 2]])
-        turned = (place - middle) * np.array([[self.scale], [-self.scale]])
-        out: F8 = turned + np.array([[self.width / 2], [self.height / 2]])
+        offset = place - np.array([[self.extent[0] + self.extent[2]], [self.extent[1] + self.extent[3]]]) / 2
+        out: F8 = offset * np.array([[self.scale], [-self.scale]]) + np.array([[self.width], [self.height]]) / 2
         return out
 
     def draw(self, scene: PlanScene) -> Image:
         """A picture (height, width, 3) BGR of one frame."""
-        out, pen = self._ground.copy(), Pen.for_frame(self.height, self.width)
+        out, pen = self._ground.copy(), Pen.of(self._ground)
         for group in scene.groups:
-            self._fill(out, group, pen)
-        arm = max(3, 2 * pen.line + 1)
-        for _, (x, y) in self._shown(scene.detections):
-            cv2.line(out, (x - arm, y - arm), (x + arm, y + arm), _INK[::-1], pen.thin, cv2.LINE_AA)
-            cv2.line(out, (x - arm, y + arm), (x + arm, y - arm), _INK[::-1], pen.thin, cv2.LINE_AA)
+            _contours(out, self.pixels, group, pen.line + 1, filled=True)
+        for _, spot in self._shown(scene.detections):
+            size = 2 * max(3, 2 * pen.line + 1)
+            cv2.drawMarker(out, spot, _INK[::-1], cv2.MARKER_TILTED_CROSS, size, pen.thin, cv2.LINE_AA)
         for k, (x, y) in self._shown(scene.people):
             cv2.circle(out, (x, y), max(2, pen.line + 1), _INK[::-1], -1, cv2.LINE_AA)
             if scene.identity[k]:
                 _text(out, str(scene.identity[k]), (x + 4, y - 4), _INK, pen)
         for group in scene.groups:
-            self._arrow(out, group, pen)
+            # The way of the next second.
+            ends = self.pixels(np.stack([group.centre, group.centre + group.velocity], axis=1))
+            if np.isfinite(ends).all() and np.hypot(*(ends[:, 1] - ends[:, 0])) > 3:
+                start, end = np.clip(ends.T, -1e4, 1e4).round().astype(int).tolist()
+                cv2.arrowedLine(out, start, end, _INK[::-1], pen.thin, cv2.LINE_AA, tipLength=0.25)
         self._warn(out, scene, pen)
         gap = round(min(1.2 * self.scale, 40)) // 2
         for group in scene.groups:
@@ -154,14 +152,15 @@ class Plan:
     def _ground(self) -> Image:
         """What is the same in all frames: field of view, grid and edges."""
         out: Image = np.full((self.height, self.width, 3), 255, np.uint8)
-        pen = Pen.for_frame(self.height, self.width)
+        pen, size = Pen.of(out), np.array([self.width, self.height]) / self.scale
         if self.field.shape[1] > 2:
             cv2.fillPoly(out, [_fixed(self.pixels(self.field))], _FIELD[::-1], cv2.LINE_AA, _FRACTION_BITS)
-        step = _round_step(max(self.width, self.height) / self.scale / _MOST_LINES)
-        left, low, right, high = self.extent
-        half = np.array([self.width, self.height]) / 2 / self.scale
-        middle = np.array([left + right, low + high]) / 2
-        reach = np.stack([middle - half, middle + half], axis=1)
+        # The smallest of 1, 2, 5, 10, … times a power of ten with few enough lines.
+        smallest = size.max() / _MAX_LINES
+        steps = 10 ** np.floor(np.log10(smallest)) * np.array([1, 2, 5, 10])
+        step = steps[steps >= smallest * (1 - 1e-9)].min()
+        middle = (np.array(self.extent[:2]) + np.array(self.extent[2:])) / 2
+        reach = np.stack([middle - size / 2, middle + size / 2], axis=1)
         for axis in (0, 1):
             # Adding 0 makes 0 of −0.
             for value in np.arange(np.ceil(reach[axis, 0] / step), reach[axis, 1] / step) * step + 0.0:
@@ -175,22 +174,6 @@ class Plan:
             self._line(out, edge, _EDGE, pen.line + 1)
         return out
 
-    def _fill(self, out: Image, group: PlanGroup, pen: Pen) -> None:
-        """The area in the group's colour, its outline stronger. Rings within others are holes: the even-odd rule."""
-        rings = [_fixed(self.pixels(ring)) for ring in group.contours]
-        if rings:
-            over = out.copy()
-            cv2.fillPoly(over, rings, group.colour[::-1], cv2.LINE_AA, _FRACTION_BITS)
-            cv2.addWeighted(over, 0.3, out, 0.7, 0, dst=out)
-            cv2.polylines(out, rings, True, group.colour[::-1], pen.line + 1, cv2.LINE_AA, _FRACTION_BITS)
-
-    def _arrow(self, out: Image, group: PlanGroup, pen: Pen) -> None:
-        """The way of the next second."""
-        ends = self.pixels(np.stack([group.centre, group.centre + group.velocity], axis=1))
-        if np.isfinite(ends).all() and np.hypot(*(ends[:, 1] - ends[:, 0])) > 3:
-            start, end = np.clip(ends.T, -1e4, 1e4).round().astype(int).tolist()
-            cv2.arrowedLine(out, start, end, _INK[::-1], pen.thin, cv2.LINE_AA, tipLength=0.25)
-
     def _warn(self, out: Image, scene: PlanScene, pen: Pen) -> None:
         """A line between groups that are about to meet, with the time until then."""
         centre = {group.identity: group.centre for group in scene.groups}
@@ -198,16 +181,15 @@ class Plan:
             if first in centre and second in centre:
                 ends = np.stack([centre[first], centre[second]], axis=1)
                 self._line(out, ends, _WARNING, pen.line)
-                x, y = np.clip(self.pixels(ends).mean(axis=1), 0, 1e4)
-                plate(out, f"meet in {seconds:.1f} s", (int(x), int(y)), _WARNING, pen, opacity=0.9)
+                spot = np.clip(self.pixels(ends).mean(axis=1), 0, 1e4).astype(int).tolist()
+                plate(out, f"meet in {seconds:.1f} s", spot, _WARNING, pen, opacity=0.9)
 
     def _line(self, out: Image, points: F8, colour: Rgb, width: int) -> None:
         """A line through points (2, K); it is broken at those without a place."""
-        known: Bool = np.isfinite(points[0]) & np.isfinite(points[1])
+        known: Bool = np.isfinite(points[0] + points[1])
         for part in np.split(np.arange(points.shape[1]), np.flatnonzero(~known)):
-            part = part[known[part]]
-            if len(part) > 1:
-                line = _fixed(self.pixels(points[:, part]))
+            line = _fixed(self.pixels(points[:, part[known[part]]]))
+            if len(line) > 1:
                 cv2.polylines(out, [line], False, colour[::-1], width, cv2.LINE_AA, _FRACTION_BITS)
 
     def _shown(self, place: F8) -> list[tuple[int, tuple[int, int]]]:
@@ -237,17 +219,20 @@ def plan_size(extent: tuple[float, float, float, float], height: int) -> tuple[i
 
 def draw_contours(image: Image, groups: tuple[PlanGroup, ...]) -> Image:
     """A copy of an annotated frame with the groups' contours, given in its pixels."""
-    out, pen = image.copy(), Pen.for_frame(*image.shape[:2])
+    out = image.copy()
     for group in groups:
-        rings = [_fixed(np.clip(ring, -1e4, 1e4)) for ring in group.contours]
-        cv2.polylines(out, rings, True, group.colour[::-1], pen.line, cv2.LINE_AA, _FRACTION_BITS)
+        _contours(out, lambda ring: ring, group, Pen.of(image).line)
     return out
 
 
-def _round_step(least: float) -> float:
-    """The smallest of 1, 2, 5, 10, 20, … (times a power of ten) that is not below ``least``."""
-    power = 10.0 ** np.floor(np.log10(least))
-    return float(next(power * step for step in (1, 2, 5, 10) if power * step >= least * (1 - 1e-9)))
+def _contours(out: Image, pixels: Callable[[F8], F8], group: PlanGroup, width: int, *, filled: bool = False) -> None:
+    """The outline in the group's colour, and its area. Rings within others are holes: the even-odd rule."""
+    rings, colour = [_fixed(pixels(ring)) for ring in group.contours], group.colour[::-1]
+    if rings and filled:
+        over = out.copy()
+        cv2.fillPoly(over, rings, colour, cv2.LINE_AA, _FRACTION_BITS)
+        cv2.addWeighted(over, 0.3, out, 0.7, 0, dst=out)
+    cv2.polylines(out, rings, True, colour, width, cv2.LINE_AA, _FRACTION_BITS)
 
 
 def _fixed(points: F8) -> np.ndarray[tuple[int, ...], np.dtype[np.int32]]:

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.report.rendering import lines
 from phdtrack.types import F8, I8, ChainInfo, Image, Particles, SequenceInfo, Step, Tracks, Truth
 
 STAGES = ("detect", "filter", "extract", "associate")
@@ -24,9 +23,6 @@ NO_IMAGE: Image = np.zeros((0, 0, 3), np.uint8)
 LOW_EFFECTIVE = 20.0
 """Effective samples below which positions are doubtful: their error by chance is 1/√20 = 22 % of their posterior spread."""
 _HEAT_MAPS, _PICTURE_WIDTH, _CELLS_ACROSS = 4, 800, 128
-# Mean distance of the frames from their median, in grey levels, up to which the camera counts as fixed: crowds and noise
-# stay below, a turned camera lies far above.
-_FIXED_CAMERA = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,41 +52,6 @@ class About:
     left_out: int = 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Series:
-    """Numbers per frame, F frames.
-
-    Attributes
-    ----------
-    numbers : (F,) frame numbers from 1, ascending.
-    times : (F,) seconds.
-    n_detections : (F,) detections.
-    mass : (F,) expected number of objects, the integral of the intensity; NaN where the filter has none.
-    clutter_mass : (F,) expected number of false alarms, the sum of κ/(κ + C) over the detections.
-    seconds : (F, S) time that each of the `STAGES` took.
-    truth_count : (F,) annotated objects, or (0,) where there is no truth.
-    count_range : (F, 2) between which numbers the filter's number of objects lies with 90 % probability; NaN in frames
-        without a distribution, (0, 2) where no frame has one.
-    """
-
-    numbers: I8
-    times: F8
-    n_detections: I8
-    mass: F8
-    clutter_mass: F8
-    seconds: F8
-    truth_count: I8
-    count_range: F8
-
-    def __len__(self) -> int:
-        return len(self.numbers)
-
-    @property
-    def known_mass(self) -> F8:
-        """The expected numbers of objects in the frames in which the filter gives one."""
-        return self.mass[np.isfinite(self.mass)]
-
-
 class StageTime(NamedTuple):
     """Milliseconds per frame of one stage: mean, median and 95th percentile; ``share`` of the whole (0–1)."""
 
@@ -109,7 +70,7 @@ class HeatMap:
     ----------
     number : of the frame, from 1.
     image : (h, w, 3) the frame, scaled down, BGR; (0, 0, 3) where there is none.
-    density : (gh, gw) expected number of objects in each cell.
+    density : (gh, gw) expected number of objects in each cell, ``mass`` in all.
     cell : side of a cell, pixels of the original.
     detections, estimates : (·, 4) boxes of that frame, xyxy in pixels of the original.
     """
@@ -145,7 +106,11 @@ class ChainSummary:
     @property
     def sentence(self) -> str:
         """The same in words."""
-        return " ".join(lines("chain.txt", chain=self, known=math.isfinite(self.effective)))
+        moves = ", ".join(f"{name} {100 * share:.0f} %" for name, share in self.acceptance.items())
+        text = f"The chain accepted, of the moves that it proposed: {moves or 'there were none'}."
+        if math.isfinite(self.effective):
+            text += f" Its samples of a frame were worth {self.effective:.0f} independent ones on average."
+        return text
 
     @property
     def warning(self) -> str:
@@ -162,72 +127,84 @@ def chain_summary(frames: Sequence[ChainInfo]) -> ChainSummary | None:
     """The chains of all frames in one summary; None without any."""
     if not frames:
         return None
-    shares: dict[str, list[float]] = {}
-    for frame in frames:
-        for name, proposed, accepted in zip(frame.moves, frame.proposed.tolist(), frame.accepted.tolist(), strict=True):
-            if proposed:
-                shares.setdefault(name, []).append(accepted / proposed)
+    proposed, accepted = (np.array(each) for each in zip(*((f.proposed, f.accepted) for f in frames), strict=True))
+    shares = zip(frames[0].moves, proposed.T, (accepted / np.maximum(proposed, 1)).T, strict=True)
+    means = {name: float(share[times > 0].mean()) for name, times, share in shares if times.any()}
     effective = np.array([frame.effective for frame in frames])
     known = effective[np.isfinite(effective)]
-    return ChainSummary(
-        {name: float(np.mean(each)) for name, each in shares.items()},
-        float(known.mean()) if len(known) else math.nan,
-        float((known < LOW_EFFECTIVE).mean()) if len(known) else 0.0,
-    )
+    if not len(known):
+        return ChainSummary(means, math.nan, 0.0)
+    return ChainSummary(means, float(known.mean()), float((known < LOW_EFFECTIVE).mean()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
-    """Everything that a report shows.
+    """Everything that a report shows of a run of F frames.
 
     Attributes
     ----------
-    info, series, about : the sequence, numbers per frame, words and single values.
+    info, about : the sequence; words and single values.
     tracks : the corrected tracks of the whole run.
+    numbers, times : (F,) frame numbers from 1, ascending, and seconds.
+    n_detections : (F,) detections.
+    mass : (F,) expected number of objects, the integral of the intensity; NaN where the filter has none.
+    clutter_mass : (F,) expected number of false alarms, the sum of κ/(κ + C) over the detections.
+    count_range : (F, 2) between which numbers the filter's number of objects lies with 90 % probability; NaN in frames
+        without a distribution, (0, 2) where no frame has one.
+    seconds : (F, S) time that each of the `STAGES` took.
+    truth_count : (F,) annotated objects, or (0,) where there is no truth.
     heat_maps : the frames that are shown with the intensity over them.
-    background : (h, w, 3) BGR picture of the scene, scaled down; (0, 0, 3) without video.
+    background : (h, w, 3) BGR frame from the middle, scaled down; (0, 0, 3) without video.
     chain : of an MCMC filter, None of others.
     """
 
     info: SequenceInfo
-    series: Series
+    about: About
     tracks: Tracks
-    about: About = field(default_factory=About)
-    heat_maps: tuple[HeatMap, ...] = ()
-    background: Image = field(default_factory=lambda: NO_IMAGE)
-    chain: ChainSummary | None = None
+    numbers: I8
+    times: F8
+    n_detections: I8
+    mass: F8
+    clutter_mass: F8
+    count_range: F8
+    seconds: F8
+    truth_count: I8
+    heat_maps: tuple[HeatMap, ...]
+    background: Image
+    chain: ChainSummary | None
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    @property
+    def known_mass(self) -> F8:
+        """The expected numbers of objects in the frames in which the filter gives one."""
+        return self.mass[np.isfinite(self.mass)]
 
     @property
     def track_count(self) -> I8:
         """(F,) tracks in each frame."""
-        return _count(self.tracks.frame, self.series.numbers)
+        return _count(self.tracks.frame, self.numbers)
 
     @property
     def n_objects(self) -> int:
         """Number of identities."""
-        return len(np.unique(self.tracks.identity))
+        return len(self.lifetimes)
+
+    @property
+    def lifetimes(self) -> I8:
+        """(n,) number of boxes of each identity, ascending."""
+        return np.sort(np.unique(self.tracks.identity, return_counts=True)[1])
 
     @property
     def false_alarms(self) -> float:
         """Expected number of false alarms among all detections; frames in which it is unknown (NaN) count as none."""
-        return float(np.nansum(self.series.clutter_mass))
-
-    @property
-    def lifetimes(self) -> I8:
-        """(n,) number of boxes of each identity."""
-        return np.unique(self.tracks.identity, return_counts=True)[1]
+        return float(np.nansum(self.clutter_mass))
 
     @property
     def seconds_of_video(self) -> float:
         """From the first to the last frame."""
-        times = self.series.times
-        return float(times[-1] - times[0]) if len(times) > 1 else 0.0
-
-    def by_identity(self) -> tuple[Tracks, ...]:
-        """The rows of each identity, ascending, each in the order of frames."""
-        order = np.lexsort((self.tracks.frame, self.tracks.identity))
-        cuts = np.flatnonzero(np.diff(self.tracks.identity[order])) + 1
-        return tuple(self.tracks.take(index) for index in np.split(order, cuts) if len(index))
+        return float(np.ptp(self.times)) if len(self) else 0.0
 
     @property
     def frames_per_second(self) -> float:
@@ -236,25 +213,24 @@ class RunRecord:
         Without it, it is the frames over the sum of the stages, as if they did not overlap.
         """
         about = self.about
-        total = about.tracking_seconds if about.left_out else about.tracking_seconds or float(self.series.seconds.sum())
-        return (len(self.series) - about.left_out) / total if total > 0 else math.nan
+        total = about.tracking_seconds if about.left_out else about.tracking_seconds or float(self.seconds.sum())
+        return (len(self) - about.left_out) / total if total > 0 else math.nan
 
     @property
     def stage_times(self) -> tuple[StageTime, ...]:
         """One row for each stage, and one for their sum; empty without frames."""
-        table = 1000 * self.series.seconds
-        if not len(table):
+        if not len(self):
             return ()
-        table = np.column_stack([table, table.sum(axis=1)])
+        table = 1000 * np.column_stack([self.seconds, self.seconds.sum(axis=1)])
         share = table.sum(axis=0) / max(float(table[:, -1].sum()), 1e-12)
-        columns = (table.mean(axis=0), np.median(table, axis=0), np.quantile(table, 0.95, axis=0), share)
-        rows = np.array(columns).T.tolist()
-        return tuple(StageTime(name, *each) for name, each in zip((*STAGES, "together"), rows, strict=True))
+        columns = np.array([table.mean(axis=0), np.median(table, axis=0), np.quantile(table, 0.95, axis=0), share])
+        return tuple(StageTime(name, *each) for name, each in zip((*STAGES, "together"), columns.T.tolist(), strict=True))
 
-
-def sentences(record: RunRecord) -> tuple[str, ...]:
-    """What happened in a run, in a few sentences for the report, the terminal and ``run.json``."""
-    return lines("summary.txt", record=record, known_speed=math.isfinite(record.frames_per_second))
+    def by_identity(self) -> tuple[Tracks, ...]:
+        """The rows of each identity, ascending, each in the order of frames."""
+        order = np.lexsort((self.tracks.frame, self.tracks.identity))
+        cuts = np.flatnonzero(np.diff(self.tracks.identity[order])) + 1
+        return tuple(self.tracks.take(index) for index in np.split(order, cuts) if len(index))
 
 
 class Recorder:
@@ -317,26 +293,27 @@ class Recorder:
         -------
         The record.
         """
-        maps = [heat for _, _, heat in self._kept if heat is not None]
-        # Evenly spaced, the last one among them.
-        shown = np.linspace(len(maps), 0, min(_HEAT_MAPS, len(maps)), endpoint=False)[::-1].round().astype(int) - 1
-        images = [image for _, image, _ in self._kept if image.size]
-        background = still_background(images) if images else NO_IMAGE
-        heat_maps = tuple(maps[i] for i in shown)
-        return RunRecord(self._info, self._series(truth), tracks, about, heat_maps, background, self.chain)
-
-    def _series(self, truth: Truth | None) -> Series:
         table = np.array(self._rows, dtype=np.float64).reshape(-1, 7 + len(STAGES))
         numbers, ranges = table[:, 0].astype(np.int64), table[:, 5:7]
-        return Series(
+        maps = [heat for _, _, heat in self._kept if heat is not None]
+        images = [image for _, image, _ in self._kept if image.size]
+        # Evenly spaced, the last one among them.
+        shown = np.linspace(len(maps), 0, min(_HEAT_MAPS, len(maps)), endpoint=False)[::-1].round().astype(int) - 1
+        return RunRecord(
+            info=self._info,
+            about=about,
+            tracks=tracks,
             numbers=numbers,
             times=table[:, 1],
             n_detections=table[:, 2].astype(np.int64),
             mass=table[:, 3],
             clutter_mass=table[:, 4],
+            count_range=ranges if np.isfinite(ranges).any() else ranges[:0],
             seconds=table[:, 7:],
             truth_count=np.zeros(0, np.int64) if truth is None else _count(truth.frame[~truth.distractor], numbers),
-            count_range=ranges if np.isfinite(ranges).any() else ranges[:0],
+            heat_maps=tuple(maps[i] for i in shown),
+            background=images[len(images) // 2] if images else NO_IMAGE,
+            chain=self.chain,
         )
 
 
@@ -365,7 +342,7 @@ def density_map(particles: Particles, info: SequenceInfo, cell: float, *, smooth
             f"expected a cell and a frame of positive size, got a cell of {cell} and a frame of {info.width}×{info.height}",
             cure="Give the frame size of the sequence.",
         )
-    shape = (int(np.ceil(info.height / cell)), int(np.ceil(info.width / cell)))
+    shape = (math.ceil(info.height / cell), math.ceil(info.width / cell))
     x, y = particles.state[0], particles.state[1]
     inside = (x >= 0) & (y >= 0) & (x < info.width) & (y < info.height)
     place = (y[inside] / cell).astype(np.int64) * shape[1] + (x[inside] / cell).astype(np.int64)
@@ -374,16 +351,6 @@ def density_map(particles: Particles, info: SequenceInfo, cell: float, *, smooth
         padded = np.pad(grid, ((1, 1), (0, 0)), "edge")
         grid = ((padded[:-2] + 2 * grid + padded[2:]) / 4).T
     return np.ascontiguousarray(grid)
-
-
-def still_background(images: Sequence[Image]) -> Image:
-    """(H, W, 3) the scene without what moves, from at least one frame (BGR); frames of another size than the first are
-    left out. With a fixed camera it is the median, with a moving one, whose views a median would mix, the middle frame."""
-    same = [image for image in images if image.shape == images[0].shape]
-    stack = np.stack(same)
-    median = np.median(stack, axis=0).astype(np.uint8)
-    fixed = np.abs(stack.astype(np.int16) - median).mean() <= _FIXED_CAMERA
-    return median if fixed else same[len(same) // 2].copy()
 
 
 def shrunk(image: Image, width: int) -> Image:

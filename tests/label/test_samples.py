@@ -1,13 +1,18 @@
+"""What marks say: births and their velocities, false alarms, objects, and what of the false alarms a tracker follows."""
+
 import numpy as np
 import pytest
 
 from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.label import Label, LabelStore
-from phdtrack.label.births import REACH, birth_states, clip, time_watched, watched
+from phdtrack.label.samples import REACH, Marks, clip
 from phdtrack.simulate import make_scene
-from phdtrack.types import Detections, DetectionTable, SequenceInfo
+from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks
 
 INFO = SequenceInfo(640, 480, 25.0, 200, "drawn")
+
+
+NOTHING = DetectionTable(np.zeros(0, np.int64), Detections.empty())
 
 
 def table(*rows):
@@ -39,20 +44,20 @@ def test_a_clip_ends_where_the_sequence_does():
 
 def test_frames_watched_are_counted_once_and_without_the_first_of_a_clip(tmp_path):
     store = LabelStore.open(tmp_path / "l", "s", "d", (20, 25, 100))
-    assert len(watched(store, range(1, 201))) == 0
+    assert len(Marks(store, NOTHING, INFO).watched) == 0
     for number in (20, 25):
         store.finish(number)
-    np.testing.assert_array_equal(watched(store, range(1, 201)), np.arange(11, 36))
+    np.testing.assert_array_equal(Marks(store, NOTHING, INFO).watched, np.arange(11, 36))
     # Of a stretch only its own: clips end with it, and nothing comes before its first frame.
-    np.testing.assert_array_equal(watched(store, range(22, 31)), np.arange(23, 31))
+    np.testing.assert_array_equal(Marks(store, NOTHING, INFO, range(22, 31)).watched, np.arange(23, 31))
     # 25 frames of 1/25 s, 10 time units a second.
-    assert time_watched(store, table((1, 5, 5, 2, 2)), INFO, 10) == pytest.approx(10)
+    assert Marks(store, NOTHING, INFO).time_watched(10) == pytest.approx(10)
 
 
 def test_velocity_is_that_of_the_next_three_frames(tmp_path):
     seen = table(*walk(15, 10, (100, 200), (6, -2)), *walk(10, 20, (140, 200), (-6, -2)))
     at = int(np.argmin(np.abs(to_cxcywh(seen.at(15).xyxy)[0] - 100)))
-    states = birth_states(marked(tmp_path, [(15, at)]), seen, INFO, rate=50)
+    states = Marks(marked(tmp_path, [(15, at)]), seen, INFO).birth_states(50)
     # 6 pixels a frame are 150 a second, in 50 time units.
     np.testing.assert_allclose(states, [[100], [200], [3], [-1], [30], [80]])
 
@@ -71,7 +76,7 @@ def test_velocity_is_that_of_the_next_three_frames(tmp_path):
 def test_velocity_is_unknown_where_nothing_goes_on_from_the_box(tmp_path, others, why):
     seen = table((15, 100, 200, 30, 80), *others)
     at = int(np.argmin(np.abs(to_cxcywh(seen.at(15).xyxy)[0] - 100)))
-    state = birth_states(marked(tmp_path, [(15, at)]), seen, INFO, 25)[:, 0]
+    state = Marks(marked(tmp_path, [(15, at)]), seen, INFO).birth_states(25)[:, 0]
     np.testing.assert_allclose(state, [100, 200, np.nan, np.nan, 30, 80], err_msg=why)
 
 
@@ -79,9 +84,9 @@ def test_marks_count_only_where_births_were_looked_for(tmp_path):
     seen = table(*walk(8, 40, (100, 200), (6, -2)))
     # The clip of frame 20 is 10 … 30; what is there in its first frame may have been there before.
     store = marked(tmp_path, [(10, 0), (11, 0), (30, 0), (31, 0)])
-    assert birth_states(store, seen, INFO, 25)[0].tolist() == [118, 232]
+    assert Marks(store, seen, INFO).birth_states(25)[0].tolist() == [118, 232]
     store.finish(20, False)
-    assert birth_states(store, seen, INFO, 25).shape == (6, 0)
+    assert Marks(store, seen, INFO).birth_states(25).shape == (6, 0)
 
 
 def test_rate_and_velocities_of_a_simulated_street(tmp_path):
@@ -103,8 +108,9 @@ def test_rate_and_velocities_of_a_simulated_street(tmp_path):
         if marks:
             store.mark(number, marks)
         store.finish(number)
-    states = birth_states(store, seen, info, 25)
-    rate, real = states.shape[1] / time_watched(store, seen, info, 25), sum(f > 1 for f, _, _ in first) / (60 * 25)
+    made = Marks(store, seen, info)
+    states = made.birth_states(25)
+    rate, real = states.shape[1] / made.time_watched(25), sum(f > 1 for f, _, _ in first) / (60 * 25)
     # Poisson: some 30 births were seen.
     assert rate == pytest.approx(real, rel=3 / np.sqrt(states.shape[1]))
     known = np.isfinite(states[2])
@@ -118,3 +124,56 @@ def test_rate_and_velocities_of_a_simulated_street(tmp_path):
             error.append(np.abs(state[2:4] - move / 3 * info.fps / 25) / state[4:])
     # Errors of 5 % of a size in four places give a slope with a deviation of 2.2 %; a few boxes are linked wrongly.
     assert (np.median(error, axis=0) < 0.03).all()
+
+
+# Three detections on each of five frames.
+BOXES = np.array([[10.0 * k, 20 + i, 10 * k + 30, 80 + i] for k in range(1, 6) for i in range(3)])
+FIVE = DetectionTable(np.repeat(np.arange(1, 6), 3), Detections.of(BOXES))
+FALSE = [(2, 0), (2, 1), (4, 0), (5, 1), (3, 2)]
+
+
+def five(path, looked=(2, 4), stretch=None):
+    """Frames 2, 4 and 5 were drawn, of which two were looked at; marks as false, and a birth, which is an object's."""
+    store = LabelStore.open(path / "labels", "five", "digest", [4, 2, 5])
+    store.mark(2, [Label(*pair, "false") for pair in FALSE])
+    store.mark(4, [Label(4, 2, "birth")])
+    for number in looked:
+        store.finish(number)
+    return Marks(store, FIVE, INFO, stretch)
+
+
+def same_boxes(found, *pairs):
+    wanted = to_cxcywh(np.array([FIVE.at(frame).xyxy[k] for frame, k in pairs]))
+    np.testing.assert_array_equal(found[:, np.lexsort(found)], wanted[:, np.lexsort(wanted)])
+
+
+def resting(*pairs):
+    """Rows of tracks (frame, detection)."""
+    frame, detection = (np.array(column, np.int64) for column in zip(*pairs, strict=True))
+    n = len(pairs)
+    return Tracks(frame, np.ones(n, np.int64), np.ones((n, 4)), np.ones(n), detection, np.ones(n, np.bool_))
+
+
+def test_objects_are_what_was_not_marked_on_frames_that_were_looked_at(tmp_path):
+    marks = five(tmp_path)
+    same_boxes(marks.object_boxes, (2, 2), (4, 1), (4, 2))
+    same_boxes(marks.false_boxes, (2, 0), (2, 1), (4, 0))
+
+
+def test_of_a_stretch_only_its_frames_count(tmp_path):
+    run, marks = resting((2, 0), (4, 0), (5, 2)), five(tmp_path, (2, 4, 5), range(4, 6))
+    same_boxes(marks.object_boxes, (4, 1), (4, 2), (5, 0), (5, 2))
+    assert marks.share_followed(run) == (1 + 1) / (2 + 2)
+    nothing = five(tmp_path, (2, 4, 5), range(3, 4))
+    assert nothing.object_boxes.shape == (4, 0)
+    assert nothing.share_followed(run) == 0.5
+
+
+def test_the_share_of_false_alarms_on_which_tracks_rest(tmp_path):
+    """By hand: of three on frames 2 and 4 two are followed, (2 + 1)/(3 + 2); others, and objects, do not count."""
+    marks = five(tmp_path)
+    assert marks.share_followed(resting((2, 0), (4, 0), (2, 2), (3, 2), (5, 1))) == pytest.approx(3 / 5)
+    # Two tracks on one detection count once, rows that rest on none not at all.
+    assert marks.share_followed(resting((2, 0), (2, 0), (4, -1))) == pytest.approx(2 / 5)
+    assert marks.share_followed(resting(*FALSE)) == pytest.approx(4 / 5)
+    assert marks.share_followed(Tracks.empty()) == pytest.approx(1 / 5)
