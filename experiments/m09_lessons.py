@@ -24,12 +24,10 @@ from phdtrack.label.samples import REACH, Marks, sampled
 from phdtrack.metrics import first_output_delays
 from phdtrack.models.scene import FalseAlarmRatio, with_scene
 from phdtrack.protocols import AnyStages
-from phdtrack.scene import LearnedDensity, RecursiveEM, TrackedObjects
+from phdtrack.scene import LearnedDensity, TrackedObjects
 from phdtrack.scene.training import (
-    Sizes,
     Training,
     births_in,
-    detected_sizes,
     learn_births,
     learn_clutter,
     learn_objects,
@@ -108,7 +106,7 @@ def own_births(tracks: Tracks, case: Case, rate: float) -> Training | None:
 def learned_alarms(case: Case, marks: Marks) -> Training:
     """False alarms from marks."""
     size = float(case.info.width), float(case.info.height)
-    lesson = learn_clutter(marks.false_boxes, len(marks.looked_at), size, RecursiveEM())
+    lesson = learn_clutter(marks.false_boxes, len(marks.looked_at), size)
     return _with_prior(lesson, case)
 
 
@@ -116,7 +114,7 @@ def learned_followed(tracks: Tracks, case: Case, marks: Marks) -> TrackedObjects
     """What the tracker follows of what was marked and of what was not; None where too little was not."""
     size, frames = (float(case.info.width), float(case.info.height)), len(marks.looked_at)
     try:
-        objects = learn_objects(marks.object_boxes, frames, size, RecursiveEM())
+        objects = learn_objects(marks.object_boxes, frames, size)
     except InputError:
         return None
     return TrackedObjects(marks.share_followed(tracks), _with_prior(objects, case).learned)
@@ -125,18 +123,14 @@ def learned_followed(tracks: Tracks, case: Case, marks: Marks) -> TrackedObjects
 def _lesson(states: F8, time_units: float, case: Case) -> Training | None:
     """Births from first states; None where there are too few."""
     try:
-        lesson = learn_births(states, time_units, (float(case.info.width), float(case.info.height)), RecursiveEM())
+        lesson = learn_births(states, time_units, (float(case.info.width), float(case.info.height)))
     except InputError:
         return None
     return _with_prior(lesson, case)
 
 
 def _with_prior(lesson: Training, case: Case) -> Training:
-    return replace(lesson, learned=with_prior(lesson.learned, _sizes(case)))
-
-
-def _sizes(case: Case) -> Sizes:
-    return detected_sizes(to_cxcywh(case.table.detections.xyxy)[2:])
+    return replace(lesson, learned=with_prior(lesson.learned, to_cxcywh(case.table.detections.xyxy)[2:]))
 
 
 def marked_false(case: Case, path: Path, seed: int, count: int = MARKED) -> LabelStore:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -66,10 +66,10 @@ KNOWN, UNKNOWN = "known", "unknown, learned"
 def begun(model: Model, start: Start) -> Model:
     """The model that the filter begins with."""
     if start.p_detect:
-        model = replace(model, sensor=with_detection(model.sensor, start.p_detect))
+        model = with_detection(model, start.p_detect)
     if isinstance(model.clutter, UniformClutter):
         rate = start.clutter or start.multiple * model.clutter.clutter_per_frame
-        model = replace(model, clutter=with_clutter(model.clutter, rate))
+        model = with_clutter(model, rate)
     return model
 
 

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.scene import RecursiveEM
 from phdtrack.scene.training import learn_births, learn_clutter, learn_objects
 
 SIZE = (640.0, 480.0)
@@ -16,7 +15,7 @@ def door(rng, n):
 
 def test_births_at_a_door():
     rng = np.random.default_rng(0)
-    lesson = learn_births(door(rng, 200), time_units=5000, frame_size=SIZE, learner=RecursiveEM())
+    lesson = learn_births(door(rng, 200), time_units=5000, frame_size=SIZE)
     learned = lesson.learned
     assert learned.rate == pytest.approx(200 / 5000)
     assert learned.samples == 200
@@ -31,7 +30,7 @@ def test_births_at_a_door():
 def test_clutter_rate_is_per_labelled_frame():
     rng = np.random.default_rng(1)
     boxes = np.array([500.0, 100, 30, 30])[:, None] + 3 * rng.standard_normal((4, 60))
-    lesson = learn_clutter(boxes, frames=40, frame_size=SIZE, learner=RecursiveEM())
+    lesson = learn_clutter(boxes, frames=40, frame_size=SIZE)
     assert lesson.learned.rate == 1.5
     assert lesson.gain > 5
     assert lesson.learned.density(np.array([[500.0], [100], [30], [30]]))[0] > 1e4 / lesson.learned.density.volume
@@ -40,83 +39,67 @@ def test_clutter_rate_is_per_labelled_frame():
 def test_samples_spread_evenly_teach_nothing():
     rng = np.random.default_rng(2)
     boxes = rng.uniform(0, 1, (4, 400)) * np.array([640.0, 480, 640, 480])[:, None]
-    lesson = learn_clutter(boxes, frames=40, frame_size=SIZE, learner=RecursiveEM())
+    lesson = learn_clutter(boxes, frames=40, frame_size=SIZE)
     assert -0.5 < lesson.gain < 0.2
 
 
 @pytest.mark.parametrize(("n", "time", "words"), [(13, 100, "at least 14 births"), (50, 0, "some length")])
 def test_too_little_is_told(n, time, words):
     with pytest.raises(InputError, match=words):
-        learn_births(door(np.random.default_rng(3), n), time, SIZE, RecursiveEM())
+        learn_births(door(np.random.default_rng(3), n), time, SIZE)
 
 
 def test_fourteen_births_are_enough_and_ten_without_a_size():
     """As many as a component needs to exist: half the numbers that it is told by, 27 with a size and 14 without."""
     rng = np.random.default_rng(3)
-    assert learn_births(door(rng, 14), 100, SIZE, RecursiveEM()).learned.samples == 14
+    assert learn_births(door(rng, 14), 100, SIZE).learned.samples == 14
     on_ground = door(rng, 10)[:4] * 0.01
-    assert learn_births(on_ground, 100, (30.0, 40.0), RecursiveEM(), (-15.0, -20.0)).learned.rate == 0.1
+    assert learn_births(on_ground, 100, (30.0, 40.0), (-15.0, -20.0)).learned.rate == 0.1
     with pytest.raises(InputError, match="at least 10 births while the scene was watched, got 9"):
-        learn_births(on_ground[:, 1:], 100, (30.0, 40.0), RecursiveEM(), (-15.0, -20.0))
+        learn_births(on_ground[:, 1:], 100, (30.0, 40.0), (-15.0, -20.0))
 
 
 def test_objects_are_where_they_were_detected_so_many_a_frame():
     rng = np.random.default_rng(8)
     boxes = door(rng, 300)[[0, 1, 4, 5]]
-    lesson = learn_objects(boxes, 40, SIZE, RecursiveEM())
+    lesson = learn_objects(boxes, 40, SIZE)
     assert (lesson.learned.rate, lesson.learned.samples) == (7.5, 300)
     density = lesson.learned.density
     assert density.mean[:, np.argmax(density.weight)] == pytest.approx([100, 300, 40, 90], abs=3)
     # As what is learned of the same boxes as false alarms: the places of both can be compared.
-    false = learn_clutter(boxes, 40, SIZE, RecursiveEM()).learned.density
+    false = learn_clutter(boxes, 40, SIZE).learned.density
     np.testing.assert_array_equal(density.covariance, false.covariance)
     np.testing.assert_array_equal((density.low, density.high), (false.low, false.high))
 
 
 def test_too_few_objects_are_told():
     with pytest.raises(InputError, match=r"at least 10 detections of objects on the frames .*, got 9.* Look at more frames"):
-        learn_objects(np.ones((4, 9)), 40, SIZE, RecursiveEM())
+        learn_objects(np.ones((4, 9)), 40, SIZE)
     with pytest.raises(InputError, match="expected frames on which detections were looked at, got 0"):
-        learn_objects(np.ones((4, 20)), 0, SIZE, RecursiveEM())
+        learn_objects(np.ones((4, 20)), 0, SIZE)
 
 
 def test_too_few_false_boxes_are_told():
     with pytest.raises(InputError, match="at least 10 detections marked as false, got 2"):
-        learn_clutter(np.ones((4, 2)), 10, SIZE, RecursiveEM())
+        learn_clutter(np.ones((4, 2)), 10, SIZE)
     with pytest.raises(InputError, match="frames on which"):
-        learn_clutter(np.ones((4, 20)), 0, SIZE, RecursiveEM())
+        learn_clutter(np.ones((4, 20)), 0, SIZE)
 
 
 def test_births_of_unknown_velocity_count_and_move_what_they_show():
     rng = np.random.default_rng(4)
     states = door(rng, 120)
     states[2:4, ::3] = np.nan
-    lesson = learn_births(states, time_units=1000, frame_size=SIZE, learner=RecursiveEM())
+    lesson = learn_births(states, time_units=1000, frame_size=SIZE)
     assert lesson.learned.rate == pytest.approx(0.12)
     assert lesson.learned.samples == 120
     heaviest = np.argmax(lesson.learned.density.weight)
     assert lesson.learned.density.mean[:, heaviest] == pytest.approx([100, 300, 2, 0.5, 40, 90], abs=5)
-    known = learn_births(states[:, np.isfinite(states[2])], 1000, SIZE, RecursiveEM())
+    known = learn_births(states[:, np.isfinite(states[2])], 1000, SIZE)
     assert lesson.gain == pytest.approx(known.gain, abs=1)
     states[2:4] = np.nan
     with pytest.raises(InputError, match="no birth's velocity is known"):
-        learn_births(states, 1000, SIZE, RecursiveEM())
-
-
-def test_boxes_count_by_their_certainty():
-    rng = np.random.default_rng(5)
-    places = np.array([[500.0, 100, 30, 30], [200, 300, 40, 80]])
-    boxes = np.hstack([place[:, None] + 3 * rng.standard_normal((4, 100)) for place in places])
-    weight = np.repeat([0.9, 0.1], 100)
-    learned = learn_clutter(boxes, 40, SIZE, RecursiveEM(), weight).learned
-    assert learned.rate == pytest.approx(2.5)
-    first, second = (np.argmin(np.abs(learned.density.mean - place[:, None]).sum(axis=0)) for place in places)
-    weight_of = learned.density.weight
-    assert weight_of[first] / weight_of[second] == pytest.approx(9, rel=0.35)
-    # Of a place of which the boxes are worth ten less is known: the next one may be further from it.
-    assert np.linalg.det(learned.density.covariance[second]) > 10 * np.linalg.det(learned.density.covariance[first])
-    with pytest.raises(InputError, match="at least 10 detections marked as false, got 2"):
-        learn_clutter(boxes, 40, SIZE, RecursiveEM(), weight / 50)
+        learn_births(states, 1000, SIZE)
 
 
 def test_births_on_the_ground_have_no_size():
@@ -124,7 +107,7 @@ def test_births_on_the_ground_have_no_size():
     rng = np.random.default_rng(4)
     mean, deviation = np.array([-8.0, 6, 1, 0]), np.array([1.0, 0.7, 0.4, 0.4])
     states = mean[:, None] + deviation[:, None] * rng.standard_normal((4, 200))
-    lesson = learn_births(states, 400.0, (30.0, 40.0), RecursiveEM(), (-15.0, -20.0))
+    lesson = learn_births(states, 400.0, (30.0, 40.0), (-15.0, -20.0))
     density = lesson.learned.density
     np.testing.assert_array_equal(density.low[:2], [-15, -20])
     np.testing.assert_array_equal(density.high[:2], [15, 20])
@@ -137,14 +120,14 @@ def test_a_dozen_samples_from_anywhere_are_not_worth_less_than_nothing():
     """Gaussians explain every sample that they were fitted to; what is kept must not deny the next one its place."""
     rng = np.random.default_rng(6)
     low, high = np.array([0.0, 0, -4, -4, 30, 60]), np.array([640.0, 480, 4, 4, 60, 120])
-    lesson = learn_births(rng.uniform(low[:, None], high[:, None], (6, 15)), 1000, SIZE, RecursiveEM())
+    lesson = learn_births(rng.uniform(low[:, None], high[:, None], (6, 15)), 1000, SIZE)
     assert lesson.gain > -0.01
     fresh = rng.uniform(low[:, None], high[:, None], (6, 1000))
     density = lesson.learned.density
     inside = density.contains(fresh)
     assert density.log(fresh[:, inside]).mean() + np.log(density.volume) > -1
     # Fifteen at one door do say where the next one comes.
-    at_door = learn_births(door(rng, 15), 1000, SIZE, RecursiveEM())
+    at_door = learn_births(door(rng, 15), 1000, SIZE)
     assert at_door.gain > 5
     assert at_door.learned.density.uniform < 0.3
 
@@ -154,5 +137,5 @@ def test_the_share_of_what_may_be_anywhere_is_learned_from_unseen_samples():
     anywhere = rng.uniform(0, 1, (4, 300)) * np.array([640.0, 480, 640, 480])[:, None]
     flag = np.array([500.0, 100, 30, 30])[:, None] + 3 * rng.standard_normal((4, 700))
     boxes = np.hstack([anywhere, flag])[:, rng.permutation(1000)]
-    density = learn_clutter(boxes, 40, SIZE, RecursiveEM()).learned.density
+    density = learn_clutter(boxes, 40, SIZE).learned.density
     assert density.uniform == pytest.approx(0.3, abs=0.06)

@@ -8,8 +8,8 @@ import pytest
 from phdtrack.arrays import to_xyxy
 from phdtrack.scene import LearnedDensity, SceneDensity
 from phdtrack.scene.labelling import ObservedFrame, PendingFrames, label
-from phdtrack.scene.online import Batches, Regime
-from phdtrack.scene.online_mixture import KEPT_PER_BATCH, Batch, Evidence, OnlineMixture, RecentSamples, relearned, thinned
+from phdtrack.scene.online import Regime
+from phdtrack.scene.online_mixture import KEPT_PER_BATCH, Batch, Evidence, OnlineMixture, faded, relearned, thinned
 from phdtrack.scene.training import PRIOR, measurement_volume, state_volume
 from phdtrack.types import Tracks
 
@@ -30,11 +30,10 @@ def test_evidence_decides_by_two_standard_errors_and_else_not_at_all():
     noise = rng.normal(size=40)
     noise = (noise - noise.mean()) / noise.std()
     ones = np.ones(40)
-    for shift, expected in ((0.4, (True, False)), (0.2, (False, False)), (-0.2, (False, False)), (-0.4, (False, True))):
-        found = Evidence().with_gains(noise + shift, ones, 1e9)
-        # The standard error is 1/√40 = 0.158.
-        assert (found.positive, found.negative) == expected
-    assert not Evidence().with_gains(noise[:9] + 5, ones[:9], 1e9).positive
+    # The standard error is 1/√40 = 0.158.
+    for shift, expected in ((0.4, 1), (0.2, 0), (-0.2, 0), (-0.4, -1)):
+        assert Evidence().with_gains(noise + shift, ones, 1e9).sign == expected
+    assert Evidence().with_gains(noise[:9] + 5, ones[:9], 1e9).sign == 0
 
 
 def test_evidence_fades():
@@ -61,20 +60,19 @@ def test_thinning_keeps_the_weight_and_the_shares():
     np.testing.assert_array_equal(own, weight[:5])
 
 
-def test_old_samples_are_worth_less_and_equal_ones_count_each():
-    kept = RecentSamples(np.zeros((4, 4)), np.full(4, 3.0), np.zeros(4))
-    np.testing.assert_allclose(kept.faded(100.0, 50.0), 1)
-    mixed = RecentSamples(np.zeros((4, 2)), np.ones(2), np.array([0.0, 50.0]))
-    worth = mixed.faded(50.0, 50.0)
-    assert worth[0] / worth[1] == pytest.approx(np.exp(-1))
+def test_old_samples_count_less_and_equal_ones_count_each():
+    np.testing.assert_allclose(faded(np.full(4, 3.0), np.full(4, 100.0), 50.0), 1)
+    weight = faded(np.ones(2), np.array([50.0, 0.0]), 50.0)
+    assert weight[0] / weight[1] == pytest.approx(np.exp(-1))
 
 
 def follow(samples, rounds=12):
     """A density that learns samples in as many batches."""
-    density, kept = OnlineMixture.unknown(LOW, HIGH).density, RecentSamples.empty(4)
-    for k, part in enumerate(np.array_split(samples, rounds, axis=1)):
-        kept = kept.joined(part, np.ones(part.shape[1]), float(k))
-        density = relearned(density, kept, float(k), 100.0)
+    part = OnlineMixture.unknown(LOW, HIGH)
+    density, parts = part.density, np.array_split(samples, rounds, axis=1)
+    for k in range(rounds):
+        age = np.repeat(np.arange(k, -1, -1), [each.shape[1] for each in parts[: k + 1]])
+        density = relearned(density, np.hstack(parts[: k + 1]), faded(np.ones(len(age)), age, 100.0))
     return density
 
 
@@ -120,7 +118,7 @@ def test_the_rate_follows_within_the_memory():
     for k in range(120, 180):
         part = part.updated(batch(boxes(PLACES[0], 25, rng)), float(k), memory)
     assert part.rate == pytest.approx(1 + np.exp(-1) * (1 - np.exp(-2)) / (1 - np.exp(-3)), abs=0.02)
-    assert len(part.recent) <= 2 * memory * KEPT_PER_BATCH + KEPT_PER_BATCH
+    assert len(part.weight) <= 2 * memory * KEPT_PER_BATCH + KEPT_PER_BATCH
 
 
 def test_what_is_learned_is_used_after_it_has_explained_what_it_had_not_learned():
@@ -128,19 +126,19 @@ def test_what_is_learned_is_used_after_it_has_explained_what_it_had_not_learned(
     used = []
     for k in range(12):
         new = batch(boxes(PLACES[0], 20, rng))
-        part = part.scored(new, memory).decided().updated(new, float(k), memory)
+        part = part.scored(new, memory).updated(new, float(k), memory)
         used.append(part.trusted)
     assert not used[0]
     assert used[-1]
     # Now false alarms come from elsewhere.
     uniform = batch(rng.uniform(0, 1, (4, 40)) * HIGH[:, None])
-    assert not part.scored(uniform, memory).decided().scored(uniform, memory).decided().trusted
+    assert not part.scored(uniform, memory).scored(uniform, memory).trusted
 
 
 def test_what_was_learned_before_counts_as_if_it_had_just_been_seen():
     covariance = np.diag((0.1 * np.tile(PLACES[0, 2:], 2)) ** 2)
     density = SceneDensity(LOW, HIGH, 0.1, np.ones(1), PLACES[0][:, None], covariance[None])
-    part = OnlineMixture.of(LearnedDensity(2.0, density, 500), 60.0, 25.0)
+    part = OnlineMixture.unknown(LOW, HIGH).known(LearnedDensity(2.0, density, 500), 60.0, 25.0)
     assert part.trusted
     assert part.rate == 2.0
     after = part.updated(batch(boxes(PLACES[0], 50, np.random.default_rng(6))), 1.0, 60.0)
@@ -149,7 +147,7 @@ def test_what_was_learned_before_counts_as_if_it_had_just_been_seen():
     assert after.rate == pytest.approx(2.0, abs=1e-9)
 
 
-# Verdicts
+# Labels
 
 
 def row(frame, identity, box, detection=0, confirmed=True):
@@ -157,7 +155,7 @@ def row(frame, identity, box, detection=0, confirmed=True):
     return Tracks(*one, np.array([confirmed]))
 
 
-def looks(rng, places=True):
+def street(rng):
     """100 frames at 25 a second: somebody walks in from frame 10 on and is tracked from 14, confirmed from 18; a place fires
     every second frame, with a track from frame 20 on; a box is anywhere once a frame."""
     out, truth = [], []
@@ -186,32 +184,32 @@ def looks(rng, places=True):
     return tuple(out), truth
 
 
-def test_verdicts_wait_for_what_became_of_a_detection():
-    given, truth = looks(np.random.default_rng(8))
-    watch, verdict = label(PendingFrames(given), 3.0, 0.9, 25.0)
-    assert verdict.frames == 76
-    assert verdict.seconds == pytest.approx(76 / 25)
+def test_labels_wait_for_what_became_of_a_detection():
+    given, truth = street(np.random.default_rng(8))
+    pending, labels = label(PendingFrames(given), 3.0, 0.9, 25.0)
+    assert labels.frames == 76
+    assert labels.seconds == pytest.approx(76 / 25)
     source = np.concatenate(truth[:76])
     # Also the walker's first detections, before there was a track, are his.
-    assert (verdict.false[source == 1] == 0).all()
-    assert (verdict.false[source == 0] == 0.8).all()
+    assert (labels.false[source == 1] == 0).all()
+    assert (labels.false[source == 0] == 0.8).all()
     frame = np.concatenate([np.full(len(t), k + 1) for k, t in enumerate(truth[:76])])
-    assert (verdict.false[(source == -1) & (frame >= 20)] == 1).all()
-    assert verdict.births.shape == (6, 1)
-    off = np.abs(verdict.births[:, 0] - [21, 200, 4, 0, 30, 80])
+    assert (labels.false[(source == -1) & (frame >= 20)] == 1).all()
+    assert labels.births.shape == (6, 1)
+    off = np.abs(labels.births[:, 0] - [21, 200, 4, 0, 30, 80])
     assert (off < [3, 3, 0.4, 0.4, 0.1, 0.1]).all()
-    assert [look.number for look in watch.frames] == list(range(77, 101))
+    assert [frame.number for frame in pending.frames] == list(range(77, 101))
 
 
-def test_verdicts_do_not_depend_on_how_frames_are_divided():
-    given, _ = looks(np.random.default_rng(9))
+def test_labels_do_not_depend_on_how_frames_are_divided():
+    given, _ = street(np.random.default_rng(9))
     _, whole = label(PendingFrames(given), 3.0, 0.9, 25.0)
-    watch, parts = PendingFrames(), []
-    for k, look in enumerate(given):
-        watch = replace(watch, frames=(*watch.frames, look))
+    pending, parts = PendingFrames(), []
+    for k, frame in enumerate(given):
+        pending = replace(pending, frames=(*pending.frames, frame))
         if k + 1 in (60, 80, 100):
-            watch, verdict = label(watch, {60: 1.5, 80: 2.3, 100: 3.0}[k + 1], 0.9, 25.0)
-            parts.append(verdict)
+            pending, labels = label(pending, {60: 1.5, 80: 2.3, 100: 3.0}[k + 1], 0.9, 25.0)
+            parts.append(labels)
     np.testing.assert_array_equal(np.concatenate([p.false for p in parts]), whole.false)
     np.testing.assert_array_equal(np.hstack([p.births for p in parts]), whole.births)
 
@@ -227,8 +225,8 @@ def test_somebody_who_stands_is_no_place_and_a_place_is_nobody():
             seen = to_xyxy(box)[: int(fired[k])]
             rows = row(k + 1, 5, box[:, 0], 0 if fired[k] else -1)
             given.append(ObservedFrame(k + 1, k / 25, seen, np.full(len(seen), 0.5), rows))
-        _, verdict = label(PendingFrames(tuple(given)), 4.0, 0.9, 25.0)
-        assert (verdict.false == expected).all()
+        _, labels = label(PendingFrames(tuple(given)), 4.0, 0.9, 25.0)
+        assert (labels.false == expected).all()
 
 
 # Births against detections of objects
@@ -257,8 +255,8 @@ def lived(entered, rounds, rng):
     )
     now, nothing = Regime("day", *unknown), Batch(np.zeros((4, 0)), np.zeros(0), 25, 25.0)
     for _ in range(rounds):
-        new = Batches(batch(states(entered(4, rng))), nothing, batch(walkers(40, rng)), 1.0)
-        now = now.decided(new, 60.0).updated(new, 60.0)
+        new = batch(states(entered(4, rng))), nothing, batch(walkers(40, rng))
+        now = now.scored(*new[:2], 60.0).updated(new, 1.0, 60.0)
     return now
 
 
@@ -276,8 +274,7 @@ def test_births_are_used_where_people_come_in_otherwise_than_they_are():
     assert anywhere.births.evidence.mean < 0.2
     # The door is closed, and a dozen people come in anywhere.
     nothing = Batch(np.zeros((4, 0)), np.zeros(0), 25, 25.0)
-    new = Batches(batch(states(walkers(12, rng))), nothing, nothing, 1.0)
-    assert not at_door.decided(new, 60.0).births_used
+    assert not at_door.scored(batch(states(walkers(12, rng))), nothing, 60.0).births_used
 
 
 def test_births_are_not_used_before_it_is_known_where_objects_are():

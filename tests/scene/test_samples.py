@@ -1,9 +1,22 @@
+"""What training learns from: first states of tracks, volumes, and the prior over detected sizes."""
+
 import numpy as np
 import pytest
 
 from phdtrack.arrays import to_cxcywh
+from phdtrack.errors import InputError
 from phdtrack.models.volume import image_volume
-from phdtrack.scene.training import births_in, distance_gone, first_states, measurement_volume, state_volume
+from phdtrack.scene import LearnedDensity, SceneDensity
+from phdtrack.scene.training import (
+    PRIOR,
+    WIDENING,
+    births_in,
+    distance_gone,
+    first_state,
+    measurement_volume,
+    state_volume,
+    with_prior,
+)
 from phdtrack.types import Tracks
 
 
@@ -17,36 +30,20 @@ def track(identity, first, count, start, velocity, size=(40.0, 80.0)):
 
 
 def test_first_states_of_straight_tracks():
-    tracks = Tracks.concatenate([track(1, 3, 20, (50, 60), (2, -1)), track(2, 10, 8, (300, 100), (-4, 0.5), (20, 50))])
-    # At 10 frames a second and 25 time units a second a frame is 2.5 time units.
-    everything = Tracks.concatenate([tracks, track(3, 1, 30, (200, 200), (0, 0))])
-    states = first_states(everything, fps=10, rate=25)
-    np.testing.assert_allclose(states[:, 0], [50, 60, 0.8, -0.4, 40, 80])
-    np.testing.assert_allclose(states[:, 1], [300, 100, -1.6, 0.2, 20, 50])
-    assert states.shape == (6, 2)
-
-
-def test_who_is_there_from_the_start_and_short_tracks_are_no_births():
-    tracks = Tracks.concatenate([track(1, 1, 20, (50, 60), (2, -1)), track(2, 10, 4, (300, 100), (1, 1))])
-    assert first_states(tracks, 25, 25).shape == (6, 0)
-    assert first_states(Tracks.empty(), 25, 25).shape == (6, 0)
+    """A frame is 2.5 time units; tracks of the first frame were not born then."""
+    walkers = track(1, 3, 70, (50, 60), (2, -1)), track(2, 10, 18, (300, 100), (-4, 0.5), (20, 50))
+    states = births_in(Tracks.concatenate([*walkers, track(3, 1, 30, (200, 200), (9, 0))]), fps=10, rate=25)
+    np.testing.assert_allclose(states.T, [[50, 60, 0.8, -0.4, 40, 80], [300, 100, -1.6, 0.2, 20, 50]])
+    assert births_in(Tracks.empty(), 25, 25).shape == (6, 0)
 
 
 def test_noise_on_single_boxes_is_averaged():
     rng = np.random.default_rng(0)
-    parts = []
-    for k in range(200):
-        one = track(k + 1, 2, 12, (100, 100), (3, 0))
-        parts.append(
-            Tracks(
-                one.frame, one.identity, one.xyxy + rng.normal(size=(12, 1)), one.confidence, one.detection, one.confirmed
-            )
-        )
-    # Somebody has to be there first.
-    states = first_states(Tracks.concatenate([*parts, track(999, 1, 3, (0, 0), (0, 0))]), 25, 25)
+    box, seconds = to_cxcywh(track(1, 2, 12, (100, 100), (3, 0)).xyxy), np.arange(12) / 25
+    found = np.array([first_state(box + rng.normal(size=(1, 12)), seconds, 25)[2] for _ in range(200)])
     # A slope through eleven points, steps of one: deviation 1/√110.
-    assert states[2].std() == pytest.approx(1 / np.sqrt(110), rel=0.2)
-    assert states[2].mean() == pytest.approx(3, abs=4 / np.sqrt(110 * 200))
+    assert found.std() == pytest.approx(1 / np.sqrt(110), rel=0.2)
+    assert found.mean() == pytest.approx(3, abs=4 / np.sqrt(110 * 200))
 
 
 def test_volumes_are_those_that_uniform_models_use():
@@ -57,11 +54,9 @@ def test_volumes_are_those_that_uniform_models_use():
 
 
 def test_rows_may_show_less_than_a_box():
-    tracks = Tracks.concatenate([track(1, 1, 9, (0, 0), (0, 0)), track(2, 3, 20, (50, 60), (2, -1))])
+    tracks = Tracks.concatenate([track(1, 1, 9, (0, 0), (0, 0)), track(2, 3, 70, (50, 60), (2, -1))])
     metres = 0.1 * (tracks.xyxy[:, :2] + tracks.xyxy[:, 2:]).T / 2
-    states = first_states(tracks, fps=10, rate=1, shown=metres)
-    np.testing.assert_allclose(states[:, 0], [5, 6, 2, -1])
-    assert states.shape == (4, 1)
+    np.testing.assert_allclose(births_in(tracks, fps=10, rate=1, shown=metres), np.array([[5, 6, 2, -1]]).T)
 
 
 def test_how_far_a_track_has_gone_is_told_in_sizes():
@@ -81,3 +76,37 @@ def test_light_that_trembles_teaches_no_births():
     states = births_in(Tracks.concatenate([light, there, brief, walker]), fps=25, rate=25)
     assert states.shape == (6, 1)
     np.testing.assert_allclose(states[:2, 0], [50, 60])
+
+
+# The prior over detected sizes
+
+
+def learned(samples: int, uniform: float) -> LearnedDensity:
+    """One place in a frame of 640x480."""
+    high, mean = np.array([640.0, 480, 640, 480]), np.array([[100.0, 100, 30, 60]]).T
+    p = SceneDensity(np.zeros(4), high, uniform, np.ones(1), mean, np.diag([25.0, 25, 4, 4])[None])
+    return LearnedDensity(2.0, p, samples)
+
+
+def test_sizes_are_those_detected_and_somewhat_more():
+    p = with_prior(learned(90, 0.5), np.vstack([np.linspace(20, 40, 1001), np.linspace(50, 100, 1001)])).density
+    np.testing.assert_allclose(p.low, [0, 0, 20.2 / WIDENING, 50.5 / WIDENING])
+    np.testing.assert_allclose(p.high, [640, 480, 39.8 * WIDENING, 99.5 * WIDENING])
+    # One detection of an odd size does not count.
+    odd = np.full((2, 1000), 30.0)
+    odd[:, 0] = 400
+    assert with_prior(learned(90, 0.5), odd).density.high[2] == pytest.approx(30 * WIDENING)
+    with pytest.raises(InputError, match="no detections"):
+        with_prior(learned(90, 0.5), np.zeros((2, 0)))
+
+
+@pytest.mark.parametrize("samples", [10, 30, 1000])
+def test_few_samples_are_sure_of_little(samples: int):
+    """Of n samples the uniform part is that of PRIOR more that might be anywhere; one that is larger stays."""
+    sizes = np.array([[20.0, 60], [40, 120]])
+    small, large = (with_prior(learned(samples, uniform), sizes).density for uniform in (1e-3, 0.7))
+    assert small.uniform == pytest.approx(max(1e-3, PRIOR / (samples + PRIOR)))
+    assert large.uniform == pytest.approx(0.7)
+    x = np.random.default_rng(0).uniform(small.low[:, None], small.high[:, None], (4, 400_000))
+    values = small(x) * small.volume
+    assert values.mean() == pytest.approx(1, abs=5 * values.std() / np.sqrt(x.shape[1]))

@@ -28,11 +28,10 @@ from phdtrack.models.region import EVERYWHERE
 from phdtrack.models.scene import FalseAlarmRatio, with_scene
 from phdtrack.protocols import AnyStages
 from phdtrack.report.pages import SceneTraining
-from phdtrack.scene import LearnedDensity, RecursiveEM, Scene, TrackedObjects
+from phdtrack.scene import LearnedDensity, Scene, TrackedObjects
 from phdtrack.scene.training import (
     Training,
     births_in,
-    detected_sizes,
     learn_births,
     learn_clutter,
     learn_objects,
@@ -109,7 +108,7 @@ class TrainingData:
             return lesson
         table = self.found.table
         rows = slice(*np.searchsorted(table.frame, [self.stretch.start, self.stretch.stop]))
-        sizes = detected_sizes(to_cxcywh(table.detections.xyxy[rows])[2:])
+        sizes = to_cxcywh(table.detections.xyxy[rows])[2:]
         return replace(lesson, learned=with_prior(lesson.learned, sizes))
 
     def marks(self) -> Marks | None:
@@ -143,7 +142,7 @@ def clutter_of_labels(data: TrainingData) -> Trained:
         if marks is None:
             raise data.no_marks()
         frames = len(marks.looked_at)
-        lesson = learn_clutter(marks.false_boxes, frames, data.size, RecursiveEM())
+        lesson = learn_clutter(marks.false_boxes, frames, data.size)
         return lesson, f"{counted(lesson.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
 
     return _trained(data, "false alarms", learned, by=" by a person")
@@ -161,7 +160,7 @@ def clutter_unattended(data: TrainingData) -> Trained:
         rows = np.searchsorted(data.found.table.frame, found.frame[taken]) + found.box[taken]
         try:
             boxes = to_cxcywh(data.found.table.detections.xyxy[rows])
-            lesson = learn_clutter(boxes, len(frames), data.size, RecursiveEM())
+            lesson = learn_clutter(boxes, len(frames), data.size)
         except InputError as error:
             raise InputError(error.problem, where=error.where, cure="Look yourself: phdtrack label") from None
         many = f"{counted(lesson.learned.samples, 'box')} of {counted(len(frames), 'frame')}"
@@ -188,7 +187,7 @@ def without_followed(data: TrainingData, alarms: Training, tracks: Tracks) -> tu
     if marks is None:
         return tracks, None, ""
     try:
-        lesson = learn_objects(marks.object_boxes, len(marks.looked_at), data.size, RecursiveEM())
+        lesson = learn_objects(marks.object_boxes, len(marks.looked_at), data.size)
         objects = data.with_prior(lesson)
     except InputError as error:
         return tracks, None, f"no track is held back: {error}"
@@ -231,7 +230,7 @@ def births_by_hand(data: TrainingData) -> Trained:
 
 def _births(data: TrainingData, states: F8, time: float, text: str) -> tuple[Training, str]:
     size, corner = data.region()
-    return learn_births(states, time, size, RecursiveEM(), corner), text
+    return learn_births(states, time, size, corner), text
 
 
 def _trained(data: TrainingData, part: str, learned: Callable[[], tuple[Training, str]], by: str = "") -> Trained:

@@ -39,7 +39,6 @@ from phdtrack.errors import InputError
 from phdtrack.label.samples import boxes_of, clip, last_frame
 from phdtrack.label.store import Label, LabelStore
 from phdtrack.label.suggestions import ALIKE, REASONS, TICKED, Background
-from phdtrack.scene import RecursiveEM
 from phdtrack.scene.mixture import place_map
 from phdtrack.scene.training import box_density
 from phdtrack.types import F8, Detections, DetectionTable, Image, SequenceInfo
@@ -172,7 +171,7 @@ class Session:
         picture = np.zeros((*shape, 4), np.uint8)
         boxes = boxes_of([label for label in self.store.labels() if label.mark == mark], self.table)
         if boxes.shape[1] >= _MIN_MARKS:
-            density = box_density(boxes, (float(self.info.width), float(self.info.height)), RecursiveEM())
+            density = box_density(boxes, (float(self.info.width), float(self.info.height)))
             picture[..., :3] = _COLOURS[mark]
             # By the square root a place a quarter as likely as the worst is still plain to see.
             picture[..., 3] = (200 * np.sqrt(place_map(density, shape, 1 / scale))).astype(np.uint8)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 from phdtrack.models.births import MeasurementBirth
 from phdtrack.models.box_sensor import BoxSensor
@@ -24,24 +24,20 @@ from phdtrack.models.point_birth import PointBirth
 from phdtrack.models.point_sensor import PointSensor
 from phdtrack.models.scene import with_scene
 from phdtrack.models.standing import not_standing
-from phdtrack.protocols import Birth, Clutter, Learning, Model, NoLearning, Sensor
-from phdtrack.scene import Scene, TrackedObjects, online, rates
+from phdtrack.protocols import Birth, Clutter, Learning, Model, NoLearning
+from phdtrack.scene import Scene, online, rates
 from phdtrack.scene.online import OnlineLearning, OnlineScene, Regime
 from phdtrack.scene.rates import LearnedRates, Priors, RatesLearning
 from phdtrack.types import Detections, Step
 
 # p_D goes into the model in steps of this size, rates in steps of this ratio.
 DETECTION_STEP, RATE_RATIO = 0.01, 1.05
-
-
-class ShadowTracker(Protocol):
-    """A second run over the same frames that does not use what is learned."""
-
-    def start(self) -> Any:
-        """The state before the first frame."""
-
-    def advance(self, state: Any, step: Step) -> tuple[Any, Step]:
-        """The state after one frame, and what it makes of the detections in ``step``."""
+# The parts of a model whose number can be learned, by the name of that number.
+LEARNABLE: dict[str, tuple[type[Any], ...]] = {
+    "detection_probability": (BoxSensor, PlaneSensor, PointSensor),
+    "clutter_per_frame": (UniformClutter, LocalClutter, LocalPlaneClutter),
+    "births_per_second": (MeasurementBirth, PlaneBirth, PointBirth),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,13 +57,13 @@ class SceneLearning:
     Attributes
     ----------
     rule : how the scene is learned.      shipped : the model to which what is learned is added.
-    shadow : what is learned from.      particles : Jmax, see `SceneBirth`.
+    shadow : what is learned from, a `pipeline.ShadowTracker`.      particles : Jmax, see `SceneBirth`.
     scenes : what was learned before, one for each regime.
     """
 
     rule: OnlineLearning
     shipped: Model
-    shadow: ShadowTracker
+    shadow: Any
     particles: int = 500
     scenes: tuple[Scene, ...] = ()
 
@@ -104,9 +100,9 @@ class SceneLearning:
         return online.scene_of(self.rule, regime, source)
 
     def _in_use(self, known: OnlineScene, shadow: Any) -> SceneState:
-        used = known.regime.used
-        objects = None if used.objects is None else TrackedObjects(0.0, used.objects)
-        model = with_scene(self.shipped, used.births, used.clutter, objects, self.particles)
+        """The state with the births and false alarms that are in use."""
+        used = online.scene_of(self.rule, known.regime, "")
+        model = with_scene(self.shipped, used.births, used.clutter, used.followed, self.particles)
         birth = None if used.births is None else model.birth
         return SceneState(known, shadow, birth, None if used.clutter is None else model.clutter)
 
@@ -136,17 +132,19 @@ class RateLearning:
         return RatesState(rates.begin(self.rule), self.other.start())
 
     def model(self, state: RatesState, model: Model) -> Model:
-        """The model with the rates that are used."""
+        """The model with the rates that are used; cautious ones only where nothing else explains them."""
         used, found, priors = self.rule.settings, state.learned.rates, self.rule.priors
+        detection, clutter, births = found.detection, found.clutter, found.births
         if used.cautious:
-            found = found.cautious(priors)
+            detection, clutter = min(detection, priors.detection), max(clutter, priors.clutter)
+            births = max(births, priors.births)
         if used.detection:
-            detection = DETECTION_STEP * round(found.detection / DETECTION_STEP)
-            model = replace(model, sensor=with_detection(model.sensor, detection))
+            model = with_detection(model, DETECTION_STEP * round(detection / DETECTION_STEP))
         if used.clutter:
-            model = replace(model, clutter=with_clutter(model.clutter, _rounded(found.clutter, priors.clutter)))
+            model = with_clutter(model, _rounded(clutter, priors.clutter))
         if used.birth:
-            model = replace(model, birth=with_births(model.birth, model.rate * _rounded(found.births, priors.births)))
+            rate = model.rate * _rounded(births, priors.births)
+            model = replace(model, birth=_with(model.birth, "births_per_second", rate))
         return self.other.model(state.other, model)
 
     def with_scores(self, state: RatesState, model: Model, detections: Detections) -> Model:
@@ -158,7 +156,7 @@ class RateLearning:
         if used.clutter and not (used.cautious or priors.clutter_each):
             # At first the number of detections is all that is known.
             rate = min(learned.rates.clutter, learned.detections_per_frame(len(detections)))
-            model = replace(model, clutter=with_clutter(model.clutter, _rounded(rate, priors.clutter)))
+            model = with_clutter(model, _rounded(rate, priors.clutter))
         if not used.scores or len(learned.scale.at) < 2:
             return model
         return replace(model, clutter=ScoredClutter(model.clutter, learned.scale.ratio(detections.confidence)))
@@ -174,46 +172,40 @@ class RateLearning:
 
 def priors_of(model: Model) -> Priors:
     """The rates of a model; 0, or p_D = 1, of parts that have none."""
-    detection, clutter, births, clutter_each, births_each = 1.0, 0.0, 0.0, False, False
-    if isinstance(model.sensor, BoxSensor | PlaneSensor | PointSensor):
-        detection = model.sensor.detection_probability
-    if isinstance(model.clutter, UniformClutter | LocalClutter | LocalPlaneClutter):
-        clutter, clutter_each = model.clutter.clutter_per_frame, not isinstance(model.clutter, UniformClutter)
-    if isinstance(model.birth, MeasurementBirth | PlaneBirth):
-        births, births_each = model.birth.births_per_second / model.rate, model.birth.volume == "local"
-    elif isinstance(model.birth, PointBirth):
-        births = model.birth.births_per_second / model.rate
-    return Priors(detection, clutter, births, clutter_each, births_each)
-
-
-def with_detection(sensor: Sensor, detection: float) -> Sensor:
-    """The sensor with this p_D; a sensor of another kind stays as it is."""
-    return (
-        _with(sensor, "detection_probability", detection)
-        if isinstance(sensor, BoxSensor | PlaneSensor | PointSensor)
-        else sensor
+    birth = model.birth
+    births_each = isinstance(birth, MeasurementBirth | PlaneBirth) and birth.volume == "local"
+    return Priors(
+        _number(model.sensor, "detection_probability", 1.0),
+        _number(model.clutter, "clutter_per_frame", 0.0),
+        _number(birth, "births_per_second", 0.0) / model.rate,
+        isinstance(model.clutter, LocalClutter | LocalPlaneClutter),
+        births_each,
     )
 
 
-def with_clutter(clutter: Clutter, rate: float) -> Clutter:
-    """False alarms with this rate; learned ones and those of another kind stay as they are."""
-    return (
-        _with(clutter, "clutter_per_frame", rate)
-        if isinstance(clutter, UniformClutter | LocalClutter | LocalPlaneClutter)
-        else clutter
-    )
+def with_detection(model: Model, detection: float) -> Model:
+    """The model with this p_D; a sensor that has none stays as it is."""
+    return replace(model, sensor=_with(model.sensor, "detection_probability", detection))
 
 
-def with_births(birth: Birth, rate: float) -> Birth:
-    """Births with this rate per second; those at given or learned places stay as they are."""
-    return (
-        _with(birth, "births_per_second", rate) if isinstance(birth, MeasurementBirth | PlaneBirth | PointBirth) else birth
-    )
+def with_clutter(model: Model, rate: float) -> Model:
+    """The model with this rate of false alarms; learned ones and those without a rate stay as they are."""
+    return replace(model, clutter=_with(model.clutter, "clutter_per_frame", rate))
+
+
+def _number(part: Any, name: str, otherwise: float) -> float:
+    """The number of a part of a model that can be learned, or another."""
+    return float(getattr(part, name)) if isinstance(part, LEARNABLE[name]) else otherwise
+
+
+def _with(part: Any, name: str, value: float) -> Any:
+    """A part of a model with one number changed; itself where that cannot be learned."""
+    return _changed(part, name, value) if isinstance(part, LEARNABLE[name]) else part
 
 
 @lru_cache(maxsize=256)
-def _with(part: Any, name: str, value: float) -> Any:
-    """A part of a model with one number changed; the same object for the same number."""
+def _changed(part: Any, name: str, value: float) -> Any:
+    """A part with one number changed; the same object for the same number."""
     return part if getattr(part, name) == value else replace(part, **{name: value})
 
 

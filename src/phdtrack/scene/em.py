@@ -13,8 +13,8 @@ A component whose weight turns negative is removed. α_u follows the same rule w
   The samples are taken in several passes, each in another order, with β = min(1/n, ½/(Mτ)) for n samples. Then the estimate
   settles: without the prior, with a rate that falls like 1/k.
 * β o_m/π_m stays below 1, and F, a small diagonal, keeps every covariance above itself.
-* Samples are weighted, and may have gaps (NaN): a birth that a person marked has a place but no velocity. The recursion
-  fills a gap from the nearest complete sample; EM afterwards treats it as a missing value.
+* Samples are weighted, and may have gaps (NaN): a birth that a person marked has a place but no velocity. A gap is filled
+  from the nearest complete sample.
 * α_u begins at 1 − 1e-3, because from 1 nothing is ever learned, and stays within [1e-3, 1 − 1e-3].
 
 The recursion ends in a local optimum. EM for the whole model, uniform part included, then tries moves: a component goes; one
@@ -30,11 +30,11 @@ place, and with none of it eight samples that lie together by chance are one.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.checks import Count, Share, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.em import Gaussians, Moments, Recursion, em_step, one_block, recursive_em
 from phdtrack.scene.mixture import SceneDensity, marginal
@@ -51,66 +51,51 @@ TRIAL_STEPS, NEW_STEPS, FULL_TRIALS = 5, 10, 2
 MAX_CROWD_SAMPLES = 1000
 
 
-@dataclass(frozen=True, slots=True)
-class RecursiveEM:
-    """Settings of the learner.
+def learn(
+    density: SceneDensity, samples: F8, weight: F8 | None = None, *, passes: int = 0, floor: float = 0.01, moves: int = 20
+) -> SceneDensity:
+    """``density`` after the samples: the same for the same samples. Samples outside the volume are left out.
 
     Parameters
     ----------
-    memory : samples 1/β that are remembered at most; 0 for the weight of the samples that are given at once.
+    density : where learning begins.
+    samples : (d, n), NaN where a sample does not show a component.
+    weight : (n,) from 0, 1 for each where it is None.
     passes : passes over the samples at the steady rate; 0 for as many as part two components that explain the same.
     floor : standard deviations of F as parts of the samples' own.
-    seed : of the orders in which the samples are taken.
-    moves : split and merge moves at most; 0 for samples of which more are to come.
+    moves : split and merge moves at most; 0 for samples of which more are to come, which the recursion alone takes.
+
+    Returns
+    -------
+    The density; ``density`` itself where there is nothing to learn from.
+
+    Raises
+    ------
+    InputError : samples of another dimension, infinite or without any component; wrong weights; no Gaussians to move.
     """
-
-    memory: Count = 0
-    passes: Count = 0
-    floor: Share = 0.01
-    seed: int = 0
-    moves: Count = 20
-
-    def __post_init__(self) -> None:
-        check(self)
-
-    def learn(self, density: SceneDensity, samples: F8, weight: F8 | None = None) -> SceneDensity:
-        """``density`` after the samples: the same for the same samples. Samples outside the volume are left out.
-
-        Parameters
-        ----------
-        density : where learning begins.
-        samples : (d, n), NaN where a sample does not show a component.
-        weight : (n,) from 0, 1 for each where it is None.
-
-        Raises
-        ------
-        InputError : samples of another dimension, infinite or without any component; wrong weights; no Gaussians to move.
-        """
-        weights = np.ones(samples.shape[-1]) if weight is None else weight
-        _check_samples(density, samples, weights)
-        shown = np.where(np.isnan(samples), density.low[:, None], samples)
-        used = density.contains(shown) & (weights > 0)
-        x, weights = np.ascontiguousarray(samples[:, used]), np.ascontiguousarray(weights[used])
-        n = x.shape[1]
-        if n == 0:
-            return density
-        tau, total = parameters(density.dim) / 2, float(weights.sum())
-        passes = self.passes or _passes(n, total, len(density), tau)
-        rng = np.random.default_rng(self.seed)
-        order = np.concatenate([rng.permutation(n) for _ in range(passes + min(passes, SETTLING_PASSES))])
-        _, variance = known_moments(x, weights)
-        floor: F8 = np.maximum(self.floor**2 * variance, (1e-4 * (density.high - density.low)) ** 2)
-        volume = float(np.log(density.high - density.low).sum())
-        left, uniform = recursive_em(
-            Gaussians(density.weight, density.mean, density.covariance),
-            min(density.uniform, 1 - MIN_UNIFORM),
-            np.ascontiguousarray(_filled(x, variance).T),
-            weights,
-            order,
-            Recursion(tau, self.memory or total, MIN_UNIFORM, volume, passes * n, floor),
-        )
-        found = SceneDensity(density.low, density.high, uniform, *left)
-        return improved(found, Samples.of(x, weights, floor, MIN_UNIFORM), self.moves) if self.moves else found
+    weights = np.ones(samples.shape[-1]) if weight is None else weight
+    _check_samples(density, samples, weights)
+    used = density.contains(np.where(np.isnan(samples), density.low[:, None], samples)) & (weights > 0)
+    x, weights = np.ascontiguousarray(samples[:, used]), np.ascontiguousarray(weights[used])
+    n = x.shape[1]
+    if n == 0:
+        return density
+    tau, total, rng = parameters(density.dim) / 2, float(weights.sum()), np.random.default_rng(0)
+    passes = passes or _passes(n, total, len(density), tau)
+    order = np.concatenate([rng.permutation(n) for _ in range(passes + min(passes, SETTLING_PASSES))])
+    x, extent = _filled(x), density.high - density.low
+    mean = np.average(x, axis=1, weights=weights)[:, None]
+    least: F8 = np.maximum(floor**2 * np.average(np.square(x - mean), axis=1, weights=weights), (1e-4 * extent) ** 2)
+    left, uniform = recursive_em(
+        Gaussians(density.weight, density.mean, density.covariance),
+        min(density.uniform, 1 - MIN_UNIFORM),
+        np.ascontiguousarray(x.T),
+        weights,
+        order,
+        Recursion(tau, total, MIN_UNIFORM, float(np.log(extent).sum()), passes * n, least),
+    )
+    found = SceneDensity(density.low, density.high, uniform, *left)
+    return improved(found, Samples(x, weights, least), moves) if moves else found
 
 
 def grid(
@@ -126,14 +111,17 @@ def grid(
     counts : Gaussians across and down; in position each is as wide as the grid's step.
     centre, spread : (d,) mean and standard deviation of the other components (mean size, zero velocity).
     uniform : α_u.
+
+    Returns
+    -------
+    The density, all Gaussians of equal weight.
     """
-    extent = high - low
-    steps = np.array(counts)
+    extent, steps = high - low, np.array(counts)
     across, down = (low[k] + extent[k] * (np.arange(steps[k]) + 0.5) / steps[k] for k in range(2))
     place = np.stack([part.ravel() for part in np.meshgrid(across, down)])
-    mean = np.vstack([place, np.tile(centre[2:, None], place.shape[1])])
-    deviation = np.concatenate([extent[:2] / steps, spread[2:]])
     m = place.shape[1]
+    mean = np.vstack([place, np.tile(centre[2:, None], m)])
+    deviation = np.concatenate([extent[:2] / steps, spread[2:]])
     return SceneDensity(low, high, uniform, np.full(m, 1 / m), mean, np.tile(np.diag(deviation**2), (m, 1, 1)))
 
 
@@ -142,34 +130,17 @@ def parameters(dim: int) -> int:
     return dim + dim * (dim + 1) // 2
 
 
-def known_moments(samples: F8, weight: F8) -> tuple[F8, F8]:
-    """Weighted means and variances (d,) of samples (d, n) over the values that are not NaN."""
-    counts = np.where(np.isnan(samples), 0.0, weight)
-    values, total = np.where(np.isnan(samples), 0.0, samples), np.maximum(counts.sum(axis=1), 1e-300)
-    mean = (counts * values).sum(axis=1) / total
-    return mean, (counts * (values - mean[:, None]) ** 2).sum(axis=1) / total
+def limited_uniform(share: float) -> float:
+    """α_u within its limits."""
+    return min(1 - MIN_UNIFORM, max(MIN_UNIFORM, share))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Samples:
-    """Weighted samples with gaps.
-
-    ``x`` (d, n), NaN in gaps; ``weight`` (n,); ``floor`` (d,) added to variances; ``min_uniform`` share of the uniform part;
-    ``groups``: the samples (k,) that show the same rows (r,).
-    """
+class Samples(NamedTuple):
+    """Samples ``x`` (d, n), their ``weight`` (n,), and ``floor`` (d,) that is added to variances."""
 
     x: F8
     weight: F8
     floor: F8
-    min_uniform: float
-    groups: tuple[tuple[I8, I8], ...]
-
-    @classmethod
-    def of(cls, x: F8, weight: F8, floor: F8, min_uniform: float) -> Samples:
-        """Grouped by the rows that they show."""
-        shown, group = np.unique(~np.isnan(x), axis=1, return_inverse=True)
-        each = [(np.flatnonzero(group.ravel() == g), np.flatnonzero(shown[:, g])) for g in range(shown.shape[1])]
-        return cls(x, weight, floor, min_uniform, tuple(each))
 
     @property
     def total(self) -> float:
@@ -178,40 +149,10 @@ class Samples:
 
 
 def moments(p: SceneDensity, samples: Samples) -> Moments:
-    """One step of EM for p, its uniform part included. Truncation is left out.
-
-    A sample with gaps stands for its conditional mean and second moment given what it shows, as in EM with missing values.
-    """
-    count, extent = len(p), np.log(p.high - p.low)
-    mass, first, second = np.zeros(count), np.zeros((p.dim, count)), np.zeros((count, p.dim, p.dim))
-    background = log_likelihood = 0.0
-    for which, rows in samples.groups:
-        mixture = Gaussians(
-            (1 - p.uniform) * p.weight, np.ascontiguousarray(p.mean[rows]), p.covariance[:, rows[:, None], rows]
-        )
-        flat = np.full(len(which), math.log(p.uniform) - extent[rows].sum())
-        x = np.ascontiguousarray(samples.x[rows[:, None], which])
-        found = em_step(x, samples.weight[which], flat, mixture, one_block(len(which), count))
-        step, cov = np.zeros((p.dim, count)), np.empty((count, p.dim, p.dim))
-        step[rows] = found.mean - mixture.mean
-        cov[:, rows[:, None], rows] = found.covariance + np.diag(samples.floor[rows])
-        rest = np.setdiff1d(np.arange(p.dim), rows)
-        if len(rest):
-            across = p.covariance[:, rest[:, None], rows]
-            gain = across @ np.linalg.inv(mixture.covariance)
-            step[rest] = np.einsum("mur,rm->um", gain, step[rows])
-            seen = gain @ found.covariance
-            cov[:, rest[:, None], rows], cov[:, rows[:, None], rest] = seen, seen.transpose(0, 2, 1)
-            left = p.covariance[:, rest[:, None], rest] - gain @ across.transpose(0, 2, 1)
-            cov[:, rest[:, None], rest] = seen @ gain.transpose(0, 2, 1) + left
-        mass += found.mass
-        first += found.mass * step
-        second += found.mass[:, None, None] * (cov + step.T[:, :, None] * step.T[:, None, :])
-        background += found.background
-        log_likelihood += found.log_likelihood
-    step, divisor = first / np.maximum(mass, 1e-300), np.maximum(mass, 1e-300)[:, None, None]
-    cov = second / divisor - step.T[:, :, None] * step.T[:, None, :]
-    return Moments(mass, p.mean + step, 0.5 * (cov + cov.transpose(0, 2, 1)), background, log_likelihood)
+    """One step of EM for p, its uniform part included. Truncation is left out."""
+    mixture, n = Gaussians((1 - p.uniform) * p.weight, p.mean, p.covariance), len(samples.weight)
+    found: Moments = em_step(samples.x, samples.weight, np.full(n, math.log(p.flat)), mixture, one_block(n, len(p)))
+    return found._replace(covariance=found.covariance + np.diag(samples.floor))
 
 
 def fitted(p: SceneDensity, samples: Samples, steps: int = MAX_STEPS) -> SceneDensity:
@@ -224,18 +165,11 @@ def fitted(p: SceneDensity, samples: Samples, steps: int = MAX_STEPS) -> SceneDe
         before = now.log_likelihood
         keep = now.mass > min(parameters(p.dim) / 2, 0.999 * float(now.mass.max()))
         if keep.all():
-            uniform = min(1 - samples.min_uniform, max(samples.min_uniform, now.background / samples.total))
-            weight = now.mass / now.mass.sum()
+            uniform, weight = limited_uniform(now.background / samples.total), now.mass / now.mass.sum()
             p = replace(p, uniform=uniform, weight=weight, mean=now.mean, covariance=now.covariance)
         else:
-            p, before = taken(p, np.flatnonzero(keep)), -math.inf
+            p, before = _without(p, np.flatnonzero(~keep)), -math.inf
     return p
-
-
-def taken(p: SceneDensity, which: I8) -> SceneDensity:
-    """``p`` with only the components ``which``."""
-    weight = p.weight[which]
-    return replace(p, weight=weight / weight.sum(), mean=p.mean[:, which], covariance=p.covariance[which])
 
 
 def improved(p: SceneDensity, samples: Samples, moves: int) -> SceneDensity:
@@ -243,10 +177,13 @@ def improved(p: SceneDensity, samples: Samples, moves: int) -> SceneDensity:
     p = fitted(p, samples)
     length = criterion(p, samples)
     for _ in range(moves):
-        better = _best_move(p, length, samples)
-        if better is None:
+        trials = [fitted(trial, samples, TRIAL_STEPS) for trial in _moved(p, samples)]
+        best = np.argsort([criterion(trial, samples) for trial in trials])[:FULL_TRIALS]
+        found = [(criterion(trial, samples), trial) for trial in (fitted(trials[i], samples) for i in best)]
+        shortest, better = min(found, key=lambda one: one[0])
+        if not shortest < length - CONVERGED:
             break
-        p, length = better
+        p, length = better, shortest
     return p
 
 
@@ -258,20 +195,18 @@ def criterion(p: SceneDensity, samples: Samples) -> float:
     return float(price.sum()) - moments(p, samples).log_likelihood
 
 
-def _best_move(p: SceneDensity, length: float, samples: Samples) -> tuple[SceneDensity, float] | None:
-    """The best of what a move makes of ``p``, with its criterion; None where that is not below ``length``."""
-    count = len(p)
-    without = [taken(p, np.delete(np.arange(count), m)) for m in range(count)] if count > 1 else []
-    candidates = (*without, *(_split(p, m) for m in range(count)), *_with_crowds(p, samples))
-    trials = [fitted(trial, samples, TRIAL_STEPS) for trial in candidates]
-    lengths = np.array([criterion(trial, samples) for trial in trials])
-    found = None
-    for i in np.argsort(lengths)[:FULL_TRIALS]:
-        trial = fitted(trials[i], samples)
-        now = criterion(trial, samples)
-        if now < length - CONVERGED:
-            found, length = (trial, now), now
-    return found
+def _moved(p: SceneDensity, samples: Samples) -> list[SceneDensity]:
+    """What each of the moves makes of ``p``."""
+    each = range(len(p))
+    without = [_without(p, np.array([m])) for m in each] if len(p) > 1 else []
+    return [*without, *(_split(p, m) for m in each), *_with_crowds(p, samples)]
+
+
+def _without(p: SceneDensity, which: I8) -> SceneDensity:
+    """``p`` without the components ``which``."""
+    weight = np.delete(p.weight, which)
+    mean, covariance = np.delete(p.mean, which, axis=1), np.delete(p.covariance, which, axis=0)
+    return replace(p, weight=weight / weight.sum(), mean=mean, covariance=covariance)
 
 
 def _split(p: SceneDensity, m: int) -> SceneDensity:
@@ -281,24 +216,22 @@ def _split(p: SceneDensity, m: int) -> SceneDensity:
     # The mean of half a normal distribution is √(2/π) deviations from its middle.
     step = math.sqrt(2 / math.pi * values[-1]) * vectors[:, -1] * deviation
     half = p.covariance[m] - np.outer(step, step)
-    others = np.delete(np.arange(len(p)), m)
-    weight = np.concatenate([p.weight[others], np.full(2, p.weight[m] / 2)])
-    mean = np.column_stack([p.mean[:, others], p.mean[:, m] - step, p.mean[:, m] + step])
-    return replace(p, weight=weight, mean=mean, covariance=np.concatenate([p.covariance[others], [half, half]]))
+    weight = np.append(np.delete(p.weight, m), np.full(2, p.weight[m] / 2))
+    mean = np.column_stack([np.delete(p.mean, m, axis=1), p.mean[:, m] - step, p.mean[:, m] + step])
+    return replace(p, weight=weight, mean=mean, covariance=np.concatenate([np.delete(p.covariance, m, axis=0), [half] * 2]))
 
 
 def _with_crowds(p: SceneDensity, samples: Samples) -> list[SceneDensity]:
     """``p`` with one more component, fitted while ``p`` stays as it is: each begins in another crowd of samples."""
-    complete = np.flatnonzero(np.isfinite(samples.x).all(axis=0) & (samples.weight > 0))
-    x, weight = np.ascontiguousarray(samples.x[:, complete]), samples.weight[complete]
+    x, weight, floor = samples.x, samples.weight, np.diag(samples.floor)
     parts, found = p.log_parts(x), []
-    log_density, floor = np.logaddexp.reduce(parts, axis=0), np.diag(samples.floor)
+    log_density = np.logaddexp.reduce(parts, axis=0)
     for near in _crowds(p, np.argmax(parts, axis=0), x, samples.floor):
-        share = len(near) / len(samples.weight)
+        share = len(near) / len(weight)
         mean, cov = x[:, near].mean(axis=1)[:, None], (np.cov(x[:, near], bias=True) + floor)[None]
         for _ in range(NEW_STEPS):
             mixture = Gaussians(np.array([share]), mean, cov)
-            now = em_step(x, weight, log_density + math.log(1 - share), mixture, one_block(len(complete), 1))
+            now = em_step(x, weight, log_density + math.log(1 - share), mixture, one_block(len(weight), 1))
             mean, cov, share = now.mean, now.covariance + floor, min(float(now.mass[0]) / samples.total, 0.5)
         if share * samples.total > parameters(p.dim) / 2:
             uniform = (1 - share) * p.uniform
@@ -326,16 +259,15 @@ def _crowds(p: SceneDensity, owner: I8, x: F8, floor: F8) -> list[I8]:
     return [near[those[np.argmax(score[those])]] for those in members]
 
 
-def _filled(x: F8, variance: F8) -> F8:
+def _filled(x: F8) -> F8:
     """Samples (d, n) whose gaps are filled from the nearest complete one, with 0 where there is none."""
     gaps = np.isnan(x)
-    complete = x[:, ~gaps.any(axis=0)]
-    out = np.where(gaps, 0.0, x)
-    if complete.shape[1]:
-        for j in np.flatnonzero(gaps.any(axis=0)):
-            step = np.where(gaps[:, [j]], 0.0, complete - out[:, [j]])
-            nearest = np.argmin((np.square(step) / np.maximum(variance, 1e-300)[:, None]).sum(axis=0))
-            out[gaps[:, j], j] = complete[gaps[:, j], nearest]
+    complete, out = x[:, ~gaps.any(axis=0)], np.where(gaps, 0.0, x)
+    scale = np.maximum(complete.std(axis=1), 1e-150) if complete.shape[1] else np.zeros(0)
+    for j in np.flatnonzero(gaps.any(axis=0)) if complete.shape[1] else ():
+        step = np.where(gaps[:, j], 0.0, (complete - out[:, [j]]).T / scale)
+        nearest = np.argmin(np.square(step).sum(axis=1))
+        out[gaps[:, j], j] = complete[gaps[:, j], nearest]
     return out
 
 

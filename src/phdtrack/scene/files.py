@@ -28,14 +28,8 @@ FORMAT = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedDensity:
-    """A density with its rate.
-
-    Attributes
-    ----------
-    rate : s̄ (births per time unit), r̄ (false alarms per frame) or detections of objects per frame.
-    density : p.
-    samples : number of samples that it was learned from.
-    """
+    """A ``density`` with its ``rate``, s̄ (births per time unit), r̄ (false alarms per frame) or detections of objects per
+    frame, and the number of ``samples`` that it was learned from."""
 
     rate: float
     density: SceneDensity
@@ -63,8 +57,8 @@ class Scene:
     rate : time units per second of the births.
     source : the video or the detections that it was learned from.
     births, clutter : what was learned; None where there was too little.
-    followed : false alarms and objects that become tracks; None where too few detections were looked at.
     notes : other figures, such as held-out log-likelihoods: names and plain values.
+    followed : false alarms and objects that become tracks; None where too few detections were looked at.
     """
 
     width: int
@@ -79,17 +73,16 @@ class Scene:
 
 def write_scene(path: Path, scene: Scene) -> None:
     """Write a scene, whole or not at all."""
+    followed = scene.followed and {"share": scene.followed.share, "objects": _plain(scene.followed.objects)}
     document = {
         "format": FORMAT,
         "width": scene.width,
         "height": scene.height,
         "rate": scene.rate,
         "source": scene.source,
-        "births": None if scene.births is None else _plain(scene.births),
-        "clutter": None if scene.clutter is None else _plain(scene.clutter),
-        "followed": None
-        if scene.followed is None
-        else {"share": scene.followed.share, "objects": _plain(scene.followed.objects)},
+        "births": scene.births and _plain(scene.births),
+        "clutter": scene.clutter and _plain(scene.clutter),
+        "followed": followed,
         "notes": dict(scene.notes),
     }
     part = path.with_name(path.name + ".part")
@@ -128,32 +121,15 @@ def read_scene(path: Path) -> Scene:
 
 
 def _plain(learned: LearnedDensity) -> dict[str, Any]:
+    """A density as JSON has it."""
     p = learned.density
-    return {
-        "rate": learned.rate,
-        "samples": learned.samples,
-        "low": p.low.tolist(),
-        "high": p.high.tolist(),
-        "uniform": p.uniform,
-        "weight": p.weight.tolist(),
-        "mean": p.mean.T.tolist(),
-        "covariance": p.covariance.tolist(),
-    }
-
-
-def _followed(document: Any) -> TrackedObjects | None:
-    """None for scenes too that were learned before there was any."""
-    objects = None if document is None else _learned(document["objects"], 4)
-    return None if objects is None else TrackedObjects(_share(float(document["share"])), objects)
-
-
-def _share(share: float) -> float:
-    if not 0 <= share <= 1:
-        raise InputError(f"expected a share from 0 to 1, got {share:g}")
-    return share
+    arrays = {"low": p.low, "high": p.high, "weight": p.weight, "mean": p.mean.T, "covariance": p.covariance}
+    plain = {name: array.tolist() for name, array in arrays.items()}
+    return {"rate": learned.rate, "samples": learned.samples, "uniform": p.uniform} | plain
 
 
 def _learned(document: Any, *dims: int) -> LearnedDensity | None:
+    """A density of one of these dimensions; None where there is none."""
     if document is None:
         return None
     low, high, weight = (np.array(document[name], np.float64) for name in ("low", "high", "weight"))
@@ -165,3 +141,14 @@ def _learned(document: Any, *dims: int) -> LearnedDensity | None:
         raise InputError(f"expected a rate from 0 and {wanted} components, got {rate:g} and {len(low)}")
     density = SceneDensity(low, high, float(document["uniform"]), weight, np.ascontiguousarray(mean), cov)
     return LearnedDensity(rate, density, int(document["samples"]))
+
+
+def _followed(document: Any) -> TrackedObjects | None:
+    """What is followed; None also for scenes that were written before there was any."""
+    objects = None if document is None else _learned(document["objects"], 4)
+    if objects is None:
+        return None
+    share = float(document["share"])
+    if not 0 <= share <= 1:
+        raise InputError(f"expected a share from 0 to 1, got {share:g}")
+    return TrackedObjects(share, objects)

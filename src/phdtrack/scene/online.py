@@ -1,13 +1,14 @@
 """Learning births and false alarms while tracking [M09 §VI], with forgetting, and a guard against what has become wrong.
 
 Frames wait for their labels (`scene.labelling`). Every few seconds those that are due are labelled, what was learned before
-is scored on them, and the online mixtures of births, of false alarms and of objects' detections learn from them.
+is scored on them, and births, false alarms and objects' detections are learned from them (`scene.online_mixture`).
 
-**The guard.** A density is in use only while it explains new samples better than what would be used without it. For births
-that is p(z|b) against p(z|o), the ratio by which births around detections are weighted (`models.scene`). False alarms are
-added to those of the model, which are no density over the image; p(z|c) is compared with the uniform density.
+**The guard.** A density is in use only while it explains new samples, before it learns them, better than what would be used
+without it: the mean over recent samples of log p(x) − log q(x) must exceed two standard errors. For births q is p(z|o), by
+which births around detections are weighted (`models.scene`). False alarms are added to those of the model, which are no
+density over the image; there q is uniform.
 
-**Regimes.** A scene may be told that it is now in another regime, such as night: each regime has its own mixtures.
+**Regimes.** A user may say that the scene is now in another regime, such as night: each regime has its own mixtures.
 
 Everything is a value: a state goes in and comes out, and the same frames give the same state.
 """
@@ -18,14 +19,15 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from phdtrack.scene.files import LearnedDensity, Scene, TrackedObjects
 from phdtrack.scene.labelling import Labels, PendingFrames, label
-from phdtrack.scene.mixture import OBSERVED, SceneDensity, marginal
+from phdtrack.scene.mixture import OBSERVED, marginal
 from phdtrack.scene.online_mixture import Batch, OnlineMixture
-from phdtrack.scene.training import detected_sizes, measurement_volume, state_volume
+from phdtrack.scene.training import measurement_volume, state_volume
 from phdtrack.types import F8, Step
 
 # Something is learned after this part of the memory, and after so many seconds at least.
@@ -60,8 +62,7 @@ class OnlineLearning:
         return max(MIN_INTERVAL, min(self.memory, known) / BATCHES)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LearnedParts:
+class Known(NamedTuple):
     """Births, false alarms and objects' detections as densities; None where nothing is known."""
 
     births: LearnedDensity | None
@@ -74,33 +75,9 @@ class LearnedParts:
         if self.births is None or self.objects is None:
             return None
         births, objects = marginal(self.births.density, OBSERVED), self.objects.density
-
-        def gain(x: F8) -> F8:
-            z = np.ascontiguousarray(x[list(OBSERVED)])
-            out: F8 = _log(births, z) - _log(objects, z)
-            return out
-
-        return gain
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Batches:
-    """New samples of births, false alarms and objects' detections from the last ``seconds``."""
-
-    births: Batch
-    clutter: Batch
-    objects: Batch
-    seconds: float
-
-    @classmethod
-    def of(cls, labels: Labels, rate: float) -> Batches:
-        """The samples in labels, with ``rate`` time units per second."""
-        possible, seen, per_second = labels.false > 0, labels.false < 1, labels.frames / labels.seconds
-        return cls(
-            Batch(labels.births, np.ones(labels.births.shape[1]), labels.seconds * rate, rate),
-            Batch(labels.box[:, possible], labels.false[possible], labels.frames, per_second),
-            Batch(labels.box[:, seen], 1 - labels.false[seen], labels.frames, per_second),
-            labels.seconds,
+        # Neither is below its uniform part anywhere.
+        return lambda x: np.asarray(
+            np.log(births(x[list(OBSERVED)], births.flat)) - np.log(objects(x[list(OBSERVED)], objects.flat))
         )
 
 
@@ -115,13 +92,12 @@ class Regime:
     clock: float = 0.0
 
     @cached_property
-    def known(self) -> LearnedParts:
+    def known(self) -> Known:
         """What is known, with the shrinkage prior over the sizes that were detected."""
-        size = np.hstack([self.clutter.recent.samples[2:], self.objects.recent.samples[2:]])
-        if not size.shape[1]:
-            return LearnedParts(None, None, None)
-        sizes = detected_sizes(size)
-        return LearnedParts(*(part.learned(sizes) for part in (self.births, self.clutter, self.objects)))
+        sizes = np.hstack([self.clutter.samples[2:], self.objects.samples[2:]])
+        if not sizes.shape[1]:
+            return Known(None, None, None)
+        return Known(*(part.learned(sizes) for part in (self.births, self.clutter, self.objects)))
 
     @property
     def births_used(self) -> bool:
@@ -134,28 +110,32 @@ class Regime:
         return self.births_used or self.clutter.trusted
 
     @property
-    def used(self) -> LearnedParts:
+    def used(self) -> Known:
         """What is in use, with objects."""
-        births, clutter = self.births_used, self.clutter.trusted
-        known = self.known
-        return LearnedParts(known.births if births else None, known.clutter if clutter else None, known.objects)
+        births, clutter, objects = self.known
+        return Known(births if self.births_used else None, clutter if self.clutter.trusted else None, objects)
 
-    def decided(self, new: Batches, memory: float) -> Regime:
-        """With births and false alarms scored on new samples, and in use or not by the evidence; ``memory`` in seconds."""
+    def scored(self, births: Batch, clutter: Batch, memory: float) -> Regime:
+        """With births and false alarms in use or not by the evidence of new samples; ``memory`` in seconds."""
         gain = self.known.birth_gain
-        births = self.births if gain is None else self.births.scored(new.births, memory, gain)
-        return replace(self, births=births.decided(), clutter=self.clutter.scored(new.clutter, memory).decided())
+        scored = self.births.decided() if gain is None else self.births.scored(births, memory, gain)
+        return replace(self, births=scored, clutter=self.clutter.scored(clutter, memory))
 
-    def updated(self, new: Batches, memory: float) -> Regime:
-        """After learning from new samples; ``memory`` in seconds."""
-        now = self.clock + new.seconds
-        return Regime(
-            self.name,
-            self.births.updated(new.births, now, memory),
-            self.clutter.updated(new.clutter, now, memory),
-            self.objects.updated(new.objects, now, memory),
-            now,
-        )
+    def updated(self, new: tuple[Batch, Batch, Batch], seconds: float, memory: float) -> Regime:
+        """After learning from new births, false alarms and objects of the last ``seconds``; ``memory`` in seconds."""
+        now, parts = self.clock + seconds, (self.births, self.clutter, self.objects)
+        births, clutter, objects = (part.updated(batch, now, memory) for part, batch in zip(parts, new, strict=True))
+        return Regime(self.name, births, clutter, objects, now)
+
+
+def batches(labels: Labels, rate: float) -> tuple[Batch, Batch, Batch]:
+    """New births, false alarms and objects' detections in labels, with ``rate`` time units per second."""
+    possible, seen, per_second = labels.false > 0, labels.false < 1, labels.frames / labels.seconds
+    return (
+        Batch(labels.births, np.ones(labels.births.shape[1]), labels.seconds * rate, rate),
+        Batch(labels.box[:, possible], labels.false[possible], labels.frames, per_second),
+        Batch(labels.box[:, seen], 1 - labels.false[seen], labels.frames, per_second),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,27 +198,16 @@ def named(rule: OnlineLearning, state: OnlineScene, name: str) -> OnlineScene:
 def advance(rule: OnlineLearning, state: OnlineScene, step: Step) -> OnlineScene:
     """Take in one frame, and learn when it is time to. Frames that were not observed teach nothing."""
     begun = step.time if math.isnan(state.learned) else state.learned
-    pending = state.pending.joined(step)
-    if step.time < begun + rule.interval(state.regime.clock) or not pending.frames:
+    pending, before = state.pending.joined(step), state.regime
+    if step.time < begun + rule.interval(before.clock) or not pending.frames:
         return replace(state, pending=pending, learned=begun)
     pending, labels = label(pending, step.time - rule.delay, rule.detection, rule.rate)
     state = replace(state, pending=pending, learned=step.time)
-    return _learned(rule, state, labels, step) if labels.frames else state
-
-
-def scene_of(rule: OnlineLearning, regime: Regime, source: str) -> Scene:
-    """What is in use of a regime, as it is written to a file. Which false alarms become tracks is not known."""
-    used = regime.used
-    objects = None if used.objects is None else TrackedObjects(0.0, used.objects)
-    size = round(rule.width), round(rule.height)
-    return Scene(*size, rule.rate, source, used.births, used.clutter, {"mode": regime.name}, objects)
-
-
-def _learned(rule: OnlineLearning, state: OnlineScene, labels: Labels, step: Step) -> OnlineScene:
-    """Score what is known on new samples, decide what is in use, and learn from them."""
-    new, before = Batches.of(labels, rule.rate), state.regime
-    decided = before.decided(new, rule.memory)
-    regime = decided.updated(new, rule.memory)
+    if not labels.frames:
+        return state
+    new = batches(labels, rule.rate)
+    scored = before.scored(*new[:2], rule.memory)
+    regime = scored.updated(new, labels.seconds, rule.memory)
     last = SceneUpdate(
         step.number,
         step.time,
@@ -249,10 +218,18 @@ def _learned(rule: OnlineLearning, state: OnlineScene, labels: Labels, step: Ste
         regime.clutter.evidence.mean,
         regime.births_used,
         regime.clutter.trusted,
-        _changes(before, decided),
+        _changes(before, scored),
     )
     regimes = (*state.regimes[: state.active], regime, *state.regimes[state.active + 1 :])
     return replace(state, regimes=regimes, last=last)
+
+
+def scene_of(rule: OnlineLearning, regime: Regime, source: str) -> Scene:
+    """What is in use of a regime, as it is written to a file. Which false alarms become tracks is not known."""
+    births, clutter, objects = regime.used
+    followed = None if objects is None else TrackedObjects(0.0, objects)
+    size = round(rule.width), round(rule.height)
+    return Scene(*size, rule.rate, source, births, clutter, {"mode": regime.name}, followed)
 
 
 def _changes(before: Regime, now: Regime) -> tuple[str, ...]:
@@ -277,24 +254,11 @@ def _unknown(rule: OnlineLearning, name: str) -> Regime:
 
 def _of_scene(rule: OnlineLearning, scene: Scene) -> Regime:
     """What was learned before; any size may come."""
-
-    def known(unknown: OnlineMixture, learned: LearnedDensity | None, rate: float) -> OnlineMixture:
-        if learned is None:
-            return unknown
-        part = OnlineMixture.of(learned, rule.memory, rate)
-        return replace(part, density=replace(part.density, low=unknown.density.low, high=unknown.density.high))
-
     new = _unknown(rule, str(scene.notes.get("mode", FIRST)))
-    objects = None if scene.followed is None else scene.followed.objects
+    objects = scene.followed.objects if scene.followed is not None else None
     return Regime(
         new.name,
-        known(new.births, scene.births, rule.rate),
-        known(new.clutter, scene.clutter, FRAMES_PER_SECOND),
-        known(new.objects, objects, FRAMES_PER_SECOND),
+        new.births.known(scene.births, rule.memory, rule.rate),
+        new.clutter.known(scene.clutter, rule.memory, FRAMES_PER_SECOND),
+        new.objects.known(objects, rule.memory, FRAMES_PER_SECOND),
     )
-
-
-def _log(p: SceneDensity, z: F8) -> F8:
-    """(k,) log p at boxes (4, k), nowhere below its uniform part."""
-    out: F8 = np.where(p.contains(z), np.logaddexp.reduce(p.log_parts(z), axis=0), math.log(p.flat))
-    return out

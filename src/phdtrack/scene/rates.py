@@ -1,4 +1,4 @@
-"""Rates that are learned from the stream: p_D, false alarms, births, and what the detector's scores are worth.
+"""Rates that are learned from the stream: p_D, false alarms, births, and what the detector's scores say.
 
 **p_D** is the share of frames, from one detection of a track to its next, in which it was detected: n detections over g
 frames of tracks say n/Σg. Frames before the first and after the last detection of a track do not count, nor do tracks that
@@ -20,12 +20,13 @@ of successive scores of a track; the logarithm of the likelihood ratio is multip
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from phdtrack.checks import NonNegative, Positive, check
-from phdtrack.scene.labelling import Labels, PendingFrames, TrackEvidence, label
+from phdtrack.scene.labelling import PendingFrames, TrackEvidence, label
 from phdtrack.types import F8, I8, Step, Tracks
 
 # What the settings count for: frames of one track; frames; detections, where a rate is per detection; births.
@@ -109,18 +110,8 @@ class Rates:
     highest: float = 1.0
     limited: tuple[str, ...] = ()
 
-    def cautious(self, priors: Priors) -> Rates:
-        """With p_D at most, and the rates of false alarms and births at least, as they are set."""
-        return replace(
-            self,
-            detection=min(self.detection, priors.detection),
-            clutter=max(self.clutter, priors.clutter),
-            births=max(self.births, priors.births),
-        )
 
-
-@dataclass(frozen=True, slots=True)
-class RateSums:
+class RateSums(NamedTuple):
     """Sums that fade: ``hits`` in ``span`` frames of tracks; ``false`` alarms among ``detections`` of ``frames``; ``births``
     in ``units`` of time, and ``chances``, the sum of detections times units."""
 
@@ -135,32 +126,26 @@ class RateSums:
 
     def plus(self, other: RateSums, fade: float = 1.0) -> RateSums:
         """These sums times ``fade``, and others."""
-        return RateSums(*(fade * getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+        return RateSums(*(fade * mine + more for mine, more in zip(self, other, strict=True)))
 
     def rates(self, priors: Priors, number: int = 0, time: float = 0.0) -> Rates:
-        """The estimates of p_D and of the rates."""
-        limited = list[str]()
-
-        def within(value: float, low: float, high: float, name: str) -> float:
-            if not low <= value <= high:
-                limited.append(name)
-            return min(max(value, low), high)
-
+        """The estimates of p_D and of the rates, with frame ``number`` at ``time`` seconds."""
         detection = (PRIOR_TRACKED * priors.detection + self.hits) / (PRIOR_TRACKED + self.span)
-        detection = within(detection, *DETECTION_LIMITS, "detection")
-        over, prior = (self.detections, PRIOR_DETECTIONS) if priors.clutter_each else (self.frames, PRIOR_FRAMES)
-        # Of a rate per detection no more than all of them can be false alarms.
-        begun = min(priors.clutter, 1.0) if priors.clutter_each else priors.clutter
+        over, prior, begun = self.frames, PRIOR_FRAMES, priors.clutter
         limits = priors.clutter / CLUTTER_LIMIT, max(priors.clutter, 1.0) * CLUTTER_LIMIT
-        clutter = (prior * begun + self.false) / (prior + over)
-        clutter = within(clutter, *(SHARE_LIMITS if priors.clutter_each else limits), "clutter")
-        births = priors.births
+        if priors.clutter_each:
+            # Of a rate per detection no more than all of them can be false alarms.
+            over, prior, begun, limits = self.detections, PRIOR_DETECTIONS, min(begun, 1.0), SHARE_LIMITS
+        clutter, births = (prior * begun + self.false) / (prior + over), priors.births
         if births > 0:
-            mean = (PRIOR_BIRTHS + self.births) / (
-                PRIOR_BIRTHS / births + (self.chances if priors.births_each else self.units)
-            )
-            births = within(mean, births / BIRTH_LIMIT, births * BIRTH_LIMIT, "births")
-        return Rates(number, time, detection, clutter, births, limited=tuple(limited))
+            exposure = self.chances if priors.births_each else self.units
+            births = (PRIOR_BIRTHS + self.births) / (PRIOR_BIRTHS / births + exposure)
+        found = np.array([detection, clutter, births])
+        allowed = (DETECTION_LIMITS, limits, (priors.births / BIRTH_LIMIT, priors.births * BIRTH_LIMIT))
+        kept = np.clip(found, *np.transpose(allowed))
+        names = ("detection", "clutter", "births")
+        limited = tuple(name for name, out in zip(names, found != kept, strict=True) if out)
+        return Rates(number, time, float(kept[0]), float(kept[1]), float(kept[2]), limited=limited)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,7 +177,7 @@ class LabelledScores:
     def joined(self, score: F8, false: F8) -> LabelledScores:
         """With more of them; only the newest are kept, and no NaN."""
         known = ~np.isnan(score)
-        newer = np.concatenate([self.score, score[known]]), np.concatenate([self.false, false[known]])
+        newer = np.append(self.score, score[known]), np.append(self.false, false[known])
         return LabelledScores(*(part[-MAX_SCORES:] for part in newer))
 
 
@@ -216,21 +201,29 @@ class ScoreScale:
         """From labelled scores; each frame of a track counts for a ``share`` of an independent one."""
         order = np.argsort(labelled.score, kind="stable")
         score, false = labelled.score[order], labelled.false[order]
-        if len(score) == 0 or score[0] == score[-1]:
-            return cls()
         n = len(score)
+        if n == 0 or score[0] == score[-1]:
+            return cls()
         wanted = np.unique(np.ceil(np.arange(1, SCORE_PARTS + 1) * n / SCORE_PARTS).astype(np.int64))
         # Equal scores are in one part.
         ends = np.unique(np.searchsorted(score, score[wanted - 1], side="right"))
-        begins = np.concatenate([[0], ends[:-1]])
-        many = (ends - begins).astype(np.float64) + PRIOR_SCORES
+        begins = np.append(0, ends[:-1])
+        count = ends - begins + PRIOR_SCORES
         mean = (float(false.sum()) + 0.5) / (n + 1)
-        falling = falling_sequence((np.add.reduceat(false, begins) + PRIOR_SCORES * mean) / many, many)
+        falling = falling_sequence((np.add.reduceat(false, begins) + PRIOR_SCORES * mean) / count, count)
         log_ratio = np.log((1 - falling) / falling) - math.log((1 - mean) / mean)
         finite = score[np.isfinite(score)]
         ends_at = (float(finite[0]), float(finite[-1])) if len(finite) else (0.0, 0.0)
         at = np.clip(score, *ends_at)[(begins + ends - 1) // 2]
         return cls(at, share * np.clip(log_ratio, -MAX_LOG_RATIO, MAX_LOG_RATIO))
+
+
+def falling_sequence(value: F8, weight: F8) -> F8:
+    """The falling sequence nearest to ``value`` (k,) in squares of ``weight`` (k,)."""
+    from scipy.optimize import isotonic_regression
+
+    out: F8 = isotonic_regression(value, weights=weight, increasing=False).x
+    return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -246,28 +239,24 @@ class SuccessiveScores:
     def joined(self, identity: I8, frame: I8, score: F8) -> SuccessiveScores:
         """With more detections of tracks: identities, frames and scores (n,). Only the newest pairs are kept."""
         order = np.lexsort((frame, identity))
-        track = np.concatenate([self.identity, identity[order]])
-        value = np.concatenate([self.last, score[order]])
+        track, value = np.append(self.identity, identity[order]), np.append(self.last, score[order])
         order = np.argsort(track, kind="stable")
         track, value = track[order], value[order]
-        same = track[1:] == track[:-1]
-        known = same & ~np.isnan(value[1:]) & ~np.isnan(value[:-1])
-        ends = np.append(~same, True) if len(track) else np.zeros(0, np.bool_)
+        ends = np.diff(track, append=-1) != 0
+        known = ~ends[:-1] & ~np.isnan(value[1:]) & ~np.isnan(value[:-1])
         kept = ends & np.isin(track, identity) if len(identity) else ends
-        first = np.concatenate([self.first, value[:-1][known]])[-MAX_SCORES:]
-        second = np.concatenate([self.second, value[1:][known]])[-MAX_SCORES:]
+        first = np.append(self.first, value[:-1][known])[-MAX_SCORES:]
+        second = np.append(self.second, value[1:][known])[-MAX_SCORES:]
         return SuccessiveScores(first, second, track[kept], value[kept])
 
     @property
     def share(self) -> float:
         """(1 − ρ)/(1 + ρ), the part of an independent frame that each frame of a track counts for."""
         n = len(self.first)
-        both = np.concatenate([self.first, self.second])
-        _, place = np.unique(both, return_inverse=True)
-        if n == 0 or place.max() == 0:
+        _, place, count = np.unique(np.append(self.first, self.second), return_inverse=True, return_counts=True)
+        if len(count) < 2:
             return 0.0
-        many = np.bincount(place)
-        rank = (np.cumsum(many) - 0.5 * many)[place] / len(both) - 0.5
+        rank = (np.cumsum(count) - 0.5 * count)[place] / (2 * n) - 0.5
         alike = float(rank[:n] @ rank[n:] / (0.5 * rank @ rank))
         correlation = max(0.0, (n * alike + PRIOR_PAIRS) / (n + PRIOR_PAIRS))
         return (1 - correlation) / (1 + correlation)
@@ -308,30 +297,23 @@ def advance(rule: RatesLearning, state: LearnedRates, step: Step) -> LearnedRate
         return replace(state, learned=step.time)
     if step.time < state.learned + rule.settings.update_interval or not state.pending.frames:
         return state
-    state = replace(state, successive=_with_successive(state))
+    successive = _with_successive(state)
     pending, labels = label(state.pending, step.time - rule.delay, state.rates.detection, rule.rate)
-    return _learned(rule, replace(state, pending=pending, learned=step.time), labels, step)
-
-
-def _learned(rule: RatesLearning, state: LearnedRates, labels: Labels, step: Step) -> LearnedRates:
-    """With what labels say."""
-    many, units, frames = len(labels.false), labels.seconds * rule.rate, labels.frames
-    counted, tracked = state.counted.updated(state.pending.evidence)
+    number, units, frames = len(labels.false), labels.seconds * rule.rate, labels.frames
+    counted, tracked = state.counted.updated(pending.evidence)
     new = RateSums(
-        tracked.hits, tracked.span, float(labels.false.sum()), many, frames,
-        labels.births.shape[1], units, many * units / max(frames, 1),
+        tracked.hits, tracked.span, float(labels.false.sum()), number, frames,
+        labels.births.shape[1], units, number * units / max(frames, 1),
     )  # fmt: skip
     sums = state.sums.plus(new, math.exp(-labels.seconds / rule.settings.memory))
     labelled, scale = state.labelled, state.scale
     if frames:
         labelled = labelled.joined(np.concatenate(state.scores[:frames]), labels.false)
-        scale = ScoreScale.learned(labelled, state.successive.share)
-    ratios = np.exp(scale.log_ratio[[0, -1]]) if len(scale.at) > 1 else np.ones(2)
-    rates = sums.plus(_waiting(state.pending)).rates(rule.priors, step.number, step.time)
-    rates = replace(rates, lowest=float(ratios[0]), highest=float(ratios[1]))
-    return replace(
-        state, rates=rates, sums=sums, counted=counted, scores=state.scores[frames:], labelled=labelled, scale=scale
-    )
+        scale = ScoreScale.learned(labelled, successive.share)
+    lowest, highest = np.exp(scale.log_ratio[[0, -1]]) if len(scale.at) > 1 else np.ones(2)
+    rates = sums.plus(_waiting(pending)).rates(rule.priors, step.number, step.time)
+    rates = replace(rates, lowest=float(lowest), highest=float(highest))
+    return LearnedRates(rates, sums, counted, pending, state.scores[frames:], labelled, successive, scale, step.time)
 
 
 def _with_successive(state: LearnedRates) -> SuccessiveScores:
@@ -340,31 +322,13 @@ def _with_successive(state: LearnedRates) -> SuccessiveScores:
     number = np.array([frame.number for frame in frames], np.int64)
     rows = Tracks.concatenate([frame.rows for frame in frames[counted:]])
     rows = rows.take((rows.detection >= 0) & rows.confirmed & np.isin(rows.frame, number))
-    many = np.array([len(score) for score in state.scores], np.int64)
-    start = np.cumsum(many) - many
+    count = np.array([len(score) for score in state.scores], np.int64)
+    start = np.cumsum(count) - count
     score = np.concatenate([*state.scores, np.zeros(0)])[start[np.searchsorted(number, rows.frame)] + rows.detection]
     return state.successive.joined(rows.identity, rows.frame, score)
 
 
 def _waiting(pending: PendingFrames) -> RateSums:
     """Sums over the frames that wait for labels, by the filter's probabilities."""
-    return RateSums(
-        false=sum(float(frame.false.sum()) for frame in pending.frames),
-        detections=sum(len(frame.false) for frame in pending.frames),
-        frames=len(pending.frames),
-    )
-
-
-def falling_sequence(value: F8, weight: F8) -> F8:
-    """The falling sequence nearest to ``value`` (k,) in squares of ``weight`` (k,), by pooling adjacent violators."""
-    means, weights, counts = list[float](), list[float](), list[int]()
-    for v, w in zip(value.tolist(), weight.tolist(), strict=True):
-        means.append(v)
-        weights.append(w)
-        counts.append(1)
-        while len(means) > 1 and means[-2] < means[-1]:
-            total = weights[-2] + weights[-1]
-            means[-2] = (means[-2] * weights[-2] + means[-1] * weights[-1]) / total
-            weights[-2], counts[-2] = total, counts[-2] + counts[-1]
-            del means[-1], weights[-1], counts[-1]
-    return np.repeat(means, counts)
+    false = [frame.false for frame in pending.frames]
+    return RateSums(false=sum(float(f.sum()) for f in false), detections=sum(map(len, false)), frames=len(false))

@@ -19,7 +19,7 @@ import numpy as np
 
 from phdtrack.arrays import to_cxcywh
 from phdtrack.errors import InputError
-from phdtrack.scene.em import MIN_UNIFORM, RecursiveEM, grid, known_moments, parameters
+from phdtrack.scene.em import grid, learn, limited_uniform, parameters
 from phdtrack.scene.files import LearnedDensity
 from phdtrack.scene.mixture import SceneDensity
 from phdtrack.types import F8, I8, Tracks
@@ -36,9 +36,6 @@ MIN_DURATION, MIN_DISTANCE = 1.0, 1.0
 # Samples that the shrinkage prior counts for; how much the range of detected sizes, between two quantiles, is widened.
 PRIOR, WIDENING, SIZE_QUANTILES = 10, 1.5, (0.01, 0.99)
 
-Sizes = tuple[F8, F8]
-"""Smallest and largest width and height, (2,) each, pixels."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Training:
@@ -49,11 +46,7 @@ class Training:
 
 
 def learn_births(
-    states: F8,
-    time_units: float,
-    frame_size: tuple[float, float],
-    learner: RecursiveEM,
-    corner: tuple[float, float] = (0.0, 0.0),
+    states: F8, time_units: float, frame_size: tuple[float, float], corner: tuple[float, float] = (0.0, 0.0)
 ) -> Training:
     """Births p(x|b) with s̄, their number per time unit. The volume holds every velocity seen, doubled.
 
@@ -62,8 +55,11 @@ def learn_births(
     states : (6, n) first states of targets that entered, or (4, n) without a size; velocities may be NaN, unknown.
     time_units : length of the stretch.
     frame_size : width and height of the image, pixels, or of the region of the ground, metres.
-    learner : settings of EM.
     corner : left and lower end of the region.
+
+    Returns
+    -------
+    The density, its rate and its gain.
 
     Raises
     ------
@@ -77,16 +73,10 @@ def learn_births(
     if len(speeds) == 0:
         raise InputError("no birth's velocity is known", where="learning births", cure="Mark where detections follow")
     low, high = state_volume(*frame_size, 2 * float(speeds.max()) + 1e-6, corner, sized=len(states) == 6)
-    weight = np.ones(states.shape[1])
-    centre, spread = _typical(states, weight, high - low)
-    centre[2:4] = 0
-    start = grid(low, high, BIRTH_GRID, centre, spread)
-    return _trained(start, states, weight, states.shape[1] / time_units, learner)
+    return _trained(_start(states, low, high, BIRTH_GRID), states, states.shape[1] / time_units)
 
 
-def learn_clutter(
-    boxes: F8, frames: int, frame_size: tuple[float, float], learner: RecursiveEM, weight: F8 | None = None
-) -> Training:
+def learn_clutter(boxes: F8, frames: int, frame_size: tuple[float, float]) -> Training:
     """False alarms p(z|c) with r̄, their number per frame.
 
     Parameters
@@ -94,39 +84,42 @@ def learn_clutter(
     boxes : (4, n) centre and size of the boxes marked as false.
     frames : number of frames on which detections were looked at.
     frame_size : width and height, pixels.
-    learner : settings of EM.
-    weight : (n,) probability that each is false, 1 where it is None.
+
+    Returns
+    -------
+    The density, its rate and its gain.
 
     Raises
     ------
-    InputError : fewer than ten boxes by their weights, or no frames.
+    InputError : fewer than ten boxes, or no frames.
     """
-    weights = np.ones(boxes.shape[1]) if weight is None else weight
-    _check_number(round(float(weights.sum())), "detections marked as false", "Mark more of them")
-    return _trained_boxes(boxes, weights, frames, frame_size, learner)
+    _check_number(boxes.shape[1], "detections marked as false", "Mark more of them")
+    return _trained_boxes(boxes, frames, frame_size)
 
 
-def learn_objects(boxes: F8, frames: int, frame_size: tuple[float, float], learner: RecursiveEM) -> Training:
+def learn_objects(boxes: F8, frames: int, frame_size: tuple[float, float]) -> Training:
     """Where objects are detected, p(z|o), with their number per frame.
 
     Parameters
     ----------
     boxes : (4, n) centre and size of the boxes that were not marked as false.
-    frames : number of frames on which detections were looked at.
-    frame_size : width and height, pixels.
-    learner : settings of EM.
+    frames, frame_size : as of `learn_clutter`.
+
+    Returns
+    -------
+    The density, its rate and its gain.
 
     Raises
     ------
     InputError : fewer than ten boxes, or no frames.
     """
     _check_number(boxes.shape[1], "detections of objects on the frames that were looked at", "Look at more frames")
-    return _trained_boxes(boxes, np.ones(boxes.shape[1]), frames, frame_size, learner)
+    return _trained_boxes(boxes, frames, frame_size)
 
 
-def box_density(boxes: F8, frame_size: tuple[float, float], learner: RecursiveEM) -> SceneDensity:
+def box_density(boxes: F8, frame_size: tuple[float, float]) -> SceneDensity:
     """The density of boxes (4, n) for a picture: how well it fits is not asked, which takes the most time."""
-    return learner.learn(_box_grid(boxes, np.ones(boxes.shape[1]), frame_size), boxes)
+    return learn(_start(boxes, *measurement_volume(*frame_size), CLUTTER_GRID), boxes)
 
 
 def predictive(p: SceneDensity, samples: float) -> SceneDensity:
@@ -139,41 +132,36 @@ def predictive(p: SceneDensity, samples: float) -> SceneDensity:
     return replace(p, covariance=p.covariance * ((n + 1) / (n - p.dim - 2))[:, None, None])
 
 
-def detected_sizes(size: F8) -> Sizes:
-    """The range of sizes that may appear where sizes (2, n) were detected. Raises `InputError` without detections."""
+def with_prior(learned: LearnedDensity, size: F8) -> LearnedDensity:
+    """The density with the shrinkage prior over the range of sizes (2, n) that were detected: the last two components.
+
+    Raises `InputError` without detections.
+    """
     if size.shape[1] == 0:
         raise InputError("there are no detections whose sizes could be known", where="sizes")
     smallest, largest = np.quantile(size, SIZE_QUANTILES, axis=1)
-    return smallest / WIDENING, largest * WIDENING
-
-
-def with_prior(learned: LearnedDensity, sizes: Sizes) -> LearnedDensity:
-    """The density with the shrinkage prior; the last two components of its states are sizes."""
     density, n = learned.density, learned.samples
     low, high = density.low.copy(), density.high.copy()
-    low[-2:], high[-2:] = sizes
+    low[-2:], high[-2:] = smallest / WIDENING, largest * WIDENING
     uniform = max(density.uniform, PRIOR / (n + PRIOR))
     return replace(learned, density=replace(density, low=low, high=high, uniform=uniform))
 
 
 def births_in(tracks: Tracks, fps: float, rate: float, shown: F8 | None = None) -> F8:
-    """The first states of the tracks that last and go somewhere; flicker does neither. Arguments as of `first_states`."""
-    return first_states(tracks, fps, rate, max(5, round(MIN_DURATION * fps)), shown, MIN_DISTANCE)
+    """(6, n) states (px, py, vx, vy, w, h) in which the tracks began that last and go somewhere; flicker does neither.
 
-
-def first_states(
-    tracks: Tracks, fps: float, rate: float, min_rows: int = 5, shown: F8 | None = None, min_distance: float = 0.0
-) -> F8:
-    """(6, n) states (px, py, vx, vy, w, h) in which tracks began [M09 §IV]; tracks of the first frame began before it.
+    Tracks of the first frame began before it [M09 §IV].
 
     Parameters
     ----------
     tracks : M rows of corrected tracks.
     fps : frames per second.
     rate : time units per second of the velocities.
-    min_rows : rows that a track must have.
-    shown : (r, M) what the rows show, position first, if it is not centre and size of the boxes; states are then (r + 2, n).
-    min_distance : distance that a track must go, in its sizes.
+    shown : (r, M) what the rows show, position first, if it is not centre and size of the boxes.
+
+    Returns
+    -------
+    The states; (r + 2, n) where ``shown`` is given.
     """
     boxes = to_cxcywh(tracks.xyxy)
     box = boxes if shown is None else shown
@@ -182,8 +170,8 @@ def first_states(
     opening = int(tracks.frame.min(initial=np.iinfo(np.int64).max))
     states = []
     for rows in np.split(order, start[1:]) if len(order) else []:
-        known = len(rows) >= min_rows and tracks.frame[rows[0]] > opening
-        if known and (min_distance == 0 or distance_gone(boxes[:, rows]) >= min_distance):
+        lasting = len(rows) >= max(5, round(MIN_DURATION * fps)) and tracks.frame[rows[0]] > opening
+        if lasting and distance_gone(boxes[:, rows]) >= MIN_DISTANCE:
             states.append(first_state(box[:, rows], (tracks.frame[rows] - tracks.frame[rows[0]]) / fps, rate))
     return np.array(states).reshape(-1, len(box) + 2).T.copy()
 
@@ -203,6 +191,10 @@ def first_state(box: F8, seconds: F8, rate: float) -> F8:
     box : (r, n) what the track shows, position first.
     seconds : (n,) after the first.
     rate : time units per second of the velocity.
+
+    Returns
+    -------
+    Position, velocity, and the other components.
     """
     lead = max(3, int((seconds <= LEAD).sum()))
     time = seconds[:lead] * rate
@@ -222,10 +214,16 @@ def state_volume(
     max_speed : largest velocity along an axis.
     corner : left and lower end of the region.
     sized : whether states have a size.
+
+    Returns
+    -------
+    The lower and the upper bounds.
     """
     left, top = corner
-    low, high = [left, top, -max_speed, -max_speed], [left + width, top + height, max_speed, max_speed]
-    return np.array([*low, *([0.0, 0.0] if sized else [])]), np.array([*high, *([width, height] if sized else [])])
+    low = [left, top, -max_speed, -max_speed, 0.0, 0.0]
+    high = [left + width, top + height, max_speed, max_speed, width, height]
+    dim = 6 if sized else 4
+    return np.array(low[:dim]), np.array(high[:dim])
 
 
 def measurement_volume(width: float, height: float) -> tuple[F8, F8]:
@@ -233,55 +231,53 @@ def measurement_volume(width: float, height: float) -> tuple[F8, F8]:
     return np.zeros(4), np.array([width, height, width, height], np.float64)
 
 
-def _trained_boxes(boxes: F8, weight: F8, frames: int, frame_size: tuple[float, float], learner: RecursiveEM) -> Training:
+def _trained_boxes(boxes: F8, frames: int, frame_size: tuple[float, float]) -> Training:
+    """What boxes teach that were found on so many frames."""
     if frames < 1:
         raise InputError(f"expected frames on which detections were looked at, got {frames}", where="learning from boxes")
-    return _trained(_box_grid(boxes, weight, frame_size), boxes, weight, float(weight.sum()) / frames, learner)
+    return _trained(_start(boxes, *measurement_volume(*frame_size), CLUTTER_GRID), boxes, boxes.shape[1] / frames)
 
 
-def _box_grid(boxes: F8, weight: F8, frame_size: tuple[float, float]) -> SceneDensity:
-    """Where learning from boxes begins."""
-    low, high = measurement_volume(*frame_size)
-    return grid(low, high, CLUTTER_GRID, *_typical(boxes, weight, high - low))
+def _start(samples: F8, low: F8, high: F8, counts: tuple[int, int]) -> SceneDensity:
+    """Where learning begins: mean and deviation of what the samples show, at rest."""
+    mean = np.nanmean(samples, axis=1)
+    if counts == BIRTH_GRID:
+        mean[2:4] = 0
+    return grid(low, high, counts, mean, np.maximum(np.nanstd(samples, axis=1), 0.01 * (high - low)))
 
 
-def _trained(start: SceneDensity, samples: F8, weight: F8, rate: float, learner: RecursiveEM) -> Training:
-    shown = np.where(np.isnan(samples), start.low[:, None], samples)
-    used = start.contains(shown)
-    inside, weight = np.ascontiguousarray(samples[:, used]), weight[used]
-    density = predictive(learner.learn(start, inside, weight), float(weight.sum()))
-    unseen, log_ratio = _left_out(start, inside, weight, learner)
-    gain = math.nan
-    if len(unseen) >= 2 and weight[unseen].sum() > 0:
-        uniform = _best_uniform(log_ratio, weight[unseen])
-        gain = float(np.average(_gains(log_ratio, uniform), weights=weight[unseen]))
+def _trained(start: SceneDensity, samples: F8, rate: float) -> Training:
+    """The density learned from the samples in the volume, with the uniform share of those left out."""
+    used = start.contains(np.where(np.isnan(samples), start.low[:, None], samples))
+    inside = np.ascontiguousarray(samples[:, used])
+    density = predictive(learn(start, inside), inside.shape[1])
+    log_ratio, gain = _left_out(start, inside), math.nan
+    if len(log_ratio) >= 2:
+        uniform = _best_uniform(log_ratio)
+        gain = float(_gains(log_ratio, uniform).mean())
         density = replace(density, uniform=max(density.uniform, uniform))
     return Training(LearnedDensity(rate, density, inside.shape[1]), gain)
 
 
-def _left_out(start: SceneDensity, samples: F8, weight: F8, learner: RecursiveEM) -> tuple[I8, F8]:
-    """Which samples were left out (n,), and log of the Gaussians learned from the others over 1/V at each (n,)."""
-    complete = np.flatnonzero(np.isfinite(samples).all(axis=0))
-    folds = range(FOLDS) if len(complete) <= MAX_ALL_FOLDS else [FOLDS - 1]
-    left_out, log_ratio = [complete[:0]], [np.zeros(0)]
-    for fold in folds:
+def _left_out(start: SceneDensity, samples: F8) -> F8:
+    """(n,) log of the Gaussians learned from the others over 1/V at each sample that was left out."""
+    complete: I8 = np.flatnonzero(np.isfinite(samples).all(axis=0))
+    log_ratio = [np.zeros(0)]
+    for fold in range(FOLDS) if len(complete) <= MAX_ALL_FOLDS else [FOLDS - 1]:
         out = complete[fold::FOLDS]
-        others = np.delete(np.arange(samples.shape[1]), out)
-        if len(out) and weight[others].sum() > 0:
-            left = learner.learn(start, np.ascontiguousarray(samples[:, others]), weight[others])
-            tried = predictive(left, float(weight[others].sum()))
-            parts = tried.log_parts(np.ascontiguousarray(samples[:, out]))[1:]
+        others = np.delete(samples, out, axis=1)
+        if len(out) and others.shape[1]:
+            tried = predictive(learn(start, others), others.shape[1])
+            parts = tried.log_parts(samples[:, out])[1:]
             log_ratio.append(np.logaddexp.reduce(parts, axis=0) - math.log((1 - tried.uniform) / start.volume))
-            left_out.append(out)
-    return np.concatenate(left_out), np.concatenate(log_ratio)
+    return np.concatenate(log_ratio)
 
 
-def _best_uniform(log_ratio: F8, weight: F8) -> float:
+def _best_uniform(log_ratio: F8) -> float:
     """α_u of the greatest likelihood where the Gaussians are exp(log_ratio) times the uniform part."""
     uniform = 0.5
     for _ in range(200):
-        uniform = float(np.average(np.exp(math.log(uniform) - _gains(log_ratio, uniform)), weights=weight))
-        uniform = min(max(uniform, MIN_UNIFORM), 1 - MIN_UNIFORM)
+        uniform = limited_uniform(float(np.exp(math.log(uniform) - _gains(log_ratio, uniform)).mean()))
     return uniform
 
 
@@ -291,12 +287,7 @@ def _gains(log_ratio: F8, uniform: float) -> F8:
     return out
 
 
-def _typical(samples: F8, weight: F8, extent: F8) -> tuple[F8, F8]:
-    """Mean and standard deviation of each component where it is known, the latter at least a hundredth of the extent."""
-    mean, variance = known_moments(samples, weight)
-    return mean, np.maximum(np.sqrt(variance), 0.01 * extent)
-
-
 def _check_number(count: int, what: str, cure: str, least: int = MIN_SAMPLES) -> None:
+    """Raise `InputError` where there are too few samples."""
     if count < max(least, MIN_SAMPLES):
         raise InputError(f"expected at least {max(least, MIN_SAMPLES)} {what}, got {count}", where="learning", cure=cure)

@@ -25,7 +25,7 @@ def walk(identity, frames, speed, confirmed=True):
 
 def evidence(*tracks):
     rows = Tracks.concatenate(list(tracks))
-    return TrackEvidence.none().with_rows(rows, rows.frame)
+    return TrackEvidence().with_rows(rows, rows.frame)
 
 
 def test_without_frames_the_settings_hold():

@@ -10,7 +10,7 @@ from phdtrack import Tracker, config, pipeline
 from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD, MHT, ParticlePHD
 from phdtrack.models import FixedBirth, LocalClutter, ScoredClutter, UniformClutter
-from phdtrack.models.learning import RatesState, with_births, with_clutter, with_detection
+from phdtrack.models.learning import RatesState, with_clutter, with_detection
 from phdtrack.scene.rates import ScoreScale
 from phdtrack.simulate import DetectorModel, detect
 from phdtrack.types import Detections, GaussianMixture, SequenceInfo
@@ -60,12 +60,15 @@ def test_rates_replace_those_of_the_model_in_steps():
     assert again.birth is model.birth
 
 
-def test_parts_of_ones_own_stay():
+def test_parts_of_another_kind_stay():
+    """Births at given places have no rate that is learned, nor have a sensor and false alarms of a user's own."""
+    built, own = stages(), object()
     given = FixedBirth(GaussianMixture(np.ones(1), np.zeros((6, 1)), np.eye(6)[None]))
-    own = object()
-    assert with_births(given, 3.0) is given
-    assert with_detection(own, 0.5) is own
-    assert with_clutter(own, 0.5) is own
+    model = replace(built.model, birth=given, sensor=own, clutter=own)
+    assert with_detection(model, 0.5).sensor is own
+    assert with_clutter(model, 0.5).clutter is own
+    learned = built.learning.model(knowing(built, births=0.003), replace(built.model, birth=given))
+    assert learned.birth is given
 
 
 @pytest.mark.parametrize("volume", ["image", "local"])
