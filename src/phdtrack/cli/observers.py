@@ -250,7 +250,7 @@ def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover:
 
         def measured(frame: Frame, found: Detections) -> F8:
             warp = motion(frame.image, found.xyxy)
-            return warp if motion.flow.measured else STILL
+            return warp if motion.measured else STILL
 
         return measured
     warps = read_warps(chosen.file)

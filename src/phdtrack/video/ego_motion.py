@@ -1,8 +1,4 @@
-"""Settings of the camera's motion: none, measured by sparse optical flow, or given in a file.
-
-How far a camera went: what is told of its motion at the end of a run.
-
-The motion of the camera between two pictures, from points of the background that are followed.
+"""The motion of the camera: none, given in a file, or measured between two pictures by following points of the background.
 
 Corners (Shi and Tomasi) of the earlier picture, outside the boxes of what was detected there, are followed by pyramids of
 Lucas and Kanade's method into the later one and back; those that do not come back to where they began are dropped. RANSAC
@@ -16,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -24,6 +20,13 @@ from phdtrack.checks import Positive, PositiveCount, Share, check
 from phdtrack.errors import InputError
 from phdtrack.models import warp as warp_of
 from phdtrack.types import F8, Image
+
+# Corners weaker than this share of the best are none; they keep this share of the width apart.
+_QUALITY, _APART = 0.01, 0.012
+# Around a box as much of its size is left out besides: shadows, and limbs that the box has not.
+_MARGIN = 0.1
+# No camera zooms by more from one frame to the next, or moves the picture by more than this share of its width.
+_ZOOM, _JUMP = 1.5, 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +50,7 @@ class GivenWarps:
 class SparseFlow:
     """Motion measured by points that are followed from one picture to the next.
 
-    Corners outside the detected boxes are followed by Lucas and Kanade's method, forth and back, and a map is fitted to them
-    by RANSAC: most of what is seen belongs to the background, or it cannot be measured so.
+    Most of what is seen must belong to the background.
 
     Parameters
     ----------
@@ -72,6 +74,38 @@ class SparseFlow:
         check(self)
 
 
+class CameraMotion:
+    """How the camera moved since the picture before; it remembers that one.
+
+    motion = CameraMotion()
+    warp = motion(image, boxes)                 # the identity for the first
+    rows = tracker.update(boxes, warp=warp)
+
+    Call it once for every `Tracker.update`, with the picture that the boxes are from. ``measured`` is False where the motion
+    could not be found in the last picture and is taken for none.
+    """
+
+    def __init__(self, settings: SparseFlow | None = None) -> None:
+        self.settings = SparseFlow() if settings is None else settings
+        self.reset()
+
+    def reset(self) -> None:
+        """The next picture is the first of a new sequence."""
+        self._before: _View | None = None
+        self.measured = True
+
+    def __call__(self, image: Image, xyxy: F8) -> F8:
+        """(3, 3) map from the pixels of the picture before to this one's (H, W, 3), in which ``xyxy`` (n, 4) were detected.
+
+        Raises `InputError` where ``image`` is no picture.
+        """
+        now = _view(image, xyxy, self.settings.width)
+        warp = np.eye(3) if self._before is None else _between(self._before, now, self.settings)
+        self._before = now
+        self.measured = warp is not None
+        return np.eye(3) if warp is None else warp
+
+
 @dataclass(slots=True)
 class CameraPath:
     """Sums over the frames so far, for pictures of ``width`` and ``height`` pixels.
@@ -79,8 +113,9 @@ class CameraPath:
     Attributes
     ----------
     frames : motions added; ``unmeasured`` of them are not known and count as none.
-    pixels : way of what is in the middle of the picture, frame by frame.      largest : the longest such step.
-    turned : degrees turned about the line of sight, either way.    zoomed : factor by which sizes have changed in all.
+    pixels : way of what is in the middle of the picture, frame by frame; ``largest`` is the longest such step.
+    turned : degrees turned about the line of sight, either way.
+    zoomed : factor by which sizes have changed in all.
     """
 
     width: float
@@ -98,10 +133,10 @@ class CameraPath:
         if len(warp) == 0:
             self.unmeasured += 1
             return
-        middle = np.array([[self.width / 2], [self.height / 2]])
+        middle = np.array([self.width / 2, self.height / 2])
         # A unit step to the right, as a state's velocity.
-        moved = warp_of.warp_states(np.vstack([middle, [[1.0], [0.0], [1.0]]]), warp, (4,))[:, 0]
-        step = float(np.hypot(*(moved[:2] - middle[:, 0])))
+        moved = warp_of.warp_states(np.array([[*middle, 1.0, 0.0, 1.0]]).T, warp, (4,))[:, 0]
+        step = float(np.hypot(*(moved[:2] - middle)))
         self.pixels += step
         self.largest = max(self.largest, step)
         self.turned += abs(math.degrees(math.atan2(moved[3], moved[2])))
@@ -129,16 +164,7 @@ class CameraPath:
         }
 
 
-# Corners weaker than this share of the best are none; they keep this share of the width apart.
-_QUALITY, _APART = 0.01, 0.012
-# Around a box as much of its size is left out besides: shadows, and limbs that the box has not.
-_MARGIN = 0.1
-# No camera zooms by more from one frame to the next, or moves the picture by more than this share of its width.
-_ZOOM, _JUMP = 1.5, 0.6
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
+class _View(NamedTuple):
     """One picture as the flow sees it: ``gray`` (h, w) uint8, scaled by ``scale``, with ``boxes`` (n, 4) in its pixels."""
 
     gray: Image
@@ -146,70 +172,58 @@ class View:
     boxes: F8
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Flow:
-    """What was measured between two pictures.
-
-    ``warp`` (3, 3) takes pixels of the earlier to those of the later; the identity where it was not ``measured``.
-    ``followed`` points came back to where they began, ``fitting`` of them agree with the map.
-    """
-
-    warp: F8
-    measured: bool
-    followed: int = 0
-    fitting: int = 0
-
-
-def view(image: Image, xyxy: F8, settings: SparseFlow) -> View:
-    """The picture (H, W, 3) BGR, or (H, W) gray, uint8, with the boxes (n, 4) that were detected in it.
-
-    Parameters
-    ----------
-    image : (H, W, 3) BGR, or (H, W) gray, uint8.
-    xyxy : (n, 4) boxes detected in it, pixels.
-    settings : of the flow.
-    """
+def _view(image: Image, xyxy: F8, width: int) -> _View:
+    """The picture (H, W, 3) BGR, or (H, W) gray, scaled down to ``width``."""
     import cv2
 
     if image.ndim not in (2, 3) or not image.size:
         raise InputError(f"expected a picture (H, W, 3), got an array of shape {image.shape}", where="camera motion")
     gray = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    scale = min(1.0, settings.width / gray.shape[1])
+    scale = min(1.0, width / gray.shape[1])
     if scale < 1:
-        size = settings.width, max(1, round(scale * gray.shape[0]))
-        gray = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
-    return View(gray, scale, scale * np.asarray(xyxy, np.float64).reshape(-1, 4))
+        gray = cv2.resize(gray, (width, max(1, round(scale * gray.shape[0]))), interpolation=cv2.INTER_AREA)
+    return _View(gray, scale, scale * np.asarray(xyxy, np.float64).reshape(-1, 4))
 
 
-def between(before: View, after: View, settings: SparseFlow) -> Flow:
-    """How the camera moved between two views.
+def _between(before: _View, after: _View, settings: SparseFlow) -> F8 | None:
+    """(3, 3) how the camera moved between two views, in pixels of the video; None where it cannot be told."""
+    import cv2
 
-    Parameters
-    ----------
-    before, after : two pictures.
-    settings : of the flow.
-    """
     found, arrived = _followed(before, after, settings)
     if len(found) < settings.min_points:
-        return Flow(np.eye(3), False, len(found))
-    small, fitting = _fitted(found, arrived, settings)
-    if small is None or fitting < max(settings.min_points, settings.min_inlier_share * len(found)):
-        return Flow(np.eye(3), False, len(found), fitting)
-    warp = _unscaled(small, before.scale)
-    if not _credible(warp, before):
-        return Flow(np.eye(3), False, len(found), fitting)
-    return Flow(warp, True, len(found), fitting)
+        return None
+    if settings.form == "homography":
+        matrix, inside = cv2.findHomography(found, arrived, cv2.RANSAC, settings.max_error, maxIters=2000, confidence=0.999)
+    else:
+        matrix, inside = cv2.estimateAffinePartial2D(
+            found, arrived, method=cv2.RANSAC, ransacReprojThreshold=settings.max_error, maxIters=2000, confidence=0.999
+        )
+    if matrix is None or not np.isfinite(matrix).all():
+        return None
+    if np.count_nonzero(inside) < max(settings.min_points, settings.min_inlier_share * len(found)):
+        return None
+    small = np.vstack([matrix, [0.0, 0.0, 1.0]])[:3]
+    # Boxes count from a pixel's edge and not, as OpenCV does, from its middle.
+    to_small = np.array([[before.scale, 0.0, -0.5], [0.0, before.scale, -0.5], [0.0, 0.0, 1.0]])
+    warp = np.linalg.inv(to_small) @ small @ to_small
+    warp /= warp[2, 2]
+    return warp if _credible(warp, before) else None
 
 
-def _followed(before: View, after: View, settings: SparseFlow) -> tuple[F8, F8]:
+def _followed(before: _View, after: _View, settings: SparseFlow) -> tuple[F8, F8]:
     """(n, 2) points of the earlier view, and where they are in the later one."""
     import cv2
 
     none = np.zeros((0, 2))
     if before.gray.shape != after.gray.shape:
         return none, none
+    background: Image = np.full(before.gray.shape, 255, np.uint8)
+    for left, top, right, bottom in before.boxes:
+        margin = _MARGIN * max(right - left, bottom - top)
+        x0, y0, x1, y1 = np.maximum([left - margin, top - margin, right + margin, bottom + margin], 0).astype(int)
+        background[y0:y1, x0:x1] = 0
     apart = max(3.0, _APART * before.gray.shape[1])
-    corners = cv2.goodFeaturesToTrack(before.gray, settings.max_points, _QUALITY, apart, mask=_background(before))
+    corners = cv2.goodFeaturesToTrack(before.gray, settings.max_points, _QUALITY, apart, mask=background)
     if corners is None:
         return none, none
     there, arrived, _ = cv2.calcOpticalFlowPyrLK(before.gray, after.gray, corners, None, winSize=(21, 21), maxLevel=4)
@@ -219,79 +233,13 @@ def _followed(before: View, after: View, settings: SparseFlow) -> tuple[F8, F8]:
     return corners.reshape(-1, 2)[good].astype(np.float64), there.reshape(-1, 2)[good].astype(np.float64)
 
 
-def _background(before: View) -> Image:
-    """(h, w) 255 where no box is, and a margin about it."""
-    high, wide = before.gray.shape
-    mask: Image = np.full((high, wide), 255, np.uint8)
-    for left, top, right, bottom in before.boxes:
-        margin = _MARGIN * max(right - left, bottom - top)
-        x = np.clip([left - margin, right + margin], 0, wide).astype(int)
-        y = np.clip([top - margin, bottom + margin], 0, high).astype(int)
-        mask[y[0] : y[1], x[0] : x[1]] = 0
-    return mask
-
-
-def _fitted(found: F8, arrived: F8, settings: SparseFlow) -> tuple[F8 | None, int]:
-    """The map (3, 3) between the points that most agree on, and how many do; None where there is none."""
-    import cv2
-
-    if settings.form == "homography":
-        matrix, inside = cv2.findHomography(found, arrived, cv2.RANSAC, settings.max_error, maxIters=2000, confidence=0.999)
-    else:
-        matrix, inside = cv2.estimateAffinePartial2D(
-            found, arrived, method=cv2.RANSAC, ransacReprojThreshold=settings.max_error, maxIters=2000, confidence=0.999
-        )
-    if matrix is None or not np.isfinite(matrix).all():
-        return None, 0
-    whole = np.vstack([matrix, [0.0, 0.0, 1.0]]) if len(matrix) == 2 else np.asarray(matrix)
-    return whole, int(np.count_nonzero(inside))
-
-
-def _unscaled(small: F8, scale: float) -> F8:
-    """The map in the pixels of the video, whose boxes count from a pixel's edge and not, as OpenCV does, from its middle."""
-    to_small = np.array([[scale, 0.0, -0.5], [0.0, scale, -0.5], [0.0, 0.0, 1.0]])
-    warp = np.linalg.inv(to_small) @ small @ to_small
-    return np.asarray(warp / warp[2, 2])
-
-
-def _credible(warp: F8, before: View) -> bool:
+def _credible(warp: F8, before: _View) -> bool:
     """Whether a camera may have moved so: the corners of the picture stay in order and near where they were."""
     high, wide = (side / before.scale for side in before.gray.shape)
-    corners = np.array([[0, wide, wide, 0], [0, 0, high, high], [1, 1, 1, 1]])
-    moved = warp @ corners
+    moved = warp @ np.array([[0, wide, wide, 0], [0, 0, high, high], [1, 1, 1, 1]])
     if (moved[2] <= 0.2).any():
         return False
     place = moved[:2] / moved[2]
     sides = np.linalg.norm(place - np.roll(place, 1, axis=1), axis=0) / [high, wide, high, wide]
     jump = np.linalg.norm(place.mean(axis=1) - [wide / 2, high / 2])
     return bool((sides < _ZOOM).all() and (sides > 1 / _ZOOM).all() and jump < _JUMP * wide)
-
-
-class CameraMotion:
-    """How the camera moved since the picture before; it remembers that one.
-
-    motion = CameraMotion()
-    warp = motion(image, boxes)                 # the identity for the first
-    rows = tracker.update(boxes, warp=warp)
-
-    Call it once for every `Tracker.update`, with the picture that the boxes are from.
-    """
-
-    def __init__(self, settings: SparseFlow | None = None) -> None:
-        self.settings = SparseFlow() if settings is None else settings
-        self.reset()
-
-    def reset(self) -> None:
-        """The next picture is the first of a new sequence."""
-        self._before: View | None = None
-        self.flow = Flow(np.eye(3), True)
-
-    def __call__(self, image: Image, xyxy: F8) -> F8:
-        """(3, 3) map from the pixels of the picture before to this one's (H, W, 3), in which ``xyxy`` (n, 4) were detected.
-
-        `flow` then says what it rests on. Raises `InputError` where ``image`` is no picture.
-        """
-        now = view(image, xyxy, self.settings)
-        self.flow = Flow(np.eye(3), True) if self._before is None else between(self._before, now, self.settings)
-        self._before = now
-        return self.flow.warp

@@ -1,15 +1,13 @@
-"""What every source of frames has, and the clock that turns time stamps into times that only go forward.
+"""What every source of frames has, the clock that turns time stamps into times, and video files decoded by PyAV.
 
-Video files and network streams, decoded by PyAV.
-
-The file is opened twice: once for its first frame, which settles size, orientation and rate (headers are not believed),
-and once for each iteration. Packets that cannot be decoded are skipped and told in `VideoFile.problem`; a file cut short
+A video is opened twice: once for its first frame, which settles size, orientation and rate (headers are not believed), and
+once for each iteration. Packets that cannot be decoded are skipped and reported in `VideoSource.problem`; a file cut short
 gives the frames that it has. Portrait recordings of telephones are turned upright, as players do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,6 +17,8 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.protocols import Source
 from phdtrack.types import Frame, Image, SequenceInfo
+
+DEFAULT_FPS = 25.0
 
 
 class VideoSource(Source, Protocol):
@@ -31,6 +31,36 @@ class VideoSource(Source, Protocol):
     @property
     def problem(self) -> str:
         """After the iteration: why the frames ended early, or which were lost; empty where all were read."""
+
+
+@dataclass(slots=True, eq=False)
+class Recording:
+    """A `VideoSource`; iterating raises `InputError` for a frame of another size than the first.
+
+    Attributes
+    ----------
+    info : size in pixels as shown, rate, name; ``frames`` is 0 where only decoding gives it.
+    read : given this record, the frames and the place of each in words; it sets ``problem``.
+    note, problem : as `VideoSource` has them.
+    """
+
+    info: SequenceInfo
+    read: Callable[[Recording], Iterator[tuple[Frame, str]]]
+    note: str = ""
+    problem: str = ""
+
+    def __iter__(self) -> Iterator[Frame]:
+        self.problem = ""
+        first = (self.info.width, self.info.height)
+        for frame, where in self.read(self):
+            size = (frame.image.shape[1], frame.image.shape[0])
+            if size != first:
+                raise InputError(
+                    f"this frame is {size[0]}x{size[1]} pixels, the first one {first[0]}x{first[1]}",
+                    where=where,
+                    cure="All frames of a sequence need one size: split the input where the size changes.",
+                )
+            yield frame
 
 
 @dataclass(slots=True)
@@ -58,114 +88,44 @@ class Clock:
         return time
 
 
-def check_size(image: Image, width: int, height: int, where: str) -> None:
-    """Raise InputError where ``image`` (H, W, 3) is not ``width`` x ``height`` pixels like the first frame.
+def assumed_rate(rate: float, what: str) -> tuple[float, str]:
+    """The rate in frames per second, and a note where it is not known (0)."""
+    return (rate, "") if rate > 0 else (DEFAULT_FPS, f"{what} not state its rate; {DEFAULT_FPS:g} frames a second assumed")
 
-    Parameters
-    ----------
-    image : (H, W, 3).
-    width, height : of the first frame, pixels.
-    where : what the message names.
+
+def video_file(path: str | Path, fps: float) -> Recording:
+    """The frames of a video file or of an address that FFmpeg can open, in order of presentation.
+
+    ``fps`` above 0 replaces the stream's time stamps. Raises `InputError` where no frame can be decoded.
     """
-    got = (image.shape[1], image.shape[0])
-    if got != (width, height):
+    losses: list[tuple[int, str]] = []
+    with _open(str(path)) as container:
+        stream = _video_stream(container, str(path))
+        stated = stream.average_rate or stream.guessed_rate or stream.base_rate
+        picture = next(_pictures(container, stream, losses), None)
+    if picture is None:
         raise InputError(
-            f"this frame is {got[0]}x{got[1]} pixels, the first one {width}x{height}",
-            where=where,
-            cure="All frames of a sequence need one size: split the input where the size changes.",
-        )
-
-
-FALLBACK_FPS = 25.0
-
-
-@dataclass(slots=True)
-class _Losses:
-    """What the decoder complained about during one pass."""
-
-    after: int = 0
-    reason: str = ""
-    announced: int = 0
-
-    def add(self, number: int, reason: str) -> None:
-        """Note the first damage, which came after frame ``number``."""
-        if not self.reason:
-            self.after, self.reason = number, reason
-
-    def describe(self, path: str, decoded: int) -> str:
-        """One sentence for the user; empty where nothing was lost."""
-        if self.reason:
-            return f"{path}: damaged after frame {self.after} ({self.reason}); {decoded} frames could be decoded"
-        if decoded < self.announced:
-            return f"{path}: ends after frame {decoded}, its header announces {self.announced}; it may be cut short"
-        return ""
-
-
-class VideoFile:
-    """The frames of a video file or stream address, in order of presentation.
-
-    Parameters
-    ----------
-    path : file or address that FFmpeg can open.
-    fps : frames per second; above 0 it replaces the stream's time stamps, 0 believes them.
-
-    Raises InputError where no frame can be decoded, and during iteration for a frame of another size.
-    """
-
-    def __init__(self, path: str | Path, *, fps: float = 0.0) -> None:
-        self._path = str(path)
-        self._fps = fps
-        self._problem = ""
-        with _open(self._path) as container:
-            stream = _video_stream(container, self._path)
-            rate = stream.average_rate or stream.guessed_rate or stream.base_rate
-            image = self._first_image(container)
-        self._info = SequenceInfo(
-            width=image.shape[1],
-            height=image.shape[0],
-            fps=fps or float(rate or FALLBACK_FPS),
-            name=Path(self._path).stem,
-        )
-        self._note = "" if fps or rate else f"{path} does not state its rate; {FALLBACK_FPS:g} frames a second assumed"
-
-    @property
-    def info(self) -> SequenceInfo:
-        """Size in pixels as shown, mean rate, name; ``frames`` is 0, for only decoding tells."""
-        return self._info
-
-    @property
-    def note(self) -> str:
-        """What was assumed; empty where nothing was."""
-        return self._note
-
-    @property
-    def problem(self) -> str:
-        """What was lost in the last iteration; empty where nothing was."""
-        return self._problem
-
-    def __iter__(self) -> Iterator[Frame]:
-        self._problem = ""
-        losses, number, clock = _Losses(), 0, Clock(1.0 / self._info.fps)
-        with _open(self._path) as container:
-            stream = _video_stream(container, self._path)
-            losses.announced = stream.frames
-            for picture in _pictures(container, stream, losses):
-                number += 1
-                image = _upright(picture)
-                check_size(image, self._info.width, self._info.height, f"{self._path}, frame {number}")
-                yield Frame(number, clock(None if self._fps else picture.time), image)
-        self._problem = losses.describe(self._path, number)
-
-    def _first_image(self, container: Any) -> Image:
-        losses = _Losses()
-        for picture in _pictures(container, _video_stream(container, self._path), losses):
-            return _upright(picture)
-        reason = f" ({losses.reason})" if losses.reason else ""
-        raise InputError(
-            f"no frame could be decoded{reason}",
-            where=self._path,
+            f"no frame could be decoded{f' ({losses[0][1]})' if losses else ''}",
+            where=path,
             cure="The file is empty or damaged: copy it again, or convert it (ffmpeg -i IN -c:v libx264 OUT.mp4).",
         )
+    rate, note = assumed_rate(float(fps or stated or 0), f"{path} does")
+    height, width = _upright(picture).shape[:2]
+
+    def read(made: Recording) -> Iterator[tuple[Frame, str]]:
+        losses: list[tuple[int, str]] = []
+        number, clock = 0, Clock(1.0 / rate)
+        with _open(str(path)) as container:
+            stream = _video_stream(container, str(path))
+            for number, picture in enumerate(_pictures(container, stream, losses), start=1):
+                yield Frame(number, clock(None if fps else picture.time), _upright(picture)), f"{path}, frame {number}"
+        if losses:
+            after, reason = losses[0]
+            made.problem = f"{path}: damaged after frame {after} ({reason}); {number} frames could be decoded"
+        elif number < stream.frames:
+            made.problem = f"{path}: ends after frame {number}, its header announces {stream.frames}; it may be cut short"
+
+    return Recording(SequenceInfo(width, height, rate, name=Path(path).stem), read, note)
 
 
 def _reason(error: Exception) -> str:
@@ -195,8 +155,8 @@ def _video_stream(container: Any, path: str) -> Any:
     return stream
 
 
-def _pictures(container: Any, stream: Any, losses: _Losses) -> Iterator[Any]:
-    """The decoded pictures; whatever fails is counted in ``losses`` and passed over."""
+def _pictures(container: Any, stream: Any, losses: list[tuple[int, str]]) -> Iterator[Any]:
+    """The decoded pictures; what fails is added to ``losses``, with the number of the frame before it, and passed over."""
     import av
 
     packets = container.demux(stream)
@@ -205,18 +165,18 @@ def _pictures(container: Any, stream: Any, losses: _Losses) -> Iterator[Any]:
         try:
             packet = next(packets, None)
         except av.FFmpegError as error:
-            losses.add(number, _reason(error))
+            losses.append((number, _reason(error)))
             return
         if packet is None:
             return
         try:
             pictures = packet.decode()
         except av.FFmpegError as error:
-            losses.add(number, _reason(error))
+            losses.append((number, _reason(error)))
             continue
         for picture in pictures:
             if picture.is_corrupt:
-                losses.add(number, "parts of a picture are missing")
+                losses.append((number, "parts of a picture are missing"))
             number += 1
             yield picture
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -13,14 +12,8 @@ from phdtrack.errors import InputError
 from phdtrack.types import Image
 
 ENCODERS = (
-    "libx264",
-    "libopenh264",
-    "h264_videotoolbox",
-    "h264_mf",
-    "h264_nvenc",
-    "h264_qsv",
-    "h264_amf",
-    "h264_v4l2m2m",
+    *("libx264", "libopenh264", "h264_videotoolbox", "h264_mf"),
+    *("h264_nvenc", "h264_qsv", "h264_amf", "h264_v4l2m2m"),
 )
 _LARGEST_DENOMINATOR = 1001
 # x264 paints other pictures with another number of threads, and a rendered scene is to be the same on every machine: so
@@ -43,9 +36,8 @@ class VideoWriter:
 
     def __init__(self, path: str | Path, width: int, height: int, fps: float, *, quality: int = 23) -> None:
         if width < 1 or height < 1 or not fps > 0 or not np.isfinite(fps):
-            raise InputError(
-                f"a video needs a size and a rate above 0, not {width}x{height} at {fps} per second", where=path
-            )
+            problem = f"a video needs a size and a rate above 0, not {width}x{height} at {fps} per second"
+            raise InputError(problem, where=path)
         import av
 
         self._path, self._width, self._height = str(path), width, height
@@ -62,13 +54,8 @@ class VideoWriter:
             raise InputError(
                 f"this file cannot be written ({error.strerror})", where=path, cure="Check the folder and its permissions."
             ) from None
-        self._frames = 0
+        self.frames = 0  # written so far
         self._open = True
-
-    @property
-    def frames(self) -> int:
-        """How many frames were written so far."""
-        return self._frames
 
     def write(self, image: Image) -> None:
         """Append ``image``, (height, width, 3) BGR uint8; InputError where it is of another shape or type."""
@@ -78,31 +65,31 @@ class VideoWriter:
             raise InputError(
                 f"expected an image of shape {(self._height, self._width, 3)} and type uint8, "
                 f"got {image.shape} and {image.dtype}",
-                where=f"{self._path}, frame {self._frames + 1}",
+                where=f"{self._path}, frame {self.frames + 1}",
             )
         if not self._open:
             raise InputError("this video is closed already", where=self._path)
         odd = ((0, self._height % 2), (0, self._width % 2), (0, 0))
         padded = np.pad(image, odd, mode="edge") if self._height % 2 or self._width % 2 else np.ascontiguousarray(image)
         picture = av.VideoFrame.from_ndarray(padded, format="bgr24")
-        picture.pts = self._frames
+        picture.pts = self.frames
         picture.time_base = 1 / self._stream.codec_context.framerate
         self._container.mux(self._stream.encode(picture))
-        self._frames += 1
+        self.frames += 1
 
     def close(self) -> None:
         """Finish the file; a second call does nothing."""
         if not self._open:
             return
         self._open = False
-        if self._frames:
+        if self.frames:
             self._container.mux(self._stream.encode(None))
         self._container.close()
 
     def __enter__(self) -> VideoWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
