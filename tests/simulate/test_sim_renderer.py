@@ -20,7 +20,7 @@ from phdtrack.simulate import (
     make_scene,
     render,
 )
-from phdtrack.simulate.render import Stage, gait, plant_boxes
+from phdtrack.simulate.render import gait, plant_boxes
 from phdtrack.types import F8, Image
 
 STILL = Look(noise=0.0, flicker=0.0, plants=0, wave=0.0, lamps=0)
@@ -36,13 +36,13 @@ def part(image: Image, box: F8) -> np.ndarray:
     return image[max(top, 0) : bottom, max(left, 0) : right].astype(float)
 
 
-def bare_stage(scene: Scene, look: Look, seed: int) -> Stage:
-    """The same stage, on which nobody appears."""
-    stage = Stage(scene, look, seed)
+def with_and_without_figures(scene: Scene, look: Look) -> tuple[Rendered, Rendered]:
+    """The same pictures with figures and without."""
+    full, bare = video(scene, look), video(scene, look)
     none = np.zeros(0, np.int64)
     nobody = replace(scene.figures, frame=none, identity=none, xyxy=np.zeros((0, 4)), distractor=none.astype(bool))
-    stage._scene = replace(scene, figures=nobody)
-    return stage
+    bare.scene = replace(scene, figures=nobody)
+    return full, bare
 
 
 @pytest.mark.parametrize("name", NAMED)
@@ -71,10 +71,10 @@ def test_same_seed_same_video_also_the_second_time() -> None:
 def test_figures_are_visible_where_the_truth_says() -> None:
     """In its box a figure changes the picture a lot; away from all figures and their shadows nothing changes."""
     scene = make_scene("street", 2, lead_in=-10.0, frames=80, detector=NOTHING)
-    stage, bare = Stage(scene, STILL, 3), bare_stage(scene, STILL, 3)
+    full, bare = with_and_without_figures(scene, STILL)
     changes, fill = [], []
     for number in (5, 40, 80):
-        difference = np.abs(stage.paint(number).astype(int) - bare.paint(number)).max(axis=2)
+        difference = np.abs(full.paint(number).astype(int) - bare.paint(number)).max(axis=2)
         for box in scene.truth.xyxy[scene.truth.frame == number]:
             inside = part(difference, box)
             changes.append(inside.mean())
@@ -93,12 +93,11 @@ def test_figure_fills_its_box() -> None:
     """Head at the top, a foot at the bottom, limbs near both sides at some time of the step."""
     world = Scenario("one", frames=200, arrivals=0.0, walks=(Walk(((0.1, 0.8), (0.9, 0.8))),))
     scene = build_scene(world, 0, NOTHING)
-    stage = Stage(scene, replace(STILL, shadow=0.0), 1)
-    bare = bare_stage(scene, replace(STILL, shadow=0.0), 1)
+    full, bare = with_and_without_figures(scene, replace(STILL, shadow=0.0))
     extents = []
     for number in range(20, 60, 2):
         box = scene.figures.xyxy[scene.figures.frame == number][0]
-        changed = np.abs(stage.paint(number).astype(int) - bare.paint(number)).max(axis=2) > 12
+        changed = np.abs(full.paint(number).astype(int) - bare.paint(number)).max(axis=2) > 12
         y, x = np.nonzero(changed)
         size = np.tile(box[2:] - box[:2], 2)
         extents.append((np.array([x.min(), y.min(), x.max() + 1, y.max() + 1]) - box) / size)
@@ -112,17 +111,10 @@ def test_figure_fills_its_box() -> None:
 
 def test_obstacles_hide_who_is_behind_and_not_who_is_before() -> None:
     for row, hidden in ((0.70, True), (0.95, False)):
-        world = Scenario(
-            "one",
-            frames=1,
-            arrivals=0.0,
-            walks=(Walk(((0.5, row), (0.51, row)), speed=1e-6),),
-            obstacles=((0.4, 0.2, 0.6, 0.85),),
-        )
-        scene = build_scene(world, 0, NOTHING)
-        look = replace(STILL, shadow=0.0)
-        stage, bare = Stage(scene, look, 2), bare_stage(scene, look, 2)
-        assert (stage.paint(1) == bare.paint(1)).all() == hidden
+        walks, obstacles = (Walk(((0.5, row), (0.51, row)), speed=1e-6),), ((0.4, 0.2, 0.6, 0.85),)
+        scene = build_scene(Scenario("one", frames=1, arrivals=0.0, walks=walks, obstacles=obstacles), 0, NOTHING)
+        full, bare = with_and_without_figures(scene, replace(STILL, shadow=0.0))
+        assert (full.paint(1) == bare.paint(1)).all() == hidden
 
 
 def test_gait_follows_the_way_and_stops_with_it() -> None:

@@ -7,15 +7,7 @@ scene into a video.
 from phdtrack.simulate.detector import Detected, DetectorModel, add_clutter, detect
 from phdtrack.simulate.render import Rendered, render
 from phdtrack.simulate.scenario import Entrance, Scenario, Walk
-from phdtrack.simulate.scenes import (
-    NAMED,
-    Look,
-    Scene,
-    build_scene,
-    default_detector,
-    default_look,
-    make_scene,
-)
+from phdtrack.simulate.scenes import NAMED, Look, Scene, build_scene, default_detector, default_look, make_scene
 
 __all__ = [
     "NAMED",

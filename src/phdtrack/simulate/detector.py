@@ -20,14 +20,12 @@ from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo, Tru
 Sizes = Literal["truth", "log-uniform"]
 Scores = Literal["constant", "informative"]
 
-MIN_SIZE = 0.2
-"""A jittered width or height stays above this part of the true one."""
-HEIGHTS = (0.08, 0.5)
-"""Log-uniform clutter: heights in frame heights."""
-ASPECTS = (1 / 3, 1.0)
-"""Log-uniform clutter: width over height."""
-GRID = 9
-"""Points a side at which it is seen how much of a box is hidden."""
+HEIGHTS, ASPECTS = (0.08, 0.5), (1 / 3, 1.0)
+"""Log-uniform clutter: heights in frame heights, and width over height."""
+# A jittered width or height stays above this part of the true one.
+_MIN_SIZE = 0.2
+# Points a side at which it is seen how much of a box is hidden.
+_GRID = 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,10 +92,6 @@ def detect(
     model : settings of the detector.
     obstacles : (K, 4) xyxy of things that hide what is behind them, pixels; for ``model.occlusion``.
 
-    Returns
-    -------
-    detected : detections, origins and places.
-
     Raises
     ------
     InputError : the number of frames is not known, or the truth has rows outside of it.
@@ -146,12 +140,8 @@ def add_clutter(
     table : detections, which may come from a real detector.
     info : size and number of frames of the sequence.
     rate : expected false alarms per frame.
-    rng : what draws them.
+    rng : draws them.
     truth_sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
-
-    Returns
-    -------
-    table : the detections and the clutter, ascending in frame.
 
     Raises
     ------
@@ -186,9 +176,9 @@ def covered(truth: Truth, obstacles: F8) -> F8:
     together counts once.
     """
     hidden = np.zeros(len(truth))
-    starts = np.flatnonzero(np.diff(truth.frame, prepend=0))
-    steps = (np.arange(GRID) + 0.5) / GRID
-    for rows in np.split(np.arange(len(truth)), starts[1:]) if len(truth) else []:
+    steps = (np.arange(_GRID) + 0.5) / _GRID
+    for number in np.unique(truth.frame):
+        rows = np.arange(*np.searchsorted(truth.frame, [number, number + 1]))
         boxes = truth.xyxy[rows]
         hiders = np.concatenate([boxes, obstacles])
         x = boxes[:, :1] + steps * (boxes[:, 2:3] - boxes[:, :1])
@@ -201,7 +191,15 @@ def covered(truth: Truth, obstacles: F8) -> F8:
 
 
 def poisson_boxes(info: SequenceInfo, rate: float, sizes: F8, rng: np.random.Generator) -> tuple[I8, F8]:
-    """Frames (M,) ascending and boxes (M, 4) of ``rate`` false alarms per frame; ``sizes`` as in `add_clutter`."""
+    """Frames (M,) ascending and boxes (M, 4) of false alarms.
+
+    Parameters
+    ----------
+    info : size and number of frames of the sequence.
+    rate : expected false alarms per frame.
+    sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
+    rng : draws them.
+    """
     frame = np.repeat(np.arange(1, info.frames + 1), rng.poisson(rate, info.frames))
     centre = rng.random((len(frame), 2)) * np.array([info.width, info.height])
     size = _draw_sizes(info, len(frame), sizes, rng)
@@ -235,7 +233,7 @@ def _jittered(xyxy: F8, centre: float, size: float, rng: np.random.Generator) ->
     box = to_cxcywh(xyxy)
     extent = box[2:]
     moved = box[:2] + rng.normal(size=extent.shape) * centre * extent
-    scaled = np.maximum(1 + rng.normal(size=extent.shape) * size, MIN_SIZE) * extent
+    scaled = np.maximum(1 + rng.normal(size=extent.shape) * size, _MIN_SIZE) * extent
     return to_xyxy(np.concatenate([moved, scaled]))
 
 

@@ -1,50 +1,33 @@
 """The renderer: from a scene to a video with what makes change detection hard.
 
 Painted from back to front: the backdrop, lights on it, shadows, then figures, obstacles and plants by the row of the foot;
-at last the camera adds flicker and noise.
+at last the camera adds flicker and noise. Gusts scale how far a plant bends: a change detector fires there often, not
+always, with ever different boxes. A leaf that the wind blows past the camera is in one frame only: to a detector it is
+Poisson clutter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 
 import cv2
 import numpy as np
 
-from phdtrack.simulate import paint_scenery as scenery
+from phdtrack.simulate import paint
 from phdtrack.simulate.detector import place_boxes
-from phdtrack.simulate.paint_figures import PHASES, STRIDE, draw_clothes, put, put_scaled, pyramid, walking
 from phdtrack.simulate.scenes import Look, Scene
 from phdtrack.types import F8, I8, Bool, Frame, Image, SequenceInfo, Truth
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rendered:
-    """The video of a scene: a `Source` whose frames are painted when they are asked for, the same ones every time.
-
-    Every iteration starts its random streams anew from ``seed``.
-    """
-
-    scene: Scene
-    look: Look
-    seed: int
-
-    @property
-    def info(self) -> SequenceInfo:
-        """Size, rate, number of frames and name."""
-        return self.scene.info
-
-    def __iter__(self) -> Iterator[Frame]:
-        """The frames, numbered from 1; ``image`` is (H, W, 3) BGR."""
-        stage = Stage(self.scene, self.look, self.seed)
-        for number in range(1, self.info.frames + 1):
-            yield Frame(number, (number - 1) / self.info.fps, stage.paint(number))
+_GUST_SECONDS = 1.2
+# The grey level that stands for no noise.
+_MIDDLE = 64
+# The noise is drawn this much larger than a frame; every frame takes another part of it.
+_SHIFT = 48
 
 
 def render(scene: Scene, rng: np.random.Generator, look: Look | None = None) -> Rendered:
-    """The video of ``scene``, whose frames are painted when they are asked for.
+    """The video of ``scene``.
 
     Parameters
     ----------
@@ -55,30 +38,44 @@ def render(scene: Scene, rng: np.random.Generator, look: Look | None = None) -> 
     return Rendered(scene, look or Look(), int(rng.integers(2**62)))
 
 
-class Stage:
-    """Paints the frames of a scene, in any order. Figures are drawn when they first appear."""
+class Rendered:
+    """The video of a scene: a `Source` whose frames are painted when they are asked for, the same ones every time."""
 
     def __init__(self, scene: Scene, look: Look, seed: int) -> None:
         _, backdrop_rng, things_rng, plants_rng, gusts_rng, light_rng, noise_rng, blown_rng = _streams(seed)
         info, frames = scene.info, scene.info.frames
-        self._scene, self._seed = scene, seed
+        self.scene, self.info, self.seed = scene, info, seed
         self._phase, self._leftward = gait(scene.figures)
-        self._wardrobe: dict[int, tuple[tuple[Image, ...], ...]] = {}
+        self._wardrobe: dict[int, tuple[tuple[Image, ...], ...]] = {}  # figures are drawn when they first appear
         # The wall meets the ground a little above the uppermost foot.
         highest = float(scene.figures.xyxy[:, 3].min()) if len(scene.figures) else 0.5 * info.height
         base = int(np.clip(highest - 0.01 * info.height, 0.15 * info.height, 0.6 * info.height))
-        self._backdrop = scenery.backdrop(info, base, scene.doors, backdrop_rng)
+        self._backdrop = paint.backdrop(info, base, scene.doors, backdrop_rng)
         boxes = plant_boxes(scene, look.plants, seed)
-        self._plants = [scenery.grow(box, rng) for box, rng in zip(boxes, plants_rng.spawn(len(boxes)), strict=True)]
-        self._gusts = scenery.gusts(frames, info.fps, look.wave * (boxes[:, 3] - boxes[:, 1]), gusts_rng)
+        self._plants = [paint.grow(box, rng) for box, rng in zip(boxes, plants_rng.spawn(len(boxes)), strict=True)]
+        # Displacements (frames, P) by the wind, pixels: often near 0, at times twice the usual.
+        force = _wandering((frames, len(boxes)), _GUST_SECONDS * info.fps, gusts_rng)
+        self._gusts = look.wave * (boxes[:, 3] - boxes[:, 1]) * np.clip(0.5 + 0.8 * force, 0.05, 2.0)
         streams = things_rng.spawn(len(scene.obstacles))
-        self._things = [scenery.obstacle(box, rng) for box, rng in zip(scene.obstacles, streams, strict=True)]
-        self._lamps = scenery.lamps(info, look.lamps, light_rng)
-        self._levels = scenery.blinking(frames, info.fps, look.lamps, light_rng)
-        self._gain = scenery.flicker(frames, info.fps, look.flicker, light_rng)
-        self._noise = scenery.camera_noise(info, look.noise, noise_rng)
-        self._blown, self._leaves = scenery.blown(info, look.blown, blown_rng)
-        self._shadow = pyramid(scenery.shadow(look.shadow))
+        self._things = [paint.obstacle(box, rng) for box, rng in zip(scene.obstacles, streams, strict=True)]
+        self._lamps = [paint.lamp(info, light_rng) for _ in range(look.lamps)]
+        self._levels = _blinking(frames, info.fps, look.lamps, light_rng)
+        # Brightness (frames,): flickering lamps and slow clouds.
+        fast, slow = (_wandering((frames,), seconds * info.fps, light_rng) for seconds in (0.06, 3.0))
+        self._gain = np.clip(1 + look.flicker * (0.8 * fast + 0.6 * slow), 0.5, 1.5)
+        larger = (info.height + _SHIFT, info.width + _SHIFT, 3)
+        noise = noise_rng.normal(_MIDDLE, max(look.noise, 1e-9), size=larger)
+        self._noise = np.clip(np.rint(noise), 0, 255).astype(np.uint8)
+        self._corners = noise_rng.integers(0, _SHIFT, (frames, 2)).tolist()
+        # Leaves in frames (M,), ascending, uniform over the frame.
+        self._blown = np.repeat(np.arange(1, frames + 1), blown_rng.poisson(look.blown, frames))
+        self._leaves = _leaves(info, len(self._blown), blown_rng)
+        self._shadow = paint.pyramid(paint.shadow(look.shadow))
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The frames, numbered from 1; ``image`` is (H, W, 3) BGR."""
+        for number in range(1, self.info.frames + 1):
+            yield Frame(number, (number - 1) / self.info.fps, self.paint(number))
 
     def paint(self, number: int) -> Image:
         """(H, W, 3) the picture of frame ``number``, from 1."""
@@ -86,44 +83,49 @@ class Stage:
         for (glow, left, top), level in zip(self._lamps, self._levels[number - 1].tolist(), strict=True):
             room = canvas[top : top + glow.shape[0], left : left + glow.shape[1]]
             cv2.addWeighted(room, 1.0, glow, level, 0, dst=room)
-        figures = self._scene.figures
+        figures, info = self.scene.figures, self.info
         here = np.arange(*np.searchsorted(figures.frame, [number, number + 1]))
         for left, _, right, bottom in figures.xyxy[here]:  # a shadow a little to the right of the feet
             wide, deep = right - left, 0.16 * (right - left)
             place = np.array([left + 0.1 * wide, bottom - deep, right + 0.25 * wide, bottom + deep])
-            put_scaled(canvas, self._shadow, place)
+            paint.put_scaled(canvas, self._shadow, place)
         strokes = [(float(figures.xyxy[row, 3]), partial(self._figure, canvas, int(row))) for row in here]
-        for foot, thing in zip(self._scene.obstacles[:, 3].tolist(), self._things, strict=True):
-            strokes.append((foot, partial(put, canvas, *thing)))
-        for plant, gust in zip(self._plants, self._gusts[number - 1], strict=True):
-            strokes.append((plant.foot, partial(plant.wave, canvas, number / self._scene.info.fps, float(gust))))
+        for foot, thing in zip(self.scene.obstacles[:, 3].tolist(), self._things, strict=True):
+            strokes.append((foot, partial(paint.put, canvas, *thing)))
+        for plant, gust in zip(self._plants, self._gusts[number - 1].tolist(), strict=True):
+            strokes.append((plant.foot, partial(plant.wave, canvas, number / info.fps, gust)))
         for _, stroke in sorted(strokes, key=lambda pair: pair[0]):
             stroke()
         for leaf in self._leaves[slice(*np.searchsorted(self._blown, [number, number + 1]))]:
-            put(canvas, *leaf)
-        picture: Image = cv2.addWeighted(
-            canvas, float(self._gain[number - 1]), self._noise[number - 1], 1.0, -scenery.MIDDLE
-        )
+            paint.put(canvas, *leaf)
+        top, left = self._corners[number - 1]
+        noise = self._noise[top : top + info.height, left : left + info.width]
+        picture: Image = cv2.addWeighted(canvas, float(self._gain[number - 1]), noise, 1.0, -_MIDDLE)
         return picture
 
     def _figure(self, canvas: Image, row: int) -> None:
         """Draw one figure."""
-        box, identity = self._scene.figures.xyxy[row], int(self._scene.figures.identity[row])
+        box, identity = self.scene.figures.xyxy[row], int(self.scene.figures.identity[row])
         if identity not in self._wardrobe:
             aspect = float((box[2] - box[0]) / (box[3] - box[1]))
-            clothes = draw_clothes(np.random.default_rng([self._seed, identity]))
-            self._wardrobe[identity] = walking(clothes, aspect)
+            self._wardrobe[identity] = paint.walking(np.random.default_rng([self.seed, identity]), aspect)
         sprite = self._wardrobe[identity][self._phase[row]]
-        put_scaled(canvas, sprite, box, mirrored=bool(self._leftward[row]))
+        paint.put_scaled(canvas, sprite, box, mirrored=bool(self._leftward[row]))
 
 
 def plant_boxes(scene: Scene, number: int, seed: int) -> F8:
-    """(P, 4) where plants grow: at the scene's persistent places, or at ``number`` random ones of the figures' sizes."""
+    """(P, 4) where plants grow: at the scene's persistent places, or at random ones of the figures' sizes.
+
+    Parameters
+    ----------
+    scene : the scene.
+    number : of random places.
+    seed : of the video.
+    """
     if len(scene.places):
         return scene.places
     box = scene.figures.xyxy
-    sizes = np.stack([box[:, 2] - box[:, 0], box[:, 3] - box[:, 1]], axis=1)
-    return place_boxes(scene.info, number, sizes, _streams(seed)[0])
+    return place_boxes(scene.info, number, box[:, 2:] - box[:, :2], _streams(seed)[0])
 
 
 def gait(figures: Truth) -> tuple[I8, Bool]:
@@ -131,23 +133,47 @@ def gait(figures: Truth) -> tuple[I8, Bool]:
 
     The phase follows the way walked, in body heights, so that feet do not slide; a standing figure keeps it.
     """
-    order = np.lexsort((figures.frame, figures.identity))
-    identity, box = figures.identity[order], figures.xyxy[order]
-    first = np.diff(identity, prepend=-1) != 0
-    centre, foot = (box[:, 0] + box[:, 2]) / 2, box[:, 3]
-    across = np.where(first, 0, np.diff(centre, prepend=0))
-    way = np.hypot(across, np.where(first, 0, np.diff(foot, prepend=0))) / (box[:, 3] - box[:, 1])
-    phase = np.empty(len(order), np.int64)
-    phase[order] = np.floor(np.cumsum(way) / STRIDE * PHASES).astype(np.int64) % PHASES
-    moving = np.flatnonzero(np.abs(across) > 0.02)
-    leftward = np.zeros(len(order), np.bool_)
-    if len(moving):
-        latest = np.searchsorted(moving, np.arange(len(order)), side="right") - 1
-        person = np.cumsum(first)
-        of_other = (latest < 0) | (person[moving[np.maximum(latest, 0)]] != person)
-        nearest = np.where(of_other, np.minimum(latest + 1, len(moving) - 1), latest)
-        leftward[order] = across[moving[nearest]] < 0
+    phase, leftward = np.zeros(len(figures), np.int64), np.zeros(len(figures), np.bool_)
+    for identity in np.unique(figures.identity):
+        rows = np.flatnonzero(figures.identity == identity)
+        box = figures.xyxy[rows]
+        across = np.diff((box[:, 0] + box[:, 2]) / 2, prepend=(box[0, 0] + box[0, 2]) / 2)
+        way = np.hypot(across, np.diff(box[:, 3], prepend=box[0, 3])) / (box[:, 3] - box[:, 1])
+        phase[rows] = np.floor(np.cumsum(way) / paint.STRIDE * paint.PHASES).astype(np.int64) % paint.PHASES
+        moving = np.flatnonzero(np.abs(across) > 0.02)
+        if len(moving):  # as in the last step with a direction, at first the one to come
+            latest = np.searchsorted(moving, np.arange(len(rows)), side="right") - 1
+            leftward[rows] = across[moving[np.maximum(latest, 0)]] < 0
     return phase, leftward
+
+
+def _leaves(info: SequenceInfo, number: int, rng: np.random.Generator) -> list[paint.Placed]:
+    """Blown leaves anywhere in the frame."""
+    centre = rng.random((number, 2)) * np.array([info.width, info.height])
+    sprites = [paint.blown_leaf(info.height, rng) for _ in range(40)] if number else []
+    leaves = [sprites[k] for k in rng.integers(max(len(sprites), 1), size=number)]
+    corner = centre - np.array([leaf.shape[1::-1] for leaf in leaves]).reshape(-1, 2) / 2
+    return [paint.Placed(leaf, round(x), round(y)) for leaf, (x, y) in zip(leaves, corner.tolist(), strict=True)]
+
+
+def _blinking(frames: int, fps: float, number: int, rng: np.random.Generator) -> F8:
+    """(frames, number) levels 0 or 1 that change by chance about every second; the odd ones shimmer in between instead."""
+    switches = rng.random((frames, number)) < 1 / fps
+    on = (np.cumsum(switches, axis=0) + rng.integers(0, 2, number)) % 2
+    shimmer = np.array([_wandering((frames,), 0.15 * fps, rng) for _ in range(number)]).reshape(number, frames).T
+    odd = np.arange(number) % 2 == 1
+    return np.where(odd, np.clip(0.4 + 0.4 * shimmer, 0, 1), on.astype(np.float64))
+
+
+def _wandering(shape: tuple[int, ...], memory: float, rng: np.random.Generator) -> F8:
+    """A stationary process of unit variance over the first axis, whose correlation falls to 1/e in ``memory`` frames."""
+    keep = np.exp(-1 / memory)
+    value = rng.normal(size=shape[1:])
+    out = np.empty(shape)
+    for k, kick in enumerate(rng.normal(size=shape) * np.sqrt(1 - keep**2)):
+        value = keep * value + kick
+        out[k] = value
+    return out
 
 
 def _streams(seed: int) -> list[np.random.Generator]:

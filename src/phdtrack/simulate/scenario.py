@@ -13,7 +13,7 @@ image centre x₀, a foot point at lateral X and depth Z is seen at
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -25,8 +25,7 @@ from phdtrack.types import F8, I8, SequenceInfo, Truth
 Point = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class Camera:
+class Camera(NamedTuple):
     """``horizon`` and ``centre`` in pixels, ``focal`` in pixels, ``height`` above the ground in body heights."""
 
     centre: float
@@ -45,14 +44,20 @@ class Camera:
         return np.stack([x, self.horizon + self.focal * self.height / ground[:, 1]], axis=1)
 
     def boxes(self, foot: F8, stature: float, aspect: float) -> F8:
-        """(n, 4) xyxy of figures standing at the pixels ``foot`` (n, 2); ``aspect`` is width over height."""
+        """(n, 4) xyxy of standing figures.
+
+        Parameters
+        ----------
+        foot : (n, 2) pixels where they stand.
+        stature : height relative to the usual.
+        aspect : width over height.
+        """
         tall = stature * ((foot[:, 1] - self.horizon) / self.height)
         half = aspect * tall / 2
         return np.stack([foot[:, 0] - half, foot[:, 1] - tall, foot[:, 0] + half, foot[:, 1]], axis=1)
 
 
-@dataclass(frozen=True, slots=True)
-class Walk:
+class Walk(NamedTuple):
     """One person's way.
 
     Attributes
@@ -71,10 +76,20 @@ class Walk:
     pauses: tuple[Point, ...] = ()
 
     def follow(self, camera: Camera, size: Point, times: F8) -> tuple[F8, I8]:
-        """Foot points (n, 2) in pixels at those ``times`` (T,) at which the walk is under way, and which (n,) these are."""
-        corners = camera.to_ground(np.array(self.points) * np.array(size))
-        path = rounded(corners) if len(corners) > 2 else corners
-        length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+        """Foot points (n, 2) in pixels at those times at which the walk is under way, and which (n,) these are.
+
+        Parameters
+        ----------
+        camera : that sees it.
+        size : of the frame, pixels.
+        times : (T,) seconds.
+        """
+        line = camera.to_ground(np.array(self.points) * np.array(size))
+        for _ in range(4 if len(line) > 2 else 0):  # the corners are cut (Chaikin), the ends stay
+            a, b = line[:-1], line[1:]
+            cut = np.stack([0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b], axis=1).reshape(-1, 2)
+            line = np.concatenate([line[:1], cut, line[-1:]])
+        length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
         since, paused = times - self.at, 0.0
         spent = np.zeros_like(since)
         for walked, pause in self.pauses:
@@ -82,22 +97,11 @@ class Walk:
             paused += pause
         gone = self.speed * (since - spent)
         index = np.flatnonzero((times >= self.at) & (gone <= length[-1]))
-        ground = np.stack([np.interp(gone[index], length, path[:, axis]) for axis in (0, 1)], axis=1)
+        ground = np.stack([np.interp(gone[index], length, line[:, axis]) for axis in (0, 1)], axis=1)
         return camera.to_picture(ground), index
 
 
-def rounded(corners: F8) -> F8:
-    """The polyline ``corners`` (n, 2) with its corners cut four times (Chaikin); its ends stay."""
-    line = corners
-    for _ in range(4):
-        a, b = line[:-1], line[1:]
-        cut = np.stack([0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b], axis=1).reshape(-1, 2)
-        line = np.concatenate([line[:1], cut, line[-1:]])
-    return line
-
-
-@dataclass(frozen=True, slots=True)
-class Entrance:
+class Entrance(NamedTuple):
     """Where people come and go: a border of the frame, or a door at ``foot`` (x, y in fractions of the frame)."""
 
     side: Literal["left", "right", "bottom", "door"]
@@ -173,8 +177,7 @@ class Scenario:
     @property
     def obstacles_px(self) -> F8:
         """(K, 4) xyxy of the obstacles, pixels."""
-        fractions = np.array(self.obstacles, dtype=np.float64).reshape(-1, 4)
-        pixels: F8 = fractions * np.array([self.width, self.height, self.width, self.height])
+        pixels: F8 = np.array(self.obstacles, np.float64).reshape(-1, 4) * np.tile([self.width, self.height], 2)
         return pixels
 
     @property
@@ -200,7 +203,7 @@ class Scenario:
     def truth(self, figures: Truth) -> Truth:
         """The figures of which ``min_visible`` is in the frame, boxes clipped to it."""
         kept = np.flatnonzero(share_inside(figures.xyxy, self.width, self.height) >= self.min_visible)
-        inside = np.clip(figures.xyxy[kept], 0, np.tile([self.width, self.height], 2).astype(np.float64))
+        inside = np.clip(figures.xyxy[kept], 0.0, np.tile([self.width, self.height], 2))
         return truth_rows(figures.frame[kept], figures.identity[kept], inside)
 
     def _arriving(self, rng: np.random.Generator) -> list[Walk]:
@@ -223,7 +226,7 @@ class Scenario:
         between = (float(rng.uniform(0.2, 0.8)), float(rng.uniform(*self.rows)))
         gaps = rng.exponential(1 / self.pause_rate, size=8) if self.pause_rate else np.zeros(0)
         lengths = rng.exponential(self.pause_seconds, size=len(gaps))
-        pauses = tuple((float(a), float(b)) for a, b in zip(np.cumsum(gaps), lengths, strict=True))
+        pauses = tuple(zip(np.cumsum(gaps).tolist(), lengths.tolist(), strict=True))
         return Walk((start, between, end), at, speed, stature, pauses)
 
     def _foot(self, entrance: Entrance, stature: float, rng: np.random.Generator) -> Point:
@@ -236,8 +239,7 @@ class Scenario:
                 return -half, row
             case "right":
                 return 1 + half, row
-            case "bottom":
-                # The head just touches the lower edge of the picture.
+            case "bottom":  # the head just touches the lower edge of the picture
                 row = self.height - stature * self.camera.horizon / self.camera_height
                 return column, row / (1 - stature / self.camera_height) / self.height
             case "door":
@@ -245,6 +247,12 @@ class Scenario:
 
 
 def truth_rows(frame: I8, identity: I8, xyxy: F8) -> Truth:
-    """A `Truth` of the rows (M,), (M,), (M, 4), sorted by frame, then identity, in which every row counts."""
+    """A `Truth` of rows of which all count, sorted by frame, then identity.
+
+    Parameters
+    ----------
+    frame, identity : (M,).
+    xyxy : (M, 4) pixels.
+    """
     order = np.lexsort((identity, frame))
     return Truth(frame[order], identity[order], xyxy[order], np.zeros(len(frame), np.bool_))

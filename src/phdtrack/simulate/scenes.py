@@ -69,27 +69,21 @@ class Look:
         check(self)
 
 
-def _passing(row: float, lean: float, start: float, at: float, speed: float = 0.75, stature: float = 1.0) -> Walk:
-    """A walk across the whole frame, from foot row ``row`` to ``row + lean``, from the left (−0.1) or the right (1.1)."""
-    return Walk(((start, row), (_RIGHT if start < 0 else _LEFT, row + lean)), at, speed, stature)
-
-
-_LEFT, _RIGHT = -0.1, 1.1
 _PAIRS = (
-    _passing(0.70, 0.06, _LEFT, at=0.5),
-    _passing(0.74, -0.04, _RIGHT, at=0.5, stature=0.95),
-    _passing(0.90, -0.05, _LEFT, at=4.0, stature=1.05),
-    _passing(0.80, 0.06, _RIGHT, at=4.0),
-    _passing(0.60, 0.02, _LEFT, at=8.0, stature=0.95),
-    _passing(0.62, 0.0, _RIGHT, at=8.0, stature=1.05),
+    Walk(((-0.1, 0.70), (1.1, 0.76)), at=0.5),
+    Walk(((1.1, 0.74), (-0.1, 0.70)), at=0.5, stature=0.95),
+    Walk(((-0.1, 0.90), (1.1, 0.85)), at=4.0, stature=1.05),
+    Walk(((1.1, 0.80), (-0.1, 0.86)), at=4.0),
+    Walk(((-0.1, 0.60), (1.1, 0.62)), at=8.0, stature=0.95),
+    Walk(((1.1, 0.62), (-0.1, 0.62)), at=8.0, stature=1.05),
 )
 _BEHIND = (
-    _passing(0.66, 0.0, _LEFT, at=0.5),
-    _passing(0.72, 0.0, _RIGHT, at=2.5, speed=0.65),
-    _passing(0.62, 0.0, _LEFT, at=5.0, speed=0.9),
-    _passing(0.68, 0.0, _RIGHT, at=8.0, speed=0.8),
-    _passing(0.93, 0.0, _LEFT, at=9.0, speed=0.7),
-    _passing(0.70, 0.0, _LEFT, at=12.0),
+    Walk(((-0.1, 0.66), (1.1, 0.66)), at=0.5),
+    Walk(((1.1, 0.72), (-0.1, 0.72)), at=2.5, speed=0.65),
+    Walk(((-0.1, 0.62), (1.1, 0.62)), at=5.0, speed=0.9),
+    Walk(((1.1, 0.68), (-0.1, 0.68)), at=8.0, speed=0.8),
+    Walk(((-0.1, 0.93), (1.1, 0.93)), at=9.0, speed=0.7),
+    Walk(((-0.1, 0.70), (1.1, 0.70)), at=12.0),
 )
 
 STREET = Scenario()
@@ -166,19 +160,22 @@ def make_scene(name: str, seed: int, detector: DetectorModel | None = None, **se
     ------
     InputError : no scene has this name, it has no such setting, or the value is impossible.
     """
-    if name not in NAMED:
-        raise InputError(f"no scene is called {name!r}", cure=f"There are {', '.join(NAMED)}{_nearest(name, list(NAMED))}")
+    _known(name, list(NAMED), f"no scene is called {name!r}")
     world = NAMED[name]
-    known = [f.name for f in fields(world)]
     for key in settings:
-        if key not in known:
-            cure = f"There are {', '.join(known)}{_nearest(key, known)}"
-            raise InputError(f"scene {world.name} has no setting {key!r}", cure=cure)
+        _known(key, [f.name for f in fields(world)], f"scene {name} has no setting {key!r}")
     return build_scene(replace(world, **settings), seed, detector or default_detector(world))
 
 
 def build_scene(world: Scenario, seed: int, detector: DetectorModel) -> Scene:
-    """The scene of a world with any settings, seen by ``detector``; ``seed`` decides all that is drawn by chance."""
+    """The scene of a world with any settings.
+
+    Parameters
+    ----------
+    world : its settings.
+    seed : decides all that is drawn by chance.
+    detector : that sees it.
+    """
     world_rng, detector_rng = np.random.default_rng(seed).spawn(2)
     figures = world.figures(world_rng)
     truth = world.truth(figures)
@@ -196,7 +193,9 @@ def default_look(name: str) -> Look:
     return _LOOKS.get(name, Look())
 
 
-def _nearest(word: str, known: list[str]) -> str:
-    """A hint at the nearest known word."""
-    close = difflib.get_close_matches(word, known, 1)
-    return f"; did you mean {close[0]}?" if close else ""
+def _known(word: str, known: list[str], problem: str) -> None:
+    """Raise `InputError` with the nearest known word unless the word is known."""
+    if word not in known:
+        close = difflib.get_close_matches(word, known, 1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        raise InputError(problem, cure=f"There are {', '.join(known)}{hint}")
