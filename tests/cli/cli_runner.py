@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from typer.testing import CliRunner
 
-from phdtrack.cli.app import app
+from phdtrack.cli.app import application
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,8 @@ class Said:
 
 def phdtrack(*arguments: object) -> Said:
     """Run ``phdtrack`` with the arguments."""
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    words = [str(argument) for argument in arguments]
+    result = CliRunner().invoke(application(words[0]), words)
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     return Said(result.exit_code, result.stdout, result.stderr)

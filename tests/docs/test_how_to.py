@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from experiments import __main__ as experiments
-from phdtrack.cli.app import app
+from phdtrack.cli.app import application
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "how-to"
@@ -37,7 +37,7 @@ def command(line: str) -> None:
         assert experiments.main(words[3:]) == 0, line
         return
     assert words[0] == "phdtrack", line
-    result = CliRunner().invoke(app, words[1:])
+    result = CliRunner().invoke(application(words[1]), words[1:])
     assert result.exit_code == 0, (line, result.stderr, result.exception)
 
 

@@ -12,25 +12,63 @@ import inspect
 import sys
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
+from importlib import import_module
 from typing import Annotated, Any, get_type_hints
 
 import typer
 
 from phdtrack import __version__
-from phdtrack.cli import calibrate, compare, doctor, evaluate, groups, label, learn, settings, simulate, track
 from phdtrack.errors import InputError, interrupted
 
 Command = Callable[..., None]
 
-app = typer.Typer(
-    name="phdtrack",
-    help="From a video, or any detector's boxes, to tracks: a filter of random finite sets between detector and identities.",
-    add_completion=False,
-    # Plain text: an error is one line that a program can find and a terminal does not break.
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
+# The module of each command, which is loaded when the command is run, and what it does.
+COMMANDS = {
+    "demo": ("simulate", "Render a street and track the people in it, with the filter and without."),
+    "track": ("track", "Track the objects in a video, or in a file of detections."),
+    "groups": (
+        "groups",
+        "Find groups of people on the ground, in a video, in a file of detections, or among known positions.",
+    ),
+    "detect": ("track", "Detect objects in a video and write detections.csv, a MOTChallenge file."),
+    "evaluate": ("evaluate", "Score tracks against annotated objects."),
+    "compare": (
+        "compare",
+        "Compare filters: one table, with confidence intervals over seeds, plots, and the frames in which they differ most.",
+    ),
+    "simulate": ("simulate", "Simulate a scene: truth, detections of it, and a video."),
+    "label": ("label", "Mark false detections and births on frames drawn at random: the page says how."),
+    "learn": ("learn", "Learn where people enter and where the detector is wrong, for `phdtrack track --scene`."),
+    "calibrate": (
+        "calibrate",
+        "Make a camera of four or more points of flat ground, and say how well it fits each of them.",
+    ),
+    "settings": ("settings", "Print settings as TOML, with units and meaning, for --config to read back."),
+    "doctor": ("doctor", "Say what works on this machine, and how to mend what does not."),
+}
+
+
+def application(name: str) -> typer.Typer:
+    """The command line with the command ``name`` loaded, and of the others what they do."""
+    summary = (
+        "From a video, or any detector's boxes, to tracks: a filter of random finite sets between detector and identities."
+    )
+    app = typer.Typer(
+        name="phdtrack",
+        help=summary,
+        add_completion=False,
+        # Plain text: an error is one line that a program can find and a terminal does not break.
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback(help=summary)(common)
+    for each, (module, what) in COMMANDS.items():
+        if each == name:
+            app.command(each)(with_options(guarded(getattr(import_module(f"phdtrack.cli.{module}"), each))))
+        else:
+            app.command(each, help=what)(lambda: None)
+    return app
 
 
 def guarded(command: Command) -> Command:
@@ -97,29 +135,11 @@ def version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def common(
     wanted: Annotated[bool, typer.Option("--version", callback=version, is_eager=True, help="Print the version.")] = False,
 ) -> None:
-    """From a video, or any detector's boxes, to tracks: a filter of random finite sets between detector and identities."""
+    """What all commands have in common."""
 
-
-_COMMANDS = (
-    simulate.demo,
-    track.track,
-    groups.groups,
-    track.detect,
-    evaluate.evaluate,
-    compare.compare,
-    simulate.simulate,
-    label.label,
-    learn.learn,
-    calibrate.calibrate,
-    settings.settings,
-    doctor.doctor,
-)
-for _command in _COMMANDS:
-    app.command(_command.__name__)(with_options(guarded(_command)))
 
 # What typer raises for a command line that cannot be read. Some versions bring a click of their own, others import it.
 Misuse: type[Exception] = typer.BadParameter.__bases__[0]
@@ -127,8 +147,9 @@ Misuse: type[Exception] = typer.BadParameter.__bases__[0]
 
 def main() -> None:
     """The entry point of the installed command."""
+    words = sys.argv[1:] or ["--help"]
     try:
-        status = app(sys.argv[1:] or ["--help"], prog_name="phdtrack", standalone_mode=False)
+        status = application(words[0])(words, prog_name="phdtrack", standalone_mode=False)
     except Misuse as error:
         status = failed(misuse(error), 2).exit_code
     sys.exit(status)

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import numpy as np
 import typer
 
+from phdtrack.cli.inputs import frame_size
+from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, counted
 from phdtrack.errors import InputError
-
-if TYPE_CHECKING:
-    from phdtrack.formats.rows import Origin
-    from phdtrack.ground import Calibration
-    from phdtrack.types import F8
+from phdtrack.files import load
+from phdtrack.formats.rows import Origin
+from phdtrack.formats.text import numbers, scan
+from phdtrack.ground import Calibration, fit_homography
+from phdtrack.ground.read import calibration_text
+from phdtrack.ground.uncertainty import footprint
+from phdtrack.groups import polygon_area
+from phdtrack.types import F8
 
 # The names by which a header may call a column; a point is a line of these, in this order where there is no header.
 COLUMNS = (
@@ -31,7 +37,7 @@ def calibrate(
         Path, typer.Argument(metavar="POINTS", help="Text or CSV, a line a point: u v X Y (pixels, metres on the ground).")
     ],
     output: Output,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where to write the camera.")] = Path("camera.toml"),
+    out: Annotated[Path, option("--out", "FILE", "Where to write the camera.")] = Path("camera.toml"),
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a camera that is there already.")] = False,
     image_size: Annotated[
         str,
@@ -42,10 +48,6 @@ def calibrate(
 
     The file that it writes is what --camera of other commands takes.
     """
-    from phdtrack.cli.inputs import frame_size
-    from phdtrack.ground import fit_homography
-    from phdtrack.ground.read import calibration_text
-
     size = frame_size(image_size) if image_size else None
     if out.exists() and not overwrite:
         raise InputError("the file is there already", where=f"--out {out}", cure="Say --overwrite, or choose another --out.")
@@ -71,11 +73,6 @@ def read_points(path: Path) -> tuple[F8, F8, Origin]:
     ------
     InputError : there is no such file, a column is missing, a number is none, or a point is not at height 0.
     """
-    import numpy as np
-
-    from phdtrack.files import load
-    from phdtrack.formats.text import numbers, scan
-
     text = scan(path, load(path))
     columns = _columns(path, text.header) if text.header else list(range(text.width))
     if len(columns) not in (4, 5) and len(text):
@@ -106,11 +103,6 @@ def _columns(path: Path, header: tuple[str, ...]) -> list[int]:
 
 def report(out: Output, fitted: Calibration, pixel: F8, world: F8, file: Path, size: tuple[int, int] | None) -> None:
     """The residuals of all points in pixels and metres, and what the camera can tell of the ground."""
-    import numpy as np
-
-    from phdtrack.ground.uncertainty import footprint
-    from phdtrack.groups import polygon_area
-
     count, metres = pixel.shape[1], np.linalg.norm(fitted.camera.jacobian(pixel), ord=2, axis=(1, 2))
     table = np.vstack([pixel, world, fitted.pixel_error, fitted.ground_error, metres]).T.tolist()
     form = "{} {:g} {:g} {:g} {:g} {:.2f} {:.3f} {:.3f}"

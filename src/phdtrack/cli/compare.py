@@ -10,20 +10,37 @@ import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
+from phdtrack.cli.doctor import installed_versions
 from phdtrack.cli.evaluate import check_iou
+from phdtrack.cli.job import announced, detections_needed
+from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, command_line, counted, progress
 from phdtrack.cli.settings import scene_settings
+from phdtrack.compare import (
+    Comparison,
+    DetectionChoice,
+    Plan,
+    SettingsSource,
+    check_scores,
+    plan,
+    results,
+    run,
+    steps,
+    summary,
+)
+from phdtrack.compare.failures import worst_frames, write_frames
+from phdtrack.compare.results import Table
+from phdtrack.compare.store import RunResult
+from phdtrack.config import build
 from phdtrack.errors import InputError
-
-if TYPE_CHECKING:
-    from phdtrack.compare import Comparison, Plan
-    from phdtrack.compare.results import Table
+from phdtrack.report import About, write_run
+from phdtrack.report.words import duration, json_value, write_text
 
 DOCUMENT, CELLS, EACH, FRAMES = "compare.json", "compare.csv", "runs.csv", "worst"
 FILES = {
@@ -51,30 +68,26 @@ def compare(
     output: Output,
     filters: Annotated[
         str,
-        typer.Option("--filters", metavar="NAME,...", help="The first is what others are compared to; default: pmb,none."),
+        option("--filters", "NAME,...", "The first is what others are compared to; default: pmb,none."),
     ] = "",
     detections: Annotated[
         str,
-        typer.Option(
+        option(
             "--detections",
-            metavar="NAME|FILE,...",
-            help="public for det_public/det.txt of each sequence, or [NAME=]FILE; {} in it stands for the sequence's name. "
+            "NAME|FILE,...",
+            "public for det_public/det.txt of each sequence, or [NAME=]FILE; {} in it stands for the sequence's name. "
             "Default: all that a folder has.",
         ),
     ] = "",
-    detectors: Annotated[
-        str, typer.Option("--detectors", metavar="NAME,...", help="Detectors to run on the videos, each of them once.")
-    ] = "",
-    clutter: Annotated[
-        str, typer.Option("--clutter", metavar="F,...", help="Rates of false alarms to add, Poisson, boxes per frame.")
-    ] = "0",
-    seeds: Annotated[int, typer.Option("--seeds", metavar="N", min=1, help="How many seeds, from 1.")] = 5,
+    detectors: Annotated[str, option("--detectors", "NAME,...", "Detectors to run on the videos, each of them once.")] = "",
+    clutter: Annotated[str, option("--clutter", "F,...", "Rates of false alarms to add, Poisson, boxes per frame.")] = "0",
+    seeds: Annotated[int, option("--seeds", "N", "How many seeds, from 1.", min=1)] = 5,
     variants: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--variant",
-            metavar="NAME=SETTINGS",
-            help="Another method: the first filter with these settings, as "
+            "NAME=SETTINGS",
+            "Another method: the first filter with these settings, as "
             "few=filter.particles_per_target=100,sensor.detection_probability=0.8; "
             "filter.kind and preset may be among them. May be given again.",
         ),
@@ -83,23 +96,19 @@ def compare(
     config: given.Config = None,
     sets: given.Sets = None,
     scene: given.SceneFile = None,
-    truth: Annotated[
-        str, typer.Option("--truth", metavar="FILE", help="Annotated objects of a video; {} stands for its name.")
-    ] = "",
+    truth: Annotated[str, option("--truth", "FILE", "Annotated objects of a video; {} stands for its name.")] = "",
     max_width: given.MaxWidth = 0,
     iou: given.Iou = 0.5,
     scores: Annotated[
         str,
-        typer.Option("--scores", metavar="NAME,...", help="What to show, as MOTA,IDF1,ms; the CSV files hold everything."),
+        option("--scores", "NAME,...", "What to show, as MOTA,IDF1,ms; the CSV files hold everything."),
     ] = "",
     worst: Annotated[
         int,
-        typer.Option(
-            "--worst", metavar="N", min=0, help="Frames to show of each sequence: N where filters differ most, N worst."
-        ),
+        option("--worst", "N", "Frames to show of each sequence: N where filters differ most, N worst.", min=0),
     ] = 2,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where everything is kept.")] = Path("runs/compare"),
-    jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=0, help="Processes; 0: one per core.")] = 0,
+    out: Annotated[Path, option("--out", "DIR", "Where everything is kept.")] = Path("runs/compare"),
+    jobs: Annotated[int, option("--jobs", "N", "Processes; 0: one per core.", min=0)] = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Run everything anew, also what is kept already.")] = False,
 ) -> None:
     """Compare filters: one table, with confidence intervals over seeds, plots, and the frames in which they differ most.
@@ -108,9 +117,6 @@ def compare(
     what is decided by something that has changed: a setting, a file, phdtrack itself. What --scene has taught holds for
     every filter. A run that fails is named in the table, the others go on, and the exit status is 1.
     """
-    from phdtrack.compare import DetectionChoice, SettingsSource, check_scores, plan, run, steps
-    from phdtrack.report import write_run
-
     ours = (out / DOCUMENT).is_file()
     rundir.check(out, overwrite or ours, FILES)
     check_iou(iou)
@@ -148,9 +154,6 @@ def listed(text: str) -> tuple[str, ...]:
 
 def compile_for(out: Output, plan: Plan) -> None:
     """Compile kernels that the methods will call, once, before several processes would each compile them."""
-    from phdtrack.cli.job import announced, detections_needed
-    from phdtrack.config import build
-
     info = plan.cases[0].info
     with announced(out):
         for method in {method.filter_name: method for method in plan.methods}.values():
@@ -168,12 +171,6 @@ def finish(
     in_turn: bool,
 ) -> None:
     """Write everything but the runs, which are there already, and say who is ahead of the first method by how much."""
-    from phdtrack.cli.doctor import installed_versions
-    from phdtrack.compare import results, summary
-    from phdtrack.compare.failures import worst_frames, write_frames
-    from phdtrack.report import About, write_run
-    from phdtrack.report.words import json_value, write_text
-
     found, plan = summary(comparison), comparison.plan
     names, notes, warnings = (
         results.shown(found, wanted),
@@ -218,8 +215,6 @@ def _table(out: Output, table: Table) -> None:
 
 def doubts(comparison: Comparison) -> tuple[str, ...]:
     """What a user should know, each sentence once."""
-    from phdtrack.compare.store import RunResult
-
     said = [f"{run} failed: {reason}" for run, reason in comparison.failed]
     said += [result.warning for _, result in comparison.runs if isinstance(result, RunResult) and result.warning]
     each = tuple(dict.fromkeys(said))
@@ -229,9 +224,6 @@ def doubts(comparison: Comparison) -> tuple[str, ...]:
 
 def described(comparison: Comparison, seconds: float) -> str:
     """What was run, and how much of it was there already."""
-    from phdtrack.compare import results
-    from phdtrack.report.words import duration
-
     reused = f", {comparison.reused} of them kept from before" if comparison.reused else ""
     if comparison.outdated:
         said = " and ".join(MEANINGS.get(name, name) for name in comparison.outdated)

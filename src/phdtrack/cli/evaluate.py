@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import numpy as np
 import typer
 
 from phdtrack.cli import options as given
+from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, number
 from phdtrack.errors import InputError
-
-if TYPE_CHECKING:
-    from phdtrack.metrics import Scores
-    from phdtrack.types import Tracks, Truth
+from phdtrack.formats import find_seqinfo, read_tracks, read_truth
+from phdtrack.metrics import Scores, rmse_per_target, tgospa_boxes
+from phdtrack.metrics import evaluate as score
+from phdtrack.report.words import score_direction
+from phdtrack.types import Tracks, Truth
 
 # In the order of the table: the key of `Scores.as_dict`, and what it says.
 EXPLAINED = {
@@ -49,20 +52,13 @@ BY_TRAJECTORY = {
 
 
 def evaluate(
-    truth: Annotated[
-        Path, typer.Option("--truth", metavar="FILE", help="Annotated objects: MOTChallenge gt.txt, CSV, XML.")
-    ],
-    tracks: Annotated[Path, typer.Option("--tracks", metavar="FILE", help="Tracks to score: MOTChallenge or CSV.")],
+    truth: Annotated[Path, option("--truth", "FILE", "Annotated objects: MOTChallenge gt.txt, CSV, XML.")],
+    tracks: Annotated[Path, option("--tracks", "FILE", "Tracks to score: MOTChallenge or CSV.")],
     output: Output,
     iou: given.Iou = 0.5,
     frames: Annotated[
         int,
-        typer.Option(
-            "--frames",
-            metavar="N",
-            min=0,
-            help="Number of frames; 0: as seqinfo.ini by the truth says, or up to the last box.",
-        ),
+        option("--frames", "N", "Number of frames; 0: as seqinfo.ini by the truth says, or up to the last box.", min=0),
     ] = 0,
     t_gospa: Annotated[
         bool,
@@ -72,11 +68,11 @@ def evaluate(
     ] = False,
     rmse: Annotated[
         float,
-        typer.Option(
+        option(
             "--rmse",
-            metavar="PX",
+            "PX",
+            "RMSE of box centres per object, too; pairs from PX pixels on are misses and false ones. 0: without.",
             min=0.0,
-            help="RMSE of box centres per object, too; pairs from PX pixels on are misses and false ones. 0: without.",
         ),
     ] = 0.0,
 ) -> None:
@@ -85,9 +81,6 @@ def evaluate(
     A row of the truth that the benchmark ignores is ignored here; every row of the tracks counts. With --json a score
     whose denominator is empty is null.
     """
-    from phdtrack.formats import find_seqinfo, read_tracks, read_truth
-    from phdtrack.metrics import evaluate as score
-
     check_iou(iou)
     annotated, found = read_truth(truth), read_tracks(tracks)
     known = None if frames else find_seqinfo(truth)
@@ -114,8 +107,6 @@ def score_table(out: Output, runs: Mapping[str, Scores]) -> None:
 
 
 def _table(out: Output, columns: Mapping[str, Mapping[str, float | None]], meanings: Mapping[str, str]) -> None:
-    from phdtrack.report.words import score_direction
-
     rows = [
         [key, *(number(column[key]) for column in columns.values()), meaning + score_direction(key)]
         for key, meaning in meanings.items()
@@ -125,8 +116,6 @@ def _table(out: Output, columns: Mapping[str, Mapping[str, float | None]], meani
 
 def trajectory_scores(out: Output, truth: Truth, tracks: Tracks, frames: int) -> dict[str, float]:
     """A table of T-GOSPA and its parts, per frame of the sequence; the same for JSON."""
-    from phdtrack.metrics import tgospa_boxes
-
     parts = tgospa_boxes(truth, tracks, frames=frames)
     values = (parts.distance, parts.localisation, parts.missed, parts.false, parts.switching)
     found = {key: value / max(frames, 1) for key, value in zip(BY_TRAJECTORY, values, strict=True)}
@@ -136,10 +125,6 @@ def trajectory_scores(out: Output, truth: Truth, tracks: Tracks, frames: int) ->
 
 def located_errors(out: Output, truth: Truth, tracks: Tracks, gate: float) -> dict[str, object]:
     """A table of the errors of the boxes' centres in pixels, object by object without distractors; the same for JSON."""
-    import numpy as np
-
-    from phdtrack.metrics import rmse_per_target
-
     kept = ~truth.distractor
     centre, found = ((xyxy[:, :2] + xyxy[:, 2:]).T / 2 for xyxy in (truth.xyxy[kept], tracks.xyxy))
     errors = rmse_per_target(truth.frame[kept], truth.identity[kept], centre, tracks.frame, found, gate)

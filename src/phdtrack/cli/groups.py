@@ -7,23 +7,34 @@ from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import numpy as np
 import typer
 
+from phdtrack import config
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.options import SourceOptions, TrackingOptions
+from phdtrack.cli.doctor import installed_versions
+from phdtrack.cli.group_observer import NOWHERE, GroupObserver, GroupStory, Surroundings
+from phdtrack.cli.inputs import NO_PICTURE
+from phdtrack.cli.job import Job, finish_document
+from phdtrack.cli.options import SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, command_line, progress
+from phdtrack.cli.settings import chosen
 from phdtrack.cli.track import finish, prepare
+from phdtrack.config import Settings, build_groups
 from phdtrack.errors import InputError
-
-if TYPE_CHECKING:
-    from phdtrack.cli.group_observer import GroupStory
-    from phdtrack.cli.job import Job
-    from phdtrack.config import Settings
-    from phdtrack.formats.positions import Positions
-    from phdtrack.types import F8
+from phdtrack.files import load
+from phdtrack.formats.positions import Positions, read_positions
+from phdtrack.ground.uncertainty import footprint
+from phdtrack.groups import LifeCycleState
+from phdtrack.groups.pipeline import known_people
+from phdtrack.models import PlaneSensor
+from phdtrack.report import About
+from phdtrack.report.pages import render
+from phdtrack.report.words import flattened, json_value, write_text
+from phdtrack.types import F8
 
 USUAL_FILTER = "gm-phd"
 GROUP_SECTIONS = ("groups", "contours", "life_cycle", "encounters")
@@ -43,19 +54,19 @@ def groups(
     output: Output,
     camera: Annotated[
         Path | None,
-        typer.Option("--camera", metavar="FILE", help="Between pixels and the ground: Tsai XML, OpenCV, homography, TOML."),
+        option("--camera", "FILE", "Between pixels and the ground: Tsai XML, OpenCV, homography, TOML."),
     ] = None,
     positions: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--positions",
-            metavar="FILE",
-            help="People on the ground with identities and velocities (obsmat.txt): only their groups are estimated.",
+            "FILE",
+            "People on the ground with identities and velocities (obsmat.txt): only their groups are estimated.",
         ),
     ] = None,
     edges: Annotated[
         Path | None,
-        typer.Option("--edges", metavar="FILE", help="Lines to draw on the plan, as road edges: x y in metres a line."),
+        option("--edges", "FILE", "Lines to draw on the plan, as road edges: x y in metres a line."),
     ] = None,
     out: given.Out = None,
     overwrite: given.Overwrite = False,
@@ -66,9 +77,6 @@ def groups(
     The run's directory holds what that of `phdtrack track` does, and groups.csv (counts, places, contours), members.csv,
     events.csv, warnings.csv and plan.mp4: the ground from above beside the annotated video.
     """
-    from phdtrack.cli.settings import chosen
-    from phdtrack.formats.positions import read_positions
-
     if out is not None:
         rundir.check(out, overwrite, rundir.GROUP_FILES)
     if positions is None:
@@ -94,9 +102,6 @@ def ground_settings(options: TrackingOptions, camera: Path | None) -> Settings:
     ------
     InputError : there is no camera, or the settings are for another world or without a filter.
     """
-    from phdtrack import config
-    from phdtrack.cli.settings import chosen
-
     said = config.load(options.config, options.sets or (), options.preset)
     usual = [] if said.kind("motion") != "box" or "kind" in said.given.get("motion", {}) else ["motion.kind=plane"]
     if not options.filter_name and said.kind("filter") == "pmb" and "kind" not in said.given.get("filter", {}):
@@ -118,11 +123,6 @@ def ground_settings(options: TrackingOptions, camera: Path | None) -> Settings:
 
 def with_groups(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
     """The job with an observer of groups."""
-    from phdtrack.cli.group_observer import GroupObserver, GroupStory, Surroundings
-    from phdtrack.config import build_groups
-    from phdtrack.ground.uncertainty import footprint
-    from phdtrack.models import PlaneSensor
-
     stages, size = job.stages, (job.inputs.info.width, job.inputs.info.height)
     sensor, around = stages.model.sensor, Surroundings(edges=edges)
     if isinstance(sensor, PlaneSensor) and sensor.camera is not None:
@@ -134,7 +134,7 @@ def with_groups(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
 
 def _check_unused(source: SourceOptions, options: TrackingOptions, camera: Path | None) -> None:
     """Raise `InputError` where an option has nothing to do, because positions are known."""
-    given = {
+    useless = {
         "SOURCE": source.source,
         "--detections": source.detections,
         "--detector": source.detector,
@@ -146,10 +146,10 @@ def _check_unused(source: SourceOptions, options: TrackingOptions, camera: Path 
         "--truth": options.truth,
         "--threads": options.threads is not None,
     }
-    for option, used in given.items():
+    for name, used in useless.items():
         if used:
             problem = "the positions are known, so there is nothing that this could change"
-            raise InputError(problem, where=option, cure=f"Leave out {option} or --positions.")
+            raise InputError(problem, where=name, cure=f"Leave out {name} or --positions.")
 
 
 def group_known(
@@ -164,15 +164,6 @@ def group_known(
     video: bool,
 ) -> None:
     """Find groups among known positions, read from ``path``, write everything, and say what was found."""
-    import numpy as np
-
-    from phdtrack.cli.doctor import installed_versions
-    from phdtrack.cli.group_observer import GroupStory, Surroundings
-    from phdtrack.cli.job import finish_document
-    from phdtrack.report import About
-    from phdtrack.report.pages import render
-    from phdtrack.report.words import flattened, json_value, write_text
-
     started, clock, frames = datetime.now(UTC), time.perf_counter(), np.unique(known.frame).tolist()
     # One picture for each frame with people, as fast as these usually follow each other.
     step = float(np.median(np.diff(frames))) if len(frames) > 1 else 1.0
@@ -185,8 +176,8 @@ def group_known(
     title, versions = path.parent.name or path.name, installed_versions()
     about = About(title=title, command=command_line(), versions=versions, notes=(_NOTE,))
     used = {name: value for name, value in settings.as_dict().items() if name in GROUP_SECTIONS}
-    given = {"title": title, "source": str(path), "lead": " ".join(summary), "settings": flattened(used)}
-    page = render("positions.html", about=about, sections=found.section, **given)
+    words = {"title": title, "source": str(path), "lead": " ".join(summary), "settings": flattened(used)}
+    page = render("positions.html", about=about, sections=found.section, **words)
     write_text(directory.file(rundir.REPORT), page)
     document = {
         "command": about.command,
@@ -209,13 +200,6 @@ def group_known(
 
 def _follow(known: Positions, fps: float, settings: Settings, story: GroupStory, directory: rundir.RunDirectory) -> None:
     """Every frame with people through the stages, into files and story."""
-    import numpy as np
-
-    from phdtrack.cli.group_observer import NOWHERE
-    from phdtrack.config import build_groups
-    from phdtrack.groups import LifeCycleState
-    from phdtrack.groups.pipeline import known_people
-
     stages, state, frames = build_groups(settings), LifeCycleState(), np.unique(known.frame).tolist()
     with ExitStack() as files, progress("grouping", len(frames)) as advance:
         story.open(directory, files)
@@ -229,8 +213,6 @@ def _follow(known: Positions, fps: float, settings: Settings, story: GroupStory,
 
 def _draw(story: GroupStory, frames: list[int], directory: rundir.RunDirectory) -> None:
     """The plan of every frame as a video."""
-    from phdtrack.cli.inputs import NO_PICTURE
-
     with ExitStack() as files, progress("drawing", len(frames)) as advance:
         draw = story.drawing(directory, files, pictures=False)
         for done, number in enumerate(frames, start=1):
@@ -245,10 +227,6 @@ def read_edges(path: Path | None) -> tuple[F8, ...]:
     ------
     InputError : the file is missing, or a line is not two finite numbers.
     """
-    import numpy as np
-
-    from phdtrack.files import load
-
     edges: list[list[list[float]]] = [[]]
     text = load(path).decode("utf-8-sig", errors="replace") if path is not None else ""
     for number, line in enumerate(text.splitlines(), start=1):
@@ -274,8 +252,6 @@ def rate_of(positions: Positions, path: Path) -> float:
     ------
     InputError : no person moves, or displacements and velocities do not fit each other.
     """
-    import numpy as np
-
     order = np.lexsort((positions.frame, positions.identity))
     identity, frame, state = positions.identity[order], positions.frame[order], positions.state[:, order]
     same = identity[1:] == identity[:-1]

@@ -13,21 +13,26 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import cv2
+import numpy as np
 import typer
 
+from phdtrack import __version__, pipeline
 from phdtrack.cli import options as given
-from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions
+from phdtrack.cli.inputs import Inputs, ahead, comes_again, open_inputs, write_detected
+from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions, option
 from phdtrack.cli.output import Advance, Output, counted, progress
+from phdtrack.config import Settings, build, load
 from phdtrack.errors import InputError
-
-if TYPE_CHECKING:
-    from phdtrack.cli.inputs import Inputs
-    from phdtrack.config import Settings
-    from phdtrack.label.suggestions import Evidence, Suggestions
-    from phdtrack.protocols import AnyStages
-    from phdtrack.types import DetectionTable, SequenceInfo
+from phdtrack.formats import read_detections
+from phdtrack.label import LabelStore
+from phdtrack.label.samples import clip, sampled
+from phdtrack.label.suggestions import Background, Evidence, Suggestions, kept, suggest
+from phdtrack.protocols import AnyStages
+from phdtrack.types import DetectionTable, SequenceInfo
+from phdtrack.video import open_source
 
 _CLIP_WIDTH = 640
 
@@ -35,11 +40,11 @@ _CLIP_WIDTH = 640
 def label(
     source: SourceOptions,
     labels: given.Labels = None,
-    frames: Annotated[int, typer.Option("--frames", metavar="N", min=1, help="Frames to look at.")] = 40,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the draw of frames.")] = 0,
-    port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="0: any that is free.")] = 0,
+    frames: Annotated[int, option("--frames", "N", "Frames to look at.", min=1)] = 40,
+    seed: Annotated[int, option("--seed", "N", "Seed of the draw of frames.", min=0)] = 0,
+    port: Annotated[int, option("--port", "N", "0: any that is free.", min=0, max=65535)] = 0,
     host: Annotated[
-        str, typer.Option("--host", metavar="NAME", help="Address to listen on; others than this machine need a token then.")
+        str, option("--host", "NAME", "Address to listen on; others than this machine need a token then.")
     ] = "127.0.0.1",
     suggest: Annotated[bool, typer.Option("--suggest/--no-suggest", help="Look for detections that may be false.")] = True,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
@@ -51,16 +56,10 @@ def label(
     Meanwhile a tracker looks for detections that may be false, for a sweep (--no-suggest: it does not). Ctrl-C ends.
     """
     try:
-        from phdtrack.label.page import label_app, listen, serve
+        from phdtrack.label.page import Session, label_app, listen, serve
     except ModuleNotFoundError as error:
         problem = f"the page needs the package {error.name}"
         raise InputError(problem, where="phdtrack label", cure="pip install 'phdtrack[web]'") from error
-    from phdtrack.config import load
-    from phdtrack.label import LabelStore
-    from phdtrack.label.page import Session
-    from phdtrack.label.samples import clip, sampled
-    from phdtrack.label.suggestions import Background
-
     output, settings = Output(), load(config, sets or ())
     file = labels or labels_file(source)
     found = to_label(source, settings.detector, file, output)
@@ -102,9 +101,6 @@ def to_label(source: SourceOptions, parameters: dict[str, Any], labels: Path, ou
     Without either the default detector looks. So a detector runs once, and the marked boxes are the same when a
     person goes on another day. Raises `InputError` as `open_inputs`, and where there is nothing to label.
     """
-    from phdtrack.cli.inputs import comes_again, open_inputs
-    from phdtrack.formats import read_detections
-
     if source.source and not comes_again(source.source):
         raise InputError("frames of a camera come once only", where=source.source, cure="Record a video and label that")
     inputs = open_inputs(source, parameters)
@@ -124,8 +120,6 @@ def _kept_detections(
     source: SourceOptions, parameters: dict[str, Any], labels: Path, inputs: Inputs, output: Output
 ) -> Path:
     """The file of what the detector sees, by its name and settings; it appears when it is whole."""
-    from phdtrack.cli.inputs import write_detected
-
     more = [parameters, source.max_width, str(source.mask or ""), source.fps]
     digest = hashlib.sha256(json.dumps(more, sort_keys=True, default=str).encode()).hexdigest()[:8]
     path = labels.with_name(f"{labels.stem}.{source.detector or DEFAULT_DETECTOR}-{digest}.detections.csv")
@@ -143,11 +137,6 @@ def _kept_detections(
 
 def stills(source: SourceOptions, numbers: Collection[int], around: Collection[int]) -> dict[int, bytes]:
     """The frames ``numbers`` of a video as JPEG, and those ``around`` them as small ones; it is read up to the last."""
-    import cv2
-
-    from phdtrack.cli.inputs import ahead
-    from phdtrack.video import open_source
-
     kept: dict[int, bytes] = {}
     if not source.source or not numbers:
         return kept
@@ -169,9 +158,6 @@ def suggestions(
     found: Labelled, settings: Settings, frames: list[int], file: Path, advance: Callable[[float], None]
 ) -> Suggestions:
     """What may be false on these frames, by a tracker's run over everything; kept in ``file`` for the next time."""
-    from phdtrack import __version__
-    from phdtrack.config import build
-    from phdtrack.label.suggestions import kept, suggest
 
     def made() -> Suggestions:
         stages, whole = build(settings, found.info), range(1, found.last + 1)
@@ -195,12 +181,6 @@ def tracked(table: DetectionTable, fps: float, stages: AnyStages, frames: range,
 
     A filter that says nothing of false alarms (`filters.none`) leaves all probabilities at 0.
     """
-    import numpy as np
-
-    from phdtrack import pipeline
-    from phdtrack.label.suggestions import Evidence
-    from phdtrack.types import DetectionTable
-
     rows = np.arange(*np.searchsorted(table.frame, [frames.start, frames.stop]))
     rng, clutter = np.random.default_rng(seed), []
     given = ((number, (number - 1) / fps, table.at(number)) for number in frames)

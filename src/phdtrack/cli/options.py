@@ -7,40 +7,31 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+
+def option(name: str, metavar: str, help: str, **more: Any) -> Any:
+    """An option with a value, which its help calls ``metavar``."""
+    return typer.Option(name, metavar=metavar, help=help, **more)
+
+
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; everything else goes to stderr.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the files of an earlier run; others stay.")]
-Seed = Annotated[
-    int, typer.Option("--seed", metavar="N", min=0, help="Seed of everything random: the same seed gives the same result.")
-]
-Iou = Annotated[
-    float, typer.Option("--iou", metavar="F", help="Overlap (intersection over union) from which two boxes match.")
-]
+Seed = Annotated[int, option("--seed", "N", "Seed of everything random: the same seed gives the same result.", min=0)]
+Iou = Annotated[float, option("--iou", "F", "Overlap (intersection over union) from which two boxes match.")]
 MaxWidth = Annotated[
     int,
-    typer.Option(
-        "--max-width",
-        metavar="N",
-        min=0,
-        help="Detect on frames scaled down to this width, boxes stay in original pixels; 0: off.",
-    ),
+    option("--max-width", "N", "Detect on frames scaled down to this width, boxes stay in original pixels; 0: off.", min=0),
 ]
 Mask = Annotated[
     Path | None,
-    typer.Option(
-        "--mask", metavar="FILE", help="Image of the frame's size; only what lies where it is not black is reported."
-    ),
+    option("--mask", "FILE", "Image of the frame's size; only what lies where it is not black is reported."),
 ]
-FrameSize = Annotated[str, typer.Option("--frame-size", metavar="WxH", help="Size of the frames in pixels, as 1920x1080.")]
-Fps = Annotated[
-    float, typer.Option("--fps", metavar="F", min=0.0, help="Frames per second; 0: as the video or seqinfo.ini says.")
-]
-Detector = Annotated[
-    str, typer.Option("--detector", metavar="NAME", help="change (default), mean-background, mog2, knn, face or person.")
-]
+FrameSize = Annotated[str, option("--frame-size", "WxH", "Size of the frames in pixels, as 1920x1080.")]
+Fps = Annotated[float, option("--fps", "F", "Frames per second; 0: as the video or seqinfo.ini says.", min=0.0)]
+Detector = Annotated[str, option("--detector", "NAME", "change (default), mean-background, mog2, knn, face or person.")]
 Source = Annotated[
     str,
     typer.Argument(
@@ -50,51 +41,39 @@ Source = Annotated[
 ]
 Filter = Annotated[
     str,
-    typer.Option(
+    option(
         "--filter",
-        metavar="NAME",
-        help="pmb (default), gm-phd (default of groups), particle-phd, gm-cphd, particle-cphd, mht, mcmc, or none: "
+        "NAME",
+        "pmb (default), gm-phd (default of groups), particle-phd, gm-cphd, particle-cphd, mht, mcmc, or none: "
         "association of raw detections.",
     ),
 ]
-SceneFile = Annotated[
-    Path | None, typer.Option("--scene", metavar="FILE", help="What `phdtrack learn` has learned of this scene.")
-]
-TruthFile = Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="Annotated objects to score against.")]
-Labels = Annotated[
-    Path | None, typer.Option("--labels", metavar="FILE", help="Marks of `phdtrack label`; default: beside the video.")
-]
-Config = Annotated[
-    Path | None, typer.Option("--config", metavar="FILE", help="Settings in a TOML file; an unknown name is an error.")
-]
+SceneFile = Annotated[Path | None, option("--scene", "FILE", "What `phdtrack learn` has learned of this scene.")]
+TruthFile = Annotated[Path | None, option("--truth", "FILE", "Annotated objects to score against.")]
+Labels = Annotated[Path | None, option("--labels", "FILE", "Marks of `phdtrack label`; default: beside the video.")]
+Config = Annotated[Path | None, option("--config", "FILE", "Settings in a TOML file; an unknown name is an error.")]
 Sets = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
         "--set",
-        metavar="NAME=VALUE",
-        help="One setting, as sensor.detection_probability=0.9 or detector.min_area=0.001; may be given again.",
+        "NAME=VALUE",
+        "One setting, as sensor.detection_probability=0.9 or detector.min_area=0.001; may be given again.",
     ),
 ]
 Preset = Annotated[
     str,
-    typer.Option(
-        "--preset", metavar="NAME", help="Settings to start from: default, or a paper's: m07, m09, fv, m09-mht, e13, d14."
-    ),
+    option("--preset", "NAME", "Settings to start from: default, or a paper's: m07, m09, fv, m09-mht, e13, d14."),
 ]
-DetectionsFile = Annotated[
-    Path | None, typer.Option("--detections", metavar="FILE", help="Detections instead of a detector.")
-]
-Out = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="The directory to write; default: runs/ and the source's name.")
-]
+DetectionsFile = Annotated[Path | None, option("--detections", "FILE", "Detections instead of a detector.")]
+Out = Annotated[Path | None, option("--out", "DIR", "The directory to write; default: runs/ and the source's name.")]
 Threads = Annotated[
     int | None,
-    typer.Option(
+    option(
         "--threads",
-        metavar="N",
-        min=0,
-        help="Threads of filter and extraction where these can use more than one (particle filters), 0: one per core "
+        "N",
+        "Threads of filter and extraction where these can use more than one (particle filters), 0: one per core "
         "(default: 1); same result.",
+        min=0,
     ),
 ]
 

@@ -10,16 +10,16 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from phdtrack.cli import options as given
 from phdtrack.cli.options import TrackingOptions
 from phdtrack.cli.output import Output
-
-if TYPE_CHECKING:
-    from phdtrack.config import Settings
+from phdtrack.config import Settings, load, overlay
+from phdtrack.config.kinds import SECTIONS, record, settable
+from phdtrack.config.presets import PRESETS
 
 # The settings to know, besides preset, scene and filter.
 MAIN = {
@@ -39,9 +39,6 @@ def chosen(options: TrackingOptions, first: Sequence[str] = ()) -> Settings:
     ------
     InputError : a file that cannot be read, an unknown name, options that do not go together.
     """
-    from phdtrack.config import load, overlay
-    from phdtrack.config.kinds import settable
-
     settings = load(options.config, [*first, *(options.sets or ())], options.preset, options.filter_name)
     if options.threads is None:
         return settings
@@ -74,8 +71,6 @@ def settings(
 
     Without options these are the defaults. A preset is a complete set of values; --config and --set put others in place.
     """
-    from phdtrack.config import load
-
     found = load(config, sets or (), preset, filter_name)
     output.say(as_toml(found, everything=everything))
     output.document(found.as_dict())
@@ -83,9 +78,6 @@ def settings(
 
 def as_toml(found: Settings, *, everything: bool) -> str:
     """The settings as a TOML file; all of them, or kinds and the dozen to know with what differs from the preset."""
-    from phdtrack.config.kinds import SECTIONS, record
-    from phdtrack.config.presets import PRESETS
-
     names = ", ".join(PRESETS)
     lines = [f'preset = "{found.preset}"  # {names}', '# scene = "FILE"  # what `phdtrack learn` has learned of this scene']
     for section, values in found.as_dict().items():

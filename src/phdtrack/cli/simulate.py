@@ -6,20 +6,24 @@ import difflib
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.options import SourceOptions, TrackingOptions
+from phdtrack.cli.evaluate import score_table
+from phdtrack.cli.inputs import ahead
+from phdtrack.cli.job import announced, run
+from phdtrack.cli.options import SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, progress
+from phdtrack.cli.settings import chosen
+from phdtrack.cli.track import prepare
 from phdtrack.errors import InputError
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from phdtrack.simulate import Look, Scene
+from phdtrack.formats import write_detections, write_truth
+from phdtrack.simulate import NAMED, Look, Scene, default_detector, default_look, make_scene, render
+from phdtrack.video import VideoWriter
 
 TRUTH = "gt/gt.txt"
 DETECTIONS = "det/det.txt"
@@ -46,19 +50,17 @@ def simulate(
     out: given.Out = None,
     overwrite: given.Overwrite = False,
     seed: given.Seed = 0,
-    frames: Annotated[int, typer.Option("--frames", metavar="N", min=0, help="Number of frames; 0: as the scene has.")] = 0,
-    p_detect: Annotated[float | None, typer.Option("--p-detect", metavar="P", help="Detection probability.")] = None,
-    clutter: Annotated[float | None, typer.Option("--clutter", metavar="F", help="Poisson false alarms per frame.")] = None,
-    places: Annotated[int | None, typer.Option("--places", metavar="N", help="Places with persistent false alarms.")] = None,
-    jitter: Annotated[
-        float | None, typer.Option("--jitter", metavar="F", help="Error of boxes, as a fraction of their size.")
-    ] = None,
+    frames: Annotated[int, option("--frames", "N", "Number of frames; 0: as the scene has.", min=0)] = 0,
+    p_detect: Annotated[float | None, option("--p-detect", "P", "Detection probability.")] = None,
+    clutter: Annotated[float | None, option("--clutter", "F", "Poisson false alarms per frame.")] = None,
+    places: Annotated[int | None, option("--places", "N", "Places with persistent false alarms.")] = None,
+    jitter: Annotated[float | None, option("--jitter", "F", "Error of boxes, as a fraction of their size.")] = None,
     sets: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Another setting of the scene, as arrivals=0.8.")
+        list[str] | None, option("--set", "NAME=VALUE", "Another setting of the scene, as arrivals=0.8.")
     ] = None,
     look: Annotated[
         list[str] | None,
-        typer.Option("--look", metavar="NAME=VALUE", help="How the video looks: wave=0.3, lamps=8, noise, flicker, …"),
+        option("--look", "NAME=VALUE", "How the video looks: wave=0.3, lamps=8, noise, flicker, …"),
     ] = None,
     video: Annotated[bool, typer.Option("--video/--no-video", help="Render the scene as a video, too.")] = True,
 ) -> None:
@@ -67,11 +69,6 @@ def simulate(
     The files are laid out as MOTChallenge does (gt/gt.txt, det/det.txt, seqinfo.ini), so that `phdtrack track --detections`
     finds size and rate.
     """
-    import numpy as np
-
-    from phdtrack.formats import write_detections, write_truth
-    from phdtrack.simulate import NAMED, default_detector, default_look, make_scene
-
     if name not in NAMED:
         make_scene(name, seed)  # which says what scenes there are
     world, model, picture = NAMED[name], default_detector(NAMED[name]), default_look(name)
@@ -99,7 +96,7 @@ def simulate(
 
 def demo(
     output: Output,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where to write.")] = Path("demo-run"),
+    out: Annotated[Path, option("--out", "DIR", "Where to write.")] = Path("demo-run"),
     overwrite: given.Overwrite = False,
     seed: given.Seed = 7,
 ) -> None:
@@ -109,15 +106,6 @@ def demo(
     The directory holds the scene (scene.mp4, scene_gt.txt), the run with the filter, and in without-filter the one
     without.
     """
-    import numpy as np
-
-    from phdtrack.cli.evaluate import score_table
-    from phdtrack.cli.job import announced, run
-    from phdtrack.cli.settings import chosen
-    from phdtrack.cli.track import prepare
-    from phdtrack.formats import write_truth
-    from phdtrack.simulate import Look, make_scene
-
     rundir.check(out / WITHOUT, overwrite)
     directory = rundir.claim(out, overwrite, {VIDEO: "", DEMO_TRUTH: ""} | rundir.RUN_FILES)
     movie, truth = directory.file(VIDEO), directory.file(DEMO_TRUTH)
@@ -146,10 +134,6 @@ def demo(
 
 def render_video(scene: Scene, rng: np.random.Generator, path: Path, look: Look | None = None) -> None:
     """Write the scene as an mp4 file; ``look`` None for the renderer's own."""
-    from phdtrack.cli.inputs import ahead
-    from phdtrack.simulate import render
-    from phdtrack.video import VideoWriter
-
     info = scene.info
     with (
         VideoWriter(path, info.width, info.height, info.fps) as writer,

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from phdtrack import config
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions, TrackingOptions
+from phdtrack.cli.doctor import installed_versions
+from phdtrack.cli.inputs import open_inputs, write_detected
+from phdtrack.cli.job import Job, announced, run
+from phdtrack.cli.observers import mover_of, observers_of
+from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, command_line, counted
+from phdtrack.cli.settings import chosen, scene_settings
+from phdtrack.config import Settings, load
 from phdtrack.errors import InputError
-
-if TYPE_CHECKING:
-    from phdtrack.cli.job import Job
-    from phdtrack.config import Settings
+from phdtrack.formats import read_truth
+from phdtrack.report import About
 
 
 def track(
@@ -35,10 +40,10 @@ def track(
     ] = False,
     camera_motion: Annotated[
         str,
-        typer.Option(
+        option(
             "--camera-motion",
-            metavar="flow|FILE|none",
-            help="Compensate a camera that moves: measured in the pictures, or a matrix for each frame (default: none).",
+            "flow|FILE|none",
+            "Compensate a camera that moves: measured in the pictures, or a matrix for each frame (default: none).",
         ),
     ] = "",
 ) -> None:
@@ -47,8 +52,6 @@ def track(
     The run's directory holds tracks.csv (MOTChallenge), detections.csv, states.csv, annotated.mp4, report.html and
     run.json. A video that is cut short is tracked as far as it goes, with a warning. Ctrl-C finishes what was done so far.
     """
-    from phdtrack.cli.settings import chosen, scene_settings
-
     if out is not None:
         rundir.check(out, overwrite)
     settings = chosen(options, scene_settings(scene, camera_motion, learn_online=learn_online))
@@ -72,9 +75,6 @@ def detect(
 
     What was detected is written frame by frame, so that Ctrl-C loses nothing.
     """
-    from phdtrack.cli.inputs import open_inputs, write_detected
-    from phdtrack.config import load
-
     looked = SourceOptions(source, detector=detector, fps=fps, max_width=max_width, mask=mask)
     inputs = open_inputs(looked, load(config, sets or ()).detector)
     files = {rundir.DETECTIONS: rundir.RUN_FILES[rundir.DETECTIONS]}
@@ -105,14 +105,6 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
     ------
     InputError : an input that cannot be read, options that do not go together.
     """
-    from phdtrack import config
-    from phdtrack.cli.doctor import installed_versions
-    from phdtrack.cli.inputs import open_inputs
-    from phdtrack.cli.job import Job
-    from phdtrack.cli.observers import mover_of, observers_of
-    from phdtrack.formats import read_truth
-    from phdtrack.report import About
-
     truth = None if options.truth is None else read_truth(options.truth)
     if source.detections is None:
         settings = config.for_detector(settings, source.detector or DEFAULT_DETECTOR)
@@ -139,14 +131,14 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
 
 def finish(output: Output, job: Job, directory: rundir.RunDirectory) -> None:
     """Run the job and say what came of it. Raises what ended it before its time: that decides the exit status."""
-    from phdtrack.cli.evaluate import score_table
-    from phdtrack.cli.job import announced, run
-
     with announced(output):
         outcome = run(job, directory)
     output.warn(outcome.warnings)
     output.say(*outcome.summary, "", *directory.listing())
     if outcome.scores is not None:
+        # Scores are loaded only where there are any.
+        from phdtrack.cli.evaluate import score_table
+
         output.say()
         score_table(output, {"": outcome.scores})
     output.document(outcome.document)

@@ -14,15 +14,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh
-from phdtrack.config.kinds import Boxes, CameraSettings, LearnSettings, Places, SceneClutterSettings
+from phdtrack.config.kinds import (
+    Boxes,
+    CameraSettings,
+    LearnSettings,
+    Places,
+    SceneBirthSettings,
+    SceneClutterSettings,
+)
 from phdtrack.config.settings import Settings, overlay
 from phdtrack.errors import InputError
+from phdtrack.models.region import EVERYWHERE, Region
 from phdtrack.protocols import AnyStages, Associator, Birth, Clutter, Learning, Model, NoLearning, Stages
 from phdtrack.types import F8, GaussianMixture, SequenceInfo
 
 if TYPE_CHECKING:
     from phdtrack.groups.pipeline import GroupStages
-    from phdtrack.models.region import Region
     from phdtrack.protocols import Camera
     from phdtrack.scene import Scene
 
@@ -54,26 +61,20 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     if filter_name:
         settings = overlay(settings, {"filter": {"kind": filter_name}}, "--filter")
     size = (float(info.width), float(info.height))
-    model, associator = _model(settings, info), _associator(settings, size)
+    model, associator, smoother = _model(settings, info), _associator(settings, size), settings.build("smooth")
     if settings.kind("filter") == "none":
         from phdtrack.filters.extract.raw import Raw
 
-        return Stages(model, settings.build("filter"), Raw(), associator, smoother=settings.build("smooth"))
+        return Stages(model, settings.build("filter"), Raw(), associator, smoother=smoother)
     initial = settings.values("filter").get("initial", [])
     mixture = None
     if initial and settings.kind("motion") == "plane":
         mixture = _places([place for place in initial if len(place) == 5])
     elif initial:
         mixture = _boxes(model.sensor, [box for box in initial if len(box) == 4], 1.0)
-    stages = Stages(
-        model,
-        settings.build("filter", initial=mixture, frame_size=size),
-        settings.build("extract"),
-        associator,
-        _rates(settings, model, NoLearning(), info),
-        settings.build("merged_measurements"),
-        smoother=settings.build("smooth"),
-    )
+    filter_ = settings.build("filter", initial=mixture, frame_size=size)
+    rates, explainer = _rates(settings, model, NoLearning(), info), settings.build("merged_measurements")
+    stages = Stages(model, filter_, settings.build("extract"), associator, rates, explainer, smoother=smoother)
     if settings.kind("learn") == "none":
         return stages
     unlearned = replace(stages, associator=replace(settings.build("associate"), history=_KEPT))
@@ -87,7 +88,7 @@ def for_detector(settings: Settings, detector: str) -> Settings:
     """
     from phdtrack.detect import BACKGROUND
 
-    plain = settings.kind("motion") == "box" and settings.kind("sensor") == "box" and settings.kind("filter") != "none"
+    plain = settings.kind("motion") == "box" and settings.kind("filter") != "none"
     if detector not in BACKGROUND or not plain or "merged_measurements" in settings.given:
         return settings
     return overlay(settings, {"merged_measurements": {"kind": "explained"}}, "--detector")
@@ -111,44 +112,32 @@ def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupSt
 
 
 def _model(settings: Settings, info: SequenceInfo) -> Model:
-    """The model of the world. Raises `InputError` where its parts do not go together."""
-    motion, size = settings.kind("motion"), (float(info.width), float(info.height))
-    if motion == "plane":
-        return _ground_model(settings, info, size)
-    sensor, rate = settings.build("sensor"), settings.build("time").units_per_second
-    more: dict[str, Any] = {"births": settings.build("spawn"), "frame_size": size}
-    if motion == "box":
-        more["remember_size"] = sensor.scaling == "previous"
-    birth, clutter = _birth(settings, sensor, size), _clutter(settings, size, None)
-    return Model(settings.build("motion", **more), sensor, birth, clutter, rate)
+    """The model of the world, in an image or on the ground. Raises `InputError` where its parts do not go together."""
+    size, rate = (float(info.width), float(info.height)), settings.build("time").units_per_second
+    plane = settings.kind("motion") == "plane"
+    camera, region = _ground(settings.build("camera"), size) if plane else (None, EVERYWHERE)
+    sensor = settings.build("sensor", camera=camera, borders=region, frame_size=size)
+    motion = settings.build(
+        "motion",
+        births=settings.build("spawn"),
+        frame_size=size,
+        # A target that has left what can be seen would else live on, as it is never missed there.
+        borders=region if plane and sensor.view else EVERYWHERE,
+        remember_size=settings.kind("motion") == "box" and sensor.scaling == "previous",
+    )
+    birth, clutter = _birth(settings, sensor, size, region), _clutter(settings, size, region)
+    return Model(motion, sensor, birth, clutter, rate, first=rate / info.fps if plane else 1.0)
 
 
-def _ground_model(settings: Settings, info: SequenceInfo, size: Size) -> Model:
-    """The model of people on a ground plane, in metres and seconds."""
-    from phdtrack.ground import CountedFrom, read_camera
-    from phdtrack.models.region import EVERYWHERE
+def _ground(ground: CameraSettings, size: Size) -> tuple[Camera | None, Region]:
+    """The camera, and the ground that counts: as given, or around what the image shows."""
+    from phdtrack.ground import CountedFrom, footprint, read_camera
 
-    ground: CameraSettings = settings.build("camera")
     camera: Camera | None = read_camera(ground.file) if ground.file else None
     if camera is not None and ground.first_pixel:
         camera = CountedFrom(camera, ground.first_pixel)
-    region = _region(ground, camera, size)
-    sensor = settings.build("sensor", camera=camera, borders=region, frame_size=size)
-    # A target that has left what can be seen would else live on, as it is never missed there.
-    borders = region if sensor.view else EVERYWHERE
-    rate = settings.build("time").units_per_second
-    motion = settings.build("motion", births=settings.build("spawn"), borders=borders)
-    birth, clutter = _birth(settings, sensor, size, region), _clutter(settings, size, region)
-    return Model(motion, sensor, birth, clutter, rate, first=rate / info.fps)
-
-
-def _region(ground: CameraSettings, camera: Camera | None, size: Size) -> Region:
-    """The ground that counts: as given, or around what the image shows."""
-    from phdtrack.ground import footprint
-    from phdtrack.models.region import EVERYWHERE
-
     if ground.region != EVERYWHERE or camera is None:
-        return ground.region
+        return camera, ground.region
     corners = footprint(camera, size, ground.max_distance)
     if corners.shape[1] == 0:
         raise InputError(
@@ -156,88 +145,79 @@ def _region(ground: CameraSettings, camera: Camera | None, size: Size) -> Region
             where=ground.file,
             cure="Check that the camera is this video's, raise camera.max_distance, or give camera.region",
         )
-    (left, low), (right, high) = corners.min(axis=1), corners.max(axis=1)
-    return float(left), float(low), float(right), float(high)
+    (left, low), (right, high) = corners.min(axis=1).tolist(), corners.max(axis=1).tolist()
+    return camera, (left, low, right, high)
 
 
-def _birth(settings: Settings, sensor: Any, size: Size, region: Region | None = None) -> Birth:
+def _birth(settings: Settings, sensor: Any, size: Size, region: Region) -> Birth:
     """Where targets appear."""
     from phdtrack.models.births import FixedBirth
 
-    kind = settings.kind("birth")
+    kind, birth = settings.kind("birth"), settings.build("birth", frame_size=size, borders=region)
     if kind == "scene":
-        return _scene_birth(settings, size, sensor.observed)
-    birth: Any = settings.build("birth", frame_size=size, borders=region)
+        return _scene_birth(birth, size, settings.build("time").units_per_second, sensor.observed)
     if kind == "fixed":
         return FixedBirth(_boxes(sensor, birth.boxes, birth.births_per_second), birth.particles)
-    if kind == "places":
-        return FixedBirth(_places(birth.places), birth.particles)
-    made: Birth = birth
+    made: Birth = FixedBirth(_places(birth.places), birth.particles) if kind == "places" else birth
     return made
 
 
-def _scene_birth(settings: Settings, size: Size, observed: tuple[int, ...]) -> Birth:
+def _scene_birth(given: SceneBirthSettings, size: Size, rate: float, observed: tuple[int, ...]) -> Birth:
+    """Births as learned. Raises `InputError` where they were not learned, or for another ``rate`` or sensor."""
     from phdtrack.models.scene import SceneBirth, objects_of
 
-    given, rate = settings.build("birth"), settings.build("time").units_per_second
     scene = _scene(given.file, size)
     if scene.births is None:
         raise InputError("births were not learned in this scene", where=given.file, cure="Leave birth.kind out")
     if scene.rate != rate:
-        raise InputError(
-            f"births were learned with {scene.rate:g} time units a second, and there are {rate:g}",
-            where=given.file,
-            cure=f"Say --set time.units_per_second={scene.rate:g}, or learn again",
-        )
+        problem = f"births were learned with {scene.rate:g} time units a second, and there are {rate:g}"
+        cure = f"Say --set time.units_per_second={scene.rate:g}, or learn again"
+        raise InputError(problem, where=given.file, cure=cure)
     # What is not shown are the two velocities.
     if scene.births.density.dim != len(observed) + 2:
-        raise InputError(
-            f"expected births of {len(observed) + 2} components, got {scene.births.density.dim}",
-            where=given.file,
-            cure="Learn them with the motion.kind that they are used with",
-        )
+        problem = f"expected births of {len(observed) + 2} components, got {scene.births.density.dim}"
+        raise InputError(problem, where=given.file, cure="Learn them with the motion.kind that they are used with")
     if given.around_detections > 0 and len(observed) != 4:
         raise InputError("births around detections are of boxes only", where="birth.around_detections", cure="Leave it out")
-    among = objects_of(scene.followed)
-    per_second = scene.births.rate * rate
+    among, per_second = objects_of(scene.followed), scene.births.rate * rate
     return SceneBirth(per_second, scene.births.density, observed, given.particles, given.around_detections, among)
 
 
-def _clutter(settings: Settings, size: Size, region: Region | None) -> Clutter:
-    """Where false alarms are: on the ground in ``region``, and in an image of this size where that is None."""
+def _clutter(settings: Settings, size: Size, region: Region) -> Clutter:
+    """Where false alarms are: in an image of this size, or on the ground in ``region``."""
     from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, UniformClutter
     from phdtrack.models.region import area
     from phdtrack.models.volume import image_area, image_volume
 
-    given, motion = settings.build("clutter"), settings.kind("motion")
-    if settings.kind("clutter") == "scene":
+    kind, given = settings.kind("clutter"), settings.build("clutter")
+    if kind == "scene":
         from phdtrack.models.scene import SceneClutter
 
         scene = _scene(given.file, size)
         if scene.clutter is None:
             raise InputError("false alarms were not learned in this scene", where=given.file, cure="Leave clutter.kind out")
         return SceneClutter(scene.clutter.rate, scene.clutter.density, given.around_detections)
-    if motion == "point":
+    if kind == "point":
         return UniformClutter(given.clutter_per_frame, image_area(size))
-    if region is not None and given.density > 0:
+    if kind == "ground" and given.density > 0:
         return UniformClutter(given.density, 1.0)
     if given.volume == "local":
-        return LocalClutter(given.clutter_per_frame) if region is None else LocalPlaneClutter(given.clutter_per_frame)
+        return (LocalClutter if kind == "image" else LocalPlaneClutter)(given.clutter_per_frame)
     where = "clutter.clutter_per_frame on the ground"
-    return UniformClutter(given.clutter_per_frame, image_volume(size) if region is None else area(region, where))
+    return UniformClutter(given.clutter_per_frame, image_volume(size) if kind == "image" else area(region, where))
 
 
 def _associator(settings: Settings, size: Size) -> Associator[Any]:
     """What gives identities; false tracks are rejected where a scene has taught which false alarms are followed."""
     associator: Associator[Any] = settings.build("associate")
-    if settings.kind("clutter") != "scene":
+    given = settings.build("clutter")
+    if not isinstance(given, SceneClutterSettings) or not given.reject_false_tracks:
         return associator
     from phdtrack.associate.rejection import FalseTrackRejection
     from phdtrack.models.scene import FalseAlarmRatio
 
-    given: SceneClutterSettings = settings.build("clutter")
     scene = _scene(given.file, size)
-    if not given.reject_false_tracks or scene.clutter is None or scene.followed is None or not scene.followed.share:
+    if scene.clutter is None or scene.followed is None or not scene.followed.share:
         return associator
     same = settings.kind("birth") == "scene" and settings.build("birth").file == given.file
     false = FalseAlarmRatio(scene.clutter, scene.followed, scene.births if same else None)
@@ -283,11 +263,8 @@ def _scene(file: str, size: Size) -> Scene:
 
     scene = read_scene(Path(file))
     if (float(scene.width), float(scene.height)) != size:
-        raise InputError(
-            f"the scene was learned on frames of {scene.width}x{scene.height}, and these are {size[0]:g}x{size[1]:g}",
-            where=file,
-            cure="Learn it on this video: phdtrack learn",
-        )
+        problem = f"the scene was learned on frames of {scene.width}x{scene.height}, and these are {size[0]:g}x{size[1]:g}"
+        raise InputError(problem, where=file, cure="Learn it on this video: phdtrack learn")
     return scene
 
 
@@ -305,9 +282,8 @@ def _places(places: Places) -> GaussianMixture:
     x, y, weight, position, velocity = np.array(places, dtype=np.float64).reshape(-1, 5).T
     whole = np.isfinite(x + y + weight + position + velocity) & (weight >= 0) & (position > 0) & (velocity > 0)
     if not whole.all():
-        raise InputError(
-            "expected places as x, y, a weight from 0, deviations of position and of velocity above 0", where="places"
-        )
+        problem = "expected places as x, y, a weight from 0, deviations of position and of velocity above 0"
+        raise InputError(problem, where="places")
     nothing = np.zeros(len(x))
     cov = np.square(np.stack([position, position, velocity, velocity], axis=1))[:, :, None] * np.eye(4)
     return GaussianMixture(weight.copy(), np.stack([x, y, nothing, nothing]), cov)

@@ -33,12 +33,7 @@ class _Checked:
 
 @dataclass(frozen=True, slots=True)
 class TimeSettings(_Checked):
-    """The time unit of the model.
-
-    Parameters
-    ----------
-    units_per_second : time units per second in which noises are stated; the papers' are per frame at 25 Hz.
-    """
+    """``units_per_second``: time units per second in which noises are stated, the papers' are per frame at 25 Hz."""
 
     units_per_second: Positive = 25.0
 
@@ -72,41 +67,26 @@ class CameraSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class ClutterSettings(_Checked):
-    """False alarms of boxes.
+class PointClutterSettings(_Checked):
+    """``clutter_per_frame``: expected false alarms per frame, points anywhere in the image."""
 
-    Parameters
-    ----------
-    clutter_per_frame : expected false alarms per frame.
-    volume : spread over the ``image``, or around each detection (``local``).
-    """
+    clutter_per_frame: NonNegative = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class ClutterSettings(_Checked):
+    """False alarms of boxes. ``clutter_per_frame``: expected false alarms per frame. ``volume``: spread over the image, or
+    around each detection (local)."""
 
     clutter_per_frame: NonNegative = 1.0
     volume: Volume = "image"
 
 
 @dataclass(frozen=True, slots=True)
-class PointClutterSettings(_Checked):
-    """False alarms of points, spread over the image.
-
-    Parameters
-    ----------
-    clutter_per_frame : expected false alarms per frame.
-    """
-
-    clutter_per_frame: NonNegative = 1.0
-
-
-@dataclass(frozen=True, slots=True)
 class GroundClutterSettings(_Checked):
-    """False alarms on the ground.
-
-    Parameters
-    ----------
-    clutter_per_frame : expected false alarms per frame.
-    volume : spread over the ``region`` or around each detection (``local``).
-    density : false alarms per frame and m², which replaces the other two where it is not 0.
-    """
+    """False alarms on the ground. ``clutter_per_frame``: expected false alarms per frame. ``volume``: spread over the region
+    or around each detection (local). ``density``: false alarms per frame and m², which replaces the other two where it is
+    not 0."""
 
     clutter_per_frame: NonNegative = 0.3
     volume: PlaneVolume = "local"
@@ -115,14 +95,8 @@ class GroundClutterSettings(_Checked):
 
 @dataclass(frozen=True, slots=True)
 class FixedBirthSettings(_Checked):
-    """Births at given boxes.
-
-    Parameters
-    ----------
-    boxes : where objects appear, as left, top, right, bottom in pixels.
-    births_per_second : expected births per second at each.
-    particles : newborn particles per frame.
-    """
+    """``boxes``: where objects appear, as left, top, right, bottom in pixels. ``births_per_second``: expected births per
+    second at each. ``particles``: newborn particles per frame."""
 
     boxes: Boxes
     births_per_second: NonNegative = 0.25
@@ -131,13 +105,8 @@ class FixedBirthSettings(_Checked):
 
 @dataclass(frozen=True, slots=True)
 class PlacesBirthSettings(_Checked):
-    """Births at given places of the ground.
-
-    Parameters
-    ----------
-    places : where people appear: x, y (m), births per second, deviations of position (m) and of velocity (m/s).
-    particles : newborn particles per frame.
-    """
+    """``places``: where people appear on the ground, as x, y (m), births per second, deviations of position (m) and of
+    velocity (m/s). ``particles``: newborn particles per frame."""
 
     places: Places
     particles: PositiveCount = 300
@@ -298,16 +267,11 @@ FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
 }
 # The sections whose kinds decide others', in the order to lay them over.
 DECIDING = ("motion", "filter")
-# Kinds that a filter cannot do, with what to use instead.
-_NO_GAUSSIANS = {("birth", "uniform"): "birth.kind=measurement (of points: point), or fixed"}
-_NO_SPAWNING = {("spawn", "split"): "spawn.kind=none"}
-MISFITS: Mapping[str, Mapping[tuple[str, str], str]] = {
-    "gm-phd": _NO_GAUSSIANS | _NO_SPAWNING,
-    "gm-cphd": _NO_GAUSSIANS | _NO_SPAWNING,
-    "particle-cphd": _NO_SPAWNING,
-    "mcmc": _NO_SPAWNING,
-    "mht": _NO_GAUSSIANS | _NO_SPAWNING,
-    "pmb": _NO_GAUSSIANS | _NO_SPAWNING,
+# Kinds that most filters cannot do: those filters, and what to use instead.
+_GAUSSIAN = ("gm-phd", "gm-cphd", "mht", "pmb")
+MISFITS = {
+    ("birth", "uniform"): (_GAUSSIAN, "birth.kind=measurement (of points: point), or fixed"),
+    ("spawn", "split"): ((*_GAUSSIAN, "particle-cphd", "mcmc"), "spawn.kind=none"),
 }
 # Fields that come from the sequence.
 FROM_SEQUENCE = {"frame_size", "births", "initial", "remember_size", "camera", "hiders", "borders"}
@@ -328,13 +292,7 @@ def first_kind(section: str) -> str:
 
 @cache
 def settable(section: str, kind: str, motion: str) -> Mapping[str, Any]:
-    """The settings of a kind and the type of each, bounds included.
-
-    Parameters
-    ----------
-    section, kind : a section and one of its kinds.
-    motion : the kind of ``[motion]``, which decides what ``filter.initial`` is a list of.
-    """
+    """The settings of a kind and the type of each, bounds included; ``motion`` decides what ``filter.initial`` lists."""
     chosen = record(section, kind)
     hints = get_type_hints(chosen, include_extras=True)
     known = {field.name: hints[field.name] for field in fields(chosen) if field.name not in FROM_SEQUENCE}
@@ -346,9 +304,6 @@ def settable(section: str, kind: str, motion: str) -> Mapping[str, Any]:
 @cache
 def constructor_defaults(section: str, kind: str) -> Mapping[str, Any]:
     """The defaults of the settings that have one."""
-    found = {}
-    for field in fields(record(section, kind)):
-        default = field.default if field.default_factory is MISSING else field.default_factory()
-        if default is not MISSING and field.name not in FROM_SEQUENCE:
-            found[field.name] = default
-    return found
+    known = [field for field in fields(record(section, kind)) if field.name not in FROM_SEQUENCE]
+    made = {field.name: field.default_factory() for field in known if field.default_factory is not MISSING}
+    return made | {field.name: field.default for field in known if field.default is not MISSING}

@@ -23,7 +23,7 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from phdtrack.config.kinds import DECIDING, FITTING, MISFITS, SECTIONS, constructor_defaults, first_kind, record, settable
 from phdtrack.config.presets import PRESETS, values_of
@@ -81,8 +81,7 @@ class Settings:
         return values_of(self.preset, motion, filter_name)
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
+class _Entry(NamedTuple):
     """A value that the user gives, and where: for error messages."""
 
     section: str
@@ -105,24 +104,22 @@ def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "", f
     ------
     InputError : the file cannot be read, a name is unknown, or a value is of the wrong type or out of bounds.
     """
-    document = read_toml(path) if path is not None else {}
-    where = str(path) if path is not None else "configuration"
-    named, scene = document.pop("preset", "default"), document.pop("scene", "")
-    named = preset or named
+    document, where = ({}, "configuration") if path is None else (read_toml(path), str(path))
+    given, scene = document.pop("preset", "default"), document.pop("scene", "")
+    named = preset or given
     if not isinstance(named, str) or named not in PRESETS:
         raise _unknown("preset", str(named), list(PRESETS), "preset" if preset else where)
-    options = [_assignment(text) for text in sets if not _scene_named(text)]
-    scene = next((_scene_named(text) for text in reversed(sets) if _scene_named(text)), scene)
+    options = [_assignment(text) for text in sets]
+    scene = next((str(entry.value) for entry in reversed(options) if entry.section == "scene"), str(scene))
+    options = [entry for entry in options if entry.section != "scene"]
     if filter_name:
         for entry in options:
-            if (entry.section, entry.key) == ("filter", "kind") and entry.value != filter_name:
+            if entry[:2] == ("filter", "kind") and entry.value != filter_name:
                 problem = f"--filter {filter_name} and {entry.where} name two filters"
                 raise InputError(problem, where="--filter", cure="Leave one out")
         options = [_Entry("filter", "kind", filter_name, "--filter"), *options]
-    settings = _laid_over(Settings(named, {}), _entries(document, where))
-    if scene:
-        options = _taught(settings, str(scene), options)
-    settings = _laid_over(settings, options)
+    settings = _replaced(Settings(named, {}), _entries(document, where))
+    settings = _replaced(settings, _with_scene(settings, scene, options) if scene else options)
     _check(settings, where)
     return settings
 
@@ -140,52 +137,45 @@ def overlay(settings: Settings, sections: Mapping[str, Mapping[str, Any]], where
     ------
     InputError : as `load`.
     """
-    merged = _laid_over(settings, _entries(sections, where))
+    merged = _replaced(settings, _entries(sections, where))
     _check(merged, where)
     return merged
 
 
 def _entries(sections: Mapping[str, Any], where: str) -> list[_Entry]:
-    found = []
+    """The values of a document. Raises `InputError` where a section is none."""
     for section, values in sections.items():
         if section not in SECTIONS:
             raise _unknown("section", section, list(SECTIONS), where)
         if not isinstance(values, Mapping):
             raise InputError(f"expected a section [{section}] with names and values, got {values!r}", where=where)
-        found += [_Entry(section, key, value, where) for key, value in values.items()]
-    return found
+    return [_Entry(section, key, value, where) for section, values in sections.items() for key, value in values.items()]
 
 
-def _laid_over(settings: Settings, entries: Iterable[_Entry]) -> Settings:
+def _replaced(settings: Settings, entries: Iterable[_Entry]) -> Settings:
     """``settings`` with the entries in place of theirs. Kinds come first: they decide which other names there are."""
     given = {section: dict(values) for section, values in settings.given.items()}
-    entries = list(entries)
-    for entry in entries:
-        if entry.section not in SECTIONS:
-            raise _unknown("section", entry.section, list(SECTIONS), entry.where)
-        if entry.key == "kind" and entry.section != "detector":
-            kinds = list(SECTIONS[entry.section])
-            if kinds == [""]:
-                problem = f"[{entry.section}] comes in one kind only, got kind = {entry.value!r}"
-                raise InputError(problem, where=entry.where)
-            if not isinstance(entry.value, str) or entry.value not in kinds:
-                raise _unknown(f"kind of {entry.section}", str(entry.value), kinds, entry.where)
-            if given.get(entry.section, {}).get("kind", settings.kind(entry.section)) != entry.value:
-                # Another kind has other settings.
-                given[entry.section] = {}
-            given.setdefault(entry.section, {})["kind"] = entry.value
-    named = {entry.section for entry in entries if entry.key == "kind"}
-    merged = Settings(settings.preset, given)
+    kinds = [entry for entry in entries if entry.key == "kind" and entry.section != "detector"]
+    for section, _, kind, where in kinds:
+        known = list(SECTIONS[section])
+        if known == [""]:
+            raise InputError(f"[{section}] comes in one kind only, got kind = {kind!r}", where=where)
+        if kind not in known:
+            raise _unknown(f"kind of {section}", str(kind), known, where)
+        # Another kind has other settings.
+        same = given.get(section, {}).get("kind", settings.kind(section)) == kind
+        given[section] = {**(given.get(section, {}) if same else {}), "kind": kind}
+    named, merged = {entry.section for entry in kinds}, Settings(settings.preset, given)
     for deciding in named & set(DECIDING):
         for section, fitting in FITTING.get((deciding, merged.kind(deciding)), {}).items():
             if section in given and section not in named:
                 # Said before, of another filter or kind of motion: what does not fit goes.
                 if given[section].get("kind", fitting[0]) not in fitting:
                     del given[section]["kind"]
-                known = settable(section, merged.kind(section), merged.kind("motion"))
-                given[section] = {key: value for key, value in given[section].items() if key in known or key == "kind"}
+                allowed = {"kind", *settable(section, merged.kind(section), merged.kind("motion"))}
+                given[section] = {key: value for key, value in given[section].items() if key in allowed}
     for entry in entries:
-        if entry.section == "detector" or entry.key != "kind":
+        if entry not in kinds:
             value = entry.value if entry.section == "detector" else _checked(merged, entry)
             given.setdefault(entry.section, {})[entry.key] = value
     return merged
@@ -195,54 +185,47 @@ def _checked(settings: Settings, entry: _Entry) -> Any:
     """The value of an entry as the type that its setting has, within its bounds."""
     from pydantic import TypeAdapter, ValidationError
 
-    section, key, value = entry.section, entry.key, entry.value
-    motion = settings.kind("motion")
+    (section, key, value, where), motion = entry, settings.kind("motion")
     known = settable(section, settings.kind(section), motion)
     if key not in known:
         others = [kind for kind in SECTIONS[section] if key in settable(section, kind, motion)]
         owner = f"{section}.kind={' or '.join(others)}" if others else ""
-        raise _unknown(f"setting of [{section}]", key, list(known), entry.where, owner)
+        raise _unknown(f"setting of [{section}]", key, list(known), where, owner)
     try:
         # A list may stand for a tuple and 5.0 for 5, but neither true nor "0.9" for a number.
         return TypeAdapter(known[key]).validate_python(value, strict=isinstance(value, (bool, str)))
     except ValidationError as error:
         message = error.errors()[0]["msg"].lower()
-        raise InputError(f"{section}.{key}: {message}, got {value!r}", where=entry.where) from None
+        raise InputError(f"{section}.{key}: {message}, got {value!r}", where=where) from None
 
 
 def _check(settings: Settings, where: str) -> None:
     """Raise `InputError` where a section lacks a value, its values contradict each other, or kinds do not fit."""
+    kinds = {section: settings.kind(section) for section in SECTIONS}
     for section in settings.given:
         if section == "detector":
             continue
-        kind, values = settings.kind(section), settings.values(section)
-        needed = [key for key in settable(section, kind, "") if key not in constructor_defaults(section, kind)]
-        missing = [key for key in needed if key not in values and key != "initial"]
-        if missing:
-            raise InputError(f"[{section}] of kind {kind} needs a value for {missing[0]}", where=where)
+        values = {**constructor_defaults(section, kinds[section]), **settings.values(section), "initial": ()}
+        for key in settable(section, kinds[section], ""):
+            if key not in values:
+                raise InputError(f"[{section}] of kind {kinds[section]} needs a value for {key}", where=where)
         settings.build(section, frame_size=(1.0, 1.0))
     for deciding in DECIDING:
-        for section, fitting in FITTING.get((deciding, settings.kind(deciding)), {}).items():
-            kind = settings.kind(section)
+        for section, fitting in FITTING.get((deciding, kinds[deciding]), {}).items():
+            kind = kinds[section]
             if kind not in fitting:
                 others = [k for (d, k), f in FITTING.items() if d == deciding and kind in f.get(section, ())]
                 elsewhere = f"; it goes with {deciding}.kind={' or '.join(others)}" if others else ""
-                raise InputError(
-                    f"{section}.kind={kind} does not fit {deciding}.kind={settings.kind(deciding)}",
-                    where=where,
-                    cure=f"Leave {section}.kind out, or use {' or '.join(fitting)}{elsewhere}",
-                )
-    filter_name = settings.kind("filter")
-    for (section, kind), instead in MISFITS.get(filter_name, {}).items():
-        if settings.kind(section) == kind:
-            raise InputError(
-                f"{section}.kind={kind} has no form that filter.kind={filter_name} can carry",
-                where=where,
-                cure=f"Use {instead}, or filter.kind=particle-phd",
-            )
+                problem = f"{section}.kind={kind} does not fit {deciding}.kind={kinds[deciding]}"
+                cure = f"Leave {section}.kind out, or use {' or '.join(fitting)}{elsewhere}"
+                raise InputError(problem, where=where, cure=cure)
+    for (section, kind), (filters, instead) in MISFITS.items():
+        if kinds[section] == kind and kinds["filter"] in filters:
+            problem = f"{section}.kind={kind} has no form that filter.kind={kinds['filter']} can carry"
+            raise InputError(problem, where=where, cure=f"Use {instead}, or filter.kind=particle-phd")
 
 
-def _taught(settings: Settings, file: str, options: list[_Entry]) -> list[_Entry]:
+def _with_scene(settings: Settings, file: str, options: list[_Entry]) -> list[_Entry]:
     """``options`` after those that put what a learned scene knows in place of ``settings``; a kind in ``options`` wins.
 
     A part that was learned is a density over the whole frame. Where nothing is added around each detection, the other
@@ -251,42 +234,38 @@ def _taught(settings: Settings, file: str, options: list[_Entry]) -> list[_Entry
     from phdtrack.scene import read_scene
 
     said = {entry.section: entry.value for entry in options if entry.key == "kind"}
-    if _laid_over(settings, [e for e in options if e.key == "kind"]).kind("learn") == "online":
-        return [_Entry("learn", "kind", "online", "--scene"), _Entry("learn", "file", file, "--scene"), *options]
+    if _replaced(settings, [entry for entry in options if entry.key == "kind"]).kind("learn") == "online":
+        return [*_entries({"learn": {"kind": "online", "file": file}}, "--scene"), *options]
     scene = read_scene(Path(file))
     parts = {"birth": scene.births, "clutter": scene.clutter}
     learned = [name for name, part in parts.items() if part is not None and said.get(name, "scene") == "scene"]
-    pairs = [(name, key, value) for name in learned for key, value in (("kind", "scene"), ("file", file))]
-    options = [*(_Entry(*pair, "--scene") for pair in pairs), *options]
-    merged = _laid_over(settings, options)
+    options = [*_entries({name: {"kind": "scene", "file": file} for name in learned}, "--scene"), *options]
+    merged = _replaced(settings, options)
     if merged.kind("motion") != "box" or all(merged.values(name).get("around_detections", 0) > 0 for name in learned):
         return options
     others = [name for name in parts if "volume" in settable(name, merged.kind(name), "box")]
-    return [*(_Entry(name, "volume", "image", "--scene") for name in others), *options]
-
-
-def _scene_named(text: str) -> str:
-    """The file of ``scene=FILE``; empty for another option."""
-    name, _, value = text.partition("=")
-    return value.strip().strip("'\"") if name.strip() == "scene" else ""
+    return [*_entries({name: {"volume": "image"} for name in others}, "--scene"), *options]
 
 
 def _assignment(text: str) -> _Entry:
-    """The entry of ``section.name=value``; the value is TOML, or a word without quotes."""
-    path, equals, value = text.partition("=")
-    section, dot, key = path.strip().partition(".")
-    if not equals or not dot or not key:
-        raise InputError(
-            "expected section.name=value", where=f"--set {text}", cure="For example: --set sensor.detection_probability=0.9"
-        )
-    # TOML wants a digit before the point; people who type .1 mean a number.
-    plain = re.sub(r"^([+-]?)\.(?=\d)", r"\g<1>0.", value.strip())
+    """The entry of ``section.name=value``, or of ``scene=FILE``; the value is TOML, or a word without quotes."""
+    path, equals, value = (part.strip() for part in text.partition("="))
+    section, _, key = path.partition(".")
+    if path == "scene" and value:
+        return _Entry("scene", "", value.strip("'\""), text)
+    if not equals or not key:
+        cure = "For example: --set sensor.detection_probability=0.9"
+        raise InputError("expected section.name=value", where=f"--set {text}", cure=cure)
+    if section not in SECTIONS:
+        raise _unknown("section", section, list(SECTIONS), f"--set {text}")
     try:
+        # TOML wants a digit before the point; people who type .1 mean a number.
+        plain = re.sub(r"^([+-]?)\.(?=\d)", r"\g<1>0.", value)
         parsed = tomllib.loads(f"value = {plain}")["value"]
         # No setting is a moment; TOML takes 19:30:00 for one.
-        parsed = value.strip() if isinstance(parsed, (datetime.date, datetime.time)) else parsed
+        parsed = value if isinstance(parsed, (datetime.date, datetime.time)) else parsed
     except tomllib.TOMLDecodeError:
-        parsed = value.strip()
+        parsed = value
     return _Entry(section, key, parsed, f"--set {text}")
 
 
