@@ -9,7 +9,6 @@ import pytest
 from camera_cases import BARREL, MATRIX, PRISM, RATIONAL, ROTATION, TRANSLATION, posed, tsai
 from phdtrack.errors import InputError
 from phdtrack.ground import OpenCVLens, PosedCamera, TsaiLens
-from phdtrack.ground.lenses import rotation_zyx
 
 
 def test_tsai_is_the_solution_of_the_two_linear_equations(rng: np.random.Generator) -> None:
@@ -55,17 +54,6 @@ def test_units_do_not_matter_when_kappa_goes_with_them() -> None:
     millimetres = TsaiLens(focal=5.5, dx=5.1e-3, dy=4.6e-3, kappa=5e-3, cx=370.0, cy=280.0, sx=1.08)
     pixel = np.array([[0.0, 700], [570, 30]])
     np.testing.assert_allclose(metres.rays(pixel), millimetres.rays(pixel), rtol=1e-13)
-
-
-def test_the_rotation_of_the_angles() -> None:
-    rx, ry, rz = 2.0, -0.9, -0.4
-    np.testing.assert_allclose(
-        rotation_zyx(rx, ry, rz),
-        cv2.Rodrigues(np.array([0, 0, rz]))[0]
-        @ cv2.Rodrigues(np.array([0, ry, 0]))[0]
-        @ cv2.Rodrigues(np.array([rx, 0, 0]))[0],
-        atol=1e-15,
-    )
 
 
 @pytest.mark.parametrize("distortion", [np.zeros(0), BARREL[:4], BARREL, RATIONAL, PRISM], ids=["0", "4", "5", "8", "12"])

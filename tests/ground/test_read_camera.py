@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy.io import savemat
+from scipy.spatial.transform import Rotation
 
 from camera_cases import BARREL, MATRIX, PLANE, ROTATION, TRANSLATION, hills, posed, tsai
 from phdtrack.errors import InputError
@@ -48,6 +49,8 @@ def test_tsai_in_millimetres(tmp_path: Path) -> None:
     pixel = np.array([[100.0, 700], [300, 500]])
     np.testing.assert_allclose(camera.lens.rays(pixel), tsai(5e-3).rays(pixel), rtol=1e-12)
     np.testing.assert_allclose(camera.translation, [0.8287, -3.1755, 35.4693])
+    turned = Rotation.from_euler("xyz", [2.04, -0.893, -0.43]).as_matrix()  # Rz·Ry·Rx
+    np.testing.assert_allclose(camera.rotation, turned, atol=1e-14)
     without = TSAI.replace('dpx="5.1e-3" dpy="4.6e-3"', "")
     same(read_camera(put(tmp_path, "b.xml", without)), camera, np.array([[100.0, 400, 700], [350, 420, 560]]))
 

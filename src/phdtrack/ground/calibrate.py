@@ -1,8 +1,8 @@
 """A homography from points that somebody clicked: pixels and their places on the ground.
 
-The direct linear transform in normalised coordinates gives a first matrix, least squares on the distances in the image,
-where the clicks err, the final one. Layouts that leave the matrix open, all points near one
-line, or all but one, are refused.
+The direct linear transform in normalised coordinates gives a first matrix; least squares on the distances in the image,
+where the clicks err, gives the final one. Layouts that leave the matrix open (all points, or all but one, near a line) are
+refused.
 """
 
 from __future__ import annotations
@@ -44,6 +44,10 @@ def fit_homography(pixel: F8, world: F8) -> Calibration:
     pixel : (2, N) clicked pixels.
     world : (2, N) their places on the ground, metres.
 
+    Returns
+    -------
+    The camera and how well it fits.
+
     Raises
     ------
     InputError : fewer than four pairs, shapes that differ, a layout that leaves the matrix open, or pairs that no camera
@@ -52,14 +56,8 @@ def fit_homography(pixel: F8, world: F8) -> Calibration:
     pixel, world = np.asarray(pixel, dtype=np.float64), np.asarray(world, dtype=np.float64)
     _check(pixel, world)
     to_image, to_ground = _normaliser(pixel), _normaliser(world)
-    image, ground = _moved(to_image, pixel), _moved(to_ground, world)
-    forward = _refine(_transform(ground, image), ground, image)
-    if not _same_side(forward, ground):
-        raise InputError(
-            "expected points that one camera sees in front of it, came points on both sides of the horizon",
-            where="points",
-            cure="Are two pairs mixed up, or x and y, or the signs of X and Y?",
-        )
+    image, ground = _through(to_image, pixel), _through(to_ground, world)
+    forward = _refined(_transform(ground, image), ground, image)
     matrix = np.linalg.inv(to_ground) @ np.linalg.inv(forward) @ to_image
     matrix /= np.abs(matrix).max()
     inside = (float(pixel[0].mean()), float(pixel[1].mean()))
@@ -69,14 +67,14 @@ def fit_homography(pixel: F8, world: F8) -> Calibration:
 
 
 def _check(pixel: F8, world: F8) -> None:
+    """Raise `InputError` where the points cannot be those of a plane seen by a camera."""
     if pixel.ndim != 2 or len(pixel) != 2 or pixel.shape != world.shape:
         raise InputError(f"expected two arrays (2, N), came {pixel.shape} and {world.shape}", where="points")
     if not (np.isfinite(pixel).all() and np.isfinite(world).all()):
         raise InputError("expected finite numbers", where="points")
     if pixel.shape[1] < 4:
-        raise InputError(
-            f"expected four points or more, came {pixel.shape[1]}", where="points", cure="Click more points of the ground."
-        )
+        problem = f"expected four points or more, came {pixel.shape[1]}"
+        raise InputError(problem, where="points", cure="Click more points of the ground.")
     for name, points in (("in the image", pixel), ("on the ground", world)):
         spread = np.linalg.svd(points - points.mean(axis=1, keepdims=True), compute_uv=False)
         if spread[1] <= _LINE * spread[0]:
@@ -94,7 +92,7 @@ def _normaliser(points: F8) -> F8:
     return np.array([[scale, 0, -scale * middle[0]], [0, scale, -scale * middle[1]], [0, 0, 1]])
 
 
-def _moved(h: F8, point: F8) -> F8:
+def _through(h: F8, point: F8) -> F8:
     """(2, N) the points (2, N) through the homography."""
     x = h @ np.vstack([point, np.ones(point.shape[1])])
     return np.asarray(x[:2] / x[2])
@@ -113,28 +111,28 @@ def _transform(source: F8, target: F8) -> F8:
             where="points",
             cure="Add points away from the line that most of them lie on.",
         )
+    w = h[2] @ x.T
+    if (w > 0).any() and (w <= 0).any():
+        raise InputError(
+            "expected points that one camera sees in front of it, came points on both sides of the horizon",
+            where="points",
+            cure="Are two pairs mixed up, or x and y, or the signs of X and Y?",
+        )
     return np.asarray(h)
 
 
-def _same_side(h: F8, source: F8) -> bool:
-    w = h[2] @ np.vstack([source, np.ones(source.shape[1])])
-    return bool((w > 0).all() or (w < 0).all())
-
-
-def _refine(h: F8, source: F8, target: F8) -> F8:
+def _refined(h: F8, source: F8, target: F8) -> F8:
     """(3, 3) the homography nearest to ``h`` with the least squared distances to the target points (2, N)."""
     from scipy.optimize import least_squares  # takes long to import
 
-    if not _same_side(h, source):
-        return h  # through the horizon there is no way to better ones, and the caller refuses it
     fixed = int(np.argmax(np.abs(h)))
-    free = np.delete(np.arange(9), fixed)
+    start = h.ravel() / h.ravel()[fixed]
 
-    def full(parameters: F8) -> F8:
-        return np.insert(parameters, fixed, 1.0).reshape(3, 3)
+    def full(free: F8) -> F8:
+        return np.insert(free, fixed, 1.0).reshape(3, 3)
 
-    def distance(parameters: F8) -> F8:
-        return np.asarray((_moved(full(parameters), source) - target).ravel())
+    def distance(free: F8) -> F8:
+        return np.asarray((_through(full(free), source) - target).ravel())
 
-    found = least_squares(distance, h.ravel()[free] / h.ravel()[fixed], method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    found = least_squares(distance, np.delete(start, fixed), method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
     return full(found.x)

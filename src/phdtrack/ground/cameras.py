@@ -1,24 +1,25 @@
-"""A camera known by the homography between its image and flat ground.
+"""Lenses and cameras: from pixels to the ground and back [E13 §3.2, §3.3].
 
-    w [X, Y, 1]ᵀ = H [u, v, 1]ᵀ
+A camera known by the homography between its image and flat ground, w [X, Y, 1]ᵀ = H [u, v, 1]ᵀ: the horizon is the line w =
+0, and what lies on its other side is no ground. The sign of H is arbitrary, so one pixel must be known to show ground.
+Along the ground 1/w grows in proportion to the distance from the line below the camera, which is as much depth as there is
+without a lens.
 
-The horizon is the line w = 0; what lies on the other side of it is no ground. The matrix's sign is arbitrary, so one pixel
-must be known to show ground. Along the ground, 1/w grows in proportion to the distance from the line below the camera, and
-how fast it grows is told by the homography itself. That is as much depth as can be had without the lens.
-
-A camera with a lens and a pose, over flat ground or terrain.
-
-A lens turns a pixel into a ray (xu/f, yu/f, 1) in the camera's axes: x to the right, y down, z along the viewing direction.
-The pose turns the world into these axes, and the ray meets the ground where
+A camera with a lens and a pose, over flat ground or terrain: a lens turns a pixel into a ray (xu/f, yu/f, 1) in the camera's
+axes (x to the right, y down, z along the viewing direction), which meets the ground where
 
     z_c (xu/f, yu/f, 1)ᵀ = R [x, y, z(x, y)]ᵀ + T                                                         [E13 §3.3]
 
-Written along the ray, [x, y, z]ᵀ = −RᵀT + z_c Rᵀ(xu/f, yu/f, 1)ᵀ: the one unknown is z_c, the depth. The pixel moves the
-ray, and the point with it in the tangent plane of the ground. With n the normal there and d = Rᵀ(xu/f, yu/f, 1)ᵀ,
+In the world this is [x, y, z]ᵀ = −RᵀT + z_c d with d = Rᵀ(xu/f, yu/f, 1)ᵀ; the one unknown is the depth z_c. With the
+ground's normal n at the point, it moves with the ray in the tangent plane: ∂[x, y, z]ᵀ = z_c (I − d nᵀ/(nᵀd)) ∂d.
 
-    ∂[x, y, z]ᵀ = z_c (I − d nᵀ/(nᵀd)) ∂d.
+Tsai's lens, as the calibration files of PETS describe it [E13 §3.2]:
 
-A camera for pixels that are counted from another number than 0, as MOTChallenge's files count them from 1.
+    xd = dx (xf − Cx)/sx     yd = dy (yf − Cy)     r² = xd² + yd²     xu = xd (1 + κ r²)     yu = yd (1 + κ r²)
+
+The way back is the root of κ r_d³ + r_d = r_u, in closed form. For κ < 0 the formula folds the plane at r_d = (−3κ)^(−1/2):
+what lies beyond is outside of the lens. OpenCV's lens has radial, tangential and thin-prism distortion
+(`cv2.projectPoints`). Its radial part grows up to a fold, too.
 """
 
 from __future__ import annotations
@@ -26,17 +27,22 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import cv2
 import numpy as np
 
+from phdtrack.checks import Positive, check
 from phdtrack.errors import InputError
 from phdtrack.ground.terrain import Flat, Surface
 from phdtrack.protocols import Camera
 from phdtrack.types import F8
 
-# A point whose w is this small beside what it is summed of lies on the horizon, for all that float64 can say.
+# A point whose w is this small beside the terms of its sum lies on the horizon, as far as float64 can tell.
 _HORIZON = 1e-12
 # A camera whose own plane meets the ground farther away than this many metres looks straight down.
 _FAR = 1e6
+# Newton's steps in OpenCV's lens, the error in pixels that counts as solved, and its starts: shares of the fold at most.
+_STEPS, _SOLVED, _STARTS = 12, 1e-9, (0.5, 0.8, 0.95)
+_TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,8 +52,7 @@ class HomographyCamera:
     Attributes
     ----------
     matrix : (3, 3) H, from pixels to metres, for columns [u, v, 1]ᵀ; any scale and sign.
-    inside : (u, v) of one pixel that shows ground. Where nothing is said, the camera is taken to stand upright: the lower
-        pixels show ground.
+    inside : (u, v) of one pixel that shows ground; None: the camera stands upright, and the lower pixels show ground.
 
     Raises
     ------
@@ -63,8 +68,7 @@ class HomographyCamera:
         h = np.asarray(self.matrix, dtype=np.float64)
         if h.shape != (3, 3) or not np.isfinite(h).all():
             raise InputError("expected a matrix of 3 x 3 finite numbers", where="homography")
-        rows = np.linalg.norm(h, axis=1)
-        columns = np.linalg.norm(h, axis=0)
+        rows, columns = np.linalg.norm(h, axis=1), np.linalg.norm(h, axis=0)
         if min(rows.min(), columns.min()) == 0 or np.linalg.cond(h / rows[:, None] / columns) > 1e12:
             raise InputError(
                 "expected a matrix that can be inverted, came one that cannot",
@@ -76,19 +80,15 @@ class HomographyCamera:
 
     def ground(self, pixel: F8) -> F8:
         """(2, N) points of the ground, metres, that the pixels (2, N) show; NaN on the horizon and above."""
-        return _apply(self._forward, np.asarray(pixel, dtype=np.float64))
+        return _through(self._forward, np.asarray(pixel, dtype=np.float64))
 
     def pixels(self, world: F8) -> F8:
         """(2, N) pixels of points (2, N) or (3, N) of the ground, metres; NaN behind the camera and off the ground."""
         world = np.asarray(world, dtype=np.float64)
-        plane = world if len(world) == 2 else np.where(world[2] == 0, world[:2], np.nan)
-        return _apply(self._back, plane)
+        return _through(self._back, world if len(world) == 2 else np.where(world[2] == 0, world[:2], np.nan))
 
     def depth(self, world: F8) -> F8:
-        """(N,) distance along the ground from the line below the camera, metres; negative behind.
-
-        A camera that looks straight down has no such line: all points of the ground are equally far from it, 1.
-        """
+        """(N,) distance along the ground from the line below the camera, metres; 1 where the camera looks straight down."""
         a, b, c = self._back[2]
         slope = np.hypot(a, b)
         if slope * _FAR < abs(c):
@@ -103,7 +103,7 @@ class HomographyCamera:
         return np.asarray((h[:2, :2] - point.T[:, :, None] * h[2, :2]) / w[:, None, None])
 
 
-def _apply(h: F8, point: F8) -> F8:
+def _through(h: F8, point: F8) -> F8:
     """(2, N) images of the points (2, N), NaN where w is not above 0."""
     terms = h[2][:, None] * np.vstack([point, np.ones(point.shape[1])])
     w = terms.sum(axis=0)
@@ -117,12 +117,12 @@ def _side(h: F8, inside: tuple[float, float] | None) -> float:
         # How w changes with the row decides, unless it does not change over any image there is.
         level = abs(h[2, 1]) * _FAR < abs(h[2, 2])
         return float(np.sign(h[2, 2] if level else h[2, 1]))
-    w = h[2] @ np.array([*inside, 1.0])
-    if not abs(w) > _HORIZON * np.abs(h[2] * np.array([*inside, 1.0])).sum():
+    terms = h[2] * np.array([*inside, 1.0])
+    if not abs(terms.sum()) > _HORIZON * np.abs(terms).sum():
         raise InputError(
             f"expected a pixel that shows ground, came {inside}, on the horizon", where="inside of the homography"
         )
-    return float(np.sign(w))
+    return float(np.sign(terms.sum()))
 
 
 class Lens(Protocol):
@@ -136,6 +136,172 @@ class Lens(Protocol):
 
     def slope(self, pixel: F8) -> F8:
         """(N, 2, 2) derivatives of `rays` at the pixels (2, N)."""
+
+
+@dataclass(frozen=True, slots=True)
+class TsaiLens:
+    """Tsai's radial lens.
+
+    Attributes
+    ----------
+    focal : f, metres.
+    dx, dy : width and height of a pixel of the frame on the sensor, metres.
+    kappa : κ, per square metre (a value per square millimetre times 10⁶).
+    cx, cy : where the optical axis meets the image, pixels.
+    sx : Tsai's scale of the horizontal axis.
+
+    Raises
+    ------
+    InputError : a length or a scale is not above 0, or something is not finite.
+    """
+
+    focal: Positive
+    dx: Positive
+    dy: Positive
+    kappa: float
+    cx: float
+    cy: float
+    sx: Positive = 1.0
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def rays(self, pixel: F8) -> F8:
+        """(2, N) slopes (xu/f, yu/f) of the pixels (2, N); NaN beyond the fold [E13 §3.2]."""
+        distorted, r2 = self._sensor(pixel)
+        return np.asarray(distorted * (1 + self.kappa * r2) / self.focal)
+
+    def project(self, ray: F8) -> F8:
+        """(2, N) pixels of rays with slopes (2, N), by the root of the cubic; NaN for rays outside of the lens."""
+        plane = self.focal * np.asarray(ray, dtype=np.float64)
+        distorted = plane * self._shrink(np.hypot(plane[0], plane[1]))
+        return np.stack([distorted[0] * self.sx / self.dx + self.cx, distorted[1] / self.dy + self.cy])
+
+    def slope(self, pixel: F8) -> F8:
+        """(N, 2, 2) derivatives of `rays` at the pixels (2, N)."""
+        distorted, r2 = self._sensor(pixel)
+        bend = 2 * self.kappa * distorted.T[:, :, None] * distorted.T[:, None, :]
+        widened = (1 + self.kappa * r2)[:, None, None] * np.eye(2) + bend
+        return np.asarray(widened * np.array([self.dx / self.sx, self.dy]) / self.focal)
+
+    def _sensor(self, pixel: F8) -> tuple[F8, F8]:
+        """(2, N) places on the distorted sensor plane, and the squares (N,) of their radii; NaN beyond the fold."""
+        place = np.stack([self.dx * (pixel[0] - self.cx) / self.sx, self.dy * (pixel[1] - self.cy)])
+        r2 = (place**2).sum(axis=0)
+        return np.where(-3 * self.kappa * r2 >= 1, np.nan, place), r2
+
+    def _shrink(self, radius: F8) -> F8:
+        """(N,) r_d/r_u for the undistorted radii r_u (N,); NaN where the cubic has no root before the fold."""
+        if self.kappa == 0:
+            return np.ones_like(radius)
+        unit = 2 / np.sqrt(3 * abs(self.kappa))
+        scaled = 3 * radius / unit
+        if self.kappa > 0:
+            root = unit * np.sinh(np.arcsinh(scaled) / 3)
+        else:
+            root = unit * np.sin(np.arcsin(np.where(scaled < 1, scaled, np.nan)) / 3)
+        # One step of Newton removes the rounding of the closed form; at the fold its slope is 0.
+        slope = 1 + 3 * self.kappa * root**2
+        polished = root - np.where(slope > 1e-6, (self.kappa * root**3 + root - radius) / np.maximum(slope, 1e-6), 0)
+        return np.asarray(np.divide(polished, radius, out=np.ones_like(radius), where=radius != 0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenCVLens:
+    """A lens as `cv2.calibrateCamera` gives it.
+
+    Attributes
+    ----------
+    matrix : (3, 3) the camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], pixels.
+    distortion : none, or 4, 5, 8 or 12 coefficients in OpenCV's order (k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4).
+    fold : slope of the rays at which the radial part of the distortion stops to grow; infinite where it never does.
+
+    Raises
+    ------
+    InputError : a matrix of another form, another number of coefficients, or something is not finite.
+    """
+
+    matrix: F8
+    distortion: F8 = field(default_factory=lambda: np.zeros(0))
+    fold: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        k, d = np.asarray(self.matrix), np.asarray(self.distortion)
+        if k.shape != (3, 3) or not np.isfinite(k).all() or min(k[0, 0], k[1, 1]) <= 0:
+            raise InputError("expected a camera matrix (3, 3) with focal lengths above 0", where="lens of the camera")
+        if np.any(k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or k[2, 2] != 1:
+            raise InputError(
+                "expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], came other entries than 0 and 1",
+                where="lens of the camera",
+            )
+        if d.ndim != 1 or len(d) not in (0, 4, 5, 8, 12) or not np.isfinite(d).all():
+            raise InputError(
+                f"expected 0, 4, 5, 8 or 12 finite distortion coefficients, came {d.size}",
+                where="lens of the camera",
+                cure="The two of a tilted sensor (14 coefficients) are not understood; leave them out where they are 0.",
+            )
+        object.__setattr__(self, "fold", _fold(np.concatenate([d, np.zeros(12 - len(d))])))
+
+    def rays(self, pixel: F8) -> F8:
+        """(2, N) slopes of the rays of the pixels (2, N); NaN where the lens reaches no such pixel."""
+        pixel = np.asarray(pixel, dtype=np.float64)
+        target = (pixel - self.matrix[:2, 2:]) / np.diag(self.matrix)[:2, None]
+        if not self.distortion.any():
+            return target
+        # Newton's method with OpenCV's derivatives: its own inverse is a fixed-point iteration that fails near the edge.
+        # Later starts lie nearer to the fold, for strong lenses, where the first ones run beyond it.
+        found = np.full_like(target, np.nan)
+        for share in _STARTS:
+            left = np.flatnonzero(np.isnan(found[0]) & np.isfinite(target).all(axis=0))
+            ray, wanted = target[:, left], pixel[:, left]
+            ray = ray * np.minimum(1.0, share * self.fold / np.maximum(np.hypot(*ray), _TINY))
+            for _ in range(_STEPS):
+                shown, slope = self._project(ray)
+                ray = ray - np.einsum("nij,jn->in", _inverse(slope), shown - wanted)
+            missed = np.abs(self._project(ray)[0] - wanted).max(axis=0)
+            solved = (missed < _SOLVED) & (np.hypot(*ray) < self.fold)
+            found[:, left[solved]] = ray[:, solved]
+        return found
+
+    def project(self, ray: F8) -> F8:
+        """(2, N) pixels of rays with slopes (2, N); NaN for rays outside of the lens."""
+        ray = np.asarray(ray, dtype=np.float64)
+        return self._project(np.where(np.hypot(ray[0], ray[1]) < self.fold, ray, np.nan))[0]
+
+    def slope(self, pixel: F8) -> F8:
+        """(N, 2, 2) derivatives of `rays` at the pixels (2, N)."""
+        return _inverse(self._project(self.rays(pixel))[1])
+
+    def _project(self, ray: F8) -> tuple[F8, F8]:
+        """(2, N) pixels and (N, 2, 2) their derivatives by the slopes (2, N) of the rays; NaN where these are NaN."""
+        known = np.isfinite(ray).all(axis=0)
+        pixel, slope = np.full(ray.shape, np.nan), np.full((ray.shape[1], 2, 2), np.nan)
+        if known.any():
+            points = np.vstack([ray[:, known], np.ones(np.count_nonzero(known))]).T
+            shown, derivatives = cv2.projectPoints(points, np.zeros(3), np.zeros(3), self.matrix, self.distortion)
+            pixel[:, known] = shown[:, 0].T
+            # Columns 3 and 4 are the derivatives by a shift along x and y: at depth 1 those by the slopes.
+            slope[known] = derivatives[:, 3:5].reshape(-1, 2, 2)
+        return pixel, slope
+
+
+def _fold(coefficients: F8) -> float:
+    """The least slope at which r q(r²) stops to grow, or has a pole; infinite where there is none."""
+    k1, k2, _, _, k3, k4, k5, k6, *_ = coefficients
+    above, below = np.polynomial.Polynomial([1, k1, k2, k3]), np.polynomial.Polynomial([1, k4, k5, k6])
+    squared = np.polynomial.Polynomial([0, 2])
+    # d(r q)/dr is this over the square of the lower polynomial, in t = r².
+    growth = (above + squared * above.deriv()) * below - squared * above * below.deriv()
+    roots = np.concatenate([growth.trim().roots(), below.trim().roots()])
+    real = roots[np.abs(roots.imag) <= 1e-12 * np.abs(roots)].real
+    return float(np.sqrt(np.min(real[real > 0], initial=np.inf)))
+
+
+def _inverse(matrix: F8) -> F8:
+    """(N, 2, 2) inverses; NaN where there is none."""
+    (a, b), (c, d) = matrix.transpose(1, 2, 0)
+    determinant = a * d - b * c
+    return np.asarray((np.array([[d, -b], [-c, a]]) / np.where(determinant != 0, determinant, np.nan)).transpose(2, 0, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,8 +349,7 @@ class PosedCamera:
     def pixels(self, world: F8) -> F8:
         """(2, N) pixels of the world points (3, N), or points (2, N) of the ground, metres; NaN where there are none."""
         point = self._in_camera(world)
-        ahead = np.where(point[2] > 0, point[2], np.nan)
-        return self.lens.project(point[:2] / ahead)
+        return self.lens.project(point[:2] / np.where(point[2] > 0, point[2], np.nan))
 
     def depth(self, world: F8) -> F8:
         """(N,) z_c of the world points (3, N), or points (2, N) of the ground, metres; negative behind the camera."""
@@ -213,7 +378,7 @@ class PosedCamera:
 
 @dataclass(frozen=True, slots=True)
 class CountedFrom:
-    """``camera``, whose pixels count from 0, for pixels whose first is ``first`` along both axes."""
+    """``camera``, whose pixels count from 0, for pixels that count from ``first``, as MOTChallenge's files do from 1."""
 
     camera: Camera
     first: float = 1.0

@@ -1,18 +1,12 @@
-"""The ground: flat, or an elevation map z(x, y) on a regular grid, bilinear between its points.
+"""The ground: flat, or an elevation map z(x, y) on a regular grid, bilinear between its points [E13 §3.3].
 
-Where a ray p + s d meets terrain, s is a root of h(s) = p_z + s d_z − z(x(s), y(s)). A step of Gauss–Newton on the two
-equations of E13 meets the ray with the tangent plane at the last point; all its points lie on the ray, so it is a step of
-Newton on h.
+Where a ray p + s d meets terrain, s is the least root of h(s) = p_z + s d_z − z(x(s), y(s)). Gauss–Newton steps from the
+flat solution, as E13 takes them, may end behind a hill that is in the way. So the line of sight is sampled in half steps of
+the grid, and the first place where it goes below the ground is halved down to it.
 
-From the flat solution a few steps find the point, mostly. Where a hill is in the way they may find what lies hidden behind
-it, or run in a circle on a ridge. So the line of sight is looked along in half steps of the grid: the first place where it
-goes below the ground is the one that is seen, and halving finds it where Newton's method did not.
-
-Elevation maps in files: ``.npz`` (heights, origin, step) and the ASCII grid of geographic programs.
-
-An ASCII grid starts with lines of a name and a number (ncols, nrows, xllcorner or xllcenter, yllcorner or yllcenter,
-cellsize, and maybe NODATA_value), followed by the heights, the northernmost row first. All lengths are in metres, in the
-camera's world.
+Elevation maps in files: ``.npz`` (heights, origin, step) and the ASCII grid of geographic programs. An ASCII grid starts
+with lines of a name and a number (ncols, nrows, xllcorner or xllcenter, yllcorner or yllcenter, cellsize, and maybe
+NODATA_value), followed by the heights, the northernmost row first. All lengths are in metres, in the camera's world.
 """
 
 from __future__ import annotations
@@ -28,15 +22,11 @@ from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
 from phdtrack.types import F8
 
-_STEPS = 20
 _HALVINGS = 60
-# Values looked at in one go along lines of sight: 8 MiB a table.
+# Samples of lines of sight in one go: 8 MiB a table.
 _BLOCK = 1 << 20
 # A ray this flat, relative to its length, is the horizon for all that float64 can say.
 _LEVEL = 1e-12
-
-
-Mask = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
 
 class Surface(Protocol):
@@ -101,18 +91,17 @@ class Terrain:
                 f"expected 2 x 2 heights or more, finite or NaN, not all NaN, came shape {heights.shape}",
                 where="terrain",
             )
-        if origin.shape != (2,) or step.shape != (2,) or not np.isfinite(origin).all() or not (step > 0).all():
-            raise InputError("expected an origin (x, y) and steps (along x, along y) above 0, in metres", where="terrain")
-        if not np.isfinite(step).all():
-            raise InputError("expected finite steps", where="terrain")
+        if origin.shape != (2,) or step.shape != (2,) or not np.isfinite([origin, step]).all() or not (step > 0).all():
+            raise InputError(
+                "expected a finite origin (x, y) and finite steps (along x, along y) above 0, in metres", where="terrain"
+            )
         levels = float(np.nanmin(heights)), float(np.nanmean(heights)), float(np.nanmax(heights))
         object.__setattr__(self, "_levels", levels)
 
     @property
     def end(self) -> F8:
         """(2,) x and y of the last grid point, metres."""
-        ny, nx = self.heights.shape
-        return np.asarray(self.origin + self.step * np.array([nx - 1, ny - 1]))
+        return np.asarray(self.origin + self.step * (np.array(self.heights.shape[::-1]) - 1))
 
     def height(self, xy: F8) -> F8:
         """(N,) elevation at the points (2, N), metres; NaN outside of the map and beside unknown heights."""
@@ -126,15 +115,16 @@ class Terrain:
         return np.stack([-slope_x, -slope_y, np.ones_like(slope_x)])
 
     def meet(self, origin: F8, direction: F8) -> F8:
-        """(N,) the least s > 0 at which the ray goes below the ground, by Gauss–Newton from the flat solution [E13 §3.3]."""
-        start = Flat(self._levels[1]).meet(origin, direction)
-        found = self._newton(origin, direction, start)
-        low, high, buried = self._first_crossing(origin, direction)
-        found[buried] = np.nan
-        hidden = np.isfinite(low) & ~((found >= low) & (found <= high))
-        if hidden.any():
-            found[hidden] = self._halve(origin, direction[:, hidden], low[hidden], high[hidden])
-        return found
+        """(N,) the least s > 0 at which the ray goes below the ground [E13 §3.3]."""
+        low, high = self._first_crossing(origin, direction)
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            above = self._above(origin, direction, middle) > 0
+            low, high = np.where(above, middle, low), np.where(above, high, middle)
+        s = (low + high) / 2
+        # Beside unknown heights the halving may end at their edge.
+        on_ground = np.abs(self._above(origin, direction, s)) <= 1e-9 * (1 + np.abs(origin[2] + s * direction[2]))
+        return np.where(on_ground, s, np.nan)
 
     def _patch(self, x: F8, y: F8) -> tuple[F8, F8, F8]:
         """Elevation and slopes along x and y of the patch at the points; outside, those of the nearest edge."""
@@ -144,77 +134,46 @@ class Terrain:
         i, j = np.minimum(row.astype(np.int64), ny - 2), np.minimum(column.astype(np.int64), nx - 2)
         a, b = column - j, row - i
         h = self.heights
-        near, far = h[i, j] + a * (h[i, j + 1] - h[i, j]), h[i + 1, j] + a * (h[i + 1, j + 1] - h[i + 1, j])
-        across = (1 - b) * (h[i, j + 1] - h[i, j]) + b * (h[i + 1, j + 1] - h[i + 1, j])
-        return near + b * (far - near), across / self.step[0], (far - near) / self.step[1]
+        rise, rise_next = h[i, j + 1] - h[i, j], h[i + 1, j + 1] - h[i + 1, j]
+        near, far = h[i, j] + a * rise, h[i + 1, j] + a * rise_next
+        return near + b * (far - near), ((1 - b) * rise + b * rise_next) / self.step[0], (far - near) / self.step[1]
 
     def _above(self, origin: F8, direction: F8, s: F8) -> F8:
         """Height of the points origin + s·direction over the ground, counted from the camera's side of it."""
-        point = [origin[k] + s * direction[k] for k in range(3)]
+        x, y, z = (origin[k] + s * direction[k] for k in range(3))
         side = 1.0 if origin[2] >= self._levels[1] else -1.0
-        return np.asarray(side * (point[2] - self._patch(point[0], point[1])[0]))
+        return np.asarray(side * (z - self._patch(x, y)[0]))
 
-    def _newton(self, origin: F8, direction: F8, start: F8) -> F8:
-        """(N,) roots near ``start`` (N,), on the map and reached from above; NaN where none was found."""
-        s = start
-        for _ in range(_STEPS):
-            x, y, z = origin[:, None] + s * direction
-            ground, slope_x, slope_y = self._patch(x, y)
-            # Each stops on its own, so that none depends on its neighbours; NaN is never far.
-            far = np.abs(z - ground) > 1e-13 * (1 + np.abs(z))
-            if not far.any():
-                break
-            fall = direction[2] - slope_x * direction[0] - slope_y * direction[1]
-            s = np.where(far, s - (z - ground) / np.where(fall != 0, fall, np.nan), s)
-        rising = self._above(origin, direction, s * (1 + 1e-7)) - self._above(origin, direction, s * (1 - 1e-7))
-        point = origin[:, None] + s * direction
-        exact = np.abs(point[2] - self.height(point[:2])) <= 1e-9 * (1 + np.abs(point[2]))
-        return np.where(exact & (s > 0) & (rising < 0), s, np.nan)
+    def _first_crossing(self, origin: F8, direction: F8) -> tuple[F8, F8]:
+        """Intervals of s (N,), (N,) in which rays first go below the ground.
 
-    def _first_crossing(self, origin: F8, direction: F8) -> tuple[F8, F8, Mask]:
-        """Intervals of s (N,), (N,) in which rays first go below the ground, NaN for those that never do.
-
-        And which (N,) come onto the map below its ground: what they show lies outside, where nothing is known.
+        NaN for those that never do, and for those that come onto the map below its ground.
         """
         enter, leave = self._over_map(origin, direction)
         across = np.hypot(direction[0], direction[1]) * (leave - enter)
-        most = np.max(np.nan_to_num(across), initial=0.0)
-        count = int(np.ceil(2 * most / self.step.min())) + 2
-        low, high, buried = np.full(len(enter), np.nan), np.full(len(enter), np.nan), np.zeros(len(enter), dtype=bool)
-        share = np.linspace(0, 1, count)
-        for first in range(0, len(enter), max(1, _BLOCK // count)):
-            rows = slice(first, first + max(1, _BLOCK // count))
+        count = int(np.ceil(2 * np.max(np.nan_to_num(across), initial=0.0) / self.step.min())) + 2
+        low, high, share = np.full(len(enter), np.nan), np.full(len(enter), np.nan), np.linspace(0, 1, count)
+        block = max(1, _BLOCK // count)
+        for first in range(0, len(enter), block):
+            rows = slice(first, first + block)
             s = enter[rows, None] + share * (leave - enter)[rows, None]
             above = self._above(origin, direction[:, rows, None], s)
             falls = (above[:, :-1] > 0) & (above[:, 1:] <= 0)
-            at = np.argmax(falls, axis=1)
-            each = np.arange(len(at))
-            buried[rows] = above[each, 0] < 0
-            seen = falls[each, at] & ~buried[rows]
+            each, at = np.arange(len(falls)), np.argmax(falls, axis=1)
+            seen = falls[each, at] & ~(above[:, 0] < 0)
             low[rows], high[rows] = np.where(seen, s[each, at], np.nan), np.where(seen, s[each, at + 1], np.nan)
-        return low, high, buried
+        return low, high
 
     def _over_map(self, origin: F8, direction: F8) -> tuple[F8, F8]:
         """(N,), (N,) the interval of s ≥ 0 in which a ray is over the map and not yet below its lowest point; NaN: none."""
         lowest, _, highest = self._levels
-        corner = np.array([*self.origin, lowest]), np.array([*self.end, highest])
         # A margin, or flat terrain would have no room between its lowest and highest point.
-        margin = np.array([0, 0, 1e-3 * (1 + highest - lowest)])
+        margin = 1e-3 * (1 + highest - lowest)
+        corners = np.array([[*self.origin, lowest - margin], [*self.end, highest + margin]])
         with np.errstate(divide="ignore", invalid="ignore"):
-            a = (corner[0] - margin - origin)[:, None] / direction
-            b = (corner[1] + margin - origin)[:, None] / direction
-        enter = np.maximum(np.fmin(a, b).max(axis=0), 0)
-        leave = np.fmax(a, b).min(axis=0)
-        seen = enter < leave
-        return np.where(seen, enter, np.nan), np.where(seen, leave, np.nan)
-
-    def _halve(self, origin: F8, direction: F8, low: F8, high: F8) -> F8:
-        """(n,) the place between ``low`` and ``high`` at which the ray goes below the ground."""
-        for _ in range(_HALVINGS):
-            middle = (low + high) / 2
-            above = self._above(origin, direction, middle) > 0
-            low, high = np.where(above, middle, low), np.where(above, high, middle)
-        return (low + high) / 2
+            a, b = (corners - origin)[:, :, None] / direction
+        enter, leave = np.maximum(np.fmin(a, b).max(axis=0), 0), np.fmax(a, b).min(axis=0)
+        return np.where(enter < leave, enter, np.nan), np.where(enter < leave, leave, np.nan)
 
 
 _HEAD = ("ncols", "nrows", "xllcorner", "xllcenter", "yllcorner", "yllcenter", "cellsize", "nodata_value")
@@ -233,51 +192,50 @@ def read_terrain(path: AnyPath) -> Terrain:
 
 
 def _arrays(path: Path, content: bytes) -> Terrain:
+    """The map of an .npz file."""
     expected = "expected an .npz file with the arrays heights (ny, nx), origin (2,) and step (2,)"
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as held:
-            missing = [name for name in ("heights", "origin", "step") if name not in held]
-            if missing:
-                raise InputError(f"{expected}, came one without {missing[0]}", where=path)
-            heights, origin, step = (held[name].astype(np.float64) for name in ("heights", "origin", "step"))
-    except InputError:
-        raise
+            found = {name: held[name].astype(np.float64) for name in ("heights", "origin", "step") if name in held}
     except Exception as error:  # a broken archive makes NumPy fail in a dozen ways
         raise InputError(f"{expected}, which cannot be read: {error}", where=path) from None
+    for name in ("heights", "origin", "step"):
+        if name not in found:
+            raise InputError(f"{expected}, came one without {name}", where=path)
     try:
-        return Terrain(origin, np.broadcast_to(step, (2,)), heights)
+        return Terrain(found["origin"], np.broadcast_to(found["step"], (2,)), found["heights"])
     except ValueError as error:
         raise InputError(f"{expected}: {error}", where=path) from None
 
 
 def _grid(path: Path, content: bytes) -> Terrain:
+    """The map of an ASCII grid."""
     lines = content.decode("utf-8", errors="replace").splitlines()
     head: dict[str, float] = {}
     first = 0
     for first, line in enumerate(lines):
-        words = line.split()
-        if words and words[0].lower() not in _HEAD:
+        name, *words = line.split() or [""]
+        if name and name.lower() not in _HEAD:
             break
-        if words:
-            head[words[0].lower()] = _numbers(path, first, words[1:], 1)[0]
+        if name:
+            head[name.lower()] = _numbers(path, first, words, 1)[0]
     for names in (("ncols",), ("nrows",), ("cellsize",), ("xllcorner", "xllcenter"), ("yllcorner", "yllcenter")):
         if not any(name in head for name in names):
             raise InputError(
                 f"expected an elevation map, an .npz file or an ASCII grid that states {' or '.join(names)}, came neither",
                 where=path,
             )
-    for name in ("ncols", "nrows"):
-        if not (head[name] >= 0 and head[name].is_integer()):
-            raise InputError(f"expected a whole number for {name}, came {head[name]:g}", where=path)
+        if names[0] in ("ncols", "nrows") and not (head[names[0]] >= 0 and head[names[0]].is_integer()):
+            raise InputError(f"expected a whole number for {names[0]}, came {head[names[0]]:g}", where=path)
     columns, rows, cell = int(head["ncols"]), int(head["nrows"]), head["cellsize"]
     table = [_numbers(path, first + i, line.split(), columns) for i, line in enumerate(lines[first:]) if line.strip()]
     if len(table) != rows:
         raise InputError(f"expected {rows} rows of heights, came {len(table)}", where=path, cure="Is the file complete?")
     heights = np.array(table).reshape(rows, columns)[::-1]
+    known = np.where(heights == head.get("nodata_value", np.nan), np.nan, heights)
     origin = [head.get(f"{a}llcenter", head.get(f"{a}llcorner", 0.0) + cell / 2) for a in "xy"]
-    known = np.where(heights == head["nodata_value"], np.nan, heights) if "nodata_value" in head else heights
     try:
-        return Terrain(np.array(origin), np.array([cell, cell]), np.ascontiguousarray(known))
+        return Terrain(np.array(origin), np.array([cell, cell]), known)
     except InputError as error:
         raise InputError(error.problem, where=path) from None
 

@@ -1,10 +1,8 @@
-"""How well a pixel's place on the ground is known: far away a pixel is metres.
+"""How well a pixel's place on the ground is known: far away a pixel is metres; and what ground the frame shows.
 
 The Jacobian carries the covariance along the tangent, P_W = J P Jᵀ. The unscented transform sends five sigma points through
-the camera and takes their mean and covariance: where the ground curves within the noise it is the better of the two, and it
-tells how far the mean lies beyond the point. Where one of its points does not meet the ground, there is no covariance.
-
-The field of view on the ground: the polygon that the frame's edge draws there, cut at the horizon and at a distance.
+the camera and takes their mean and covariance: where the ground curves within the noise it is the better of the two, and
+shows how far the mean lies beyond the point. Where one of its points does not meet the ground, there is no covariance.
 """
 
 from __future__ import annotations
@@ -15,18 +13,18 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.protocols import Camera
-from phdtrack.types import F8
+from phdtrack.types import F8, Bool
 
 Method = Literal["jacobian", "unscented"]
 
 # n + κ = 3 in two dimensions: the fourth moments of a Gaussian along the axes.
 _SPREAD = 3.0
+# Points along an edge of the frame, points of the grid that a visible centre is looked for on, halvings of a pixel's way.
+_EDGE, _GRID, _HALVINGS = 64, 33, 50
 
 
 def ground_covariance(camera: Camera, pixel: F8, cov: F8, method: Method = "jacobian") -> F8:
-    """(N, 2, 2) covariances in square metres of the ground points that the pixels (2, N) show.
-
-    ``cov`` (N, 2, 2) are the pixels' own. NaN for a point that shows no ground [E13 §3.3].
+    """(N, 2, 2) covariances, square metres, of the ground points of pixels; NaN where there is no ground [E13 §3.3].
 
     Parameters
     ----------
@@ -47,9 +45,7 @@ def ground_covariance(camera: Camera, pixel: F8, cov: F8, method: Method = "jaco
 
 
 def ground_gaussian(camera: Camera, pixel: F8, cov: F8, method: Method = "jacobian") -> tuple[F8, F8]:
-    """Means (2, N), metres, and covariances (N, 2, 2) of the ground points: what `ground_covariance` is one half of.
-
-    The mean is the pixel's own ground point by the Jacobian, that of the sigma points by the unscented transform.
+    """Means and covariances of the ground points: the mean is the pixel's own ground point, or that of the sigma points.
 
     Parameters
     ----------
@@ -66,29 +62,20 @@ def ground_gaussian(camera: Camera, pixel: F8, cov: F8, method: Method = "jacobi
     ------
     InputError : there is no such method, ``cov`` has another shape, or a covariance is not positive definite.
     """
-    pixel, cov = np.asarray(pixel, dtype=np.float64), np.asarray(cov, dtype=np.float64)
+    pixel, cov, where = np.asarray(pixel, np.float64), np.asarray(cov, np.float64), "covariance of ground points"
     if method not in get_args(Method):
-        raise InputError(
-            f"expected one of {', '.join(get_args(Method))}, came {method!r}", where="covariance of ground points"
-        )
+        raise InputError(f"expected one of {', '.join(get_args(Method))}, came {method!r}", where=where)
     if cov.shape != (pixel.shape[1], 2, 2):
         raise InputError(
-            f"expected one 2 x 2 covariance for each of {pixel.shape[1]} pixels, came shape {cov.shape}",
-            where="covariance of ground points",
+            f"expected one 2 x 2 covariance for each of {pixel.shape[1]} pixels, came shape {cov.shape}", where=where
         )
-    return _tangent(camera, pixel, cov) if method == "jacobian" else _unscented(camera, pixel, cov)
-
-
-def _tangent(camera: Camera, pixel: F8, cov: F8) -> tuple[F8, F8]:
-    slope = camera.jacobian(pixel)
-    return camera.ground(pixel), slope @ cov @ slope.transpose(0, 2, 1)
-
-
-def _unscented(camera: Camera, pixel: F8, cov: F8) -> tuple[F8, F8]:
+    if method == "jacobian":
+        slope = camera.jacobian(pixel)
+        return camera.ground(pixel), slope @ cov @ slope.transpose(0, 2, 1)
     try:
         root = np.sqrt(_SPREAD) * np.linalg.cholesky(cov)  # its columns are the steps
     except np.linalg.LinAlgError:
-        raise InputError("expected covariances that are positive definite", where="covariance of ground points") from None
+        raise InputError("expected covariances that are positive definite", where=where) from None
     step = np.concatenate([np.zeros_like(root[:, :, :1]), root, -root], axis=2)  # (N, 2, 5)
     weight = np.array([1 - 2 / _SPREAD] + [0.5 / _SPREAD] * 4)
     sigma = pixel[:, :, None] + step.transpose(1, 0, 2)
@@ -98,21 +85,22 @@ def _unscented(camera: Camera, pixel: F8, cov: F8) -> tuple[F8, F8]:
     return mean, np.einsum("inp,jnp,p->nij", off, off, weight)
 
 
-# Points along an edge of the frame, points of the grid that a visible centre is looked for on, halvings of a pixel's way.
-_EDGE, _GRID, _HALVINGS = 64, 33, 50
-
-
 def footprint(camera: Camera, frame_size: tuple[float, float], limit: float = 100.0) -> F8:
     """(2, K) corners of the ground that the frame shows, metres; K = 0 where it shows none.
 
-    The points go around the frame from its upper left corner. Where the edge of the frame shows no ground, or ground deeper
-    than ``limit``, the way from a visible pixel to the edge is cut where the ground ends: on terrain, where ground may be
-    hidden in between, that is the outline as far as it can be seen from the middle.
+    They go around the frame from its upper left corner. Where its edge shows no ground, or ground deeper than ``limit``,
+    the way to it from a visible pixel is cut where the ground ends. On terrain, which may hide ground in between, that is
+    the outline as far as it can be seen from the middle.
 
     Parameters
     ----------
+    camera : between pixels and ground.
     frame_size : width and height, pixels.
     limit : greatest depth (`Camera.depth`), metres.
+
+    Returns
+    -------
+    (2, K) metres.
 
     Raises
     ------
@@ -121,9 +109,14 @@ def footprint(camera: Camera, frame_size: tuple[float, float], limit: float = 10
     width, height = frame_size
     if not (width > 0 and height > 0 and limit > 0):
         raise InputError(f"expected a frame size and a limit above 0, came {width:g} x {height:g} and {limit:g} m")
-    edge = _edge(width, height)
+
+    def visible(pixel: F8) -> Bool:
+        return np.asarray(camera.depth(camera.ground(pixel)) <= limit)
+
+    t, none = np.arange(_EDGE) / _EDGE, np.zeros(_EDGE)
+    edge = np.array([[width], [height]]) * np.array([[*t, *none + 1, *1 - t, *none], [*none, *t, *none + 1, *1 - t]])
     grid = np.stack(np.meshgrid(np.linspace(0, width, _GRID), np.linspace(0, height, _GRID))).reshape(2, -1)
-    shown = grid[:, _visible(camera, grid, limit)]
+    shown = grid[:, visible(grid)]
     if not shown.shape[1]:
         return np.zeros((2, 0))
     # Of the visible pixels the one nearest to their middle: the middle itself need not be visible.
@@ -131,20 +124,6 @@ def footprint(camera: Camera, frame_size: tuple[float, float], limit: float = 10
     seen, unseen = np.zeros(edge.shape[1]), np.ones(edge.shape[1])
     for _ in range(_HALVINGS):
         share = (seen + unseen) / 2
-        good = _visible(camera, middle + share * (edge - middle), limit)
+        good = visible(middle + share * (edge - middle))
         seen, unseen = np.where(good, share, seen), np.where(good, unseen, share)
     return camera.ground(middle + seen * (edge - middle))
-
-
-def _visible(camera: Camera, pixel: F8, limit: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """(N,) whether the pixels (2, N) show ground that is no deeper than the limit."""
-    return np.asarray(camera.depth(camera.ground(pixel)) <= limit)
-
-
-def _edge(width: float, height: float) -> F8:
-    """(2, 4·64) pixels around the frame, clockwise as the picture shows it."""
-    t = np.arange(_EDGE) / _EDGE
-    none, all_ = np.zeros(_EDGE), np.ones(_EDGE)
-    x = np.concatenate([t, all_, 1 - t, none]) * width
-    y = np.concatenate([none, t, all_, 1 - t]) * height
-    return np.stack([x, y])
