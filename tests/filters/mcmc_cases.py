@@ -5,15 +5,55 @@ from __future__ import annotations
 import itertools
 from collections import defaultdict
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import norm
 
+from phdtrack.kernels.particle_models import N0, SensorNumbers, X, distance, implements, move, normals, seen
 from phdtrack.models import UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import Particles
-from reference.mcmc_twin import total_penalty
 
 CELLS = 4
+
+
+class RingWalk(NamedTuple):
+    """A standard normal number above ``threshold`` goes on by one."""
+
+    threshold: float
+
+
+class RingTable(NamedTuple):
+    """Likelihoods by distance."""
+
+    at0: float
+    at1: float
+    at2: float
+    at3: float
+
+
+@implements(normals, RingWalk)
+def _normals(model: Number) -> int:
+    return 1
+
+
+@implements(move, RingWalk)
+def _move(model: Number, s: Real, i: int) -> None:
+    s[X + i] = (s[X + i] + (1.0 if s[N0 + i] > model.threshold else 0.0)) % CELLS
+
+
+@implements(seen, RingTable)
+def _seen(model: Number, table: Real, j: int) -> Number:
+    return table[0, j]
+
+
+@implements(distance, RingTable)
+def _distance(model: Number, z: Number, s: Real, i: int) -> Number:
+    apart = int(abs(z - s[X + i])) % CELLS
+    near = model.at0 if apart == 0 else model.at1
+    far = model.at2 if apart == 2 else model.at3
+    return 0.0, near if apart < 2 else far
 
 
 @dataclass(frozen=True)
@@ -28,6 +68,9 @@ class RingMotion:
         moved = x.copy()
         moved[0] = (x[0] + (rng.random(x.shape[1]) >= self.stays)) % CELLS
         return moved
+
+    def particle_model(self, dt, seconds):
+        return RingWalk(float(norm.ppf(self.stays)))
 
     def law(self, cell: int) -> np.ndarray:
         out = np.zeros(CELLS)
@@ -49,6 +92,9 @@ class RingSensor:
     def log_likelihood(self, z, x):
         apart = np.abs(z[0] - x[0]).astype(int) % CELLS
         return np.log(np.array(self.table)[apart])
+
+    def particle_model(self, z):
+        return SensorNumbers(RingTable(*self.table), np.ascontiguousarray(z[:1]), np.zeros(0))
 
     def distance2(self, z, x):
         return (z[0] - x[0]) ** 2
@@ -92,6 +138,18 @@ def joint_law(candidates, log_psi) -> dict[tuple, float]:
                 law[tuple((j, i) for j, i, _ in choice)] = weight
     total = sum(law.values())
     return {key: weight / total for key, weight in law.items()}
+
+
+def total_penalty(place: np.ndarray, boxes: bool) -> float:
+    """Of all pairs of rows: overlap of boxes, or exp(−½ distance²)."""
+
+    def penalty(a: np.ndarray, b: np.ndarray) -> float:
+        if not boxes:
+            return float(np.exp(-0.5 * ((a[:2] - b[:2]) ** 2).sum()))
+        shared = np.maximum(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0).prod()
+        return float(shared / ((a[2:] - a[:2]).prod() + (b[2:] - b[:2]).prod() - shared))
+
+    return sum(penalty(a, b) for a, b in itertools.combinations(place, 2))
 
 
 def apart(place: np.ndarray, strength: float, boxes: bool):

@@ -12,7 +12,8 @@ from mcmc_cases import CELLS, RingMotion, ring, variation
 from phdtrack.errors import InputError
 from phdtrack.filters import MCMC
 from phdtrack.filters.intensities import JointSamples
-from phdtrack.filters.mcmc_given import Ancestry, Chain, Interaction, each_chain, joint_chain, proposals
+from phdtrack.kernels.mcmc import Ancestors, Chain, given_chain
+from phdtrack.kernels.particle_models import BLOCK, move
 from phdtrack.models import PlaneMotion, PlaneSensor, PointMotion, PointSensor
 from phdtrack.protocols import Model
 
@@ -48,13 +49,11 @@ def sampled(filter_: MCMC, rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.parametrize("strength", [0.0, 1.5])
-@pytest.mark.parametrize("informed", [False, True])
 @pytest.mark.parametrize("ancestors", ["joint", "each"])
-def test_the_chain_samples_the_posterior(ancestors: str, informed: bool, strength: float, rng):
-    """Two targets on a grid, total variation below 0.02; the step-by-step chain of any model for a joint ancestor."""
-    count = 40_000 if ancestors == "joint" else 200_000
+def test_the_chain_samples_the_posterior(ancestors: str, strength: float, rng):
+    """Two targets on a grid, total variation below 0.02."""
     filter_ = MCMC(
-        samples=count, associations="given", ancestors=ancestors, informed=informed, ancestor_move_probability=0.5,
+        samples=200_000, associations="given", ancestors=ancestors, ancestor_move_probability=0.5,
         interaction_strength=strength, interaction="distance",
     )  # fmt: skip
     law = exact(ancestors, strength)
@@ -69,83 +68,58 @@ def test_greedy_acceptance_does_not_sample(rng):
     assert variation(exact("each", 0.0), cells) > 0.05
 
 
-def algorithm_one(x, z, target, variance: float, burn: int) -> tuple[list[np.ndarray], int]:
-    """D14's Alg. 1 in its own words: ``x`` are proposals in turn, the first n of them where the chain starts."""
+@pytest.mark.parametrize("seed", range(4))
+def test_the_greedy_chain_is_the_papers(seed: int):
+    """Draw by draw: the same generator gives the proposals, D14's Alg. 1 in its own words decides about them."""
+    model = gaussian_worlds()["point"]
+    origin, z = gaussian_scan(np.random.default_rng(seed))
+    n, many, steps, burn = 2, 5, 300, 20
+    running = np.tile(np.arange(1.0, many + 1), (n, 1)) / many
+    ancestors = Ancestors(origin, running, np.full((n, many), -np.log(many)), np.ones((2, n)))
+    motion, sensor = model.motion.particle_model(1.0, 1.0), model.sensor.particle_model(z)
+    kept, chain = np.empty((4, n * steps)), Chain(burn, 1, steps, 0.25, 0.0, True, False, True)
+    counts = given_chain(motion, sensor.model, sensor.table, ancestors, chain, np.random.default_rng([seed, 1]), kept)
+    rng, scratch = np.random.default_rng([seed, 1]), np.zeros(16 * BLOCK)
+
+    def proposal(t: int) -> np.ndarray:
+        scratch[: 4 * BLOCK : BLOCK] = origin[:, t * many + int(rng.random() * many)]
+        scratch[8 * BLOCK : 12 * BLOCK : BLOCK] = [rng.standard_normal() for _ in range(4)]
+        move(motion, scratch, 0)
+        return scratch[: 4 * BLOCK : BLOCK].copy()
 
     def likelihood(t: int, state: np.ndarray) -> float:
-        dx, dy = z[0, t] - state[0], z[1, t] - state[1]
-        return float(np.exp(-0.5 * (dx * dx + dy * dy) / variance) / (2 * np.pi * variance))
+        return float(np.exp(-0.5 * ((z[:2, t] - state[:2]) ** 2).sum()) / (2 * np.pi))
 
-    n = z.shape[1]
-    current = [x[:, t] for t in range(n)]
-    cached = [likelihood(t, current[t]) for t in range(n)]
-    kept, accepted = [], 0
-    for s, t in enumerate(target):
-        weight = likelihood(t, x[:, n + s])
+    current = [proposal(t) for t in range(n)]
+    cached, accepted = [likelihood(t, current[t]) for t in range(n)], 0
+    for s in range(burn + steps):
+        t = int(rng.random() * n)
+        new = proposal(t)
+        weight = likelihood(t, new)
         ratio = weight / cached[t]
         if ratio >= 1:
-            current[t], cached[t] = x[:, n + s], weight
-            accepted += 1
+            current[t], cached[t], accepted = new, weight, accepted + 1
         else:
             cached[t] = ratio
         if s >= burn:
-            kept.append(np.stack(current, axis=1))
-    return kept, accepted
-
-
-GREEDY = Ancestry(joint=False, switch=0.0, informed=False, greedy=True)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_greedy_chain_is_the_papers(seed: int):
-    """Draw by draw: the same generator gives the proposals, Alg. 1 written out decides about them."""
-    model = gaussian_worlds()["point"]
-    origin, z = gaussian_scan(np.random.default_rng(seed))
-    z = np.ascontiguousarray(z[[0, 1, -1]])
-    chain, many, n = Chain(300, 20, 1, Interaction(0.0, True, 1.0)), 5, 2
-    kept, counts = each_chain(chain, GREEDY, origin, 1.0, z, model, np.random.default_rng([seed, 1]))
-    rng = np.random.default_rng([seed, 1])
-    target = np.concatenate([np.arange(n), rng.integers(n, size=chain.steps)])
-    ancestor = np.empty(len(target), np.int64)
-    for t in range(n):
-        ancestor[target == t] = (rng.random((target == t).sum()) * many).astype(np.int64)
-    x = model.motion.sample(np.ascontiguousarray(origin[:, target * many + ancestor]), 1.0, rng)
-    expected, accepted = algorithm_one(x, z, target[n:], 1.0, chain.burn)
-    np.testing.assert_array_equal(kept.reshape(4, n, -1), np.stack(expected, axis=2))
-    assert counts.tolist() == [[chain.steps, accepted]]
-    assert 0 < accepted < chain.steps
-
-
-@pytest.mark.parametrize("ancestors", ["each", "greedy"])
-def test_how_many_times_an_ancestor_is_given_changes_nothing(ancestors: str):
-    """One sample of each target, or many that are equal: the same chain, draw by draw."""
-    model = gaussian_worlds()["point"]
-    one, z = gaussian_scan(np.random.default_rng(3))
-    one, z = one[:, [0, 5]], np.ascontiguousarray(z[[0, 1, -1]])
-    chain = Chain(2000, 50, 1, Interaction(0.0, True, 1.0))
-    ancestry = GREEDY if ancestors == "greedy" else replace(GREEDY, greedy=False)
-    few, counts = each_chain(chain, ancestry, one, 1.0, z, model, np.random.default_rng(1))
-    for many in (10, 400):
-        kept, others = each_chain(chain, ancestry, np.repeat(one, many, axis=1), 1.0, z, model, np.random.default_rng(1))
-        np.testing.assert_array_equal(kept, few)
-        np.testing.assert_array_equal(others, counts)
+            np.testing.assert_allclose(kept.reshape(4, n, steps)[:, :, s - burn], np.stack(current, axis=1), atol=1e-12)
+    assert counts[0].tolist() == [burn + steps, accepted]
+    assert 0 < accepted < steps
 
 
 def test_the_greedy_chain_depends_on_the_unit_and_the_sampler_does_not():
     """The same world in pixels and in hundredths of them, which scales the density: why the page names the unit."""
     rates = {}
     for greedy in (True, False):
+        filter_ = MCMC(samples=4000, associations="given", ancestors="each", greedy=greedy, interaction_strength=0)
         for unit in (1.0, 100.0):
-            model = replace(
-                ring(), motion=PointMotion(noise_variance=2.0 * unit**2), sensor=PointSensor(noise_variance=unit**2)
-            )
+            motion, sensor = PointMotion(noise_variance=2.0 * unit**2), PointSensor(noise_variance=unit**2)
             origin, z = gaussian_scan(np.random.default_rng(3))
-            z = np.ascontiguousarray(z[[0, 1, -1]])
-            z[:2] *= unit
-            chain = Chain(4000, 50, 1, Interaction(0.0, True, 1.0))
-            ancestry = replace(GREEDY, greedy=greedy)
-            _, counts = each_chain(chain, ancestry, unit * origin, 1.0, z, model, np.random.default_rng(1))
-            rates[greedy, unit] = counts[0, 1] / counts[0, 0]
+            state = JointSamples(unit * origin, np.ones((2, 5)), np.array([0, 1]), 2, origin[:, :0])
+            seen = np.vstack([unit * z[:2], z[-1:]])
+            model = replace(ring(), motion=motion, sensor=sensor)
+            _, info = filter_.step(state, seen, model, 1.0, np.random.default_rng(1))
+            rates[greedy, unit] = info.chain.accepted[0] / info.chain.proposed[0]
     assert rates[False, 1.0] == pytest.approx(rates[False, 100.0], abs=1e-3)
     assert abs(rates[True, 1.0] - rates[True, 100.0]) > 0.05
 
@@ -191,8 +165,7 @@ def exact_moments(origin: np.ndarray, z: np.ndarray, model: Model) -> tuple[np.n
 
 
 @pytest.mark.parametrize("world", gaussian_worlds())
-@pytest.mark.parametrize("informed", [True, False])
-def test_ancestor_moves_sample_the_exact_mixture(world: str, informed: bool, rng):
+def test_ancestor_moves_sample_the_exact_mixture(world: str, rng):
     """Mean and covariance of both targets together, correlation through the common ancestor included."""
     model = gaussian_worlds()[world]
     origin, z = gaussian_scan(rng)
@@ -200,7 +173,7 @@ def test_ancestor_moves_sample_the_exact_mixture(world: str, informed: bool, rng
     assert np.abs(cov[:4, 4:]).max() > 0.02, "the targets are correlated"
     count = 400_000
     state = JointSamples(origin, np.ones((2, 5)), np.array([0, 1]), 2, origin[:, :0])
-    filter_ = MCMC(samples=count, associations="given", informed=informed, interaction_strength=0)
+    filter_ = MCMC(samples=count, associations="given", interaction_strength=0)
     after, info = filter_.step(state, z, model, 1.0, rng)
     x = after.state.reshape(4, 2, count).transpose(1, 0, 2).reshape(8, count)
     scale = np.sqrt(np.diag(cov)) + 1e-9
@@ -208,22 +181,6 @@ def test_ancestor_moves_sample_the_exact_mixture(world: str, informed: bool, rng
     np.testing.assert_array_less(np.abs(np.cov(x) - cov) / np.outer(scale, scale), 0.06)
     assert (info.chain.accepted > 0.02 * info.chain.proposed).all()
     assert 1000 < info.chain.effective <= count
-
-
-def test_the_fused_chain_is_the_general_one(rng):
-    """What one kernel does for linear models, and the same step by step for any."""
-    model = gaussian_worlds()["point"]
-    origin, z = gaussian_scan(rng)
-    mean, cov = exact_moments(origin, z, model)
-    chain = Chain(30_000, 50, 1, Interaction(0.0, True, 1.0))
-    proposal = proposals(True, True, origin, 1.0, z, model, rng)[0]
-    kept, counts = joint_chain(chain, rng.random(chain.steps) < 0.25, proposal, origin, 1.0, z, model, rng)
-    x = kept.reshape(4, 2, -1).transpose(1, 0, 2).reshape(8, -1)
-    np.testing.assert_array_less(np.abs(x.mean(1) - mean) / np.sqrt(np.diag(cov)), 0.1)
-    filter_ = MCMC(samples=30_000, associations="given", interaction_strength=0)
-    state = JointSamples(origin, np.ones((2, 5)), np.array([0, 1]), 2, origin[:, :0])
-    _, info = filter_.step(state, z, model, 1.0, rng)
-    np.testing.assert_allclose(counts[:, 1] / counts[:, 0], info.chain.accepted / info.chain.proposed, rtol=0.08)
 
 
 def test_interaction_keeps_apart(rng):
@@ -280,7 +237,7 @@ def test_what_is_no_label(labels, rng):
         filter_.step(filter_.start(model, rng), z, model, 1.0, rng)
 
 
-def test_settings_that_do_not_go_together():
+def test_what_does_not_go_together(rng):
     with pytest.raises(InputError, match="given associations"):
         MCMC(greedy=True)
 

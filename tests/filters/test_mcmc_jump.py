@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from mcmc_cases import apart, joint_law, ring, variation
 
 from inner_kernels import from_python
+from phdtrack.filters import MCMC
 from phdtrack.filters.intensities import JointSamples
-from phdtrack.filters.mcmc import Jumps, jump_update
-from phdtrack.filters.mcmc_given import Chain, Interaction
-from phdtrack.kernels.mcmc import Options, jump_chain, option_tables, redraw_one, redraw_two
+from phdtrack.kernels.mcmc import Chain, Options, Sample, jump_chain, option_tables, redraw
 
 PAIRS = [(0, 1), (0, 2), (1, 2)]
 # Two targets that were there, and a newborn one, at two measurements; each has two states of his own.
@@ -25,8 +26,30 @@ PLACE = np.array([[0.0, 0, 2, 2], [1, 0, 3, 2], [0.5, 0.5, 2.5, 2.5], [4, 4, 5, 
 interactions = pytest.mark.parametrize("strength", [0.0, 2.0])
 
 
-def tables(strength: float) -> Options:
-    return Options(*option_tables(CANDIDATE, WHICH, WEIGHT, ABSENT), MEMBER, PLACE, strength, True)
+def tables() -> Options:
+    return Options(*option_tables(CANDIDATE, WHICH, WEIGHT, ABSENT), MEMBER, PLACE)
+
+
+def settings(samples: int, strength: float, share: float = 0.2) -> Chain:
+    return Chain(50, 1, samples, share, strength, True, False, False)
+
+
+def test_tables_of_options():
+    can = tables()
+    assert can.first.tolist() == [0, 4, 8, 10], "absent, unseen and both measurements; a newborn target is seen"
+    assert can.seen_by.tolist() == [-1, -1, 0, 1, -1, -1, 0, 1, -1, 0]
+    np.testing.assert_allclose(can.total, [0.3, 0.3, 1.9, 0.4, 0.5, 0.3, 1.1, 1.1, 1.0, 1.2])
+    for o, (low, high) in enumerate(pairwise(can.start.tolist())):
+        np.testing.assert_allclose(can.running[low:high], np.cumsum(WEIGHT[low:high]))
+        assert high == low or can.running[high - 1] == can.total[o]
+
+
+def test_no_candidates(rng):
+    none = np.zeros(0, np.int64)
+    can = Options(*option_tables(none, none, np.zeros(0), np.zeros(0)), none, np.zeros((0, 4)))
+    options, states, chance, counts = jump_chain(0, 2, can, np.zeros((0, 2), np.int64), settings(5, 0.0), rng)
+    assert options.shape == states.shape == chance.shape == (0, 5)
+    assert counts.sum() == 0
 
 
 def law_of(strength: float) -> dict[tuple, float]:
@@ -43,8 +66,11 @@ def law_of(strength: float) -> dict[tuple, float]:
 @pytest.mark.parametrize("exchange", [0.0, 0.4])
 def test_the_chain_samples_the_posterior(strength: float, exchange: float, rng):
     """Numbers 0 to 3, births, deaths, clutter and associations at once; total variation below 0.02."""
-    law, can = law_of(strength), tables(strength)
-    options, states, chance, _ = jump_chain(2, 2, can, np.array(PAIRS), exchange, np.array([50, 1, 100_000]), rng)
+    law, can = law_of(strength), tables()
+    options, states, chance, counts = jump_chain(2, 2, can, np.array(PAIRS), settings(100_000, strength, exchange), rng)
+    assert (counts[:6, 1] > 0).all()
+    assert (counts[6, 1] > 0) == (exchange > 0)
+    assert (counts[:, 1].sum() < counts[:, 0].sum()) == (strength > 0)
     there = options > can.first[:-1, None]
     now = np.stack([can.seen_by[options], np.where(there, states, -1)], axis=2).transpose(1, 0, 2)
     assert len(law) > 60
@@ -102,8 +128,7 @@ def test_detailed_balance(who: tuple[int, ...], strength: float):
 @pytest.mark.parametrize("who", [(0,), (2,), (0, 2)])
 def test_the_kernel_makes_these_moves(who: tuple[int, ...], strength: float, rng):
     """Frequencies of single steps from some configurations, against the probabilities whose balance is tested above."""
-    can = tables(strength)
-    one, two = from_python(redraw_one, redraw_two)
+    can, (step,) = tables(), from_python(redraw)
     draws, counts = 20_000, np.zeros((7, 2), np.int64)
     law = law_of(strength)
     for x in [list(law)[k] for k in (0, 17, 41)]:
@@ -117,10 +142,8 @@ def test_the_kernel_makes_these_moves(who: tuple[int, ...], strength: float, rng
             for c, (j, _) in enumerate(x):
                 if j >= 0:
                     taken[j] = c
-            if len(who) == 1:
-                one(who[0], who[0] >= 2, *can, option, state, taken, rng, counts)
-            else:
-                two(*who, *can, option, state, taken, rng, counts)
+            a, b = (*who, -1)[:2]
+            step(a, b, 2, can, Sample(option, state, taken), settings(1, strength), rng, counts)
             seen[tuple(zip(can.seen_by[option].tolist(), state.tolist(), strict=True))] += 1
         expected = moves_of(x, who, strength)
         assert set(seen) <= set(expected)
@@ -162,8 +185,8 @@ def exact(z: np.ndarray, strength: float):
 def test_the_filter_samples_what_the_model_says(seen: tuple[float, ...], strength: float, rng):
     """Tables, labels and information from the model's own functions: everything against enumeration."""
     z = np.array([seen, np.zeros(len(seen))]).reshape(2, -1)
-    chain = Chain(40_000, 50, 1, Interaction(strength, False, 1.0))
-    state, info = jump_update(chain, Jumps(0.2, 0.0), predicted(), z, ring(), 1.0, rng)
+    filter_ = MCMC(samples=40_000, interaction_strength=strength, interaction="distance", min_weight=0.0)
+    state, info = filter_.update(predicted(), z, ring(), 1.0, rng)
     law, x = exact(z, strength)
     number = np.zeros(len(info.cardinality))
     for key, p in law.items():
@@ -178,15 +201,15 @@ def test_the_filter_samples_what_the_model_says(seen: tuple[float, ...], strengt
             if key[c][1] >= 0:
                 place[int(x[0, key[c][1]])] += p
         mine = state.state[0].reshape(len(state.label), -1)[c].astype(int)
-        ours = np.bincount(mine, state.chance[c], 4) / chain.samples
+        ours = np.bincount(mine, state.chance[c], 4) / filter_.samples
         np.testing.assert_allclose(ours, place, atol=0.01, err_msg=f"label {label}")
 
 
 def test_nobody_and_nothing(rng):
     """An empty scan of an empty scene, and a scan that no model explains."""
     nobody = JointSamples.empty(2, 3)
-    chain = Chain(100, 5, 1, Interaction(0.0, True, 1.0))
-    state, info = jump_update(chain, Jumps(0.2, 1e-3), nobody, np.zeros((2, 0)), ring(), 1.0, rng)
+    filter_ = MCMC(samples=100, burn_in=5, interaction_strength=0.0)
+    state, info = filter_.update(nobody, np.zeros((2, 0)), ring(), 1.0, rng)
     assert len(state.label) == 0
     assert info.mass == 0
     np.testing.assert_array_equal(info.cardinality, [1.0])
@@ -194,10 +217,10 @@ def test_nobody_and_nothing(rng):
 
 
 def test_faint_targets_are_dropped(rng):
-    chain = Chain(2000, 50, 1, Interaction(0.0, True, 1.0))
     z = np.array([[1.0], [0.0]])
-    state, _ = jump_update(chain, Jumps(0.2, 0.0), predicted(), z, ring(), 1.0, rng)
+    filter_ = MCMC(samples=2000, interaction_strength=0.0, min_weight=0.0)
+    state, _ = filter_.update(predicted(), z, ring(), 1.0, rng)
     bound = np.sort(state.existence)[1]
-    kept, _ = jump_update(chain, Jumps(0.2, bound), predicted(), z, ring(), 1.0, np.random.default_rng(1))
+    kept, _ = replace(filter_, min_weight=bound).update(predicted(), z, ring(), 1.0, np.random.default_rng(1))
     assert 0 < len(kept.label) < 3
     assert (kept.existence >= bound).all()

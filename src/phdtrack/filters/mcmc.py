@@ -1,39 +1,49 @@
 """The MCMC particle filter: Metropolis–Hastings over the joint state of all targets [K05, D14 Alg. 1].
 
-A frame's posterior is that of everybody at once, given what the frame before left and this scan:
+The posterior of a frame is that of all targets at once, given what the frame before left and this scan:
 
     p(X | Z) ∝ g(Z | X) · Π ψ(x_s, x_t) · p(X | Z before)
 
 with ψ = exp(−strength · penalty) for every pair of targets, the interaction that keeps them apart [K05]. A Markov chain
-draws samples of it: the first ``burn`` steps are dropped, then one of every ``thin`` is kept, until there are N.
+draws samples of it (`kernels.mcmc`). Unlike the PHD filters this one knows its targets one by one: a label is one for a
+target's life.
 
-Where it is known which target gave which measurement, as D14 has it, see `mcmc_given`; where it is not, targets come and go:
-see below. What is asked of the scene's model is the same as for the PHD filters. Unlike them this filter knows
-its targets one by one: a label is one for a target's life.
-
-The MCMC update where nobody says which target gave which measurement [K05].
-
-What is sampled is who is there, who gave which measurement, and where everybody is, (E, a, X). Every target gives one
-measurement at most, with probability p_D, every measurement comes of one target at most, and the rest is Poisson clutter of
-density κ. In units of the scan's being all clutter,
+**Associations unknown** [K05]. What is sampled is who is there, who gave which measurement, and where everybody is, (E, a,
+X). Every target gives one measurement at most, with probability p_D, every measurement comes of one target at most, and the
+rest is Poisson clutter of density κ. In units of the scan's being all clutter,
 
     p(E, a, X | Z) ∝ Π_there [1 − p_D(x)  or  p_D(x) g(z_a|x) / κ(z_a)] p_t(x) · Π_not there (1 − e_t) · Π ψ(x_s, x_t)
 
-* For a target of the frame before, p_t is what `predict` left: N weighed states, together e_t, the probability that it is
+* For a target of the frame before, p_t is what `predict` left: N weighted states, together e_t, the probability that it is
   there still. Targets come and go and move independently of each other until the scan couples them [K05].
-* A newborn target is one that this scan shows: one at most at each measurement, p_t = γ(x) as drawn by the birth model. (One
-  that nothing shows is born when something does.) All samples that add it there give it the same label.
+* A newborn target is one that this scan shows: one at most at each measurement, p_t = γ(x) as drawn by the birth model. All
+  samples that add it there give it the same label.
 
-So the law is discrete: every candidate has a table of states for each measurement that may be his and for none, and of
-it a total weight. That makes the moves of the reversible-jump form exact without any tuning: a step draws an option of a
-candidate from the free ones by weight, and then a state from its table (add, delete, leave, come back, update, reassign), or
-options of two candidates at once (exchange). This is their conditional law but for the interaction, whose ratio is what is
-left of Hastings' [K05]: α = min(1, Π ψ' / Π ψ). Adding and deleting need no Jacobian: each
-draws what the other drops.
+So the law is discrete: every candidate has a table of states for each measurement that may be his and for none, and of it a
+total weight. That makes the moves of the reversible-jump form exact without any tuning: a step draws an option of a
+candidate from the free ones by weight, and then a state from its table (add, delete, leave, come back, update, reassign),
+or options of two candidates at once (exchange). This is their conditional law but for the interaction, whose ratio is what
+is left of Hastings' [K05]: α = min(1, Π ψ' / Π ψ). Adding and deleting need no Jacobian: each draws what the other drops.
+Of each kept sample a target's state and its ``chance`` are kept, the probability that it is there given the rest of the
+sample.
 
-Of each kept sample a target's state and ``chance`` are kept, the probability that it is there given the rest of the
-sample. Their mean over samples is the probability that it is there, with less noise than how often it was, and weighs
-targets that are in no sample at all.
+**Associations given** [D14 Alg. 1]. The last row of z is a target's label. With the samples x^r of the frame before, what is
+sampled is (r, x) jointly,
+
+    p(r, x | z) ∝ Π_t f(x_t | x_t^r) g(z_t | x_t) · Π ψ(x_s, x_t)
+
+whose marginal of x is the posterior of the mixture over all samples of the frame before. Two kinds of moves leave it as it
+is:
+
+* redraw: for one target, x_t' ~ f(·|x_t^r). What is left of the Hastings ratio is g(z_t|x_t') / g(z_t|x_t) and the
+interaction.
+* another ancestor: r' ~ q, and all targets anew from f(·|x^r'). The ratio is that of Π g / q(r).
+
+With ancestors of their own a target's r_t is redrawn along with it: the product of every target's own mixture [K05]. Few
+samples predict a precise measurement well, and of many targets hardly any does for all at once, so q knows the scan: q(r) ∝
+Π_t p̂(z_t|x_t^r) with p̂ = N(z; H F x^r, H Q Hᵀ + R), or the mean of g over draws of f where the sensor is not linear. A
+share of q is uniform. A target whose label is new has N draws about its measurement, and takes no part in the interaction
+of its first frame.
 """
 
 from __future__ import annotations
@@ -47,25 +57,19 @@ from phdtrack.arrays import draw, region_radius2, sum_by
 from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, check
 from phdtrack.errors import InputError
 from phdtrack.filters.intensities import JointSamples
-from phdtrack.filters.mcmc_given import Ancestry, Chain, Interaction, effective_samples, given_update
 from phdtrack.kernels.grid import points_in_rectangles
-from phdtrack.kernels.mcmc import Options, jump_chain, option_tables
+from phdtrack.kernels.mcmc import Ancestors, Chain, Options, given_chain, jump_chain, option_tables
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, ChainInfo, GaussianMixture, Particles, UpdateInfo
 
 MOVES = ("add", "delete", "leave", "come back", "update", "reassign", "exchange")
+GIVEN_MOVES = ("redraw", "ancestor")
 # Density of clutter below which it is taken for this: where there is none, everything else that explains a measurement wins.
 LEAST_CLUTTER = 1e-100
 # Weight of a target's not being there where it surely is: the chain passes through it.
 SURELY = 1e-12
-
-
-@dataclass(frozen=True, slots=True)
-class Jumps:
-    """Of the form without given associations: share of moves of two targets, and the least probability of one."""
-
-    exchange: float
-    faintest: float
+# Share of uniform proposals of ancestors among those that know the scan, and draws where there is no linear view.
+UNIFORM, DRAWS = 0.05, 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,16 +84,14 @@ class MCMC:
     thin : steps, or sweeps, for each kept sample.
     associations : ``none``: which target gave which measurement is part of what is sampled, and targets come and go;
         ``given``: the last row of z is the label of the target that gave each measurement, whose others the sensor's g
-        compares. Who has none in a scan has left.
+        compares. A target without a measurement in a scan has left.
     ancestors : for ``given``. ``joint``: all targets of a sample come of the same sample of the frame before, which moves of
         the chain exchange; the chain's law is the posterior of the mixture of all of them. ``each``: every target has
         an ancestor of its own [K05], which takes what correlation there was between targets for none.
     ancestor_move_probability : for ``joint``, the share of steps that propose another ancestor.
-    informed : for ``given``, propose ancestors by how well they predict the scan, with the ratio that this asks for; False:
-        all alike [K05], of which few are accepted where there are many targets or precise measurements.
     greedy : for ``given``, D14's Alg. 1 as printed: only proposals of ratio 1 and above are accepted, and a rejected one's
         ratio takes the place of the target's likelihood. That does not sample, and because a likelihood is then compared
-        with a ratio it depends on the unit of positions; ancestors are ``each``, all alike.
+        with a ratio it depends on the unit of positions; ancestors are ``each``, proposed all alike.
     swap_probability : for ``none``, the share of steps that move two candidates that compete for a measurement.
     interaction_strength : of the interaction; 0 for none, which is faster. Where the detector fires twice on one person it
         keeps the two apart; where associations are given there is less need.
@@ -105,7 +107,6 @@ class MCMC:
     associations: Literal["none", "given"] = "none"
     ancestors: Literal["joint", "each"] = "joint"
     ancestor_move_probability: Probability = 0.25
-    informed: bool = True
     greedy: bool = False
     swap_probability: Probability = 0.2
     interaction_strength: NonNegative = 4.0
@@ -129,11 +130,6 @@ class MCMC:
                 cure="Give one Gaussian a target",
             )
 
-    @property
-    def _chain(self) -> Chain:
-        interaction = Interaction(self.interaction_strength, self.interaction == "overlap", self.interaction_distance)
-        return Chain(self.samples, self.burn_in, self.thin, interaction)
-
     def start(self, model: Model, rng: np.random.Generator) -> JointSamples:
         """The initial targets, N states each; none where none were given."""
         if self.initial is None:
@@ -144,7 +140,19 @@ class MCMC:
         return JointSamples(state, chance, np.arange(n), n, state[:, :0])
 
     def predict(self, state: JointSamples, model: Model, dt: float, rng: np.random.Generator) -> JointSamples:
-        """Every target of every sample moved by f, and there with the probability p_S of what it had [K05]."""
+        """Every target of every sample moved by f, and there with the probability p_S of what it had [K05].
+
+        Parameters
+        ----------
+        state : samples of the frame before.
+        model : of this frame.
+        dt : interval in the model's time unit.
+        rng : draws of f.
+
+        Returns
+        -------
+        The predicted samples.
+        """
         if len(state) == 0:
             return state
         origin = model.warp_states(state.state)
@@ -155,11 +163,22 @@ class MCMC:
     def update(
         self, state: JointSamples, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[JointSamples, UpdateInfo]:
-        """N samples of the posterior by the chain [K05, D14 Alg. 1]."""
-        if self.associations == "given":
-            ancestry = Ancestry(self.ancestors == "joint", self.ancestor_move_probability, self.informed, self.greedy)
-            return given_update(self._chain, ancestry, state, z, model, rng)
-        return jump_update(self._chain, Jumps(self.swap_probability, self.min_weight), state, z, model, dt, rng)
+        """N samples of the posterior by the chain [K05, D14 Alg. 1].
+
+        Parameters
+        ----------
+        state : predicted samples; given associations move the states of the frame before by themselves.
+        z : (m, M) measurements.
+        model : of this frame.
+        dt : interval in the model's time unit.
+        rng : draws of the chain.
+
+        Returns
+        -------
+        The samples, and what the update learned.
+        """
+        updated = _given_update if self.associations == "given" else _jump_update
+        return updated(self, state, z, model, dt, rng)
 
     def reduce(self, state: JointSamples, rng: np.random.Generator) -> JointSamples:
         """There are N samples already."""
@@ -168,32 +187,18 @@ class MCMC:
     def step(
         self, state: JointSamples, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[JointSamples, UpdateInfo]:
-        """Predict and update in turn; with given associations the chain moves what it needs itself."""
-        if self.associations == "given":
-            origin = model.warp_states(state.state)
-            return self.update(replace(state, state=origin, origin=origin, interval=dt), z, model, dt, rng)
-        return self.update(self.predict(state, model, dt, rng), z, model, dt, rng)
+        """Predict and update in turn; the arguments and what comes back are those of `update`."""
+        before = state if self.associations == "given" else self.predict(state, model, dt, rng)
+        return self.update(before, z, model, dt, rng)
+
+    def _chain(self, share: float, joint: bool = False) -> Chain:
+        """How the chain runs, with this share of steps that move several targets."""
+        overlap, strength = self.interaction == "overlap", float(self.interaction_strength)
+        return Chain(self.burn_in, self.thin, self.samples, float(share), strength, overlap, joint, self.greedy)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Entries:
-    """States that candidates may have, by measurement, sorted by candidate and measurement.
-
-    Attributes
-    ----------
-    candidate, which, member : (T,) whose state, seen in which measurement (−1: in none), and which column of ``state``.
-    weight : (T,) of each.        state : (d, L).
-    """
-
-    candidate: I8
-    which: I8
-    member: I8
-    weight: F8
-    state: F8
-
-
-def jump_update(
-    chain: Chain, jumps: Jumps, state: JointSamples, z: F8, model: Model, dt: float, rng: np.random.Generator
+def _jump_update(
+    settings: MCMC, state: JointSamples, z: F8, model: Model, dt: float, rng: np.random.Generator
 ) -> tuple[JointSamples, UpdateInfo]:
     """Samples of the targets that there are after the scan ``z`` (m, M)."""
     old = len(state.label)
@@ -207,28 +212,23 @@ def jump_update(
     label = np.concatenate([state.label, state.fresh + seen - old])
     absent = np.concatenate([np.maximum(1 - state.existence, SURELY), np.ones(len(seen))])
     first, seen_by, total, start, running = option_tables(candidate, entries.which, entries.weight, absent)
-    place = chain.interaction.places(entries.state, model.sensor)
-    apart = chain.interaction
-    can = Options(first, seen_by, total, start, running, entries.member, place, apart.strength, apart.boxes)
-    keep = np.array([chain.burn, chain.thin, chain.samples])
+    places = _places(settings, entries.state, model)
+    can = Options(first, seen_by, total, start, running, entries.member, places)
     pairs = _rivals(can.first, can.seen_by)
-    options, states, chance, counts = jump_chain(old, z.shape[1], can, pairs, jumps.exchange, keep, rng)
-    kept = np.flatnonzero(chance.mean(axis=1) >= jumps.faintest)
+    options, states, chance, counts = jump_chain(
+        old, z.shape[1], can, pairs, settings._chain(settings.swap_probability), rng
+    )
+    kept = np.flatnonzero(chance.mean(axis=1) >= settings.min_weight)
     x = np.ascontiguousarray(entries.state[:, states[kept].ravel()])
-    fresh = state.fresh + z.shape[1]
-    samples = JointSamples(x, chance[kept], label[kept], fresh, x[:, :0])
-    mass = state.mass + born.mass
+    samples = JointSamples(x, chance[kept], label[kept], state.fresh + z.shape[1], x[:, :0])
+    # How well the chain moved shows in targets that are there more often than not.
+    likely = x[:2].reshape(2, *chance[kept].shape)[:, samples.existence >= 0.5]
+    info = ChainInfo(MOVES, counts[:, 0], counts[:, 1], effective_samples(likely.reshape(-1, settings.samples)))
     vanished = int(np.count_nonzero(evidence + kappa == 0))
     number = (options > can.first[:-1, None]).sum(axis=0)
     histogram = np.bincount(number) / len(number)
-    return samples, UpdateInfo(mass, born.mass, samples.mass, evidence, kappa, vanished, histogram, _told(samples, counts))
-
-
-def _told(samples: JointSamples, counts: I8) -> ChainInfo:
-    """How well the chain moved, by the positions of targets that are there more often than not."""
-    likely = samples.existence >= 0.5
-    series = samples.state[:2].reshape(2, *samples.chance.shape)[:, likely].reshape(-1, samples.chance.shape[1])
-    return ChainInfo(MOVES, counts[:, 0], counts[:, 1], effective_samples(series))
+    mass = state.mass + born.mass
+    return samples, UpdateInfo(mass, born.mass, samples.mass, evidence, kappa, vanished, histogram, info)
 
 
 def _covered(state: JointSamples, z: F8, model: Model) -> F8:
@@ -238,7 +238,22 @@ def _covered(state: JointSamples, z: F8, model: Model) -> F8:
     return sum_by(which[near], state.weight[point[near]], z.shape[1])
 
 
-def _entries(state: JointSamples, born: Particles, z: F8, kappa: F8, model: Model) -> Entries:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Entries:
+    """States that candidates may have, by measurement, sorted by candidate and measurement.
+
+    ``candidate``, ``which``, ``member`` (T,): whose state, seen in which measurement (−1: in none), and which column of
+    ``state`` (d, L); ``weight`` (T,) of each.
+    """
+
+    candidate: I8
+    which: I8
+    member: I8
+    weight: F8
+    state: F8
+
+
+def _entries(state: JointSamples, born: Particles, z: F8, kappa: F8, model: Model) -> _Entries:
     """What every candidate may be: unseen or seen, where and how likely; newborn candidate n + j is at measurement j."""
     n, count = state.chance.shape
     x = np.hstack([state.state, born.state])
@@ -248,15 +263,14 @@ def _entries(state: JointSamples, born: Particles, z: F8, kappa: F8, model: Mode
     member, which = points_in_rectangles(x[0], x[1], *model.sensor.gate(z))
     ratio = np.exp(model.sensor.log_likelihood(z[:, which], x[:, member]) - np.log(kappa[which]))
     candidate = np.where(member < n * count, member // max(1, count), n + which)
+    entry = np.concatenate([(weight * (1 - shown))[unseen], (weight * shown)[member] * ratio])
     candidate = np.concatenate([unseen // max(1, count), candidate])
     which = np.concatenate([np.full(n * count, -1), which])
     member = np.concatenate([unseen, member])
-    told = (weight * shown)[member[n * count :]] * ratio
-    entry = np.concatenate([(weight * (1 - shown))[unseen], told])
     order = np.argsort(candidate * (z.shape[1] + 1) + which + 1, kind="stable")
     # A candidate that not even the best guess explains is none.
     alive = order[(entry[order] > 0) | (which[order] < 0)]
-    return Entries(candidate[alive], which[alive], member[alive], entry[alive], x)
+    return _Entries(candidate[alive], which[alive], member[alive], entry[alive], x)
 
 
 def _rivals(first: I8, seen_by: I8) -> I8:
@@ -265,3 +279,118 @@ def _rivals(first: I8, seen_by: I8) -> I8:
     shared = (seen_by[:, None] == seen_by) & (seen_by >= 0)
     one, two = np.nonzero(shared & (candidate[:, None] < candidate))
     return np.unique(np.stack([candidate[one], candidate[two]], axis=1), axis=0)
+
+
+def _places(settings: MCMC, x: F8, model: Model) -> F8:
+    """(L, 4) where states (d, L) are, for the interaction: boxes, or positions in units of its range."""
+    if settings.interaction_strength == 0:
+        return np.zeros((0, 4))
+    if settings.interaction == "overlap":
+        return np.ascontiguousarray(model.sensor.boxes(x))
+    return np.ascontiguousarray(np.vstack([x[:2] / settings.interaction_distance, np.zeros((2, x.shape[1]))]).T)
+
+
+def _given_update(
+    settings: MCMC, state: JointSamples, z: F8, model: Model, dt: float, rng: np.random.Generator
+) -> tuple[JointSamples, UpdateInfo]:
+    """Samples of the targets that ``z`` (m, n), labelled in its last row, names, and of no others."""
+    label = _labels(z)
+    order = np.argsort(label, kind="stable")
+    known = np.isin(label[order], state.label)
+    old, new = order[known], order[~known]
+    n, dim, count = len(order), model.motion.dim, settings.samples
+    none = np.zeros(1, np.int64)
+    everybody, chain = np.empty((dim, n, count)), ChainInfo(GIVEN_MOVES[:1], none, none, float("nan"))
+    if len(old):
+        before = replace(state, origin=model.warp_states(state.state), interval=dt) if state.interval == 0 else state
+        origin = before.origin.reshape(dim, *state.chance.shape)[:, np.searchsorted(state.label, label[old])]
+        kept, chain = _given_samples(settings, origin, before.interval, np.ascontiguousarray(z[:, old]), model, rng)
+        everybody[:, known] = kept
+    mean, cov = model.sensor.states(z[:, new])
+    born = draw(GaussianMixture(np.ones(len(new)), mean, cov), count, 1.0, rng)
+    everybody[:, ~known] = born.state.reshape(dim, len(new), count)
+    fresh = max(state.fresh, int(label.max(initial=-1)) + 1)
+    samples = JointSamples(everybody.reshape(dim, -1), np.ones((n, count)), label[order], fresh, np.zeros((dim, 0)))
+    number = np.eye(1, n + 1, n)[0]
+    return samples, UpdateInfo(float(n), float(len(new)), float(n), np.ones(n), np.zeros(n), 0, number, chain)
+
+
+def _labels(z: F8) -> I8:
+    """(n,) the labels in the last row of ``z``."""
+    label: I8 = z[-1].astype(np.int64)
+    if (label != z[-1]).any() or len(np.unique(label)) < len(label) or (label < 0).any():
+        raise InputError(
+            f"expected in the last row of z one target's label each, whole numbers from 0, got {z[-1].tolist()}",
+            where="MCMC.associations=given",
+            cure="Put the labels below each measurement's components, or use associations=none",
+        )
+    return label
+
+
+def _given_samples(
+    settings: MCMC, origin: F8, dt: float, z: F8, model: Model, rng: np.random.Generator
+) -> tuple[F8, ChainInfo]:
+    """The kept samples (d, n, N) of targets with states ``origin`` (d, n, M) in the frame before; how the chain moved."""
+    joint = settings.ancestors == "joint" and not settings.greedy
+    fit = np.zeros(origin.shape[1:]) if settings.greedy else _fits(origin, dt, z, model, rng)
+    fit = fit.sum(axis=0, keepdims=True) if joint else fit
+    weight = np.exp(fit - fit.max(axis=1, keepdims=True))
+    law = (1 - UNIFORM) * weight / weight.sum(axis=1, keepdims=True) + UNIFORM / fit.shape[1]
+    flat = np.ascontiguousarray(origin).reshape(len(origin), -1)
+    ancestors = Ancestors(flat, np.cumsum(law, axis=1), np.log(law), _sizes(settings, z, model))
+    motion, sensor = model.motion.particle_model(dt, dt / model.rate), model.sensor.particle_model(z)
+    kept = np.empty((len(origin), z.shape[1] * settings.samples))
+    chain = settings._chain(settings.ancestor_move_probability, joint)
+    counts = given_chain(motion, sensor.model, sensor.table, ancestors, chain, rng, kept)[: 1 + joint]
+    effective = effective_samples(kept[:2].reshape(-1, settings.samples))
+    info = ChainInfo(GIVEN_MOVES[: len(counts)], counts[:, 0], counts[:, 1], effective)
+    return kept.reshape(len(origin), -1, settings.samples), info
+
+
+def _fits(origin: F8, dt: float, z: F8, model: Model, rng: np.random.Generator) -> F8:
+    """(n, M) log p̂(z|x^r) of the measurement of each target, up to a constant, from its states ``origin`` (d, n, M)."""
+    sensor, (dim, n, many) = model.sensor, origin.shape
+    if not sensor.linear:
+        flat, shown = np.ascontiguousarray(origin).reshape(dim, -1), np.repeat(z, many, axis=1)
+        trials = [sensor.log_likelihood(shown, model.motion.sample(flat, dt, rng)) for _ in range(DRAWS)]
+        return np.asarray(np.logaddexp.reduce(trials, axis=0)).reshape(n, many)
+    # F and Q at the mean of each target's states: any law will do for proposals, and that of linear models is exact.
+    mean = np.ascontiguousarray(origin.mean(axis=2))
+    moved, step, noise = model.motion.transition(mean, dt)
+    rows = np.array(sensor.observed)
+    inverse = np.linalg.inv(noise[:, rows[:, None], rows] + sensor.covariance(z, moved))
+    apart = (step[:, rows] @ (origin - mean[:, :, None]).transpose(1, 0, 2)).transpose(1, 0, 2)
+    apart = sensor.innovation(z, sensor.expected(moved))[:, :, None] - apart
+    return np.asarray(-0.5 * np.einsum("inr,nij,jnr->nr", apart, inverse, apart))
+
+
+def _sizes(settings: MCMC, z: F8, model: Model) -> F8:
+    """(2, n) the size of each target's box, or the range of the interaction."""
+    if settings.interaction == "distance" or settings.interaction_strength == 0:
+        return np.full((2, z.shape[1]), float(settings.interaction_distance))
+    x = model.sensor.states(z)[0]
+    boxes = model.sensor.boxes(x).T
+    if not np.allclose((boxes[:2] + boxes[2:]) / 2, x[:2]):
+        raise InputError(
+            "given associations compare boxes where the state's position is their centre, which on a ground plane it is not",
+            where="MCMC.interaction",
+            cure="Set interaction to distance, or interaction_strength to 0",
+        )
+    return np.ascontiguousarray(boxes[2:] - boxes[:2])
+
+
+def effective_samples(series: F8) -> float:
+    """How many independent draws would tell the means of ``series`` (k, N) as well: least over its rows, by batch means.
+
+    With b = √N batches the variance of a batch's mean, times its length, is that of the chain's asymptotic error; NaN for
+    no rows or fewer than four samples, N where a row is constant.
+    """
+    count = series.shape[1]
+    length = int(np.sqrt(count))
+    if len(series) == 0 or length < 2:
+        return float("nan")
+    used = series[:, : count // length * length]
+    means = used.reshape(len(series), -1, length).mean(axis=2)
+    spread, batches = used.var(axis=1), length * means.var(axis=1, ddof=1)
+    share = np.divide(spread, batches, out=np.ones(len(series)), where=batches > 0)
+    return float(count * min(1.0, share.min()))

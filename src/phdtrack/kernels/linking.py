@@ -1,12 +1,10 @@
 """Multi-frame graph matching, one frame at a time: candidate links, their gains, and the best matching [M07 §3].
 
 A vertex is an extracted state; vertices are numbered through. Its out-side is a column of the assignment problem, its
-in-side
-a row. Rows younger than the window are open; a column stays open while the row that it is matched to is. The matching of
-maximum total gain is extended by one shortest augmenting path per new row (Jonker and Volgenant). Rows may stay unmatched at
-gain 0. The dual variables are kept between frames: u_r + v_c ≤ −gain on every edge, with equality on matched ones, v_c = 0
-on
-free columns and u_r ≤ 0 with equality on unmatched rows certify that the total gain is the maximum.
+in-side a row. Rows younger than the window are open; a column stays open while the row that it is matched to is. The
+matching of maximum total gain is extended by one shortest augmenting path per new row (Jonker and Volgenant). Rows may stay
+unmatched at gain 0. The dual variables are kept between frames: u_r + v_c ≤ −gain on every edge, with equality on matched
+ones, v_c = 0 on free columns and u_r ≤ 0 with equality on unmatched rows certify that the total gain is the maximum.
 """
 
 from __future__ import annotations
@@ -38,7 +36,7 @@ class Window(NamedTuple):
     column, row : numbers of the first vertex whose out-side and of the first whose in-side is held.
     next, column_price : (C,) the vertex matched to each out-side (or FREE, CLOSED), and its dual variable.
     since, previous, gain, row_price : (R,) of each in-side the model time since its frame, the vertex matched (−1: none),
-        that
+    that
         link's gain, and the dual variable.
     start, target, edge_gain : (R + 1,), (E,), (E,) row r has edges to the vertices target[start[r]:start[r + 1]].
     mean, covariance : (R, d), (R, d, d) of the rows' vertices, predicted for the present frame.
@@ -68,7 +66,7 @@ class Links(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """What links are made under.
+    """The conditions for links.
 
     Attributes
     ----------
@@ -110,100 +108,74 @@ def _kept(values: F8, begin: int, more: int, fill: float) -> F8:
 
 
 @njit(**INNER)
-def _block(covariance: F8, i: int, other: F8, j: int, observed: I8, out: F8) -> None:
-    """The observed block of covariance i plus, unless j < 0, that of ``other`` j."""
+def _log_det(covariance: F8, i: int, other: F8, j: int, observed: I8, block: F8, root: F8) -> float:
+    """log-determinant of the observed block of covariance i plus, unless j < 0, that of ``other`` j; ``root`` its factor.
+
+    −∞ where the block is not positive definite.
+    """
     for a in range(observed.size):
         for b in range(observed.size):
-            out[a, b] = covariance[i, observed[a], observed[b]]
+            block[a, b] = covariance[i, observed[a], observed[b]]
             if j >= 0:
-                out[a, b] += other[j, observed[a], observed[b]]
+                block[a, b] += other[j, observed[a], observed[b]]
+    found = factor(block, root)
+    return found if found > -np.inf else -np.inf  # also NaN
 
 
 @njit(**INNER)
-def _candidates(mean: F8, covariance: F8, since: F8, fresh: Fresh, terms: Terms, dt: float) -> tuple[I8, I8, F8, int]:
-    """Pairs (new state, row, gain) whose link gains more than two loose ends, by row, and how many.
+def _add_edges(
+    mean: F8, covariance: F8, since: F8, fresh: Fresh, terms: Terms, dt: float, row: int, start: I8, target: I8, gain: F8
+) -> tuple[I8, F8]:
+    """Targets and gains of the edges with those of the new states behind them, whose ends go into ``start``.
 
     gain = log N(step; 0, S) − log-density of two loose ends − gap_cost·(since − dt), S = predicted + new covariance, in the
     observed rows. A gain above 0 needs d² < 2·(loose ends − price of the gap) − log|S|, and |S| is at least that of either.
     """
-    n, r = fresh.mean.shape[0], fresh.observed.size
-    x, y = fresh.observed[0], fresh.observed[1]
-    at, loose, own = np.empty((2, n)), np.empty(n), np.empty(n)
+    old, n, r, farthest = since.size, fresh.mean.shape[0], fresh.observed.size, terms.max_distance * terms.max_distance
     block, root, step, space = np.empty((r, r)), np.empty((r, r)), np.empty(r), np.empty(r)
-    best, least, wide, high, farthest = -np.inf, np.inf, 0.0, 0.0, terms.max_distance * terms.max_distance
+    loose, own, widest, best, least = np.empty(n), np.empty(n), np.zeros(2), -np.inf, np.inf
     for i in range(n):
-        at[0, i], at[1, i] = fresh.mean[i, x], fresh.mean[i, y]
         loose[i] = 0.5 * (terms.loose_end * terms.loose_end + factor(fresh.typical[i], root))
-        _block(fresh.covariance, i, fresh.covariance, -1, fresh.observed, block)
-        own[i] = factor(block, root)
-        own[i] = own[i] if own[i] > -np.inf else -np.inf  # also NaN: not positive definite
+        own[i] = _log_det(fresh.covariance, i, fresh.covariance, -1, fresh.observed, block, root)
         best, least = loose[i] if loose[i] > best else best, own[i] if own[i] < least else least
-        wide = fresh.covariance[i, x, x] if fresh.covariance[i, x, x] > wide else wide
-        high = fresh.covariance[i, y, y] if fresh.covariance[i, y, y] > high else high
-    grid, found = make_grid(at, at, 0.0, 0.0), np.empty(n, np.int64)
-    room, count = 8 * since.size + 64, 0
-    state, row, gain = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
-    for c in range(since.size):
-        price = terms.gap_cost * (since[c] - dt)
-        _block(covariance, c, fresh.covariance, -1, fresh.observed, block)
-        predicted = factor(block, root)
-        predicted = predicted if predicted > -np.inf else -np.inf
-        limit = 2.0 * (best - price) - (least if least > predicted else predicted)
+        for a in range(2):
+            spread = fresh.covariance[i, fresh.observed[a], fresh.observed[a]]
+            widest[a] = spread if spread > widest[a] else widest[a]
+    price, predicted, lower, upper = np.empty(old), np.empty(old), np.empty((2, old)), np.empty((2, old))
+    for c in range(old):
+        price[c] = terms.gap_cost * (since[c] - dt)
+        predicted[c] = _log_det(covariance, c, fresh.covariance, -1, fresh.observed, block, root)
+        limit = 2.0 * (best - price[c]) - (least if least > predicted[c] else predicted[c])
         limit = farthest if farthest < limit else limit
-        if not limit > 0.0:
-            continue
-        left, top = mean[c, x], mean[c, y]
-        reach_x = np.sqrt(limit * (covariance[c, x, x] + wide))
-        reach_y = np.sqrt(limit * (covariance[c, y, y] + high))
-        some = overlapping(left - reach_x, top - reach_y, left + reach_x, top + reach_y, grid, found)
-        if count + some > room:
-            room = 2 * (count + some)
-            state, row = _kept(state, 0, room - state.size, 0), _kept(row, 0, room - row.size, 0)
-            gain = _kept(gain, 0, room - gain.size, 0.0)
-        for k in range(some):
-            i = found[k]
-            limit = 2.0 * (loose[i] - price) - (own[i] if own[i] > predicted else predicted)
-            limit = farthest if farthest < limit else limit
-            dx, dy = fresh.mean[i, x] - left, fresh.mean[i, y] - top
-            if not dx * dx <= limit * (covariance[c, x, x] + fresh.covariance[i, x, x]):
-                continue
-            if not dy * dy <= limit * (covariance[c, y, y] + fresh.covariance[i, y, y]):
-                continue
-            _block(covariance, c, fresh.covariance, i, fresh.observed, block)
-            log_det = factor(block, root)
-            for a in range(r):
-                step[a] = fresh.mean[i, fresh.observed[a]] - mean[c, fresh.observed[a]]
-            distance2 = norm2(step, root, space)
-            worth = loose[i] - price - 0.5 * (distance2 + log_det)
-            if worth > 0.0 and distance2 <= farthest:
-                state[count], row[count], gain[count] = i, c, worth
-                count += 1
-    return state, row, gain, count
-
-
-@njit(**INNER)
-def _with_edges(window: Window, closed: int, n: int, state: I8, row: I8, gain: F8, count: int) -> tuple[I8, I8, F8]:
-    """Edges (start, target, gain) of the rows but the first ``closed``, and behind them of the n new ones."""
-    old, first = window.since.size - closed, window.start[closed]
-    held = window.start[window.since.size] - first
-    start, target = np.zeros(old + n + 1, np.int64), np.empty(held + count, np.int64)
-    value = np.empty(held + count)
-    for r in range(old + 1):
-        start[r] = window.start[closed + r] - first
-    for e in range(held):
-        target[e], value[e] = window.target[first + e], window.edge_gain[first + e]
-    for p in range(count):
-        start[old + 1 + state[p]] += 1
-    for r in range(old, old + n):
-        start[r + 1] += start[r]
-    place = np.empty(n, np.int64)
+        for a in range(2):
+            o = fresh.observed[a]
+            reach = np.sqrt(limit * (covariance[c, o, o] + widest[a])) if limit > 0.0 else 0.0
+            lower[a, c], upper[a, c] = mean[c, o] - reach, mean[c, o] + reach
+    grid, found, count = make_grid(lower, upper, 0.0, 0.0), np.empty(old, np.int64), start[old]
     for i in range(n):
-        place[i] = start[old + i]
-    for p in range(count):
-        e = place[state[p]]
-        target[e], value[e] = window.row + closed + row[p], gain[p]
-        place[state[p]] += 1
-    return start, target, value
+        x, y = fresh.mean[i, fresh.observed[0]], fresh.mean[i, fresh.observed[1]]
+        some = overlapping(x, y, x, y, grid, found)
+        if count + some > target.size:
+            target, gain = _kept(target, 0, count + some, 0), _kept(gain, 0, count + some, 0.0)
+        for k in range(some):
+            c = found[k]
+            limit = 2.0 * (loose[i] - price[c]) - (own[i] if own[i] > predicted[c] else predicted[c])
+            limit = farthest if farthest < limit else limit
+            near = True
+            for a in range(r):
+                o = fresh.observed[a]
+                step[a] = fresh.mean[i, o] - mean[c, o]
+                near = near and (a > 1 or step[a] * step[a] <= limit * (covariance[c, o, o] + fresh.covariance[i, o, o]))
+            if not near:
+                continue
+            log_det = _log_det(covariance, c, fresh.covariance, i, fresh.observed, block, root)
+            distance2 = norm2(step, root, space)
+            value = loose[i] - price[c] - 0.5 * (distance2 + log_det)
+            if value > 0.0 and distance2 <= farthest:
+                target[count], gain[count] = row + c, value
+                count += 1
+        start[old + 1 + i] = count
+    return target, gain
 
 
 @njit(**ENTRY)
@@ -215,7 +187,7 @@ def link_states(window: Window, predicted: F8, covariance: F8, fresh: Fresh, ter
     window : of the frame before.
     predicted, covariance : (R, d), (R, d, d) its states, predicted for the present frame.
     fresh : the n states of this frame.
-    terms : what links are made under.
+    terms : the conditions for links.
     dt : model time since the frame before.
 
     Returns
@@ -237,39 +209,32 @@ def link_states(window: Window, predicted: F8, covariance: F8, fresh: Fresh, ter
     gone = 0
     while gone < begin + closed and onward[gone] == CLOSED:
         gone += 1
-    since = _kept(window.since, closed, n, -dt)
-    for r in range(since.size):
-        since[r] += dt
-    old = since.size - n
+    since, old = _kept(window.since, closed, n, -dt), window.since.size - closed
     mean, cov = np.empty((old + n, d)), np.empty((old + n, d, d))
     for r in range(old + n):
+        since[r] += dt
         for a in range(d):
             mean[r, a] = predicted[closed + r, a] if r < old else fresh.mean[r - old, a]
             for b in range(d):
                 cov[r, a, b] = covariance[closed + r, a, b] if r < old else fresh.covariance[r - old, a, b]
-    state, row, gain, count = _candidates(mean, cov, since[:old], fresh, terms, dt)
-    start, target, value = _with_edges(window, closed, n, state, row, gain, count)
-    after = Window(
-        window.column + gone,
-        window.row + closed,
-        _kept(onward, gone, 0, FREE),
-        _kept(window.column_price, gone, n, 0.0),
-        since,
-        _kept(window.previous, closed, n, -1),
-        _kept(window.gain, closed, n, 0.0),
-        _kept(window.row_price, closed, n, 0.0),
-        start,
-        target,
-        value,
-        mean,
-        cov,
-    )
-    match_rows(after, old)
+    first = window.start[closed]
+    start, room = _kept(window.start, closed, n, 0), 8 * old + 64
+    for r in range(old + 1):
+        start[r] -= first
+    target, value = _kept(window.target, first, room, 0), _kept(window.edge_gain, first, room, 0.0)
+    target, value = _add_edges(mean, cov, since[:old], fresh, terms, dt, window.row + closed, start, target, value)
+    target, value = target[: start[old + n]].copy(), value[: start[old + n]].copy()
+    onward, previous = _kept(onward, gone, 0, FREE), _kept(window.previous, closed, n, -1)
+    gain, row_price = _kept(window.gain, closed, n, 0.0), _kept(window.row_price, closed, n, 0.0)
+    prices, column = _kept(window.column_price, gone, n, 0.0), window.column + gone
+    row = window.row + closed
+    after = Window(column, row, onward, prices, since, previous, gain, row_price, start, target, value, mean, cov)
+    _match_rows(after, old)
     return after, closed
 
 
-@njit(**ENTRY)
-def match_rows(w: Window, first: int) -> None:
+@njit(**INNER)
+def _match_rows(w: Window, first: int) -> None:
     """Match the rows of a new window from place ``first`` on, in place; those before it are matched optimally."""
     columns = w.next.size
     seen, via, touched = np.zeros(columns, np.uint8), np.empty(columns, np.int64), np.empty(columns, np.int64)

@@ -1,30 +1,66 @@
 """The chains of the MCMC filter: Metropolis–Hastings over the joint state of all targets [K05, D14 Alg. 1].
 
-`independent_chain` and `linear_chain` serve where it is known which target gave which measurement (`filters.mcmc_given`);
-`jump_chain` samples which targets are there and which measurement each gave as well (`filters.mcmc`). The pairwise potential
-that keeps targets apart is ψ(x, y) = exp(−strength · penalty(x, y)): the penalty is the overlap of boxes (intersection over
-union), or exp(−|x − y|²/2) of points with positions in units of its range.
+`given_chain` serves where it is known which target gave which measurement; `jump_chain` samples which targets are there and
+which measurement each gave as well. See `filters.mcmc`. The pairwise potential that keeps targets apart is
+ψ(x, y) = exp(−strength · penalty(x, y)): the penalty is the overlap of boxes (intersection over union), or exp(−|x − y|²/2)
+of positions in units of its range.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.particle_models import BLOCK, distance, move, normals, seen
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
-Bool = NDArray[np.bool_]
 # Rows of the counts: what a step proposed.
+REDRAW, ANCESTOR = range(2)
 ADD, DELETE, LEAVE, COME_BACK, UPDATE, REASSIGN, EXCHANGE = range(7)
 
 
+class Chain(NamedTuple):
+    """How a chain runs.
+
+    ``burn`` steps before the first that is kept, one of every ``thin``, until ``samples`` are kept; ``share`` of steps that
+    move several targets (exchanges, other ancestors); ``strength`` of the interaction, of ``boxes`` or of positions; of
+    given associations whether all targets of a sample have a ``joint`` ancestor, and whether acceptance is ``greedy`` [D14
+    Alg. 1].
+    """
+
+    burn: int
+    thin: int
+    samples: int
+    share: float
+    strength: float
+    boxes: bool
+    joint: bool
+    greedy: bool
+
+
+class Ancestors(NamedTuple):
+    """What targets come from.
+
+    ``origin`` (d, n·M): the M states of each of n targets in the frame before, those of a target beside each other.
+    ``running``, ``log`` (k, M): the laws by which ancestors are proposed, for all targets together (k = 1) or for each (k =
+    n): sums of their probabilities, and their logarithms. ``size`` (2, n): of each target's box, or the range of the
+    interaction.
+    """
+
+    origin: F8
+    running: F8
+    log: F8
+    size: F8
+
+
 @njit(**INNER)
-def penalty(place: F8, a: int, b: int, boxes: bool) -> float:
+def _penalty(place: F8, a: int, b: int, boxes: bool) -> float:
     """Of rows a and b of ``place`` (L, 4): corners of boxes, or scaled positions in the first two columns."""
     if not boxes:
         dx, dy = place[a, 0] - place[b, 0], place[a, 1] - place[b, 1]
@@ -42,149 +78,130 @@ def penalty(place: F8, a: int, b: int, boxes: bool) -> float:
 
 
 @njit(**INNER)
-def crowding(place: F8, row: int, others: I8, skip: int, besides: int, boxes: bool) -> float:
-    """Sum of the penalties of ``row`` with the rows ``others``, −1 for none, of which two places are passed over."""
-    total = 0.0
-    for k in range(others.size):
-        if others[k] >= 0 and k != skip and k != besides:
-            total += penalty(place, row, others[k], boxes)
-    return total
+def _draw(
+    motion: Any,
+    sensor: Any,
+    table: Any,
+    ancestors: Ancestors,
+    t: int,
+    r: int,
+    scratch: F8,
+    rng: np.random.Generator,
+    out: F8,
+) -> float:
+    """log g of measurement t and a draw of f(·|x) of state r of target t, which is written to ``out`` (d,)."""
+    origin = ancestors.origin
+    column, d = t * (origin.shape[1] // table.shape[1]) + r, out.size
+    for a in range(d):
+        scratch[a * BLOCK] = origin[a, column]
+    for k in range(normals(motion)):
+        scratch[(8 + k) * BLOCK] = rng.standard_normal()
+    move(motion, scratch, 0)
+    for a in range(d):
+        out[a] = scratch[a * BLOCK]
+    d2, factor = distance(sensor, seen(sensor, table, t), scratch, 0)
+    return math.log(float(factor)) - 0.5 * float(d2)
 
 
-@njit(**ENTRY)
-def total_penalty(place: F8, boxes: bool) -> float:
-    """Sum of the penalties of all pairs of rows."""
+@njit(**INNER)
+def _ancestor(ancestors: Ancestors, law: int, rng: np.random.Generator) -> int:
+    """A draw of an ancestor by its law."""
+    running = ancestors.running[law]
+    return int(np.searchsorted(running, rng.random() * running[-1], side="right"))
+
+
+@njit(**INNER)
+def _put(x: F8, size: F8, t: int, boxes: bool, place: F8) -> None:
+    """Write into ``place`` (4,) where target t is at state ``x``."""
+    if boxes:
+        place[0], place[1] = x[0] - 0.5 * size[0, t], x[1] - 0.5 * size[1, t]
+        place[2], place[3] = x[0] + 0.5 * size[0, t], x[1] + 0.5 * size[1, t]
+    else:
+        place[0], place[1] = x[0] / size[0, t], x[1] / size[1, t]
+
+
+@njit(**INNER)
+def _crowding(place: F8, t: int, boxes: bool) -> float:
+    """By how much the penalties of target t, or for t < 0 of all pairs, grow from places[0] (n, 4) to places[1]."""
     total = 0.0
-    for a in range(place.shape[0]):
+    for a in range(place.shape[1]):
         for b in range(a):
-            total += penalty(place, a, b, boxes)
+            if t < 0 or a == t or b == t:
+                total += _penalty(place[1], a, b, boxes) - _penalty(place[0], a, b, boxes)
     return total
 
 
+@njit(**INNER)
+def _copy(both: F8, t: int, accepted: bool) -> None:
+    """Make row t of the present (2, n, k) that of an accepted proposal; of a rejected one the other way round."""
+    source = 1 if accepted else 0
+    for a in range(both.shape[2]):
+        both[1 - source, t, a] = both[source, t, a]
+
+
 @njit(**ENTRY)
-def independent_chain(
-    target: I8, weight: F8, height: F8, start: F8, place: F8, strength: float, boxes: bool, greedy: bool, keep: I8
-) -> tuple[I8, int]:
-    """Accept or reject proposals, each for one target.
+def given_chain(
+    motion: Any, sensor: Any, table: Any, ancestors: Ancestors, chain: Chain, rng: np.random.Generator, kept: F8
+) -> I8:
+    """Samples of targets whose measurements are known, from the samples of the frame before [D14 Alg. 1].
 
     Parameters
     ----------
-    target, weight : (S,) the target of each proposal, and its log-likelihood, less the logarithm of the proposal's law where
-        that is not constant; never less it where ``greedy``, in which a constant does not cancel.
-    height : (S,) logarithms of uniform numbers.
-    start : (n,) those of the states that the chain starts from.
-    place : (n + S, 4) where these and the proposals are, see `mcmc_apart`; read where ``strength`` is above 0.
-    greedy : accept ratios of 1 and more only, and take the ratio for the target's weight where it is less [D14 Alg. 1].
-    keep : (2,) steps before the first kept sample, and steps for each one that is kept.
+    motion, sensor : records of `kernels.particle_models`.
+    table : (k, n) measurement of each target, as the sensor has it.
+    ancestors : what targets come from.
+    chain : how it runs.
+    kept : (d, n·N) is filled with the kept samples.
 
     Returns
     -------
-    kept : (n, N) what each target's state is in each kept sample: a number below n is a start, n + s proposal s.
-    accepted : number of accepted proposals.
+    (2, 2) proposed and accepted, of redraws of one target (first row) and of changes of the common ancestor.
     """
-    n, burn, thin = start.size, keep[0], keep[1]
-    kept = np.empty((n, (target.size - burn) // thin), np.int64)
-    now, cached = np.arange(n), start.copy()
-    accepted = 0
-    for s in range(target.size):
-        t = target[s]
-        gain = weight[s] - cached[t]
-        if strength > 0.0:
-            gain -= strength * (crowding(place, n + s, now, t, t, boxes) - crowding(place, now[t], now, t, t, boxes))
-        if gain >= (0.0 if greedy else height[s]):
-            now[t], cached[t] = n + s, weight[s]
-            accepted += 1
-        elif greedy:
-            cached[t] = gain
-        if s >= burn and (s - burn + 1) % thin == 0:
-            for k in range(n):
-                kept[k, (s - burn) // thin] = now[k]
-    return kept, accepted
-
-
-@njit(**INNER)
-def _moved(origin: F8, column: int, step: F8, root: F8, rng: np.random.Generator, out: F8) -> None:
-    """A draw of N(F ξ, L Lᵀ) about column ``column`` of ``origin`` (d, L), into ``out`` (d,)."""
-    d = out.size
-    for i in range(d):
-        out[i] = 0.0
-    for j in range(d):
-        x, noise = origin[j, column], rng.standard_normal()
-        for i in range(d):
-            out[i] += step[i, j] * x + root[i, j] * noise
-
-
-@njit(**INNER)
-def _fit(z: F8, inverse: F8, t: int, x: F8) -> float:
-    """log g(z_t|x) up to a constant: −½ dᵀ R⁻¹ d of the position; ``inverse`` (n, 3) holds xx, xy, yy."""
-    dx, dy = z[0, t] - x[0], z[1, t] - x[1]
-    out: float = -0.5 * (inverse[t, 0] * dx * dx + 2.0 * inverse[t, 1] * dx * dy + inverse[t, 2] * dy * dy)
-    return out
-
-
-@njit(**ENTRY)
-def linear_chain(
-    origin: F8, z: F8, inverse: F8, step: F8, root: F8, running: F8, log_proposal: F8, switch: Bool, keep: I8,
-    rng: np.random.Generator, kept: F8,
-) -> I8:  # fmt: skip
-    """The chain with one common ancestor, for x = F ξ + L ν and positions as measurements.
-
-    Parameters
-    ----------
-    origin : (d, n·M) the samples of the frame before, those of a target beside each other.
-    z, inverse : (2, n) positions, and (n, 3) R⁻¹ of each, packed as xx, xy, yy.
-    step, root : (d, d) F and L.
-    running, log_proposal : (M,) the law that ancestors are proposed by: sums of its probabilities, and their logarithms.
-    switch : (S,) which steps change the ancestor; the others redraw one target.
-    keep : (2,) steps before the first kept sample, and steps for each one that is kept.
-    kept : (d, n·N) is filled with the kept samples.
-
-    Returns (2, 2) proposed and accepted, of redraws (first row) and of changes of the ancestor.
-    """
-    d, n = origin.shape[0], z.shape[1]
-    many, count = origin.shape[1] // n, kept.shape[1] // n
-    counts = np.zeros((2, 2), np.int64)
-    now, new = np.empty((n, d)), np.empty((n, d))
-    fit, fits = np.empty(n), np.empty(n)
-    ancestor = np.searchsorted(running, rng.random() * running[-1], side="right")
-    for t in range(n):
-        _moved(origin, t * many + ancestor, step, root, rng, now[t])
-        fit[t] = _fit(z, inverse, t, now[t])
-    for s in range(switch.size):
-        if switch[s]:
-            other = np.searchsorted(running, rng.random() * running[-1], side="right")
-            gain = log_proposal[ancestor] - log_proposal[other]
+    n, scratch, counts = table.shape[1], np.empty(16 * BLOCK), np.zeros((2, 2), np.int64)
+    # In row 0 the present sample, in row 1 the proposal.
+    x, place = np.empty((2, n, kept.shape[0])), np.zeros((2, n, 4))
+    fit, ancestor = np.zeros((2, n)), np.zeros((2, n), np.int64)
+    for step in range(-1, chain.burn + chain.thin * chain.samples):
+        # The chain starts at a proposal for all.
+        everything = step < 0 or (chain.joint and rng.random() < chain.share)
+        first = 0 if everything else int(rng.random() * n)
+        last, gain = n if everything else first + 1, 0.0
+        common = _ancestor(ancestors, 0, rng) if chain.joint and everything else ancestor[0, first]
+        for t in range(first, last):
+            ancestor[1, t] = common if chain.joint else _ancestor(ancestors, t, rng)
+            fit[1, t] = _draw(motion, sensor, table, ancestors, t, ancestor[1, t], scratch, rng, x[1, t])
+            # Alg. 1's weight is the likelihood: where a ratio takes its place, a common factor does not cancel.
+            fit[1, t] -= 0.0 if chain.joint or chain.greedy else ancestors.log[t, ancestor[1, t]]
+            gain += fit[1, t] - fit[0, t]
+            if chain.strength > 0.0:
+                _put(x[1, t], ancestors.size, t, chain.boxes, place[1, t])
+        accepted, kind = step < 0, ANCESTOR if everything else REDRAW
+        if not accepted:
+            if everything:
+                gain -= ancestors.log[0, common] - ancestors.log[0, ancestor[0, 0]]
+            if chain.strength > 0.0:
+                gain -= chain.strength * _crowding(place, -1 if everything else first, chain.boxes)
+            accepted = gain >= (0.0 if chain.greedy else math.log(1.0 - rng.random()))
+            counts[kind, 0] += 1
+            counts[kind, 1] += accepted
+        for t in range(first, last):
+            # D14's Alg. 1 takes the ratio for the weight of a state that stays.
+            fit[0, t] = fit[1, t] if accepted else gain if chain.greedy else fit[0, t]
+            ancestor[0, t] = ancestor[1, t] if accepted else ancestor[0, t]
+            _copy(x, t, accepted)
+            _copy(place, t, accepted)
+        if step >= chain.burn and (step - chain.burn + 1) % chain.thin == 0:
             for t in range(n):
-                _moved(origin, t * many + other, step, root, rng, new[t])
-                fits[t] = _fit(z, inverse, t, new[t])
-                gain += fits[t] - fit[t]
-            counts[1, 0] += 1
-            if gain >= 0.0 or rng.random() < np.exp(gain):
-                now, new, fit, fits, ancestor = new, now, fits, fit, other
-                counts[1, 1] += 1
-        else:
-            t = int(rng.random() * n)
-            _moved(origin, t * many + ancestor, step, root, rng, new[t])
-            trial = _fit(z, inverse, t, new[t])
-            counts[0, 0] += 1
-            if trial >= fit[t] or rng.random() < np.exp(trial - fit[t]):
-                fit[t] = trial
-                for i in range(d):
-                    now[t, i] = new[t, i]
-                counts[0, 1] += 1
-        if s >= keep[0] and (s - keep[0] + 1) % keep[1] == 0:
-            place = (s - keep[0]) // keep[1]
-            for t in range(n):
-                for i in range(d):
-                    kept[i, t * count + place] = now[t, i]
+                for a in range(kept.shape[0]):
+                    kept[a, t * chain.samples + (step - chain.burn) // chain.thin] = x[0, t, a]
     return counts
 
 
 class Options(NamedTuple):
-    """What candidates may be: `option_tables`, with ``member`` (T,) the state of each entry.
+    """What C candidates may be, see `option_tables`, and where.
 
-    ``place`` (L, 4), ``strength`` and ``boxes`` are the interaction, see `mcmc_apart`; without it no place is read.
-    (Kernels that steps call take the arrays one by one: out of a tuple each would be counted as referred to at every use.)
+    ``member`` (T,) is the state of each entry, ``place`` (L, 4) where states are: corners of boxes, or positions in units
+    of the interaction's range.
     """
 
     first: I8
@@ -194,8 +211,14 @@ class Options(NamedTuple):
     running: F8
     member: I8
     place: F8
-    strength: float
-    boxes: bool
+
+
+class Sample(NamedTuple):
+    """The chain's present sample: option and state (−1: not there) of each candidate, and who holds each measurement."""
+
+    option: I8
+    state: I8
+    taken: I8
 
 
 @njit(**ENTRY)
@@ -211,8 +234,9 @@ def option_tables(candidate: I8, which: I8, weight: F8, absent: F8) -> tuple[I8,
     Returns
     -------
     first : (C + 1,) candidate c's options are first[c] … first[c + 1] − 1, the first of them that he is not there.
-    seen_by : (O,) measurement of each option, −1 for none.        total : (O,) its weight.
-    start : (O + 1,) its entries are start[o] … start[o + 1] − 1.        running : (T,) sums of weights within each option.
+    seen_by, total : (O,) measurement of each option, −1 for none, and its weight.
+    start : (O + 1,) its entries are start[o] … start[o + 1] − 1.
+    running : (T,) sums of weights within each option.
     """
     count, entries = absent.size, candidate.size
     first, most = np.empty(count + 1, np.int64), count + entries
@@ -225,91 +249,65 @@ def option_tables(candidate: I8, which: I8, weight: F8, absent: F8) -> tuple[I8,
         o += 1
         while e < entries and candidate[e] == c:
             seen_by[o], start[o] = which[e], e
-            reached = 0.0
             while e < entries and candidate[e] == c and which[e] == seen_by[o]:
-                reached += weight[e]
-                running[e] = reached
+                total[o] += weight[e]
+                running[e] = total[o]
                 e += 1
-            total[o] = reached
             o += 1
     first[count], start[o] = o, e
     return first, seen_by[:o].copy(), total[:o].copy(), start[: o + 1].copy(), running
 
 
 @njit(**INNER)
-def free_weight(o: int, a: int, b: int, seen_by: I8, total: F8, taken: I8) -> float:
+def _free(o: int, a: int, b: int, can: Options, now: Sample) -> float:
     """Weight of an option for candidates a or b; 0 where its measurement is somebody else's."""
-    j = seen_by[o]
-    if j < 0 or taken[j] < 0 or taken[j] == a or taken[j] == b:
-        weight: float = total[o]
+    j = can.seen_by[o]
+    if j < 0 or now.taken[j] < 0 or now.taken[j] == a or now.taken[j] == b:
+        weight: float = can.total[o]
         return weight
     return 0.0
 
 
 @njit(**INNER)
-def _state(o: int, start: I8, running: F8, member: I8, rng: np.random.Generator) -> int:
+def _state(o: int, can: Options, rng: np.random.Generator) -> int:
     """A state of option ``o``, by weight."""
-    low, high = start[o], start[o + 1] - 1
-    aim = rng.random() * running[high]
+    low, high = can.start[o], can.start[o + 1] - 1
+    aim = rng.random() * can.running[high]
     while low < high:
         middle = (low + high) // 2
-        if running[middle] > aim:
+        if can.running[middle] > aim:
             high = middle
         else:
             low = middle + 1
-    out: int = member[low]
+    out: int = can.member[low]
     return out
 
 
 @njit(**INNER)
-def _choose(c: int, begin: int, first: I8, seen_by: I8, total: F8, taken: I8, rng: np.random.Generator) -> int:
-    """One of the free options of ``c`` from ``begin`` on, by weight; −1 where all weigh nothing."""
-    end, reached = first[c + 1], 0.0
-    for o in range(begin, end):
-        reached += free_weight(o, c, c, seen_by, total, taken)
-    aim = rng.random() * reached
-    chosen = -1
-    for o in range(begin, end):
-        weight = free_weight(o, c, c, seen_by, total, taken)
-        if weight > 0.0:
-            chosen = o
-            aim -= weight
-            if aim < 0.0:
-                break
-    return chosen
-
-
-@njit(**INNER)
-def _pair_weight(o: int, p: int, a: int, b: int, seen_by: I8, total: F8, taken: I8) -> float:
-    """Weight of options ``o`` of a and ``p`` of b together; 0 where they are not free, or the same measurement."""
-    if seen_by[o] >= 0 and seen_by[o] == seen_by[p]:
-        return 0.0
-    weight: float = free_weight(o, a, b, seen_by, total, taken) * free_weight(p, a, b, seen_by, total, taken)
-    return weight
-
-
-@njit(**INNER)
-def _choose_two(a: int, b: int, first: I8, seen_by: I8, total: F8, taken: I8, rng: np.random.Generator) -> tuple[int, int]:
-    """One of the free pairs of options of ``a`` and ``b``, by the product of weights."""
-    reached = 0.0
-    for o in range(first[a], first[a + 1]):
-        for p in range(first[b], first[b + 1]):
-            reached += _pair_weight(o, p, a, b, seen_by, total, taken)
-    aim = rng.random() * reached
-    chosen, other = -1, -1
-    for o in range(first[a], first[a + 1]):
-        for p in range(first[b], first[b + 1]):
-            weight = _pair_weight(o, p, a, b, seen_by, total, taken)
-            if weight > 0.0:
-                chosen, other = o, p
-                aim -= weight
-                if aim < 0.0:
-                    return chosen, other
+def _choose(a: int, b: int, begin: int, can: Options, now: Sample, rng: np.random.Generator) -> tuple[int, int]:
+    """Free options of ``a`` from ``begin`` on and of ``b``, by weight; without ``b`` (−1) the second is −1."""
+    end, chosen, other, reached = can.first[a + 1], -1, -1, 0.0
+    low, high = (can.first[b], can.first[b + 1]) if b >= 0 else (0, 1)
+    for again in range(2):
+        aim = rng.random() * reached if again else np.inf
+        for o in range(begin, end):
+            for p in range(low, high):
+                weight = _free(o, a, b if b >= 0 else a, can, now)
+                if b >= 0:
+                    same = can.seen_by[o] >= 0 and can.seen_by[o] == can.seen_by[p]
+                    weight *= 0.0 if same else _free(p, a, b, can, now)
+                if not again:
+                    reached += weight
+                elif weight > 0.0:
+                    chosen, other = o, p if b >= 0 else -1
+                    aim -= weight
+                    if aim < 0.0:
+                        return chosen, other
     return chosen, other
 
 
 @njit(**INNER)
-def _kind(was: int, becomes: int, absence: int, newborn: bool, seen_by: I8) -> int:
+def _kind(was: int, becomes: int, absence: int, newborn: bool, can: Options) -> int:
     """Which row of the counts a change of option belongs to; −1 where somebody stays away."""
     if was == absence:
         if becomes == absence:
@@ -317,122 +315,91 @@ def _kind(was: int, becomes: int, absence: int, newborn: bool, seen_by: I8) -> i
         return ADD if newborn else COME_BACK
     if becomes == absence:
         return DELETE if newborn else LEAVE
-    return UPDATE if seen_by[was] == seen_by[becomes] else REASSIGN
+    return UPDATE if can.seen_by[was] == can.seen_by[becomes] else REASSIGN
 
 
 @njit(**INNER)
-def _crowd(c: int, besides: int, i: int, place: F8, boxes: bool, state: I8) -> float:
-    """Penalties of candidate ``c``, in state ``i`` or not there (−1), with all others but ``besides``."""
-    return crowding(place, i, state, c, besides, boxes) if i >= 0 else 0.0
+def _crowd(a: int, b: int, i: int, k: int, can: Options, now: Sample, boxes: bool) -> float:
+    """Penalties of ``a`` in state ``i`` and ``b`` in state ``k`` (−1: not there) with everybody and each other."""
+    total = _penalty(can.place, i, k, boxes) if i >= 0 and k >= 0 else 0.0
+    for c in range(now.state.size):
+        if now.state[c] >= 0 and c != a and c != b:
+            total += _penalty(can.place, i, now.state[c], boxes) if i >= 0 else 0.0
+            total += _penalty(can.place, k, now.state[c], boxes) if k >= 0 else 0.0
+    return total
 
 
 @njit(**INNER)
-def _refused(more: float, strength: float, rng: np.random.Generator) -> bool:
-    """Hastings: a proposal with so much more of a penalty is accepted with probability exp(−strength · more)."""
-    return more > 0.0 and rng.random() >= np.exp(-strength * more)
-
-
-@njit(**INNER)
-def _give_back(c: int, option: I8, seen_by: I8, taken: I8) -> None:
-    j = seen_by[option[c]]
+def _take(c: int, o: int, i: int, can: Options, now: Sample) -> None:
+    """Candidate ``c`` has option ``o`` and state ``i`` from now on."""
+    now.option[c], now.state[c] = o, i
+    j = can.seen_by[o]
     if j >= 0:
-        taken[j] = -1
+        now.taken[j] = c
 
 
 @njit(**INNER)
-def _take(c: int, o: int, i: int, option: I8, state: I8, seen_by: I8, taken: I8) -> None:
-    option[c], state[c] = o, i
-    j = seen_by[o]
-    if j >= 0:
-        taken[j] = c
-
-
-@njit(**INNER)
-def redraw_one(
-    c: int, newborn: bool, first: I8, seen_by: I8, total: F8, start: I8, running: F8, member: I8, place: F8, strength: float,
-    boxes: bool, option: I8, state: I8, taken: I8, rng: np.random.Generator, counts: I8,
-) -> None:  # fmt: skip
-    """A step that moves one candidate, given all others."""
-    o = _choose(c, first[c], first, seen_by, total, taken, rng)
-    i = -1 if o == first[c] else _state(o, start, running, member, rng)
-    kind = _kind(option[c], o, first[c], newborn, seen_by)
-    if kind < 0:
-        return
+def redraw(a: int, b: int, old: int, can: Options, now: Sample, chain: Chain, rng: np.random.Generator, counts: I8) -> None:
+    """A step that moves candidate ``a``, or ``a`` and ``b`` at once (b < 0: ``a`` only), given all others."""
+    o, p = _choose(a, b, can.first[a], can, now, rng)
+    i = -1 if o == can.first[a] else _state(o, can, rng)
+    k, kind, was = -1, EXCHANGE, -1
+    if b >= 0:
+        k, was = -1 if p == can.first[b] else _state(p, can, rng), now.state[b]
+    else:
+        kind = _kind(now.option[a], o, can.first[a], a >= old, can)
+        if kind < 0:
+            return
     counts[kind, 0] += 1
-    if strength > 0.0 and _refused(
-        _crowd(c, c, i, place, boxes, state) - _crowd(c, c, state[c], place, boxes, state), strength, rng
-    ):
-        return
+    if chain.strength > 0.0:
+        more = _crowd(a, b, i, k, can, now, chain.boxes) - _crowd(a, b, now.state[a], was, can, now, chain.boxes)
+        # Hastings: accepted with probability exp(−strength · more).
+        if more > 0.0 and rng.random() >= np.exp(-chain.strength * more):
+            return
     counts[kind, 1] += 1
-    _give_back(c, option, seen_by, taken)
-    _take(c, o, i, option, state, seen_by, taken)
+    for c in (a, b):
+        if c >= 0 and can.seen_by[now.option[c]] >= 0:
+            now.taken[can.seen_by[now.option[c]]] = -1
+    _take(a, o, i, can, now)
+    if b >= 0:
+        _take(b, p, k, can, now)
 
 
 @njit(**INNER)
-def _crowd_of_two(a: int, b: int, i: int, k: int, place: F8, boxes: bool, state: I8) -> float:
-    """Penalties of ``a`` in state ``i`` and ``b`` in state ``k`` with everybody and each other."""
-    total: float = _crowd(a, b, i, place, boxes, state) + _crowd(b, a, k, place, boxes, state)
-    return total + penalty(place, i, k, boxes) if i >= 0 and k >= 0 else total
-
-
-@njit(**INNER)
-def redraw_two(
-    a: int, b: int, first: I8, seen_by: I8, total: F8, start: I8, running: F8, member: I8, place: F8, strength: float,
-    boxes: bool, option: I8, state: I8, taken: I8, rng: np.random.Generator, counts: I8,
-) -> None:  # fmt: skip
-    """A step that moves two candidates at once, given all others."""
-    o, p = _choose_two(a, b, first, seen_by, total, taken, rng)
-    i = -1 if o == first[a] else _state(o, start, running, member, rng)
-    k = -1 if p == first[b] else _state(p, start, running, member, rng)
-    counts[EXCHANGE, 0] += 1
-    if strength > 0.0 and _refused(
-        _crowd_of_two(a, b, i, k, place, boxes, state) - _crowd_of_two(a, b, state[a], state[b], place, boxes, state),
-        strength,
-        rng,
-    ):
-        return
-    counts[EXCHANGE, 1] += 1
-    _give_back(a, option, seen_by, taken)
-    _give_back(b, option, seen_by, taken)
-    _take(a, o, i, option, state, seen_by, taken)
-    _take(b, p, k, option, state, seen_by, taken)
-
-
-@njit(**INNER)
-def _chance(
-    c: int, first: I8, seen_by: I8, total: F8, start: I8, running: F8, member: I8, place: F8, strength: float,
-    boxes: bool, option: I8, state: I8, taken: I8, rng: np.random.Generator,
-) -> tuple[int, float]:  # fmt: skip
+def _chance(c: int, can: Options, now: Sample, chain: Chain, rng: np.random.Generator) -> tuple[int, float]:
     """The state of one who is there, or would be, and the probability that he is, given it and all others."""
-    there = 0.0
-    for o in range(first[c] + 1, first[c + 1]):
-        there += free_weight(o, c, c, seen_by, total, taken)
+    there, absence = 0.0, can.first[c]
+    for o in range(absence + 1, can.first[c + 1]):
+        there += _free(o, c, c, can, now)
     if there <= 0.0:
-        return member[start[first[c] + 1]], 0.0
-    i = state[c]
+        return can.member[can.start[absence + 1]], 0.0
+    i = now.state[c]
     if i < 0:
-        i = _state(_choose(c, first[c] + 1, first, seen_by, total, taken, rng), start, running, member, rng)
-    if strength > 0.0:
-        there *= np.exp(-strength * _crowd(c, c, i, place, boxes, state))
-    return i, there / (there + total[first[c]])
+        o, _ = _choose(c, -1, absence + 1, can, now, rng)
+        i = _state(o, can, rng)
+    if chain.strength > 0.0:
+        there *= np.exp(-chain.strength * _crowd(c, -1, i, -1, can, now, chain.boxes))
+    return i, there / (there + can.total[absence])
 
 
 @njit(**ENTRY)
 def jump_chain(
-    old: int, measurements: int, can: Options, pairs: I8, exchange: float, keep: I8, rng: np.random.Generator
+    old: int, measurements: int, can: Options, pairs: I8, chain: Chain, rng: np.random.Generator
 ) -> tuple[I8, I8, F8, I8]:
     """Samples of the options and states of all candidates.
 
-    A step picks a candidate and draws one of his free options by weight, and of it a state; with probability ``exchange`` it
-    picks one of ``pairs`` and draws for both together. Without interaction that is a draw from the conditional law and
-    always accepted; with it, it is accepted with probability min(1, ψ of the new state / ψ of the old one).
+    A step picks a candidate and draws one of his free options by weight, and of it a state; with probability
+    ``chain.share`` it picks one of ``pairs`` and draws for both together. Without interaction that is a draw from the
+    conditional law and always accepted; with it, it is accepted with probability min(1, ψ of the new state / ψ of the old
+    one).
 
     Parameters
     ----------
     old : candidates before this one were there in the frame before; the others are newborn.
-    measurements : how many there are.        pairs : (K, 2) candidates that compete for a measurement.
-    keep : (3,) sweeps before the first kept sample, sweeps for each one that is kept, and how many are kept. A sweep has as
-        many steps as there are candidates.
+    measurements : how many there are.
+    can : what candidates may be.
+    pairs : (K, 2) candidates that compete for a measurement.
+    chain : how it runs, in sweeps of as many steps as there are candidates.
 
     Returns
     -------
@@ -441,31 +408,20 @@ def jump_chain(
     chance : (C, N) the probability that he is there, given that state and all the others in the sample.
     counts : (7, 2) proposed and accepted, by kind.
     """
-    first, seen_by, total, start, running, member, place, strength, boxes = can
-    many, kept = first.size - 1, keep[2]
-    option, state, taken = first[:-1].copy(), np.full(many, -1), np.full(measurements, -1)
+    many, kept = can.first.size - 1, chain.samples
+    now = Sample(can.first[:-1].copy(), np.full(many, -1), np.full(measurements, -1))
     options, states = np.empty((many, kept), np.int64), np.empty((many, kept), np.int64)
     chance, counts = np.empty((many, kept)), np.zeros((7, 2), np.int64)
-    for sweep in range(keep[0] + keep[1] * kept):
+    for sweep in range(chain.burn + chain.thin * kept):
         for _ in range(many):
-            if pairs.shape[0] > 0 and rng.random() < exchange:
+            if pairs.shape[0] > 0 and rng.random() < chain.share:
                 k = int(rng.random() * pairs.shape[0])
-                redraw_two(
-                    pairs[k, 0], pairs[k, 1], first, seen_by, total, start, running, member, place, strength, boxes,
-                    option, state, taken, rng, counts,
-                )  # fmt: skip
+                redraw(pairs[k, 0], pairs[k, 1], old, can, now, chain, rng, counts)
             else:
-                c = int(rng.random() * many)
-                redraw_one(
-                    c, c >= old, first, seen_by, total, start, running, member, place, strength, boxes,
-                    option, state, taken, rng, counts,
-                )  # fmt: skip
-        if sweep >= keep[0] and (sweep - keep[0] + 1) % keep[1] == 0:
-            n = (sweep - keep[0]) // keep[1]
+                redraw(int(rng.random() * many), -1, old, can, now, chain, rng, counts)
+        if sweep >= chain.burn and (sweep - chain.burn + 1) % chain.thin == 0:
+            n = (sweep - chain.burn) // chain.thin
             for c in range(many):
-                options[c, n] = option[c]
-                states[c, n], chance[c, n] = _chance(
-                    c, first, seen_by, total, start, running, member, place, strength, boxes,
-                    option, state, taken, rng,
-                )  # fmt: skip
+                options[c, n] = now.option[c]
+                states[c, n], chance[c, n] = _chance(c, can, now, chain, rng)
     return options, states, chance, counts
