@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import norm
 
-from phdtrack.kernels.particle_models import N0, SensorNumbers, X, distance, implements, move, normals, seen
+from phdtrack.kernels.particle_models import N0, Number, Real, SensorNumbers, X, distance, implements, move, normals, seen
 from phdtrack.models import UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import Particles

@@ -10,24 +10,102 @@ The log-density of a loose end is that of a state ``loose_end_distance`` deviati
 so that the setting does not depend on the size of image or target, nor on the frame rate. The degenerate f is convolved with
 the covariances of both states and evaluated on the rows that a measurement shows.
 
-Online rows, once given, never change; the tracks of `finish` use all corrections.
+Online rows, once given, never change; the tracks of `GraphMatching.finish` use all corrections. The identity of a state is
+fixed when the rows of its frame are given: it is that of the state it is then linked to. A later correction only decides
+how the identities go on. Where two states claim one identity, the one that is linked to its last state has it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.associate.history import History, Moment, measurements, open_links
-from phdtrack.associate.online import Due, Given, Output, give
-from phdtrack.associate.rows import Path, back_dated, gaps, rows_of
+from phdtrack.associate.history import (
+    History,
+    Moment,
+    Path,
+    back_dated,
+    gaps,
+    measurements,
+    open_links,
+    predicted_rows,
+    rows_of,
+)
 from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.linking import Fresh, Links, Terms, Window, link_states
+from phdtrack.models import warp as warp_of
 from phdtrack.models.gaussian import predicted
+from phdtrack.models.rts import bridge
 from phdtrack.protocols import Model
-from phdtrack.types import F8, Estimates, MeasurementHistory, Tracks
+from phdtrack.types import F8, I8, STILL, Bool, Estimates, MeasurementHistory, Tracks
+
+# Frames after which a missing identity is no longer continued.
+AGES = 32
+
+
+class Identities(NamedTuple):
+    """The identities (A,) that may still be linked to, ascending.
+
+    Attributes
+    ----------
+    identity, last : (A,) its number, and the vertex of its last state.
+    length, gain : (A,) its states, and what their links gained.
+    confirmed : (A,) whether it has been confirmed.
+    missed : (A,) frames since its last state; AGES where the target has left.
+    confidence : (A,) of that state; 0 where it is not known any more.
+    state : (d, A) the last state, carried on by the motion model.
+    """
+
+    identity: I8
+    last: I8
+    length: I8
+    gain: F8
+    confirmed: Bool
+    missed: I8
+    confidence: F8
+    state: F8
+
+    @classmethod
+    def of(cls, identity: I8, estimates: Estimates, vertex: I8) -> Identities:
+        """New ones, of states that are the vertices ``vertex`` (n,)."""
+        one, zero = np.ones(len(identity), np.int64), np.zeros(len(identity))
+        return cls(
+            identity, vertex, one, zero, zero > 0, one - 1, np.minimum(1.0, estimates.weight), estimates.state
+        )  # fmt: skip
+
+    def take(self, index: I8 | Bool) -> Identities:
+        """Those at ``index``."""
+        return Identities._make(column[..., index] for column in self)
+
+    def join(self, other: Identities) -> Identities:
+        """These, then the other ones."""
+        if not len(self.identity) or not len(other.identity):
+            return self if len(self.identity) else other
+        return Identities._make(np.concatenate(pair, axis=-1) for pair in zip(self, other, strict=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Given:
+    """What was given online.
+
+    Attributes
+    ----------
+    first : the first vertex that may still be linked to.
+    track : (V,) the identity of each vertex from there on.
+    known : the identities.
+    returned : (2, AGES) how many identities were without a state for so many frames, and how many of them had one in the
+        next.
+    used : identities given so far.
+    """
+
+    first: int
+    track: I8
+    known: Identities
+    returned: I8 = field(default_factory=lambda: np.zeros((2, AGES), np.int64))
+    used: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +159,8 @@ class GraphMatching:
 
     def start(self) -> GraphState:
         """Nothing seen."""
-        return GraphState(empty_window(0), History(), Given.nothing())
+        none = np.zeros(0, np.int64)
+        return GraphState(empty_window(0), History(), Given(0, none, Identities.of(none, Estimates.empty(0), none)))
 
     def extend(
         self, state: GraphState, estimates: Estimates, z: F8, number: int, dt: float, model: Model
@@ -97,13 +176,16 @@ class GraphMatching:
         dt : model time since the frame before.
         model : of this frame.
 
+        Returns
+        -------
+        The new state, and the rows.
+
         Raises
         ------
         InputError : a position is not finite.
         """
-        window, final = self._linked(
-            state.window if state.vertices else empty_window(len(estimates.state)), estimates, dt, model
-        )
+        before = state.window if state.vertices else empty_window(len(estimates.state))
+        window, final = self._linked(before, estimates, dt, model)
         time, vertices = state.time + dt, state.vertices + len(estimates)
         history = state.history.append(Moment(number, time, state.vertices, estimates, final, z, model.warp))
         extended = GraphState(window, history, state.given, vertices, time)
@@ -111,7 +193,11 @@ class GraphMatching:
         if due < 0:
             return extended, Tracks.empty()
         given, tracks = self._give(extended, due, model)
-        return GraphState(window, self._recent(history, due, time, model), given, vertices, time), tracks
+        if self.history > 0:
+            # What open links and rows that are still due rest on stays.
+            needed = history[due].time - (2 * self.window + self.max_coast) * model.rate
+            history = history.since(min(time - self.history * model.rate, needed))
+        return GraphState(window, history, given, vertices, time), tracks
 
     def flush(self, state: GraphState, model: Model) -> Tracks:
         """The online rows of the last ``output_delay`` frames, under the final links."""
@@ -126,14 +212,22 @@ class GraphMatching:
         """The corrected tracks: short ones left out, gaps bridged, identities from 1 in order of appearance."""
         moments = list(state.history)
         parts, taken, identity = [], set[tuple[int, int]](), 1
-        place = {m.number: k for k, m in enumerate(moments)}
         for path in self._paths(moments, state.window):
-            before = back_dated(moments, path[0], self.back_dating, taken, model)
+            before, boxes = back_dated(moments, path[0], self.back_dating, taken, model)
             if len(path) + len(before) < self.min_track_length:
                 continue
-            used = [place[number] for number in before.frame.tolist()]
-            taken.update(zip(used, before.detection.tolist(), strict=True))
-            parts += [replace(before, identity=before.identity + identity), rows_of(moments, path, identity)]
+            taken.update(before)
+            rows, n = rows_of(moments, path, identity), len(before)
+            numbers, detections = [moments[k].number for k, _ in before], [j for _, j in before]
+            earlier = Tracks(
+                np.array(numbers, np.int64),
+                np.full(n, identity),
+                boxes,
+                np.full(n, rows.confidence[0]),
+                np.array(detections, np.int64),
+                np.ones(n, np.bool_),
+            )
+            parts += [earlier, rows]
             if self.bridge_gaps:
                 parts += gaps(moments, path, identity, model)
             identity += 1
@@ -142,11 +236,6 @@ class GraphMatching:
     def measurements(self, state: GraphState) -> MeasurementHistory:
         """The measurements of everything that is remembered."""
         return measurements(state.history)
-
-    @property
-    def _least_gain(self) -> float:
-        """The mean gain that a track's links must reach; a perfect typical link gains loose_end_distance²/2."""
-        return self.min_link_gain * 0.5 * self.loose_end_distance**2
 
     def _linked(self, window: Window, estimates: Estimates, dt: float, model: Model) -> tuple[Window, Links]:
         """The window with the new states, and the links that can no longer change."""
@@ -187,20 +276,70 @@ class GraphMatching:
                 paths.append(path)
             path.append(vertex)
             ending[vertex] = path
-        return [[place[v] for v in path] for path in paths if gain[path].sum() >= self._least_gain * (len(path) - 1)]
+        return [[place[v] for v in path] for path in paths if self._good(len(path), gain[path].sum())]
 
-    def _recent(self, history: History, due: int, time: float, model: Model) -> History:
-        """The history without what is forgotten; what open links and rows still due rest on stays."""
-        if self.history == 0:
-            return history
-        needed = history[due].time - (2 * self.window + self.max_coast) * model.rate
-        return history.since(min(time - self.history * model.rate, needed))
+    def _good(self, states: I8 | int, gain: F8) -> Bool:
+        """Whether the links of tracks gain enough; a perfect typical link gains loose_end_distance²/2."""
+        enough: Bool = gain >= self.min_link_gain * 0.5 * self.loose_end_distance**2 * (states - 1)
+        return enough
 
-    def _give(self, state: GraphState, due: int, model: Model) -> tuple[Given, Tracks]:
-        """The rows of the frame at place ``due`` of the history, under the present links."""
-        coast = self.max_coast * model.rate + 1e-9 if self.bridge_gaps else 0.0
-        output = Output(self.min_track_length, self._least_gain, coast)
-        return give(state.given, Due.at(due, state.window, state.time, state.history), output, model)
+    def _give(self, state: GraphState, place: int, model: Model) -> tuple[Given, Tracks]:
+        """The rows of the frame at ``place`` of the history under the present links, and the new record."""
+        given, history, moment = state.given, state.history, state.history[place]
+        held = [history[k] for k in range(place + 1, len(history))]
+        end = moment.first + len(moment.estimates)
+        onward, gain = _onward(given.first, state.window, held)
+        identity, known, used = _claimed(given, moment, onward, gain)
+        known = known._replace(confirmed=self._confirmed(known, onward, gain, given.first, end))
+        returned = _returned(given, known)
+        e, confirmed = moment.estimates, known.confirmed[np.searchsorted(known.identity, identity)]
+        parts = [Tracks(np.full(len(e), moment.number), identity, e.xyxy, np.minimum(1.0, e.weight), e.detection, confirmed)]
+        after, missing = onward[known.last - given.first], known.last < moment.first
+        absent = missing & known.confirmed & ((after >= end) | ((after < 0) & (known.missed < AGES)))
+        state_of, missed, confidence = known.state.copy(), known.missed.copy(), np.where(missing, 0.0, known.confidence)
+        if self.bridge_gaps and absent.any():
+            bridging = (absent & (after >= 0)).nonzero()[0]
+            parts += _bridged(known.take(bridging), after[bridging], history, place, model)
+            going = (absent & (known.confidence > 0)).nonzero()[0]
+            moved = known.state[:, going]
+            moved = model.motion.warp_states(moved, moment.warp) if len(moment.warp) else moved
+            step = moment.time - history[place - 1].time
+            moved, _, _ = model.motion.transition(moved, step)
+            survive = model.motion.p_survive(moved, step / model.rate)
+            sure = known.confidence[going] * survive
+            state_of[:, going], confidence[going], there = moved, sure, sure > 0
+            missed[going[~there]] = AGES
+            probability = _return_probability(survive[there], model.sensor.p_detect(moved)[there], returned)
+            most = self._max_frames(state, place, probability, model)
+            shown = there & (known.missed[going] <= most) & (after[going] < 0)
+            parts.append(predicted_rows(moment.number, known.identity[going[shown]], moved[:, shown], sure[shown], model))
+        known = known._replace(state=state_of, confidence=confidence, missed=missed)
+        # The first vertex whose identity a row still to be given may ask for.
+        oldest = min([state.window.column, moment.first, *(int(m.final.earlier.min(initial=moment.first)) for m in held)])
+        track = np.concatenate((given.track, identity))[oldest - given.first :]
+        return Given(oldest, track, known.take(known.last >= oldest), returned, used), Tracks.concatenate(parts)
+
+    def _confirmed(self, known: Identities, onward: I8, gain: F8, first: int, end: int) -> Bool:
+        """(A,) whether each identity is confirmed by its states, or together with those that it is linked to later."""
+        confirmed, states, total, here = known.confirmed, known.length, known.gain, known.last - first
+        while True:
+            confirmed = confirmed | ((states >= self.min_track_length) & self._good(states, total))
+            goes_on = onward[here] >= end
+            if not goes_on.any():
+                return confirmed
+            states, total = states + goes_on, total + np.where(goes_on, gain[here], 0.0)
+            here = np.where(goes_on, onward[here] - first, here)
+
+    def _max_frames(self, state: GraphState, place: int, probability: list[float], model: Model) -> int:
+        """For how many frames without a state tracks are continued: while more come back than do not, and ``max_coast``."""
+        history, most, ahead = state.history, 0, len(state.history) - 1 - place
+        longest = self.max_coast * model.rate + 1e-9
+        while most + 1 + ahead < AGES and probability[most + 1 + ahead] > 0.5:
+            earlier = place - most - 1
+            if earlier < history.forgotten or state.time - history[earlier].time > longest:
+                break
+            most += 1
+        return most
 
 
 def empty_window(dim: int) -> Window:
@@ -208,3 +347,90 @@ def empty_window(dim: int) -> Window:
     none, zero = np.zeros(0, np.int64), np.zeros(0)
     begin = np.zeros(1, np.int64)
     return Window(0, 0, none, zero, zero, none, zero, zero, begin, none, zero, np.zeros((0, dim)), np.zeros((0, dim, dim)))
+
+
+def _onward(first: int, window: Window, held: list[Moment]) -> tuple[I8, F8]:
+    """Of each vertex from ``first`` on the vertex that it is linked to later, −1 for none, and the link's gain."""
+    count = window.row + len(window.previous) - first
+    onward, gain = np.full(count, -1), np.zeros(count)
+    for links in (open_links(window), *(m.final for m in held)):
+        kept = links.earlier >= first
+        onward[links.earlier[kept] - first], gain[links.earlier[kept] - first] = links.later[kept], links.gain[kept]
+    return onward, gain
+
+
+def _claimed(given: Given, moment: Moment, onward: I8, gain: F8) -> tuple[I8, Identities, int]:
+    """The identities (n,) of the frame's states, all identities with them, and how many were ever used.
+
+    A state takes the identity of the one that is linked to it. Of several that claim one, that which is linked to the
+    identity's last state has it, else the first; the others get new ones.
+    """
+    known, e, first = given.known, moment.estimates, moment.first
+    earlier = onward[: len(given.track)]
+    source = ((earlier >= first) & (earlier < first + len(e))).nonzero()[0]
+    state, name = earlier[source] - first, given.track[source]
+    direct = known.last[np.searchsorted(known.identity, name)] - given.first == source
+    order = np.lexsort((state, ~direct))
+    _, foremost = np.unique(name[order], return_index=True)
+    won = order[foremost]
+    source, state, name = source[won], state[won], name[won]
+    at = np.searchsorted(known.identity, name)
+    identity = np.zeros(len(e), np.int64)
+    identity[state] = name
+    fresh = (identity == 0).nonzero()[0]
+    identity[fresh] = given.used + 1 + np.arange(len(fresh))
+    going = Identities._make(column.copy() for column in known._replace(missed=known.missed + 1))
+    going.last[at], going.missed[at] = first + state, 0
+    going.length[at] += 1
+    going.gain[at] += gain[source]
+    if len(at):
+        going.state[:, at], going.confidence[at] = e.state[:, state], np.minimum(1.0, e.weight[state])
+    return identity, going.join(Identities.of(identity[fresh], e.take(fresh), first + fresh)), given.used + len(fresh)
+
+
+def _returned(given: Given, known: Identities) -> I8:
+    """`Given.returned` with this frame: of confirmed identities without a state, how many have one now."""
+    before, returned = given.known, given.returned.copy()
+    asked = (before.confirmed & (before.missed > 0) & (before.missed < AGES)).nonzero()[0]
+    np.add.at(returned[0], before.missed[asked], 1)
+    np.add.at(returned[1], before.missed[asked], known.missed[asked] == 0)
+    return returned
+
+
+def _return_probability(p_survive: F8, p_detect: F8, returned: I8) -> list[float]:
+    """The probabilities that an identity that has had no state for 0, 1, … frames will have one again.
+
+    They come from how many did so far, age by age (Kaplan and Meier's product of hazards). Each age also counts one that
+    behaves as the model says: it exists with r, survives with p_S, is missed with 1 − p_D, and then exists with
+    r p_S (1 − p_D)/(1 − r p_S p_D), as a Bernoulli filter has it.
+    """
+    stays, seen = (float(p.mean()) if len(p) else 0.0 for p in (p_survive, p_detect))
+    exists, never, out = 1.0, 1.0, []
+    for asked, came in zip(*returned.tolist(), strict=True):
+        there = exists * stays
+        out.append((came + there * seen) / (asked + 1.0))
+        exists = there * (1.0 - seen) / (1.0 - there * seen) if there * seen < 1.0 else 0.0
+    for age in range(len(out) - 1, -1, -1):
+        never *= 1.0 - out[age]
+        out[age] = 1.0 - never
+    return out
+
+
+def _bridged(known: Identities, after: I8, history: History, place: int, model: Model) -> list[Tracks]:
+    """The rows in the frame at ``place`` of identities whose next state, the vertex ``after`` (a,), is known already."""
+    parts, now = [], history[place]
+    for i, (vertex, later) in enumerate(zip(known.last.tolist(), after.tolist(), strict=True)):
+        behind = next((k for k in range(place - 1, history.forgotten - 1, -1) if history[k].first <= vertex), None)
+        if behind is None:
+            continue
+        ahead = next(k for k in range(place + 1, len(history)) if later < history[k].first + len(history[k].estimates))
+        a, b = history[behind], history[ahead]
+        x, y, j, k = a.estimates, b.estimates, vertex - a.first, later - b.first
+        warps = [
+            warp_of.after([history[m].warp for m in between]) if any(len(history[m].warp) for m in between) else STILL
+            for between in (range(behind + 1, place + 1), range(place + 1, ahead + 1))
+        ]
+        ends = x.state[:, j], x.covariance[j], y.state[:, k], y.covariance[k]
+        state = bridge(model.motion, ends, np.array([now.time - a.time, b.time - now.time]), warps)
+        parts.append(predicted_rows(now.number, known.identity[i : i + 1], state, x.weight[j : j + 1], model))
+    return parts

@@ -8,56 +8,49 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.associate.history import NO_LINKS, History, Moment, measurements
-from phdtrack.associate.rows import gaps, rows_of
+from phdtrack.associate.history import NO_LINKS, History, Moment, gaps, measurements, rows_of
 from phdtrack.checks import Count, NonNegative, PositiveCount, check
 from phdtrack.errors import InputError
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
 
+_NO_LABEL = np.iinfo(np.int64).min
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LabelTable:
+
+class LabelTable(NamedTuple):
     """What is known of each label (a,), ascending.
 
     Attributes
     ----------
     label, identity : its number, and the identity given to it; 0 before its first row.
-    count, last : its states that rest on detections, and the model time of the last of them.
+    states, last : its states that rest on detections, and the model time of the last of them.
     confirmed : whether it has been confirmed.
     """
 
-    label: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
-    identity: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
-    count: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
-    last: F8 = field(default_factory=lambda: np.zeros(0))
-    confirmed: Bool = field(default_factory=lambda: np.zeros(0, np.bool_))
+    label: I8
+    identity: I8
+    states: I8
+    last: F8
+    confirmed: Bool
+
+    @classmethod
+    def of(cls, label: I8) -> LabelTable:
+        """New labels."""
+        none = np.zeros(len(label), np.int64)
+        return cls(label, none, none, np.full(len(label), -np.inf), none > 0)
 
     def including(self, moments: Sequence[Moment]) -> LabelTable:
         """The table with a row for every label of the moments."""
         tag = np.concatenate([m.estimates.tag for m in moments])
-        fresh = np.unique(tag[~self._knows(tag)])
+        fresh = np.unique(tag[np.append(self.label, _NO_LABEL)[self.places(tag)] != tag])
         if len(fresh) == 0:
             return self
-        label, none = np.concatenate([self.label, fresh]), np.zeros(len(fresh), np.int64)
-        order = np.argsort(label, kind="stable")
-        return LabelTable(
-            label[order],
-            np.concatenate([self.identity, none])[order],
-            np.concatenate([self.count, none])[order],
-            np.concatenate([self.last, np.full(len(fresh), -np.inf)])[order],
-            np.concatenate([self.confirmed, none > 0])[order],
-        )
-
-    def _knows(self, labels: I8) -> Bool:
-        """(n,) which of the labels have a row."""
-        if len(self.label) == 0:
-            return np.zeros(len(labels), np.bool_)
-        found: Bool = self.label[np.minimum(self.places(labels), len(self.label) - 1)] == labels
-        return found
+        both = LabelTable._make(np.concatenate(pair) for pair in zip(self, LabelTable.of(fresh), strict=True))
+        return both.take(np.argsort(both.label, kind="stable"))
 
     def counting(self, moments: Sequence[Moment]) -> LabelTable:
         """The table with the states of the moments counted, whose labels all have a row."""
@@ -68,16 +61,15 @@ class LabelTable:
         time = np.repeat([m.time for m in moments], [len(m.estimates) for m in moments])[resting]
         last = self.last.copy()
         np.maximum.at(last, place, time)
-        count = self.count + np.bincount(place, minlength=len(self.label))
-        return LabelTable(self.label, self.identity, count, last, self.confirmed)
+        return self._replace(states=self.states + np.bincount(place, minlength=len(self.label)), last=last)
 
     def places(self, labels: I8) -> I8:
         """(n,) the rows of the labels."""
         return np.searchsorted(self.label, labels).astype(np.int64)
 
-    def take(self, kept: Bool) -> LabelTable:
-        """The rows that are kept."""
-        return LabelTable(self.label[kept], self.identity[kept], self.count[kept], self.last[kept], self.confirmed[kept])
+    def take(self, index: I8 | Bool) -> LabelTable:
+        """The rows at ``index``."""
+        return LabelTable._make(column[index] for column in self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +85,7 @@ class LabelledState:
 
     history: History = field(default_factory=History)
     recent: tuple[Moment, ...] = ()
-    table: LabelTable = field(default_factory=LabelTable)
+    table: LabelTable = field(default_factory=lambda: LabelTable.of(np.zeros(0, np.int64)))
     time: float = 0.0
     used: int = 0
 
@@ -139,20 +131,34 @@ class Labelled:
     ) -> tuple[LabelledState, Tracks]:
         """The state with those of frame ``number`` and what they revise, and the online rows that are now due.
 
-        Arguments are as for `Associator.extend`. Raises `InputError` where states have no label.
+        Parameters
+        ----------
+        state : after the frame before.
+        estimates : the labelled states, with the past as this frame sees it.
+        z : (m, N) measurements.
+        number : frame number.
+        dt : model time since the frame before.
+        model : of this frame.
+
+        Returns
+        -------
+        The new state, and the rows.
+
+        Raises
+        ------
+        InputError : states have no label.
         """
-        time = state.time + dt
-        reach = min(len(estimates.past), len(state.recent))
-        settled, reached = state.recent[: len(state.recent) - reach], state.recent[len(state.recent) - reach :]
-        seen = estimates.past[len(estimates.past) - reach :]
+        time, settled = state.time + dt, max(0, len(state.recent) - len(estimates.past))
         now = Moment(number, time, 0, _one_each(estimates), NO_LINKS, z, model.warp)
-        again = tuple(m if e is None else _revised(m, e) for m, e in zip(reached, seen, strict=True))
+        recent, changed = [], [now]
+        for moment, seen in zip(reversed(state.recent), reversed(estimates.past), strict=False):
+            recent.append(moment if seen is None else replace(moment, estimates=_one_each(seen)))
+            changed += recent[-1:] if seen is not None else []
         history = state.history
-        for moment in settled:
+        for moment in state.recent[:settled]:
             history = history.append(moment)
-        changed = (now, *(m for m, e in zip(again, seen, strict=True) if e is not None))
-        table, recent = state.table.including(changed).counting(settled), (*again, now)
-        extended = LabelledState(history, recent, table, time, state.used)
+        table = state.table.including(changed).counting(state.recent[:settled])
+        extended = LabelledState(history, (*recent[::-1], now), table, time, state.used)
         due = len(extended) - 1 - self.output_delay
         if due < 0:
             return extended, Tracks.empty()
@@ -187,11 +193,10 @@ class Labelled:
 
     def _give(self, state: LabelledState, due: int, model: Model) -> tuple[LabelledState, Tracks]:
         """The state with the identities of the frame at place ``due``, and its rows as it is seen now."""
-        moment, known = state[due], state.table
-        present = known.counting(state.recent)
+        moment, present = state[due], state.table.counting(state.recent)
         estimates = moment.estimates
         place = present.places(estimates.tag)
-        confirmed = present.confirmed[place] | (present.count[place] >= self.min_track_length)
+        confirmed = present.confirmed[place] | (present.states[place] >= self.min_track_length)
         coasting = self.bridge_gaps & confirmed & (moment.time - present.last[place] <= self.max_coast * model.rate + 1e-9)
         shown = np.flatnonzero((estimates.detection >= 0) | coasting)
         place, confirmed = place[shown], confirmed[shown]
@@ -199,7 +204,6 @@ class Labelled:
         identity, sure = present.identity.copy(), present.confirmed.copy()
         identity[fresh] = state.used + 1 + np.arange(len(fresh))
         sure[place] = confirmed
-        table = LabelTable(known.label, identity, known.count, known.last, sure)
         order = np.argsort(identity[place])
         shown = shown[order]
         rows = Tracks(
@@ -210,7 +214,8 @@ class Labelled:
             estimates.detection[shown],
             confirmed[order],
         )
-        return LabelledState(state.history, state.recent, table, state.time, state.used + len(fresh)), rows
+        table = state.table._replace(identity=identity, confirmed=sure)
+        return replace(state, table=table, used=state.used + len(fresh)), rows
 
     def _recent(self, state: LabelledState, due: int, model: Model) -> LabelledState:
         """The state without what is forgotten; rows still due stay."""
@@ -226,21 +231,16 @@ class Labelled:
 
 def _one_each(estimates: Estimates) -> Estimates:
     """The states without their past; of those that share a label the heaviest."""
-    if len(estimates.tag) != len(estimates):
+    e = estimates
+    if len(e.tag) != len(e):
         raise InputError(
-            f"{len(estimates)} states bring no labels to identify them by",
+            f"{len(e)} states bring no labels to identify them by",
             where="associate.kind=labelled",
             cure="Use associate.kind=graph, or a filter that labels targets",
         )
-    e = estimates
-    single = Estimates(e.state, e.covariance, e.weight, e.xyxy, e.detection, e.tag) if e.past else e
+    single = replace(e, past=()) if e.past else e
     if (e.tag[1:] > e.tag[:-1]).all():
         return single
     heaviest = np.argsort(-e.weight, kind="stable")
     _, first = np.unique(e.tag[heaviest], return_index=True)
     return single if len(first) == len(e) else single.take(np.sort(heaviest[first]))
-
-
-def _revised(m: Moment, estimates: Estimates) -> Moment:
-    """The moment with these states instead of its own."""
-    return Moment(m.number, m.time, m.first, _one_each(estimates), m.final, m.z, m.warp)

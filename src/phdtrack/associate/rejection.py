@@ -69,7 +69,20 @@ class FalseTrackRejection(Generic[A]):
     def extend(
         self, state: RejectionState[A], estimates: Estimates, z: F8, number: int, dt: float, model: Model
     ) -> tuple[RejectionState[A], Tracks]:
-        """The associator's online rows, with what is confirmed; arguments as for `Associator.extend`."""
+        """The associator's online rows, with what is confirmed.
+
+        Parameters
+        ----------
+        state : after the frame before.
+        estimates, z : the extracted states, and the measurements (m, N).
+        number : frame number.
+        dt : model time since the frame before.
+        model : of this frame.
+
+        Returns
+        -------
+        The new state, and the rows.
+        """
         inner, rows = self.associator.extend(state.inner, estimates, z, number, dt, model)
         return self._judged(replace(state, inner=inner), rows)
 
@@ -128,6 +141,10 @@ def without_false_tracks(tracks: Tracks, ratio: LikelihoodRatio, min_track_lengt
     tracks : corrected tracks.
     ratio : false alarms over targets, by place.
     min_track_length : rows that rest on detections below which a track is left out.
+
+    Returns
+    -------
+    The rows that are left.
     """
     kept = np.zeros(len(tracks), np.bool_)
     order = np.lexsort((tracks.frame, tracks.identity))
