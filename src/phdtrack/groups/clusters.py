@@ -1,14 +1,13 @@
-"""From the intensity to groups: connected components in position and velocity [E13 §5].
+"""From the intensity to groups and their shapes [E13 §5].
 
 Components of the mixture above a weight are the nodes of a graph. Two are connected when they are closer than T_p and move
-relative to each other slower than T_v; a group is a connected component, and its head count the sum of its weights.
-
-The shape of a group: the level curve of its position intensity, velocity integrated out [E13 §5].
+relative to each other slower than T_v; a group is a connected component, and its head count the sum of its weights. Its
+shape is the level curve of its position intensity, velocity integrated out:
 
     v(p) = Σ_i w_i N(p; m_i, P_i)  over position alone,   contour = {p : v(p) = level}
 
-At E13's level of 0.1 people per square metre a lone person has a contour while w/(2π√|P|) exceeds it, and none where he is
-less certain than that; a loose group may have several.
+At E13's level of 0.1 people per square metre one person has a contour while w/(2π√|P|) exceeds it, and none where his
+position is less certain than that; a loose group may have several.
 """
 
 from __future__ import annotations
@@ -21,9 +20,6 @@ import numpy as np
 from phdtrack.checks import NonNegative, Positive, PositiveCount, check
 from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.types import F8, I8, GaussianMixture
-
-# Rows of a state on the ground.
-POSITION, VELOCITY = slice(0, 2), slice(2, 4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +80,7 @@ class Grouping:
 
     def connected(self, mean: F8) -> tuple[I8, I8]:
         """Pairs (i, j), i < j, of columns of (4, n) states that are near and slow apart. Linear in n through a grid."""
-        position = np.ascontiguousarray(mean[POSITION])
+        position = np.ascontiguousarray(mean[:2])
         a, b = points_in_rectangles(position[0], position[1], position - self.max_distance, position + self.max_distance)
         a, b = a[a < b], b[a < b]
         apart2 = ((mean[:, a] - mean[:, b]) ** 2).reshape(2, 2, -1).sum(1)
@@ -104,6 +100,10 @@ def group_moments(mixture: GaussianMixture, label: I8, number: int) -> Groups:
     mixture : over (px, py, vx, vy), metres and metres per second.
     label : (J,) group of each component, −1 for none.
     number : of groups.
+
+    Returns
+    -------
+    The groups.
     """
     used = label >= 0
     of, weight = label[used], mixture.weight[used]
@@ -112,10 +112,9 @@ def group_moments(mixture: GaussianMixture, label: I8, number: int) -> Groups:
     part = weight - np.floor(weight)
     deviation = np.sqrt(np.bincount(of, part * (1 - part), number))
     share = weight / count[of]
-    centre = np.zeros((4, number))
+    centre, spread = np.zeros((4, number)), np.zeros((number, 4, 4))
     np.add.at(centre.T, of, (share * mean).T)
     off = (mean - centre[:, of]).T
-    spread = np.zeros((number, 4, 4))
     np.add.at(spread, of, share[:, None, None] * (cov + off[:, :, None] * off[:, None, :]))
     return Groups(label, count, deviation, centre, spread)
 
@@ -141,7 +140,7 @@ class Contours:
         check(self)
 
     def of(self, mixture: GaussianMixture, label: I8, group: int) -> tuple[F8, ...]:
-        """Closed polygons (2, K), metres, first point = last, of one group of ``label`` (J,); holes among them, if any.
+        """Closed polygons (2, K), metres, first point = last, of one group; holes among them, if any.
 
         They run counter-clockwise around what is inside (x to the right, y up) and clockwise around holes.
 
@@ -150,54 +149,42 @@ class Contours:
         mixture : over (px, py, vx, vy).
         label : (J,) group of each component.
         group : the one to draw.
+
+        Returns
+        -------
+        The polygons; none where the intensity stays below the level.
         """
         members = label == group
         weight, mean, cov = mixture.weight[members], mixture.mean[:2, members], mixture.covariance[members][:, :2, :2]
-        if not self._may_reach(weight, cov):
+        peak = weight / (2 * math.pi * np.sqrt(np.linalg.det(cov)))
+        if peak.sum() <= self.level:
             return ()
-        x, y = self._grid(weight, mean, cov)
+        import cv2
         from contourpy import contour_generator
 
-        found = contour_generator(x, y, _position_intensity(weight, mean, cov, x, y)).lines(self.level)
-        return tuple(self._simpler(np.asarray(line, np.float64)) for line in found)
+        x, y = self._grid(peak, mean, cov)
+        off = np.stack(np.meshgrid(x, y))[:, None] - mean[:, :, None, None]
+        distance2 = np.einsum("ijyx,jik,kjyx->jyx", off, np.linalg.inv(cov), off)
+        intensity = (peak[:, None, None] * np.exp(-0.5 * distance2)).sum(axis=0)
+        found, lines = [], contour_generator(x, y, intensity).lines(self.level)
+        for line in map(np.asarray, lines):
+            # Single precision about the line's own place keeps micrometres.
+            corners = (line[:-1] - line[0]).astype(np.float32)[:, None]
+            kept = cv2.approxPolyDP(corners, self.tolerance, True)[:, 0] + np.asarray(line[0], np.float64)
+            found.append(np.ascontiguousarray(np.vstack([kept, kept[:1]]).T))
+        return tuple(found)
 
-    def _simpler(self, line: F8) -> F8:
-        """The closed polygon (2, K) of a closed line (L, 2) with as few corners as the tolerance permits."""
-        import cv2
-
-        # Single precision about the line's own place keeps micrometres.
-        first = line[0]
-        kept = cv2.approxPolyDP((line[:-1] - first).astype(np.float32)[:, None], self.tolerance, True)[:, 0] + first
-        return np.ascontiguousarray(np.vstack([kept, kept[:1]]).T, dtype=np.float64)
-
-    def _may_reach(self, weight: F8, cov: F8) -> bool:
-        """Whether the sum of the components' peaks comes up to the level."""
-        return len(weight) > 0 and float((weight / (2 * math.pi * np.sqrt(np.linalg.det(cov)))).sum()) > self.level
-
-    def _grid(self, weight: F8, mean: F8, cov: F8) -> tuple[F8, F8]:
-        """Coordinates of a grid on whose rim the intensity is below the level."""
+    def _grid(self, peak: F8, mean: F8, cov: F8) -> list[F8]:
+        """Coordinates x and y of a grid on whose rim the intensity is below the level."""
         # Outside of radius r of every component each is below its share of the level.
-        peak = weight / (2 * math.pi * np.sqrt(np.linalg.det(cov)))
-        radius = np.sqrt(2 * np.log(np.maximum(peak * len(weight) / self.level, 1.0)))
+        radius = np.sqrt(2 * np.log(np.maximum(peak * len(peak) / self.level, 1.0)))
         half = (radius + 0.5) * np.sqrt(np.stack([cov[:, 0, 0], cov[:, 1, 1]]))
         narrowest = math.sqrt(float(np.linalg.eigvalsh(cov)[:, 0].min()))
         axes = []
         for low, high in zip((mean - half).min(1), (mean + half).max(1), strict=True):
             points = int(np.clip(math.ceil((high - low) * self.grid_density / narrowest) + 1, 8, self.max_grid))
             axes.append(np.linspace(low, high, points))
-        return axes[0], axes[1]
-
-
-def _position_intensity(weight: F8, mean: F8, cov: F8, x: F8, y: F8) -> F8:
-    """(len(y), len(x)) people per square metre on a grid, of Gaussians with means (2, J) and covariances (J, 2, 2)."""
-    inverse, norm = np.linalg.inv(cov), weight / (2 * math.pi * np.sqrt(np.linalg.det(cov)))
-    total = np.zeros((len(y), len(x)))
-    for i in range(len(weight)):
-        dx, dy = x - mean[0, i], (y - mean[1, i])[:, None]
-        total += norm[i] * np.exp(
-            -0.5 * (inverse[i, 0, 0] * dx**2 + 2 * inverse[i, 0, 1] * dx * dy + inverse[i, 1, 1] * dy**2)
-        )
-    return total
+        return axes
 
 
 def polygon_area(polygon: F8) -> float:

@@ -1,4 +1,4 @@
-"""Groups over time: identities, and the events of their lives.
+"""Groups over time: identities, the events of their lives, and warnings before two meet.
 
 Clusters flicker: two people at two metres are one group in one frame and two in the next. So a group's identity is kept by
 its members. In every frame each cluster proposes an identity to its members: that of the group from which most of them come,
@@ -12,19 +12,17 @@ groups, and their changes are the events:
 
 An event carries the time at which it began, ``hold_time`` earlier than it was certain. With 0 the groups are the clusters.
 
-Early warning: groups that are about to meet (E13's conclusion asks for it).
-
-Two people at relative position Δ and velocity δ, who both go on as they go, are closest after τ = −Δ·δ / |δ|², at the
-distance |Δ + δτ|. Two groups meet when any member of one comes that close to any of the other.
+Early warning (E13's conclusion asks for it): two people at relative position Δ and velocity δ, who keep their velocities,
+are closest after τ = −Δ·δ / |δ|², at the distance |Δ + δτ|. Two groups meet when any member of one comes that close to any
+of the other.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -32,6 +30,8 @@ from phdtrack.checks import NonNegative, Positive, Share, check
 from phdtrack.types import F8, I8
 
 Kind = Literal["appear", "vanish", "merge", "split"]
+# Frame number and time, seconds.
+When = tuple[int, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +54,8 @@ class Member:
 
     group: int
     proposed: int
-    since: tuple[int, float]
-    seen: tuple[int, float]
+    since: When
+    seen: When
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,13 +64,21 @@ class LifeCycleState:
 
     members: Mapping[int, Member] = field(default_factory=lambda: MappingProxyType({}))
     announced: frozenset[int] = frozenset()
-    born: Mapping[int, tuple[int, float]] = field(default_factory=lambda: MappingProxyType({}))
+    born: Mapping[int, When] = field(default_factory=lambda: MappingProxyType({}))
     following: int = 1
+
+
+class _Move(NamedTuple):
+    """A member has left group ``source`` for ``target``, since when."""
+
+    source: int
+    target: int
+    since: When
 
 
 @dataclass(frozen=True, slots=True)
 class GroupLifeCycle:
-    """``hold_time``: seconds for which something must last to be believed."""
+    """``hold_time``: seconds for which something must last until it counts."""
 
     hold_time: NonNegative = 0.5
 
@@ -84,77 +92,50 @@ class GroupLifeCycle:
 
         Parameters
         ----------
+        state : after the frame before.
         member : (n,) identities of people (tracks, or tags of components), each at most once.
         label : (n,) the cluster of each.
         weight : (n,) how much each counts when identities are handed on.
+        frame, time : number of the frame, and its time in seconds.
 
         Returns
         -------
         The new state, the group (n,) of each member, and the events that became certain with this frame.
         """
         proposed, following = _proposals(state, member, label, weight)
-        now = (frame, time)
-        members = dict(state.members)
-        moves: list[tuple[int, int, tuple[int, float]]] = []
-        for who, group in zip(member.tolist(), proposed.tolist(), strict=True):
-            members[who], moved = self._considered(members.get(who), group, now)
-            if moved is not None:
-                moves.append(moved)
-        lost = {who: m for who, m in members.items() if time - m.seen[1] > self.hold_time}
-        for who in lost:
-            del members[who]
+        now, members, moves = (frame, time), dict(state.members), list[_Move]()
+        for person, group in zip(member.tolist(), proposed.tolist(), strict=True):
+            old = members.get(person, Member(group, group, now, now))
+            since = old.since if group == old.proposed else now
+            accepted = group != old.group and time - since[1] >= self.hold_time
+            if accepted:
+                moves.append(_Move(old.group, group, since))
+            members[person] = Member(group if accepted else old.group, group, since, now)
+        lost = [m for m in members.values() if time - m.seen[1] > self.hold_time]
+        members = {person: m for person, m in members.items() if time - m.seen[1] <= self.hold_time}
         living: dict[int, float] = {}
         for m in members.values():
             living[m.group] = max(m.seen[1], living.get(m.group, 0.0))
-        born = {g: at for g, at in state.born.items() if g in living}
-        for group in living.keys() - state.announced:
-            born.setdefault(group, now)
-        announced, born, events = self._told(state, moves, lost, living, born, now)
-        after = LifeCycleState(MappingProxyType(members), announced, MappingProxyType(born), following)
-        accepted = np.array([members[who].group for who in member.tolist()], np.int64)
-        return after, accepted, events
-
-    def _considered(
-        self, old: Member | None, group: int, now: tuple[int, float]
-    ) -> tuple[Member, tuple[int, int, tuple[int, float]] | None]:
-        """A member after a proposal, and (from, to, since) where he has moved."""
-        if old is None:
-            return Member(group, group, now, now), None
-        since = old.since if group == old.proposed else now
-        if group != old.group and now[1] - since[1] >= self.hold_time:
-            return Member(group, group, since, now), (old.group, group, since)
-        return Member(old.group, group, since, now), None
-
-    def _told(
-        self,
-        state: LifeCycleState,
-        moves: list[tuple[int, int, tuple[int, float]]],
-        lost: Mapping[int, Member],
-        living: Mapping[int, float],
-        born: dict[int, tuple[int, float]],
-        now: tuple[int, float],
-    ) -> tuple[frozenset[int], dict[int, tuple[int, float]], tuple[Event, ...]]:
-        """The groups announced by now, those still to be, and the events; ``living``: when each group was last seen."""
-        announced, told = set(state.announced), list[Event]()
-        for source, target, since in dict.fromkeys(sorted(moves, key=lambda move: move[2][0])):
+        born = {group: state.born.get(group, now) for group in living if group in state.born or group not in state.announced}
+        announced, events = set(state.announced), list[Event]()
+        for source, target, since in dict.fromkeys(sorted(moves, key=lambda move: move.since[0])):
             if source in living and source in announced and target not in announced:
-                told.append(Event(*since, "split", target, source))
+                events.append(Event(*since, "split", target, source))
                 announced.add(target)
             elif source not in living and source in announced and target in announced:
-                told.append(Event(*since, "merge", source, target))
+                events.append(Event(*since, "merge", source, target))
                 announced.discard(source)
-        for group, at in sorted(born.items()):
-            if group not in announced and living[group] - at[1] >= self.hold_time:
-                told.append(Event(*at, "appear", group))
+        for group, since in sorted(born.items()):
+            if group not in announced and living[group] - since[1] >= self.hold_time:
+                events.append(Event(*since, "appear", group))
                 announced.add(group)
-        last: dict[int, tuple[int, float]] = {}
-        for gone in lost.values():
-            last[gone.group] = max(gone.seen, last.get(gone.group, gone.seen))
         for group in sorted(announced - living.keys()):
-            # Nobody has moved on: whoever was left has not been seen. (Or all left for groups that are not certain yet.)
-            told.append(Event(*last.get(group, now), "vanish", group))
-            announced.discard(group)
-        return frozenset(announced), {g: at for g, at in born.items() if g not in announced}, tuple(told)
+            # No member has moved on: the last have not been seen. (Or all left for groups that are not certain yet.)
+            events.append(Event(*max((m.seen for m in lost if m.group == group), default=now), "vanish", group))
+        announced &= living.keys()
+        born = {group: since for group, since in born.items() if group not in announced}
+        after = LifeCycleState(MappingProxyType(members), frozenset(announced), MappingProxyType(born), following)
+        return after, np.array([members[person].group for person in member.tolist()], np.int64), tuple(events)
 
 
 def _proposals(state: LifeCycleState, member: I8, label: I8, weight: F8) -> tuple[I8, int]:
@@ -169,8 +150,8 @@ def _proposals(state: LifeCycleState, member: I8, label: I8, weight: F8) -> tupl
     if len(member) == 0:
         return np.zeros(0, np.int64), state.following
     clusters, cluster = np.unique(label, return_inverse=True)
-    nobody = Member(0, 0, (0, 0.0), (0, 0.0))
-    before = [state.members.get(who, nobody) for who in member.tolist()]
+    unknown = Member(0, 0, (0, 0.0), (0, 0.0))
+    before = [state.members.get(person, unknown) for person in member.tolist()]
     spoken_for = np.array([[m.proposed for m in before], [m.group for m in before]], np.int64)
     groups, group = np.unique(spoken_for, return_inverse=True)
     common = np.zeros((len(clusters), len(groups)))
@@ -209,8 +190,8 @@ class EncounterWarning:
     Parameters
     ----------
     horizon : seconds looked ahead; people turn, and straight lines say little about more.
-    max_distance : metres; who comes closer has met.
-    probability : of coming so close, from which on it is worth a warning.
+    max_distance : metres; groups that come closer have met.
+    probability : of coming so close, from which on a warning is given.
     """
 
     horizon: Positive = 4.0
@@ -221,7 +202,7 @@ class EncounterWarning:
         check(self)
 
     def expected(self, group: I8, mean: F8, covariance: F8) -> tuple[Encounter, ...]:
-        """Warnings for members with states (4, n), covariances (n, 4, 4) and groups (n,); groups that are near do not count.
+        """Warnings for members of groups; groups that are near already do not count.
 
         The deviation is that of the distance along the line of closest approach, P_a + P_b carried on to that time.
 
@@ -230,41 +211,33 @@ class EncounterWarning:
         group : (n,) group of each member.
         mean : (4, n) states, metres and metres per second.
         covariance : (n, 4, 4).
+
+        Returns
+        -------
+        At most one for each pair of groups, in order.
         """
+        from scipy.special import ndtr
+
         i, j = np.triu_indices(len(group), 1)
-        other = group[i] != group[j]
-        i, j = i[other], j[other]
+        i, j = i[group[i] != group[j]], j[group[i] != group[j]]
         apart, drift = mean[:2, i] - mean[:2, j], mean[2:4, i] - mean[2:4, j]
-        drift2 = (drift**2).sum(0)
-        towards = -(apart * drift).sum(0)
-        after = np.clip(np.divide(towards, drift2, out=np.zeros_like(drift2), where=drift2 > 0), 0, self.horizon)
-        then = apart + drift * after
-        distance = np.hypot(then[0], then[1])
-        deviation = _deviation(covariance[i] + covariance[j], then, distance, after)
-        pair = np.stack([np.minimum(group[i], group[j]), np.maximum(group[i], group[j])])
-        met = {(int(a), int(b)) for a, b in pair[:, np.hypot(*apart) < self.max_distance].T}
+        with np.errstate(divide="ignore", invalid="ignore"):
+            after = np.clip(np.nan_to_num(-(apart * drift).sum(0) / (drift**2).sum(0)), 0, self.horizon)
+            then = apart + drift * after
+            distance = np.hypot(then[0], then[1])
+            line = np.where(distance > 0, then / distance, [[1.0], [0.0]])
+            along = np.concatenate([line, line * after])
+            both = covariance[i, :4, :4] + covariance[j, :4, :4]
+            deviation = np.sqrt(np.einsum("rp,prs,sp->p", along, both, along))
+            chance = np.nan_to_num(ndtr((self.max_distance - distance) / deviation))
+        pair = np.sort(np.stack([group[i], group[j]]), axis=0)
+        met = {(a, b) for a, b in pair[:, np.hypot(*apart) < self.max_distance].T.tolist()}
         best: dict[tuple[int, int], Encounter] = {}
-        for k in np.flatnonzero(after > 0):
+        for k in np.flatnonzero((after > 0) & (chance >= self.probability)):
             key = (int(pair[0, k]), int(pair[1, k]))
-            chance = _below(self.max_distance, float(distance[k]), float(deviation[k]))
-            if key in met or chance < self.probability or (key in best and best[key].probability >= chance):
+            if key in met or (key in best and best[key].probability >= chance[k]):
                 continue
-            middle = 0.5 * (mean[:2, i[k]] + mean[:2, j[k]] + (mean[2:4, i[k]] + mean[2:4, j[k]]) * after[k])
-            place = (float(middle[0]), float(middle[1]))
-            best[key] = Encounter(*key, float(after[k]), float(distance[k]), float(deviation[k]), place, chance)
+            x, y = (0.5 * (mean[:2, i[k]] + mean[:2, j[k]] + (mean[2:4, i[k]] + mean[2:4, j[k]]) * after[k])).tolist()
+            numbers = float(after[k]), float(distance[k]), float(deviation[k])
+            best[key] = Encounter(*key, *numbers, (x, y), float(chance[k]))
         return tuple(best[key] for key in sorted(best))
-
-
-def _deviation(covariance: F8, then: F8, distance: F8, after: F8) -> F8:
-    """(P,) deviations of the distance, from covariances (P, 4, 4) of relative position and velocity."""
-    line = np.divide(then, distance, out=np.tile([[1.0], [0.0]], (1, len(distance))), where=distance > 0)
-    along = np.concatenate([line, line * after])
-    out: F8 = np.sqrt(np.einsum("rp,prs,sp->p", along, covariance[:, :4, :4], along))
-    return out
-
-
-def _below(near: float, distance: float, deviation: float) -> float:
-    """Probability that a Gaussian distance lies below ``near``."""
-    if deviation == 0:
-        return float(distance < near)
-    return 0.5 * math.erfc((distance - near) / (deviation * math.sqrt(2)))

@@ -1,6 +1,6 @@
-"""The groups of a sequence, frame by frame: between a filter's intensity, or known positions, and what is told of groups.
+"""The groups of a sequence, frame by frame, from a filter's intensity or from known positions.
 
-`mixture_of` makes one form of what is known of a frame, `carriers` says which Gaussians carry whom, and
+`mixture_of` makes Gaussians of what is known of a frame, `carriers` says which Gaussian belongs to which track, and
 `GroupStages.advance` is one frame as a pure function: clusters, identities, contours, events and warnings.
 """
 
@@ -18,9 +18,9 @@ from phdtrack.groups.clusters import group_moments
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, GaussianMixture, Step
 
-# Heads from which on a cluster without anybody known is a group: Vo and Ma's weight of a target.
+# Heads from which on a cluster without a track is a group: Vo and Ma's weight of a target.
 UNNAMED = 0.5
-# Squared Mahalanobis radius of the 99 % region in two dimensions: within it a Gaussian carries a track.
+# Squared Mahalanobis radius of the 99 % region in two dimensions: within it a Gaussian belongs to a track.
 REACH = 9.21
 # Deviations of a person whose position and velocity are known, metres and metres per second: his own width, his gait.
 BODY, GAIT = 0.3, 0.1
@@ -30,15 +30,15 @@ _FINEST = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroupFrame:
-    """What is told of one frame.
+    """The groups of one frame.
 
     Attributes
     ----------
-    identity : (G,) of each group; 0 where nobody in it has an identity yet. ``groups`` has their counts and places, and in
+    identity : (G,) of each group; 0 where no member has an identity yet. ``groups`` has their counts and places, and in
         ``label`` the group of every Gaussian.
     contours : for each group its level curves, (2, K) metres.
     member, membership : (n,) the people with an identity and the group of each.
-    events, warnings : what became certain with this frame, and who is expected to meet.
+    events, warnings : what became certain with this frame, and which groups are expected to meet.
     """
 
     number: int
@@ -77,16 +77,23 @@ class GroupStages:
     def advance(
         self, state: LifeCycleState, mixture: GaussianMixture, member: I8, carrier: I8, number: int, time: float
     ) -> tuple[LifeCycleState, GroupFrame]:
-        """Take in the mixture over (px, py, vx, vy) of frame ``number`` (from 1) at ``time`` seconds.
+        """Take in the mixture of a frame.
+
+        People with an identity are in the group that they have accepted (`GroupLifeCycle`). A Gaussian without a track goes
+        with the heaviest person of its cluster. A cluster without any track is a group without identity, so that no head is
+        lost, from half a head on: what weighs less there is rather a false alarm.
 
         Parameters
         ----------
-        member, carrier : (n,) identities of people, and the Gaussian that carries each. Who is carried by none, or
-            by one too light to count, has no group in this frame.
+        state : after the frame before.
+        mixture : over (px, py, vx, vy).
+        member, carrier : (n,) identities of people, and the Gaussian of each. People without one (−1), or with one that is
+            too light to count, have no group in this frame.
+        number, time : of the frame, from 1, and in seconds.
 
-        People with an identity are in the group that they have accepted (see `groups.identity`). A Gaussian without any
-        goes with the heaviest person of its cluster; a cluster of such alone is a group without identity, so that no head
-        is lost, from half a head on: what weighs less there is rather a false alarm.
+        Returns
+        -------
+        The new state, and the groups.
         """
         clusters = self.grouping.groups(mixture)
         counted = carrier >= 0
@@ -133,8 +140,7 @@ def mixture_of(intensity: Any, step: Step, z: F8, stages: AnyStages, lightest: f
     """What is known after a step as Gaussians over (px, py, vx, vy).
 
     A filter of Gaussians has them. Of particles the clusters of the extraction are taken, here also those that are too
-    light to be reported as people, down to ``lightest``: else one miss would drop a person from his group. Extractions
-    that go by the number of targets hold on to him by themselves.
+    light to be reported as people, down to ``lightest``: else one miss would drop a person from his group.
 
     Parameters
     ----------
@@ -143,6 +149,10 @@ def mixture_of(intensity: Any, step: Step, z: F8, stages: AnyStages, lightest: f
     z : (m, N) measurements.
     stages : of the run.
     lightest : smallest weight of a cluster of particles.
+
+    Returns
+    -------
+    The Gaussians.
     """
     points = intensity.intensity if isinstance(intensity, Cardinalised) else intensity
     if isinstance(points, GaussianMixture):
@@ -161,8 +171,7 @@ def known_people(state: F8) -> GaussianMixture:
 
 
 def carriers(mixture: GaussianMixture, place: F8, lightest: float) -> I8:
-    """(M,) the Gaussian that carries each track at ``place`` (2, M) metres: the nearest in its covariance of those that
-    weigh ``lightest`` or more; −1 where none is near enough, or the place is not known.
+    """The Gaussian of each track: the nearest by its own covariance, −1 where none is near enough.
 
     A track's row rests on the mean of a Gaussian, whose distance is 0; a row that was only predicted finds the one that
     the filter still has for it.
@@ -171,16 +180,18 @@ def carriers(mixture: GaussianMixture, place: F8, lightest: float) -> I8:
     ----------
     mixture : Gaussians over (px, py, vx, vy).
     place : (2, M) of the tracks, metres; NaN where unknown.
-    lightest : lighter Gaussians carry no track.
+    lightest : lighter Gaussians belong to no track.
+
+    Returns
+    -------
+    (M,) places in the mixture.
     """
     heavy = np.flatnonzero(mixture.weight >= lightest)
     if len(heavy) == 0 or place.shape[1] == 0:
         return np.full(place.shape[1], -1, np.int64)
-    off = np.nan_to_num(place, nan=np.inf)[:, :, None] - mixture.mean[:2, None, heavy]
-    finite = np.isfinite(off).all(axis=0)
-    off = np.where(finite, off, 0.0)
+    off = place[:, :, None] - mixture.mean[:2, None, heavy]
     inverse = np.linalg.inv(mixture.covariance[heavy][:, :2, :2])
-    distance = np.where(finite, np.einsum("imj,jik,kmj->mj", off, inverse, off), np.inf)
+    distance = np.nan_to_num(np.einsum("imj,jik,kmj->mj", off, inverse, off), nan=np.inf)
     nearest = distance.argmin(axis=1)
     near = distance[np.arange(len(nearest)), nearest] <= REACH
     return np.where(near, heavy[nearest], -1)
