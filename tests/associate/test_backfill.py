@@ -81,24 +81,6 @@ def test_two_tracks_do_not_share_a_detection():
     assert (np.bincount(tracks.frame)[1:5] == 1).all()
 
 
-def test_a_measured_size_leads_back_like_a_position():
-    """Noise in the detections is smoothed: the rows lie nearer to the truth than the detections."""
-    rng = np.random.default_rng(0)
-    errors, theirs = [], []
-    for _ in range(40):
-        frames = walker(5)
-        for k in range(5):
-            noisy = measured((100 + 3 * k, 200)) + rng.normal(0, [[2], [2], [4], [4]], (4, 1))
-            frames[k] = (NONE, noisy)
-            theirs.append(noisy[:, 0] - measured((100 + 3 * k, 200))[:, 0])
-        tracks = run(frames, back_dating=5, min_track_length=3)
-        early = tracks.take(tracks.frame <= 5)
-        truth = np.array([measured((100 + 3 * (f - 1), 200))[:, 0] for f in early.frame]).reshape(-1, 4)
-        errors.extend(to_cxcywh(early.xyxy).T - truth)
-    assert len(errors) > 180
-    assert np.square(errors).mean() < 0.7 * np.square(theirs).mean()
-
-
 def test_a_remembered_size_is_led_back_too():
     """With the previous size in the state the transition has no inverse."""
     model = model_of(remember_size=True)

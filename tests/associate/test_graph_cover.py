@@ -36,19 +36,6 @@ def test_total_gain_is_that_of_the_best_of_all_covers(seed: int, count: int, mis
     assert total(last, edges) == pytest.approx(twin.best_cover(edges), abs=1e-9)
 
 
-def test_the_cases_ask_for_corrections():
-    """Links made for good, frame by frame, come to less in many of them."""
-    model, matching = model_of(), matching_of(loose_end_distance=5.0, miss=0.7)
-    worse = edges_seen = 0
-    for seed in range(40):
-        frames = scattered(np.random.default_rng(seed), 4, 3)
-        edges = twin.gains(frames, [1.0] * 4, matching, model)
-        worse += twin.without_correction(edges, np.cumsum([len(f) for f in frames])) < twin.best_cover(edges) - 1e-9
-        edges_seen += len(edges)
-    assert worse >= 6
-    assert edges_seen > 400
-
-
 @given(seeds, st.lists(st.floats(0.2, 3.0), min_size=12, max_size=12))
 @settings(max_examples=15, deadline=None)
 def test_window_is_optimal_after_every_frame_while_nothing_is_closed(seed: int, intervals: list[float]):

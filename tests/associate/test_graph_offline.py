@@ -206,24 +206,6 @@ def test_the_order_of_states_in_a_frame_does_not_matter(seed: int):
     assert content(a.tracks) == content(b.tracks)
 
 
-def test_finish_at_any_time_changes_nothing():
-    frames, _ = walkers(np.random.default_rng(3), 30)
-    matching, model = matching_of(), model_of()
-    whole = run(matching, frames)
-    for state in whole.states[::7]:
-        assert same(matching.finish(state, model), matching.finish(state, model))
-    assert same(matching.finish(whole.states[12], model), run(matching, frames[:13]).tracks)
-
-
-def test_nobody_writes_into_what_he_received():
-    frames, _ = walkers(np.random.default_rng(5), 25)
-    for estimates in frames:
-        for name in ("state", "covariance", "weight", "xyxy", "detection"):
-            getattr(estimates, name).flags.writeable = False
-    first = run(matching_of(back_dating=3), frames)
-    assert same(first.tracks, run(matching_of(back_dating=3), frames).tracks)
-
-
 def test_writing_into_rows_that_were_given_changes_no_later_row():
     """People scale the boxes they get in place."""
     matching, model = matching_of(), model_of()

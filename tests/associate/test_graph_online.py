@@ -8,8 +8,7 @@ from association_cases import HEIGHT, WIDTH, links, matching_of, model_of, run, 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.metrics import evaluate
-from phdtrack.types import Estimates, Tracks, Truth
+from phdtrack.types import Estimates
 
 seeds = st.integers(0, 2**32 - 1)
 # Hardly ever seen and hardly ever gone: a missing target is waited for as long as is allowed.
@@ -76,12 +75,6 @@ def test_output_lags_exactly_the_delay(delay: int):
     assert len(matching_of(output_delay=delay).flush(matching_of().start(), model_of())) == 0
 
 
-def test_flush_does_not_change_the_state():
-    matching, model = matching_of(output_delay=5), model_of()
-    state = run(matching, moving(12)).states[-1]
-    assert same(matching.flush(state, model), matching.flush(state, model))
-
-
 def test_confirmed_from_the_fifth_state_on():
     online = run(matching_of(min_track_length=5), moving(9)).online
     assert online.confirmed.tolist() == [False] * 4 + [True] * 5
@@ -129,31 +122,6 @@ def test_a_target_seen_again_keeps_its_identity():
     assert online.frame.tolist() == list(range(1, 25))
     assert set(online.identity) == {1}
     assert online.predicted.tolist() == [False] * 10 + [True] * 4 + [False] * 10
-
-
-def rows_of(frames: list[Estimates], who) -> Truth:
-    """The targets among the states, as truth for counting switches."""
-    number = np.concatenate([np.full(len(w), k) for k, w in enumerate(who, 1)])
-    names, boxes = np.concatenate(who), np.concatenate([f.xyxy for f in frames])
-    real = names >= 0
-    return Truth(number[real], names[real] + 1, boxes[real], np.zeros(int(real.sum()), np.bool_))
-
-
-def switches(online: Tracks, truth: Truth) -> int:
-    return evaluate(truth, online.take(online.detection >= 0)).id_switches
-
-
-def test_waiting_does_not_cost_identities():
-    """Over crossings with misses and clutter, rows that wait for later frames have no more switches."""
-    counts = {0: 0, 3: 0, 10: 0}
-    for seed in range(12):
-        frames, who = walkers(np.random.default_rng(seed), 60, p_seen=0.9, clutter=1.0, n=4)
-        truth = rows_of(frames, who)
-        for delay in counts:
-            counts[delay] += switches(run(matching_of(output_delay=delay, min_track_length=3), frames).online, truth)
-    assert counts[0] > 20, "hard enough to make a difference"
-    assert counts[10] <= counts[3] <= counts[0]
-    assert counts[10] < counts[0]
 
 
 def test_online_rows_do_not_depend_on_what_comes_later():

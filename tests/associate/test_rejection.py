@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from phdtrack.arrays import to_xyxy
 from phdtrack.associate import Labelled, rejection
 from phdtrack.associate.rejection import FalseTrackRejection, without_false_tracks
-from phdtrack.tracker import pack, unpack
 from phdtrack.types import Estimates, Tracks
 
 MODEL = model_of()
@@ -129,29 +128,6 @@ def test_corrected_tracks_begin_where_they_are_believed(inner):
     assert associator.measurements(state).z.shape == (4, 100)
 
 
-@each
-def test_what_is_remembered_can_be_saved_in_the_middle(inner):
-    associator = FalseTrackRejection(inner, STRIP)
-    wanted, rows = run(associator, STREET)
-    state, _ = run(associator, STREET[:13])
-    back, rest = run(associator, STREET[13:], unpack(pack(state)), 14)
-    for a, b in zip(rest, rows[13:], strict=True):
-        equal(a, b)
-    np.testing.assert_array_equal(back.identity, wanted.identity)
-    np.testing.assert_array_equal(back.least, wanted.least)
-    equal(associator.flush(back, MODEL), associator.flush(wanted, MODEL))
-    equal(associator.finish(back, MODEL), associator.finish(wanted, MODEL))
-
-
-def test_states_are_values():
-    """To ask for the rest changes nothing, and a state may be gone on from twice."""
-    associator = FalseTrackRejection(Labelled(min_track_length=3, output_delay=3), STRIP)
-    state, _ = run(associator, STREET[:13])
-    equal(associator.flush(state, MODEL), associator.flush(state, MODEL))
-    (_, a), (_, b) = (run(associator, STREET[13:], state, 14) for _ in range(2))
-    equal(Tracks.concatenate(a), Tracks.concatenate(b))
-
-
 def test_so_many_are_remembered_and_those_seen_last(monkeypatch):
     """Who stays while others come and go was believed once, and still is."""
     monkeypatch.setattr(rejection, "KEPT", 5)
@@ -164,15 +140,6 @@ def test_so_many_are_remembered_and_those_seen_last(monkeypatch):
     assert all(bool(r.confirmed[r.identity == 1].all()) for r in rows)
     others = Tracks.concatenate(rows)
     assert (others.confirmed == ((others.identity == 1) | (centre(others) > 200))).all()
-
-
-@each
-def test_who_is_believed_for_too_few_rows_is_nobody(inner):
-    """As is who was seen too few times."""
-    frames = [frame((1, 150.0 + 5 * k, 5.0)) for k in range(13)]
-    state, _ = run(FalseTrackRejection(inner, STRIP), frames)
-    found = {n: FalseTrackRejection(inner, STRIP, min_track_length=n).finish(state, MODEL) for n in (1, 2, 3)}
-    assert [len(tracks) for tracks in found.values()] == [2, 2, 0]
 
 
 def test_nothing_in_an_empty_table():

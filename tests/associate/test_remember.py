@@ -9,7 +9,6 @@ import pytest
 from association_cases import matching_of, model_of, run, same, states, walkers
 
 from phdtrack.associate.history import CHUNK
-from phdtrack.types import Tracks
 
 MODEL = model_of()
 
@@ -67,9 +66,3 @@ def test_what_open_links_rest_on_is_never_forgotten(settings):
     frames, _ = walkers(np.random.default_rng(4), 500, n=2, p_seen=0.6)
     whole, part = run(matching_of(**settings), frames), run(matching_of(history=0.04, **settings), frames)
     assert same(whole.online, part.online)
-
-
-def test_nothing_is_forgotten_unless_told():
-    assert matching_of().history == 0
-    tracks: Tracks = run(matching_of(), [states([(100, 100)], velocity=[(0, 0)])] * 300).tracks
-    assert tracks.frame.tolist() == list(range(1, 301))

@@ -13,7 +13,7 @@ from mcmc_cases import apart, joint_law, ring, variation
 from inner_kernels import from_python
 from phdtrack.filters import MCMC
 from phdtrack.filters.intensities import JointSamples
-from phdtrack.kernels.mcmc import Chain, Options, Sample, jump_chain, option_tables, redraw
+from phdtrack.kernels.mcmc import Chain, Options, Sample, _redraw, jump_chain, option_tables
 
 PAIRS = [(0, 1), (0, 2), (1, 2)]
 # Two targets that were there, and a newborn one, at two measurements; each has two states of his own.
@@ -128,7 +128,7 @@ def test_detailed_balance(who: tuple[int, ...], strength: float):
 @pytest.mark.parametrize("who", [(0,), (2,), (0, 2)])
 def test_the_kernel_makes_these_moves(who: tuple[int, ...], strength: float, rng):
     """Frequencies of single steps from some configurations, against the probabilities whose balance is tested above."""
-    can, (step,) = tables(), from_python(redraw)
+    can, (step,) = tables(), from_python(_redraw)
     draws, counts = 20_000, np.zeros((7, 2), np.int64)
     law = law_of(strength)
     for x in [list(law)[k] for k in (0, 17, 41)]:

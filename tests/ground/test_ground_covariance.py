@@ -37,13 +37,6 @@ def test_it_is_the_covariance_of_sampled_pixels(name: str, method: str, rng: np.
         np.testing.assert_allclose(found[i], sampled, atol=0.05 * np.trace(sampled))
 
 
-def test_the_jacobian_carries_the_covariance() -> None:
-    camera, pixel = CAMERAS["tsai"], np.array([[300.0], [400]])
-    cov = np.array([[[4.0, 1.5], [1.5, 9.0]]])
-    j = camera.jacobian(pixel)[0]
-    np.testing.assert_allclose(ground_covariance(camera, pixel, cov)[0], j @ cov[0] @ j.T)
-
-
 def test_both_agree_where_the_noise_is_small() -> None:
     camera, pixel = CAMERAS["opencv, five"], np.array([[300.0, 500], [400, 500]])
     small = repeated(1e-4 * np.eye(2), 2)

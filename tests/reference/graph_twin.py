@@ -81,21 +81,6 @@ def best_assignment(edges):
     return float(table[row, column].sum())
 
 
-def without_correction(edges, first):
-    """The total gain if each frame's links are the best then and stay; ``first`` ends each frame's vertices."""
-    total, used, begin = 0.0, set(), 0
-    for end in first:
-        known = {(b, a): g for (b, a), g in edges.items() if begin <= b < end and a not in used}
-        later, earlier = sorted({b for b, _ in known}), sorted({a for _, a in known})
-        table = np.array([[known.get((b, a), 0.0) for a in earlier] for b in later]).reshape(len(later), len(earlier))
-        for r, c in zip(*linear_sum_assignment(table, maximize=True), strict=True):
-            if table[r, c] > 0:
-                total += table[r, c]
-                used.add(earlier[c])
-        begin = end
-    return total
-
-
 def smoothed(motion, before, cov_before, after, cov_after, steps):
     """(d, n) means in a gap: Kalman filter with one measurement of the full state at its end, and the RTS smoother."""
     mean, cov = [before], [cov_before]

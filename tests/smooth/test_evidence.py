@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from smoothing_cases import model_of, piece, sequence, walk
 
-from phdtrack.smooth.smoother import MeasuredStates, paths_of
-from phdtrack.smooth.stitching import Pairs, Sequence, Terms, candidates, matched
+from phdtrack.smooth.smoother import Sequence, paths_of
+from phdtrack.smooth.stitching import Pairs, Terms, candidates, matched
 from reference import smoothing_twin as twin
 
 
@@ -17,11 +17,10 @@ def test_it_is_the_ratio_of_one_trajectorys_density_to_two(seed: int):
     walked = walk(rng, n, (200, 200), rng.normal(0, 2, 2), noise=2.0)
     walked[14:] += rng.normal(0, 6, 4)
     tracks, measured = sequence([piece(walked, 1, (1, 9)), piece(walked, 1, (15, n))], n, model)
-    seen = MeasuredStates.of(measured.z, model.sensor)
+    seen = Sequence.of(measured, model.sensor, model.motion)
     paths = paths_of(tracks, measured)
     terms = Terms(occluded=10.0, gap=50.0, overlap=0.0, reentry=0.25, rate=25.0)
-    known = Sequence(measured, seen, model.motion)
-    pairs = candidates(paths, known.smooth(paths), known, terms)
+    pairs = candidates(paths, seen.smooth(paths), seen, terms)
     assert (pairs.before.tolist(), pairs.after.tolist()) == ([0], [1])
     one = np.concatenate([np.arange(9), np.full(5, -1), np.arange(9, 19)])
     ratio = twin.log_density(model.motion, measured.time, seen, one)

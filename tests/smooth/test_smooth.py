@@ -8,15 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from smoothing_cases import model_of, piece, sequence, walk
 
-from phdtrack.smooth.smoother import MeasuredStates, paths_of, smooth
+from phdtrack.smooth.smoother import Sequence, paths_of
 from phdtrack.types import MeasurementHistory
 from reference import smoothing_twin as twin
 
 
 def smoothed(tracks, measured, model):
-    seen = MeasuredStates.of(measured.z, model.sensor)
-    paths = paths_of(tracks, measured)
-    return paths, smooth(paths, measured, seen, model.motion), seen
+    seen, paths = Sequence.of(measured, model.sensor, model.motion), paths_of(tracks, measured)
+    return paths, seen.smooth(paths), seen
 
 
 @given(st.integers(0, 2**32 - 1), st.lists(st.booleans(), min_size=0, max_size=12), st.floats(0.2, 3.0))

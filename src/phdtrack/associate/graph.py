@@ -68,14 +68,6 @@ class Identities(NamedTuple):
     confidence: F8
     state: F8
 
-    @classmethod
-    def of(cls, identity: I8, estimates: Estimates, vertex: I8) -> Identities:
-        """New ones, of states that are the vertices ``vertex`` (n,)."""
-        one, zero = np.ones(len(identity), np.int64), np.zeros(len(identity))
-        return cls(
-            identity, vertex, one, zero, zero > 0, one - 1, np.minimum(1.0, estimates.weight), estimates.state
-        )  # fmt: skip
-
     def take(self, index: I8 | Bool) -> Identities:
         """Those at ``index``."""
         return Identities._make(column[..., index] for column in self)
@@ -160,7 +152,7 @@ class GraphMatching:
     def start(self) -> GraphState:
         """Nothing seen."""
         none = np.zeros(0, np.int64)
-        return GraphState(empty_window(0), History(), Given(0, none, Identities.of(none, Estimates.empty(0), none)))
+        return GraphState(empty_window(0), History(), Given(0, none, _new(none, Estimates.empty(0), none)))
 
     def extend(
         self, state: GraphState, estimates: Estimates, z: F8, number: int, dt: float, model: Model
@@ -349,6 +341,13 @@ def empty_window(dim: int) -> Window:
     return Window(0, 0, none, zero, zero, none, zero, zero, begin, none, zero, np.zeros((0, dim)), np.zeros((0, dim, dim)))
 
 
+def _new(identity: I8, estimates: Estimates, vertex: I8) -> Identities:
+    """New identities, of states that are the vertices ``vertex`` (n,)."""
+    one, zero = np.ones(len(identity), np.int64), np.zeros(len(identity))
+    weight = np.minimum(1.0, estimates.weight)
+    return Identities(identity, vertex, one, zero, zero > 0, one - 1, weight, estimates.state)
+
+
 def _onward(first: int, window: Window, held: list[Moment]) -> tuple[I8, F8]:
     """Of each vertex from ``first`` on the vertex that it is linked to later, −1 for none, and the link's gain."""
     count = window.row + len(window.previous) - first
@@ -385,7 +384,7 @@ def _claimed(given: Given, moment: Moment, onward: I8, gain: F8) -> tuple[I8, Id
     going.gain[at] += gain[source]
     if len(at):
         going.state[:, at], going.confidence[at] = e.state[:, state], np.minimum(1.0, e.weight[state])
-    return identity, going.join(Identities.of(identity[fresh], e.take(fresh), first + fresh)), given.used + len(fresh)
+    return identity, going.join(_new(identity[fresh], e.take(fresh), first + fresh)), given.used + len(fresh)
 
 
 def _returned(given: Given, known: Identities) -> I8:

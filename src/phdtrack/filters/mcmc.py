@@ -187,7 +187,20 @@ class MCMC:
     def step(
         self, state: JointSamples, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[JointSamples, UpdateInfo]:
-        """Predict and update in turn; the arguments and what comes back are those of `update`."""
+        """Predict and update in turn.
+
+        Parameters
+        ----------
+        state : samples of the frame before.
+        z : (m, M) measurements.
+        model : of this frame.
+        dt : interval in the model's time unit.
+        rng : draws of f and of the chain.
+
+        Returns
+        -------
+        The samples, and what the update learned.
+        """
         before = state if self.associations == "given" else self.predict(state, model, dt, rng)
         return self.update(before, z, model, dt, rng)
 

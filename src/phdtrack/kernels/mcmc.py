@@ -339,7 +339,7 @@ def _take(c: int, o: int, i: int, can: Options, now: Sample) -> None:
 
 
 @njit(**INNER)
-def redraw(a: int, b: int, old: int, can: Options, now: Sample, chain: Chain, rng: np.random.Generator, counts: I8) -> None:
+def _redraw(a: int, b: int, old: int, can: Options, now: Sample, chain: Chain, rng: np.random.Generator, counts: I8) -> None:
     """A step that moves candidate ``a``, or ``a`` and ``b`` at once (b < 0: ``a`` only), given all others."""
     o, p = _choose(a, b, can.first[a], can, now, rng)
     i = -1 if o == can.first[a] else _state(o, can, rng)
@@ -416,9 +416,9 @@ def jump_chain(
         for _ in range(many):
             if pairs.shape[0] > 0 and rng.random() < chain.share:
                 k = int(rng.random() * pairs.shape[0])
-                redraw(pairs[k, 0], pairs[k, 1], old, can, now, chain, rng, counts)
+                _redraw(pairs[k, 0], pairs[k, 1], old, can, now, chain, rng, counts)
             else:
-                redraw(int(rng.random() * many), -1, old, can, now, chain, rng, counts)
+                _redraw(int(rng.random() * many), -1, old, can, now, chain, rng, counts)
         if sweep >= chain.burn and (sweep - chain.burn + 1) % chain.thin == 0:
             n = (sweep - chain.burn) // chain.thin
             for c in range(many):

@@ -68,6 +68,10 @@ def log_likelihood_ratio(paths: Paths, appearance: F4, before: I8, after: I8) ->
     paths : K trajectories.
     appearance : (Z, B) description of each measurement, NaN where unknown.
     before, after : (P,) the pairs.
+
+    Returns
+    -------
+    (P,) log-ratios; 0 where nothing is known.
     """
     rows = np.flatnonzero(paths.measurement >= 0)
     rows = rows[np.isfinite(appearance[paths.measurement[rows]]).all(axis=1)]

@@ -7,29 +7,13 @@ through the frames together, so that the motion is asked once a frame (`models.r
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from phdtrack.models.rts import Ahead, predict, smooth_back, update
 from phdtrack.protocols import Motion, Sensor
 from phdtrack.types import F8, I8, STILL, Bool, MeasurementHistory, Tracks
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasuredStates:
-    """The Z measurements as states: ``state`` (d, Z), ``covariance`` (Z, d, d), and which rows of it are ``observed``.
-
-    Rows that no measurement shows, as a velocity, have their prior mean and covariance.
-    """
-
-    state: F8
-    covariance: F8
-    observed: I8
-
-    @classmethod
-    def of(cls, z: F8, sensor: Sensor) -> MeasuredStates:
-        """Of the measurements (m, Z)."""
-        return cls(*sensor.states(z), np.array(sensor.observed, np.int64))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,8 +58,7 @@ class Paths:
         return Paths(start, self.frame[rows], self.measurement[rows], self.row[rows])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Smoothed:
+class Smoothed(NamedTuple):
     """Of each row the state given all of its path's measurements: ``mean`` (M, d) and ``covariance`` (M, d, d)."""
 
     mean: F8
@@ -136,46 +119,81 @@ def _laid_out(ends: tuple[I8, I8], path: I8, frame: I8, measurement: I8, row: I8
     return Paths(start, frames, rests, comes)
 
 
-def ahead(mean: F8, covariance: F8, place: int, measurements: MeasurementHistory, motion: Motion) -> Ahead:
-    """States (n, d), (n, d, d) of the frame before ``place``, predicted for that frame."""
-    warp = measurements.warp[place] if len(measurements.warp) else STILL
-    return predict(motion, mean, covariance, float(measurements.time[place] - measurements.time[place - 1]), warp)
+@dataclass(frozen=True, slots=True, eq=False)
+class Sequence:
+    """What is known of a whole sequence: its Z measurements, the same as states, and the motion.
 
-
-def smooth(paths: Paths, measurements: MeasurementHistory, seen: MeasuredStates, motion: Motion) -> Smoothed:
-    """The states of all rows, given the measurements of their paths [R65].
-
-    Parameters
-    ----------
-    paths : K trajectories with M rows.
-    measurements : of the sequence.
-    seen : the same as states.
-    motion : the model's motion.
+    ``state`` (d, Z), ``covariance`` (Z, d, d), of which a measurement shows the rows ``observed``. Rows that no measurement
+    shows, as a velocity, have their prior mean and covariance.
     """
-    order = np.argsort(paths.frame, kind="stable")
-    bounds = np.searchsorted(paths.frame[order], np.arange(len(measurements.time) + 1))
-    size, d = len(order), len(seen.state)
-    mean, predicted = np.empty((2, size, d))
-    cov, expected, jacobian = np.empty((3, size, d, d))
-    begins = np.zeros(size, np.bool_)
-    begins[paths.first] = True
-    frames = [order[bounds[p] : bounds[p + 1]] for p in range(len(measurements.time))]
-    going = [rows[~begins[rows]] for rows in frames]
-    column = paths.measurement[paths.first]
-    mean[paths.first], cov[paths.first] = seen.state[:, column].T, seen.covariance[column]
-    for p, rows in enumerate(going):
-        if len(rows) == 0:
-            continue
-        predicted[rows], expected[rows], jacobian[rows] = ahead(mean[rows - 1], cov[rows - 1], p, measurements, motion)
-        mean[rows], cov[rows] = predicted[rows], expected[rows]
-        rows = rows[paths.measurement[rows] >= 0]
-        if len(rows):
-            column, shown = paths.measurement[rows], seen.observed
-            noise = seen.covariance[column][:, shown[:, None], shown]
-            z = seen.state[shown[:, None], column].T
-            mean[rows], cov[rows] = update(mean[rows], cov[rows], z, noise, shown)
-    for rows in reversed(going):
-        if len(rows):
-            step = Ahead(predicted[rows], expected[rows], jacobian[rows])
-            mean[rows - 1], cov[rows - 1] = smooth_back(mean[rows - 1], cov[rows - 1], step, mean[rows], cov[rows])
-    return Smoothed(mean, cov)
+
+    measurements: MeasurementHistory
+    state: F8
+    covariance: F8
+    observed: I8
+    motion: Motion
+
+    @classmethod
+    def of(cls, measurements: MeasurementHistory, sensor: Sensor, motion: Motion) -> Sequence:
+        """The measurements as the sensor's states.
+
+        Parameters
+        ----------
+        measurements : of the sequence.
+        sensor, motion : the model's.
+
+        Returns
+        -------
+        The sequence.
+        """
+        return cls(measurements, *sensor.states(measurements.z), np.array(sensor.observed, np.int64), motion)
+
+    def components(self) -> I8:
+        """The rows of the state that later states depend on; not a size that a transition forgets."""
+        _, jacobian, _ = self.motion.transition(np.ascontiguousarray(self.state[:, :1]), 1.0)
+        return np.flatnonzero(jacobian[0].any(axis=0)).astype(np.int64)
+
+    def ahead(self, mean: F8, covariance: F8, place: int) -> Ahead:
+        """States of the frame before ``place``, predicted for that frame.
+
+        Parameters
+        ----------
+        mean, covariance : (n, d), (n, d, d).
+        place : of the frame in the sequence.
+
+        Returns
+        -------
+        The predictions.
+        """
+        time, warp = self.measurements.time, self.measurements.warp
+        return predict(
+            self.motion, mean, covariance, float(time[place] - time[place - 1]), warp[place] if len(warp) else STILL
+        )  # fmt: skip
+
+    def smooth(self, paths: Paths) -> Smoothed:
+        """The states of all rows of the paths, given their measurements [R65]."""
+        order, number, shown = np.argsort(paths.frame, kind="stable"), len(self.measurements.time), self.observed
+        bounds = np.searchsorted(paths.frame[order], np.arange(number + 1))
+        size, d = len(order), len(self.state)
+        mean, predicted = np.empty((2, size, d))
+        cov, expected, jacobian = np.empty((3, size, d, d))
+        column = paths.measurement[paths.first]
+        mean[paths.first], cov[paths.first] = self.state[:, column].T, self.covariance[column]
+        going = np.ones(size, np.bool_)
+        going[paths.first] = False
+        frames = [rows[going[rows]] for rows in np.split(order, bounds[1:-1])]
+        for p, rows in enumerate(frames):
+            if len(rows) == 0:
+                continue
+            predicted[rows], expected[rows], jacobian[rows] = self.ahead(mean[rows - 1], cov[rows - 1], p)
+            mean[rows], cov[rows] = predicted[rows], expected[rows]
+            rows = rows[paths.measurement[rows] >= 0]
+            if len(rows):
+                column = paths.measurement[rows]
+                noise = self.covariance[column][:, shown[:, None], shown]
+                mean[rows], cov[rows] = update(mean[rows], cov[rows], self.state[shown[:, None], column].T, noise, shown)
+        for rows in reversed(frames):
+            if len(rows):
+                step = Ahead(predicted[rows], expected[rows], jacobian[rows])
+                mean[rows - 1], cov[rows - 1] = smooth_back(mean[rows - 1], cov[rows - 1], step, mean[rows], cov[rows])
+        return Smoothed(mean, cov)

@@ -14,8 +14,8 @@ from phdtrack.checks import NonNegative, Positive, Share, check
 from phdtrack.errors import InputError
 from phdtrack.protocols import Model
 from phdtrack.smooth.appearance import histograms
-from phdtrack.smooth.smoother import MeasuredStates, Paths, Smoothed, paths_of
-from phdtrack.smooth.stitching import Sequence, Terms, stitched
+from phdtrack.smooth.smoother import Paths, Sequence, Smoothed, paths_of
+from phdtrack.smooth.stitching import Terms, stitched
 from phdtrack.types import F4, F8, I8, Bool, Image, MeasurementHistory, Tracks
 
 
@@ -67,11 +67,15 @@ class Smoothing:
         tracks : corrected tracks.
         measurements : that they rest on.
         model : of the last frame.
+
+        Returns
+        -------
+        The tracks.
         """
         paths = paths_of(tracks, measurements) if self.stitching or self.smoothing else None
         if paths is None or len(paths) == 0:
             return tracks
-        sequence, rate = Sequence(measurements, MeasuredStates.of(measurements.z, model.sensor), model.motion), model.rate
+        sequence, rate = Sequence.of(measurements, model.sensor, model.motion), model.rate
         if self.stitching:
             times = self.mean_occluded_time * rate, self.max_gap * rate, self.max_overlap_time * rate
             paths, states = stitched(paths, sequence, Terms(*times, self.reentry_probability, rate))
@@ -117,8 +121,7 @@ def _names(tracks: Tracks, paths: Paths) -> I8:
     given = np.flatnonzero(paths.row >= 0)
     old, place = np.unique(tracks.identity, return_inverse=True)
     first = old.copy()
-    joined = np.searchsorted(old, tracks.identity[paths.row[given]])
-    first[joined] = tracks.identity[paths.row[paths.first[paths.path[given]]]]
+    first[place[paths.row[given]]] = tracks.identity[paths.row[paths.first[paths.path[given]]]]
     out: I8 = first[place]
     return out
 

@@ -21,19 +21,19 @@ nothing changes.
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.protocols import Motion
 from phdtrack.smooth.appearance import log_likelihood_ratio
-from phdtrack.smooth.smoother import MeasuredStates, Paths, Smoothed, ahead, joined, smooth
-from phdtrack.types import F8, I8, Bool, MeasurementHistory
+from phdtrack.smooth.smoother import Paths, Sequence, Smoothed, joined
+from phdtrack.types import F8, I8
 
 
-@dataclass(frozen=True, slots=True)
-class Terms:
+class Terms(NamedTuple):
     """Mean time ``occluded``, longest ``gap`` and ``overlap`` in model time; P(``reentry``); time units a second."""
 
     occluded: float
@@ -43,8 +43,7 @@ class Terms:
     rate: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pairs:
+class Pairs(NamedTuple):
     """Path ``after`` (P,) may continue path ``before`` (P,), with these log-odds (P,)."""
 
     before: I8
@@ -52,71 +51,19 @@ class Pairs:
     odds: F8
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sequence:
-    """What is known of the whole sequence: its measurements, the same as states, and the motion."""
+class _Meeting(NamedTuple):
+    """Paths of which ``after`` may continue ``before``, (P,) each, and where they are compared.
 
-    measurements: MeasurementHistory
-    seen: MeasuredStates
-    motion: Motion
-
-    def components(self) -> I8:
-        """The rows of the state that later states depend on; not a size that a transition forgets."""
-        _, jacobian, _ = self.motion.transition(np.ascontiguousarray(self.seen.state[:, :1]), 1.0)
-        return np.flatnonzero(jacobian[0].any(axis=0)).astype(np.int64)
-
-    def smooth(self, paths: Paths) -> Smoothed:
-        """The states of the paths."""
-        return smooth(paths, self.measurements, self.seen, self.motion)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Beginnings:
-    """States of K trajectories by their own measurements, and their prior, as Gaussians in information form.
-
-    Attributes
-    ----------
-    mean, inverse, log_inverse : (K, k), (K, k, k), (K,) of the states: inverse covariance and its log-determinant.
-    prior, prior_inverse, log_prior : the same of the prior, 0 in observed rows.
-    shown : number of observed rows.
+    ``mean`` (P, d), ``covariance`` (P, d, d): the state by the first; ``row`` (P,): that of the second. ``odds`` (P,): the
+    terms of the log-odds that do not depend on it.
     """
 
+    before: I8
+    after: I8
     mean: F8
-    inverse: F8
-    log_inverse: F8
-    prior: F8
-    prior_inverse: F8
-    log_prior: F8
-    shown: int
-
-    @classmethod
-    def of(cls, paths: Paths, states: Smoothed, sequence: Sequence, which: I8, row: I8) -> Beginnings:
-        """Of the paths ``which`` (K,) in their rows ``row`` (K,)."""
-        seen, kept = sequence.seen, sequence.components()
-        column = paths.measurement[paths.first[which]]
-        inverse = _inverse(states.covariance[row][:, kept[:, None], kept])
-        unseen = np.setdiff1d(kept, seen.observed)
-        at = np.searchsorted(kept, unseen)
-        block = _inverse(seen.covariance[column][:, unseen[:, None], unseen])
-        prior, prior_inverse = np.zeros((len(row), len(kept))), np.zeros_like(inverse)
-        prior[:, at] = seen.state[unseen[:, None], column].T
-        prior_inverse[:, at[:, None], at] = block
-        mean, shown = states.mean[row][:, kept], len(kept) - len(unseen)
-        return cls(mean, inverse, _log_det(inverse), prior, prior_inverse, _log_det(block), shown)
-
-    def log_evidence(self, mean: F8, covariance: F8, which: I8) -> F8:
-        """(P,) log p(B|A)/p(B) for states (P, k), (P, k, k) by A, and by B the beginnings ``which`` (P,)."""
-        inverse = _inverse(covariance)
-        later, prior = self.inverse[which], self.prior_inverse[which]
-        total = inverse + later - prior
-        # From the prediction, so that no large numbers are taken from each other.
-        step, rest = (self.mean[which] - mean)[:, :, None], (self.prior[which] - mean)[:, :, None]
-        pull = later @ step - prior @ rest
-        square = step.transpose(0, 2, 1) @ later @ step - rest.transpose(0, 2, 1) @ prior @ rest
-        square -= pull.transpose(0, 2, 1) @ np.linalg.solve(total, pull)
-        logs = _log_det(inverse) + self.log_inverse[which] - self.log_prior[which] - _log_det(total)
-        out: F8 = 0.5 * (logs - square[:, 0, 0] - self.shown * math.log(2 * math.pi))
-        return out
+    covariance: F8
+    row: I8
+    odds: F8
 
 
 def stitched(paths: Paths, sequence: Sequence, terms: Terms) -> tuple[Paths, Smoothed]:
@@ -127,22 +74,29 @@ def stitched(paths: Paths, sequence: Sequence, terms: Terms) -> tuple[Paths, Smo
     paths : K trajectories.
     sequence : what is known of the sequence.
     terms : settings.
+
+    Returns
+    -------
+    The longer paths, and the states of their rows.
     """
     states, appearance = sequence.smooth(paths), sequence.measurements.appearance
     while len(paths) > 1:
         pairs = candidates(paths, states, sequence, terms)
         if appearance.shape[1]:
             alike = log_likelihood_ratio(paths, appearance, pairs.before, pairs.after)
-            pairs = Pairs(pairs.before, pairs.after, pairs.odds + alike)
+            pairs = pairs._replace(odds=pairs.odds + alike)
         after = matched(pairs, len(paths))
         if (after < 0).all():
             break
         chain = _chains(after)
         longer = joined(paths, chain)
-        changed = np.bincount(chain) > 1
-        again = sequence.smooth(longer.take(changed))
-        states = _merged(states, ~changed[chain[paths.path]], again, changed[longer.path])
-        paths = longer
+        # Only the paths that have changed are smoothed anew.
+        fresh = np.bincount(chain) > 1
+        changed, kept, new = fresh[longer.path], ~fresh[chain[paths.path]], sequence.smooth(longer.take(fresh))
+        mean, cov = (np.empty((len(changed), *part.shape[1:])) for part in new)
+        mean[changed], cov[changed] = new
+        mean[~changed], cov[~changed] = states.mean[kept], states.covariance[kept]
+        paths, states = longer, Smoothed(mean, cov)
     return paths, states
 
 
@@ -150,25 +104,39 @@ def candidates(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms)
     """All pairs that could be of one target.
 
     One begins within ``gap`` after the other's end, while the lost target may still be there; or they overlap (`_overlaps`).
-    Trajectories that have ended are carried on through the frames together.
+
+    Parameters
+    ----------
+    paths, states : K trajectories, and the states of their rows.
+    sequence : what is known of the sequence.
+    terms : settings.
+
+    Returns
+    -------
+    The pairs with their log-odds.
     """
-    measurements, seen, kept = sequence.measurements, sequence.seen, sequence.components()
-    time, last, end, begin = measurements.time, paths.last, paths.frame[paths.last], paths.frame[paths.first]
-    loose = math.log(_births(paths, sequence) * terms.occluded * (1 - terms.reentry) / terms.reentry)
-    starts = Beginnings.of(paths, states, sequence, np.arange(len(paths)), paths.first)
-    found = [_overlaps(paths, states, sequence, terms, loose)]
+    loose, found = math.log(_births(paths, sequence) * terms.occluded * (1 - terms.reentry) / terms.reentry), list[Pairs]()
+    for some in itertools.chain([_overlaps(paths, states, sequence, terms)], _returns(paths, states, sequence, terms)):
+        odds = _log_evidence(paths, states, sequence, some) + (some.odds - loose)
+        found.append(Pairs(some.before, some.after, odds))
+    return Pairs._make(np.concatenate(parts) for parts in zip(*found, strict=True))
+
+
+def _returns(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms) -> Iterator[_Meeting]:
+    """Pairs of which one begins after the other's end; those that have ended are carried on through the frames together."""
+    time, last, end, begin = sequence.measurements.time, paths.last, paths.frame[paths.last], paths.frame[paths.first]
     # The last frame in which a path begins that each may go on in.
     beginning = np.unique(begin)
     until = beginning[np.searchsorted(time[beginning], time[end] + terms.gap + 1e-9, side="right") - 1]
     lost, alive = np.zeros(0, np.int64), np.zeros(0)
-    mean, cov = np.zeros((0, len(seen.state))), np.zeros((0, len(seen.state), len(seen.state)))
+    mean, cov = states.mean[:0], states.covariance[:0]
     for p in range(1, len(time)):
         fresh = np.flatnonzero((end == p - 1) & (until >= p))
         lost, alive = np.concatenate((lost, fresh)), np.concatenate((alive, np.zeros(len(fresh))))
         mean, cov = (np.concatenate((a, b[last[fresh]])) for a, b in ((mean, states.mean), (cov, states.covariance)))
         if len(lost) == 0:
             continue
-        now = ahead(mean, cov, p, measurements, sequence.motion)
+        now = sequence.ahead(mean, cov, p)
         survive = sequence.motion.p_survive(np.ascontiguousarray(now.mean.T), float(time[p] - time[p - 1]) / terms.rate)
         stay = (survive > 0) & (until[lost] >= p)
         lost, alive = lost[stay], alive[stay] + np.log(survive[stay])
@@ -176,18 +144,12 @@ def candidates(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms)
         come = np.flatnonzero(begin == p)
         if len(come) and len(lost):
             a, b = np.repeat(np.arange(len(lost)), len(come)), np.tile(come, len(lost))
-            odds = starts.log_evidence(mean[a][:, kept], cov[a][:, kept[:, None], kept], b)
-            odds += alive[a] - (time[p] - time[end[lost[a]]]) / terms.occluded - loose
-            found.append(Pairs(lost[a], b, odds))
-    return Pairs(
-        np.concatenate([part.before for part in found]),
-        np.concatenate([part.after for part in found]),
-        np.concatenate([part.odds for part in found]),
-    )
+            odds = alive[a] - (time[p] - time[end[lost[a]]]) / terms.occluded
+            yield _Meeting(lost[a], b, mean[a], cov[a], paths.first[b], odds)
 
 
-def _overlaps(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms, loose: float) -> Pairs:
-    """All pairs of which one begins before the other ends, by ``overlap`` at most, and ends later.
+def _overlaps(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms) -> _Meeting:
+    """Pairs of which one begins before the other ends, by ``overlap`` at most, and ends later.
 
     They are compared in the middle of the time that they share, where both are known best.
     """
@@ -200,20 +162,38 @@ def _overlaps(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms, 
     a = order[np.repeat(low, count) + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)]
     earlier = begin[a] < begin[b]
     a, b = a[earlier], b[earlier]
-    middle, kept = (begin[b] + end[a] + 1) // 2, sequence.components()
-    here = paths.first[a] + middle - begin[a]
-    starts = Beginnings.of(paths, states, sequence, b, paths.first[b] + middle - begin[b])
-    mean, cov = states.mean[here][:, kept], states.covariance[here][:, kept[:, None], kept]
-    odds = starts.log_evidence(mean, cov, np.arange(len(b)))
-    return Pairs(a, b, odds - (time[end[a]] - time[begin[b]]) / terms.occluded - loose)
+    middle = (begin[b] + end[a] + 1) // 2
+    here, row = paths.first[a] + middle - begin[a], paths.first[b] + middle - begin[b]
+    odds = -(time[end[a]] - time[begin[b]]) / terms.occluded
+    return _Meeting(a, b, states.mean[here], states.covariance[here], row, odds)
+
+
+def _log_evidence(paths: Paths, states: Smoothed, sequence: Sequence, pairs: _Meeting) -> F8:
+    """(P,) log p(B|A)/p(B), with all Gaussians in information form; the prior is flat in observed rows."""
+    kept = sequence.components()
+    unseen = np.setdiff1d(kept, sequence.observed)
+    at, column = np.searchsorted(kept, unseen), paths.measurement[paths.first[pairs.after]]
+    inverse, later = (_inverse(c[:, kept[:, None], kept]) for c in (pairs.covariance, states.covariance[pairs.row]))
+    block = _inverse(sequence.covariance[column][:, unseen[:, None], unseen])
+    mean, prior, centre = pairs.mean[:, kept], np.zeros_like(inverse), np.zeros((len(column), len(kept)))
+    prior[:, at[:, None], at], centre[:, at] = block, sequence.state[unseen[:, None], column].T
+    total = inverse + later - prior
+    # From the prediction, so that no large numbers are taken from each other.
+    step, rest = (states.mean[pairs.row][:, kept] - mean)[:, :, None], (centre - mean)[:, :, None]
+    pull = later @ step - prior @ rest
+    square = step.transpose(0, 2, 1) @ later @ step - rest.transpose(0, 2, 1) @ prior @ rest
+    square -= pull.transpose(0, 2, 1) @ np.linalg.solve(total, pull)
+    logs = _log_det(inverse) + _log_det(later) - _log_det(block) - _log_det(total)
+    out: F8 = 0.5 * (logs - square[:, 0, 0] - (len(kept) - len(unseen)) * math.log(2 * math.pi))
+    return out
 
 
 def _births(paths: Paths, sequence: Sequence) -> float:
     """How many trajectories begin per time unit and unit of measurement volume, in the volume that all measurements span."""
-    seen, time = sequence.seen, sequence.measurements.time
-    column, shown = paths.measurement[paths.measurement >= 0], seen.observed
-    z = seen.state[shown[:, None], column]
-    noise = np.sqrt(np.median(seen.covariance[column][:, shown, shown], axis=0))
+    time, shown = sequence.measurements.time, sequence.observed
+    column = paths.measurement[paths.measurement >= 0]
+    z = sequence.state[shown[:, None], column]
+    noise = np.sqrt(np.median(sequence.covariance[column][:, shown, shown], axis=0))
     # Where all is one place, it is as large as measurements are fine.
     volume = np.prod(z.max(axis=1) - z.min(axis=1) + 4 * noise)
     return float(len(paths) / (volume * (time[-1] - time[0])))
@@ -255,14 +235,6 @@ def _chains(after: I8) -> I8:
             chain[here] = number
             here = int(after[here])
     return chain
-
-
-def _merged(old: Smoothed, kept: Bool, new: Smoothed, changed: Bool) -> Smoothed:
-    """The states of all rows: ``new`` where they have ``changed`` (M,), elsewhere the ``old`` ones that are ``kept``."""
-    mean, cov = np.empty((len(changed), old.mean.shape[1])), np.empty((len(changed), *old.covariance.shape[1:]))
-    mean[changed], cov[changed] = new.mean, new.covariance
-    mean[~changed], cov[~changed] = old.mean[kept], old.covariance[kept]
-    return Smoothed(mean, cov)
 
 
 def _inverse(a: F8) -> F8:
