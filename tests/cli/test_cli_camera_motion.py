@@ -65,20 +65,6 @@ def test_the_motion_is_measured_told_and_read_back(walk, tmp_path):
     assert (tmp_path / "again" / "tracks.csv").read_bytes() == (tmp_path / "flow" / "tracks.csv").read_bytes()
 
 
-def test_detections_alone_take_the_motion_from_a_file(walk, tmp_path):
-    folder, true = walk
-    lines = [f"{k},{','.join(f'{x:.9g}' for x in warp.ravel())}" for k, warp in enumerate(true, 1) if k > 1]
-    (tmp_path / "camera.csv").write_text("\n".join(lines), encoding="utf-8")
-    alone = ("--detections", folder / "det.txt", "--truth", folder / "gt.txt", "--frame-size", "640x360", "--fps", 25)
-    scores = [
-        phdtrack("track", *alone, "--filter", "mht", "--no-video", "--json", "--out", tmp_path / name, *more).object[
-            "scores"
-        ]
-        for name, more in (("without", ()), ("with", ("--camera-motion", tmp_path / "camera.csv")))
-    ]
-    assert scores[1]["IDF1"] > 1.3 * scores[0]["IDF1"]
-
-
 def test_what_does_not_go_together_is_refused(walk, tmp_path):
     folder, _ = walk
     alone = ("track", "--detections", folder / "det.txt", "--frame-size", "640x360", "--fps", 25, "--out", tmp_path / "out")

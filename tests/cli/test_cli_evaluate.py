@@ -95,21 +95,3 @@ def test_frames_without_any_box_count_where_seqinfo_names_them(truth: Path) -> N
 @pytest.mark.parametrize("iou", [0, -1, 1.5, "nan"])
 def test_impossible_threshold(truth: Path, iou: object) -> None:
     assert "--iou" in refused("evaluate", "--truth", truth, "--tracks", truth, "--iou", iou, "--json")
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("2,1,10,10,abc,20,1,-1,-1,-1", "abc"),
-        ("2,1,10,10", "expected"),
-        ("2,1,10,10,nan,20,1,-1,-1,-1", "line 2"),
-        ("2,1,10,10,-5,20,1,-1,-1,-1", "line 2"),
-        ("1,1,10,10,5,20,1,-1,-1,-1", "line 2"),
-    ],
-)
-def test_malformed_tracks_name_file_and_line(truth: Path, tmp_path: Path, line: str, words: str) -> None:
-    bad = tmp_path / "bad.txt"
-    bad.write_text(f"1,1,10,10,20,20,1,-1,-1,-1\n{line}\n")
-    sentence = refused("evaluate", "--truth", truth, "--tracks", bad)
-    assert f"{bad}, line 2" in sentence
-    assert words in sentence

@@ -1,5 +1,7 @@
 """`phdtrack track --learn-online`: what it writes, what another run begins with, and what is refused."""
 
+import json
+
 import pytest
 from cli_runner import phdtrack
 
@@ -61,3 +63,31 @@ def test_what_does_not_go_is_told(yard, tmp_path, monkeypatch, more, words):
     assert said.status == 2
     assert words in said.err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("rates")
+    detector = DetectorModel(p_detect=0.7, clutter_rate=6.0, scores="informative")
+    write_detections(folder / "det.txt", make_scene("street", 1, detector, frames=200).detections)
+    return folder / "det.txt"
+
+
+def test_the_rates_are_told_and_their_course_is_kept(street, tmp_path):
+    given = ("--detections", street, "--frame-size", "640x360", "--fps", 25, "--out", tmp_path / "run", "--json")
+    sets = ("--filter", "gm-phd", "--set", "rates.kind=learned", "--set", "rates.detection=true", "--learn-online")
+    said = phdtrack("track", *given, *sets)
+    run = said.object
+    told, course = run["rates"], run["rates"]["course"]
+    assert (told["set"]["detection"], told["used"]["detection"], told["used"]["clutter"]) == (0.8, True, False)
+    assert len(course) > 5
+    assert [one["time"] for one in course] == sorted(one["time"] for one in course)
+    assert course[-1]["detection"] < 0.8
+    assert course[-1]["lowest"] < 1 < course[-1]["highest"]
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    for words in ("Rates learned from the stream", "probability of detection", "odds of the best score"):
+        assert words in page
+    # A scene is learned at the same time.
+    assert run["learning"]["course"]
+    assert "estimated from the stream" in " ".join(said.err.split())
+    assert run == json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))

@@ -90,13 +90,6 @@ def test_a_read_only_installation_uses_the_home_folder(installed: Path, tmp_path
     assert run(installed, **places)[0]["loaded"] == 1
 
 
-def test_the_user_chooses_the_folder(installed: Path, tmp_path: Path) -> None:
-    chosen = tmp_path / "chosen"
-    found, _ = run(installed, NUMBA_CACHE_DIR=str(chosen))
-    assert chosen in Path(str(found["folder"])).parents
-    assert run(installed, NUMBA_CACHE_DIR=str(chosen))[0]["loaded"] == 1
-
-
 @pytest.mark.skipif(os.name == "nt", reason="homes of POSIX systems")
 @pytest.mark.parametrize("terminal", [True, False])
 def test_without_any_folder_it_runs_and_says_how_to_mend_it(installed: Path, tmp_path: Path, terminal: bool) -> None:

@@ -9,13 +9,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
 from phdtrack.associate import GraphMatching
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import DEPTH, Inputs
-from phdtrack.cli.job import Job, Outcome, run
+from phdtrack.cli.job import Job, Outcome, paced, run
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
 from phdtrack.filters.extract import Raw
@@ -200,3 +201,23 @@ def test_stopped_while_drawing(job: Job, directory: rundir.RunDirectory, monkeyp
     assert len(read_tracks(directory.file(rundir.TRACKS))) == FRAMES
     assert len(list(open_source(directory.file(rundir.VIDEO)))) == 4
     assert any("while the video was drawn" in warning for warning in outcome.warnings)
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_a_frame_that_compiles_is_left_out() -> None:
+    double = numba.njit(lambda x: 2 * x)
+    with paced() as pace:
+        pace.frame()
+        assert (pace.left_out, pace.seconds > 0) == (0, True)
+        measured = pace.seconds
+        double(1.0)
+        pace.frame()
+        assert (pace.left_out, pace.seconds) == (1, measured)
+        # The same types again, then others.
+        double(2.0)
+        pace.frame()
+        assert pace.left_out == 1
+        double(np.ones(2))
+        pace.frame()
+        assert pace.left_out == 2
+    assert pace.seconds > measured

@@ -22,50 +22,43 @@ from phdtrack.errors import InputError, interrupted
 
 Command = Callable[..., None]
 
-# The module of each command, which is loaded when the command is run, and what it does.
+# What each command does. Its module, of the same name but for these two, is loaded when it is run.
 COMMANDS = {
-    "demo": ("simulate", "Render a street and track the people in it, with the filter and without."),
-    "track": ("track", "Track the objects in a video, or in a file of detections."),
-    "groups": (
-        "groups",
-        "Find groups of people on the ground, in a video, in a file of detections, or among known positions.",
-    ),
-    "detect": ("track", "Detect objects in a video and write detections.csv, a MOTChallenge file."),
-    "evaluate": ("evaluate", "Score tracks against annotated objects."),
-    "compare": (
-        "compare",
-        "Compare filters: one table, with confidence intervals over seeds, plots, and the frames in which they differ most.",
-    ),
-    "simulate": ("simulate", "Simulate a scene: truth, detections of it, and a video."),
-    "label": ("label", "Mark false detections and births on frames drawn at random: the page says how."),
-    "learn": ("learn", "Learn where people enter and where the detector is wrong, for `phdtrack track --scene`."),
-    "calibrate": (
-        "calibrate",
-        "Make a camera of four or more points of flat ground, and say how well it fits each of them.",
-    ),
-    "settings": ("settings", "Print settings as TOML, with units and meaning, for --config to read back."),
-    "doctor": ("doctor", "Say what works on this machine, and how to mend what does not."),
+    "demo": "Render a street and track the people in it, with the filter and without.",
+    "track": "Track the objects in a video, or in a file of detections.",
+    "groups": "Find groups of people on the ground, in a video, in a file of detections, or among known positions.",
+    "detect": "Detect objects in a video and write detections.csv, a MOTChallenge file.",
+    "evaluate": "Score tracks against annotated objects.",
+    "compare": "Compare filters: one table, with confidence intervals over seeds, plots, and the worst frames.",
+    "simulate": "Simulate a scene: truth, detections of it, and a video.",
+    "label": "Mark false detections and births on frames drawn at random: the page says how.",
+    "learn": "Learn where people enter and where the detector is wrong, for `phdtrack track --scene`.",
+    "calibrate": "Make a camera of four or more points of flat ground, and say how well it fits each of them.",
+    "settings": "Print settings as TOML, with units and meaning, for --config to read back.",
+    "doctor": "Say what works on this machine, and how to mend what does not.",
 }
+_MODULES = {"demo": "simulate", "detect": "track"}
+_SUMMARY = (
+    "From a video, or any detector's boxes, to tracks: a filter of random finite sets between detector and identities."
+)
 
 
 def application(name: str) -> typer.Typer:
     """The command line with the command ``name`` loaded, and of the others what they do."""
-    summary = (
-        "From a video, or any detector's boxes, to tracks: a filter of random finite sets between detector and identities."
-    )
     app = typer.Typer(
         name="phdtrack",
-        help=summary,
+        help=_SUMMARY,
         add_completion=False,
         # Plain text: an error is one line that a program can find and a terminal does not break.
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
-    app.callback(help=summary)(common)
-    for each, (module, what) in COMMANDS.items():
+    app.callback(help=_SUMMARY)(common)
+    for each, what in COMMANDS.items():
         if each == name:
-            app.command(each)(with_options(guarded(getattr(import_module(f"phdtrack.cli.{module}"), each))))
+            module = import_module(f"phdtrack.cli.{_MODULES.get(name, name)}")
+            app.command(each)(with_options(guarded(getattr(module, each))))
         else:
             app.command(each, help=what)(lambda: None)
     return app
@@ -80,12 +73,10 @@ def guarded(command: Command) -> Command:
             command(**options)
         except InputError as error:
             raise failed(str(error), 2) from error
-        except KeyboardInterrupt as error:
+        except (KeyboardInterrupt, SystemError) as error:
+            if not interrupted(error):
+                raise
             raise failed("stopped", 130) from error
-        except SystemError as error:
-            if interrupted(error):
-                raise failed("stopped", 130) from error
-            raise
         except BrokenPipeError:
             # The reader of our output has gone (phdtrack ... | head): nothing can be said.
             raise

@@ -67,8 +67,7 @@ def compare(
     ],
     output: Output,
     filters: Annotated[
-        str,
-        option("--filters", "NAME,...", "The first is what others are compared to; default: pmb,none."),
+        str, option("--filters", "NAME,...", "The first is what others are compared to; default: pmb,none.")
     ] = "",
     detections: Annotated[
         str,
@@ -100,12 +99,10 @@ def compare(
     max_width: given.MaxWidth = 0,
     iou: given.Iou = 0.5,
     scores: Annotated[
-        str,
-        option("--scores", "NAME,...", "What to show, as MOTA,IDF1,ms; the CSV files hold everything."),
+        str, option("--scores", "NAME,...", "What to show, as MOTA,IDF1,ms; the CSV files hold everything.")
     ] = "",
     worst: Annotated[
-        int,
-        option("--worst", "N", "Frames to show of each sequence: N where filters differ most, N worst.", min=0),
+        int, option("--worst", "N", "Frames to show of each sequence: N where filters differ most, N worst.", min=0)
     ] = 2,
     out: Annotated[Path, option("--out", "DIR", "Where everything is kept.")] = Path("runs/compare"),
     jobs: Annotated[int, option("--jobs", "N", "Processes; 0: one per core.", min=0)] = 0,
@@ -172,12 +169,8 @@ def finish(
 ) -> None:
     """Write everything but the runs, which are there already, and say who is ahead of the first method by how much."""
     found, plan = summary(comparison), comparison.plan
-    names, notes, warnings = (
-        results.shown(found, wanted),
-        results.notes(found, comparison, in_turn=in_turn),
-        doubts(comparison),
-    )
-    frames = list(worst_frames(comparison, worst))
+    names, notes = results.shown(found, wanted), results.notes(found, comparison, in_turn=in_turn)
+    warnings, frames = doubts(comparison), list(worst_frames(comparison, worst))
     results.write_cells(directory.file(CELLS), found)
     results.write_runs(directory.file(EACH), comparison)
     # Pictures of an earlier comparison go.

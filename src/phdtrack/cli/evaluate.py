@@ -57,8 +57,7 @@ def evaluate(
     output: Output,
     iou: given.Iou = 0.5,
     frames: Annotated[
-        int,
-        option("--frames", "N", "Number of frames; 0: as seqinfo.ini by the truth says, or up to the last box.", min=0),
+        int, option("--frames", "N", "Number of frames; 0: as seqinfo.ini by the truth says, or up to the last box.", min=0)
     ] = 0,
     t_gospa: Annotated[
         bool,

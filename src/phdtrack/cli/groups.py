@@ -53,8 +53,7 @@ def groups(
     options: TrackingOptions,
     output: Output,
     camera: Annotated[
-        Path | None,
-        option("--camera", "FILE", "Between pixels and the ground: Tsai XML, OpenCV, homography, TOML."),
+        Path | None, option("--camera", "FILE", "Between pixels and the ground: Tsai XML, OpenCV, homography, TOML.")
     ] = None,
     positions: Annotated[
         Path | None,
@@ -65,8 +64,7 @@ def groups(
         ),
     ] = None,
     edges: Annotated[
-        Path | None,
-        option("--edges", "FILE", "Lines to draw on the plan, as road edges: x y in metres a line."),
+        Path | None, option("--edges", "FILE", "Lines to draw on the plan, as road edges: x y in metres a line.")
     ] = None,
     out: given.Out = None,
     overwrite: given.Overwrite = False,

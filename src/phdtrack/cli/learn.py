@@ -66,8 +66,7 @@ def learn(
         str, option("--births", "FROM", "tracks: the tracker's own; hand: marked with `phdtrack label`.")
     ] = "tracks",
     clutter: Annotated[
-        str,
-        option("--clutter", "FROM", "labels: marked with `phdtrack label`; unattended: suggested, unchecked."),
+        str, option("--clutter", "FROM", "labels: marked with `phdtrack label`; unattended: suggested, unchecked.")
     ] = "labels",
     first: Annotated[int, option("--first", "N", "Learn from this frame on.", min=1)] = 1,
     last: Annotated[int, option("--last", "N", "Learn up to this frame; 0: all.", min=0)] = 0,

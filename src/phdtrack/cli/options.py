@@ -26,8 +26,7 @@ MaxWidth = Annotated[
     option("--max-width", "N", "Detect on frames scaled down to this width, boxes stay in original pixels; 0: off.", min=0),
 ]
 Mask = Annotated[
-    Path | None,
-    option("--mask", "FILE", "Image of the frame's size; only what lies where it is not black is reported."),
+    Path | None, option("--mask", "FILE", "Image of the frame's size; only what lies where it is not black is reported.")
 ]
 FrameSize = Annotated[str, option("--frame-size", "WxH", "Size of the frames in pixels, as 1920x1080.")]
 Fps = Annotated[float, option("--fps", "F", "Frames per second; 0: as the video or seqinfo.ini says.", min=0.0)]
@@ -61,8 +60,7 @@ Sets = Annotated[
     ),
 ]
 Preset = Annotated[
-    str,
-    option("--preset", "NAME", "Settings to start from: default, or a paper's: m07, m09, fv, m09-mht, e13, d14."),
+    str, option("--preset", "NAME", "Settings to start from: default, or a paper's: m07, m09, fv, m09-mht, e13, d14.")
 ]
 DetectionsFile = Annotated[Path | None, option("--detections", "FILE", "Detections instead of a detector.")]
 Out = Annotated[Path | None, option("--out", "DIR", "The directory to write; default: runs/ and the source's name.")]

@@ -59,8 +59,7 @@ def simulate(
         list[str] | None, option("--set", "NAME=VALUE", "Another setting of the scene, as arrivals=0.8.")
     ] = None,
     look: Annotated[
-        list[str] | None,
-        option("--look", "NAME=VALUE", "How the video looks: wave=0.3, lamps=8, noise, flicker, …"),
+        list[str] | None, option("--look", "NAME=VALUE", "How the video looks: wave=0.3, lamps=8, noise, flicker, …")
     ] = None,
     video: Annotated[bool, typer.Option("--video/--no-video", help="Render the scene as a video, too.")] = True,
 ) -> None:
