@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from compare_cases import FRAMES, planned, sequence, small
 
-from phdtrack.compare.plans import DetectionFile
 from phdtrack.errors import InputError
 
 
@@ -25,8 +24,8 @@ def test_a_folder_has_all_its_sets_and_its_name_decides(tmp_path: Path) -> None:
     folder = str(sequence(tmp_path / "yard", sets=("det_public", "det_frcnn", "detour")))
     assert [case.name for case in planned([folder]).cases] == ["yard frcnn", "yard public"]
     chosen = planned([folder], detections=["public", f"mine={folder}/detour/det.txt", f"{folder}/../{{}}/detour/det.txt"])
-    assert [case.detections.name for case in chosen.cases] == ["public", "mine", "det"]
-    files = [case.detections.file.resolve() for case in chosen.cases if isinstance(case.detections, DetectionFile)]
+    assert [case.detections for case in chosen.cases] == ["public", "mine", "det"]
+    files = [case.file.resolve() for case in chosen.cases if case.file is not None]
     assert files[1] == files[2] == (tmp_path / "yard" / "detour" / "det.txt")
     assert chosen.cases[0].info.frames == FRAMES
 

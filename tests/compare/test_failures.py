@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from compare_cases import FRAMES, small
 
 from phdtrack.compare import Comparison, run
-from phdtrack.compare.failures import _conditions, _mistakes, worst_frames, write_frames
-from phdtrack.compare.store import RunResult
+from phdtrack.compare.failures import conditions, worst_frames, write_frames
+from phdtrack.compare.plans import Run
+from phdtrack.compare.runs import RunResult
 
 
 @pytest.fixture(scope="module")
@@ -20,25 +20,18 @@ def comparison(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
 
 
 def test_mistakes_of_all_frames_are_those_of_the_scores(comparison: Comparison) -> None:
-    conditions = list(_conditions(comparison, comparison.plan.cases[0].sequence))
-    assert [condition.rate for condition in conditions] == [0.0, 4.0]
-    for condition in conditions:
-        for one in condition.scored:
-            cell = next(
-                cell
-                for cell in comparison.plan.cells
-                if cell.case is condition.case and cell.rate == condition.rate and cell.method.name == one.method
-            )
-            outcome = comparison.result(cell, 1)
-            assert isinstance(outcome, RunResult)
-            assert outcome.scores is not None
-            drawn = [_mistakes(condition.truth, one, frame) for frame in range(1, FRAMES + 1)]
-            assert sum(len(frame.missed) for frame in drawn) == outcome.scores.misses
-            assert sum(len(frame.false) for frame in drawn) == outcome.scores.false_positives
-            assert sum(int(frame.switched.sum()) for frame in drawn) == outcome.scores.id_switches
-            assert sum(len(frame.found) for frame in drawn) == outcome.scores.matches
-            each = [len(frame.missed) + len(frame.false) + int(frame.switched.sum()) for frame in drawn]
-            np.testing.assert_array_equal(one.errors[1:], each)
+    found = list(conditions(comparison, "a"))
+    assert [condition.rate for condition in found] == [0.0, 4.0]
+    for condition in found:
+        for method, frames in zip(comparison.plan.methods, condition.mistakes, strict=True):
+            result = comparison.result(Run(condition.case, condition.rate, method, 1))
+            assert isinstance(result, RunResult)
+            assert result.scores is not None
+            assert len(frames) == FRAMES + 1
+            assert sum(len(frame.missed) for frame in frames) == result.scores.misses
+            assert sum(len(frame.false) for frame in frames) == result.scores.false_positives
+            assert sum(int(frame.switched.sum()) for frame in frames) == result.scores.id_switches
+            assert sum(len(frame.found) for frame in frames) == result.scores.matches
 
 
 def test_pictures_are_written_and_show_something(comparison: Comparison, tmp_path: Path) -> None:

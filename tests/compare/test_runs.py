@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,9 @@ import pytest
 from compare_cases import FRAMES, planned, sequence, small
 
 import phdtrack
-from phdtrack.compare import Plan, run, runs, steps, store
+from phdtrack.compare import Plan, run, runs, steps
 from phdtrack.compare.plans import Run
-from phdtrack.compare.runs import Failed, run_input
-from phdtrack.compare.store import RunResult, read_about
+from phdtrack.compare.runs import Failed, RunResult, read_about, run_input, source_digests
 from phdtrack.formats import read_detections, read_tracks, read_truth
 from phdtrack.metrics import evaluate
 
@@ -49,7 +49,7 @@ def test_outcomes_are_those_of_the_tracks_that_are_kept(tmp_path: Path) -> None:
     assert len(found.results) == len(made.runs) == 8
     assert (found.reused, found.failed) == (0, [])
     for one, outcome in found.runs:
-        truth = read_truth(tmp_path / one.cell.case.sequence.name / "gt" / "gt.txt")
+        truth = read_truth(tmp_path / one.case.sequence / "gt" / "gt.txt")
         written = read_tracks(tmp_path / "out" / one.place / "tracks.csv")
         again = evaluate(truth, written, frames=FRAMES).as_dict()
         # Boxes are written with seven digits.
@@ -86,12 +86,11 @@ def test_any_number_of_jobs_gives_the_same(tmp_path: Path) -> None:
 def test_where_nothing_is_random_one_run_stands_for_all_seeds(tmp_path: Path) -> None:
     made = small(tmp_path, filters=["particle-phd", "gm-phd", "none"], seeds=3, sets=["filter.particles_per_target=60"])
     found = run(made, tmp_path / "out")
-    drawn = {
-        (one.cell.method.name, one.seed): outcome.drawn for one, outcome in found.runs if isinstance(outcome, RunResult)
-    }
+    drawn = {(one.method.name, one.seed): outcome.drawn for one, outcome in found.runs if isinstance(outcome, RunResult)}
     assert drawn == {**{("particle-phd", seed): True for seed in (1, 2, 3)}, ("gm-phd", 1): False, ("none", 1): False}
-    cell = made.cells[1]
-    assert found.result(cell, 3) is found.results[Run(cell, 1).place]
+    last = made.runs[5]
+    assert (last.method.name, last.seed) == ("gm-phd", 3)
+    assert found.result(last) is found.results[replace(last, seed=1).place]
 
 
 @pytest.mark.parametrize("change", ["setting", "unrelated", "detections", "truth", "seqinfo", "iou"])
@@ -126,7 +125,7 @@ def test_only_what_a_change_decides_runs_again(tmp_path: Path, change: str) -> N
     ("part", "runs", "looks"),
     [
         ("compare/runs.py", True, True),
-        ("detect/blobs.py", False, True),
+        ("detect/components.py", False, True),
         ("formats/text.py", True, True),
         ("metrics/scores.py", True, False),
         ("filters/none.py", True, False),
@@ -140,18 +139,15 @@ def test_a_change_of_what_makes_results_is_another_digest(
     home = Path(phdtrack.__file__).parent
     shutil.copytree(home, tmp_path / "phdtrack", ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(phdtrack, "__file__", str(tmp_path / "phdtrack" / "__init__.py"))
-
-    def both() -> tuple[str, str]:
-        store.sources.cache_clear()
-        return store.sources(store._tracking_sources()), store.sources(store._DETECTING)
-
     try:
-        before = both()
+        source_digests.cache_clear()
+        before = source_digests()
         with (tmp_path / "phdtrack" / part).open("a") as file:
             file.write("\n")
-        assert [a != b for a, b in zip(before, both(), strict=True)] == [runs, looks]
+        source_digests.cache_clear()
+        assert [a != b for a, b in zip(before, source_digests(), strict=True)] == [runs, looks]
     finally:
-        store.sources.cache_clear()
+        source_digests.cache_clear()
 
 
 @pytest.mark.parametrize("damage", ["half", "other counts"])
@@ -172,7 +168,7 @@ def test_a_damaged_folder_is_run_again(tmp_path: Path, damage: str) -> None:
 
 def test_clutter_is_the_same_for_all_methods_and_another_for_every_seed(tmp_path: Path) -> None:
     made = small(tmp_path, clutter=[3.0])
-    given = {(one.cell.case.name, one.cell.method.name, one.seed): run_input(one, None).table for one in made.runs}
+    given = {(one.case.name, one.method.name, one.seed): run_input(one, None).table for one in made.runs}
     for case in ("a det", "b det"):
         for seed in (1, 2):
             boxes = [given[case, method, seed].detections.xyxy for method in ("gm-phd", "none")]
@@ -200,7 +196,7 @@ def failing(made: Plan, monkeypatch: pytest.MonkeyPatch, error: BaseException) -
     tracked = runs.tracked
 
     def broken(one: Run, given: runs.RunInput) -> object:
-        if one.cell.method.name == "none" and one.cell.case is made.cases[0]:
+        if one.method.name == "none" and one.case is made.cases[0]:
             raise error
         return tracked(one, given)
 

@@ -36,7 +36,7 @@ from phdtrack.compare import (
 )
 from phdtrack.compare.failures import worst_frames, write_frames
 from phdtrack.compare.results import Table
-from phdtrack.compare.store import RunResult
+from phdtrack.compare.runs import RunResult
 from phdtrack.config import build
 from phdtrack.errors import InputError
 from phdtrack.report import About, write_run

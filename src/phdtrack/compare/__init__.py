@@ -5,9 +5,8 @@ run(plan, folder, jobs)     keeps every run in the folder, and reuses what is th
 summary(comparison)         means over the seeds with intervals, per case and pooled
 """
 
-from phdtrack.compare.plans import Plan, SettingsSource
+from phdtrack.compare.plans import DetectionChoice, Plan, SettingsSource, plan
 from phdtrack.compare.runs import Comparison, run, steps
-from phdtrack.compare.sequences import DetectionChoice, plan
 from phdtrack.compare.statistics import Summary, check_scores, summary
 
 __all__ = [

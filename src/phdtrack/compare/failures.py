@@ -10,14 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from phdtrack.compare.plans import Case, Cell, Run, SequenceFiles
-from phdtrack.compare.runs import Comparison, Failed, RunInput, run_input
-from phdtrack.compare.store import TRACKS
+from phdtrack.compare.plans import Case, Run
+from phdtrack.compare.runs import TRACKS, Comparison, Failed, RunInput, run_input
 from phdtrack.errors import InputError
 from phdtrack.formats import read_tracks
-from phdtrack.metrics.matching import Matches, Scene, build, tracking_mapping
+from phdtrack.metrics.matching import build, tracking_mapping
 from phdtrack.report.drawing import Mistakes, side_by_side
-from phdtrack.types import F8, I8, Image, Tracks, Truth
+from phdtrack.types import F8, I8, Image, Tracks
 from phdtrack.video import open_source
 
 MIN_SECONDS_BETWEEN = 1.0
@@ -25,30 +24,19 @@ MIN_SECONDS_BETWEEN = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Scored:
-    """A method's tracks under a condition, matched with the truth. ``errors`` (F + 1,) are mistakes by number of frame."""
-
-    method: str
-    tracks: Tracks
-    scene: Scene
-    mapping: Matches
-    errors: I8
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Condition:
-    """A case at a rate of clutter, at the first seed, with every method's tracks."""
+class Condition:
+    """A case at a rate of clutter, at the first seed: what was given, and for every method the mistakes of each frame from
+    number 0."""
 
     case: Case
     rate: float
     given: RunInput
-    truth: Truth
-    scored: Sequence[_Scored]
+    mistakes: Sequence[Sequence[Mistakes]]
 
     @property
-    def errors(self) -> I8:
-        """(methods, F + 1)."""
-        return np.vstack([one.errors for one in self.scored])
+    def counts(self) -> I8:
+        """(methods, F + 1) the number of mistakes."""
+        return np.array([[frame.count for frame in frames] for frames in self.mistakes])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,81 +50,85 @@ class WorstFrame:
 
 def worst_frames(comparison: Comparison, number: int) -> Iterator[WorstFrame]:
     """Of each sequence with truth ``number`` frames in which the methods differ most, and as many with most mistakes."""
-    if number < 1:
-        return
-    sequences = {case.sequence.name: case.sequence for case in comparison.plan.cases}
-    for sequence in sequences.values():
-        conditions = list(_conditions(comparison, sequence))
-        chosen = _chosen(conditions, number)
-        pictures = _pictures(sequence, {frame for _, frame, _ in chosen})
+    for sequence in dict.fromkeys(case.sequence for case in comparison.plan.cases) if number > 0 else ():
+        found = list(conditions(comparison, sequence))
+        chosen = _chosen(found, number)
+        pictures = _pictures(found[0].case.source if found else "", {frame for _, frame, _ in chosen})
         for condition, frame, why in chosen:
             yield _drawn(condition, frame, why, pictures.get(frame), comparison.plan.seeds[0])
 
 
-def _conditions(comparison: Comparison, sequence: SequenceFiles) -> Iterator[_Condition]:
+def conditions(comparison: Comparison, sequence: str) -> Iterator[Condition]:
+    """Every case of a sequence with truth at every rate, as far as there are results."""
     plan, seed = comparison.plan, comparison.plan.seeds[0]
-    for case in plan.cases:
-        detected = comparison.detected.get(case.place)
-        if case.sequence.name != sequence.name or sequence.truth is None or isinstance(detected, Failed):
-            continue
+    for case in (case for case in plan.cases if case.sequence == sequence and case.truth is not None):
         for rate in plan.rates:
-            cells = [Cell(case, rate, method) for method in plan.methods]
-            runs = [Run(cell, seed) for cell in cells if not isinstance(comparison.result(cell, seed), Failed)]
-            if not runs:
+            runs = [Run(case, rate, method, seed) for method in plan.methods]
+            runs = [run for run in runs if not isinstance(comparison.result(run), Failed)]
+            detected = comparison.detected.get(case.place)
+            if not runs or isinstance(detected, Failed):
                 continue
             given = run_input(runs[0], detected)
-            if given.truth is not None:
-                scored = [_scored(comparison, run, given, given.truth) for run in runs]
-                yield _Condition(case, rate, given, given.truth, scored)
+            tracks = [read_tracks(comparison.folder / run.place / TRACKS) for run in runs]
+            made = zip(runs, tracks, strict=True)
+            yield Condition(case, rate, given, [_mistakes(run.method.name, given, rows, plan.iou) for run, rows in made])
 
 
-def _scored(comparison: Comparison, run: Run, given: RunInput, truth: Truth) -> _Scored:
-    tracks = read_tracks(comparison.folder / run.place / TRACKS)
+def _mistakes(method: str, given: RunInput, tracks: Tracks, iou: float) -> list[Mistakes]:
+    """What is right and wrong in each frame, from number 0."""
+    truth, nothing, nobody = given.truth, np.zeros((0, 4)), np.zeros(0, np.int64)
+    assert truth is not None
     scene = build(truth, tracks, given.info.frames)
-    mapping = tracking_mapping(scene, comparison.plan.iou)
-    matched = mapping.per_frame(scene)
-    switched = np.bincount(mapping.position[mapping.switches()], minlength=len(scene.pairs))
-    errors = np.zeros(given.info.frames + 1, np.int64)
-    for pair, count in zip(scene.pairs, scene.truth_boxes + scene.output_boxes - 2 * matched + switched, strict=True):
-        errors[pair.number] = count
-    return _Scored(run.cell.method.name, tracks, scene, mapping, errors)
+    mapping = tracking_mapping(scene, iou)
+    switched, annotated = mapping.switches(), ~truth.distractor
+    wanted = _boxes(truth.frame[annotated], truth.identity[annotated], truth.xyxy[annotated])
+    found = _boxes(tracks.frame, tracks.identity, tracks.xyxy)
+    out = [Mistakes(method, nothing, nobody, nobody.astype(np.bool_), nothing, nothing)] * (given.info.frames + 1)
+    for i, pair in enumerate(scene.pairs):
+        here = slice(*np.searchsorted(mapping.position, [i, i + 1]))
+        right = scene.output_identity[mapping.output[here]]
+        missed = scene.truth_identity[np.setdiff1d(pair.truth, mapping.truth[here])]
+        false = scene.output_identity[np.setdiff1d(pair.output, mapping.output[here])]
+        parts = ((found, right), (wanted, missed), (found, false))
+        boxes = [np.array([box[pair.number, who] for who in names.tolist()]).reshape(-1, 4) for box, names in parts]
+        out[pair.number] = Mistakes(method, boxes[0], right, switched[here], boxes[1], boxes[2])
+    return out
 
 
-def _chosen(conditions: Sequence[_Condition], number: int) -> list[tuple[_Condition, int, str]]:
+def _boxes(frame: I8, identity: I8, xyxy: F8) -> dict[tuple[int, int], F8]:
+    """The box (4,) of an identity in a frame."""
+    return dict(zip(zip(frame.tolist(), identity.tolist(), strict=True), xyxy, strict=True))
+
+
+def _chosen(found: Sequence[Condition], number: int) -> list[tuple[Condition, int, str]]:
     """Frames with the greatest difference, then those with most mistakes, none of either within a second of another.
 
     A frame that is both is there once, with both reasons; where mistakes are as many, one that is shown already.
     """
     reasons: dict[tuple[int, int], list[str]] = {}
-    for why in ("differ most", "most mistakes"):
-        ranked = [
-            (-int(value), (i, frame) not in reasons, i, frame)
-            for i, condition in enumerate(conditions)
-            for frame, value in enumerate(_value(condition.errors, why))
-            if value > 0
-        ]
+    counts = [condition.counts for condition in found]
+    for why, values in (
+        ("differ most", [np.ptp(count, axis=0) for count in counts]),
+        ("most mistakes", [count.sum(axis=0) for count in counts]),
+    ):
+        places = [(i, frame) for i, value in enumerate(values) for frame in np.flatnonzero(value > 0).tolist()]
+        places.sort(key=lambda place: (-values[place[0]][place[1]], place not in reasons, place))
         taken: list[tuple[int, int]] = []
-        for _, _, i, frame in sorted(ranked):
-            if len(taken) == number:
-                break
-            if all(abs(frame - other) >= MIN_SECONDS_BETWEEN * conditions[i].given.info.fps for _, other in taken):
+        for i, frame in places:
+            apart = MIN_SECONDS_BETWEEN * found[i].given.info.fps
+            if len(taken) < number and all(abs(frame - other) >= apart for _, other in taken):
                 taken.append((i, frame))
         for place in taken:
             reasons.setdefault(place, []).append(why)
-    return [(conditions[i], frame, ", ".join(why)) for (i, frame), why in reasons.items()]
+    return [(found[i], frame, ", ".join(why)) for (i, frame), why in reasons.items()]
 
 
-def _value(errors: I8, why: str) -> I8:
-    value: I8 = errors.max(axis=0) - errors.min(axis=0) if why == "differ most" else errors.sum(axis=0)
-    return value
-
-
-def _pictures(sequence: SequenceFiles, numbers: set[int]) -> dict[int, Image]:
+def _pictures(source: str, numbers: set[int]) -> dict[int, Image]:
     """The frames of these numbers, as far as the source can be read."""
     found: dict[int, Image] = {}
     # Where the source cannot be read the boxes can be seen without the picture.
     with suppress(InputError):
-        for frame in open_source(sequence.source) if sequence.source and numbers else ():
+        for frame in open_source(source) if source and numbers else ():
             if frame.number in numbers:
                 found[frame.number] = frame.image.copy()
             if frame.number >= max(numbers):
@@ -144,43 +136,16 @@ def _pictures(sequence: SequenceFiles, numbers: set[int]) -> dict[int, Image]:
     return found
 
 
-def _drawn(condition: _Condition, frame: int, why: str, image: Image | None, seed: int) -> WorstFrame:
+def _drawn(condition: Condition, frame: int, why: str, image: Image | None, seed: int) -> WorstFrame:
     given, case = condition.given, condition.case
     clutter = f", clutter {condition.rate:g}, seed {seed}" if condition.rate else ""
     heading = f"{case.name}{clutter}, frame {frame}"
-    mistakes = [_mistakes(condition.truth, one, frame) for one in condition.scored]
+    mistakes = [frames[frame] for frames in condition.mistakes]
     size = (given.info.width, given.info.height)
     picture = side_by_side(image, size, f"{heading}: {why}", given.table.at(frame).xyxy, mistakes)
     titles = "; ".join(one.title for one in mistakes)
     name = f"{'-'.join(case.place.parts)}-clutter-{condition.rate:g}-frame-{frame}.png"
     return WorstFrame(name, f"{heading} ({why}). {titles}.", picture)
-
-
-def _mistakes(truth: Truth, one: _Scored, frame: int) -> Mistakes:
-    at = next((i for i, pair in enumerate(one.scene.pairs) if pair.number == frame), None)
-    if at is None:
-        none = np.zeros((0, 4))
-        return Mistakes(one.method, none, np.zeros(0, np.int64), np.zeros(0, np.bool_), none, none)
-    pair, here = one.scene.pairs[at], one.mapping.position == at
-    found = one.scene.output_identity[one.mapping.output[here]]
-    missed = one.scene.truth_identity[np.setdiff1d(pair.truth, one.mapping.truth[here])]
-    false = one.scene.output_identity[np.setdiff1d(pair.output, one.mapping.output[here])]
-    counted = ~truth.distractor
-    return Mistakes(
-        one.method,
-        _boxes(one.tracks.frame, one.tracks.identity, one.tracks.xyxy, frame, found),
-        found,
-        one.mapping.switches()[here],
-        _boxes(truth.frame[counted], truth.identity[counted], truth.xyxy[counted], frame, missed),
-        _boxes(one.tracks.frame, one.tracks.identity, one.tracks.xyxy, frame, false),
-    )
-
-
-def _boxes(frames: I8, identities: I8, xyxy: F8, frame: int, wanted: I8) -> F8:
-    """(n, 4) the boxes of these identities in a frame."""
-    rows = np.flatnonzero(frames == frame)
-    place = {int(identities[row]): int(row) for row in rows}
-    return xyxy[[place[int(identity)] for identity in wanted]].reshape(-1, 4)
 
 
 def write_frames(folder: Path, frames: Sequence[WorstFrame]) -> list[Path]:

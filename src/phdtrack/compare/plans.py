@@ -1,67 +1,68 @@
-"""What is compared with what: sequences, their detections, methods, added clutter, seeds; and one run of all these."""
+"""What is compared with what, and how a plan is made of what a user names.
+
+A folder is laid out as MOTChallenge does it: ``seqinfo.ini``, maybe ``gt/gt.txt``, and detections in ``det/det.txt`` or,
+where there are several sets, ``det_NAME/det.txt``. One video in it, or images in ``img1/``, are its pictures. `phdtrack
+simulate` writes such folders.
+"""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from phdtrack.config import Settings, load
+from phdtrack import config
+from phdtrack.config import Settings
+from phdtrack.detect import DETECTORS, detector_names, detector_parameters, make_detector, typed
+from phdtrack.detect.convert import within_frame
 from phdtrack.errors import InputError
+from phdtrack.formats import find_seqinfo, read_detections, read_truth
 from phdtrack.metrics.matching import check_threshold
 from phdtrack.types import SequenceInfo
+from phdtrack.video import open_source
 
+VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".webm", ".m4v")
+DEFAULT_DETECTOR = "change"
 # Sections whose settings belong to one kind of filter; those of others hold for all.
 _OF_FILTERS = ("filter", "extract", "associate")
 _NEXT_SETTING = re.compile(r",(?=\s*(?:preset|[a-z]+\.[a-z_]+)\s*=)")
 
 
 @dataclass(frozen=True, slots=True)
-class SequenceFiles:
-    """A sequence by name; ``truth`` None without annotation, ``source`` (video, images) empty where there is none."""
+class Case:
+    """A sequence and one set of detections of it.
 
-    name: str
+    Attributes
+    ----------
+    sequence, detections : names of both.
+    info : size and rate; ``frames`` is 0 where the frames are counted by decoding.
+    truth : annotated objects, None without.
+    source : video or images, empty where there are none.
+    file : the detections; None where the detector called ``detections`` finds them.
+    parameters, max_width : the detector's settings, and the width to which frames are shrunk for it (0: as they are).
+    """
+
+    sequence: str
+    detections: str
+    info: SequenceInfo
     truth: Path | None = None
     source: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class DetectionFile:
-    """Detections from a file, under the name by which sequences have such files in common."""
-
-    name: str
-    file: Path
-
-
-@dataclass(frozen=True, slots=True)
-class DetectorRun:
-    """Detections by a detector, on frames shrunk to ``max_width`` (0: as they are); ``parameters`` are its settings."""
-
-    name: str
+    file: Path | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)
     max_width: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Case:
-    """A sequence and one set of detections of it. ``info.frames`` is 0 where the frames are counted by decoding."""
-
-    sequence: SequenceFiles
-    detections: DetectionFile | DetectorRun
-    info: SequenceInfo
 
     @property
     def name(self) -> str:
         """Of both, for people."""
-        return f"{self.sequence.name} {self.detections.name}"
+        return f"{self.sequence} {self.detections}"
 
     @property
     def place(self) -> Path:
         """A folder's name for the sequence, and one within it for the detections."""
-        return Path(_file_name(self.sequence.name), _file_name(self.detections.name))
+        return Path(_file_name(self.sequence), _file_name(self.detections))
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,35 +75,30 @@ class Method:
     @property
     def filter_name(self) -> str:
         """``filter.kind``."""
-        return str(self.settings.as_dict()["filter"]["kind"])
-
-
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """What the seeds of a comparison have in common; ``rate`` is that of the added clutter in boxes per frame."""
-
-    case: Case
-    rate: float
-    method: Method
+        return self.settings.kind("filter")
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One sequence through one method: ``seed`` decides the added clutter and whatever the method draws."""
+    """One sequence through one method.
 
-    cell: Cell
+    ``rate`` is that of the added clutter in boxes per frame; ``seed`` decides that clutter and whatever the method draws.
+    """
+
+    case: Case
+    rate: float
+    method: Method
     seed: int
 
     @property
     def place(self) -> Path:
         """Where in the folder of a comparison it is kept; no other run of a plan has the same."""
-        method = _file_name(self.cell.method.name)
-        return Path("runs") / self.cell.case.place / f"clutter-{self.cell.rate:g}" / method / f"seed-{self.seed}"
+        return Path("runs") / self.case.place / f"clutter-{self.rate:g}" / _file_name(self.method.name) / f"seed-{self.seed}"
 
     def __str__(self) -> str:
         """For people."""
-        clutter = f", clutter {self.cell.rate:g}" if self.cell.rate else ""
-        return f"{self.cell.method.name} on {self.cell.case.name}{clutter}, seed {self.seed}"
+        clutter = f", clutter {self.rate:g}" if self.rate else ""
+        return f"{self.method.name} on {self.case.name}{clutter}, seed {self.seed}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,29 +117,33 @@ class Plan:
     iou: float = 0.5
 
     def __post_init__(self) -> None:
-        for what, parts in (("sequence", self.cases), ("filter", self.methods), ("rate", self.rates), ("seed", self.seeds)):
-            if not parts:
+        parts: tuple[tuple[str, Sequence[Hashable], str], ...] = (
+            ("sequence", [case.place for case in self.cases], "Rename a folder, or name it and its detections once."),
+            ("filter", [_file_name(method.name) for method in self.methods], "Give each variant a name of its own."),
+            ("rate", [f"{rate:g}" for rate in self.rates], ""),
+            ("seed", self.seeds, ""),
+        )
+        for what, names, cure in parts:
+            if not names:
                 raise InputError(f"expected at least one {what} to compare, got none")
+            for name in names:
+                if names.count(name) > 1:
+                    raise InputError(f"{name}: the same {what} twice", cure=cure)
         for rate in self.rates:
             if not 0 <= rate < math.inf:
                 raise InputError(f"expected boxes per frame, 0 or more, got {rate:g}", where="--clutter")
-        _check_once(
-            (case.place for case in self.cases), "sequence with these detections", "Rename a folder, or name it once."
-        )
-        _check_once((_file_name(method.name) for method in self.methods), "filter", "Give each variant a name of its own.")
-        _check_once((f"{rate:g}" for rate in self.rates), "rate of clutter", "")
-        _check_once(self.seeds, "seed", "")
         check_threshold(self.iou)
 
     @property
-    def cells(self) -> tuple[Cell, ...]:
-        """Every combination but for the seeds, sequence by sequence."""
-        return tuple(Cell(case, rate, method) for case in self.cases for rate in self.rates for method in self.methods)
-
-    @property
     def runs(self) -> tuple[Run, ...]:
-        """Every combination, cell by cell."""
-        return tuple(Run(cell, seed) for cell in self.cells for seed in self.seeds)
+        """Every combination, sequence by sequence."""
+        return tuple(
+            Run(case, rate, method, seed)
+            for case in self.cases
+            for rate in self.rates
+            for method in self.methods
+            for seed in self.seeds
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,96 +154,218 @@ class SettingsSource:
     file: Path | None = None
     sets: tuple[str, ...] = ()
 
-    def load(self, sets: Iterable[str] | None = None, preset: str = "") -> Settings:
-        """The settings, with other texts and another preset where given."""
-        return load(self.file, tuple(self.sets if sets is None else sets), preset or self.preset)
+    def load(self, sets: Iterable[str], preset: str = "") -> Settings:
+        """The settings with these texts, and with another preset where one is given."""
+        return config.load(self.file, tuple(sets), preset or self.preset)
 
 
-def methods(filters: Sequence[str], variants: Sequence[str], given: SettingsSource) -> tuple[Method, ...]:
-    """One method for each filter and each variant.
+@dataclass(frozen=True, slots=True)
+class DetectionChoice:
+    """Which detections to compare on; empty: whatever a sequence has. ``{}`` in a file's name stands for the sequence's
+    name.
 
-    A setting of a filter, its extraction or its association holds for those filters that have it.
+    Attributes
+    ----------
+    detections : names of sets that the folders have, or files.
+    detectors : by name.
+    max_width : to which frames are shrunk for them, pixels; 0: not at all.
+    truth : a file of annotated objects.
+    """
+
+    detections: tuple[str, ...] = ()
+    detectors: tuple[str, ...] = ()
+    max_width: int = 0
+    truth: str = ""
+
+
+_ANY_DETECTIONS, _DEFAULTS = DetectionChoice(), SettingsSource()
+
+
+def plan(
+    sequences: Sequence[str],
+    *,
+    filters: Sequence[str] = (),
+    detections: DetectionChoice = _ANY_DETECTIONS,
+    clutter: Sequence[float] = (0.0,),
+    seeds: int = 5,
+    variants: Sequence[str] = (),
+    settings: SettingsSource = _DEFAULTS,
+    iou: float = 0.5,
+) -> Plan:
+    """What `phdtrack compare` compares; every input has been opened and every setting checked.
 
     Parameters
     ----------
-    filters : names; without any, that of the settings, and none.
-    variants : ``NAME=section.name=value,…`` over the first filter's settings.
-    given : settings for all.
+    sequences : folders as MOTChallenge lays them out, or videos.
+    filters : by the names of configuration; the others are compared to the first. Without any, that of the settings, and
+        none.
+    detections : which sets, files or detectors.
+    clutter : rates of added clutter, boxes per frame.
+    seeds : how many, from 1.
+    variants : ``NAME=section.name=value,…`` over the first filter's settings, each a further method.
+    settings : preset, file and single settings; one of a filter, its extraction or its association holds for those filters
+        that have it.
+    iou : overlap from which boxes match.
 
     Returns
     -------
-    The methods, filters first.
+    The plan.
 
     Raises
     ------
-    InputError : an unknown name, a value out of range, a setting that none of the filters has.
+    InputError : anything that cannot be read, or that does not go together.
     """
+    if not sequences:
+        raise InputError("nothing to compare on", where="SEQUENCE", cure="Name folders of sequences, or videos.")
+    for option, names in (("--detections", detections.detections), ("--truth", (detections.truth,))):
+        for name in names:
+            if len(sequences) > 1 and _is_file(name) and "{}" not in name:
+                cure = "Write {} where the name of the sequence stands in the names of the files."
+                raise InputError(f"{name} cannot belong to {len(sequences)} sequences", where=option, cure=cure)
+    methods = _methods(filters, variants, settings)
+    of_detectors = [text for text in settings.sets if text.strip().startswith("detector.")]
+    parameters = config.load(settings.file, of_detectors).detector
+    _detector_parameters(detections.detectors, detections.max_width, parameters)  # raises where one does not exist
+    cases = tuple(case for word in sequences for case in _cases(word, detections, parameters))
+    for case in cases:
+        for method in methods:
+            config.build(method.settings, case.info)
+    return Plan(cases, methods, tuple(clutter), tuple(range(1, seeds + 1)), iou)
+
+
+def _methods(filters: Sequence[str], variants: Sequence[str], given: SettingsSource) -> tuple[Method, ...]:
+    """One method for each filter, then one for each variant."""
     kind = [text for text in given.sets if text.replace(" ", "").startswith("filter.kind=")]
     if kind and filters:
         raise InputError("--filters says which filters there are", where=f"--set {kind[0]}", cure="Leave one of them out.")
-    sets = [text for text in given.sets if text not in kind]
-    names = tuple(filters)
-    if not names:
-        names = tuple(dict.fromkeys((Method("", given.load([*_for_all(sets), *kind])).filter_name, "none")))
-    chosen = [_under_filter(name, sets, given) for name in names]
-    for text in sets:
+    shared = [text for text in given.sets if text.strip().split(".")[0] not in _OF_FILTERS]
+    own = [text for text in given.sets if text not in (*shared, *kind)]
+    names = tuple(filters) or tuple(dict.fromkeys((given.load([*shared, *kind]).kind("filter"), "none")))
+    chosen = [_under_filter(name, shared, own, given) for name in names]
+    for text in own:
         if not any(text in used for _, used in chosen):
             given.load((f"filter.kind={names[0]}", text))  # raises, and says which name is near
     out = [Method(name, settings) for name, (settings, _) in zip(names, chosen, strict=True)]
-    return (*out, *(_variant(text, names[0], chosen[0][1], given) for text in variants))
+    return (*out, *(_variant(text, chosen[0][1], shared, given) for text in variants))
 
 
-def _under_filter(name: str, sets: Sequence[str], given: SettingsSource) -> tuple[Settings, tuple[str, ...]]:
-    """The settings under this filter, and which of ``sets`` have a place in them."""
-    of_filters = [text for text in sets if text not in _for_all(sets)]
-    kinds = [text for text in of_filters if ".kind" in text.partition("=")[0] and not text.startswith("filter.")]
-    start = (*_for_all(sets), f"filter.kind={name}", *kinds)
+def _under_filter(name: str, shared: list[str], own: list[str], given: SettingsSource) -> tuple[Settings, list[str]]:
+    """The settings under this filter, and the texts that they are made of: of ``own`` those that the filter has."""
+    used = [*shared, f"filter.kind={name}"]
     try:
-        known = given.load(start).as_dict()
+        settings = given.load(used)
     except InputError as error:
-        cure = error.cure if error.where.endswith(f"filter.kind={name}") else ""
-        raise InputError(error.problem, where="--filters" if cure else error.where, cure=cure or error.cure) from None
-    used = [text for text in of_filters if text not in kinds and _has(known, text)]
-    return given.load((*start, *used)), (*_for_all(sets), *kinds, *used)
+        if not error.where.endswith(f"filter.kind={name}"):
+            raise
+        raise InputError(error.problem, where="--filters", cure=error.cure) from None
+    # First of what kind the extraction and the association are.
+    for text in sorted(own, key=lambda text: ".kind" not in text.partition("=")[0]):
+        try:
+            settings, used = given.load([*used, text]), [*used, text]
+        except InputError:
+            continue
+    return settings, used
 
 
-def _variant(text: str, first: str, sets: Sequence[str], given: SettingsSource) -> Method:
+def _variant(text: str, first: list[str], shared: list[str], given: SettingsSource) -> Method:
+    """A method like the ``first``; like what all filters share where the text names a preset or another filter."""
     name, equals, rest = text.partition("=")
     if not name or not equals or "=" not in rest:
         cure = "For example: --variant few=filter.particles_per_target=100"
         raise InputError("expected NAME=section.name=value", where=f"--variant {text}", cure=cure)
     parts = [part.strip() for part in _NEXT_SETTING.split(rest)]
     presets = [part.partition("=")[2].strip() for part in parts if part.startswith("preset")]
-    kinds = [part for part in parts if part.startswith("filter.kind")]
-    others = [part for part in parts if not part.startswith("preset") and part not in kinds]
-    if presets or kinds:
-        # Another filter has other settings: only what all filters share goes along.
-        sets = _for_all(sets)
-    base = kinds or ([] if presets else [f"filter.kind={first}"])
+    other = presets or any(part.startswith("filter.kind") for part in parts)
     try:
-        return Method(name, given.load((*sets, *base, *others), presets[-1] if presets else ""))
+        sets = [*(shared if other else first), *(part for part in parts if not part.startswith("preset"))]
+        return Method(name, given.load(sets, presets[-1] if presets else ""))
     except InputError as error:
         raise InputError(error.problem, where=f"--variant {name}", cure=error.cure) from None
 
 
-def _has(known: Mapping[str, Any], text: str) -> bool:
-    section, _, name = text.partition("=")[0].strip().partition(".")
-    values = known.get(section)
-    return isinstance(values, dict) and (name in values or name == "initial")
+def _cases(word: str, choice: DetectionChoice, parameters: Mapping[str, Any]) -> list[Case]:
+    """The cases of a folder or a video, every file of them read once to see that it can be."""
+    path = Path(word)
+    if not path.exists():
+        open_source(word)  # says which name is near
+        raise InputError("expected a folder or a video file", where=word)
+    name, source, sets = path.stem, word, dict[str, Path]()
+    truth = Path(choice.truth.replace("{}", path.absolute().name if path.is_dir() else name)) if choice.truth else None
+    if path.is_dir():
+        name = path.absolute().name
+        annotated, images = path / "gt" / "gt.txt", path / "img1"
+        truth = annotated if truth is None and annotated.is_file() else truth
+        folders = [folder for folder in sorted(path.glob("det*")) if folder.name == "det" or folder.name.startswith("det_")]
+        sets = {folder.name.removeprefix("det_"): folder / "det.txt" for folder in folders if (folder / "det.txt").is_file()}
+        videos = [file for file in path.iterdir() if file.suffix.lower() in VIDEOS]
+        pictures = [images] if images.is_dir() else videos
+        source = str(pictures[0]) if len(pictures) == 1 else ""
+    files = [_detection_file(text, name, sets) for text in choice.detections]
+    detectors = choice.detectors
+    if not choice.detections and not detectors:
+        files, detectors = list(sets.items()), () if sets else (DEFAULT_DETECTOR,)
+    if detectors and not source:
+        cure = "Name detections with --detections, or put one video, or images in img1, into the folder."
+        raise InputError("there are no pictures for a detector to look at", where=word, cure=cure)
+    known, last = find_seqinfo(word), 0 if truth is None else int(read_truth(truth).frame.max(initial=0))
+    seen = open_source(source).info if source and (detectors or known is None) else None
+    found = [Case(name, label, _info(word, file, known or seen, last), truth, source, file) for label, file in files]
+    if seen is not None and detectors:
+        own = _detector_parameters(detectors, choice.max_width, parameters)
+        info = replace(seen, frames=0, name=name)
+        found += [Case(name, each, info, truth, source, None, values, choice.max_width) for each, values in own.items()]
+    return found
 
 
-def _for_all(sets: Sequence[str]) -> list[str]:
-    return [text for text in sets if text.strip().split(".")[0] not in _OF_FILTERS]
+def _detection_file(text: str, sequence: str, sets: Mapping[str, Path]) -> tuple[str, Path]:
+    """Name and file of one of the sequence's sets, or of ``[NAME=]FILE``."""
+    if not _is_file(text):
+        if text not in sets:
+            cure = f"There are {', '.join(sets)}." if sets else "Name a file, or say --detectors for a video."
+            raise InputError(f"there are no detections called {text}", where=sequence, cure=cure)
+        return text, sets[text]
+    label, equals, pattern = text.partition("=")
+    if equals and not Path(text).exists():  # a file of that very name may have the sign in it
+        return label, Path(pattern.replace("{}", sequence))
+    return Path(text).stem.strip("{}") or "file", Path(text.replace("{}", sequence))
+
+
+def _is_file(name: str) -> bool:
+    """Whether ``--detections`` means a file and not a set that sequences have."""
+    return "=" in name or "/" in name or "{}" in name or bool(Path(name).suffix)
+
+
+def _info(word: str, file: Path, known: SequenceInfo | None, last: int) -> SequenceInfo:
+    """Size, rate and length: up to the last frame of what is known, detected or annotated."""
+    table = read_detections(file)
+    if known is None:
+        cure = "Put a seqinfo.ini into the folder, with frameRate, imWidth, imHeight under [Sequence]."
+        raise InputError("size and rate of the frames are not known", where=word, cure=cure)
+    info = replace(known, frames=max(known.frames, table.last, last))
+    if not info.frames:
+        raise InputError("the number of frames is not known", where=word, cure="Say seqLength in seqinfo.ini.")
+    within_frame(table, info, file)
+    return info
+
+
+def _detector_parameters(
+    names: Sequence[str], max_width: int, parameters: Mapping[str, Any]
+) -> dict[str, Mapping[str, Any]]:
+    """By the name of a detector those of the settings that it has."""
+    out: dict[str, Mapping[str, Any]] = {}
+    for name in names:
+        if name in DETECTORS and name not in dict(detector_names()):
+            cure = "For detections in a file say --detections."
+            raise InputError(f"{name} does not look at a video", where="--detectors", cure=cure)
+        known = {entry.name for entry in detector_parameters(name)}
+        out[name] = typed(name, {key: value for key, value in parameters.items() if key in known})
+        make_detector(name, max_width=max_width, **out[name])
+    for key in parameters:
+        if names and not any(key in values for values in out.values()):
+            make_detector(names[0], **parameters)  # raises, and says which name is near
+    return out
 
 
 def _file_name(name: str) -> str:
     """``name`` with only those characters that every file system has."""
     return re.sub(r"[^\w.+-]", "_", name).strip(".") or "_"
-
-
-def _check_once(names: Iterable[Hashable], what: str, cure: str) -> None:
-    seen = set()
-    for name in names:
-        if name in seen:
-            raise InputError(f"{name}: the same {what} twice", cure=cure)
-        seen.add(name)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,16 +14,17 @@ import numpy as np
 from phdtrack.compare.failures import WorstFrame
 from phdtrack.compare.plans import Plan
 from phdtrack.compare.runs import Comparison, Failed
-from phdtrack.compare.statistics import OTHERS, SCORES, SHOWN, Interval, Row, Summary, values_of
-from phdtrack.errors import InputError
+from phdtrack.compare.statistics import OTHERS, SCORES, Interval, Row, Summary, values_of
 from phdtrack.report.charts import MethodScores, Picture, jpeg, score_chart
 from phdtrack.report.pages import lines, render
 from phdtrack.report.record import About
-from phdtrack.report.words import flattened, score_direction
+from phdtrack.report.words import flattened, score_direction, write_text
+from phdtrack.types import F8
 
+_SHOWN = ("MODA", "MOTA", "IDF1", "HOTA", "id_switches", "ms")
 _COUNTS = "id_switches misses false_positives fragments false_tracks mostly_tracked mostly_lost tracks"
 _DIGITS = {"ms": 2, "boxes_per_frame": 2, "delay_mean": 1} | dict.fromkeys(_COUNTS.split(), 1)
-_LABELS = {"id_switches": "switches", "ms": "ms per frame"}
+_UNKNOWN = Interval(math.nan, math.nan, 0)
 
 
 class Table(NamedTuple):
@@ -32,28 +34,21 @@ class Table(NamedTuple):
     rows: Sequence[tuple[str, ...]]
 
 
-class _Shown(NamedTuple):
-    """A picture with its caption, which is its alternative text too."""
-
-    picture: Picture
-    caption: str
-
-
 def shown(found: Summary, wanted: Sequence[str]) -> tuple[str, ...]:
     """The scores to show: those wanted, or the usual ones where there is truth, and what the comparison has of them."""
     known = {name for row in found.rows for name in row.values}
-    usual = (*SHOWN, "ms") if "MOTA" in known else OTHERS
+    usual = _SHOWN if "MOTA" in known else OTHERS
     return tuple(name for name in (wanted or usual) if name in known) or OTHERS
 
 
-def written(value: Interval | None, name: str, *, signed: bool = False) -> str:
-    """A score as ``0.553 ± 0.018``; a dash where there is none.
+def written(value: Interval | None, name: str, sign: str = "") -> str:
+    """A score ``name``, which decides the digits, as ``0.553 ± 0.018``, or with a plus ``sign``; a dash where there is none.
 
     Parameters
     ----------
     value : mean and interval.
-    name : of the score; decides the digits.
-    signed : whether a plus sign is written.
+    name : of the score.
+    sign : ``+`` where a plus sign is written.
 
     Returns
     -------
@@ -62,11 +57,11 @@ def written(value: Interval | None, name: str, *, signed: bool = False) -> str:
     if value is None or not math.isfinite(value.mean):
         return "–"
     digits = _DIGITS.get(name, 3)
-    text = f"{value.mean:{'+' if signed else ''}.{digits}f}"
+    text = f"{value.mean:{sign}.{digits}f}"
     return f"{text} ± {value.half:.{digits}f}" if math.isfinite(value.half) else text
 
 
-def table(rows: Sequence[Row], names: Sequence[str], *, ahead: bool = False) -> Table:
+def table(rows: Iterable[Row], names: Sequence[str], *, ahead: bool = False) -> Table:
     """A line for each row; its first cells are left out where they are those of the line before.
 
     Parameters
@@ -82,28 +77,27 @@ def table(rows: Sequence[Row], names: Sequence[str], *, ahead: bool = False) -> 
     out: list[tuple[str, ...]] = []
     before: tuple[str, ...] = ("", "", "")
     for row in rows:
-        values = row.ahead if ahead else row.values
-        cells = [written(values.get(name), name, signed=ahead) for name in names]
+        values, sign = (row.ahead, "+") if ahead else (row.values, "")
+        cells = [written(values.get(name), name, sign) for name in names]
         if row.failed:
             cells = ["failed", *[""] * (len(names) - 1)]
         where = (f"{row.sequence} ({row.cases})" if row.pooled else row.sequence, row.detections, f"{row.rate:g}")
         same = next((i for i in range(3) if where[i] != before[i]), 3)
         out.append((*([""] * same), *where[same:], row.method, *cells))
         before = where
-    return Table(("sequence", "detections", "clutter", "filter", *(_label(name) for name in names)), out)
+    return Table(("sequence", "detections", "clutter", "filter", *map(_label, names)), out)
 
 
 def write_cells(path: Path, found: Summary) -> None:
-    """One row for each cell and each pool: every score's mean, half its interval, the difference to the first method."""
+    """One row for each line of the table: every score's mean, half its interval, the difference to the first method."""
     names = [name for name in (*SCORES, *OTHERS) if any(name in row.values for row in found.rows)]
     columns = [f"{name}{part}" for name in names for part in ("", "_half", "_ahead", "_ahead_half")]
     rows = []
     for row in found.rows:
         seeds = max((value.count for value in row.values.values()), default=0)
-        intervals = [part.get(name) for name in names for part in (row.values, row.ahead)]
-        numbers = [number for one in intervals for number in ((one.mean, one.half) if one else (math.nan, math.nan))]
+        intervals = [part.get(name, _UNKNOWN) for name in names for part in (row.values, row.ahead)]
         where = (row.sequence, row.detections, row.cases, f"{row.rate:g}", row.method, seeds, row.failed)
-        rows.append([*where, *map(_number, numbers)])
+        rows.append([*where, *(_number(number) for one in intervals for number in (one.mean, one.half))])
     _write(path, ["sequence", "detections", "cases", "clutter", "filter", "seeds", "failed", *columns], rows)
 
 
@@ -114,8 +108,7 @@ def write_runs(path: Path, comparison: Comparison) -> None:
     rows = []
     for run, values, result in each:
         failed = result.reason if isinstance(result, Failed) else ""
-        cell = run.cell
-        where = (cell.case.sequence.name, cell.case.detections.name, f"{cell.rate:g}", cell.method.name, run.seed, failed)
+        where = (run.case.sequence, run.case.detections, f"{run.rate:g}", run.method.name, run.seed, failed)
         rows.append([*where, *(_number(values.get(name, math.nan)) for name in names), run.place.as_posix()])
     _write(path, ["sequence", "detections", "clutter", "filter", "seed", "failed", *names, "folder"], rows)
 
@@ -133,8 +126,7 @@ def document_of(row: Row) -> dict[str, object]:
 
 def described(plan: Plan) -> str:
     """What was compared, in numbers."""
-    sequences = len({case.sequence.name for case in plan.cases})
-    return lines("comparison_plan.txt", plan=plan, sequences=sequences)[0]
+    return lines("comparison_plan.txt", plan=plan, sequences=len({case.sequence for case in plan.cases}))[0]
 
 
 def sentences(plan: Plan, found: Summary) -> tuple[str, ...]:
@@ -142,14 +134,14 @@ def sentences(plan: Plan, found: Summary) -> tuple[str, ...]:
     out: list[str] = []
     for rate in plan.rates:
         rows = [row for row in found.widest if row.rate == rate and "MOTA" in row.values]
-        rows.sort(key=lambda row: -row.values["MOTA"].mean)
-        names = [f"{row.method} {written(row.values['MOTA'], 'MOTA')}" for row in rows]
-        differs = [row.differs(rows[0], "MOTA") for row in rows]
-        alike = [name for name, other in zip(names[1:], differs[1:], strict=True) if not other]
-        behind = [name for name, other in zip(names[1:], differs[1:], strict=True) if other]
-        if len(rows) > 1:
-            best = rows[0].method, written(rows[0].values["MOTA"], "MOTA")
-            out += lines("comparison_rate.txt", rate=rate, best=best, alike=[names[0], *alike], behind=behind)
+        if len(rows) < 2:
+            continue
+        best, *others = sorted(rows, key=lambda row: -row.values["MOTA"].mean)
+        name = {row.method: f"{row.method} {written(row.values['MOTA'], 'MOTA')}" for row in rows}
+        alike = [name[row.method] for row in others if not row.differs(best, "MOTA")]
+        behind = [name[row.method] for row in others if row.differs(best, "MOTA")]
+        highest = best.method, written(best.values["MOTA"], "MOTA")
+        out += lines("comparison_rate.txt", rate=rate, best=highest, alike=[name[best.method], *alike], behind=behind)
     return tuple(out)
 
 
@@ -187,11 +179,7 @@ def comparison_page(
     The whole page.
     """
     plan = comparison.plan
-    single = [row for row in found.rows if not row.pooled]
-    given = [
-        {"sequence": case.sequence.name, "detections": case.detections.name, "truth": str(case.sequence.truth)}
-        for case in plan.cases
-    ]
+    given = [{"sequence": case.sequence, "detections": case.detections, "truth": str(case.truth)} for case in plan.cases]
     settings = {method.name: method.settings.as_dict() for method in plan.methods}
     more = {"input": given, "clutter": list(plan.rates), "seeds": list(plan.seeds), "iou": plan.iou}
     return render(
@@ -201,54 +189,48 @@ def comparison_page(
         lead=" ".join(sentences(plan, found)),
         about=about,
         first=plan.methods[0].name,
-        pooled=table([row for row in found.rows if row.pooled], names),
-        charts=_charts(plan, found, single, names),
-        each=table(single, names),
-        differences=table([row for row in found.rows if row.ahead], names, ahead=True),
-        frames=[_Shown(jpeg(frame.image), frame.caption) for frame in frames],
+        pooled=table((row for row in found.rows if row.pooled), names),
+        charts=[(title, list(_charts(x, x_label, rows, names))) for title, x, x_label, rows in _sections(plan, found)],
+        each=table((row for row in found.rows if not row.pooled), names),
+        differences=table((row for row in found.rows if row.ahead), names, ahead=True),
+        frames=[(jpeg(frame.image), frame.caption) for frame in frames],
         settings=flattened(settings | more),
         seeds=len(plan.seeds),
     )
 
 
-def _charts(plan: Plan, found: Summary, single: Sequence[Row], names: Sequence[str]) -> list[tuple[str, list[_Shown]]]:
-    charts = []
+def _sections(plan: Plan, found: Summary) -> Iterator[tuple[str, F8 | Sequence[str], str, list[list[Row]]]]:
+    """Title, places, their label, and for each method its rows at these places."""
     methods = [method.name for method in plan.methods]
     if len(plan.rates) > 1:
-        rates = np.array(sorted(plan.rates))
-        by_rate = {(row.method, row.rate): row for row in found.widest}
-        over = "pooled over everything" if any(row.pooled for row in found.widest) else "of the sequence"
-        shown = []
-        for name in names:
-            series = [_series(method, [by_rate[method, rate] for rate in rates], name) for method in methods]
-            picture = score_chart(rates, "added clutter, boxes per frame", _label(name), series)
-            shown.append(_Shown(picture, _caption(f"{_label(name)} {over}", name)))
-        charts.append(("By added clutter", shown))
+        rates, by_rate = sorted(plan.rates), {(row.method, row.rate): row for row in found.widest}
+        over = "pooled over everything" if found.widest[0].pooled else "of the sequence"
+        rows = [[by_rate[method, rate] for rate in rates] for method in methods]
+        yield f"By added clutter, {over}", np.array(rates), "added clutter, boxes per frame", rows
     for rate in plan.rates:
-        rows = {(row.sequence, row.detections, row.method): row for row in single if row.rate == rate}
-        places = list(dict.fromkeys(key[:2] for key in rows))
-        shown = []
-        for name in names:
-            series = [_series(method, [rows[*place, method] for place in places], name) for method in methods]
-            picture = score_chart([" ".join(place) for place in places], "", _label(name), series)
-            shown.append(_Shown(picture, _caption(_label(name), name)))
-        charts.append((f"By sequence, {rate:g} added boxes per frame" if rate else "By sequence, as detected", shown))
-    return charts
+        single = [row for row in found.rows if row.rate == rate and not row.pooled]
+        rows = [[row for row in single if row.method == method] for method in methods]
+        places = [f"{row.sequence} {row.detections}" for row in rows[0]]
+        yield f"By sequence, {rate:g} added boxes per frame" if rate else "By sequence, as detected", places, "", rows
 
 
-def _caption(start: str, name: str) -> str:
-    return f"{start}, mean over the seeds with 95 % confidence intervals{score_direction(name)}."
-
-
-def _series(method: str, rows: Sequence[Row], name: str) -> MethodScores:
-    each = [row.values.get(name, Interval(np.nan, np.nan, 0)) for row in rows]
-    mean, low, high = np.array([(one.mean, one.low, one.high) for one in each], np.float64).reshape(-1, 3).T
-    return MethodScores(method, mean, low, high)
+def _charts(
+    x: F8 | Sequence[str], x_label: str, rows: list[list[Row]], names: Sequence[str]
+) -> Iterator[tuple[Picture, str]]:
+    """A chart of each score, and its caption, which is its alternative text too."""
+    for name in names:
+        series = []
+        for own in rows:
+            each = [row.values.get(name, _UNKNOWN) for row in own]
+            mean, low, high = np.array([(one.mean, one.low, one.high) for one in each], np.float64).T
+            series.append(MethodScores(own[0].method, mean, low, high))
+        about = f"{_label(name)}, mean over the seeds with 95 % confidence intervals{score_direction(name)}."
+        yield score_chart(x, x_label, _label(name), series), about
 
 
 def _label(name: str) -> str:
     """A score's name as a table's head has it."""
-    return _LABELS.get(name, name.replace("_", " "))
+    return {"id_switches": "switches", "ms": "ms per frame"}.get(name, name.replace("_", " "))
 
 
 def _number(value: float) -> str:
@@ -257,8 +239,6 @@ def _number(value: float) -> str:
 
 
 def _write(path: Path, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    try:
-        with path.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file:
-            csv.writer(file, lineterminator="\n").writerows([columns, *rows])
-    except OSError as error:
-        raise InputError(f"could not be written: {error.strerror or error}", where=path) from error
+    file = io.StringIO()
+    csv.writer(file, lineterminator="\n").writerows([columns, *rows])
+    write_text(path, file.getvalue())

@@ -1,19 +1,18 @@
-"""A comparison in rows: every cell, and every method pooled over the sequences, with Student's t intervals over the
-seeds."""
+"""A comparison in rows: every case with every method, and every method pooled over the sequences, with Student's t intervals
+over the seeds."""
 
 from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 
 import numpy as np
 from scipy.special import stdtrit
 
-from phdtrack.compare.plans import Case, Cell, Method
-from phdtrack.compare.runs import Comparison, Failed
-from phdtrack.compare.store import RunResult
+from phdtrack.compare.plans import Case, Method, Run
+from phdtrack.compare.runs import Comparison, Failed, RunResult
 from phdtrack.errors import InputError
 from phdtrack.metrics import Scores, pool
 
@@ -21,7 +20,6 @@ LEVEL = 0.95
 SCORES = tuple(entry.name for entry in fields(Scores) if entry.name not in ("counts", "settings"))
 # What there is without truth too.
 OTHERS = ("tracks", "boxes_per_frame", "ms")
-SHOWN = ("MODA", "MOTA", "IDF1", "HOTA", "id_switches")
 POOLED = "all"
 
 
@@ -36,7 +34,7 @@ class Interval:
     @property
     def clear(self) -> bool:
         """Whether 0 lies outside."""
-        return math.isfinite(self.half) and abs(self.mean) > self.half
+        return abs(self.mean) > self.half
 
     @property
     def low(self) -> float:
@@ -51,12 +49,11 @@ class Interval:
 
 def interval(values: Sequence[float]) -> Interval:
     """Mean and interval of independent values, t with n − 1 degrees of freedom; undefined (NaN) values make it undefined."""
-    each = np.array(values, np.float64)
-    count = len(each)
+    count = len(values)
     if count < 2:
-        return Interval(float(each.mean()) if count else math.nan, math.nan, count)
-    error = float(each.std(ddof=1)) / math.sqrt(count)
-    return Interval(float(each.mean()), float(stdtrit(count - 1, (1 + LEVEL) / 2)) * error, count)
+        return Interval(float(values[0]) if count else math.nan, math.nan, count)
+    error = float(np.std(values, ddof=1)) / math.sqrt(count)
+    return Interval(float(np.mean(values)), float(stdtrit(count - 1, (1 + LEVEL) / 2)) * error, count)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +64,7 @@ class Row:
     ----------
     sequence, detections : of the case; `POOLED` where pooled over more than one.
     cases : over how many.
-    rate, method : see `Cell`.
+    rate, method : of the added clutter, in boxes per frame; the method's name.
     random : whether the seeds matter. Where not, one run was enough and there is no interval.
     values : means over the seeds with their intervals, by the names of scores; ``ms`` is milliseconds per frame.
     ahead : the same for the differences to the first method, seed by seed; empty for that method itself.
@@ -99,7 +96,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Summary:
-    """``rows`` of the cells, then those pooled over the sequences of each set of detections, then over everything."""
+    """``rows`` of the cases, then those pooled over the sequences of each set of detections, then over everything."""
 
     rows: tuple[Row, ...]
 
@@ -112,27 +109,52 @@ class Summary:
 
 def summary(comparison: Comparison) -> Summary:
     """The rows of a comparison."""
-    plan = comparison.plan
-    groups: list[tuple[str, str, tuple[Case, ...]]] = [
-        (case.sequence.name, case.detections.name, (case,)) for case in plan.cases
-    ]
-    names = list(dict.fromkeys(case.detections.name for case in plan.cases))
+    cases = comparison.plan.cases
+    groups: list[tuple[str, str, Sequence[Case]]] = [(case.sequence, case.detections, [case]) for case in cases]
+    names = list(dict.fromkeys(case.detections for case in cases))
     for name in names:
-        cases = tuple(case for case in plan.cases if case.detections.name == name)
-        if 1 < len(cases) < len(plan.cases):
-            groups.append((POOLED, name, cases))
-    if len(plan.cases) > 1:
-        groups.append((POOLED, names[0] if len(names) == 1 else POOLED, plan.cases))
-    rows = []
-    for sequence, detections, cases in groups:
-        for rate in plan.rates:
-            seeds = [_scores_by_seed(comparison, cases, rate, method) for method in plan.methods]
-            for method, own in zip(plan.methods, seeds, strict=True):
-                first = seeds[0] if method is not plan.methods[0] and own.scores and seeds[0].scores else None
-                ahead = {} if first is None else own.intervals(first)
-                where = (sequence, detections, len(cases), rate, method.name)
-                rows.append(Row(*where, own.random, own.intervals(), ahead, own.scores, own.failed))
-    return Summary(tuple(rows))
+        own = tuple(case for case in cases if case.detections == name)
+        if 1 < len(own) < len(cases):
+            groups.append((POOLED, name, own))
+    if len(cases) > 1:
+        groups.append((POOLED, names[0] if len(names) == 1 else POOLED, cases))
+    return Summary(tuple(row for group in groups for row in _rows(comparison, *group)))
+
+
+def _rows(comparison: Comparison, sequence: str, detections: str, cases: Sequence[Case]) -> Iterator[Row]:
+    """Every method at every rate on these cases."""
+    for rate in comparison.plan.rates:
+        first: Row | None = None
+        for method in comparison.plan.methods:
+            each, random, failed = _scores_by_seed(comparison, cases, rate, method)
+            ahead: Mapping[str, Interval] = {}
+            if first is not None:
+                pairs = zip(each, first.each, strict=False)
+                apart = [{name: mine[name] - theirs[name] for name in mine if name in theirs} for mine, theirs in pairs]
+                ahead = _intervals(apart, random or first.random)
+            where = (sequence, detections, len(cases), rate, method.name)
+            row = Row(*where, random, _intervals(each, random), ahead, each, failed)
+            first = first or row
+            yield row
+
+
+def _scores_by_seed(
+    comparison: Comparison, cases: Sequence[Case], rate: float, method: Method
+) -> tuple[list[dict[str, float]], bool, str]:
+    """The scores of a method at every seed, pooled over cases; whether the seeds matter; without scores, why."""
+    found = [[comparison.result(Run(case, rate, method, seed)) for case in cases] for seed in comparison.plan.seeds]
+    random = rate > 0 or any(isinstance(first, RunResult) and first.drawn for first in found[0])
+    failed = [one.reason for results in found for one in results if isinstance(one, Failed)]
+    if failed:
+        return [], random, failed[0]
+    return [values_of([one for one in results if isinstance(one, RunResult)]) for results in found], random, ""
+
+
+def _intervals(each: Sequence[Mapping[str, float]], random: bool) -> dict[str, Interval]:
+    """By name, over the seeds where these matter; a score undefined at one of them is left out."""
+    each = each if random else each[:1]
+    names = [name for name in (each[0] if each else {}) if all(name in values for values in each)]
+    return {name: interval([values[name] for values in each]) for name in names}
 
 
 def check_scores(names: Sequence[str]) -> tuple[str, ...]:
@@ -148,8 +170,7 @@ def check_scores(names: Sequence[str]) -> tuple[str, ...]:
 
 def values_of(parts: Sequence[RunResult]) -> dict[str, float]:
     """The scores of one run, or of several pooled; those that are undefined are left out."""
-    frames = sum(part.frames for part in parts)
-    out: dict[str, float] = {}
+    out, frames = dict[str, float](), sum(part.frames for part in parts)
     scores = [part.scores for part in parts if part.scores is not None]
     if scores:
         pooled = scores[0] if len(scores) == 1 else pool(scores)
@@ -159,37 +180,3 @@ def values_of(parts: Sequence[RunResult]) -> dict[str, float]:
         out["boxes_per_frame"] = sum(part.rows for part in parts) / frames
         out["ms"] = 1000 * sum(part.seconds * part.frames for part in parts) / frames
     return out
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seeds:
-    """The scores of a method at every seed, pooled over cases, and whether the seeds matter; without scores: why."""
-
-    scores: list[dict[str, float]]
-    random: bool
-    failed: str = ""
-
-    def intervals(self, minus: _Seeds | None = None) -> dict[str, Interval]:
-        """By name, over the seeds, of the scores or of their differences; a score undefined at one of them is left out."""
-        each = self.scores
-        if minus is not None:
-            pairs = zip(each, minus.scores, strict=True)
-            each = [{name: mine[name] - theirs[name] for name in mine if name in theirs} for mine, theirs in pairs]
-        if not (self.random or (minus is not None and minus.random)):
-            each = each[:1]
-        names = [name for name in (each[0] if each else {}) if all(name in values for values in each)]
-        return {name: interval([values[name] for values in each]) for name in names}
-
-
-def _scores_by_seed(comparison: Comparison, cases: Sequence[Case], rate: float, method: Method) -> _Seeds:
-    cells, seeds = [Cell(case, rate, method) for case in cases], comparison.plan.seeds
-    firsts = [comparison.result(cell, seeds[0]) for cell in cells]
-    random = rate > 0 or any(isinstance(first, RunResult) and first.drawn for first in firsts)
-    scores = []
-    for seed in seeds:
-        results = [comparison.result(cell, seed) for cell in cells]
-        for result in results:
-            if isinstance(result, Failed):
-                return _Seeds([], random, result.reason)
-        scores.append(values_of([result for result in results if isinstance(result, RunResult)]))
-    return _Seeds(scores, random)

@@ -269,6 +269,11 @@ class Mistakes:
     false: F8
 
     @property
+    def count(self) -> int:
+        """Number of mistakes."""
+        return len(self.missed) + len(self.false) + int(self.switched.sum())
+
+    @property
     def title(self) -> str:
         """The method and its mistakes in words."""
         return f"{self.method}: {len(self.missed)} missed, {len(self.false)} false, {int(self.switched.sum())} switched"
