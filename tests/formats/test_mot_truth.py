@@ -22,12 +22,7 @@ def put(folder: Path, content: str, name: str = "gt.txt") -> Path:
 
 def test_mot15_leaves_out_rows_of_confidence_zero(tmp_path: Path) -> None:
     truth = read_truth(put(tmp_path, "1,1,0,0,5,5,1,-1,-1,-1\n1,2,9,9,5,5,0,-1,-1,-1\n2,2,9,9,5,5,1,1.5,2.5,0\n"))
-    assert truth.frame.tolist() == [1, 2]
-    assert truth.identity.tolist() == [1, 2]
-    assert not truth.distractor.any()
-
-
-def test_six_columns_are_scored_all(tmp_path: Path) -> None:
+    assert (truth.frame.tolist(), truth.identity.tolist(), truth.distractor.any()) == ([1, 2], [1, 2], False)
     assert len(read_truth(put(tmp_path, "1 1 0 0 5 5\n1 2 9 9 5 5\n"))) == 2
 
 
@@ -82,14 +77,8 @@ def test_classes_as_trackeval_takes_them(tmp_path: Path, benchmark: str, rng: np
     output = "".join("{},{},{},{},{},{},1,-1,-1,-1\n".format(*row[:6]) for row in rows)
     put(tmp_path, output, f"trackers/ours/data/{name}.txt")
     dataset = trackeval.datasets.MotChallenge2DBox(
-        {
-            "GT_FOLDER": str(tmp_path / "gt"),
-            "TRACKERS_FOLDER": str(tmp_path / "trackers"),
-            "BENCHMARK": benchmark,
-            "SEQ_INFO": {name: 3},
-            "SKIP_SPLIT_FOL": True,
-            "PRINT_CONFIG": False,
-        }
+        {"GT_FOLDER": str(tmp_path / "gt"), "TRACKERS_FOLDER": str(tmp_path / "trackers"), "BENCHMARK": benchmark}
+        | {"SEQ_INFO": {name: 3}, "SKIP_SPLIT_FOL": True, "PRINT_CONFIG": False}
     )
     data = dataset.get_preprocessed_seq_data(dataset.get_raw_seq_data("ours", name), "pedestrian")
     ours = read_truth(truth_file)
@@ -110,8 +99,7 @@ def rows_in(truth: Truth, frame: int, *, distractor: bool) -> set[tuple[float, .
 
 def test_tracks_of_other_programs(tmp_path: Path) -> None:
     tracks = read_tracks(put(tmp_path, "2,1,0,0,5,5,-1,-1,-1,-1\n1,2,0,0,5,5,0.25,-1,-1,-1\n1,1,0,0,5,5,3,-1,-1,-1\n"))
-    assert tracks.frame.tolist() == [1, 1, 2]
-    assert tracks.identity.tolist() == [1, 2, 1]
+    assert (tracks.frame.tolist(), tracks.identity.tolist()) == ([1, 1, 2], [1, 2, 1])
     assert tracks.confidence.tolist() == [3, 0.25, -1]
     assert tracks.detection.tolist() == [-1, -1, -1]
     assert tracks.confirmed.all()

@@ -62,30 +62,19 @@ def detection_tables(draw: st.DrawFn) -> DetectionTable:
     return DetectionTable(frame, found)
 
 
-@given(tracks())
-def test_tracks_come_back(tmp_path_factory: pytest.TempPathFactory, original: Tracks) -> None:
-    path = tmp_path_factory.getbasetemp() / "tracks.csv"
-    write_tracks(path, original)
-    again = read_tracks(path)
-    np.testing.assert_array_equal(again.frame, original.frame)
-    np.testing.assert_array_equal(again.identity, original.identity)
-    np.testing.assert_allclose(again.xyxy, original.xyxy, rtol=0, atol=2e-3)
-    np.testing.assert_allclose(again.confidence, original.confidence, rtol=1e-6)
-    np.testing.assert_array_equal(again.detection, original.detection)
-    np.testing.assert_array_equal(again.confirmed, original.confirmed)
-
-
-@given(tracks())
-def test_tracks_with_places_come_back(tmp_path_factory: pytest.TempPathFactory, original: Tracks) -> None:
-    path, n = tmp_path_factory.getbasetemp() / "placed.csv", len(original)
+@given(tracks(), st.booleans())
+def test_tracks_come_back(tmp_path_factory: pytest.TempPathFactory, original: Tracks, placed: bool) -> None:
+    path, n = tmp_path_factory.getbasetemp() / "tracks.csv", len(original)
     place = np.arange(2.0 * n).reshape(2, n) - 3
     place[1, ::3] = np.nan
-    write_tracks(path, original, place)
+    write_tracks(path, original, place if placed else None)
     again = read_tracks(path)
-    np.testing.assert_array_equal(again.identity, original.identity)
+    for name in ("frame", "identity", "detection", "confirmed"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(original, name))
     np.testing.assert_allclose(again.xyxy, original.xyxy, rtol=0, atol=2e-3)
+    np.testing.assert_allclose(again.confidence, original.confidence, rtol=1e-6)
     columns = np.array([line.split(",")[7:10] for line in path.read_text().splitlines()], np.float64).reshape(-1, 3).T
-    known = np.isfinite(place[1])
+    known = np.isfinite(place[1]) & placed
     np.testing.assert_array_equal(columns[:, known], np.vstack([place, np.zeros(n)])[:, known])
     np.testing.assert_array_equal(columns[:, ~known], -1)
 
@@ -119,16 +108,16 @@ def test_truth_comes_back(tmp_path_factory: pytest.TempPathFactory, source: Trac
     np.testing.assert_array_equal(again.distractor, original.distractor)
 
 
+def one_row() -> Tracks:
+    box = np.array([[1.5, 2.0, 11.25, 42.0]])
+    arrays = np.array([3]), np.array([8]), box, np.array([1.25]), np.array([-1]), np.array([False])
+    for array in arrays:
+        array.setflags(write=False)  # nothing is written into them
+    return Tracks(*arrays)
+
+
 def test_the_form_of_tracks(tmp_path: Path) -> None:
-    one = Tracks(
-        np.array([3]),
-        np.array([8]),
-        np.array([[1.5, 2.0, 11.25, 42.0]]),
-        np.array([1.25]),
-        np.array([-1]),
-        np.array([False]),
-    )
-    write_tracks(tmp_path / "new" / "tracks.csv", one)
+    write_tracks(tmp_path / "new" / "tracks.csv", one_row())
     assert (tmp_path / "new" / "tracks.csv").read_bytes() == b"3,8,1.5,2,9.75,40,1.25,-1,-1,-1,-1,0\n"
 
 
@@ -154,7 +143,6 @@ def test_a_covariance_must_be_one(tmp_path: Path) -> None:
 
 def test_every_frame_is_on_disk_before_the_writer_is_closed(tmp_path: Path) -> None:
     found = Detections.of([[0, 0, 1, 1], [2, 2, 4, 4]], [0.5, -7])
-    row = Tracks(np.array([1]), np.array([1]), np.array([[0.0, 0, 1, 1]]), np.array([1.0]), np.array([0]), np.array([True]))
     state = Estimates(np.arange(12.0).reshape(6, 2), np.zeros((2, 6, 6)), np.array([1, 0.5]), found.xyxy, np.array([0, -1]))
     with (
         DetectionsWriter(tmp_path / "d.csv") as detections,
@@ -163,10 +151,11 @@ def test_every_frame_is_on_disk_before_the_writer_is_closed(tmp_path: Path) -> N
     ):
         for frame in (1, 2, 3):
             detections.append(frame, found if frame != 2 else Detections.empty())
-            written.append(row if frame == 1 else Tracks.empty())
+            written.append(one_row() if frame == 1 else Tracks.empty())
             states.append(frame, frame / 25, state if frame != 2 else Estimates.empty(6))
         assert read_detections(tmp_path / "d.csv").frame.tolist() == [1, 1, 3, 3]
         assert len(read_tracks(tmp_path / "t.csv")) == 1
+        assert read_detections(tmp_path / "s.csv").frame.tolist() == [1, 1, 3, 3]
         assert (tmp_path / "s.csv").read_text().splitlines() == [
             "frame,time,weight,detection,left,top,width,height,s0,s1,s2,s3,s4,s5",
             "1,0.040000,1,0,0,0,1,1,0,2,4,6,8,10",
@@ -175,23 +164,6 @@ def test_every_frame_is_on_disk_before_the_writer_is_closed(tmp_path: Path) -> N
             "3,0.120000,0.5,-1,2,2,2,2,1,3,5,7,9,11",
         ]
         states.close()  # closing twice does no harm
-
-
-def test_states_of_a_sequence_read_as_detections_too(tmp_path: Path) -> None:
-    state = Estimates(np.ones((4, 1)), np.zeros((1, 4, 4)), np.ones(1), np.array([[1.0, 2, 3, 5]]), np.array([0]))
-    with StatesWriter(tmp_path / "states.csv") as writer:
-        for frame, time in ((4, 0.1), (7, 0.2)):
-            writer.append(frame, time, state)
-    table = read_detections(tmp_path / "states.csv")
-    assert table.frame.tolist() == [4, 7]
-    assert table.detections.xyxy.tolist() == [[1, 2, 3, 5]] * 2
-
-
-def test_nothing_is_written_into_the_arrays(tmp_path: Path) -> None:
-    one = Tracks(np.array([1]), np.array([1]), np.array([[0.0, 0, 1, 1]]), np.array([1.0]), np.array([0]), np.array([True]))
-    for array in (one.frame, one.identity, one.xyxy, one.confidence, one.detection, one.confirmed):
-        array.setflags(write=False)
-    write_tracks(tmp_path / "t.csv", one)
 
 
 def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:

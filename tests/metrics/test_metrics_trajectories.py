@@ -1,13 +1,11 @@
-"""OSPA(2), SFDA, ATA and T-GOSPA: against twins that try every mapping, TrackEval, and by their laws."""
+"""OSPA(2), SFDA and ATA: against twins that try every mapping, and pooled."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from metric_cases import REAL, close, crude_tracks, random_case, real_detections, real_truth, tracks_of, truth_of
-from trackeval_oracle import preprocessed, trackeval
+from metric_cases import close, random_case, tracks_of, truth_of
 
 from phdtrack.arrays import iou
 from phdtrack.metrics import evaluate, pool
@@ -63,44 +61,17 @@ def test_vace_scores_agree_with_every_mapping_tried(seed: int, threshold: float)
     close([ours.ATA, ours.ATA_matched], [twins.ata(truth, tracks), twins.ata(truth, tracks, threshold)], 1e-12)
 
 
-def vace(truth: Truth, tracks: Tracks, frames: int) -> dict[str, float]:
-    """TrackEval's; its ATA is the relaxed one at 0.5."""
-    metric = trackeval.metrics.VACE()
-    return metric.eval_sequence(preprocessed(truth, tracks, frames))
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_vace_scores_agree_with_trackeval(seed: int):
-    truth, tracks = random_case(np.random.default_rng(seed), objects=1 + seed % 8, distractors=seed % 2 == 0)
-    ours, theirs = evaluate(truth, tracks, frames=32), vace(truth, tracks, 32)
-    close([ours.SFDA, ours.ATA_matched], [theirs["SFDA"], theirs["ATA"]])
-
-
-@pytest.mark.data
-@pytest.mark.parametrize(("sequence", "detector"), REAL)
-def test_real_sequences(data, sequence: str, detector: str):
-    truth = real_truth(data, sequence)
-    tracks = crude_tracks(real_detections(data, sequence, detector))
-    ours = evaluate(truth, tracks)
-    theirs = vace(truth, tracks, ours.frames)
-    close([ours.SFDA, ours.ATA_matched], [theirs["SFDA"], theirs["ATA"]])
-
-
 def test_pooled_tracks_are_those_of_the_sequences_one_after_the_other():
     cases = [random_case(np.random.default_rng(i), objects=2 + i, frames=20) for i in range(3)]
     ours = pool([evaluate(truth, tracks, frames=20) for truth, tracks in cases])
-    truths = [t for t, _ in cases]
-    shift = [np.full(len(t), 20 * i) for i, t in enumerate(truths)]
-    truth = truth_of(
-        np.concatenate([t.frame + s for t, s in zip(truths, shift, strict=True)]),
-        np.concatenate([t.identity + 10**6 * (s // 20) for t, s in zip(truths, shift, strict=True)]),
-        np.concatenate([t.xyxy for t in truths]),
-    )
-    given_ = [o for _, o in cases]
-    tracks = tracks_of(
-        np.concatenate([o.frame + 20 * i for i, o in enumerate(given_)]),
-        np.concatenate([o.identity + 10**6 * i for i, o in enumerate(given_)]),
-        np.concatenate([o.xyxy for o in given_]),
+    # One after the other, with identities of their own.
+    truth, tracks = (
+        make(
+            np.concatenate([part.frame + 20 * i for i, part in enumerate(side)]),
+            np.concatenate([part.identity + 10**6 * i for i, part in enumerate(side)]),
+            np.concatenate([part.xyxy for part in side]),
+        )
+        for make, side in zip((truth_of, tracks_of), zip(*cases, strict=True), strict=True)
     )
     together = evaluate(truth, tracks, frames=60)
     close([ours.OSPA2, ours.SFDA, ours.ATA], [together.OSPA2, together.SFDA, together.ATA])

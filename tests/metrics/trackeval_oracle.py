@@ -26,26 +26,28 @@ class Figures:
     hota: dict
     clear: dict
     identity: dict
+    vace: dict
 
 
 def figures(truth: Truth, tracks: Tracks, frames: int, threshold: float = 0.5) -> Figures:
     data = preprocessed(truth, tracks, frames)
-    hota, clear, identity = metrics(threshold)
-    return Figures(hota.eval_sequence(data), clear.eval_sequence(data), identity.eval_sequence(data))
+    return Figures(*(metric.eval_sequence(data) for metric in metrics(threshold)))
 
 
 def pooled(parts: list[Figures], threshold: float = 0.5) -> Figures:
-    hota, clear, identity = metrics(threshold)
+    columns = zip(*((p.hota, p.clear, p.identity, p.vace) for p in parts), strict=True)
     return Figures(
-        hota.combine_sequences({str(i): p.hota for i, p in enumerate(parts)}),
-        clear.combine_sequences({str(i): p.clear for i, p in enumerate(parts)}),
-        identity.combine_sequences({str(i): p.identity for i, p in enumerate(parts)}),
+        *(
+            metric.combine_sequences({str(i): part for i, part in enumerate(column)})
+            for metric, column in zip(metrics(threshold), columns, strict=True)
+        )
     )
 
 
-def metrics(threshold: float):
-    config = {"THRESHOLD": threshold, "PRINT_CONFIG": False}
-    return trackeval.metrics.HOTA(), trackeval.metrics.CLEAR(config), trackeval.metrics.Identity(config)
+def metrics(threshold: float) -> list:
+    """HOTA, CLEAR, Identity and VACE, whose ATA is the relaxed one at 0.5 whatever the threshold."""
+    config, kinds = {"THRESHOLD": threshold, "PRINT_CONFIG": False}, trackeval.metrics
+    return [kinds.HOTA(), kinds.CLEAR(config), kinds.Identity(config), kinds.VACE()]
 
 
 def preprocessed(truth: Truth, tracks: Tracks, frames: int) -> dict:

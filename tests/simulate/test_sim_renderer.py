@@ -175,12 +175,6 @@ def test_lamps_blink() -> None:
     assert moving.any(axis=0).mean() < 0.03
 
 
-@pytest.mark.parametrize("bad", [{"noise": -1.0}, {"shadow": 2.0}, {"flicker": float("nan")}])
-def test_impossible_looks_are_refused(bad: dict[str, float]) -> None:
-    with pytest.raises(InputError, match="Look"):
-        Look(**bad)  # type: ignore[arg-type]
-
-
 def test_blown_leaves_are_elsewhere_in_every_frame_and_change_nothing_else() -> None:
     scene = make_scene("empty", 1, frames=30)
     calm, windy = (list(render(scene, np.random.default_rng(2), look)) for look in (STILL, replace(STILL, blown=3.0)))
@@ -193,13 +187,13 @@ def test_blown_leaves_are_elsewhere_in_every_frame_and_change_nothing_else() -> 
 
 
 def test_scenes_to_learn_have_plants_and_lights_of_their_own() -> None:
-    plants = {}
-    for name in ("yard", "garden", "arcade"):
+    for name, plants, doors, obstacles in (("yard", 3, 1, 0), ("garden", 12, 0, 0), ("arcade", 3, 0, 3)):
         scene, look = make_scene(name, 1, frames=2), default_look(name)
-        plants[name] = len(plant_boxes(scene, look.plants, 1))
+        assert (len(plant_boxes(scene, look.plants, 1)), len(scene.doors), len(scene.obstacles)) == (
+            plants,
+            doors,
+            obstacles,
+        )
         assert look.wave > Look().wave
-        assert look.lamps >= 3
-    assert plants == {"yard": 3, "garden": 12, "arcade": 3}
-    assert default_look("street") == Look()
-    assert len(make_scene("yard", 1, frames=2).doors) == 1
-    assert len(make_scene("arcade", 1, frames=2).obstacles) == 3
+    with pytest.raises(InputError, match="Look"):
+        Look(noise=-1.0)

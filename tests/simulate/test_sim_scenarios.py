@@ -46,11 +46,7 @@ def test_same_seed_same_scene_other_seed_other_scene(name: str) -> None:
     assert (a.detections.detections.xyxy == b.detections.detections.xyxy).all()
     assert (a.source == b.source).all()
     assert not np.array_equal(a.detections.detections.xyxy, c.detections.detections.xyxy)
-
-
-def test_truth_does_not_depend_on_the_detector() -> None:
-    a, b = (make_scene("street", 3, detector=DetectorModel(p_detect=p, clutter_rate=9 * p)) for p in (0.3, 1.0))
-    assert (a.truth.xyxy == b.truth.xyxy).all()
+    assert (make_scene(name, 5, frames=60, detector=DetectorModel(p_detect=0.3)).truth.xyxy == a.truth.xyxy).all()
 
 
 @pytest.mark.parametrize("name", PEOPLE)
@@ -83,23 +79,19 @@ def test_people_walk_at_the_speed_that_was_asked_for(name: str) -> None:
 
 def test_crossing_pairs_meet() -> None:
     truth = make_scene("crossing", 0).truth
-    met = 0
     for a, b in ((1, 2), (3, 4), (5, 6)):
         (frame_a, box_a), (frame_b, box_b) = of(truth, a), of(truth, b)
         _, i, j = np.intersect1d(frame_a, frame_b, return_indices=True)
         overlap = np.array([iou(box_a[[p]], box_b[[q]])[0, 0] for p, q in zip(i, j, strict=True)])
         side = np.sign(box_a[i, 0] - box_b[j, 0])
         assert (overlap > 0.2).any()
-        met += int(side[0] != side[-1])
-    assert met == 3
+        assert side[0] != side[-1]
 
 
 def test_occlusion_hides_people_completely_and_keeps_them_in_the_truth() -> None:
     scene = make_scene("occlusion", 0)
     hidden = covered(scene.truth, scene.obstacles)
-    gone = [
-        identity for identity in np.unique(scene.truth.identity) if hidden[scene.truth.identity == identity].max() > 0.99
-    ]
+    gone = np.unique(scene.truth.identity[hidden > 0.99])
     assert len(gone) >= 4
     for identity in gone:
         frame, _ = of(scene.truth, int(identity))
@@ -108,13 +100,6 @@ def test_occlusion_hides_people_completely_and_keeps_them_in_the_truth() -> None
     seen = np.isin(scene.truth.frame * 1000 + scene.truth.identity, open_view.detections.frame * 1000 + open_view.source)
     assert not seen[hidden > 0.999].any()
     assert seen[hidden == 0].all()
-
-
-def test_empty_scene_has_only_false_alarms() -> None:
-    scene = make_scene("empty", 0)
-    assert len(scene.truth) == 0
-    assert len(scene.detections) > 0
-    assert (scene.source <= 0).all()
 
 
 def test_doors_are_where_people_appear() -> None:
@@ -145,50 +130,36 @@ def test_unknown_scene_and_setting_name_the_nearest() -> None:
         make_scene("street", 0, arivals=2.0)
 
 
+SKYWARD = (Walk(((0.1, 0.0), (0.9, 0.5))),)
+
+
 @pytest.mark.parametrize(
-    "bad",
-    [
-        {"frames": 0},
-        {"arrivals": -1.0},
-        {"rows": (0.05, 0.9)},
-        {"camera_height": 1.0},
-        {"walks": (Walk(((0.1, 0.0), (0.9, 0.5))),)},
-    ],
+    "bad", [{"frames": 0}, {"arrivals": -1.0}, {"rows": (0.05, 0.9)}, {"camera_height": 1.0}, {"walks": SKYWARD}]
 )
 def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(InputError, match="cenario"):
         make_scene("street", 0, **bad)
 
 
-CAMERA = Camera(320, 43, 576, 2.7)
-
-
 def test_follow_walks_at_constant_speed_on_the_ground() -> None:
-    walk = Walk(((-0.1, 0.9), (0.5, 0.6), (1.1, 0.8)), at=1.0, speed=0.5)
-    times = np.arange(0, 60, 0.04)
-    foot, index = walk.follow(CAMERA, (640, 360), times)
+    camera, times = Camera(320, 43, 576, 2.7), np.arange(0, 60, 0.04)
+    foot, index = Walk(((-0.1, 0.9), (0.5, 0.6), (1.1, 0.8)), at=1.0, speed=0.5).follow(camera, (640, 360), times)
     assert times[index[0]] == pytest.approx(1.0)
-    step = np.hypot(*np.diff(CAMERA.to_ground(foot), axis=0).T)
+    step = np.hypot(*np.diff(camera.to_ground(foot), axis=0).T)
     assert np.allclose(step, 0.5 * 0.04, rtol=0.02)
 
 
 @pytest.mark.parametrize(
-    ("boxes", "expected"),
+    ("frames", "boxes", "expected"),
     [
-        ([[0, 0, 10, 20], [0, 0, 10, 30]], [1.0, 0.0]),
-        ([[0, 0, 10, 20], [5, 0, 15, 30]], [5 / 9, 0.0]),
-        ([[0, 0, 10, 20], [50, 0, 60, 30]], [0.0, 0.0]),
-        ([[0, 0, 10, 20], [0, 0, 5, 30], [0, 0, 5, 31]], [4 / 9, 1.0, 0.0]),
+        ([1, 1], [[0, 0, 10, 20], [0, 0, 10, 30]], [1.0, 0.0]),
+        ([1, 2], [[0, 0, 10, 20], [0, 0, 10, 30]], [0.0, 0.0]),
+        ([1, 1], [[0, 0, 10, 20], [5, 0, 15, 30]], [5 / 9, 0.0]),
+        ([1, 1], [[0, 0, 10, 20], [50, 0, 60, 30]], [0.0, 0.0]),
+        ([1, 1, 1], [[0, 0, 10, 20], [0, 0, 5, 30], [0, 0, 5, 31]], [4 / 9, 1.0, 0.0]),
     ],
 )
-def test_covered_part(boxes: list[list[float]], expected: list[float]) -> None:
-    truth = truth_rows(np.ones(len(boxes), np.int64), np.arange(1, len(boxes) + 1), np.array(boxes, float))
-    part = covered(truth, np.zeros((0, 4)))
-    assert np.abs(part - expected).max() <= 1 / 9 + 1e-9
-
-
-def test_covered_looks_at_each_frame_alone() -> None:
-    box = np.array([[0.0, 0, 10, 20], [0, 0, 10, 30]])
-    truth = truth_rows(np.array([1, 2]), np.array([1, 2]), box)
-    assert (covered(truth, np.zeros((0, 4))) == 0).all()
-    assert (covered(truth, np.array([[0.0, 0, 10, 40]])) == 1).all()
+def test_covered_part(frames: list[int], boxes: list[list[float]], expected: list[float]) -> None:
+    truth = truth_rows(np.array(frames), np.arange(1, len(boxes) + 1), np.array(boxes, float))
+    assert np.abs(covered(truth, np.zeros((0, 4))) - expected).max() <= 1 / 9 + 1e-9
+    assert (covered(truth, np.array([[0.0, 0, 60, 40]])) == 1).all()

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.simulate.paint import PHASES, put, put_scaled, pyramid, walking
+from phdtrack.simulate.paint import PHASES, Placed, put, put_scaled, pyramid, walking
 
 
 def half_red() -> np.ndarray:
@@ -19,19 +19,19 @@ def grey() -> np.ndarray:
 
 def test_put_replaces_what_is_opaque_and_mixes_where_it_is_half_transparent() -> None:
     canvas, expected = grey(), grey()
-    put(canvas, half_red(), 5, 7)
+    put(canvas, Placed(half_red(), 5, 7))
     expected[7:47, 5:15], expected[7:47, 15:25] = (0, 0, 200), (200, 0, 0)
     assert (canvas == expected).all()
     canvas = grey()
-    put(canvas, np.full((10, 10, 4), (100, 100, 100, 128), np.uint8), 0, 0)
+    put(canvas, Placed(np.full((10, 10, 4), (100, 100, 100, 128), np.uint8), 0, 0))
     assert np.abs(canvas[:10, :10].astype(int) - 150).max() <= 1
 
 
 @pytest.mark.parametrize(("left", "top"), [(-10, -10), (50, 50), (-30, 0), (0, 70), (45, -39)])
 def test_put_cuts_at_the_borders(left: int, top: int) -> None:
     canvas, wide = grey(), np.full((200, 200, 3), 100, np.uint8)
-    put(canvas, half_red(), left, top)
-    put(wide, half_red(), left + 70, top + 70)
+    put(canvas, Placed(half_red(), left, top))
+    put(wide, Placed(half_red(), left + 70, top + 70))
     assert (canvas == wide[70:130, 70:130]).all()
 
 

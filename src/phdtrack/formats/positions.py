@@ -14,7 +14,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
-from phdtrack.formats.rows import Rule, enforce, whole
+from phdtrack.formats.rows import Rule, enforce, repeated, whole
 from phdtrack.formats.text import numbers, scan
 from phdtrack.types import F8, I8, Bool
 
@@ -58,13 +58,12 @@ def read_positions(path: AnyPath) -> Positions:
         )
     values = numbers(text, range(len(_COLUMNS)), _COLUMNS)
     bad: Bool = np.logical_not(np.isfinite(values).all(axis=1))
-    infinite = Rule(bad, lambda i: "expected finite numbers, came one that is not")
+    infinite = Rule(bad, "expected finite numbers, came one that is not", values)
     enforce(text.origin, infinite, whole(values[:, 0], "frame"), whole(values[:, 1], "identity"))
     order = np.lexsort((values[:, 1], values[:, 0]))
     frame, identity = values[order, :2].T.astype(np.int64)
-    again = np.zeros(len(order), np.bool_)
-    again[order[1:]] = (np.diff(frame) == 0) & (np.diff(identity) == 0)
-    enforce(text.origin, Rule(again, lambda i: "expected everybody at most once in a frame, came somebody twice"))
+    again = repeated(values[:, 1], values[:, 0]) >= 0
+    enforce(text.origin, Rule(again, "expected everybody at most once in a frame, came somebody twice", values))
     return Positions(frame, identity, np.ascontiguousarray(values[order][:, _PLANE].T))
 
 

@@ -25,11 +25,12 @@ from phdtrack.files import AnyPath, load
 from phdtrack.formats.coco import rows_of_coco
 from phdtrack.formats.columns import rows_of_parquet, rows_of_text
 from phdtrack.formats.cvml import rows_of_cvml
-from phdtrack.formats.rows import Kind, Origin, Rows, Rule, Source, enforce, twice, whole
+from phdtrack.formats.rows import Kind, Origin, Rows, Rule, Source, enforce, repeated, whole
 from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, SequenceInfo, Tracks, Truth
 
 _DISTRACTORS, _MOT20_DISTRACTORS = (2, 7, 8, 12), (2, 6, 7, 8, 12)
 _PEDESTRIAN, _LAST_CLASS = 1, 13
+_BOX = "left {:.7g}, top {:.7g}, right {:.7g}, bottom {:.7g}"
 
 
 def read_detections(path: AnyPath, *, first_frame: int | None = None, within: SequenceInfo | None = None) -> DetectionTable:
@@ -85,7 +86,9 @@ def read_truth(path: AnyPath, *, first_frame: int | None = None, distractors: Co
     rules = [_finite(confidence, "confidence"), _flag(ignore, "distractor")]
     if rows.mot_class is not None and (rows.mot_class != -1).any():
         label = rows.mot_class
-        rules.append(_class_rule(label))
+        cure = "Truth of 8 or 9 columns has a MOTChallenge class in column 8; with 10 columns (MOT15) it has none."
+        unknown = ~np.isin(label, np.arange(1, _LAST_CLASS + 1))
+        rules.append(Rule(unknown, f"expected a class from 1 to {_LAST_CLASS}, came {{:.15g}}", label, cure))
         if distractors is None:
             mot20 = any(part.upper().startswith("MOT20") for part in path.absolute().parts)
             distractors = _MOT20_DISTRACTORS if mot20 else _DISTRACTORS
@@ -141,11 +144,15 @@ def _frames(rows: Rows) -> I8:
 
 def _identified(rows: Rows, *rules: Rule) -> tuple[I8, I8]:
     """Frames and identities (M,) of rows that obey the rules and have one box for an identity in a frame."""
-    values = _filled(rows, rows.identity, 0)
+    values, origin = _filled(rows, rows.identity, 0), rows.origin
     cure = "An identity of −1 means that there is none: is this a file of detections?"
-    enforce(rows.origin, *_box_rules(rows), whole(values, "identity", lowest=0, cure=cure), *rules)
+    enforce(origin, *_box_rules(rows), whole(values, "identity", lowest=0, cure=cure), *rules)
     frame, identity = _frames(rows), values.astype(np.int64)
-    enforce(rows.origin, twice(rows.origin, frame, identity))
+    before = repeated(identity, frame)
+    problem = f"identity {{}} is in frame {{}} (counted from 1) already, in {origin.unit} {{}}"
+    cure = "One object has one box in a frame: remove one, or give it an identity of its own."
+    earlier = origin.number[before] if len(before) else before
+    enforce(origin, Rule(before >= 0, problem, np.stack([identity, frame, earlier], axis=1), cure))
     return frame, identity
 
 
@@ -153,45 +160,34 @@ def _box_rules(rows: Rows) -> list[Rule]:
     first, box = rows.first, rows.xyxy
     number = whole(rows.frame, "frame number")
     cure = "Where the file counts from 0, add 1, or in Python read it with first_frame=0." if first == 1 else ""
-    with np.errstate(invalid="ignore"):
-        early = rows.frame < first
-        flat = ~((box[:, 2] > box[:, 0]) & (box[:, 3] > box[:, 1]))
+    with np.errstate(invalid="ignore", over="ignore"):
+        early, size = rows.frame < first, box[:, 2:] - box[:, :2]
+        flat = ~(box[:, 2:] > box[:, :2]).all(axis=1)
     finite: Bool = np.isfinite(np.abs(box).max(axis=1))  # a NaN is the largest
-    size = box[:, 2:] - box[:, :2]
     empty = "expected a width and a height above 0, came width {:.7g}, height {:.7g}"
     return [
         number,
-        Rule(early & ~number.bad, lambda i: f"expected frame {first} or later, came {rows.frame[i]:.15g}", cure),
-        Rule(~finite, lambda i: f"expected finite numbers for the box, came {_box(box[i])}", "Remove the row."),
-        Rule(flat & finite, lambda i: empty.format(*size[i]), "Mend or remove the row."),
+        Rule(early & ~number.bad, f"expected frame {first} or later, came {{:.15g}}", rows.frame, cure),
+        Rule(~finite, f"expected finite numbers for the box, came {_BOX}", box, "Remove the row."),
+        Rule(flat & finite, empty, size, "Mend or remove the row."),
     ]
 
 
-def _box(box: F8) -> str:
-    return ", ".join(f"{name} {value:.7g}" for name, value in zip(("left", "top", "right", "bottom"), box, strict=True))
-
-
 def _finite(values: F8, name: str) -> Rule:
-    return Rule(~np.isfinite(values), lambda i: f"expected a finite {name}, came {values[i]}")
+    return Rule(~np.isfinite(values), f"expected a finite {name}, came {{}}", values)
 
 
 def _flag(values: F8, name: str) -> Rule:
-    return Rule((values != 0) & (values != 1), lambda i: f"expected 0 or 1 for {name}, came {values[i]:.15g}")
-
-
-def _class_rule(label: F8) -> Rule:
-    unknown = ~np.isin(label, np.arange(1, _LAST_CLASS + 1))
-    cure = "Truth of 8 or 9 columns has a MOTChallenge class in column 8; with 10 columns (MOT15) it has none."
-    return Rule(unknown, lambda i: f"expected a class from 1 to {_LAST_CLASS}, came {label[i]:.15g}", cure)
+    return Rule((values != 0) & (values != 1), f"expected 0 or 1 for {name}, came {{:.15g}}", values)
 
 
 def _outside(box: F8, picture: SequenceInfo) -> Rule:
     """The fault of a box of which nothing is in the picture. Parts outside are usual: people walk in and out."""
-    width, height = picture.width, picture.height
     with np.errstate(invalid="ignore"):
-        bad = (box[:, 0] >= width) | (box[:, 1] >= height) | (box[:, 2] <= 0) | (box[:, 3] <= 0)
+        inside = (box[:, :2] < (picture.width, picture.height)) & (box[:, 2:] > 0)
+    problem = f"expected a box in the picture of {picture.width} × {picture.height} pixels, came {_BOX}"
     cure = "Do the detections belong to this video, and are they in pixels of its full size?"
-    return Rule(bad, lambda i: f"expected a box in the picture of {width} × {height} pixels, came {_box(box[i])}", cure)
+    return Rule(np.logical_not(inside.all(axis=1)), problem, box, cure)
 
 
 def _symmetric(triangle: F8) -> F8:
@@ -207,4 +203,4 @@ def _definite(covariance: F8) -> Rule:
     matrix = np.where(finite[:, None, None], covariance, 0.0)
     lowest = np.linalg.eigvalsh(matrix).min(axis=1, initial=0.0)
     bad = ~finite | (lowest < -1e-6 * np.abs(matrix).max(axis=(1, 2), initial=0.0))
-    return Rule(bad, lambda i: "expected a covariance that is finite and positive semidefinite, came another matrix")
+    return Rule(bad, "expected a covariance that is finite and positive semidefinite, came another matrix", lowest)

@@ -5,7 +5,6 @@ The first bad row is reported, by its place in the file, with the number of furt
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto
 from pathlib import Path
@@ -78,12 +77,12 @@ class Rows:
     covariance: F8 | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rule:
-    """A fault: ``bad`` (M,) marks the rows that have it, ``problem`` describes it for one row, ``cure`` says what to do."""
+class Rule(NamedTuple):
+    """A fault: the rows that have it (M,), its description with places for the row's ``values`` (M,) or (M, k), a cure."""
 
     bad: Bool
-    problem: Callable[[int], str]
+    problem: str
+    values: F8 | I8
     cure: str = ""
 
 
@@ -95,11 +94,12 @@ def enforce(origin: Origin, *rules: Rule) -> None:
     row, rule = min(broken, key=lambda pair: pair[0])
     others = int(np.count_nonzero(rule.bad)) - 1
     more = f" ({others} more like it)" if others else ""
-    raise InputError(rule.problem(row) + more, where=origin.at(row), cure=rule.cure)
+    problem = rule.problem.format(*np.atleast_1d(rule.values[row]).tolist())
+    raise InputError(problem + more, where=origin.at(row), cure=rule.cure)
 
 
 def whole(values: F8, name: str, *, lowest: float = -_LARGEST, cure: str = "") -> Rule:
-    """The fault of a value (M,) that is no whole number, is below ``lowest``, or too large to be exact.
+    """The fault of a value that is no whole number, is below the lowest, or too large to be exact.
 
     Parameters
     ----------
@@ -111,24 +111,13 @@ def whole(values: F8, name: str, *, lowest: float = -_LARGEST, cure: str = "") -
     with np.errstate(invalid="ignore"):
         good = (np.abs(values) <= _LARGEST) & (np.floor(values) == values) & (values >= lowest)
     least = "" if lowest == -_LARGEST else f" of {lowest:.0f} or more"
-    return Rule(~good, lambda i: f"expected a whole number{least} for the {name}, came {values[i]:.15g}", cure)
+    return Rule(~good, f"expected a whole number{least} for the {name}, came {{:.15g}}", values, cure)
 
 
-def twice(origin: Origin, frame: I8, identity: I8) -> Rule:
-    """The fault of an identity that is in one frame again: the later row has it, the message names the earlier one.
-
-    Parameters
-    ----------
-    origin : where each row stands in its file.
-    frame, identity : (M,).
-    """
-    order = np.lexsort((identity, frame))
-    same = (np.diff(frame[order]) == 0) & (np.diff(identity[order]) == 0)
-    before = np.full(len(frame), -1)
+def repeated(*columns: F8 | I8) -> I8:
+    """(M,) for each row an earlier one with the same values in all columns (M,); −1 where there is none."""
+    order = np.lexsort(columns)
+    same = np.all([np.diff(column[order]) == 0 for column in columns], axis=0)
+    before = np.full(len(order), -1)
     before[order[1:][same]] = order[:-1][same]
-
-    def problem(i: int) -> str:
-        place = f"{origin.unit} {origin.number[before[i]]}"
-        return f"identity {identity[i]} is in frame {frame[i]} (counted from 1) already, in {place}"
-
-    return Rule(before >= 0, problem, "One object has one box in a frame: remove one, or give it an identity of its own.")
+    return before

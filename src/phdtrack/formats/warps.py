@@ -16,7 +16,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
-from phdtrack.formats.rows import Rule, enforce
+from phdtrack.formats.rows import Rule, enforce, repeated
 from phdtrack.formats.text import Text, numbers, scan
 from phdtrack.formats.write import Lines
 from phdtrack.models.warp import after, as_warp
@@ -52,12 +52,10 @@ def read_warps(path: AnyPath) -> Warps:
     values = numbers(text, columns, _NAMES[: len(columns)])
     cure = "Frames count from 1; the matrix of frame 2 leads there from frame 1."
     wrong = ~((values[:, 0] >= 1) & (values[:, 0] % 1 == 0))
-    enforce(text.origin, Rule(wrong, lambda i: f"expected a frame number from 1, came {values[i, 0]:g}", cure))
+    enforce(text.origin, Rule(wrong, "expected a frame number from 1, came {:g}", values[:, 0], cure))
     order = np.argsort(values[:, 0], kind="stable")
     frame = values[order, 0].astype(np.int64)
-    again = np.zeros(len(order), np.bool_)
-    again[order[1:]] = np.diff(frame) == 0
-    enforce(text.origin, Rule(again, lambda i: f"frame {values[i, 0]:.0f} comes twice"))
+    enforce(text.origin, Rule(repeated(values[:, 0]) >= 0, "frame {:.0f} comes twice", values[:, 0]))
     matrix = [as_warp(values[k, 1:].reshape(-1, 3), text.origin.at(int(k))) for k in order]
     return Warps(frame, np.array(matrix).reshape(-1, 3, 3))
 

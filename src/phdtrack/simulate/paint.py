@@ -51,15 +51,9 @@ class Placed(NamedTuple):
     top: int
 
 
-def put(canvas: Image, sprite: Image, left: int, top: int) -> None:
-    """Put the sprite on the canvas, in place, with its corner at this pixel; what lies outside is cut.
-
-    Parameters
-    ----------
-    canvas : (H, W, 3) uint8.
-    sprite : (h, w, 4) uint8.
-    left, top : pixels.
-    """
+def put(canvas: Image, placed: Placed) -> None:
+    """Put a sprite on the canvas (H, W, 3), in place; what lies outside is cut."""
+    sprite, left, top = placed
     height, width = sprite.shape[:2]
     x0, y0 = max(left, 0), max(top, 0)
     x1, y1 = min(left + width, canvas.shape[1]), min(top + height, canvas.shape[0])
@@ -99,7 +93,7 @@ def put_scaled(canvas: Image, levels: tuple[Image, ...], box: F8, *, mirrored: b
     across, down = (right - left) / sprite.shape[1], (bottom - top) / sprite.shape[0]
     start = (right - across / 2 if mirrored else left + across / 2) - x0 - 0.5
     move = np.array([[-across if mirrored else across, 0, start], [0, down, top + down / 2 - y0 - 0.5]])
-    put(canvas, cv2.warpAffine(sprite, move, size, flags=cv2.INTER_LINEAR), x0, y0)
+    put(canvas, Placed(cv2.warpAffine(sprite, move, size, flags=cv2.INTER_LINEAR), x0, y0))
 
 
 def walking(rng: np.random.Generator, aspect: float) -> tuple[tuple[Image, ...], ...]:
@@ -198,7 +192,7 @@ class Plant:
         across = x - self.bend * (np.float32(sway) + np.float32(0.6 * gust) * tremble)
         down = y - self.bend * np.float32(0.35 * gust) * tremble
         bent = cv2.remap(self.sprite, across.astype(np.float32), down.astype(np.float32), cv2.INTER_LINEAR)
-        put(canvas, bent, self.left, self.top)
+        put(canvas, Placed(bent, self.left, self.top))
 
 
 def grow(box: F8, rng: np.random.Generator) -> Plant:

@@ -91,13 +91,13 @@ class Rendered:
             paint.put_scaled(canvas, self._shadow, place)
         strokes = [(float(figures.xyxy[row, 3]), partial(self._figure, canvas, int(row))) for row in here]
         for foot, thing in zip(self.scene.obstacles[:, 3].tolist(), self._things, strict=True):
-            strokes.append((foot, partial(paint.put, canvas, *thing)))
+            strokes.append((foot, partial(paint.put, canvas, thing)))
         for plant, gust in zip(self._plants, self._gusts[number - 1].tolist(), strict=True):
             strokes.append((plant.foot, partial(plant.wave, canvas, number / info.fps, gust)))
         for _, stroke in sorted(strokes, key=lambda pair: pair[0]):
             stroke()
         for leaf in self._leaves[slice(*np.searchsorted(self._blown, [number, number + 1]))]:
-            paint.put(canvas, *leaf)
+            paint.put(canvas, leaf)
         top, left = self._corners[number - 1]
         noise = self._noise[top : top + info.height, left : left + info.width]
         picture: Image = cv2.addWeighted(canvas, float(self._gain[number - 1]), noise, 1.0, -_MIDDLE)
