@@ -9,8 +9,7 @@ from detect_scenes import HEIGHT, WIDTH, Scene
 
 from phdtrack.arrays import iou
 from phdtrack.detect import make_detector
-from phdtrack.detect.background import MeanBackgroundDetector, MeanBackgroundSettings
-from phdtrack.detect.change import ChangeDetector, chi2_quantile, median_image, relit
+from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector, MeanBackgroundSettings, median_image, relit
 from phdtrack.errors import InputError
 from phdtrack.protocols import Detector
 from phdtrack.types import Detections, Frame, Image
@@ -176,13 +175,6 @@ def test_light_is_fitted_though_a_third_of_the_picture_has_changed(rng: np.rando
     frame[:, :50] = 0
     adapted = relit(reference, frame, np.zeros((HEIGHT, WIDTH), np.uint8))
     assert np.abs(adapted.astype(int) - expected).max() <= 2
-
-
-@pytest.mark.parametrize("probability", [0.9, 0.99, 0.999])
-def test_the_quantile_is_scipys(probability: float) -> None:
-    from scipy.stats import chi2
-
-    assert chi2_quantile(probability, 3) == pytest.approx(chi2.ppf(probability, 3), rel=0.02)
 
 
 @pytest.mark.data

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from phdtrack.arrays import iou
 from phdtrack.detect import DETECTORS, CallableDetector, TableDetector, detector_names, detector_parameters, make_detector
-from phdtrack.detect.person import strongest
-from phdtrack.detect.wrappers import Masked, Rescaled
+from phdtrack.detect.opencv import strongest
+from phdtrack.detect.registry import Masked, Rescaled
 from phdtrack.errors import InputError
 from phdtrack.types import Detections, DetectionTable, Frame
 

@@ -10,8 +10,16 @@ from typing import TYPE_CHECKING
 from phdtrack.files import lazy
 
 if TYPE_CHECKING:
-    from phdtrack.detect.registry import BACKGROUND, DETECTORS, detector_names, detector_parameters, make_detector, typed
-    from phdtrack.detect.wrappers import CallableDetector, TableDetector
+    from phdtrack.detect.registry import (
+        BACKGROUND,
+        DETECTORS,
+        CallableDetector,
+        TableDetector,
+        detector_names,
+        detector_parameters,
+        make_detector,
+        typed,
+    )
 
 __all__ = [
     "BACKGROUND",
@@ -24,7 +32,4 @@ __all__ = [
     "typed",
 ]
 
-_WRAPPERS = ("CallableDetector", "TableDetector")
-__getattr__, __dir__ = lazy(
-    __name__, {name: f"{__name__}.{'wrappers' if name in _WRAPPERS else 'registry'}" for name in __all__}
-)
+__getattr__, __dir__ = lazy(__name__, dict.fromkeys(__all__, f"{__name__}.registry"))

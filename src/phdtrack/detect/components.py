@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -25,27 +25,9 @@ from phdtrack.checks import check
 from phdtrack.errors import InputError
 from phdtrack.types import F8, Detections, Frame, Image
 
-
-def check_odd(settings: object, *names: str) -> None:
-    """Raise InputError unless each of the named settings is an odd whole number."""
-    for name in names:
-        value = getattr(settings, name)
-        if value % 2 != 1:
-            raise InputError(f"expected an odd whole number, got {value!r}", where=f"{type(settings).__name__}.{name}")
-
-
-def check_same_size(frame: Frame, shape: tuple[int, ...]) -> None:
-    """Raise InputError where ``frame`` is not of the (H, W) ``shape`` that the detector has learned."""
-    if frame.image.shape[:2] != shape[:2]:
-        got, learned = (f"{size[1]}x{size[0]}" for size in (frame.image.shape, shape))
-        raise InputError(
-            f"this frame is {got} pixels, the background was learned at {learned}",
-            where=f"frame {frame.number}",
-            cure="Call reset() before another video.",
-        )
-
-
 Contour = NDArray[np.int32]
+# Corners in whole pixels: left, top, right, bottom; right and bottom are one beyond the last.
+Box = tuple[int, int, int, int]
 FrameShare = Annotated[float, Ge(0), Lt(1)]
 _SMALLEST_SHARE = 0.3
 _NARROWEST = 0.15
@@ -79,49 +61,53 @@ class BlobSettings:
         check(self)
 
 
-class Box(NamedTuple):
-    """Corners in whole pixels; right and bottom are one beyond the last."""
-
-    left: int
-    top: int
-    right: int
-    bottom: int
+def check_same_size(frame: Frame, shape: tuple[int, ...]) -> None:
+    """Raise InputError where ``frame`` is not of the (H, W) ``shape`` that the detector has learned."""
+    if frame.image.shape[:2] != shape[:2]:
+        got, learned = (f"{size[1]}x{size[0]}" for size in (frame.image.shape, shape))
+        raise InputError(
+            f"this frame is {got} pixels, the background was learned at {learned}",
+            where=f"frame {frame.number}",
+            cure="Call reset() before another video.",
+        )
 
 
 def clean(mask: Image, settings: BlobSettings) -> Image:
     """(H, W) uint8, 255 where ``mask`` (H, W) still is foreground after peeling and closing."""
     height = mask.shape[0]
     radius = round(settings.peel * height)  # 0 in small pictures, where a pixel is a good part of an arm
-    across = max(1, round(settings.closing * height / 3)) | 1
-    along = max(1, round(settings.closing * height)) | 1
-    peeled = cv2.erode(mask, _element(2 * radius + 1, 2 * radius + 1, cv2.MORPH_RECT)) if radius else mask
-    speck = 2 * max(1, radius) + 1
-    opened = cv2.morphologyEx(peeled, cv2.MORPH_OPEN, _element(speck, speck))
-    closed: Image = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, _element(across, along))
-    return closed
+    speck, across, along = 2 * max(1, radius) + 1, *(max(1, round(settings.closing * height / k)) | 1 for k in (3, 1))
+    peeled = cv2.erode(mask, np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)) if radius else mask
+    opened = cv2.morphologyEx(peeled, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (speck, speck)))
+    element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (across, along))
+    return np.asarray(cv2.morphologyEx(opened, cv2.MORPH_CLOSE, element), np.uint8)
 
 
 def components(mask: Image, settings: BlobSettings) -> list[Contour]:
     """The outer contours (n, 1, 2) of what is large enough in a cleaned ``mask``, objects that touch parted."""
     found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     least = settings.min_area * mask.size
-    large = (contour for contour in found if cv2.contourArea(contour) >= least)
+    large = (np.asarray(contour, np.int32) for contour in found if cv2.contourArea(contour) >= least)
     return [part for contour in large for part in _split(contour, settings.split, least)]
 
 
 def boxes(contours: Sequence[Contour], shape: tuple[int, ...], settings: BlobSettings) -> F8:
-    """(N, 4) xyxy of the objects in the components, in a frame of ``shape`` (H, W, ...); from top to bottom.
+    """(N, 4) xyxy of the objects in the components, from top to bottom.
 
     Parameters
     ----------
     contours : outlines of the components.
     shape : (H, W, ...) of the frame.
-    settings : which components count.
+    settings : which fragments are joined, and what was peeled.
+
+    Returns
+    -------
+    The boxes, in the frame.
     """
     height, width = shape[:2]
-    boxes = [Box(x, y, x + w, y + h) for x, y, w, h in map(cv2.boundingRect, contours)]
-    joined = _join(boxes, settings.join) if settings.join > 0 else boxes
-    rows = np.array(sorted(joined, key=lambda box: (box.top, box.left)), np.float64).reshape(-1, 4)
+    found = [(x, y, x + w, y + h) for x, y, w, h in map(cv2.boundingRect, contours)]
+    joined = _join(found, settings.join) if settings.join > 0 else found
+    rows = np.array(sorted(joined, key=lambda box: (box[1], box[0])), np.float64).reshape(-1, 4)
     grown = round(settings.peel * height)
     inside: F8 = np.clip(rows + np.array([-grown, -grown, grown, grown]), 0, [width, height, width, height])
     return inside
@@ -129,13 +115,7 @@ def boxes(contours: Sequence[Contour], shape: tuple[int, ...], settings: BlobSet
 
 def detections(mask: Image, settings: BlobSettings) -> Detections:
     """The detections in a raw foreground ``mask`` (H, W) uint8."""
-    cleaned = clean(mask, settings)
-    return Detections.of(boxes(components(cleaned, settings), mask.shape, settings))
-
-
-def _element(across: int, along: int, kind: int = cv2.MORPH_ELLIPSE) -> Image:
-    element: Image = cv2.getStructuringElement(kind, (across, along))
-    return element
+    return Detections.of(boxes(components(clean(mask, settings), settings), mask.shape, settings))
 
 
 def _split(contour: Contour, depth: float, least: float) -> list[Contour]:
@@ -146,15 +126,12 @@ def _split(contour: Contour, depth: float, least: float) -> list[Contour]:
     filled = np.zeros((height, width), np.uint8)
     cv2.drawContours(filled, [contour], -1, 255, cv2.FILLED, offset=(-x, -y))
     cut = _valley(filled, depth)
-    if cut is None:
-        return [contour]
     parts: list[Contour] = []
-    for left, right in ((0, cut), (cut, width)):
+    for left, right in () if cut is None else ((0, cut), (cut, width)):
         pieces, _ = cv2.findContours(filled[:, left:right].copy(), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
         largest = max(pieces, key=cv2.contourArea)
         if cv2.contourArea(largest) >= least:
-            moved: Contour = largest + np.array([x + left, y], np.int32)
-            parts.extend(_split(moved, depth, least))
+            parts.extend(_split(np.asarray(largest + np.array([x + left, y]), np.int32), depth, least))
     return parts or [contour]
 
 
@@ -162,12 +139,9 @@ def _valley(filled: Image, depth: float) -> int | None:
     """The column at which to cut ``filled`` (h, w), None where no valley is deep enough."""
     height, width = filled.shape
     profile = np.count_nonzero(filled, axis=0).astype(np.float64)
-    span = max(3, round(_SMOOTHING * height)) | 1
-    profile = cv2.blur(profile[None], (span, 1))[0]
-    left = np.maximum.accumulate(profile)
-    right = np.maximum.accumulate(profile[::-1])[::-1]
-    before = np.cumsum(profile)
-    margin = round(max(2.0, _NARROWEST * height))
+    profile = cv2.blur(profile[None], (max(3, round(_SMOOTHING * height)) | 1, 1))[0]
+    left, right = np.maximum.accumulate(profile), np.maximum.accumulate(profile[::-1])[::-1]
+    before, margin = np.cumsum(profile), round(max(2.0, _NARROWEST * height))
     allowed = (before > _SMALLEST_SHARE * before[-1]) & (before < (1 - _SMALLEST_SHARE) * before[-1])
     allowed[:margin] = False
     allowed[width - margin :] = False
@@ -181,10 +155,7 @@ def _join(parts: list[Box], gap: float) -> list[Box]:
     joined: list[Box] = []
     for part in parts:
         box = part
-        while True:
-            partner = next((other for other in joined if _belong(box, other, gap)), None)
-            if partner is None:
-                break
+        while partner := next((other for other in joined if _belong(box, other, gap)), None):
             joined.remove(partner)
             box = _union(box, partner)
         joined.append(box)
@@ -192,14 +163,14 @@ def _join(parts: list[Box], gap: float) -> list[Box]:
 
 
 def _union(a: Box, b: Box) -> Box:
-    return Box(min(a.left, b.left), min(a.top, b.top), max(a.right, b.right), max(a.bottom, b.bottom))
+    """The box that holds both."""
+    return min(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), max(a[3], b[3])
 
 
 def _belong(a: Box, b: Box, gap: float) -> bool:
     """Whether two boxes are fragments of one upright object."""
-    both = _union(a, b)
-    width, height = both.right - both.left, both.bottom - both.top
-    shared = min(a.right, b.right) - max(a.left, b.left)
-    between = max(a.top, b.top) - min(a.bottom, b.bottom)
-    aligned = shared > _ALIGNED * min(a.right - a.left, b.right - b.left)
+    left, top, right, bottom = _union(a, b)
+    width, height = right - left, bottom - top
+    shared, between = min(a[2], b[2]) - max(a[0], b[0]), max(a[1], b[1]) - min(a[3], b[3])
+    aligned = shared > _ALIGNED * min(a[2] - a[0], b[2] - b[0])
     return aligned and between < gap * height and width < _WIDEST * height and height < _SLENDEREST * width

@@ -31,34 +31,32 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
     if isinstance(obj, Detections):
         return _checked(obj, where)
     if obj is None:
-        raise InputError(
-            "expected boxes, got None",
-            where=where,
-            cure="Where nothing was detected give an empty array: numpy.empty((0, 4)).",
-        )
+        cure = "Where nothing was detected give an empty array: numpy.empty((0, 4))."
+        raise InputError("expected boxes, got None", where=where, cure=cure)
     boxes = getattr(obj, "xyxy", None)
+    table = _numbers(obj if boxes is None else boxes, where)
+    n = len(table) if table.size else 0
     if boxes is not None:
-        table = _numbers(boxes, where)
-        if table.size and (table.ndim != 2 or table.shape[1] != 4):
+        if n and (table.ndim != 2 or table.shape[1] != 4):
             raise InputError(f"expected .xyxy of shape (N, 4), got {table.shape}", where=where)
-        n = len(table) if table.size else 0
-        score, label = _attribute(obj, ("confidence", "conf"), n, where), _attribute(obj, ("class_id", "cls"), n, where)
-        return _assembled(table, score, label, where)
-    table = _numbers(obj, where)
-    if table.size and (table.ndim != 2 or table.shape[1] not in (4, 5, 6)):
+        score, label = (_attribute(obj, names, n, where) for names in (("confidence", "conf"), ("class_id", "cls")))
+    elif not n:
+        return Detections.empty()
+    elif table.ndim != 2 or table.shape[1] not in (4, 5, 6):
         cure = "A single box is an array of one row: [[left, top, right, bottom]]." if table.ndim == 1 else ""
         raise InputError(f"expected {_COLUMNS}; got an array of shape {table.shape}", where=where, cure=cure)
-    if not table.size:
-        return Detections.empty()
-    score = table[:, 4] if table.shape[1] > 4 else None
-    label = table[:, 5] if table.shape[1] > 5 else None
-    return _assembled(table[:, :4], score, label, where)
+    else:
+        score, label = (table[:, k] if table.shape[1] > k else None for k in (4, 5))
+    label = np.zeros(n) if label is None else label
+    whole = (np.abs(label) < _LARGEST_CLASS) & (np.rint(label) == label)
+    if not whole.all():
+        row = int(np.argmin(whole))
+        raise InputError(f"row {row} (from 0): the class must be a whole number, not {label[row]:g}", where=where)
+    return _checked(Detections.of(table[:, :4] if n else np.zeros((0, 4)), score, label.astype(np.int64)), where)
 
 
 def check_inside(detections: Detections, width: int, height: int, *, where: str = "", drop: bool = False) -> Detections:
     """The detections of a frame of ``width`` x ``height`` pixels; boxes that overlap its edge are fine.
-
-    A box wholly outside raises InputError that names its row, or is left out where ``drop`` is True.
 
     Parameters
     ----------
@@ -66,6 +64,14 @@ def check_inside(detections: Detections, width: int, height: int, *, where: str 
     width, height : of the frame, pixels.
     where : what the message names.
     drop : leave boxes outside out instead of raising.
+
+    Returns
+    -------
+    The detections.
+
+    Raises
+    ------
+    InputError : a box is wholly outside.
     """
     inside = share_inside(detections.xyxy, width, height) > 0
     if inside.all():
@@ -88,6 +94,10 @@ def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple
     table : detections of a sequence.
     info : its size.
     path : their file, for messages.
+
+    Returns
+    -------
+    The detections, and the sentences.
 
     Raises
     ------
@@ -129,25 +139,15 @@ def _attribute(obj: object, names: tuple[str, str], n: int, where: str) -> F8 | 
     return None
 
 
-def _assembled(xyxy: F8, confidence: F8 | None, class_id: F8 | None, where: str) -> Detections:
-    class_id = np.zeros(len(xyxy)) if class_id is None else class_id
-    whole = (np.abs(class_id) < _LARGEST_CLASS) & (np.rint(class_id) == class_id)
-    if not whole.all():
-        row = int(np.argmin(whole))
-        raise InputError(f"row {row} (from 0): the class must be a whole number, not {class_id[row]:g}", where=where)
-    return _checked(Detections.of(xyxy, confidence, class_id.astype(np.int64)), where)
-
-
 def _checked(detections: Detections, where: str) -> Detections:
     """``detections`` itself, where its shapes agree and its values make sense."""
-    xyxy, n = detections.xyxy, len(detections.xyxy)
-    if xyxy.shape != (n, 4) or detections.confidence.shape != (n,) or detections.class_id.shape != (n,):
-        raise InputError(
-            f"expected xyxy (N, 4), confidence (N,) and class_id (N,), got {xyxy.shape}, "
-            f"{detections.confidence.shape} and {detections.class_id.shape}",
-            where=where,
-        )
+    xyxy, n, cov = detections.xyxy, len(detections.xyxy), detections.covariance
+    shapes = xyxy.shape, detections.confidence.shape, detections.class_id.shape
+    if shapes != ((n, 4), (n,), (n,)):
+        got = f"{shapes[0]}, {shapes[1]} and {shapes[2]}"
+        raise InputError(f"expected xyxy (N, 4), confidence (N,) and class_id (N,), got {got}", where=where)
     finite = np.isfinite(xyxy).all(axis=1) & np.isfinite(detections.confidence)
+    sized = (xyxy[:, 2] > xyxy[:, 0]) & (xyxy[:, 3] > xyxy[:, 1])
     if not finite.all():
         row = int(np.argmin(finite))
         raise InputError(
@@ -155,7 +155,6 @@ def _checked(detections: Detections, where: str) -> Detections:
             where=where,
             cure="Leave out boxes that the detector could not compute.",
         )
-    sized = (xyxy[:, 2] > xyxy[:, 0]) & (xyxy[:, 3] > xyxy[:, 1])
     if not sized.all():
         row = int(np.argmin(sized))
         raise InputError(
@@ -163,11 +162,11 @@ def _checked(detections: Detections, where: str) -> Detections:
             where=where,
             cure="Boxes are left, top, right, bottom with left < right and top < bottom; convert from x, y, width, height.",
         )
-    covariance = detections.covariance
-    if covariance is not None and (covariance.shape != (n, 4, 4) or not np.isfinite(covariance).all()):
-        raise InputError(f"expected a finite covariance of shape {(n, 4, 4)}, got {covariance.shape}", where=where)
+    if cov is not None and (cov.shape != (n, 4, 4) or not np.isfinite(cov).all()):
+        raise InputError(f"expected a finite covariance of shape {(n, 4, 4)}, got {cov.shape}", where=where)
     return detections
 
 
 def _box(box: F8) -> str:
+    """The box in words."""
     return "[" + ", ".join(f"{value:g}" for value in box) + "]"

@@ -19,18 +19,16 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import cache, cached_property
 
 import numpy as np
 
-from phdtrack.arrays import area, to_xyxy
+from phdtrack.arrays import area, intersection, to_xyxy
 from phdtrack.checks import NonNegative, Probability, check
-from phdtrack.kernels.joining import meeting
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Bool, Detections, Estimates, Explanation
 
-# Targets and blobs touch where they meet once the targets' edges are moved out by so many deviations.
-REACH = 1.0
 # Deviations beyond which a blob does not fit; blobs and targets that are explained together, at most.
 GATE, GROUP = 5.0, 6
 # Largest probability of existence; targets of a smaller one than the least are expected no more.
@@ -41,6 +39,8 @@ TINY = 1e-300
 # (left, top, right, bottom) of (centre x, centre y, width, height), and the direction in which each edge lies outward.
 EDGES: F8 = np.array([[1, 0, -0.5, 0], [0, 1, 0, -0.5], [1, 0, 0.5, 0], [0, 1, 0, 0.5]])
 OUTWARD: F8 = np.array([-1.0, -1.0, 1.0, 1.0])
+# The targets of each blob, by number.
+Members = list[tuple[int, ...]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,42 +64,22 @@ class ExpectedTargets:
     @classmethod
     def empty(cls) -> ExpectedTargets:
         """No targets."""
-        none = np.zeros(0)
-        return cls(np.zeros((0, 0)), np.zeros((0, 0, 0)), none, none, none)
+        return cls(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros(0), np.zeros(0))
 
     def __len__(self) -> int:
         return len(self.existence)
 
     def take(self, index: I8 | Bool) -> ExpectedTargets:
         """The targets at ``index`` (integers or a mask)."""
-        state = np.ascontiguousarray(self.state[:, index])
-        return ExpectedTargets(
-            state, self.covariance[index], self.existence[index], self.hidden[index], self.separate[index]
-        )
+        others = (self.covariance, self.existence, self.hidden, self.separate)
+        return ExpectedTargets(np.ascontiguousarray(self.state[:, index]), *(part[index] for part in others))
 
     def joined(self, other: ExpectedTargets) -> ExpectedTargets:
         """The targets of both."""
         if not len(self) or not len(other):
             return self if len(self) else other
-        return ExpectedTargets(
-            np.concatenate([self.state, other.state], axis=1),
-            np.concatenate([self.covariance, other.covariance]),
-            np.concatenate([self.existence, other.existence]),
-            np.concatenate([self.hidden, other.hidden]),
-            np.concatenate([self.separate, other.separate]),
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Assignment:
-    """The best explanation of a frame.
-
-    ``target`` (N,): the target that each blob belongs to, −1 for none; of a merged blob the first. ``merged``: the targets
-    of each merged blob.
-    """
-
-    target: I8
-    merged: dict[int, tuple[int, ...]]
+        pairs = [(getattr(self, field.name), getattr(other, field.name)) for field in fields(self)]
+        return ExpectedTargets(np.hstack(pairs[0]), *(np.concatenate(pair) for pair in pairs[1:]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,18 +115,29 @@ class MergedMeasurements:
         detections : N boxes of this frame.
         model : the model of boxes.
         dt : interval since the last frame, time units.
+
+        Returns
+        -------
+        The targets, and the explanation.
         """
         targets = predicted(state, model, dt)
         if not (detections.observed and len(targets) and len(detections)):
             return targets, Explanation.unchanged(detections)
         boxes = to_xyxy(model.sensor.expected(targets.state)[:4])
-        best = self._assigned(targets, boxes, detections, model)
-        return _timed(targets, best, boxes, dt / model.rate), _divided(detections, best, boxes)
+        # In the order of their edges, so that nothing depends on the order in which they come.
+        blobs, rows = (np.lexsort(edges.T[::-1]) for edges in (detections.xyxy, boxes))
+        found = _Frame(self, model, targets.take(rows), boxes[rows], detections.take(blobs)).members()
+        members: Members = [()] * len(blobs)
+        for b, several in zip(blobs.tolist(), found, strict=True):
+            members[b] = tuple(rows[list(several)].tolist())
+        return _timed(targets, members, boxes, dt / model.rate), _divided(detections, members, boxes)
 
     def advance(
         self, targets: ExpectedTargets, explanation: Explanation, estimates: Estimates, model: Model, dt: float
     ) -> ExpectedTargets:
-        """The targets after the frame.
+        """The targets after the frame: the estimates, and expected targets that these do not show but that may be there.
+
+        A target that was missed stays with probability r ← r (1 − p_D)/(1 − r p_D).
 
         Parameters
         ----------
@@ -155,145 +146,132 @@ class MergedMeasurements:
         estimates : the states that the filter shows.
         model : the model of boxes.
         dt : interval since the last frame, time units.
+
+        Returns
+        -------
+        The targets.
         """
         if not explanation.detections.observed:
             return targets
-        return _updated(targets, explanation.target, estimates, model, dt / model.rate, self.max_hidden_time)
-
-    def _assigned(self, targets: ExpectedTargets, boxes: F8, detections: Detections, model: Model) -> Assignment:
-        """The best explanation; it does not depend on the order of blobs or targets."""
-        sensor, rows = model.sensor, list(model.sensor.observed)
-        z = sensor.measure(detections)
-        usable: Bool = np.asarray(np.isfinite(z).all(axis=0), np.bool_)
-        spread = EDGES @ targets.covariance[:, rows][:, :, rows] @ EDGES.T
-        reach = REACH * np.sqrt(np.maximum(np.einsum("nii->ni", spread), 0.0))
-        blob, target = contacts(detections.xyxy, boxes, reach)
-        blob, target = blob[usable[blob]], target[usable[blob]]
-        of = np.full(len(detections), -1)
-        if max(np.bincount(blob, minlength=1).max(), np.bincount(target, minlength=1).max()) < 2:
-            of[blob] = target
-            return Assignment(of, {})
-        kappa = np.zeros(len(detections))
-        kappa[usable] = model.clutter.intensity(np.ascontiguousarray(z[:, usable]))
-        p, shared = sensor.p_detect(targets.state), _shared_area(detections.xyxy[blob], boxes[target])
-        covered = np.zeros(len(targets))
-        np.maximum.at(covered, target, shared / np.maximum(area(boxes[target]), TINY))
-        missed = targets.existence * (p + (1 - p) * np.minimum(covered, 1.0))
-        may_merge, may_hide = targets.separate >= self.min_separate_time, targets.hidden <= self.max_hidden_time
-        cells = _Cells(
-            self.merge_probability, model, targets.state, detections.xyxy, boxes, z, spread,
-            np.log(np.maximum(targets.existence * p, TINY)), np.log(np.maximum(1 - missed, TINY)),
-            np.log(np.maximum(kappa, TINY)), may_merge, may_hide,
-        )  # fmt: skip
-        smaller = np.minimum(area(detections.xyxy[blob]), area(boxes[target]))
-        first, last = _ranks(detections.xyxy), _ranks(boxes)
-        order = np.lexsort((last[target], first[blob]))
-        blob, target, strength = blob[order], target[order], (shared / np.maximum(smaller, TINY))[order]
-        merged: dict[int, tuple[int, ...]] = {}
-        for blobs, members, pairs in groups(blob, target, strength):
-            blobs.sort(key=first.__getitem__)
-            members.sort(key=last.__getitem__)
-            for b, several in _best(blobs, members, pairs, cells).items():
-                of[b] = several[0]
-                if len(several) > 1:
-                    merged[b] = several
-        return Assignment(of, merged)
+        target, seconds = explanation.target, dt / model.rate
+        of = _continued(targets, target, estimates, model)
+        numbers = np.arange(len(targets))
+        p = model.sensor.p_detect(targets.state) if len(targets) else np.zeros(0)
+        r, hidden = targets.existence, targets.hidden + seconds
+        there = np.where(np.isin(numbers, target), r, r * (1 - p) / np.maximum(1 - r * p, 1 - MAX_EXISTENCE))
+        left = ~np.isin(numbers, of) & (there > MIN_EXISTENCE) & (hidden <= self.max_hidden_time)
+        kept = replace(targets, existence=there, hidden=hidden).take(left)
+        # The last place stands for estimates that continue no target.
+        before = np.append(targets.hidden, 0.0)[of], np.append(targets.separate, 0.0)[of]
+        weight = np.minimum(estimates.weight, MAX_EXISTENCE)
+        return ExpectedTargets(estimates.state, estimates.covariance, weight, *before).joined(kept)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Cells:
-    """Log-likelihoods of the parts of explanations, for the blobs (N) and targets (n) of one frame.
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """The blobs (N) and the expected targets (n), with their boxes (n, 4), of one frame."""
 
-    ``spread`` (n, 4, 4): covariance of the targets' edges; ``seen``, ``missed`` (n,), ``clutter`` (N,): log-likelihoods.
-    """
-
-    merge_probability: float
+    rule: MergedMeasurements
     model: Model
-    state: F8
-    blobs: F8
+    targets: ExpectedTargets
     boxes: F8
-    z: F8
-    spread: F8
-    seen: F8
-    missed: F8
-    clutter: F8
-    may_merge: Bool
-    may_hide: Bool
+    blobs: Detections
 
-    def merged(self, blob: int, targets: tuple[int, ...]) -> float:
-        """The blob is these targets, one or more."""
+    @cached_property
+    def spread(self) -> F8:
+        """(n, 4, 4) covariances of the targets' edges."""
+        rows = list(self.model.sensor.observed)
+        out: F8 = EDGES @ self.targets.covariance[:, rows][:, :, rows] @ EDGES.T
+        return out
+
+    @cached_property
+    def z(self) -> F8:
+        """(m, N) the blobs as measurements."""
+        return self.model.sensor.measure(self.blobs)
+
+    @cached_property
+    def known(self) -> Bool:
+        """(N,) which blobs show a possible state."""
+        return np.asarray(np.isfinite(self.z).all(axis=0), np.bool_)
+
+    @cached_property
+    def touching(self) -> Bool:
+        """(N, n) which blobs meet which targets, whose edges are moved out by a deviation."""
+        reach = np.sqrt(np.maximum(np.einsum("nii->ni", self.spread), 0.0))
+        blobs, low, high = self.blobs.xyxy[:, None], self.boxes - reach, self.boxes + reach
+        meet = (blobs[..., :2] <= high[:, 2:]) & (low[:, :2] <= blobs[..., 2:])
+        return np.asarray(meet.all(axis=2) & self.known[:, None], np.bool_)
+
+    def members(self) -> Members:
+        """The targets of each blob in the best explanation."""
+        touching = self.touching
+        out: Members = [tuple(np.flatnonzero(row).tolist()) for row in touching]
+        if max(touching.sum(axis=0).max(), touching.sum(axis=1).max()) < 2:
+            return out
+        shared = intersection(self.blobs.xyxy, self.boxes)
+        p, r = self.model.sensor.p_detect(self.targets.state), self.targets.existence
+        covered = np.where(touching, shared, 0.0).max(axis=0) / np.maximum(area(self.boxes), TINY)
+        missed = np.log(np.maximum(1 - r * (p + (1 - p) * np.minimum(covered, 1.0)), TINY))
+        seen = np.log(np.maximum(r * p, TINY))
+        clutter, z = np.zeros(len(out)), np.ascontiguousarray(self.z[:, self.known])
+        clutter[self.known] = np.log(np.maximum(self.model.clutter.intensity(z), TINY))
+        smaller = np.minimum(area(self.blobs.xyxy)[:, None], area(self.boxes))
+        out = [()] * len(out)
+
+        @cache
+        def likelihood(blob: int, targets: tuple[int, ...]) -> float:
+            return self.fit(blob, targets) + float(seen[list(targets)].sum()) if targets else float(clutter[blob])
+
+        for blobs, targets, pairs in groups(touching, shared / np.maximum(smaller, TINY)):
+            if len(blobs) == len(targets) == 1:
+                out[blobs[0]] = (targets[0],)
+                continue
+            top = -math.inf
+            # Of equally likely explanations the first.
+            for choice in itertools.product(*([-1, *np.flatnonzero(pairs[:, t])] for t in targets)):
+                of = {b: tuple(t for t, c in zip(targets, choice, strict=True) if c == b) for b in blobs}
+                value = sum(float(missed[t]) for t, b in zip(targets, choice, strict=True) if b < 0)
+                value += sum(likelihood(b, several) for b, several in of.items())
+                if value > top:
+                    top, best = value, of
+            for b, several in best.items():
+                out[b] = several
+        return out
+
+    def fit(self, blob: int, targets: tuple[int, ...]) -> float:
+        """Log-likelihood of the blob's edges where it is these targets, one or more, that were detected."""
         index, k = np.array(targets), len(targets)
-        boxes = self.boxes[index]
-        if k > 1 and not (self.may_merge[index].all() and self.may_hide[index][hidden(boxes)].all()):
+        boxes, rule = self.boxes[index], self.rule
+        ready = self.targets.separate[index] >= rule.min_separate_time
+        if k > 1 and not (ready.all() and (self.targets.hidden[index][hidden(boxes)] <= rule.max_hidden_time).all()):
             return -math.inf
-        z, state = self.z[:, [blob] * k], np.ascontiguousarray(self.state[:, index])
+        z, state = self.z[:, [blob] * k], np.ascontiguousarray(self.targets.state[:, index])
         noise = EDGES @ self.model.sensor.covariance(z, state) @ EDGES.T
         mean, covariance = outline(boxes, self.spread[index] + noise)
-        step = self.blobs[blob] - mean
+        step = self.blobs.xyxy[blob] - mean
         distance2 = float(step @ np.linalg.solve(covariance, step))
         if distance2 > GATE**2:
             return -math.inf
-        fit = -0.5 * (distance2 + float(np.linalg.slogdet(2 * np.pi * covariance)[1]))
-        return fit + float(self.seen[index].sum()) + (k - 1) * math.log(max(self.merge_probability, TINY))
+        log_density = -0.5 * (distance2 + float(np.linalg.slogdet(2 * np.pi * covariance)[1]))
+        return log_density + (k - 1) * math.log(max(rule.merge_probability, TINY))
 
 
-def contacts(blobs: F8, targets: F8, reach: F8) -> tuple[I8, I8]:
-    """Pairs (blob, target) (P,) whose boxes (N, 4) and (n, 4) meet, the targets' edges moved out by ``reach`` (n, 4)."""
-    sides = (blobs[:, :2], blobs[:, 2:], (targets - reach)[:, :2], (targets + reach)[:, 2:])
-    first, second = meeting(*(np.ascontiguousarray(side.T) for side in sides))
-    return first, second
-
-
-def groups(blob: I8, target: I8, strength: F8) -> Iterator[tuple[list[int], list[int], set[tuple[int, int]]]]:
-    """Blobs, targets and pairs (blob, target) of the groups that pairs (P,) connect, of at most `GROUP` members.
+def groups(touching: Bool, strength: F8) -> Iterator[tuple[list[int], list[int], Bool]]:
+    """Blobs, targets and pairs (N, n) of the groups that pairs ``touching`` (N, n) connect, of at most `GROUP` members.
 
     The strongest pairs are joined first; one that would make a group too large is left out.
     """
-    of: dict[tuple[bool, int], int] = {}
-    members: dict[int, list[tuple[bool, int]]] = {}
-    for key, node in enumerate(dict.fromkeys([*((True, b) for b in blob.tolist()), *((False, t) for t in target.tolist())])):
-        of[node], members[key] = key, [node]
-    pairs: dict[int, set[tuple[int, int]]] = {key: set() for key in members}
-    for p in np.argsort(-strength, kind="stable").tolist():
-        b, t = int(blob[p]), int(target[p])
-        a, c = of[True, b], of[False, t]
-        if a != c:
-            if len(members[a]) + len(members[c]) > GROUP:
-                continue
-            for node in members[c]:
-                of[node] = a
-            members[a] += members.pop(c)
-            pairs[a] |= pairs.pop(c)
-        pairs[a].add((b, t))
-    for key, found in members.items():
-        if pairs[key]:
-            yield [i for is_blob, i in found if is_blob], [i for is_blob, i in found if not is_blob], pairs[key]
-
-
-def _best(blobs: list[int], targets: list[int], pairs: set[tuple[int, int]], cells: _Cells) -> dict[int, tuple[int, ...]]:
-    """The targets of each blob in the likeliest explanation of a group; of equal ones the first, by enumeration."""
-    if len(blobs) == len(targets) == 1:
-        return {blobs[0]: (targets[0],)}
-    known: dict[tuple[int, tuple[int, ...]], float] = {}
-    top, best = -math.inf, dict[int, tuple[int, ...]]()
-    for choice in itertools.product(*([-1, *(b for b in blobs if (b, t) in pairs)] for t in targets)):
-        of: dict[int, tuple[int, ...]] = {}
-        value = 0.0
-        for t, b in zip(targets, choice, strict=True):
-            if b < 0:
-                value += float(cells.missed[t])
-            else:
-                of[b] = (*of.get(b, ()), t)
-        for b in blobs:
-            if b not in of:
-                value += float(cells.clutter[b])
-                continue
-            if (b, of[b]) not in known:
-                known[b, of[b]] = cells.merged(b, of[b])
-            value += known[b, of[b]]
-        if value > top:
-            top, best = value, of
-    return best
+    n, m = touching.shape
+    blob, target = np.nonzero(touching)
+    group, kept = np.arange(n + m), np.zeros((n, m), np.bool_)
+    for p in np.argsort(-strength[blob, target], kind="stable"):
+        a, c = group[blob[p]], group[n + target[p]]
+        if a == c or np.isin(group, [a, c]).sum() <= GROUP:
+            group[group == c] = a
+            kept[blob[p], target[p]] = True
+    for key in np.unique(group[:n][kept.any(axis=1)]):
+        blobs, targets = np.flatnonzero(group[:n] == key).tolist(), np.flatnonzero(group[n:] == key).tolist()
+        yield blobs, targets, kept
 
 
 def owners(boxes: F8) -> I8:
@@ -304,9 +282,7 @@ def owners(boxes: F8) -> I8:
 
 def hidden(boxes: F8) -> Bool:
     """(k,) which of the boxes (k, 4) have neither the left nor the right edge of their union."""
-    out = np.ones(len(boxes), np.bool_)
-    out[owners(boxes)[[0, 2]]] = False
-    return out
+    return ~np.isin(np.arange(len(boxes)), owners(boxes)[[0, 2]])
 
 
 def outline(boxes: F8, covariance: F8) -> tuple[F8, F8]:
@@ -349,56 +325,34 @@ def predicted(targets: ExpectedTargets, model: Model, dt: float) -> ExpectedTarg
     return replace(targets, state=mean, covariance=covariance, existence=there)
 
 
-def _timed(targets: ExpectedTargets, best: Assignment, boxes: F8, seconds: float) -> ExpectedTargets:
+def _timed(targets: ExpectedTargets, members: Members, boxes: F8, seconds: float) -> ExpectedTargets:
     """The targets with the seconds for which they have been hidden, and have had a blob to themselves."""
-    out_of_sight, found = targets.hidden.copy(), best.target[best.target >= 0]
-    separate = targets.separate + seconds * np.isin(np.arange(len(targets)), found)
-    out_of_sight[found] = 0.0
-    for members in best.merged.values():
-        index = np.array(members)
-        separate[index] = targets.separate[index]
-        out_of_sight[index] = np.where(hidden(boxes[index]), targets.hidden[index] + seconds, 0.0)
+    out_of_sight, separate = targets.hidden.copy(), targets.separate.copy()
+    for several in members:
+        index = list(several)
+        if len(index) == 1:
+            separate[index] += seconds
+        out_of_sight[index] = np.where(hidden(boxes[index]), out_of_sight[index] + seconds, 0.0) if index else 0.0
     return replace(targets, hidden=out_of_sight, separate=separate)
 
 
-def _divided(detections: Detections, best: Assignment, boxes: F8) -> Explanation:
+def _divided(detections: Detections, members: Members, boxes: F8) -> Explanation:
     """The detections with one for each target of a merged blob, in the order of the blobs."""
     n = len(detections)
-    if not best.merged:
-        return Explanation(detections, np.arange(n), np.arange(n), best.target)
-    source = np.repeat(np.arange(n), [len(best.merged.get(b, (b,))) for b in range(n)])
+    source = np.repeat(np.arange(n), [max(1, len(several)) for several in members])
     part = np.searchsorted(source, np.arange(n))
-    out, target = detections.take(source), best.target[source]
+    target = np.array([t for several in members for t in several or (-1,)], np.int64)
+    if len(source) == n:
+        return Explanation(detections, source, part, target)
+    out = detections.take(source)
     xyxy, variance = out.xyxy.copy(), np.zeros((len(source), 4))
-    for b, members in best.merged.items():
-        rows = slice(part[b], part[b] + len(members))
-        xyxy[rows], slack = placed(detections.xyxy[b], boxes[list(members)])
-        variance[rows, :2], target[rows] = np.square(slack), members
+    for b, several in enumerate(members):
+        if len(several) > 1:
+            rows = slice(part[b], part[b] + len(several))
+            xyxy[rows], slack = placed(detections.xyxy[b], boxes[list(several)])
+            variance[rows, :2] = np.square(slack)
     covariance = None if out.covariance is None else out.covariance + variance[:, :, None] * np.eye(4)
     return Explanation(replace(out, xyxy=xyxy, covariance=covariance), source, part, target, changed=True)
-
-
-def _updated(
-    targets: ExpectedTargets, target: I8, estimates: Estimates, model: Model, seconds: float, max_hidden: float
-) -> ExpectedTargets:
-    """The estimates after a frame, and those expected targets that it does not show but that may be there.
-
-    A target that was missed stays with probability r ← r (1 − p_D)/(1 − r p_D). ``target`` (N,): the target of each
-    detection, −1 for none.
-    """
-    of = _continued(targets, target, estimates, model)
-    left, found = np.ones(len(targets), np.bool_), np.zeros(len(targets), np.bool_)
-    left[of[of >= 0]] = False
-    found[target[target >= 0]] = True
-    p = model.sensor.p_detect(targets.state) if len(targets) else np.zeros(0)
-    r = targets.existence
-    there = np.where(found, r, r * (1 - p) / np.maximum(1 - r * p, 1 - MAX_EXISTENCE))
-    left &= (there > MIN_EXISTENCE) & (targets.hidden + seconds <= max_hidden)
-    kept = replace(targets, existence=there, hidden=targets.hidden + seconds).take(left)
-    # The last place stands for estimates that continue no target.
-    before = np.append(targets.hidden, 0.0)[of], np.append(targets.separate, 0.0)[of]
-    weight = np.minimum(estimates.weight, MAX_EXISTENCE)
-    return ExpectedTargets(estimates.state, estimates.covariance, weight, *before).joined(kept)
 
 
 def _continued(targets: ExpectedTargets, target: I8, estimates: Estimates, model: Model) -> I8:
@@ -407,9 +361,9 @@ def _continued(targets: ExpectedTargets, target: I8, estimates: Estimates, model
     The target of its detection; where there is none, the nearest that is left, within the gate.
     """
     of: I8 = np.append(target, -1)[estimates.detection].astype(np.int64)
-    first = np.zeros(len(of), np.bool_)
-    first[np.unique(of, return_index=True)[1]] = True
-    of = np.where(first, of, -1)
+    later = np.ones(len(of), np.bool_)
+    later[np.unique(of, return_index=True)[1]] = False
+    of[later] = -1
     free, lost = np.setdiff1d(np.arange(len(targets)), of), np.flatnonzero(of < 0)
     if not len(free) or not len(lost):
         return of
@@ -417,24 +371,8 @@ def _continued(targets: ExpectedTargets, target: I8, estimates: Estimates, model
     noise2 = np.square(model.sensor.noise(targets.state[:, free])[:2]).T
     spread = targets.covariance[free, :2, :2] + noise2[:, :, None] * np.eye(2)
     distance2 = np.einsum("aij,jab,bij->ij", step, np.linalg.inv(spread), step)
-    for k in np.argsort(distance2, axis=None, kind="stable"):
-        i, j = divmod(int(k), len(free))
-        if distance2[i, j] > NEAR:
-            break
+    while (nearest := distance2.min()) <= NEAR:
+        i, j = np.argwhere(distance2 == nearest)[0]
         of[lost[i]] = free[j]
         distance2[i, :], distance2[:, j] = np.inf, np.inf
     return of
-
-
-def _ranks(boxes: F8) -> I8:
-    """(N,) the rank of each box by its edges, so that nothing depends on the order in which boxes come."""
-    rank = np.empty(len(boxes), np.int64)
-    rank[np.lexsort(boxes.T[::-1])] = np.arange(len(boxes))
-    return rank
-
-
-def _shared_area(a: F8, b: F8) -> F8:
-    """(P,) area that boxes (P, 4) share, pair by pair."""
-    side = np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2])
-    out: F8 = side.clip(0.0).prod(axis=1)
-    return out

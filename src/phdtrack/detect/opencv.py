@@ -1,13 +1,14 @@
-"""Faces by a Viola–Jones cascade [M07], and pedestrians by histograms of oriented gradients, both as OpenCV 4 ships them.
+"""OpenCV's own detectors: the background subtractors MOG2 and KNN, faces by a cascade [M07], pedestrians by gradients.
 
-The pedestrians' support vector machine was trained on windows of 64×128 pixels in which the person is 96 high, so the frame
-is enlarged for smaller people. Its hits have a margin, which is cut off; of overlapping ones the strongest stays. Confidence
-is the margin of the support vector machine, which is not bounded. OpenCV 5 dropped both detectors: `shipped` says so.
+Shadow pixels of MOG2 and KNN are removed. The pedestrians' support vector machine was trained on windows of 64×128 pixels in
+which the person is 96 high, so the frame is enlarged for smaller people. Its hits have a margin, which is cut off; of
+overlapping ones the strongest stays. Confidence is the margin of the support vector machine, which is not bounded. OpenCV 5
+dropped cascades and pedestrians: `shipped` says so.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,12 +17,83 @@ import numpy as np
 from annotated_types import Gt
 
 from phdtrack.arrays import iou
-from phdtrack.checks import Positive, PositiveCount, Probability, check
+from phdtrack.checks import NonNegative, Positive, PositiveCount, Probability, check
+from phdtrack.detect import components as blobs
+from phdtrack.detect.components import BlobSettings, check_same_size
 from phdtrack.errors import InputError
-from phdtrack.types import F8, I8, Detections, Frame
+from phdtrack.types import F8, I8, Detections, Frame, Image
 
 MEND = "python -m pip uninstall -y opencv-python opencv-contrib-python; python -m pip install --force-reinstall "
 MEND += '"opencv-python-headless>=4.8,<5"'
+SearchStep = Annotated[float, Gt(1)]
+_SURELY_FOREGROUND = 200
+_FALLBACK_INTERVAL = 1.0 / 25.0
+_WINDOW = (64, 128)
+_BODY = (0.55, 0.8)
+# Of each subtractor: its function, the name of its threshold and the usual value of that.
+_METHODS = {
+    "mog2": ("createBackgroundSubtractorMOG2", "varThreshold", 16.0),
+    "knn": ("createBackgroundSubtractorKNN", "dist2Threshold", 400.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SubtractorSettings:
+    """How a `SubtractorDetector` decides.
+
+    Attributes
+    ----------
+    method : "mog2" (a mixture of Gaussians per pixel) or "knn" (nearest neighbours among a pixel's samples).
+    adapt : seconds over which the background is learned and forgotten.
+    threshold : squared distance from the background; MOG2 in variances (0: 16), KNN in grey levels² (0: 400).
+    warmup : seconds before the first detections are given.
+    blobs : how the mask becomes boxes.
+    """
+
+    method: str = "mog2"
+    adapt: Positive = 20.0
+    threshold: NonNegative = 0.0
+    warmup: NonNegative = 0.5
+    blobs: BlobSettings = field(default_factory=BlobSettings)
+
+    def __post_init__(self) -> None:
+        if self.method not in _METHODS:
+            problem = f"method must be one of {', '.join(_METHODS)}, not {self.method!r}"
+            raise InputError(problem, where="SubtractorSettings")
+        check(self)
+
+
+class SubtractorDetector:
+    """Boxes around the foreground of an OpenCV subtractor."""
+
+    def __init__(self, settings: SubtractorSettings | None = None) -> None:
+        self.settings = settings or SubtractorSettings()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the scene."""
+        self._subtractor: Any = None
+
+    def __call__(self, frame: Frame) -> Detections:
+        """The boxes of the foreground in ``frame``; none during the warm-up."""
+        settings = self.settings
+        if self._subtractor is None:
+            function, name, usual = _METHODS[settings.method]
+            self._subtractor = getattr(cv2, function)(**{name: settings.threshold or usual, "detectShadows": True})
+            self._shape = frame.image.shape
+            self._seen, self._began, self._time = 0, frame.time, frame.time
+        check_same_size(frame, self._shape)
+        self._seen += 1
+        passed, self._time = frame.time - self._time, frame.time
+        interval = passed if passed > 0 else _FALLBACK_INTERVAL
+        # OpenCV's own rule for early frames (half of what a plain mean would give them), the time constant later.
+        rate = max(0.5 / self._seen, min(1.0, interval / settings.adapt))
+        # KNN draws the samples that it replaces from OpenCV's generator, which is global: seeded, a run can be repeated.
+        cv2.setRNGSeed(self._seen)
+        mask = self._subtractor.apply(frame.image, learningRate=rate)
+        if frame.time - self._began < settings.warmup:
+            return Detections.empty()
+        return blobs.detections(np.asarray(cv2.compare(mask, _SURELY_FOREGROUND, cv2.CMP_GT), np.uint8), settings.blobs)
 
 
 def shipped(name: str) -> Any:
@@ -48,9 +120,6 @@ def cascade_file(name: str) -> Path:
         cure = f"{known} An .xml file of your own works too."
         raise InputError(f"there is no cascade {name!r}", where="cascade", cure=cure)
     return path
-
-
-SearchStep = Annotated[float, Gt(1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,9 +161,7 @@ class FaceDetector:
     def __call__(self, frame: Frame) -> Detections:
         """[M07] The faces in ``frame``."""
         settings = self.settings
-        grey = cv2.equalizeHist(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY))
-        if settings.scale != 1:
-            grey = cv2.resize(grey, None, fx=settings.scale, fy=settings.scale, interpolation=cv2.INTER_LINEAR)
+        grey = _enlarged(cv2.equalizeHist(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)), settings.scale)
         least = max(1, round(settings.min_size * grey.shape[0]))
         found = self._classifier.detectMultiScale(
             grey, scaleFactor=settings.step, minNeighbors=settings.neighbours, minSize=(least, least)
@@ -102,10 +169,6 @@ class FaceDetector:
         boxes = np.array(found, np.float64).reshape(-1, 4) / settings.scale
         boxes[:, 2:] += boxes[:, :2]
         return Detections.of(boxes[np.lexsort((boxes[:, 0], boxes[:, 1]))])
-
-
-_WINDOW = (64, 128)
-_BODY = (0.55, 0.8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,33 +209,37 @@ class PersonDetector:
 
     def __call__(self, frame: Frame) -> Detections:
         """The pedestrians in ``frame``, the strongest first."""
-        settings, image = self.settings, frame.image
-        if settings.scale != 1:
-            image = cv2.resize(image, None, fx=settings.scale, fy=settings.scale, interpolation=cv2.INTER_LINEAR)
+        settings = self.settings
+        image = _enlarged(frame.image, settings.scale)
         if image.shape[1] < _WINDOW[0] or image.shape[0] < _WINDOW[1]:
             return Detections.empty()
+        stride = (settings.stride, settings.stride)
         windows, margins = self._hog.detectMultiScale(
-            image,
-            hitThreshold=settings.threshold,
-            winStride=(settings.stride, settings.stride),
-            scale=settings.step,
-            groupThreshold=0,
+            image, hitThreshold=settings.threshold, winStride=stride, scale=settings.step, groupThreshold=0
         )
-        x, y, width, height = np.array(windows, np.float64).reshape(-1, 4).T / settings.scale
+        left, top, width, height = np.array(windows, np.float64).reshape(-1, 4).T / settings.scale
         score: F8 = np.array(margins, np.float64).reshape(-1)
-        dx, dy = width * _BODY[0] / 2, height * _BODY[1] / 2
-        cx, cy = x + width / 2, y + height / 2
+        dx, dy, cx, cy = width * _BODY[0] / 2, height * _BODY[1] / 2, left + width / 2, top + height / 2
         boxes = np.stack([cx - dx, cy - dy, cx + dx, cy + dy], axis=1)
         kept = strongest(boxes, score, settings.overlap)
         return Detections.of(boxes[kept], score[kept])
 
 
 def strongest(boxes: F8, score: F8, overlap: float) -> I8:
-    """Indices of the boxes (N, 4), by falling ``score`` (N,), whose IoU with every stronger kept one is ≤ ``overlap``."""
+    """Indices of the boxes (N, 4), by falling ``score`` (N,), whose IoU with every stronger kept one is ≤ ``overlap``.
+
+    `cv2.dnn.NMSBoxes` leaves out scores below 0, and margins may be.
+    """
     order = np.argsort(-score, kind="stable")
-    shared = iou(boxes[order], boxes[order])
-    kept = np.ones(len(order), np.bool_)
+    shared, kept = iou(boxes[order], boxes[order]), np.ones(len(order), np.bool_)
     for i in range(len(order)):
         if kept[i]:
             kept[i + 1 :] &= shared[i, i + 1 :] <= overlap
     return order[kept]
+
+
+def _enlarged(image: Image, scale: float) -> Image:
+    """The picture, enlarged."""
+    if scale == 1:
+        return image
+    return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR), np.uint8)
