@@ -149,11 +149,8 @@ class Birth(Protocol):
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """Newborn particles of total mass ∫γT; ``covered`` (N,) is the mass predicted at each column of ``z`` (m, N)."""
 
-    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
-        """γT as a Gaussian mixture, for the filters that carry one; `InputError` where γ has no such form."""
-
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """γT as Gaussians, one around each detection of ``z`` (m, N) or at given places; `InputError` where γ has none."""
+        """γT around each measurement of ``z`` (m, N) and as Gaussians; `InputError` where γ has no such form."""
 
     def expected(self, z: F8, seconds: float) -> float:
         """∫γT over everything: the expected number of births, those that no measurement of ``z`` (m, N) shows included."""

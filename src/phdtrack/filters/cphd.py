@@ -73,12 +73,12 @@ class GMCPHD:
     def update(self, state: State, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[State, UpdateInfo]:
         """Add the births, then update the number and every Gaussian [V07]."""
         mixture = tagged(state.intensity)
-        a = _intensity(self).answered(rows_of(mixture), z, model, dt)
-        t, kappa = phd_terms(a.rows.weight, *a[1:]), a.measurements.clutter
+        frame = _intensity(self).frame(rows_of(mixture), mixture.fresh, z, model, dt)
+        t, kappa = phd_terms(*frame), frame.measurements.clutter
         births = model.birth.expected(z, dt / model.rate)
         unseen = max(births - t.born, 0.0)
         w = weigh(state.cardinality, t.predicted, t.missed, births, unseen, t.evidence, kappa)
-        rows, mass, fresh = phd_mixture(a.rows, a.expected, a.measurements, t, w.missed, w.detected, mixture.fresh, 0.0)
+        rows, mass, fresh = phd_mixture(*frame[:-1], t, (w.missed, w.detected), frame.reach.fresh)
         after = GaussianMixture(rows.weight, np.ascontiguousarray(rows.mean.T), rows.covariance, rows.tag, fresh)
         info = UpdateInfo(t.predicted, t.born, mass, t.evidence, kappa, cardinality=w.cardinality)
         return Cardinalised(after, w.cardinality), info

@@ -192,12 +192,11 @@ class MHT:
 
 def _scores(e: Expected, m: Measurements, new: NewTargets, p_detect: F8, gate: float) -> Scores:
     """What measurements, leaves, and pairs contribute to log-weights; ``p_detect`` (L,) is r p_D."""
-    pairs = gated_pairs(e, m, gate)
-    possible = p_detect[pairs.gaussian] > 0
-    leaf, missed = pairs.gaussian[possible], np.log1p(-p_detect)
-    gain = np.log(p_detect[leaf]) + pairs.log_density[possible] - missed[leaf]
+    pairs = gated_pairs(e, m, gate, p_detect)
+    leaf, missed = pairs.gaussian, np.log1p(-p_detect)
+    gain = np.log(p_detect[leaf]) + pairs.log_density - missed[leaf]
     total = np.maximum(m.clutter + new.density, TINY)
-    return Scores(leaf, pairs.measurement[possible], gain, missed, np.log(total), new.density / total)
+    return Scores(leaf, pairs.measurement, gain, missed, np.log(total), new.density / total)
 
 
 def _grown(state: Hypotheses, branches: Branches, p_detect: F8, e: Expected, m: Measurements, new: NewTargets) -> Hypotheses:

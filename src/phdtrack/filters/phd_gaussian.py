@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -31,36 +32,35 @@ import numpy as np
 from phdtrack.arrays import GATE, chi2_quantile
 from phdtrack.checks import Count, NonNegative, Share, check
 from phdtrack.errors import InputError
-from phdtrack.kernels.gaussian import Births, Expected, Measurements
-from phdtrack.kernels.gm_merge import reduced
-from phdtrack.kernels.gm_update import Rows, phd_update
-from phdtrack.models.gaussian import Transform, births, expected, measurements, predicted
+from phdtrack.kernels.gaussian import Expected, Measurements
+from phdtrack.kernels.gm_merge import Merging, Rows, reduced
+from phdtrack.kernels.gm_update import Newborn, Reach, phd_step, phd_update
+from phdtrack.models.gaussian import Transform, expected, measurements, predicted, row_numbers
 from phdtrack.protocols import Model
 from phdtrack.types import F8, GaussianMixture, Particles, UpdateInfo
 
-# Mass within this region of a detection explains it, M(z).
+# Mass within this region of a detection explains it, M(z), and births around it have the mass of γ there.
 REGION = 0.99
+_NONE, _NOTHING = np.zeros((0, 0)), np.zeros((0, 0, 0))
 
 
-class Answers(NamedTuple):
-    """What a model says of a frame, and how far Gaussians reach in it.
+class Frame(NamedTuple):
+    """What a model says of a frame: the arguments of `kernels.gm_update`.
 
     Attributes
     ----------
-    rows : the predicted Gaussians, and behind them the births; weights and tags are of the predicted ones only.
-    births : the births.
-    expected : what all of them say of measurements.
+    rows : the predicted Gaussians, and behind them the births that were given.
+    expected : what they say of measurements.
     measurements : the measurements.
-    gate : deviations of the innovation beyond which a measurement does not touch a Gaussian.
-    region : squared distance within which predicted mass explains a detection.
+    newborn : births around the measurements.
+    reach : how far Gaussians reach.
     """
 
     rows: Rows
-    births: Births
     expected: Expected
     measurements: Measurements
-    gate: float
-    region: float
+    newborn: Newborn
+    reach: Reach
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +126,10 @@ class GMPHD:
         region of it. Where κ(z) + C(z) = 0 the detection's term is 0 and counted in ``info.vanished``.
         """
         state = tagged(state)
-        rows, info, fresh = self._updated(rows_of(state), state.fresh, z, model, dt, 0.0)
-        return GaussianMixture(rows.weight, np.ascontiguousarray(rows.mean.T), rows.covariance, rows.tag, fresh), info
+        frame = self.frame(rows_of(state), state.fresh, z, model, dt)
+        weight, mean, covariance, tag, *learned, fresh = phd_update(*frame)
+        after = GaussianMixture(weight, np.ascontiguousarray(mean.T), covariance, tag, fresh)
+        return after, _info(frame, *learned)
 
     def reduce(self, state: GaussianMixture, rng: np.random.Generator) -> GaussianMixture:
         """Prune, merge, cap: the strongest first, with all that are near it, moment-matched [V06 Table II, E13 §4].
@@ -135,15 +137,18 @@ class GMPHD:
         Tags as above [P09 §III].
         """
         state = tagged(state)
-        return self.reduced(rows_of(state), state.mass, state.fresh)
+        axes, mass = tuple(range(len(state.mean))), state.mass if self.keep_mass else -1.0
+        return GaussianMixture(*reduced(rows_of(state), axes, self._merging, mass, state.fresh))
 
     def step(
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[GaussianMixture, UpdateInfo]:
         """Predict, update and reduce; Gaussians that pruning would drop are not made."""
         rows, fresh = self._predicted(state, model, dt, rng)
-        rows, info, fresh = self._updated(rows, fresh, z, model, dt, self.weight_threshold)
-        return self.reduced(rows, info.mass, fresh), info
+        frame = self.frame(rows, fresh, z, model, dt)
+        axes = tuple(range(rows.mean.shape[1]))
+        weight, mean, covariance, tag, *learned, fresh = phd_step(*frame, self._merging, axes)
+        return GaussianMixture(weight, mean, covariance, tag, fresh), _info(frame, *learned)
 
     def _predicted(self, state: GaussianMixture, model: Model, dt: float, rng: np.random.Generator) -> tuple[Rows, int]:
         """The predicted Gaussians, of weight 0 where none survives, and the next tag."""
@@ -157,37 +162,60 @@ class GMPHD:
         weight = state.weight * after.p_survive
         return Rows(weight, after.mean, after.covariance, state.tag), state.fresh
 
-    def answered(self, rows: Rows, z: F8, model: Model, dt: float) -> Answers:
-        """What the model says of predicted Gaussians and a frame's measurements ``z`` (m, N)."""
-        born = births(model, z, dt)
-        mean = np.concatenate((rows.mean, born.mean))
-        covariance = np.concatenate((rows.covariance, born.covariance))
-        seen = expected(model.sensor, mean, covariance, self.transform)
-        r = seen.z.shape[1]
-        return Answers(
-            Rows(rows.weight, mean, covariance, rows.tag), born, seen, measurements(model, z),
-            math.sqrt(chi2_quantile(r, self.gate_probability)), chi2_quantile(r, REGION),
-        )  # fmt: skip
+    def frame(self, rows: Rows, fresh: int, z: F8, model: Model, dt: float) -> Frame:
+        """What the model says of a frame.
 
-    def _updated(
-        self, rows: Rows, fresh: int, z: F8, model: Model, dt: float, threshold: float
-    ) -> tuple[Rows, UpdateInfo, int]:
-        """The Gaussians after births and measurements, what was learned, and the next tag; lighter ones left out."""
-        a = self.answered(rows, z, model, dt)
+        Parameters
+        ----------
+        rows : the predicted Gaussians.
+        fresh : the next tag.
+        z : (m, N) measurements.
+        model : of the frame.
+        dt : interval since the frame before, in which targets were born.
+        """
+        born, predicted, sensor = model.birth.gaussians(z, model.sensor, dt / model.rate), len(rows.weight), model.sensor
+        if len(born.weight):
+            tags = fresh + np.arange(len(born.weight))
+            given = Rows(born.weight, born.mean, born.covariance, tags)
+            rows, fresh = Rows(*(np.concatenate(parts) for parts in zip(rows, given, strict=True))), fresh + len(tags)
+        around, seen = born.around, measurements(model, z)
+        observed = row_numbers(sensor.observed)
+        volume, stretch = _newborn_shape(len(observed))
+        said = expected(sensor, rows.mean, rows.covariance, self.transform)
+        if self.transform == "unscented":
+            covariance = around.covariance.copy()
+            covariance[:, observed[:, None], observed] *= stretch - 1
+            newborn = expected(sensor, around.mean, covariance, self.transform)
+        else:
+            p_detect = sensor.p_detect(np.ascontiguousarray(around.mean.T))
+            newborn = Expected(observed, _NONE, _NOTHING, _NOTHING, _NOTHING, p_detect)
         if z.shape[1] == 0 and self.skip_empty_frames:
-            a = a._replace(expected=a.expected._replace(p_detect=np.zeros(len(a.rows.mean))))
-        *after, evidence, (before, born, mass), vanished, fresh = phd_update(*a, fresh, float(threshold))
-        return Rows(*after), UpdateInfo(before, born, mass, evidence, a.measurements.clutter, vanished), fresh
+            said = said._replace(p_detect=np.zeros(len(rows.weight)))
+        r = len(seen.period)
+        gate, region = math.sqrt(chi2_quantile(r, self.gate_probability)), chi2_quantile(r, REGION)
+        return Frame(
+            rows, said, seen, Newborn(around, observed, volume, stretch, newborn), Reach(gate, region, predicted, fresh)
+        )
 
-    def reduced(self, rows: Rows, mass: float, fresh: int) -> GaussianMixture:
-        """Fewer Gaussians of this mass for the same intensity; ``fresh`` is the next tag."""
-        axes = tuple(range(rows.mean.shape[1]))
-        return GaussianMixture(
-            *reduced(
-                rows, axes, float(self.weight_threshold), float(self.merge_distance), self.max_components,
-                float(self.split_weight), mass if self.keep_mass else -1.0, fresh,
-            )
+    @property
+    def _merging(self) -> Merging:
+        """What a reduction needs."""
+        return Merging(
+            float(self.weight_threshold), float(self.merge_distance), self.max_components, float(self.split_weight),
+            self.keep_mass,
         )  # fmt: skip
+
+
+def _info(frame: Frame, evidence: F8, masses: tuple[float, float, float], vanished: int) -> UpdateInfo:
+    """What was learned; ``masses`` are those predicted, born and after the update."""
+    return UpdateInfo(*masses, evidence, frame.measurements.clutter, vanished)
+
+
+@lru_cache(maxsize=8)
+def _newborn_shape(n: int) -> tuple[float, float]:
+    """V_n r₀ⁿ and 1 + a of `kernels.gm_update` in n dimensions."""
+    volume = math.pi ** (n / 2) / math.gamma(n / 2 + 1) * chi2_quantile(n, REGION) ** (n / 2)
+    return volume, volume ** (2 / n) / (2 * math.pi)
 
 
 def rows_of(state: GaussianMixture) -> Rows:

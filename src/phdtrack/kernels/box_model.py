@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.constant_velocity import motion_noises
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import Births, Expected, Predicted, factor
+from phdtrack.kernels.gaussian import Predicted
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -96,78 +96,14 @@ def box_variances(noise: BoxNoise, w: float, h: float) -> tuple[float, float, fl
 
 
 @njit(**ENTRY)
-def expected_boxes(mean: F8, covariance: F8, noise: BoxNoise, p_detect: float) -> Expected:
-    """What Gaussians (J, d), (J, d, d) of boxes say about measurements; R belongs to them where it does not follow those."""
-    n, d = mean.shape
-    r = len(ROWS)
-    own = n if noise.scaling == PARTICLE or noise.scaling == FIXED or noise.scaling == PREVIOUS else 0
-    first = 6 if noise.scaling == PREVIOUS else 4
-    out = Expected(np.empty((n, r)), np.empty((n, r, r)), np.empty((n, d, r)), np.zeros((own, r, r)), np.empty(n))
+def box_covariances(size: F8, noise: BoxNoise) -> F8:
+    """(L, 4, 4) noise covariances of (px, py, w, h) of measured boxes whose noise follows sizes (2, L)."""
+    n = size.shape[1]
+    out = np.zeros((n, len(ROWS), len(ROWS)))
     for i in range(n):
-        out.p_detect[i] = p_detect
-        for a in range(r):
-            out.z[i, a] = mean[i, ROWS[a]]
-            for b in range(r):
-                out.covariance[i, a, b] = covariance[i, ROWS[a], ROWS[b]]
-            for c in range(d):
-                out.cross[i, c, a] = covariance[i, c, ROWS[a]]
-        if own > 0:
-            here = box_variances(noise, mean[i, first], mean[i, first + 1])
-            for a in range(r):
-                out.noise[i, a, a] = here[a]
-    return out
-
-
-@njit(**ENTRY)
-def linear_expected(mean: F8, covariance: F8, rows: I8) -> tuple[F8, F8, F8]:
-    """Expected measurements (J, r), H P Hᵀ (J, r, r) and P Hᵀ (J, d, r) of Gaussians of which ``rows`` (r,) are measured."""
-    n, d = mean.shape
-    r = rows.size
-    z, spread, cross = np.empty((n, r)), np.empty((n, r, r)), np.empty((n, d, r))
-    for i in range(n):
-        for a in range(r):
-            z[i, a] = mean[i, rows[a]]
-            for b in range(r):
-                spread[i, a, b] = covariance[i, rows[a], rows[b]]
-            for c in range(d):
-                cross[i, c, a] = covariance[i, c, rows[a]]
-    return z, spread, cross
-
-
-@njit(**ENTRY)
-def births_about(mean: F8, first: F8, rows: I8, density: F8, volume: float, stretch: float) -> Births:
-    """A Gaussian around each detection where γ is not 0, see `models.births.births_around`.
-
-    Parameters
-    ----------
-    mean, first : (d, N), (N, d, d) states that detections alone show.
-    rows : (r,) of the state that a detection shows.
-    density : (N,) γT at the detections.
-    volume, stretch : of `models.births.newborn_shape`.
-    """
-    d, n = mean.shape
-    r, count = rows.size, 0
-    for j in range(n):
-        count += density[j] > 0.0
-    out = Births(
-        np.empty(count), np.empty((count, d)), np.empty((count, d, d)), np.empty(count, np.int64), np.empty(count),
-        np.empty((count, d, d)),
-    )  # fmt: skip
-    noise, root, k = np.empty((r, r)), np.empty((r, r)), 0
-    for j in range(n):
-        if not density[j] > 0.0:
-            continue
-        for c in range(d):
-            out.mean[k, c] = mean[c, j]
-            for b in range(d):
-                out.covariance[k, c, b] = out.first[k, c, b] = first[j, c, b]
-        for a in range(r):
-            for b in range(r):
-                noise[a, b] = first[j, rows[a], rows[b]]
-                out.covariance[k, rows[a], rows[b]] = (stretch - 1.0) * noise[a, b]
-        out.weight[k] = density[j] * volume * np.exp(0.5 * factor(noise, root))
-        out.measurement[k], out.density[k] = j, density[j]
-        k += 1
+        here = box_variances(noise, size[0, i], size[1, i])
+        for a in range(len(ROWS)):
+            out[i, a, a] = here[a]
     return out
 
 
@@ -193,14 +129,3 @@ def states_of_boxes(z: F8, dim: int, noise: BoxNoise, speed: float) -> tuple[F8,
             a = 2 + c % 2
             x[c, j], cov[j, c, c] = z[a, j], here[a]
     return x, cov
-
-
-@njit(**ENTRY)
-def births_of_boxes(z: F8, noise: BoxNoise, speed: float, density: F8, volume: float, stretch: float) -> Births:
-    """`births_about` boxes ``z`` (m, N), with states of six components as of `states_of_boxes`."""
-    rows = np.empty(len(ROWS), np.int64)
-    for a in range(len(ROWS)):
-        rows[a] = ROWS[a]
-    mean, first = states_of_boxes(z, 6, noise, speed)
-    out: Births = births_about(mean, first, rows, density, volume, stretch)
-    return out

@@ -22,7 +22,7 @@ filter calls them in a kernel that is compiled for it.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -32,6 +32,7 @@ from phdtrack.kernels.fast32 import ENTRY, INNER
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
+Period = tuple[float, ...]
 LOG_2PI = math.log(2 * math.pi)
 
 
@@ -52,15 +53,20 @@ class Predicted(NamedTuple):
 class Expected(NamedTuple):
     """What Gaussians say about measurements.
 
+    A linear sensor shows ``rows`` of the state: ``z`` is the mean then, and ``covariance`` and ``cross`` are the covariance of
+    the Gaussians themselves. Of any other they are made of sigma points, and ``rows`` are 0, 1, …, r − 1.
+
     Attributes
     ----------
-    z : (J, r) expected measurement.
-    covariance : (J, r, r) of it without noise: H P Hᵀ, or that of sigma points.
-    cross : (J, d, r) covariance of state and measurement, P Hᵀ.
+    rows : (r,) int64, what is compared with the components of a measurement.
+    z : (J, n) of which ``rows`` are the expected measurement.
+    covariance : (J, n, n) of it without noise, H P Hᵀ in these rows and columns.
+    cross : (J, d, n) covariance of state and measurement, P Hᵀ in these columns.
     noise : (J, r, r) part of R that belongs to the target, or (0, r, r) where none does.
     p_detect : (J,) detection probability at the mean.
     """
 
+    rows: I8
     z: F8
     covariance: F8
     cross: F8
@@ -76,38 +82,45 @@ class Measurements(NamedTuple):
     z : (N, r) what is compared with `Expected.z`.
     noise : (N, r, r) part of R that belongs to the measurement, added to that of the target, or (0, r, r).
     clutter : (N,) κ(z), expected false alarms per unit of measurement volume.
-    period : (r,) 2π for angles, whose differences are taken the short way round, else 0.
+    period : r numbers, 2π for angles, whose differences are taken the short way round, else 0. A tuple: its length is known
+        when a kernel is compiled, and loops over it are unrolled.
     """
 
     z: F8
     noise: F8
     clutter: F8
-    period: F8
+    period: Period
 
 
-class Births(NamedTuple):
-    """γT, the intensity of targets that appeared in the interval, as Gaussians.
-
-    A Gaussian is drawn around a detection or stands for itself. All those around detections are given, as if no target were
-    there: a filter leaves out those whose detection existing targets explain.
+class NewTargets(NamedTuple):
+    """Targets whose first detection is measurement j.
 
     Attributes
     ----------
-    weight : (B,) expected number of births that the Gaussian stands for.
-    mean : (B, d).     covariance : (B, d, d).
-    measurement : (B,) int64, the detection that it is drawn around, −1 for none.
-    density : (B,) ∫ g(z|x) γT(x) dx at that detection, per unit of measurement volume, p_D left out; 0 where there is none.
-    first : (B, d, d) covariance about ``mean`` after that detection: γ is flat there, so that the detection alone says where
-        the target is. (Around a detection ``covariance`` is wider: seen through the noise, the Gaussian has the density
-        of γ.) Equal to ``covariance`` where there is no detection.
+    density : (N,) their density at the measurement, per unit of measurement volume.
+    mean : (N, d).     covariance : (N, d, d) of their state.
     """
 
+    density: F8
+    mean: F8
+    covariance: F8
+
+
+class Births(NamedTuple):
+    """γT, the intensity of targets that appeared in the interval.
+
+    Attributes
+    ----------
+    around : γT at each measurement, and what the measurement says of a target there that nothing else is known of.
+        Filters leave out those whose measurement existing targets explain.
+    weight : (B,) expected number of births of each Gaussian that was given, wherever measurements are.
+    mean : (B, d).     covariance : (B, d, d) of these.
+    """
+
+    around: NewTargets
     weight: F8
     mean: F8
     covariance: F8
-    measurement: I8
-    density: F8
-    first: F8
 
 
 class Pairs(NamedTuple):
@@ -123,20 +136,6 @@ class Pairs(NamedTuple):
     measurement: I8
     distance2: F8
     log_density: F8
-
-
-class Work(NamedTuple):
-    """Working space of one pair: ``root`` (r, r) lower factor of S, ``y`` (r,), ``w`` (r, d)."""
-
-    root: F8
-    y: F8
-    w: F8
-
-
-@njit(**INNER)
-def work_space(d: int, r: int) -> Work:
-    """Working space for states of d and measurements of r components."""
-    return Work(np.zeros((r, r)), np.zeros(r), np.zeros((r, d)))
 
 
 @njit(cache=True)
@@ -194,217 +193,243 @@ def difference(a: float, b: float, period: float) -> float:
     return step
 
 
+# The functions of one pair take arrays and no records: a record in a loop would have all of its arrays counted again.
 @njit(**INNER)
-def innovation_root(e: Expected, m: Measurements, i: int, j: int, root: F8) -> float:
-    """log |2πS| of Gaussian i and measurement j, and the lower Cholesky factor of S into ``root`` (r, r).
+def innovation_root(
+    spread: F8, rows: I8, noise: F8, extra: F8, i: int, j: int, period: Period, root: F8
+) -> float:
+    """log |2πS| of Gaussian i and measurement j; the lower factor of S into ``root`` (r, r), with inverses in its diagonal.
 
-    NaN where S is not positive definite. Without noise of measurements j does not count.
+    ``spread``, ``rows`` and ``noise`` are of `Expected`, ``extra`` is the noise and ``period`` that of `Measurements`. NaN
+    where S is not positive definite. Without noise of measurements j does not count.
     """
-    size, product = root.shape[0], 1.0
-    of_target, of_measurement = len(e.noise) > 0, len(m.noise) > 0
-    for a in range(size):
+    product, of_target, of_measurement = 1.0, len(noise) > 0, len(extra) > 0
+    for a in range(len(period)):
         for b in range(a + 1):
-            value = e.covariance[i, a, b]
+            value = spread[i, rows[a], rows[b]]
             if of_target:
-                value += e.noise[i, a, b]
+                value += noise[i, a, b]
             if of_measurement:
-                value += m.noise[j, a, b]
+                value += extra[j, a, b]
             for t in range(b):
                 value -= root[a, t] * root[b, t]
             if a == b:
+                product *= value
                 # Not positive: NaN, with which nothing is within a gate.
-                root[a, a] = np.sqrt(value) if value > 0.0 else np.nan
-                product *= root[a, a]
+                root[a, a] = 1.0 / np.sqrt(value) if value > 0.0 else np.nan
             else:
-                root[a, b] = value / root[b, b]
-    log_det: float = 2.0 * np.log(product) + size * LOG_2PI
+                root[a, b] = value * root[b, b]
+    log_det: float = np.log(product) + len(period) * LOG_2PI
     return log_det
 
 
 @njit(**INNER)
-def whitened(e: Expected, m: Measurements, i: int, j: int, work: Work) -> float:
-    """d² of Gaussian i and measurement j, and y = L⁻¹ (z − ẑ) into ``work.y``; L is in ``work.root``."""
+def whitened(seen: F8, rows: I8, z: F8, i: int, j: int, period: Period, root: F8, y: F8) -> float:
+    """d² of Gaussian i and measurement j, and L⁻¹ (z − ẑ) into ``y`` (r,).
+
+    ``seen`` and ``rows`` are of `Expected`, ``z`` and ``period`` of `Measurements`, ``root`` of `innovation_root`.
+    """
     total = 0.0
-    for a in range(work.y.size):
-        value = difference(m.z[j, a], e.z[i, a], m.period[a])
+    for a in range(len(period)):
+        value = difference(z[j, a], seen[i, rows[a]], period[a])
         for t in range(a):
-            value -= work.root[a, t] * work.y[t]
-        work.y[a] = value / work.root[a, a]
-        total += work.y[a] * work.y[a]
+            value -= root[a, t] * y[t]
+        y[a] = value * root[a, a]
+        total += y[a] * y[a]
     return total
 
 
 @njit(**INNER)
-def gain(e: Expected, i: int, work: Work) -> None:
-    """W = L⁻¹ Cᵀ of Gaussian i into ``work.w``; L is in ``work.root``."""
-    for c in range(e.cross.shape[1]):
-        for a in range(work.y.size):
-            value = e.cross[i, c, a]
+def posterior(mean: F8, cross: F8, rows: I8, i: int, period: Period, root: F8, y: F8, w: F8, out: F8, k: int) -> None:
+    """m_i + Wᵀ y into ``out[k]``, and W = L⁻¹ Cᵀ into ``w`` (r, d)."""
+    d = mean.shape[1]
+    for c in range(d):
+        total = mean[i, c]
+        for a in range(len(period)):
+            value = cross[i, c, rows[a]]
             for t in range(a):
-                value -= work.root[a, t] * work.w[t, c]
-            work.w[a, c] = value / work.root[a, a]
+                value -= root[a, t] * w[t, c]
+            w[a, c] = value * root[a, a]
+            total += w[a, c] * y[a]
+        out[k, c] = total
 
 
 @njit(**INNER)
-def posterior_mean(mean: F8, i: int, work: Work, out: F8, k: int) -> None:
-    """m_i + Wᵀ y into ``out[k]``; ``mean`` (J, d), W and y are in ``work``."""
-    for c in range(mean.shape[1]):
-        value = mean[i, c]
-        for a in range(work.y.size):
-            value += work.w[a, c] * work.y[a]
-        out[k, c] = value
-
-
-@njit(**INNER)
-def posterior_covariance(covariance: F8, i: int, work: Work, out: F8, k: int) -> None:
-    """P_i − Wᵀ W into ``out[k]``; ``covariance`` (J, d, d), W is in ``work``."""
+def posterior_covariance(covariance: F8, i: int, period: Period, w: F8, out: F8, k: int) -> None:
+    """P_i − Wᵀ W into ``out[k]``; ``covariance`` (J, d, d), ``w`` as `posterior` leaves it."""
     for c in range(covariance.shape[1]):
         for b in range(c + 1):
             value = covariance[i, c, b]
-            for a in range(work.y.size):
-                value -= work.w[a, c] * work.w[a, b]
+            for a in range(len(period)):
+                value -= w[a, c] * w[a, b]
             out[k, c, b] = value
             out[k, b, c] = value
 
 
-@njit(**INNER)
-def sorted_along(z: F8, period: F8) -> tuple[int, I8]:
-    """The axis along which measurements (N, r) are searched, −1 where there is none, and their order along it, rising.
+class Places(NamedTuple):
+    """Measurements in cells along one of their first two components, the one on which they are spread most.
 
-    The axis is that of the first two on which they are spread most; angles have no order. Raises ValueError where a
-    measurement is NaN or infinite.
+    Attributes
+    ----------
+    along, across : that component, and the other one.
+    first, second : (N,) both of each measurement, by cells.     order : (N,) which one it is.
+    begin : (cells + 1,) where each cell begins.
+    low, scale : a value lies in cell (value − low)·scale.
+    near : whether what is far along an axis is far altogether: not of angles, which are all in one cell.
     """
-    axis, widest, n = -1, -1.0, z.shape[0]
-    for a in range(period.size):
-        low, high, total = np.inf, -np.inf, 0.0
+
+    along: int
+    across: int
+    first: F8
+    second: F8
+    order: I8
+    begin: I8
+    low: float
+    scale: float
+    near: bool
+
+
+@njit(**INNER)
+def cell(value: float, low: float, scale: float, count: int) -> int:
+    """Which of ``count`` cells from ``low`` on, ``scale`` of them a unit, holds a value; the first or the last beyond them."""
+    position = (value - low) * scale
+    if not position > 0.0:  # also NaN
+        return 0
+    return count - 1 if position >= count else int(position)
+
+
+@njit(**INNER)
+def places_of(m: Measurements) -> Places:
+    """The measurements in cells, about one in each. Raises ValueError where a measurement is NaN or infinite."""
+    z, period = m.z, m.period
+    n, along, low, widest, near = len(z), 0 * len(z), 0.0, 0.0, False
+    for a in range(len(period)):
+        least, most, total = np.inf, -np.inf, 0.0
         for j in range(n):
-            low, high, total = min(low, z[j, a]), max(high, z[j, a]), total + z[j, a]
+            least, most, total = min(least, z[j, a]), max(most, z[j, a]), total + z[j, a]
         if not np.isfinite(total):
             raise ValueError("measurements must be finite")
-        if period[a] == 0.0 and a < 2 and high - low > widest:
-            axis, widest = a, high - low
-    order, gap = np.empty(n, np.int64), 1
+        if period[a] == 0.0 and a < 2 and most - least > widest:
+            along, low, widest, near = a, least, most - least, True
+    across = 1 - along if len(period) > 1 and period[1 - along] == 0.0 else along
+    count = n if near else 1
+    scale, begin, number = count / widest if near else 0.0, np.empty(count + 1, np.int64), np.empty(n, np.int64)
+    for c in range(count + 1):
+        begin[c] = 0
     for j in range(n):
-        order[j] = j
-    # Shell's sort: for a thousand as fast as better ones, and much faster to compile.
-    while 3 * gap + 1 < n:
-        gap = 3 * gap + 1
-    while axis >= 0 and gap > 0:
-        for k in range(gap, n):
-            j, place = order[k], k
-            while place >= gap and z[order[place - gap], axis] > z[j, axis]:
-                order[place] = order[place - gap]
-                place -= gap
-            order[place] = j
-        gap //= 3
-    return axis, order
+        number[j] = cell(z[j, along], low, scale, count)
+        begin[number[j]] += 1
+    # From the last one back: a cell's end becomes its beginning.
+    for c in range(count):
+        begin[c + 1] += begin[c]
+    first, second, order = np.empty(n), np.empty(n), np.empty(n, np.int64)
+    for back in range(n):
+        j = n - 1 - back
+        begin[number[j]] -= 1
+        k = begin[number[j]]
+        order[k], first[k], second[k] = j, z[j, along], z[j, across]
+    return Places(along, across, first, second, order, begin, low, scale, near)
 
 
 @njit(**INNER)
-def longer(index: I8, value: F8) -> tuple[I8, F8]:
-    """The same rows at the beginning of arrays twice as long."""
-    n = len(index)
-    more_index, more_value = np.empty((2 * n, index.shape[1]), np.int64), np.empty((2 * n, value.shape[1]))
-    # In a loop: an assignment of rows would compile Numba's code for its error messages.
-    for k in range(n):
-        for a in range(index.shape[1]):
-            more_index[k, a] = index[k, a]
-        for a in range(value.shape[1]):
-            more_value[k, a] = value[k, a]
-    return more_index, more_value
+def longer(values: NDArray[Any]) -> NDArray[Any]:
+    """The same at the beginning of an array twice as long, of integers or of floats (P,)."""
+    out = np.empty(2 * values.size, values.dtype)
+    # In a loop: an assignment of a slice would compile Numba's code for its error messages.
+    for k in range(values.size):
+        out[k] = values[k]
+    return out
 
 
 @njit(**INNER)
-def gated(e: Expected, m: Measurements, gate: float) -> Pairs:
-    """The pairs (Gaussian, measurement) with d ≤ ``gate``, in time linear in Gaussians and pairs but for one sorted axis.
+def gated(e: Expected, m: Measurements, places: Places, gate: float, active: F8) -> Pairs:
+    """The pairs (Gaussian, measurement) with d ≤ ``gate``, in time linear in Gaussians and pairs.
 
-    Raises ValueError where a measurement is NaN or infinite.
+    Parameters
+    ----------
+    e : what the Gaussians say of measurements.
+    m, places : the measurements.
+    gate : in deviations of the innovation.
+    active : (J,) Gaussians at which this is 0 are left out.
     """
-    seen, cov, noise, z, extra, period = e.z, e.covariance, e.noise, m.z, m.noise, m.period
-    axis, order = sorted_along(z, period)
-    work, along, gate2, wide, high = work_space(e.cross.shape[1], period.size), max(axis, 0), gate * gate, 0.0, 0.0
-    # The other of the first two axes, where there is one that is no angle.
-    across = 1 - along if period.size > 1 and period[1 - along] == 0.0 else along
-    first, second = np.empty(len(z)), np.empty(len(z))
-    for k in range(len(z)):
-        first[k], second[k] = z[order[k], along], z[order[k], across]
+    rows, seen, spread, noise, z, extra, period = e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period
+    along, across, first, second, order, begin, low, scale, near = places
+    root, y, wide, high = np.empty((rows.size, rows.size)), np.empty(rows.size), 0.0, 0.0
     for j in range(len(extra)):
         wide, high = max(wide, extra[j, along, along]), max(high, extra[j, across, across])
-    room, found = 2 * len(seen) + 2 * len(z) + 16, 0 * len(z)
-    index, number = np.empty((room, 2), np.int64), np.empty((room, 2))
+    row, other, room, found = rows[along], rows[across], 2 * len(seen) + 2 * len(z) + 16, 0 * len(z)
+    gaussian, measurement = np.empty(room, np.int64), np.empty(room, np.int64)
+    distance2, log_density = np.empty(room), np.empty(room)
+    cells, limit = begin.size - 1, gate * gate
     for i in range(len(seen)):
-        reach, width = cov[i, along, along] + wide, cov[i, across, across] + high
+        if not active[i] > 0.0:
+            continue
+        reach, width = spread[i, row, row] + wide, spread[i, other, other] + high
         if len(noise) > 0:
             reach, width = reach + noise[i, along, along], width + noise[i, across, across]
-        reach, width = gate * np.sqrt(reach), gate * np.sqrt(width)
-        begin, end, log_det, known = 0 * found, len(z), 0.0, False
-        x, y = seen[i, along], seen[i, across]
-        while axis >= 0 and begin < end:
-            middle = (begin + end) // 2
-            if first[middle] < x - reach:
-                begin = middle + 1
-            else:
-                end = middle
-        for k in range(begin, len(z)):
-            if axis >= 0 and first[k] > x + reach:
-                break
-            if axis >= 0 and abs(second[k] - y) > width:
+        reach, width = gate * np.sqrt(reach) if near else np.inf, gate * np.sqrt(width) if near else np.inf
+        x, middle = seen[i, row], seen[i, other]
+        log_det, known = 0.0, False
+        for k in range(begin[cell(x - reach, low, scale, cells)], begin[cell(x + reach, low, scale, cells) + 1]):
+            if abs(first[k] - x) > reach or abs(second[k] - middle) > width:
                 continue
             j = order[k]
             if len(extra) > 0 or not known:
-                log_det, known = innovation_root(e, m, i, j, work.root), True
-            d2 = whitened(e, m, i, j, work)
-            if d2 <= gate2:
-                if found == len(index):
-                    index, number = longer(index, number)
-                index[found, 0], index[found, 1] = i, j
-                number[found, 0], number[found, 1] = d2, -0.5 * (d2 + log_det)
+                log_det, known = innovation_root(spread, rows, noise, extra, i, j, period, root), True
+            d2 = whitened(seen, rows, z, i, j, period, root, y)
+            if d2 <= limit:
+                if found == gaussian.size:
+                    gaussian, measurement = longer(gaussian), longer(measurement)
+                    distance2, log_density = longer(distance2), longer(log_density)
+                gaussian[found], measurement[found] = i, j
+                distance2[found], log_density[found] = d2, -0.5 * (d2 + log_det)
                 found += 1
-    return Pairs(index[:found, 0].copy(), index[:found, 1].copy(), number[:found, 0].copy(), number[:found, 1].copy())
+    return Pairs(gaussian[:found], measurement[:found], distance2[:found], log_density[:found])
 
 
 @njit(**INNER)
-def posteriors(mean: F8, covariance: F8, e: Expected, m: Measurements, gaussian: I8, measurement: I8) -> tuple[F8, F8]:
-    """Means (P, d) and covariances (P, d, d) of pairs after the update [V06 (37), (38)].
+def write_posteriors(
+    mean: F8, covariance: F8, e: Expected, m: Measurements, gaussian: I8, measurement: I8, out_mean: F8, out_covariance: F8,
+    first: int,
+) -> None:  # fmt: skip
+    """Means and covariances of pairs after the update [V06 (37), (38)], from row ``first`` of the outputs on.
 
     Parameters
     ----------
     mean, covariance : (J, d), (J, d, d) before it.
     e, m : what these Gaussians say of measurements, and the measurements.
-    gaussian, measurement : (P,) the pairs; faster where pairs of one Gaussian follow each other.
+    gaussian, measurement : (P,) the pairs; faster where pairs of one Gaussian follow each other. Those of −1 are left out.
+    out_mean, out_covariance : (K, d), (K, d, d) output.
     """
-    d, count, fixed = mean.shape[1], gaussian.size, len(m.noise) == 0
-    work = work_space(d, m.period.size)
-    out_mean, out_covariance = np.empty((count, d)), np.empty((count, d, d))
-    for p in range(count):
+    rows, seen, spread, cross, noise = e.rows, e.z, e.covariance, e.cross, e.noise
+    z, extra, period, last = m.z, m.noise, m.period, -1
+    root, y, w = np.empty((rows.size, rows.size)), np.empty(rows.size), np.empty((rows.size, mean.shape[1]))
+    for p in range(gaussian.size):
         i, j = gaussian[p], measurement[p]
-        same = fixed and p > 0 and gaussian[p - 1] == i
-        if not same:
-            innovation_root(e, m, i, j, work.root)
-            gain(e, i, work)
-        whitened(e, m, i, j, work)
-        posterior_mean(mean, i, work, out_mean, p)
-        if same:
-            for c in range(d):
-                for b in range(d):
-                    out_covariance[p, c, b] = out_covariance[p - 1, c, b]
-        else:
-            posterior_covariance(covariance, i, work, out_covariance, p)
-    return out_mean, out_covariance
+        if j < 0:
+            continue
+        if len(extra) > 0 or i != last:
+            innovation_root(spread, rows, noise, extra, i, j, period, root)
+            last = i
+        whitened(seen, rows, z, i, j, period, root, y)
+        posterior(mean, cross, rows, i, period, root, y, w, out_mean, first + p)
+        posterior_covariance(covariance, i, period, w, out_covariance, first + p)
 
 
 @njit(**ENTRY)
-def gated_pairs(e: Expected, m: Measurements, gate: float) -> Pairs:
+def gated_pairs(e: Expected, m: Measurements, gate: float, active: F8) -> Pairs:
     """`gated`, to be called from Python."""
-    out: Pairs = gated(e, m, gate)
+    out: Pairs = gated(e, m, places_of(m), gate, active)
     return out
 
 
 @njit(**ENTRY)
 def pair_posteriors(mean: F8, covariance: F8, e: Expected, m: Measurements, gaussian: I8, measurement: I8) -> tuple[F8, F8]:
-    """`posteriors`, to be called from Python."""
-    out: tuple[F8, F8] = posteriors(mean, covariance, e, m, gaussian, measurement)
-    return out
+    """Means (P, d) and covariances (P, d, d) of pairs, see `write_posteriors`."""
+    d, count = mean.shape[1], gaussian.size
+    out_mean, out_covariance = np.empty((count, d)), np.empty((count, d, d))
+    write_posteriors(mean, covariance, e, m, gaussian, measurement, out_mean, out_covariance, 0)
+    return out_mean, out_covariance
 
 
 @njit(cache=True)
@@ -430,54 +455,47 @@ def predicted_covariance(cov: F8, f: F8, q: F8) -> F8:
     return out
 
 
-class NewTargets(NamedTuple):
-    """Targets whose first detection is measurement j: ``density`` (N,) γ̂, ``mean`` (N, d), ``covariance`` (N, d, d)."""
-
-    density: F8
-    mean: F8
-    covariance: F8
-
-
 @njit(**ENTRY)
-def first_states(births: Births, e: Expected, m: Measurements, gate: float) -> NewTargets:
+def first_states(births: Births, p_detect: F8, e: Expected, m: Measurements, gate: float) -> NewTargets:
     """γ̂(z) = ∫ p_D g(z|x) γ(x) dx, and mean and covariance of p_D g(z|x) γ(x) given z.
 
     Parameters
     ----------
-    births : γ. One around a detection is flat there: the detection alone says where the target is.
-    e : what the births say of measurements; without births that stand for themselves ``p_detect`` is enough.
+    births : γ.
+    p_detect : (N,) detection probability of those around each measurement.
+    e : what the births that are given say of measurements.
     m : the measurements.
     gate : in deviations.
     """
-    n, d, count = len(m.z), births.mean.shape[1], births.weight.size
-    pairs = gated(e, m, gate)
-    states, covs = posteriors(births.mean, births.covariance, e, m, pairs.gaussian, pairs.measurement)
-    density, mean, cov = np.zeros(n), np.zeros((n, d)), np.zeros((n, d, d))
-    total = pairs.gaussian.size + count
-    part, of = np.zeros(total), np.zeros(total, np.int64)
-    for q in range(total):
-        b = pairs.gaussian[q] if q < pairs.gaussian.size else q - pairs.gaussian.size
-        around = births.measurement[b] >= 0
-        if q < pairs.gaussian.size:
-            of[q] = pairs.measurement[q]
-            part[q] = 0.0 if around else births.weight[b] * e.p_detect[b] * np.exp(pairs.log_density[q])
-        elif around:
-            of[q], part[q] = births.measurement[b], e.p_detect[b] * births.density[b]
-        density[of[q]] += part[q]
+    around, n, d = births.around, len(m.z), births.mean.shape[1]
+    pairs = gated(e, m, places_of(m), gate, births.weight)
+    states, covs = np.empty((pairs.gaussian.size, d)), np.empty((pairs.gaussian.size, d, d))
+    write_posteriors(births.mean, births.covariance, e, m, pairs.gaussian, pairs.measurement, states, covs, 0)
+    density, part = np.empty(n), np.empty(pairs.gaussian.size)
+    for j in range(n):
+        density[j] = p_detect[j] * around.density[j]
+    for q in range(part.size):
+        i = pairs.gaussian[q]
+        part[q] = births.weight[i] * e.p_detect[i] * np.exp(pairs.log_density[q])
+        density[pairs.measurement[q]] += part[q]
+    mean, cov = np.zeros((n, d)), np.zeros((n, d, d))
     # First the means, then the covariances about them.
     for turn in range(2):
-        for q in range(total):
-            if not part[q] > 0.0:
+        for q in range(part.size + n):
+            from_given = q < part.size
+            k = q if from_given else q - part.size
+            j = pairs.measurement[k] if from_given else k
+            weight = part[k] if from_given else p_detect[j] * around.density[j]
+            if not weight > 0.0:
                 continue
-            j, b = of[q], q - pairs.gaussian.size
-            share = part[q] / density[j]
-            for k in range(d):
-                state = states[q, k] if b < 0 else births.mean[b, k]
+            share = weight / density[j]
+            for a in range(d):
+                state = states[k, a] if from_given else around.mean[j, a]
                 if turn == 0:
-                    mean[j, k] += share * state
+                    mean[j, a] += share * state
                     continue
-                for c in range(d):
-                    other = states[q, c] if b < 0 else births.mean[b, c]
-                    value = covs[q, k, c] if b < 0 else births.first[b, k, c]
-                    cov[j, k, c] += share * (value + (state - mean[j, k]) * (other - mean[j, c]))
+                for b in range(d):
+                    other = states[k, b] if from_given else around.mean[j, b]
+                    value = covs[k, a, b] if from_given else around.covariance[j, a, b]
+                    cov[j, a, b] += share * (value + (state - mean[j, a]) * (other - mean[j, b]))
     return NewTargets(density, mean, cov)

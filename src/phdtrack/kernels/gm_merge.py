@@ -10,15 +10,38 @@ A union has the tag of its strongest [P09 §III].
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gm_update import Rows
+from phdtrack.kernels.gaussian import cell
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
+# ``axes`` is (0, 1, …, d − 1): the length of a tuple is known when a function is compiled, and loops of known length are
+# unrolled, which saves a third of the time.
+Axes = tuple[int, ...]
+
+class Rows(NamedTuple):
+    """A Gaussian mixture, a Gaussian a row: ``weight`` (J,), ``mean`` (J, d), ``covariance`` (J, d, d), ``tag`` (J,)."""
+
+    weight: F8
+    mean: F8
+    covariance: F8
+    tag: I8
+
+
+class Merging(NamedTuple):
+    """Settings of `filters.GMPHD` that a reduction needs."""
+
+    weight_threshold: float
+    merge_distance: float
+    max_components: int
+    split_weight: float
+    keep_mass: bool
 
 
 # Up to this many, insertion is faster than counting.
@@ -70,11 +93,6 @@ def descending(weight: F8) -> I8:
             count[b] += 1
         order, spare, key, spare_key = spare, order, spare_key, key
     return order
-
-
-# ``axes`` is (0, 1, …, d − 1): the length of a tuple is known when a function is compiled, and loops of known length are
-# unrolled, which saves a third of the time.
-Axes = tuple[int, ...]
 
 
 @njit(**INNER)
@@ -141,15 +159,6 @@ def _cells(x: F8, cov: F8, alive: I8) -> tuple[float, float, float, float, int, 
 
 
 @njit(**INNER)
-def _cell(value: float, origin: float, scale: float, count: int) -> int:
-    """Index of the cell that holds ``value``, clamped to the grid."""
-    position = (value - origin) * scale
-    if not position > 0.0:  # also NaN
-        return 0
-    return count - 1 if position >= count else int(position)
-
-
-@njit(**INNER)
 def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) -> tuple[I8, I8, I8]:
     """Indices by descending weight (n,), the number of the group of each of these (n,), the head of each group (k,)."""
     n, d = alive.size, len(axes)
@@ -171,8 +180,8 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
         px, py = x[i, 0], x[i, 1]
         reach_x, reach_y = distance * np.sqrt(cov[i, 0, 0]), distance * np.sqrt(cov[i, 1, 1])
         best, known = n, False
-        left, right = _cell(px - reach_x, x0, sx, nx), _cell(px + reach_x, x0, sx, nx)
-        for line in range(_cell(py - reach_y, y0, sy, ny), _cell(py + reach_y, y0, sy, ny) + 1):
+        left, right = cell(px - reach_x, x0, sx, nx), cell(px + reach_x, x0, sx, nx)
+        for line in range(cell(py - reach_y, y0, sy, ny), cell(py + reach_y, y0, sy, ny) + 1):
             for column in range(left, right + 1):
                 g = first[line * nx + column]
                 while g >= 0:
@@ -190,7 +199,7 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
         if best == n:
             best = count
             head[count] = i
-            home = _cell(py, y0, sy, ny) * nx + _cell(px, x0, sx, nx)
+            home = cell(py, y0, sy, ny) * nx + cell(px, x0, sx, nx)
             after[count], first[home] = first[home], count
             count += 1
         group[k] = best
@@ -296,10 +305,8 @@ def _alive(weight: F8, prune: float) -> I8:
     return out[:count]
 
 
-@njit(**ENTRY)
-def reduced(
-    rows: Rows, axes: Axes, threshold: float, distance: float, most: int, split: float, mass: float, fresh: int
-) -> tuple[F8, F8, F8, I8, int]:
+@njit(**INNER)
+def merged_rows(rows: Rows, axes: Axes, s: Merging, mass: float, fresh: int) -> tuple[F8, F8, F8, I8, int]:
     """Prune, merge and cap: weight (k,), mean (d, k), covariance (k, d, d), tag (k,); the next tag.
 
     Each group has mass, mean and covariance of its members and the tag of its strongest, by whose weights they are ordered.
@@ -308,10 +315,7 @@ def reduced(
     ----------
     rows : the Gaussians.
     axes : (0, 1, …, d − 1).
-    threshold : what is lighter is left out.
-    distance : Mahalanobis distance (not squared) up to which two are one.
-    most : as many of what merging leaves, the heaviest, are kept; 0: all.
-    split : see `parted`.
+    s : settings.
     mass : the weights are scaled to this sum; where it is negative they stay.
     fresh : the first new tag.
 
@@ -320,9 +324,16 @@ def reduced(
     ValueError : a mean or a variance is NaN or infinite, or a variance negative.
     """
     weight, x, cov, tag = rows
-    alive = _alive(weight, threshold)
+    alive = _alive(weight, s.weight_threshold)
     if alive.size == 0:
         return np.empty(0), np.empty((len(axes), 0)), np.empty((0, len(axes), len(axes))), alive, fresh
-    order, group, head = _groups(weight, x, cov, alive, distance, axes)
-    w, mean, covs, tags = _united(weight, x, cov, tag, order, group, head, axes, most, mass)
-    return w, mean, covs, tags, parted(w, tags, split, fresh)
+    order, group, head = _groups(weight, x, cov, alive, s.merge_distance, axes)
+    w, mean, covs, tags = _united(weight, x, cov, tag, order, group, head, axes, s.max_components, mass)
+    return w, mean, covs, tags, parted(w, tags, s.split_weight, fresh)
+
+
+@njit(**ENTRY)
+def reduced(rows: Rows, axes: Axes, s: Merging, mass: float, fresh: int) -> tuple[F8, F8, F8, I8, int]:
+    """`merged_rows`, to be called from Python."""
+    out: tuple[F8, F8, F8, I8, int] = merged_rows(rows, axes, s, mass, fresh)
+    return out

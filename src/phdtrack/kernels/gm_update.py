@@ -1,7 +1,17 @@
 """The measurement update of a Gaussian-mixture PHD over the arrays that a model answers [V06 (32)–(38); V07].
 
-Two steps, between which the cardinalised filter weighs the terms in its own way: `phd_terms` adds the births and finds what
-all Gaussians say of the measurements, `phd_mixture` makes the updated Gaussians.
+Two steps, between which the cardinalised filter weighs the terms in its own way: `terms_of` adds the births around
+measurements and finds what all Gaussians say of the measurements, `mixture_of` makes the updated Gaussians.
+
+In them γ is flat around a measurement, and a Gaussian stands for it. Two conditions choose its mass m and its covariance aR
+in the rows of the state that the measurement shows: seen through the noise R it has the density of the flat γ at the
+measurement, and its mass is that of γ in the 99 % region {r² ≤ r₀²}, as of particles. In n dimensions, V_n the volume of
+the unit ball,
+
+    m = γ V_n r₀ⁿ √|R|,     m N(0; 0, (1 + a) R) = γ     ⇒     1 + a = (V_n r₀ⁿ)^(2/n) / 2π
+
+(a = 3.70 for boxes, 3.61 for points). Where such Gaussians overlap they share γ: each is divided by Σ_i w_i q_i/γ at its own
+measurement, so that together they have the density of γ there.
 """
 
 from __future__ import annotations
@@ -13,19 +23,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import (
-    Births,
-    Expected,
-    Measurements,
-    Pairs,
-    gain,
-    gated,
-    innovation_root,
-    posterior_covariance,
-    posterior_mean,
-    whitened,
-    work_space,
-)
+from phdtrack.kernels.gaussian import Expected, Measurements, NewTargets, Pairs, factor, gated, places_of, write_posteriors
+from phdtrack.kernels.gm_merge import Axes, Merging, Rows, merged_rows
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -33,24 +32,51 @@ I8 = NDArray[np.int64]
 SMALLEST = float(np.finfo(np.float64).tiny)
 
 
-class Rows(NamedTuple):
-    """A Gaussian mixture, a Gaussian a row: ``weight`` (J,), ``mean`` (J, d), ``covariance`` (J, d, d), ``tag`` (J,)."""
-
-    weight: F8
-    mean: F8
-    covariance: F8
-    tag: I8
-
-
-class Terms(NamedTuple):
-    """The terms of an update, not weighed yet. Its Gaussians are the predicted ones and the births.
+class Newborn(NamedTuple):
+    """Births around the measurements, a Gaussian each.
 
     Attributes
     ----------
-    weight : (L,) of D⁺; births whose detection is explained weigh 0.
-    kept : (K,) which of the L weigh more than 0.
-    gaussian, measurement : (P,) pairs within the gate.
-    share : (P,) p_D w q of each.
+    around : γT at the measurements, and what these say of targets there.
+    rows : (n,) int64, rows of the state that a measurement shows.
+    volume : V_n r₀ⁿ.     stretch : 1 + a.
+    expected : what these Gaussians say of measurements; where the sensor is linear ``p_detect`` and ``rows`` alone.
+    """
+
+    around: NewTargets
+    rows: I8
+    volume: float
+    stretch: float
+    expected: Expected
+
+
+class Reach(NamedTuple):
+    """How far Gaussians reach.
+
+    Attributes
+    ----------
+    gate : measurements further from a Gaussian, in deviations of the innovation, do not touch it.
+    region : squared distance within which predicted mass explains a measurement.
+    predicted : how many Gaussians are predicted; those behind them are births that were given.
+    fresh : tag of the first new Gaussian.
+    """
+
+    gate: float
+    region: float
+    predicted: int
+    fresh: int
+
+
+class Terms(NamedTuple):
+    """The terms of an update, not weighed yet.
+
+    Attributes
+    ----------
+    weight : (N,) of the births around measurements, 0 where there is none.
+    covariance : (N, d, d) of these.
+    expected : what they say of measurements.
+    pairs, born_pairs : pairs within the gate of the Gaussians, and of the births around measurements.
+    share, born_share : p_D w q of each.
     evidence : (N,) C(z).
     explained : (N,) 1/(κ + C), 0 where κ + C is.
     vanished : how many of them are.
@@ -58,10 +84,12 @@ class Terms(NamedTuple):
     """
 
     weight: F8
-    kept: I8
-    gaussian: I8
-    measurement: I8
+    covariance: F8
+    expected: Expected
+    pairs: Pairs
+    born_pairs: Pairs
     share: F8
+    born_share: F8
     evidence: F8
     explained: F8
     vanished: int
@@ -71,69 +99,84 @@ class Terms(NamedTuple):
 
 
 @njit(**INNER)
-def _births(before: F8, births: Births, pairs: Pairs, region: float, count: int) -> F8:
-    """(L,) weights of predicted Gaussians and births, those 0 whose detection predicted ones explain.
+def _newborn(before: F8, extra: F8, new: Newborn, pairs: Pairs, reach: Reach) -> tuple[F8, F8, F8]:
+    """Weights (N,), covariances (N, d, d) and the targets' part of R (N, r, r) of births around measurements.
 
-    A detection is explained by a predicted mass of 1 or more within the squared distance ``region`` of it. Where births of
-    several detections overlap they share γ: each is divided by Σ_i w_i q_i/γ at its own detection, so that together they
-    have the density of γ there.
+    The weight is 0, and the others are arbitrary, where a predicted mass of 1 or more within the region about the measurement
+    explains it. ``before`` (J,) are the weights of the Gaussians, ``extra`` is the measurements' part of R.
     """
-    old, new = before.size, births.weight.size
-    covered, shared, weight = np.zeros(count), np.zeros(count), np.empty(old + new)
-    for i in range(old):
-        weight[i] = before[i]
-    for p in range(pairs.gaussian.size):
-        if pairs.gaussian[p] < old and pairs.distance2[p] <= region:
-            covered[pairs.measurement[p]] += before[pairs.gaussian[p]]
-    for k in range(new):
-        j = births.measurement[k]
-        weight[old + k] = births.weight[k] if j < 0 or covered[j] < 1.0 else 0.0
-    for p in range(pairs.gaussian.size):
-        i = pairs.gaussian[p]
-        if i >= old and births.measurement[i - old] >= 0 and pairs.distance2[p] <= region and weight[i] > 0.0:
-            shared[pairs.measurement[p]] += weight[i] * np.exp(pairs.log_density[p])
-    for k in range(new):
-        j = births.measurement[k]
-        if j >= 0 and weight[old + k] > 0.0:
-            weight[old + k] *= births.density[k] / shared[j]
-    return weight
+    density, first, rows, gaussian, measurement = new.around.density, new.around.covariance, new.rows, pairs.gaussian, pairs.measurement
+    n, d, r, distance2 = len(first), first.shape[1], rows.size, pairs.distance2
+    covered, weight, covariance, noise = np.zeros(n), np.zeros(n), np.empty((n, d, d)), np.empty((n, r, r))
+    for p in range(gaussian.size):
+        if gaussian[p] < reach.predicted and distance2[p] <= reach.region:
+            covered[measurement[p]] += before[gaussian[p]]
+    root = np.empty((r, r))
+    for j in range(n):
+        if covered[j] < 1.0 and density[j] > 0.0:
+            for c in range(d):
+                for b in range(d):
+                    covariance[j, c, b] = first[j, c, b]
+            for a in range(r):
+                for b in range(r):
+                    noise[j, a, b] = first[j, rows[a], rows[b]]
+                    covariance[j, rows[a], rows[b]] = (new.stretch - 1.0) * noise[j, a, b]
+            weight[j] = density[j] * new.volume * np.exp(0.5 * factor(noise[j], root))
+            if len(extra) > 0:
+                for a in range(r):
+                    for b in range(r):
+                        noise[j, a, b] -= extra[j, a, b]
+    return weight, covariance, noise
 
 
 @njit(**INNER)
-def terms_of(before: F8, births: Births, e: Expected, m: Measurements, gate: float, region: float) -> Terms:
-    """The terms of the update of predicted Gaussians and births.
+def _shares(weight: F8, p_detect: F8, pairs: Pairs, evidence: F8) -> F8:
+    """(P,) p_D w q of each pair, which is added to the ``evidence`` (N,) of its measurement."""
+    share = np.empty(pairs.gaussian.size)
+    for p in range(share.size):
+        i = pairs.gaussian[p]
+        share[p] = p_detect[i] * weight[i] * np.exp(pairs.log_density[p])
+        evidence[pairs.measurement[p]] += share[p]
+    return share
+
+
+@njit(**INNER)
+def terms_of(before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Reach) -> Terms:
+    """The terms of the update.
 
     Parameters
     ----------
-    before : (J,) weights of the predicted Gaussians.
-    births : what is born in the interval.
-    e : what the predicted Gaussians, and behind them the births, say of measurements.
+    before : the predicted Gaussians, and behind them births that were given.
+    e : what they say of measurements.
     m : the measurements.
-    gate : those further from a Gaussian, in deviations of the innovation, do not touch it.
-    region : squared distance within which predicted mass explains a detection.
+    new : births around the measurements.
+    reach : how far Gaussians reach.
     """
-    pairs, n, old = gated(e, m, gate), len(m.z), before.size
-    weight = _births(before, births, pairs, region, n)
-    evidence, explained, kept = np.zeros(n), np.zeros(n), np.empty(weight.size, np.int64)
-    used, predicted, missed, born = 0, 0.0, 0.0, 0.0
-    for i in range(weight.size):
-        if weight[i] > 0.0:
-            kept[used] = i
-            used += 1
-            predicted += weight[i]
-            missed += weight[i] * (1.0 - e.p_detect[i])
-            born += weight[i] if i >= old else 0.0
-    count = pairs.gaussian.size
-    gaussian, measurement, share = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count)
-    found = 0
-    for p in range(count):
-        i, j = pairs.gaussian[p], pairs.measurement[p]
-        if weight[i] > 0.0:
-            gaussian[found], measurement[found] = i, j
-            share[found] = e.p_detect[i] * weight[i] * np.exp(pairs.log_density[p])
-            evidence[j] += share[found]
-            found += 1
-    vanished = 0
+    n, density = len(m.z), new.around.density
+    places, said = places_of(m), new.expected
+    pairs = gated(e, m, places, reach.gate, before.weight)
+    weight, covariance, noise = _newborn(before.weight, m.noise, new, pairs, reach)
+    if len(said.covariance) == 0:
+        said = Expected(said.rows, new.around.mean, covariance, covariance, noise, said.p_detect)
+    born_pairs = gated(said, m, places, reach.gate, weight)
+    shared = np.zeros(n)
+    for p in range(born_pairs.gaussian.size):
+        if born_pairs.distance2[p] <= reach.region:
+            shared[born_pairs.measurement[p]] += weight[born_pairs.gaussian[p]] * np.exp(born_pairs.log_density[p])
+    predicted, missed, born, vanished = 0.0, 0.0, 0.0, 0 * n
+    for i in range(before.weight.size):
+        predicted += before.weight[i]
+        missed += before.weight[i] * (1.0 - e.p_detect[i])
+        born += before.weight[i] if i >= reach.predicted else 0.0
+    for j in range(n):
+        if weight[j] > 0.0:
+            weight[j] *= density[j] / shared[j]
+            predicted += weight[j]
+            missed += weight[j] * (1.0 - said.p_detect[j])
+            born += weight[j]
+    evidence, explained = np.zeros(n), np.zeros(n)
+    share = _shares(before.weight, e.p_detect, pairs, evidence)
+    born_share = _shares(weight, said.p_detect, born_pairs, evidence)
     for j in range(n):
         total = m.clutter[j] + evidence[j]
         if total >= SMALLEST:
@@ -141,93 +184,118 @@ def terms_of(before: F8, births: Births, e: Expected, m: Measurements, gate: flo
         else:
             vanished += 1
     return Terms(
-        weight, kept[:used], gaussian[:found], measurement[:found], share[:found], evidence, explained, vanished,
-        predicted, born, missed,
-    )  # fmt: skip
+        weight, covariance, said, pairs, born_pairs, share, born_share, evidence, explained, vanished, predicted, born, missed
+    )
+
+
+@njit(**INNER)
+def _missed(before: Rows, p_detect: F8, factor: float, threshold: float, out: Rows, k: int) -> int:
+    """Write Gaussians of weight (1 − p_D) ``factor`` behind the first k, but for those below the threshold; how many now."""
+    old_weight, old_mean, old_covariance, old_tag = before
+    weight, mean, covariance, tag = out
+    d = mean.shape[1]
+    for i in range(old_weight.size):
+        value = factor * old_weight[i] * (1.0 - p_detect[i])
+        if value >= threshold and old_weight[i] > 0.0:
+            weight[k], tag[k] = value, old_tag[i]
+            for r in range(d):
+                mean[k, r] = old_mean[i, r]
+                for s in range(d):
+                    covariance[k, r, s] = old_covariance[i, r, s]
+            k += 1
+    return k
+
+
+@njit(**INNER)
+def _heavy(pairs: Pairs, share: F8, detected: F8, threshold: float) -> tuple[I8, I8, F8, float]:
+    """Gaussian, measurement and weight (P,) of the pairs that weigh no less than the threshold, and the mass of all."""
+    of_gaussian, of_measurement = pairs.gaussian, pairs.measurement
+    gaussian, measurement = np.empty(share.size, np.int64), np.empty(share.size, np.int64)
+    weight, mass, found = np.empty(share.size), 0.0, 0 * share.size
+    for p in range(share.size):
+        value = share[p] * detected[of_measurement[p]]
+        mass += value
+        if value >= threshold:
+            gaussian[found], measurement[found], weight[found] = of_gaussian[p], of_measurement[p], value
+            found += 1
+    return gaussian[:found], measurement[:found], weight[:found], mass
 
 
 @njit(**INNER)
 def mixture_of(
-    before: Rows, e: Expected, m: Measurements, terms: Terms, missed: float, detected: F8, fresh: int, threshold: float
-) -> tuple[Rows, float, int]:
+    before: Rows, e: Expected, m: Measurements, new: Newborn, terms: Terms, weighing: tuple[float, F8], fresh: int,
+    threshold: float,
+) -> tuple[Rows, float, int]:  # fmt: skip
     """The updated Gaussians, their mass with what the threshold leaves out, and the next tag.
 
     Parameters
     ----------
-    before : the Gaussians of D⁺, births last; only the predicted ones have tags.
-    e, m, terms : what they say of the measurements.
-    missed : weighs (1 − p_D) D⁺.
-    detected : (N,) weigh the terms of each measurement.
+    before, e, m, new, terms : as of `terms_of`.
+    weighing : the factor of (1 − p_D) D⁺, and those (N,) of the terms of each measurement.
     fresh : tag of the first new Gaussian.
     threshold : lighter Gaussians are left out.
     """
-    used, d, old = terms.kept.size, before.mean.shape[1], before.tag.size
-    tag, mass, room = np.empty(terms.weight.size, np.int64), 0.0, used
-    for i in range(old):
-        tag[i] = before.tag[i]
-    for k in range(used):
-        if terms.kept[k] >= old:
-            tag[terms.kept[k]] = fresh
-            fresh += 1
-    for p in range(terms.share.size):
-        room += terms.share[p] * detected[terms.measurement[p]] >= threshold
+    missed, detected = weighing
+    d, n, weight, old_tag = before.mean.shape[1], terms.weight.size, terms.weight, before.tag
+    born = Rows(weight, new.around.mean, terms.covariance, np.empty(n, np.int64))
+    born_tag = born.tag
+    for j in range(n):
+        born_tag[j] = fresh
+        fresh += weight[j] > 0.0
+    i, j, heavy, mass = _heavy(terms.pairs, terms.share, detected, threshold)
+    born_i, born_j, born_heavy, born_mass = _heavy(terms.born_pairs, terms.born_share, detected, threshold)
+    room = old_tag.size + n + heavy.size + born_heavy.size
     out = Rows(np.empty(room), np.empty((room, d)), np.empty((room, d, d)), np.empty(room, np.int64))
-    k = 0
-    for row in range(used):
-        i = terms.kept[row]
-        value = missed * terms.weight[i] * (1.0 - e.p_detect[i])
-        mass += value
-        if value >= threshold:
-            out.weight[k], out.tag[k] = value, tag[i]
-            for r in range(d):
-                out.mean[k, r] = before.mean[i, r]
-                for s in range(d):
-                    out.covariance[k, r, s] = before.covariance[i, r, s]
-            k += 1
-    work, last, fixed = work_space(d, m.period.size), -1, len(m.noise) == 0
-    for p in range(terms.share.size):
-        i, j = terms.gaussian[p], terms.measurement[p]
-        value = terms.share[p] * detected[j]
-        mass += value
-        if value >= threshold:
-            if not (fixed and last == i):
-                innovation_root(e, m, i, j, work.root)
-                gain(e, i, work)
-                last = i
-            whitened(e, m, i, j, work)
-            out.weight[k], out.tag[k] = value, tag[i]
-            posterior_mean(before.mean, i, work, out.mean, k)
-            posterior_covariance(before.covariance, i, work, out.covariance, k)
-            k += 1
-    return Rows(out.weight[:k], out.mean[:k], out.covariance[:k], out.tag[:k]), mass, fresh
+    k = _missed(before, e.p_detect, missed, threshold, out, 0 * n)
+    k = _missed(born, terms.expected.p_detect, missed, threshold, out, k)
+    out_weight, out_tag, behind = out.weight, out.tag, k + heavy.size
+    write_posteriors(before.mean, before.covariance, e, m, i, j, out.mean, out.covariance, k)
+    write_posteriors(born.mean, born.covariance, terms.expected, m, born_i, born_j, out.mean, out.covariance, behind)
+    for p in range(heavy.size):
+        out_weight[k + p], out_tag[k + p] = heavy[p], old_tag[i[p]]
+    for p in range(born_heavy.size):
+        out_weight[behind + p], out_tag[behind + p] = born_heavy[p], born_tag[born_i[p]]
+    k = behind + born_heavy.size
+    return Rows(out_weight[:k], out.mean[:k], out.covariance[:k], out_tag[:k]), missed * terms.missed + mass + born_mass, fresh
 
 
 @njit(**ENTRY)
-def phd_terms(before: F8, births: Births, e: Expected, m: Measurements, gate: float, region: float) -> Terms:
+def phd_terms(before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Reach) -> Terms:
     """`terms_of`, to be called from Python."""
-    out: Terms = terms_of(before, births, e, m, gate, region)
+    out: Terms = terms_of(before, e, m, new, reach)
     return out
 
 
 @njit(**ENTRY)
 def phd_mixture(
-    before: Rows, e: Expected, m: Measurements, terms: Terms, missed: float, detected: F8, fresh: int, threshold: float
+    before: Rows, e: Expected, m: Measurements, new: Newborn, terms: Terms, weighing: tuple[float, F8], fresh: int
 ) -> tuple[Rows, float, int]:
     """`mixture_of`, to be called from Python."""
-    out: tuple[Rows, float, int] = mixture_of(before, e, m, terms, missed, detected, fresh, threshold)
+    out: tuple[Rows, float, int] = mixture_of(before, e, m, new, terms, weighing, fresh, 0.0)
     return out
 
 
 @njit(**ENTRY)
 def phd_update(
-    before: Rows, births: Births, e: Expected, m: Measurements, gate: float, region: float, fresh: int, threshold: float
+    before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Reach
 ) -> tuple[F8, F8, F8, I8, F8, tuple[float, float, float], int, int]:
     """Both steps, weighed as in the PHD filter [V06 (32)]: by 1 and 1/(κ + C).
 
-    Arguments as in `terms_of` and `mixture_of`. Returns the updated Gaussians as of `Rows`, C(z) (N,), the masses predicted,
-    born and after the update, the number of measurements with κ + C = 0, and the next tag.
+    Arguments as of `terms_of`. Returns the updated Gaussians as of `Rows`, C(z) (N,), the masses predicted, born and after
+    the update, the number of measurements with κ + C = 0, and the next tag.
     """
-    terms = terms_of(before.weight, births, e, m, gate, region)
-    rows, mass, fresh = mixture_of(before, e, m, terms, 1.0, terms.explained, fresh, threshold)
+    terms = terms_of(before, e, m, new, reach)
+    rows, mass, fresh = mixture_of(before, e, m, new, terms, (1.0, terms.explained), reach.fresh, 0.0)
     masses = (terms.predicted, terms.born, mass)
     return rows.weight, rows.mean, rows.covariance, rows.tag, terms.evidence, masses, terms.vanished, fresh
+
+
+@njit(**ENTRY)
+def phd_step(
+    before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Reach, merging: Merging, axes: Axes
+) -> tuple[F8, F8, F8, I8, F8, tuple[float, float, float], int, int]:
+    """`phd_update` and `gm_merge.reduced` in one; Gaussians that pruning would drop are not made."""
+    terms = terms_of(before, e, m, new, reach)
+    rows, mass, fresh = mixture_of(before, e, m, new, terms, (1.0, terms.explained), reach.fresh, merging.weight_threshold)
+    weight, mean, covariance, tag, fresh = merged_rows(rows, axes, merging, mass if merging.keep_mass else -1.0, fresh)
+    return weight, mean, covariance, tag, terms.evidence, (terms.predicted, terms.born, mass), terms.vanished, fresh

@@ -25,20 +25,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import (
-    Expected,
-    Measurements,
-    NewTargets,
-    Pairs,
-    Predicted,
-    gain,
-    gated,
-    innovation_root,
-    posterior_covariance,
-    posterior_mean,
-    whitened,
-    work_space,
-)
+from phdtrack.kernels.gaussian import Expected, Measurements, NewTargets, Pairs, Predicted, gated, places_of, write_posteriors
 from phdtrack.kernels.marginals import beliefs
 
 F8 = NDArray[np.float64]
@@ -289,7 +276,7 @@ def write_kept(layer: Layer, e: Expected, m: Measurements, first: F8, p_detect: 
     out_mean, out_cov, out_static, out_occluded = out.mean, out.covariance, out.static, out.occluded
     out_weight, out_detection, out_parent = out.weight, out.detection, out.parent
     source, taken, weight = kept.source, kept.taken, kept.weight
-    work = work_space(mean.shape[1], e.z.shape[1])
+    write_posteriors(mean, covariance, e, m, source[: kept.hypotheses], taken[: kept.hypotheses], out_mean, out_cov, 0)
     for k in range(kept.hypotheses):
         i, j = source[k], taken[k]
         out_weight[k], out_static[k], out_detection[k], out_parent[k] = weight[k], static[i], j, parent[i]
@@ -297,11 +284,6 @@ def write_kept(layer: Layer, e: Expected, m: Measurements, first: F8, p_detect: 
         if j < 0:
             copy_state(mean, covariance, i, out_mean, out_cov, k)
             continue
-        innovation_root(e, m, i, j, work.root)
-        gain(e, i, work)
-        whitened(e, m, i, j, work)
-        posterior_mean(mean, i, work, out_mean, k)
-        posterior_covariance(covariance, i, work, out_cov, k)
         if static[i]:
             # Were its place known better and better, a target that stands still would be explained by it better and better.
             for a in range(mean.shape[1]):
@@ -481,7 +463,7 @@ def updated_layer(
         p_detect[c] = s.static_detection_probability if static[c] else (1.0 - occluded[c]) * seen[c]
     for j in range(alone.size):
         alone[j] = max(clutter[j] + density[j], TINY)
-    pairs = gated(e, m, s.gate)
+    pairs = gated(e, m, places_of(m), s.gate, p_detect)
     kept = kept_hypotheses(layer.r, layer.offsets, layer.weight, p_detect, pairs, alone, s)
     prior, p_new, started = s.static_clutter_prior, kept.p_new, 0 * fresh
     for j in range(alone.size):

@@ -13,16 +13,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from phdtrack.arrays import draw, region_radius2, sum_by
+from phdtrack.arrays import chi2_quantile, draw
 from phdtrack.checks import NonNegative, PositiveCount, Probability, Share, check
 from phdtrack.errors import InputError
-from phdtrack.kernels.box_model import births_about, births_of_boxes
-from phdtrack.kernels.gaussian import Births
-from phdtrack.kernels.grid import points_in_rectangles
+from phdtrack.kernels.gaussian import Births, NewTargets
 from phdtrack.kernels.neighbourhoods import summed_densities
 from phdtrack.kernels.newborn import density_within, place_newborn, proposal_density, proposals, standard_points
-from phdtrack.kernels.pairs import quadratic_form
-from phdtrack.models.box_sensor import BoxSensor
 from phdtrack.models.volume import REACH, SIZES, Volume, image_volume, local_volume
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, I8, GaussianMixture, Particles
@@ -69,24 +65,14 @@ class MeasurementBirth:
             rng,
         )
 
-    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
-        """Gaussians about the detections that have the density of γ there, see `gaussians_about`."""
-        return gaussians_about(z, covered, sensor, lambda x: self.density(x) * seconds)
-
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """γT as Gaussians around the detections, see `births_around`."""
-        density = self.density(z) * seconds
-        if type(sensor) is BoxSensor and sensor.scaling != "previous":
-            boxes: Births = births_of_boxes(
-                np.ascontiguousarray(z), sensor.numbers, sensor.speed, density, *newborn_shape(4)
-            )
-            return boxes
-        return births_around(sensor.states(z), sensor.observed, density)
+        """γT around the detections."""
+        return births_around(sensor.states(z), self.density(z) * seconds)
 
     def density(self, z: F8) -> F8:
         """(N,) γ per second at the detections themselves."""
         if self.volume == "image":
-            return self._intensity(z[:4], np.zeros(1, np.int64), z)
+            return self.births_per_second / image_volume(self.frame_size) * ((z[2] > 0) & (z[3] > 0))
         each = self.births_per_second / local_volume(z)
         local: F8 = summed_densities(np.ascontiguousarray(z[:4]), each, REACH, *SIZES)
         return local
@@ -98,7 +84,7 @@ class MeasurementBirth:
     def _intensity(self, shown: F8, first: I8, z: F8) -> F8:
         """γ per second at positions and sizes (4, L), which lie in the runs ``first``; 0 where a size is not positive."""
         if self.volume == "image":
-            return np.where((shown[2:4] > 0).all(0), self.births_per_second / image_volume(self.frame_size), 0.0)
+            return self.density(shown)
         lower = np.concatenate([z[:2] - REACH * z[2:4], SIZES[0] * z[2:4]])
         upper = np.concatenate([z[:2] + REACH * z[2:4], SIZES[1] * z[2:4]])
         out: F8 = density_within(np.ascontiguousarray(shown), first, lower, upper, self.births_per_second / local_volume(z))
@@ -141,18 +127,13 @@ class UniformBirth:
         _draw_velocity(state, cov, np.arange(self.particles), rng)
         return Particles(state, np.full(self.particles, self.births_per_second * seconds / self.particles))
 
-    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
-        """There is none: raises `InputError`."""
+    def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
+        """There are none: raises `InputError`."""
         raise InputError(
             "births that are uniform over the image have no form as a Gaussian mixture",
             where="UniformBirth",
             cure="Use births around the detections (birth.kind=measurement), at given places (fixed), or particles",
         )
-
-    def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """There are none: raises `InputError`."""
-        self.components(z, z[0], sensor, seconds)
-        raise NotImplementedError
 
     def expected(self, z: F8, seconds: float) -> float:
         """births_per_second·seconds."""
@@ -173,13 +154,10 @@ class FixedBirth:
         """``count`` particles from each Gaussian, of total mass weight·seconds, whatever was measured."""
         return draw(self.mixture, self.particles, seconds, rng)
 
-    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
-        """The given Gaussians, of total mass weight·seconds, whatever was measured [V06 (22)]."""
-        return GaussianMixture(self.mixture.weight * seconds, self.mixture.mean, self.mixture.covariance)
-
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """The given Gaussians, of total mass weight·seconds, whatever was measured [V06 (22)]."""
-        return births_at(self.mixture, seconds)
+        around = births_around(sensor.states(z), np.zeros(z.shape[1]))
+        return with_given(around, self.mixture, seconds)
 
     def expected(self, z: F8, seconds: float) -> float:
         """The mixture's mass, over seconds."""
@@ -209,7 +187,7 @@ def particles_about(
     counts = np.ceil(particles * np.clip(1.0 - covered, 0.0, 1.0)).astype(np.int64)
     if not counts.any():
         return Particles(np.zeros((len(mean), 0)), np.zeros(0))
-    limit = region_radius2(len(observed), KEPT)
+    limit = chi2_quantile(len(observed), KEPT)
     about = proposals(mean, cov, np.array(observed), counts, limit, KEPT)
     first, begin = np.zeros(len(counts) + 1, np.int64), (SPARE * rng.random(len(counts))).astype(np.int64)
     np.cumsum(counts, out=first[1:])
@@ -229,78 +207,26 @@ def particles_about(
     return Particles(state, weight, np.unique(first))
 
 
-def births_at(mixture: GaussianMixture, seconds: float) -> Births:
-    """The Gaussians of a mixture, whose weights are births per second, over the interval ``seconds``."""
-    none = np.full(len(mixture), -1)
-    cov = np.ascontiguousarray(mixture.covariance)
-    mean = np.ascontiguousarray(mixture.mean.T)
-    return Births(mixture.weight * seconds, mean, cov, none, np.zeros(len(mixture)), cov)
-
-
-def births_around(seen: tuple[F8, F8], rows: tuple[int, ...], density: F8) -> Births:
-    """A Gaussian around each detection where births are possible, of the flat density γT there.
+def births_around(seen: tuple[F8, F8], density: F8) -> Births:
+    """γT around detections and nowhere else.
 
     Parameters
     ----------
     seen : states (d, N) and covariances (N, d, d) that the detections alone show, as `Sensor.states` gives them.
-    rows : `Sensor.observed`, the rows of the state that a detection shows, with covariance R.
-    density : (N,) γT at the detections, per unit of measurement volume; none is born where it is 0.
-
-    Two conditions choose the mass m of a Gaussian and its covariance aR in the observed rows. Seen through the noise R it
-    has the density of the flat γ at the detection, and its mass is that of γ in the 99 % region {r² ≤ r₀²}, as of particles.
-    In n dimensions, V_n the volume of the unit ball,
-
-        m = γ V_n r₀ⁿ √|R|,     m N(0; 0, (1 + a) R) = γ     ⇒     1 + a = (V_n r₀ⁿ)^(2/n) / 2π
-
-    (a = 3.70 for boxes, 3.61 for points). Filters divide m where Gaussians of several detections overlap.
+    density : (N,) γT at the detections, per unit of measurement volume.
     """
-    mean, first = seen
-    volume, stretch = newborn_shape(len(rows))
-    out: Births = births_about(mean, first, np.array(rows), density, volume, stretch)
-    return out
+    mean, covariance = seen
+    d = len(mean)
+    return Births(
+        NewTargets(density, np.ascontiguousarray(mean.T), covariance), np.zeros(0), np.zeros((0, d)), np.zeros((0, d, d))
+    )
 
 
-def gaussians_about(
-    z: F8, covered: F8, sensor: Sensor, gamma: Callable[[F8], F8], seen: tuple[F8, F8] | None = None
-) -> GaussianMixture:
-    """A Gaussian about each detection with M_j < 1; two conditions choose its mass m and covariance aR.
-
-    It is at rest, unless states and covariances like those of `Sensor.states` are given, ``seen``, with other velocities.
-
-    Seen through the noise R it has the density of the flat γ at the detection, and its mass is that of γ in the 99 %
-    region {r² ≤ r₀²}, as of the particles. In n dimensions, V_n the volume of the unit ball,
-
-        m = γ V_n r₀ⁿ √|R|,     m N(0; 0, (1 + a) R) = γ     ⇒     1 + a = (V_n r₀ⁿ)^(2/n) / 2π
-
-    (a = 3.70 for boxes, 3.61 for points). Where regions overlap the Gaussians share γ: each is divided by
-    Σ_i γ_i exp(−d²_ij/2) / γ_j over those whose region reaches its detection, d in (1 + a) R_i.
-    """
-    mean, cov = seen or sensor.states(z)
-    rows = list(sensor.observed)
-    density = gamma(z[: len(rows)])
-    fresh = np.flatnonzero((covered < 1.0) & (density > 0))
-    mean, cov, density = np.ascontiguousarray(mean[:, fresh]), cov[fresh], density[fresh]
-    noise = cov[:, rows][:, :, rows]
-    volume, stretch = newborn_shape(len(rows))
-    wide = stretch * noise
-    limit = region_radius2(len(rows), KEPT)
-    reach = np.sqrt(limit * np.stack([wide[:, 0, 0], wide[:, 1, 1]]))
-    shown = np.ascontiguousarray(mean[rows])
-    point, which = points_in_rectangles(shown[0], shown[1], shown[:2] - reach, shown[:2] + reach)
-    distance2 = quadratic_form(shown, shown, np.linalg.inv(wide), point, which)
-    inside = distance2 <= limit
-    shared = sum_by(point[inside], (density[which] * np.exp(-0.5 * distance2))[inside], len(fresh))
-    mass = density * volume * np.sqrt(np.linalg.det(noise)) * density / shared
-    cov[np.ix_(range(len(fresh)), rows, rows)] = wide - noise
-    return GaussianMixture(mass, mean, cov)
-
-
-@lru_cache(maxsize=8)
-def newborn_shape(dof: int) -> tuple[float, float]:
-    """Volume of the kept region of a unit Gaussian, and 1 + a of `gaussians_about`, in ``dof`` dimensions."""
-    ball = math.pi ** (dof / 2) / math.gamma(dof / 2 + 1)
-    volume = ball * region_radius2(dof, KEPT) ** (dof / 2)
-    return volume, volume ** (2 / dof) / (2 * math.pi)
+def with_given(births: Births, mixture: GaussianMixture, seconds: float) -> Births:
+    """The births with the Gaussians of a mixture, whose weights are births per second, over the interval ``seconds``."""
+    return Births(
+        births.around, mixture.weight * seconds, np.ascontiguousarray(mixture.mean.T), np.ascontiguousarray(mixture.covariance)
+    )
 
 
 @lru_cache(maxsize=8)

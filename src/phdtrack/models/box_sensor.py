@@ -28,7 +28,7 @@ from phdtrack.arrays import GATE, chi2_quantile, to_cxcywh
 from phdtrack.checks import NonNegative, Positive, Probability, Share, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.box import box_corners, box_gate, box_noise
-from phdtrack.kernels.box_model import DETECTION, FIXED, GIVEN, PARTICLE, PREVIOUS, BoxNoise, states_of_boxes
+from phdtrack.kernels.box_model import DETECTION, FIXED, GIVEN, PARTICLE, PREVIOUS, BoxNoise, box_covariances, states_of_boxes
 from phdtrack.kernels.particle_models import GivenSize, OwnSize, SensorNumbers, SizeBefore
 from phdtrack.models.occlusion import NOBODY, Hiders, seen_part
 from phdtrack.types import F8, Detections
@@ -172,7 +172,11 @@ class BoxSensor:
 
     def target_noise(self, x: F8) -> F8:
         """(L, 4, 4) R where it follows the target or is constant, else (0, 4, 4)."""
-        return np.zeros((0, 4, 4)) if self.scaling in ("detection", "given") else self.covariance(x, x)
+        if self.scaling in ("detection", "given"):
+            return np.zeros((0, 4, 4))
+        row = 6 if self.scaling == "previous" else 4
+        out: F8 = box_covariances(x[row : row + 2], self.numbers)
+        return out
 
     def measurement_noise(self, z: F8) -> F8:
         """(N, 4, 4) R where it follows the detection, else (0, 4, 4)."""

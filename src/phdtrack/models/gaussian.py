@@ -2,7 +2,8 @@
 
 Where f or h bends within a Gaussian's width, Gaussians go through it by sigma points; else by Jacobians.
 
-``linear``: f's Jacobian F at the mean, and H as a choice of rows, `Sensor.observed`, which only a linear sensor has
+``linear``: f's Jacobian F at the mean, and H as a choice of rows, `Sensor.observed`, which only a linear sensor has; the
+filters read them out of mean and covariance
 [V06 (24)–(29), (35)–(38)].
 
 ``unscented`` [V06 §IV-B]: 2d + 1 points go through the function and are weighed, by the scaled transform with c = α²(d + κ)
@@ -19,8 +20,7 @@ are then the same as sums about the centre, e_i = f(χ_i) − f(m):
 For linear functions both are the same but for rounding. Differences of measurements are the sensor's (`Sensor.innovation`),
 so that angles are compared the short way round.
 
-Boxes, which most users follow, are answered for by kernels of their own (`kernels.box_model`); any other motion or sensor by
-the methods of its protocol.
+The motion of boxes, which most users follow, is compiled (`kernels.box`); any other is asked by the methods of its protocol.
 """
 
 from __future__ import annotations
@@ -32,20 +32,19 @@ from typing import Literal
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.box_model import expected_boxes, linear_expected, predicted_boxes
+from phdtrack.kernels.box_model import predicted_boxes
 from phdtrack.kernels.gaussian import (
-    Births,
     Expected,
     Measurements,
     NewTargets,
+    Period,
     Predicted,
     first_states,
     predicted_covariance,
 )
 from phdtrack.models.box_motion import BoxMotion
-from phdtrack.models.box_sensor import BoxSensor
 from phdtrack.protocols import Model, Sensor
-from phdtrack.types import F8
+from phdtrack.types import F8, I8
 
 Transform = Literal["linear", "unscented"]
 # c, and the weight of each point beside the centre.
@@ -92,11 +91,6 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
     ------
     InputError : ``transform`` is ``linear`` and the sensor is not.
     """
-    if type(sensor) is BoxSensor and transform == "linear":
-        seen: Expected = expected_boxes(mean, covariance, sensor.numbers, sensor.detection_probability)
-        if len(sensor.hiders):
-            return seen._replace(p_detect=sensor.p_detect(np.ascontiguousarray(mean.T)))
-        return seen
     columns = np.ascontiguousarray(mean.T)
     noise, p_detect = sensor.target_noise(columns), sensor.p_detect(columns)
     if transform == "linear":
@@ -106,14 +100,13 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
                 where="filter.transform",
                 cure="Use filter.transform=unscented, or particles",
             )
-        z, spread, cross = linear_expected(mean, covariance, np.array(sensor.observed))
-        return Expected(z, spread, cross, noise, p_detect)
+        return Expected(row_numbers(sensor.observed), mean, covariance, covariance, noise, p_detect)
     points = sigma_points(columns, covariance)
     d, many, count = points.shape
     through = sensor.expected(points.reshape(d, many * count)).reshape(len(sensor.angles), many, count)
     step = sensor.innovation(through, through[:, :1])
     z = np.ascontiguousarray(_mean(through[:, 0], step).T)
-    return Expected(z, _product(step, step), _product(points - points[:, :1], step), noise, p_detect)
+    return Expected(row_numbers(tuple(range(z.shape[1]))), z, _product(step, step), _product(points - points[:, :1], step), noise, p_detect)
 
 
 def measurements(model: Model, z: F8) -> Measurements:
@@ -124,17 +117,15 @@ def measurements(model: Model, z: F8) -> Measurements:
 
 
 @lru_cache(maxsize=8)
-def _periods(angles: tuple[bool, ...]) -> F8:
-    """(r,) 2π for angles, else 0."""
-    return np.array([2 * math.pi if angle else 0.0 for angle in angles])
+def _periods(angles: tuple[bool, ...]) -> Period:
+    """2π for angles, else 0."""
+    return tuple(2 * math.pi if angle else 0.0 for angle in angles)
 
 
-def births(model: Model, z: F8, dt: float) -> Births:
-    """γT of the interval ``dt``, as Gaussians around the measurements ``z`` (m, N) or at given places.
-
-    Raises `InputError` where γ has no such form.
-    """
-    return model.birth.gaussians(z, model.sensor, dt / model.rate)
+@lru_cache(maxsize=8)
+def row_numbers(observed: tuple[int, ...]) -> I8:
+    """(r,) rows of the state, as an array."""
+    return np.array(observed, np.int64)
 
 
 def sigma_points(mean: F8, cov: F8) -> F8:
@@ -169,10 +160,11 @@ def new_targets(model: Model, z: F8, m: Measurements, dt: float, gate: float, tr
     gate : in deviations of the innovation.
     transform : ``linear`` or ``unscented``.
     """
-    born = births(model, z, dt)
-    n = len(m.z)
-    if len(born.weight) == n and (born.measurement == np.arange(n)).all():
-        # Births are flat around every detection, which alone says where the target is.
-        return NewTargets(model.sensor.p_detect(np.ascontiguousarray(born.mean.T)) * born.density, born.mean, born.first)
-    out: NewTargets = first_states(born, expected(model.sensor, born.mean, born.covariance, transform), m, gate)
+    births = model.birth.gaussians(z, model.sensor, dt / model.rate)
+    around = births.around
+    p_detect = model.sensor.p_detect(np.ascontiguousarray(around.mean.T))
+    if len(births.weight) == 0:
+        return around._replace(density=p_detect * around.density)
+    given = expected(model.sensor, births.mean, births.covariance, transform)
+    out: NewTargets = first_states(births, p_detect, given, m, gate)
     return out

@@ -8,10 +8,10 @@ import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
 from phdtrack.kernels.gaussian import Births
-from phdtrack.models.births import births_around, gaussians_about, particles_about
+from phdtrack.models.births import births_around, particles_about
 from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, area, check_region, inside, local_density
 from phdtrack.protocols import Sensor
-from phdtrack.types import F8, GaussianMixture, Particles
+from phdtrack.types import F8, Particles
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +42,9 @@ class PlaneBirth:
             covered, sensor.states(z), sensor.observed, self.particles, lambda x, first: self._intensity(x, z) * seconds, rng
         )
 
-    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
-        """Gaussians about the detections that have the density of γ there, see `births.gaussians_about`."""
-        return gaussians_about(z, covered, sensor, lambda x: self._intensity(x, z) * seconds)
-
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """γT as Gaussians around the detections, see `births.births_around`."""
-        return births_around(sensor.states(z), sensor.observed, self._intensity(z[:2], z) * seconds)
+        """γT around the detections."""
+        return births_around(sensor.states(z), self._intensity(z[:2], z) * seconds)
 
     def expected(self, z: F8, seconds: float) -> float:
         """births_per_second·seconds, of each detection where ``local``."""

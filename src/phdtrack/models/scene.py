@@ -30,9 +30,8 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
-from phdtrack.kernels.box_model import linear_expected
-from phdtrack.kernels.gaussian import Births, Expected, Measurements, first_states
-from phdtrack.models.births import MeasurementBirth, births_around, births_at, gaussians_about, particles_about
+from phdtrack.kernels.gaussian import Births, Expected, Measurements, NewTargets, first_states
+from phdtrack.models.births import MeasurementBirth, births_around, particles_about, with_given
 from phdtrack.models.clutter import LocalClutter
 from phdtrack.protocols import Model, Sensor
 from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal
@@ -89,33 +88,18 @@ class SceneBirth:
 
         return particles_about(covered, (mean, cov), self.observed, self.particles, gamma, rng)
 
-    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
-        """The learned Gaussians as they are, and the uniform part as Gaussians about the detections (`gaussians_about`).
-
-        With births around detections, Gaussians about these alone, with the velocities that were learned.
-        """
-        if self.around_detections > 0:
-            density, mean, cov = self.around(sensor.states(z), seconds)
-            return gaussians_about(z, covered, sensor, lambda x: density, (mean, cov))
-        given = self._given
-        spread = gaussians_about(z, covered, sensor, lambda x: self._flat(x, seconds))
-        return GaussianMixture(
-            np.concatenate([given.weight * seconds, spread.weight]),
-            np.hstack([given.mean, spread.mean]),
-            np.concatenate([given.covariance, spread.covariance]),
-        )
-
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """γT as Gaussians: those about the detections, and the learned ones where there are no births around detections.
+        """γT around the detections, and the learned Gaussians where there are no births around detections.
 
         What of a learned Gaussian lies beyond the volume is not cut off; the part inside has the mass of γT.
         """
         seen = sensor.states(z)
         if self.around_detections > 0:
             density, mean, cov = self.around(seen, seconds)
-            return births_around((mean, cov), self.observed, density)
-        spread = births_around(seen, self.observed, self._flat(z[: len(self.observed)], seconds))
-        return _joined(births_at(self._given, seconds), spread)
+            return births_around((mean, cov), density)
+        contained = self._shown.contains(z[: len(self.observed)])
+        flat = np.where(contained, self.births_per_second * self._shown.flat * seconds, 0.0)
+        return with_given(births_around(seen, flat), self._given, seconds)
 
     def expected(self, z: F8, seconds: float) -> float:
         """s̄T, or with births around detections so many of each."""
@@ -137,13 +121,12 @@ class SceneBirth:
         """
         state, cov = seen
         rows, n, shown = np.array(self.observed), state.shape[1], self._shown
-        z, noise, columns = state[rows], cov[:, rows[:, None], rows], np.ascontiguousarray(state.T)
+        z, noise = state[rows], cov[:, rows[:, None], rows]
         # The uniform part is flat around every detection, which alone says what is born there.
-        uniform = Births(np.zeros(n), columns, cov, np.arange(n), np.full(n, shown.flat), cov)
-        gaussians, e, gate = self._learned
-        of = _joined(gaussians, uniform)
-        m = Measurements(np.ascontiguousarray(z.T), noise, np.zeros(n), np.zeros(len(rows)))
-        found = first_states(of, e._replace(p_detect=np.ones(len(of.weight))), m, gate)
+        mixture, e, gate = self._learned
+        born = with_given(births_around((state, cov), np.full(n, shown.flat)), mixture, 1.0)
+        m = Measurements(np.ascontiguousarray(z.T), noise, np.zeros(n), (0.0,) * len(rows))
+        found = first_states(born, np.ones(n), e, m, gate)
         mean, covariance = found.mean.T.copy(), found.covariance
         mean[rows] = z
         covariance[:, rows], covariance[:, :, rows] = cov[:, rows], cov[:, :, rows]
@@ -166,23 +149,15 @@ class SceneBirth:
         return GaussianMixture(self.births_per_second * weight, mean, covariance)
 
     @cached_property
-    def _learned(self) -> tuple[Births, Expected, float]:
+    def _learned(self) -> tuple[GaussianMixture, Expected, float]:
         """The Gaussians of p, what they say of detections, and the deviations beyond which none of them counts."""
-        mixture = GaussianMixture(*self.density.gaussians)
-        born, r = births_at(mixture, 1.0), len(self.observed)
-        z, spread, cross = linear_expected(born.mean, born.covariance, np.array(self.observed))
-        log_peak = np.log(np.maximum(born.weight, TINY)) - 0.5 * np.linalg.slogdet(2 * math.pi * spread)[1]
+        mixture, rows = GaussianMixture(*self.density.gaussians), np.array(self.observed)
+        cov, r = np.ascontiguousarray(mixture.covariance), len(rows)
+        log_det = np.linalg.slogdet(2 * math.pi * cov[:, rows[:, None], rows])[1]
+        log_peak = np.log(np.maximum(mixture.weight, TINY)) - 0.5 * log_det
         gate2 = 2 * (log_peak.max(initial=-math.inf) - math.log(self._shown.flat) + NEGLIGIBLE)
-        return born, Expected(z, spread, cross, np.zeros((0, r, r)), np.ones(len(z))), math.sqrt(max(gate2, 0.0))
-
-    def _flat(self, z: F8, seconds: float) -> F8:
-        """(N,) the uniform part of γT at what measurements show (r, N)."""
-        return np.where(self._shown.contains(z), self.births_per_second * self._shown.flat * seconds, 0.0)
-
-
-def _joined(first: Births, second: Births) -> Births:
-    """The births of both."""
-    return Births(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
+        e = Expected(rows, np.ascontiguousarray(mixture.mean.T), cov, cov, np.zeros((0, r, r)), np.ones(len(cov)))
+        return mixture, e, math.sqrt(max(gate2, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
