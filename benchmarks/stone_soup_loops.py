@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -27,6 +28,7 @@ from stonesoup.updater.particle import SMCPHDUpdater
 from stonesoup.updater.pointprocess import PHDUpdater
 
 from benchmarks.timing import Took, clock, took
+from phdtrack.filters import GMPHD
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import F8, Detections, Particles
 
@@ -111,7 +113,10 @@ class Mixture:
         covered = np.zeros(z.shape[1])
         if self.components:
             covered = self._covered(z)
-        born = self.model.birth.components(z, covered, self.model.sensor, 1 / self.model.rate)
+        # What the filter makes of a frame in which nothing is expected, and nothing is detected: its births.
+        unseen = replace(self.model, sensor=replace(self.model.sensor, detection_probability=0.0))
+        none = GMPHD().start(self.model, np.random.default_rng(0))
+        born, _ = GMPHD().update(none, np.ascontiguousarray(z[:, covered < 1]), unseen, 1.0, np.random.default_rng(0))
         back = np.linalg.inv(self.f)
         mean, cov = back @ born.mean, back @ (born.covariance - self.q) @ back.T
         parts: Iterable[tuple[Any, ...]] = zip(born.weight, mean.T, cov, strict=True)

@@ -16,7 +16,7 @@ import numpy as np
 from phdtrack import config
 from phdtrack.kernels.gaussian import Births
 from phdtrack.protocols import AnyStages, Birth, Sensor
-from phdtrack.types import F8, Detections, DetectionTable, GaussianMixture, Particles, SequenceInfo, Truth
+from phdtrack.types import F8, Detections, DetectionTable, Particles, SequenceInfo, Truth
 
 AREA = (720, 480)
 PER_AREA = 10
@@ -162,10 +162,6 @@ class Uncovered:
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """The newborn of the wrapped birth model where no mass is covered."""
         return self.birth.sample(z, np.zeros_like(covered), sensor, seconds, rng)
-
-    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
-        """Those of the wrapped birth model."""
-        return self.birth.components(z, np.zeros_like(covered), sensor, seconds)
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """Those of the wrapped birth model."""

@@ -28,7 +28,7 @@ from phdtrack.models.volume import image_volume
 from phdtrack.protocols import Birth, Clutter, Model, Sensor
 from phdtrack.simulate import DetectorModel, detect
 from phdtrack.simulate.detector import ASPECTS, HEIGHTS
-from phdtrack.types import F8, I8, GaussianMixture, Particles
+from phdtrack.types import F8, I8, Particles
 
 Laws = Literal["known", "shipped"]
 P_DETECT = (0.7, 0.9, 0.98)
@@ -77,10 +77,6 @@ class SceneBirth:
         return Particles(
             x, gamma / self._proposal(x, z[:, counts > 0], low[counts > 0], high[counts > 0], counts[counts > 0])
         )
-
-    def components(self, z: F8, covered: F8, sensor: Sensor, seconds: float) -> GaussianMixture:
-        """Raises `InputError`: heights that are uniform in their logarithm are no Gaussians."""
-        raise InputError("the births of the counting scene have no Gaussian form", cure="Use a particle filter")
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """Raises `InputError`: heights that are uniform in their logarithm are no Gaussians."""

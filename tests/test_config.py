@@ -136,9 +136,9 @@ def test_e13_has_its_printed_births_and_people():
     assert stages.model.first == pytest.approx(1 / 7)
     np.testing.assert_array_equal(stages.model.clutter.intensity(np.zeros((5, 2))), 1e-8)
     # Births of a frame of 1/7 s, and who is there before the first.
-    births = stages.model.birth.components(np.zeros((5, 0)), np.zeros(0), stages.model.sensor, 1 / 7)
+    births = stages.model.birth.gaussians(np.zeros((5, 0)), stages.model.sensor, 1 / 7)
     np.testing.assert_allclose(births.weight, [0.01, 0.001, 0.0001])
-    np.testing.assert_allclose(births.mean.T, [[-8, 6, 0, 0], [-10, -15, 0, 0], [15, -8, 0, 0]])
+    np.testing.assert_allclose(births.mean, [[-8, 6, 0, 0], [-10, -15, 0, 0], [15, -8, 0, 0]])
     np.testing.assert_array_equal(births.covariance, np.tile(np.eye(4), (3, 1, 1)))
     initial = stages.filter.initial
     np.testing.assert_array_equal(initial.weight, 1)

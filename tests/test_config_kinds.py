@@ -77,7 +77,7 @@ def test_on_the_ground_a_uniform_density_needs_a_region():
         model("clutter.volume=region")
     births = model("birth.volume=region")
     with pytest.raises(InputError, match="region"):
-        births.birth.components(np.ones((5, 1)), np.zeros(1), births.sensor, 1.0)
+        births.birth.gaussians(np.ones((5, 1)), births.sensor, 1.0)
     clutter = model("camera.region=[-10, 0, 10, 40]", "clutter.volume=region").clutter
     np.testing.assert_allclose(clutter.intensity(np.zeros((5, 1))), 0.3 / 800)
     np.testing.assert_array_equal(model("clutter.density=1e-4").clutter.intensity(np.zeros((5, 3))), 1e-4)

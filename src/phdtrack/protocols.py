@@ -28,7 +28,6 @@ from phdtrack.types import (
     Estimates,
     Explanation,
     Frame,
-    GaussianMixture,
     Image,
     MeasurementHistory,
     ParticleBlocks,

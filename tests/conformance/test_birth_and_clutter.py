@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from shipped import BIRTHS, CLUTTERS, GROUND, PLANE_BIRTHS, PLANE_CLUTTERS, POINT_BIRTHS, SENSORS, detections, fixed, keeps
 
+from newborn_cases import newborn
 from phdtrack.errors import InputError
 from phdtrack.models import UniformBirth
 from phdtrack.protocols import Birth, Clutter
@@ -57,8 +58,8 @@ def test_their_mixture_has_the_mass_of_their_particles(name: str):
     """Averaged over draws: detections far apart, so that regions of γ neither overlap nor leave the image."""
     birth = BIRTHS[name]
     z = fixed(np.array([[100.0, 300, 500], [200, 250, 100], [40, 60, 30], [80, 120, 100]]))
-    covered = fixed(np.array([0.0, 0.5, 1.3]))
-    mixture = birth.components(z, covered, SENSOR, 1.5)
+    covered = np.zeros(3)
+    mixture = newborn(birth, z, SENSOR, 1.5)
     assert mixture.mean.shape == (6, len(mixture))
     assert mixture.covariance.shape == (len(mixture), 6, 6)
     assert (mixture.weight > 0).all()
@@ -73,7 +74,7 @@ def test_newborn_gaussians_have_the_density_of_gamma_at_their_detection(name: st
     """Seen through the noise; the second and third detections share what lies between them."""
     birth = BIRTHS[name]
     z = np.array([[100.0, 300, 303], [200, 250, 251], [40, 60, 60], [80, 120, 122]])
-    mixture = birth.components(z, np.zeros(3), SENSOR, 1.0)
+    mixture = newborn(birth, z, SENSOR, 1.0)
     seen = mixture.covariance[:, [0, 1, 4, 5]][:, :, [0, 1, 4, 5]] + SENSOR.covariance(z, mixture.mean)
     step = z[:, :, None] - mixture.mean[[0, 1, 4, 5]][:, None, :]
     distance2 = np.einsum("rji,irs,sji->ji", step, np.linalg.inv(seen), step)
@@ -87,7 +88,7 @@ def test_newborn_gaussians_have_the_density_of_gamma_at_their_detection(name: st
 
 def test_uniform_births_have_no_mixture_and_say_what_has():
     with pytest.raises(InputError, match="measurement"):
-        BIRTHS["uniform"].components(np.zeros((4, 0)), np.zeros(0), SENSOR, 1.0)
+        BIRTHS["uniform"].gaussians(np.zeros((4, 0)), SENSOR, 1.0)
 
 
 @births
@@ -97,7 +98,7 @@ def test_no_measurements(birth, sensor, rng):
     assert born.state.shape == (d, len(born))
     assert (born.weight >= 0).all()
     if not isinstance(birth, UniformBirth):
-        mixture = birth.components(none, np.zeros(0), sensor, 1.0)
+        mixture = newborn(birth, none, sensor, 1.0)
         assert mixture.mean.shape == (d, len(mixture))
         assert mixture.covariance.shape == (len(mixture), d, d)
 
@@ -107,8 +108,8 @@ def test_on_the_plane_gaussians_have_the_mass_of_particles(name: str):
     """Averaged over draws; people far apart, whose regions of γ lie inside its border."""
     birth = PLANE_BIRTHS[name]
     z = fixed(np.array([[-10.0, 3, 12], [20, 30, 25], [0.2, 0.4, 0.3], [0.1, 0, -0.1], [0.3, 0.6, 0.2]]))
-    covered = fixed(np.array([0.0, 0.5, 1.3]))
-    mixture = birth.components(z, covered, GROUND, 1.5)
+    covered = np.zeros(3)
+    mixture = newborn(birth, z, GROUND, 1.5)
     assert np.linalg.eigvalsh(mixture.covariance).min() > 0
     drawn = [birth.sample(z, covered, GROUND, 1.5, np.random.default_rng(k)).mass for k in range(40)]
     assert mixture.mass == pytest.approx(np.mean(drawn), rel=0.03)
@@ -121,7 +122,7 @@ def test_on_the_plane_gaussians_have_the_density_of_gamma_at_their_detection():
         ("plane, region", 0.02 / 4800),
         ("plane, local", 0.02 / (np.pi * 36 * np.sqrt(z[2] * z[4] - z[3] ** 2))),
     ):
-        mixture = PLANE_BIRTHS[name].components(z, np.zeros(3), GROUND, 1.0)
+        mixture = newborn(PLANE_BIRTHS[name], z, GROUND, 1.0)
         seen = mixture.covariance[:, :2, :2] + GROUND.covariance(z, mixture.mean)
         step = z[:2, :, None] - mixture.mean[:2, None, :]
         distance2 = np.einsum("rji,irs,sji->ji", step, np.linalg.inv(seen), step)

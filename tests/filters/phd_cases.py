@@ -8,9 +8,10 @@ import numpy as np
 
 from phdtrack.kernels.gaussian import Births
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
+from phdtrack.models.births import births_around
 from phdtrack.models.volume import image_volume
 from phdtrack.protocols import Model
-from phdtrack.types import GaussianMixture, Particles
+from phdtrack.types import Particles
 
 FRAME = (640.0, 480.0)
 
@@ -24,16 +25,10 @@ class NoBirth:
         return Particles(x, np.zeros(0))
 
     def gaussians(self, z, sensor, seconds) -> Births:
-        d = len(sensor.states(z[:, :0])[0])
-        none = np.zeros((0, d, d))
-        return Births(np.zeros(0), np.zeros((0, d)), none, np.zeros(0, np.int64), np.zeros(0), none)
+        return births_around(sensor.states(z), np.zeros(z.shape[1]))
 
     def expected(self, z, seconds) -> float:
         return 0.0
-
-    def components(self, z, covered, sensor, seconds) -> GaussianMixture:
-        x, cov = sensor.states(z[:, :0])
-        return GaussianMixture(np.zeros(0), x, cov)
 
 
 def world(birth=None, clutter=None, **sensor) -> Model:

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inner_kernels import from_python
-from phdtrack.kernels.gm_merge import descending, parted, reduced
-from phdtrack.kernels.gm_update import Rows
+from phdtrack.kernels.gm_merge import Merging, Rows, descending, parted, reduced
 from reference import gm_twin as twin
 
 descending, parted = from_python(descending, parted)
@@ -46,7 +45,7 @@ def tagging(weight, mean, cov, tag, prune, distance, most, redistribute, fresh, 
     mass = weight.sum() if redistribute else -1.0
     axes = tuple(range(len(mean)))
     rows = Rows(weight, np.ascontiguousarray(mean.T), cov, tag)
-    return reduced(rows, axes, prune, distance, most, split, mass, fresh)
+    return reduced(rows, axes, Merging(prune, distance, most, split, redistribute), mass, fresh)
 
 
 @pytest.mark.parametrize("d", [2, 4, 6])

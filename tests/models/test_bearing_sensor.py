@@ -113,7 +113,7 @@ def corrected(state: GaussianMixture, z: np.ndarray, sensor: BearingSensor) -> t
     """Mean (d, 1) and covariance (1, d, d) of one Gaussian after one measurement (2, 1)."""
     none, mean = np.zeros(1, np.int64), state.mean.T.copy()
     seen = expected(sensor, mean, state.covariance, "unscented")
-    measured = Measurements(z.T.copy(), np.zeros((0, 2, 2)), np.zeros(1), np.array([2 * math.pi, 0.0]))
+    measured = Measurements(z.T.copy(), np.zeros((0, 2, 2)), np.zeros(1), (2 * math.pi, 0.0))
     after, cov = pair_posteriors(mean, state.covariance, seen, measured, none, none)
     return after.T, cov
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from newborn_cases import newborn
 from phdtrack import config
 from phdtrack.errors import InputError
 from phdtrack.models import PointBirth, PointMotion, PointSensor, UniformBirth
@@ -104,7 +105,7 @@ def test_births_around_detections_have_the_density_of_gamma():
     z = np.vstack([np.linspace(20, 360, 10), np.linspace(20, 260, 10)])
     born = birth.sample(z, np.zeros(10), sensor, 2.0, np.random.default_rng(1))
     assert born.mass == pytest.approx(0.3 * 2 / (384 * 288) * 10 * math.pi * 2.0 * 9.2103, rel=0.02)
-    np.testing.assert_allclose(birth.components(z, np.zeros(10), sensor, 2.0).mass, born.mass, rtol=0.02)
+    np.testing.assert_allclose(newborn(birth, z, sensor, 2.0).mass, born.mass, rtol=0.02)
 
 
 def test_births_in_the_image_need_its_size():

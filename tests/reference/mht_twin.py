@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phdtrack.types import GaussianMixture
+
 
 @dataclass(frozen=True)
 class Track:
@@ -38,7 +40,8 @@ def enumerate_histories(scans, model, dt: float):
     rows = list(model.sensor.observed)
     found = [(1.0, (), ())]
     for k, z in enumerate(scans):
-        births = model.birth.components(z, np.zeros(z.shape[1]), model.sensor, dt / model.rate)
+        born = model.birth.gaussians(z, model.sensor, dt / model.rate)
+        births = GaussianMixture(born.weight, born.mean.T, born.covariance)
         assert len(births) == 1, "one place of birth, so that a new target is one Gaussian"
         kappa = model.clutter.intensity(z)
         grown = []

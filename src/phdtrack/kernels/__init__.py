@@ -11,7 +11,7 @@ from phdtrack.kernels.cache import Cache, prepare
 CACHE: Cache = prepare()
 """Where this process keeps compiled kernels."""
 
-# The C library gives the memory of large arrays back to the system when they are freed, and has to fetch and clear it again in
-# the next frame, which takes a third of a filter's time. It keeps as much as twice the largest block that was ever freed, so
-# that a block of 8 MB, made and freed once and never touched, ends this.
+# The C library gives the memory of large arrays back to the system when they are freed, and has to fetch and clear it again
+# in the next frame: a third of a filter's time at a thousand targets. It keeps as much as twice the largest block that was
+# ever freed, so that a block of 8 MB, made and freed once and never touched, ends this.
 np.empty(1 << 20)

@@ -53,8 +53,8 @@ class Predicted(NamedTuple):
 class Expected(NamedTuple):
     """What Gaussians say about measurements.
 
-    A linear sensor shows ``rows`` of the state: ``z`` is the mean then, and ``covariance`` and ``cross`` are the covariance of
-    the Gaussians themselves. Of any other they are made of sigma points, and ``rows`` are 0, 1, …, r − 1.
+    A linear sensor shows ``rows`` of the state: ``z`` is the mean then, and ``covariance`` and ``cross`` are the covariance
+    of the Gaussians themselves. Of any other they are made of sigma points, and ``rows`` are 0, 1, …, r − 1.
 
     Attributes
     ----------
@@ -195,9 +195,7 @@ def difference(a: float, b: float, period: float) -> float:
 
 # The functions of one pair take arrays and no records: a record in a loop would have all of its arrays counted again.
 @njit(**INNER)
-def innovation_root(
-    spread: F8, rows: I8, noise: F8, extra: F8, i: int, j: int, period: Period, root: F8
-) -> float:
+def innovation_root(spread: F8, rows: I8, noise: F8, extra: F8, i: int, j: int, period: Period, root: F8) -> float:
     """log |2πS| of Gaussian i and measurement j; the lower factor of S into ``root`` (r, r), with inverses in its diagonal.
 
     ``spread``, ``rows`` and ``noise`` are of `Expected`, ``extra`` is the noise and ``period`` that of `Measurements`. NaN
@@ -291,7 +289,7 @@ class Places(NamedTuple):
 
 @njit(**INNER)
 def cell(value: float, low: float, scale: float, count: int) -> int:
-    """Which of ``count`` cells from ``low`` on, ``scale`` of them a unit, holds a value; the first or the last beyond them."""
+    """Which of ``count`` cells from ``low`` on, ``scale`` of them a unit, holds a value; beyond them the nearest."""
     position = (value - low) * scale
     if not position > 0.0:  # also NaN
         return 0

@@ -25,6 +25,7 @@ I8 = NDArray[np.int64]
 # unrolled, which saves a third of the time.
 Axes = tuple[int, ...]
 
+
 class Rows(NamedTuple):
     """A Gaussian mixture, a Gaussian a row: ``weight`` (J,), ``mean`` (J, d), ``covariance`` (J, d, d), ``tag`` (J,)."""
 

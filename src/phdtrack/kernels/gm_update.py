@@ -102,10 +102,16 @@ class Terms(NamedTuple):
 def _newborn(before: F8, extra: F8, new: Newborn, pairs: Pairs, reach: Reach) -> tuple[F8, F8, F8]:
     """Weights (N,), covariances (N, d, d) and the targets' part of R (N, r, r) of births around measurements.
 
-    The weight is 0, and the others are arbitrary, where a predicted mass of 1 or more within the region about the measurement
-    explains it. ``before`` (J,) are the weights of the Gaussians, ``extra`` is the measurements' part of R.
+    The weight is 0, and the others are arbitrary, where a predicted mass of 1 or more within the region about the
+    measurement explains it. ``before`` (J,) are the weights of the Gaussians, ``extra`` is the measurements' part of R.
     """
-    density, first, rows, gaussian, measurement = new.around.density, new.around.covariance, new.rows, pairs.gaussian, pairs.measurement
+    density, first, rows, gaussian, measurement = (
+        new.around.density,
+        new.around.covariance,
+        new.rows,
+        pairs.gaussian,
+        pairs.measurement,
+    )
     n, d, r, distance2 = len(first), first.shape[1], rows.size, pairs.distance2
     covered, weight, covariance, noise = np.zeros(n), np.zeros(n), np.empty((n, d, d)), np.empty((n, r, r))
     for p in range(gaussian.size):
@@ -184,7 +190,19 @@ def terms_of(before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Re
         else:
             vanished += 1
     return Terms(
-        weight, covariance, said, pairs, born_pairs, share, born_share, evidence, explained, vanished, predicted, born, missed
+        weight,
+        covariance,
+        said,
+        pairs,
+        born_pairs,
+        share,
+        born_share,
+        evidence,
+        explained,
+        vanished,
+        predicted,
+        born,
+        missed,
     )
 
 
@@ -256,7 +274,11 @@ def mixture_of(
     for p in range(born_heavy.size):
         out_weight[behind + p], out_tag[behind + p] = born_heavy[p], born_tag[born_i[p]]
     k = behind + born_heavy.size
-    return Rows(out_weight[:k], out.mean[:k], out.covariance[:k], out_tag[:k]), missed * terms.missed + mass + born_mass, fresh
+    return (
+        Rows(out_weight[:k], out.mean[:k], out.covariance[:k], out_tag[:k]),
+        missed * terms.missed + mass + born_mass,
+        fresh,
+    )
 
 
 @njit(**ENTRY)

@@ -25,7 +25,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import Expected, Measurements, NewTargets, Pairs, Predicted, gated, places_of, write_posteriors
+from phdtrack.kernels.gaussian import (
+    Expected,
+    Measurements,
+    NewTargets,
+    Pairs,
+    Predicted,
+    gated,
+    places_of,
+    write_posteriors,
+)
 from phdtrack.kernels.marginals import beliefs
 
 F8 = NDArray[np.float64]

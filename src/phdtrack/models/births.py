@@ -72,7 +72,8 @@ class MeasurementBirth:
     def density(self, z: F8) -> F8:
         """(N,) γ per second at the detections themselves."""
         if self.volume == "image":
-            return self.births_per_second / image_volume(self.frame_size) * ((z[2] > 0) & (z[3] > 0))
+            everywhere: F8 = self.births_per_second / image_volume(self.frame_size) * ((z[2] > 0) & (z[3] > 0))
+            return everywhere
         each = self.births_per_second / local_volume(z)
         local: F8 = summed_densities(np.ascontiguousarray(z[:4]), each, REACH, *SIZES)
         return local
@@ -225,7 +226,10 @@ def births_around(seen: tuple[F8, F8], density: F8) -> Births:
 def with_given(births: Births, mixture: GaussianMixture, seconds: float) -> Births:
     """The births with the Gaussians of a mixture, whose weights are births per second, over the interval ``seconds``."""
     return Births(
-        births.around, mixture.weight * seconds, np.ascontiguousarray(mixture.mean.T), np.ascontiguousarray(mixture.covariance)
+        births.around,
+        mixture.weight * seconds,
+        np.ascontiguousarray(mixture.mean.T),
+        np.ascontiguousarray(mixture.covariance),
     )
 
 

@@ -28,7 +28,16 @@ from phdtrack.arrays import GATE, chi2_quantile, to_cxcywh
 from phdtrack.checks import NonNegative, Positive, Probability, Share, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.box import box_corners, box_gate, box_noise
-from phdtrack.kernels.box_model import DETECTION, FIXED, GIVEN, PARTICLE, PREVIOUS, BoxNoise, box_covariances, states_of_boxes
+from phdtrack.kernels.box_model import (
+    DETECTION,
+    FIXED,
+    GIVEN,
+    PARTICLE,
+    PREVIOUS,
+    BoxNoise,
+    box_covariances,
+    states_of_boxes,
+)
 from phdtrack.kernels.particle_models import GivenSize, OwnSize, SensorNumbers, SizeBefore
 from phdtrack.models.occlusion import NOBODY, Hiders, seen_part
 from phdtrack.types import F8, Detections

@@ -106,7 +106,14 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
     through = sensor.expected(points.reshape(d, many * count)).reshape(len(sensor.angles), many, count)
     step = sensor.innovation(through, through[:, :1])
     z = np.ascontiguousarray(_mean(through[:, 0], step).T)
-    return Expected(row_numbers(tuple(range(z.shape[1]))), z, _product(step, step), _product(points - points[:, :1], step), noise, p_detect)
+    return Expected(
+        row_numbers(tuple(range(z.shape[1]))),
+        z,
+        _product(step, step),
+        _product(points - points[:, :1], step),
+        noise,
+        p_detect,
+    )
 
 
 def measurements(model: Model, z: F8) -> Measurements:

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
-from phdtrack.kernels.gaussian import Births, Expected, Measurements, NewTargets, first_states
+from phdtrack.kernels.gaussian import Births, Expected, Measurements, first_states
 from phdtrack.models.births import MeasurementBirth, births_around, particles_about, with_given
 from phdtrack.models.clutter import LocalClutter
 from phdtrack.protocols import Model, Sensor
