@@ -5,55 +5,14 @@ from __future__ import annotations
 import itertools
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import norm
 
-from phdtrack.kernels.particle_models import N0, Number, Real, SensorNumbers, X, distance, implements, move, normals, seen
 from phdtrack.models import UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import Particles
 
 CELLS = 4
-
-
-class RingWalk(NamedTuple):
-    """A standard normal number above ``threshold`` goes on by one."""
-
-    threshold: float
-
-
-class RingTable(NamedTuple):
-    """Likelihoods by distance."""
-
-    at0: float
-    at1: float
-    at2: float
-    at3: float
-
-
-@implements(normals, RingWalk)
-def _normals(model: Number) -> int:
-    return 1
-
-
-@implements(move, RingWalk)
-def _move(model: Number, s: Real, i: int) -> None:
-    s[X + i] = (s[X + i] + (1.0 if s[N0 + i] > model.threshold else 0.0)) % CELLS
-
-
-@implements(seen, RingTable)
-def _seen(model: Number, table: Real, j: int) -> Number:
-    return table[0, j]
-
-
-@implements(distance, RingTable)
-def _distance(model: Number, z: Number, s: Real, i: int) -> Number:
-    apart = int(abs(z - s[X + i])) % CELLS
-    near = model.at0 if apart == 0 else model.at1
-    far = model.at2 if apart == 2 else model.at3
-    return 0.0, near if apart < 2 else far
 
 
 @dataclass(frozen=True)
@@ -68,14 +27,6 @@ class RingMotion:
         moved = x.copy()
         moved[0] = (x[0] + (rng.random(x.shape[1]) >= self.stays)) % CELLS
         return moved
-
-    def particle_model(self, dt, seconds):
-        return RingWalk(float(norm.ppf(self.stays)))
-
-    def law(self, cell: int) -> np.ndarray:
-        out = np.zeros(CELLS)
-        out[cell], out[(cell + 1) % CELLS] = self.stays, 1 - self.stays
-        return out
 
     def p_survive(self, x, dt):
         return np.full(x.shape[1], self.survival)
@@ -92,9 +43,6 @@ class RingSensor:
     def log_likelihood(self, z, x):
         apart = np.abs(z[0] - x[0]).astype(int) % CELLS
         return np.log(np.array(self.table)[apart])
-
-    def particle_model(self, z):
-        return SensorNumbers(RingTable(*self.table), np.ascontiguousarray(z[:1]), np.zeros(0))
 
     def distance2(self, z, x):
         return (z[0] - x[0]) ** 2

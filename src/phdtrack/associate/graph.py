@@ -22,28 +22,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.associate.history import (
-    History,
-    Moment,
-    Path,
-    back_dated,
-    gaps,
-    measurements,
-    open_links,
-    predicted_rows,
-    rows_of,
-)
+from phdtrack.associate.history import History, Moment, Path, measurements, open_links, predicted_rows, rows_of
 from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, check
 from phdtrack.errors import InputError
+from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.kernels.linking import Fresh, Links, Terms, Window, link_states
 from phdtrack.models import warp as warp_of
 from phdtrack.models.gaussian import predicted
-from phdtrack.models.rts import bridge
+from phdtrack.models.rts import bridge, update
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, STILL, Bool, Estimates, MeasurementHistory, Tracks
 
 # Frames after which a missing identity is no longer continued.
 AGES = 32
+# Squared Mahalanobis radius of the 99 % region in four dimensions.
+REGION = 13.28
 
 
 class Identities(NamedTuple):
@@ -205,23 +198,22 @@ class GraphMatching:
         moments = list(state.history)
         parts, taken, identity = [], set[tuple[int, int]](), 1
         for path in self._paths(moments, state.window):
-            before, boxes = back_dated(moments, path[0], self.back_dating, taken, model)
-            if len(path) + len(before) < self.min_track_length:
+            before, boxes = _back_dated(moments, path[0], self.back_dating, taken, model)
+            n = len(before)
+            if len(path) + n < self.min_track_length:
                 continue
             taken.update(before)
-            rows, n = rows_of(moments, path, identity), len(before)
+            parts += rows_of(moments, path, identity, self.bridge_gaps, model)
             numbers, detections = [moments[k].number for k, _ in before], [j for _, j in before]
             earlier = Tracks(
                 np.array(numbers, np.int64),
                 np.full(n, identity),
                 boxes,
-                np.full(n, rows.confidence[0]),
+                np.full(n, min(1.0, float(moments[path[0][0]].estimates.weight[path[0][1]]))),
                 np.array(detections, np.int64),
                 np.ones(n, np.bool_),
             )
-            parts += [earlier, rows]
-            if self.bridge_gaps:
-                parts += gaps(moments, path, identity, model)
+            parts.append(earlier)
             identity += 1
         return Tracks.concatenate(parts)
 
@@ -433,3 +425,53 @@ def _bridged(known: Identities, after: I8, history: History, place: int, model: 
         state = bridge(model.motion, ends, np.array([now.time - a.time, b.time - now.time]), warps)
         parts.append(predicted_rows(now.number, known.identity[i : i + 1], state, x.weight[j : j + 1], model))
     return parts
+
+
+def _back_dated(
+    moments: list[Moment], start: tuple[int, int], most: int, taken: set[tuple[int, int]], model: Model
+) -> tuple[Path, F8]:
+    """Places (moment, detection) of the detections that lead to a track's first state, latest first, and its boxes there.
+
+    A filter that removes clutter confirms a target only after some coherent detections. Here a Kalman filter runs backward
+    in time from the first state: predict by the inverse transition, take the nearest unused detection in the 99 % region,
+    update with it; stop where there is none. There are ``most`` at most, and other tracks have ``taken`` some.
+    """
+    place, i = start
+    state, cov = moments[place].estimates.state[:, i], moments[place].estimates.covariance[i]
+    rows = np.array(model.sensor.observed)
+    path: Path = []
+    states = [np.zeros((len(state), 0))]
+    for k in range(place - 1, max(-1, place - 1 - most), -1):
+        earlier = moments[k]
+        used = set(earlier.estimates.detection.tolist())
+        free = [s for s in range(earlier.z.shape[1]) if s not in used and (k, s) not in taken]
+        if not free:
+            break
+        state, cov = _one_frame_back(state, cov, moments[k + 1], moments[k + 1].time - earlier.time, model)
+        seen, noise = model.sensor.states(earlier.z[:, free])
+        noise = noise[:, rows][:, :, rows]
+        innovation = cov[np.ix_(rows, rows)] + noise
+        distance2, _ = gaussian_parts(seen[rows] - state[rows, None], np.ascontiguousarray(innovation))
+        best = int(np.argmin(distance2))
+        if distance2[best] > REGION:
+            break
+        means, covs = update(state[None], cov[None], seen[rows, best][None], noise[best][None], rows)
+        state, cov = means[0], covs[0]
+        path.append((k, free[best]))
+        states.append(state[:, None])
+    return path, model.sensor.boxes(np.hstack(states))
+
+
+def _one_frame_back(state: F8, cov: F8, later: Moment, dt: float, model: Model) -> tuple[F8, F8]:
+    """State (d,) and covariance (d, d) in the frame before ``later``, by the inverse transition."""
+    _, jacobian, noise = model.motion.transition(state[:, None], dt)
+    # A component that the transition forgets (a remembered size) cannot be inferred from what came after: it stays.
+    back = np.linalg.pinv(jacobian[0])
+    forgotten = ~jacobian[0].any(axis=0)
+    state = np.where(forgotten, state, back @ state)
+    cov = back @ (cov + noise[0]) @ back.T
+    if len(later.warp):
+        homeward = warp_of.back(later.warp)
+        slope = model.motion.warp_jacobian(state[:, None], homeward)[0]
+        state, cov = model.motion.warp_states(state[:, None], homeward)[:, 0], slope @ cov @ slope.T
+    return state, cov

@@ -8,18 +8,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.kernels.linking import Links, Window
-from phdtrack.models import warp as warp_of
-from phdtrack.models.rts import bridge, update
+from phdtrack.models.rts import bridge
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, STILL, Estimates, MeasurementHistory, Tracks
 
 NO_LINKS = Links(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 # Moments in a chunk: adding a moment copies references to less than two chunks and to the chunks before.
 CHUNK = 32
-# Squared Mahalanobis radius of the 99 % region in four dimensions.
-REGION = 13.28
 
 # A track: the places (moment, state) of its states.
 Path = list[tuple[int, int]]
@@ -106,30 +102,6 @@ def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
     )
 
 
-def rows_of(moments: list[Moment], path: Path, identity: int) -> Tracks:
-    """The rows of a track that rest on extracted states.
-
-    Parameters
-    ----------
-    moments : all frames.
-    path : the places of its states.
-    identity : its number.
-
-    Returns
-    -------
-    One row for each state.
-    """
-    parts = [(moments[k], i) for k, i in path]
-    return Tracks(
-        np.array([m.number for m, _ in parts], np.int64),
-        np.full(len(path), identity),
-        np.array([m.estimates.xyxy[i] for m, i in parts]),
-        np.minimum(1.0, np.array([m.estimates.weight[i] for m, i in parts])),
-        np.array([m.estimates.detection[i] for m, i in parts], np.int64),
-        np.ones(len(path), np.bool_),
-    )
-
-
 def predicted_rows(number: int | I8, identity: int | I8, state: F8, confidence: float | F8, model: Model) -> Tracks:
     """Rows of states that rest on no detection.
 
@@ -149,90 +121,38 @@ def predicted_rows(number: int | I8, identity: int | I8, state: F8, confidence: 
     return Tracks(np.full(n, number), np.full(n, identity), boxes, sure, np.full(n, -1), np.ones(n, np.bool_))
 
 
-def gaps(moments: list[Moment], path: Path, identity: int, model: Model) -> list[Tracks]:
-    """Predicted rows between the states of a track that are more than one frame apart.
+def rows_of(moments: list[Moment], path: Path, identity: int, bridge_gaps: bool, model: Model) -> list[Tracks]:
+    """The rows of a track.
 
     Parameters
     ----------
     moments : all frames.
     path : the places of its states.
     identity : its number.
+    bridge_gaps : with predicted rows between states that are more than one frame apart.
     model : of the last frame.
 
     Returns
     -------
-    The rows of each gap.
+    One row for each state, and the rows of each gap.
     """
-    parts = []
-    for (k, i), (m, j) in itertools.pairwise(path):
+    held = [(moments[k], i) for k, i in path]
+    states = Tracks(
+        np.array([m.number for m, _ in held], np.int64),
+        np.full(len(path), identity),
+        np.array([m.estimates.xyxy[i] for m, i in held]),
+        np.minimum(1.0, np.array([m.estimates.weight[i] for m, i in held])),
+        np.array([m.estimates.detection[i] for m, i in held], np.int64),
+        np.ones(len(path), np.bool_),
+    )
+    parts = [states]
+    for (k, i), (m, j) in itertools.pairwise(path) if bridge_gaps else ():
         if m == k + 1:
             continue
         a, b = moments[k].estimates, moments[m].estimates
         steps = np.diff(np.array([x.time for x in moments[k : m + 1]]))
         ends = a.state[:, i], a.covariance[i], b.state[:, j], b.covariance[j]
-        states = bridge(model.motion, ends, steps, [x.warp for x in moments[k + 1 : m + 1]])
+        between = bridge(model.motion, ends, steps, [x.warp for x in moments[k + 1 : m + 1]])
         numbers = np.array([x.number for x in moments[k + 1 : m]], np.int64)
-        parts.append(predicted_rows(numbers, identity, states, min(float(a.weight[i]), float(b.weight[j])), model))
+        parts.append(predicted_rows(numbers, identity, between, min(float(a.weight[i]), float(b.weight[j])), model))
     return parts
-
-
-def back_dated(
-    moments: list[Moment], start: tuple[int, int], most: int, taken: set[tuple[int, int]], model: Model
-) -> tuple[Path, F8]:
-    """The detections that lead to a track's first state, and the boxes of the track there.
-
-    A filter that removes clutter confirms a target only after some coherent detections. Here a Kalman filter runs backward
-    in time from the first state: predict by the inverse transition, take the nearest unused detection in the 99 % region,
-    update with it; stop where there is none.
-
-    Parameters
-    ----------
-    moments : all frames.
-    start : place (moment, state) of the track's first state.
-    most : detections at most.
-    taken : detections (moment, detection) that other tracks were led back to.
-    model : of the last frame.
-
-    Returns
-    -------
-    The places (moment, detection), the latest first, and the boxes (n, 4).
-    """
-    place, i = start
-    state, cov = moments[place].estimates.state[:, i], moments[place].estimates.covariance[i]
-    rows = np.array(model.sensor.observed)
-    path: Path = []
-    states = [np.zeros((len(state), 0))]
-    for k in range(place - 1, max(-1, place - 1 - most), -1):
-        earlier = moments[k]
-        used = set(earlier.estimates.detection.tolist())
-        free = [s for s in range(earlier.z.shape[1]) if s not in used and (k, s) not in taken]
-        if not free:
-            break
-        state, cov = _one_frame_back(state, cov, moments[k + 1], moments[k + 1].time - earlier.time, model)
-        seen, noise = model.sensor.states(earlier.z[:, free])
-        noise = noise[:, rows][:, :, rows]
-        innovation = cov[np.ix_(rows, rows)] + noise
-        distance2, _ = gaussian_parts(seen[rows] - state[rows, None], np.ascontiguousarray(innovation))
-        best = int(np.argmin(distance2))
-        if distance2[best] > REGION:
-            break
-        means, covs = update(state[None], cov[None], seen[rows, best][None], noise[best][None], rows)
-        state, cov = means[0], covs[0]
-        path.append((k, free[best]))
-        states.append(state[:, None])
-    return path, model.sensor.boxes(np.hstack(states))
-
-
-def _one_frame_back(state: F8, cov: F8, later: Moment, dt: float, model: Model) -> tuple[F8, F8]:
-    """State (d,) and covariance (d, d) in the frame before ``later``, by the inverse transition."""
-    _, jacobian, noise = model.motion.transition(state[:, None], dt)
-    # A component that the transition forgets (a remembered size) cannot be inferred from what came after: it stays.
-    back = np.linalg.pinv(jacobian[0])
-    forgotten = ~jacobian[0].any(axis=0)
-    state = np.where(forgotten, state, back @ state)
-    cov = back @ (cov + noise[0]) @ back.T
-    if len(later.warp):
-        homeward = warp_of.back(later.warp)
-        slope = model.motion.warp_jacobian(state[:, None], homeward)[0]
-        state, cov = model.motion.warp_states(state[:, None], homeward)[:, 0], slope @ cov @ slope.T
-    return state, cov

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.associate.history import NO_LINKS, History, Moment, gaps, measurements, rows_of
+from phdtrack.associate.history import NO_LINKS, History, Moment, measurements, rows_of
 from phdtrack.checks import Count, NonNegative, PositiveCount, check
 from phdtrack.errors import InputError
 from phdtrack.protocols import Model
@@ -180,11 +180,9 @@ class Labelled:
         for k, moment in enumerate(moments):
             for i in np.flatnonzero(moment.estimates.detection >= 0).tolist():
                 paths.setdefault(int(moment.estimates.tag[i]), []).append((k, i))
-        parts = []
+        parts = list[Tracks]()
         for name, path in enumerate((p for p in paths.values() if len(p) >= self.min_track_length), start=1):
-            parts.append(rows_of(moments, path, name))
-            if self.bridge_gaps:
-                parts.extend(gaps(moments, path, name, model))
+            parts += rows_of(moments, path, name, self.bridge_gaps, model)
         return Tracks.concatenate(parts)
 
     def measurements(self, state: LabelledState) -> MeasurementHistory:

@@ -2,15 +2,15 @@
 
 The posterior of a frame is that of all targets at once, given what the frame before left and this scan:
 
-    p(X | Z) ∝ g(Z | X) · Π ψ(x_s, x_t) · p(X | Z before)
+    p(X | Z) ∝ g(Z | X) · p(X | Z before)
 
-with ψ = exp(−strength · penalty) for every pair of targets, the interaction that keeps them apart [K05]. A Markov chain
-draws samples of it (`kernels.mcmc`). Unlike the PHD filters this one knows its targets one by one: a label is one for a
-target's life.
+A Markov chain draws samples of it (`kernels.mcmc`). Unlike the PHD filters this one knows its targets one by one: a label is
+one for a target's life.
 
 **Associations unknown** [K05]. What is sampled is who is there, who gave which measurement, and where everybody is, (E, a,
 X). Every target gives one measurement at most, with probability p_D, every measurement comes of one target at most, and the
-rest is Poisson clutter of density κ. In units of the scan's being all clutter,
+rest is Poisson clutter of density κ. With ψ = exp(−strength · penalty) for every pair of targets, the interaction that
+keeps them apart [K05], and in units of the scan's being all clutter,
 
     p(E, a, X | Z) ∝ Π_there [1 − p_D(x)  or  p_D(x) g(z_a|x) / κ(z_a)] p_t(x) · Π_not there (1 − e_t) · Π ψ(x_s, x_t)
 
@@ -30,20 +30,19 @@ sample.
 **Associations given** [D14 Alg. 1]. The last row of z is a target's label. With the samples x^r of the frame before, what is
 sampled is (r, x) jointly,
 
-    p(r, x | z) ∝ Π_t f(x_t | x_t^r) g(z_t | x_t) · Π ψ(x_s, x_t)
+    p(r, x | z) ∝ Π_t f(x_t | x_t^r) g(z_t | x_t)
 
 whose marginal of x is the posterior of the mixture over all samples of the frame before. Two kinds of moves leave it as it
 is:
 
-* redraw: for one target, x_t' ~ f(·|x_t^r). What is left of the Hastings ratio is g(z_t|x_t') / g(z_t|x_t) and the
-interaction.
+* redraw: for one target, x_t' ~ f(·|x_t^r). What is left of the Hastings ratio is g(z_t|x_t') / g(z_t|x_t).
 * another ancestor: r' ~ q, and all targets anew from f(·|x^r'). The ratio is that of Π g / q(r).
 
 With ancestors of their own a target's r_t is redrawn along with it: the product of every target's own mixture [K05]. Few
-samples predict a precise measurement well, and of many targets hardly any does for all at once, so q knows the scan: q(r) ∝
-Π_t p̂(z_t|x_t^r) with p̂ = N(z; H F x^r, H Q Hᵀ + R), or the mean of g over draws of f where the sensor is not linear. A
-share of q is uniform. A target whose label is new has N draws about its measurement, and takes no part in the interaction
-of its first frame.
+samples predict a precise measurement well, and of many targets hardly any does for all at once, so q knows the scan:
+q(r) ∝ Π_t p̂(z_t|x_t^r) with p̂ = N(z; H F x^r, H Q Hᵀ + R), or the mean of g over draws of f where the sensor is not
+linear. A share of q is uniform. A target whose label is new has N draws about its measurement. There is no interaction: the
+labels keep targets apart.
 """
 
 from __future__ import annotations
@@ -93,8 +92,9 @@ class MCMC:
         ratio takes the place of the target's likelihood. That does not sample, and because a likelihood is then compared
         with a ratio it depends on the unit of positions; ancestors are ``each``, proposed all alike.
     swap_probability : for ``none``, the share of steps that move two candidates that compete for a measurement.
-    interaction_strength : of the interaction; 0 for none, which is faster. Where the detector fires twice on one person it
-        keeps the two apart; where associations are given there is less need.
+    interaction_strength : for ``none``, of the interaction; 0: there is none, which is faster. Where the detector fires
+    twice
+        on one person it keeps the two apart.
     interaction : what targets keep apart by: ``overlap`` of their boxes (intersection over union), or ``distance``.
     interaction_distance : for ``distance``, the distance that counts as one, in units of the position.
     min_weight : for ``none``, targets less probable than that are dropped.
@@ -218,21 +218,20 @@ def _jump_update(
     kappa = model.clutter.intensity(z)
     against = np.maximum(kappa, LEAST_CLUTTER)
     born = model.birth.sample(z, _covered(state, z, model), model.sensor, dt / model.rate, rng)
-    entries = _entries(state, born, z, against, model)
-    evidence = sum_by(entries.which + 1, entries.weight, z.shape[1] + 1)[1:] * against
-    seen = np.unique(entries.candidate[entries.candidate >= old])
-    candidate = np.where(entries.candidate < old, entries.candidate, old + np.searchsorted(seen, entries.candidate))
+    candidate, which, member, weight, x = _entries(state, born, z, against, model)
+    evidence = sum_by(which + 1, weight, z.shape[1] + 1)[1:] * against
+    seen = np.unique(candidate[candidate >= old])
+    candidate = np.where(candidate < old, candidate, old + np.searchsorted(seen, candidate))
     label = np.concatenate([state.label, state.fresh + seen - old])
     absent = np.concatenate([np.maximum(1 - state.existence, SURELY), np.ones(len(seen))])
-    first, seen_by, total, start, running = option_tables(candidate, entries.which, entries.weight, absent)
-    places = _places(settings, entries.state, model)
-    can = Options(first, seen_by, total, start, running, entries.member, places)
+    first, seen_by, total, start, running = option_tables(candidate, which, weight, absent)
+    can = Options(first, seen_by, total, start, running, member, _places(settings, x, model))
     pairs = _rivals(can.first, can.seen_by)
     options, states, chance, counts = jump_chain(
         old, z.shape[1], can, pairs, settings._chain(settings.swap_probability), rng
     )
     kept = np.flatnonzero(chance.mean(axis=1) >= settings.min_weight)
-    x = np.ascontiguousarray(entries.state[:, states[kept].ravel()])
+    x = np.ascontiguousarray(x[:, states[kept].ravel()])
     samples = JointSamples(x, chance[kept], label[kept], state.fresh + z.shape[1], x[:, :0])
     # How well the chain moved shows in targets that are there more often than not.
     likely = x[:2].reshape(2, *chance[kept].shape)[:, samples.existence >= 0.5]
@@ -251,23 +250,12 @@ def _covered(state: JointSamples, z: F8, model: Model) -> F8:
     return sum_by(which[near], state.weight[point[near]], z.shape[1])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Entries:
-    """States that candidates may have, by measurement, sorted by candidate and measurement.
+def _entries(state: JointSamples, born: Particles, z: F8, kappa: F8, model: Model) -> tuple[I8, I8, I8, F8, F8]:
+    """Entries (T,), sorted by candidate and measurement, of what every candidate may be, and the states (d, L).
 
-    ``candidate``, ``which``, ``member`` (T,): whose state, seen in which measurement (−1: in none), and which column of
-    ``state`` (d, L); ``weight`` (T,) of each.
+    Whose state, seen in which measurement (−1: in none), which column of the states, and how likely. Newborn candidate n + j
+    is at measurement j.
     """
-
-    candidate: I8
-    which: I8
-    member: I8
-    weight: F8
-    state: F8
-
-
-def _entries(state: JointSamples, born: Particles, z: F8, kappa: F8, model: Model) -> _Entries:
-    """What every candidate may be: unseen or seen, where and how likely; newborn candidate n + j is at measurement j."""
     n, count = state.chance.shape
     x = np.hstack([state.state, born.state])
     weight = np.concatenate([state.weight, born.weight])
@@ -283,7 +271,7 @@ def _entries(state: JointSamples, born: Particles, z: F8, kappa: F8, model: Mode
     order = np.argsort(candidate * (z.shape[1] + 1) + which + 1, kind="stable")
     # A candidate that not even the best guess explains is none.
     alive = order[(entry[order] > 0) | (which[order] < 0)]
-    return _Entries(candidate[alive], which[alive], member[alive], entry[alive], x)
+    return candidate[alive], which[alive], member[alive], entry[alive], x
 
 
 def _rivals(first: I8, seen_by: I8) -> I8:
@@ -350,7 +338,7 @@ def _given_samples(
     weight = np.exp(fit - fit.max(axis=1, keepdims=True))
     law = (1 - UNIFORM) * weight / weight.sum(axis=1, keepdims=True) + UNIFORM / fit.shape[1]
     flat = np.ascontiguousarray(origin).reshape(len(origin), -1)
-    ancestors = Ancestors(flat, np.cumsum(law, axis=1), np.log(law), _sizes(settings, z, model))
+    ancestors = Ancestors(flat, np.cumsum(law, axis=1), np.log(law))
     motion, sensor = model.motion.particle_model(dt, dt / model.rate), model.sensor.particle_model(z)
     kept = np.empty((len(origin), z.shape[1] * settings.samples))
     chain = settings._chain(settings.ancestor_move_probability, joint)
@@ -375,21 +363,6 @@ def _fits(origin: F8, dt: float, z: F8, model: Model, rng: np.random.Generator) 
     apart = (step[:, rows] @ (origin - mean[:, :, None]).transpose(1, 0, 2)).transpose(1, 0, 2)
     apart = sensor.innovation(z, sensor.expected(moved))[:, :, None] - apart
     return np.asarray(-0.5 * np.einsum("inr,nij,jnr->nr", apart, inverse, apart))
-
-
-def _sizes(settings: MCMC, z: F8, model: Model) -> F8:
-    """(2, n) the size of each target's box, or the range of the interaction."""
-    if settings.interaction == "distance" or settings.interaction_strength == 0:
-        return np.full((2, z.shape[1]), float(settings.interaction_distance))
-    x = model.sensor.states(z)[0]
-    boxes = model.sensor.boxes(x).T
-    if not np.allclose((boxes[:2] + boxes[2:]) / 2, x[:2]):
-        raise InputError(
-            "given associations compare boxes where the state's position is their centre, which on a ground plane it is not",
-            where="MCMC.interaction",
-            cure="Set interaction to distance, or interaction_strength to 0",
-        )
-    return np.ascontiguousarray(boxes[2:] - boxes[:2])
 
 
 def effective_samples(series: F8) -> float:

@@ -4,7 +4,7 @@ from phdtrack.ground.calibrate import Calibration, fit_homography
 from phdtrack.ground.cameras import CountedFrom, HomographyCamera, Lens, OpenCVLens, PosedCamera, TsaiLens
 from phdtrack.ground.read import MatrixForm, read_camera
 from phdtrack.ground.terrain import Flat, Surface, Terrain, read_terrain
-from phdtrack.ground.uncertainty import footprint, ground_covariance, ground_gaussian
+from phdtrack.ground.uncertainty import footprint, ground_covariance
 
 __all__ = [
     "Calibration",
@@ -21,7 +21,6 @@ __all__ = [
     "fit_homography",
     "footprint",
     "ground_covariance",
-    "ground_gaussian",
     "read_camera",
     "read_terrain",
 ]

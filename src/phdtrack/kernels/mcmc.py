@@ -56,25 +56,6 @@ class Ancestors(NamedTuple):
     origin: F8
     running: F8
     log: F8
-    size: F8
-
-
-@njit(**INNER)
-def _penalty(place: F8, a: int, b: int, boxes: bool) -> float:
-    """Of rows a and b of ``place`` (L, 4): corners of boxes, or scaled positions in the first two columns."""
-    if not boxes:
-        dx, dy = place[a, 0] - place[b, 0], place[a, 1] - place[b, 1]
-        near: float = np.exp(-0.5 * (dx * dx + dy * dy))
-        return near
-    wide = min(place[a, 2], place[b, 2]) - max(place[a, 0], place[b, 0])
-    tall = min(place[a, 3], place[b, 3]) - max(place[a, 1], place[b, 1])
-    if wide <= 0.0 or tall <= 0.0:
-        return 0.0
-    shared = wide * tall
-    own = (place[a, 2] - place[a, 0]) * (place[a, 3] - place[a, 1])
-    other = (place[b, 2] - place[b, 0]) * (place[b, 3] - place[b, 1])
-    overlap: float = shared / (own + other - shared)
-    return overlap
 
 
 @njit(**INNER)
@@ -110,35 +91,6 @@ def _ancestor(ancestors: Ancestors, law: int, rng: np.random.Generator) -> int:
     return int(np.searchsorted(running, rng.random() * running[-1], side="right"))
 
 
-@njit(**INNER)
-def _put(x: F8, size: F8, t: int, boxes: bool, place: F8) -> None:
-    """Write into ``place`` (4,) where target t is at state ``x``."""
-    if boxes:
-        place[0], place[1] = x[0] - 0.5 * size[0, t], x[1] - 0.5 * size[1, t]
-        place[2], place[3] = x[0] + 0.5 * size[0, t], x[1] + 0.5 * size[1, t]
-    else:
-        place[0], place[1] = x[0] / size[0, t], x[1] / size[1, t]
-
-
-@njit(**INNER)
-def _crowding(place: F8, t: int, boxes: bool) -> float:
-    """By how much the penalties of target t, or for t < 0 of all pairs, grow from places[0] (n, 4) to places[1]."""
-    total = 0.0
-    for a in range(place.shape[1]):
-        for b in range(a):
-            if t < 0 or a == t or b == t:
-                total += _penalty(place[1], a, b, boxes) - _penalty(place[0], a, b, boxes)
-    return total
-
-
-@njit(**INNER)
-def _copy(both: F8, t: int, accepted: bool) -> None:
-    """Make row t of the present (2, n, k) that of an accepted proposal; of a rejected one the other way round."""
-    source = 1 if accepted else 0
-    for a in range(both.shape[2]):
-        both[1 - source, t, a] = both[source, t, a]
-
-
 @njit(**ENTRY)
 def given_chain(
     motion: Any, sensor: Any, table: Any, ancestors: Ancestors, chain: Chain, rng: np.random.Generator, kept: F8
@@ -159,7 +111,7 @@ def given_chain(
     """
     n, scratch, counts = table.shape[1], np.empty(16 * BLOCK), np.zeros((2, 2), np.int64)
     # In row 0 the present sample, in row 1 the proposal.
-    x, place = np.empty((2, n, kept.shape[0])), np.zeros((2, n, 4))
+    x = np.empty((2, n, kept.shape[0]))
     fit, ancestor = np.zeros((2, n)), np.zeros((2, n), np.int64)
     for step in range(-1, chain.burn + chain.thin * chain.samples):
         # The chain starts at a proposal for all.
@@ -173,14 +125,10 @@ def given_chain(
             # Alg. 1's weight is the likelihood: where a ratio takes its place, a common factor does not cancel.
             fit[1, t] -= 0.0 if chain.joint or chain.greedy else ancestors.log[t, ancestor[1, t]]
             gain += fit[1, t] - fit[0, t]
-            if chain.strength > 0.0:
-                _put(x[1, t], ancestors.size, t, chain.boxes, place[1, t])
         accepted, kind = step < 0, ANCESTOR if everything else REDRAW
         if not accepted:
             if everything:
                 gain -= ancestors.log[0, common] - ancestors.log[0, ancestor[0, 0]]
-            if chain.strength > 0.0:
-                gain -= chain.strength * _crowding(place, -1 if everything else first, chain.boxes)
             accepted = gain >= (0.0 if chain.greedy else math.log(1.0 - rng.random()))
             counts[kind, 0] += 1
             counts[kind, 1] += accepted
@@ -188,8 +136,8 @@ def given_chain(
             # D14's Alg. 1 takes the ratio for the weight of a state that stays.
             fit[0, t] = fit[1, t] if accepted else gain if chain.greedy else fit[0, t]
             ancestor[0, t] = ancestor[1, t] if accepted else ancestor[0, t]
-            _copy(x, t, accepted)
-            _copy(place, t, accepted)
+            for a in range(kept.shape[0]):
+                x[0, t, a] = x[1, t, a] if accepted else x[0, t, a]
         if step >= chain.burn and (step - chain.burn + 1) % chain.thin == 0:
             for t in range(n):
                 for a in range(kept.shape[0]):
@@ -256,6 +204,24 @@ def option_tables(candidate: I8, which: I8, weight: F8, absent: F8) -> tuple[I8,
             o += 1
     first[count], start[o] = o, e
     return first, seen_by[:o].copy(), total[:o].copy(), start[: o + 1].copy(), running
+
+
+@njit(**INNER)
+def _penalty(place: F8, a: int, b: int, boxes: bool) -> float:
+    """Of rows a and b of ``place`` (L, 4): corners of boxes, or scaled positions in the first two columns."""
+    if not boxes:
+        dx, dy = place[a, 0] - place[b, 0], place[a, 1] - place[b, 1]
+        near: float = np.exp(-0.5 * (dx * dx + dy * dy))
+        return near
+    wide = min(place[a, 2], place[b, 2]) - max(place[a, 0], place[b, 0])
+    tall = min(place[a, 3], place[b, 3]) - max(place[a, 1], place[b, 1])
+    if wide <= 0.0 or tall <= 0.0:
+        return 0.0
+    shared = wide * tall
+    own = (place[a, 2] - place[a, 0]) * (place[a, 3] - place[a, 1])
+    other = (place[b, 2] - place[b, 0]) * (place[b, 3] - place[b, 1])
+    overlap: float = shared / (own + other - shared)
+    return overlap
 
 
 @njit(**INNER)
