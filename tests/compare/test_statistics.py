@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 
 from phdtrack.compare.statistics import interval
@@ -24,10 +23,3 @@ def test_one_value_has_no_interval_and_none_no_mean() -> None:
     assert math.isnan(interval([0.7]).half)
     assert not interval([0.7]).clear
     assert math.isnan(interval([]).mean)
-
-
-def test_nineteen_of_twenty_intervals_hold_the_mean(rng: np.random.Generator) -> None:
-    samples = rng.normal(1.5, 2.0, (4000, 5))
-    held = np.mean([one.low <= 1.5 <= one.high for one in map(interval, samples.tolist())])
-    # Four deviations of a binomial share.
-    assert abs(held - 0.95) < 4 * math.sqrt(0.95 * 0.05 / 4000)

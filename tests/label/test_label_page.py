@@ -177,7 +177,7 @@ def test_suggestions_are_confirmed_in_one_sweep_and_taken_back_in_one(browser, t
         it.page.wait_for_selector('#sweep-confirm:text-is("mark 50 of 60 as false (Enter)")')
         titles = it.page.locator("#sweep h2").all_inner_texts()
         assert titles[0].startswith("A place that fires too often, here on 40 of the frames (40)")
-        assert titles[1].startswith("The filter did not believe these (20)")
+        assert titles[1].startswith("The filter took these for false alarms (20)")
         it.page.locator("#sweep .crops button").nth(7).click()
         it.page.locator("#sweep .crops button").nth(59).click()
         it.page.locator("#sweep .crops button").nth(58).click()

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from phdtrack.arrays import iou, to_cxcywh
+from phdtrack.arrays import to_cxcywh
 from phdtrack.label import Label, LabelStore
 from phdtrack.label.samples import REACH, Marks, clip
-from phdtrack.simulate import make_scene
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks
 
 INFO = SequenceInfo(640, 480, 25.0, 200, "drawn")
@@ -87,43 +86,6 @@ def test_marks_count_only_where_births_were_looked_for(tmp_path):
     assert Marks(store, seen, INFO).birth_states(25)[0].tolist() == [118, 232]
     store.finish(20, False)
     assert Marks(store, seen, INFO).birth_states(25).shape == (6, 0)
-
-
-def test_rate_and_velocities_of_a_simulated_street(tmp_path):
-    """First detections of people, marked on the clips of 40 drawn frames as a person would."""
-    scene = make_scene("street", 0, frames=1500, arrivals=1.0)
-    seen, truth, info = scene.detections, scene.truth, scene.info
-    first = []
-    for identity in np.unique(truth.identity):
-        rows = np.flatnonzero(truth.identity == identity)
-        for row in rows[np.argsort(truth.frame[rows])]:
-            overlap = iou(truth.xyxy[row][None], seen.at(truth.frame[row]).xyxy)[0]
-            if overlap.max(initial=0) > 0.6:
-                first.append((int(truth.frame[row]), int(np.argmax(overlap)), row))
-                break
-    drawn = (np.random.default_rng(1).permutation(1500)[:40] + 1).tolist()
-    store = LabelStore.open(tmp_path / "l", "s", "d", drawn)
-    for number in drawn:
-        marks = [Label(frame, box, "birth") for frame, box, _ in first if frame in clip(number, 1500)]
-        if marks:
-            store.mark(number, marks)
-        store.finish(number)
-    made = Marks(store, seen, info)
-    states = made.birth_states(25)
-    rate, real = states.shape[1] / made.time_watched(25), sum(f > 1 for f, _, _ in first) / (60 * 25)
-    # Poisson: some 30 births were seen.
-    assert rate == pytest.approx(real, rel=3 / np.sqrt(states.shape[1]))
-    known = np.isfinite(states[2])
-    assert known.mean() > 0.75
-    error = []
-    for state in states[:, known].T:
-        frame, _, row = next(one for one in first if np.allclose(state[:2], to_cxcywh(seen.at(one[0]).xyxy)[:2, one[1]]))
-        later = (truth.identity == truth.identity[row]) & (truth.frame == frame + 3)
-        if later.any():
-            move = (to_cxcywh(truth.xyxy[later]) - to_cxcywh(truth.xyxy[[row]]))[:2, 0]
-            error.append(np.abs(state[2:4] - move / 3 * info.fps / 25) / state[4:])
-    # Errors of 5 % of a size in four places give a slope with a deviation of 2.2 %; a few boxes are linked wrongly.
-    assert (np.median(error, axis=0) < 0.03).all()
 
 
 # Three detections on each of five frames.

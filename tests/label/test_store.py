@@ -36,15 +36,6 @@ def test_a_mark_is_there_and_can_be_taken_back(store):
     assert store.labels(10) == [Label(10, 0, "false"), Label(10, 5, "birth")]
 
 
-def test_one_action_may_reach_over_frames(store):
-    store.mark(10, false(10, 1) + false(20, 4) + false(30, 0))
-    store.mark(20, false(20, 2))
-    assert len(store.labels()) == 4
-    store.undo(30)
-    store.undo(10)
-    assert store.labels() == false(20, 2)
-
-
 def test_what_was_undone_does_not_return_after_something_new(store):
     store.mark(10, false(10, 1))
     store.undo(10)

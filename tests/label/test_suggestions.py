@@ -126,23 +126,6 @@ def test_what_a_track_holds_that_goes_somewhere_is_never_suggested():
     np.testing.assert_allclose(without.score, 0.99)
 
 
-def test_a_short_track_is_shown_and_not_ticked():
-    frames = np.arange(1, 11)
-    box = np.tile([100.0, 100, 140, 200], (10, 1))
-    rows = np.zeros(10, np.int64)
-    tracks = Tracks(frames, rows + 1, box, np.ones(10), rows, np.ones(10) > 0)
-    evidence = Evidence(DetectionTable(frames, Detections.of(box)), 1, 100, np.zeros(10), tracks)
-    found = suggest(evidence, range(1, 11), FPS)
-    assert {REASONS[k] for k in found.reason} == {"short"}
-    np.testing.assert_allclose(found.score, 0.4 * 0.5**0.4)
-    assert found.score.max() < TICKED
-
-
-def test_nothing_comes_of_nothing():
-    empty = DetectionTable(np.zeros(0, np.int64), Detections.empty())
-    assert len(suggest(Evidence(empty, 1, 10, np.zeros(0), Tracks.empty()), [1, 2], FPS)) == 0
-
-
 def some(count=3):
     number = np.arange(count)
     return Suggestions(number + 1, number, number % 3, number / count, -number)

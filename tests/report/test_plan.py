@@ -8,7 +8,7 @@ import pytest
 from phdtrack.report.charts import GroupSeries
 from phdtrack.report.drawing import identity_colour
 from phdtrack.report.pages import render
-from phdtrack.report.plan import Plan, PlanGroup, PlanScene, draw_contours, extent_of, plan_size
+from phdtrack.report.plan import Plan, PlanGroup, PlanScene, extent_of, plan_size
 
 PLAN = Plan((-10.0, 0.0, 10.0, 10.0), 400, 200)
 NOWHERE = np.zeros((2, 0))
@@ -64,15 +64,6 @@ def test_detections_and_warnings_are_drawn_where_they_have_a_place() -> None:
     assert colour_at(image, 5.3, 7.3).max() < 120
     quarter = np.array([-6.0, 8.0]) + 0.25 * np.array([12.0, -7.0])
     assert colour_at(image, *quarter) == pytest.approx([60, 60, 208], abs=40)
-
-
-def test_a_frame_is_not_written_into() -> None:
-    frame = np.full((100, 200, 3), 90, np.uint8)
-    pixels = np.array([[20.0, 80, 80, 20, 20], [20, 20, 60, 60, 20]])
-    drawn = draw_contours(frame, (group(contours=(pixels,)),))
-    assert (frame == 90).all()
-    assert (drawn[20, 40] != 90).any()
-    assert (drawn[40, 50] == 90).all()
 
 
 def test_the_extent_leaves_out_what_is_far_from_everything() -> None:

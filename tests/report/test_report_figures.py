@@ -97,8 +97,7 @@ def test_every_figure_can_be_made_of_any_run(
 
 
 def test_tracks_without_a_frame_size_are_drawn() -> None:
-    record = run_record(4)
-    assert pixels(trajectory_picture(replace(record, info=SequenceInfo(0, 0, 0.0)))).std() > 0
+    assert pixels(trajectory_picture(replace(run_record(4), info=SequenceInfo(0, 0, 0.0)))).std() > 0
 
 
 def test_matplotlib_is_left_as_it_was() -> None:

@@ -6,12 +6,10 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from report_runs import run_record
 
-from phdtrack.errors import InputError
 from phdtrack.metrics import evaluate
 from phdtrack.report import About, Recorder, report_html, write_report
 from phdtrack.report.pages import environment
@@ -148,12 +146,6 @@ def test_a_report_of_any_size_is_well_formed(frames: int, objects: int, video: b
     Page(source)
     offline(source)
     assert ("The detector found nothing." in source) == (objects == 0 < frames)
-
-
-def test_a_report_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"file/report\.html.*could not be written"):
-        write_report(tmp_path / "file" / "report.html", run_record(1))
 
 
 def test_a_filter_without_mass_or_judgement_has_a_report() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tracemalloc
 
 import numpy as np
@@ -13,7 +14,7 @@ from report_runs import HIGH, WIDE, run_record, step, walkers
 
 from phdtrack.errors import InputError
 from phdtrack.report import About, Recorder, sentences
-from phdtrack.report.record import LOW_EFFECTIVE, chain_summary, density_map
+from phdtrack.report.record import LOW_EFFECTIVE, ChainSummary, chain_summary, density_map
 from phdtrack.types import ChainInfo, Particles, SequenceInfo, Tracks, Truth
 
 INFO = SequenceInfo(WIDE, HIGH, 10.0)
@@ -52,7 +53,7 @@ def test_heat_maps_are_few_spread_and_hold_the_mass(frames: int) -> None:
     assert len(numbers) == min(frames, 4)
     assert np.diff([0, *numbers, frames]).max() <= max(frames / 2, 1)
     for heat in record.heat_maps:
-        assert heat.mass == pytest.approx(2.0)
+        assert heat.density.sum() == pytest.approx(2.0)
         assert heat.image.shape == (HIGH, WIDE, 3)
         assert heat.detections.shape == (2, 4)
 
@@ -85,35 +86,23 @@ def test_frames_that_compiled_are_no_measure_of_the_speed():
     assert np.isnan(run_record(10, 3, about=About(left_out=10)).frames_per_second)
 
 
-def frame(proposed: list[int], accepted: list[int], effective: float) -> ChainInfo:
-    return ChainInfo(("step", "switch"), np.array(proposed), np.array(accepted), effective)
-
-
-def test_means_over_the_frames_that_have_something_to_tell() -> None:
-    frames = [frame([100, 50], [30, 5], 40.0), frame([200, 0], [20, 0], math.nan), frame([10, 10], [5, 3], 10.0)]
-    found = chain_summary(frames)
+def chain(*frames: tuple[list[int], list[int], float]) -> ChainSummary:
+    moves = ("step", "switch")
+    found = chain_summary([ChainInfo(moves, np.array(made), np.array(kept), effective) for made, kept, effective in frames])
     assert found is not None
+    return found
+
+
+def test_a_chain_is_told_by_means_over_the_frames_that_have_something_to_tell() -> None:
+    found = chain(([100, 50], [30, 5], 40.0), ([200, 0], [20, 0], math.nan), ([10, 10], [5, 3], 10.0))
     assert found.acceptance == pytest.approx({"step": (0.3 + 0.1 + 0.5) / 3, "switch": (0.1 + 0.3) / 2})
-    assert found.effective == pytest.approx(25.0)
-    assert found.low == pytest.approx(0.5)
-    assert found.warning == ""
+    assert (found.effective, found.low, found.warning) == (25.0, 0.5, "")
     assert "step 30 %, switch 20 %" in found.sentence
     assert "25 independent" in found.sentence
-
-
-def test_a_chain_that_hardly_moves_is_a_warning() -> None:
-    found = chain_summary([frame([9, 9], [1, 0], LOW_EFFECTIVE / 2)] * 2 + [frame([9, 9], [1, 0], 2 * LOW_EFFECTIVE)])
-    assert found is not None
-    assert "in 67 % of the frames" in found.warning
-    assert "fewer than 20 " in found.warning
-
-
-def test_where_nobody_was_and_where_no_chain_is() -> None:
-    nobody = chain_summary([frame([0, 0], [0, 0], math.nan)])
-    assert nobody is not None
-    assert nobody.warning == ""
-    assert "none" in nobody.sentence
-    assert "independent" not in nobody.sentence
+    low, high = ([9, 9], [1, 0], LOW_EFFECTIVE / 2), ([9, 9], [1, 0], 2 * LOW_EFFECTIVE)
+    assert re.search("in 67 % of the frames .* fewer than 20 ", chain(low, low, high).warning)
+    none = chain(([0, 0], [0, 0], math.nan))
+    assert (none.warning, "none" in none.sentence, "independent" in none.sentence) == ("", True, False)
     assert chain_summary([]) is None
 
 

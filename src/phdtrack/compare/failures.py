@@ -76,14 +76,14 @@ def conditions(comparison: Comparison, sequence: str) -> Iterator[Condition]:
 
 def _mistakes(method: str, given: RunInput, tracks: Tracks, iou: float) -> list[Mistakes]:
     """What is right and wrong in each frame, from number 0."""
-    truth, nothing, nobody = given.truth, np.zeros((0, 4)), np.zeros(0, np.int64)
+    truth, nothing, no_one = given.truth, np.zeros((0, 4)), np.zeros(0, np.int64)
     assert truth is not None
     scene = build(truth, tracks, given.info.frames)
     mapping = tracking_mapping(scene, iou)
     switched, annotated = mapping.switches(), ~truth.distractor
     wanted = _boxes(truth.frame[annotated], truth.identity[annotated], truth.xyxy[annotated])
     found = _boxes(tracks.frame, tracks.identity, tracks.xyxy)
-    out = [Mistakes(method, nothing, nobody, nobody.astype(np.bool_), nothing, nothing)] * (given.info.frames + 1)
+    out = [Mistakes(method, nothing, no_one, no_one.astype(np.bool_), nothing, nothing)] * (given.info.frames + 1)
     for i, pair in enumerate(scene.pairs):
         here = slice(*np.searchsorted(mapping.position, [i, i + 1]))
         right = scene.output_identity[mapping.output[here]]

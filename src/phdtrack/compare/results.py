@@ -204,9 +204,9 @@ def _sections(plan: Plan, found: Summary) -> Iterator[tuple[str, F8 | Sequence[s
     methods = [method.name for method in plan.methods]
     if len(plan.rates) > 1:
         rates, by_rate = sorted(plan.rates), {(row.method, row.rate): row for row in found.widest}
-        over = "pooled over everything" if found.widest[0].pooled else "of the sequence"
+        over = ", pooled over everything" if found.widest[0].pooled else ""
         rows = [[by_rate[method, rate] for rate in rates] for method in methods]
-        yield f"By added clutter, {over}", np.array(rates), "added clutter, boxes per frame", rows
+        yield f"By added clutter{over}", np.array(rates), "added clutter, boxes per frame", rows
     for rate in plan.rates:
         single = [row for row in found.rows if row.rate == rate and not row.pooled]
         rows = [[row for row in single if row.method == method] for method in methods]

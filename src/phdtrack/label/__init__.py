@@ -1,4 +1,4 @@
-"""What people say about detections: which are false, where somebody enters."""
+"""What people say about detections: which are false, where objects enter."""
 
 from phdtrack.label.store import Label, LabelStore, Mark, Progress
 

@@ -149,7 +149,7 @@ class Session:
     def suggestions(self) -> dict[str, object]:
         """What may be false, worst first, of what has no mark: frame, box, reason, score, place; how far it is.
 
-        ``ticked`` is the score from which it is taken for false unless somebody says otherwise, ``more`` the number of
+        ``ticked`` is the score from which it is taken for false unless a person says otherwise, ``more`` the number of
         suggestions that are left out for now.
         """
         work, marked = self.background, self._marked

@@ -195,7 +195,7 @@ class LabelStore:
 
     @contextmanager
     def _connection(self) -> Iterator[sqlite3.Connection]:
-        """An open connection; a click is on the disk when the page is told that it was kept."""
+        """An open connection; a click is on the disk when the page learns that it was kept."""
         db = sqlite3.connect(self.path, timeout=_TIMEOUT)
         try:
             db.execute("PRAGMA synchronous = FULL")

@@ -33,7 +33,7 @@ from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks
 
 Reason = Literal["place", "rejected", "short"]
 REASONS: tuple[Reason, ...] = get_args(Reason)
-# Above this score a suggestion is taken for false until somebody says otherwise; below the other nothing is suggested.
+# Above this score a suggestion is taken for false unless a person says otherwise; below the other nothing is suggested.
 TICKED, SHOWN = 0.9, 0.2
 # Boxes are in the same place and of the same size at this overlap (IoU).
 ALIKE = 0.5

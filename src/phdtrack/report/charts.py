@@ -225,6 +225,9 @@ def score_chart(places: F8 | Sequence[str], x_label: str, y_label: str, methods:
         reach = np.abs(np.vstack([one.mean - one.low, one.high - one.mean]))
         line = "" if named else "-"
         axes.errorbar(at, one.mean, reach, color=colour, capsize=3, marker=marker, linestyle=line, label=one.label)
+    if named:
+        axes.grid(False, axis="x")
+        axes.set_xlim(-0.5, max(len(names), 1) - 0.5)
     crowded = named and max(map(len, names), default=0) * len(names) > _LABEL_ROOM
     axes.set_xticks(x, names, rotation=25 if crowded else 0, ha="right" if crowded else "center")
     return _to_svg(axes)

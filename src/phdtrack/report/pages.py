@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from markupsafe import Markup
 
 from phdtrack.report import charts, words
-from phdtrack.report.record import RunRecord
+from phdtrack.report.record import STAGES, RunRecord
 from phdtrack.report.words import flattened, json_value, write_text
 from phdtrack.scene import Scene
 from phdtrack.types import Image
@@ -108,7 +108,8 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
         "frames": len(record),
         "frames_per_second": record.frames_per_second,
         "stages": {
-            s.name: {"mean": s.mean, "median": s.median, "p95": s.high, "share": s.share} for s in record.stage_times[:-1]
+            name: dict(zip(("mean", "median", "p95", "share"), record.stage_times[name], strict=True))
+            for name in (STAGES if len(record) else ())
         },
         "tracks": record.n_objects,
         "track_rows": len(record.tracks),

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -52,16 +51,6 @@ class About:
     left_out: int = 0
 
 
-class StageTime(NamedTuple):
-    """Milliseconds per frame of one stage: mean, median and 95th percentile; ``share`` of the whole (0–1)."""
-
-    name: str
-    mean: float
-    median: float
-    high: float
-    share: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class HeatMap:
     """The intensity over one frame.
@@ -70,7 +59,7 @@ class HeatMap:
     ----------
     number : of the frame, from 1.
     image : (h, w, 3) the frame, scaled down, BGR; (0, 0, 3) where there is none.
-    density : (gh, gw) expected number of objects in each cell, ``mass`` in all.
+    density : (gh, gw) expected number of objects in each cell.
     cell : side of a cell, pixels of the original.
     detections, estimates : (·, 4) boxes of that frame, xyxy in pixels of the original.
     """
@@ -81,11 +70,6 @@ class HeatMap:
     cell: float
     detections: F8
     estimates: F8
-
-    @property
-    def mass(self) -> float:
-        """Expected number of objects inside the frame."""
-        return float(self.density.sum())
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,14 +201,14 @@ class RunRecord:
         return (len(self) - about.left_out) / total if total > 0 else math.nan
 
     @property
-    def stage_times(self) -> tuple[StageTime, ...]:
-        """One row for each stage, and one for their sum; empty without frames."""
+    def stage_times(self) -> Mapping[str, Sequence[float]]:
+        """By stage, and together: mean, median, 95th percentile in ms per frame, share of the whole; {} without frames."""
         if not len(self):
-            return ()
+            return {}
         table = 1000 * np.column_stack([self.seconds, self.seconds.sum(axis=1)])
         share = table.sum(axis=0) / max(float(table[:, -1].sum()), 1e-12)
         columns = np.array([table.mean(axis=0), np.median(table, axis=0), np.quantile(table, 0.95, axis=0), share])
-        return tuple(StageTime(name, *each) for name, each in zip((*STAGES, "together"), columns.T.tolist(), strict=True))
+        return dict(zip((*STAGES, "together"), columns.T.tolist(), strict=True))
 
     def by_identity(self) -> tuple[Tracks, ...]:
         """The rows of each identity, ascending, each in the order of frames."""

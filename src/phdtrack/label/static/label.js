@@ -194,7 +194,7 @@ function saving(waiting, away) {
     : waiting ? "…" : "all kept";
 }
 
-// --- what is told -----------------------------------------------------------------------------------------------------------
+// --- what is shown -----------------------------------------------------------------------------------------------------------
 
 function tell() {
   const { done, frames: all, false: wrong, births } = overview.progress;

@@ -2,15 +2,15 @@
 
 const POLL = 1500;
 const WHY = {
-  rejected: "The filter did not believe these",
+  rejected: "The filter took these for false alarms",
   short: "Held by a short track at most",
 };
 
 export class Sweep {
   constructor(element, button, { ask, confirm, closed }) {
     Object.assign(this, { element, button, ask, confirm, closed });
-    this.told = { ready: false, share: 0, items: [], more: 0 };
-    // What somebody ticked or unticked stays so while the page is open: key "frame/box".
+    this.answer = { ready: false, share: 0, items: [], more: 0 };
+    // What was ticked or unticked stays so while the page is open: key "frame/box".
     this.turned = new Map();
     this.poll();
   }
@@ -21,12 +21,12 @@ export class Sweep {
 
   async poll() {
     await this.load().catch(() => {});
-    if (!this.told.ready) setTimeout(() => this.poll(), POLL);
+    if (!this.answer.ready) setTimeout(() => this.poll(), POLL);
   }
 
   async load() {
-    this.told = await this.ask("/api/suggestions");
-    const { ready, share, problem, items, more } = this.told;
+    this.answer = await this.ask("/api/suggestions");
+    const { ready, share, problem, items, more } = this.answer;
     this.button.disabled = !ready || !items.length;
     this.button.textContent = problem ? `no suggestions: ${problem}`
       : !ready ? `suggestions … ${Math.floor(100 * share)} %`
@@ -49,18 +49,18 @@ export class Sweep {
   }
 
   ticked() {
-    return this.told.items.filter((item) => this.isTicked(item));
+    return this.answer.items.filter((item) => this.isTicked(item));
   }
 
   isTicked([frame, box, , score]) {
-    return this.turned.get(`${frame}/${box}`) ?? score >= this.told.ticked;
+    return this.turned.get(`${frame}/${box}`) ?? score >= this.answer.ticked;
   }
 
   build() {
     const header = document.createElement("header");
-    const told = document.createElement("p");
-    told.textContent = `Ticked is what scores ${this.told.ticked} or more. A click unticks a crop, or ticks it. Nothing is marked yet.` +
-      (this.told.more ? ` ${this.told.more} more follow when these are dealt with.` : "");
+    const note = document.createElement("p");
+    note.textContent = `Ticked is what scores ${this.answer.ticked} or more. A click unticks a crop, or ticks it. Nothing is marked yet.` +
+      (this.answer.more ? ` ${this.answer.more} more follow when these are dealt with.` : "");
     this.yes = document.createElement("button");
     this.yes.id = "sweep-confirm";
     this.yes.className = "strong";
@@ -68,7 +68,7 @@ export class Sweep {
     const no = document.createElement("button");
     no.textContent = "close (Esc)";
     no.addEventListener("click", () => this.close());
-    header.append(told, this.yes, no);
+    header.append(note, this.yes, no);
     this.element.replaceChildren(header, ...this.groups().map(([title, items]) => this.group(title, items)));
     this.count();
   }
@@ -76,7 +76,7 @@ export class Sweep {
   // By place, and what is at no place by reason; in the order of their worst.
   groups() {
     const groups = new Map();
-    for (const item of this.told.items) {
+    for (const item of this.answer.items) {
       const [, , reason, , place] = item;
       const name = reason === "place" ? `place ${place}` : reason;
       if (!groups.has(name)) groups.set(name, []);
@@ -129,7 +129,7 @@ export class Sweep {
     for (const section of this.element.querySelectorAll("section")) section.update();
     const many = this.ticked().length;
     this.yes.disabled = !many;
-    this.yes.textContent = `mark ${many} of ${this.told.items.length} as false (Enter)`;
+    this.yes.textContent = `mark ${many} of ${this.answer.items.length} as false (Enter)`;
   }
 
   sweep() {
