@@ -12,7 +12,7 @@ from benchmarks.parts import Outcome, Row, Scale
 from benchmarks.timing import Spread
 from benchmarks.twins import Twin, World
 from benchmarks.workload import Crowd, draw, stages
-from phdtrack.models.volume import image_volume
+from phdtrack.models.volumes import image_volume
 
 KEYS = ("ratio_gated_numpy", "ratio_dense_numpy", "numpy_twins")
 # Gated NumPy at 1000 targets takes seconds a frame; the dense twin's table at 100 would hold 10 million pairs.

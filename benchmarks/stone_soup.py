@@ -31,7 +31,7 @@ from benchmarks.timing import Spread
 from benchmarks.workload import Crowd, draw, stages
 from phdtrack.filters import GMPHD
 from phdtrack.models import MeasurementBirth, UniformClutter
-from phdtrack.models.volume import image_volume
+from phdtrack.models.volumes import image_volume
 from phdtrack.protocols import AnyStages
 from phdtrack.types import Estimates, GaussianMixture
 

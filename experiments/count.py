@@ -24,7 +24,7 @@ from phdtrack.filters.extract import KMeans
 from phdtrack.filters.phd_particle import Intensity
 from phdtrack.kernels.gaussian import Births
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
-from phdtrack.models.volume import image_volume
+from phdtrack.models.volumes import image_volume
 from phdtrack.protocols import Birth, Clutter, Model, Sensor
 from phdtrack.simulate import DetectorModel, detect
 from phdtrack.simulate.detector import ASPECTS, HEIGHTS

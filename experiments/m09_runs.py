@@ -14,7 +14,7 @@ from phdtrack import config, pipeline
 from phdtrack.metrics import Scores, evaluate, first_output_delays
 from phdtrack.models import MeasurementBirth
 from phdtrack.models.clutter import LocalClutter, UniformClutter
-from phdtrack.models.volume import image_volume
+from phdtrack.models.volumes import image_volume
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import F8, SequenceInfo, Tracks, Truth
 

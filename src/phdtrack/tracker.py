@@ -121,7 +121,7 @@ class Tracker:
         found = as_detections(detections, where=f"frame {number}")
         moved = STILL if warp is None else as_warp(warp, f"frame {number}, update(warp=…)")
         if len(moved):
-            from phdtrack.models.standing import refuse_standing
+            from phdtrack.models.scene import refuse_standing
 
             refuse_standing(self.stages.model)
         self._state, self._step = pipeline.advance(self.stages, self._state, found, number, time, self._rng, moved)

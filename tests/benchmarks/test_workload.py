@@ -10,7 +10,7 @@ from benchmarks.stone_soup import batch_error
 from benchmarks.twins import Twin, World, in_rectangles
 from benchmarks.workload import Crowd, draw, stages
 from phdtrack.arrays import to_cxcywh
-from phdtrack.models.volume import image_volume
+from phdtrack.models.volumes import image_volume
 
 
 def test_the_density_is_the_same_at_every_size() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from phdtrack.kernels.gaussian import Births
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
 from phdtrack.models.births import births_around
-from phdtrack.models.volume import image_volume
+from phdtrack.models.volumes import image_volume
 from phdtrack.protocols import Model
 from phdtrack.types import Particles
 

@@ -13,7 +13,7 @@ from phdtrack.filters import GMCPHD, GMPHD, ParticleCPHD, ParticlePHD
 from phdtrack.filters.cardinality import poisson
 from phdtrack.filters.intensities import Cardinalised
 from phdtrack.models import BoxMotion, BoxSensor, FixedBirth, MeasurementBirth, SplitSpawn, UniformClutter
-from phdtrack.models.volume import image_volume
+from phdtrack.models.volumes import image_volume
 from phdtrack.types import GaussianMixture, Particles
 from reference import phd_twin
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from phd_cases import FRAME, NoBirth, world
 
+from composed import composed_step
 from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD, ParticlePHD
-from phdtrack.filters.composed import composed_step
 from phdtrack.models import (
     BoxMotion,
     BoxSensor,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from phd_cases import FRAME, NoBirth
 
+from composed import composed_step
 from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD
-from phdtrack.filters.composed import composed_step
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
 from phdtrack.models.gaussian import sigma_points
 from phdtrack.protocols import Model

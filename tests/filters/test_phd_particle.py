@@ -29,7 +29,7 @@ from phdtrack.models import (
     UniformBirth,
     UniformClutter,
 )
-from phdtrack.models.volume import image_volume
+from phdtrack.models.volumes import image_volume
 from phdtrack.protocols import Model
 from phdtrack.tracker import pack, unpack
 from phdtrack.types import Detections, GaussianMixture, ParticleBlocks, Particles

@@ -9,7 +9,7 @@ from phdtrack import config
 from phdtrack.filters import GMPHD, PMB
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
 from phdtrack.models.scene import SceneBirth, SceneClutter, with_scene
-from phdtrack.models.volume import image_volume, local_volume
+from phdtrack.models.volumes import image_volume, local_volume
 from phdtrack.protocols import Model
 from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal, uniform_density
 from phdtrack.types import F8, SequenceInfo

@@ -10,7 +10,7 @@ from phdtrack.associate import GraphMatching
 from phdtrack.filters import GMPHD
 from phdtrack.filters.extract import Components
 from phdtrack.models import LocalPlaneClutter, PlaneBirth, PlaneMotion, PlaneSensor
-from phdtrack.models.region import local_density
+from phdtrack.models.volumes import local_density
 from phdtrack.protocols import Model, Stages
 from phdtrack.types import Detections
 from plane_cases import FRAME, LevelCamera

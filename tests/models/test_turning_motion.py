@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from phdtrack.errors import InputError
 from phdtrack.models import PlaneMotion, TurningMotion
-from phdtrack.models.turning_motion import SMALL, slopes, turned
+from phdtrack.models.bearing import SMALL, slopes, turned
 
 START = np.array([[3.0], [20.0], [12.0], [-4.0], [0.05]])
 

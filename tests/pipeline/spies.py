@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from composed import composed_step
 from phdtrack import config
-from phdtrack.filters.composed import composed_step
 from phdtrack.protocols import AnyStages, Stages
 from phdtrack.types import Estimates, MeasurementHistory, SequenceInfo, Tracks, UpdateInfo
 

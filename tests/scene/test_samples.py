@@ -5,7 +5,7 @@ import pytest
 
 from phdtrack.arrays import to_cxcywh
 from phdtrack.errors import InputError
-from phdtrack.models.volume import image_volume
+from phdtrack.models.volumes import image_volume
 from phdtrack.scene import LearnedDensity, SceneDensity
 from phdtrack.scene.training import (
     PRIOR,

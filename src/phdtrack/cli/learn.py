@@ -31,8 +31,8 @@ from phdtrack.label import LabelStore
 from phdtrack.label.samples import Marks, sampled
 from phdtrack.label.suggestions import REASONS, TICKED, Evidence, Suggestions, suggest
 from phdtrack.models import PlaneSensor
-from phdtrack.models.region import EVERYWHERE
 from phdtrack.models.scene import FalseAlarmRatio, with_scene
+from phdtrack.models.volumes import EVERYWHERE
 from phdtrack.protocols import AnyStages
 from phdtrack.report.pages import SceneTraining, render
 from phdtrack.scene import LearnedDensity, Scene, TrackedObjects, write_scene

@@ -18,7 +18,7 @@ from phdtrack.config import Settings
 from phdtrack.errors import InputError
 from phdtrack.formats.warps import WarpsWriter, read_warps
 from phdtrack.models.learning import RateLearning, RatesState, SceneLearning, SceneState
-from phdtrack.models.standing import not_standing, refuse_standing
+from phdtrack.models.scene import not_standing, refuse_standing
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import Learning, Model
 from phdtrack.report.pages import render

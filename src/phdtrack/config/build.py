@@ -24,7 +24,7 @@ from phdtrack.config.kinds import (
 )
 from phdtrack.config.settings import Settings, overlay
 from phdtrack.errors import InputError
-from phdtrack.models.region import EVERYWHERE, Region
+from phdtrack.models.volumes import EVERYWHERE, Region
 from phdtrack.protocols import AnyStages, Associator, Birth, Clutter, Learning, Model, NoLearning, Stages
 from phdtrack.types import F8, GaussianMixture, SequenceInfo
 
@@ -186,8 +186,7 @@ def _scene_birth(given: SceneBirthSettings, size: Size, rate: float, observed: t
 def _clutter(settings: Settings, size: Size, region: Region) -> Clutter:
     """Where false alarms are: in an image of this size, or on the ground in ``region``."""
     from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, UniformClutter
-    from phdtrack.models.region import area
-    from phdtrack.models.volume import image_area, image_volume
+    from phdtrack.models.volumes import area, image_area, image_volume
 
     kind, given = settings.kind("clutter"), settings.build("clutter")
     if kind == "scene":

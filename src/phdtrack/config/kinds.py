@@ -14,8 +14,7 @@ from importlib import import_module
 from typing import Any, get_type_hints
 
 from phdtrack.checks import NonNegative, Positive, PositiveCount, check
-from phdtrack.models.region import EVERYWHERE, PlaneVolume, Region, check_region
-from phdtrack.models.volume import Volume
+from phdtrack.models.volumes import EVERYWHERE, PlaneVolume, Region, Volume, check_region
 
 Boxes = list[tuple[float, float, float, float]]
 Places = list[tuple[float, float, float, float, float]]
@@ -170,24 +169,24 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     "time": {"": f"{__name__}:TimeSettings"},
     "camera": {"": f"{__name__}:CameraSettings"},
     "motion": {
-        "box": "phdtrack.models.box_motion:BoxMotion",
-        "plane": "phdtrack.models.plane_motion:PlaneMotion",
-        "point": "phdtrack.models.point_motion:PointMotion",
+        "box": "phdtrack.models.box:BoxMotion",
+        "plane": "phdtrack.models.plane:PlaneMotion",
+        "point": "phdtrack.models.point:PointMotion",
     },
-    "spawn": {"none": "phdtrack.models.spawning:NoSpawn", "split": "phdtrack.models.spawning:SplitSpawn"},
+    "spawn": {"none": "phdtrack.models.births:NoSpawn", "split": "phdtrack.models.births:SplitSpawn"},
     "sensor": {
-        "box": "phdtrack.models.box_sensor:BoxSensor",
-        "plane": "phdtrack.models.plane_sensor:PlaneSensor",
-        "point": "phdtrack.models.point_sensor:PointSensor",
+        "box": "phdtrack.models.box:BoxSensor",
+        "plane": "phdtrack.models.plane:PlaneSensor",
+        "point": "phdtrack.models.point:PointSensor",
     },
     "birth": {
         "measurement": "phdtrack.models.births:MeasurementBirth",
         "uniform": "phdtrack.models.births:UniformBirth",
         "fixed": f"{__name__}:FixedBirthSettings",
         "scene": f"{__name__}:SceneBirthSettings",
-        "ground": "phdtrack.models.plane_birth:PlaneBirth",
+        "ground": "phdtrack.models.births:PlaneBirth",
         "places": f"{__name__}:PlacesBirthSettings",
-        "point": "phdtrack.models.point_birth:PointBirth",
+        "point": "phdtrack.models.births:PointBirth",
     },
     "clutter": {
         "image": f"{__name__}:ClutterSettings",

@@ -7,40 +7,41 @@ from typing import TYPE_CHECKING
 from phdtrack.files import lazy
 
 if TYPE_CHECKING:
-    from phdtrack.models.bearing_sensor import BearingSensor
-    from phdtrack.models.births import FixedBirth, MeasurementBirth, UniformBirth
-    from phdtrack.models.box_motion import BoxMotion
-    from phdtrack.models.box_sensor import BoxSensor
+    from phdtrack.models.bearing import BearingSensor, TurningMotion
+    from phdtrack.models.births import (
+        FixedBirth,
+        MeasurementBirth,
+        NoSpawn,
+        PlaneBirth,
+        PointBirth,
+        SplitSpawn,
+        UniformBirth,
+    )
+    from phdtrack.models.box import BoxMotion, BoxSensor
     from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, ScoredClutter, UniformClutter
-    from phdtrack.models.plane_birth import PlaneBirth
-    from phdtrack.models.plane_motion import PlaneMotion
-    from phdtrack.models.plane_sensor import PlaneSensor
-    from phdtrack.models.point_birth import PointBirth
-    from phdtrack.models.point_motion import PointMotion
-    from phdtrack.models.point_sensor import PointSensor
-    from phdtrack.models.spawning import NoSpawn, SplitSpawn
-    from phdtrack.models.turning_motion import TurningMotion
+    from phdtrack.models.plane import PlaneMotion, PlaneSensor
+    from phdtrack.models.point import PointMotion, PointSensor
 
 __getattr__, __dir__ = lazy(
     __name__,
     {
-        "BearingSensor": "phdtrack.models.bearing_sensor",
-        "BoxMotion": "phdtrack.models.box_motion",
-        "BoxSensor": "phdtrack.models.box_sensor",
+        "BearingSensor": "phdtrack.models.bearing",
+        "BoxMotion": "phdtrack.models.box",
+        "BoxSensor": "phdtrack.models.box",
         "FixedBirth": "phdtrack.models.births",
         "LocalClutter": "phdtrack.models.clutter",
         "LocalPlaneClutter": "phdtrack.models.clutter",
         "MeasurementBirth": "phdtrack.models.births",
-        "NoSpawn": "phdtrack.models.spawning",
-        "PlaneBirth": "phdtrack.models.plane_birth",
-        "PlaneMotion": "phdtrack.models.plane_motion",
-        "PlaneSensor": "phdtrack.models.plane_sensor",
-        "PointBirth": "phdtrack.models.point_birth",
-        "PointMotion": "phdtrack.models.point_motion",
-        "PointSensor": "phdtrack.models.point_sensor",
+        "NoSpawn": "phdtrack.models.births",
+        "PlaneBirth": "phdtrack.models.births",
+        "PlaneMotion": "phdtrack.models.plane",
+        "PlaneSensor": "phdtrack.models.plane",
+        "PointBirth": "phdtrack.models.births",
+        "PointMotion": "phdtrack.models.point",
+        "PointSensor": "phdtrack.models.point",
         "ScoredClutter": "phdtrack.models.clutter",
-        "SplitSpawn": "phdtrack.models.spawning",
-        "TurningMotion": "phdtrack.models.turning_motion",
+        "SplitSpawn": "phdtrack.models.births",
+        "TurningMotion": "phdtrack.models.bearing",
         "UniformBirth": "phdtrack.models.births",
         "UniformClutter": "phdtrack.models.clutter",
     },

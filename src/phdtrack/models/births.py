@@ -1,7 +1,8 @@
-"""γ(x): new targets, and the three ways to draw them.
+"""γ(x): new targets, and the ways to draw them; β(x|ξ): targets that come out of targets.
 
-``measurement``: around the detections that nothing predicted accounts for [M07 §2]; ``uniform``: anywhere [D14 Alg. 2];
-``fixed``: from given Gaussians [E13 §4]. Rates are expected births per second.
+`MeasurementBirth`, `PlaneBirth` and `PointBirth` draw around the detections that nothing predicted accounts for [M07 §2], in
+the image, on the ground and of points; `UniformBirth` anywhere [D14 Alg. 2]; `FixedBirth` from given Gaussians [E13 §4].
+Rates are expected births per second. The papers leave spawning out (β = 0, `NoSpawn`); the term stays in the model.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 
@@ -19,9 +21,23 @@ from phdtrack.errors import InputError
 from phdtrack.kernels.gaussian import Births, NewTargets
 from phdtrack.kernels.neighbourhoods import summed_densities
 from phdtrack.kernels.newborn import density_within, place_newborn, proposal_density, proposals, standard_points
-from phdtrack.models.volume import REACH, SIZES, Volume, image_volume, local_volume
+from phdtrack.models.volumes import (
+    EVERYWHERE,
+    REACH,
+    SIZES,
+    PlaneVolume,
+    Region,
+    Volume,
+    area,
+    check_region,
+    image_area,
+    image_volume,
+    inside,
+    local_density,
+    local_volume,
+)
 from phdtrack.protocols import Sensor
-from phdtrack.types import F8, I8, GaussianMixture, Particles
+from phdtrack.types import F8, I8, GaussianMixture, ParticleBlocks, Particles
 
 # The part of a Gaussian proposal that newborn particles are drawn from. Outside, the importance ratio of a flat γ to the
 # proposal grows like exp(r²/2) and its variance is infinite: that mass is dropped.
@@ -41,7 +57,7 @@ class MeasurementBirth:
     births_per_second : expected births per second: in all where spread over the ``image``, around each detection where
         ``local``.
     particles : Jmax, particles drawn around a detection of which nothing is predicted.
-    volume : ``image`` or ``local``: what γ is spread over (see `models.volume`).
+    volume : ``image`` or ``local``: what γ is spread over (see `models.volumes`).
     frame_size : the image's width and height in pixels, needed for ``image``.
     """
 
@@ -254,3 +270,135 @@ def _draw_velocity(state: F8, cov: F8, parent: I8, rng: np.random.Generator) -> 
     x, y = amplitude * np.cos(angle), amplitude * np.sin(angle)
     state[2] += root[:, 0, 0] * x
     state[3] += root[:, 1, 0] * x + root[:, 1, 1] * y
+
+
+@dataclass(frozen=True, slots=True)
+class PointBirth:
+    """γ uniform over the image, drawn around the detections.
+
+    Parameters
+    ----------
+    births_per_second : expected births per second.
+    particles : Jmax, particles drawn around a detection of which nothing is predicted.
+    frame_size : the image's width and height in pixels.
+    """
+
+    births_per_second: NonNegative = 0.25
+    particles: PositiveCount = 500
+    frame_size: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
+        """Particles around the detections that weigh what γ is there [M07 §2], see `births.particles_about`."""
+        return particles_about(
+            covered, sensor.states(z), sensor.observed, self.particles, lambda x, first: self._intensity(x) * seconds, rng
+        )
+
+    def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
+        """γT around the detections."""
+        return births_around(sensor.states(z), self._intensity(z[:2]) * seconds)
+
+    def expected(self, z: F8, seconds: float) -> float:
+        """births_per_second·seconds."""
+        return self.births_per_second * seconds
+
+    def _intensity(self, place: F8) -> F8:
+        """γ per second and pixel² at positions (2, L).
+
+        The image has no border here: a centroid measured with noise may lie a little outside, and so may its target.
+        """
+        return np.full(place.shape[1], self.births_per_second / image_area(self.frame_size))
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneBirth:
+    """γ uniform over a region of the ground or around the detections, drawn around the detections.
+
+    Parameters
+    ----------
+    births_per_second : expected births per second: in all where spread over the ``region``, around each detection where
+        ``local``.
+    particles : Jmax, particles drawn around a detection of which nothing is predicted.
+    volume : ``region`` or ``local``: what γ is spread over (see `models.volumes`).
+    borders : left, low, right and high border in metres, needed for ``region``.
+    """
+
+    births_per_second: NonNegative = 0.25
+    particles: PositiveCount = 500
+    volume: PlaneVolume = "local"
+    borders: Region = EVERYWHERE
+
+    def __post_init__(self) -> None:
+        check(self)
+        check_region(self.borders, "PlaneBirth.borders")
+
+    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
+        """Particles around the detections that weigh what γ is there [M07 §2], see `births.particles_about`."""
+        return particles_about(
+            covered, sensor.states(z), sensor.observed, self.particles, lambda x, first: self._intensity(x, z) * seconds, rng
+        )
+
+    def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
+        """γT around the detections."""
+        return births_around(sensor.states(z), self._intensity(z[:2], z) * seconds)
+
+    def expected(self, z: F8, seconds: float) -> float:
+        """births_per_second·seconds, of each detection where ``local``."""
+        return self.births_per_second * seconds * (z.shape[1] if self.volume == "local" else 1)
+
+    def _intensity(self, place: F8, z: F8) -> F8:
+        """γ per second and m² at positions (2, L)."""
+        if self.volume == "region":
+            return np.where(
+                inside(place, self.borders), self.births_per_second / area(self.borders, "PlaneBirth.borders"), 0.0
+            )
+        return local_density(place, z, self.births_per_second)
+
+
+class Spawn(Protocol):
+    """The spawning part of a motion."""
+
+    def sample(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
+        """Draws of ∫ β(x|ξ) D(ξ) dξ."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoSpawn:
+    """β = 0, as in all four papers."""
+
+    def sample(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
+        """Nothing."""
+        return Particles(np.zeros((len(parents.state), 0)), np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True)
+class SplitSpawn:
+    """Each target throws off new ones next to it, with its state displaced by a Gaussian.
+
+    Parameters
+    ----------
+    rate : expected new targets of each target per time unit.
+    distance : standard deviation of the displacement, in widths and heights of the parent.
+    fraction : share of the parents that are drawn, which bounds the cost.
+    """
+
+    rate: NonNegative = 0.001
+    distance: NonNegative = 0.5
+    fraction: Probability = 0.1
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def sample(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
+        """Draws of β(x|ξ) = rate·dt · N(x; ξ, distance² · size²) over the intensity ``parents``."""
+        mass = self.rate * dt * parents.mass
+        count = int(np.ceil(self.fraction * len(parents)))
+        if count == 0 or mass <= 0:
+            return Particles(np.zeros((len(parents.state), 0)), np.zeros(0))
+        chosen = rng.choice(len(parents), size=count, p=parents.weight / parents.mass)
+        state = parents.state[:, chosen].astype(np.float64)
+        size: F8 = state[4:6]
+        state[:2] += self.distance * size * rng.standard_normal((2, count))
+        return Particles(state, np.full(count, mass / count))

@@ -9,8 +9,7 @@ import numpy as np
 from phdtrack.checks import NonNegative, Positive, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.neighbourhoods import summed_densities
-from phdtrack.models.region import local_density
-from phdtrack.models.volume import REACH, SIZES, local_volume
+from phdtrack.models.volumes import REACH, SIZES, local_density, local_volume
 from phdtrack.protocols import Clutter
 from phdtrack.types import F8
 
@@ -56,7 +55,7 @@ class LocalClutter:
 @dataclass(frozen=True, slots=True)
 class LocalPlaneClutter:
     """``clutter_per_frame`` expected clutter points per frame around each detection on the ground plane (see
-    `models.region`)."""
+    `models.volumes`)."""
 
     clutter_per_frame: NonNegative
 

@@ -32,7 +32,7 @@ from typing import Literal
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.box_model import predicted_boxes
+from phdtrack.kernels.box import predicted_boxes
 from phdtrack.kernels.gaussian import (
     Expected,
     Measurements,
@@ -42,7 +42,7 @@ from phdtrack.kernels.gaussian import (
     first_states,
     predicted_covariance,
 )
-from phdtrack.models.box_motion import BoxMotion
+from phdtrack.models.box import BoxMotion
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8
 

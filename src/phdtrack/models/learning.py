@@ -15,15 +15,12 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
-from phdtrack.models.births import MeasurementBirth
-from phdtrack.models.box_sensor import BoxSensor
+from phdtrack.models.births import MeasurementBirth, PlaneBirth, PointBirth
+from phdtrack.models.box import BoxSensor
 from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, ScoredClutter, UniformClutter
-from phdtrack.models.plane_birth import PlaneBirth
-from phdtrack.models.plane_sensor import PlaneSensor
-from phdtrack.models.point_birth import PointBirth
-from phdtrack.models.point_sensor import PointSensor
-from phdtrack.models.scene import with_scene
-from phdtrack.models.standing import not_standing
+from phdtrack.models.plane import PlaneSensor
+from phdtrack.models.point import PointSensor
+from phdtrack.models.scene import not_standing, with_scene
 from phdtrack.protocols import Birth, Clutter, Learning, Model, NoLearning
 from phdtrack.scene import Scene, online, rates
 from phdtrack.scene.online import OnlineLearning, OnlineScene, Regime

@@ -18,6 +18,8 @@ rate, and p(z|o) the density of objects' detections,
 
 so that a scene of which nothing is known is the default model, learned false alarms are added, and the total number of
 births stays the same but goes to places where births were seen. This is ours, not M09's; a = 0 is M09's.
+
+All of it lies at pixels of the image, and holds while the camera stands still (`refuse_standing`).
 """
 
 from __future__ import annotations
@@ -30,8 +32,9 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.checks import NonNegative, PositiveCount, check
+from phdtrack.errors import InputError
 from phdtrack.kernels.gaussian import Births, Expected, Measurements, first_states
-from phdtrack.models.births import MeasurementBirth, births_around, particles_about, with_given
+from phdtrack.models.births import FixedBirth, MeasurementBirth, births_around, particles_about, with_given
 from phdtrack.models.clutter import LocalClutter
 from phdtrack.protocols import Model, Sensor
 from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal
@@ -260,3 +263,20 @@ class FalseAlarmRatio:
         tracked = np.maximum(self.tracked.share * gaussians, TINY) / np.maximum(present, TINY)
         any_alarm = np.maximum(gaussians + self.clutter.rate * alarms.flat, TINY)
         return np.log([tracked, any_alarm / np.maximum(present + entering, TINY)])
+
+
+def not_standing(what: str) -> InputError:
+    """The error of a part that lies at pixels, under a camera that moves."""
+    return InputError(
+        f"{what} holds for places in the image of a camera that stands still",
+        where="camera motion",
+        cure="Leave it out, or do not compensate the camera's motion",
+    )
+
+
+def refuse_standing(model: Model) -> None:
+    """Raise `InputError` where births or false alarms of the model lie at pixels, which a moving camera leaves behind."""
+    if isinstance(model.birth, FixedBirth | SceneBirth):
+        raise not_standing("where targets appear (birth.kind=fixed or scene)")
+    if isinstance(model.clutter, SceneClutter):
+        raise not_standing("where false alarms are (clutter.kind=scene)")

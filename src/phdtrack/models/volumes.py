@@ -1,0 +1,108 @@
+"""Where births and false alarms are spread uniformly: the volumes that decide how fast a target is confirmed.
+
+What counts is the ratio of the birth density to the clutter density at a measurement. Over the same volume one detection
+alone brings a mass of about rate_birth/rate_clutter; how fast further ones raise it depends on the volume's size against
+the noise's.
+
+``image``: all positions and all sizes of the frame, W²H² pixel⁴; on the ground ``region``: a rectangle. One more coherent
+detection suffices. ``local``: ±1 box in position and 0.5 to 1.5 in size around a detection, 4w²h²; on the ground the ellipse
+of `PLANE_REACH` deviations of each detection's own noise, so that the ratio is the same near the camera and far away. About
+two more are needed. M07's words, "around the detections", suggest the latter.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+
+from phdtrack.arrays import sum_by
+from phdtrack.errors import InputError
+from phdtrack.kernels.grid import points_in_rectangles
+from phdtrack.types import F8, Bool
+
+Volume = Literal["image", "local"]
+# Half the extent of a local volume in position, in boxes; its range of sizes, in boxes.
+REACH = 1.0
+SIZES = (0.5, 1.5)
+
+
+def image_area(frame_size: tuple[float, float]) -> float:
+    """All positions in the frame, WH pixel²; `InputError` where the frame has no size."""
+    width, height = frame_size
+    if width <= 0 or height <= 0:
+        raise InputError(
+            f"a uniform density over the image needs the frame's size, not {width:g}x{height:g}",
+            cure="Give --frame-size WxH, or use the local volume",
+        )
+    return float(width * height)
+
+
+def image_volume(frame_size: tuple[float, float]) -> float:
+    """All positions and sizes of boxes in the frame, W²H² pixel⁴."""
+    return image_area(frame_size) ** 2
+
+
+def local_volume(z: F8) -> F8:
+    """(N,) volume of the neighbourhood of each measurement z = (px, py, w, h), pixel⁴."""
+    area: F8 = z[2] * z[3]
+    return (2 * REACH) ** 2 * (SIZES[1] - SIZES[0]) ** 2 * area**2
+
+
+def in_neighbourhood(x: F8, z: F8) -> Bool:
+    """Whether the boxes x = (px, py, w, h) lie in the neighbourhood of z, elementwise over columns."""
+    near: Bool = (np.abs(x[0] - z[0]) <= REACH * z[2]) & (np.abs(x[1] - z[1]) <= REACH * z[3])
+    for k in (2, 3):
+        near &= (x[k] >= SIZES[0] * z[k]) & (x[k] <= SIZES[1] * z[k])
+    return near
+
+
+PlaneVolume = Literal["region", "local"]
+PLANE_REACH = 6.0
+"""Extent of a local volume on the ground in deviations of the detection's noise."""
+Region = tuple[float, float, float, float]
+"""Left, low, right and high border in metres."""
+EVERYWHERE: Region = (0.0, 0.0, 0.0, 0.0)
+"""No border."""
+
+
+def check_region(region: Region, where: str) -> None:
+    """Raise `InputError` where the region is none."""
+    left, low, right, high = region
+    if not all(math.isfinite(border) for border in region) or (region != EVERYWHERE and not (left < right and low < high)):
+        raise InputError(
+            f"expected a region of the ground as left, low, right, high in metres, got {list(region)}",
+            where=where,
+            cure="For example [-20, -25, 15, 10]; leave it out for no border",
+        )
+
+
+def area(region: Region, where: str) -> float:
+    """Its area in m²; `InputError` where it has no border."""
+    if region == EVERYWHERE:
+        raise InputError("a uniform density over the ground needs the region's borders", where=where, cure="Give its region")
+    return (region[2] - region[0]) * (region[3] - region[1])
+
+
+def inside(x: F8, region: Region) -> Bool:
+    """Whether positions, the first two rows of ``x``, lie in the closed region; elementwise over columns."""
+    if region == EVERYWHERE:
+        everywhere: Bool = x[0] == x[0]
+        return everywhere
+    left, low, right, high = region
+    held: Bool = (x[0] >= left) & (x[0] <= right) & (x[1] >= low) & (x[1] <= high)
+    return held
+
+
+def local_density(place: F8, z: F8, rate: float) -> F8:
+    """(L,) density per m² at positions (2, L) of ``rate`` in the ellipse around each z (5, N), summed where they overlap."""
+    half = PLANE_REACH * np.sqrt(z[[2, 4]])
+    x, y = (np.ascontiguousarray(row) for row in place[:2])
+    point, which = points_in_rectangles(x, y, z[:2] - half, z[:2] + half)
+    dx, dy = x[point] - z[0, which], y[point] - z[1, which]
+    determinant = z[2] * z[4] - z[3] ** 2
+    xx, xy, yy = z[2:5, which]
+    near = yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy <= PLANE_REACH**2 * determinant[which]
+    density = rate / (math.pi * PLANE_REACH**2 * np.sqrt(determinant))
+    return sum_by(point[near], density[which[near]], len(x))
