@@ -32,14 +32,6 @@ def person_like() -> Frame:
     return Frame(1, 0.0, cv2.GaussianBlur(image, (5, 5), 0))
 
 
-@pytest.mark.parametrize("name", ["face", "person"])
-def test_nothing_in_a_blank_picture(name: str) -> None:
-    detector = make_detector(name)
-    assert len(detector(blank())) == 0
-    assert len(detector(blank(20, 20))) == 0
-    detector.reset()
-
-
 def test_a_figure_is_taken_for_a_person() -> None:
     found = make_detector("person", scale=1.0, threshold=0.0)(person_like())
     assert len(found) > 0

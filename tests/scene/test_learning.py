@@ -27,15 +27,6 @@ def test_births_at_a_door():
     assert lesson.gain == pytest.approx(np.log(density.volume) - entropy, abs=0.5)
 
 
-def test_clutter_rate_is_per_labelled_frame():
-    rng = np.random.default_rng(1)
-    boxes = np.array([500.0, 100, 30, 30])[:, None] + 3 * rng.standard_normal((4, 60))
-    lesson = learn_clutter(boxes, frames=40, frame_size=SIZE)
-    assert lesson.learned.rate == 1.5
-    assert lesson.gain > 5
-    assert lesson.learned.density(np.array([[500.0], [100], [30], [30]]))[0] > 1e4 / lesson.learned.density.volume
-
-
 def test_samples_spread_evenly_teach_nothing():
     rng = np.random.default_rng(2)
     boxes = rng.uniform(0, 1, (4, 400)) * np.array([640.0, 480, 640, 480])[:, None]
@@ -70,20 +61,6 @@ def test_objects_are_where_they_were_detected_so_many_a_frame():
     false = learn_clutter(boxes, 40, SIZE).learned.density
     np.testing.assert_array_equal(density.covariance, false.covariance)
     np.testing.assert_array_equal((density.low, density.high), (false.low, false.high))
-
-
-def test_too_few_objects_are_told():
-    with pytest.raises(InputError, match=r"at least 10 detections of objects on the frames .*, got 9.* Look at more frames"):
-        learn_objects(np.ones((4, 9)), 40, SIZE)
-    with pytest.raises(InputError, match="expected frames on which detections were looked at, got 0"):
-        learn_objects(np.ones((4, 20)), 0, SIZE)
-
-
-def test_too_few_false_boxes_are_told():
-    with pytest.raises(InputError, match="at least 10 detections marked as false, got 2"):
-        learn_clutter(np.ones((4, 2)), 10, SIZE)
-    with pytest.raises(InputError, match="frames on which"):
-        learn_clutter(np.ones((4, 20)), 0, SIZE)
 
 
 def test_births_of_unknown_velocity_count_and_move_what_they_show():
@@ -139,3 +116,14 @@ def test_the_share_of_what_may_be_anywhere_is_learned_from_unseen_samples():
     boxes = np.hstack([anywhere, flag])[:, rng.permutation(1000)]
     density = learn_clutter(boxes, 40, SIZE).learned.density
     assert density.uniform == pytest.approx(0.3, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("learn", "words"),
+    [(learn_objects, "of objects on the frames .*, got 9.* Look at"), (learn_clutter, "marked as false, got 9")],
+)
+def test_too_few_boxes_or_frames_are_told(learn, words):
+    with pytest.raises(InputError, match=f"at least 10 detections {words}"):
+        learn(np.ones((4, 9)), 40, SIZE)
+    with pytest.raises(InputError, match="expected frames on which detections were looked at, got 0"):
+        learn(np.ones((4, 20)), 0, SIZE)

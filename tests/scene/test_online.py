@@ -277,16 +277,6 @@ def test_births_are_used_where_people_come_in_otherwise_than_they_are():
     assert not at_door.scored(batch(states(walkers(12, rng))), nothing, 60.0).births_used
 
 
-def test_births_are_not_used_before_it_is_known_where_objects_are():
-    rng = np.random.default_rng(13)
-    known = lived(door, 25, rng)
-    alone = replace(known, objects=OnlineMixture.unknown(LOW, HIGH))
-    assert known.used.births is not None
-    assert alone.births.trusted
-    assert alone.used.births is None
-    assert alone.known.birth_gain is None
-
-
 def after(rng, n):
     """What is used of false alarms after two lessons of ``n`` boxes of a place."""
     part = OnlineMixture.unknown(LOW, HIGH)

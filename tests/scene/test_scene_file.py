@@ -1,5 +1,4 @@
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -52,13 +51,6 @@ def test_scenes_that_know_nothing_of_what_is_followed_are_read(tmp_path):
     back = read_scene(path)
     assert back.followed is None
     assert (back.births.rate, back.clutter.rate, back.notes) == (0.02, 1.5, {"held out": -17.25})
-
-
-@pytest.mark.parametrize("share", [0.0, 1.0])
-def test_all_or_nothing_may_be_followed(tmp_path, share):
-    path = tmp_path / "scene.json"
-    write_scene(path, replace(scene(), followed=replace(scene().followed, share=share)))
-    assert read_scene(path).followed.share == share
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The learned rates in a model: what they replace, how scores enter the filters, states that are saved."""
+"""The learned rates in a model: what they replace, how scores enter the filters, states that are saved; near the truth."""
 
 from dataclasses import replace
 
@@ -9,12 +9,13 @@ from experiments.counting_scene import Counting
 from phdtrack import Tracker, config, pipeline
 from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD, MHT, ParticlePHD
-from phdtrack.models import FixedBirth, LocalClutter, ScoredClutter, UniformClutter
+from phdtrack.models import FixedBirth
 from phdtrack.models.learning import RatesState, with_clutter, with_detection
 from phdtrack.scene.rates import ScoreScale
 from phdtrack.simulate import DetectorModel, detect
 from phdtrack.types import Detections, GaussianMixture, SequenceInfo
 
+FRAMES = 300
 LEARNED = (
     "rates.kind=learned",
     "rates.cautious=false",
@@ -84,22 +85,6 @@ def test_odds_divide_the_false_alarms(volume):
         model.clutter.intensity(z[:, :2])
 
 
-@pytest.mark.parametrize("base", [UniformClutter(3.0, 1e11), LocalClutter(0.3)])
-def test_the_fused_gaussian_filter_computes_what_its_definition_does_with_scores(base):
-    rng = np.random.default_rng(2)
-    built, recursion = stages(), GMPHD()
-    state = recursion.start(built.model, rng)
-    for _ in range(6):
-        z = built.model.sensor.measure(Detections.of(boxes(8, np.random.default_rng(3)) + rng.normal(size=(8, 4))))
-        model = replace(built.model, clutter=ScoredClutter(base, rng.uniform(0.05, 20, 8)))
-        predicted = recursion.predict(state, model, 1.0, rng)
-        slow, expected = recursion.update(predicted, z, model, 1.0, rng)
-        state, info = recursion.step(state, z, model, 1.0, rng)
-        assert info.clutter == pytest.approx(model.clutter.intensity(z))
-        assert info.evidence == pytest.approx(expected.evidence)
-        assert info.mass == pytest.approx(slow.mass)
-
-
 @pytest.mark.parametrize("recursion", [GMPHD(), MHT(), ParticlePHD(400)])
 def test_a_low_score_confirms_but_starts_nobody(recursion):
     """One detection each of a new place, scored low and high, and a second low one of somebody believed."""
@@ -161,14 +146,6 @@ def test_rates_and_a_scene_are_learned_beside_each_other():
     assert state.learned.learned.sums.frames > 0
 
 
-def test_as_shipped_estimates_are_made_and_scores_are_used():
-    built = config.build(config.load(None, ("rates.kind=learned",)), INFO, "gm-phd")
-    state = knowing(built, detection=0.6, clutter=0.9, births=0.002)
-    assert built.learning.model(state, built.model).sensor == built.model.sensor
-    found = Detections.of(boxes(2, np.random.default_rng(8)), [0.1, 0.9])
-    assert isinstance(built.learning.with_scores(state, built.model, found).clutter, ScoredClutter)
-
-
 def test_cautious_estimates_are_used_where_nothing_else_explains_them():
     built = stages("rates.cautious=true")
     set_to, rates = built.model, built.learning.start().learned.rates
@@ -195,3 +172,58 @@ def test_there_are_no_more_false_alarms_than_detections():
     assert many.clutter.clutter_per_frame == 90
     cautious = stages("clutter.volume=image", "clutter.clutter_per_frame=90.0", "rates.cautious=true")
     assert cautious.learning.with_scores(state, model, Detections.of(boxes(7, np.random.default_rng(9)))) is model
+
+
+# Learned on simulated truth, from the defaults on
+
+
+def course(filter_name, seed, sets=(), frames=FRAMES, **detector):
+    """The rates frame by frame, detections a frame, and the state at the end."""
+    scene = Counting(10, frames=frames, sd_velocity=0.01, sd_size=0.03, p_survive=0.997, leaving=True)
+    rng = np.random.default_rng(seed)
+    truth = scene.figures(rng)
+    found = detect(truth, scene.info, rng, DetectorModel(**detector)).table
+    stages = config.build(config.load(None, (*LEARNED, *sets)), scene.info, filter_name)
+    state, rates = pipeline.start(stages, rng), []
+    for number in range(1, frames + 1):
+        state, _ = pipeline.advance(stages, state, found.at(number), number, (number - 1) / scene.fps, rng)
+        rates.append(state.learned.learned.rates)
+    return rates, len(found) / frames, state.learned.learned
+
+
+@pytest.mark.parametrize("p_detect", [0.5, 0.7, 0.9, 0.98])
+@pytest.mark.parametrize("clutter", [0.0, 20.0])
+def test_detection_and_clutter_converge_from_the_defaults(p_detect, clutter):
+    ends, alarms = [], []
+    for seed in (1, 2, 3):
+        rates, detected, _ = course("gm-phd", seed, p_detect=p_detect, clutter_rate=clutter)
+        ends.append(rates[-1].detection)
+        alarms.append(rates[-1].clutter * detected)
+        # Once it is near it stays there: no filter talks itself into another p_D.
+        assert np.ptp([r.detection for r in rates[FRAMES // 2 :]]) < 0.06
+    assert np.mean(ends) == pytest.approx(p_detect, abs=0.03)
+    assert np.mean(alarms) == pytest.approx(clutter, rel=0.06, abs=0.4)
+
+
+@pytest.mark.parametrize("filter_name", ["particle-phd", "mht"])
+def test_other_filters_learn_the_same(filter_name):
+    found = [course(filter_name, seed, frames=200, p_detect=0.65, clutter_rate=5.0) for seed in (1, 2)]
+    assert np.mean([rates[-1].detection for rates, _, _ in found]) == pytest.approx(0.65, abs=0.05)
+    assert np.mean([rates[-1].clutter * detected for rates, detected, _ in found]) == pytest.approx(5, abs=0.8)
+
+
+@pytest.mark.parametrize("wrong", [0.5, 40.0])
+def test_a_rate_that_is_far_off_is_mended_within_two_seconds(wrong):
+    sets = ("clutter.volume=image", "birth.volume=image", f"clutter.clutter_per_frame={wrong}", "rates.update_interval=0.4")
+    for seed in (1, 2):
+        rates, _, _ = course("gm-phd", seed, sets, frames=60, p_detect=0.9, clutter_rate=5.0)
+        assert rates[50].clutter == pytest.approx(5, rel=0.35)
+
+
+def test_scores_that_tell_objects_from_false_alarms_are_found_to():
+    _, _, learned = course("gm-phd", 1, p_detect=0.8, clutter_rate=10.0, scores="informative")
+    # Beta(6, 2) against Beta(2, 4): the ratio is 2.1 s⁴/(1 − s)².
+    at = np.array([0.35, 0.5, 0.65])
+    assert np.log(learned.scale.ratio(at)) == pytest.approx(np.log(2.1 * at**4 / (1 - at) ** 2), abs=1.0)
+    _, _, constant_ones = course("gm-phd", 1, frames=100, p_detect=0.8, clutter_rate=10.0)
+    assert len(constant_ones.scale.at) == 0

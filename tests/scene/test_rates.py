@@ -1,11 +1,95 @@
-"""What scores are worth: laws of the scale that is learned from judged detections."""
+"""Rates from sums over labelled frames: priors, limits, which tracks teach p_D; what scores say."""
 
 import math
 
 import numpy as np
 import pytest
 
-from phdtrack.scene.rates import MAX_LOG_RATIO, MAX_SCORES, LabelledScores, ScoreScale, SuccessiveScores
+from phdtrack.scene.labelling import TrackEvidence
+from phdtrack.scene.rates import (
+    DETECTION_LIMITS,
+    MAX_LOG_RATIO,
+    MAX_SCORES,
+    PRIOR_FRAMES,
+    PRIOR_TRACKED,
+    CountedTracks,
+    LabelledScores,
+    Priors,
+    RateSums,
+    ScoreScale,
+    SuccessiveScores,
+)
+from phdtrack.types import Tracks
+
+PRIORS = Priors(0.8, 5.0, 0.02, False, False)
+
+
+def rates(known, priors=PRIORS):
+    return known.rates(priors)
+
+
+def walk(identity, frames, speed, confirmed=True):
+    """Rows of a track that was detected in these frames, in a box of 20 × 50 that goes ``speed`` pixels a frame."""
+    frames = np.asarray(frames)
+    left = 100.0 + speed * frames
+    boxes = np.stack([left, np.full(len(frames), 50.0), left + 20, np.full(len(frames), 100.0)], axis=1)
+    n = len(frames)
+    return Tracks(frames, np.full(n, identity), boxes, np.ones(n), np.zeros(n, np.int64), np.full(n, confirmed))
+
+
+def evidence(*tracks):
+    rows = Tracks.concatenate(list(tracks))
+    return TrackEvidence().with_rows(rows, rows.frame)
+
+
+def test_without_frames_the_settings_hold():
+    found = rates(RateSums())
+    assert (found.detection, found.clutter, found.births, found.limited) == (0.8, 5.0, 0.02, ())
+
+
+def test_estimates_are_posterior_means():
+    known = RateSums(hits=90, span=100, false=200, detections=400, frames=20, births=4, units=100, chances=2000)
+    found = rates(known)
+    assert found.detection == pytest.approx((PRIOR_TRACKED * 0.8 + 90) / (PRIOR_TRACKED + 100))
+    assert found.clutter == pytest.approx((PRIOR_FRAMES * 5 + 200) / (PRIOR_FRAMES + 20))
+    assert found.births == pytest.approx((5 + 4) / (5 / 0.02 + 100))
+    around = rates(known, Priors(0.8, 0.3, 0.01, True, True))
+    assert around.clutter == pytest.approx((50 * 0.3 + 200) / (50 + 400))
+    assert around.births == pytest.approx((5 + 4) / (5 / 0.01 + 2000))
+
+
+def test_much_evidence_outweighs_any_setting_and_limits_are_told():
+    assert rates(RateSums(hits=5e5, span=1e6)).detection == pytest.approx(0.5, abs=1e-4)
+    low, high = rates(RateSums(hits=1, span=1e6)), rates(RateSums(hits=1e6, span=1e6))
+    assert (low.detection, high.detection) == DETECTION_LIMITS
+    assert low.limited == high.limited == ("detection",)
+    assert "clutter" in rates(RateSums(false=1e9, frames=10)).limited
+
+
+def test_frames_between_first_and_last_detection_teach():
+    # Detected in 6 of the 9 frames after the first, up to the last.
+    rows = walk(1, [1, 2, 3, 5, 7, 8, 10], 5)
+    counted, known = CountedTracks().updated(evidence(rows))
+    assert (known.hits, known.span) == (6, 9)
+    # Asked again, it has nothing more to tell.
+    assert counted.updated(evidence(rows))[1] == RateSums()
+    more = counted.updated(evidence(walk(1, [1, 2, 3, 5, 7, 8, 10, 12], 5)))[1]
+    assert (more.hits, more.span) == (1, 2)
+
+
+def test_what_stays_in_its_place_and_what_was_not_confirmed_teaches_nothing():
+    standing, doubtful = walk(1, [1, 4, 9, 20], 0), walk(2, np.arange(1, 30, 3), 5, confirmed=False)
+    assert CountedTracks().updated(evidence(standing, doubtful))[1] == RateSums()
+
+
+def test_fading_keeps_shares():
+    known = RateSums(hits=90, span=100, false=200, detections=400, frames=20, births=4, units=100, chances=2000)
+    faded = RateSums().plus(RateSums()).plus(known).plus(RateSums(), 0.25)
+    assert faded.hits / faded.span == known.hits / known.span
+    assert faded.frames == 5
+
+
+# Scores
 
 
 def judged(rng, n=2000, share=0.4):
@@ -60,11 +144,6 @@ def test_scores_without_bounds_and_without_value():
     assert odds[3] == 1
 
 
-def test_infinite_scores_alone_say_what_their_sign_says():
-    told = LabelledScores().joined(np.repeat([-np.inf, np.inf], 100), np.repeat([1.0, 0.0], 100))
-    assert (np.isfinite(ScoreScale.learned(told).ratio(np.array([-np.inf, 0.0, np.inf])))).all()
-
-
 def test_few_detections_say_little():
     told = LabelledScores().joined(np.array([0.1, 0.9]), np.array([1.0, 0.0]))
     assert np.abs(np.log(ScoreScale.learned(told).ratio(told.score))).max() < 0.4
@@ -78,12 +157,6 @@ def test_what_says_nothing_is_worth_one_within_its_noise():
     rng = np.random.default_rng(4)
     told = LabelledScores().joined(rng.normal(size=3000), (rng.random(3000) < 0.3).astype(float))
     assert np.abs(np.log(ScoreScale.learned(told).ratio(rng.normal(size=200)))).max() < math.log(1.6)
-
-
-def test_the_newest_count():
-    told = LabelledScores().joined(np.zeros(MAX_SCORES), np.ones(MAX_SCORES)).joined(np.ones(10), np.zeros(10))
-    assert len(told.score) == MAX_SCORES
-    assert (told.score[-10:] == 1).all()
 
 
 def series(rng, tracks, frames, correlation):
