@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -104,3 +105,13 @@ def test_a_best_is_named_only_where_it_is_more_than_chance(comparison: Compariso
     assert sentences(still, Summary((d, e))) == ("Without added clutter e has the highest MOTA, 0.200; d 0.100.",)
     # One seed tells nothing from chance.
     assert "not told apart" in sentences(still, Summary((made_up("f", [0.5]), made_up("g", [0.9]))))[0]
+
+
+def test_intervals_are_those_of_a_printed_table() -> None:
+    found = interval([1.0, 3.0])
+    # s = √2, s / √2 = 1, t(1 degree of freedom, 97.5 %) = 12.706.
+    assert (found.mean, found.half, found.clear) == (2, pytest.approx(12.706, abs=1e-3), False)
+    assert (found.low, found.high) == (pytest.approx(-10.706, abs=1e-3), pytest.approx(14.706, abs=1e-3))
+    assert (interval([0.7]).mean, interval([0.7]).low, interval([0.7]).high) == (0.7, 0.7, 0.7)
+    assert math.isnan(interval([0.7]).half)
+    assert math.isnan(interval([]).mean)

@@ -52,8 +52,8 @@ def test_panels_stand_so_that_a_page_can_show_them(size: tuple[int, int], count:
 
 def test_charts_hold_with_gaps_and_with_one_rate() -> None:
     nan = np.nan
-    whole = MethodScores("a", np.array([0.5, 0.4]), np.array([0.4, 0.3]), np.array([0.6, 0.5]))
-    gap = MethodScores("b", np.array([nan, -0.4]), np.array([nan, -0.4]), np.array([nan, -0.4]))
+    whole = MethodScores("a", np.array([0.5, 0.4]), np.array([0.1, 0.1]))
+    gap = MethodScores("b", np.array([nan, -0.4]), np.array([nan, nan]))
     for picture in (
         score_chart(np.array([0.0, 10.0]), "clutter", "MOTA", [whole, gap]),
         score_chart(["one", "another with a long name"], "", "MOTA", [whole, gap]),

@@ -75,14 +75,6 @@ def test_trails_follow_the_feet_and_fade() -> None:
     assert (strength[:105] == 0).all()  # beyond one second: forgotten
 
 
-def test_trails_end_when_the_track_does() -> None:
-    annotator = Annotator(SequenceInfo(320, 240, 10.0), trail_seconds=1.0)
-    for number in (1, 2, 3):
-        annotator(GREY, number, rows((50.0 * number, 80, 50.0 * number + 20, 150), frame=number), Detections.empty())
-    assert (annotator(GREY, 5, Tracks.empty(), Detections.empty())[100:] != 90).any()
-    assert (annotator(GREY, 40, Tracks.empty(), Detections.empty())[100:] == 90).all()
-
-
 wild = st.floats(allow_nan=True, allow_infinity=True, width=32) | st.floats(-20, 90)
 
 

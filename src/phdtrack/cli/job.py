@@ -35,7 +35,8 @@ from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter, write
 from phdtrack.kernels import CACHE
 from phdtrack.models import PlaneSensor
 from phdtrack.protocols import AnyStages, Sensor
-from phdtrack.report import About, Annotator, Recorder, run_document, sentences, write_report, write_run
+from phdtrack.report import About, Annotator, Recorder, report_html, run_document, sentences, write_run
+from phdtrack.report.words import write_text
 from phdtrack.tracker import Tracker
 from phdtrack.types import F4, F8, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Tracks, Truth
 from phdtrack.video import VideoWriter
@@ -155,7 +156,8 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
     )
     record, reports = done.recorder.record(tracks, about, job.truth), [observer.report() for observer in job.observers]
     sections = "\n".join(report.section for report in reports)
-    write_report(directory.file(rundir.REPORT), record, job.configuration | {"input": job.read}, sections)
+    page = report_html(record, job.configuration | {"input": job.read}, sections)
+    write_text(directory.file(rundir.REPORT), page)
     stop = done.stop or done.cut
     document = run_document(record, job.configuration) | {"complete": stop is None, "input": job.read}
     document = finish_document(document, directory, *(report.document for report in reports))

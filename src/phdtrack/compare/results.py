@@ -222,8 +222,8 @@ def _charts(
         series = []
         for own in rows:
             each = [row.values.get(name, _UNKNOWN) for row in own]
-            mean, low, high = np.array([(one.mean, one.low, one.high) for one in each], np.float64).T
-            series.append(MethodScores(own[0].method, mean, low, high))
+            mean, half = np.array([(one.mean, one.half) for one in each]).T
+            series.append(MethodScores(own[0].method, mean, half))
         about = f"{_label(name)}, mean over the seeds with 95 % confidence intervals{score_direction(name)}."
         yield score_chart(x, x_label, _label(name), series), about
 

@@ -25,7 +25,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -409,17 +409,13 @@ def _kept(folder: Path, decided_by: Mapping[str, object]) -> RunResult | None:
     """The result that is kept there, if it was decided by the same."""
     try:
         outcome = dict(_read(folder, decided_by, TRACKS)["outcome"])
-        counts = outcome.pop("counts")
-        return RunResult(**outcome, counts=None if counts is None else _record(Counts, counts))
+        sums: dict[str, Any] | None = outcome.pop("counts")
+        if sums is None:
+            return RunResult(**outcome, counts=None)
+        made: dict[str, Any] = {name: np.array(each) if isinstance(each, list) else each for name, each in sums.items()}
+        return RunResult(**outcome, counts=Counts(**made))
     except (KeyError, TypeError, ValueError):
         return None
-
-
-def _record(kind: type[Any], values: Mapping[str, Any]) -> Any:
-    """A record of numbers, arrays and such records, from what JSON made of it."""
-    hints = get_type_hints(kind)
-    made = {name: _record(hints[name], value) if isinstance(value, dict) else value for name, value in values.items()}
-    return kind(**{name: np.array(value) if isinstance(value, list) else value for name, value in made.items()})
 
 
 def _decides_run(run: Run, detections: str, iou: float) -> dict[str, object]:

@@ -90,12 +90,11 @@ class GroupSeries:
 
 
 class MethodScores(NamedTuple):
-    """A method's score at n places: ``mean``, and ``low`` and ``high`` (n,) ends of the interval; NaN where unknown."""
+    """A method's score at n places: ``mean`` and ``half`` of the width of its interval, both (n,); NaN where unknown."""
 
     label: str
     mean: F8
-    low: F8
-    high: F8
+    half: F8
 
 
 def count_chart(record: RunRecord) -> Picture:
@@ -222,9 +221,8 @@ def score_chart(places: F8 | Sequence[str], x_label: str, y_label: str, methods:
     apart = min(0.8 / max(len(methods), 1), 0.2) if named else 0.012 * float(np.ptp(x))
     for i, one in enumerate(methods):
         (colour, marker), at = _METHODS[i % len(_METHODS)], x + apart * (i - (len(methods) - 1) / 2)
-        reach = np.abs(np.vstack([one.mean - one.low, one.high - one.mean]))
         line = "" if named else "-"
-        axes.errorbar(at, one.mean, reach, color=colour, capsize=3, marker=marker, linestyle=line, label=one.label)
+        axes.errorbar(at, one.mean, one.half, color=colour, capsize=3, marker=marker, linestyle=line, label=one.label)
     if named:
         axes.grid(False, axis="x")
         axes.set_xlim(-0.5, max(len(names), 1) - 0.5)

@@ -13,14 +13,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
 from phdtrack.report import charts, words
 from phdtrack.report.record import STAGES, RunRecord
-from phdtrack.report.words import flattened, json_value, write_text
+from phdtrack.report.words import flattened, json_value
 from phdtrack.scene import Scene
 from phdtrack.types import Image
 
@@ -64,25 +63,19 @@ def sentences(record: RunRecord) -> tuple[str, ...]:
     return lines("summary.txt", record=record)
 
 
-def write_report(path: Path, record: RunRecord, config: Mapping[str, object] | None = None, more: str = "") -> None:
-    """Write the report of a run.
+def report_html(record: RunRecord, config: Mapping[str, object], more: str = "") -> str:
+    """The report of a run.
 
     Parameters
     ----------
-    path : of the file.
     record : what is shown.
     config : the settings, listed at the end.
     more : sections, as markup, that come after the key figures.
 
-    Raises
-    ------
-    InputError : the file cannot be written.
+    Returns
+    -------
+    The whole page.
     """
-    write_text(path, report_html(record, config or {}, more))
-
-
-def report_html(record: RunRecord, config: Mapping[str, object], more: str = "") -> str:
-    """The whole page as text; see `write_report`."""
     title = record.about.title or record.info.name or "Tracking run"
     lead, settings = " ".join(sentences(record)), flattened(config)
     return str(render("run.html", title=title, lead=lead, record=record, more=Markup(more), settings=settings))

@@ -41,10 +41,9 @@ def grouped(number: float) -> str:
     return f"{round(number):,}".replace(",", NBSP)
 
 
-def counted(number: int, noun: str, *plural: str) -> str:
-    """A number with its noun, as "1 frame" and "2 frames"; the ``plural`` where it is not the noun with an s."""
-    many, *_ = *plural, f"{noun}s"
-    return f"{grouped(number)} {noun if number == 1 else many}"
+def counted(number: int, *noun: str) -> str:
+    """A number with its noun, as "1 frame" and "2 frames"; its plural is the second where that has more than an s."""
+    return f"{grouped(number)} {noun[0] if number == 1 else (*noun, f'{noun[0]}s')[1]}"
 
 
 def duration(seconds: float) -> str:
