@@ -42,13 +42,14 @@ class _Entry(NamedTuple):
             return default
         return _number(self.value(*names), names[0], self.where)
 
-    def box(self) -> list[float]:
-        """Left, top, width, height."""
+    def corners(self) -> list[float]:
+        """Left, top, right, bottom."""
         box = self.value("bbox")
         if not isinstance(box, list) or len(box) != 4:
             problem = f"expected four numbers for bbox (left, top, width, height), came {_brief(box)}"
             raise InputError(problem, where=self.where)
-        return [_number(value, "bbox", self.where) for value in box]
+        left, top, width, height = (_number(value, "bbox", self.where) for value in box)
+        return [left, top, left + width, top + height]
 
 
 def rows_of_coco(source: Source) -> Rows:
@@ -58,17 +59,18 @@ def rows_of_coco(source: Source) -> Rows:
     ------
     InputError : the content is not JSON, or not of COCO's form, or (truth and tracks) has no identities.
     """
-    path, document, images = source.path, _parse(source.path, source.content), []
-    unit = "annotation" if isinstance(document, dict) else "entry"
+    path, document = source.path, _parse(source.path, source.content)
     if isinstance(document, dict):
-        listed = _list(path, document, "annotations")
+        unit, images = "annotation", list[_Entry]()
         if "images" in document:
             images = _entries(path, _list(path, document, "images"), "image", "id and file_name")
+        entries = _entries(path, _list(path, document, "annotations"), unit, "image_id and bbox")
+    elif isinstance(document, list):
+        unit, images = "entry", []
+        entries = _entries(path, document, unit, "image_id and bbox")
     else:
-        listed = document
-    entries = _entries(path, listed, unit, "image_id and bbox")
+        raise InputError(f"expected a list of results or a COCO data set, came {_brief(document)}", where=path)
     image = [entry.number("image_id") for entry in entries]
-    box = np.array([entry.box() for entry in entries]).reshape(-1, 4)
 
     def column(*names: str, default: float | None = None) -> F8:
         return np.array([entry.number(*names, default=default) for entry in entries], np.float64)
@@ -76,7 +78,7 @@ def rows_of_coco(source: Source) -> Rows:
     return Rows(
         Origin(path, unit, np.arange(1, len(entries) + 1)),
         _frames(path, images, image, entries) if images else np.array(image, np.float64),
-        np.hstack([box[:, :2], box[:, :2] + box[:, 2:]]),
+        np.array([entry.corners() for entry in entries]).reshape(-1, 4),
         source.first,
         identity=None if source.kind is Kind.DETECTIONS else column("track_id", "instance_id", "identity"),
         confidence=column("score", default=1.0),
@@ -85,9 +87,9 @@ def rows_of_coco(source: Source) -> Rows:
     )
 
 
-def _parse(path: Path, content: bytes) -> list[Any] | dict[str, Any]:
+def _parse(path: Path, content: bytes) -> object:
     try:
-        document = json.loads(content)
+        return json.loads(content)
     except UnicodeDecodeError:
         raise InputError("expected UTF-8 text, came other bytes", where=path) from None
     except json.JSONDecodeError as error:
@@ -95,9 +97,6 @@ def _parse(path: Path, content: bytes) -> list[Any] | dict[str, Any]:
         raise InputError(f"expected JSON, which breaks here: {error.msg}", where=where, cure="Is it complete?") from None
     except RecursionError:
         raise InputError("expected COCO JSON, came brackets nested without end", where=path) from None
-    if isinstance(document, list | dict):
-        return document
-    raise InputError(f"expected a list of results or a COCO data set, came {_brief(document)}", where=path)
 
 
 def _list(path: Path, document: dict[str, Any], key: str) -> list[Any]:

@@ -100,13 +100,17 @@ def detect(
         problem = f"expected a truth within the frames 1 … {info.frames}"
         raise InputError(problem, where=info.name, cure="Give the number of frames of the sequence in SequenceInfo.frames")
     targets_rng, clutter_rng, places_rng, order_rng = rng.spawn(4)
+
+    def scores(n: int, beta: tuple[float, float], own: np.random.Generator) -> F8:
+        return own.beta(*beta, size=n) if model.scores == "informative" else np.ones(n)
+
     sizes = to_cxcywh(truth.xyxy[~truth.distractor])[2:].T if model.clutter_sizes == "truth" else np.zeros((0, 2))
     places = place_boxes(info, model.places, sizes, places_rng)
 
     # Objects: a number drawn for each decides whether it is detected.
     lot = targets_rng.random(len(truth))
     boxes = _jittered(truth.xyxy, model.jitter, model.jitter_size, targets_rng)
-    score = _scores(len(truth), (6, 2), targets_rng, model)
+    score = scores(len(truth), (6, 2), targets_rng)
     p_detect = np.full(len(truth), model.p_detect)
     if model.occlusion:
         p_detect *= (1 - covered(truth, np.zeros((0, 4)) if obstacles is None else obstacles)) ** model.occlusion
@@ -114,10 +118,10 @@ def detect(
 
     # Poisson clutter, and persistent places.
     at, false = poisson_boxes(info, model.clutter_rate, sizes, clutter_rng)
-    false_score = _scores(len(at), (2, 4), clutter_rng, model)
+    false_score = scores(len(at), (2, 4), clutter_rng)
     fired, place = np.nonzero(places_rng.random((info.frames, model.places)) < model.place_fire)
     place_box = _jittered(places[place], model.place_jitter, model.place_jitter, places_rng)
-    place_score = _scores(len(fired), (2, 4), places_rng, model)
+    place_score = scores(len(fired), (2, 4), places_rng)
 
     frame = np.concatenate([truth.frame[kept], at, fired + 1])
     source = np.concatenate([truth.identity[kept], np.zeros(len(at), np.int64), -(place + 1)])
@@ -157,13 +161,11 @@ def add_clutter(
     if len(table):
         donor = old.take(donor_rng.integers(len(table), size=len(frame)))
         new = Detections(boxes, donor.confidence, donor.class_id, donor.covariance)
-    with_covariance = old.covariance is not None and new.covariance is not None
-    merged = Detections(
-        np.concatenate([old.xyxy, new.xyxy]),
-        np.concatenate([old.confidence, new.confidence]),
-        np.concatenate([old.class_id, new.class_id]),
-        np.concatenate([old.covariance, new.covariance]) if with_covariance else None,
-    )
+    covariance = None
+    if old.covariance is not None and new.covariance is not None:
+        covariance = np.concatenate([old.covariance, new.covariance])
+    xyxy, confidence = np.concatenate([old.xyxy, new.xyxy]), np.concatenate([old.confidence, new.confidence])
+    merged = Detections(xyxy, confidence, np.concatenate([old.class_id, new.class_id]), covariance)
     frames = np.concatenate([table.frame, frame])
     order = _shuffled(frames, order_rng)
     return DetectionTable(frames[order], merged.take(order))
@@ -235,11 +237,6 @@ def _jittered(xyxy: F8, centre: float, size: float, rng: np.random.Generator) ->
     moved = box[:2] + rng.normal(size=extent.shape) * centre * extent
     scaled = np.maximum(1 + rng.normal(size=extent.shape) * size, _MIN_SIZE) * extent
     return to_xyxy(np.concatenate([moved, scaled]))
-
-
-def _scores(n: int, beta: tuple[float, float], rng: np.random.Generator, model: DetectorModel) -> F8:
-    """(n,) scores."""
-    return rng.beta(*beta, size=n) if model.scores == "informative" else np.ones(n)
 
 
 def _shuffled(frame: I8, rng: np.random.Generator) -> I8:
