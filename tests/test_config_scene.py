@@ -21,14 +21,8 @@ FOLLOWED = TrackedObjects(0.1, LearnedDensity(3.0, uniform_density(np.zeros(4), 
 
 
 def written(path, **changes):
-    clutter = SceneDensity(
-        np.zeros(4),
-        np.array([640.0, 480, 640, 480]),
-        0.5,
-        np.ones(1),
-        np.array([[600.0, 50, 20, 20]]).T,
-        9 * np.eye(4)[None],
-    )
+    low, high, mean = np.zeros(4), np.array([640.0, 480, 640, 480]), np.array([[600.0, 50, 20, 20]]).T
+    clutter = SceneDensity(low, high, 0.5, np.ones(1), mean, 9 * np.eye(4)[None])
     births = uniform_density(np.array([0.0, 0, -9, -9, 0, 0]), np.array([640.0, 480, 9, 9, 640, 480]))
     parts = {"width": 640, "height": 480, "rate": 25.0, "source": "street", "births": LearnedDensity(0.05, births, 99)}
     write_scene(path, Scene(**(parts | {"clutter": LearnedDensity(1.5, clutter, 30)} | changes)))
@@ -95,18 +89,11 @@ def test_the_shipped_model_is_beside_a_scene(tmp_path, name):
     usual = {"birth": plain["birth"]["births_per_second"], "clutter": plain["clutter"]["clutter_per_frame"]}
     settings = config.load(sets=[f"filter.kind={name}", *sets])
     model = config.build(settings, INFO).model
-    for section in ("birth", "clutter"):
-        assert (
-            settings.as_dict()[section]["around_detections"]
-            == getattr(model, section).around_detections
-            == usual[section]
-            > 0
-        )
-        assert "rate" not in settings.as_dict()[section]
+    for section, rate in usual.items():
+        assert settings.as_dict()[section]["around_detections"] == getattr(model, section).around_detections == rate > 0
     np.testing.assert_array_equal(model.birth.among.high, FOLLOWED.objects.density.high)
-    alone = config.build(
-        config.load(sets=[*sets, "birth.around_detections=0", "clutter.around_detections=0"]), INFO, name
-    ).model
+    sets_alone = [*sets, "birth.around_detections=0", "clutter.around_detections=0"]
+    alone = config.build(config.load(sets=sets_alone), INFO, name).model
     assert alone.birth.around_detections == alone.clutter.around_detections == 0
     paper = config.load(preset="m09", sets=sets)
     assert paper.as_dict()["birth"]["around_detections"] == paper.as_dict()["clutter"]["around_detections"] == 0

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -60,15 +61,13 @@ MEANINGS = {
 }
 
 
-def compare(
-    sequences: Annotated[
-        list[str],
-        typer.Argument(metavar="SEQUENCE", help="Folders as MOTChallenge lays them out (seqinfo.ini, gt, det), or videos."),
-    ],
-    output: Output,
+@dataclass(frozen=True, slots=True)
+class PlanOptions:
+    """What is compared on the sequences."""
+
     filters: Annotated[
         str, option("--filters", "NAME,...", "The first is what others are compared to; default: pmb,none.")
-    ] = "",
+    ] = ""
     detections: Annotated[
         str,
         option(
@@ -77,10 +76,10 @@ def compare(
             "public for det_public/det.txt of each sequence, or [NAME=]FILE; {} in it stands for the sequence's name. "
             "Default: all that a folder has.",
         ),
-    ] = "",
-    detectors: Annotated[str, option("--detectors", "NAME,...", "Detectors to run on the videos, each of them once.")] = "",
-    clutter: Annotated[str, option("--clutter", "F,...", "Rates of false alarms to add, Poisson, boxes per frame.")] = "0",
-    seeds: Annotated[int, option("--seeds", "N", "How many seeds, from 1.", min=1)] = 5,
+    ] = ""
+    detectors: Annotated[str, option("--detectors", "NAME,...", "Detectors to run on the videos, each of them once.")] = ""
+    clutter: Annotated[str, option("--clutter", "F,...", "Rates of false alarms to add, Poisson, boxes per frame.")] = "0"
+    seeds: Annotated[int, option("--seeds", "N", "How many seeds, from 1.", min=1)] = 5
     variants: Annotated[
         list[str] | None,
         option(
@@ -90,14 +89,41 @@ def compare(
             "few=filter.particles_per_target=100,sensor.detection_probability=0.8; "
             "filter.kind and preset may be among them. May be given again.",
         ),
-    ] = None,
-    preset: given.Preset = "",
-    config: given.Config = None,
-    sets: given.Sets = None,
-    scene: given.SceneFile = None,
-    truth: Annotated[str, option("--truth", "FILE", "Annotated objects of a video; {} stands for its name.")] = "",
-    max_width: given.MaxWidth = 0,
-    iou: given.Iou = 0.5,
+    ] = None
+    preset: given.Preset = ""
+    config: given.Config = None
+    sets: given.Sets = None
+    scene: given.SceneFile = None
+    truth: Annotated[str, option("--truth", "FILE", "Annotated objects of a video; {} stands for its name.")] = ""
+    max_width: given.MaxWidth = 0
+    iou: given.Iou = 0.5
+
+    def plan(self, sequences: list[str]) -> Plan:
+        """Every sequence with these detections, methods, rates of clutter and seeds. Raises `InputError` for mistakes."""
+        check_iou(self.iou)
+        try:
+            rates = tuple(float(part) for part in listed(self.clutter))
+        except ValueError:
+            raise InputError(f"expected numbers as 0,5,10, got {self.clutter!r}", where="--clutter") from None
+        return plan(
+            sequences,
+            filters=listed(self.filters),
+            detections=DetectionChoice(listed(self.detections), listed(self.detectors), self.max_width, self.truth),
+            clutter=rates,
+            seeds=self.seeds,
+            variants=self.variants or (),
+            settings=SettingsSource(self.preset, self.config, (*scene_settings(self.scene), *(self.sets or ()))),
+            iou=self.iou,
+        )
+
+
+def compare(
+    sequences: Annotated[
+        list[str],
+        typer.Argument(metavar="SEQUENCE", help="Folders as MOTChallenge lays them out (seqinfo.ini, gt, det), or videos."),
+    ],
+    output: Output,
+    options: PlanOptions,
     scores: Annotated[
         str, option("--scores", "NAME,...", "What to show, as MOTA,IDF1,ms; the CSV files hold everything.")
     ] = "",
@@ -116,22 +142,8 @@ def compare(
     """
     ours = (out / DOCUMENT).is_file()
     rundir.check(out, overwrite or ours, FILES)
-    check_iou(iou)
     wanted = check_scores(listed(scores))
-    try:
-        rates = tuple(float(part) for part in listed(clutter))
-    except ValueError:
-        raise InputError(f"expected numbers as 0,5,10, got {clutter!r}", where="--clutter") from None
-    made = plan(
-        sequences,
-        filters=listed(filters),
-        detections=DetectionChoice(listed(detections), listed(detectors), max_width, truth),
-        clutter=rates,
-        seeds=seeds,
-        variants=variants or (),
-        settings=SettingsSource(preset, config, (*scene_settings(scene), *(sets or ()))),
-        iou=iou,
-    )
+    made = options.plan(sequences)
     directory = rundir.claim(out, True, FILES)
     # Whatever ends this, the next one knows the folder for its own.
     write_run(directory.file(DOCUMENT), {"complete": False})

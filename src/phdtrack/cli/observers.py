@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import Inputs
-from phdtrack.cli.output import counted
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.config import Settings
 from phdtrack.errors import InputError
@@ -21,7 +20,7 @@ from phdtrack.models.learning import RateLearning, RatesState, SceneLearning, Sc
 from phdtrack.models.scene import not_standing, refuse_standing
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import Learning, Model
-from phdtrack.report.pages import render
+from phdtrack.report.pages import lines, render
 from phdtrack.scene import write_scene
 from phdtrack.scene.online import SceneUpdate
 from phdtrack.scene.rates import Rates
@@ -131,21 +130,8 @@ class RatesObserver(RunObserver):
         used = {"detection": given.detection, "clutter": given.clutter, "births": given.birth, "scores": given.scores}
         course = [asdict(self._course[k]) for k in _thinned(len(self._course))]
         document: dict[str, object] = {"rates": {"set": asdict(self._rule.priors), "used": used, "course": course}}
-        return Report(document, (self._sentence(),), render("rates.html", course=self._course, rule=self._rule))
-
-    def _sentence(self) -> str:
-        if not self._course:
-            return "no rates were learned: the run is too short"
-        last, priors = self._course[-1], self._rule.priors
-        said = [f"objects are detected in {100 * last.detection:.0f} % of frames (set: {100 * priors.detection:.0f} %)"]
-        if priors.clutter_each:
-            said.append(f"{100 * last.clutter:.0f} % of the detections are false alarms")
-        else:
-            said.append(f"{last.clutter:.2f} false alarms a frame (set: {priors.clutter:g})")
-        if last.lowest < 1 < last.highest:
-            said.append(f"the best scores count {last.highest:.2f} : 1 for an object, the worst 1 : {1 / last.lowest:.2f}")
-        limits = f"; kept within limits: {', '.join(last.limited)}" if last.limited else ""
-        return f"estimated from the stream: {'; '.join(said)}{limits}"
+        known = {"course": self._course, "rule": self._rule}
+        return Report(document, lines("rates.txt", **known), render("rates.html", **known))
 
 
 class SceneObserver(RunObserver):
@@ -194,19 +180,9 @@ class SceneObserver(RunObserver):
         ]
         minutes = rule.memory / 60
         document: dict[str, object] = {"learning": {"memory_minutes": minutes, "course": course}}
-        section = render("learning.html", course=self._course, memory=minutes, rate=rule.rate)
-        return Report(document, (self._sentence(),), section)
-
-    def _sentence(self) -> str:
-        if not self._course:
-            return "nothing was learned of the scene: the run is too short"
-        last, per_minute = self._course[-1], self._learning.rule.rate * 60
-        births = f"{last.births * per_minute:.1f} births a minute{'' if last.births_used else ' (not in use)'}"
-        alarms = f"{last.clutter:.2f} false alarms a frame{'' if last.clutter_used else ' (not in use)'}"
-        modes = f"; modes: {', '.join(self._modes)}" if len(self._modes) > 1 else ""
         dropped = sum("out of use" in sentence for one in self._course for sentence in one.changes)
-        drops = f"; what was learned went out of use {counted(dropped, 'time')}" if dropped else ""
-        return f"learned of the scene: {alarms}, {births}{modes}{drops}"
+        known = {"course": self._course, "rate": rule.rate, "memory": minutes, "modes": self._modes, "dropped": dropped}
+        return Report(document, lines("learning.txt", **known), render("learning.html", **known))
 
 
 def _thinned(count: int, more: Iterable[int] = ()) -> list[int]:
