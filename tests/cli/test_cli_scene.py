@@ -46,7 +46,7 @@ def test_places_that_fire_are_unlearned_in_forty_frames(tmp_path: Path, name: st
 
 
 def test_who_stays_among_lights_that_tremble_is_held_back(tmp_path: Path):
-    """A yard with trees in the wind and lights that tremble, learned on its first half, of 20 s. Such light moves as a person
+    """A yard with trees in the wind and lights that tremble, learned on its first half, 20 s. Such light moves as a person
     does who stands: to know its places does not keep it from being followed."""
     yard = tmp_path / "yard"
     assert phdtrack("simulate", "yard", "--out", yard, "--frames", 500, "--seed", 1).status == 0
