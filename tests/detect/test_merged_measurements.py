@@ -49,22 +49,22 @@ boxes = st.lists(
 
 
 def test_one_blob_of_two_targets_becomes_a_detection_of_each_size_at_its_edges() -> None:
-    _, told = explain(expected(PAIR), BLOB)
-    assert told.changed
-    assert len(told.detections) == 2
-    assert told.source.tolist() == [0, 0]
-    assert told.part.tolist() == [0]
-    left, right = told.detections.xyxy[np.argsort(told.target)]
+    _, found = explain(expected(PAIR), BLOB)
+    assert found.changed
+    assert len(found.detections) == 2
+    assert found.source.tolist() == [0, 0]
+    assert found.part.tolist() == [0]
+    left, right = found.detections.xyxy[np.argsort(found.target)]
     np.testing.assert_allclose([left[0], right[2]], [98, 168])
     np.testing.assert_allclose([left[2] - left[0], right[2] - right[0]], [40, 40])
-    assert (told.detections.xyxy[:, 1] >= 99).all()
-    assert (told.detections.xyxy[:, 3] <= 205).all()
+    assert (found.detections.xyxy[:, 1] >= 99).all()
+    assert (found.detections.xyxy[:, 3] <= 205).all()
 
 
 def test_two_blobs_of_two_targets_stay_as_they_are() -> None:
-    _, told = explain(expected(PAIR), PAIR + 1.0)
-    assert not told.changed
-    np.testing.assert_array_equal(told.detections.xyxy, PAIR + 1.0)
+    _, found = explain(expected(PAIR), PAIR + 1.0)
+    assert not found.changed
+    np.testing.assert_array_equal(found.detections.xyxy, PAIR + 1.0)
 
 
 @pytest.mark.parametrize(
@@ -75,38 +75,38 @@ def test_two_blobs_of_two_targets_stay_as_they_are() -> None:
     ],
 )
 def test_a_blob_is_not_divided_where_the_settings_say_so(rule: MergedMeasurements, given: dict[str, F8]) -> None:
-    _, told = explain(expected(PAIR, **given), BLOB, rule)
-    assert not told.changed
+    _, found = explain(expected(PAIR, **given), BLOB, rule)
+    assert not found.changed
 
 
 def test_a_target_hides_no_longer_than_the_longest_time() -> None:
     inside = np.array([[100.0, 100, 160, 200], [110, 100, 140, 200]])
     blob = inside[:1]
-    before, told = explain(expected(inside), blob)
-    assert told.changed
+    before, found = explain(expected(inside), blob)
+    assert found.changed
     assert before.hidden.tolist() == [0.0, pytest.approx(1 / 25)]
-    _, told = explain(expected(inside, hidden=np.array([0.0, 3.1])), blob)
-    assert not told.changed
+    _, found = explain(expected(inside, hidden=np.array([0.0, 3.1])), blob)
+    assert not found.changed
 
 
 @settings(deadline=None, max_examples=150)
 @given(boxes, boxes)
 def test_every_blob_is_used_and_order_does_not_matter(targets: F8, blobs: F8) -> None:
     state = expected(targets)
-    _, told = explain(state, blobs)
-    # Every blob went somewhere, and everything told rests on a blob.
-    assert len(told.part) == len(blobs)
-    assert len(told.source) == len(told.detections) == len(told.target)
-    whole = {int(s) for s in told.source}
-    assert whole == {int(told.source[p]) for p in told.part}
-    shared = np.bincount(told.source, minlength=len(blobs))
-    named = told.target[told.target >= 0]
+    _, found = explain(state, blobs)
+    # Every blob went somewhere, and every detection rests on a blob.
+    assert len(found.part) == len(blobs)
+    assert len(found.source) == len(found.detections) == len(found.target)
+    whole = {int(s) for s in found.source}
+    assert whole == {int(found.source[p]) for p in found.part}
+    shared = np.bincount(found.source, minlength=len(blobs))
+    named = found.target[found.target >= 0]
     assert len(named) == len(set(named.tolist()))
     for b in np.flatnonzero(shared > 1):
-        assert (told.target[told.source == b] >= 0).all()
+        assert (found.target[found.source == b] >= 0).all()
     order = np.random.default_rng(len(blobs) + 7 * len(targets)).permutation(len(blobs))
     _, other = explain(state, blobs[order])
-    mine, theirs = (np.round(d.detections.xyxy, 9).tolist() for d in (told, other))
+    mine, theirs = (np.round(d.detections.xyxy, 9).tolist() for d in (found, other))
     assert sorted(mine) == sorted(theirs)
 
 
@@ -114,10 +114,10 @@ def test_given_noise_grows_where_no_edge_shows_the_target() -> None:
     inside = np.array([[100.0, 100, 180, 200], [120, 100, 150, 200]])
     noise = np.diag([4.0, 4, 9, 9])
     blob = Detections(inside[:1], np.ones(1), np.zeros(1, np.int64), noise[None])
-    _, told = ALWAYS.explain(expected(inside), blob, MODEL, 1.0)
-    assert told.changed
-    assert told.detections.covariance is not None
-    seen, unseen = told.detections.covariance[np.argsort(told.target)]
+    _, found = ALWAYS.explain(expected(inside), blob, MODEL, 1.0)
+    assert found.changed
+    assert found.detections.covariance is not None
+    seen, unseen = found.detections.covariance[np.argsort(found.target)]
     assert seen[0, 0] == 4.0
     assert unseen[0, 0] > 100.0
 
@@ -202,7 +202,7 @@ def test_a_resumed_run_is_the_run(filter_name: str) -> None:
     np.testing.assert_array_equal(first.tracks().xyxy, second.tracks().xyxy)
 
 
-def test_frames_that_nobody_looked_at_and_empty_ones_pass() -> None:
+def test_frames_that_were_not_observed_and_empty_ones_pass() -> None:
     case = merging("turning back", 2)
     tracker = tracker_of(case, "gm-phd", "explained")
     for number in range(1, case.info.frames + 1):

@@ -138,14 +138,14 @@ def test_mistakes_are_told():
             learn(p, np.ones((4, 3)), weight)
 
 
-def test_a_sample_worth_two_counts_like_two_and_one_worth_nothing_like_none():
+def test_a_sample_of_weight_two_counts_like_two_and_one_of_weight_0_like_none():
     dim, counts, _ = CASES["clutter"]
     p, rng = known(dim), np.random.default_rng(10)
     samples = p.sample(600, rng)
     start = begin(p, counts, samples)
-    worth = rng.integers(0, 3, 600).astype(float)
-    twice = np.repeat(samples, worth.astype(int), axis=1)
-    ours, theirs = learn(start, samples, worth), learn(start, twice)
+    each = rng.integers(0, 3, 600).astype(float)
+    twice = np.repeat(samples, each.astype(int), axis=1)
+    ours, theirs = learn(start, samples, each), learn(start, twice)
     unseen = p.sample(4000, rng)
     # The orders of the samples differ; batch EM would give the same.
     assert ours.log(unseen).mean() == pytest.approx(theirs.log(unseen).mean(), abs=0.1)

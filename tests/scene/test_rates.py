@@ -58,7 +58,7 @@ def test_estimates_are_posterior_means():
     assert around.births == pytest.approx((5 + 4) / (5 / 0.01 + 2000))
 
 
-def test_much_evidence_outweighs_any_setting_and_limits_are_told():
+def test_much_evidence_outweighs_any_setting_and_limits_are_named():
     assert rates(RateSums(hits=5e5, span=1e6)).detection == pytest.approx(0.5, abs=1e-4)
     low, high = rates(RateSums(hits=1, span=1e6)), rates(RateSums(hits=1e6, span=1e6))
     assert (low.detection, high.detection) == DETECTION_LIMITS
@@ -92,23 +92,26 @@ def test_fading_keeps_shares():
 # Scores
 
 
-def judged(rng, n=2000, share=0.4):
+def labelled_scores(rng, n=2000, share=0.4):
     """Scores of objects N(1, 1) and of false alarms N(0, 1), with the truth of each: odds are exp(s − ½)."""
     false = rng.random(n) < share
     return LabelledScores().joined(rng.normal(np.where(false, 0.0, 1.0), 1.0), false.astype(float))
 
 
 def test_the_odds_are_those_of_the_two_densities():
-    found = ScoreScale.learned(judged(np.random.default_rng(0), MAX_SCORES))
+    found = ScoreScale.learned(labelled_scores(np.random.default_rng(0), MAX_SCORES))
     s = np.linspace(-0.7, 1.8, 11)
     assert np.log(found.ratio(s)) == pytest.approx(s - 0.5, abs=0.55)
     assert np.mean(np.log(found.ratio(s)) - (s - 0.5)) == pytest.approx(0, abs=0.12)
 
 
 def test_only_the_order_of_scores_counts():
-    told = judged(np.random.default_rng(1))
-    s = told.score[:50]
-    plain, bent = ScoreScale.learned(told), ScoreScale.learned(LabelledScores(1e6 * np.exp(3 * told.score), told.false))
+    labelled = labelled_scores(np.random.default_rng(1))
+    s = labelled.score[:50]
+    plain, bent = (
+        ScoreScale.learned(labelled),
+        ScoreScale.learned(LabelledScores(1e6 * np.exp(3 * labelled.score), labelled.false)),
+    )
     at = np.searchsorted(plain.at, s)
     assert np.array_equal(plain.log_ratio, bent.log_ratio)
     # Between the same two parts whatever the range.
@@ -119,8 +122,8 @@ def test_odds_never_fall_with_the_score_and_are_bounded():
     for seed in range(20):
         rng = np.random.default_rng(seed)
         n = int(rng.integers(2, 300))
-        told = LabelledScores().joined(np.round(rng.normal(size=n), 1), rng.random(n))
-        odds = ScoreScale.learned(told).ratio(np.sort(rng.normal(scale=3, size=100)))
+        labelled = LabelledScores().joined(np.round(rng.normal(size=n), 1), rng.random(n))
+        odds = ScoreScale.learned(labelled).ratio(np.sort(rng.normal(scale=3, size=100)))
         assert (np.diff(odds) >= -1e-12).all()
         assert (np.abs(np.log(odds)) <= MAX_LOG_RATIO + 1e-12).all()
 
@@ -134,9 +137,9 @@ def test_constant_scores_say_nothing_exactly():
 
 def test_scores_without_bounds_and_without_value():
     rng = np.random.default_rng(3)
-    told = judged(rng)
-    wild = np.concatenate([told.score, [np.inf, np.inf, -np.inf, np.nan]])
-    found = ScoreScale.learned(LabelledScores().joined(wild, np.concatenate([told.false, [0.0, 0.0, 1.0, 0.0]])))
+    labelled = labelled_scores(rng)
+    wild = np.concatenate([labelled.score, [np.inf, np.inf, -np.inf, np.nan]])
+    found = ScoreScale.learned(LabelledScores().joined(wild, np.concatenate([labelled.false, [0.0, 0.0, 1.0, 0.0]])))
     assert np.isfinite(found.at).all()
     assert np.isfinite(found.log_ratio).all()
     odds = found.ratio(np.array([-np.inf, 0.5, np.inf, np.nan]))
@@ -145,8 +148,8 @@ def test_scores_without_bounds_and_without_value():
 
 
 def test_few_detections_say_little():
-    told = LabelledScores().joined(np.array([0.1, 0.9]), np.array([1.0, 0.0]))
-    assert np.abs(np.log(ScoreScale.learned(told).ratio(told.score))).max() < 0.4
+    labelled = LabelledScores().joined(np.array([0.1, 0.9]), np.array([1.0, 0.0]))
+    assert np.abs(np.log(ScoreScale.learned(labelled).ratio(labelled.score))).max() < 0.4
     many = LabelledScores().joined(np.repeat([0.1, 0.9], 500), np.repeat([1.0, 0.0], 500))
     assert np.log(ScoreScale.learned(many).ratio(np.array([0.1, 0.9]))) == pytest.approx(
         [-MAX_LOG_RATIO, MAX_LOG_RATIO], abs=0.2
@@ -155,8 +158,8 @@ def test_few_detections_say_little():
 
 def test_what_says_nothing_is_worth_one_within_its_noise():
     rng = np.random.default_rng(4)
-    told = LabelledScores().joined(rng.normal(size=3000), (rng.random(3000) < 0.3).astype(float))
-    assert np.abs(np.log(ScoreScale.learned(told).ratio(rng.normal(size=200)))).max() < math.log(1.6)
+    labelled = LabelledScores().joined(rng.normal(size=3000), (rng.random(3000) < 0.3).astype(float))
+    assert np.abs(np.log(ScoreScale.learned(labelled).ratio(rng.normal(size=200)))).max() < math.log(1.6)
 
 
 def series(rng, tracks, frames, correlation):
@@ -199,6 +202,8 @@ def test_without_pairs_or_with_constant_ones_a_frame_says_nothing_new():
 
 
 def test_the_odds_are_to_the_power_of_the_share():
-    told = judged(np.random.default_rng(5))
+    labelled = labelled_scores(np.random.default_rng(5))
     s = np.linspace(-1, 2, 7)
-    assert np.log(ScoreScale.learned(told, 0.3).ratio(s)) == pytest.approx(0.3 * np.log(ScoreScale.learned(told).ratio(s)))
+    assert np.log(ScoreScale.learned(labelled, 0.3).ratio(s)) == pytest.approx(
+        0.3 * np.log(ScoreScale.learned(labelled).ratio(s))
+    )

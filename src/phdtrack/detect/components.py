@@ -47,7 +47,7 @@ class BlobSettings:
         boxes get it back. Specks of a pixel go in any case.
     closing : height of the gaps that are closed, fraction of the frame's height; gaps a third as wide are closed too.
     min_area : smallest component after peeling, fraction of the frame's area.
-    split : a component is cut where its column profile falls to this fraction of the lower peak beside; 0: never.
+    split : a component is cut where its column profile falls to this fraction of the lower neighbouring peak; 0: never.
     join : fragments one above the other are joined over gaps up to this fraction of their common height; 0: never.
     """
 

@@ -3,7 +3,7 @@
 Shadow pixels of MOG2 and KNN are removed. The pedestrians' support vector machine was trained on windows of 64×128 pixels in
 which the person is 96 high, so the frame is enlarged for smaller people. Its hits have a margin, which is cut off; of
 overlapping ones the strongest stays. Confidence is the margin of the support vector machine, which is not bounded. OpenCV 5
-dropped cascades and pedestrians: `shipped` says so.
+dropped cascades and pedestrians: `from_opencv` says so.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class SubtractorDetector:
         return blobs.detections(np.asarray(cv2.compare(mask, _SURELY_FOREGROUND, cv2.CMP_GT), np.uint8), settings.blobs)
 
 
-def shipped(name: str) -> Any:
+def from_opencv(name: str) -> Any:
     """``cv2.<name>``; InputError with the pip line where this OpenCV has none."""
     found = getattr(cv2, name, None)
     if found is None:
@@ -112,7 +112,7 @@ def cascade_file(name: str) -> Path:
     own = Path(name)
     if own.suffix == ".xml" and own.is_file():
         return own
-    folder = Path(shipped("data").haarcascades)
+    folder = Path(from_opencv("data").haarcascades)
     path = folder / f"haarcascade_{name}.xml"
     if not path.is_file():
         names = sorted(file.stem.removeprefix("haarcascade_") for file in folder.glob("haarcascade_*.xml"))
@@ -151,7 +151,7 @@ class FaceDetector:
     def __init__(self, settings: FaceSettings | None = None) -> None:
         self.settings = settings or FaceSettings()
         path = cascade_file(self.settings.cascade)
-        self._classifier: Any = shipped("CascadeClassifier")(str(path))
+        self._classifier: Any = from_opencv("CascadeClassifier")(str(path))
         if self._classifier.empty():
             raise InputError("this is not a cascade that OpenCV can read", where=path)
 
@@ -201,8 +201,8 @@ class PersonDetector:
 
     def __init__(self, settings: PersonSettings | None = None) -> None:
         self.settings = settings or PersonSettings()
-        self._hog: Any = shipped("HOGDescriptor")()
-        self._hog.setSVMDetector(shipped("HOGDescriptor_getDefaultPeopleDetector")())
+        self._hog: Any = from_opencv("HOGDescriptor")()
+        self._hog.setSVMDetector(from_opencv("HOGDescriptor_getDefaultPeopleDetector")())
 
     def reset(self) -> None:
         """Nothing to forget."""

@@ -53,13 +53,13 @@ class SceneLearning:
 
     Attributes
     ----------
-    rule : how the scene is learned.      shipped : the model to which what is learned is added.
+    rule : how the scene is learned.      default : the model to which what is learned is added.
     shadow : what is learned from, a `pipeline.ShadowTracker`.      particles : Jmax, see `SceneBirth`.
     scenes : what was learned before, one for each regime.
     """
 
     rule: OnlineLearning
-    shipped: Model
+    default: Model
     shadow: Any
     particles: int = 500
     scenes: tuple[Scene, ...] = ()
@@ -99,7 +99,7 @@ class SceneLearning:
     def _in_use(self, known: OnlineScene, shadow: Any) -> SceneState:
         """The state with the births and false alarms that are in use."""
         used = online.scene_of(self.rule, known.regime, "")
-        model = with_scene(self.shipped, used.births, used.clutter, used.followed, self.particles)
+        model = with_scene(self.default, used.births, used.clutter, used.followed, self.particles)
         birth = None if used.births is None else model.birth
         return SceneState(known, shadow, birth, None if used.clutter is None else model.clutter)
 

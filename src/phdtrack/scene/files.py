@@ -40,7 +40,7 @@ class LearnedDensity:
 class TrackedObjects:
     """What a tracker follows besides targets: the ``share`` of false alarms that become tracks, and where ``objects`` are.
 
-    A share of 0 stands for a scene whose detections nobody has looked at: then no track is withheld.
+    A share of 0 stands for a scene whose detections were not looked at: then no track is withheld.
     """
 
     share: float

@@ -48,7 +48,7 @@ class RatesSettings:
     detection : use the p_D that is learned.
     clutter : use the rate of false alarms that is learned.
     birth : use the rate of births that is learned.
-    scores : use what the detector's scores are worth.
+    scores : use how much likelier each score is among objects than among false alarms.
     cautious : use p_D only where it is lower, and rates of false alarms and births only where they are higher, than is set.
     memory : seconds after which a frame counts for 37 %.
     verdict_delay : seconds until a detection is labelled, beyond ``associate.output_delay``.
