@@ -67,7 +67,10 @@ def test_multiple_hypotheses_keep_the_identities_of_ten_targets():
     ids=["gm-phd", "particle-phd"],
 )
 def test_intensities_follow_them_too(recursion, extractor):
-    """Targets that cross lose their identities; every one is followed by somebody for a good part of its life."""
+    """Targets that cross lose their identities; every one is followed by one track for a good part of its life.
+
+    The least of the ten is 0.40 with the GM-PHD, and 0.24 to 0.40 with particles of six seeds.
+    """
     tracks = tracked(Stages(MODEL, recursion, extractor, GraphMatching()))
     share = kept(tracks)
     assert share.min() > 0.2
