@@ -74,8 +74,8 @@ class PointClutterSettings(_Checked):
 
 @dataclass(frozen=True, slots=True)
 class ClutterSettings(_Checked):
-    """False alarms of boxes. ``clutter_per_frame``: expected false alarms per frame. ``volume``: spread over the image, or
-    around each detection (local)."""
+    """False alarms of boxes. ``clutter_per_frame``: expected false alarms per frame, in the image, or around each detection
+    where ``volume`` is local. ``volume``: what they are spread over."""
 
     clutter_per_frame: NonNegative = 1.0
     volume: Volume = "image"
@@ -83,9 +83,9 @@ class ClutterSettings(_Checked):
 
 @dataclass(frozen=True, slots=True)
 class GroundClutterSettings(_Checked):
-    """False alarms on the ground. ``clutter_per_frame``: expected false alarms per frame. ``volume``: spread over the region
-    or around each detection (local). ``density``: false alarms per frame and m², which replaces the other two where it is
-    not 0."""
+    """False alarms on the ground. ``clutter_per_frame``: expected false alarms per frame, in the region, or around each
+    detection where ``volume`` is local. ``volume``: what they are spread over. ``density``: false alarms per frame and m²,
+    which replaces the other two where it is not 0."""
 
     clutter_per_frame: NonNegative = 0.3
     volume: PlaneVolume = "local"
