@@ -25,4 +25,4 @@ def measure(targets: int, seed: int = 1, frames: int = 60) -> dict[str, Any]:
 def _there(state: Bernoullis) -> F8:
     """Positions (2, n) of the best hypotheses of who is there."""
     now = state.present
-    return now.mean[now.best[now.presence >= 0.5], :2].T
+    return now.mean[now.targets["best"][now.targets["presence"] >= 0.5], :2].T

@@ -232,10 +232,8 @@ def certain(x: np.ndarray, mass: float = 1.0) -> Hypotheses:
 def believed(x: np.ndarray, mass: float = 1.0) -> Bernoullis:
     """A target about every column of ``x``, of one hypothesis, with this probability that it is there."""
     d, n = x.shape
-    each, none, one = np.arange(n), np.full(n, -1), np.full(n, mass)
-    x, no, unit = np.ascontiguousarray(x.T), np.zeros(n, np.bool_), np.tile(np.eye(d), (n, 1, 1))
-    layer = Layer(one, each, np.arange(n + 1), np.ones(n), x, unit, no, np.zeros(n), none, none, each, one, one)
-    return Bernoullis((layer,), np.zeros((2, 0), np.int64), n)
+    given = GaussianMixture(np.full(n, mass), x, np.tile(np.eye(d), (n, 1, 1)))
+    return PMB(initial=given).start(model_of(), np.random.default_rng(0))
 
 
 def about(x: np.ndarray, each: int, rng: np.random.Generator, mass: float = 1.0) -> Particles:

@@ -89,7 +89,10 @@ def moved_on(ways: list[One], model: Model, dt: float, turns: F8) -> list[One]:
     for way in ways:
         weight = way.weight * float(model.motion.p_survive(way.mean[:, None], dt / model.rate)[0])
         if way.static:
-            out.append(replace(way, weight=weight))
+            # The place of static clutter is never known better than half the variances by which the sensor resolves it.
+            cov = way.cov.copy()
+            cov[range(6), range(6)] = np.maximum(np.diag(cov), 0.5 * model.sensor.noise(way.mean[:, None])[:, 0] ** 2)
+            out.append(replace(way, weight=weight, cov=cov))
             continue
         mean, cov = kalman(model, way.mean, way.cov, None, dt)
         out += [replace(way, weight=weight * turns[int(way.hidden), k], hidden=bool(k), mean=mean, cov=cov) for k in (0, 1)]
@@ -104,9 +107,6 @@ def bernoulli(nobody: float, ways: list[One], z: F8, model: Model, firing: float
         out.append(replace(way, weight=way.weight * (1 - p), taken=(*way.taken, -1)))
         for j in range(z.shape[1]):
             mean, cov, density = corrected(way.mean, way.cov, z[:, j])
-            if way.static:
-                # The place of static clutter is never known better than half the variances after one detection say.
-                cov[range(6), range(6)] = np.maximum(np.diag(cov), 0.5 * np.diag(model.sensor.states(z)[1][j]))
             out.append(
                 replace(
                     way, weight=way.weight * p * density / kappa[j], taken=(*way.taken, j), mean=mean, cov=cov, hidden=False
@@ -123,8 +123,8 @@ def pasts(state: Bernoullis) -> list[tuple[int, ...]]:
     for place in range(len(state)):
         at, taken = place, []
         for layer in state.layers[:0:-1]:
-            taken.insert(0, int(layer.detection[at]))
-            at = int(layer.parent[at])
+            taken.insert(0, int(layer.hypotheses["detection"][at]))
+            at = int(layer.hypotheses["parent"][at])
             if at < 0:
                 break
         out.append(tuple(taken))

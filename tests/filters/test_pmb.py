@@ -22,11 +22,11 @@ def test_an_empty_scan_makes_a_target_less_believed():
     """r p_S (1 − p_D) / (1 − r p_S p_D)."""
     model = world(detection=0.8, survival=0.9)
     state, _ = run(PLAIN, [boxes((200, 200)), boxes((201, 202))], model)
-    r = state.present.r[0]
+    r = state.present.targets["r"][0]
     for _ in range(3):
         state, info = PLAIN.step(state, boxes(), model, 1.0, RNG)
         r = 0.9 * r * 0.2 / (1 - 0.9 * r * 0.8)
-        assert state.present.r[0] == pytest.approx(r, rel=1e-9)
+        assert state.present.targets["r"][0] == pytest.approx(r, rel=1e-9)
     assert info.evidence.shape == (0,)
 
 
@@ -46,16 +46,16 @@ def chain(hidden: float, filter_: PMB, seconds: float) -> float:
 def test_who_is_in_view_gets_hidden_as_a_markov_chain(settings: dict):
     filter_, model = replace(PMB(static_clutter_prior=0.0), **settings), world(survival=1.0)
     state, _ = run(filter_, [boxes((200, 200))], model)
-    assert state.present.occluded.tolist() == [0]
+    assert state.present.hypotheses["occluded"].tolist() == [0]
     whole = filter_.predict(state, model, 5.0, RNG)
-    assert whole.present.occluded[0] == pytest.approx(chain(0.0, filter_, 0.2), rel=1e-12)
+    assert whole.present.hypotheses["occluded"][0] == pytest.approx(chain(0.0, filter_, 0.2), rel=1e-12)
     halves = filter_.predict(filter_.predict(state, model, 2.5, RNG), model, 2.5, RNG)
-    assert halves.present.occluded[0] == pytest.approx(whole.present.occluded[0], rel=1e-12)
+    assert halves.present.hypotheses["occluded"][0] == pytest.approx(whole.present.hypotheses["occluded"][0], rel=1e-12)
     late = filter_.predict(whole, model, 1e6, RNG)
-    assert late.present.occluded[0] == pytest.approx(
+    assert late.present.hypotheses["occluded"][0] == pytest.approx(
         filter_.mean_occluded_time / (filter_.mean_visible_time + filter_.mean_occluded_time)
     )
-    assert replace(filter_, mean_visible_time=0.0).predict(state, model, 5.0, RNG).present.occluded[0] == 0
+    assert replace(filter_, mean_visible_time=0.0).predict(state, model, 5.0, RNG).present.hypotheses["occluded"][0] == 0
 
 
 def test_misses_in_a_row_are_believed_where_targets_get_hidden():
@@ -76,10 +76,10 @@ def test_labels_are_unique_and_rise():
     rng, model = np.random.default_rng(0), world(clutter=1e-9, birth=1e-9, survival=0.9)
     state, ever, ended = PMB().start(model, RNG), set(), set()
     for z in scene(rng, 60, targets=5, clutter=6):
-        before = set(state.present.label.tolist())
+        before = set(state.present.targets["label"].tolist())
         fresh = state.next_label
         state, _ = PMB().step(state, z, model, 1.0, RNG)
-        label = state.present.label
+        label = state.present.targets["label"]
         assert (np.diff(label) > 0).all()
         new = set(label.tolist()) - before
         assert not new & ever
@@ -130,8 +130,8 @@ def test_the_order_of_the_targets_does_not_matter():
     given = GaussianMixture(weight[order], mean[:, order], cov[order])
     two, second = run(replace(PMB(), initial=given), [z, z + 1], model)
     assert first.mass == pytest.approx(second.mass, rel=1e-6)
-    at = np.searchsorted(two.present.label, np.argsort(order)[one.present.label])
-    np.testing.assert_allclose(two.present.r[at], one.present.r, rtol=1e-5, atol=1e-9)
+    at = np.searchsorted(two.present.targets["label"], np.argsort(order)[one.present.targets["label"]])
+    np.testing.assert_allclose(two.present.targets["r"][at], one.present.targets["r"], rtol=1e-5, atol=1e-9)
 
 
 def seen_by_a_source(seed: int, frames: int = 150) -> list[np.ndarray]:
@@ -153,7 +153,7 @@ def test_a_source_of_false_alarms_is_soon_not_reported(seed: int):
         reported.append(len(told(state, model)))
     assert sum(reported[75:]) == 0
     assert len(state) > 0, "it is still followed"
-    assert state.present.static.any()
+    assert state.present.hypotheses["static"].any()
     if z.shape[1]:
         assert info.clutter_probability[0] > 0.9
 
@@ -202,9 +202,9 @@ def test_the_past_that_is_kept_and_the_number_of_hypotheses_are_bounded():
     for z in scene(rng, 60, targets=8, clutter=20):
         state, _ = filter_.step(state, z, model, 1.0, RNG)
         assert len(state.layers) <= 5
-        assert np.diff(state.present.offsets).max() <= 5
-        assert (state.frame - state.ended[0]).max(initial=1) <= 4
-        sums = np.add.reduceat(state.present.weight, state.present.offsets[:-1])
+        assert (state.present.targets["end"] - state.present.targets["begin"]).max() <= 5
+        assert (state.frame - state.ended[:, 0]).max(initial=1) <= 4
+        sums = np.add.reduceat(state.present.hypotheses["weight"], state.present.targets["begin"])
         np.testing.assert_allclose(sums, 1)
         sizes.append(len(state))
     assert max(sizes[40:]) < 1.5 * max(sizes[20:40])

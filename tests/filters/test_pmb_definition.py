@@ -11,7 +11,7 @@ from pmb_cases import RNG, world
 from phdtrack.filters import PMB
 from phdtrack.filters.pmb import Bernoullis
 from phdtrack.kernels.marginals import ROUNDS, SETTLED
-from phdtrack.kernels.pmb import Layer
+from phdtrack.kernels.pmb import HYPOTHESIS, TARGET, Layer
 from reference import pmb_twin as twin
 
 H = np.eye(6)[[0, 1, 4, 5]]
@@ -34,14 +34,20 @@ def a_state(rng: np.random.Generator, targets: int) -> tuple[Bernoullis, list]:
     root = rng.normal(0, 1.5, (count, 6, 6))
     cov, static, r = root @ root.transpose(0, 2, 1) + 2 * np.eye(6), rng.random(count) < 0.3, rng.uniform(0.05, 1, targets)
     occluded = np.where(static, 0.0, rng.uniform(0, 0.9, count))
-    label, none = np.arange(targets), np.full(count, -1)
     best = np.array([next((c for c in range(a, b) if not static[c]), -1) for a, b in itertools.pairwise(offsets)])
-    layer = Layer(r, label, offsets, weight, mean, cov, static, occluded, none, np.arange(count), best, 0.5 * r, r)
+    targets, hypotheses = np.zeros(len(r), TARGET), np.zeros(count, HYPOTHESIS)
+    for name, value in {"r": r, "presence": 0.5 * r, "max_presence": r, "label": np.arange(len(r)), "best": best}.items():
+        targets[name] = value
+    targets["begin"], targets["end"] = offsets[:-1], offsets[1:]
+    hypotheses["weight"], hypotheses["occluded"], hypotheses["static"] = weight, occluded, static
+    hypotheses["detection"], hypotheses["parent"] = -1, np.arange(count)
+    hypotheses["target"] = np.repeat(np.arange(len(r)), several)
+    layer = Layer(targets, hypotheses, mean, cov)
     forms = [
         [twin.Hypothesis(weight[c], mean[c], cov[c], bool(static[c]), occluded[c]) for c in range(a, b)]
         for a, b in itertools.pairwise(offsets)
     ]
-    return Bernoullis((layer, layer), np.zeros((2, 0), np.int64), targets, 1), list(zip(r, forms, strict=True))
+    return Bernoullis((layer, layer), np.zeros((0, 2), np.int64), len(r), 1), list(zip(r, forms, strict=True))
 
 
 @pytest.mark.parametrize("name", SETTINGS)
@@ -56,37 +62,20 @@ def test_the_update_is_its_definition(seed: int, name: str):
     new = [(0.8 * 1e-7, first[:, j], spread[j]) for j in range(6)]
     wanted, false = twin.updated(targets, z.T, H, 9 * np.eye(4), 0.8, [3e-7] * 6, new, settings, ROUNDS, SETTLED)
     after, info = settings.update(state, z, model, 1.0, RNG)
-    after = settings.reduce(after, RNG) if settings.merge_distance else after
-    now, tables = after.present, state.present.offsets
-    assert now.label.tolist()[: len(now.r)] == [t if t >= 0 else now.label[i] for i, (t, *_) in enumerate(wanted)]
-    np.testing.assert_allclose(now.r, [r for _, r, _ in wanted], rtol=1e-9)
+    now, begins = after.present, state.present.targets["begin"]
+    label = now.targets["label"].tolist()
+    assert label == [t if t >= 0 else label[i] for i, (t, *_) in enumerate(wanted)]
+    np.testing.assert_allclose(now.targets["r"], [r for _, r, _ in wanted], rtol=1e-9)
     for k, (t, _, forms) in enumerate(wanted):
         forms = twin.merged(forms, settings.merge_distance) if settings.merge_distance else forms
-        at = slice(now.offsets[k], now.offsets[k + 1])
-        np.testing.assert_allclose(now.weight[at], [x.weight for x in forms], rtol=1e-8)
+        at = slice(now.targets["begin"][k], now.targets["end"][k])
+        np.testing.assert_allclose(now.hypotheses["weight"][at], [x.weight for x in forms], rtol=1e-8)
         np.testing.assert_allclose(now.mean[at], [x.mean for x in forms], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(now.covariance[at], [x.cov for x in forms], rtol=1e-8, atol=1e-8)
-        np.testing.assert_allclose(now.occluded[at], [x.occluded for x in forms], rtol=1e-9)
-        assert now.static[at].tolist() == [x.static for x in forms]
-        assert now.detection[at].tolist() == [x.taken for x in forms]
-        assert now.parent[at].tolist() == [tables[t] + x.source if t >= 0 else -1 for x in forms]
+        np.testing.assert_allclose(now.hypotheses["occluded"][at], [x.occluded for x in forms], rtol=1e-9)
+        assert now.hypotheses["static"][at].tolist() == [x.static for x in forms]
+        assert now.hypotheses["detection"][at].tolist() == [x.taken for x in forms]
+        assert now.hypotheses["parent"][at].tolist() == [begins[t] + x.source if t >= 0 else -1 for x in forms]
     np.testing.assert_allclose(info.clutter_probability, false, rtol=1e-8)
     assert info.mass_predicted == pytest.approx(0.5 * sum(r for r, _ in targets) + info.mass_born)
     assert info.mass == pytest.approx(after.mass)
-
-
-def test_a_step_is_its_three_parts():
-    """Predict, update and reduce in turn give what a step gives, to the bit."""
-    rng, model, filter_ = np.random.default_rng(0), world(clutter=1e-8, birth=1e-8), PMB(merge_distance=1.0)
-    state = filter_.start(model, RNG)
-    for _ in range(15):
-        z = np.vstack([rng.normal([[300], [200]], 40, (2, 7)), rng.normal([[40], [80]], 3, (2, 7))])
-        once, info = filter_.step(state, z, model, 1.0, RNG)
-        predicted = filter_.predict(state, model, 1.0, RNG)
-        updated, learned = filter_.update(predicted, z, model, 1.0, RNG)
-        for a, b in zip(once.present, filter_.reduce(updated, RNG).present, strict=True):
-            np.testing.assert_array_equal(a, b)
-        np.testing.assert_array_equal(info.clutter, learned.clutter)
-        np.testing.assert_array_equal(info.evidence, learned.evidence)
-        state = once
-    assert len(state) > 20

@@ -109,18 +109,19 @@ def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float):
         )
         state, info = filter_.step(state, z, model, dt, RNG)
     now = state.present
-    assert now.r[0] == pytest.approx(1 - nobody, rel=1e-9)
-    assert info.mass == pytest.approx(now.presence[0], rel=1e-12)
-    assert now.presence[0] == pytest.approx(sum(w.weight for w in ways if not w.static), rel=1e-9)
-    keys = list(zip(pasts(state), now.static.tolist(), strict=True))[: now.offsets[1]]
+    assert now.targets["r"][0] == pytest.approx(1 - nobody, rel=1e-9)
+    assert info.mass == pytest.approx(now.targets["presence"][0], rel=1e-12)
+    assert now.targets["presence"][0] == pytest.approx(sum(w.weight for w in ways if not w.static), rel=1e-9)
+    keys = list(zip(pasts(state), now.hypotheses["static"].tolist(), strict=True))[: now.targets["end"][0]]
     assert len(set(keys)) == len(keys)
     # But for what is next to impossible.
     assert set(keys) >= {(w.taken, w.static) for w in ways if w.weight > 1e-100}
     for i, key in enumerate(keys):
         mine = [w for w in ways if (w.taken, w.static) == key]
         weight = sum(w.weight for w in mine)
-        assert now.r[0] * now.weight[i] == pytest.approx(weight, rel=1e-8)
-        assert now.occluded[i] == pytest.approx(sum(w.weight for w in mine if w.hidden) / weight, rel=1e-8, abs=1e-12)
+        assert now.targets["r"][0] * now.hypotheses["weight"][i] == pytest.approx(weight, rel=1e-8)
+        hidden = sum(w.weight for w in mine if w.hidden) / weight
+        assert now.hypotheses["occluded"][i] == pytest.approx(hidden, rel=1e-8, abs=1e-12)
         np.testing.assert_allclose(now.mean[i], mine[0].mean, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(now.covariance[i], mine[0].cov, rtol=1e-8, atol=1e-8)
 
@@ -130,13 +131,13 @@ def test_a_false_alarm_is_as_probable_as_bayes_has_it():
     model = world(clutter=3e-8, birth=2e-8, detection=0.8, survival=0.95)
     state, _ = run(replace(PLAIN, gate_probability=1.0), [boxes((300, 200))], model)
     mean, cov = kalman(model, state.present.mean[0], state.present.covariance[0], None, 1.0)
-    r, q = 0.95 * state.present.r[0], corrected(mean, cov, boxes((303, 204))[:, 0])[2]
+    r, q = 0.95 * state.present.targets["r"][0], corrected(mean, cov, boxes((303, 204))[:, 0])[2]
     its, born, false = r * 0.8 * q, (1 - r * 0.8) * 0.8 * 2e-8, (1 - r * 0.8) * 3e-8
     state, info = replace(PLAIN, gate_probability=1.0).step(state, boxes((303, 204)), model, 1.0, RNG)
     total = its + born + false
     assert info.clutter_probability[0] == pytest.approx(false / total, rel=1e-9)
     assert info.mass_born == pytest.approx(born / total, rel=1e-9)
-    assert state.present.r[1] == pytest.approx(born / total, rel=1e-9)
+    assert state.present.targets["r"][1] == pytest.approx(born / total, rel=1e-9)
 
 
 HISTORIES = {
@@ -164,7 +165,7 @@ def test_several_targets_have_the_probabilities_of_all_histories(name: str, sett
     now, last = state.present, len(scans) - 1
     for i, past in enumerate(pasts(state)):
         taken = tuple((last - len(past) + 1 + k, j) for k, j in enumerate(past) if j >= 0)
-        found[taken] = found.get(taken, 0.0) + np.repeat(now.r, np.diff(now.offsets))[i] * now.weight[i]
+        found[taken] = found.get(taken, 0.0) + now.targets["r"][now.hypotheses["target"][i]] * now.hypotheses["weight"][i]
     assert found.keys() == wanted.keys()
     for key, probability in wanted.items():
         assert found[key] == pytest.approx(probability, rel=1e-8), key
@@ -193,6 +194,6 @@ def test_initial_targets_are_believed_as_given():
     assert filter_.start(model, RNG).mass == pytest.approx(1.4)
     state, _ = filter_.step(filter_.start(model, RNG), boxes(), model, 1.0, RNG)
     r = 0.4
-    np.testing.assert_allclose(state.present.presence, [1, r * 0.1 / (1 - r * 0.9)], rtol=1e-9)
+    np.testing.assert_allclose(state.present.targets["presence"], [1, r * 0.1 / (1 - r * 0.9)], rtol=1e-9)
     state, _ = filter_.step(state, boxes((201, 100), (399, 101)), model, 1.0, RNG)
     assert told(state, model).tag.tolist() == [0, 1]

@@ -17,20 +17,20 @@ boxes = mht_cases.boxes
 def traced(state: Bernoullis, model, min_weight: float, merge_iou: float) -> list[dict[int, tuple]]:
     """Of each frame before the present one, oldest first: by label, where the target was and which detection it had."""
     last = len(state.layers) - 1
-    starts = [(last, int(place)) for place in state.present.best if place >= 0]
-    starts += [(last - state.frame + int(frame), int(place)) for frame, place in state.ended.T]
+    starts = [(last, int(place)) for place in state.present.targets["best"] if place >= 0]
+    starts += [(last - state.frame + int(frame), int(place)) for frame, place in state.ended]
     frames: list[dict[int, tuple]] = [{} for _ in range(last)]
     for frame, place in starts:
         presence = 0.0
         for number in range(frame, -1, -1):
             layer = state.layers[number]
-            target = int(np.searchsorted(layer.offsets, place, side="right")) - 1
-            presence = max(presence, layer.presence[target])
+            target = layer.hypotheses["target"][place]
+            presence = max(presence, layer.targets["presence"][target])
             if number < last and presence >= min_weight:
-                label = int(layer.label[target])
+                label = int(layer.targets["label"][target])
                 assert label not in frames[number]
-                frames[number][label] = (layer.mean[place], int(layer.detection[place]))
-            place = int(layer.parent[place])
+                frames[number][label] = (layer.mean[place], int(layer.hypotheses["detection"][place]))
+            place = int(layer.hypotheses["parent"][place])
             if place < 0:
                 break
     out = []

@@ -85,7 +85,7 @@ def test_the_shadow_tracker_knows_nothing_of_what_was_learned(followed):
     assert found[-1][0].learned.clutter is not None
     plain = steps(stages(scene.info), scene.detections, 1500)
     shadow = found[-1][0].learned.shadow.intensity.present
-    np.testing.assert_array_equal(shadow.r, plain[-1][0].intensity.present.r)
+    np.testing.assert_array_equal(shadow.targets["r"], plain[-1][0].intensity.present.targets["r"])
     np.testing.assert_array_equal(shadow.mean, plain[-1][0].intensity.present.mean)
     assert not np.array_equal(found[-1][1].info.clutter, plain[-1][1].info.clutter)
 

@@ -104,8 +104,6 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, rounds, settled):
                 false[j] += probability * x.static
                 gain = x.cov @ h.T @ np.linalg.inv(h @ x.cov @ h.T + noise)
                 cov = x.cov - gain @ h @ x.cov
-                if x.static:
-                    np.fill_diagonal(cov, np.maximum(np.diag(cov), 0.5 * np.diag(new[j][2])))
                 mean = x.mean + gain @ (z[j] - h @ x.mean)
                 options.append(Hypothesis(probability, mean, cov, x.static, 0.0, j, c))
         after = sum(x.weight for x in options)

@@ -40,8 +40,7 @@ from phdtrack.arrays import GATE, chi2_quantile
 from phdtrack.checks import NonNegative, Positive, PositiveCount, Probability, Share, check
 from phdtrack.errors import InputError
 from phdtrack.kernels.box import apart
-from phdtrack.kernels.pmb import Layer, Settings, merged_layer, predicted_layer, updated_layer
-from phdtrack.kernels.pmb_past import Trace, earlier
+from phdtrack.kernels.pmb import HYPOTHESIS, TARGET, Layer, Settings, Trace, earlier, predicted_layer, updated_layer
 from phdtrack.models.gaussian import Transform, expected, measurements, new_targets, predicted
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, Particles, UpdateInfo
@@ -54,7 +53,7 @@ class Bernoullis:
     Attributes
     ----------
     layers : the targets of the last frames, oldest first.
-    ended : (2, E) frame and hypothesis there of targets that were once confirmed and have been deleted since.
+    ended : (E, 2) frame and hypothesis there of targets that were once confirmed and have been deleted since.
     next_label : the label that the next new target is given.
     frame : number of the last layer: how many frames have been predicted.
     """
@@ -66,7 +65,7 @@ class Bernoullis:
 
     def __len__(self) -> int:
         """Number of hypotheses."""
-        return len(self.present.weight)
+        return len(self.present.hypotheses)
 
     @property
     def present(self) -> Layer:
@@ -76,16 +75,16 @@ class Bernoullis:
     @property
     def mass(self) -> float:
         """The expected number of targets."""
-        return float(self.present.presence.sum())
+        return float(self.present.targets["presence"].sum())
 
     def mixture(self) -> GaussianMixture:
         """The intensity of the targets: hypotheses with the probability that the target exists and is as they say."""
-        now = self.present
-        target = np.repeat(np.arange(len(now.r)), np.diff(now.offsets))
-        weight = np.where(now.static, 0.0, now.r[target] * now.weight)
+        targets, hypotheses, means, cov = self.present
+        target = hypotheses["target"]
+        weight = np.where(hypotheses["static"], 0.0, targets["r"][target] * hypotheses["weight"])
         there = np.flatnonzero(weight > 0)
-        mean = np.ascontiguousarray(now.mean[there].T)
-        return GaussianMixture(weight[there], mean, now.covariance[there], now.label[target[there]], self.next_label)
+        mean = np.ascontiguousarray(means[there].T)
+        return GaussianMixture(weight[there], mean, cov[there], targets["label"][target[there]], self.next_label)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,11 +129,14 @@ class PMB:
         given = self.initial or GaussianMixture(
             np.zeros(0), np.zeros((model.motion.dim, 0)), np.zeros((0, model.motion.dim, model.motion.dim))
         )
-        n, none = len(given), np.full(len(given), -1)
-        r, label, mean = np.minimum(given.weight, 1.0), np.arange(n), np.ascontiguousarray(given.mean.T)
-        cov, static = np.ascontiguousarray(given.covariance), np.zeros(n, np.bool_)
-        layer = Layer(r, label, np.arange(n + 1), np.ones(n), mean, cov, static, np.zeros(n), none, none, label, r, r)
-        return Bernoullis((layer,), np.zeros((2, 0), np.int64), n)
+        n, number = len(given), np.arange(len(given))
+        targets, hypotheses = np.zeros(n, TARGET), np.zeros(n, HYPOTHESIS)
+        targets["r"] = targets["presence"] = targets["max_presence"] = np.minimum(given.weight, 1.0)
+        targets["label"] = targets["begin"] = targets["best"] = hypotheses["target"] = number
+        targets["end"], hypotheses["weight"] = number + 1, 1.0
+        hypotheses["detection"] = hypotheses["parent"] = -1
+        layer = Layer(targets, hypotheses, np.ascontiguousarray(given.mean.T), np.ascontiguousarray(given.covariance))
+        return Bernoullis((layer,), np.zeros((0, 2), np.int64), n)
 
     def predict(self, state: Bernoullis, model: Model, dt: float, rng: np.random.Generator) -> Bernoullis:
         """A further layer: every hypothesis through f, with p_S of its probability; static clutter stays where it is.
@@ -156,12 +158,8 @@ class PMB:
             now = now._replace(mean=np.ascontiguousarray(mean.T), covariance=cov)
         refuse_spawning(model, now.mean, dt, rng)
         moved = predicted(model, now.mean, now.covariance, dt, self.transform)
-        r, weight, mean, cov, occluded, presence = predicted_layer(now, moved, *self._changes(dt / model.rate))
-        count = len(weight)
-        layer = now._replace(
-            r=r, weight=weight, mean=mean, covariance=cov, occluded=occluded, presence=presence,
-            detection=np.full(count, -1), parent=np.arange(count),
-        )  # fmt: skip
+        noise = model.sensor.noise(np.ascontiguousarray(now.mean.T))
+        layer = predicted_layer(now, moved, noise, *self._changes(dt / model.rate))
         return replace(state, layers=(*state.layers[-self.history :], layer), frame=state.frame + 1)
 
     def _changes(self, seconds: float) -> tuple[float, float]:
@@ -190,17 +188,11 @@ class PMB:
         The state, and what was learned: ``evidence`` and ``clutter`` are scaled so that `UpdateInfo.clutter_probability` is
         the probability that a detection is a false alarm, static clutter included.
         """
-        return self._updated(state, z, model, dt, 0.0)
-
-    def _updated(
-        self, state: Bernoullis, z: F8, model: Model, dt: float, merge_distance: float
-    ) -> tuple[Bernoullis, UpdateInfo]:
-        """`update`, with the hypotheses within ``merge_distance`` merged."""
         now = state.present
         seen = measurements(model, z)
         gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
         settings = Settings(
-            self.existence_threshold, self.hypothesis_threshold, float(self.max_hypotheses), merge_distance, gate,
+            self.existence_threshold, self.hypothesis_threshold, float(self.max_hypotheses), self.merge_distance, gate,
             self.static_clutter_prior, self.static_clutter_detection_probability,
         )  # fmt: skip
         past = state.ended, state.frame, self.history
@@ -211,18 +203,20 @@ class PMB:
         info = UpdateInfo(
             learned.mass_predicted, learned.mass_born, learned.mass, learned.evidence, learned.clutter, learned.vanished
         )
-        label = max(state.next_label, int(layer.label[-1]) + 1) if len(layer.label) else state.next_label
+        label = state.next_label
+        if len(layer.targets):
+            label = max(label, int(layer.targets[-1]["label"]) + 1)
         return Bernoullis((*state.layers[:-1], layer), ended, label, state.frame), info
 
     def reduce(self, state: Bernoullis, rng: np.random.Generator) -> Bernoullis:
-        """Hypotheses of one target that have become the same are one."""
-        return replace(state, layers=(*state.layers[:-1], merged_layer(state.present, self.merge_distance)))
+        """The same: hypotheses of one target that have become the same are one since the update."""
+        return state
 
     def step(
         self, state: Bernoullis, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[Bernoullis, UpdateInfo]:
-        """Predict, update and reduce in turn, the last two in one call."""
-        return self._updated(self.predict(state, model, dt, rng), z, model, dt, self.merge_distance)
+        """Predict and update."""
+        return self.update(self.predict(state, model, dt, rng), z, model, dt, rng)
 
 
 def refuse_spawning(model: Model, mean: F8, dt: float, rng: np.random.Generator) -> None:
@@ -254,16 +248,13 @@ class BestBernoullis:
         which the same is reported as a frame ago.
         """
         layers = state.layers
-        now = Trace(layers[-1].best, layers[-1].presence)
-        before = Trace(layers[-2].best, layers[-2].presence) if len(layers) > 1 else now
+        now = _best(layers[-1])
+        before = _best(layers[-2]) if len(layers) > 1 else now
         found = self._estimates(layers[-1], now, model)
         frames: list[Estimates | None] = [None] * (len(layers) - 1)
         for back in range(1, len(layers)):
-            then = layers[-back - 1]
-            now, before, same = earlier(
-                now, before, layers[-back].parent, (then.offsets, then.presence, then.max_r),
-                (state.ended, state.frame - back), back == 1, self.min_weight,
-            )  # fmt: skip
+            after, then, past = layers[-back], layers[-back - 1], (state.ended, state.frame - back)
+            now, before, same = earlier(now, before, after, then, past, back == 1, self.min_weight)
             if same:
                 break
             frames[-back] = self._estimates(then, now, model)
@@ -274,12 +265,16 @@ class BestBernoullis:
         target = np.flatnonzero((trace.place >= 0) & (trace.presence >= self.min_weight))
         at = trace.place[target]
         mean = np.ascontiguousarray(layer.mean[at].T)
-        boxes = model.sensor.boxes(mean)
-        found = Estimates(
-            mean, layer.covariance[at], trace.presence[target], boxes, layer.detection[at], layer.label[target]
-        )
+        boxes, detection = model.sensor.boxes(mean), layer.hypotheses["detection"][at]
+        weight, label = trace.presence[target], layer.targets["label"][target]
+        found = Estimates(mean, layer.covariance[at], weight, boxes, detection, label)
         # Labels rise with the frame in which a target began.
         return without_overlaps(found, self.merge_iou)
+
+
+def _best(layer: Layer) -> Trace:
+    """The best hypothesis and the presence of each target."""
+    return Trace(np.ascontiguousarray(layer.targets["best"]), np.ascontiguousarray(layer.targets["presence"]))
 
 
 def without_overlaps(found: Estimates, merge_iou: float) -> Estimates:

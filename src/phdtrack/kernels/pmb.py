@@ -6,14 +6,13 @@ first detections and κ(z) that of false alarms,
 
     missed            1 − r Σ w_i p_i;  then it exists with probability r Σ w_i (1 − p_i) / (1 − r Σ w_i p_i)
     detected          r w_i p_i q_i(z), by hypothesis i
-    nobody detected   κ(z) + γ̂(z):  a new target with r = γ̂/(κ + γ̂)
+    no earlier target κ(z) + γ̂(z):  a new target with r = γ̂/(κ + γ̂)
 
 The odds of a pair (target, measurement) are ψ = Σ_i r w_i p_i q_i(z) / (missed · (κ + γ̂)). Belief propagation
 (`kernels.marginals`) turns them into the probability of each pair over all one-to-one assignments. A hypothesis after the
 update is a hypothesis before it with a measurement, or with none; r is the sum of the probabilities of all of a target.
 
-Arrays count targets (T), hypotheses (C), measurements (N), births (B) or pairs (P). The hypotheses of target t are
-offsets[t] … offsets[t + 1] − 1, the heaviest first after an update.
+Arrays count targets (T), hypotheses (C), measurements (N) or pairs of a hypothesis and a measurement (P).
 """
 
 from __future__ import annotations
@@ -39,15 +38,29 @@ from phdtrack.kernels.marginals import beliefs
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
-B1 = NDArray[np.bool_]
+Records = NDArray[np.void]
 
 TINY = float(np.finfo(np.float64).tiny)
 # A target that cannot be missed is missed with this probability: impossible, but comparable.
 NEVER = 1e-15
 # Deleted targets whose probability to exist was never as large are not kept for the past.
 CONFIRMED = 0.05
-# How well the place of static clutter can be known, as a share of what a single detection leaves unknown.
+# How well the place of static clutter can be known, as a share of the variances by which the sensor resolves states. Were it
+# known better and better, a target that stands still would be explained by it better and better.
 STATIC_SHARE = 0.5
+
+# A target: the probabilities that it exists, and that it does and is not static clutter (its presence), and the greatest
+# presence that it ever had; its label, rising, from 0, none given twice; its hypotheses begin … end − 1, and the heaviest of
+# them that is not static, −1 where there is none.
+TARGET = np.dtype([(name, "f8") for name in ("r", "presence", "max_presence")] + [
+    (name, "i8") for name in ("label", "begin", "end", "best")
+])  # fmt: skip
+# A hypothesis: its weight, which sum to one for each target; the probability that the target cannot be detected at present;
+# its target; the measurement of the frame that it took, −1 for none; its hypothesis in the frame before, −1 where the target
+# begins; whether it is a source of static clutter: it stays where it is, and is no target.
+HYPOTHESIS = np.dtype([(name, "f8") for name in ("weight", "occluded")] + [
+    (name, "i8") for name in ("target", "detection", "parent", "static")
+])  # fmt: skip
 
 
 class Layer(NamedTuple):
@@ -55,33 +68,15 @@ class Layer(NamedTuple):
 
     Attributes
     ----------
-    r : (T,) probability that the target exists, as itself or as a source of static clutter.
-    label : (T,) its number, rising, from 0, none given twice.
-    offsets : (T + 1,) where its hypotheses begin.
-    weight : (C,) probabilities of the hypotheses, which sum to one for each target.
+    targets : (T,) of `TARGET`, by label.
+    hypotheses : (C,) of `HYPOTHESIS`, by target; the heaviest first after an update.
     mean : (C, d).     covariance : (C, d, d).
-    static : (C,) whether the hypothesis is a source of static clutter: it stays where it is, and is no target.
-    occluded : (C,) probability that the target cannot be detected at present.
-    detection : (C,) measurement of the frame that it took, −1 for none.
-    parent : (C,) its hypothesis in the frame before; −1 where the target begins.
-    best : (T,) the heaviest hypothesis that is not static, −1 where there is none.
-    presence : (T,) probability that the target exists and is not static clutter.
-    max_r : (T,) the greatest presence that it ever had.
     """
 
-    r: F8
-    label: I8
-    offsets: I8
-    weight: F8
+    targets: Records
+    hypotheses: Records
     mean: F8
     covariance: F8
-    static: B1
-    occluded: F8
-    detection: I8
-    parent: I8
-    best: I8
-    presence: F8
-    max_r: F8
 
 
 class Settings(NamedTuple):
@@ -107,52 +102,24 @@ class Summary(NamedTuple):
     clutter: F8
 
 
-class Odds(NamedTuple):
-    """Odds of pairs (target, measurement), of which there are ``edges``.
+class Options(NamedTuple):
+    """What targets may be after an update, those of a target together, the heaviest first.
 
     Attributes
     ----------
-    missed : (T,) probability that the target exists, given that it was missed.
-    part : (P,) what each pair (hypothesis, measurement) adds to the odds of its target.
-    edge : (P,) the pair (target, measurement) that it belongs to.
-    target, measurement, odds : (edges or more,).
+    exists : (T,) probability that the target exists.     count : (T,) how many of its options are kept.
+    source : (K,) the hypothesis before.     taken : (K,) the measurement, −1 for none.     weight : (K,) not normalised.
     """
 
-    missed: F8
-    part: F8
-    edge: I8
-    target: I8
-    measurement: I8
-    odds: F8
-    edges: int
-
-
-class Kept(NamedTuple):
-    """Targets and hypotheses that are kept, in arrays that may be longer.
-
-    Attributes
-    ----------
-    targets, hypotheses : how many there are, T' and K.
-    target : (T',) the target before.     r : (T',).     offsets : (T' + 1,).
-    source : (K,) the hypothesis before.     taken : (K,) the measurement, −1 for none.     weight : (K,).
-    p_new : (N,) probability that a measurement is no earlier target's.
-    pair : (P,) association probability of each pair (hypothesis, measurement).
-    """
-
-    targets: int
-    hypotheses: int
-    target: I8
-    r: F8
-    offsets: I8
+    exists: F8
+    count: I8
     source: I8
     taken: I8
     weight: F8
-    p_new: F8
-    pair: F8
 
 
 @njit(**INNER)
-def copy_state(mean: F8, covariance: F8, i: int, out_mean: F8, out_covariance: F8, k: int) -> None:
+def copy_gaussian(mean: F8, covariance: F8, i: int, out_mean: F8, out_covariance: F8, k: int) -> None:
     """Copy Gaussian i to place k. In loops: an assignment of rows would compile Numba's code for its error messages."""
     for a in range(mean.shape[1]):
         out_mean[k, a] = mean[i, a]
@@ -161,293 +128,223 @@ def copy_state(mean: F8, covariance: F8, i: int, out_mean: F8, out_covariance: F
 
 
 @njit(**ENTRY)
-def predicted_layer(layer: Layer, p: Predicted, occlude: float, reappear: float) -> tuple[F8, F8, F8, F8, F8, F8]:
-    """r, weights, means, covariances, occlusion probabilities and presences of the targets after an interval.
+def predicted_layer(layer: Layer, p: Predicted, noise: F8, occlude: float, reappear: float) -> Layer:
+    """The targets after an interval; static clutter stays where it is.
 
     Parameters
     ----------
     layer : the targets before.
     p : their hypotheses after the motion.
+    noise : (d, C) deviations by which the sensor resolves them, `Sensor.noise`.
     occlude, reappear : probabilities that a visible target is occluded after the interval, and an occluded one visible.
     """
-    offsets, before, covariance, static, p_survive = layer.offsets, layer.mean, layer.covariance, layer.static, p.p_survive
-    r, weight, presence = layer.r.copy(), layer.weight.copy(), np.zeros(layer.r.size)
-    mean, cov, occluded = p.mean.copy(), p.covariance.copy(), layer.occluded.copy()
-    for t in range(r.size):
-        stay = 0.0
-        for c in range(offsets[t], offsets[t + 1]):
-            stay += weight[c] * p_survive[c]
-        r[t] *= stay
-        for c in range(offsets[t], offsets[t + 1]):
+    targets, hypotheses = layer.targets.copy(), layer.hypotheses.copy()
+    mean, cov, p_survive = p.mean.copy(), p.covariance.copy(), p.p_survive
+    for t in range(targets.size):
+        target = targets[t]
+        stay = presence = 0.0
+        for c in range(target.begin, target.end):
+            stay += hypotheses[c].weight * p_survive[c]
+        target.r *= stay
+        for c in range(target.begin, target.end):
+            h = hypotheses[c]
+            h.parent, h.detection = c, -1
             if stay > 0.0:
-                weight[c] *= p_survive[c] / stay
-            if static[c]:
-                copy_state(before, covariance, c, mean, cov, c)
+                h.weight *= p_survive[c] / stay
+            if h.static:
+                copy_gaussian(layer.mean, layer.covariance, c, mean, cov, c)
+                for a in range(mean.shape[1]):
+                    cov[c, a, a] = max(cov[c, a, a], STATIC_SHARE * noise[a, c] * noise[a, c])
             else:
-                occluded[c] = occluded[c] * (1.0 - reappear) + (1.0 - occluded[c]) * occlude
-                presence[t] += r[t] * weight[c]
-    return r, weight, mean, cov, occluded, presence
+                h.occluded = h.occluded * (1.0 - reappear) + (1.0 - h.occluded) * occlude
+                presence += target.r * h.weight
+        target.presence = presence
+    return Layer(targets, hypotheses, mean, cov)
 
 
 @njit(**INNER)
-def odds_of(r: F8, offsets: I8, weight: F8, p_detect: F8, pairs: Pairs, alone: F8) -> Odds:
-    """How much likelier each target's detection by each measurement is than that it was missed.
+def associated(layer: Layer, p_detect: F8, pairs: Pairs, alone: F8, evidence: F8) -> tuple[F8, F8, F8]:
+    """(P,) probability of each pair; (T,) that a target exists and was missed; (N,) that a measurement is no target's.
 
-    ``r``, ``offsets``, ``weight`` as in `Layer`, ``p_detect`` (C,) of hypotheses, ``alone`` (N,) κ + γ̂.
+    ``p_detect`` (C,) of hypotheses, ``alone`` (N,) κ + γ̂. Adds Σ r w p q to ``evidence`` (N,).
     """
-    gaussian, measurement, log_density = pairs.gaussian, pairs.measurement, pairs.log_density
-    count = gaussian.size
-    missed, part, odds, edge = np.empty(r.size), np.empty(count), np.zeros(count), np.empty(count, np.int64)
-    target, column, place = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(alone.size, np.int64)
+    targets, hypotheses, gaussian, measurement = layer.targets, layer.hypotheses, pairs.gaussian, pairs.measurement
+    count, log_density = gaussian.size, pairs.log_density
+    part, odds, missed = np.empty(count), np.empty(count), np.empty(targets.size)
+    edge, first, second = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
+    place = np.empty(alone.size, np.int64)
     for j in range(place.size):
         place[j] = -1
     # A literal zero is a type of its own.
-    found, q = 0 * count, 0 * count
-    for t in range(r.size):
-        detected, begun = 0.0, found
-        for c in range(offsets[t], offsets[t + 1]):
-            detected += weight[c] * p_detect[c]
-        miss = max(1.0 - r[t] * detected, NEVER)
-        missed[t] = min(max(r[t] * (1.0 - detected), 0.0) / miss, 1.0)
-        while q < count and gaussian[q] < offsets[t + 1]:
+    edges, q = 0 * count, 0 * count
+    for t in range(targets.size):
+        target, detected, begun = targets[t], 0.0, edges
+        for c in range(target.begin, target.end):
+            detected += hypotheses[c].weight * p_detect[c]
+        miss = max(1.0 - target.r * detected, NEVER)
+        missed[t] = min(max(target.r * (1.0 - detected), 0.0) / miss, 1.0)
+        while q < count and gaussian[q] < target.end:
             c, j = gaussian[q], measurement[q]
+            joint = target.r * hypotheses[c].weight * p_detect[c] * np.exp(log_density[q])
+            evidence[j] += joint
             if place[j] < begun:
-                place[j], target[found], column[found] = found, t, j
-                found += 1
-            edge[q] = place[j]
-            part[q] = r[t] * weight[c] * p_detect[c] * np.exp(log_density[q]) / (miss * alone[j])
-            odds[edge[q]] += part[q]
+                place[j], first[edges], second[edges], odds[edges] = edges, t, j, 0.0
+                edges += 1
+            part[q], edge[q] = joint / (miss * alone[j]), place[j]
+            odds[place[j]] += part[q]
             q += 1
-    return Odds(missed, part, edge, target, column, odds, found)
+    belief, nothing, p_new = beliefs(odds, first, second, edges, targets.size, alone.size)
+    for t in range(targets.size):
+        missed[t] *= nothing[t]
+    for q in range(count):
+        if odds[edge[q]] > 0.0:
+            part[q] = belief[edge[q]] * part[q] / odds[edge[q]]
+    return part, missed, p_new
 
 
 @njit(**INNER)
-def kept_hypotheses(r: F8, offsets: I8, weight: F8, p_detect: F8, pairs: Pairs, alone: F8, s: Settings) -> Kept:
-    """Targets and hypotheses after the measurements, without those below the thresholds, heaviest hypotheses first.
+def options_kept(layer: Layer, p_detect: F8, pairs: Pairs, probability: F8, missed: F8, s: Settings) -> Options:
+    """The options of each target that are above the thresholds; none of targets that are deleted.
 
-    ``r``, ``offsets``, ``weight`` as in `Layer`, ``p_detect`` (C,) of hypotheses, ``alone`` (N,) κ + γ̂.
+    ``p_detect`` (C,) of hypotheses, ``probability`` (P,) and ``missed`` (T,) as of `associated`.
     """
-    missed, part, edge, target, column, odds, edges = odds_of(r, offsets, weight, p_detect, pairs, alone)
-    belief, nothing, p_new = beliefs(odds, target, column, edges, r.size, alone.size)
-    gaussian, measurement = pairs.gaussian, pairs.measurement
-    least, share, most = s.existence_threshold, s.hypothesis_threshold, int(s.max_hypotheses)
-    count, room = gaussian.size, weight.size + gaussian.size
-    pair, before, r_kept = np.zeros(count), np.empty(r.size, np.int64), np.empty(r.size)
-    begins, source, taken = np.zeros(r.size + 1, np.int64), np.empty(room, np.int64), np.empty(room, np.int64)
-    heavy, option, value = np.empty(room), np.empty(room, np.int64), np.empty(room)
-    used, k, q = 0 * count, 0 * count, 0 * count
-    for t in range(r.size):
-        unseen, alive, options = 0.0, nothing[t] * missed[t], 0 * count
-        exists = alive
-        while q < count and gaussian[q] < offsets[t + 1]:
-            if odds[edge[q]] > 0.0:
-                pair[q] = belief[edge[q]] * part[q] / odds[edge[q]]
-            option[options], value[options] = q, pair[q]
-            exists += pair[q]
-            options, q = options + 1, q + 1
-        for c in range(offsets[t], offsets[t + 1]):
-            unseen += weight[c] * (1.0 - p_detect[c])
-        for c in range(offsets[t], offsets[t + 1]):
-            option[options] = -1 - c
-            value[options] = alive * weight[c] * (1.0 - p_detect[c]) / unseen if unseen > 0.0 else 0.0
-            options += 1
+    targets, hypotheses, gaussian, measurement = layer.targets, layer.hypotheses, pairs.gaussian, pairs.measurement
+    exists, count, room = np.empty(targets.size), np.empty(targets.size, np.int64), hypotheses.size + gaussian.size
+    source, taken, weight = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
+    q, k = 0 * room, 0 * room
+    for t in range(targets.size):
+        target, first, end, total, unseen = targets[t], k, k, missed[t], 0.0
+        begun = q
+        for c in range(target.begin, target.end):
+            unseen += hypotheses[c].weight * (1.0 - p_detect[c])
+        while q < gaussian.size and gaussian[q] < target.end:
+            total, q = total + probability[q], q + 1
+        # First those with a measurement, then those without, each sorted in, the heaviest first.
+        for o in range(q - begun + target.end - target.begin):
+            i, j, value, place = begun + o, -1, 0.0, end
+            if i < q:
+                i, j, value = gaussian[i], measurement[i], probability[i]
+            else:
+                i += target.begin - q
+                if unseen > 0.0:
+                    value = missed[t] * hypotheses[i].weight * (1.0 - p_detect[i]) / unseen
+            while place > k and weight[place - 1] < value:
+                source[place], taken[place], weight[place] = source[place - 1], taken[place - 1], weight[place - 1]
+                place -= 1
+            source[place], taken[place], weight[place] = i, j, value
+            end += 1
+        exists[t], least = min(total, 1.0), s.hypothesis_threshold * total
         # A target whose probability has just risen may have begun, however rare births are beside false alarms.
-        if exists < least and not exists > r[t]:
-            continue
-        # The heaviest in turn: there are few.
-        total, first = 0.0, k
-        while k - first < most:
-            best = 0 * count
-            for o in range(1, options):
-                if value[o] > value[best]:
-                    best = o
-            if not value[best] > 0.0 or value[best] < share * exists:
-                break
-            o = option[best]
-            heavy[k], total = value[best], total + value[best]
-            source[k], taken[k] = (-1 - o, -1) if o < 0 else (gaussian[o], measurement[o])
-            value[best] = -1.0
-            k += 1
-        if k == first:
-            continue
-        for i in range(first, k):
-            heavy[i] /= total
-        before[used], r_kept[used] = t, min(exists, 1.0)
-        used += 1
-        begins[used] = k
-    return Kept(used, k, before, r_kept, begins, source, taken, heavy, p_new, pair)
+        if total >= s.existence_threshold or total > target.r:
+            while k < end and k - first < s.max_hypotheses and weight[k] > 0.0 and weight[k] >= least:
+                k += 1
+        count[t] = k - first
+    return Options(exists, count, source[:k], taken[:k], weight[:k])
 
 
 @njit(**INNER)
-def write_kept(layer: Layer, e: Expected, m: Measurements, first: F8, p_detect: F8, kept: Kept, out: Layer) -> None:
-    """Write the kept hypotheses into the first places of ``out``; ``first`` (N, d, d) are covariances of new targets."""
-    mean, covariance, static, occluded, parent = layer.mean, layer.covariance, layer.static, layer.occluded, layer.parent
-    out_mean, out_cov, out_static, out_occluded = out.mean, out.covariance, out.static, out.occluded
-    out_weight, out_detection, out_parent = out.weight, out.detection, out.parent
-    source, taken, weight = kept.source, kept.taken, kept.weight
-    write_posteriors(mean, covariance, e, m, source[: kept.hypotheses], taken[: kept.hypotheses], out_mean, out_cov, 0)
-    for k in range(kept.hypotheses):
-        i, j = source[k], taken[k]
-        out_weight[k], out_static[k], out_detection[k], out_parent[k] = weight[k], static[i], j, parent[i]
-        out_occluded[k] = 0.0 if j >= 0 or static[i] else min(occluded[i] / max(1.0 - p_detect[i], TINY), 1.0)
-        if j < 0:
-            copy_state(mean, covariance, i, out_mean, out_cov, k)
-            continue
-        if static[i]:
-            # Were its place known better and better, a target that stands still would be explained by it better and better.
-            for a in range(mean.shape[1]):
-                out_cov[k, a, a] = max(out_cov[k, a, a], STATIC_SHARE * first[j, a, a])
+def heavier_like(hypotheses: Records, mean: F8, cov: F8, begin: int, k: int, limit: float) -> int:
+    """The first of the hypotheses begin … k − 1 of the kind of k and within √``limit`` of its own deviations; k for none."""
+    for i in range(begin, k):
+        distance2 = 0.0
+        for a in range(mean.shape[1]):
+            step = mean[i, a] - mean[k, a]
+            distance2 += step * step / max(cov[i, a, a], 1e-12)
+        if hypotheses[i].static == hypotheses[k].static and distance2 < limit:
+            return i
+    return k
 
 
 @njit(**INNER)
-def room_for(targets: int, hypotheses: int, d: int) -> Layer:
-    """A layer to be filled in."""
-    return Layer(
-        np.empty(targets), np.empty(targets, np.int64), np.zeros(targets + 1, np.int64), np.empty(hypotheses),
-        np.empty((hypotheses, d)), np.empty((hypotheses, d, d)), np.empty(hypotheses, np.bool_), np.zeros(hypotheses),
-        np.empty(hypotheses, np.int64), np.empty(hypotheses, np.int64), np.empty(targets, np.int64), np.empty(targets),
-        np.zeros(targets),
-    )  # fmt: skip
+def write_kept(layer: Layer, p_detect: F8, options: Options, limit: float, out: Layer) -> tuple[int, int]:
+    """Write the targets that are kept into the first places of ``out``; how many targets and hypotheses there are.
+
+    ``out`` has the Gaussians of the options with a measurement. Hypotheses within √``limit`` deviations of a heavier one are
+    counted as that one. ``p_detect`` (C,) of hypotheses.
+    """
+    hypotheses, mean, cov, old = out.hypotheses, out.mean, out.covariance, layer.hypotheses
+    count, source, taken, weight = options.count, options.source, options.taken, options.weight
+    number, k, end = 0 * count.size, 0 * count.size, 0 * count.size
+    for t in range(count.size):
+        total, begin, option, end = 0.0, k, end, end + count[t]
+        for i in range(option, end):
+            total += weight[i]
+        for i in range(option, end):
+            c, j, h = source[i], taken[i], hypotheses[k]
+            h.static, h.parent, h.detection, h.target, h.occluded = old[c].static, old[c].parent, j, number, 0.0
+            if j < 0:
+                copy_gaussian(layer.mean, layer.covariance, c, mean, cov, k)
+                if not h.static:
+                    h.occluded = min(old[c].occluded / max(1.0 - p_detect[c], TINY), 1.0)
+            elif k < i:
+                copy_gaussian(mean, cov, i, mean, cov, k)
+            heavier = heavier_like(hypotheses, mean, cov, begin, k, limit)
+            if heavier < k:
+                hypotheses[heavier].weight += weight[i] / total
+            else:
+                h.weight = weight[i] / total
+                k += 1
+        if k > begin:
+            before = layer.targets[t]
+            write_target(out, number, before.label, options.exists[t], before.max_presence, begin, k)
+            number += 1
+    return number, k
 
 
 @njit(**INNER)
-def write_new(r_new: F8, new: NewTargets, prior: float, fresh: int, first: tuple[int, int], out: Layer) -> None:
-    """Write the new targets, of r above 0, and their hypotheses from the ``first`` places of ``out`` on.
+def write_target(out: Layer, t: int, label: int, r: float, max_presence: float, begin: int, end: int) -> None:
+    """Write target t, whose hypotheses are written, to ``out``; ``max_presence`` is the greatest before."""
+    target, total, best = out.targets[t], 0.0, -1
+    for c in range(begin, end):
+        h = out.hypotheses[c]
+        if not h.static:
+            total += h.weight
+            if best < 0 or h.weight > out.hypotheses[best].weight:
+                best = c
+    target.label, target.r, target.begin, target.end, target.best = label, r, begin, end, best
+    target.presence, target.max_presence = r * total, max(max_presence, r * total)
+
+
+@njit(**INNER)
+def write_new(r_new: F8, new: NewTargets, prior: float, fresh: int, t: int, k: int, out: Layer) -> int:
+    """Write the new targets, of r above 0, from places t and k of ``out`` on; how many hypotheses there are then.
 
     They come in the order of the measurements and are labelled from ``fresh`` on; ``prior`` is that of static clutter.
     """
-    new_mean, new_cov, kinds = new.mean, new.covariance, 2 if prior > 0.0 else 1
-    r, label, offsets, weight, mean, cov = out.r, out.label, out.offsets, out.weight, out.mean, out.covariance
-    static, detection, parent = out.static, out.detection, out.parent
-    t, k = first
     for j in range(r_new.size):
         if r_new[j] > 0.0:
-            r[t], label[t], offsets[t + 1] = r_new[j], fresh, k + kinds
-            for kind in range(kinds):
-                weight[k] = prior if kind == 1 else 1.0 - prior
-                copy_state(new_mean, new_cov, j, mean, cov, k)
-                static[k], detection[k], parent[k] = kind == 1, j, -1
+            begin = k
+            for kind in range(2 if prior > 0.0 else 1):
+                h = out.hypotheses[k]
+                h.weight, h.static, h.occluded = prior if kind == 1 else 1.0 - prior, kind == 1, 0.0
+                h.target, h.detection, h.parent = t, j, -1
+                copy_gaussian(new.mean, new.covariance, j, out.mean, out.covariance, k)
                 k += 1
+            write_target(out, t, fresh, r_new[j], 0.0, begin, k)
             t, fresh = t + 1, fresh + 1
+    return k
 
 
 @njit(**INNER)
-def find_best(layer: Layer) -> float:
-    """The mass; writes each target's best hypothesis, its presence and the greatest ever."""
-    r, offsets, weight, static = layer.r, layer.offsets, layer.weight, layer.static
-    best, presence, max_r, mass = layer.best, layer.presence, layer.max_r, 0.0
-    for t in range(r.size):
-        total, best[t] = 0.0, -1
-        for c in range(offsets[t], offsets[t + 1]):
-            if not static[c]:
-                total += weight[c]
-                if best[t] < 0 or weight[c] > weight[best[t]]:
-                    best[t] = c
-        presence[t] = r[t] * total
-        max_r[t] = max(max_r[t], presence[t])
-        mass += presence[t]
-    return mass
+def still_ended(layer: Layer, count: I8, past: tuple[I8, int, int]) -> I8:
+    """(E, 2) frame and hypothesis of targets that were once confirmed and have been deleted within the history.
 
-
-@njit(**INNER)
-def merged(layer: Layer, limit: float) -> Layer:
-    """The targets, with hypotheses counted as a heavier one of their target and kind that is within √limit deviations."""
-    old_offsets, mean, cov, static = layer.offsets, layer.mean, layer.covariance, layer.static
-    kept, weight = np.empty(static.size, np.int64), layer.weight.copy()
-    offsets, k, d = old_offsets.copy(), 0 * static.size, mean.shape[1]
-    for t in range(old_offsets.size - 1):
-        begun = k
-        for c in range(old_offsets[t], old_offsets[t + 1]):
-            same = False
-            for i in range(begun, k):
-                heavier, distance2 = kept[i], 0.0
-                for a in range(d):
-                    step = mean[heavier, a] - mean[c, a]
-                    distance2 += step * step / max(cov[heavier, a, a], 1e-12)
-                same = static[heavier] == static[c] and distance2 < limit
-                if same:
-                    weight[heavier] += weight[c]
-                    break
-            if not same:
-                kept[k] = c
-                k += 1
-        offsets[t + 1] = k
-    if k == static.size:
-        return layer
-    out: Layer = room_for(old_offsets.size - 1, k, d)
-    r, label, out_offsets, max_r = out.r, out.label, out.offsets, out.max_r
-    old_r, old_label, old_max = layer.r, layer.label, layer.max_r
-    for t in range(r.size):
-        r[t], label[t], out_offsets[t + 1], max_r[t] = old_r[t], old_label[t], offsets[t + 1], old_max[t]
-    out_weight, out_mean, out_cov, out_static = out.weight, out.mean, out.covariance, out.static
-    out_occluded, out_detection, out_parent = out.occluded, out.detection, out.parent
-    occluded, detection, parent = layer.occluded, layer.detection, layer.parent
-    for i in range(k):
-        c = kept[i]
-        copy_state(mean, cov, c, out_mean, out_cov, i)
-        out_weight[i], out_static[i], out_occluded[i] = weight[c], static[c], occluded[c]
-        out_detection[i], out_parent[i] = detection[c], parent[c]
-    find_best(out)
-    return out
-
-
-@njit(**ENTRY)
-def merged_layer(layer: Layer, merge_distance: float) -> Layer:
-    """`merged`, to be called from Python; ``merge_distance`` in deviations."""
-    out: Layer = merged(layer, merge_distance * merge_distance)
-    return out
-
-
-@njit(**INNER)
-def summary(
-    layer: Layer, p_detect: F8, pairs: Pairs, kept: Kept, clutter: F8, density: F8, prior: float
-) -> tuple[float, float, int, F8, F8]:
-    """Masses predicted and born, measurements with κ + C = 0, C(z), κ(z); ``density`` is γ̂, ``prior`` of static clutter."""
-    r, offsets, weight, static, presence = layer.r, layer.offsets, layer.weight, layer.static, layer.presence
-    gaussian, measurement, log_density = pairs.gaussian, pairs.measurement, pairs.log_density
-    p_new, association = kept.p_new, kept.pair
-    born, vanished, total, false = 0.0, 0 * clutter.size, np.empty(clutter.size), np.empty(clutter.size)
-    for j in range(clutter.size):
-        total[j] = clutter[j] + density[j]
-        p_target = p_new[j] * density[j] / max(total[j], TINY)
-        born += p_target * (1.0 - prior)
-        false[j] = p_new[j] * clutter[j] / max(total[j], TINY) + p_target * prior
-    predicted, q = born, 0 * clutter.size
-    for t in range(r.size):
-        predicted += presence[t]
-        while q < gaussian.size and gaussian[q] < offsets[t + 1]:
-            i, j = gaussian[q], measurement[q]
-            total[j] += r[t] * weight[i] * p_detect[i] * np.exp(log_density[q])
-            if static[i]:
-                false[j] += association[q]
-            q += 1
-    for j in range(clutter.size):
-        vanished += total[j] == 0.0
-        false[j] *= total[j]
-        total[j] -= false[j]
-    return predicted, born, vanished, total, false
-
-
-@njit(**INNER)
-def still_ended(layer: Layer, targets: int, target: I8, past: tuple[I8, int, int]) -> I8:
-    """(2, E) frame and hypothesis of targets that were once confirmed and have been deleted within the history.
-
-    ``target`` are those that are kept, of which there are ``targets``.
+    ``count`` (T,) is how many hypotheses are kept of each target.
     """
     ended, frame, history = past
-    max_r, best, parent = layer.max_r, layer.best, layer.parent
-    out, k, t = np.empty((2, ended.shape[1] + best.size), np.int64), 0 * frame, 0 * frame
-    for e in range(ended.shape[1]):
-        if frame - ended[0, e] <= history:
-            out[0, k], out[1, k] = ended[0, e], ended[1, e]
+    out, k = np.empty((len(ended) + count.size, 2), np.int64), 0 * frame
+    for e in range(len(ended)):
+        if frame - ended[e, 0] <= history:
+            out[k, 0], out[k, 1] = ended[e, 0], ended[e, 1]
             k += 1
-    for i in range(best.size):
-        if t < targets and target[t] == i:
-            t += 1
-        elif max_r[i] >= CONFIRMED and best[i] >= 0 and parent[best[i]] >= 0:
-            out[0, k], out[1, k] = frame - 1, parent[best[i]]
-            k += 1
-    return out[:, :k].copy()
+    for t in range(count.size):
+        target = layer.targets[t]
+        if count[t] == 0 and target.max_presence >= CONFIRMED and target.best >= 0:
+            parent = layer.hypotheses[target.best].parent
+            if parent >= 0:
+                out[k, 0], out[k, 1] = frame - 1, parent
+                k += 1
+    return out[:k]
 
 
 @njit(**ENTRY)
@@ -462,35 +359,102 @@ def updated_layer(
     e : what their hypotheses say of measurements.
     m : the measurements and κ.
     new : what targets are whose first detections these measurements are.
-    s : settings.
+    s : settings; hypotheses of a target that become the same are one.
     fresh : the label that the next new target is given.
-    past : (2, E) frame and hypothesis of targets that have ended, the number of this frame, and how many frames are kept.
+    past : (E, 2) frame and hypothesis of targets that have ended, the number of this frame, and how many frames are kept.
     """
-    static, occluded, seen, clutter, density = layer.static, layer.occluded, e.p_detect, m.clutter, new.density
-    p_detect, alone, r_new = np.empty(static.size), np.empty(density.size), np.empty(density.size)
+    hypotheses, clutter, density, prior = layer.hypotheses, m.clutter, new.density, s.static_clutter_prior
+    n = density.size
+    p_detect, alone, evidence, false, r_new = np.empty(hypotheses.size), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for c in range(p_detect.size):
-        p_detect[c] = s.static_detection_probability if static[c] else (1.0 - occluded[c]) * seen[c]
-    for j in range(alone.size):
-        alone[j] = max(clutter[j] + density[j], TINY)
+        h = hypotheses[c]
+        p_detect[c] = s.static_detection_probability if h.static else (1.0 - h.occluded) * e.p_detect[c]
+    for j in range(n):
+        evidence[j] = clutter[j] + density[j]
+        alone[j] = max(evidence[j], TINY)
     pairs = gated(e, m, places_of(m), s.gate, p_detect)
-    kept = kept_hypotheses(layer.r, layer.offsets, layer.weight, p_detect, pairs, alone, s)
-    prior, p_new, started = s.static_clutter_prior, kept.p_new, 0 * fresh
-    for j in range(alone.size):
+    probability, missed, p_new = associated(layer, p_detect, pairs, alone, evidence)
+    options = options_kept(layer, p_detect, pairs, probability, missed, s)
+    born, started, vanished, predicted, mass = 0.0, 0 * fresh, 0 * fresh, 0.0, 0.0
+    for j in range(n):
         p_target = density[j] / alone[j]
         r_new[j] = p_new[j] * p_target
+        born += p_new[j] * density[j] / alone[j] * (1.0 - prior)
+        false[j] = p_new[j] * clutter[j] / alone[j] + p_new[j] * density[j] / alone[j] * prior
         if r_new[j] < min(s.existence_threshold, 0.5 * p_target):
             r_new[j] = 0.0
         started += r_new[j] > 0.0
-    targets, hypotheses = kept.targets, kept.hypotheses
-    out = room_for(targets + started, hypotheses + (2 if prior > 0.0 else 1) * started, layer.mean.shape[1])
-    r, label, offsets, max_r = out.r, out.label, out.offsets, out.max_r
-    target, r_kept, begins, old_label, old_max = kept.target, kept.r, kept.offsets, layer.label, layer.max_r
-    for t in range(targets):
-        r[t], label[t], offsets[t + 1], max_r[t] = r_kept[t], old_label[target[t]], begins[t + 1], old_max[target[t]]
-    write_kept(layer, e, m, new.covariance, p_detect, kept, out)
-    write_new(r_new, new, prior, fresh, (targets, hypotheses), out)
-    mass = find_best(out)
-    predicted, born, vanished, evidence, false = summary(layer, p_detect, pairs, kept, clutter, density, prior)
-    if s.merge_distance > 0.0:
-        out = merged(out, s.merge_distance * s.merge_distance)
-    return out, Summary(predicted, born, mass, vanished, evidence, false), still_ended(layer, targets, target, past)
+    room, d = options.source.size + 2 * started, layer.mean.shape[1]
+    mean, cov = np.empty((room, d)), np.empty((room, d, d))
+    write_posteriors(layer.mean, layer.covariance, e, m, options.source, options.taken, mean, cov, 0)
+    out = Layer(np.empty(layer.targets.size + started, TARGET), np.empty(room, HYPOTHESIS), mean, cov)
+    t, k = write_kept(layer, p_detect, options, s.merge_distance * s.merge_distance, out)
+    k = write_new(r_new, new, prior, fresh, t, k, out)
+    out = Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k])
+    for q in range(probability.size):
+        if hypotheses[pairs.gaussian[q]].static:
+            false[pairs.measurement[q]] += probability[q]
+    for j in range(n):
+        vanished += evidence[j] == 0.0
+        false[j] *= evidence[j]
+        evidence[j] -= false[j]
+    for i in range(layer.targets.size):
+        predicted += layer.targets[i].presence
+    for i in range(out.targets.size):
+        mass += out.targets[i].presence
+    info = Summary(born + predicted, born, mass, vanished, evidence, false)
+    return out, info, still_ended(layer, options.count, past)
+
+
+class Trace(NamedTuple):
+    """Which hypothesis of a frame leads to the one that is best today, for each of its targets: ``place`` (T,), −1 for none,
+    and ``presence`` (T,), the greatest from that frame on."""
+
+    place: I8
+    presence: F8
+
+
+@njit(**INNER)
+def followed_back(trace: Trace, after: Records, then: Layer, ended: I8, frame: int) -> Trace:
+    """The trace a frame earlier, with the targets that ended after it."""
+    targets, hypotheses = then.targets, then.hypotheses
+    place, presence = np.empty(targets.size, np.int64), np.empty(targets.size)
+    for t in range(place.size):
+        place[t], presence[t] = -1, targets[t].presence
+    for i in range(trace.place.size):
+        p = after[trace.place[i]].parent if trace.place[i] >= 0 else -1
+        if p >= 0:
+            t = hypotheses[p].target
+            place[t], presence[t] = p, max(trace.presence[i], presence[t])
+    for e in range(len(ended)):
+        if ended[e, 0] == frame:
+            place[hypotheses[ended[e, 1]].target] = ended[e, 1]
+    return Trace(place, presence)
+
+
+@njit(**ENTRY)
+def earlier(
+    now: Trace, before: Trace, after: Layer, then: Layer, past: tuple[I8, int], present: bool, min_weight: float
+) -> tuple[Trace, Trace, bool]:
+    """The traces a frame earlier, as seen now and as seen a frame ago, and whether both report the same up to there.
+
+    Parameters
+    ----------
+    now, before : traces of the frame after it.
+    after, then : the targets of the frame after it, and of the frame.
+    past : (E, 2) frame and hypothesis of targets that have ended, and the number of the frame.
+    present : the frame after it is the present one: ``before`` is given of the frame itself.
+    min_weight : presence from which a target is reported. Both report the same where all targets that are reported, or
+        may be in an earlier frame, have the same hypotheses and are reported in both or in none: their pasts are the same.
+    """
+    ended, frame = past
+    now = followed_back(now, after.hypotheses, then, ended, frame)
+    if not present:
+        before = followed_back(before, after.hypotheses, then, ended, frame)
+    for t in range(now.place.size):
+        seen, was_seen, ever = now.presence[t] >= min_weight, before.presence[t] >= min_weight, then.targets[t].max_presence
+        one = now.place[t] >= 0 and (seen or ever >= min_weight)
+        other = before.place[t] >= 0 and (was_seen or ever >= min_weight)
+        if one != other or (one and (now.place[t] != before.place[t] or seen != was_seen)):
+            return now, before, False
+    return now, before, True
