@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from phdtrack import config
-from phdtrack.checks import bounds
 from phdtrack.config.kinds import SECTIONS, record
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, bounds
 from phdtrack.types import SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0)

@@ -100,7 +100,7 @@ def test_the_state_before_the_first_frame_can_be_saved(scene):
 
 
 def test_the_state_of_an_earlier_version_is_told():
-    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 7"):
+    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 8"):
         tracker_of().load_state_dict(tracker_of().state_dict() | {"format": 1})
 
 

@@ -1,12 +1,36 @@
-"""Errors that a user can mend.
+"""Errors that a user can mend, and bounds on settings that raise them.
 
 Every message says what was expected, what came, where (file, line, frame or option) and the likely cure, in one or two
 sentences. The command line prints it without a traceback and exits with status 2.
+
+Bounds are stated once, in the annotation of a field, and checked wherever a record of settings is made:
+
+    @dataclass(frozen=True)
+    class Sensor:
+        detection: Probability = 0.95
+
+        def __post_init__(self) -> None:
+            check(self)
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import fields
+from numbers import Real
 from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+from annotated_types import Ge, Gt, Le, Lt
+
+Probability = Annotated[float, Ge(0), Le(1)]
+Share = Annotated[float, Gt(0), Le(1)]
+Positive = Annotated[float, Gt(0)]
+NonNegative = Annotated[float, Ge(0)]
+Count = Annotated[int, Ge(0)]
+PositiveCount = Annotated[int, Ge(1)]
+
+_TESTS = {Ge: ("at least", "ge"), Gt: ("above", "gt"), Le: ("at most", "le"), Lt: ("below", "lt")}
 
 
 class InputError(ValueError):
@@ -33,3 +57,32 @@ def interrupted(error: BaseException) -> bool:
             return True
         seen = seen.__cause__ or seen.__context__
     return False
+
+
+def bounds(kind: type[Any]) -> tuple[tuple[str, tuple[Any, ...]], ...]:
+    """Pairs (field, its bounds) of a dataclass whose annotations state any."""
+    hints = get_type_hints(kind, include_extras=True)
+    found = []
+    for field in fields(kind):
+        hint = hints[field.name]
+        if get_origin(hint) is Annotated:
+            found.append((field.name, get_args(hint)[1:]))
+    return tuple(found)
+
+
+def check(settings: Any) -> None:
+    """Raise `InputError` where a field of the dataclass ``settings`` breaks its annotation's bounds or is not finite."""
+    kind: type[Any] = type(settings)
+    for name, limits in bounds(kind):
+        value = getattr(settings, name)
+        where = f"{type(settings).__name__}.{name}"
+        if isinstance(value, bool) or not isinstance(value, Real):
+            raise InputError(f"expected a number, got {value!r}", where=where)
+        if not math.isfinite(value):
+            raise InputError(f"expected a number that is finite, got {value:g}", where=where)
+        for limit in limits:
+            words, attribute = _TESTS[type(limit)]
+            bound = getattr(limit, attribute)
+            kept = {"ge": value >= bound, "gt": value > bound, "le": value <= bound, "lt": value < bound}[attribute]
+            if not kept:
+                raise InputError(f"expected a value {words} {bound:g}, got {value:g}", where=where)

@@ -23,8 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.associate.history import History, Moment, Path, measurements, open_links, predicted_rows, rows_of
-from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, check
-from phdtrack.errors import InputError
+from phdtrack.errors import Count, InputError, NonNegative, Positive, PositiveCount, Probability, check
 from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.kernels.linking import Fresh, Links, Terms, Window, link_states
 from phdtrack.models import warp as warp_of

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.associate.history import NO_LINKS, History, Moment, measurements, rows_of
-from phdtrack.checks import Count, NonNegative, PositiveCount, check
-from phdtrack.errors import InputError
+from phdtrack.errors import Count, InputError, NonNegative, PositiveCount, check
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
 

@@ -17,7 +17,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh
-from phdtrack.checks import NonNegative, PositiveCount, check
+from phdtrack.errors import NonNegative, PositiveCount, check
 from phdtrack.protocols import Associator, Model
 from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
 

@@ -13,7 +13,7 @@ from functools import cache
 from importlib import import_module
 from typing import Any, get_type_hints
 
-from phdtrack.checks import NonNegative, Positive, PositiveCount, check
+from phdtrack.errors import NonNegative, Positive, PositiveCount, check
 from phdtrack.models.volumes import EVERYWHERE, PlaneVolume, Region, Volume, check_region
 
 Boxes = list[tuple[float, float, float, float]]

@@ -38,10 +38,9 @@ import numpy as np
 from annotated_types import Gt, Lt
 from numpy.typing import NDArray
 
-from phdtrack.checks import NonNegative, Positive, PositiveCount, check
 from phdtrack.detect import components as blobs
 from phdtrack.detect.components import BlobSettings, Contour, check_same_size
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, check
 from phdtrack.types import F8, Bool, Detections, Frame, Image
 
 F4 = NDArray[np.float32]

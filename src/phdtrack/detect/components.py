@@ -21,8 +21,7 @@ import numpy as np
 from annotated_types import Ge, Lt
 from numpy.typing import NDArray
 
-from phdtrack.checks import check
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, check
 from phdtrack.types import F8, Detections, Frame, Image
 
 Contour = NDArray[np.int32]

@@ -25,7 +25,7 @@ from functools import cache, cached_property
 import numpy as np
 
 from phdtrack.arrays import area, intersection, to_xyxy
-from phdtrack.checks import NonNegative, Probability, check
+from phdtrack.errors import NonNegative, Probability, check
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Bool, Detections, Estimates, Explanation
 

@@ -17,10 +17,9 @@ import numpy as np
 from annotated_types import Gt
 
 from phdtrack.arrays import iou
-from phdtrack.checks import NonNegative, Positive, PositiveCount, Probability, check
 from phdtrack.detect import components as blobs
 from phdtrack.detect.components import BlobSettings, check_same_size
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, Probability, check
 from phdtrack.types import F8, I8, Detections, Frame, Image
 
 MEND = "python -m pip uninstall -y opencv-python opencv-contrib-python; python -m pip install --force-reinstall "

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from phdtrack.arrays import GATE
-from phdtrack.checks import Count, NonNegative, Share, check
+from phdtrack.errors import Count, NonNegative, Share, check
 from phdtrack.filters.cardinality import nobody, poisson, survived, weigh
 from phdtrack.filters.intensities import Cardinalised
 from phdtrack.filters.phd_gaussian import GMPHD, rows_of, tagged

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phdtrack.checks import Count, PositiveCount, check
-from phdtrack.errors import InputError
+from phdtrack.errors import Count, InputError, PositiveCount, check
 from phdtrack.filters.cardinality import nobody, poisson, survived, weigh
 from phdtrack.filters.intensities import Cardinalised, UpdatedParticles
 from phdtrack.filters.phd_particle import ParticlePHD

@@ -53,8 +53,7 @@ from typing import Literal
 import numpy as np
 
 from phdtrack.arrays import draw, region_radius2, sum_by
-from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, check
-from phdtrack.errors import InputError
+from phdtrack.errors import Count, InputError, NonNegative, Positive, PositiveCount, Probability, check
 from phdtrack.filters.intensities import JointSamples
 from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.kernels.mcmc import Ancestors, Chain, Options, given_chain, jump_chain, option_tables

@@ -29,8 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile, sum_by
-from phdtrack.checks import NonNegative, PositiveCount, Share, check
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, NonNegative, PositiveCount, Share, check
 from phdtrack.filters.hypotheses import (
     Branches,
     Cluster,

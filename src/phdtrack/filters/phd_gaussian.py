@@ -30,8 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile
-from phdtrack.checks import Count, NonNegative, Share, check
-from phdtrack.errors import InputError
+from phdtrack.errors import Count, InputError, NonNegative, Share, check
 from phdtrack.kernels.gaussian import Expected, Measurements
 from phdtrack.kernels.gm_merge import Merging, Rows, reduced
 from phdtrack.kernels.gm_update import Newborn, Reach, phd_step, phd_update

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.arrays import draw, region_radius2, sum_by
-from phdtrack.checks import Count, PositiveCount, check
+from phdtrack.errors import Count, PositiveCount, check
 from phdtrack.filters.intensities import UpdatedParticles
 from phdtrack.filters.threads import in_ranges
 from phdtrack.kernels import particles as sweeps

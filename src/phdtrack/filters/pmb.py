@@ -37,8 +37,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile
-from phdtrack.checks import NonNegative, Positive, PositiveCount, Probability, Share, check
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, Probability, Share, check
 from phdtrack.kernels.box import apart
 from phdtrack.kernels.pmb import HYPOTHESIS, TARGET, Layer, Settings, Trace, earlier, predicted_layer, updated_layer
 from phdtrack.models.gaussian import Transform, expected, measurements, new_targets, predicted

@@ -30,8 +30,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from phdtrack.checks import Positive, check
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, Positive, check
 from phdtrack.ground.terrain import Flat, Surface
 from phdtrack.protocols import Camera
 from phdtrack.types import F8

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.checks import NonNegative, Positive, PositiveCount, check
+from phdtrack.errors import NonNegative, Positive, PositiveCount, check
 from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.types import F8, I8, GaussianMixture
 

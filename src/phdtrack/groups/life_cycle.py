@@ -26,7 +26,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from phdtrack.checks import NonNegative, Positive, Share, check
+from phdtrack.errors import NonNegative, Positive, Share, check
 from phdtrack.types import F8, I8
 
 Kind = Literal["appear", "vanish", "merge", "split"]

@@ -107,12 +107,12 @@ class Options(NamedTuple):
 
     Attributes
     ----------
-    exists : (T,) probability that the target exists.     count : (T,) how many of its options are kept.
+    exists : (T,) probability that the target exists.     kept : (T,) how many of its options are kept.
     source : (K,) the hypothesis before.     taken : (K,) the measurement, −1 for none.     weight : (K,) not normalised.
     """
 
     exists: F8
-    count: I8
+    kept: I8
     source: I8
     taken: I8
     weight: F8
@@ -263,7 +263,7 @@ def write_kept(layer: Layer, p_detect: F8, options: Options, limit: float, out: 
     counted as that one. ``p_detect`` (C,) of hypotheses.
     """
     hypotheses, mean, cov, old = out.hypotheses, out.mean, out.covariance, layer.hypotheses
-    count, source, taken, weight = options.count, options.source, options.taken, options.weight
+    count, source, taken, weight = options.kept, options.source, options.taken, options.weight
     number, k, end = 0 * count.size, 0 * count.size, 0 * count.size
     for t in range(count.size):
         total, begin, option, end = 0.0, k, end, end + count[t]
@@ -403,7 +403,7 @@ def updated_layer(
     for i in range(out.targets.size):
         mass += out.targets[i].presence
     info = Summary(born + predicted, born, mass, vanished, evidence, false)
-    return out, info, still_ended(layer, options.count, past)
+    return out, info, still_ended(layer, options.kept, past)
 
 
 class Trace(NamedTuple):

@@ -31,7 +31,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile, to_cxcywh
-from phdtrack.checks import NonNegative, Positive, Probability, Share, check
+from phdtrack.errors import NonNegative, Positive, Probability, Share, check
 from phdtrack.kernels.particle_models import BearingRange, SensorNumbers, TurningWalk, walk
 from phdtrack.models.births import NoSpawn, Spawn
 from phdtrack.models.plane import Form, fill, push, variances

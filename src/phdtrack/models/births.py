@@ -16,8 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from phdtrack.arrays import chi2_quantile, draw
-from phdtrack.checks import NonNegative, PositiveCount, Probability, Share, check
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, NonNegative, PositiveCount, Probability, Share, check
 from phdtrack.kernels.gaussian import Births, NewTargets
 from phdtrack.kernels.neighbourhoods import summed_densities
 from phdtrack.kernels.newborn import density_within, place_newborn, proposal_density, proposals, standard_points

@@ -38,8 +38,7 @@ from typing import Literal
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile, to_cxcywh
-from phdtrack.checks import NonNegative, Positive, Probability, Share, check
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, NonNegative, Positive, Probability, Share, check
 from phdtrack.kernels.box import (
     DETECTION,
     FIXED,

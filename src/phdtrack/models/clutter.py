@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.checks import NonNegative, Positive, check
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, NonNegative, Positive, check
 from phdtrack.kernels.neighbourhoods import summed_densities
 from phdtrack.models.volumes import REACH, SIZES, local_density, local_volume
 from phdtrack.protocols import Clutter

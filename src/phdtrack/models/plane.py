@@ -33,8 +33,7 @@ from typing import Literal
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile, share_inside, to_cxcywh
-from phdtrack.checks import NonNegative, Positive, Probability, Share, check
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, NonNegative, Positive, Probability, Share, check
 from phdtrack.ground import ground_covariance
 from phdtrack.kernels.particle_models import SensorNumbers, Walk, position_numbers, walk
 from phdtrack.models.births import NoSpawn, Spawn

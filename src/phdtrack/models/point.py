@@ -22,8 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile, to_cxcywh
-from phdtrack.checks import NonNegative, Positive, Probability, Share, check
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, NonNegative, Positive, Probability, Share, check
 from phdtrack.kernels.particle_models import SensorNumbers, Walk, position_numbers, walk
 from phdtrack.models import warp as warp_of
 from phdtrack.models.births import NoSpawn, Spawn

@@ -31,8 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.checks import NonNegative, PositiveCount, check
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, NonNegative, PositiveCount, check
 from phdtrack.kernels.gaussian import Births, Expected, Measurements, first_states
 from phdtrack.models.births import FixedBirth, MeasurementBirth, births_around, particles_about, with_given
 from phdtrack.models.clutter import LocalClutter

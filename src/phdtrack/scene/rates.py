@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.checks import NonNegative, Positive, check
+from phdtrack.errors import NonNegative, Positive, check
 from phdtrack.scene.labelling import PendingFrames, TrackEvidence, label
 from phdtrack.types import F8, I8, Step, Tracks
 

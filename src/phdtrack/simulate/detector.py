@@ -13,8 +13,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh, to_xyxy
-from phdtrack.checks import Count, NonNegative, Probability, check
-from phdtrack.errors import InputError
+from phdtrack.errors import Count, InputError, NonNegative, Probability, check
 from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo, Truth
 
 Sizes = Literal["truth", "log-uniform"]

@@ -18,8 +18,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from phdtrack.arrays import share_inside
-from phdtrack.checks import NonNegative, Positive, PositiveCount, Share, check
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, Share, check
 from phdtrack.types import F8, I8, SequenceInfo, Truth
 
 Point = tuple[float, float]

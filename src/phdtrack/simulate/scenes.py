@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from phdtrack.checks import Count, NonNegative, Probability, check
-from phdtrack.errors import InputError
+from phdtrack.errors import Count, InputError, NonNegative, Probability, check
 from phdtrack.simulate.detector import DetectorModel, detect
 from phdtrack.simulate.scenario import Entrance, Scenario, Walk
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Truth

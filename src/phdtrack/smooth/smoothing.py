@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phdtrack.checks import NonNegative, Positive, Share, check
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, NonNegative, Positive, Share, check
 from phdtrack.protocols import Model
 from phdtrack.smooth.appearance import histograms
 from phdtrack.smooth.smoother import Paths, Sequence, Smoothed, paths_of

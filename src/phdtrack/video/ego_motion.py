@@ -16,8 +16,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from phdtrack.checks import Positive, PositiveCount, Share, check
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, Positive, PositiveCount, Share, check
 from phdtrack.models import warp as warp_of
 from phdtrack.types import F8, Image
 

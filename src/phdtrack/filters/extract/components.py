@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phdtrack.checks import Positive, Share, check
+from phdtrack.errors import Positive, Share, check
 from phdtrack.filters.extract import clusters
 from phdtrack.filters.extract.counted import LIGHTEST_COMPONENT, heaviest
 from phdtrack.filters.extract.resolution import joined

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phdtrack.checks import Positive, Share, check
+from phdtrack.errors import Positive, Share, check
 from phdtrack.filters.extract import clusters
 from phdtrack.filters.extract.resolution import joined
 from phdtrack.filters.intensities import JointSamples

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from phdtrack.checks import Count, Positive, PositiveCount, Share, check
+from phdtrack.errors import Count, Positive, PositiveCount, Share, check
 from phdtrack.filters.extract import clusters, settling
 from phdtrack.filters.extract.cloud import Cloud
 from phdtrack.filters.extract.counted import LIGHTEST_CLUSTER, NEVER_SPLIT, heaviest

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.checks import Positive, PositiveCount, Share, check
+from phdtrack.errors import Positive, PositiveCount, Share, check
 from phdtrack.filters.extract import clusters
 from phdtrack.filters.extract.cloud import Cloud
 from phdtrack.filters.extract.counted import LIGHTEST_COMPONENT, NEVER_SPLIT, heaviest, united

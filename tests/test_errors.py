@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from phdtrack.checks import Count, NonNegative, Positive, PositiveCount, Probability, Share, bounds, check
 from phdtrack.config.kinds import SECTIONS, record
-from phdtrack.errors import InputError
+from phdtrack.errors import Count, InputError, NonNegative, Positive, PositiveCount, Probability, Share, bounds, check
 
 
 @dataclass(frozen=True)
