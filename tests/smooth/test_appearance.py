@@ -11,7 +11,7 @@ from smoothing_cases import model_of, piece, sequence, walk
 
 from phdtrack.smooth import Smoothing
 from phdtrack.smooth.appearance import Distances, histograms, log_likelihood_ratio
-from phdtrack.smooth.smoother import paths_of
+from phdtrack.smooth.paths import paths_of
 
 MODEL = model_of(scaled_noise=True, acceleration=0.005, size_noise=0.05)
 SHIRTS = {1: (200, 40, 40), 2: (40, 40, 200), 3: (60, 180, 60)}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from smoothing_cases import model_of, piece, sequence, walk
 
-from phdtrack.smooth.smoother import Sequence, paths_of
-from phdtrack.smooth.stitching import Pairs, Terms, candidates, matched
+from phdtrack.smooth.paths import paths_of
+from phdtrack.smooth.stitching import Pairs, Sequence, Terms, _candidates, _matched
 from reference import smoothing_twin as twin
 
 
@@ -20,7 +20,7 @@ def test_it_is_the_ratio_of_one_trajectorys_density_to_two(seed: int):
     seen = Sequence.of(measured, model.sensor, model.motion)
     paths = paths_of(tracks, measured)
     terms = Terms(occluded=10.0, gap=50.0, overlap=0.0, reentry=0.25, rate=25.0)
-    pairs = candidates(paths, seen.smooth(paths), seen, terms)
+    pairs = _candidates(paths, seen.smooth(paths), seen, terms)
     assert (pairs.before.tolist(), pairs.after.tolist()) == ([0], [1])
     one = np.concatenate([np.arange(9), np.full(5, -1), np.arange(9, 19)])
     ratio = twin.log_density(model.motion, measured.time, seen, one)
@@ -39,7 +39,7 @@ def test_the_matching_is_the_best_of_all(seed: int):
     k = 5
     odds = np.where(rng.random((k, k)) < 0.6, rng.normal(1, 3, (k, k)), -1.0)
     before, after = np.nonzero(odds > -0.5)
-    found = matched(Pairs(before, after, odds[before, after]), k)
+    found = _matched(Pairs(before, after, odds[before, after]), k)
 
     def best(row: int, free: frozenset[int]) -> float:
         if row == k:
@@ -53,5 +53,5 @@ def test_the_matching_is_the_best_of_all(seed: int):
 
 
 def test_nobody_follows_where_nobody_may():
-    assert matched(Pairs(np.zeros(0, int), np.zeros(0, int), np.zeros(0)), 3).tolist() == [-1, -1, -1]
-    assert matched(Pairs(np.array([0]), np.array([1]), np.array([-0.1])), 2).tolist() == [-1, -1]
+    assert _matched(Pairs(np.zeros(0, int), np.zeros(0, int), np.zeros(0)), 3).tolist() == [-1, -1, -1]
+    assert _matched(Pairs(np.array([0]), np.array([1]), np.array([-0.1])), 2).tolist() == [-1, -1]

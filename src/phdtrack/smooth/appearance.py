@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.smooth.smoother import Paths
+from phdtrack.smooth.paths import Paths
 from phdtrack.types import F4, F8, I8, Image
 
 # Bins of hue, saturation and value.

@@ -1,7 +1,7 @@
 """Settings of what is done with corrected tracks when all is known, and the tracks that come of it.
 
 `Smoothing` begins again with the measurements: pieces of one target are joined (`stitching`), and every row becomes the
-state given all measurements of its track, before and after (`smoother`).
+state given all measurements of its track, before and after.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 from phdtrack.errors import InputError, NonNegative, Positive, Share, check
 from phdtrack.protocols import Model
 from phdtrack.smooth.appearance import histograms
-from phdtrack.smooth.smoother import Paths, Sequence, Smoothed, paths_of
-from phdtrack.smooth.stitching import Terms, stitched
+from phdtrack.smooth.paths import Paths, paths_of
+from phdtrack.smooth.stitching import Sequence, Smoothed, Terms, stitched
 from phdtrack.types import F4, F8, I8, Bool, Image, MeasurementHistory, Tracks
 
 

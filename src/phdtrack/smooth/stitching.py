@@ -1,8 +1,9 @@
-"""Which trajectories are of one target: the evidence of one that was lost and found again, against that of two.
+"""Smoothing of trajectories, and which of them are of one target.
 
-A target that is lost re-enters with probability ``reentry``, after a time of exponential distribution, mean ``occluded``. A
-trajectory that begins may be a new target: new ones come at the rate at which trajectories begin in this very stream,
-anywhere among its measurements. The log-odds of a pair of trajectories, T apart, are
+The evidence of one target that was lost and found again is compared with that of two. A target that is lost re-enters with
+probability ``reentry``, after a time of exponential distribution, mean ``occluded``. A trajectory that begins may be a new
+target: new ones come at the rate at which trajectories begin in this very stream, anywhere among its measurements. The
+log-odds of a pair of trajectories, T apart, are
 
     log p(B|A)/p(B) + log p_S(T) + log reentry/(1 − reentry) + log (1/occluded) e^(−T/occluded) − log births
 
@@ -16,7 +17,7 @@ with both densities Gaussian: A's prediction from its end, and B's own smoothed 
 A detector that fires twice on one target may begin its second track before the first has ended: T is then the time for which
 both overlap, and p_S = 1. Trajectories are joined so that the sum over all pairs is the largest, each with one successor at
 most. Then they are smoothed anew, because a short piece between two others says more once it is joined, and so on until
-nothing changes.
+nothing changes. All trajectories go through the frames together, so that the motion is asked once a frame (`models.rts`).
 """
 
 from __future__ import annotations
@@ -24,13 +25,92 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from phdtrack.models.rts import Ahead, predict, smooth_back, update
+from phdtrack.protocols import Motion, Sensor
 from phdtrack.smooth.appearance import log_likelihood_ratio
-from phdtrack.smooth.smoother import Paths, Sequence, Smoothed, joined
-from phdtrack.types import F8, I8
+from phdtrack.smooth.paths import Paths, joined
+from phdtrack.types import F8, I8, STILL, MeasurementHistory
+
+
+class Smoothed(NamedTuple):
+    """Of each row the state given all of its path's measurements: ``mean`` (M, d) and ``covariance`` (M, d, d)."""
+
+    mean: F8
+    covariance: F8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sequence:
+    """What is known of a whole sequence: its Z measurements, the same as states, and the motion.
+
+    ``state`` (d, Z), ``covariance`` (Z, d, d), of which a measurement shows the rows ``observed``. Rows that no measurement
+    shows, as a velocity, have their prior mean and covariance.
+    """
+
+    measurements: MeasurementHistory
+    state: F8
+    covariance: F8
+    observed: I8
+    motion: Motion
+
+    @classmethod
+    def of(cls, measurements: MeasurementHistory, sensor: Sensor, motion: Motion) -> Sequence:
+        """The sequence of these measurements.
+
+        Parameters
+        ----------
+        measurements : of the sequence.
+        sensor, motion : the model's.
+
+        Returns
+        -------
+        The sequence.
+        """
+        return cls(measurements, *sensor.states(measurements.z), np.array(sensor.observed, np.int64), motion)
+
+    def components(self) -> I8:
+        """The rows of the state that later states depend on; not a size that a transition forgets."""
+        _, jacobian, _ = self.motion.transition(np.ascontiguousarray(self.state[:, :1]), 1.0)
+        return np.flatnonzero(jacobian[0].any(axis=0)).astype(np.int64)
+
+    def _ahead(self, mean: F8, covariance: F8, place: int) -> Ahead:
+        """States (n, d), (n, d, d) of the frame before ``place``, predicted for that frame."""
+        time, warp = self.measurements.time, self.measurements.warp
+        step = float(time[place] - time[place - 1])
+        return predict(self.motion, mean, covariance, step, warp[place] if len(warp) else STILL)
+
+    def smooth(self, paths: Paths) -> Smoothed:
+        """The states of all rows of the paths, given their measurements [R65]."""
+        order, number, shown = np.argsort(paths.frame, kind="stable"), len(self.measurements.time), self.observed
+        bounds = np.searchsorted(paths.frame[order], np.arange(number + 1))
+        size, d = len(order), len(self.state)
+        mean, predicted = np.empty((2, size, d))
+        cov, expected, jacobian = np.empty((3, size, d, d))
+        column = paths.measurement[paths.first]
+        mean[paths.first], cov[paths.first] = self.state[:, column].T, self.covariance[column]
+        going = np.ones(size, np.bool_)
+        going[paths.first] = False
+        frames = [rows[going[rows]] for rows in np.split(order, bounds[1:-1])]
+        for p, rows in enumerate(frames):
+            if len(rows) == 0:
+                continue
+            predicted[rows], expected[rows], jacobian[rows] = self._ahead(mean[rows - 1], cov[rows - 1], p)
+            mean[rows], cov[rows] = predicted[rows], expected[rows]
+            rows = rows[paths.measurement[rows] >= 0]
+            if len(rows):
+                column = paths.measurement[rows]
+                noise = self.covariance[column][:, shown[:, None], shown]
+                mean[rows], cov[rows] = update(mean[rows], cov[rows], self.state[shown[:, None], column].T, noise, shown)
+        for rows in reversed(frames):
+            if len(rows):
+                step = Ahead(predicted[rows], expected[rows], jacobian[rows])
+                mean[rows - 1], cov[rows - 1] = smooth_back(mean[rows - 1], cov[rows - 1], step, mean[rows], cov[rows])
+        return Smoothed(mean, cov)
 
 
 class Terms(NamedTuple):
@@ -81,11 +161,11 @@ def stitched(paths: Paths, sequence: Sequence, terms: Terms) -> tuple[Paths, Smo
     """
     states, appearance = sequence.smooth(paths), sequence.measurements.appearance
     while len(paths) > 1:
-        pairs = candidates(paths, states, sequence, terms)
+        pairs = _candidates(paths, states, sequence, terms)
         if appearance.shape[1]:
             alike = log_likelihood_ratio(paths, appearance, pairs.before, pairs.after)
             pairs = pairs._replace(odds=pairs.odds + alike)
-        after = matched(pairs, len(paths))
+        after = _matched(pairs, len(paths))
         if (after < 0).all():
             break
         chain = _chains(after)
@@ -100,20 +180,10 @@ def stitched(paths: Paths, sequence: Sequence, terms: Terms) -> tuple[Paths, Smo
     return paths, states
 
 
-def candidates(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms) -> Pairs:
+def _candidates(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms) -> Pairs:
     """All pairs that could be of one target.
 
     One begins within ``gap`` after the other's end, while the lost target may still be there; or they overlap (`_overlaps`).
-
-    Parameters
-    ----------
-    paths, states : K trajectories, and the states of their rows.
-    sequence : what is known of the sequence.
-    terms : settings.
-
-    Returns
-    -------
-    The pairs with their log-odds.
     """
     loose, found = math.log(_births(paths, sequence) * terms.occluded * (1 - terms.reentry) / terms.reentry), list[Pairs]()
     for some in itertools.chain([_overlaps(paths, states, sequence, terms)], _returns(paths, states, sequence, terms)):
@@ -136,7 +206,7 @@ def _returns(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms) -
         mean, cov = (np.concatenate((a, b[last[fresh]])) for a, b in ((mean, states.mean), (cov, states.covariance)))
         if len(lost) == 0:
             continue
-        now = sequence.ahead(mean, cov, p)
+        now = sequence._ahead(mean, cov, p)
         survive = sequence.motion.p_survive(np.ascontiguousarray(now.mean.T), float(time[p] - time[p - 1]) / terms.rate)
         stay = (survive > 0) & (until[lost] >= p)
         lost, alive = lost[stay], alive[stay] + np.log(survive[stay])
@@ -199,7 +269,7 @@ def _births(paths: Paths, sequence: Sequence) -> float:
     return float(len(paths) / (volume * (time[-1] - time[0])))
 
 
-def matched(pairs: Pairs, count: int) -> I8:
+def _matched(pairs: Pairs, count: int) -> I8:
     """(K,) the successor of each of ``count`` paths, −1 for none, so that the sum of the log-odds is the largest."""
     after = np.full(count, -1, np.int64)
     good = np.flatnonzero(pairs.odds > 0)

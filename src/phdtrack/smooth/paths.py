@@ -1,19 +1,12 @@
-"""Trajectories as rows, and the smoothed state of every row.
-
-A trajectory has a row in every frame from its first measurement to its last, also where nothing was measured. All of them go
-through the frames together, so that the motion is asked once a frame (`models.rts`).
-"""
+"""Trajectories as rows: a trajectory has a row in every frame from its first measurement to its last."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.models.rts import Ahead, predict, smooth_back, update
-from phdtrack.protocols import Motion, Sensor
-from phdtrack.types import F8, I8, STILL, Bool, MeasurementHistory, Tracks
+from phdtrack.types import I8, Bool, MeasurementHistory, Tracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,13 +49,6 @@ class Paths:
         rows, length = wanted[self.path], np.diff(self.start)[wanted]
         start = np.concatenate(([0], np.cumsum(length)))
         return Paths(start, self.frame[rows], self.measurement[rows], self.row[rows])
-
-
-class Smoothed(NamedTuple):
-    """Of each row the state given all of its path's measurements: ``mean`` (M, d) and ``covariance`` (M, d, d)."""
-
-    mean: F8
-    covariance: F8
 
 
 def paths_of(tracks: Tracks, measurements: MeasurementHistory) -> Paths:
@@ -117,83 +103,3 @@ def _laid_out(ends: tuple[I8, I8], path: I8, frame: I8, measurement: I8, row: I8
     rests, comes = np.full((2, start[-1]), -1, np.int64)
     rests[at], comes[at] = measurement, row
     return Paths(start, frames, rests, comes)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sequence:
-    """What is known of a whole sequence: its Z measurements, the same as states, and the motion.
-
-    ``state`` (d, Z), ``covariance`` (Z, d, d), of which a measurement shows the rows ``observed``. Rows that no measurement
-    shows, as a velocity, have their prior mean and covariance.
-    """
-
-    measurements: MeasurementHistory
-    state: F8
-    covariance: F8
-    observed: I8
-    motion: Motion
-
-    @classmethod
-    def of(cls, measurements: MeasurementHistory, sensor: Sensor, motion: Motion) -> Sequence:
-        """The measurements as the sensor's states.
-
-        Parameters
-        ----------
-        measurements : of the sequence.
-        sensor, motion : the model's.
-
-        Returns
-        -------
-        The sequence.
-        """
-        return cls(measurements, *sensor.states(measurements.z), np.array(sensor.observed, np.int64), motion)
-
-    def components(self) -> I8:
-        """The rows of the state that later states depend on; not a size that a transition forgets."""
-        _, jacobian, _ = self.motion.transition(np.ascontiguousarray(self.state[:, :1]), 1.0)
-        return np.flatnonzero(jacobian[0].any(axis=0)).astype(np.int64)
-
-    def ahead(self, mean: F8, covariance: F8, place: int) -> Ahead:
-        """States of the frame before ``place``, predicted for that frame.
-
-        Parameters
-        ----------
-        mean, covariance : (n, d), (n, d, d).
-        place : of the frame in the sequence.
-
-        Returns
-        -------
-        The predictions.
-        """
-        time, warp = self.measurements.time, self.measurements.warp
-        return predict(
-            self.motion, mean, covariance, float(time[place] - time[place - 1]), warp[place] if len(warp) else STILL
-        )  # fmt: skip
-
-    def smooth(self, paths: Paths) -> Smoothed:
-        """The states of all rows of the paths, given their measurements [R65]."""
-        order, number, shown = np.argsort(paths.frame, kind="stable"), len(self.measurements.time), self.observed
-        bounds = np.searchsorted(paths.frame[order], np.arange(number + 1))
-        size, d = len(order), len(self.state)
-        mean, predicted = np.empty((2, size, d))
-        cov, expected, jacobian = np.empty((3, size, d, d))
-        column = paths.measurement[paths.first]
-        mean[paths.first], cov[paths.first] = self.state[:, column].T, self.covariance[column]
-        going = np.ones(size, np.bool_)
-        going[paths.first] = False
-        frames = [rows[going[rows]] for rows in np.split(order, bounds[1:-1])]
-        for p, rows in enumerate(frames):
-            if len(rows) == 0:
-                continue
-            predicted[rows], expected[rows], jacobian[rows] = self.ahead(mean[rows - 1], cov[rows - 1], p)
-            mean[rows], cov[rows] = predicted[rows], expected[rows]
-            rows = rows[paths.measurement[rows] >= 0]
-            if len(rows):
-                column = paths.measurement[rows]
-                noise = self.covariance[column][:, shown[:, None], shown]
-                mean[rows], cov[rows] = update(mean[rows], cov[rows], self.state[shown[:, None], column].T, noise, shown)
-        for rows in reversed(frames):
-            if len(rows):
-                step = Ahead(predicted[rows], expected[rows], jacobian[rows])
-                mean[rows - 1], cov[rows - 1] = smooth_back(mean[rows - 1], cov[rows - 1], step, mean[rows], cov[rows])
-        return Smoothed(mean, cov)
