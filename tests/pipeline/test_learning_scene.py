@@ -8,7 +8,7 @@ from learning_cases import DETECTOR, joined, scores, seen_again, street, tracked
 
 from phdtrack import Tracker, config, pipeline
 from phdtrack.errors import InputError
-from phdtrack.scene.labelling import ObservedFrame, PendingFrames, label
+from phdtrack.scene.labelling import PendingFrames, label
 from phdtrack.simulate import DetectorModel
 from phdtrack.simulate.detector import detect
 from phdtrack.types import Detections, SequenceInfo, Truth
@@ -17,12 +17,12 @@ from phdtrack.types import Detections, SequenceInfo, Truth
 def test_the_signal_is_right_where_the_filter_alone_is_not():
     scene = street(1, 1500)
     stages, rng = config.build(config.load(), scene.info, "particle-phd"), np.random.default_rng(0)
-    state, seen, chance = pipeline.start(stages, rng), [], []
+    state, pending, chance = pipeline.start(stages, rng), PendingFrames(), []
     for k in range(1, 1501):
         state, step = pipeline.advance(stages, state, scene.detections.at(k), k, (k - 1) / 25, rng)
-        seen.append(ObservedFrame.of(step))
+        pending = pending.joined(step)
         chance.append(step.info.clutter_probability)
-    _, verdict = label(PendingFrames(tuple(seen)), 58.0, 0.9, 25.0)
+    _, verdict = label(pending, 58.0, 0.9, 25.0)
     source, chance = scene.source[: len(verdict.false)], np.concatenate(chance)[: len(verdict.false)]
     mean = {name: verdict.false[rows].mean() for name, rows in sources(source).items()}
     alone = {name: chance[rows].mean() for name, rows in sources(source).items()}
