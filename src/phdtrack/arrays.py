@@ -84,8 +84,3 @@ def draw(mixture: GaussianMixture, count: int, scale: float, rng: np.random.Gene
     state = mixture.mean.T[:, :, None] + root @ noise
     weight = np.repeat(mixture.weight * scale / max(1, count), count)
     return Particles(np.ascontiguousarray(state.transpose(1, 0, 2).reshape(d, k * count)), weight)
-
-
-def region_radius2(dims: int, probability: float = 0.99) -> float:
-    """The squared radius that holds this part of a standard Gaussian in ``dims`` dimensions: 13.28 in four."""
-    return chi2_quantile(dims, probability)

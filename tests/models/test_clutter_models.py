@@ -9,7 +9,8 @@ import pytest
 
 from phdtrack.errors import InputError
 from phdtrack.models import LocalClutter, UniformClutter
-from phdtrack.models.volumes import image_volume, in_neighbourhood, local_volume
+from phdtrack.models.volumes import image_volume, local_volume
+from reference.birth_twin import in_neighbourhood
 
 Z = np.array([[300.0, 200, 40, 90], [10, 20, 8, 6]]).T
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from phdtrack.models import LocalClutter
-from phdtrack.models.volumes import in_neighbourhood, local_volume
+from phdtrack.models.volumes import local_volume
+from reference.birth_twin import in_neighbourhood
 
 
 def test_a_lone_detection_has_the_rate_over_its_own_volume():

@@ -40,3 +40,9 @@ def mass(z, sigma, density, count, rng):
     """∫ over the union of the regions of ``density`` (a function of points)."""
     points, volume, held = uniform_in_regions(z, sigma, count, rng)
     return float((density(points) * volume / held).sum() / count)
+
+
+def in_neighbourhood(x, z):
+    """Whether the boxes x = (px, py, w, h) lie in the neighbourhood of z, elementwise over columns."""
+    near = (np.abs(x[0] - z[0]) <= z[2]) & (np.abs(x[1] - z[1]) <= z[3])
+    return near & (np.abs(x[2] - z[2]) <= z[2] / 2) & (np.abs(x[3] - z[3]) <= z[3] / 2)

@@ -52,7 +52,7 @@ from typing import Literal
 
 import numpy as np
 
-from phdtrack.arrays import draw, region_radius2, sum_by
+from phdtrack.arrays import chi2_quantile, draw, sum_by
 from phdtrack.errors import Count, InputError, NonNegative, Positive, PositiveCount, Probability, check
 from phdtrack.filters.intensities import JointSamples
 from phdtrack.kernels.grid import points_in_rectangles
@@ -245,7 +245,7 @@ def _jump_update(
 def _covered(state: JointSamples, z: F8, model: Model) -> F8:
     """(M,) the predicted mass in the region around each measurement."""
     point, which = points_in_rectangles(state.state[0], state.state[1], *model.sensor.gate(z))
-    near = model.sensor.distance2(z[:, which], state.state[:, point]) <= region_radius2(len(model.sensor.observed))
+    near = model.sensor.distance2(z[:, which], state.state[:, point]) <= chi2_quantile(len(model.sensor.observed), 0.99)
     return sum_by(which[near], state.weight[point[near]], z.shape[1])
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.arrays import draw, region_radius2, sum_by
+from phdtrack.arrays import chi2_quantile, draw, sum_by
 from phdtrack.errors import Count, PositiveCount, check
 from phdtrack.filters.intensities import UpdatedParticles
 from phdtrack.filters.threads import in_ranges
@@ -175,7 +175,7 @@ class ParticlePHD:
 
     def terms(self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator) -> UpdateTerms:
         """The terms of the update: newborn particles are drawn, and all likelihoods computed."""
-        numbers, region = model.sensor.particle_model(z), region_radius2(len(model.sensor.observed))
+        numbers, region = model.sensor.particle_model(z), chi2_quantile(len(model.sensor.observed), 0.99)
         dtype = precision(numbers.model)
         gates = make_grid(*model.sensor.gate(z), 0.0, 0.0)
         before = in_blocks(state, dtype)

@@ -250,15 +250,11 @@ def with_given(births: Births, mixture: GaussianMixture, seconds: float) -> Birt
 
 @lru_cache(maxsize=8)
 def _radii(dof: int) -> F8:
-    """The radii at equal steps of the quantile of a standard Gaussian in ``dof`` (even) dimensions inside its kept part."""
-    part = KEPT * np.linspace(0, 1, 2049)
-    low, high = np.zeros(len(part)), np.full(len(part), 400.0)
-    for _ in range(64):
-        half = (low + high) / 4
-        left = np.exp(-half) * sum(half**k / math.factorial(k) for k in range(dof // 2))
-        low, high = np.where(left < 1 - part, low, 2 * half), np.where(left < 1 - part, 2 * half, high)
-    # Next to 1 the sum above is rounded: nothing is held by no radius.
-    return np.sqrt(np.where(part > 0, (low + high) / 2, 0.0))
+    """The radii at equal steps of the quantile of a standard Gaussian in ``dof`` dimensions inside its kept part."""
+    from scipy.special import gammaincinv
+
+    radii: F8 = np.sqrt(2 * gammaincinv(dof / 2, KEPT * np.linspace(0, 1, 2049)))
+    return radii
 
 
 def _draw_velocity(state: F8, cov: F8, parent: I8, rng: np.random.Generator) -> None:

@@ -50,14 +50,6 @@ def local_volume(z: F8) -> F8:
     return (2 * REACH) ** 2 * (SIZES[1] - SIZES[0]) ** 2 * area**2
 
 
-def in_neighbourhood(x: F8, z: F8) -> Bool:
-    """Whether the boxes x = (px, py, w, h) lie in the neighbourhood of z, elementwise over columns."""
-    near: Bool = (np.abs(x[0] - z[0]) <= REACH * z[2]) & (np.abs(x[1] - z[1]) <= REACH * z[3])
-    for k in (2, 3):
-        near &= (x[k] >= SIZES[0] * z[k]) & (x[k] <= SIZES[1] * z[k])
-    return near
-
-
 PlaneVolume = Literal["region", "local"]
 PLANE_REACH = 6.0
 """Extent of a local volume on the ground in deviations of the detection's noise."""

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from phdtrack.arrays import region_radius2
+from phdtrack.arrays import chi2_quantile
 from phdtrack.filters.extract.cloud import Cloud
 from phdtrack.filters.extract.settling import REACH, Clusters, Start
 from phdtrack.kernels import joining
@@ -86,7 +86,7 @@ def finish(mass: F8, mean: F8, cov: F8, z: F8, model: Model) -> Estimates:
     """
     sensor = model.sensor
     z_of, state_of = meeting(*sensor.gate(z), mean[:2], mean[:2])
-    region = region_radius2(len(sensor.observed))
+    region = chi2_quantile(len(sensor.observed), 0.99)
     distance2 = sensor.distance2(z.take(z_of, axis=1), mean.take(state_of, axis=1))
     # Resampled particles can pile up on few points; a covariance of zero would claim certainty.
     detection, floored = serve(z_of, state_of, distance2, region, sensor.noise(mean), z.shape[1], cov)
