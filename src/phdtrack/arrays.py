@@ -40,8 +40,9 @@ def sum_by(index: I8, value: F8, count: int) -> F8:
 
 def to_cxcywh(xyxy: F8) -> F8:
     """(4, N) centre x, centre y, width, height of the (N, 4) boxes."""
-    left, top, right, bottom = xyxy.T
-    return np.stack([(left + right) / 2, (top + bottom) / 2, right - left, bottom - top])
+    first, last, out = xyxy[:, :2].T, xyxy[:, 2:].T, np.empty((4, len(xyxy)))
+    out[:2], out[2:] = (first + last) / 2, last - first
+    return out
 
 
 def to_xyxy(cxcywh: F8) -> F8:

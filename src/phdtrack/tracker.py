@@ -260,7 +260,7 @@ def unpack(value: Any) -> Any:
 def _is_record(kind: Any) -> bool:
     """Whether this is a dataclass or a named tuple of this package."""
     ours = isinstance(kind, type) and kind.__module__.startswith("phdtrack.")
-    return ours and (is_dataclass(kind) or hasattr(kind, "_fields"))
+    return ours and (is_dataclass(kind) or issubclass(kind, tuple))
 
 
 def _names(kind: type[Any]) -> tuple[str, ...]:
