@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,13 +16,12 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages, Model
-from phdtrack.types import F4, F8, I8, STILL, Detections, Estimates, Explanation, Step, Tracks, UpdateInfo
+from phdtrack.types import F8, I8, STILL, Detections, Estimates, Explanation, Step, Tracks, UpdateInfo
 
 NO_STATES: F8 = np.zeros((0, 0))
 # Where measurements are put that show nothing of any state: no state is near.
 NOWHERE = 1e9
 ALL: I8 = np.zeros(0, np.int64)
-NOT_DESCRIBED: Mapping[int, F4] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,17 +122,16 @@ def run(
         yield state, step
 
 
-def finish(stages: AnyStages, state: TrackingState, described: Mapping[int, F4] = NOT_DESCRIBED) -> Tracks:
+def finish(stages: AnyStages, state: TrackingState) -> Tracks:
     """The corrected tracks of everything seen so far, joined and smoothed.
 
     Parameters
     ----------
     stages : the tracker's parts.
     state : after the last frame.
-    described : (N, B) appearance of the detections by frame number, from `Smoother.describe`.
     """
     tracks = stages.associator.finish(state.association, stages.model)
-    measurements = stages.associator.measurements(state.association).with_appearance(described)
+    measurements = stages.associator.measurements(state.association)
     return stages.smoother.smooth(tracks, measurements, stages.model)
 
 

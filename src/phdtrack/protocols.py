@@ -21,14 +21,12 @@ from phdtrack.errors import InputError
 from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.particle_models import SensorNumbers
 from phdtrack.types import (
-    F4,
     F8,
     STILL,
     Detections,
     Estimates,
     Explanation,
     Frame,
-    Image,
     MeasurementHistory,
     ParticleBlocks,
     Particles,
@@ -266,9 +264,6 @@ class Associator(Protocol[A]):
 class Smoother(Protocol):
     """From corrected tracks to smoothed ones, when everything is known."""
 
-    def describe(self, image: Image, xyxy: F8) -> F4:
-        """(N, B) a description of the image in the boxes (N, 4), as far as `smooth` uses it; (N, 0) where it does not."""
-
     def smooth(self, tracks: Tracks, measurements: MeasurementHistory, model: Model) -> Tracks:
         """The tracks, of which each row rests on a measurement of ``measurements``, or on none."""
 
@@ -276,10 +271,6 @@ class Smoother(Protocol):
 @dataclass(frozen=True, slots=True)
 class NoSmoothing:
     """Corrected tracks stay as they are."""
-
-    def describe(self, image: Image, xyxy: F8) -> F4:
-        """No description."""
-        return np.zeros((len(xyxy), 0), np.float32)
 
     def smooth(self, tracks: Tracks, measurements: MeasurementHistory, model: Model) -> Tracks:
         """The same."""

@@ -14,8 +14,8 @@ Conventions, stated once:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -369,7 +369,6 @@ class MeasurementHistory:
     start : (F + 1,) frame f has the columns start[f] … start[f + 1] − 1 of ``z``, in the order of its detections.
     z : (m, Z) measurements.
     warp : (F, 3, 3) the camera's motion since the frame before; (0, 3, 3) where it stood still.
-    appearance : (Z, B) description of each detection's image, NaN where unknown; (Z, 0) where none was computed.
     """
 
     number: I8
@@ -377,17 +376,6 @@ class MeasurementHistory:
     start: I8
     z: F8
     warp: F8
-    appearance: F4
-
-    def with_appearance(self, described: Mapping[int, F4]) -> MeasurementHistory:
-        """The same with the descriptions (N, B) of frames' detections, by frame number."""
-        kept = [(place, described[number]) for place, number in enumerate(self.number.tolist()) if number in described]
-        if not kept:
-            return self
-        appearance = np.full((self.z.shape[1], kept[0][1].shape[1]), np.nan, np.float32)
-        for place, rows in kept:
-            appearance[self.start[place] : self.start[place + 1]] = rows
-        return replace(self, appearance=appearance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

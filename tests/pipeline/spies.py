@@ -57,9 +57,6 @@ class SpyExtractor:
         return Estimates(x, cov, np.ones(len(cov)), model.sensor.boxes(x), np.arange(len(cov)))
 
 
-NO_LOOK = np.zeros((0, 0), np.float32)
-
-
 @dataclass
 class SpyAssociator:
     """Gives every state the identity 1 more than its place, and remembers the frames and intervals."""
@@ -85,7 +82,7 @@ class SpyAssociator:
 
     def measurements(self, state):
         none, start = np.zeros(0, np.int64), np.zeros(1, np.int64)
-        return MeasurementHistory(none, np.zeros(0), start, np.zeros((4, 0)), np.zeros((0, 3, 3)), NO_LOOK)
+        return MeasurementHistory(none, np.zeros(0), start, np.zeros((4, 0)), np.zeros((0, 3, 3)))
 
 
 def spying(rate: float = 25.0) -> tuple[AnyStages, SpyFilter, SpyExtractor, SpyAssociator]:

@@ -62,13 +62,7 @@ def sequence(pieces, frames: int, model: Model, warp: np.ndarray | None = None) 
     n = len(rows)
     tracks = Tracks(np.array(number), np.array(identity), xyxy, np.full(n, 0.9), np.array(detection), np.ones(n, np.bool_))
     warps = np.zeros((0, 3, 3)) if warp is None else warp
-    return tracks, MeasurementHistory(
-        np.arange(1, frames + 1), np.arange(frames, dtype=float), start, np.array(z).T, warps, no_look(len(z))
-    )
-
-
-def no_look(n: int) -> np.ndarray:
-    return np.zeros((n, 0), np.float32)
+    return tracks, MeasurementHistory(np.arange(1, frames + 1), np.arange(frames, dtype=float), start, np.array(z).T, warps)
 
 
 def piece(walked: np.ndarray, first: int, *shown: tuple[int, int]) -> dict:

@@ -27,7 +27,7 @@ def test_states_are_those_of_the_joint_density(seed: int, missed: list[bool], dt
     walked = walk(rng, n, (100, 200), rng.normal(0, 3, 2))
     shown = {k + 1: walked[k] for k in range(n) if k in (0, n - 1) or not missed[k - 1]}
     tracks, even = sequence([shown], n, model)
-    measured = MeasurementHistory(even.number, dt * even.time, even.start, even.z, even.warp, even.appearance)
+    measured = MeasurementHistory(even.number, dt * even.time, even.start, even.z, even.warp)
     paths, states, seen = smoothed(tracks, measured, model)
     mean, cov = twin.joint(model.motion, measured.time, seen, paths.measurement)
     np.testing.assert_allclose(states.mean, mean, rtol=1e-7, atol=1e-7)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from smoothing_cases import model_of, no_look, piece, sequence, walk
+from smoothing_cases import model_of, piece, sequence, walk
 
 from phdtrack.errors import InputError
 from phdtrack.smooth import Smoothing
@@ -175,7 +175,7 @@ def test_a_measurement_that_two_share_places_neither(rng):
 
 def test_nothing_comes_of_nothing():
     empty = MeasurementHistory(
-        np.zeros(0, np.int64), np.zeros(0), np.zeros(1, np.int64), np.zeros((4, 0)), np.zeros((0, 3, 3)), no_look(0)
+        np.zeros(0, np.int64), np.zeros(0), np.zeros(1, np.int64), np.zeros((4, 0)), np.zeros((0, 3, 3))
     )
     assert len(Smoothing().smooth(Tracks.empty(), empty, MODEL)) == 0
     tracks, measured = sequence([{1: np.array([50.0, 50, 20, 40])}], 1, MODEL)

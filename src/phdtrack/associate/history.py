@@ -98,7 +98,6 @@ def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
         np.concatenate(([0], np.cumsum(count, dtype=np.int64))),
         np.hstack(shown),
         np.array([m.warp if len(m.warp) else np.eye(3) for m in held if moved]).reshape(-1, 3, 3),
-        np.zeros((sum(count), 0), np.float32),
     )
 
 

@@ -38,7 +38,7 @@ from phdtrack.protocols import AnyStages, Sensor
 from phdtrack.report import About, Annotator, Recorder, report_html, run_document, sentences, write_run
 from phdtrack.report.words import write_text
 from phdtrack.tracker import Tracker
-from phdtrack.types import F4, F8, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Tracks, Truth
+from phdtrack.types import F8, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Tracks, Truth
 from phdtrack.video import VideoWriter
 
 if TYPE_CHECKING:
@@ -111,7 +111,6 @@ class _Progress:
 
     tracker: Tracker
     recorder: Recorder
-    looks: dict[int, F4] = field(default_factory=dict)
     seen: list[_Seen] = field(default_factory=list)
     seconds: float = 0.0
     left_out: int = 0
@@ -133,7 +132,7 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         if not done.seen and done.stop is not None:
             directory.clear()
             raise done.stop
-        tracks = pipeline.finish(job.stages, done.tracker.state, done.looks)
+        tracks = pipeline.finish(job.stages, done.tracker.state)
         write_tracks(directory.file(rundir.TRACKS), tracks, places(job.stages.model.sensor, tracks.xyxy))
         for observer in job.observers:
             observer.finish(directory, tracks)
@@ -195,8 +194,6 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progr
                     rows = tracker.update(found, frame.number, frame.time, warp if len(warp) else None)
                     step = tracker.step
                     assert step is not None
-                    if inputs.pictures and (looks := stages.smoother.describe(frame.image, found.xyxy)).shape[1]:
-                        done.looks[frame.number] = looks
                     detections.append(frame.number, found)
                     states.append(frame.number, frame.time, step.estimates)
                     online.append(rows, places(sensor, rows.xyxy))

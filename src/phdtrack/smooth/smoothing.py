@@ -12,10 +12,9 @@ import numpy as np
 
 from phdtrack.errors import InputError, NonNegative, Positive, Share, check
 from phdtrack.protocols import Model
-from phdtrack.smooth.appearance import histograms
 from phdtrack.smooth.paths import Paths, paths_of
 from phdtrack.smooth.stitching import Sequence, Smoothed, Terms, stitched
-from phdtrack.types import F4, F8, I8, Bool, Image, MeasurementHistory, Tracks
+from phdtrack.types import I8, Bool, MeasurementHistory, Tracks
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +31,6 @@ class Smoothing:
     reentry_probability : that a track that ends was lost and comes back.
     max_gap_uncertainty : fill the gap between joined tracks where positions are known to within this many deviations of a
         measurement. 0: such gaps stay open.
-    appearance : where there are images, compare colours too.
 
     Raises
     ------
@@ -46,17 +44,12 @@ class Smoothing:
     max_overlap_time: NonNegative = 4.0
     reentry_probability: Share = 0.5
     max_gap_uncertainty: NonNegative = 1.0
-    appearance: bool = False
 
     def __post_init__(self) -> None:
         check(self)
         if self.reentry_probability == 1:
             where = "Smoothing.reentry_probability"
             raise InputError("expected a probability below 1, as some tracks end for good", where=where)
-
-    def describe(self, image: Image, xyxy: F8) -> F4:
-        """(N, B) colour histograms of the boxes (N, 4) with ``appearance``, (N, 0) without."""
-        return histograms(image, xyxy) if self.stitching and self.appearance else np.zeros((len(xyxy), 0), np.float32)
 
     def smooth(self, tracks: Tracks, measurements: MeasurementHistory, model: Model) -> Tracks:
         """The tracks joined and smoothed; identities from 1 in order of appearance.

@@ -32,7 +32,6 @@ import numpy as np
 
 from phdtrack.models.rts import Ahead, predict, smooth_back, update
 from phdtrack.protocols import Motion, Sensor
-from phdtrack.smooth.appearance import log_likelihood_ratio
 from phdtrack.smooth.paths import Paths, joined
 from phdtrack.types import F8, I8, STILL, MeasurementHistory
 
@@ -159,12 +158,9 @@ def stitched(paths: Paths, sequence: Sequence, terms: Terms) -> tuple[Paths, Smo
     -------
     The longer paths, and the states of their rows.
     """
-    states, appearance = sequence.smooth(paths), sequence.measurements.appearance
+    states = sequence.smooth(paths)
     while len(paths) > 1:
         pairs = _candidates(paths, states, sequence, terms)
-        if appearance.shape[1]:
-            alike = log_likelihood_ratio(paths, appearance, pairs.before, pairs.after)
-            pairs = pairs._replace(odds=pairs.odds + alike)
         after = _matched(pairs, len(paths))
         if (after < 0).all():
             break
