@@ -105,3 +105,29 @@ def test_without_any_folder_it_runs_and_says_how_to_mend_it(installed: Path, tmp
     assert "NUMBA_CACHE_DIR" in said
     # The folder lived as long as the process.
     assert list(temporary.iterdir()) == []
+
+
+RECORD = """
+import sys
+from typing import NamedTuple
+from phdtrack.kernels.caller import first
+
+class Mine(NamedTuple):
+    x: float
+
+Mine.__module__ = "a_program"
+sys.modules["a_program"] = sys.modules["__main__"]
+assert first(Mine(2.0)) == 2.0
+assert first((3.0,)) == 3.0
+"""
+
+
+def test_a_kernel_of_a_users_record_is_not_kept_and_harms_no_other_program(installed: Path) -> None:
+    first = "\n\n@njit(cache=True)\ndef first(record):\n    return record[0]\n"
+    own = CALLER.replace("from numba import njit", "from phdtrack.kernels.cache import njit")
+    (installed / "phdtrack" / "kernels" / "caller.py").write_text(own + first)
+    environment = os.environ | {"PYTHONPATH": str(installed), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    for program in (RECORD, "from phdtrack.kernels.caller import first\nassert first((4.0,)) == 4.0"):
+        done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.blocks import Real, load_steps, load_weight, products, sums, weigh, whole
+from phdtrack.kernels.cache import njit
 from phdtrack.kernels.clustering import add_part, centred
 from phdtrack.kernels.fast32 import ENTRY, FAST, VECTOR, exp32
 from phdtrack.kernels.overlaps import overlapping, rectangle_grid

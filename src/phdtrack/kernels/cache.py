@@ -7,6 +7,8 @@ cache, the first of them that can be written into. Two things it leaves to us:
   folder is made that lives as long as the process.
 * It keeps a kernel until the *file* of that kernel changes. A kernel that calls another one, of another file, would stay as
   it was compiled after an upgrade. So the folder carries a digest of all sources, and is emptied where that is another one.
+* It also keeps a kernel compiled for a record of the user's program. Another program, which cannot import that record, could
+  then not read the list of kept kernels. So `njit` keeps kernels of this package's own records only.
 """
 
 from __future__ import annotations
@@ -16,13 +18,13 @@ import hashlib
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numba
-from numba import njit
 
 SOURCES = Path(__file__).parent
 STAMP = "phdtrack-kernels.sha256"
@@ -39,6 +41,32 @@ class Cache:
     def kept(self) -> int:
         """How many kernels are there."""
         return len(list(self.folder.glob("*.nbi")))
+
+
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """``numba.njit`` for kernels of this package; with ``cache=True`` kernels of records from outside are not kept."""
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        dispatcher: Any = numba.njit(**options)(function)
+        if not options.get("cache") or numba.config.DISABLE_JIT:
+            return dispatcher
+        keep = dispatcher._cache.save_overload
+
+        def keep_own(signature: Any, data: Any) -> None:
+            if not any(_from_outside(kind) for kind in data.signature.args):
+                keep(signature, data)
+
+        dispatcher._cache.save_overload = keep_own
+        return dispatcher
+
+    return compiled
+
+
+def _from_outside(kind: Any) -> bool:
+    """Whether an argument's type is, or holds, a record that is not of this package."""
+    record = getattr(kind, "instance_class", None)
+    foreign = record is not None and not record.__module__.startswith(__name__.partition(".")[0] + ".")
+    return foreign or any(_from_outside(part) for part in getattr(kind, "types", ()))
 
 
 def prepare() -> Cache:

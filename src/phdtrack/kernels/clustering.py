@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.blocks import Real, U, load, load_steps, load_weight, products, spread, sums, weigh, whole
+from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, FAST, VECTOR
 from phdtrack.kernels.nearest import MIXED, file_centre, reached
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.blocks import Real, load_steps, whole
+from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import VECTOR
 from phdtrack.kernels.nearest import (
     ALIVE,

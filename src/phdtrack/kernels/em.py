@@ -13,9 +13,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR
 from phdtrack.kernels.gaussian import LOG_2PI, factor, norm2
 

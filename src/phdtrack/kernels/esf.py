@@ -14,8 +14,9 @@ all z in O(m²), again by additions alone.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from phdtrack.kernels.cache import njit
 
 F8 = NDArray[np.float64]
 # exp(-40) is below the last digit of 1.

@@ -6,7 +6,8 @@ The coefficients are near-minimax fits (Lawson's iteration on Chebyshev nodes); 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from phdtrack.kernels.cache import njit
 
 # What lets sums be reordered and so vectorise, but keeps NaN and infinity (unlike ``fastmath=True``).
 FAST = {"contract", "nsz", "arcp", "reassoc", "afn"}

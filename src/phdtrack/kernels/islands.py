@@ -9,9 +9,9 @@ Centres and blocks are named by their places on their island.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.nearest import file_centre, reached
 

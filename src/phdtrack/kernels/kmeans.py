@@ -17,10 +17,10 @@ The tables of blocks and clusters are those of `kernels.nearest`; rows, labels a
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.blocks import Real, U, load_steps, whole, working_memory
+from phdtrack.kernels.cache import njit
 from phdtrack.kernels.clustering import cluster_moments
 from phdtrack.kernels.dividing import begin_cluster, divide, divisions, find_farthest, note_strays
 from phdtrack.kernels.fast32 import ENTRY, VECTOR

@@ -13,10 +13,10 @@ Tables, one row each, so that what is known of one block or cluster lies togethe
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.blocks import Real, U
+from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import VECTOR
 from phdtrack.kernels.overlaps import overlapping
 

@@ -6,9 +6,9 @@ The counterpart of `gating` (points in rectangles) for blocks of particles: one 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 
 F8 = NDArray[np.float64]

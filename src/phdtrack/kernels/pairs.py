@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from phdtrack.kernels.cache import njit
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]

@@ -8,9 +8,9 @@ for single precision: a stream costs half as much as a counter, and its first st
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import INNER, VECTOR
 
 U4 = NDArray[np.uint32]
