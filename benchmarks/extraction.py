@@ -56,7 +56,7 @@ def on_threads(targets: int, frames: int = 4, seed: int = 1, repeats: int = REPE
     ``identical`` : whether the states are the same to the bit.
     """
     crowd = Crowd(targets, WARM_UP + frames)
-    built = [stages(crowd, sets=(f"filter.threads={n}", f"extract.threads={n}")) for n in (1, 2)]
+    built = [stages(crowd, sets=(f"filter.threads={n}",)) for n in (1, 2)]
     least, identical = [], True
     for state, z, model in intensities(targets, frames, seed):
 

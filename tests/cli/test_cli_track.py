@@ -77,7 +77,6 @@ def test_threads_reach_the_filter_and_change_nothing(sequence: Path, tmp_path: P
         said = phdtrack("track", *given, "--out", out, "--json")
         assert said.status == 0, said.err
         assert said.object["configuration"]["filter"]["threads"] == threads
-        assert said.object["configuration"]["extract"]["threads"] == threads
         texts.append([(out / file).read_bytes() for file in (rundir.TRACKS, rundir.STATES, rundir.ONLINE)])
     assert texts[0] == texts[1] == texts[2]
 

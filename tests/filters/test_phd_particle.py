@@ -14,8 +14,7 @@ from phd_cases import FRAME, crowd, seen_by, with_births, world
 from phdtrack import Tracker
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter, ParticleCPHD, ParticlePHD
-from phdtrack.filters.phd_particle import in_blocks
-from phdtrack.filters.threads import in_ranges
+from phdtrack.filters.blocks import in_blocks, in_ranges
 from phdtrack.models import (
     BoxMotion,
     FixedBirth,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phdtrack.kernels.em import Candidates, Gaussians, em_step, one_block
+from phdtrack.kernels.em import Candidates, Gaussians, em_step, nothing_known, one_block
 from phdtrack.types import F8
 from reference import em as defined
 
@@ -20,7 +20,7 @@ def test_a_step_is_that_of_the_definition(dtype: type[np.floating], close: float
     rng = np.random.default_rng(1)
     x, mixture = cloud(rng)
     weight, background = rng.uniform(0.2, 2, 500), rng.normal(-8, 1, 500)
-    found = em_step(x.astype(dtype), weight, background, mixture, one_block(500, 4))
+    found = em_step(x.astype(dtype), weight, background, mixture, one_block(500, 4), nothing_known(3))
     for mine, expected in zip(found, defined.em_step(x, weight, background, mixture), strict=True):
         np.testing.assert_allclose(mine, expected, rtol=close, atol=close)
 
@@ -29,7 +29,7 @@ def test_components_explain_only_the_blocks_that_name_them() -> None:
     x, mixture = cloud(np.random.default_rng(2))
     # The first 200 samples may belong to components 0 and 2, the next 200 to component 1 alone, the others to none.
     candidates = Candidates(np.array([0, 200, 400, 500]), np.array([0, 2, 3, 3]), np.array([0, 2, 1]))
-    found = em_step(x, np.ones(1), np.zeros(0), mixture, candidates)
+    found = em_step(x, np.ones(1), np.zeros(0), mixture, candidates, nothing_known(3))
     two = Gaussians(mixture.weight[[0, 2]], mixture.mean[:, [0, 2]], mixture.covariance[[0, 2]])
     expected = defined.em_step(x[:, :200], np.ones(200), np.full(200, -np.inf), two)
     np.testing.assert_allclose(found.mean[:, [0, 2]], expected.mean, rtol=1e-10)

@@ -8,10 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import config, njit
 
-from inner_kernels import from_python
 from phdtrack.kernels.fast32 import cos_sin_turn, exp32, log32, sortable, sorted_number
-
-sortable, sorted_number = from_python(sortable, sorted_number)
 
 POINTS = 3_000 if config.DISABLE_JIT else 2_000_000
 

@@ -1,4 +1,4 @@
-"""K-means and EM of the extraction with every pair in reach written out: what the forms over blocks must agree with.
+"""K-means of the extraction with every pair in reach written out: what the form over blocks must agree with.
 
 Particles are (d, L), weights (L,), centres (d, k). Everything is a dense table of particles and centres, in float64.
 """
@@ -8,24 +8,18 @@ from __future__ import annotations
 import numpy as np
 
 from phdtrack.arrays import iou
-from phdtrack.kernels.dividing import PATIENCE, STRAY
-from phdtrack.kernels.kmeans import STILL
+from phdtrack.kernels.kmeans import PATIENCE, STILL, STRAY
 
 REACH = 8.0
 
 
-def table(x, centres, scale):
-    """(L, k) scaled distance², infinite where the centre does not reach the particle."""
-    step = (x[:, :, None] - centres[:, None, :]) / scale[:, None, :]
-    inside = (np.abs(step[:2]) <= REACH).all(0)
-    return np.where(inside, (step**2).sum(0), np.inf)
-
-
-def label(x, centres, scale):
-    """The nearest centre in reach of each particle (−1: none), and its scaled distance²."""
+def label(x, centres, scale, began):
+    """The nearest centre of those near whose beginnings each particle lies (−1: none), and its scaled distance²."""
     if centres.shape[1] == 0:
         return np.full(x.shape[1], -1), np.full(x.shape[1], np.inf)
-    distance2 = table(x, centres, scale)
+    inside = (np.abs(x[:2, :, None] - began[:2, None, :]) <= REACH * scale[:2, None, :]).all(0)
+    step = (x[:, :, None] - centres[:, None, :]) / scale[:, None, :]
+    distance2 = np.where(inside, (step**2).sum(0), np.inf)
     best = distance2.min(1)
     return np.where(np.isfinite(best), distance2.argmin(1), -1), best
 
@@ -46,58 +40,36 @@ def members(labels, weight, k):
     return np.where(labels[:, None] == np.arange(k), weight[:, None], 0.0)
 
 
-def names(labels, other, k):
-    """(k,) what another numbering of the same clusters calls each; −1 for one that is empty."""
-    out = np.full(k, -1)
-    out[labels[labels >= 0]] = other[labels >= 0]
-    return out
-
-
-def settle(x, weight, centre, mean, moved, alive, steps, scale, labels, iterations):
-    """Assignment and means in turn until no particle changes: what is needed to go on. A centre follows its mean where
-    that has moved by more than STILL deviations, or where its cluster has come to life or died, ``iterations`` times at
-    most; ``steps`` is counted up."""
-    k = centre.shape[1]
-    while True:
-        centre = np.where(moved, mean, centre)
-        steps += moved
-        before, (labels, _) = labels, label(x, np.where(alive, centre, np.inf), scale)
-        mass, mean, _ = moments(x, members(labels, weight, k), k)
-        held = np.bincount(labels[labels >= 0], minlength=k) > 0
-        mean = np.where(held, mean, centre)
-        moved = ((held != alive) | (np.abs(mean - centre) > STILL * scale).any(0)) & (steps < iterations)
-        alive = held
-        if np.array_equal(labels, before):
-            break
-    return centre, mean, mass, alive, labels
-
-
-def cluster(x, weight, centre, scale, split, iterations, rounds):
+def cluster(x, weight, centre, scale, split, iterations):
     """Labels (L,), masses and means after K-means in which clusters heavier than ``split`` are divided."""
-    labels, mean, began = np.full(len(weight), -1), centre, 0
-    alive, moved = (np.ones(centre.shape[1], bool) for _ in range(2))
-    parent, strays, steps = (np.zeros(centre.shape[1], int) for _ in range(3))
-    steps -= 1
+    rounds = int(np.ceil(2 * weight.sum() / split))
+    began, centre = centre, centre.copy()
+    strays, steps = np.zeros(centre.shape[1], int), np.zeros(centre.shape[1], int)
+    parent = np.zeros(0, int)
     for turn in range(rounds + 1):
-        centre, mean, mass, alive, labels = settle(x, weight, centre, mean, moved, alive, steps, scale, labels, iterations)
-        for j in range(began, len(mass)) if began else ():
-            i = parent[j]
+        while True:
+            labels, distance2 = label(x, centre, scale, began)
+            mass, mean, _ = moments(x, members(labels, weight, centre.shape[1]), centre.shape[1])
+            mean = np.where(mass > 0, mean, centre)
+            moved = (np.abs(mean - centre) > STILL * scale).any(0) & (steps < iterations)
+            if not moved.any():
+                break
+            steps += moved
+            centre = np.where(moved, mean, centre)
+        k = len(mass)
+        for i, j in zip(parent, range(k - len(parent), k), strict=True):
             if max(mass[i], mass[j]) > split and min(mass[i], mass[j]) < STRAY * split:
                 strays[i] += 1
                 strays[j] = strays[i]
-        began = len(mass)
-        _, distance2 = label(x, np.where(alive, centre, np.inf), scale)
         heavy = np.flatnonzero((mass > split) & (strays < PATIENCE))
         far = {j: int(np.argmax(np.where(labels == j, distance2, -1.0))) for j in heavy}
         far = {j: i for j, i in far.items() if distance2[i] > 0}
         if turn == rounds or not far:
             break
-        divided, stray = list(far), x[:, list(far.values())]
-        centre, mean, scale = np.hstack([centre, stray]), np.hstack([centre, stray]), np.hstack([scale, scale[:, divided]])
-        moved, alive = np.arange(centre.shape[1]) >= began, np.append(alive, np.ones(len(far), bool))
-        steps[divided] = 0
-        steps = np.append(steps, np.full(len(far), -1))
-        parent, strays = np.append(parent, divided), np.append(strays, np.zeros(len(far), int))
+        parent, new = np.array(list(far)), x[:, list(far.values())]
+        centre, began, scale = np.hstack([centre, new]), np.hstack([began, new]), np.hstack([scale, scale[:, parent]])
+        steps[parent] = 0
+        steps, strays = (np.append(a, np.zeros(len(far), int)) for a in (steps, strays))
     return labels, mass, mean
 
 
@@ -122,29 +94,12 @@ def join_light(mass, mean, noise, lightest, split):
 
 def kmeans(x, weight, centres, noise, lightest, split, iterations=5):
     """Masses, means and covariances of the clusters heavy enough, from the centres (d, k) on."""
-    rounds = int(np.ceil(2 * weight.sum() / split))
-    labels, mass, mean = cluster(x, weight, centres, noise(centres), split, iterations, rounds)
+    labels, mass, mean = cluster(x, weight, centres, noise(centres), split, iterations)
     root = join_light(mass, mean, noise, lightest, split)
     labels = np.where(labels >= 0, np.append(root, -1)[labels], -1)
     mass, mean, cov = moments(x, members(labels, weight, len(root)), len(root))
     kept = mass >= lightest
     return mass[kept], mean[:, kept], cov[kept]
-
-
-def em(x, weight, amount, mean, cov, scale):
-    """Masses, means and covariances after one EM iteration."""
-    k = len(amount)
-    inside = np.isfinite(table(x, mean, scale))
-    log = np.full(inside.shape, -np.inf)
-    for j in range(k):
-        step = x - mean[:, [j]]
-        log[:, j] = np.log(amount[j]) - 0.5 * np.linalg.slogdet(cov[j])[1]
-        log[:, j] -= 0.5 * (step * np.linalg.solve(cov[j], step)).sum(0)
-    log[~inside] = -np.inf
-    top = log.max(1, keepdims=True, initial=-1e300)
-    share = np.exp(log - top) * inside
-    total = share.sum(1, keepdims=True)
-    return moments(x, np.divide(share, total, out=np.zeros_like(share), where=total > 0) * weight[:, None], k)
 
 
 def join_alike(boxes, overlap, mass, mean, cov):

@@ -63,7 +63,7 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     size = (float(info.width), float(info.height))
     model, associator, smoother = _model(settings, info), _associator(settings, size), settings.build("smooth")
     if settings.kind("filter") == "none":
-        from phdtrack.filters.extract.raw import Raw
+        from phdtrack.filters.extract.components import Raw
 
         return Stages(model, settings.build("filter"), Raw(), associator, smoother=smoother)
     initial = settings.values("filter").get("initial", [])

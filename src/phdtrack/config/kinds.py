@@ -206,10 +206,10 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     },
     "extract": {
         "bernoullis": "phdtrack.filters.pmb:BestBernoullis",
-        "kmeans": "phdtrack.filters.extract.kmeans:KMeans",
-        "mixture": "phdtrack.filters.extract.mixture:Mixture",
+        "kmeans": "phdtrack.filters.extract.clusters:KMeans",
+        "mixture": "phdtrack.filters.extract.clusters:Mixture",
         "components": "phdtrack.filters.extract.components:Components",
-        "joint": "phdtrack.filters.extract.joint:Joint",
+        "joint": "phdtrack.filters.extract.components:Joint",
         "hypotheses": "phdtrack.filters.mht:BestHypothesis",
     },
     "associate": {"labelled": "phdtrack.associate.labels:Labelled", "graph": "phdtrack.associate.graph:GraphMatching"},

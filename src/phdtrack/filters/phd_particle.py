@@ -18,16 +18,14 @@ import numpy as np
 
 from phdtrack.arrays import chi2_quantile, draw, sum_by
 from phdtrack.errors import Count, PositiveCount, check
+from phdtrack.filters.blocks import Intensity, carried, in_blocks, in_ranges, joined
 from phdtrack.filters.intensities import UpdatedParticles
-from phdtrack.filters.threads import in_ranges
 from phdtrack.kernels import particles as sweeps
-from phdtrack.kernels.blocks import cut
 from phdtrack.kernels.grid import Grid, make_grid
-from phdtrack.kernels.particle_models import BLOCK, SensorNumbers, precision
+from phdtrack.kernels.particle_models import SensorNumbers, precision
 from phdtrack.protocols import Model
 from phdtrack.types import F8, GaussianMixture, ParticleBlocks, Particles, Real, UpdateInfo
 
-Intensity = Particles | ParticleBlocks | UpdatedParticles
 # κ + C below this counts as 0 where likelihoods are in single precision: they have no tail below 1e-38.
 FAINT = 1e-30
 
@@ -247,56 +245,6 @@ class ParticlePHD:
         """Predict, update and reduce."""
         updated, info = self.update(self.predict(state, model, dt, rng), z, model, dt, rng)
         return self.reduce(updated, rng), info
-
-
-def in_blocks(state: Intensity, dtype: np.dtype[np.floating]) -> ParticleBlocks:
-    """The intensity in blocks of neighbours, its states as numbers of this type."""
-    if isinstance(state, ParticleBlocks):
-        return state
-    if isinstance(state, UpdatedParticles):
-        return joined(state.old, state.born)
-    if len(state) == 0:
-        return ParticleBlocks.empty(len(state.state), dtype)
-    x, weight, start = state.state, state.weight, state.start
-    if len(start):
-        # Runs of neighbours, as births are drawn: each is divided into blocks.
-        whole = -(-np.diff(start) // BLOCK)
-        each = np.concatenate([[0], np.cumsum(whole)])
-        rank = np.arange(each[-1]) - np.repeat(each[:-1], whole)
-        start = np.append(np.repeat(start[:-1], whole) + BLOCK * rank, len(state))
-    else:
-        x, weight, start = cut(x, weight, BLOCK)
-    unit = float(weight.max())
-    share = np.zeros(0, dtype) if (weight == unit).all() else (weight / (unit or 1.0)).astype(dtype)
-    return ParticleBlocks(np.ascontiguousarray(x, dtype), start, unit, share)
-
-
-def carried(state: ParticleBlocks, model: Model) -> ParticleBlocks:
-    """The same weights at the states carried into the present frame's pixels (`Model.warp`)."""
-    if len(model.warp) == 0 or len(state) == 0:
-        return state
-    moved = np.ascontiguousarray(model.warp_states(state.state.astype(np.float64)), state.state.dtype)
-    return ParticleBlocks(moved, state.start, state.unit, state.share)
-
-
-def joined(a: ParticleBlocks, b: ParticleBlocks) -> ParticleBlocks:
-    """The sum of two intensities."""
-    if len(b) == 0 or len(a) == 0:
-        return a if len(b) == 0 else b
-    unit = a.unit or b.unit
-    share = [
-        (part.share if len(part.share) else np.ones(len(part), part.state.dtype))
-        * part.state.dtype.type(part.unit / (unit or 1.0))
-        for part in (a, b)
-    ]
-    extents = np.concatenate([a.extents, b.extents]) if len(a.extents) and len(b.extents) else np.zeros((0, 6))
-    return ParticleBlocks(
-        np.concatenate([a.state, b.state], axis=1),
-        np.concatenate([a.start, len(a) + b.start[1:]]),
-        unit,
-        np.concatenate(share),
-        extents,
-    )
 
 
 def _with_share(blocks: ParticleBlocks, share: Real) -> ParticleBlocks:

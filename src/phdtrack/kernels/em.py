@@ -13,10 +13,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR
+from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, exp_of, log_of
 from phdtrack.kernels.gaussian import LOG_2PI, factor, norm2
 
 F8 = NDArray[np.float64]
@@ -25,6 +25,10 @@ Real = NDArray[np.floating[Any]]
 
 # Samples that are shared among their components at a time.
 CHUNK = 128
+# Logarithms below this are those of a density that is 0.
+NOTHING = -1e30
+# A density that is so much (nats) below another one at the same place counts as 0 there.
+LEAST = -60.0
 # A component of less mass than this has no samples: its square must not vanish.
 NO_MASS = 1e-100
 # A share of a sample below which nothing of a component moves by more than rounding.
@@ -85,6 +89,11 @@ class Recursion(NamedTuple):
     floor: F8
 
 
+def nothing_known(dim: int) -> Gaussians:
+    """The moments of no blocks."""
+    return Gaussians(np.zeros(0), np.zeros((dim, 0)), np.zeros((0, dim, dim)))
+
+
 def one_block(samples: int, components: int) -> Candidates:
     """Candidates where every sample may belong to every component."""
     return Candidates(np.array([0, samples]), np.array([0, components]), np.arange(components))
@@ -110,7 +119,7 @@ def _whitened(mixture: Gaussians) -> tuple[F8, F8]:
 
 
 @njit(**VECTOR)
-def _steps(x: Real, begin: int, size: int, mean: F8, j: int, step: Real) -> None:
+def steps_from(x: Real, begin: int, size: int, mean: F8, j: int, step: Real) -> None:
     """Write x − m of component ``j`` into ``step`` (d, ≥ size)."""
     real = x.dtype.type
     for r in range(x.shape[0]):
@@ -139,38 +148,47 @@ def _log_density(step: Real, size: int, inverse: F8, log_peak: float, part: Real
         out[i] = top + half * out[i]
 
 
-@njit(**INNER)
-def _responsibilities(table: Real, count: int, begin: int, size: int, weight: F8, log_background: F8, total: F8) -> float:
+@njit(**VECTOR)
+def _responsibilities(
+    table: Real, count: int, size: int, weight: Real, background: Real, top: Real, total: Real
+) -> float:  # fmt: skip
     """Turn log densities in ``table`` (≥ count, ≥ size) into weight times responsibility; gives Σ weight · log density.
 
-    ``total`` (≥ size,) becomes the weight times the responsibility of the background.
+    The logarithm in ``background`` becomes the weight times the responsibility of the background; ``top``, ``total`` are
+    scratch.
     """
-    log_likelihood = 0.0
+    real, log_likelihood = table.dtype.type, 0.0
+    nothing, least, zero = real(NOTHING), real(LEAST), real(0)
     for i in range(size):
-        top = log_background[begin + i] if log_background.size else -math.inf
-        background = top
-        for c in range(count):
-            top = max(top, table[c, i])
-        if top == -math.inf:
-            total[i] = 0.0
-            for c in range(count):
-                table[c, i] = 0.0
-            continue
-        sum_ = math.exp(background - top)
-        total[i] = sum_
-        for c in range(count):
-            table[c, i] = math.exp(table[c, i] - top)
-            sum_ += table[c, i]
-        w = weight[begin + i] if weight.size > 1 else weight[0]
-        log_likelihood += w * (top + math.log(sum_))
-        total[i] *= w / sum_
-        for c in range(count):
-            table[c, i] *= w / sum_
+        top[i] = background[i]
+    for c in range(count):
+        for i in range(size):
+            top[i] = table[c, i] if table[c, i] > top[i] else top[i]
+    for i in range(size):
+        top[i] = top[i] if top[i] > nothing else zero
+        background[i] = exp_of(background[i] - top[i]) if background[i] - top[i] > least else zero
+    for c in range(count):
+        for i in range(size):
+            # No numbers below the smallest normal one: they are slow.
+            table[c, i] = exp_of(table[c, i] - top[i]) if table[c, i] - top[i] > least else zero
+    for i in range(size):
+        total[i] = background[i]
+    for c in range(count):
+        for i in range(size):
+            total[i] += table[c, i]
+    for i in range(size):
+        log_likelihood += weight[i] * (top[i] + log_of(total[i])) if total[i] > zero else zero
+        top[i] = weight[i] / total[i] if total[i] > zero else zero
+    for i in range(size):
+        background[i] *= top[i]
+    for c in range(count):
+        for i in range(size):
+            table[c, i] *= top[i]
     return log_likelihood
 
 
 @njit(**VECTOR)
-def _add_moments(step: Real, share: Real, size: int, j: int, mass: F8, first: F8, second: F8) -> None:
+def add_moments(step: Real, share: Real, size: int, j: int, mass: F8, first: F8, second: F8) -> None:
     """Add the sums over samples of share, share · step and share · step · stepᵀ to component ``j``'s."""
     zero = step.dtype.type(0)
     total = zero
@@ -192,7 +210,19 @@ def _add_moments(step: Real, share: Real, size: int, j: int, mass: F8, first: F8
 
 
 @njit(**INNER)
-def _from_sums(mixture: Gaussians, mass: F8, first: F8, second: F8) -> tuple[F8, F8]:
+def _add_known(known: Gaussians, b: int, j: int, mean: F8, mass: F8, first: F8, second: F8) -> None:
+    """Add the sums of all samples of block ``b`` to component ``j``'s."""
+    total = known.weight[b]
+    mass[j] += total
+    for r in range(mean.shape[0]):
+        step = known.mean[r, b] - mean[r, j]
+        first[j, r] += total * step
+        for s in range(r + 1):
+            second[j, r, s] += total * (known.covariance[b, r, s] + step * (known.mean[s, b] - mean[s, j]))
+
+
+@njit(**INNER)
+def from_sums(mixture: Gaussians, mass: F8, first: F8, second: F8) -> tuple[F8, F8]:
     """Means (d, k) and covariances (k, d, d) from sums of steps from the old means."""
     mean, cov = mixture.mean.copy(), mixture.covariance.copy()
     for j in range(mass.size):
@@ -207,7 +237,9 @@ def _from_sums(mixture: Gaussians, mass: F8, first: F8, second: F8) -> tuple[F8,
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
-def em_step(x: Real, weight: F8, log_background: F8, mixture: Gaussians, candidates: Candidates) -> Moments:
+def em_step(
+    x: Real, weight: F8, log_background: F8, mixture: Gaussians, candidates: Candidates, known: Gaussians
+) -> Moments:  # fmt: skip
     """Expectation and the sums of maximisation for weighted samples [M09 §III-B].
 
     The new weights, a floor under covariances and a prior are left to the caller. Samples of blocks without candidates count
@@ -221,6 +253,7 @@ def em_step(x: Real, weight: F8, log_background: F8, mixture: Gaussians, candida
     log_background : (n,) logarithm of the density beside the mixture at each sample; (0,) for none.
     mixture : the Gaussians, whose weights count the background in: density = background + Σ weight · N(x).
     candidates : the components that each block of samples may belong to (`one_block` for all).
+    known : mass, mean and covariance of each block, so that no sample of one with one candidate is looked at; or of none.
     """
     d, (start, first_of, component) = x.shape[0], candidates
     inverse, log_peak = _whitened(mixture)
@@ -228,28 +261,33 @@ def em_step(x: Real, weight: F8, log_background: F8, mixture: Gaussians, candida
     mass, first, second = np.zeros(count), np.zeros((count, d)), np.zeros((count, d, d))
     widest = np.max(np.diff(first_of)) if first_of.size > 1 else 0
     step, table = np.empty((d, CHUNK), x.dtype), np.empty((widest, CHUNK), x.dtype)
-    part, total = np.empty(CHUNK, x.dtype), np.empty(CHUNK)
+    part, total = np.empty(CHUNK, x.dtype), np.empty(CHUNK, x.dtype)
+    own, beside = np.empty(CHUNK, x.dtype), np.empty(CHUNK, x.dtype)
     background, log_likelihood = 0.0, 0.0
     for b in range(start.size - 1):
         near = component[first_of[b] : first_of[b + 1]]
+        if near.size == 1 and log_background.size == 0 and known.weight.size > 0:
+            _add_known(known, b, near[0], mixture.mean, mass, first, second)
+            continue
         for begin in range(start[b], start[b + 1], CHUNK):
             size = min(CHUNK, start[b + 1] - begin)
+            for i in range(size):
+                own[i] = weight[begin + i] if weight.size > 1 else weight[0]
+                beside[i] = log_background[begin + i] if log_background.size else -np.inf
             if near.size == 1 and log_background.size == 0:
-                for i in range(size):
-                    table[0, i] = weight[begin + i] if weight.size > 1 else weight[0]
-                _steps(x, begin, size, mixture.mean, near[0], step)
-                _add_moments(step, table[0], size, near[0], mass, first, second)
+                steps_from(x, begin, size, mixture.mean, near[0], step)
+                add_moments(step, own, size, near[0], mass, first, second)
                 continue
             for c in range(near.size):
-                _steps(x, begin, size, mixture.mean, near[c], step)
+                steps_from(x, begin, size, mixture.mean, near[c], step)
                 _log_density(step, size, inverse[near[c]], log_peak[near[c]], part, table[c])
-            log_likelihood += _responsibilities(table, near.size, begin, size, weight, log_background, total)
+            log_likelihood += _responsibilities(table, near.size, size, own, beside, part, total)
             for i in range(size):
-                background += total[i]
+                background += beside[i]
             for c in range(near.size):
-                _steps(x, begin, size, mixture.mean, near[c], step)
-                _add_moments(step, table[c], size, near[c], mass, first, second)
-    mean, cov = _from_sums(mixture, mass, first, second)
+                steps_from(x, begin, size, mixture.mean, near[c], step)
+                add_moments(step, table[c], size, near[c], mass, first, second)
+    mean, cov = from_sums(mixture, mass, first, second)
     return Moments(mass, mean, cov, background, log_likelihood)
 
 

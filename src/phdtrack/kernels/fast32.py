@@ -5,9 +5,13 @@ The coefficients are near-minimax fits (Lawson's iteration on Chebyshev nodes); 
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from collections.abc import Callable
+from typing import Any
 
-from phdtrack.kernels.cache import njit
+import numpy as np
+from numba import njit, types
+from numba.extending import overload
 
 # What lets sums be reordered and so vectorise, but keeps NaN and infinity (unlike ``fastmath=True``).
 FAST = {"contract", "nsz", "arcp", "reassoc", "afn"}
@@ -71,15 +75,75 @@ def cos_sin_turn(u: np.float32) -> tuple[np.float32, np.float32]:
     return -cosine, -sine
 
 
-@njit(**VECTOR)
-def sortable(x: np.float32) -> np.int32:
-    """An integer that is greater where x is: minima of integers vectorise, those of numbers that may be NaN do not."""
+def _exp_single(x: Any) -> Any:
+    return exp32(x)
+
+
+def _exp_double(x: Any) -> Any:
+    return math.exp(x)
+
+
+def _log_single(x: Any) -> Any:
+    return log32(x)
+
+
+def _log_double(x: Any) -> Any:
+    return math.log(x)
+
+
+def _key_single(x: Any) -> Any:
     bits = F(x).view(np.int32)
     return INT(bits ^ INT(INT(bits >> SIGN) & REST))
 
 
-@njit(**VECTOR)
-def sorted_number(key: np.int32) -> np.float32:
+def _key_double(x: Any) -> Any:
+    bits = np.float64(x).view(np.int64)
+    return bits ^ ((bits >> np.int64(63)) & np.int64(0x7FFFFFFFFFFFFFFF))
+
+
+def _of_key_single(key: Any) -> Any:
+    return INT(key ^ INT(INT(key >> SIGN) & REST)).view(np.float32)
+
+
+def _of_key_double(key: Any) -> Any:
+    return np.int64(key ^ ((key >> np.int64(63)) & np.int64(0x7FFFFFFFFFFFFFFF))).view(np.float64)
+
+
+def exp_of(x: Any) -> Any:
+    """eˣ for x ≤ 0 in the type of x: in single precision a polynomial, which vectorises."""
+    return _exp_single(x) if isinstance(x, np.float32) else _exp_double(x)
+
+
+def log_of(x: Any) -> Any:
+    """log x for normal x > 0 in the type of x."""
+    return _log_single(x) if isinstance(x, np.float32) else _log_double(x)
+
+
+def sortable(x: Any) -> Any:
+    """An integer that is greater where x is: minima of integers vectorise, those of numbers that may be NaN do not."""
+    return _key_single(x) if isinstance(x, np.float32) else _key_double(x)
+
+
+def sorted_number(key: Any) -> Any:
     """The number that `sortable` made ``key`` of."""
-    out: np.float32 = INT(key ^ INT(INT(key >> SIGN) & REST)).view(np.float32)
-    return out
+    return _of_key_single(key) if isinstance(key, np.int32) else _of_key_double(key)
+
+
+@overload(exp_of, jit_options=VECTOR)
+def _exp_of(x: Any) -> Callable[..., Any]:
+    return _exp_single if x == types.float32 else _exp_double
+
+
+@overload(log_of, jit_options=VECTOR)
+def _log_of(x: Any) -> Callable[..., Any]:
+    return _log_single if x == types.float32 else _log_double
+
+
+@overload(sortable, jit_options=VECTOR)
+def _sortable(x: Any) -> Callable[..., Any]:
+    return _key_single if x == types.float32 else _key_double
+
+
+@overload(sorted_number, jit_options=VECTOR)
+def _sorted_number(key: Any) -> Callable[..., Any]:
+    return _of_key_single if key == types.int32 else _of_key_double

@@ -1,376 +1,425 @@
-"""Modified K-means over blocks of particles: assignment, means, and the division of clusters that are too heavy [M07 §3].
+"""Modified K-means on particles in blocks: assignment, means, and the division of clusters that are too heavy [M07 §3].
 
-Most blocks lie near one centre only, or nearer to it than to any other by all of their bounding box. What such a block adds
-to its cluster is known from its sums, and none of its particles is looked at. A block with particles of several clusters, or
-of none, is mixed: its particles have labels of their own. Which centres are near a block is found once, from the centres'
-side, with room for them to move; only blocks with a centre that has moved are looked at again.
-
-Every island (see `kernels.islands`) is settled by itself, from its first assignment to the moments of its clusters, while
-its particles are at hand. That is not an approximation: how often a centre may move is counted for each by itself.
-
-Distances are in units of the noise at the centre where a cluster began; a divided cluster's new centre takes it over. A
-centre reaches ``reach`` of its deviations in position.
-
-The tables of blocks and clusters are those of `kernels.nearest`; rows, labels and lists are those of one island.
+Distances are measured in units of the noise at the centre where a cluster began; a new centre takes over those of the
+cluster that it divides. A cluster holds particles in a window of positions about the place where it began. Most blocks have
+one centre in reach, or lie nearer to it than to any other by all of their box: their sums are known, and none of their
+particles is looked at. Only blocks near a centre that has moved are looked at again.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from phdtrack.kernels.blocks import Real, U, load_steps, whole, working_memory
-from phdtrack.kernels.cache import njit
-from phdtrack.kernels.clustering import cluster_moments
-from phdtrack.kernels.dividing import begin_cluster, divide, divisions, find_farthest, note_strays
-from phdtrack.kernels.fast32 import ENTRY, VECTOR
-from phdtrack.kernels.nearest import (
-    ALIVE,
-    CENTRE,
-    COUNT,
-    MASS,
-    MIXED,
-    MOVED,
-    NOBODY,
-    ROOM,
-    STEPS,
-    X,
-    Y,
-    contenders,
-    file_centre,
-    nearest_in_block,
-    reached,
-)  # fmt: skip
+from phdtrack.kernels.blocks import F8, I8, Blocks, Real, U, add_products, holds, load_steps, reaching, weigh
+from phdtrack.kernels.em import Candidates, Gaussians
+from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR
+from phdtrack.kernels.grid import Grid
 
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
 I4 = NDArray[np.int32]
 # A centre that has moved by less than this many deviations has not moved.
 STILL = 0.02
 # A cluster with less than this share of all mass does not move: the difference of larger sums says nothing of its place.
 DUST = 1e-12
+# A cluster is not divided any more after this many divisions in which one part got less than this share of the split
+# mass: its farthest particles were strays, and peeling them off one by one would not end.
+PATIENCE, STRAY = 4, 0.05
+
+
+class Rule(NamedTuple):
+    """``reach``: half a window's side in deviations. ``split``: heavier clusters are divided. ``iterations``: how often a
+    centre may move, and again after each division of its cluster."""
+
+    reach: float
+    split: float
+    iterations: int
+
+
+class Centres(NamedTuple):
+    """k centres: ``at``, ``per`` (k, d) with one over the deviations for distances; ``low``, ``high`` (2, k) windows."""
+
+    at: F8
+    per: F8
+    low: F8
+    high: F8
+
+
+class Scratch(NamedTuple):
+    """Of one block: ``row`` (2e + 4, n), e = d or d + 1 even: steps from the block's middle, distance², the least of them,
+    weights, weights of one cluster, and these times the steps; ``which`` (n,) the place in ``among`` (≥ k,) of each
+    particle's cluster; ``among`` entries of candidates."""
+
+    row: Real
+    which: I4
+    among: I8
+
+
+@njit(**INNER)
+def even(d: int) -> int:
+    """The rows in which d components are summed, two at a time."""
+    return d + d % 2
 
 
 @njit(**VECTOR)
-def add_block(sign: float, j: int, n: int, d: int, b: int, known: F8, table: F8, flags: I8) -> None:
-    """Add a whole block of n particles to cluster j, or take it away (``sign`` −1)."""
-    flags[j, COUNT] += n if sign > 0.0 else -n
-    table[j, MASS] += sign * known[b, 0]
-    for r in range(d):
-        table[j, CENTRE + 3 * d + r] += sign * known[b, 1 + 3 * d + r]
+def _least_excess(at: F8, per: F8, a: int, b: int, low: F8, high: F8, block: int) -> float:
+    """The least of |x − c_b|² − |x − c_a|², each in its own deviations, over a block's box: above 0 nothing is nearer to b.
 
-
-@njit(**VECTOR)
-def regroup(
-    weight: Real, begin: int, n: int, d: int, known: F8, b: int, near: I8, count: int, which: I4, own: I4, scratch: Real,
-    table: F8, flags: I8,
-) -> None:  # fmt: skip
-    """Count the particles of block b whose cluster has changed from ``own`` to ``which`` in the sums of those ``near``.
-
-    ``scratch`` holds their steps from the middle of the block. What joins a cluster and what leaves it is summed over the
-    whole block: to ask of each particle by itself whether it has changed is a guess that fails every second time.
+    A sum over components of parabolas, each of which is least at an end of its side or at its vertex.
     """
-    real, at, factor = scratch.dtype.type, U(begin), d + d % 2
-    for c in range(count):
-        j, name = near[c], np.int32(near[c])
-        joined, left = np.int32(0), np.int32(0)
-        for i in range(U(n)):
-            comes, goes = np.int32(which[i] == name), np.int32(own[at + i] == name)
-            joined += comes
-            left += goes
-            scratch[factor, i] = real(comes) - real(goes)
-        if joined == 0 and left == 0:
-            continue
-        unit, mass = float(weight[0]), real(joined) - real(left)
-        if weight.size > 1:
-            unit, mass = 1.0, real(0)
-            for i in range(U(n)):
-                scratch[factor, i] *= weight[at + i]
-                mass += scratch[factor, i]
-        flags[j, COUNT] += joined - left
-        table[j, MASS] += unit * mass
-        for r in range(d):
-            total = real(0)
-            for i in range(U(n)):
-                total += scratch[factor, i] * scratch[r, i]
-            table[j, CENTRE + 3 * d + r] += unit * (total + mass * known[b, 1 + 2 * d + r])
+    total = 0.0
+    for r in range(at.shape[1]):
+        pa, pb = per[a, r] * per[a, r], per[b, r] * per[b, r]
+        ca, cb = at[a, r], at[b, r]
+        left, right = low[block, r], high[block, r]
+        least = pb * (left - cb) * (left - cb) - pa * (left - ca) * (left - ca)
+        at_right = pb * (right - cb) * (right - cb) - pa * (right - ca) * (right - ca)
+        least = at_right if at_right < least else least
+        if pb > pa:
+            vertex = (pb * cb - pa * ca) / (pb - pa)
+            if left < vertex < right:
+                at_vertex = pb * (vertex - cb) * (vertex - cb) - pa * (vertex - ca) * (vertex - ca)
+                least = at_vertex if at_vertex < least else least
+        total += least
+    return total
+
+
+@njit(**VECTOR)
+def _nearest_middle(at: F8, per: F8, middle: F8, b: int, component: I8, begin: int, end: int) -> int:
+    """Which of the entries of a block has the centre nearest to the block's middle; −1 without entries."""
+    best, least = begin if end > begin else -1, np.inf
+    for e in range(begin, end if end > begin + 1 else begin):
+        j, distance2 = component[e], 0.0
+        for r in range(at.shape[1]):
+            step = (middle[b, r] - at[j, r]) * per[j, r]
+            distance2 += step * step
+        if distance2 < least:
+            best, least = e, distance2
+    return best
+
+
+@njit(**(INNER | {"inline": "always"}))
+def _contenders(centres: Centres, blocks: Blocks, near: Candidates, b: int, among: I8) -> tuple[int, bool]:
+    """Write the entries of ``near`` that may own a particle of block b into ``among``: how many, and if one owns all."""
+    begin, end, kept, whole = near.first[b], near.first[b + 1], 0, False
+    best = _nearest_middle(centres.at, centres.per, blocks.middle, b, near.component, begin, end)
+    if best >= 0:
+        owner = near.component[best]
+        whole = holds(centres.low, centres.high, owner, blocks.low, blocks.high, b)
+        for e in range(begin, end):
+            other = near.component[e]
+            if (
+                not whole
+                or e == best
+                or not (_least_excess(centres.at, centres.per, owner, other, blocks.low, blocks.high, b) > 0.0)
+            ):
+                among[kept] = e
+                kept += 1
+    return kept, whole and kept == 1
+
+
+@njit(**(VECTOR | {"inline": "always"}))
+def _load(blocks: Blocks, b: int, row: Real) -> int:
+    """Write the steps of the particles of block b from its middle, and their weights; gives their number."""
+    begin, n = blocks.start[b], blocks.start[b + 1] - blocks.start[b]
+    at, w = U(begin), even(blocks.state.shape[0]) + 2
+    load_steps(blocks.state, begin, n, blocks.middle, b, row)
     for i in range(U(n)):
-        own[at + i] = which[i]
-
-
-@njit(**VECTOR)
-def with_others(e: int, link: I8, near: I8, count: int) -> int:
-    """Put behind the first ``count`` centres of ``near`` the others on the list that begins with e; how many then."""
-    while e >= 0:
-        j, known = link[0, e], False
-        e = link[1, e]
-        for c in range(count):
-            known |= near[c] == j
-        if not known:
-            near[count] = j
-            count += 1
-    return count
-
-
-@njit(**VECTOR)
-def assign(
-    state: Real, weight: Real, start: I8, known: F8, table: F8, flags: I8, reach: float, blocks: I8, label: I4, own: I4,
-    head: I8, link: I8, near: I8, scratch: Real, which: I4,
-) -> bool:  # fmt: skip
-    """Look at the blocks near centres that have moved, and give their particles to the nearest; whether any has changed."""
-    d, changed = state.shape[0], False
-    for q in range(blocks.size):
-        b, e = blocks[q], head[q]
-        begin, n = start[b], start[b + 1] - start[b]
-        while e >= 0 and flags[link[0, e], MOVED] == 0:
-            e = link[1, e]
-        if e < 0 or n == 0:
-            continue
-        some, all_of_it, first = contenders(d, table, flags, reach, known, b, head[q], link, near)
-        before, now = np.int64(label[b]), near[0] if all_of_it else NOBODY if some == 0 else MIXED
-        if now == before and now != MIXED:
-            continue
-        if now != MIXED and before != MIXED:
-            if before >= 0:
-                add_block(-1.0, before, n, d, b, known, table, flags)
-            if now >= 0:
-                add_block(1.0, now, n, d, b, known, table, flags)
-            label[b], changed = now, True
-            continue
-        at = U(begin)
-        if before != MIXED:
-            # As if all of it belonged to the nearest: few particles have to be told otherwise one by one.
-            if before < 0:
-                before = first
-                add_block(1.0, before, n, d, b, known, table, flags)
-            for i in range(U(n)):
-                own[at + i] = before
-            label[b], changed = MIXED, True
-        load_steps(state, begin, n, known, b, scratch)
-        if now == MIXED:
-            nearest_in_block(scratch, whole(n), d, table, reach, known, b, near, some, which)
-        else:
-            for i in range(n):
-                which[i] = now
-            label[b] = now
-        differs = np.int32(0)
+        row[w, i] = blocks.weight[0]
+    if blocks.weight.size > 1:
         for i in range(U(n)):
-            differs |= which[i] ^ own[at + i]
-        if differs != 0:
-            changed = True
-            some = with_others(head[q], link, near, some)
-            regroup(weight, begin, n, d, known, b, near, some, which, own, scratch, table, flags)
-    return changed
+            row[w, i] = blocks.weight[at + i]
+    return n
 
 
 @njit(**VECTOR)
-def move(d: int, k: int, least: float, iterations: int, table: F8, flags: I8) -> None:
-    """Means of the clusters, and which centres have to follow theirs: not those that have moved so often already."""
-    for j in range(k):
-        held = 1 if flags[j, COUNT] > 0 else 0
-        moved = held != flags[j, ALIVE]
-        flags[j, ALIVE] = held
-        m = table[j, MASS]
-        for r in range(d):
-            centre = table[j, CENTRE + r]
-            if held == 0:
-                table[j, MASS], table[j, CENTRE + 3 * d + r] = 0.0, 0.0
-            mean = table[j, CENTRE + 3 * d + r] / m if held == 1 and m > least else centre
-            table[j, CENTRE + 2 * d + r] = mean
-            moved |= abs(mean - centre) > STILL * table[j, CENTRE + d + r]
-        flags[j, MOVED] = 1 if moved and flags[j, STEPS] < iterations else 0
-
-
-@njit(**VECTOR)
-def follow(d: int, j: int, reach: float, table: F8, flags: I8) -> bool:
-    """Put a centre that has moved on its mean; whether it is so far from where it was filed that it must be filed again."""
-    if flags[j, MOVED] == 0:
-        return False
-    flags[j, STEPS] += 1
-    for r in range(d):
-        table[j, CENTRE + r] = table[j, CENTRE + 2 * d + r]
-    far = abs(table[j, CENTRE] - table[j, X]) > (ROOM - 1.0) * reach * table[j, CENTRE + d]
-    far |= abs(table[j, CENTRE + 1] - table[j, Y]) > (ROOM - 1.0) * reach * table[j, CENTRE + d + 1]
-    away: bool = far and flags[j, ALIVE] != 0
-    return away
-
-
-@njit(**VECTOR)
-def begin_island(
-    d: int, members: I8, blocks: I8, centres: F8, scales: F8, listed: I8, entries: I8, place: I8,
-    table: F8, flags: I8, label: I4, head: I8, link: I8,
-) -> tuple[I8, int]:  # fmt: skip
-    """Clusters without particles, and the lists of an island's blocks: these, which may have grown, and their length."""
-    for j in range(members.size):
-        at = members[j]
-        for c in range(table.shape[1]):
-            table[j, c] = 0.0
-        for r in range(d):
-            table[j, CENTRE + r], table[j, CENTRE + 2 * d + r] = centres[r, at], centres[r, at]
-            table[j, CENTRE + d + r], table[j, CENTRE + 4 * d + r] = scales[r, at], 1.0 / scales[r, at]
-        table[j, X], table[j, Y] = centres[0, at], centres[1, at]
-        begin_cluster(j, j, flags)
-    used = 0
-    for q in range(blocks.size):
-        head[q], label[blocks[q]] = -1, NOBODY
-        e = listed[blocks[q]]
-        while e >= 0:
-            # By number of centres, not of entries: an island's list is short, and seldom grows.
-            if used == link.shape[1]:
-                longer = np.empty((2, 2 * used), np.int64)
-                for p in range(used):
-                    longer[0, p], longer[1, p] = link[0, p], link[1, p]
-                link = longer
-            link[0, used], link[1, used] = place[entries[0, e]], head[q]
-            head[q] = used
-            used += 1
-            e = entries[1, e]
-    return link, used
-
-
-@njit(**VECTOR)
-def strangers(i: int, count: int, found: I8, of_block: I8, place: I8, escaped: I8, gone: int) -> tuple[I8, int]:
-    """Note the blocks of ``found`` that are not on island i; the others get the numbers that they have on it.
-
-    Gives the list of those that have been noted, which may have grown, and its length.
-    """
-    if gone + count > escaped.shape[1]:
-        longer = np.empty((2, 2 * (gone + count)), np.int64)
-        for p in range(gone):
-            longer[0, p], longer[1, p] = escaped[0, p], escaped[1, p]
-        escaped = longer
-    for p in range(count):
-        if of_block[found[p]] == i:
-            found[p] = place[found[p]]
+def _distances2(row: Real, n: int, middle: F8, b: int, centres: F8, per: F8, j: int) -> None:
+    """Write the scaled squared distances of n particles from centre j: two components at a time."""
+    e, real, d = even(centres.shape[1]), row.dtype.type, centres.shape[1]
+    for r in range(0, d, 2):
+        s = r + 1 if r + 1 < d else r
+        x, y = real(centres[j, r] - middle[b, r]), real(centres[j, s] - middle[b, s])
+        per_x, per_y = real(per[j, r]), real(per[j, s] if s > r else 0.0)
+        if r == 0:
+            for i in range(U(n)):
+                p, q = (row[r, i] - x) * per_x, (row[r + 1, i] - y) * per_y
+                row[e, i] = p * p + q * q
         else:
-            escaped[0, gone], escaped[1, gone] = i, found[p]
-            gone += 1
-    return escaped, gone
+            for i in range(U(n)):
+                p, q = (row[r, i] - x) * per_x, (row[r + 1, i] - y) * per_y
+                row[e, i] += p * p + q * q
 
 
 @njit(**VECTOR)
-def settle(
-    i: int, state: Real, weight: Real, start: I8, known: F8, lower: F8, upper: F8, frame: F8, cells: I8, item: I8,
-    corner: I8, reach: float, split: float, least: float, iterations: int, rounds: int, blocks: I8, of_block: I8,
-    place: I8, k: int, rows: int, table: F8, flags: I8, label: I4, own: I4, head: I8, link: I8, used: int, near: I8,
-    escaped: I8, gone: int, scratch: Real, which: I4,
-) -> tuple[int, I8, I8, int]:  # fmt: skip
-    """Cluster the particles of island i, whose k clusters have begun: how many there are then, in at most ``rows`` rows.
+def _only_inside(row: Real, e: int, n: int, left: Real, top: Real, right: Real, bottom: Real) -> None:
+    """Make the squared distances of particles outside of a window infinite."""
+    beyond = row.dtype.type(np.inf)
+    for i in range(U(n)):
+        # Read before it is asked for: a reading that depends on a condition becomes a branch.
+        now, x, y = row[e, i], row[0, i], row[1, i]
+        row[e, i] = now if (x >= left) & (x <= right) & (y >= top) & (y <= bottom) else beyond
 
-    Ends as soon as a centre reaches a block that is not on the island. Gives also the lists, which may have grown, and what
-    `strangers` gives.
+
+@njit(**VECTOR)
+def _keep_closer(row: Real, which: I4, e: int, n: int, c: int) -> None:
+    """Give the c-th contender the particles that are nearer to it than to those before."""
+    name = np.int32(c)
+    for i in range(U(n)):
+        now, least, before = row[e, i], row[e + 1, i], which[i]
+        closer = now < least
+        row[e + 1, i] = now if closer else least
+        which[i] = name if closer else before
+
+
+@njit(**(VECTOR | {"inline": "always"}))
+def _nearest(blocks: Blocks, b: int, centres: Centres, near: Candidates, some: int, scratch: Scratch) -> int:
+    """Load block b and write the nearest of the first ``some`` contenders in whose window each particle is (−1: none)."""
+    row, which, e = scratch.row, scratch.which, even(blocks.state.shape[0])
+    real, n = row.dtype.type, _load(blocks, b, row)
+    row[e + 1, :n], which[:n] = real(np.inf), -1
+    for c in range(some):
+        j = near.component[scratch.among[c]]
+        _distances2(row, n, blocks.middle, b, centres.at, centres.per, j)
+        if not holds(centres.low, centres.high, j, blocks.low, blocks.high, b):
+            left, right = real(centres.low[0, j] - blocks.middle[b, 0]), real(centres.high[0, j] - blocks.middle[b, 0])
+            top, bottom = real(centres.low[1, j] - blocks.middle[b, 1]), real(centres.high[1, j] - blocks.middle[b, 1])
+            _only_inside(row, e, n, left, top, right, bottom)
+        _keep_closer(row, which, e, n, c)
+    return n
+
+
+@njit(**VECTOR)
+def _share(row: Real, which: I4, e: int, n: int, c: int) -> None:
+    """Write the weights of the particles of the c-th contender, 0 for the others'."""
+    name, nothing = np.int32(c), row.dtype.type(0)
+    for i in range(U(n)):
+        weight = row[e + 2, i]
+        row[e + 3, i] = weight if which[i] == name else nothing
+
+
+@njit(**VECTOR)
+def _sums(row: Real, n: int, out: F8, at: int) -> None:
+    """Write Σw and Σw·s of one cluster into row ``at`` of ``out`` (P, 1 + d)."""
+    d, total = out.shape[1] - 1, row.dtype.type(0)
+    w = even(d) + 3
+    for i in range(U(n)):
+        total += row[w, i]
+    out[at, 0] = total
+    for r in range(d):
+        total = row.dtype.type(0)
+        for i in range(U(n)):
+            total += row[w, i] * row[r, i]
+        out[at, 1 + r] = total
+
+
+@njit(**(INNER | {"inline": "always"}))
+def _assign(blocks: Blocks, b: int, centres: Centres, near: Candidates, scratch: Scratch, sums: F8) -> None:
+    """Give the particles of block b to the nearest centres: mass and Σw·(x − middle) of each of its entries of ``near``."""
+    d = blocks.state.shape[0]
+    some, whole = _contenders(centres, blocks, near, b, scratch.among)
+    sums[near.first[b] : near.first[b + 1]] = 0.0
+    if whole:
+        e = scratch.among[0]
+        sums[e, 0] = blocks.mass[b]
+        for r in range(d):
+            sums[e, 1 + r] = blocks.first[b, r]
+        return
+    n = _nearest(blocks, b, centres, near, some, scratch)
+    for c in range(some):
+        _share(scratch.row, scratch.which, even(d), n, c)
+        _sums(scratch.row, n, sums, scratch.among[c])
+
+
+@njit(**INNER)
+def _move(blocks: Blocks, near: Candidates, sums: F8, centres: Centres, mass: F8, steps: I8, moved: I8, limit: int) -> bool:
+    """Put the centres that may still move on their means; whether any has. Writes ``mass`` and ``moved`` (k,)."""
+    k, d = centres.at.shape
+    mean, total = np.zeros((k, d)), 0.0
+    for j in range(k):
+        mass[j] = 0.0
+    for b in range(near.first.size - 1):
+        for e in range(near.first[b], near.first[b + 1]):
+            j = near.component[e]
+            mass[j] += sums[e, 0]
+            for r in range(d):
+                mean[j, r] += sums[e, 1 + r] + sums[e, 0] * (blocks.middle[b, r] - centres.at[j, r])
+    for j in range(k):
+        total += mass[j]
+    going = False
+    for j in range(k):
+        away = False
+        for r in range(d):
+            mean[j, r] = mean[j, r] / mass[j] if mass[j] > DUST * total else 0.0
+            away |= abs(mean[j, r]) * centres.per[j, r] > STILL
+        moved[j] = 1 if away and steps[j] < limit else 0
+        steps[j] += moved[j]
+        for r in range(d if moved[j] else 0):
+            centres.at[j, r] += mean[j, r]
+        going |= moved[j] == 1
+    return going
+
+
+@njit(**INNER)
+def _settle(
+    blocks: Blocks, near: Candidates, centres: Centres, moved: I8, steps: I8, limit: int, scratch: Scratch, sums: F8
+) -> F8:  # fmt: skip
+    """Assignment and means in turn until no centre moves, each ``limit`` times at most: (k,) the masses of the clusters.
+
+    ``moved`` (k,): whose blocks are to be looked at first. ``sums`` (P, 1 + d) of the entries of ``near`` are kept up.
     """
-    d, began, filed, before = state.shape[0], k, k, gone
-    for turn in range(rounds + 1):
-        changed = True
-        while changed:
-            for j in range(k):
-                if follow(d, j, reach, table, flags) or j >= filed:
-                    table[j, X], table[j, Y] = table[j, CENTRE], table[j, CENTRE + 1]
-                    some = reached(
-                        table[j, X], table[j, Y], reach * table[j, CENTRE + d], reach * table[j, CENTRE + d + 1],
-                        lower, upper, frame, cells, item, corner, near,
-                    )  # fmt: skip
-                    escaped, gone = strangers(i, some, near, of_block, place, escaped, gone)
-                    if gone > before:
-                        return k, link, escaped, gone
-                    link, used = file_centre(j, some, near, head, link, used)
-            filed = k
-            changed = assign(
-                state, weight, start, known, table, flags, reach, blocks, label, own, head, link, near, scratch, which
-            )  # fmt: skip
-            move(d, k, least, iterations, table, flags)
-        note_strays(began, k, split, table, flags)
-        began = k
-        if turn == rounds:
-            break
-        find_farthest(state, start, known, table, flags, k, split, blocks, label, own, head, link, scratch)
-        k = divide(state, k, rows, table, flags)
-        if k == began:
-            break
-    return k, link, escaped, gone
+    mass, going = np.empty(moved.size), True
+    while going:
+        for b in range(near.first.size - 1):
+            changed = 0
+            for e in range(near.first[b], near.first[b + 1]):
+                changed |= moved[near.component[e]]
+            if changed:
+                _assign(blocks, b, centres, near, scratch, sums)
+        going = _move(blocks, near, sums, centres, mass, steps, moved, limit)
+    return mass
 
 
-@njit(**ENTRY)
-def kmeans(
-    lo: int, hi: int, state: Real, weight: Real, start: I8, known: F8, second: F8, lower: F8, upper: F8, frame: F8,
-    cells: I8, item: I8, corner: I8, centres: F8, scales: F8, reach: float, split: float, iterations: int, total: float,
-    entries: I8, begin: I8, centre_of: I8, block_of: I8, label: I4, own: I4, count: I8, widest: int,
-) -> tuple[F8, I8]:  # fmt: skip
-    """Cluster the particles on the islands lo … hi − 1, starting from the centres given.
+@njit(**INNER)
+def _farthest(blocks: Blocks, near: Candidates, centres: Centres, heavy: I8, scratch: Scratch) -> I8:
+    """(k,) of each ``heavy`` cluster the particle farthest from its centre; −1 of the others, or where all are there."""
+    k, d = centres.at.shape
+    row, apart, far, least = scratch.row, np.zeros(k), np.full(k, -1), even(d) + 1
+    for b in range(near.first.size - 1):
+        concerned = 0
+        for e in range(near.first[b], near.first[b + 1]):
+            concerned |= heavy[near.component[e]]
+        if not concerned:
+            continue
+        some, _ = _contenders(centres, blocks, near, b, scratch.among)
+        n = _nearest(blocks, b, centres, near, some, scratch)
+        for i in range(n):
+            j = near.component[scratch.among[scratch.which[i]]] if scratch.which[i] >= 0 else -1
+            if j >= 0 and heavy[j] and row[least, i] > apart[j]:
+                apart[j], far[j] = row[least, i], blocks.start[b] + i
+    return far
+
+
+@njit(**INNER)
+def _begun(at: F8, per: F8, reach: float) -> Centres:
+    """Centres with windows about where they are."""
+    low, high = np.empty((2, at.shape[0])), np.empty((2, at.shape[0]))
+    for j in range(at.shape[0]):
+        for r in range(2):
+            low[r, j], high[r, j] = at[j, r] - reach / per[j, r], at[j, r] + reach / per[j, r]
+    return Centres(at, per, low, high)
+
+
+@njit(**INNER)
+def _divided(blocks: Blocks, centres: Centres, far: I8, parent: I8, reach: float) -> Centres:
+    """The centres, and new ones on the particles ``far`` of the clusters ``parent``."""
+    d = centres.at.shape[1]
+    at, per = np.empty((parent.size, d)), np.empty((parent.size, d))
+    for c in range(parent.size):
+        for r in range(d):
+            at[c, r], per[c, r] = blocks.state[r, far[parent[c]]], centres.per[parent[c], r]
+    new = _begun(at, per, reach)
+    return Centres(
+        np.concatenate((centres.at, at)),
+        np.concatenate((centres.per, per)),
+        np.concatenate((centres.low, new.low), axis=1),
+        np.concatenate((centres.high, new.high), axis=1),
+    )
+
+
+@njit(**INNER)
+def _grown(sums: F8, old: Candidates, new: Candidates) -> F8:
+    """The sums of entries where new centres stand behind the old ones of each block."""
+    out = np.zeros((new.component.size, sums.shape[1]))
+    for b in range(old.first.size - 1):
+        for e in range(old.first[b + 1] - old.first[b]):
+            out[new.first[b] + e] = sums[old.first[b] + e]
+    return out
+
+
+@njit(**INNER)
+def _with_zeros(numbers: I8, size: int) -> I8:
+    """The numbers, followed by zeros."""
+    out = np.zeros(size, np.int64)
+    out[: numbers.size] = numbers
+    return out
+
+
+@njit(**INNER)
+def _moments(blocks: Blocks, near: Candidates, centres: Centres, scratch: Scratch, sums: F8) -> Gaussians:
+    """Masses, means and covariances of the clusters, of which ``sums`` are known; one without particles keeps its centre."""
+    k, d = centres.at.shape
+    row, e = scratch.row, even(d)
+    mean, mass, first, cov = centres.at.T.copy(), np.zeros(k), np.zeros((k, d)), np.zeros((k, d, d))
+    second, shift = np.empty((d, d)), np.empty(d)
+    for b in range(near.first.size - 1):
+        some, whole = _contenders(centres, blocks, near, b, scratch.among)
+        if some == 0:
+            continue
+        n = _load(blocks, b, row) if whole else _nearest(blocks, b, centres, near, some, scratch)
+        for c in range(some):
+            at, j = scratch.among[c], near.component[scratch.among[c]]
+            m = sums[at, 0]
+            if not m > 0.0:
+                continue
+            second[:] = 0.0
+            if whole and blocks.weight.size == 1:
+                add_products(row, 0, n, second)
+                second *= float(blocks.weight[0])
+            else:
+                _share(row, scratch.which, e, n, c if not whole else -2)
+                weigh(row, e + 3, n, d)
+                add_products(row, e + 4, n, second)
+            mass[j] += m
+            for r in range(d):
+                shift[r] = blocks.middle[b, r] - mean[r, j]
+                first[j, r] += sums[at, 1 + r] + m * shift[r]
+                for q in range(r + 1):
+                    cov[j, r, q] += second[r, q] + sums[at, 1 + r] * shift[q] + shift[r] * (sums[at, 1 + q] + m * shift[q])
+    for j in range(k):
+        for r in range(d if mass[j] > 0.0 else 0):
+            first[j, r] /= mass[j]
+            mean[r, j] += first[j, r]
+            for q in range(r + 1):
+                cov[j, r, q] = cov[j, r, q] / mass[j] - first[j, r] * first[j, q]
+                cov[j, q, r] = cov[j, r, q]
+    return Gaussians(mass, mean, cov)
+
+
+@njit(**(ENTRY | {"fastmath": FAST}))
+def kmeans(blocks: Blocks, grid: Grid, centres: F8, scales: F8, rule: Rule) -> Gaussians:
+    """Masses, means and covariances of the clusters that start at k centres.
 
     Parameters
     ----------
-    state, weight, start, known, second : the blocks, and what `blocks.summarise` knows of them; lower … corner : the grid
-        over their boxes.
-    centres, scales : (d, k) first centres, and the deviations by which distances from them are measured.
-    split : clusters heavier than this are divided; ``total``, the mass of all particles, bounds how often.
-    iterations : how often a centre may move, and again after a division of its cluster.
-    entries, begin, centre_of, block_of : as `islands.islands` gives them.
-    label, own : (B,), (L,) written: a block's cluster, by its number on the island, −1 for none, −2 for a mixed block,
-        whose particles' are in ``own``.
-    count : (I,) written: how many clusters there are on each island.
-    widest : particles in the largest block.
-
-    Returns
-    -------
-    clusters : (c, 1 + d + d²) mass, mean and covariance of the islands' clusters; one without particles keeps its centre.
-        There are none of an island that a centre has left.
-    escaped : (2, P) islands, and blocks that are not on them but have been reached by one of their centres.
+    blocks, grid : the particles, and the grid over their blocks' boxes.
+    centres, scales : (k, d) where clusters start, and the deviations for distances from them.
+    rule : windows, division and number of iterations.
     """
-    d, most, longest = state.shape[0], 0, 0
-    scratch, which = working_memory(state, widest), np.empty(whole(widest), np.int32)
-    centre_start, block_start, centre_item, centre_place = begin[0], begin[1], centre_of[0], centre_of[2]
-    listed, block_item, of_block, block_place = block_of[0], block_of[1], block_of[2], block_of[3]
-    rounds, even = divisions(total, split), state.shape[0] + state.shape[0] % 2
-    rows = np.empty(hi - lo, np.int64)
-    for i in range(lo, hi):
-        mass, blocks = 0.0, block_start[i + 1] - block_start[i]
-        for q in range(block_start[i], block_start[i + 1]):
-            mass += known[block_item[q], 0]
-        # As many as there could be if every division parted as little as does not count as a stray.
-        rows[i - lo] = centre_start[i + 1] - centre_start[i] + 10 * divisions(mass, split)
-        most, longest = max(most, rows[i - lo]), max(longest, blocks)
-    table, flags = np.empty((most, CENTRE + 5 * d)), np.empty((most, 7), np.int64)
-    mass_of, mean, cov, reference = np.empty(most), np.empty((d, most)), np.empty((most, d, d)), np.empty((d, most))
-    one, two, shift = np.empty(d), np.empty((even, even)), np.empty(d)
-    near, head = np.empty(max(most, start.size), np.int64), np.empty(longest, np.int64)
-    link, escaped = np.empty((2, 4 * longest + 16), np.int64), np.empty((2, 16), np.int64)
-    # A literal zero is a type of its own, for which `settle` would be compiled once more.
-    out, done, gone = np.empty((2 * (centre_start[hi] - centre_start[lo]) + 16, 1 + d + d * d)), 0, 0 * lo
-    for i in range(lo, hi):
-        blocks = block_item[block_start[i] : block_start[i + 1]]
-        members = centre_item[centre_start[i] : centre_start[i + 1]]
-        link, used = begin_island(
-            d, members, blocks, centres, scales, listed, entries, centre_place, table, flags, label, head, link
-        )  # fmt: skip
-        before = gone
-        k, link, escaped, gone = settle(
-            i, state, weight, start, known, lower, upper, frame, cells, item, corner, reach, split, DUST * total,
-            iterations, rounds, blocks, of_block, block_place, members.size, rows[i - lo], table, flags, label, own,
-            head, link, used, near, escaped, gone, scratch, which,
-        )  # fmt: skip
-        count[i] = k if gone == before else 0
-        if gone > before:
-            continue
-        for j in range(k):
-            for r in range(d):
-                reference[r, j] = table[j, CENTRE + 2 * d + r]
-        cluster_moments(
-            state, weight, start, known, second, blocks, label, own, k, scratch, one, two, shift, reference,
-            mass_of, mean, cov,
-        )  # fmt: skip
-        if done + k > out.shape[0]:
-            longer = np.empty((2 * (done + k), out.shape[1]))
-            for j in range(done):
-                for c in range(out.shape[1]):
-                    longer[j, c] = out[j, c]
-            out = longer
-        for j in range(k):
-            out[done, 0] = mass_of[j]
-            for r in range(d):
-                out[done, 1 + r] = mean[r, j]
-                for s in range(d):
-                    out[done, 1 + d + r * d + s] = cov[j, r, s]
-            done += 1
-    return out[:done], escaped[:, :gone]
+    widest, k = max(np.max(np.diff(blocks.start)), 1), centres.shape[0]
+    row, which = np.zeros((2 * even(centres.shape[1]) + 4, widest), blocks.state.dtype), np.empty(widest, np.int32)
+    now, steps, strays = _begun(centres.copy(), 1.0 / scales, rule.reach), np.zeros(k, np.int64), np.zeros(k, np.int64)
+    near, moved = reaching(blocks, grid, now.low, now.high), np.ones(k, np.int64)
+    sums, parent = np.zeros((near.component.size, 1 + centres.shape[1])), np.empty(0, np.int64)
+    far = parent
+    for turn in range(1 + int(np.ceil(2.0 * blocks.mass.sum() / rule.split))):
+        if turn > 0:
+            now, before = _divided(blocks, now, far, parent, rule.reach), near
+            near, k = reaching(blocks, grid, now.low, now.high), now.at.shape[0]
+            sums, strays, steps = _grown(sums, before, near), _with_zeros(strays, k), _with_zeros(steps, k)
+            steps[parent], moved = 0, _with_zeros(moved, k)
+            moved[k - parent.size :] = 1
+        scratch = Scratch(row, which, np.empty(k, np.int64))
+        mass = _settle(blocks, near, now, moved, steps, rule.iterations, scratch, sums)
+        for c in range(parent.size):
+            i, j = parent[c], k - parent.size + c
+            if max(mass[i], mass[j]) > rule.split and min(mass[i], mass[j]) < STRAY * rule.split:
+                strays[i] += 1
+                strays[j] = strays[i]
+        heavy = ((mass > rule.split) & (strays < PATIENCE)).astype(np.int64)
+        far = _farthest(blocks, near, now, heavy, scratch)
+        parent = np.flatnonzero(far >= 0)
+        if parent.size == 0:
+            break
+    return _moments(blocks, near, now, scratch, sums)

@@ -36,7 +36,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.em import Gaussians, Moments, Recursion, em_step, one_block, recursive_em
+from phdtrack.kernels.em import Gaussians, Moments, Recursion, em_step, nothing_known, one_block, recursive_em
 from phdtrack.scene.mixture import SceneDensity, marginal
 from phdtrack.types import F8, I8
 
@@ -151,7 +151,8 @@ class Samples(NamedTuple):
 def moments(p: SceneDensity, samples: Samples) -> Moments:
     """One step of EM for p, its uniform part included. Truncation is left out."""
     mixture, n = Gaussians((1 - p.uniform) * p.weight, p.mean, p.covariance), len(samples.weight)
-    found: Moments = em_step(samples.x, samples.weight, np.full(n, math.log(p.flat)), mixture, one_block(n, len(p)))
+    flat = np.full(n, math.log(p.flat))
+    found: Moments = em_step(samples.x, samples.weight, flat, mixture, one_block(n, len(p)), nothing_known(p.dim))
     return found._replace(covariance=found.covariance + np.diag(samples.floor))
 
 
@@ -231,7 +232,8 @@ def _with_crowds(p: SceneDensity, samples: Samples) -> list[SceneDensity]:
         mean, cov = x[:, near].mean(axis=1)[:, None], (np.cov(x[:, near], bias=True) + floor)[None]
         for _ in range(NEW_STEPS):
             mixture = Gaussians(np.array([share]), mean, cov)
-            now = em_step(x, weight, log_density + math.log(1 - share), mixture, one_block(len(weight), 1))
+            others = log_density + math.log(1 - share)
+            now = em_step(x, weight, others, mixture, one_block(len(weight), 1), nothing_known(len(x)))
             mean, cov, share = now.mean, now.covariance + floor, min(float(now.mass[0]) / samples.total, 0.5)
         if share * samples.total > parameters(p.dim) / 2:
             uniform = (1 - share) * p.uniform

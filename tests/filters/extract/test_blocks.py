@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,16 +10,12 @@ from extract_cases import EXTRACTORS, HERE, MODEL, NAMES, THERE, cloud, moved, s
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.filters.extract import KMeans, settling
-from phdtrack.filters.extract.cloud import Cloud
-from phdtrack.filters.extract.clusters import seeds, starting
-from phdtrack.filters.extract.mixture import _parts
-from phdtrack.filters.extract.settling import FEW, REACH, Clusters, cluster
-from phdtrack.kernels.block_em import em_step
-from phdtrack.kernels.blocks import cut
-from phdtrack.kernels.dividing import PATIENCE
-from phdtrack.kernels.joining import heavy_enough
-from phdtrack.kernels.nearest import MIXED
+from phdtrack.filters.blocks import cut
+from phdtrack.filters.extract import KMeans
+from phdtrack.filters.extract.clusters import REACH, known_blocks, seeds
+from phdtrack.kernels.blocks import block_moments, reaching
+from phdtrack.kernels.em import Gaussians, em_step, nothing_known
+from phdtrack.kernels.kmeans import PATIENCE, Rule, kmeans
 from phdtrack.types import ParticleBlocks, Particles
 from reference import clustering_twin as twin
 
@@ -28,15 +23,10 @@ both = pytest.mark.parametrize("extractor", EXTRACTORS, ids=NAMES)
 random_seeds = st.integers(0, 2**32 - 1)
 
 
-@pytest.fixture(autouse=True, params=[0, FEW], ids=["islands", "one island"])
-def few(request, monkeypatch):
-    """Small scenes as large ones are treated, and as they are."""
-    monkeypatch.setattr(settling, "FEW", request.param)
-
-
 def blocks(state: Particles, rng: np.random.Generator | None = None, most: int = 256) -> ParticleBlocks:
     """Particles of equal weight in blocks; with ``rng`` the blocks in random order."""
-    x, weight, start = cut(state.state, state.weight, most)
+    order, start = cut(state.state, most)
+    x, weight = state.state[:, order], state.weight[order]
     assert np.ptp(weight) <= 1e-12 * weight[0]
     parts = [x[:, a:b] for a, b in pairwise(start)]
     if rng is not None:
@@ -73,9 +63,11 @@ def test_clusters_are_the_twins(seed: int, targets: int, alarms: int, width: flo
     extractor, sensor = KMeans(merge_iou=1.0), MODEL.sensor
     if state.mass < extractor.min_weight:
         return
-    centres = seeds(Cloud.of(state), z, sensor, extractor.min_weight).centre
-    x, weight, _ = cut(state.state, state.weight, 256)
-    mass, mean, cov = twin.kmeans(x, weight, centres, sensor.noise, extractor.min_weight, extractor.split_weight)
+    centres = seeds(*known_blocks(state), z, sensor, extractor.min_weight)
+    order, _ = cut(state.state)
+    mass, mean, cov = twin.kmeans(
+        state.state[:, order], state.weight[order], centres, sensor.noise, extractor.min_weight, extractor.split_weight
+    )
     found = extractor.extract(state, z, MODEL)
     mine, other = np.lexsort(found.state), np.lexsort(mean)
     found, mass, mean, cov = found.take(mine), mass[other], mean[:, other], cov[other]
@@ -113,18 +105,6 @@ def test_the_same_blocks_give_the_same_states_bit_by_bit(extractor, rng):
     np.testing.assert_array_equal(first.covariance, second.covariance)
 
 
-@pytest.mark.parametrize("threads", [2, 3, 0])
-def test_threads_do_not_change_a_bit(threads: int, rng):
-    """Also where centres leave their islands: clusters that are divided beside others."""
-    for targets, width in ((12, 2500.0), (12, 500.0)):
-        state, z = scene(rng, targets, 8, width)
-        state = blocks(Particles(state.state, 1.7 * state.weight), rng, 64)
-        one, more = (replace(KMeans(), threads=n).extract(state, z, MODEL) for n in (1, threads))
-        assert len(one) >= targets // 2
-        for name in ("state", "covariance", "weight", "xyxy", "detection"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(more, name))
-
-
 @pytest.mark.parametrize("most", [1, 7, 256])
 def test_the_size_of_blocks_does_not_matter(most: int, rng):
     state, z = scene(rng, 6, 4, 500.0)
@@ -133,38 +113,24 @@ def test_the_size_of_blocks_does_not_matter(most: int, rng):
     assert b.weight.sum() == pytest.approx(a.weight.sum(), rel=1e-5)
 
 
-def of_particles(found: Clusters, part: Cloud) -> np.ndarray:
-    """(L,) the cluster of each particle, −1 for none."""
-    block, island = np.repeat(found.block, np.diff(part.start)), np.repeat(found.island, np.diff(part.start))
-    on = np.where(block == MIXED, found.own, block)
-    return np.where((island < 0) | (on < 0), -1, (found.count.cumsum() - found.count)[island] + on)
-
-
 @given(
     random_seeds, st.integers(1, 7), st.sampled_from([200.0, 500.0]), st.integers(0, 6), st.sampled_from([0.4, 1.5, np.inf])
 )
 @settings(max_examples=40, deadline=None)
-def test_every_particle_belongs_to_the_twins_cluster(seed: int, targets: int, width: float, iterations: int, split: float):
+def test_clusters_from_any_centres_are_the_twins(seed: int, targets: int, width: float, iterations: int, split: float):
     """Only blocks near a centre that moves are looked at again: centres that appear, move on, stand still and die."""
     rng = np.random.default_rng(seed)
     state, z = scene(rng, targets, 5, width, 100)
-    part, sensor = Cloud.of(state), MODEL.sensor
     # Centres beside the targets have a long way to go, and some lose all they have.
-    centres, _ = sensor.states(z + rng.normal(0, 15, z.shape) * [[1], [1], [0], [0]])
-    found = cluster(part, starting(part, centres, sensor)[0], split, iterations)
-    rounds = int(np.ceil(2 * state.mass / split)) if split < np.inf else 0
-    want, mass, mean = twin.cluster(part.state, part.weight, centres, sensor.noise(centres), split, iterations, rounds)
-    labels = of_particles(found, part)
-    # Clusters are in the order of their islands; those that have lost all they had keep their centres.
-    names = twin.names(labels, want, len(mass))
-    np.testing.assert_array_equal(np.where(labels >= 0, names[labels], -1), want)
-    assert (names >= 0).sum() == len(np.unique(want[want >= 0]))
-    empty, held = mass == 0.0, names >= 0
-    np.testing.assert_allclose(found.mass[held], mass[names[held]], rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(found.mean[:, held], mean[:, names[held]], rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(found.mass[~held], 0.0)
-    mine, other = found.mean[:, ~held], mean[:, empty]
-    np.testing.assert_allclose(mine[:, np.lexsort(mine)], other[:, np.lexsort(other)], rtol=1e-9, atol=1e-9)
+    centres, _ = MODEL.sensor.states(z + rng.normal(0, 15, z.shape) * [[1], [1], [0], [0]])
+    scale, (parts, grid) = MODEL.sensor.noise(centres), known_blocks(state)
+    found = kmeans(parts, grid, centres.T.copy(), scale.T.copy(), Rule(REACH, split, iterations))
+    labels, mass, mean = twin.cluster(parts.state, parts.weight, centres, scale, split, iterations)
+    cov = twin.moments(parts.state, twin.members(labels, parts.weight, len(mass)), len(mass))[2]
+    np.testing.assert_allclose(found.weight, mass, rtol=1e-9, atol=1e-12)
+    held = mass > 0
+    np.testing.assert_allclose(found.mean[:, held], mean[:, held], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.covariance[held], cov[held], rtol=1e-7, atol=1e-6)
 
 
 @pytest.mark.parametrize("most", [1, 7, 256])
@@ -172,47 +138,33 @@ def test_strays_are_not_peeled_off_without_end(most: int, rng):
     """Far too heavy, all on one point but for twelve particles each by itself, of which every division parts one."""
     pile = np.repeat(HERE[:, None], 4000, axis=1)
     pile[:, :12] += 6 * MODEL.sensor.noise(pile[:, :12]) * np.hstack([np.eye(6), -np.eye(6)])
-    part = Cloud.of(blocks(Particles(pile, np.full(4000, 0.02)), rng, most))
-    labels = cluster(part, starting(part, MODEL.sensor.states(seen(HERE))[0], MODEL.sensor)[0], 1.5, 5)
-    assert len(labels.mass) == 1 + PATIENCE
-    assert labels.mass.sum() == pytest.approx(80.0)
-    assert labels.mass.max() == pytest.approx(80.0 - 0.02 * PATIENCE)
+    scale = MODEL.sensor.noise(HERE[:, None]).T.copy()
+    parts = known_blocks(blocks(Particles(pile, np.full(4000, 0.02)), rng, most))
+    mass = kmeans(*parts, HERE[None], scale, Rule(REACH, 1.5, 5)).weight
+    assert len(mass) == 1 + PATIENCE
+    assert mass.sum() == pytest.approx(80.0)
+    assert mass.max() == pytest.approx(80.0 - 0.02 * PATIENCE)
 
 
-@given(random_seeds, st.integers(1, 5))
-@settings(max_examples=25, deadline=None)
-def test_an_iteration_of_em_is_the_twins(seed: int, targets: int):
+@given(random_seeds, st.integers(1, 5), st.booleans())
+@settings(max_examples=15, deadline=None)
+def test_em_over_blocks_whose_moments_are_known(seed: int, targets: int, equal: bool):
+    """Blocks with one component in reach are not looked at; the moments are those of looking at every particle."""
     rng = np.random.default_rng(seed)
     state, z = scene(rng, targets, 3, 400.0)
-    part, sensor = Cloud.of(state), MODEL.sensor
-    mean, cov = sensor.states(z)
+    parts, grid = known_blocks(blocks(state) if equal else state)
+    mean, cov = MODEL.sensor.states(z)
     if z.shape[1] == 0:
         return
-    root = rng.normal(size=(z.shape[1], 6, 6)) * np.sqrt(0.1)
-    cov = cov + np.sqrt(np.einsum("jrr,jss->jrs", cov, cov)) * (root @ root.transpose(0, 2, 1))
-    amount, scale = rng.uniform(0.1, 1.5, z.shape[1]), sensor.noise(mean)
-    mass, to, spread = em_step(
-        part.state, part.weight, part.start, part.known, part.most, *_parts(part),
-        amount, mean, cov, scale, REACH,
-    )  # fmt: skip
-    want = twin.em(state.state, state.weight, amount, mean, cov, scale)
-    np.testing.assert_allclose(mass, want[0], rtol=1e-4, atol=1e-7)
-    heavy = want[0] > 1e-3
-    np.testing.assert_allclose(to[:, heavy], want[1][:, heavy], atol=1e-3)
-    np.testing.assert_allclose(spread[heavy], want[2][heavy], rtol=1e-3, atol=1e-2)
-
-
-def test_moments_of_joined_clusters(rng):
-    """Blocks that are mixed, whole, and of no cluster: mass, mean and covariance of what has been joined."""
-    state = together(cloud(rng, HERE, 1.0), cloud(rng, moved(40), 1.0), cloud(rng, THERE, 1.0))
-    part = Cloud.of(state)
-    centres = np.array([HERE, moved(40)]).T.copy()
-    found = cluster(part, starting(part, centres, MODEL.sensor)[0], np.inf, 0)
-    mass, mean, cov = heavy_enough(found.mass, found.mean, found.covariance, np.ones((6, 2)), 1e3, 1.1, 3.0)
-    mine = state.state[:, :800]
-    np.testing.assert_allclose(mass, [2.0])
-    np.testing.assert_allclose(mean[:, 0], mine.mean(1))
-    np.testing.assert_allclose(cov[0], np.cov(mine, bias=True), rtol=1e-9, atol=1e-9)
+    mixture, reach = Gaussians(rng.uniform(0.1, 1.5, z.shape[1]), mean, cov), REACH * MODEL.sensor.noise(mean)[:2]
+    near = reaching(parts, grid, mean[:2] - reach, mean[:2] + reach)
+    given_all = (parts.state, parts.weight, np.zeros(0), mixture, near)
+    found, want = em_step(*given_all, block_moments(parts)), em_step(*given_all, nothing_known(6))
+    exact = 1e-3 if equal else 1e-9
+    np.testing.assert_allclose(found.mass, want.mass, rtol=exact, atol=1e-9)
+    heavy = want.mass > 1e-3
+    np.testing.assert_allclose(found.mean[:, heavy], want.mean[:, heavy], rtol=exact, atol=10 * exact)
+    np.testing.assert_allclose(found.covariance[heavy], want.covariance[heavy], rtol=exact, atol=100 * exact)
 
 
 @both

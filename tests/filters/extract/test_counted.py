@@ -7,7 +7,7 @@ import pytest
 from extract_cases import HERE, MODEL, THERE, cloud, moved, seen, together
 
 from phdtrack.filters.extract import Components, KMeans, Mixture
-from phdtrack.filters.extract.counted import heaviest, united
+from phdtrack.filters.extract.peaks import heaviest, united
 from phdtrack.filters.intensities import Cardinalised
 from phdtrack.types import Estimates, GaussianMixture, Particles
 

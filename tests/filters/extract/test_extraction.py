@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from phdtrack.errors import InputError
 from phdtrack.filters import ParticlePHD
 from phdtrack.filters.extract import KMeans, Mixture, Raw
-from phdtrack.filters.extract.clusters import finish
+from phdtrack.filters.extract.peaks import finish
+from phdtrack.kernels.em import Gaussians
 from phdtrack.types import Estimates, Particles
 from reference import extract_twin as twin
 
@@ -227,12 +228,12 @@ def test_states_name_the_detection_that_they_rest_on(extractor, rng):
 def test_a_detection_serves_the_closest_state_only():
     """Two states share one detection; and, the other way round, one state between two."""
     beside = moved(4)
-    pair, cov = np.array([beside, HERE]).T.copy(), np.stack([np.eye(6)] * 2)
-    assert list(finish(np.ones(2), pair, cov, seen(moved(1)), MODEL).detection) == [-1, 0]
-    assert list(finish(np.ones(2), pair, cov, seen(moved(1), moved(6)), MODEL).detection) == [1, 0]
+    peaks = Gaussians(np.ones(2), np.array([beside, HERE]).T.copy(), np.stack([np.eye(6)] * 2))
+    assert list(finish(peaks, seen(moved(1)), MODEL).detection) == [-1, 0]
+    assert list(finish(peaks, seen(moved(1), moved(6)), MODEL).detection) == [1, 0]
     # The closest pair goes first: the second detection is nearer to both, and the first is left to the other.
-    assert list(finish(np.ones(2), pair, cov, seen(moved(-3), moved(2.5)), MODEL).detection) == [1, 0]
-    assert list(finish(np.ones(2), pair, cov, seen(), MODEL).detection) == [-1, -1]
+    assert list(finish(peaks, seen(moved(-3), moved(2.5)), MODEL).detection) == [1, 0]
+    assert list(finish(peaks, seen(), MODEL).detection) == [-1, -1]
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack.arrays import iou
-from phdtrack.filters.extract.resolution import join_unresolved
+from phdtrack.filters.extract.peaks import join_unresolved
+from phdtrack.kernels.em import Gaussians
+from reference import clustering_twin as twin
 
 
 def random_clusters(rng, k: int, width: float):
@@ -30,7 +32,10 @@ def test_mass_and_moments_are_kept_and_no_two_overlap(seed: int, k: int, width: 
     mass, mean, cov = given_clusters = random_clusters(np.random.default_rng(seed), k, width)
     for array in given_clusters:
         array.flags.writeable = False
-    joined = join_unresolved(mass, mean, cov, MODEL.sensor, overlap)
+    joined, part = join_unresolved(Gaussians(mass, mean, cov), MODEL.sensor, overlap)
+    want = twin.join_alike(MODEL.sensor.boxes(mean), overlap, mass, mean, cov) if k else ([], [], [], [])
+    np.testing.assert_array_equal(part, want[3])
+    np.testing.assert_allclose(joined.weight, want[0], rtol=1e-12)
     for was, now in zip(total_moments(*given_clusters), total_moments(*joined), strict=True):
         np.testing.assert_allclose(now, was, rtol=1e-9, atol=1e-6)
     boxes = MODEL.sensor.boxes(joined[1])
@@ -42,24 +47,26 @@ def test_mass_and_moments_are_kept_and_no_two_overlap(seed: int, k: int, width: 
 def test_the_most_overlapping_go_first():
     """In a row of three, the nearer two are joined; their union then leaves the third alone."""
     row = np.array([HERE, moved(4), moved(24)]).T.copy()
-    mass, mean, _ = join_unresolved(np.ones(3), row, np.stack([np.eye(6)] * 3), MODEL.sensor, 0.3)
+    (mass, mean, _), _ = join_unresolved(Gaussians(np.ones(3), row, np.stack([np.eye(6)] * 3)), MODEL.sensor, 0.3)
     np.testing.assert_array_equal(mass, [2, 1])
     np.testing.assert_allclose(mean[0], [302, 324])
 
 
 def test_apart_and_none():
     two = np.array([HERE, THERE]).T.copy()
-    mass, mean, cov = join_unresolved(np.array([1.0, 0.7]), two, np.stack([np.eye(6)] * 2), MODEL.sensor, 0.01)
+    peaks = Gaussians(np.array([1.0, 0.7]), two, np.stack([np.eye(6)] * 2))
+    (mass, mean, cov), _ = join_unresolved(peaks, MODEL.sensor, 0.01)
     np.testing.assert_array_equal(mass, [1, 0.7])
     np.testing.assert_array_equal(mean, two)
-    none = join_unresolved(np.zeros(0), np.zeros((6, 0)), np.zeros((0, 6, 6)), MODEL.sensor, 0.4)
+    none, _ = join_unresolved(Gaussians(np.zeros(0), np.zeros((6, 0)), np.zeros((0, 6, 6))), MODEL.sensor, 0.4)
     assert [a.shape for a in none] == [(0,), (6, 0), (0, 6, 6)]
     assert cov.shape == (2, 6, 6)
 
 
 def test_a_union_weighs_its_parts():
     pair = np.array([HERE, moved(4)]).T.copy()
-    mass, mean, cov = join_unresolved(np.array([3.0, 1.0]), pair, np.zeros((2, 6, 6)), MODEL.sensor, 0.4)
+    peaks = Gaussians(np.array([3.0, 1.0]), pair, np.zeros((2, 6, 6)))
+    (mass, mean, cov), _ = join_unresolved(peaks, MODEL.sensor, 0.4)
     assert mass[0] == 4
     assert mean[0, 0] == pytest.approx(301)
     assert cov[0, 0, 0] == pytest.approx(0.75 * 0.25 * 16)

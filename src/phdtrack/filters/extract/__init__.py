@@ -10,20 +10,14 @@ from typing import TYPE_CHECKING
 from phdtrack.files import lazy
 
 if TYPE_CHECKING:
-    from phdtrack.filters.extract.components import Components
-    from phdtrack.filters.extract.joint import Joint
-    from phdtrack.filters.extract.kmeans import KMeans
-    from phdtrack.filters.extract.mixture import Mixture
-    from phdtrack.filters.extract.raw import Raw
+    from phdtrack.filters.extract.clusters import KMeans, Mixture
+    from phdtrack.filters.extract.components import Components, Joint, Raw
 
 __getattr__, __dir__ = lazy(
     __name__,
     {
-        "Components": "phdtrack.filters.extract.components",
-        "Joint": "phdtrack.filters.extract.joint",
-        "KMeans": "phdtrack.filters.extract.kmeans",
-        "Mixture": "phdtrack.filters.extract.mixture",
-        "Raw": "phdtrack.filters.extract.raw",
+        **dict.fromkeys(("KMeans", "Mixture"), "phdtrack.filters.extract.clusters"),
+        **dict.fromkeys(("Components", "Joint", "Raw"), "phdtrack.filters.extract.components"),
     },
 )
 

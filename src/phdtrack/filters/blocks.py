@@ -1,0 +1,122 @@
+"""Particles in blocks of neighbours: how they are cut, joined, and carried along; and threads for ranges of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import TypeVar
+
+import numpy as np
+
+from phdtrack.filters.intensities import UpdatedParticles
+from phdtrack.kernels.particle_models import BLOCK
+from phdtrack.protocols import Model
+from phdtrack.types import F8, I8, ParticleBlocks, Particles
+
+T = TypeVar("T")
+Intensity = Particles | ParticleBlocks | UpdatedParticles
+
+
+def cut(state: F8, most: int = BLOCK) -> tuple[I8, I8]:
+    """The order (L,) that puts neighbours together, and ``start`` (B + 1,) of blocks of them.
+
+    Parameters
+    ----------
+    state : (d, L) particles, L > 0; rows 0 and 1 are positions, finite.
+    most : particles of a block, which lie in neighbouring cells of one row of a grid.
+    """
+    x, y = state[:2] - state[:2].min(axis=1, keepdims=True)
+    wide, high, n = float(x.max()) + 1e-9, float(y.max()) + 1e-9, len(x)
+    # About four particles to a cell if they lay everywhere; they do not, and so a cloud of them fills some cells.
+    side = np.sqrt(wide * high / (0.25 * n + 1.0))
+    columns, rows = int(min(wide / side, 0.25 * n)) + 1, int(min(high / side, 0.25 * n)) + 1
+    column = np.minimum((x / wide * columns).astype(np.int64), columns - 1)
+    # A column more than there are, so that the last cell of a row is no neighbour of the next row's first.
+    cell = np.minimum((y / high * rows).astype(np.int64), rows - 1) * (columns + 1) + column
+    order = cell.argsort(kind="stable")
+    apart = np.flatnonzero(np.diff(cell[order]) > 1) + 1
+    return order, divided(np.concatenate([[0], apart, [n]]), most)
+
+
+def divided(start: I8, most: int = BLOCK) -> I8:
+    """(B + 1,) where blocks of at most ``most`` particles begin, into which the runs ``start`` (R + 1,) are divided."""
+    blocks = -(-np.diff(start) // most)
+    before = np.concatenate([[0], np.cumsum(blocks)])
+    rank = np.arange(before[-1]) - np.repeat(before[:-1], blocks)
+    out: I8 = np.append(np.repeat(start[:-1], blocks) + most * rank, start[-1])
+    return out
+
+
+def in_blocks(state: Intensity, dtype: np.dtype[np.floating]) -> ParticleBlocks:
+    """The intensity in blocks of neighbours, its states as numbers of this type."""
+    if isinstance(state, ParticleBlocks):
+        return state
+    if isinstance(state, UpdatedParticles):
+        return joined(state.old, state.born)
+    if len(state) == 0:
+        return ParticleBlocks.empty(len(state.state), dtype)
+    x, weight = state.state, state.weight
+    if len(state.start):
+        start = divided(state.start)
+    else:
+        order, start = cut(x)
+        x, weight = x[:, order], weight[order]
+    x = np.ascontiguousarray(x, dtype)
+    if weight.dtype == dtype:
+        return ParticleBlocks(x, start, 1.0, weight)
+    unit = float(weight.max())
+    equal = bool((weight == unit).all())
+    return ParticleBlocks(x, start, unit, np.zeros(0, dtype) if equal else (weight / (unit or 1.0)).astype(dtype))
+
+
+def carried(state: ParticleBlocks, model: Model) -> ParticleBlocks:
+    """The same weights at the states carried into the present frame's pixels (`Model.warp`)."""
+    if len(model.warp) == 0 or len(state) == 0:
+        return state
+    moved = np.ascontiguousarray(model.warp_states(state.state.astype(np.float64)), state.state.dtype)
+    return ParticleBlocks(moved, state.start, state.unit, state.share)
+
+
+def joined(a: ParticleBlocks, b: ParticleBlocks) -> ParticleBlocks:
+    """The sum of two intensities."""
+    if len(b) == 0 or len(a) == 0:
+        return a if len(b) == 0 else b
+    unit = a.unit or b.unit
+    share = [
+        (part.share if len(part.share) else np.ones(len(part), part.state.dtype))
+        * part.state.dtype.type(part.unit / (unit or 1.0))
+        for part in (a, b)
+    ]
+    extents = np.concatenate([a.extents, b.extents]) if len(a.extents) and len(b.extents) else np.zeros((0, 6))
+    state, start = np.concatenate([a.state, b.state], axis=1), np.concatenate([a.start, len(a) + b.start[1:]])
+    return ParticleBlocks(state, start, unit, np.concatenate(share), extents)
+
+
+@lru_cache(maxsize=4)
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="phdtrack")
+
+
+def in_ranges(work: Callable[[int, int], T], count: int, threads: int) -> list[T]:
+    """What ``work(lo, hi)`` returns for ranges that cover 0 … count, in their order.
+
+    Kernels release the interpreter's lock, and their results do not depend on the ranges.
+
+    Parameters
+    ----------
+    work : called from several threads.
+    count : the end of the last range.
+    threads : how many share the work; 0: one per core.
+
+    Returns
+    -------
+    results : one for each range.
+    """
+    threads = threads or os.cpu_count() or 1
+    if threads == 1 or count < 2 * threads:
+        return [work(0, count)]
+    # More ranges than threads, because blocks differ in what they cost.
+    edges = [count * i // (4 * threads) for i in range(4 * threads + 1)]
+    return list(_pool(threads).map(work, edges[:-1], edges[1:]))
