@@ -119,7 +119,7 @@ def _whitened(mixture: Gaussians) -> tuple[F8, F8]:
 
 
 @njit(**VECTOR)
-def steps_from(x: Real, begin: int, size: int, mean: F8, j: int, step: Real) -> None:
+def _steps(x: Real, begin: int, size: int, mean: F8, j: int, step: Real) -> None:
     """Write x − m of component ``j`` into ``step`` (d, ≥ size)."""
     real = x.dtype.type
     for r in range(x.shape[0]):
@@ -188,7 +188,7 @@ def _responsibilities(
 
 
 @njit(**VECTOR)
-def add_moments(step: Real, share: Real, size: int, j: int, mass: F8, first: F8, second: F8) -> None:
+def _add_moments(step: Real, share: Real, size: int, j: int, mass: F8, first: F8, second: F8) -> None:
     """Add the sums over samples of share, share · step and share · step · stepᵀ to component ``j``'s."""
     zero = step.dtype.type(0)
     total = zero
@@ -222,7 +222,7 @@ def _add_known(known: Gaussians, b: int, j: int, mean: F8, mass: F8, first: F8, 
 
 
 @njit(**INNER)
-def from_sums(mixture: Gaussians, mass: F8, first: F8, second: F8) -> tuple[F8, F8]:
+def _from_sums(mixture: Gaussians, mass: F8, first: F8, second: F8) -> tuple[F8, F8]:
     """Means (d, k) and covariances (k, d, d) from sums of steps from the old means."""
     mean, cov = mixture.mean.copy(), mixture.covariance.copy()
     for j in range(mass.size):
@@ -275,19 +275,19 @@ def em_step(
                 own[i] = weight[begin + i] if weight.size > 1 else weight[0]
                 beside[i] = log_background[begin + i] if log_background.size else -np.inf
             if near.size == 1 and log_background.size == 0:
-                steps_from(x, begin, size, mixture.mean, near[0], step)
-                add_moments(step, own, size, near[0], mass, first, second)
+                _steps(x, begin, size, mixture.mean, near[0], step)
+                _add_moments(step, own, size, near[0], mass, first, second)
                 continue
             for c in range(near.size):
-                steps_from(x, begin, size, mixture.mean, near[c], step)
+                _steps(x, begin, size, mixture.mean, near[c], step)
                 _log_density(step, size, inverse[near[c]], log_peak[near[c]], part, table[c])
             log_likelihood += _responsibilities(table, near.size, size, own, beside, part, total)
             for i in range(size):
                 background += beside[i]
             for c in range(near.size):
-                steps_from(x, begin, size, mixture.mean, near[c], step)
-                add_moments(step, table[c], size, near[c], mass, first, second)
-    mean, cov = from_sums(mixture, mass, first, second)
+                _steps(x, begin, size, mixture.mean, near[c], step)
+                _add_moments(step, table[c], size, near[c], mass, first, second)
+    mean, cov = _from_sums(mixture, mass, first, second)
     return Moments(mass, mean, cov, background, log_likelihood)
 
 
