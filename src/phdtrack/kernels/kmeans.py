@@ -358,6 +358,8 @@ def _moments(blocks: Blocks, near: Candidates, centres: Centres, scratch: Scratc
         if some == 0:
             continue
         n = _load(blocks, b, row) if whole else _nearest(blocks, b, centres, near, some, scratch)
+        if whole:
+            scratch.which[:n] = 0
         for c in range(some):
             at, j = scratch.among[c], near.component[scratch.among[c]]
             m = sums[at, 0]
@@ -368,7 +370,7 @@ def _moments(blocks: Blocks, near: Candidates, centres: Centres, scratch: Scratc
                 add_products(row, 0, n, second)
                 second *= float(blocks.weight[0])
             else:
-                _share(row, scratch.which, e, n, c if not whole else -2)
+                _share(row, scratch.which, e, n, c)
                 weigh(row, e + 3, n, d)
                 add_products(row, e + 4, n, second)
             mass[j] += m

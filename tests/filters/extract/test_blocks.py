@@ -63,7 +63,7 @@ def test_clusters_are_the_twins(seed: int, targets: int, alarms: int, width: flo
     extractor, sensor = KMeans(merge_iou=1.0), MODEL.sensor
     if state.mass < extractor.min_weight:
         return
-    centres = seeds(*known_blocks(state), z, sensor, extractor.min_weight)
+    centres, _ = seeds(*known_blocks(state), z, sensor, extractor.min_weight)
     order, _ = cut(state.state)
     mass, mean, cov = twin.kmeans(
         state.state[:, order], state.weight[order], centres, sensor.noise, extractor.min_weight, extractor.split_weight

@@ -38,7 +38,7 @@ from phdtrack.kernels.em import Gaussians, em_step
 from phdtrack.kernels.grid import Grid, make_grid, overlapping_pairs
 from phdtrack.kernels.kmeans import Rule, kmeans
 from phdtrack.protocols import Model, Sensor
-from phdtrack.types import F8, Estimates, ParticleBlocks, Particles
+from phdtrack.types import F8, Bool, Estimates, ParticleBlocks, Particles
 
 Intensity = Particles | ParticleBlocks
 # A cluster reaches this many deviations of the measurement noise. Wide, because a target that was missed spreads.
@@ -93,7 +93,7 @@ class KMeans:
         if state.mass < lightest:
             return Estimates.empty(model.motion.dim)
         sensor, (blocks, grid) = model.sensor, known_blocks(state)
-        centres = seeds(blocks, grid, z, sensor, lightest)
+        centres, _ = seeds(blocks, grid, z, sensor, lightest)
         scales = np.ascontiguousarray(sensor.noise(centres).T)
         found = kmeans(blocks, grid, np.ascontiguousarray(centres.T), scales, Rule(REACH, split, self.iterations))
         heavy = heavy_enough(found, sensor, lightest, split)
@@ -147,7 +147,10 @@ class Mixture:
         if state.mass < lightest:
             return Estimates.empty(model.motion.dim)
         sensor, (blocks, grid) = model.sensor, known_blocks(state)
-        centres = seeds(blocks, grid, z, sensor, lightest)
+        centres, free = seeds(blocks, grid, z, sensor, lightest)
+        if free.any():
+            # A block with one component in reach is all that component's, but for the remnants that nothing reaches.
+            blocks, grid = _without(blocks, free)
         scales = np.ascontiguousarray(sensor.noise(centres).T)
         start = kmeans(blocks, grid, np.ascontiguousarray(centres.T), scales, Rule(REACH, math.inf, 0))
         known = block_moments(blocks)
@@ -193,7 +196,16 @@ def known_blocks(intensity: Intensity) -> tuple[Blocks, Grid]:
     return blocks, make_grid(np.ascontiguousarray(blocks.low[:, :2].T), np.ascontiguousarray(blocks.high[:, :2].T))
 
 
-def seeds(blocks: Blocks, grid: Grid, z: F8, sensor: Sensor, lightest: float) -> F8:
+def _without(blocks: Blocks, which: Bool) -> tuple[Blocks, Grid]:
+    """The blocks without some particles (L,), and the grid over them."""
+    left = ~which
+    weight = blocks.weight[left] if len(blocks.weight) > 1 else blocks.weight
+    start = np.concatenate([[0], np.cumsum(left)])[blocks.start]
+    fewer = summarise(np.ascontiguousarray(blocks.state[:, left]), weight, start)
+    return fewer, make_grid(np.ascontiguousarray(fewer.low[:, :2].T), np.ascontiguousarray(fewer.high[:, :2].T))
+
+
+def seeds(blocks: Blocks, grid: Grid, z: F8, sensor: Sensor, lightest: float) -> tuple[F8, Bool]:
     """First centres (d, k): the detections, at rest [M07 §3], and the middle of what no detection is near.
 
     A target that was missed has no detection to start from, and its particles would be drawn into a far cluster or lost.
@@ -209,7 +221,7 @@ def seeds(blocks: Blocks, grid: Grid, z: F8, sensor: Sensor, lightest: float) ->
 
     Returns
     -------
-    centres : of the detections, then the others.
+    centres, free : of the detections, then the others; (L,) which particles are out of their reach.
     """
     centres = sensor.states(z)[0]
     low, high = _windows(centres, sensor)
@@ -225,7 +237,7 @@ def seeds(blocks: Blocks, grid: Grid, z: F8, sensor: Sensor, lightest: float) ->
         low, high = _windows(blocks.state[:, asked].astype(np.float64), sensor)
         found, free = claim(blocks, grid, free, asked, low, high)
         centres = np.concatenate((centres, found), axis=1)
-    return centres
+    return centres, free
 
 
 def _windows(centres: F8, sensor: Sensor) -> tuple[F8, F8]:
