@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.cache import njit
 from phdtrack.kernels.em import Candidates, Gaussians
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, sortable, sorted_number
 from phdtrack.kernels.grid import Grid, overlapping, overlapping_pairs

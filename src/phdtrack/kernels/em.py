@@ -13,9 +13,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, exp_of, log_of
 from phdtrack.kernels.gaussian import LOG_2PI, factor, norm2
 
@@ -157,7 +157,8 @@ def _responsibilities(
     The logarithm in ``background`` becomes the weight times the responsibility of the background; ``top``, ``total`` are
     scratch.
     """
-    real, log_likelihood = table.dtype.type, 0.0
+    real = table.dtype.type
+    log_likelihood: Any = 0.0
     nothing, least, zero = real(NOTHING), real(LEAST), real(0)
     for i in range(size):
         top[i] = background[i]

@@ -10,8 +10,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import overload
+
+from phdtrack.kernels.cache import njit
 
 # What lets sums be reordered and so vectorise, but keeps NaN and infinity (unlike ``fastmath=True``).
 FAST = {"contract", "nsz", "arcp", "reassoc", "afn"}

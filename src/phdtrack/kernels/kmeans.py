@@ -11,10 +11,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from phdtrack.kernels.blocks import F8, I8, Blocks, Real, U, add_products, holds, load_steps, reaching, weigh
+from phdtrack.kernels.cache import njit
 from phdtrack.kernels.em import Candidates, Gaussians
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR
 from phdtrack.kernels.grid import Grid
@@ -123,7 +123,8 @@ def _contenders(centres: Centres, blocks: Blocks, near: Candidates, b: int, amon
 @njit(**(VECTOR | {"inline": "always"}))
 def _load(blocks: Blocks, b: int, row: Real) -> int:
     """Write the steps of the particles of block b from its middle, and their weights; gives their number."""
-    begin, n = blocks.start[b], blocks.start[b + 1] - blocks.start[b]
+    begin: int = blocks.start[b]
+    n: int = blocks.start[b + 1] - begin
     at, w = U(begin), even(blocks.state.shape[0]) + 2
     load_steps(blocks.state, begin, n, blocks.middle, b, row)
     for i in range(U(n)):
@@ -177,7 +178,8 @@ def _keep_closer(row: Real, which: I4, e: int, n: int, c: int) -> None:
 def _nearest(blocks: Blocks, b: int, centres: Centres, near: Candidates, some: int, scratch: Scratch) -> int:
     """Load block b and write the nearest of the first ``some`` contenders in whose window each particle is (−1: none)."""
     row, which, e = scratch.row, scratch.which, even(blocks.state.shape[0])
-    real, n = row.dtype.type, _load(blocks, b, row)
+    real = row.dtype.type
+    n: int = _load(blocks, b, row)
     row[e + 1, :n], which[:n] = real(np.inf), -1
     for c in range(some):
         j = near.component[scratch.among[c]]
@@ -424,4 +426,5 @@ def kmeans(blocks: Blocks, grid: Grid, centres: F8, scales: F8, rule: Rule) -> G
         parent = np.flatnonzero(far >= 0)
         if parent.size == 0:
             break
-    return _moments(blocks, near, now, scratch, sums)
+    out: Gaussians = _moments(blocks, near, now, scratch, sums)
+    return out

@@ -21,7 +21,7 @@ from phdtrack.arrays import chi2_quantile, iou
 from phdtrack.kernels.em import Gaussians
 from phdtrack.kernels.grid import make_grid, overlapping_pairs
 from phdtrack.protocols import Model, Sensor
-from phdtrack.types import F8, I8, Estimates
+from phdtrack.types import F8, I8, Bool, Estimates
 
 # Lightest peak that is a candidate where peaks are counted: a component of a mixture, and a K-means cluster.
 LIGHTEST_COMPONENT, LIGHTEST_CLUSTER = 0.05, 0.1
@@ -69,14 +69,14 @@ def with_floor(cov: F8, noise: F8) -> F8:
     return out
 
 
-def kept(peaks: Gaussians, which: F8 | I8) -> Gaussians:
+def kept(peaks: Gaussians, which: I8 | Bool) -> Gaussians:
     """The peaks at an index or a mask (k,)."""
     return Gaussians(peaks.weight[which], np.ascontiguousarray(peaks.mean[:, which]), peaks.covariance[which])
 
 
 def union(peaks: Gaussians, group: I8) -> Gaussians:
     """One peak for each group of peaks, with their mass, mean and covariance; ``group`` (k,) numbers them from 0."""
-    mass = np.bincount(group, peaks.weight)
+    mass = np.bincount(group, peaks.weight).astype(np.float64)
     mean = np.array([np.bincount(group, peaks.weight * row) for row in peaks.mean]) / mass
     apart, cov = peaks.mean - mean[:, group], np.zeros((len(mass), len(mean), len(mean)))
     np.add.at(cov, group, peaks.weight[:, None, None] * (peaks.covariance + np.einsum("ik,jk->kij", apart, apart)))
@@ -133,7 +133,8 @@ def _iou(a: F8, b: F8) -> F8:
     sides = np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2])
     both = sides.clip(0).prod(axis=1)
     total = (a[:, 2:] - a[:, :2]).prod(axis=1) + (b[:, 2:] - b[:, :2]).prod(axis=1) - both
-    return np.divide(both, total, out=np.zeros_like(both), where=total > 0)
+    out: F8 = np.divide(both, total, out=np.zeros_like(both), where=total > 0)
+    return out
 
 
 def heaviest(peaks: Estimates, cardinality: F8) -> Estimates:
