@@ -185,7 +185,7 @@ def _responsibilities(
     for c in range(count):
         for i in range(size):
             table[c, i] *= top[i]
-    return log_likelihood
+    return float(log_likelihood)
 
 
 @njit(**VECTOR)
