@@ -1,7 +1,5 @@
 """The real sequences, against counting that knows nothing of the readers."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
