@@ -1,7 +1,5 @@
 """OSPA(2), SFDA and ATA: against twins that try every mapping, and pooled."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -64,14 +62,13 @@ def test_vace_scores_agree_with_every_mapping_tried(seed: int, threshold: float)
 def test_pooled_tracks_are_those_of_the_sequences_one_after_the_other():
     cases = [random_case(np.random.default_rng(i), objects=2 + i, frames=20) for i in range(3)]
     ours = pool([evaluate(truth, tracks, frames=20) for truth, tracks in cases])
-    # One after the other, with identities of their own.
-    truth, tracks = (
-        make(
+    joined = [
+        (
             np.concatenate([part.frame + 20 * i for i, part in enumerate(side)]),
             np.concatenate([part.identity + 10**6 * i for i, part in enumerate(side)]),
             np.concatenate([part.xyxy for part in side]),
         )
-        for make, side in zip((truth_of, tracks_of), zip(*cases, strict=True), strict=True)
-    )
-    together = evaluate(truth, tracks, frames=60)
+        for side in zip(*cases, strict=True)
+    ]
+    together = evaluate(truth_of(*joined[0]), tracks_of(*joined[1]), frames=60)
     close([ours.OSPA2, ours.SFDA, ours.ATA], [together.OSPA2, together.SFDA, together.ATA])
