@@ -1,7 +1,5 @@
 """Association under a camera that moves: in the pixels of each frame it does what it does where the camera stands."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -88,9 +86,3 @@ def test_rows_are_those_of_a_camera_that_stands(associator, rng):
         for name in ("frame", "identity", "detection", "confirmed"):
             np.testing.assert_array_equal(getattr(ours, name), getattr(wanted, name))
         np.testing.assert_allclose(ours.xyxy, wanted.xyxy, atol=1e-6)
-
-
-def test_untold_the_links_are_lost(rng):
-    frames, path = walkers(labelled=False), np.cumsum(rng.normal(0, 25, (40, 2)), axis=0)
-    untold = tracked(matching_of(), frames, path, told=False)[1]
-    assert len(untold) < len(tracked(matching_of(), frames, path, told=True)[1]) / 2
