@@ -9,8 +9,9 @@ import pytest
 from report_runs import run_record
 
 from phdtrack.errors import InputError
+from phdtrack.files import json_value
 from phdtrack.report import About, Recorder, run_document, sentences, write_run
-from phdtrack.report.words import counted, duration, flattened, grouped, json_value, percent
+from phdtrack.report.words import counted, duration, flattened, grouped, percent
 from phdtrack.types import SequenceInfo, Tracks
 
 KEYS = """
