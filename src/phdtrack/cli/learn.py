@@ -214,9 +214,9 @@ def train(data: TrainingData, births: str, clutter: str, picture: Image, output:
     """
     followed = None
     if clutter == "labels":
-        alarms = data.lesson("false alarms", _clutter_of_labels, " by a person")
+        alarms = data.lesson("false alarms", clutter_of_labels, " by a person")
     else:
-        alarms = data.lesson("false alarms", _clutter_unattended)
+        alarms = data.lesson("false alarms", clutter_unattended)
         if alarms.training is not None:
             alarms = Lesson(alarms.training, f"{alarms.sentence}. {LIMITS}", f"{alarms.source} {LIMITS}")
     output.say(alarms.sentence)
@@ -226,9 +226,9 @@ def train(data: TrainingData, births: str, clutter: str, picture: Image, output:
         tracks, followed, sentence = _without_followed(data, data.marks, marked, tracks)
         output.say(sentence)
     if tracks is None or births == "hand":
-        born = data.lesson("births", _births_by_hand)
+        born = data.lesson("births", births_by_hand)
     else:
-        born = data.lesson("births", partial(_births_of_tracks, tracks=tracks))
+        born = data.lesson("births", partial(births_of_tracks, tracks=tracks))
     output.say(born.sentence)
     if born.training is None and alarms.training is None:
         raise InputError("nothing could be learned", where=data.found.name, cure="Mark false detections, or learn longer")
@@ -245,7 +245,7 @@ def train(data: TrainingData, births: str, clutter: str, picture: Image, output:
     return SceneTraining(scene, picture, born.gain, alarms.gain, born.source, alarms.source), lead
 
 
-def _clutter_of_labels(data: TrainingData) -> tuple[Training, str]:
+def clutter_of_labels(data: TrainingData) -> tuple[Training, str]:
     """False alarms from marks [M09 §IV]."""
     marks = data.marks_on_boxes(_ONLY_BOXES)
     frames = len(marks.looked_at)
@@ -253,7 +253,7 @@ def _clutter_of_labels(data: TrainingData) -> tuple[Training, str]:
     return training, f"{counted(training.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
 
 
-def _clutter_unattended(data: TrainingData) -> tuple[Training, str]:
+def clutter_unattended(data: TrainingData) -> tuple[Training, str]:
     """False alarms from what would be suggested to a person."""
     if not data.of_boxes:
         raise InputError(_ONLY_BOXES)
@@ -291,7 +291,7 @@ def _without_followed(
     return kept, followed, f"{text}; tracks that stay among them are held back"
 
 
-def _births_of_tracks(data: TrainingData, tracks: Tracks) -> tuple[Training, str]:
+def births_of_tracks(data: TrainingData, tracks: Tracks) -> tuple[Training, str]:
     """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]."""
     info, model, shown = data.found.info, data.stages.model, None
     if not data.of_boxes:
@@ -303,7 +303,7 @@ def _births_of_tracks(data: TrainingData, tracks: Tracks) -> tuple[Training, str
     return data.births(states, len(data.stretch) / info.fps * model.rate), text
 
 
-def _births_by_hand(data: TrainingData) -> tuple[Training, str]:
+def births_by_hand(data: TrainingData) -> tuple[Training, str]:
     """Births from marks on the clips about the frames that a person has looked at."""
     marks, rate = (
         data.marks_on_boxes("those marked by hand are boxes in the image (--births tracks)"),
