@@ -81,15 +81,11 @@ def _inside(path: Path) -> str:
 
 def json_value(value: object) -> Any:
     """``value`` in the types that JSON knows; NaN and infinity become None, what is unknown its text."""
-    import numpy as np
-
     match value:
         case None | bool() | str() | int():
             return value
         case float():
             return float(value) if math.isfinite(value) else None
-        case np.generic() | np.ndarray():
-            return json_value(value.tolist())
         case Mapping():
             return {str(k): json_value(v) for k, v in value.items()}
         case list() | tuple() | set() | frozenset():
@@ -97,4 +93,7 @@ def json_value(value: object) -> Any:
         case _ if is_dataclass(value) and not isinstance(value, type):
             return {f.name: json_value(getattr(value, f.name)) for f in fields(value)}
         case _:
-            return str(value)
+            # Only here, so that `phdtrack doctor` can say that NumPy does not work.
+            import numpy as np
+
+            return json_value(value.tolist()) if isinstance(value, np.generic | np.ndarray) else str(value)
