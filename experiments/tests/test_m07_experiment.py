@@ -73,14 +73,6 @@ def test_the_page_counts_cases_and_names_the_error_that_decides(found: m07.Metho
     assert not any(line[:2] == ["particle-phd", "KITTI-17 public"] and line[3:4] == ["none"] for line in lines)
 
 
-def test_clutter_is_the_same_for_all_methods_and_another_for_another_seed() -> None:
-    one = cases.cluttered(cases.drawn(B, 1), 5, 1)
-    again, other = cases.cluttered(cases.drawn(B, 1), 5, 1), cases.cluttered(cases.drawn(B, 1), 5, 2)
-    np.testing.assert_array_equal(one.table.detections.xyxy, again.table.detections.xyxy)
-    assert len(one.table) > len(cases.drawn(B, 1).table)
-    assert not np.array_equal(one.table.detections.xyxy, other.table.detections.xyxy)
-
-
 @pytest.mark.data
 @pytest.mark.parametrize("name", cases.MADE)
 def test_detections_made_of_real_truth(data, monkeypatch, name) -> None:
