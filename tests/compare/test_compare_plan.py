@@ -90,6 +90,6 @@ def test_malformed_files_are_told(tmp_path: Path) -> None:
         file.write("31,1,x,1,1,1,1,-1,-1,-1\n")
     with pytest.raises(InputError, match=r"gt/gt.txt, line \d+"):
         planned([str(folder)])
-    (folder / "seqinfo.ini").unlink()
+    (sequence(tmp_path / "b") / "seqinfo.ini").unlink()
     with pytest.raises(InputError, match="size and rate"):
-        planned([str(folder)])
+        planned([str(tmp_path / "b")])
