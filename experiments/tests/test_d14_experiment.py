@@ -86,7 +86,7 @@ def test_a_state_far_from_everybody_is_nobodys_error():
 def test_the_sampler_nears_the_posterior_mean_and_the_greedy_chain_does_not():
     """Where the model is true: root mean squared distances per axis from the exact mean, two seeds."""
     far = {
-        (name, n): np.mean([work(CorridorRun("model", name, n, 2.0, seed)).beside for seed in range(2)])
+        (name, n): np.mean([work(CorridorRun("model", name, n, 2.0, seed)).to_posterior for seed in range(2)])
         for name in d14.CHAINS for n in (500, 4000)
     }  # fmt: skip
     assert far["MCMC", 4000] < 0.45 * far["MCMC", 500]
