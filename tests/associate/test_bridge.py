@@ -5,6 +5,7 @@ from association_cases import model_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from phdtrack.models import warp as warp_of
 from phdtrack.models.rts import bridge
 from reference import graph_twin as twin
 
@@ -34,3 +35,25 @@ def test_bridge_carries_the_remembered_size():
     before = np.array([100.0, 200.0, 2.0, 0.0, 40.0, 80.0, 40.0, 80.0])
     args = (before, spread(rng, 8, 2.0), before + 10, spread(rng, 8, 2.0), np.ones(6))
     np.testing.assert_allclose(bridge(motion, args[:4], args[4]), twin.smoothed(motion, *args), rtol=1e-8, atol=1e-8)
+
+
+def zooming(rng: np.random.Generator, count: int) -> list[np.ndarray]:
+    """Pans and zooms, which scale what the noises are multiples of."""
+    out = []
+    for scale, x, y in zip(rng.uniform(0.9, 1.1, count), *rng.normal(0, 20, (2, count)), strict=True):
+        out.append(np.array([[scale, 0, x], [0, scale, y], [0, 0, 1.0]]))
+    return out
+
+
+def test_a_bridge_under_a_moving_camera_is_the_still_one_carried_along(rng):
+    motion, warps = model_of(scaled_noise=True).motion, zooming(rng, 5)
+    before = np.array([300.0, 200.0, 2.0, -1.0, 40.0, 80.0])
+    after, cov_before, cov_after = before + rng.normal(0, 9, 6), spread(rng, 6, 3.0), spread(rng, 6, 3.0)
+    still = bridge(motion, (before, cov_before, after, cov_after), np.ones(5))
+    whole = warp_of.after(warps)
+    slope = warp_of.warp_jacobian(after[:, None], whole, (4, 5))[0]
+    seen = warp_of.warp_states(after[:, None], whole, (4, 5))[:, 0]
+    moving = bridge(motion, (before, cov_before, seen, slope @ cov_after @ slope.T), np.ones(5), warps)
+    for k in range(4):
+        wanted = warp_of.warp_states(still[:, k : k + 1], warp_of.after(warps[: k + 1]), (4, 5))[:, 0]
+        np.testing.assert_allclose(moving[:, k], wanted, rtol=1e-8, atol=1e-8)

@@ -64,14 +64,6 @@ def test_span_closes_links(gap: int, interval: float, joined: bool):
     assert len(tracks) == 12 + (gap if joined else 0)
 
 
-def test_window_does_not_grow():
-    result = run(matching_of(), walkers(np.random.default_rng(0), 2000, clutter=2.0, n=0)[0])
-    parts = [(s.window.since, s.window.next, s.window.target, s.given.track) for s in result.states]
-    sizes = np.array([[len(part) for part in of_state] for of_state in parts])
-    assert (sizes[1000:].max(axis=0) <= 1.3 * sizes[100:1000].max(axis=0) + 5).all()
-    assert (sizes[:, :2] < 200).all()
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_crossing_targets_keep_their_identities(seed: int):
     """They pass at half a box's height, from opposite sides, and come in random order."""

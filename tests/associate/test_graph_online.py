@@ -105,14 +105,6 @@ def test_a_target_that_leaves_the_frame_is_not_continued():
     assert online.frame.max() == 15, "in the sixteenth its left edge would be at the border"
 
 
-def test_a_target_seen_again_keeps_its_identity():
-    frames = [*moving(10), *[states([])] * 4, *moving(10, start=(142.0, 200.0))]
-    online = run(matching_of(miss=0.9, loose_end_distance=6.0), frames, PATIENT).online
-    assert online.frame.tolist() == list(range(1, 25))
-    assert set(online.identity) == {1}
-    assert online.predicted.tolist() == [False] * 10 + [True] * 4 + [False] * 10
-
-
 def test_online_rows_do_not_depend_on_what_comes_later():
     frames, _ = walkers(np.random.default_rng(2), 50, clutter=2.0)
     whole = run(matching_of(output_delay=2), frames).given

@@ -47,13 +47,6 @@ def test_beyond_the_fold_is_outside_of_the_lens() -> None:
     assert np.isnan(seen[:, 1]).all()
 
 
-def test_units_do_not_matter_when_kappa_goes_with_them() -> None:
-    metres = tsai(5e-3)
-    millimetres = TsaiLens(focal=5.5, dx=5.1e-3, dy=4.6e-3, kappa=5e-3, cx=370.0, cy=280.0, sx=1.08)
-    pixel = np.array([[0.0, 700], [570, 30]])
-    np.testing.assert_allclose(metres.rays(pixel), millimetres.rays(pixel), rtol=1e-13)
-
-
 @pytest.mark.parametrize("distortion", [np.zeros(0), BARREL[:4], BARREL, RATIONAL, PRISM], ids=["0", "4", "5", "8", "12"])
 def test_pixels_are_those_of_opencv(distortion: np.ndarray, rng: np.random.Generator) -> None:
     camera = PosedCamera(OpenCVLens(MATRIX, distortion), ROTATION, TRANSLATION)

@@ -159,11 +159,3 @@ def test_ties_follow_neither_the_order_of_rows_nor_the_names():
     renamed = tracks_of(tracks.frame, 15 - tracks.identity, tracks.xyxy)
     for same in (tracks.take(np.array([1, 0, 2])), renamed):
         assert evaluate(truth, same).as_dict() == evaluate(truth, tracks).as_dict()
-
-
-def test_a_frame_with_an_empty_side_does_not_end_a_mapping():
-    truth = truth_of([1, 2, 3], [1, 1, 1], [BOX] * 3)
-    tracks = tracks_of([1, 3, 3], [7, 7, 8], [BOX, [0, 0, 6, 10], [0, 0, 8, 10]])
-    scores = evaluate(truth, tracks)
-    assert (scores.id_switches, scores.fragments) == (0, 0)
-    close(scores.MOTP, (1 + 0.6) / 2)
