@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from association_cases import matching_of, model_of, run, states
 
-from phdtrack.arrays import to_cxcywh, to_xyxy
+from phdtrack.arrays import to_cxcywh
 from phdtrack.types import Estimates, Tracks
 from reference import graph_twin as twin
 
@@ -73,21 +73,6 @@ def test_two_tracks_do_not_share_a_detection():
     tracks = tracked(frames, back_dating=5)
     assert len({*zip(tracks.frame.tolist(), tracks.detection.tolist(), strict=True)}) == len(tracks)
     assert (np.bincount(tracks.frame)[1:5] == 1).all()
-
-
-def test_a_remembered_size_is_led_back_too():
-    """With the previous size in the state the transition has no inverse."""
-    model = model_of(remember_size=True)
-    frames = []
-    for estimates, z in walker(4):
-        state = np.vstack([estimates.state, estimates.state[4:6]])
-        cov = np.zeros((len(estimates), 8, 8))
-        cov[:, :6, :6] = estimates.covariance
-        cov[:, [6, 7], [6, 7]] = cov[:, [4, 5], [4, 5]]
-        frames.append((Estimates(state, cov, estimates.weight, to_xyxy(z[:, :1])[: len(estimates)], estimates.detection), z))
-    tracks = tracked(frames, model, back_dating=5)
-    assert tracks.frame.tolist() == list(range(1, 21))
-    np.testing.assert_allclose(to_cxcywh(tracks.xyxy)[2:], 40, atol=1e-6)
 
 
 def test_rows_are_the_conditional_means():

@@ -1,7 +1,5 @@
 """Corrected tracks: false hypotheses undone, gaps bridged, short tracks left out, identities kept at crossings."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from association_cases import links, matching_of, model_of, run, same, states, table, walkers
@@ -159,9 +157,3 @@ def test_writing_into_rows_that_were_given_changes_no_later_row():
         rows.identity[:] = 99
         rows.confidence[:] = 0
     assert same(matching.finish(state, model), wanted)
-
-
-def test_fewer_confident_states_make_less_confident_rows():
-    frames = [replace(e, weight=np.full(1, 0.7 if k == 5 else 1.3)) for k, e in enumerate(resting(10))]
-    tracks = run(matching_of(), frames).tracks
-    np.testing.assert_allclose(tracks.confidence, [0.7 if k == 5 else 1.0 for k in range(10)])

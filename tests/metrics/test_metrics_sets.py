@@ -168,16 +168,6 @@ def test_trajectories_of_boxes():
     assert tgospa_boxes(truth, Tracks.empty()).missed == len(truth) / 2
 
 
-def test_a_switch_costs_gamma_and_a_break_half_of_it():
-    distance = np.zeros((4, 1, 2))
-    there = np.ones((4, 1), bool)
-    switched = np.array([[1, 0], [1, 0], [0, 1], [0, 1]], bool)
-    assert tgospa_of(distance, there, switched, 1.0, gamma=0.4).distance == pytest.approx(0.4)
-    assert tgospa_of(distance, there, switched, 1.0, gamma=0.4).switching == pytest.approx(0.4)
-    ended = np.array([[1, 0], [1, 0], [0, 0], [0, 0]], bool)
-    assert tgospa_of(distance, there, ended, 1.0, gamma=0.4).distance == pytest.approx(2 * 0.5)
-
-
 def test_rmse_of_known_errors():
     frame = np.repeat([1, 2, 3], 2)
     truth = np.array([[0, 100, 0, 100, 0, 100], [0, 0, 0, 0, 0, 0]], float)

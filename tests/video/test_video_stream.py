@@ -77,26 +77,6 @@ def test_what_is_no_video_or_missing_is_named(clip: Path) -> None:
             open_source(clip)
 
 
-def test_another_size_in_mid_stream_names_the_frame(tmp_path: Path) -> None:
-    # An MPEG-1 elementary stream repeats its size in every sequence header: two of them joined change in mid-stream.
-    import av
-
-    data = b""
-    for width in (64, 96):
-        path = tmp_path / f"{width}.m1v"
-        with av.open(str(path), "w", format="mpeg1video") as container:
-            stream = container.add_stream("mpeg1video", rate=25)
-            stream.width, stream.height, stream.pix_fmt = width, 48, "yuv420p"
-            for index in range(5):
-                container.mux(stream.encode(av.VideoFrame.from_ndarray(picture(index, width), format="bgr24")))
-            container.mux(stream.encode(None))
-        data += path.read_bytes()
-    joined = tmp_path / "joined.m1v"
-    joined.write_bytes(data)
-    with pytest.raises(InputError, match=r"joined\.m1v, frame [4-6]: this frame is 96x48 pixels, the first one 64x48"):
-        list(open_source(joined))
-
-
 def test_portrait_recordings_are_turned_upright(clip: Path, tmp_path: Path) -> None:
     plain = b"".join(n.to_bytes(4, "big") for n in (0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000))
     turned = b"".join(n.to_bytes(4, "big") for n in (0, 0x10000, 0, 0xFFFF0000, 0, 0, 0, 0, 0x40000000))
