@@ -1,11 +1,11 @@
-"""What a learned scene costs: ms per frame of each filter with learned births and false alarms, against the shipped ones.
+"""What a learned scene costs: ms per frame of each filter with learned births and false alarms, against the default ones.
 
-`benchmarks.workload`'s boxes, detections in and tracks out, under the default settings of each filter. The scene is laid
-over the shipped births and false alarms as `track --scene` does it, with tracks held back where false alarms last. Half of
-what it knows are Gaussians: as many as said at places drawn over the whole area, or M09's grids from which learning begins
-(12 × 10 for births, 16 × 14 for false alarms), of which each is felt by most detections. Of what is learned a Gaussian needs
-14 tracks, or 7 false alarms, to stay: M09's 320 tracks leave 23 at most. The sides take turns; a frame counts with its
-fastest run.
+`benchmarks.workload`'s boxes, detections in and tracks out, under the default settings of each filter. What the scene has
+taught is added to the default births and false alarms as `track --scene` does it, with tracks held back where false alarms
+last. Half of each density are Gaussians: as many as the case says, at places drawn over the whole area, or M09's grids from
+which learning begins (12 × 10 for births, 16 × 14 for false alarms), where most detections are near most Gaussians. Of what
+is learned a Gaussian needs 14 tracks, or 7 false alarms, to stay: M09's 320 tracks leave 23 at most. The sides take turns;
+of each frame the fastest run counts.
 """
 
 from __future__ import annotations

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments import blobs
 from experiments.common import Case
 from experiments.meetings import APART, ASPECT, PARTINGS, TALL, Leave, Parting, filmed, leaving, meeting, touching
-from phdtrack.metrics import evaluate
 from phdtrack.types import I8, Tracks
 
 
@@ -64,14 +62,3 @@ def test_identities_after_a_blob_are_kept_apart(case: Case) -> None:
         assert leaving(case, named(case, identity)) == leave
     rows = named(case, true)
     assert leaving(case, rows.take(~late | (true == 1))) == "lost"
-
-
-def test_rows_of_the_page_count_how_pairs_left(case: Case) -> None:
-    scores = evaluate(case.truth, named(case, case.truth.identity), frames=case.info.frames)
-    which = [blobs.BlobCase("meeting", "crossing", seed) for seed in range(2)]
-    leaves: list[tuple[Leave, Leave]] = [("new", "new"), ("right", "lost"), ("right", "right"), ("right", "new")]
-    runs = [(one, "pmb", way) for way in blobs.WAYS for one in which]
-    scored = {run: blobs.BlobScores(scores, scores, leave) for run, leave in zip(runs, leaves, strict=True)}
-    _, rows = blobs._table("meeting", ("pmb",), scored)
-    assert rows[0][:7] == ["crossing", "pmb", "as detected", "0.50 (0.00)", "0.00 (0.00)", "0.50 (0.50)", "0.00 (0.50)"]
-    assert rows[1][:7] == ["crossing", "pmb", "merged", "1.00 (0.50)", "0.00 (0.00)", "0.00 (0.50)", "0.00 (0.00)"]

@@ -70,15 +70,6 @@ def test_missing_data_is_reported_before_anything_runs(
     assert "Set PHDTRACK_DATA" in said
 
 
-def test_numbers_below_zero_are_no_numbers() -> None:
-    with pytest.raises(SystemExit):
-        main(["count", "--runs", "-1"])
-
-
-def test_runs_are_as_asked_for_else_by_the_form() -> None:
-    assert [Options().number(20, 2), Options(quick=True).number(20, 2), Options(7, quick=True).number(20, 2)] == [20, 2, 7]
-
-
 def halved(job: int) -> float:
     return job / 2 if job else 1 / job
 

@@ -66,14 +66,6 @@ def test_lifetimes() -> None:
     assert abs(stays.mean() - 0.95) < 4 * np.sqrt(0.95 * 0.05 / len(stays))
 
 
-def test_births_have_the_rate_that_was_asked_for() -> None:
-    world = Counting(0, frames=1000, birth_rate=0.5)
-    truth = world.figures(np.random.default_rng(3))
-    born = len(np.unique(truth.identity))
-    assert abs(born - 0.5 * 999) < 4 * np.sqrt(0.5 * 999)
-    assert Counting(0).births == 0
-
-
 def test_leaving_targets_are_gone_and_others_go_on() -> None:
     for leaving in (True, False):
         world = Counting(30, width=200, height=200, leaving=leaving, frames=100)
@@ -82,11 +74,6 @@ def test_leaving_targets_are_gone_and_others_go_on() -> None:
         assert inside.all() == leaving
         assert (w > 0).all()
         assert (h > 0).all()
-
-
-def test_fixed_number() -> None:
-    truth = Counting(7, p_survive=1.0).figures(np.random.default_rng(0))
-    assert (counts(truth, 200) == 7).all()
 
 
 @pytest.mark.parametrize("bad", [{"n": -1}, {"p_survive": 1.1}, {"frames": 0}, {"birth_height": (0.0, 10.0)}])

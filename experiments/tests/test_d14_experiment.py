@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from experiments import d14, d14_runs
-from experiments.corridor import centroids
+from experiments import d14
 from experiments.d14_runs import (
     FILTERS,
     GATE,
@@ -21,8 +20,6 @@ from experiments.d14_runs import (
     kalman,
     posterior_deviation,
     scans_of,
-    scene,
-    settled,
     stages_of,
     track,
     work,
@@ -78,13 +75,6 @@ def test_all_filters_are_given_the_same_measurements_and_only_some_the_names():
     assert set(found.identity) == {1, 2, 3, 4}
 
 
-def test_settled_leaves_out_everybodys_first_second():
-    frame = np.concatenate([np.arange(1, 31), np.arange(10, 41)])
-    true = Points(frame, np.repeat([1, 2], [30, 31]), np.zeros((2, 61)))
-    late = settled(true)
-    np.testing.assert_array_equal(late.frame, [*range(26, 31), *range(35, 41)])
-
-
 def test_a_state_far_from_everybody_is_nobodys_error():
     true = Points(np.array([1, 1]), np.array([1, 2]), np.array([[0.0, 100], [0, 0]]))
     found = Points(np.array([1, 1]), np.array([-1, -1]), np.array([[3.0, 140], [4, 0]]))
@@ -96,7 +86,7 @@ def test_a_state_far_from_everybody_is_nobodys_error():
 def test_the_sampler_nears_the_posterior_mean_and_the_greedy_chain_does_not():
     """Where the model is true: root mean squared distances per axis from the exact mean, two seeds."""
     far = {
-        (name, n): np.mean([work(CorridorRun("model", name, n, 2.0, seed)).beside for seed in range(2)])
+        (name, n): np.mean([work(CorridorRun("model", name, n, 2.0, seed)).to_posterior for seed in range(2)])
         for name in d14.CHAINS for n in (500, 4000)
     }  # fmt: skip
     assert far["MCMC", 4000] < 0.45 * far["MCMC", 500]
@@ -123,33 +113,3 @@ def test_with_misses_who_is_not_located_is_the_gate_away():
     assert d14.with_misses(outcome([math.nan, math.nan], [0.0, 0.0])) == pytest.approx(GATE / math.sqrt(2))
     # Half of one target's frames at 2 px, the other half and all of the other target's missed: (½·4 + ½·50 + 50) / 2.
     assert d14.with_misses(outcome([2.0, math.nan], [0.5, 0.0])) == pytest.approx(math.sqrt(38.5))
-
-
-def made_up() -> d14.CorridorErrors:
-    """Outcomes of all runs, whose errors fall with N but for the PHD filter's from 1000 on."""
-    results = {}
-    for job in [*d14_runs.jobs_of(d14.NUMBERS, 2), *d14.beyond(2)]:
-        number = min(job.number, 1000) if job.filter == d14.PHD else job.number
-        results[job] = outcome([10 / (number or 9000) ** 0.5] * 2, [1.0, 1.0])
-    return d14.CorridorErrors(results, d14.NUMBERS, 2)
-
-
-def test_what_falls_with_n_is_counted():
-    found = made_up()
-    assert d14.falls(found, d14.TRUE, ["model"]) == "9 of 9"
-    assert d14.falls(found, d14.PHD, d14.PEOPLE) == "12 of 18"
-
-
-def test_the_papers_times_stand_beside_a_sequence_of_their_length_only():
-    rows = [line for line in d14.times(made_up()).splitlines() if "63" in line]
-    assert len(rows) == 1
-    assert "Simulated corridor, 475 frames | 4000" in rows[0]
-
-
-@pytest.mark.data
-def test_the_annotated_people_are_there(data, monkeypatch):
-    monkeypatch.setenv("PHDTRACK_DATA", str(data))
-    scene.cache_clear()
-    people = scene("caviar")
-    assert (people.frame.max(), len(np.unique(people.identity))) == (295, 6)
-    assert np.isfinite(centroids(people)).all()

@@ -15,12 +15,10 @@ from experiments.groups import (
     found_of,
     known,
     membership,
-    middles,
     over_time,
 )
 from phdtrack.formats.positions import Positions
 from phdtrack.groups import Grouping
-from phdtrack.types import Tracks
 
 
 def two_walks() -> WalkedScene:
@@ -28,11 +26,6 @@ def two_walks() -> WalkedScene:
     state = np.array([[0.0, 1.0, 1.0, 40.0], [0, 0, 1, 0], [1.2, 1.2, 0.0, 1.2], [0, 0, 0, 0]])
     people = Positions(np.repeat([10, 16], 4), np.tile([1, 2, 3, 4], 2), np.tile(state, 2))
     return WalkedScene(people, membership(people.identity, [(1, 2)]), np.array([10, 16]), np.array([0.0, 0.4]))
-
-
-def test_membership_is_by_identity() -> None:
-    assert membership(np.array([5, 2, 9, 5]), [(2, 3), (9, 5)]).tolist() == [2, 1, 2, 2]
-    assert membership(np.array([1]), []).tolist() == [0]
 
 
 def test_the_detector_has_the_stated_rates_and_noise() -> None:
@@ -62,11 +55,6 @@ def test_true_positions_are_grouped_by_place_and_velocity() -> None:
 def test_groups_over_time_keep_their_identity() -> None:
     scores = over_time(two_walks(), known(two_walks()), KNOWN, Grouping(2.0, 1.0), hold=0.5)
     assert (scores.f1(), scores.switches) == (1.0, 0)
-
-
-def test_places_of_tracks_are_the_middles_of_their_boxes() -> None:
-    rows = Tracks(np.array([1]), np.array([1]), np.array([[0, 2, 2, 6.0]]), np.ones(1), np.array([0]), np.ones(1, np.bool_))
-    assert middles(rows).tolist() == [[1.0], [4.0]]
 
 
 def test_people_who_are_known_have_no_errors() -> None:

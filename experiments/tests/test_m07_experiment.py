@@ -58,12 +58,6 @@ def test_nothing_is_run_twice_that_draws_nothing() -> None:
     assert sum(job.case == B and job.rate == 0 for job in jobs) == 3 * len(m07.METHODS)
 
 
-def test_who_is_ahead(found: m07.MethodScores) -> None:
-    assert m07.leads(found, A, 0, "none")
-    assert m07.leads(found, A, 5, "mht")
-    assert not m07.leads(found, B, 0, "none")
-
-
 def test_the_page_counts_cases_and_names_the_error_that_decides(found: m07.MethodScores) -> None:
     text = filled("m07", **m07.figures(found, found, found))
     lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
@@ -77,28 +71,6 @@ def test_the_page_counts_cases_and_names_the_error_that_decides(found: m07.Metho
     assert ["particle-phd", "street scene", "0", "mht", "+0.000", "+0.000", "+0.050", "-0.050", "+0.000", "misses"] in lines
     assert ["gm-phd", "street scene", "0", "none", "-0.050", "-0.100", "+0.000", "+0.050", "+0.050", "false boxes"] in lines
     assert not any(line[:2] == ["particle-phd", "KITTI-17 public"] and line[3:4] == ["none"] for line in lines)
-
-
-def test_a_rendered_scene_is_what_a_detector_finds_in_it() -> None:
-    one, scene = cases.drawn(("crossing", "rendered"), 1), cases.drawn(("crossing", "scene"), 1)
-    np.testing.assert_array_equal(one.truth.xyxy, scene.truth.xyxy)
-    assert (one.table.frame >= 1).all()
-    assert (np.diff(one.table.frame) >= 0).all()
-    assert one.table.last <= one.info.frames
-    assert len(one.table) > 0
-
-
-def test_pooled_scores_are_those_of_all_boxes(found: m07.MethodScores) -> None:
-    scores = found.pooled((A, B), 0, "none")
-    assert [one.MOTA for one in scores] == pytest.approx([1 - (2 + 4 + 1 + 1) / 40] * 2)
-
-
-def test_clutter_is_the_same_for_all_methods_and_another_for_another_seed() -> None:
-    one = cases.cluttered(cases.drawn(B, 1), 5, 1)
-    again, other = cases.cluttered(cases.drawn(B, 1), 5, 1), cases.cluttered(cases.drawn(B, 1), 5, 2)
-    np.testing.assert_array_equal(one.table.detections.xyxy, again.table.detections.xyxy)
-    assert len(one.table) > len(cases.drawn(B, 1).table)
-    assert not np.array_equal(one.table.detections.xyxy, other.table.detections.xyxy)
 
 
 @pytest.mark.data

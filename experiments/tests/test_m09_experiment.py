@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from experiments import m09, m09_lessons, m09_pictures, m09_runs, m09_scenes
+from experiments import m09, m09_lessons, m09_runs, m09_scenes
 from experiments.common import Case, filled
-from experiments.m09_runs import ABLATIONS, GM, GM_IMAGE, IMAGE, PHD, UM, SceneRun, SceneScores
+from experiments.m09_runs import GM, GM_IMAGE, IMAGE, PHD, UM, SceneRun, SceneScores
 from phdtrack.arrays import iou
 from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.label.samples import REACH, Marks
@@ -30,18 +30,6 @@ def street() -> tuple[Case, np.ndarray, np.ndarray]:
     model = DetectorModel(p_detect=1.0, clutter_rate=0.0, places=2, place_fire=1.0, jitter=0.02, jitter_size=0.02)
     scene = make_scene("street", 3, model, frames=600, arrivals=1.0)
     return Case("street", scene.info, scene.truth, scene.detections), scene.source, scene.places
-
-
-def test_a_stretch_is_numbered_from_one(street) -> None:
-    case = street[0]
-    part = m09_scenes.stretch(case, 101, 300)
-    assert part.info.frames == 200
-    assert (part.truth.frame.min(), part.truth.frame.max()) == (1, 200)
-    for number in (1, 77, 200):
-        np.testing.assert_array_equal(part.table.at(number).xyxy, case.table.at(100 + number).xyxy)
-        np.testing.assert_array_equal(
-            part.truth.xyxy[part.truth.frame == number], case.truth.xyxy[case.truth.frame == 100 + number]
-        )
 
 
 def test_what_is_nobody_is_marked_as_false_and_nothing_else(street, tmp_path) -> None:
@@ -142,16 +130,6 @@ def test_a_scene_is_learned_and_tracked_better() -> None:
     assert sum(one.truth_boxes for one in learned.blocks) == learned.scores.truth_boxes
 
 
-def test_the_sweep_sets_the_rates_and_the_volume() -> None:
-    info = SequenceInfo(640, 360, 25.0, 100, "x")
-    local, image = (m09_runs.swept(run, PHD, (0.02, 4.0), info).model for run in (UM, IMAGE))
-    assert isinstance(local.clutter, LocalClutter)
-    assert isinstance(image.clutter, UniformClutter)
-    for model in (local, image):
-        assert (model.birth.births_per_second, model.clutter.clutter_per_frame) == pytest.approx((0.5, 4.0))
-    assert (local.birth.volume, image.birth.volume) == ("local", "image")
-
-
 def test_delays_are_parted_by_where_somebody_is_first_detected() -> None:
     boxes = np.array([[0.0, 0, 10, 20], [100, 0, 110, 20]])
     frame, identity = np.repeat(np.arange(1, 11), 2), np.tile([1, 2], 10)
@@ -207,14 +185,6 @@ def found(street) -> m09.SceneResults:
     return m09.SceneResults(scenes, scored, {(name, 1): learned for name in scenes}, timings)
 
 
-def test_every_run_is_run_once(found: m09.SceneResults) -> None:
-    runs = m09.runs_of(found.scenes, dict.fromkeys(found.scenes, 1), quick=False)
-    assert len(runs) == len(set(runs))
-    assert {run.run for run in runs if run.frames == 0} == {UM, IMAGE, GM, GM_IMAGE, *ABLATIONS}
-    # Filters and rates are compared on a quarter of the stretch.
-    assert {run.frames for run in runs if run.rates or run.filter != PHD} == {m09.QUARTER}
-
-
 def test_the_page_has_every_table(found: m09.SceneResults) -> None:
     text = filled("m09", **m09.figures(found))
     lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
@@ -230,8 +200,3 @@ def test_gains_are_of_all_frames_with_intervals_over_quarters(found: m09.SceneRe
     assert gain.mean == pytest.approx((28 + 6 - 8 - 7) / 80)
     assert (gain.count, gain.half) == (4, pytest.approx(0, abs=1e-12))
     assert found.gain(["garden"], "A6", "false_tracks").mean == 0
-
-
-def test_a_picture_is_coloured_where_a_place_was_learned() -> None:
-    picture = np.full((36, 64, 3), 120, np.uint8)
-    assert (m09_pictures.over(picture, None, np.array([255.0, 0, 0])) == 84).all()

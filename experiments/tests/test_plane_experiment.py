@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.common import with_error
-from experiments.plane import Places, errors, ground_scene, numbers, with_detections
+from experiments.plane import Places, errors, ground_scene, with_detections
 from phdtrack.metrics.matching import tracking_mapping
 from phdtrack.types import Detections, DetectionTable, Tracks
 
@@ -41,12 +40,3 @@ def test_rows_take_the_boxes_of_their_detections() -> None:
     tracks = Tracks(np.array([1, 2, 3]), np.array([1, 1, 1]), own, np.ones(3), np.array([0, 1, -1]), np.ones(3, np.bool_))
     assert with_detections(tracks, found).xyxy.tolist() == [boxes[0].tolist(), boxes[2].tolist(), own[2].tolist()]
     assert (own == 3.0).all()
-
-
-def test_numbers_count_rows_by_frame() -> None:
-    assert numbers(np.array([1, 1, 3, 9]), 4).tolist() == [2, 0, 1, 0]
-
-
-def test_spread_is_the_standard_error_of_the_mean() -> None:
-    assert with_error([0.25]) == "0.250"
-    assert with_error([1.0, 3.0], 1) == "2.0 ± 1.0"

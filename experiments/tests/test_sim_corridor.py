@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from experiments.corridor import PATHS, centroids, measured, paths, wandering
-from phdtrack.errors import InputError
 from phdtrack.models import PointMotion
 
 
@@ -49,12 +48,6 @@ def test_everybody_is_measured_with_the_noise_asked_for_and_his_name():
     assert abs(error.mean()) < 5 * (2 / error.size) ** 0.5
     clean = measured(truth, 475, 0.0, np.random.default_rng(1))
     np.testing.assert_array_equal(np.hstack(clean)[:2], place[:, np.argsort(truth.frame, kind="stable")])
-
-
-def test_frames_without_anybody_are_empty_and_noise_has_a_variance():
-    assert [z.shape for z in measured(paths(), 477, 1.0, np.random.default_rng(1))[475:]] == [(3, 0), (3, 0)]
-    with pytest.raises(InputError, match="variance"):
-        measured(paths(), 475, -1.0, np.random.default_rng(1))
 
 
 def test_wandering_points_live_as_long_and_move_as_the_model_says():

@@ -43,20 +43,6 @@ def test_truth_equals_the_table(scene: PointScene) -> None:
             assert abs(state[1]) <= 1000
 
 
-def test_number_of_targets(scene: PointScene) -> None:
-    number = [len(identity) for identity in scene.identity]
-    assert (number[0], number[19], number[39], number[59], number[69], number[70], number[79], number[99]) == (
-        3,
-        6,
-        8,
-        10,
-        10,
-        8,
-        10,
-        10,
-    )
-
-
 @pytest.mark.parametrize(("clutter_rate", "p_d"), [(30.0, 0.98), (60.0, 0.7), (0.0, 1.0)])
 def test_measurements(clutter_rate: float, p_d: float) -> None:
     scene = linear_gaussian(np.random.default_rng(5), clutter_rate, p_d)
@@ -86,12 +72,6 @@ def test_targets_do_not_depend_on_the_clutter() -> None:
     for k in range(100):
         mine, other = (np.sort(s.measurement[k][:, s.source[k] > 0], axis=1) for s in (a, b))
         assert (mine == other).all()
-
-
-def test_same_seed_same_measurements(scene: PointScene) -> None:
-    again, other = linear_gaussian(np.random.default_rng(0)), linear_gaussian(np.random.default_rng(1))
-    assert all((a == b).all() for a, b in zip(scene.measurement, again.measurement, strict=True))
-    assert not np.array_equal(scene.measurement[0], other.measurement[0])
 
 
 def test_births_are_where_targets_start(scene: PointScene) -> None:

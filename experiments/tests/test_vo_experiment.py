@@ -7,7 +7,7 @@ import pytest
 
 from experiments import nonlinear, scans, standard, unknown, vo
 from experiments.common import Options
-from experiments.scans import FilterRun, SetErrors, Summary, apart, differences, measure
+from experiments.scans import FilterRun, SetErrors, Summary, apart
 
 # Mean OSPA over three runs may be this far above what is claimed of a hundred: 4 standard errors of one run's mean, which
 # scatters by 1.2, over √3.
@@ -60,32 +60,6 @@ def test_the_parts_of_the_distance_are_where_and_how_many(outcomes):
     summary = Summary.of(outcomes["gm-phd"])
     assert summary.place + summary.number == pytest.approx(summary.ospa)
     assert summary.count >= abs(summary.bias)
-
-
-def test_filters_with_fewer_runs_are_compared_on_those():
-    """The mean of the longer list beyond them plays no part."""
-    ours, theirs = (
-        [SetErrors(np.full(4, x), np.zeros(4), np.zeros(4), 0.0) for x in each] for each in ((1.0, 3.0), (3.0, 7.0, 99.0))
-    )
-    assert apart(ours, theirs).mean == -3
-    assert next(differences({"a": ours, "b": theirs}, [("a", "b")]))[2] == "-60.0 %"
-
-
-def test_outcomes_are_given_by_case_and_filter(serial):
-    """In the order of the seeds, whatever else was asked for."""
-    runs = {("a", "one"): 2, ("b", "one"): 1, ("a", "two"): 3}
-    found = measure(lambda job: f"{job.case} {job.filter} {job.seed}", runs, "", Options())
-    assert found == {pair: [f"{pair[0]} {pair[1]} {seed}" for seed in range(number)] for pair, number in runs.items()}
-
-
-def test_the_tables_hold_every_case(outcomes):
-    each = outcomes["gm-phd"]
-    found = {(case, name): each for case in standard.CASES for name in standard.FILTERS}
-    filled = scans.tables(found, standard.ELSEWHERE)
-    assert filled["claims"].count("particle-cphd less gm-cphd") == len(standard.CASES)
-    signs = filled["claims"].count("+0.00 ± 0.00") + filled["claims"].count("-0.00 ± 0.00")
-    assert signs == len(scans.COMPARED) * len(standard.CASES)
-    assert filled["rows"].count("17.6") == 1
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields
+from functools import cache
 from numbers import Real
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
@@ -59,6 +60,7 @@ def interrupted(error: BaseException) -> bool:
     return False
 
 
+@cache
 def bounds(kind: type[Any]) -> tuple[tuple[str, tuple[Any, ...]], ...]:
     """Pairs (field, its bounds) of a dataclass whose annotations state any."""
     hints = get_type_hints(kind, include_extras=True)
@@ -72,7 +74,7 @@ def bounds(kind: type[Any]) -> tuple[tuple[str, tuple[Any, ...]], ...]:
 
 def check(settings: Any) -> None:
     """Raise `InputError` where a field of the dataclass ``settings`` breaks its annotation's bounds or is not finite."""
-    kind: type[Any] = type(settings)
+    kind: Any = type(settings)
     for name, limits in bounds(kind):
         value = getattr(settings, name)
         where = f"{type(settings).__name__}.{name}"

@@ -1,9 +1,12 @@
-"""Files that a user named, with errors that say what is wrong; and modules that are loaded when they are first used."""
+"""Files that a user named, with errors that say what is wrong; modules that are loaded when they are first used; values
+for JSON."""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -74,3 +77,23 @@ def _nearest(path: Path) -> str:
 def _inside(path: Path) -> str:
     found = [str(path / name) for name in _USUAL if (path / name).is_file()]
     return f"Perhaps {' or '.join(found)} is meant." if found else "Name the file in it."
+
+
+def json_value(value: object) -> Any:
+    """``value`` in the types that JSON knows; NaN and infinity become None, what is unknown its text."""
+    match value:
+        case None | bool() | str() | int():
+            return value
+        case float():
+            return float(value) if math.isfinite(value) else None
+        case Mapping():
+            return {str(k): json_value(v) for k, v in value.items()}
+        case list() | tuple() | set() | frozenset():
+            return [json_value(v) for v in value]
+        case _ if is_dataclass(value) and not isinstance(value, type):
+            return {f.name: json_value(getattr(value, f.name)) for f in fields(value)}
+        case _:
+            # Only here, so that `phdtrack doctor` can say that NumPy does not work.
+            import numpy as np
+
+            return json_value(value.tolist()) if isinstance(value, np.generic | np.ndarray) else str(value)

@@ -1,7 +1,5 @@
 """Models, states and sequences for the tests of association."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass
@@ -68,14 +66,14 @@ class Result:
         return Tracks.concatenate([*self.given, self.flushed])
 
 
-def run(matching: GraphMatching, frames, model: Model | None = None, intervals=None) -> Result:
-    """Association of a sequence of `Estimates` whose detections they are themselves."""
+def run(matching, frames, model: Model | None = None, intervals=None, measured=None) -> Result:
+    """Association of a sequence of `Estimates` whose detections they are themselves, or those in ``measured``."""
     model = model or model_of()
     state = matching.start()
     after, given = [], []
     for number, estimates in enumerate(frames, start=1):
         dt = 1.0 if intervals is None else intervals[number - 1]
-        z = estimates.state[list(model.sensor.observed)]
+        z = estimates.state[list(model.sensor.observed)] if measured is None else measured[number - 1]
         state, rows = matching.extend(state, estimates, z, number, dt, model)
         after.append(state)
         given.append(rows)
@@ -131,6 +129,11 @@ def walkers(rng: np.random.Generator, frames: int, *, p_seen: float = 0.9, clutt
     return out, who
 
 
-def same(a: Tracks, b: Tracks) -> bool:
-    """Equal to the last bit."""
-    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in FIELDS)
+def same(a: Tracks, b: Tracks, *but: str) -> bool:
+    """Equal to the last bit, but for some fields."""
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in FIELDS if name not in but)
+
+
+def table(tracks: Tracks) -> list[tuple[int, int, int]]:
+    """Frame, identity and detection of each row."""
+    return list(zip(tracks.frame.tolist(), tracks.identity.tolist(), tracks.detection.tolist(), strict=True))

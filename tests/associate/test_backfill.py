@@ -1,12 +1,10 @@
-"""A believed object is led back through the detections that no state rested on."""
-
-from __future__ import annotations
+"""A confirmed target is led back through the detections that no state rested on."""
 
 import numpy as np
 import pytest
-from association_cases import matching_of, model_of, states
+from association_cases import matching_of, model_of, run, states
 
-from phdtrack.arrays import to_cxcywh, to_xyxy
+from phdtrack.arrays import to_cxcywh
 from phdtrack.types import Estimates, Tracks
 from reference import graph_twin as twin
 
@@ -19,21 +17,18 @@ def measured(*points, size: float = 40.0) -> np.ndarray:
     return np.vstack([xy, np.full((2, xy.shape[1]), size)])
 
 
-def run(frames, model=MODEL, **settings) -> Tracks:
+def tracked(frames, model=MODEL, **settings) -> Tracks:
     """Corrected tracks of a sequence of (states, measurements)."""
-    matching = matching_of(**settings)
-    state = matching.start()
-    for number, (estimates, z) in enumerate(frames, start=1):
-        state, _ = matching.extend(state, estimates, z, number, 1.0, model)
-    return matching.finish(state, model)
+    estimates, measured = zip(*frames, strict=True)
+    return run(matching_of(**settings), estimates, model, measured=measured).tracks
 
 
-def walker(believed_from: int, frames: int = 20, *, stray=()) -> list[tuple[Estimates, np.ndarray]]:
-    """One target at 3 pixels a frame, detected always, a state from frame ``believed_from`` (from 0) on; strays first."""
+def walker(begin: int, frames: int = 20, *, stray=()) -> list[tuple[Estimates, np.ndarray]]:
+    """One target at 3 pixels a frame, detected always, a state from frame ``begin`` (from 0) on; strays first."""
     out = []
     for k in range(frames):
         z = measured(*stray, (100 + 3 * k, 200))
-        here = states([(100 + 3 * k, 200)], velocity=[(3, 0)]) if k >= believed_from else NONE
+        here = states([(100 + 3 * k, 200)], velocity=[(3, 0)]) if k >= begin else NONE
         own = np.full(len(here), len(stray))
         out.append((Estimates(here.state, here.covariance, here.weight, here.xyxy, own), z))
     return out
@@ -41,7 +36,7 @@ def walker(believed_from: int, frames: int = 20, *, stray=()) -> list[tuple[Esti
 
 @pytest.mark.parametrize(("late", "most", "rows"), [(3, 5, 3), (5, 5, 5), (8, 5, 5), (3, 0, 0), (3, 2, 2)])
 def test_a_track_begins_at_the_detections_that_started_it(late: int, most: int, rows: int):
-    tracks = run(walker(late), back_dating=most)
+    tracks = tracked(walker(late), back_dating=most)
     assert set(tracks.identity) == {1}
     assert tracks.frame.tolist() == list(range(late - rows + 1, 21))
     assert (tracks.detection == 0).all()
@@ -50,24 +45,23 @@ def test_a_track_begins_at_the_detections_that_started_it(late: int, most: int, 
 
 
 def test_it_takes_the_detection_that_the_state_predicts():
-    tracks = run(walker(4, stray=[(300, 300), (150, 260)]), back_dating=5)
+    tracks = tracked(walker(4, stray=[(300, 300), (150, 260)]), back_dating=5)
     assert tracks.frame.tolist() == list(range(1, 21))
     assert (tracks.detection == 2).all()
 
 
 def test_it_stops_where_there_is_none():
     frames = walker(5)
-    frames[2] = (NONE, measured((300, 300)))
-    assert run(frames, back_dating=5).frame.tolist() == list(range(4, 21))
-    frames[2] = (NONE, measured())
-    assert run(frames, back_dating=5).frame.tolist() == list(range(4, 21))
+    for left in (measured((300, 300)), measured()):
+        frames[2] = (NONE, left)
+        assert tracked(frames, back_dating=5).frame.tolist() == list(range(4, 21))
 
 
 def test_states_are_counted_with_what_leads_to_them():
     """Three states and two detections before them make five."""
     frames = [*walker(2, 5), *[(NONE, measured())] * 3]
-    assert run(frames, back_dating=5, min_track_length=5).frame.tolist() == [1, 2, 3, 4, 5]
-    assert len(run(frames, back_dating=0, min_track_length=5)) == 0
+    assert tracked(frames, back_dating=5, min_track_length=5).frame.tolist() == [1, 2, 3, 4, 5]
+    assert len(tracked(frames, back_dating=0, min_track_length=5)) == 0
 
 
 def test_two_tracks_do_not_share_a_detection():
@@ -76,25 +70,9 @@ def test_two_tracks_do_not_share_a_detection():
         z = measured((200, 200)) if k < 4 else measured((200, 200), (206, 204))
         here = states([(200, 200), (206, 204)], velocity=[(0, 0), (0, 0)]) if k >= 4 else NONE
         frames.append((here, z))
-    tracks = run(frames, back_dating=5)
+    tracks = tracked(frames, back_dating=5)
     assert len({*zip(tracks.frame.tolist(), tracks.detection.tolist(), strict=True)}) == len(tracks)
     assert (np.bincount(tracks.frame)[1:5] == 1).all()
-
-
-def test_a_remembered_size_is_led_back_too():
-    """With the previous size in the state the transition has no inverse."""
-    model = model_of(remember_size=True)
-    frames = []
-    for k, (estimates, z) in enumerate(walker(4)):
-        state = np.vstack([estimates.state, estimates.state[4:6]])
-        cov = np.zeros((len(estimates), 8, 8))
-        cov[:, :6, :6] = estimates.covariance
-        cov[:, [6, 7], [6, 7]] = cov[:, [4, 5], [4, 5]]
-        frames.append((Estimates(state, cov, estimates.weight, to_xyxy(z[:, :1])[: len(estimates)], estimates.detection), z))
-        assert len(estimates) == (k >= 4)
-    tracks = run(frames, model, back_dating=5)
-    assert tracks.frame.tolist() == list(range(1, 21))
-    np.testing.assert_allclose(to_cxcywh(tracks.xyxy)[2:], 40, atol=1e-6)
 
 
 def test_rows_are_the_conditional_means():
@@ -105,7 +83,7 @@ def test_rows_are_the_conditional_means():
     noisy = np.hstack([z for _, z in frames[:4]]) + rng.normal(0, 2, (4, 4))
     frames[:4] = [(NONE, noisy[:, [k]]) for k in range(4)]
     first = frames[4][0]
-    tracks = run(frames, model, back_dating=5)
+    tracks = tracked(frames, model, back_dating=5)
     assert tracks.frame.tolist() == list(range(1, 21))
     wanted = twin.led_back(model.motion, model.sensor, first.state[:, 0], first.covariance[0], noisy, 1.0)
     np.testing.assert_allclose(tracks.xyxy[:4], model.sensor.boxes(wanted), atol=1e-8)

@@ -1,13 +1,11 @@
 """Bridged gaps against the textbook's Kalman filter and smoother."""
 
-from __future__ import annotations
-
 import numpy as np
-import pytest
 from association_cases import model_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from phdtrack.models import warp as warp_of
 from phdtrack.models.rts import bridge
 from reference import graph_twin as twin
 
@@ -39,22 +37,23 @@ def test_bridge_carries_the_remembered_size():
     np.testing.assert_allclose(bridge(motion, args[:4], args[4]), twin.smoothed(motion, *args), rtol=1e-8, atol=1e-8)
 
 
-def test_bridge_meets_certain_ends_on_a_straight_line():
-    motion = model_of(acceleration=0.02, size_noise=0.02).motion
-    before = np.array([50.0, 60.0, 3.0, 1.0, 40.0, 40.0])
-    n = 10
-    after = before + n * np.array([3.0, 1.0, 0, 0, 0, 0])
-    tiny = 1e-6 * np.eye(6)
-    got = bridge(motion, (before, tiny, after, tiny), np.ones(n))
-    wanted = before[:, None] + np.arange(1, n) * np.array([3.0, 1.0, 0, 0, 0, 0])[:, None]
-    np.testing.assert_allclose(got, wanted, atol=1e-6)
+def zooming(rng: np.random.Generator, count: int) -> list[np.ndarray]:
+    """Pans and zooms, which scale what the noises are multiples of."""
+    out = []
+    for scale, x, y in zip(rng.uniform(0.9, 1.1, count), *rng.normal(0, 20, (2, count)), strict=True):
+        out.append(np.array([[scale, 0, x], [0, scale, y], [0, 0, 1.0]]))
+    return out
 
 
-def test_bridge_is_led_by_the_end_when_the_beginning_was_at_rest():
-    motion = model_of(acceleration=0.02).motion
-    before = np.array([50.0, 60.0, 0.0, 0.0, 40.0, 40.0])
-    after = before + np.array([30.0, 0, 0, 0, 0, 0])
-    cov = np.diag([1.0, 1, 9, 9, 1, 1])
-    got = bridge(motion, (before, cov, after, cov), np.ones(10))
-    assert np.all(np.diff(got[0]) > 0)
-    assert got[0, 4] == pytest.approx(65, abs=6)
+def test_a_bridge_under_a_moving_camera_is_the_still_one_carried_along(rng):
+    motion, warps = model_of(scaled_noise=True).motion, zooming(rng, 5)
+    before = np.array([300.0, 200.0, 2.0, -1.0, 40.0, 80.0])
+    after, cov_before, cov_after = before + rng.normal(0, 9, 6), spread(rng, 6, 3.0), spread(rng, 6, 3.0)
+    still = bridge(motion, (before, cov_before, after, cov_after), np.ones(5))
+    whole = warp_of.after(warps)
+    slope = warp_of.warp_jacobian(after[:, None], whole, (4, 5))[0]
+    seen = warp_of.warp_states(after[:, None], whole, (4, 5))[:, 0]
+    moving = bridge(motion, (before, cov_before, seen, slope @ cov_after @ slope.T), np.ones(5), warps)
+    for k in range(4):
+        wanted = warp_of.warp_states(still[:, k : k + 1], warp_of.after(warps[: k + 1]), (4, 5))[:, 0]
+        np.testing.assert_allclose(moving[:, k], wanted, rtol=1e-8, atol=1e-8)

@@ -1,14 +1,11 @@
 """The links are those of the path cover of maximum total gain [M07 §3]."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from association_cases import links, matching_of, model_of, open_edges, run, scattered, states, walkers
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.associate.graph import empty_window
 from phdtrack.associate.history import open_links
 from reference import graph_twin as twin
 
@@ -75,11 +72,3 @@ def test_edges_are_all_that_are_worth_taking(seed: int):
     theirs = twin.gains([*past, new], [1.0] * 4, matching, model)
     theirs = {link: gain for link, gain in theirs.items() if link[0] >= last.vertices}
     assert ours == pytest.approx(theirs, abs=1e-9)
-
-
-def test_no_states_no_links():
-    matching = matching_of()
-    assert links(matching.start()) == set()
-    assert len(empty_window(6).next) == 0
-    result = run(matching, [states([]) for _ in range(4)])
-    assert len(result.tracks) == len(result.online) == 0

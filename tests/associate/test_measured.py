@@ -1,7 +1,5 @@
 """What associators remember of the measurements: all of them, in order, as far back as anything is remembered."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,22 +1,19 @@
-"""Tracks that stay where false alarms are: never believed; who walks out of there is, from there on."""
-
-from __future__ import annotations
+"""Tracks that stay where false alarms are: never confirmed; those that leave are, from there on."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from association_cases import FIELDS, matching_of, model_of, states
+from association_cases import matching_of, model_of, run, same, states
 from hypothesis import given
 from hypothesis import strategies as st
 
 from phdtrack.arrays import to_xyxy
-from phdtrack.associate import Labelled, rejection
+from phdtrack.associate import Labelled
 from phdtrack.associate.rejection import FalseTrackRejection, without_false_tracks
 from phdtrack.types import Estimates, Tracks
 
 MODEL = model_of()
-Z = np.zeros((4, 0))
 
 
 @dataclass(frozen=True)
@@ -47,27 +44,14 @@ def frame(*targets: tuple[int, float] | tuple[int, float, float]) -> Estimates:
     return replace(states(points, velocity=velocity), tag=label)
 
 
-def run(associator, frames, state=None, first: int = 1):
-    state, out = associator.start() if state is None else state, []
-    for number, estimates in enumerate(frames, start=first):
-        z = estimates.state[list(MODEL.sensor.observed)]
-        state, rows = associator.extend(state, estimates, np.ascontiguousarray(z), number, 1.0, MODEL)
-        out.append(rows)
-    return state, out
-
-
-def online(associator, frames) -> Tracks:
-    state, out = run(associator, frames)
-    return Tracks.concatenate([*out, associator.flush(state, MODEL)])
-
-
 def centre(tracks: Tracks) -> np.ndarray:
     return tracks.xyxy[:, [0, 2]].mean(axis=1)
 
 
-def equal(a: Tracks, b: Tracks) -> None:
-    for name in FIELDS:
-        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+def furthest(rows: Tracks, plain: Tracks) -> np.ndarray:
+    """How far right the target of each row has been up to its frame."""
+    pairs = zip(rows.identity, rows.frame, strict=True)
+    return np.array([centre(plain.take((plain.identity == i) & (plain.frame <= k))).max() for i, k in pairs])
 
 
 # 1 trembles where alarms are, 2 walks out of there, 3 walks beside it, 4 walks in from the right.
@@ -77,46 +61,29 @@ STREET = [
 
 
 @each
-def test_who_stays_where_false_alarms_are_is_nobody(inner):
-    frames = [frame((1, 100.0 + k % 2)) for k in range(25)]
-    assert online(inner, frames).confirmed.any()
-    rows = online(FalseTrackRejection(inner, STRIP), frames)
-    assert len(rows) == 25
-    assert not rows.confirmed.any()
-    assert len(FalseTrackRejection(inner, STRIP).finish(run(FalseTrackRejection(inner, STRIP), frames)[0], MODEL)) == 0
-
-
-@each
 def test_online_rows_are_those_of_the_associator_and_confirmed_where_both_say_so(inner):
-    plain, rows = online(inner, STREET), online(FalseTrackRejection(inner, STRIP), STREET)
-    for name in ("frame", "identity", "xyxy", "confidence", "detection"):
-        np.testing.assert_array_equal(getattr(rows, name), getattr(plain, name))
-    pairs = zip(rows.identity, rows.frame, strict=True)
-    furthest = np.array([centre(plain.take((plain.identity == i) & (plain.frame <= k))).max() for i, k in pairs])
-    np.testing.assert_array_equal(rows.confirmed, plain.confirmed & (furthest > 200))
+    plain, rows = (run(associator, STREET).online for associator in (inner, FalseTrackRejection(inner, STRIP)))
+    assert same(rows, plain, "confirmed")
+    np.testing.assert_array_equal(rows.confirmed, plain.confirmed & (furthest(rows, plain) > 200))
     assert 0 < rows.confirmed.sum() < plain.confirmed.sum()
 
 
 @each
 def test_who_is_surely_an_object_is_confirmed_at_once(inner):
-    """As soon as he has been there, and from then on; the others as before, and so are corrected tracks."""
-    plain, slow = online(inner, STREET), online(FalseTrackRejection(inner, STRIP), STREET)
-    associator = FalseTrackRejection(inner, STRIP, immediate_confirmation=20 * np.exp(-15.0))
-    rows = online(associator, STREET)
-    pairs = zip(rows.identity, rows.frame, strict=True)
-    furthest = np.array([centre(plain.take((plain.identity == i) & (plain.frame <= k))).max() for i, k in pairs])
-    np.testing.assert_array_equal(rows.confirmed, slow.confirmed | (furthest > 350))
-    first = rows.confirmed & ~slow.confirmed
-    assert first.any() == (inner.output_delay == 0), "who is confirmed by what followed need not be surely"
-    states = (run(a, STREET)[0] for a in (associator, FalseTrackRejection(inner, STRIP)))
-    equal(*(associator.finish(state, MODEL) for state in states))
+    """As soon as it has been there, and from then on; the others as before, and so are corrected tracks."""
+    slow = run(FalseTrackRejection(inner, STRIP), STREET)
+    fast = run(FalseTrackRejection(inner, STRIP, immediate_confirmation=20 * np.exp(-15.0)), STREET)
+    rows, before = fast.online, slow.online.confirmed
+    np.testing.assert_array_equal(rows.confirmed, before | (furthest(rows, run(inner, STREET).online) > 350))
+    assert (rows.confirmed & ~before).any() == (inner.output_delay == 0)
+    assert same(fast.tracks, slow.tracks)
 
 
 @each
 def test_corrected_tracks_begin_where_they_are_believed(inner):
     associator = FalseTrackRejection(inner, STRIP)
-    state, _ = run(associator, STREET)
-    tracks, plain = associator.finish(state, MODEL), inner.finish(state.inner, MODEL)
+    result = run(associator, STREET)
+    tracks, plain = result.tracks, run(inner, STREET).tracks
     assert set(plain.identity) == {1, 2, 3, 4}
     assert set(tracks.identity) == {1, 2, 3}, "identities from 1"
     # Who walks out is believed from the first place on at which an object is the likelier, who walks in to the end.
@@ -124,29 +91,8 @@ def test_corrected_tracks_begin_where_they_are_believed(inner):
     assert centre(tracks).min() == pytest.approx(280 - 5 * 24, abs=2)
     out = tracks.take(tracks.identity == 1)
     np.testing.assert_allclose(centre(out), 205 + 5 * np.arange(len(out)), atol=0.5)
-    equal(tracks, without_false_tracks(plain, STRIP))
-    assert associator.measurements(state).z.shape == (4, 100)
-
-
-def test_so_many_are_remembered_and_those_seen_last(monkeypatch):
-    """Who stays while others come and go was believed once, and still is."""
-    monkeypatch.setattr(rejection, "KEPT", 5)
-    associator = FalseTrackRejection(Labelled(min_track_length=1), STRIP)
-    frames = [frame((1, 300.0 - 10 * k, -10.0), (2 + k // 2, 400.0), (50 + k // 2, 90.0)) for k in range(40)]
-    state, rows = run(associator, frames)
-    assert len(state.identity) == 5
-    assert state.least.shape == (2, 5)
-    assert 1 in state.identity
-    assert all(bool(r.confirmed[r.identity == 1].all()) for r in rows)
-    others = Tracks.concatenate(rows)
-    assert (others.confirmed == ((others.identity == 1) | (centre(others) > 200))).all()
-
-
-def test_nothing_in_an_empty_table():
-    assert len(without_false_tracks(Tracks.empty(), STRIP)) == 0
-    associator = FalseTrackRejection(Labelled(), STRIP)
-    state, rows = associator.extend(associator.start(), states(np.zeros((0, 2))), Z, 1, 1.0, MODEL)
-    assert len(rows) == len(associator.flush(state, MODEL)) == len(associator.finish(state, MODEL)) == 0
+    assert same(tracks, without_false_tracks(plain, STRIP))
+    assert associator.measurements(result.states[-1]).z.shape == (4, 100)
 
 
 row = st.tuples(st.integers(1, 9), st.integers(1, 4), st.sampled_from([100.0, 190.0, 210.0, 400.0]), st.booleans())
@@ -159,9 +105,8 @@ def table(rows) -> Tracks:
     n = len(rows)
     xyxy = to_xyxy(np.stack([x, np.full(n, 90.0), np.full(n, 40.0), np.full(n, 80.0)]))
     detection = np.where(seen, np.arange(n), -1).astype(np.int64)
-    return Tracks(
-        frames.astype(np.int64), 3 * identity.astype(np.int64), xyxy, np.full(n, 0.9), detection, np.ones(n, np.bool_)
-    )
+    frames, identity = frames.astype(np.int64), 3 * identity.astype(np.int64)
+    return Tracks(frames, identity, xyxy, np.full(n, 0.9), detection, np.ones(n, np.bool_))
 
 
 @given(rows=tables, shortest=st.integers(1, 3), order=st.randoms())
@@ -174,16 +119,14 @@ def test_each_is_believed_from_the_first_detection_on_that_is_more_likely_an_obj
             wanted.append(k)
     left = [rows[k][1] for k in wanted if rows[k][3]]
     wanted = [k for k in wanted if left.count(rows[k][1]) >= shortest]
-    names = {rows[k][1]: 0 for k in wanted}
-    names = {who: name for name, who in enumerate(sorted(names), start=1)}
+    names = {who: name for name, who in enumerate(sorted({rows[k][1] for k in wanted}), start=1)}
     found = without_false_tracks(table(rows), STRIP, shortest)
-    equal(found, replace(table(rows).take(np.array(wanted, np.int64)), identity=found.identity))
+    assert same(found, replace(table(rows).take(np.array(wanted, np.int64)), identity=found.identity))
     assert found.identity.tolist() == [names[rows[k][1]] for k in wanted]
     mixed = [*range(len(rows))]
     order.shuffle(mixed)
-    index = np.array(mixed, np.int64)
-    other = without_false_tracks(table(rows).take(index), STRIP, shortest)
-    equal(Tracks.concatenate([other]), Tracks.concatenate([found]))
+    other = without_false_tracks(table(rows).take(np.array(mixed, np.int64)), STRIP, shortest)
+    assert same(Tracks.concatenate([other]), Tracks.concatenate([found]))
 
 
 @dataclass(frozen=True)
@@ -211,8 +154,7 @@ def test_online_the_same_rows_are_believed(rows, delay):
     """With any delay: those that are kept of the corrected tracks, where both are the same rows."""
     tracks = Tracks.concatenate([table(rows)])
     associator = FalseTrackRejection(Told(tracks, delay), STRIP)
-    state, out = run(associator, [states(np.zeros((0, 2)))] * 9)
-    found = Tracks.concatenate([*out, associator.flush(state, MODEL)])
-    equal(replace(found, confirmed=tracks.confirmed), tracks)
-    kept, left = found.take(found.confirmed), associator.finish(state, MODEL)
-    equal(replace(kept, identity=left.identity), left)
+    result = run(associator, [states([])] * 9)
+    found = result.online
+    assert same(found, tracks, "confirmed")
+    assert same(replace(found.take(found.confirmed), identity=result.tracks.identity), result.tracks)

@@ -1,7 +1,5 @@
 """What is remembered: everything, in little space, or a bounded past."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np
@@ -50,15 +48,6 @@ def test_what_is_remembered_is_as_if_all_were():
     assert len(recent) == len(part.tracks) > 200
     np.testing.assert_array_equal(recent.xyxy, part.tracks.xyxy)
     np.testing.assert_array_equal(recent.identity - recent.identity.min() + 1, part.tracks.identity)
-
-
-def test_a_living_track_goes_back_as_far_as_is_remembered():
-    frames = [states([(100 + 0.1 * k, 200)], velocity=[(0.1, 0)]) for k in range(600)]
-    tracks = run(matching_of(history=6.0), frames).tracks
-    assert set(tracks.identity) == {1}
-    assert tracks.frame.tolist() == list(range(tracks.frame.min(), 601))
-    assert 150 <= len(tracks) <= 150 + 2 * CHUNK
-    assert set(run(matching_of(history=6.0), frames).online.identity) == {1}
 
 
 @pytest.mark.parametrize("settings", [{"output_delay": 40}, {"window": 6.0}, {"max_coast": 9.0}])

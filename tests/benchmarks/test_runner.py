@@ -11,6 +11,7 @@ from rich.console import Console
 
 from benchmarks import c_kernel, d14, mht, particle_phd
 from benchmarks.__main__ import measure
+from benchmarks.extraction import on_threads
 from benchmarks.parts import SMOKE, Outcome, Part, Row, Skipped
 from benchmarks.registry import PARTS
 from benchmarks.report import Paper, write
@@ -106,6 +107,12 @@ def test_d14s_sequence_is_timed_with_its_filters() -> None:
     assert set(outcome.entries["d14_seconds"]) == {"mcmc", "mcmc_each", "particle-phd"}
     assert [row.most for row in outcome.rows] == [2.0, 2.0, 2.0]
     assert all(row.cpu is not None and row.cpu > 0 for row in outcome.rows)
+
+
+def test_filter_and_extraction_on_two_threads_give_the_states_of_one() -> None:
+    found = on_threads(3, frames=2, repeats=2)
+    assert found["identical"]
+    assert found["ratio"] == pytest.approx(found["one_ms"] / found["two_ms"])
 
 
 def test_multiple_hypotheses_are_timed_and_counted() -> None:

@@ -58,14 +58,6 @@ def test_every_command_says_what_it_does(command: str) -> None:
     assert COMMANDS[command].split(",")[0].split(":")[0].rstrip(".") in " ".join(said.out.split())
 
 
-@pytest.mark.parametrize("command", ["track", "detect"])
-def test_help_names_every_detector(command: str) -> None:
-    from phdtrack.detect import detector_names
-
-    said = " ".join(phdtrack(command, "--help").out.split())
-    assert all(name in said for name, _ in detector_names())
-
-
 @pytest.mark.parametrize(
     "arguments", [["trak"], ["track", "--detektor", "x"], ["track", "v.mp4", "--seed", "-1"], ["evaluate", "--iou", "x"]]
 )

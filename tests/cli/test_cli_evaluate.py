@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -23,18 +24,24 @@ def test_json_is_one_object_with_all_keys(truth: Path) -> None:
     assert (said.object["MOTA"], said.object["OSPA"], said.object["misses"], said.object["frames"]) == (1, 0, 0, 40)
 
 
-def test_the_threshold_is_used(truth: Path, tmp_path: Path) -> None:
-    shifted = tmp_path / "shifted.txt"
+def changed(truth: Path, row: Callable[[list[str]], list[str] | None]) -> Path:
+    """A file of tracks: the truth's rows as ``row`` gives them, None for no row."""
+    rows = filter(None, (row(line.split(",")) for line in truth.read_text().split()))
+    tracks = truth.with_name("tracks.txt")
+    tracks.write_text("\n".join(",".join(each) for each in rows))
+    return tracks
+
+
+def moved(row: list[str], right: float, down: float = 0.0) -> list[str]:
+    return [*row[:2], str(float(row[2]) + right), str(float(row[3]) + down), *row[4:]]
+
+
+def test_the_threshold_is_used(truth: Path) -> None:
     # 6 of 24 pixels: an overlap of 18 / 30 = 0.6.
-    lines = [line.split(",") for line in truth.read_text().split()]
-    shifted.write_text("\n".join(",".join([a, b, str(int(x) + 6), *rest]) for a, b, x, *rest in lines))
-    scores = {
-        iou: phdtrack("evaluate", "--truth", truth, "--tracks", shifted, "--iou", iou, "--json").object for iou in (0.5, 0.7)
-    }
-    assert scores[0.5]["MOTA"] == 1
-    assert scores[0.5]["MOTP"] == pytest.approx(0.6)
-    assert scores[0.7]["MOTA"] == -1
-    assert scores[0.7]["MOTP"] is None
+    asked = ("evaluate", "--truth", truth, "--tracks", changed(truth, lambda row: moved(row, 6)), "--json", "--iou")
+    low, high = (phdtrack(*asked, iou).object for iou in (0.5, 0.7))
+    assert (low["MOTA"], low["MOTP"]) == (1, pytest.approx(0.6))
+    assert (high["MOTA"], high["MOTP"]) == (-1, None)
 
 
 def test_the_table_is_for_people(truth: Path) -> None:
@@ -47,13 +54,13 @@ def test_the_table_is_for_people(truth: Path) -> None:
     assert lines["frames"] == "40"
 
 
-def test_t_gospa_is_asked_for(truth: Path, tmp_path: Path) -> None:
-    """Three walkers over 40 frames; one track is cut in two, which costs γ, and one is lost."""
-    rows = [line.split(",") for line in truth.read_text().split()]
-    names = sorted({row[1] for row in rows})
-    changed = [[f, "99" if i == names[0] and int(f) > 20 else i, *rest] for f, i, *rest in rows if i != names[1]]
-    tracks = tmp_path / "tracks.txt"
-    tracks.write_text("\n".join(",".join(row) for row in changed))
+def test_t_gospa_is_asked_for(truth: Path) -> None:
+    """One track is cut in two, which costs γ, and one is lost."""
+
+    def cut(row: list[str]) -> list[str] | None:
+        return None if row[1] == "2" else [row[0], "99" if int(row[0]) > 20 else "1", *row[2:]]
+
+    tracks = changed(truth, cut)
     found = phdtrack("evaluate", "--truth", truth, "--tracks", tracks, "--t-gospa", "--json").object
     assert found["TGOSPA_switching"] == pytest.approx(1 / 40)
     assert found["TGOSPA_missed"] == pytest.approx(found["misses"] / 2 / 40)
@@ -65,22 +72,18 @@ def test_t_gospa_is_asked_for(truth: Path, tmp_path: Path) -> None:
     assert "TGOSPA" not in phdtrack("evaluate", "--truth", truth, "--tracks", tracks, "--json").object
 
 
-def test_rmse_per_object(truth: Path, tmp_path: Path) -> None:
+def test_rmse_per_object(truth: Path) -> None:
     """The first walker is 3 pixels to the right and 4 down, the second is not found."""
-    rows = [line.split(",") for line in truth.read_text().split()]
-    first, second = sorted({row[1] for row in rows})
-    tracks = tmp_path / "tracks.txt"
-    moved = [[f, i, str(float(x) + 3), str(float(y) + 4), *rest] for f, i, x, y, *rest in rows if i == first]
-    tracks.write_text("\n".join(",".join(row) for row in moved))
+    tracks = changed(truth, lambda row: moved(row, 3, 4) if row[1] == "1" else None)
     asked = ("evaluate", "--truth", truth, "--tracks", tracks, "--rmse", 20)
     found = phdtrack(*asked, "--json").object["RMSE"]
     assert found["overall"] == pytest.approx(5)
     one, other = found["objects"]
-    assert (one["identity"], one["frames"], one["mapped"]) == (int(first), 40, 40)
+    assert (one["identity"], one["frames"], one["mapped"]) == (1, 40, 40)
     assert one["rmse_axis"] == pytest.approx([3, 4])
-    assert (other["identity"], other["rmse"], other["rmse_axis"]) == (int(second), None, [None, None])
+    assert (other["identity"], other["rmse"], other["rmse_axis"]) == (2, None, [None, None])
     lines = [line.split() for line in phdtrack(*asked).out.splitlines()]
-    assert [first, "40", "40", "3.00", "4.00", "5.00"] in lines
+    assert ["1", "40", "40", "3.00", "4.00", "5.00"] in lines
     assert ["all", "80", "40", "5.00"] in lines
     assert "RMSE" not in phdtrack(*asked[:-2], "--json").object
 

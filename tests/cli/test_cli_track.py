@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -58,16 +53,6 @@ def test_detections_alone(kind: str, sequence: Path, tmp_path: Path) -> None:
     assert sorted(set(read_tracks(out / rundir.TRACKS).identity)) == [1, 2]
 
 
-@pytest.mark.parametrize("kind", ["pmb", "particle-phd"])
-def test_the_same_seed_gives_the_same_files(kind: str, sequence: Path, tmp_path: Path) -> None:
-    texts = []
-    given = ("--detections", sequence / "det" / "det.txt", "--filter", kind, "--seed", 5)
-    for name in ("a", "b"):
-        phdtrack("track", *given, "--out", tmp_path / name)
-        texts.append([(tmp_path / name / file).read_bytes() for file in (rundir.TRACKS, rundir.STATES)])
-    assert texts[0] == texts[1]
-
-
 def test_threads_reach_the_filter_and_change_nothing(sequence: Path, tmp_path: Path) -> None:
     texts = []
     for threads in (1, 3, 0):
@@ -89,23 +74,6 @@ def test_a_video(clip: Path, tmp_path: Path) -> None:
     assert said.object["frames"] == 40
     assert len(list(open_source(out / rundir.VIDEO))) == 40
     assert len(read_tracks(out / rundir.TRACKS)) > 30
-
-
-def test_a_video_cut_short_is_tracked_as_far_as_it_goes(clip: Path, tmp_path: Path) -> None:
-    raw = tmp_path / "whole.mpg"
-    import av
-
-    with av.open(str(raw), "w", format="mpeg") as container:
-        stream = container.add_stream("mpeg1video", rate=25)
-        stream.width, stream.height, stream.pix_fmt = 320, 240, "yuv420p"
-        for frame in open_source(clip):
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame.image, format="bgr24")))
-        container.mux(stream.encode(None))
-    short = tmp_path / "short.mpg"
-    short.write_bytes(raw.read_bytes()[: raw.stat().st_size * 2 // 3])
-    said = phdtrack("track", short, "--out", tmp_path / "run", "--json", "--filter", "none")
-    assert said.status == 0, said.err
-    assert 5 < said.object["frames"] < 40
 
 
 def test_detect_writes_what_track_reads_in_coordinates_of_the_video(clip: Path, tmp_path: Path) -> None:
@@ -227,30 +195,3 @@ def test_an_earlier_run_is_kept(sequence: Path, tmp_path: Path) -> None:
     assert phdtrack(*arguments, "--overwrite").status == 0
     assert (tmp_path / rundir.TRACKS).read_text() != "precious"
     assert (tmp_path / "notes.txt").read_text() == "mine"
-
-
-@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX systems")
-def test_ctrl_c_finishes_what_was_done(tmp_path: Path) -> None:
-    folder = walkers(tmp_path / "long", 40)
-    (folder / "seqinfo.ini").write_text((folder / "seqinfo.ini").read_text().replace("seqLength=40", "seqLength=1000000"))
-    out = tmp_path / "run"
-    command = [sys.executable, "-m", "phdtrack", "track", "--detections", str(folder / "det" / "det.txt")]
-    process = subprocess.Popen(
-        [*command, "--filter", "none", "--out", str(out), "--json"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    for _ in range(300):
-        if (out / rundir.STATES).exists() and (out / rundir.STATES).stat().st_size > 2000:
-            break
-        time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
-    output, errors = process.communicate(timeout=60)
-    assert process.returncode == 130, errors
-    document = json.loads(output)
-    assert document["complete"] is False
-    assert 0 < document["frames"] < 1000000
-    assert "Ctrl-C" in errors
-    assert "Traceback" not in errors
-    assert {path.name for path in out.iterdir()} == FILES

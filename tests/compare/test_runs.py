@@ -13,7 +13,7 @@ import pytest
 from compare_cases import FRAMES, planned, sequence, small
 
 import phdtrack
-from phdtrack.compare import Plan, run, runs, steps
+from phdtrack.compare import run, runs, steps
 from phdtrack.compare.plans import Run
 from phdtrack.compare.runs import Failed, RunResult, read_about, run_input, source_digests
 from phdtrack.formats import read_detections, read_tracks, read_truth
@@ -191,35 +191,28 @@ def test_without_truth_there_are_no_scores(tmp_path: Path) -> None:
     assert run(found.plan, tmp_path / "out").reused == 1
 
 
-def failing(made: Plan, monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
-    """Let the run of the filter none on the first sequence fail."""
-    tracked = runs.tracked
+@pytest.mark.parametrize("error", [RuntimeError("out of luck"), KeyboardInterrupt()])
+def test_a_run_that_fails_or_is_stopped_is_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    """The runs before are kept, and those behind a failed one."""
+    made, tracked = small(tmp_path, seeds=1), runs.tracked
 
     def broken(one: Run, given: runs.RunInput) -> object:
         if one.method.name == "none" and one.case is made.cases[0]:
             raise error
         return tracked(one, given)
 
-    monkeypatch.setattr(runs, "tracked", broken)
-
-
-def test_a_run_that_fails_is_told_and_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = small(tmp_path, seeds=1)
     with monkeypatch.context() as patched:
-        failing(made, patched, RuntimeError("out of luck"))
-        found = run(made, tmp_path / "out")
-    assert [(str(one), reason) for one, reason in found.failed] == [("none on a det, seed 1", "RuntimeError: out of luck")]
-    assert len(tracks(tmp_path / "out")) == 3
-    again = run(made, tmp_path / "out")
-    assert (again.reused, again.failed) == (3, [])
-
-
-def test_whatever_stops_it_the_runs_before_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = small(tmp_path, seeds=1)
-    with monkeypatch.context() as patched:
-        failing(made, patched, KeyboardInterrupt())
-        with pytest.raises(KeyboardInterrupt):
-            run(made, tmp_path / "out")
-    assert len(tracks(tmp_path / "out")) == 1
+        patched.setattr(runs, "tracked", broken)
+        if isinstance(error, KeyboardInterrupt):
+            with pytest.raises(KeyboardInterrupt):
+                run(made, tmp_path / "out")
+        else:
+            failed = run(made, tmp_path / "out").failed
+            assert [(str(one), reason) for one, reason in failed] == [("none on a det, seed 1", "RuntimeError: out of luck")]
+    kept = 1 if isinstance(error, KeyboardInterrupt) else 3
+    assert len(tracks(tmp_path / "out")) == kept
     assert list((tmp_path / "out").rglob(".*")) == []
-    assert run(made, tmp_path / "out").reused == 1
+    again = run(made, tmp_path / "out")
+    assert (again.reused, again.failed) == (kept, [])

@@ -8,11 +8,10 @@ from dataclasses import replace
 import pytest
 from compare_cases import small
 
-from phdtrack.compare import Comparison, Summary, check_scores, run, summary
+from phdtrack.compare import Comparison, Summary, run, summary
 from phdtrack.compare.results import sentences, table, written
 from phdtrack.compare.runs import Failed, RunResult
 from phdtrack.compare.statistics import Row, interval
-from phdtrack.errors import InputError
 from phdtrack.metrics import Scores, pool
 
 
@@ -76,12 +75,6 @@ def test_numbers_as_people_read_them() -> None:
     assert written(None, "MOTA") == written(interval([]), "MOTA") == "–"
     rows = [Row("a", detections, 1, 0.0, method) for detections, method in (("x", "f"), ("x", "g"), ("y", "f"))]
     assert table(rows, ("ms",)).rows == [("a", "x", "0", "f", "–"), ("", "", "", "g", "–"), ("", "y", "0", "f", "–")]
-
-
-def test_scores_by_name() -> None:
-    assert check_scores(["mota", "MS"]) == ("MOTA", "ms")
-    with pytest.raises(InputError, match="Did you mean MOTA"):
-        check_scores(["MOTTA"])
 
 
 def made_up(method: str, values: list[float], random: bool = True) -> Row:

@@ -31,21 +31,6 @@ def test_every_tag_names_a_known_paper(script: ModuleType) -> None:
     assert script.unknown(list(script.entries(script.SOURCES))) == []
 
 
-@pytest.mark.parametrize(
-    ("text", "found"),
-    [
-        ("The update [M07 §2].", [("M07", "§2")]),
-        ("Moves [M09 (11)] and [M09 (22)].", [("M09", "(11)"), ("M09", "(22)")]),
-        ("Association [M07 §3; S05].", [("M07", "§3"), ("S05", "")]),
-        ("Predict [M07 (5), (6), D14 Alg. 2].", [("M07", "(5), (6)"), ("D14", "Alg. 2")]),
-        ("Across a\n    line [D14\n    Alg. 2].", [("D14", "Alg. 2")]),
-        ("A link [M07](https://example.org) and x[M07x] and [F8] and (M, 4) [0, 1].", []),
-    ],
-)
-def test_tags_of_a_docstring(script: ModuleType, text: str, found: list[tuple[str, str]]) -> None:
-    assert list(script.tags(text)) == found
-
-
 def test_page_of_a_small_package(script: ModuleType, tmp_path: Path) -> None:
     folder = tmp_path / "src" / "phdtrack" / "part"
     folder.mkdir(parents=True)

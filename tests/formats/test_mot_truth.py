@@ -1,23 +1,14 @@
 """Truth and tracks of MOTChallenge, the benchmark's rule about classes against its own evaluation code."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from format_cases import put, refused
 
 from phdtrack.errors import InputError
 from phdtrack.formats import read_tracks, read_truth
-from phdtrack.types import Truth
-
-
-def put(folder: Path, content: str, name: str = "gt.txt") -> Path:
-    path = folder / name
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(content)
-    return path
 
 
 def test_mot15_leaves_out_rows_of_confidence_zero(tmp_path: Path) -> None:
@@ -27,9 +18,8 @@ def test_mot15_leaves_out_rows_of_confidence_zero(tmp_path: Path) -> None:
 
 
 def test_a_header_may_mark_distractors(tmp_path: Path) -> None:
-    truth = read_truth(
-        put(tmp_path, "frame,id,x1,y1,x2,y2,ignore,conf\n1,1,0,0,5,5,1,0\n1,2,0,0,5,5,0,1\n2,2,0,0,5,5,0,0\n")
-    )
+    rows = "frame,id,x1,y1,x2,y2,ignore,conf\n1,1,0,0,5,5,1,0\n1,2,0,0,5,5,0,1\n2,2,0,0,5,5,0,0\n"
+    truth = read_truth(put(tmp_path, rows))
     assert truth.frame.tolist() == [1, 1]
     assert truth.distractor.tolist() == [True, False]
     with pytest.raises(InputError, match=r"line 2: expected 0 or 1 for distractor, came 2"):
@@ -44,8 +34,8 @@ def test_an_identity_twice_in_a_frame(tmp_path: Path) -> None:
 
 
 def test_classes_outside_the_benchmark(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"gt.txt, line 2: expected a class from 1 to 13, came 14"):
-        read_truth(put(tmp_path, "1,1,0,0,5,5,1,1,1\n1,2,0,0,5,5,1,14,1\n"))
+    path = put(tmp_path, "1,1,0,0,5,5,1,1,1\n1,2,0,0,5,5,1,14,1\n")
+    refused(read_truth, path, ", line 2", "expected a class from 1 to 13, came 14")
     nine_without_classes = "1,1,0,0,5,5,1,-1,-1\n1,2,9,9,5,5,0,-1,-1\n"
     assert read_truth(put(tmp_path, nine_without_classes)).identity.tolist() == [1]
 
@@ -57,21 +47,13 @@ def test_the_choice_of_distractors(tmp_path: Path) -> None:
     assert read_truth(put(tmp_path, rows), distractors=[3]).distractor.tolist() == [False, True]
 
 
-def synthetic(rng: np.random.Generator, frames: int) -> list[tuple[int, int, float, float, int, int, int, int]]:
-    """Rows of MOT16 truth, every class with either flag, boxes that do not touch."""
-    rows: list[tuple[int, int, float, float, int, int, int, int]] = []
-    for frame in range(1, frames + 1):
-        for i in range(26):
-            place = rng.integers(0, 20)
-            rows.append((frame, i + 1, float(100 * i + place), 50.0, 40, 80, i % 2, i // 2 + 1))
-    return rows
-
-
 @pytest.mark.parametrize("benchmark", ["MOT16", "MOT20"])
 @pytest.mark.filterwarnings("ignore")
 def test_classes_as_trackeval_takes_them(tmp_path: Path, benchmark: str, rng: np.random.Generator) -> None:
+    """Every class with either flag, in boxes that do not touch."""
     trackeval = importlib.import_module("trackeval")
-    rows = synthetic(rng, 3)
+    cases = [(frame, i) for frame in (1, 2, 3) for i in range(26)]
+    rows = [(k, i + 1, 100.0 * i + rng.integers(0, 20), 50.0, 40, 80, i % 2, i // 2 + 1) for k, i in cases]
     name = f"{benchmark}-99"
     truth_file = put(tmp_path, "".join("{},{},{},{},{},{},{},{},1\n".format(*row) for row in rows), f"gt/{name}/gt/gt.txt")
     output = "".join("{},{},{},{},{},{},1,-1,-1,-1\n".format(*row[:6]) for row in rows)
@@ -83,18 +65,12 @@ def test_classes_as_trackeval_takes_them(tmp_path: Path, benchmark: str, rng: np
     data = dataset.get_preprocessed_seq_data(dataset.get_raw_seq_data("ours", name), "pedestrian")
     ours = read_truth(truth_file)
     for frame in (1, 2, 3):
-        scored = rows_in(ours, frame, distractor=False)
-        theirs = {tuple(box) for box in data["gt_dets"][frame - 1][:, :2].tolist()}
-        assert theirs == scored
-        everything = {(row[2], row[3]) for row in rows if row[0] == frame}
-        kept = {tuple(box) for box in data["tracker_dets"][frame - 1][:, :2].tolist()}
-        assert everything - kept == rows_in(ours, frame, distractor=True)
+        scored, ignored = (
+            set(ours.xyxy[(ours.frame == frame) & (ours.distractor == distractor), 0]) for distractor in (False, True)
+        )
+        assert set(data["gt_dets"][frame - 1][:, 0]) == scored
+        assert {row[2] for row in rows if row[0] == frame} - set(data["tracker_dets"][frame - 1][:, 0]) == ignored
     assert ours.distractor.sum() == 3 * 2 * (5 if benchmark == "MOT20" else 4)
-
-
-def rows_in(truth: Truth, frame: int, *, distractor: bool) -> set[tuple[float, ...]]:
-    chosen = (truth.frame == frame) & (truth.distractor == distractor)
-    return {tuple(box) for box in truth.xyxy[chosen, :2].tolist()}
 
 
 def test_tracks_of_other_programs(tmp_path: Path) -> None:
@@ -103,24 +79,9 @@ def test_tracks_of_other_programs(tmp_path: Path) -> None:
     assert tracks.confidence.tolist() == [3, 0.25, -1]
     assert tracks.detection.tolist() == [-1, -1, -1]
     assert tracks.confirmed.all()
-
-
-def test_tracks_with_a_header(tmp_path: Path) -> None:
     path = put(tmp_path, "frame,track_id,xc,yc,w,h,detection,confirmed\n1,3,5,5,10,10,2,0\n")
     tracks = read_tracks(path)
     assert tracks.xyxy.tolist() == [[0, 0, 10, 10]]
     assert (tracks.detection.tolist(), tracks.confirmed.tolist(), tracks.confidence.tolist()) == ([2], [False], [1])
-
-
-@pytest.mark.parametrize(
-    ("end", "words"),
-    [
-        ("-2,1", "whole number of -1 or more for the detection"),
-        ("0.5,1", "for the detection"),
-        ("0,2", "0 or 1 for confirmed"),
-    ],
-)
-def test_bad_flags_of_tracks(tmp_path: Path, end: str, words: str) -> None:
-    with pytest.raises(InputError, match=words) as caught:
-        read_tracks(put(tmp_path, f"1,1,0,0,5,5,1,-1,-1,-1,{end}\n"))
-    assert caught.value.where.endswith("gt.txt, line 1")
+    for end, words in (("0.5,1", "whole number of -1 or more for the detection"), ("0,2", "0 or 1 for confirmed")):
+        refused(read_tracks, put(tmp_path, f"1,1,0,0,5,5,1,-1,-1,-1,{end}\n"), ", line 1", words)

@@ -1,7 +1,8 @@
-"""Positions and annotated groups, read; what is wrong is told with its line."""
+"""Positions and annotated groups, read; errors name the line."""
 
 import numpy as np
 import pytest
+from format_cases import put
 
 from phdtrack.errors import InputError
 from phdtrack.formats.positions import read_groups, read_positions
@@ -9,14 +10,8 @@ from phdtrack.formats.positions import read_groups, read_positions
 LINE = "{} {} 1.5 0 2.5 0.1 0 -0.2\n"
 
 
-def write(tmp_path, text):
-    path = tmp_path / "file.txt"
-    path.write_text(text)
-    return path
-
-
 def test_positions_are_sorted_and_lose_their_height(tmp_path):
-    found = read_positions(write(tmp_path, LINE.format(786, 2) + LINE.format(780, 3) + LINE.format(786, 1)))
+    found = read_positions(put(tmp_path, LINE.format(786, 2) + LINE.format(780, 3) + LINE.format(786, 1)))
     assert found.frame.tolist() == [780, 786, 786]
     assert found.identity.tolist() == [3, 1, 2]
     assert found.state[:, 0].tolist() == [1.5, 2.5, 0.1, -0.2]
@@ -25,31 +20,24 @@ def test_positions_are_sorted_and_lose_their_height(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("reader", "text", "message"),
     [
-        ("1 2 3\n", r"line 1: expected 8 columns .*came 3"),
-        (LINE.format(1, 1) + LINE.format(1, 1), r"line 2: .*somebody twice"),
-        (LINE.format(1, 1) + LINE.format(2.5, 1), r"line 2: .*whole number for the frame"),
-        (LINE.format(1, 1) + "2 1 nan 0 0 0 0 0\n", r"line 2: .*finite"),
-        (LINE.format(1, 1) + "2 1 x 0 0 0 0 0\n", r"line 2: .*number for the x"),
+        (read_positions, "1 2 3\n", r"line 1: expected 8 columns .*came 3"),
+        (read_positions, LINE.format(1, 1) + LINE.format(1, 1), r"line 2: .*somebody twice"),
+        (read_positions, LINE.format(1, 1) + LINE.format(2.5, 1), r"line 2: .*whole number for the frame"),
+        (read_positions, LINE.format(1, 1) + "2 1 nan 0 0 0 0 0\n", r"line 2: .*finite"),
+        (read_positions, LINE.format(1, 1) + "2 1 x 0 0 0 0 0\n", r"line 2: .*number for the x"),
+        (read_groups, "1 2\n3 b\n", r"line 2: .*'b'"),
     ],
 )
-def test_what_is_wrong_is_told_with_its_line(tmp_path, text, message):
+def test_errors_name_the_line(tmp_path, reader, text, message):
     with pytest.raises(InputError, match=message):
-        read_positions(write(tmp_path, text))
+        reader(put(tmp_path, text))
 
 
-def test_groups_are_lines_of_identities(tmp_path):
-    assert read_groups(write(tmp_path, "1 2\n\n 13 11 12 \n")) == ((1, 2), (11, 12, 13))
-
-
-def test_lines_that_share_people_are_one_group(tmp_path):
-    assert read_groups(write(tmp_path, "1 2\n3 4\n5 6\n4 1\n7 7\n")) == ((1, 2, 3, 4), (5, 6), (7,))
-
-
-def test_what_is_no_identity_is_told_with_its_line(tmp_path):
-    with pytest.raises(InputError, match=r"line 2: .*'b'"):
-        read_groups(write(tmp_path, "1 2\n3 b\n"))
+def test_groups_are_lines_of_identities_and_lines_that_share_people_are_one_group(tmp_path):
+    assert read_groups(put(tmp_path, "1 2\n\n 13 11 12 \n")) == ((1, 2), (11, 12, 13))
+    assert read_groups(put(tmp_path, "1 2\n3 4\n5 6\n4 1\n7 7\n")) == ((1, 2, 3, 4), (5, 6), (7,))
 
 
 # Of seq_eth's 61 lines some share people.

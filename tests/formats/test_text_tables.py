@@ -1,13 +1,11 @@
 """Text tables: what is understood, and what a user is told where it is not."""
 
-from __future__ import annotations
-
 import contextlib
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from format_cases import put, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,21 +14,13 @@ from phdtrack.formats import read_detections, read_tracks, read_truth
 from phdtrack.formats.text import numbers, scan
 from phdtrack.types import SequenceInfo
 
-Reader = Callable[[Path], object]
 GOOD = "1,-1,10,20,30,40,0.5,-1,-1,-1\n"
-
-
-def put(folder: Path, content: str | bytes, name: str = "det.txt") -> Path:
-    path = folder / name
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    return path
 
 
 @pytest.mark.parametrize(
     "content",
     [
         GOOD,
-        GOOD.strip(),
         GOOD.replace("\n", "\r\n"),
         GOOD.replace("\n", "\r"),
         "\ufeff" + GOOD,
@@ -38,7 +28,6 @@ def put(folder: Path, content: str | bytes, name: str = "det.txt") -> Path:
         GOOD.replace(",", ", "),
         GOOD.replace(",", ";"),
         GOOD.replace(",", "\t"),
-        GOOD.replace(",", "   "),
         "  " + GOOD.replace(",", " "),
         GOOD.replace("\n", ",\n"),
         "1.0,-1,1e1,20.0,3e1,40,.5\n",
@@ -59,14 +48,12 @@ def test_every_usual_way_to_write_a_row(tmp_path: Path, content: str) -> None:
     np.testing.assert_allclose(table.detections.xyxy, [[10, 20, 40, 60]])
     assert table.detections.confidence.tolist() == [0.5]
     assert table.detections.class_id.tolist() == [0]
-    assert table.detections.covariance is None
 
 
 @pytest.mark.parametrize("content", ["", "\n\n", "# nothing\n", "\ufeff", "frame,id,left,top,width,height\n"])
 def test_an_empty_file_has_no_rows(tmp_path: Path, content: str) -> None:
     path = put(tmp_path, content)
     assert len(read_detections(path)) == len(read_truth(path)) == len(read_tracks(path)) == 0
-    assert read_detections(path).detections.xyxy.shape == (0, 4)
 
 
 @pytest.mark.parametrize(
@@ -75,34 +62,22 @@ def test_an_empty_file_has_no_rows(tmp_path: Path, content: str) -> None:
         (GOOD + "2,-1,abc,20,30,40,0.5,-1,-1,-1\n", 2, "number for the left (column 3), came 'abc'"),
         (GOOD + "\n# c\n2,-1,,20,30,40,0.5,-1,-1,-1\n", 4, "number for the left (column 3), came nothing"),
         (GOOD + "2,-1,nan,20,30,40,0.5,-1,-1,-1\n", 2, "finite numbers for the box, came left nan"),
-        (GOOD + "2,-1,10,20,inf,40,0.5,-1,-1,-1\n", 2, "finite numbers for the box"),
         (GOOD + "2,-1,10,20,1e999,40,0.5,-1,-1,-1\n", 2, "finite numbers for the box"),
         (GOOD + "2,-1,10,20,30,40,nan,-1,-1,-1\n", 2, "finite confidence, came nan"),
         (GOOD + "2,-1,10,20,-3,40,0.5,-1,-1,-1\n", 2, "above 0, came width -3, height 40"),
-        (GOOD + "2,-1,10,20,30,0,0.5,-1,-1,-1\n", 2, "above 0, came width 30, height 0"),
-        (GOOD + "1.5,-1,10,20,30,40,0.5,-1,-1,-1\n", 2, "whole number for the frame number, came 1.5"),
         (GOOD + "nan,-1,10,20,30,40,0.5,-1,-1,-1\n", 2, "whole number for the frame number, came nan"),
         (GOOD + "1e30,-1,10,20,30,40,0.5,-1,-1,-1\n", 2, "whole number for the frame number, came 1e+30"),
         (GOOD + "0,-1,10,20,30,40,0.5,-1,-1,-1\n", 2, "expected frame 1 or later, came 0"),
-        (GOOD + "-4,-1,10,20,30,40,0.5,-1,-1,-1\n", 2, "expected frame 1 or later, came -4"),
-        (GOOD + "2,-1,10,20,30,4\n", 2, "expected 10 values as in the first line, came 6"),
-        (GOOD + "2,-1,10,20,30,40,0.\n", 2, "expected 10 values as in the first line, came 7"),
         (GOOD + "2,-1,10,20,30,40,0.5,-1,-1,-1,7\n", 2, "expected 10 values as in the first line, came 11"),
         ("1,-1,1,2,3\n", 1, "at least 6 columns (frame, id, left, top, width, height), came 5"),
         ("1 -1 1_0 2 3 4\n", 1, "came '1_0'"),
-        ("frame,left,top,width,height\n1,2,3,4,5\n\n2,3,x,4,5\n", 4, "number for the top (column 3), came 'x'"),
         ("frame,left,top,width,height\n1,2,3,4,5,6\n", 2, "expected 5 values as in the header, came 6"),
-        ("frame,left,top,width,height,class\n1,2,3,4,5,person\n", 2, "number for the class"),
         ("frame,left,top,width,height,class\n1,2,3,4,5,1\n2,2,3,4,5,\n", 3, "number for the class (column 6), came nothing"),
         ("frame,left,top,width,height,class\n1,2,3,4,5,1.5\n", 2, "whole number for the class"),
     ],
 )
 def test_the_message_names_file_and_line(tmp_path: Path, content: str, line: int, words: str) -> None:
-    path = put(tmp_path, content)
-    with pytest.raises(InputError) as caught:
-        read_detections(path)
-    assert caught.value.where == f"{path}, line {line}"
-    assert words in caught.value.problem
+    refused(read_detections, put(tmp_path, content), f", line {line}", words)
 
 
 def test_the_first_bad_line_is_named_and_the_others_counted(tmp_path: Path) -> None:
@@ -111,15 +86,11 @@ def test_the_first_bad_line_is_named_and_the_others_counted(tmp_path: Path) -> N
         read_detections(path)
 
 
-@pytest.mark.parametrize("reader", [read_detections, read_truth, read_tracks])
-def test_a_missing_column_is_reported_with_the_names_that_would_do(tmp_path: Path, reader: Reader) -> None:
+def test_a_missing_column_is_reported_with_the_names_that_would_do(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"det.txt: no column for the frame; the columns are time, left.*frame_idx"):
-        reader(put(tmp_path, "time,left,top,width,height\n1,2,3,4,5\n"))
+        read_detections(put(tmp_path, "time,left,top,width,height\n1,2,3,4,5\n"))
     with pytest.raises(InputError, match="no column for the box"):
-        reader(put(tmp_path, "frame,id,left,top,width\n1,1,2,3,4\n"))
-
-
-def test_truth_and_tracks_need_an_identity(tmp_path: Path) -> None:
+        read_detections(put(tmp_path, "frame,id,left,top,width\n1,1,2,3,4\n"))
     for reader in (read_truth, read_tracks):
         with pytest.raises(InputError, match="no column for the identity"):
             reader(put(tmp_path, "frame,left,top,width,height\n1,2,3,4,5\n"))
@@ -180,10 +151,10 @@ def test_files_that_count_from_zero(tmp_path: Path) -> None:
         assert reader(path, first_frame=0).frame.tolist() == [1, 2]
 
 
-cell = st.floats(allow_nan=False, allow_infinity=False, width=64)
-
-
-@given(st.lists(st.tuples(cell, cell, cell), min_size=1), st.sampled_from([",", ";", "\t", " "]))
+@given(
+    st.lists(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 3), min_size=1),
+    st.sampled_from([",", ";", "\t", " "]),
+)
 def test_both_ways_through_a_file_agree(rows: list[tuple[float, float, float]], delimiter: str) -> None:
     """The fast way and, forced by one pair of quotes, the careful one."""
     plain = [[repr(value) for value in row] for row in rows]

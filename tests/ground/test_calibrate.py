@@ -1,7 +1,5 @@
 """A homography from clicked points."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -49,21 +47,17 @@ def test_units_and_origins_do_not_matter(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(there.ground_error, here.ground_error, atol=1e-4)
 
 
-def line(points: np.ndarray) -> np.ndarray:
-    return np.stack([points, 2 * points + 1])
+LINE = np.arange(5.0) * [[1], [2]] + [[0], [1]]
+THREE_ON_A_LINE = np.array([[0.0, 1, 2, 5], [0, 1, 2, -3]])
 
 
 @pytest.mark.parametrize(
     ("pixel", "world", "words"),
     [
         (clicked()[:, :3], WORLD[:, :3], "four points or more, came 3"),
-        (clicked(line(np.arange(5.0))), line(np.arange(5.0)), "one line in the image"),
-        (clicked()[:, :5], line(np.arange(5.0)), "one line on the ground"),
-        (
-            clicked(np.array([[0.0, 1, 2, 5], [0, 1, 2, -3]])),
-            np.array([[0.0, 1, 2, 5], [0, 1, 2, -3]]),
-            "no three lie on a line",
-        ),
+        (clicked(LINE), LINE, "one line in the image"),
+        (clicked()[:, :5], LINE, "one line on the ground"),
+        (clicked(THREE_ON_A_LINE), THREE_ON_A_LINE, "no three lie on a line"),
         (np.repeat(clicked()[:, :2], 3, axis=1), np.repeat(WORLD[:, :2], 3, axis=1), "one line"),
         (clicked()[:, [0, 2, 1, 3]], WORLD[:, :4], "both sides of the horizon"),
         (clicked(), WORLD[:, :6], "two arrays"),

@@ -1,7 +1,5 @@
 """The homography camera: the same as the pinhole that it stands for, horizon, depth, mistakes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -37,10 +35,8 @@ def test_straight_down_all_is_equally_far() -> None:
 
 
 def test_heights_are_not_known() -> None:
-    camera = HomographyCamera(PLANE)
-    world = np.array([[0.0, 0], [5, 5], [0, 1.8]])
-    assert np.isfinite(camera.pixels(world)[:, 0]).all()
-    assert np.isnan(camera.pixels(world)[:, 1]).all()
+    pixel = HomographyCamera(PLANE).pixels(np.array([[0.0, 0], [5, 5], [0, 1.8]]))
+    assert np.isnan(pixel).tolist() == [[False, True]] * 2
 
 
 def test_the_side_of_the_horizon_can_be_said() -> None:
@@ -57,7 +53,6 @@ def test_the_side_of_the_horizon_can_be_said() -> None:
     [
         (np.eye(2), None, "3 x 3"),
         (np.full((3, 3), np.nan), None, "finite"),
-        (np.ones((3, 3)), None, "can be inverted"),
         (np.diag([1.0, 1, 0]), None, "can be inverted"),
         (np.array([[1.0, 0, 0], [0, 0, 1], [0, 1, -100]]), (50.0, 100.0), "on the horizon"),
     ],

@@ -1,7 +1,5 @@
 """Tsai's lens against the two linear equations of the paper; OpenCV's against OpenCV."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -49,13 +47,6 @@ def test_beyond_the_fold_is_outside_of_the_lens() -> None:
     assert np.isnan(seen[:, 1]).all()
 
 
-def test_units_do_not_matter_when_kappa_goes_with_them() -> None:
-    metres = tsai(5e-3)
-    millimetres = TsaiLens(focal=5.5, dx=5.1e-3, dy=4.6e-3, kappa=5e-3, cx=370.0, cy=280.0, sx=1.08)
-    pixel = np.array([[0.0, 700], [570, 30]])
-    np.testing.assert_allclose(metres.rays(pixel), millimetres.rays(pixel), rtol=1e-13)
-
-
 @pytest.mark.parametrize("distortion", [np.zeros(0), BARREL[:4], BARREL, RATIONAL, PRISM], ids=["0", "4", "5", "8", "12"])
 def test_pixels_are_those_of_opencv(distortion: np.ndarray, rng: np.random.Generator) -> None:
     camera = PosedCamera(OpenCVLens(MATRIX, distortion), ROTATION, TRANSLATION)
@@ -83,31 +74,20 @@ def test_a_fold_of_opencvs_lens_is_outside() -> None:
 
 
 @pytest.mark.parametrize(
-    ("matrix", "distortion", "words"),
+    ("make", "words"),
     [
-        (np.eye(2), np.zeros(0), "camera matrix"),
-        (np.diag([800.0, -800, 1]), np.zeros(0), "focal lengths above 0"),
-        (MATRIX + np.array([[0, 0.3, 0], [0, 0, 0], [0, 0, 0]]), np.zeros(0), "other entries"),
-        (MATRIX, np.zeros(3), "0, 4, 5, 8 or 12"),
-        (MATRIX, np.zeros(14), "tilted sensor"),
-        (MATRIX, np.array([0, 0, np.nan, 0]), "finite"),
+        (lambda: OpenCVLens(np.eye(2)), "camera matrix"),
+        (lambda: OpenCVLens(np.diag([800.0, -800, 1])), "focal lengths above 0"),
+        (lambda: OpenCVLens(MATRIX + np.array([[0, 0.3, 0], [0, 0, 0], [0, 0, 0]])), "other entries"),
+        (lambda: OpenCVLens(MATRIX, np.zeros(3)), "0, 4, 5, 8 or 12"),
+        (lambda: OpenCVLens(MATRIX, np.zeros(14)), "tilted sensor"),
+        (lambda: OpenCVLens(MATRIX, np.array([0, 0, np.nan, 0])), "finite"),
+        (lambda: PosedCamera(tsai(0), 2 * np.eye(3), np.zeros(3)), "stretches or mirrors"),
+        (lambda: PosedCamera(tsai(0), np.diag([1.0, 1, -1]), np.zeros(3)), "stretches or mirrors"),
+        (lambda: PosedCamera(tsai(0), np.eye(2), np.zeros(3)), r"rotation matrix \(3, 3\)"),
+        (lambda: TsaiLens(0.0, 1e-6, 1e-6, 0, 0, 0), r"TsaiLens\.focal: expected a value above 0"),
     ],
 )
-def test_bad_lenses(matrix: np.ndarray, distortion: np.ndarray, words: str) -> None:
+def test_bad_lenses_and_poses(make, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        OpenCVLens(matrix, distortion)
-
-
-def test_bad_poses_and_bad_tsai() -> None:
-    with pytest.raises(InputError, match="stretches or mirrors"):
-        posed_with(2 * np.eye(3))
-    with pytest.raises(InputError, match="stretches or mirrors"):
-        posed_with(np.diag([1.0, 1, -1]))
-    with pytest.raises(InputError, match=r"rotation matrix \(3, 3\)"):
-        posed_with(np.eye(2))
-    with pytest.raises(InputError, match=r"TsaiLens\.focal: expected a value above 0"):
-        TsaiLens(focal=0.0, dx=1e-6, dy=1e-6, kappa=0, cx=0, cy=0)
-
-
-def posed_with(rotation: np.ndarray) -> PosedCamera:
-    return PosedCamera(tsai(0), rotation, np.zeros(3))
+        make()

@@ -1,7 +1,6 @@
 """Camera files: what they mean, and what is said of those that mean nothing."""
 
-from __future__ import annotations
-
+import itertools
 import json
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from camera_cases import BARREL, MATRIX, PLANE, ROTATION, TRANSLATION, hills, posed, tsai
 from phdtrack.errors import InputError
-from phdtrack.ground import Flat, MatrixForm, OpenCVLens, PosedCamera, Terrain, fit_homography, read_camera
+from phdtrack.ground import Flat, MatrixForm, OpenCVLens, fit_homography, read_camera
 from phdtrack.ground.read import calibration_text
 from phdtrack.protocols import Camera
 
@@ -45,7 +44,6 @@ def rows(matrix: np.ndarray) -> str:
 
 def test_tsai_in_millimetres(tmp_path: Path) -> None:
     camera = read_camera(put(tmp_path, "view.xml", TSAI))
-    assert isinstance(camera, PosedCamera)
     pixel = np.array([[100.0, 700], [300, 500]])
     np.testing.assert_allclose(camera.lens.rays(pixel), tsai(5e-3).rays(pixel), rtol=1e-12)
     np.testing.assert_allclose(camera.translation, [0.8287, -3.1755, 35.4693])
@@ -80,20 +78,20 @@ def test_tsai_mistakes(tmp_path: Path, old: str, new: str, line: int, words: str
 
 
 def test_a_homography_in_text_by_every_convention(tmp_path: Path) -> None:
-    """The same camera, said in eight ways."""
+    """The same camera, said in 24 ways."""
     swap = np.eye(3)[[1, 0, 2]]
-    for maps in ("pixel-to-ground", "ground-to-pixel"):
-        for vectors in ("column", "row"):
-            for pixel in ("xy", "row-column"):
-                for unit, scale in (("m", 1.0), ("cm", 100.0), ("mm", 1000.0)):
-                    matrix = np.diag([scale, scale, 1]) @ PLANE @ (np.eye(3) if pixel == "xy" else swap)
-                    matrix = matrix if maps == "pixel-to-ground" else np.linalg.inv(matrix)
-                    matrix = matrix if vectors == "column" else matrix.T
-                    path = put(tmp_path, "h.txt", f"# a camera\n{rows(matrix)}\n")
-                    form = MatrixForm(maps, vectors, pixel, unit)  # type: ignore[arg-type]
-                    same(read_camera(path, form), posed(OpenCVLens(MATRIX)))
-                    said = f'file = "h.txt"\nmaps = "{maps}"\nvectors = "{vectors}"\npixel = "{pixel}"\nunit = "{unit}"\n'
-                    same(read_camera(put(tmp_path, "camera.toml", said)), posed(OpenCVLens(MATRIX)))
+    units = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
+    for maps, vectors, pixel, unit in itertools.product(
+        ("pixel-to-ground", "ground-to-pixel"), ("column", "row"), ("xy", "row-column"), units
+    ):
+        matrix = np.diag([units[unit], units[unit], 1]) @ PLANE @ (np.eye(3) if pixel == "xy" else swap)
+        matrix = matrix if maps == "pixel-to-ground" else np.linalg.inv(matrix)
+        matrix = matrix if vectors == "column" else matrix.T
+        path = put(tmp_path, "h.txt", f"# a camera\n{rows(matrix)}\n")
+        form = MatrixForm(maps, vectors, pixel, unit)  # type: ignore[arg-type]
+        same(read_camera(path, form), posed(OpenCVLens(MATRIX)))
+        said = f'file = "h.txt"\nmaps = "{maps}"\nvectors = "{vectors}"\npixel = "{pixel}"\nunit = "{unit}"\n'
+        same(read_camera(put(tmp_path, "camera.toml", said)), posed(OpenCVLens(MATRIX)))
 
 
 def test_the_layout_of_eth_and_ucy_is_known(tmp_path: Path) -> None:
@@ -124,27 +122,22 @@ def test_matlab(tmp_path: Path) -> None:
         read_camera(path)
 
 
-def opencv(folder: Path, name: str) -> Path:
-    storage = cv2.FileStorage(str(folder / name), cv2.FILE_STORAGE_WRITE)
-    storage.write("image_width", 768)
-    storage.write("camera_matrix", MATRIX)
-    storage.write("distortion_coefficients", BARREL[:, None])
-    storage.write("rvec", VECTOR[:, None])
-    storage.write("tvec", TRANSLATION[:, None])
-    storage.release()
-    return folder / name
-
-
 @pytest.mark.parametrize("name", ["camera.yml", "camera.xml", "camera.json"])
 def test_opencvs_own_files(tmp_path: Path, name: str) -> None:
     if name.endswith("json"):
         keys = {"mtx": MATRIX, "dist": BARREL[None], "rvec": VECTOR, "tvec": TRANSLATION}
         path = put(tmp_path, name, json.dumps({key: value.tolist() for key, value in keys.items()} | {"error": 0.3}))
     else:
-        path = opencv(tmp_path, name)
+        path = tmp_path / name
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+        storage.write("image_width", 768)
+        storage.write("camera_matrix", MATRIX)
+        storage.write("distortion_coefficients", BARREL[:, None])
+        storage.write("rvec", VECTOR[:, None])
+        storage.write("tvec", TRANSLATION[:, None])
+        storage.release()
     same(read_camera(path), posed(OpenCVLens(MATRIX, BARREL)))
-    with_terrain = read_camera(path, surface=hills())
-    same(with_terrain, posed(OpenCVLens(MATRIX, BARREL), hills()))
+    same(read_camera(path, surface=hills()), posed(OpenCVLens(MATRIX, BARREL), hills()))
 
 
 DESCRIBED = f"""
@@ -164,8 +157,6 @@ def test_described_in_toml_with_terrain(tmp_path: Path) -> None:
     same(read_camera(path), posed(OpenCVLens(MATRIX, BARREL), ground))
     put(tmp_path, "view.xml", TSAI)
     camera = read_camera(put(tmp_path, "other.toml", 'file = "view.xml"\nterrain = "hills.npz"\n'))
-    assert isinstance(camera, PosedCamera)
-    assert isinstance(camera.surface, Terrain)
     np.testing.assert_array_equal(camera.surface.heights, ground.heights)
 
 
@@ -186,25 +177,20 @@ HOMOGRAPHY = f"homography = {PLANE.tolist()}\n"
     [
         ("homografy = 3\n", "", "no setting homografy. Did you mean homography"),
         ("homography = [[1, 2], [3, 4]]\n", ", homography", "3 x 3 numbers, came 2 x 2"),
-        ("homography = [[1, 2, 3], [4, 5], [6]]\n", ", homography", "3 x 3 numbers"),
         (HOMOGRAPHY + 'maps = "sideways"\n', "", "maps = pixel-to-ground or ground-to-pixel"),
-        (HOMOGRAPHY + "unit = 3\n", "", "a text for unit, came 3"),
         (HOMOGRAPHY + "inside = [3]\n", ", inside", "2 numbers, came 1"),
         (HOMOGRAPHY + 'terrain = "x.npz"\n', "", "flat ground only"),
         (HOMOGRAPHY + 'file = "x.txt"\n', "", "came file and homography"),
         ('file = "gone.xml"\n', "", "there is no such file"),
         ('file = "camera.toml"\n', "", "yet another file"),
         ("file = 3\n", ", file", "name of a file"),
-        ("homography = [\n1,\n", "", "as TOML it breaks here"),
         ("", "", "one of file, homography and camera_matrix, came none"),
         ("homography = 3 4\n", ", line 1", "as TOML it breaks here"),
         (DESCRIBED.replace("distortion_coefficients", "dist_coeff"), "", "no setting dist_coeff"),
         (DESCRIBED.replace('"mm"', '"inch"'), "", "unit = m or cm or mm"),
         ("\n".join(x for x in DESCRIBED.splitlines() if not x.startswith("R ")), "", "the pose of the camera"),
         ("\n".join(x for x in DESCRIBED.splitlines() if not x.startswith("dist")), "", "distortion_coefficients = \\[\\]"),
-        (DESCRIBED.replace("tvec = [", "tvec = [1, "), ", tvec", "3 numbers, came 4"),
         ("1 2 3\n4 5 6\n", "", "three lines of three numbers, came 2"),
-        ("1 2 3\n4 5\n", ", line 2", "came 2 numbers"),
         ("1 2 3\n4 5 6\n7 8 x\n", ", line 3", "three numbers of a homography, came '7 8 x'"),
         ("1 2 3\n4 5 6\n7 8 9\n1 2 3\n", ", line 4", "a fourth line"),
         ("1 2 3\n2 4 6\n7 8 9\n", "", "can be inverted"),
@@ -223,8 +209,6 @@ def test_mistakes(tmp_path: Path, text: str, where: str, words: str) -> None:
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="there is no such file"):
-        read_camera(tmp_path / "none.xml")
     (tmp_path / "x").write_bytes(b"\xff\xfe\x00\x81 no text")
     with pytest.raises(InputError, match="no UTF-8 text"):
         read_camera(tmp_path / "x")

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from phdtrack.errors import InputError
 from phdtrack.groups import Grouping
-from phdtrack.types import GaussianMixture
 
 
 def brute_force(mean, near, slow):
@@ -36,17 +35,6 @@ def test_groups_are_the_connected_components(seed, n):
     assert ((found.label[:, None] == found.label) == (truth[:, None] == truth)).all()
 
 
-def test_who_walks_the_other_way_is_of_another_group():
-    found = Grouping().groups(people([(0, 0, 1, 0), (1, 0, 1, 0), (0.5, 0.5, -1, 0)]))
-    assert found.label.tolist() == [0, 0, 1]
-
-
-def test_a_chain_is_one_group_though_its_ends_are_far_apart():
-    found = Grouping().groups(people([(1.9 * k, 0, 1, 0) for k in range(5)]))
-    assert len(found) == 1
-    assert found.count[0] == 5
-
-
 def test_the_count_is_the_sum_of_weights_and_the_mean_weighed():
     found = Grouping().groups(people([(0, 0, 1, 0), (1, 0, 1, 0)], [1.0, 0.5]))
     assert found.count[0] == pytest.approx(1.5)
@@ -61,11 +49,6 @@ def test_light_components_do_not_count_and_do_not_connect():
     assert found.count.tolist() == [1.0, 1.0]
 
 
-def test_one_miss_does_not_drop_a_person_at_e13s_values():
-    missed_once = (1 - 0.7) * 0.99
-    assert Grouping().min_weight < missed_once
-
-
 def test_the_deviation_is_that_of_people_who_are_there_with_their_weight():
     weight = np.array([0.9, 0.6, 1.3, 2.0])
     found = Grouping().groups(people([(k, 0, 0, 0) for k in range(4)], weight.tolist()))
@@ -74,12 +57,6 @@ def test_the_deviation_is_that_of_people_who_are_there_with_their_weight():
     assert found.count[0] == pytest.approx(draws.mean(), abs=5 * draws.std() / np.sqrt(len(draws)))
     # The relative standard error of a deviation of N draws is about 1/√(2N) = 0.16 %.
     assert found.deviation[0] == pytest.approx(draws.std(), rel=0.01)
-
-
-def test_no_components_no_groups():
-    found = Grouping().groups(GaussianMixture(np.zeros(0), np.zeros((4, 0)), np.zeros((0, 4, 4))))
-    assert len(found) == 0
-    assert found.mean.shape == (4, 0)
 
 
 def test_a_distance_of_nothing_is_refused():

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from phdtrack.kernels.em import Candidates, Gaussians, em_step, nothing_known, one_block
+from phdtrack.kernels.em import Candidates, em_step, nothing_known, one_block
+from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.types import F8
 from reference import em as defined
 

@@ -13,8 +13,8 @@ from phdtrack.filters.blocks import cut
 from phdtrack.filters.extract.clusters import heavy_enough
 from phdtrack.kernels.blocks import block_moments, claim, reaching, summarise, unreached
 from phdtrack.kernels.box import box_corners, box_gate, box_noise
-from phdtrack.kernels.em import Gaussians
 from phdtrack.kernels.grid import make_grid
+from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.models import BoxSensor
 from reference import clustering_twin as twin
 

@@ -56,14 +56,6 @@ def test_all_like_one_leaves_out_what_is_marked(page):
     assert [5, 12] not in page.get("/api/frame/1/alike/12").json()
 
 
-def test_pictures(page):
-    still, crop = (
-        cv2.imdecode(np.frombuffer(page.get(path).content, np.uint8), 1) for path in ("/still/2.jpg", "/crop/2/0.jpg")
-    )
-    assert still.shape == (SIZE[1], SIZE[0], 3)
-    assert max(crop.shape[:2]) == 96
-
-
 def test_the_map_shows_where_false_boxes_were_marked(page):
     def red():
         return cv2.imdecode(np.frombuffer(page.get("/api/map/false.png").content, np.uint8), cv2.IMREAD_UNCHANGED)[..., 3]

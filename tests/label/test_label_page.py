@@ -63,147 +63,145 @@ def opened(browser, url) -> Iterator[Page]:
     page.page.close()
 
 
-def test_frames_by_mouse(browser, tmp_path):
-    labels = tmp_path / "labels.sqlite"
-    with server(labels) as (url, _), opened(browser, url) as it:
-        for number in (1, 2):
-            it.frame(number)
-            # Inside the first box lies a small one: that is what a click means; and one more elsewhere.
-            it.click(56, 56)
-            it.click(200, 60)
-            it.page.click("#next")
-        it.kept()
-        assert "2 of 40 frames · 4 false · 0 births" in it.page.inner_text("#progress")
-    found = {(label.frame, label.box) for label in LabelStore(labels).labels()}
+@pytest.fixture
+def store(tmp_path):
+    return LabelStore(tmp_path / "labels.sqlite")
+
+
+@pytest.fixture
+def it(browser, store):
+    with server(store.path) as (url, _), opened(browser, url) as page:
+        yield page
+
+
+def test_frames_by_mouse(it, store):
+    for number in (1, 2):
+        it.frame(number)
+        # Inside the first box lies a small one: that is what a click means; and one more elsewhere.
+        it.click(56, 56)
+        it.click(200, 60)
+        it.page.click("#next")
+    it.kept()
+    assert "2 of 40 frames · 4 false · 0 births" in it.page.inner_text("#progress")
+    found = {(label.frame, label.box) for label in store.labels()}
     assert found == {(number, box) for number in (1, 2) for box in (12, 1)}
 
 
-def test_forty_frames_by_keyboard(browser, tmp_path):
-    labels = tmp_path / "labels.sqlite"
-    with server(labels) as (url, _), opened(browser, url) as it:
-        for number in range(1, FRAMES + 1):
-            it.frame(number)
-            for key in ("Tab", "Tab", "x", "Tab", "2", "x", "1", "Enter"):
-                it.page.keyboard.press(key)
-        it.kept()
-    marks = {(label.frame, label.box): label.mark for label in LabelStore(labels).labels()}
+def test_forty_frames_by_keyboard(it, store):
+    for number in range(1, FRAMES + 1):
+        it.frame(number)
+        for key in ("Tab", "Tab", "x", "Tab", "2", "x", "1", "Enter"):
+            it.page.keyboard.press(key)
+    it.kept()
+    marks = {(label.frame, label.box): label.mark for label in store.labels()}
     expected = {(n, box): mark for n in range(1, FRAMES + 1) for box, mark in ((1, "false"), (2, "birth"))}
     # Before the first frame of all there is none: who is there may have been there before.
     del expected[1, 2]
     assert marks == expected
-    assert LabelStore(labels).progress().done == FRAMES
+    assert store.progress().done == FRAMES
 
 
-def test_undo_lasso_and_all_like_this(browser, tmp_path):
-    labels = tmp_path / "labels.sqlite"
-    store = LabelStore(labels)
-    with server(labels) as (url, _), opened(browser, url) as it:
-        it.page.mouse.move(*it.point(200, 100))
-        it.page.wait_for_selector(f'#alike:text-is("all {FRAMES} like this (A)")')
-        it.page.keyboard.press("a")
-        it.kept()
-        assert len(store.labels()) == FRAMES
-        it.page.keyboard.press("z")
-        it.page.wait_for_selector("#redo:enabled")
-        it.kept()
-        assert store.labels() == []
-        it.page.mouse.move(*it.point(5, 5))
-        it.page.mouse.down()
-        for corner in ((320, 5), (320, 160), (5, 160), (5, 5)):
-            it.page.mouse.move(*it.point(*corner), steps=4)
-        it.page.mouse.up()
-        it.kept()
-        assert {label.box for label in store.labels()} == {0, 1, 12}
-        it.page.keyboard.press("w")
-        it.page.wait_for_selector("#wall button.false")
-        it.page.locator("#wall button").nth(5).click()
-        it.kept()
-        assert {label.box for label in store.labels()} == {0, 1, 5, 12}
+def test_undo_lasso_and_all_like_this(it, store):
+    it.page.mouse.move(*it.point(200, 100))
+    it.page.wait_for_selector(f'#alike:text-is("all {FRAMES} like this (A)")')
+    it.page.keyboard.press("a")
+    it.kept()
+    assert len(store.labels()) == FRAMES
+    it.page.keyboard.press("z")
+    it.page.wait_for_selector("#redo:enabled")
+    it.kept()
+    assert store.labels() == []
+    it.page.mouse.move(*it.point(5, 5))
+    it.page.mouse.down()
+    for corner in ((320, 5), (320, 160), (5, 160), (5, 5)):
+        it.page.mouse.move(*it.point(*corner), steps=4)
+    it.page.mouse.up()
+    it.kept()
+    assert {label.box for label in store.labels()} == {0, 1, 12}
+    it.page.keyboard.press("w")
+    it.page.wait_for_selector("#wall button.false")
+    it.page.locator("#wall button").nth(5).click()
+    it.kept()
+    assert {label.box for label in store.labels()} == {0, 1, 5, 12}
 
 
-def test_births_are_marked_on_the_clip_about_a_frame(browser, tmp_path):
-    labels = tmp_path / "labels.sqlite"
-    store = LabelStore(labels)
-    with server(labels) as (url, _), opened(browser, url) as it:
-        press = it.page.keyboard.press
-        it.page.click("#frames li:nth-child(15) button")
-        it.frame(15)
-        press("2")
-        it.page.wait_for_selector('#when:text-is("frame 15, drawn")')
-        press(".")
-        press(".")
-        it.page.wait_for_selector('#when:text-is("frame 17 (+2)")')
-        it.click(200, 100)
-        it.kept()
-        assert store.labels() == [Label(17, 1, "birth")]
-        assert "0 false · 1 births" in it.page.inner_text("#progress")
-        # On the first frame of the clip nobody can be told to be new.
-        for _ in range(20):
-            press(",")
-        it.page.wait_for_selector('#when:text-is("frame 5 (−10)")')
-        it.click(200, 100)
-        it.page.wait_for_selector('#tip:text-matches("may have been there before")')
-        # False boxes belong to the drawn frame: the key for them goes back there.
-        press("1")
-        it.page.wait_for_selector("#clip", state="hidden")
-        it.click(350, 100)
-        it.kept()
-        assert store.labels() == [Label(15, 2, "false"), Label(17, 1, "birth")]
-        # What is undone on a drawn frame may be a mark on another one of its clip.
-        press("z")
-        press("z")
-        it.page.wait_for_selector("#undo:disabled")
-        it.kept()
-        assert store.labels() == []
-        press("y")
-        it.kept()
-        it.page.wait_for_selector('#progress:text-matches(" 1 births$")')
-        assert store.labels() == [Label(17, 1, "birth")]
-        press("2")
-        press(" ")
-        it.page.wait_for_selector('#play:text-is("❚❚")')
-        it.page.wait_for_selector('#when:text-matches(" .−[0-9]")')
-        press(" ")
-        it.page.wait_for_selector('#play:text-is("▶")')
+def test_births_are_marked_on_the_clip_about_a_frame(it, store):
+    press = it.page.keyboard.press
+    it.page.click("#frames li:nth-child(15) button")
+    it.frame(15)
+    press("2")
+    it.page.wait_for_selector('#when:text-is("frame 15, drawn")')
+    press(".")
+    press(".")
+    it.page.wait_for_selector('#when:text-is("frame 17 (+2)")')
+    it.click(200, 100)
+    it.kept()
+    assert store.labels() == [Label(17, 1, "birth")]
+    assert "0 false · 1 births" in it.page.inner_text("#progress")
+    # On the first frame of the clip nobody can be told to be new.
+    for _ in range(20):
+        press(",")
+    it.page.wait_for_selector('#when:text-is("frame 5 (−10)")')
+    it.click(200, 100)
+    it.page.wait_for_selector('#tip:text-matches("may have been there before")')
+    # False boxes belong to the drawn frame: the key for them goes back there.
+    press("1")
+    it.page.wait_for_selector("#clip", state="hidden")
+    it.click(350, 100)
+    it.kept()
+    assert store.labels() == [Label(15, 2, "false"), Label(17, 1, "birth")]
+    # What is undone on a drawn frame may be a mark on another one of its clip.
+    press("z")
+    press("z")
+    it.page.wait_for_selector("#undo:disabled")
+    it.kept()
+    assert store.labels() == []
+    press("y")
+    it.kept()
+    it.page.wait_for_selector('#progress:text-matches(" 1 births$")')
+    assert store.labels() == [Label(17, 1, "birth")]
+    press("2")
+    press(" ")
+    it.page.wait_for_selector('#play:text-is("❚❚")')
+    it.page.wait_for_selector('#when:text-matches(" .−[0-9]")')
+    press(" ")
+    it.page.wait_for_selector('#play:text-is("▶")')
 
 
-def test_suggestions_are_confirmed_in_one_sweep_and_taken_back_in_one(browser, tmp_path):
-    labels = tmp_path / "labels.sqlite"
-    store = LabelStore(labels)
-    with server(labels) as (url, _), opened(browser, url) as it:
-        it.page.wait_for_selector('#sweep-button:text-is("60 suggestions (S)")')
-        it.page.keyboard.press("s")
-        # What scores below is shown, and not ticked.
-        it.page.wait_for_selector('#sweep-confirm:text-is("mark 50 of 60 as false (Enter)")')
-        titles = it.page.locator("#sweep h2").all_inner_texts()
-        assert titles[0].startswith("A place that fires too often, here on 40 of the frames (40)")
-        assert titles[1].startswith("The filter took these for false alarms (20)")
-        it.page.locator("#sweep .crops button").nth(7).click()
-        it.page.locator("#sweep .crops button").nth(59).click()
-        it.page.locator("#sweep .crops button").nth(58).click()
-        it.page.wait_for_selector('#sweep-confirm:text-is("mark 51 of 60 as false (Enter)")')
-        assert store.labels() == []
-        it.page.keyboard.press("Enter")
-        it.page.wait_for_selector('#progress:text-matches(" 51 false")')
-        it.kept()
-        marks = store.labels()
-        assert {label.mark for label in marks} == {"false"}
-        assert {label.frame for label in marks if label.box == 3} == set(range(1, FRAMES + 1)) - {8}
-        assert {label.frame for label in marks if label.box == 4} == {*range(1, 20, 2), 37, 39}
-        it.page.wait_for_selector('#sweep-button:text-is("9 suggestions (S)")')
-        # None of the frames has been looked at by that.
-        assert store.progress().done == 0
-        it.page.keyboard.press("z")
-        it.page.wait_for_selector('#sweep-button:text-is("60 suggestions (S)")')
-        assert store.labels() == []
-        it.page.keyboard.press("s")
-        it.page.locator("#sweep h2 button").first.click()
-        it.page.wait_for_selector('#sweep-confirm:text-is("mark 52 of 60 as false (Enter)")')
-        it.page.locator("#sweep h2 button").first.click()
-        it.page.wait_for_selector('#sweep-confirm:text-is("mark 12 of 60 as false (Enter)")')
-        it.page.keyboard.press("Escape")
-        it.page.wait_for_selector("#sweep", state="hidden")
-        assert store.labels() == []
+def test_suggestions_are_confirmed_in_one_sweep_and_taken_back_in_one(it, store):
+    it.page.wait_for_selector('#sweep-button:text-is("60 suggestions (S)")')
+    it.page.keyboard.press("s")
+    # What scores below is shown, and not ticked.
+    it.page.wait_for_selector('#sweep-confirm:text-is("mark 50 of 60 as false (Enter)")')
+    titles = it.page.locator("#sweep h2").all_inner_texts()
+    assert titles[0].startswith("A place that fires too often, here on 40 of the frames (40)")
+    assert titles[1].startswith("The filter took these for false alarms (20)")
+    it.page.locator("#sweep .crops button").nth(7).click()
+    it.page.locator("#sweep .crops button").nth(59).click()
+    it.page.locator("#sweep .crops button").nth(58).click()
+    it.page.wait_for_selector('#sweep-confirm:text-is("mark 51 of 60 as false (Enter)")')
+    assert store.labels() == []
+    it.page.keyboard.press("Enter")
+    it.page.wait_for_selector('#progress:text-matches(" 51 false")')
+    it.kept()
+    marks = store.labels()
+    assert {label.mark for label in marks} == {"false"}
+    assert {label.frame for label in marks if label.box == 3} == set(range(1, FRAMES + 1)) - {8}
+    assert {label.frame for label in marks if label.box == 4} == {*range(1, 20, 2), 37, 39}
+    it.page.wait_for_selector('#sweep-button:text-is("9 suggestions (S)")')
+    # None of the frames has been looked at by that.
+    assert store.progress().done == 0
+    it.page.keyboard.press("z")
+    it.page.wait_for_selector('#sweep-button:text-is("60 suggestions (S)")')
+    assert store.labels() == []
+    it.page.keyboard.press("s")
+    it.page.locator("#sweep h2 button").first.click()
+    it.page.wait_for_selector('#sweep-confirm:text-is("mark 52 of 60 as false (Enter)")')
+    it.page.locator("#sweep h2 button").first.click()
+    it.page.wait_for_selector('#sweep-confirm:text-is("mark 12 of 60 as false (Enter)")')
+    it.page.keyboard.press("Escape")
+    it.page.wait_for_selector("#sweep", state="hidden")
+    assert store.labels() == []
 
 
 def test_the_page_does_not_wait_for_suggestions(browser, tmp_path):

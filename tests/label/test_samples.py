@@ -5,7 +5,7 @@ import pytest
 
 from phdtrack.arrays import to_cxcywh
 from phdtrack.label import Label, LabelStore
-from phdtrack.label.samples import REACH, Marks, clip
+from phdtrack.label.samples import Marks
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks
 
 INFO = SequenceInfo(640, 480, 25.0, 200, "drawn")
@@ -33,12 +33,6 @@ def marked(path, births, drawn=(20,), done=True):
 
 def walk(first, count, start, velocity, size=(30, 80)):
     return [(first + k, start[0] + k * velocity[0], start[1] + k * velocity[1], *size) for k in range(count)]
-
-
-def test_a_clip_ends_where_the_sequence_does():
-    assert clip(50, 200) == range(50 - REACH, 50 + REACH + 1)
-    assert clip(3, 200) == range(1, 3 + REACH + 1)
-    assert clip(199, 200) == range(199 - REACH, 201)
 
 
 def test_frames_watched_are_counted_once_and_without_the_first_of_a_clip(tmp_path):

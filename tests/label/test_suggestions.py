@@ -1,6 +1,5 @@
 """Suggestions by what a tracker with uniform models made of simulated and real detections."""
 
-import threading
 import time
 from dataclasses import replace
 
@@ -131,36 +130,14 @@ def some(count=3):
     return Suggestions(number + 1, number, number % 3, number / count, -number)
 
 
-def wait_until(true):
-    for _ in range(1000):
-        if true():
-            return
-        time.sleep(0.01)
-    raise AssertionError("nothing came in ten seconds")
-
-
-def test_the_share_that_is_done_is_known_while_it_works():
-    go = threading.Event()
-
-    def work(report):
-        report(0.25)
-        go.wait(30)
-        return some()
-
-    background = Background(work)
-    wait_until(lambda: background.share)
-    assert (background.share, background.found) == (0.25, None)
-    go.set()
-    wait_until(lambda: background.found is not None)
-    assert len(background.found) == 3
-
-
 def test_what_goes_wrong_is_known():
     def work(report):
         raise OSError("the disk is full")
 
     background = Background(work)
-    wait_until(lambda: background.problem)
+    end = time.monotonic() + 10
+    while not background.problem and time.monotonic() < end:
+        time.sleep(0.01)
     assert background.problem == "the disk is full"
 
 

@@ -1,14 +1,13 @@
 """Sequences to score: random ones with every kind of error, and real ones with crude tracks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from phdtrack.arrays import iou
-from phdtrack.types import Detections, DetectionTable, Tracks, Truth
+from phdtrack.formats import read_detections, read_truth
+from phdtrack.types import DetectionTable, Tracks, Truth
 
 REAL = [
     (sequence, detector)
@@ -36,11 +35,9 @@ def tracks_of(frame, identity, xyxy) -> Tracks:
 
 
 def truth_of(frame, identity, xyxy, distractor=None) -> Truth:
-    n = len(frame)
-    flags = np.zeros(n, np.bool_) if distractor is None else np.asarray(distractor, np.bool_)
-    return Truth(
-        np.asarray(frame, np.int64), np.asarray(identity, np.int64), np.asarray(xyxy, np.float64).reshape(n, 4), flags
-    )
+    rows = tracks_of(frame, identity, xyxy)
+    flags = ~rows.confirmed if distractor is None else np.asarray(distractor, np.bool_)
+    return Truth(rows.frame, rows.identity, rows.xyxy, flags)
 
 
 def perfect(truth: Truth) -> Tracks:
@@ -74,41 +71,19 @@ def random_case(
                 name[i], fresh = fresh, fresh + 1
             if rng.random() < 0.8 and k not in gap:
                 noisy = np.concatenate([corner, corner + size[i]]) + rng.normal(0, 5, 4)
-                o.append((k, name[i], *_upright(noisy)))
+                o.append((k, name[i], *np.minimum(noisy[:2], noisy[2:]), *np.maximum(noisy[:2], noisy[2:])))
         for _ in range(rng.poisson(1.0)):
             corner = rng.uniform(0, side, 2)
             o.append((k, fresh, *corner, *(corner + rng.uniform(20, 60, 2))))
             fresh += 1
     tt, oo = np.array(t, np.float64).reshape(-1, 7), np.array(o, np.float64).reshape(-1, 6)
-    return (
-        truth_of(tt[:, 0], tt[:, 1], tt[:, 2:6], tt[:, 6]),
-        tracks_of(oo[:, 0], oo[:, 1], oo[:, 2:]),
-    )
+    return truth_of(tt[:, 0], tt[:, 1], tt[:, 2:6], tt[:, 6]), tracks_of(oo[:, 0], oo[:, 1], oo[:, 2:])
 
 
-def _upright(box):
-    return *np.minimum(box[:2], box[2:]), *np.maximum(box[:2], box[2:])
-
-
-def read_mot(path: Path) -> np.ndarray:
-    """(M, 7) frame, identity, left, top, right, bottom, column 7."""
-    rows = np.loadtxt(path, delimiter=",", ndmin=2)[:, :7]
-    rows[:, 4:6] += rows[:, 2:4]
-    return rows
-
-
-def real_truth(data: Path, sequence: str, *, ignore: bool = False) -> Truth:
-    """The annotation; rows marked 0 are left out, or are distractors if ``ignore``."""
-    rows = read_mot(data / "mot15" / sequence / "gt" / "gt.txt")
-    if not ignore:
-        rows = rows[rows[:, 6] != 0]
-    return truth_of(rows[:, 0], rows[:, 1], rows[:, 2:6], rows[:, 6] == 0)
-
-
-def real_detections(data: Path, sequence: str, detector: str) -> DetectionTable:
-    rows = read_mot(data / "mot15" / sequence / detector / "det.txt")
-    rows = rows[np.argsort(rows[:, 0], kind="stable")]
-    return DetectionTable(rows[:, 0].astype(np.int64), Detections.of(rows[:, 2:6]))
+def real_case(data: Path, sequence: str, detector: str) -> tuple[Truth, Tracks]:
+    """The annotation of a sequence and crude tracks of a detector's boxes."""
+    folder = data / "mot15" / sequence
+    return read_truth(folder / "gt" / "gt.txt"), crude_tracks(read_detections(folder / detector / "det.txt"))
 
 
 def crude_tracks(table: DetectionTable, patience: int = 2) -> Tracks:

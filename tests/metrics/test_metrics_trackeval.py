@@ -1,10 +1,8 @@
 """HOTA, CLEAR and identity scores against TrackEval, on random and on real sequences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from metric_cases import REAL, close, crude_tracks, random_case, real_detections, real_truth, truth_of
+from metric_cases import REAL, close, random_case, real_case
 from trackeval_oracle import Figures, figures, pooled
 
 from phdtrack.metrics import Scores, evaluate, pool
@@ -45,16 +43,6 @@ def test_random_sequences(seed: int, distractors: bool):
         compare(ours, figures(truth, tracks, 32, threshold))
 
 
-def test_distractors_matter_in_the_random_sequences():
-    truth, tracks = random_case(np.random.default_rng(1), objects=8, distractors=True)
-    plain = truth_of(truth.frame, truth.identity, truth.xyxy)
-    rows = ~truth.distractor
-    without = truth_of(truth.frame[rows], truth.identity[rows], truth.xyxy[rows])
-    scores = evaluate(truth, tracks)
-    assert scores.truth_boxes < evaluate(plain, tracks).truth_boxes
-    assert scores.false_positives < evaluate(without, tracks).false_positives
-
-
 def test_pooled_sequences():
     cases = [random_case(np.random.default_rng(50 + i), objects=3 + i, frames=15 + 5 * i) for i in range(4)]
     cases.append((cases[0][0], Tracks.empty()))
@@ -67,8 +55,7 @@ def test_pooled_sequences():
 @pytest.mark.data
 @pytest.mark.parametrize(("sequence", "detector"), REAL)
 def test_real_sequences(data, sequence: str, detector: str):
-    truth = real_truth(data, sequence)
-    tracks = crude_tracks(real_detections(data, sequence, detector))
+    truth, tracks = real_case(data, sequence, detector)
     ours = evaluate(truth, tracks)
     assert ours.id_switches > 0
     assert ours.fragments > 0

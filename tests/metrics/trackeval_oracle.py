@@ -4,8 +4,6 @@ TrackEval is installed without its dependencies, because they would replace Open
 and SciPy; its import prints a line about pycocotools, which its BURST data set would need.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import io

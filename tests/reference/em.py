@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.kernels.em import Gaussians, Moments
+from phdtrack.kernels.em import Moments
+from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.types import F8
 
 

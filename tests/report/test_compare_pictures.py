@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.report.charts import MethodScores, jpeg, score_chart
+from phdtrack.report.charts import MethodScores, score_chart
 from phdtrack.report.drawing import FALSE, MISSED, RIGHT, SWITCHED, Mistakes, side_by_side
 from phdtrack.types import F8
 
@@ -37,17 +37,6 @@ def test_each_mistake_has_its_colour_where_it_is(one: Mistakes, colour: tuple[in
     assert columns.min() == pytest.approx(6 + 60, abs=3)
     assert columns.max() == pytest.approx(6 + 135, abs=3)
     assert rows.max() == pytest.approx(34 + 270 - 130, abs=3)
-
-
-@pytest.mark.parametrize(
-    ("size", "count", "shape"), [((640, 480), 3, (1, 3)), ((640, 480), 4, (2, 2)), ((1224, 370), 3, (3, 1))]
-)
-def test_panels_stand_so_that_a_page_can_show_them(size: tuple[int, int], count: int, shape: tuple[int, int]) -> None:
-    picture = side_by_side(None, size, "heading ± with signs", NONE, [mistakes(f"m{i}") for i in range(count)])
-    width = min(size[0], 720)
-    high = round(size[1] * width / size[0])
-    assert picture.shape == (2 * 28 + shape[0] * (high + 6) + 6, shape[1] * (width + 6) + 6, 3)
-    assert jpeg(picture).width <= 1400
 
 
 def test_charts_hold_with_gaps_and_with_one_rate() -> None:

@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_runs import HIGH, WIDE, run_record, step, walkers
 
-from phdtrack.errors import InputError
 from phdtrack.report import About, Recorder, sentences
 from phdtrack.report.record import LOW_EFFECTIVE, ChainSummary, chain_summary, density_map
 from phdtrack.types import ChainInfo, Particles, SequenceInfo, Tracks, Truth
@@ -118,9 +117,3 @@ def test_mass_inside_the_frame_is_conserved(wide: int, high: int, cell: float, c
     assert grid.sum() == pytest.approx(weight[inside].sum(), rel=1e-12, abs=1e-12)
     assert grid.shape == (int(np.ceil(high / cell)), int(np.ceil(wide / cell)))
     assert (grid >= 0).all()
-
-
-@pytest.mark.parametrize(("wide", "high", "cell"), [(0, 10, 1.0), (10, 0, 1.0), (10, 10, 0.0), (10, 10, np.nan)])
-def test_a_grid_without_size_is_refused(wide: int, high: int, cell: float) -> None:
-    with pytest.raises(InputError, match="positive size"):
-        density_map(Particles(np.zeros((2, 0)), np.zeros(0)), SequenceInfo(wide, high, 25.0), cell)

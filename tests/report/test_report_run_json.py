@@ -9,8 +9,9 @@ import pytest
 from report_runs import run_record
 
 from phdtrack.errors import InputError
+from phdtrack.files import json_value
 from phdtrack.report import About, Recorder, run_document, sentences, write_run
-from phdtrack.report.words import counted, duration, flattened, grouped, json_value, percent
+from phdtrack.report.words import counted, duration, grouped, percent
 from phdtrack.types import SequenceInfo, Tracks
 
 KEYS = """
@@ -62,11 +63,6 @@ def test_values_of_every_kind_become_json() -> None:
     expected = {"array": [1.0, None], "truth": True, "tuple": [1, "a"], "setting": {"rate": None, "place": "x"}, "3": 1}
     assert json_value(value) == expected
     assert json_value(value)["truth"] is True
-
-
-def test_settings_are_listed_by_dotted_names() -> None:
-    pairs = flattened({"a": {"b": {"c": 1}, "d": "x"}, "e": [1.5, None]})
-    assert pairs == (("a.b.c", "1"), ("a.d", '"x"'), ("e", "[1.5, null]"))
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:

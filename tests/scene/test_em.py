@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.em import Gaussians
+from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.scene import SceneDensity, grid, learn, marginal
 from phdtrack.scene.em import Samples, criterion, fitted, improved, moments, parameters
 from phdtrack.types import F8

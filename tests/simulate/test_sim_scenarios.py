@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -7,7 +5,7 @@ from phdtrack.arrays import iou
 from phdtrack.errors import InputError
 from phdtrack.simulate import NAMED, DetectorModel, Entrance, Scenario, Walk, make_scene
 from phdtrack.simulate.detector import covered
-from phdtrack.simulate.scenario import Camera, truth_rows
+from phdtrack.simulate.scenario import truth_rows
 from phdtrack.types import Truth
 
 PEOPLE = [name for name in NAMED if name != "empty"]
@@ -66,10 +64,9 @@ def test_people_walk_at_the_speed_that_was_asked_for(name: str) -> None:
     figures = world.figures(np.random.default_rng(8))
     speeds = []
     for identity in np.unique(figures.identity):
-        frame, box = of(figures, int(identity))
+        frame, box = of(figures, identity)
         foot = np.stack([(box[:, 0] + box[:, 2]) / 2, box[:, 3]], axis=1)
-        ground = world.camera.to_ground(foot)
-        step = np.hypot(*np.diff(ground, axis=0).T) * world.fps / np.diff(frame)
+        step = np.hypot(*np.diff(world.camera.to_ground(foot), axis=0).T) * world.fps / np.diff(frame)
         if len(step) > 10:
             speeds.append(np.quantile(step, 0.9))
     bound = 4 * world.speed_spread / np.sqrt(len(speeds))
@@ -107,20 +104,13 @@ def test_doors_are_where_people_appear() -> None:
     figures = world.figures(np.random.default_rng(0))
     at_door = 0
     for identity in np.unique(figures.identity):
-        frame, box = of(figures, int(identity))
-        ends = (box[0], box[-1]) if frame[-1] < world.frames else (box[0],)
-        at_door += any(abs((b[0] + b[2]) / 2 / 640 - 0.3) < 0.03 and abs(b[3] / 360 - 0.6) < 0.03 for b in ends)
-        assert any(abs((b[0] + b[2]) / 2 / 640 - 0.3) < 0.03 or b[2] > 640 for b in ends)
+        frame, box = of(figures, identity)
+        ends = box[[0, -1]] if frame[-1] < world.frames else box[:1]
+        door = np.abs(ends[:, [0, 2]].mean(axis=1) / 640 - 0.3) < 0.03
+        at_door += (door & (np.abs(ends[:, 3] / 360 - 0.6) < 0.03)).any()
+        assert (door | (ends[:, 2] > 640)).any()
     assert at_door >= 5
     assert world.doors_px.shape == (1, 4)
-
-
-def test_arrivals_are_poisson() -> None:
-    """40 scenes of 20 s at 1 a second; the mean number within 4 standard errors."""
-    world = Scenario("many", frames=500, arrivals=1.0, lead_in=0.0)
-    numbers = [len(world._arriving(np.random.default_rng(seed))) for seed in range(40)]
-    assert abs(np.mean(numbers) - 20) < 4 * np.sqrt(20 / 40)
-    assert 20 / 2.5 < np.var(numbers, ddof=1) < 20 * 2.5
 
 
 def test_unknown_scene_and_setting_name_the_nearest() -> None:
@@ -130,23 +120,12 @@ def test_unknown_scene_and_setting_name_the_nearest() -> None:
         make_scene("street", 0, arivals=2.0)
 
 
-SKYWARD = (Walk(((0.1, 0.0), (0.9, 0.5))),)
-
-
 @pytest.mark.parametrize(
-    "bad", [{"frames": 0}, {"arrivals": -1.0}, {"rows": (0.05, 0.9)}, {"camera_height": 1.0}, {"walks": SKYWARD}]
+    "bad", [{"frames": 0}, {"rows": (0.05, 0.9)}, {"camera_height": 1.0}, {"walks": (Walk(((0.1, 0.0), (0.9, 0.5))),)}]
 )
 def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(InputError, match="cenario"):
         make_scene("street", 0, **bad)
-
-
-def test_follow_walks_at_constant_speed_on_the_ground() -> None:
-    camera, times = Camera(320, 43, 576, 2.7), np.arange(0, 60, 0.04)
-    foot, index = Walk(((-0.1, 0.9), (0.5, 0.6), (1.1, 0.8)), at=1.0, speed=0.5).follow(camera, (640, 360), times)
-    assert times[index[0]] == pytest.approx(1.0)
-    step = np.hypot(*np.diff(camera.to_ground(foot), axis=0).T)
-    assert np.allclose(step, 0.5 * 0.04, rtol=0.02)
 
 
 @pytest.mark.parametrize(

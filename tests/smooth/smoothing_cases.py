@@ -1,9 +1,8 @@
 """Tracks, and the measurements that they rest on, for the tests of smoothing."""
 
-from __future__ import annotations
-
 import numpy as np
 
+from phdtrack.arrays import to_xyxy
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import MeasurementHistory, Tracks
@@ -11,26 +10,17 @@ from phdtrack.types import MeasurementHistory, Tracks
 WIDTH, HEIGHT = 640.0, 480.0
 
 
-def model_of(*, remember: bool = False, **motion) -> Model:
+def model_of(**motion) -> Model:
     """Noises that no state changes, so that everything is linear and Gaussian, unless ``scaled_noise`` says otherwise."""
     size = (WIDTH, HEIGHT)
-    values = {
-        "acceleration": 0.3,
-        "size_noise": 0.6,
-        "scaled_noise": False,
-        "survival_probability": 0.997**25,
-        "frame_size": size,
-    } | motion
+    plain = {"acceleration": 0.3, "size_noise": 0.6, "scaled_noise": False, "survival_probability": 0.997**25}
+    values = plain | {"frame_size": size} | motion
     sensor = (
         BoxSensor(detection_probability=0.8, box_noise=0.15, birth_speed=0.1, scaling="particle")
         if values["scaled_noise"]
         else BoxSensor(detection_probability=0.8, scaling="fixed", fixed_noise=(2.0, 3.0), birth_speed_pixels=4.0)
     )
-    if remember:
-        sensor = BoxSensor(detection_probability=0.8, box_noise=0.15, scaling="previous")
-    return Model(
-        BoxMotion(**values, remember_size=remember), sensor, MeasurementBirth(frame_size=size), UniformClutter(1.0, 1e10)
-    )
+    return Model(BoxMotion(**values), sensor, MeasurementBirth(frame_size=size), UniformClutter(1.0, 1e10))
 
 
 def walk(rng: np.random.Generator, frames: int, begin, velocity, size=(40.0, 80.0), noise: float = 2.0) -> np.ndarray:
@@ -39,7 +29,7 @@ def walk(rng: np.random.Generator, frames: int, begin, velocity, size=(40.0, 80.
     return np.hstack([place, np.broadcast_to(size, (frames, 2))]) + rng.normal(0, noise, (frames, 4))
 
 
-def sequence(pieces, frames: int, model: Model, warp: np.ndarray | None = None) -> tuple[Tracks, MeasurementHistory]:
+def sequence(pieces, frames: int, model: Model) -> tuple[Tracks, MeasurementHistory]:
     """Tracks of ``pieces``, each {frame: (4,) measurement or None}, with boxes where they were measured.
 
     In each frame the measurements stand in the order of the pieces. A frame with None is a row that rests on nothing.
@@ -47,22 +37,19 @@ def sequence(pieces, frames: int, model: Model, warp: np.ndarray | None = None) 
     z, rows, count = [], [], np.zeros(frames, np.int64)
     for number in range(1, frames + 1):
         for identity, piece in enumerate(pieces, start=1):
-            if number in piece:
-                box = piece[number]
-                rows.append(
-                    (number, identity, np.full(4, 7.0) if box is None else box, -1 if box is None else count[number - 1])
-                )
-                if box is not None:
-                    z.append(box)
-                    count[number - 1] += 1
+            box = piece.get(number)
+            if box is not None:
+                rows.append((number, identity, box, count[number - 1]))
+                z.append(box)
+                count[number - 1] += 1
+            elif number in piece:
+                rows.append((number, identity, np.full(4, 7.0), -1))
     start = np.concatenate(([0], np.cumsum(count)))
     number, identity, where, detection = zip(*rows, strict=True)
-    x, y, w, h = np.array(where).T
-    xyxy = np.stack([x - w / 2, y - h / 2, x + w / 2, y + h / 2], axis=1)
-    n = len(rows)
+    xyxy, n = to_xyxy(np.array(where).T), len(rows)
     tracks = Tracks(np.array(number), np.array(identity), xyxy, np.full(n, 0.9), np.array(detection), np.ones(n, np.bool_))
-    warps = np.zeros((0, 3, 3)) if warp is None else warp
-    return tracks, MeasurementHistory(np.arange(1, frames + 1), np.arange(frames, dtype=float), start, np.array(z).T, warps)
+    numbers = np.arange(1, frames + 1)
+    return tracks, MeasurementHistory(numbers, numbers - 1.0, start, np.array(z).T, np.zeros((0, 3, 3)))
 
 
 def piece(walked: np.ndarray, first: int, *shown: tuple[int, int]) -> dict:

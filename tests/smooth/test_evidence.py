@@ -1,7 +1,5 @@
 """The evidence for a link against the densities of the measurements themselves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from smoothing_cases import model_of, piece, sequence, walk
@@ -50,8 +48,3 @@ def test_the_matching_is_the_best_of_all(seed: int):
     assert len(set(found[chosen].tolist())) == len(chosen)
     assert odds[chosen, found[chosen]].sum() == pytest.approx(best(0, frozenset(range(k))))
     assert (odds[chosen, found[chosen]] > 0).all()
-
-
-def test_nobody_follows_where_nobody_may():
-    assert _matched(Pairs(np.zeros(0, int), np.zeros(0, int), np.zeros(0)), 3).tolist() == [-1, -1, -1]
-    assert _matched(Pairs(np.array([0]), np.array([1]), np.array([-0.1])), 2).tolist() == [-1, -1]

@@ -1,7 +1,5 @@
 """The smoother against the joint density of everything at once."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -46,34 +44,6 @@ def test_paths_side_by_side_are_what_each_is_alone(rng):
         np.testing.assert_allclose(both[1].covariance[rows], states.covariance, rtol=1e-9, atol=1e-9)
 
 
-def test_a_camera_that_moves_changes_nothing_but_where_pixels_are(rng):
-    model, n = model_of(), 20
-    walked = walk(rng, n, (300, 200), (2, 1))
-    shifts = np.cumsum(rng.normal(0, 6, (n, 2)), axis=0)
-    still = smoothed(*sequence([piece(walked, 1, (1, 8), (12, n))], n, model), model)[1]
-    seen = walked.copy()
-    seen[:, :2] += shifts
-    warp = np.tile(np.eye(3), (n, 1, 1))
-    warp[1:, :2, 2] = np.diff(shifts, axis=0)
-    moved = smoothed(*sequence([piece(seen, 1, (1, 8), (12, n))], n, model, warp), model)[1]
-    np.testing.assert_allclose(moved.mean[:, :2] - shifts, still.mean[:, :2], atol=1e-6)
-    np.testing.assert_allclose(moved.mean[:, 2:], still.mean[:, 2:], atol=1e-6)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_smoothed_states_are_nearer_to_the_truth_than_measurements(seed: int):
-    """Constant velocity, noise of 2 pixels: states stay within half of it, the velocity in the middle within 0.4 a frame."""
-    rng, model = np.random.default_rng(seed), model_of(scaled_noise=True, acceleration=0.005, size_noise=0.02)
-    n, noise = 60, 2.0
-    truth = np.array([100.0, 200.0]) + np.arange(n)[:, None] * [3.0, 1.0]
-    walked = walk(rng, n, (100, 200), (3, 1), noise=noise)
-    states = smoothed(*sequence([piece(walked, 1, (1, 25), (29, n))], n, model), model)[1]
-    error = np.sqrt(np.mean((states.mean[:, :2] - truth) ** 2))
-    assert error < 0.5 * noise
-    assert error < 0.5 * np.sqrt(np.mean((walked[:, :2] - truth) ** 2))
-    np.testing.assert_allclose(states.mean[20:40, 2:4], np.tile([3.0, 1.0], (20, 1)), atol=0.4)
-
-
 def test_errors_are_as_large_as_the_covariance_says():
     """The normalised squared error of what was drawn from the model itself has the mean of its dimension."""
     rng, model = np.random.default_rng(3), model_of()
@@ -94,11 +64,3 @@ def test_errors_are_as_large_as_the_covariance_says():
             errors.append(step @ np.linalg.solve(states.covariance[k], step))
     # 450 values of mean 6 and variance 12.
     assert np.mean(errors) == pytest.approx(6, abs=5 * np.sqrt(12 / 450))
-
-
-def test_a_size_that_is_remembered_does_no_harm(rng):
-    model = model_of(remember=True, scaled_noise=True, acceleration=0.005, size_noise=0.05)
-    walked = walk(rng, 12, (100, 200), (3, 1))
-    _, states, _ = smoothed(*sequence([piece(walked, 1, (1, 5), (9, 12))], 12, model), model)
-    assert np.isfinite(states.mean).all()
-    assert np.linalg.eigvalsh(states.covariance).min() > -1e-6

@@ -1,7 +1,5 @@
 """What smoothing is worth on real detections."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small clips, written by the tests themselves."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,6 @@
 """Video files: numbers, times, orientation, damage."""
 
-from __future__ import annotations
-
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,18 +10,15 @@ from video_clips import encode, picture
 from phdtrack.errors import InputError
 from phdtrack.types import Image
 from phdtrack.video import VideoWriter, open_source
-from phdtrack.video.stream import Clock
 
 
 def test_a_written_clip_reads_back(clip: Path) -> None:
     source = open_source(clip)
     frames = list(source)
     assert (source.info.width, source.info.height, source.info.fps) == (64, 48, 25.0)
-    assert source.info.frames == 0
     assert [frame.number for frame in frames] == list(range(1, 31))
     np.testing.assert_allclose([frame.time for frame in frames], np.arange(30) / 25, atol=1e-9)
-    assert source.problem == ""
-    assert source.note == ""
+    assert (source.problem, source.note) == ("", "")
     assert np.abs(frames[7].image.astype(int) - picture(7)).mean() < 4
     assert all(np.array_equal(a.image, b.image) for a, b in zip(frames, source, strict=True))
 
@@ -35,13 +31,6 @@ def test_a_variable_rate_gives_true_times_and_a_given_one_replaces_them(tmp_path
     given = open_source(tmp_path / "vfr.mkv", fps=10)
     assert given.info.fps == 10
     np.testing.assert_allclose([frame.time for frame in given], np.arange(6) / 10)
-
-
-def test_the_clock_only_goes_forward() -> None:
-    clock = Clock(0.04)
-    stamps = [7.0, 7.1, None, 7.2, 7.2, 1.0, 1.1, None]
-    times = [clock(stamp) for stamp in stamps]
-    np.testing.assert_allclose(times, [0, 0.1, 0.14, 0.2, 0.24, 0.28, 0.38, 0.42])
 
 
 def noise(count: int) -> list[Image]:
@@ -59,8 +48,7 @@ def test_a_truncated_file_gives_what_it_has(tmp_path: Path) -> None:
     source = open_source(short)
     frames = list(source)
     assert 10 < len(frames) < 30
-    assert "short.mp4" in source.problem
-    assert f"{len(frames)}" in source.problem
+    assert re.search(rf"short\.mp4.*{len(frames)}", source.problem)
 
 
 def test_damage_in_the_middle_loses_little(tmp_path: Path) -> None:
@@ -77,50 +65,16 @@ def test_damage_in_the_middle_loses_little(tmp_path: Path) -> None:
     assert f"{len(numbers)} frames could be decoded" in source.problem
 
 
-@pytest.mark.parametrize("content", [b"this is a text, not a film\n" * 20, b""])
-def test_what_is_no_video_is_named(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "film.mp4"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=r"film\.mp4: .*cannot be read"):
-        open_source(path)
-
-
-def test_a_missing_file_suggests_its_neighbour(clip: Path) -> None:
+def test_what_is_no_video_or_missing_is_named(clip: Path) -> None:
     with pytest.raises(InputError, match=r"no such file.*Did you mean .*clip\.mp4"):
         open_source(clip.with_name("clap.mp4"))
-
-
-def test_sound_alone_is_no_video(tmp_path: Path) -> None:
-    import av
-
-    path = tmp_path / "sound.wav"
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("pcm_s16le", rate=8000, layout="mono")
-        frame = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
-        frame.sample_rate = 8000
-        container.mux(stream.encode(frame))
-    with pytest.raises(InputError, match=r"no video in this file"):
-        open_source(path)
-
-
-def test_another_size_in_mid_stream_names_the_frame(tmp_path: Path) -> None:
-    # An MPEG-1 elementary stream repeats its size in every sequence header: two of them joined change in mid-stream.
-    import av
-
-    data = b""
-    for width in (64, 96):
-        path = tmp_path / f"{width}.m1v"
-        with av.open(str(path), "w", format="mpeg1video") as container:
-            stream = container.add_stream("mpeg1video", rate=25)
-            stream.width, stream.height, stream.pix_fmt = width, 48, "yuv420p"
-            for index in range(5):
-                container.mux(stream.encode(av.VideoFrame.from_ndarray(picture(index, width), format="bgr24")))
-            container.mux(stream.encode(None))
-        data += path.read_bytes()
-    joined = tmp_path / "joined.m1v"
-    joined.write_bytes(data)
-    with pytest.raises(InputError, match=r"joined\.m1v, frame [4-6]: this frame is 96x48 pixels, the first one 64x48"):
-        list(open_source(joined))
+    for fps in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(InputError, match="rate"):
+            open_source(clip, fps=fps)
+    for content in (b"this is a text, not a film\n" * 20, b""):
+        clip.write_bytes(content)
+        with pytest.raises(InputError, match=r"clip\.mp4: .*cannot be read"):
+            open_source(clip)
 
 
 def test_portrait_recordings_are_turned_upright(clip: Path, tmp_path: Path) -> None:
@@ -137,12 +91,6 @@ def test_portrait_recordings_are_turned_upright(clip: Path, tmp_path: Path) -> N
     flat = next(iter(open_source(clip))).image
     # The matrix turns the picture clockwise by a quarter: its left edge comes up.
     np.testing.assert_array_equal(upright, np.rot90(flat, -1))
-
-
-@pytest.mark.parametrize("fps", [-1.0, float("nan"), float("inf")])
-def test_a_rate_must_make_sense(clip: Path, fps: float) -> None:
-    with pytest.raises(InputError, match="rate"):
-        open_source(clip, fps=fps)
 
 
 @pytest.mark.data

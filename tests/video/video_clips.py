@@ -1,7 +1,5 @@
 """Pictures and files that the tests of video make for themselves."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path

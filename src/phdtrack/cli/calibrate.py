@@ -69,9 +69,7 @@ def calibrate(
 def read_points(path: Path) -> tuple[F8, F8, Origin]:
     """(2, N) pixels, (2, N) places on the ground in metres, and where each stands in the file.
 
-    Raises
-    ------
-    InputError : there is no such file, a column is missing, a number is none, or a point is not at height 0.
+    Raises `InputError` where a column is missing, a number is none, or a point is not at height 0.
     """
     text = scan(path, load(path))
     columns = _columns(path, text.header) if text.header else list(range(text.width))

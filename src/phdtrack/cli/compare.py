@@ -8,40 +8,27 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from phdtrack import compare as comparing
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.doctor import installed_versions
 from phdtrack.cli.evaluate import check_iou
-from phdtrack.cli.job import announced, detections_needed
+from phdtrack.cli.job import about, announced, detections_needed
 from phdtrack.cli.options import option
-from phdtrack.cli.output import Output, command_line, counted, progress
+from phdtrack.cli.output import Output, counted, progress
 from phdtrack.cli.settings import scene_settings
-from phdtrack.compare import (
-    Comparison,
-    DetectionChoice,
-    Plan,
-    SettingsSource,
-    check_scores,
-    plan,
-    results,
-    run,
-    steps,
-    summary,
-)
+from phdtrack.compare import Comparison, Plan, results
 from phdtrack.compare.failures import worst_frames, write_frames
-from phdtrack.compare.results import Table
 from phdtrack.compare.runs import RunResult
 from phdtrack.config import build
 from phdtrack.errors import InputError
 from phdtrack.report import About, write_run
-from phdtrack.report.words import duration, json_value, write_text
+from phdtrack.report.words import duration, write_text
 
 DOCUMENT, CELLS, EACH, FRAMES = "compare.json", "compare.csv", "runs.csv", "worst"
 FILES = {
@@ -105,14 +92,16 @@ class PlanOptions:
             rates = tuple(float(part) for part in listed(self.clutter))
         except ValueError:
             raise InputError(f"expected numbers as 0,5,10, got {self.clutter!r}", where="--clutter") from None
-        return plan(
+        return comparing.plan(
             sequences,
             filters=listed(self.filters),
-            detections=DetectionChoice(listed(self.detections), listed(self.detectors), self.max_width, self.truth),
+            detections=comparing.DetectionChoice(
+                listed(self.detections), listed(self.detectors), self.max_width, self.truth
+            ),
             clutter=rates,
             seeds=self.seeds,
             variants=self.variants or (),
-            settings=SettingsSource(self.preset, self.config, (*scene_settings(self.scene), *(self.sets or ()))),
+            settings=comparing.SettingsSource(self.preset, self.config, (*scene_settings(self.scene), *(self.sets or ()))),
             iou=self.iou,
         )
 
@@ -142,16 +131,22 @@ def compare(
     """
     ours = (out / DOCUMENT).is_file()
     rundir.check(out, overwrite or ours, FILES)
-    wanted = check_scores(listed(scores))
+    wanted = comparing.check_scores(listed(scores))
     made = options.plan(sequences)
     directory = rundir.claim(out, True, FILES)
     # Whatever ends this, the next one knows the folder for its own.
     write_run(directory.file(DOCUMENT), {"complete": False})
-    compile_for(output, made)
-    began, processes = time.perf_counter(), jobs or os.cpu_count() or 1
-    with progress("comparing", steps(made), PACE) as advance:
-        comparison = run(made, out, processes, anew=overwrite, advance=advance)
-    finish(output, comparison, wanted, worst, directory, time.perf_counter() - began, in_turn=processes == 1)
+    # Once, before several processes would each compile them.
+    info = made.cases[0].info
+    with announced(output):
+        for method in {method.filter_name: method for method in made.methods}.values():
+            detections_needed(build(method.settings, info), info, (info.width / 20, info.height / 10))
+    begun = about("Comparison of " + ", ".join(method.name for method in made.methods), made.seeds[0])
+    clock, processes = time.perf_counter(), jobs or os.cpu_count() or 1
+    with progress("comparing", comparing.steps(made), PACE) as advance:
+        comparison = comparing.run(made, out, processes, anew=overwrite, advance=advance)
+    begun = replace(begun, seconds=time.perf_counter() - clock)
+    finish(output, comparison, wanted, worst, directory, begun, in_turn=processes == 1)
     if comparison.failed:
         raise typer.Exit(1)
 
@@ -161,26 +156,18 @@ def listed(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
-def compile_for(out: Output, plan: Plan) -> None:
-    """Compile kernels that the methods will call, once, before several processes would each compile them."""
-    info = plan.cases[0].info
-    with announced(out):
-        for method in {method.filter_name: method for method in plan.methods}.values():
-            detections_needed(build(method.settings, info), info, (info.width / 20, info.height / 10))
-
-
 def finish(
     out: Output,
     comparison: Comparison,
     wanted: Sequence[str],
     worst: int,
     directory: rundir.RunDirectory,
-    seconds: float,
+    begun: About,
     *,
     in_turn: bool,
 ) -> None:
     """Write everything but the runs, which are there already, and say who is ahead of the first method by how much."""
-    found, plan = summary(comparison), comparison.plan
+    found, plan = comparing.summary(comparison), comparison.plan
     names, notes = results.shown(found, wanted), results.notes(found, comparison, in_turn=in_turn)
     warnings, frames = doubts(comparison), list(worst_frames(comparison, worst))
     results.write_cells(directory.file(CELLS), found)
@@ -189,33 +176,30 @@ def finish(
     for old in (directory.path / FRAMES).glob("*-clutter-*-frame-*.png"):
         old.unlink()
     write_frames(directory.path / FRAMES, frames)
-    about = About(
-        title="Comparison of " + ", ".join(method.name for method in plan.methods),
-        command=command_line(),
-        seed=plan.seeds[0],
-        started=datetime.now(UTC).isoformat(timespec="seconds"),
-        seconds=seconds,
-        versions=installed_versions(),
-        warnings=warnings,
-        notes=notes,
-    )
-    write_text(directory.file(rundir.REPORT), results.comparison_page(comparison, found, names, frames, about))
-    rows = [results.document_of(row) for row in found.rows]
-    document = json_value(document_of(comparison, about) | {"rows": rows, "directory": str(comparison.folder)})
+    page = results.comparison_page(comparison, found, names, frames, replace(begun, warnings=warnings, notes=notes))
+    write_text(directory.file(rundir.REPORT), page)
+    document = {
+        "complete": True,
+        "command": begun.command,
+        "runs": len(comparison.results),
+        "reused": comparison.reused,
+        "outdated": comparison.outdated,
+        "failed": [{"run": str(run), "reason": reason} for run, reason in comparison.failed],
+        "seconds": begun.seconds,
+        "warnings": warnings,
+        "rows": [results.document_of(row) for row in found.rows],
+        "directory": str(comparison.folder),
+    }
     write_run(directory.file(DOCUMENT), document)
     out.warn(warnings)
-    _table(out, results.table(found.rows, names))
+    out.table(*results.table(found.rows, names), words=(0, 1, 3))
     if apart := [row for row in found.widest if row.ahead]:
         out.say("", f"Difference to {plan.methods[0].name}, seed by seed:")
-        _table(out, results.table(apart, names, ahead=True))
-    out.say("", described(comparison, seconds), *results.sentences(plan, found), *notes, "", *directory.listing())
+        out.table(*results.table(apart, names, ahead=True), words=(0, 1, 3))
+    out.say("", described(comparison, begun.seconds), *results.sentences(plan, found), *notes, "", *directory.listing())
     if frames:
         out.say(f"  {directory.path / FRAMES}  the worst frames as pictures")
     out.document(document)
-
-
-def _table(out: Output, table: Table) -> None:
-    out.table(table.head, table.rows, words=(0, 1, 3))
 
 
 def doubts(comparison: Comparison) -> tuple[str, ...]:
@@ -235,17 +219,3 @@ def described(comparison: Comparison, seconds: float) -> str:
         reused += f", others run again because of other {said}"
     plan = results.described(comparison.plan)
     return f"{counted(len(comparison.results), 'run')}{reused}, in {duration(seconds)}: {plan}."
-
-
-def document_of(comparison: Comparison, about: Any) -> dict[str, object]:
-    """What was run and how it went, for programs."""
-    return {
-        "complete": True,
-        "command": about.command,
-        "runs": len(comparison.results),
-        "reused": comparison.reused,
-        "outdated": comparison.outdated,
-        "failed": [{"run": str(run), "reason": reason} for run, reason in comparison.failed],
-        "seconds": about.seconds,
-        "warnings": about.warnings,
-    }

@@ -6,14 +6,12 @@ number, and says how to mend what does not work. A check that is not essential m
 
 from __future__ import annotations
 
-import importlib
 import platform
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from importlib import metadata
+from importlib import import_module, metadata
 from pathlib import Path
-from typing import Any
 
 import typer
 
@@ -67,7 +65,7 @@ def examine() -> list[Check]:
 
 
 def versions() -> tuple[tuple[str, str], ...]:
-    """Pairs of name and version: phdtrack, Python, the system, the packages that phdtrack rests on."""
+    """Pairs of name and version: phdtrack, Python, the system, the packages that phdtrack rests on; empty: not there."""
     own = (("phdtrack", __version__), ("python", platform.python_version()), ("system", platform.platform()))
     return (*own, *((name, _version(name)) for name in PACKAGES))
 
@@ -84,19 +82,14 @@ def _version(package: str) -> str:
         return ""
 
 
-def _module(name: str) -> Any:
-    """The module, untyped: what is looked for may be missing from it, which is what a check is about."""
-    return importlib.import_module(name)
-
-
 def _opencv() -> str:
     others = [name for name in ("opencv-python", "opencv-contrib-python") if _version(name)]
     beside = f", and {' and '.join(others)} beside it: whichever was installed last is used" if others else ""
-    return f"version {_module('cv2').__version__}{beside}"
+    return f"version {import_module('cv2').__version__}{beside}"
 
 
 def _cascades() -> str:
-    cv2 = _module("cv2")
+    cv2 = import_module("cv2")
     folder = Path(cv2.data.haarcascades)
     if cv2.CascadeClassifier(str(folder / "haarcascade_frontalface_default.xml")).empty():
         raise RuntimeError(f"no face cascade in {folder}")
@@ -104,11 +97,11 @@ def _cascades() -> str:
 
 
 def _hog() -> str:
-    return f"pedestrian model with {len(_module('cv2').HOGDescriptor_getDefaultPeopleDetector())} weights"
+    return f"pedestrian model with {len(import_module('cv2').HOGDescriptor_getDefaultPeopleDetector())} weights"
 
 
 def _decoders() -> str:
-    found = [name for name in DECODERS if name in _module("av").codecs_available]
+    found = [name for name in DECODERS if name in import_module("av").codecs_available]
     if not found:
         raise RuntimeError("FFmpeg has no decoder for any usual video")
     return "reads " + ", ".join(found)
@@ -126,7 +119,7 @@ def _encoders() -> str:
 
 
 def _kernels() -> str:
-    numba = _module("numba")
+    numba = import_module("numba")
     if numba.njit(lambda x: x + 1)(1) != 2:
         raise RuntimeError("a compiled function gave a wrong result")
     state = "switched off by NUMBA_DISABLE_JIT" if numba.config.DISABLE_JIT else f"{numba.get_num_threads()} threads"
@@ -134,7 +127,7 @@ def _kernels() -> str:
 
 
 def _cache() -> str:
-    cache = _module("phdtrack.kernels").CACHE
+    cache = import_module("phdtrack.kernels").CACHE
     if not cache.lasting:
         raise RuntimeError("no folder can be written into, so every run compiles anew")
     state = f"warm, {cache.kept} kernels" if cache.kept else "cold, the first run compiles for some ten seconds"
@@ -142,13 +135,13 @@ def _cache() -> str:
 
 
 def _plots() -> str:
-    figure = _module("matplotlib.figure").Figure(figsize=(1, 1))
-    _module("matplotlib.backends.backend_agg").FigureCanvasAgg(figure).draw()
+    figure = import_module("matplotlib.figure").Figure(figsize=(1, 1))
+    import_module("matplotlib.backends.backend_agg").FigureCanvasAgg(figure).draw()
     return f"matplotlib {_version('matplotlib')}"
 
 
 def _parquet() -> str:
-    _module("pyarrow.parquet")
+    import_module("pyarrow.parquet")
     return f"pyarrow {_version('pyarrow')}"
 
 

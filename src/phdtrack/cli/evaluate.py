@@ -89,9 +89,16 @@ def evaluate(
     output.say(f"{tracks} against {truth}: {scores.frames} frames, {scores.truth_objects} objects, match from IoU {iou:g}")
     output.say()
     score_table(output, {"": scores})
-    whole = trajectory_scores(output, annotated, found, scores.frames) if t_gospa else {}
-    located = located_errors(output, annotated, found, rmse) if rmse else {}
-    output.document({**scores.as_dict(), **whole, **located})
+    document: dict[str, object] = {**scores.as_dict()}
+    if t_gospa:
+        parts = tgospa_boxes(annotated, found, frames=scores.frames)
+        values = (parts.distance, parts.localisation, parts.missed, parts.false, parts.switching)
+        whole = {key: value / max(scores.frames, 1) for key, value in zip(BY_TRAJECTORY, values, strict=True)}
+        _table(output, {"": whole}, BY_TRAJECTORY)
+        document |= whole
+    if rmse:
+        document["RMSE"] = located_errors(output, annotated, found, rmse)
+    output.document(document)
 
 
 def check_iou(iou: float) -> None:
@@ -113,16 +120,7 @@ def _table(out: Output, columns: Mapping[str, Mapping[str, float | None]], meani
     out.table(["", *columns, ""], rows, words=(0, len(columns) + 1))
 
 
-def trajectory_scores(out: Output, truth: Truth, tracks: Tracks, frames: int) -> dict[str, float]:
-    """A table of T-GOSPA and its parts, per frame of the sequence; the same for JSON."""
-    parts = tgospa_boxes(truth, tracks, frames=frames)
-    values = (parts.distance, parts.localisation, parts.missed, parts.false, parts.switching)
-    found = {key: value / max(frames, 1) for key, value in zip(BY_TRAJECTORY, values, strict=True)}
-    _table(out, {"": found}, BY_TRAJECTORY)
-    return found
-
-
-def located_errors(out: Output, truth: Truth, tracks: Tracks, gate: float) -> dict[str, object]:
+def located_errors(out: Output, truth: Truth, tracks: Tracks, gate: float) -> object:
     """A table of the errors of the boxes' centres in pixels, object by object without distractors; the same for JSON."""
     kept = ~truth.distractor
     centre, found = ((xyxy[:, :2] + xyxy[:, 2:]).T / 2 for xyxy in (truth.xyxy[kept], tracks.xyxy))
@@ -135,4 +133,4 @@ def located_errors(out: Output, truth: Truth, tracks: Tracks, gate: float) -> di
     total = ["all", str(errors.frames.sum()), str(errors.mapped.sum()), "", "", number(errors.overall, 2)]
     out.say("", f"RMSE of box centres in pixels, pairs nearer than {gate:g}:")
     out.table(["object", "frames", "mapped", "x", "y", "RMSE"], [*rows, total])
-    return {"RMSE": errors.as_dict()}
+    return errors.as_dict()

@@ -183,9 +183,8 @@ class GroupStory(RunObserver):
         if (camera := self._around.camera) is None:
             return picture
         rings = [(group, [_in_image(camera, ring) for ring in group.contours]) for group in groups]
-        return draw_contours(
-            picture, tuple(replace(group, contours=tuple(r for r in seen if r.shape[1])) for group, seen in rings)
-        )
+        shown = [replace(group, contours=tuple(ring for ring in seen if ring.shape[1])) for group, seen in rings]
+        return draw_contours(picture, tuple(shown))
 
 
 class GroupObserver(RunObserver):

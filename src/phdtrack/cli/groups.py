@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -15,12 +14,11 @@ import typer
 from phdtrack import config
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.doctor import installed_versions
 from phdtrack.cli.group_observer import NOWHERE, GroupObserver, GroupStory, Surroundings
-from phdtrack.cli.inputs import NO_PICTURE
-from phdtrack.cli.job import Job, finish_document
+from phdtrack.cli.inputs import NO_PICTURE, refuse
+from phdtrack.cli.job import Job, about, finish_document
 from phdtrack.cli.options import SourceOptions, TrackingOptions, option
-from phdtrack.cli.output import Output, command_line, progress
+from phdtrack.cli.output import Output, progress
 from phdtrack.cli.settings import chosen
 from phdtrack.cli.track import finish, prepare
 from phdtrack.config import Settings, build_groups
@@ -31,9 +29,8 @@ from phdtrack.ground.uncertainty import footprint
 from phdtrack.groups import LifeCycleState
 from phdtrack.groups.pipeline import known_people
 from phdtrack.models import PlaneSensor
-from phdtrack.report import About
 from phdtrack.report.pages import render
-from phdtrack.report.words import flattened, json_value, write_text
+from phdtrack.report.words import flattened, write_text
 from phdtrack.types import F8
 
 USUAL_FILTER = "gm-phd"
@@ -96,9 +93,7 @@ def groups(
 def ground_settings(options: TrackingOptions, camera: Path | None) -> Settings:
     """The settings on the ground plane with this camera; a filter of Gaussians where none was named.
 
-    Raises
-    ------
-    InputError : there is no camera, or the settings are for another world or without a filter.
+    Raises `InputError` where there is no camera, or the settings are for another world or without a filter.
     """
     said = config.load(options.config, options.sets or (), options.preset)
     usual = [] if said.kind("motion") != "box" or "kind" in said.given.get("motion", {}) else ["motion.kind=plane"]
@@ -132,7 +127,7 @@ def with_groups(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
 
 def _check_unused(source: SourceOptions, options: TrackingOptions, camera: Path | None) -> None:
     """Raise `InputError` where an option has nothing to do, because positions are known."""
-    useless = {
+    useless: dict[str, object] = {
         "SOURCE": source.source,
         "--detections": source.detections,
         "--detector": source.detector,
@@ -144,10 +139,7 @@ def _check_unused(source: SourceOptions, options: TrackingOptions, camera: Path 
         "--truth": options.truth,
         "--threads": options.threads is not None,
     }
-    for name, used in useless.items():
-        if used:
-            problem = "the positions are known, so there is nothing that this could change"
-            raise InputError(problem, where=name, cure=f"Leave out {name} or --positions.")
+    refuse(useless, "the positions are known, so there is nothing that this could change", "--positions")
 
 
 def group_known(
@@ -162,68 +154,52 @@ def group_known(
     video: bool,
 ) -> None:
     """Find groups among known positions, read from ``path``, write everything, and say what was found."""
-    started, clock, frames = datetime.now(UTC), time.perf_counter(), np.unique(known.frame).tolist()
+    clock, begun = time.perf_counter(), about(path.parent.name or path.name)
+    frames, stages, state = np.unique(known.frame).tolist(), build_groups(settings), LifeCycleState()
     # One picture for each frame with people, as fast as these usually follow each other.
     step = float(np.median(np.diff(frames))) if len(frames) > 1 else 1.0
     story = GroupStory(Surroundings(edges=edges), fps / step)
-    _follow(known, fps, settings, story, directory)
+    with ExitStack() as files, progress("grouping", len(frames)) as advance:
+        story.open(directory, files)
+        for done, number in enumerate(frames, start=1):
+            here, at = known.at(number), (number - frames[0]) / fps
+            state, frame = stages.advance(state, known_people(here.state), here.identity, np.arange(len(here)), number, at)
+            story.add(frame, here.state[:2], NOWHERE)
+            advance(done)
     if video:
-        _draw(story, frames, directory)
+        with ExitStack() as files, progress("drawing", len(frames)) as advance:
+            draw = story.drawing(directory, files, pictures=False)
+            for done, number in enumerate(frames, start=1):
+                draw(number, NO_PICTURE)
+                advance(done)
     found, people = story.report(), len(np.unique(known.identity))
     summary = (f"{people} people in {len(frames)} frames at {fps:.4g} frames per second.", *found.sentences)
-    title, versions = path.parent.name or path.name, installed_versions()
-    about = About(title=title, command=command_line(), versions=versions, notes=(_NOTE,))
     used = {name: value for name, value in settings.as_dict().items() if name in GROUP_SECTIONS}
-    words = {"title": title, "source": str(path), "lead": " ".join(summary), "settings": flattened(used)}
-    page = render("positions.html", about=about, sections=found.section, **words)
+    words = {"title": begun.title, "source": str(path), "lead": " ".join(summary), "settings": flattened(used)}
+    page = render("positions.html", about=replace(begun, notes=(_NOTE,)), sections=found.section, **words)
     write_text(directory.file(rundir.REPORT), page)
     document = {
-        "command": about.command,
-        "title": title,
+        "command": begun.command,
+        "title": begun.title,
         "summary": summary,
-        "versions": dict(versions),
-        "started": started.isoformat(timespec="seconds"),
+        "versions": dict(begun.versions),
+        "started": begun.started,
         "seconds": time.perf_counter() - clock,
         "frames": len(frames),
         "people": people,
         "configuration": used,
         "complete": True,
         "input": {"positions": str(path), "fps": fps},
-        **found.document,
     }
-    document = finish_document(json_value(document), directory)
+    document = finish_document(document, directory, found.document)
     output.say(*summary, "", *directory.listing())
     output.document(document)
-
-
-def _follow(known: Positions, fps: float, settings: Settings, story: GroupStory, directory: rundir.RunDirectory) -> None:
-    """Every frame with people through the stages, into files and story."""
-    stages, state, frames = build_groups(settings), LifeCycleState(), np.unique(known.frame).tolist()
-    with ExitStack() as files, progress("grouping", len(frames)) as advance:
-        story.open(directory, files)
-        for done, number in enumerate(frames, start=1):
-            here, at = known.at(number), (number - frames[0]) / fps
-            people, carriers = known_people(here.state), np.arange(len(here))
-            state, frame = stages.advance(state, people, here.identity, carriers, number, at)
-            story.add(frame, here.state[:2], NOWHERE)
-            advance(done)
-
-
-def _draw(story: GroupStory, frames: list[int], directory: rundir.RunDirectory) -> None:
-    """The plan of every frame as a video."""
-    with ExitStack() as files, progress("drawing", len(frames)) as advance:
-        draw = story.drawing(directory, files, pictures=False)
-        for done, number in enumerate(frames, start=1):
-            draw(number, NO_PICTURE)
-            advance(done)
 
 
 def read_edges(path: Path | None) -> tuple[F8, ...]:
     """Lines (2, K) in metres: a point ``x y`` or ``x,y`` on each line of text, an empty line between one edge and the next.
 
-    Raises
-    ------
-    InputError : the file is missing, or a line is not two finite numbers.
+    Raises `InputError` where the file is missing, or a line is not two finite numbers.
     """
     edges: list[list[list[float]]] = [[]]
     text = load(path).decode("utf-8-sig", errors="replace") if path is not None else ""
@@ -246,9 +222,7 @@ def read_edges(path: Path | None) -> tuple[F8, ...]:
 def rate_of(positions: Positions, path: Path) -> float:
     """Frames per second, from the displacements of people between two frames and their velocities.
 
-    Raises
-    ------
-    InputError : no person moves, or displacements and velocities do not fit each other.
+    Raises `InputError` where no person moves, or displacements and velocities do not fit each other.
     """
     order = np.lexsort((positions.frame, positions.identity))
     identity, frame, state = positions.identity[order], positions.frame[order], positions.state[:, order]

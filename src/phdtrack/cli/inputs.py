@@ -13,7 +13,7 @@ import re
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -97,11 +97,8 @@ def write_detected(inputs: Inputs, path: Path) -> Iterator[int]:
 def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0) -> Inputs:
     """Open what the options name; ``parameters`` are the detector's own settings.
 
-    ``last`` is the last annotated frame: a sequence without a video is at least that long.
-
-    Raises
-    ------
-    InputError : options that do not go together, or anything that cannot be read.
+    ``last`` is the last annotated frame: a sequence without a video is at least that long. Raises `InputError` where
+    options do not go together or something cannot be read.
     """
     if not 0 <= given.fps < math.inf:
         raise InputError(f"expected frames per second above 0, got {given.fps:g}", where="--fps")
@@ -115,15 +112,20 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0)
 def _with_file(given: SourceOptions, path: Path, last: int) -> Inputs:
     """Detections from a file, with a video or without."""
     useless = {"--detector": given.detector not in ("", "file"), "--max-width": given.max_width, "--mask": given.mask}
-    for option, used in useless.items():
-        if used:
-            problem = f"the detections come from {path}, so there is no detector that this could change"
-            raise InputError(problem, where=option, cure=f"Leave out {option} or --detections.")
+    problem = f"the detections come from {path}, so there is no detector that this could change"
+    refuse(useless, problem, "--detections")
     table, pictures = read_detections(path), bool(given.source)
     frames = _video(given) if pictures else Blank(_sequence(given, path, table, last))
     seen, left_out = within_frame(table, frames.info, path)
     name, again = given.source or str(path), not pictures or comes_again(given.source)
     return Inputs(frames.info, frames, TableDetector(seen), name, str(path), pictures, again, left_out)
+
+
+def refuse(useless: Mapping[str, object], problem: str, instead: str) -> None:
+    """Raise `InputError` for the first option that was given although ``instead`` leaves it nothing to do."""
+    for option, used in useless.items():
+        if used:
+            raise InputError(problem, where=option, cure=f"Leave out {option} or {instead}.")
 
 
 def _video(given: SourceOptions) -> VideoSource:
@@ -223,12 +225,8 @@ def ahead(items: Iterable[T], depth: int = DEPTH) -> Iterator[Iterator[T]]:
 
     Decoding, detecting, drawing and encoding let other threads run, so that the slowest stage decides how fast the whole
     is. An error of a stage is raised in the loop after the items before it. When the block is left, by an error or Ctrl-C
-    too, the stage is stopped and waited for: nothing still runs or holds a file afterwards.
-
-    Parameters
-    ----------
-    items : run through once, in that thread, and closed there where it is a generator.
-    depth : how many items at most are being made or wait to be taken, at least 1.
+    too, the stage is stopped and waited for: nothing still runs or holds a file afterwards. At most ``depth`` items are
+    being made or wait to be taken.
     """
     iterator, under_way = iter(items), deque[Future[tuple[T] | None]]()
 

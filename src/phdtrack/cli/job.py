@@ -24,9 +24,10 @@ from numba.core import event
 
 from phdtrack import pipeline
 from phdtrack.cli import run_directory as rundir
+from phdtrack.cli.doctor import installed_versions
 from phdtrack.cli.inputs import NO_PICTURE, Inputs, ahead, detected, rereadable
 from phdtrack.cli.observers import Draw, Mover, RunObserver, moved, standing
-from phdtrack.cli.output import Output, progress
+from phdtrack.cli.output import Output, command_line, progress
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.errors import interrupted
 from phdtrack.filters import NoFilter
@@ -61,10 +62,7 @@ _TRIED, _SLOW = 25, 5
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What is to be run.
-
-    ``configuration`` and ``read``, what was read and how, decide the result; ``about`` has title, command, seed, versions.
-    """
+    """What is to be run; ``configuration`` and ``read``, what was read and how, decide the result."""
 
     inputs: Inputs
     stages: AnyStages
@@ -124,9 +122,15 @@ class _Progress:
         return self.seen[-1].number if self.seen else 0
 
 
+def about(title: str, seed: int = 0) -> About:
+    """What is known of a run that starts now."""
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    return About(title, command_line(), seed, now, versions=installed_versions())
+
+
 def run(job: Job, directory: RunDirectory) -> Outcome:
     """Run the job. Raises only where nothing was computed; the directory is then left without files of this run."""
-    started, clock = datetime.now(UTC), time.perf_counter()
+    clock = time.perf_counter()
     with rereadable(job.inputs, job.video) as (frames, again):
         done = _track(job, frames, directory)
         if not done.seen and done.stop is not None:
@@ -136,16 +140,19 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         write_tracks(directory.file(rundir.TRACKS), tracks, places(job.stages.model.sensor, tracks.xyxy))
         for observer in job.observers:
             observer.finish(directory, tracks)
-        scores = None if job.truth is None else _scores(job.truth, tracks, done.last)
+        scores = None
+        if job.truth is not None:
+            from phdtrack.metrics import evaluate
+
+            scores = evaluate(job.truth, tracks, frames=done.last)
         if job.video and (job.inputs.pictures or any(observer.draws for observer in job.observers)):
             done.cut = _draw(job, again(), directory, done, tracks)
     notes, doubts = _confirmation(job, done)
     chain = done.recorder.chain
     if chain is not None:
         notes, doubts = [*notes, chain.sentence], [*doubts, *filter(None, [chain.warning])]
-    about = replace(
+    said = replace(
         job.about,
-        started=started.isoformat(timespec="seconds"),
         seconds=time.perf_counter() - clock,
         tracking_seconds=done.seconds,
         left_out=done.left_out,
@@ -153,7 +160,7 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         warnings=(*_problems(job, done), *doubts),
         notes=(*notes, _WHICH),
     )
-    record, reports = done.recorder.record(tracks, about, job.truth), [observer.report() for observer in job.observers]
+    record, reports = done.recorder.record(tracks, said, job.truth), [observer.report() for observer in job.observers]
     sections = "\n".join(report.section for report in reports)
     page = report_html(record, job.configuration | {"input": job.read}, sections)
     write_text(directory.file(rundir.REPORT), page)
@@ -161,7 +168,7 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
     document = run_document(record, job.configuration) | {"complete": stop is None, "input": job.read}
     document = finish_document(document, directory, *(report.document for report in reports))
     summary = (*sentences(record), *(sentence for report in reports for sentence in report.sentences))
-    return Outcome(document, summary, len(done.seen), scores, about.warnings, stop)
+    return Outcome(document, summary, len(done.seen), scores, said.warnings, stop)
 
 
 def finish_document(document: dict[str, object], directory: RunDirectory, *more: dict[str, object]) -> dict[str, object]:
@@ -213,12 +220,6 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progr
             done.stop = _as_meant(stop)
         done.seconds, done.left_out, done.lost = pace.seconds, pace.left_out, inputs.source.problem
     return done
-
-
-def _scores(truth: Truth, tracks: Tracks, last: int) -> Scores:
-    from phdtrack.metrics import evaluate
-
-    return evaluate(truth, tracks, frames=last)
 
 
 def _draw(job: Job, again: Iterable[Frame], directory: RunDirectory, done: _Progress, tracks: Tracks) -> Stop | None:

@@ -63,9 +63,9 @@ def label(
     output, settings = Output(), load(config, sets or ())
     file = labels or labels_file(source)
     found = to_label(source, settings.detector, file, output)
-    store = LabelStore.open(file, found.name, found.digest, sampled(found.last, frames, seed))
+    store = LabelStore.open(file, found.name, found.digest, sampled(found.info.frames, frames, seed))
     numbers = [number for number, _ in store.frames()]
-    around = {frame for number in numbers for frame in clip(number, found.last)}
+    around = {frame for number in numbers for frame in clip(number, found.info.frames)}
     pictures = stills(source, set(numbers), around)
     address = listen(host, port)
     kept = file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
@@ -86,12 +86,11 @@ def label(
 
 @dataclass(frozen=True, slots=True)
 class Labelled:
-    """A sequence to label: the ``name`` of the video or of the detections; ``last``, also in ``info``, ends it."""
+    """A sequence to label: the ``name`` of the video or of the detections, and a ``digest`` of the detections."""
 
     name: str
     info: SequenceInfo
     table: DetectionTable
-    last: int
     digest: str
 
 
@@ -113,7 +112,7 @@ def to_label(source: SourceOptions, parameters: dict[str, Any], labels: Path, ou
     if len(table) == 0:
         raise InputError("there are no detections to label", where=name)
     digest = hashlib.sha256(table.frame.tobytes() + table.detections.xyxy.round(3).tobytes()).hexdigest()[:32]
-    return Labelled(name, replace(inputs.info, frames=last), table, last, digest)
+    return Labelled(name, replace(inputs.info, frames=last), table, digest)
 
 
 def _kept_detections(
@@ -160,11 +159,11 @@ def suggestions(
     """What may be false on these frames, by a tracker's run over everything; kept in ``file`` for the next time."""
 
     def made() -> Suggestions:
-        stages, whole = build(settings, found.info), range(1, found.last + 1)
-        evidence = tracked(found.table, found.info.fps, stages, whole, 0, lambda count: advance(count / found.last))
+        stages, whole = build(settings, found.info), range(1, found.info.frames + 1)
+        evidence = tracked(found.table, found.info.fps, stages, whole, 0, lambda count: advance(count / found.info.frames))
         return suggest(evidence, frames, found.info.fps)
 
-    decides = [__version__, found.digest, found.info.fps, found.last, sorted(frames), settings.as_dict()]
+    decides = [__version__, found.digest, found.info.fps, found.info.frames, sorted(frames), settings.as_dict()]
     return kept(file, hashlib.sha256(json.dumps(decides, default=str).encode()).hexdigest(), made)
 
 

@@ -13,8 +13,9 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -29,22 +30,15 @@ from phdtrack.config import build, load
 from phdtrack.errors import InputError
 from phdtrack.label import LabelStore
 from phdtrack.label.samples import Marks, sampled
-from phdtrack.label.suggestions import REASONS, TICKED, Evidence, Suggestions, suggest
+from phdtrack.label.suggestions import REASONS, TICKED, Evidence, suggest
 from phdtrack.models import PlaneSensor
 from phdtrack.models.scene import FalseAlarmRatio, with_scene
 from phdtrack.models.volumes import EVERYWHERE
 from phdtrack.protocols import AnyStages
 from phdtrack.report.pages import SceneTraining, render
 from phdtrack.scene import LearnedDensity, Scene, TrackedObjects, write_scene
-from phdtrack.scene.training import (
-    Training,
-    births_in,
-    learn_births,
-    learn_clutter,
-    learn_objects,
-    with_prior,
-)
-from phdtrack.types import F8, I8, Detections, Image, Tracks
+from phdtrack.scene.training import Training, births_in, learn_births, learn_clutter, learn_objects, with_prior
+from phdtrack.types import F8, Detections, Image, Tracks
 from phdtrack.video import open_source
 
 _ONLY_BOXES = "a density of them is learned for boxes in the image only (motion.kind=box)"
@@ -90,10 +84,13 @@ def learn(
         raise InputError("this file is there already", where=target, cure="Say --overwrite, or choose another --out")
     settings = load(config, sets or (), preset)
     found = to_label(source, settings.detector, file, output)
-    stretch = range(first, min(last or found.last, found.last) + 1)
+    stretch = range(first, min(last or found.info.frames, found.info.frames) + 1)
     if not stretch:
         raise InputError(f"there are no frames from {first} to {stretch.stop - 1}", where="--first", cure="Begin earlier")
-    data = TrainingData(found, stretch, build(settings, found.info), seed, file)
+    marks = None
+    if file.exists() and (clutter == "labels" or births == "hand"):
+        marks = Marks(LabelStore.open(file, found.name, found.digest, []), found.table, found.info, stretch)
+    data = TrainingData(found, stretch, build(settings, found.info), seed, file, marks)
     frames = open_source(source.source, fps=source.fps) if source.source else ()
     picture = next((frame.image for frame in frames), NO_PICTURE)
     training, lead = train(data, births, clutter, picture, output)
@@ -116,34 +113,37 @@ def learn(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trained:
+class Lesson(NamedTuple):
     """What was learned of one part, None for nothing; what is said of it; ``source``, where it comes from, in words."""
 
-    lesson: Training | None
+    training: Training | None
     sentence: str
     source: str = ""
 
     @property
     def learned(self) -> LearnedDensity | None:
         """Rate and density."""
-        return None if self.lesson is None else self.lesson.learned
+        return None if self.training is None else self.training.learned
 
     @property
     def gain(self) -> float:
         """Nats per unseen sample above the uniform density; NaN where that is not known."""
-        return math.nan if self.lesson is None else self.lesson.gain
+        return math.nan if self.training is None else self.training.gain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingData:
-    """What is learned from: the detections, the ``stretch`` of frames, how to track, and the file of ``labels``."""
+    """What is learned from: the detections, the ``stretch`` of frames, how to track, and a person's marks.
+
+    ``marks`` is None where there are none; ``labels`` is the file in which they were looked for.
+    """
 
     found: Labelled
     stretch: range
     stages: AnyStages
     seed: int
     labels: Path
+    marks: Marks | None
 
     @property
     def size(self) -> tuple[float, float]:
@@ -155,38 +155,13 @@ class TrainingData:
         """Whether targets are boxes in the image, and not points in it or people on the ground."""
         return len(self.stages.model.sensor.observed) == 4
 
-    def region(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Size and corner of what births are spread over: the frame, pixels, or a region of the ground, metres.
-
-        Raises `InputError` where the ground has no region.
-        """
-        sensor = self.stages.model.sensor
-        if not isinstance(sensor, PlaneSensor):
-            return self.size, (0.0, 0.0)
-        if sensor.borders == EVERYWHERE:
-            raise InputError("the ground has no region", where="births", cure="Give camera.file, or camera.region")
-        left, low, right, high = sensor.borders
-        return (right - left, high - low), (left, low)
-
-    def with_prior(self, lesson: Training) -> Training:
-        """What was learned, and a little of any size detected in the stretch; on the ground, without sizes, as it is."""
+    def marks_on_boxes(self, otherwise: str) -> Marks:
+        """The marks. Raises `InputError` where there are none, or with ``otherwise`` where targets are no boxes."""
         if not self.of_boxes:
-            return lesson
-        table = self.found.table
-        rows = slice(*np.searchsorted(table.frame, [self.stretch.start, self.stretch.stop]))
-        sizes = to_cxcywh(table.detections.xyxy[rows])[2:]
-        return replace(lesson, learned=with_prior(lesson.learned, sizes))
-
-    def marks(self) -> Marks | None:
-        """A person's marks on these detections, where there are any. Raises `InputError` where they are on others."""
-        if not self.labels.exists():
-            return None
-        store = LabelStore.open(self.labels, self.found.name, self.found.digest, [])
-        return Marks(store, self.found.table, self.found.info, self.stretch)
-
-    def no_marks(self) -> InputError:
-        """To raise where there are no labels."""
-        return InputError(f"no marks were found (phdtrack label, kept in {self.labels})")
+            raise InputError(otherwise)
+        if self.marks is None:
+            raise InputError(f"no marks were found (phdtrack label, kept in {self.labels})")
+        return self.marks
 
     def tracked(self, alarms: Training | None = None) -> Evidence:
         """What a tracker makes of the stretch that knows these false alarms."""
@@ -197,146 +172,65 @@ class TrainingData:
         with progress("tracking", len(self.stretch)) as advance:
             return tracked(self.found.table, self.found.info.fps, stages, self.stretch, self.seed, advance)
 
+    def births(self, states: F8, time: float) -> Training:
+        """Births from their states, seen in ``time``: over the frame in pixels, or a region of the ground in metres.
 
-def clutter_of_labels(data: TrainingData) -> Trained:
-    """False alarms from marks [M09 §IV]; why not, where there are none to learn from."""
-    marks = data.marks()
+        Raises `InputError` where there are too few, or the ground has no region.
+        """
+        sensor = self.stages.model.sensor
+        if not isinstance(sensor, PlaneSensor):
+            return learn_births(states, time, self.size)
+        if sensor.borders == EVERYWHERE:
+            raise InputError("the ground has no region", where="births", cure="Give camera.file, or camera.region")
+        left, low, right, high = sensor.borders
+        return learn_births(states, time, (right - left, high - low), (left, low))
 
-    def learned() -> tuple[Training, str]:
-        if not data.of_boxes:
-            raise InputError(_ONLY_BOXES)
-        if marks is None:
-            raise data.no_marks()
-        frames = len(marks.looked_at)
-        lesson = learn_clutter(marks.false_boxes, frames, data.size)
-        return lesson, f"{counted(lesson.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
+    def with_prior(self, training: Training) -> Training:
+        """What was learned, and a little of any size detected in the stretch; on the ground, without sizes, as it is."""
+        if not self.of_boxes:
+            return training
+        table = self.found.table
+        rows = slice(*np.searchsorted(table.frame, [self.stretch.start, self.stretch.stop]))
+        sizes = to_cxcywh(table.detections.xyxy[rows])[2:]
+        return replace(training, learned=with_prior(training.learned, sizes))
 
-    return _trained(data, "false alarms", learned, by=" by a person")
-
-
-def clutter_unattended(data: TrainingData) -> Trained:
-    """False alarms from what would be suggested to a person; why not, where that is too little."""
-
-    def learned() -> tuple[Training, str]:
-        if not data.of_boxes:
-            raise InputError(_ONLY_BOXES)
-        frames = [data.stretch.start + k - 1 for k in sampled(len(data.stretch), UNATTENDED, data.seed)]
-        found = suggest(data.tracked(), frames, data.found.info.fps)
-        taken = np.flatnonzero(found.score >= TICKED)
-        rows = np.searchsorted(data.found.table.frame, found.frame[taken]) + found.box[taken]
+    def lesson(self, part: str, learn: Callable[[TrainingData], tuple[Training, str]], by: str = "") -> Lesson:
+        """What ``learn`` gives, with what it says of it and its gain on unseen samples; why nothing, where it fails."""
         try:
-            boxes = to_cxcywh(data.found.table.detections.xyxy[rows])
-            lesson = learn_clutter(boxes, len(frames), data.size)
+            training, text = learn(self)
+            training = self.with_prior(training)
         except InputError as error:
-            raise InputError(error.problem, where=error.where, cure="Look yourself: phdtrack label") from None
-        many = f"{counted(lesson.learned.samples, 'box')} of {counted(len(frames), 'frame')}"
-        return lesson, f"{many} taken for false ({_why(found, taken)})"
-
-    made = _trained(data, "false alarms", learned)
-    if made.lesson is None:
-        return made
-    return replace(made, sentence=f"{made.sentence}. {LIMITS}", source=f"{made.source} {LIMITS}")
-
-
-def _why(found: Suggestions, taken: I8) -> str:
-    """How many were taken for which reason."""
-    many, places = Counter(REASONS[k] for k in found.reason[taken]), found.place[taken]
-    count = len(np.unique(places[places >= 0]))
-    said = [f"{many['place']} at {counted(count, 'place')} that fire too often"] if many["place"] else []
-    return ", ".join([*said, *([f"{many['rejected']} that the filter rejected"] if many["rejected"] else [])])
-
-
-def without_followed(data: TrainingData, alarms: Training, tracks: Tracks) -> tuple[Tracks, TrackedObjects | None, str]:
-    """The tracks of a run that knew the marked false alarms, but for those that stay among them; which of the false alarms
-    it followed all the same, None where that is not known; and a sentence about it."""
-    marks = data.marks()
-    if marks is None:
-        return tracks, None, ""
-    try:
-        objects = data.with_prior(learn_objects(marks.object_boxes, len(marks.looked_at), data.size))
-    except InputError as error:
-        return tracks, None, f"no track is held back: {error}"
-    followed = TrackedObjects(marks.share_followed(tracks), objects.learned)
-    text = f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it knows them"
-    kept = without_false_tracks(tracks, FalseAlarmRatio(alarms.learned, followed))
-    return kept, followed, f"{text}; tracks that stay among them are held back"
-
-
-def births_of_tracks(data: TrainingData, tracks: Tracks) -> Trained:
-    """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]; why not, if they are too few."""
-    info, model, shown = data.found.info, data.stages.model, None
-    if not data.of_boxes:
-        shown = model.sensor.measure(Detections.of(tracks.xyxy))[: len(model.sensor.observed)]
-    states = births_in(tracks, info.fps, model.rate, shown)
-    # Feet that no ground is under.
-    states = states[:, np.isfinite(states).all(axis=0)]
-    text = f"{counted(states.shape[1], 'track')} began in {counted(len(data.stretch), 'frame')}"
-    return _trained(data, "births", lambda: _births(data, states, len(data.stretch) / info.fps * model.rate, text))
-
-
-def births_by_hand(data: TrainingData) -> Trained:
-    """Births from marks on the clips about the frames that a person has looked at; why not, where they are too few."""
-    marks = data.marks()
-
-    def learned() -> tuple[Training, str]:
-        if not data.of_boxes:
-            raise InputError("those marked by hand are boxes in the image (--births tracks)")
-        if marks is None:
-            raise data.no_marks()
-        rate = data.stages.model.rate
-        states, frames = marks.birth_states(rate), len(marks.watched)
-        text = f"{counted(states.shape[1], 'birth')} marked by a person on {counted(frames, 'frame')}"
-        unknown = int(np.isnan(states[2]).sum())
-        text += f" ({unknown} of unknown velocity)" if unknown else ""
-        return _births(data, states, marks.time_watched(rate), text)
-
-    return _trained(data, "births", learned)
-
-
-def _births(data: TrainingData, states: F8, time: float, text: str) -> tuple[Training, str]:
-    size, corner = data.region()
-    return learn_births(states, time, size, corner), text
-
-
-def _trained(data: TrainingData, part: str, learned: Callable[[], tuple[Training, str]], by: str = "") -> Trained:
-    """What ``learned`` gives, with what it says of it and its gain on unseen samples; why nothing, where it fails."""
-    try:
-        lesson, text = learned()
-        lesson = data.with_prior(lesson)
-    except InputError as error:
-        return Trained(None, f"{part} stay as shipped: {error}")
-    gain = "too few samples to measure the gain"
-    if math.isfinite(lesson.gain):
-        gain = f"samples not learned from are {lesson.gain:+.2f} nats likelier than under a uniform density"
-    return Trained(lesson, f"{part}: {text}; {gain}", f"{text}{by}.")
+            return Lesson(None, f"{part} stay as shipped: {error}")
+        gain = "too few samples to measure the gain"
+        if math.isfinite(training.gain):
+            gain = f"samples not learned from are {training.gain:+.2f} nats likelier than under a uniform density"
+        return Lesson(training, f"{part}: {text}; {gain}", f"{text}{by}.")
 
 
 def train(data: TrainingData, births: str, clutter: str, picture: Image, output: Output) -> tuple[SceneTraining, str]:
-    """What was learned of a scene, and a summary of it in words.
+    """What was learned of a scene, with ``picture`` as the ground of its maps, and a summary of it in words.
 
-    Parameters
-    ----------
-    data : what is learned from.
-    births : ``tracks`` or ``hand``.
-    clutter : ``labels`` or ``unattended``.
-    picture : a frame, as the ground of the report's maps; empty where there is none.
-    output : where to say what is learned and what is not.
-
-    Raises
-    ------
-    InputError : nothing could be learned.
+    ``births`` and ``clutter`` are as the options have them. Raises `InputError` where nothing could be learned.
     """
-    alarms, followed = clutter_unattended(data) if clutter == "unattended" else clutter_of_labels(data), None
+    followed = None
+    if clutter == "labels":
+        alarms = data.lesson("false alarms", clutter_of_labels, " by a person")
+    else:
+        alarms = data.lesson("false alarms", clutter_unattended)
+        if alarms.training is not None:
+            alarms = Lesson(alarms.training, f"{alarms.sentence}. {LIMITS}", f"{alarms.source} {LIMITS}")
     output.say(alarms.sentence)
-    marked, tracks = clutter == "labels" and alarms.lesson is not None, None
-    if marked or births == "tracks":
-        tracks = data.tracked(alarms.lesson).tracks
-    if marked and alarms.lesson is not None and tracks is not None:
-        tracks, followed, sentence = without_followed(data, alarms.lesson, tracks)
-        output.say(*filter(None, [sentence]))
-    born = births_by_hand(data) if tracks is None or births == "hand" else births_of_tracks(data, tracks)
+    marked = alarms.training if clutter == "labels" else None
+    tracks = data.tracked(alarms.training).tracks if marked is not None or births == "tracks" else None
+    if marked is not None and tracks is not None and data.marks is not None:
+        tracks, followed, sentence = _without_followed(data, data.marks, marked, tracks)
+        output.say(sentence)
+    if tracks is None or births == "hand":
+        born = data.lesson("births", births_by_hand)
+    else:
+        born = data.lesson("births", partial(births_of_tracks, tracks=tracks))
     output.say(born.sentence)
-    if born.lesson is None and alarms.lesson is None:
+    if born.training is None and alarms.training is None:
         raise InputError("nothing could be learned", where=data.found.name, cure="Mark false detections, or learn longer")
     gains = {"births gain": born.gain, "clutter gain": alarms.gain}
     notes: dict[str, float | int | str] = {name: value for name, value in gains.items() if math.isfinite(value)}
@@ -349,3 +243,74 @@ def train(data: TrainingData, births: str, clutter: str, picture: Image, output:
         if learned is not None
     )
     return SceneTraining(scene, picture, born.gain, alarms.gain, born.source, alarms.source), lead
+
+
+def clutter_of_labels(data: TrainingData) -> tuple[Training, str]:
+    """False alarms from marks [M09 §IV]."""
+    marks = data.marks_on_boxes(_ONLY_BOXES)
+    frames = len(marks.looked_at)
+    training = learn_clutter(marks.false_boxes, frames, data.size)
+    return training, f"{counted(training.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
+
+
+def clutter_unattended(data: TrainingData) -> tuple[Training, str]:
+    """False alarms from what would be suggested to a person."""
+    if not data.of_boxes:
+        raise InputError(_ONLY_BOXES)
+    frames = [data.stretch.start + k - 1 for k in sampled(len(data.stretch), UNATTENDED, data.seed)]
+    found, table = suggest(data.tracked(), frames, data.found.info.fps), data.found.table
+    taken = np.flatnonzero(found.score >= TICKED)
+    rows = np.searchsorted(table.frame, found.frame[taken]) + found.box[taken]
+    try:
+        training = learn_clutter(to_cxcywh(table.detections.xyxy[rows]), len(frames), data.size)
+    except InputError as error:
+        raise InputError(error.problem, where=error.where, cure="Look yourself: phdtrack label") from None
+    many = f"{counted(training.learned.samples, 'box')} of {counted(len(frames), 'frame')}"
+    reasons, places = Counter(REASONS[k] for k in found.reason[taken]), found.place[taken]
+    why = []
+    if reasons["place"]:
+        firing = counted(len(np.unique(places[places >= 0])), "place")
+        why.append(f"{reasons['place']} at {firing} that fire too often")
+    if reasons["rejected"]:
+        why.append(f"{reasons['rejected']} that the filter rejected")
+    return training, f"{many} taken for false ({', '.join(why)})"
+
+
+def _without_followed(
+    data: TrainingData, marks: Marks, alarms: Training, tracks: Tracks
+) -> tuple[Tracks, TrackedObjects | None, str]:
+    """The tracks of a run that knew the marked false alarms, but for those that stay among them; which of the false alarms
+    it followed all the same, None where that is not known; and a sentence about it."""
+    try:
+        objects = data.with_prior(learn_objects(marks.object_boxes, len(marks.looked_at), data.size))
+    except InputError as error:
+        return tracks, None, f"no track is held back: {error}"
+    followed = TrackedObjects(marks.share_followed(tracks), objects.learned)
+    text = f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it knows them"
+    kept = without_false_tracks(tracks, FalseAlarmRatio(alarms.learned, followed))
+    return kept, followed, f"{text}; tracks that stay among them are held back"
+
+
+def births_of_tracks(data: TrainingData, tracks: Tracks) -> tuple[Training, str]:
+    """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]."""
+    info, model, shown = data.found.info, data.stages.model, None
+    if not data.of_boxes:
+        shown = model.sensor.measure(Detections.of(tracks.xyxy))[: len(model.sensor.observed)]
+    states = births_in(tracks, info.fps, model.rate, shown)
+    # Feet that no ground is under.
+    states = states[:, np.isfinite(states).all(axis=0)]
+    text = f"{counted(states.shape[1], 'track')} began in {counted(len(data.stretch), 'frame')}"
+    return data.births(states, len(data.stretch) / info.fps * model.rate), text
+
+
+def births_by_hand(data: TrainingData) -> tuple[Training, str]:
+    """Births from marks on the clips about the frames that a person has looked at."""
+    marks, rate = (
+        data.marks_on_boxes("those marked by hand are boxes in the image (--births tracks)"),
+        data.stages.model.rate,
+    )
+    states, frames = marks.birth_states(rate), len(marks.watched)
+    text = f"{counted(states.shape[1], 'birth')} marked by a person on {counted(frames, 'frame')}"
+    unknown = int(np.isnan(states[2]).sum())
+    text += f" ({unknown} of unknown velocity)" if unknown else ""
+    return data.births(states, marks.time_watched(rate)), text

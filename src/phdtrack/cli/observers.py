@@ -104,11 +104,8 @@ class CameraObserver(RunObserver):
     def report(self) -> Report:
         """How far the camera went, and how often that is not known."""
         said = (self._path.sentence(),)
-        return Report(
-            {"camera_motion": {"kind": self._kind} | self._path.document()},
-            said,
-            render("camera_motion.html", sentences=said),
-        )
+        document: dict[str, object] = {"camera_motion": {"kind": self._kind} | self._path.document()}
+        return Report(document, said, render("camera_motion.html", sentences=said))
 
 
 class RatesObserver(RunObserver):
@@ -204,10 +201,8 @@ def moved(mover: Mover, looked: Iterable[tuple[Frame, Detections, float]]) -> It
 def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover:
     """How the camera moves, as the settings ask for: not at all, as measured in the pictures, or as a file has it.
 
-    Raises
-    ------
-    InputError : pictures are asked for and there are none, the file cannot be read or does not belong to this sequence, or
-        settings hold only while the camera stands still.
+    Raises `InputError` where there are no pictures, where the file is of another sequence, and for settings that hold only
+    while the camera stands still.
     """
     kind, chosen = settings.kind("camera_motion"), settings.build("camera_motion")
     if kind == "none":
@@ -217,11 +212,9 @@ def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover:
         raise not_standing("learning where false alarms and entrances are (learn.kind=online)")
     if kind == "flow":
         if not inputs.pictures:
-            raise InputError(
-                "the camera's motion is measured in pictures, and there are detections only",
-                where="camera_motion.kind=flow",
-                cure="Name the video beside --detections, or give the motion as a file.",
-            )
+            problem = "the camera's motion is measured in pictures, and there are detections only"
+            cure = "Name the video beside --detections, or give the motion as a file."
+            raise InputError(problem, where="camera_motion.kind=flow", cure=cure)
         motion = CameraMotion(chosen)
 
         def measured(frame: Frame, found: Detections) -> F8:

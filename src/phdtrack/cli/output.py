@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from phdtrack.cli.options import Json
+from phdtrack.files import json_value
 
 Advance = Callable[[int], None]
 
@@ -41,7 +42,7 @@ class Output:
     def document(self, value: dict[str, Any]) -> None:
         """The one JSON object, where it was asked for. What JSON cannot write (NaN, infinities) is null."""
         if self.json:
-            print(json.dumps(_finite(value), indent=2, allow_nan=False, ensure_ascii=False))
+            print(json.dumps(json_value(value), indent=2, allow_nan=False, ensure_ascii=False))
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[str]], *, words: Sequence[int] = (0,)) -> None:
         """Columns under a head, which is left out where it is blank; ``words`` are the columns aligned left."""
@@ -51,15 +52,6 @@ class Output:
             pairs = zip(line, widths, strict=True)
             cells = [cell.ljust(width) if i in words else cell.rjust(width) for i, (cell, width) in enumerate(pairs)]
             self.say("  ".join(cells).rstrip())
-
-
-def _finite(value: Any) -> Any:
-    """The same value with NaN and infinities replaced by None, at any depth; tuples become lists."""
-    if isinstance(value, dict):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def number(value: float | None, digits: int = 3) -> str:

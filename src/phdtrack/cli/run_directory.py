@@ -59,7 +59,7 @@ class RunDirectory:
 
     def written(self) -> list[Path]:
         """Those of the files that exist by now."""
-        return [self.path / name for name in self.files if (self.path / name).exists()]
+        return [self.file(name) for name in self.files if self.file(name).exists()]
 
     def listing(self) -> list[str]:
         """A line for each of these that says what it is."""
@@ -72,12 +72,8 @@ class RunDirectory:
 
 
 def check(path: Path, overwrite: bool, files: Mapping[str, str] = RUN_FILES) -> None:
-    """Fail early where `claim` would fail because of what is there already; changes nothing.
-
-    Raises
-    ------
-    InputError : ``path`` is a file, or holds one of ``files`` and ``overwrite`` is False.
-    """
+    """Raise `InputError` where `claim` would because of what is there already: ``path`` is a file, or holds one of ``files``
+    and ``overwrite`` is False."""
     where = f"--out {path}"
     if path.exists() and not path.is_dir():
         raise InputError("a directory was expected, and this is a file", where=where, cure="Choose another --out.")
@@ -92,9 +88,7 @@ def check(path: Path, overwrite: bool, files: Mapping[str, str] = RUN_FILES) -> 
 def claim(path: Path, overwrite: bool, files: Mapping[str, str] = RUN_FILES) -> RunDirectory:
     """The directory made ready; files of an earlier run are removed, so that none can be taken for this one's.
 
-    Raises
-    ------
-    InputError : as `check`, or the directory cannot be made or written into.
+    Raises `InputError` as `check`, or where the directory cannot be made or written into.
     """
     check(path, overwrite, files)
     try:

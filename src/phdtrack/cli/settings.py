@@ -33,12 +33,7 @@ MAIN = {
 
 
 def chosen(options: TrackingOptions, first: Sequence[str] = ()) -> Settings:
-    """The settings: those of preset and file, then of ``first``, then of the options, each in place of those before.
-
-    Raises
-    ------
-    InputError : a file that cannot be read, an unknown name, options that do not go together.
-    """
+    """The settings: those of preset and file, then of ``first``, then of the options, each in place of those before."""
     settings = load(options.config, [*first, *(options.sets or ())], options.preset, options.filter_name)
     if options.threads is None:
         return settings

@@ -25,20 +25,9 @@ from phdtrack.formats import write_detections, write_truth
 from phdtrack.simulate import NAMED, Look, Scene, default_detector, default_look, make_scene, render
 from phdtrack.video import VideoWriter
 
-TRUTH = "gt/gt.txt"
-DETECTIONS = "det/det.txt"
-SEQINFO = "seqinfo.ini"
-VIDEO = "scene.mp4"
+TRUTH, DETECTIONS, SEQINFO, VIDEO = "gt/gt.txt", "det/det.txt", "seqinfo.ini", "scene.mp4"
 FILES = dict.fromkeys((TRUTH, DETECTIONS, SEQINFO, VIDEO), "")
-# The scene of the demonstration.
-SCENE = "street"
-FRAMES = 300
-DEMO_TRUTH = "scene_gt.txt"
-WITHOUT = "without-filter"
-ARRIVALS = 0.6
-FLICKER, PLANTS, WAVE, BLOWN = 0.05, 4, 0.06, 16.0
-# No blinking lamps: they stay lit for seconds, and what is seen coherently for seconds is an object to any filter.
-LAMPS = 0
+DEMO_TRUTH, WITHOUT, FRAMES = "scene_gt.txt", "without-filter", 300
 
 
 def simulate(
@@ -84,7 +73,7 @@ def simulate(
     lines += [f"imWidth={info.width}", f"imHeight={info.height}", ""]
     target.file(SEQINFO).write_text("\n".join(lines), encoding="utf-8")
     if video:
-        render_video(scene, np.random.default_rng(seed), target.file(VIDEO), picture)
+        render_video(scene, seed, target.file(VIDEO), picture)
     objects = len(set(scene.truth.identity.tolist()))
     parts = [(info.frames, "frame"), (objects, "object"), (len(scene.detections), "detection")]
     files = [str(file) for file in target.written()]
@@ -108,10 +97,11 @@ def demo(
     rundir.check(out / WITHOUT, overwrite)
     directory = rundir.claim(out, overwrite, {VIDEO: "", DEMO_TRUTH: ""} | rundir.RUN_FILES)
     movie, truth = directory.file(VIDEO), directory.file(DEMO_TRUTH)
-    scene = make_scene(SCENE, seed, frames=FRAMES, arrivals=ARRIVALS)
+    scene = make_scene("street", seed, frames=FRAMES, arrivals=0.6)
     write_truth(truth, scene.truth)
-    look = Look(flicker=FLICKER, plants=PLANTS, wave=WAVE, blown=BLOWN, lamps=LAMPS)
-    render_video(scene, np.random.default_rng(seed), movie, look)
+    # No blinking lamps: they stay lit for seconds, and what is seen coherently for seconds is an object to any filter.
+    look = Look(flicker=0.05, plants=4, wave=0.06, blown=16.0, lamps=0)
+    render_video(scene, seed, movie, look)
     output.say(f"The scene: {movie}, {scene.info.frames} frames, flickering light, leaves in the wind.")
     outcomes = {}
     without = rundir.claim(out / WITHOUT, overwrite)
@@ -131,9 +121,9 @@ def demo(
     output.document({"with_filter": with_filter, "without_filter": without_filter})
 
 
-def render_video(scene: Scene, rng: np.random.Generator, path: Path, look: Look | None = None) -> None:
-    """Write the scene as an mp4 file; ``look`` None for the renderer's own."""
-    info = scene.info
+def render_video(scene: Scene, seed: int, path: Path, look: Look) -> None:
+    """Write the scene as an mp4 file."""
+    info, rng = scene.info, np.random.default_rng(seed)
     with (
         VideoWriter(path, info.width, info.height, info.fps) as writer,
         progress("rendering", info.frames) as advance,
@@ -145,12 +135,7 @@ def render_video(scene: Scene, rng: np.random.Generator, path: Path, look: Look 
 
 
 def _assigned(texts: Sequence[str], settings: Any, option: str) -> dict[str, Any]:
-    """What assignments as "frames=100" give to those fields of the record ``settings`` that are numbers.
-
-    Raises
-    ------
-    InputError : not of the form NAME=VALUE, no number setting has this name, or the value is no number of its type.
-    """
+    """What assignments as "frames=100" give to those fields of the record ``settings`` that are numbers."""
     values = {field.name: getattr(settings, field.name) for field in fields(settings)}
     numeric = {key: type(value) for key, value in values.items() if type(value) in (int, float)}
     found = {}

@@ -11,17 +11,15 @@ import typer
 from phdtrack import config
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.doctor import installed_versions
 from phdtrack.cli.inputs import open_inputs, write_detected
-from phdtrack.cli.job import Job, announced, run
+from phdtrack.cli.job import Job, about, announced, run
 from phdtrack.cli.observers import mover_of, observers_of
 from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions, TrackingOptions, option
-from phdtrack.cli.output import Output, command_line, counted
+from phdtrack.cli.output import Output, counted
 from phdtrack.cli.settings import chosen, scene_settings
 from phdtrack.config import Settings, load
 from phdtrack.errors import InputError
 from phdtrack.formats import read_truth
-from phdtrack.report import About
 
 
 def track(
@@ -94,34 +92,27 @@ def detect(
     rate = frames / seconds if seconds > 0 else 0.0
     done = f"{counted(boxes, 'box')} in {counted(frames, 'frame')} by {inputs.described}"
     output.say(f"{done}, {rate:.0f} frames per second: {file}")
-    about = {"source": source, "detector": inputs.described, "frames": frames, "detections": boxes}
-    output.document(about | {"frames_per_second": rate, "file": str(file), "warnings": warnings})
+    document = {"source": source, "detector": inputs.described, "frames": frames, "detections": boxes}
+    output.document(document | {"frames_per_second": rate, "file": str(file), "warnings": warnings})
 
 
 def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings, *, video: bool) -> Job:
-    """Everything that a run needs; ``settings`` are those `chosen`, or made of them.
-
-    Raises
-    ------
-    InputError : an input that cannot be read, options that do not go together.
-    """
+    """Everything that a run needs; ``settings`` are those `chosen`, or made of them. Raises `InputError` where an input
+    cannot be read, or options do not go together."""
     truth = None if options.truth is None else read_truth(options.truth)
     if source.detections is None:
         settings = config.for_detector(settings, source.detector or DEFAULT_DETECTOR)
     inputs = open_inputs(source, settings.detector, 0 if truth is None else int(truth.frame.max(initial=0)))
     stages = config.build(settings, inputs.info, moving=True)
-    read: dict[str, object] = {"source": source.source}
-    if source.detections is not None:
-        read["detections"] = str(source.detections)
-    else:
-        read |= {"detector": inputs.described, "max_width": source.max_width}
-        read |= {"mask": str(source.mask or ""), "fps": inputs.info.fps}
+    looked = {"detector": inputs.described, "max_width": source.max_width, "mask": str(source.mask or "")}
+    given = {"detections": str(source.detections)}
+    read = looked | {"fps": inputs.info.fps} if source.detections is None else given
     return Job(
         inputs=inputs,
         stages=stages,
         configuration=settings.as_dict(),
-        read=read,
-        about=About(inputs.name, command_line(), options.seed, versions=installed_versions()),
+        read={"source": source.source, **read},
+        about=about(inputs.name, options.seed),
         truth=truth,
         video=video,
         observers=observers_of(settings, inputs, stages.learning),

@@ -72,16 +72,8 @@ def _around(births: float, alarms: float) -> Table:
 # their measurements, and what is near is taken for the same.
 _PHD: Table = {"motion": {"size_noise": 0.07}, "sensor": {"box_noise": 0.15}, **_around(0.01, 0.3)}
 _PMB: Table = {"motion": {"size_noise": 0.05}, "sensor": {"box_noise": 0.25}, **_around(0.005, 1.5)}
-_BY_FILTER: Mapping[str, Table] = {
-    "pmb": _PMB,
-    "particle-phd": {**_PHD, "filter": {"particles_per_target": 750}},
-    "particle-cphd": {**_PHD, "filter": {"particles_per_target": 750}},
-    "gm-phd": _PHD,
-    "gm-cphd": _PHD,
-    "mcmc": _PHD,
-    "mht": _PHD,
-    "none": _PHD,
-}
+_PARTICLES: Table = {**_PHD, "filter": {"particles_per_target": 750}}
+_BY_FILTER: Mapping[str, Table] = {"pmb": _PMB, "particle-phd": _PARTICLES, "particle-cphd": _PARTICLES}
 
 PRESETS: Mapping[str, Table] = {
     "default": {
@@ -184,7 +176,7 @@ def values_of(preset: str, motion: str = "", filter_name: str = "") -> dict[str,
     if motion == "plane":
         _add(table, _ON_THE_GROUND)
     if preset == "default" and motion == "box":
-        _add(table, _BY_FILTER[filter_name])
+        _add(table, _BY_FILTER.get(filter_name, _PHD))
     if filter_name == "none":
         # A raw detection has no known velocity, so that the links of true tracks gain less than those of filtered states.
         _add(table, {"associate": {"min_link_gain": 0.6}})

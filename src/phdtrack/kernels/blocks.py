@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.em import Candidates, Gaussians
+from phdtrack.kernels.em import Candidates
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, sortable, sorted_number
 from phdtrack.kernels.grid import Grid, overlapping, overlapping_pairs
+from phdtrack.kernels.mixtures import Gaussians
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]

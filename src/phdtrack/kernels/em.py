@@ -18,13 +18,12 @@ from numpy.typing import NDArray
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, exp_of, log_of
 from phdtrack.kernels.gaussian import LOG_2PI, factor, norm2
+from phdtrack.kernels.mixtures import CHUNK, Gaussians, log_density_of, steps_from, whitened
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 Real = NDArray[np.floating[Any]]
 
-# Samples that are shared among their components at a time.
-CHUNK = 128
 # Logarithms below this are those of a density that is 0.
 NOTHING = -1e30
 # A density that is so much (nats) below another one at the same place counts as 0 there.
@@ -35,14 +34,6 @@ NO_MASS = 1e-100
 NEGLIGIBLE = 1e-14
 # The largest value of M·τ·β: at 1 the recursive rule for the weights divides by 0.
 MAX_PRIOR = 0.5
-
-
-class Gaussians(NamedTuple):
-    """k weighted Gaussians: ``weight`` (k,), ``mean`` (d, k), ``covariance`` (k, d, d)."""
-
-    weight: F8
-    mean: F8
-    covariance: F8
 
 
 class Candidates(NamedTuple):
@@ -97,55 +88,6 @@ def nothing_known(dim: int) -> Gaussians:
 def one_block(samples: int, components: int) -> Candidates:
     """Candidates where every sample may belong to every component."""
     return Candidates(np.array([0, samples]), np.array([0, components]), np.arange(components))
-
-
-@njit(**INNER)
-def _whitened(mixture: Gaussians) -> tuple[F8, F8]:
-    """L⁻¹ (k, d, d) of the covariances L Lᵀ, and (k,) logarithms of weight times peak density."""
-    count, d = mixture.covariance.shape[0], mixture.covariance.shape[1]
-    inverse, log_peak, root = np.zeros((count, d, d)), np.empty(count), np.zeros((d, d))
-    for j in range(count):
-        log_det = factor(mixture.covariance[j], root)
-        log_weight = math.log(mixture.weight[j]) if mixture.weight[j] > 0.0 else -math.inf
-        log_peak[j] = log_weight - 0.5 * (log_det + d * LOG_2PI)
-        for r in range(d):
-            inverse[j, r, r] = 1.0 / root[r, r]
-            for s in range(r):
-                total = 0.0
-                for q in range(s, r):
-                    total += root[r, q] * inverse[j, q, s]
-                inverse[j, r, s] = -total / root[r, r]
-    return inverse, log_peak
-
-
-@njit(**VECTOR)
-def _steps(x: Real, begin: int, size: int, mean: F8, j: int, step: Real) -> None:
-    """Write x − m of component ``j`` into ``step`` (d, ≥ size)."""
-    real = x.dtype.type
-    for r in range(x.shape[0]):
-        row, to, at = x[r], step[r], real(mean[r, j])
-        for i in range(size):
-            to[i] = row[begin + i] - at
-
-
-@njit(**VECTOR)
-def _log_density(step: Real, size: int, inverse: F8, log_peak: float, part: Real, out: Real) -> None:
-    """log(weight · N(x; m, Σ)) of ``size`` samples whose x − m is in ``step``; ``part`` is scratch."""
-    real = step.dtype.type
-    for i in range(size):
-        out[i] = real(0)
-    for r in range(step.shape[0]):
-        for i in range(size):
-            part[i] = real(0)
-        for s in range(r + 1):
-            row, scale = step[s], real(inverse[r, s])
-            for i in range(size):
-                part[i] += scale * row[i]
-        for i in range(size):
-            out[i] += part[i] * part[i]
-    top, half = real(log_peak), real(-0.5)
-    for i in range(size):
-        out[i] = top + half * out[i]
 
 
 @njit(**VECTOR)
@@ -257,7 +199,7 @@ def em_step(
     known : mass, mean and covariance of each block, so that no sample of one with one candidate is looked at; or of none.
     """
     d, (start, first_of, component) = x.shape[0], candidates
-    inverse, log_peak = _whitened(mixture)
+    _, inverse, log_peak = whitened(mixture)
     count = mixture.weight.size
     mass, first, second = np.zeros(count), np.zeros((count, d)), np.zeros((count, d, d))
     widest = np.max(np.diff(first_of)) if first_of.size > 1 else 0
@@ -276,34 +218,20 @@ def em_step(
                 own[i] = weight[begin + i] if weight.size > 1 else weight[0]
                 beside[i] = log_background[begin + i] if log_background.size else -np.inf
             if near.size == 1 and log_background.size == 0:
-                _steps(x, begin, size, mixture.mean, near[0], step)
+                steps_from(x, begin, size, mixture.mean, near[0], step)
                 _add_moments(step, own, size, near[0], mass, first, second)
                 continue
             for c in range(near.size):
-                _steps(x, begin, size, mixture.mean, near[c], step)
-                _log_density(step, size, inverse[near[c]], log_peak[near[c]], part, table[c])
+                steps_from(x, begin, size, mixture.mean, near[c], step)
+                log_density_of(step, size, inverse[near[c]], log_peak[near[c]], part, table[c])
             log_likelihood += _responsibilities(table, near.size, size, own, beside, part, total)
             for i in range(size):
                 background += beside[i]
             for c in range(near.size):
-                _steps(x, begin, size, mixture.mean, near[c], step)
+                steps_from(x, begin, size, mixture.mean, near[c], step)
                 _add_moments(step, table[c], size, near[c], mass, first, second)
     mean, cov = _from_sums(mixture, mass, first, second)
     return Moments(mass, mean, cov, background, log_likelihood)
-
-
-@njit(**(ENTRY | {"fastmath": FAST}))
-def log_densities(x: F8, mixture: Gaussians) -> F8:
-    """(k, n) log(weight · N(x)) of every Gaussian at points ``x`` (d, n)."""
-    (d, n), count = x.shape, mixture.weight.size
-    inverse, log_peak = _whitened(mixture)
-    out, step, part = np.empty((count, n)), np.empty((d, CHUNK)), np.empty(CHUNK)
-    for begin in range(0, n, CHUNK):
-        size = min(CHUNK, n - begin)
-        for j in range(count):
-            _steps(x, begin, size, mixture.mean, j, step)
-            _log_density(step, size, inverse[j], log_peak[j], part, out[j, begin:])
-    return out
 
 
 @njit(**INNER)

@@ -32,7 +32,8 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError, NonNegative, PositiveCount, check
-from phdtrack.kernels.gaussian import Births, Expected, Measurements, first_states
+from phdtrack.kernels.gaussian import Births
+from phdtrack.kernels.mixtures import Gaussians, states_given, whitened
 from phdtrack.models.births import FixedBirth, MeasurementBirth, births_around, particles_about, with_given
 from phdtrack.models.clutter import LocalClutter
 from phdtrack.protocols import Model, Sensor
@@ -121,20 +122,12 @@ class SceneBirth:
         -------
         The density, and the states with the velocities that were learned.
         """
-        state, cov = seen
-        rows, n, shown = np.array(self.observed), state.shape[1], self._shown
-        z, noise = state[rows], cov[:, rows[:, None], rows]
-        # The uniform part is flat around every detection, which alone says what is born there.
-        mixture, e, gate = self._learned
-        born = with_given(births_around((state, cov), np.full(n, shown.flat)), mixture, 1.0)
-        m = Measurements(np.ascontiguousarray(z.T), noise, np.zeros(n), (0.0,) * len(rows))
-        found = first_states(born, np.ones(n), e, m, gate)
-        mean, covariance = found.mean.T.copy(), found.covariance
-        mean[rows] = z
-        covariance[:, rows], covariance[:, :, rows] = cov[:, rows], cov[:, :, rows]
-        density = np.where(shown.contains(z), found.density, 0.0)
+        state, shown = np.ascontiguousarray(seen[0]), self._shown
+        mixture, order, limit2 = self._learned
+        density, mean, covariance = states_given(state, seen[1], order, shown.low, shown.high, shown.flat, mixture, limit2)
         if not self.around_detections:
             return Around(self.births_per_second * seconds * density, mean, covariance)
+        z = state[order[: shown.dim]]
         objects = 1 / shown.volume if self.among is None else self.among(z, outside=self.among.flat)
         local = self.around_detections * seconds * LOCAL.intensity(z)
         return Around(local * np.maximum(density, shown.flat) / objects, mean, covariance)
@@ -151,15 +144,15 @@ class SceneBirth:
         return GaussianMixture(self.births_per_second * weight, mean, covariance)
 
     @cached_property
-    def _learned(self) -> tuple[GaussianMixture, Expected, float]:
-        """The Gaussians of p, what they say of detections, and the deviations beyond which none of them counts."""
-        mixture, rows = GaussianMixture(*self.density.gaussians), np.array(self.observed)
-        cov, r = np.ascontiguousarray(mixture.covariance), len(rows)
-        log_det = np.linalg.slogdet(2 * math.pi * cov[:, rows[:, None], rows])[1]
-        log_peak = np.log(np.maximum(mixture.weight, TINY)) - 0.5 * log_det
-        gate2 = 2 * (log_peak.max(initial=-math.inf) - math.log(self._shown.flat) + NEGLIGIBLE)
-        e = Expected(rows, np.ascontiguousarray(mixture.mean.T), cov, cov, np.zeros((0, r, r)), np.ones(len(cov)))
-        return mixture, e, math.sqrt(max(gate2, 0.0))
+    def _learned(self) -> tuple[Gaussians, I8, F8]:
+        """The Gaussians of p with what is shown first, the order of the components, and (M,) squared distances beyond which
+        Gaussians do not count."""
+        order = np.array([*self.observed, *(row for row in range(self.density.dim) if row not in self.observed)])
+        weight, mean, covariance = self.density.gaussians
+        covariance, r = np.ascontiguousarray(covariance[:, order[:, None], order]), len(self.observed)
+        shown = whitened(Gaussians(weight, mean[order[:r]], np.ascontiguousarray(covariance[:, :r, :r])))
+        limit2 = 2 * (shown.log_peak - math.log(self._shown.flat) + NEGLIGIBLE)
+        return Gaussians(weight, mean[order], covariance), order, limit2
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,15 +246,19 @@ class FalseAlarmRatio:
         """(2, N) logarithms of λG/T and of κ/(T + B) at boxes ``z`` (4, N)."""
         objects, alarms = self.tracked.objects, self.clutter.density
         # The Gaussians count inside the volume only; the uniform parts go on beyond it.
-        gaussians = self.clutter.rate * np.where(alarms.contains(z), alarms.gaussian_part(z), 0.0)
+        gaussians = self.clutter.rate * alarms.gaussian_part(z)
         present = objects.rate * objects.density(z, outside=objects.density.flat)
         entering = np.zeros(z.shape[1])
-        if self.births is not None:
-            born = marginal(self.births.density, OBSERVED)
-            entering = objects.rate * np.where(born.contains(z), born.gaussian_part(z), 0.0)
+        if self._entrances is not None:
+            entering = objects.rate * self._entrances.gaussian_part(z)
         tracked = np.maximum(self.tracked.share * gaussians, TINY) / np.maximum(present, TINY)
         any_alarm = np.maximum(gaussians + self.clutter.rate * alarms.flat, TINY)
         return np.log([tracked, any_alarm / np.maximum(present + entering, TINY)])
+
+    @cached_property
+    def _entrances(self) -> SceneDensity | None:
+        """p(z|b) of boxes."""
+        return None if self.births is None else marginal(self.births.density, OBSERVED)
 
 
 def not_standing(what: str) -> InputError:

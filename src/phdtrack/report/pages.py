@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
+from phdtrack.files import json_value
 from phdtrack.report import charts, words
 from phdtrack.report.record import STAGES, RunRecord
-from phdtrack.report.words import flattened, json_value
+from phdtrack.report.words import flattened
 from phdtrack.scene import Scene
 from phdtrack.types import Image
 

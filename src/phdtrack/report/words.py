@@ -9,13 +9,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from phdtrack.errors import InputError
+from phdtrack.files import json_value
 
 NBSP = "\u00a0"
 """A space that does not break; unlike the narrow ones every legacy terminal encoding has it."""
@@ -68,25 +67,6 @@ def score(value: float) -> str:
     if not math.isfinite(value):
         return "undefined"
     return grouped(value) if isinstance(value, int | np.integer) else f"{value:.3f}"
-
-
-def json_value(value: object) -> Any:
-    """``value`` in the types that JSON knows; NaN and infinity become None, what is unknown its text."""
-    match value:
-        case None | bool() | str() | int():
-            return value
-        case float():
-            return float(value) if math.isfinite(value) else None
-        case np.generic() | np.ndarray():
-            return json_value(value.tolist())
-        case Mapping():
-            return {str(k): json_value(v) for k, v in value.items()}
-        case list() | tuple() | set() | frozenset():
-            return [json_value(v) for v in value]
-        case _ if is_dataclass(value) and not isinstance(value, type):
-            return {f.name: json_value(getattr(value, f.name)) for f in fields(value)}
-        case _:
-            return str(value)
 
 
 def flattened(config: Mapping[str, object], prefix: str = "") -> tuple[tuple[str, str], ...]:

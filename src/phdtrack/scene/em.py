@@ -36,7 +36,8 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.em import Gaussians, Moments, Recursion, em_step, nothing_known, one_block, recursive_em
+from phdtrack.kernels.em import Moments, Recursion, em_step, nothing_known, one_block, recursive_em
+from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.scene.mixture import SceneDensity, marginal
 from phdtrack.types import F8, I8
 
@@ -133,6 +134,26 @@ def parameters(dim: int) -> int:
 def limited_uniform(share: float) -> float:
     """α_u within its limits."""
     return min(1 - MIN_UNIFORM, max(MIN_UNIFORM, share))
+
+
+def best_uniform(log_ratio: F8, weight: F8, share: float = 0.5, steps: int = 200) -> float:
+    """α_u of the greatest likelihood, by EM.
+
+    Parameters
+    ----------
+    log_ratio : (n,) `SceneDensity.log_ratio` at the samples.
+    weight : (n,) of the samples.
+    share : α_u at first.
+    steps : of EM.
+
+    Returns
+    -------
+    α_u, within its limits.
+    """
+    ratio = np.exp(np.minimum(700.0, log_ratio))
+    for _ in range(steps):
+        share = limited_uniform(float(np.average(share / (share + (1 - share) * ratio), weights=weight)))
+    return share
 
 
 class Samples(NamedTuple):

@@ -16,11 +16,13 @@ from functools import cached_property
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.em import Gaussians, log_densities
+from phdtrack.kernels.mixtures import Gaussians, Whitened, log_densities, mixture_density, whitened
 from phdtrack.types import F8, Bool
 
 # A Gaussian with less mass inside counts as outside.
 MIN_TRUNCATED_MASS = 1e-6
+# What a Gaussian adds less of than e^-30, 1e-13, of the uniform part is left out.
+_NEGLIGIBLE = 30.0
 # Components of a box state that a measurement shows: all but the two velocities.
 OBSERVED = (0, 1, 4, 5)
 # Richtmyer's lattice: multiples of the square roots of primes, folded.
@@ -64,7 +66,7 @@ class SceneDensity:
         """Number d of components of x."""
         return len(self.low)
 
-    @property
+    @cached_property
     def volume(self) -> float:
         """V, in the product of the components' units."""
         return float(np.prod(self.high - self.low))
@@ -74,7 +76,7 @@ class SceneDensity:
         """(M,) Z_m, the mass of each Gaussian inside the volume."""
         return mass_inside(self.mean, self.covariance, self.low, self.high)
 
-    @property
+    @cached_property
     def flat(self) -> float:
         """α_u/V, the uniform part."""
         return self.uniform / self.volume
@@ -86,10 +88,26 @@ class SceneDensity:
         inside = self.truncated_mass > MIN_TRUNCATED_MASS
         return Gaussians(weight * inside, np.ascontiguousarray(self.mean), np.ascontiguousarray(self.covariance))
 
+    @cached_property
+    def _whitened(self) -> Whitened:
+        """The Gaussians, ready to be evaluated."""
+        out: Whitened = whitened(self.gaussians)
+        return out
+
+    @cached_property
+    def _limit2(self) -> F8:
+        """(M,) squared distances beyond which Gaussians are left out."""
+        return 2 * (self._whitened.log_peak - math.log(self.flat) + _NEGLIGIBLE)
+
     def log_parts(self, x: F8) -> F8:
         """(1 + M, L) logarithms of the uniform part and of each Gaussian at ``x`` (d, L), as if there were no border."""
-        found: F8 = log_densities(np.ascontiguousarray(x), self.gaussians)
+        found: F8 = log_densities(np.ascontiguousarray(x), self._whitened)
         return np.vstack([np.full((1, x.shape[1]), math.log(self.flat)), found])
+
+    def log_ratio(self, x: F8) -> F8:
+        """(L,) logarithm of the Gaussians' density over the uniform one, 1/V, at ``x`` (d, L), whatever their shares."""
+        gaussians: F8 = np.logaddexp.reduce(self.log_parts(x)[1:], axis=0)
+        return gaussians - math.log((1 - self.uniform) / self.volume)
 
     def responsibilities(self, x: F8) -> F8:
         """(1 + M, L) the probability that a draw of p at ``x`` (d, L) came from the uniform part and from each Gaussian."""
@@ -114,13 +132,16 @@ class SceneDensity:
         """
         if len(x) != self.dim:
             raise InputError(f"expected {self.dim} components, got {len(x)}", where="SceneDensity")
-        out: F8 = self.gaussian_part(x) + self.flat
-        out[~self.contains(x)] = outside
-        return out
+        return self._summed(x, self.flat, outside)
 
     def gaussian_part(self, x: F8) -> F8:
-        """(L,) p at the columns of ``x`` (d, L) without the uniform part, as if there were no border."""
-        out: F8 = np.exp(log_densities(np.ascontiguousarray(x), self.gaussians)).sum(axis=0)
+        """(L,) p at the columns of ``x`` (d, L) without the uniform part; 0 outside the volume."""
+        return self._summed(x, 0.0, 0.0)
+
+    def _summed(self, x: F8, flat: float, outside: float) -> F8:
+        """(L,) ``flat`` and the Gaussians in the volume, and ``outside`` elsewhere."""
+        at = np.ascontiguousarray(x)
+        out: F8 = mixture_density(at, self.low, self.high, flat, outside, self._whitened, self._limit2)
         return out
 
     def sample(self, count: int, rng: np.random.Generator) -> F8:
@@ -200,7 +221,7 @@ def place_map(p: SceneDensity, shape: tuple[int, int], step: float, *, sized: bo
     place = marginal(replace(p, covariance=cov), (0, 1))
     down, across = np.meshgrid((np.arange(shape[0]) + 0.5) * step, (np.arange(shape[1]) + 0.5) * step, indexing="ij")
     at = np.stack([across.ravel(), down.ravel()]) + place.low[:, None]
-    likely = place.gaussian_part(at)
+    likely = np.exp(place.log_parts(at)[1:]).sum(axis=0)
     out: F8 = (likely / max(likely.max(initial=0.0), 1e-300)).reshape(shape)
     return out
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.scene.em import MIN_UNIFORM, learn, limited_uniform, parameters
+from phdtrack.scene.em import MIN_UNIFORM, best_uniform, learn, limited_uniform, parameters
 from phdtrack.scene.files import LearnedDensity
 from phdtrack.scene.mixture import SceneDensity, uniform_density
 from phdtrack.scene.training import predictive, with_prior
@@ -210,11 +210,7 @@ def relearned(density: SceneDensity, samples: F8, weight: F8) -> SceneDensity:
     # A sample from nowhere would otherwise pull the nearest component over to itself.
     explained = 1 - begun.responsibilities(samples)[0]
     density = learn(begun, samples, weight * explained, passes=PASSES, floor=FLOOR, moves=0)
-    parts, share = density.log_parts(samples), density.uniform
-    ratio = np.exp(np.minimum(700.0, np.logaddexp.reduce(parts[1:], axis=0) - parts[0])) * share / (1 - share)
-    for _ in range(UNIFORM_STEPS):
-        share = float(np.average(share / (share + (1 - share) * ratio), weights=weight))
-    return replace(density, uniform=limited_uniform(share))
+    return replace(density, uniform=best_uniform(density.log_ratio(samples), weight, density.uniform, UNIFORM_STEPS))
 
 
 def _with_new(density: SceneDensity, samples: F8, weight: F8) -> SceneDensity:

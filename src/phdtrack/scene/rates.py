@@ -199,6 +199,8 @@ class ScoreScale:
     @classmethod
     def learned(cls, labelled: LabelledScores, share: float = 1.0) -> ScoreScale:
         """From labelled scores; each frame of a track counts for a ``share`` of an independent one."""
+        from scipy.optimize import isotonic_regression
+
         order = np.argsort(labelled.score, kind="stable")
         score, false = labelled.score[order], labelled.false[order]
         n = len(score)
@@ -210,20 +212,13 @@ class ScoreScale:
         begins = np.append(0, ends[:-1])
         count = ends - begins + PRIOR_SCORES
         mean = (float(false.sum()) + 0.5) / (n + 1)
-        falling = falling_sequence((np.add.reduceat(false, begins) + PRIOR_SCORES * mean) / count, count)
+        share_false = (np.add.reduceat(false, begins) + PRIOR_SCORES * mean) / count
+        falling = isotonic_regression(share_false, weights=count, increasing=False).x
         log_ratio = np.log((1 - falling) / falling) - math.log((1 - mean) / mean)
         finite = score[np.isfinite(score)]
         ends_at = (float(finite[0]), float(finite[-1])) if len(finite) else (0.0, 0.0)
         at = np.clip(score, *ends_at)[(begins + ends - 1) // 2]
         return cls(at, share * np.clip(log_ratio, -MAX_LOG_RATIO, MAX_LOG_RATIO))
-
-
-def falling_sequence(value: F8, weight: F8) -> F8:
-    """The falling sequence nearest to ``value`` (k,) in squares of ``weight`` (k,)."""
-    from scipy.optimize import isotonic_regression
-
-    out: F8 = isotonic_regression(value, weights=weight, increasing=False).x
-    return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,7 +19,7 @@ import numpy as np
 
 from phdtrack.arrays import to_cxcywh
 from phdtrack.errors import InputError
-from phdtrack.scene.em import grid, learn, limited_uniform, parameters
+from phdtrack.scene.em import best_uniform, grid, learn, parameters
 from phdtrack.scene.files import LearnedDensity
 from phdtrack.scene.mixture import SceneDensity
 from phdtrack.types import F8, I8, Tracks
@@ -253,8 +253,8 @@ def _trained(start: SceneDensity, samples: F8, rate: float) -> Training:
     density = predictive(learn(start, inside), inside.shape[1])
     log_ratio, gain = _left_out(start, inside), math.nan
     if len(log_ratio) >= 2:
-        uniform = _best_uniform(log_ratio)
-        gain = float(_gains(log_ratio, uniform).mean())
+        uniform = best_uniform(log_ratio, np.ones(len(log_ratio)))
+        gain = float(np.logaddexp(math.log(uniform), math.log(1 - uniform) + log_ratio).mean())
         density = replace(density, uniform=max(density.uniform, uniform))
     return Training(LearnedDensity(rate, density, inside.shape[1]), gain)
 
@@ -268,23 +268,8 @@ def _left_out(start: SceneDensity, samples: F8) -> F8:
         others = np.delete(samples, out, axis=1)
         if len(out) and others.shape[1]:
             tried = predictive(learn(start, others), others.shape[1])
-            parts = tried.log_parts(samples[:, out])[1:]
-            log_ratio.append(np.logaddexp.reduce(parts, axis=0) - math.log((1 - tried.uniform) / start.volume))
+            log_ratio.append(tried.log_ratio(samples[:, out]))
     return np.concatenate(log_ratio)
-
-
-def _best_uniform(log_ratio: F8) -> float:
-    """α_u of the greatest likelihood where the Gaussians are exp(log_ratio) times the uniform part."""
-    uniform = 0.5
-    for _ in range(200):
-        uniform = limited_uniform(float(np.exp(math.log(uniform) - _gains(log_ratio, uniform)).mean()))
-    return uniform
-
-
-def _gains(log_ratio: F8, uniform: float) -> F8:
-    """(n,) log of p over 1/V at samples where the Gaussians are exp(log_ratio) times 1/V."""
-    out: F8 = np.logaddexp(math.log(uniform), math.log(1 - uniform) + log_ratio)
-    return out
 
 
 def _check_number(count: int, what: str, cure: str, least: int = MIN_SAMPLES) -> None:

@@ -14,7 +14,7 @@ from phdtrack.errors import InputError
 from phdtrack.filters import ParticlePHD
 from phdtrack.filters.extract import KMeans, Mixture, Raw
 from phdtrack.filters.extract.peaks import finish
-from phdtrack.kernels.em import Gaussians
+from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.types import Estimates, Particles
 from reference import extract_twin as twin
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from phdtrack.arrays import iou
 from phdtrack.filters.extract.peaks import join_unresolved
-from phdtrack.kernels.em import Gaussians
+from phdtrack.kernels.mixtures import Gaussians
 from reference import clustering_twin as twin
 
 

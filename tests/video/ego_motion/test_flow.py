@@ -1,13 +1,10 @@
 """Sparse flow: a known path of the camera is found, in a rendered clip and in noise; where it cannot be, that is told."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
 
 from moving_cases import filmed, handheld, moving, step
-from phdtrack.errors import InputError
 from phdtrack.models import warp as warp_of
 from phdtrack.simulate import DetectorModel, make_scene, render
 from phdtrack.video.ego_motion import CameraMotion, SparseFlow
@@ -94,16 +91,3 @@ def test_where_nothing_can_be_told_it_says_so(pair: str, rng):
     # The next pair is measured again.
     np.testing.assert_allclose(motion(two, NOBODY), np.eye(3), atol=1e-6)
     assert motion.measured == (pair != "blank")
-
-
-def test_the_first_picture_and_a_new_sequence_have_no_motion(clip):
-    frames, motion = clip[0], CameraMotion()
-    assert (motion(frames[0].image, NOBODY) == np.eye(3)).all()
-    assert (motion(frames[8].image, NOBODY) != np.eye(3)).any()
-    motion.reset()
-    assert (motion(frames[0].image, NOBODY) == np.eye(3)).all()
-
-
-def test_no_picture_is_told():
-    with pytest.raises(InputError, match=r"^camera motion: expected a picture .* shape \(0, 0, 3\)"):
-        CameraMotion()(np.zeros((0, 0, 3), np.uint8), NOBODY)

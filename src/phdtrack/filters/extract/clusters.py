@@ -34,9 +34,10 @@ from phdtrack.filters.extract.peaks import (
 )
 from phdtrack.filters.intensities import Cardinalised
 from phdtrack.kernels.blocks import Blocks, block_moments, claim, reaching, summarise, unreached
-from phdtrack.kernels.em import Gaussians, em_step
+from phdtrack.kernels.em import em_step
 from phdtrack.kernels.grid import Grid, make_grid, overlapping_pairs
 from phdtrack.kernels.kmeans import Rule, kmeans
+from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, Bool, Estimates, ParticleBlocks, Particles
 

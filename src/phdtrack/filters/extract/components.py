@@ -14,7 +14,7 @@ import numpy as np
 from phdtrack.errors import Positive, Share, check
 from phdtrack.filters.extract.peaks import LIGHTEST_COMPONENT, finish, heaviest, join_unresolved, kept
 from phdtrack.filters.intensities import Cardinalised, JointSamples
-from phdtrack.kernels.em import Gaussians
+from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, Particles
 

@@ -18,8 +18,8 @@ from dataclasses import replace
 import numpy as np
 
 from phdtrack.arrays import chi2_quantile, iou
-from phdtrack.kernels.em import Gaussians
 from phdtrack.kernels.grid import make_grid, overlapping_pairs
+from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8, Bool, Estimates
 
