@@ -54,26 +54,11 @@ def test_all_forms_of_boxes_give_the_same_tracks(form: str):
     assert set(plain.tracks().identity) == {1, 2}
 
 
-@pytest.mark.parametrize("nothing", [[], np.empty((0, 4)), np.empty((0, 6)), np.zeros(0), Detections.empty()], ids=repr)
-def test_no_boxes_have_any_shape(nothing):
-    tracker = tracker_of()
-    assert len(tracker.update(nothing)) == 0
-    assert len(tracker.step.detections) == 0
-
-
 @pytest.mark.parametrize(("bad", "says"), [
     ([[1, 2, np.nan, 4]], "not finite"),
-    ([[1, 2, np.inf, 4]], "not finite"),
-    ([[10, 2, 5, 4]], "no width or height"),
-    ([[10, 20, 15, 20]], "no width or height"),
-    ([[1, 2, 3]], "shape"),
-    ([[1, 2, 3, 4, 5, 6, 7]], "shape"),
     ([1, 2, 3, 4], "shape"),
     ("boxes", "numbers"),
-    (None, "None"),
-    ([[1, 2, 3, 4], [1, 2]], "numbers"),
     (SimpleNamespace(xyxy=np.zeros((2, 5))), "xyxy"),
-    (SimpleNamespace(xyxy=np.array([[1, 2, 3, 4]]), confidence=np.ones(2)), "confidence"),
 ])  # fmt: skip
 def test_bad_boxes_name_the_frame_and_change_nothing(bad, says: str):
     spoilt, plain = tracker_of(), tracker_of()
@@ -186,18 +171,11 @@ def test_frames_that_were_dropped_count_as_time(filter_name: str):
 def test_timestamps_rule_over_frame_numbers():
     by_number, by_time = tracker_of(fps=32.0), tracker_of(fps=5.0)
     for k in range(12):
-        a = by_number.update(boxes(k))
-        b = by_time.update(boxes(k), timestamp=k / 32)
-        assert equal(a, b)
-
-
-def test_after_a_timestamp_frames_go_on_from_it():
-    tracker = tracker_of(fps=10.0)
-    tracker.update(boxes(0), timestamp=100.0)
-    tracker.update(boxes(1))
-    assert tracker.step.time == pytest.approx(100.1)
-    tracker.update(boxes(2), frame=5)
-    assert tracker.step.time == pytest.approx(100.4)
+        assert equal(by_number.update(boxes(k)), by_time.update(boxes(k), timestamp=k / 32))
+    by_time.update(boxes(12))
+    assert by_time.step.time == pytest.approx(11 / 32 + 0.2)
+    by_time.update(boxes(13), frame=16)
+    assert by_time.step.time == pytest.approx(11 / 32 + 0.8)
 
 
 @pytest.mark.parametrize("kind", ["pmb", "particle-phd"])
@@ -264,21 +242,15 @@ def test_two_trackers_share_nothing(kind: str, scene):
     assert set(b.tracks().identity) == {1, 2}
 
 
-def test_a_long_empty_sequence_is_quick():
-    tracker = Tracker(SIZE)
-    began = time.perf_counter()
+def test_a_long_empty_sequence_is_quick_and_targets_are_found_after_it():
+    tracker, began = Tracker(SIZE), time.perf_counter()
     for _ in range(3000):
         assert len(tracker.update([])) == 0
     assert len(tracker.tracks()) == 0
     assert time.perf_counter() - began < 6
-
-
-def test_after_emptiness_targets_are_found():
-    tracker = tracker_of()
-    feed(tracker, [[]] * 300)
     rows = feed(tracker, [boxes(k) for k in range(12)])[-1]
     assert sorted(rows.identity.tolist()) == [1, 2]
-    assert rows.frame.tolist() == [312, 312]
+    assert rows.frame.tolist() == [3012, 3012]
 
 
 @settings(max_examples=15, deadline=None)
@@ -328,40 +300,28 @@ def test_without_filter_detections_are_the_states():
     assert len(tracker.tracks()) == 16
 
 
-# That of the ground plane is tested where there is a camera, that of points below.
-@pytest.mark.parametrize("preset", [*sorted({*PRESETS} - {"e13", "d14"}), "particle-phd", "mht"])
+FEW = {"filter": {"particles_per_target": 500}, "birth": {"particles": 500}}
+GIVEN = {"m07": FEW, "m09": FEW, "fv": FEW, "particle-phd": {"filter": PARTICLES}, "mht": {"filter": {"kind": "mht"}}}
+GIVEN["d14"] = {"filter": {"particles_per_target": 500, "max_particles": 500}, "sensor": {"size": (40.0, 100.0)}}
+
+
+# That of the ground plane is tested where there is a camera.
+@pytest.mark.parametrize("preset", sorted({*PRESETS, *GIVEN} - {"e13"}))
 def test_every_preset_finds_two_people(preset: str):
-    """And the default's with another filter."""
-    fewer = {"filter": {"particles_per_target": 500}, "birth": {"particles": 500}}
-    if preset in PRESETS:
-        tracker = Tracker(SIZE, preset=preset, **(fewer if preset in ("m07", "m09", "fv") else {}))
-    else:
-        tracker = tracker_of(filter={"kind": preset})
-    feed(tracker, [boxes(k) for k in range(25)])
-    tracks = tracker.tracks()
-    assert set(tracks.identity) == {1, 2}
-    for name in (1, 2):
-        mine = tracks.take(tracks.identity == name)
-        which = mine.detection[-1]
-        truth = np.array([boxes(f - 1)[which] for f in mine.frame])
-        assert np.abs(mine.xyxy - truth).mean() < 8
-        assert len(mine) >= 18
-
-
-def test_the_preset_of_points_finds_two_centroids():
-    """Its newborn are anywhere: it takes a while until one is near enough, and then it stays."""
-    tracker = Tracker(
-        SIZE, preset="d14", filter={"particles_per_target": 500, "max_particles": 500}, sensor={"size": (40.0, 100.0)}
-    )
-    feed(tracker, [boxes(k) for k in range(60)])
+    """And the default's with other filters. D14's newborn are anywhere: it takes a while until one is near enough."""
+    given = GIVEN.get(preset, {})
+    tracker = Tracker(SIZE, preset=preset, **given) if preset in PRESETS else tracker_of(**given)
+    slow = preset == "d14"
+    feed(tracker, [boxes(k) for k in range(60 if slow else 25)])
     tracks = tracker.tracks()
     assert set(tracks.identity) == {1, 2}
     for name in (1, 2):
         mine = tracks.take(tracks.identity == name)
         truth = np.array([boxes(f - 1)[mine.detection[-1]] for f in mine.frame])
-        late = mine.frame > mine.frame[0] + 10
-        assert np.abs(mine.xyxy - truth)[late].mean() < 2
-        assert mine.frame[-1] == 60
+        late = mine.frame > mine.frame[0] + (10 if slow else -1)
+        assert np.abs(mine.xyxy - truth)[late].mean() < (2 if slow else 8)
+        assert len(mine) >= 18
+        assert mine.frame[-1] == tracker.step.number
 
 
 def test_settings_come_from_file_preset_and_sections(tmp_path):

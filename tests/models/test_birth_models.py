@@ -117,15 +117,6 @@ def test_the_image_volume_needs_the_size_of_the_frame(rng):
         MeasurementBirth(volume="image").sample(columns(ALONE), np.zeros(1), BoxSensor(), 1.0, rng)
 
 
-def test_the_same_seed_draws_the_same():
-    drawn = [
-        MeasurementBirth(volume="local").sample(columns(APART), np.zeros(3), BoxSensor(), 1.0, np.random.default_rng(5))
-        for _ in range(2)
-    ]
-    np.testing.assert_array_equal(drawn[0].state, drawn[1].state)
-    np.testing.assert_array_equal(drawn[0].weight, drawn[1].weight)
-
-
 @pytest.mark.parametrize("scaling", ["particle", "previous", "given"])
 def test_uniform_births(scaling: str, rng):
     z = np.vstack([columns(APART), np.ones((4, 3))]) if scaling == "given" else columns(APART)
@@ -172,15 +163,3 @@ def test_spawned_mass_and_place(rng):
     for nothing in (SplitSpawn(rate=0.0), SplitSpawn(fraction=0.0), NoSpawn()):
         assert nothing.sample(parents, 1.0, rng).state.shape == (6, 0)
     assert len(SplitSpawn().sample(Particles(np.zeros((6, 0)), np.zeros(0)), 1.0, rng)) == 0
-
-
-@pytest.mark.parametrize(
-    "birth", [MeasurementBirth(volume="local"), MeasurementBirth(frame_size=FRAME), UniformBirth(FRAME)], ids=str
-)
-def test_inputs_are_left_alone(birth, rng):
-    z, covered = columns(OVERLAPPING), np.zeros(3)
-    z.flags.writeable = covered.flags.writeable = False
-    birth.sample(z, covered, BoxSensor(scaling="detection"), 1.0, rng)
-    state, weight = np.ones((6, 9)), np.full(9, 0.1)
-    state.flags.writeable = weight.flags.writeable = False
-    SplitSpawn(rate=1.0).sample(Particles(state, weight), 1.0, rng)

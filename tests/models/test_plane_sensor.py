@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, multivariate_normal
+from scipy.stats import chi2
 
 from phdtrack.errors import InputError
 from phdtrack.models import PlaneSensor
@@ -58,17 +58,6 @@ def test_the_fixed_noise_is_the_same_everywhere(rng):
 def test_the_noise_of_a_person_is_that_of_his_detection(rng):
     sensor, x, z = measured(rng, 6)
     np.testing.assert_allclose(sensor.noise(x)[:2] ** 2, z[[2, 4]])
-
-
-def test_likelihood_and_distance_against_scipy(rng):
-    sensor, x, z = measured(rng, 12)
-    at = x + rng.normal(0, 0.3, x.shape)
-    for i in range(12):
-        cov = z[[2, 3, 3, 4], i].reshape(2, 2)
-        want = multivariate_normal.logpdf(z[:2, i], at[:2, i], cov)
-        assert sensor.log_likelihood(z[:, [i]], at[:, [i]])[0] == pytest.approx(want)
-        step = z[:2, i] - at[:2, i]
-        assert sensor.distance2(z[:, [i]], at[:, [i]])[0] == pytest.approx(step @ np.linalg.solve(cov, step))
 
 
 def test_what_the_gate_cuts_is_bounded(rng):
