@@ -121,9 +121,7 @@ def test_given_noise_grows_where_no_edge_shows_the_target() -> None:
     assert unseen[0, 0] > 100.0
 
 
-def test_settings_are_checked() -> None:
-    with pytest.raises(InputError, match=r"^MergedMeasurements.merge_probability"):
-        MergedMeasurements(merge_probability=1.5)
+def test_blobs_of_raw_detections_are_not_explained() -> None:
     with pytest.raises(InputError, match="does not fit"):
         config.load(None, ("filter.kind=none", "merged_measurements.kind=explained"))
 

@@ -71,6 +71,7 @@ def test_the_number_of_newborn_follows_what_is_predicted(rng):
     born = birth.sample(z, np.array([0.0, 0.7494, 1.2]), sensor, 1.0, rng)
     nearest = np.argmin(np.abs(born.state[0][:, None] - z[0]), axis=1)
     np.testing.assert_array_equal(np.bincount(nearest, minlength=3), [1000, 251, 0])
+    assert len(MeasurementBirth(0.0, 1000, "local").sample(z, np.zeros(3), sensor, 1.0, rng)) == 0
 
 
 def test_newborn_lie_in_the_region_with_positive_sizes_and_any_direction(rng):
@@ -95,14 +96,6 @@ def test_nothing_is_born_without_extent(sensor: BoxSensor, rng):
             assert born.state[4:6].min() > 0
             assert np.all(born.weight > 0)
             assert np.isfinite(born.weight).all()
-
-
-def test_no_detection_and_no_rate_bring_nothing(rng):
-    sensor = BoxSensor(scaling="previous")
-    none = MeasurementBirth(0.01, 1000, "local").sample(np.zeros((4, 0)), np.zeros(0), sensor, 1.0, rng)
-    assert none.state.shape == (8, 0)
-    assert len(MeasurementBirth(0.0, 1000, "local").sample(columns(ALONE), np.zeros(1), BoxSensor(), 1.0, rng)) == 0
-    assert len(MeasurementBirth(0.1, 1000, "local").sample(columns(ALONE), np.ones(1), BoxSensor(), 1.0, rng)) == 0
 
 
 def test_where_positions_cannot_be_told_apart_no_weight_is_infinite(rng):

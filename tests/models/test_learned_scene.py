@@ -141,15 +141,6 @@ def test_gaussian_newborn_are_the_learned_ones_and_the_uniform_part_about_detect
         np.testing.assert_allclose(ours, theirs)
 
 
-def test_covered_detections_bring_nothing_and_rates_scale():
-    birth = SceneBirth(0.5, entrance())
-    assert len(birth.sample(Z, np.ones(2), SENSOR, 1.0, np.random.default_rng(5))) == 0
-    assert birth.expected(Z, 3.0) == 1.5
-    assert replace(birth, around_detections=0.05).expected(Z, 2.0) == pytest.approx(2 * 0.05 * 2)
-    one, three = (birth.sample(Z, np.zeros(2), SENSOR, dt, np.random.default_rng(6)).mass for dt in (1.0, 3.0))
-    assert three == pytest.approx(3 * one)
-
-
 # Added to births and false alarms around each detection
 
 

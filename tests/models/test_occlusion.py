@@ -77,15 +77,6 @@ def test_nobody_is_hidden_where_nobody_is_nearer(rng):
     assert BOXES.watching(x[:, :0]) is BOXES
 
 
-def test_without_the_setting_nothing_is_hidden():
-    constant = BoxSensor(detection_probability=0.8)
-    assert constant.watching(of_boxes([50, 100, 300, 420])) is constant
-    ground = PlaneSensor(camera=LevelCamera(), occlusion=False)
-    assert ground.watching(standing([0, 12])) is ground
-    plan = PlaneSensor(scaling="fixed")
-    assert plan.watching(standing([0, 12])) is plan
-
-
 def test_on_the_ground_the_nearer_hides_the_farther():
     """Two in line with the camera, one beside them; the one in front stands four metres nearer."""
     x = standing([0, 16], [0, 12], [2, 16])

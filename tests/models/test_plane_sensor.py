@@ -103,9 +103,6 @@ def test_the_field_of_view_falls_with_the_visible_part():
     p, boxes = sensor.p_detect(x), sensor.boxes(x)
     inside = np.clip((640 - boxes[:, 0]) / (boxes[:, 2] - boxes[:, 0]), 0, 1)
     np.testing.assert_allclose(p, 0.9 * inside, atol=1e-12)
-    assert p[0] == pytest.approx(0.9)
-    assert p[-1] == 0
-    assert (np.diff(p) <= 0).all()
     np.testing.assert_array_equal(PlaneSensor(camera=CAMERA, frame_size=FRAME, view=False).p_detect(x), 0.9)
     np.testing.assert_array_equal(PlaneSensor(camera=CAMERA).p_detect(x), 0.9)
 

@@ -22,12 +22,6 @@ def similarity(scale: float, angle: float, x: float, y: float) -> np.ndarray:
     return np.array([[c, -s, x], [s, c, y], [0.0, 0.0, 1.0]])
 
 
-def test_a_camera_that_stands_changes_nothing_to_the_bit(rng):
-    x = some(rng)
-    np.testing.assert_array_equal(warp_of.warp_states(x, np.eye(3), SIZES), x)
-    np.testing.assert_array_equal(warp_of.warp_jacobian(x, np.eye(3), SIZES), np.tile(np.eye(6), (20, 1, 1)))
-
-
 def test_there_and_back(rng):
     x = some(rng)
     home = warp_of.warp_states(warp_of.warp_states(x, STEEP, SIZES), warp_of.back(STEEP), SIZES)

