@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from shipped import BIRTHS, CLUTTERS, GROUND, PLANE_BIRTHS, PLANE_CLUTTERS, POINT_BIRTHS, SENSORS, detections, fixed, keeps
 
-from newborn_cases import newborn
 from phdtrack.errors import InputError
-from phdtrack.models import UniformBirth
-from phdtrack.protocols import Birth, Clutter
+from phdtrack.filters import GMPHD
+from phdtrack.models import PlaneMotion, UniformBirth, UniformClutter
+from phdtrack.protocols import Birth, Clutter, Model, Sensor
+from phdtrack.types import GaussianMixture
 
 SENSOR = SENSORS["particle"]
 IN_WORLDS = ((BIRTHS, SENSOR), (PLANE_BIRTHS, GROUND), (POINT_BIRTHS, SENSORS["point"]))
@@ -25,6 +28,16 @@ def measured(rng: np.random.Generator, n: int, sensor=SENSOR) -> np.ndarray:
 
 def dim(sensor) -> int:
     return 6 if sensor is SENSOR else 4
+
+
+def newborn(birth: Birth, z: np.ndarray, sensor: Sensor, seconds: float) -> GaussianMixture:
+    """What there is after a frame in which nothing was expected and targets are never detected."""
+    model = Model(PlaneMotion(), replace(sensor, detection_probability=0.0), birth, UniformClutter(1.0, 1.0), rate=1.0)
+    d = len(sensor.states(z)[0])
+    nothing = GaussianMixture(np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d)))
+    found, _ = GMPHD().update(nothing, z, model, seconds, np.random.default_rng(0))
+    there = found.weight > 0
+    return GaussianMixture(found.weight[there], found.mean[:, there], found.covariance[there])
 
 
 @births
