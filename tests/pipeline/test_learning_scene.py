@@ -42,7 +42,7 @@ def test_the_signal_is_right_where_the_filter_alone_is_not():
 
 @pytest.mark.parametrize(
     ("kind", "seeds", "frames"),
-    [("gm-phd", (1,), 1500), pytest.param("particle-phd", (1, 2), 3000, marks=slow)],
+    [("gm-phd", (1,), 2000), pytest.param("particle-phd", (1, 2), 3000, marks=slow)],
     ids=["gm-phd", "particle-phd"],
 )
 def test_false_tracks_go_and_true_ones_stay(kind: str, seeds: tuple[int, ...], frames: int):
@@ -53,7 +53,7 @@ def test_false_tracks_go_and_true_ones_stay(kind: str, seeds: tuple[int, ...], f
     for seed in seeds:
         scene = street(seed, frames)
         plain, learned, run = both(scene, scene.detections, frames // 2 + 1, "memory=2.0", kind=kind)
-        assert plain.false_tracks >= 10
+        assert plain.false_tracks >= frames // 300
         assert learned.false_tracks <= 0.1 * plain.false_tracks
         assert learned.false_positives <= 0.05 * plain.false_positives
         assert learned.mota > plain.mota + 0.3
