@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,19 +33,6 @@ def scaled_transform(points: np.ndarray, through: np.ndarray) -> tuple[np.ndarra
     weight[0] += 1 - alpha2 + beta
     step = through - mean[:, None]
     return mean, (weight * step) @ step.T
-
-
-def test_the_points_have_the_gaussians_mean_and_covariance(rng):
-    state = mixture(rng, 7)
-    singular = state.covariance.copy()
-    singular[:, 2] = singular[:, :, 2] = 0.0
-    for cov in (state.covariance, singular):
-        points = sigma_points(state.mean, cov)
-        assert points.shape == (6, 13, 7)
-        for i in range(7):
-            mean, found = scaled_transform(points[..., i], points[..., i])
-            np.testing.assert_allclose(mean, state.mean[:, i], rtol=1e-12)
-            np.testing.assert_allclose(found, cov[i], atol=1e-9)
 
 
 def test_the_sums_are_the_scaled_transform(rng):
@@ -173,27 +159,3 @@ def test_the_linear_transform_refuses_what_is_not_linear(rng):
     z = MODEL.sensor.expected(START.mean)
     with pytest.raises(InputError, match="unscented"):
         GMPHD().update(START, z, MODEL, 1.0, rng)
-
-
-def test_a_bent_update_sees_the_truth_within_what_it_says(rng):
-    """Mean squared normalised error over 600 targets, 5 components: near 5 by sigma points."""
-    truth = drawn(rng, 600)
-    noise = rng.normal(0, 1, (3, 600)) * np.array([[2.0], [2.0], [0.1]])
-    recursion, errors = GMPHD(transform="unscented", keep_mass=False), []
-    for i in range(600):
-        z = MODEL.sensor.expected(truth[:, [i]]) + noise[:, [i]]
-        after, info = recursion.step(START, z, replace(MODEL, motion=Still()), 1.0, rng)
-        assert len(after) == 1
-        assert info.mass == pytest.approx(1)
-        step = truth[:, i] - after.mean[:, 0]
-        errors.append(step @ np.linalg.solve(after.covariance[0], step))
-    assert np.mean(errors) == pytest.approx(5, abs=4 * math.sqrt(10 / 600))
-
-
-@dataclass(frozen=True)
-class Still(Turning):
-    """Nothing moves."""
-
-    def transition(self, x, dt):
-        n = x.shape[1]
-        return x.copy(), np.tile(np.eye(5), (n, 1, 1)), np.zeros((n, 5, 5))

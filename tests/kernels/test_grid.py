@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from inner_kernels import from_python
 from phdtrack.arrays import share_inside
 from phdtrack.kernels.grid import cell_of, make_grid, overlapping_pairs, points_in_rectangles
+from phdtrack.kernels.overlaps import overlapping, rectangle_grid
 from phdtrack.models.occlusion import Hiders
 
-[cell_of] = from_python(cell_of)
+cell_of, overlapping = from_python(cell_of, overlapping)
 
 # Whole numbers too, so that edges meet.
 number = st.one_of(st.integers(-40, 40).map(float), st.floats(-1e3, 1e3), st.floats(-1e7, 1e7))
@@ -53,6 +54,18 @@ def test_points_in_rectangles(points, around):
     found = list(zip(rectangle.tolist(), point.tolist(), strict=True))
     assert len(found) == len(set(found))
     assert set(found) == overlaps(lower, upper, at, at)
+
+
+@given(rectangles, rectangles)
+@settings(max_examples=100, deadline=None)
+def test_what_a_box_overlaps_by_the_grid_of_blocks(boxes, others):
+    (low, high), (lower, upper) = corners(boxes), corners(others)
+    grid, wanted = rectangle_grid(lower, upper), overlaps(low, high, lower, upper)
+    for i in range(low.shape[1]):
+        found = np.full(lower.shape[1] + 1, -1, np.int64)
+        count = overlapping(*low[:, i], *high[:, i], lower, upper, *grid, found)
+        assert sorted(found[:count].tolist()) == sorted(j for box, j in wanted if box == i), "each once"
+        assert (found[count:] == -1).all()
 
 
 def test_many_more_pairs_than_points():

@@ -31,11 +31,3 @@ def test_unions(seed: int, k: int, width: float, overlap: float):
     np.testing.assert_allclose(found[1].T, centre, atol=1e-12)
     np.testing.assert_allclose(found[2], spread, atol=1e-12)
     np.testing.assert_array_equal(found[3], part)
-
-
-def test_equally_alike_in_their_order():
-    """Three boxes in a row, each as much over the next: the first two are joined, and their union leaves the third."""
-    boxes = np.array([[0.0, 0, 10, 10], [4, 0, 14, 10], [8, 0, 18, 10]])
-    found = join_alike(*likeness(boxes, 0.42), boxes, 0.42, np.ones(3), boxes.T.copy(), np.zeros((3, 4, 4)))
-    np.testing.assert_array_equal(found[0], [2, 1])
-    np.testing.assert_array_equal(found[3], [0, 2])

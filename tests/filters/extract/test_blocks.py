@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from extract_cases import EXTRACTORS, HERE, MODEL, NAMES, THERE, cloud, moved, seen, together
+from extract_cases import EXTRACTORS, HERE, MODEL, NAMES, THERE, cloud, seen, together
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,7 +19,6 @@ from phdtrack.filters.extract.settling import FEW, REACH, Clusters, cluster
 from phdtrack.kernels.block_em import em_step
 from phdtrack.kernels.blocks import cut
 from phdtrack.kernels.dividing import PATIENCE
-from phdtrack.kernels.joining import heavy_enough
 from phdtrack.kernels.nearest import MIXED
 from phdtrack.types import ParticleBlocks, Particles
 from reference import clustering_twin as twin
@@ -105,14 +104,6 @@ def test_float32_blocks_give_the_states_of_the_particles(extractor, seed: int, t
     assert b.weight.sum() == pytest.approx(state.mass, rel=1e-5)
 
 
-@both
-def test_the_same_blocks_give_the_same_states_bit_by_bit(extractor, rng):
-    state, z = scene(rng, 5, 3)
-    first, second = (extractor.extract(blocks(state), z, MODEL) for _ in range(2))
-    np.testing.assert_array_equal(first.state, second.state)
-    np.testing.assert_array_equal(first.covariance, second.covariance)
-
-
 @pytest.mark.parametrize("threads", [2, 3, 0])
 def test_threads_do_not_change_a_bit(threads: int, rng):
     """Also where centres leave their islands: clusters that are divided beside others."""
@@ -123,14 +114,6 @@ def test_threads_do_not_change_a_bit(threads: int, rng):
         assert len(one) >= targets // 2
         for name in ("state", "covariance", "weight", "xyxy", "detection"):
             np.testing.assert_array_equal(getattr(one, name), getattr(more, name))
-
-
-@pytest.mark.parametrize("most", [1, 7, 256])
-def test_the_size_of_blocks_does_not_matter(most: int, rng):
-    state, z = scene(rng, 6, 4, 500.0)
-    a, b = (KMeans(merge_iou=1.0).extract(blocks(state, most=m), z, MODEL) for m in (64, most))
-    np.testing.assert_allclose(np.sort(b.state[0]), np.sort(a.state[0]), atol=1e-2)
-    assert b.weight.sum() == pytest.approx(a.weight.sum(), rel=1e-5)
 
 
 def of_particles(found: Clusters, part: Cloud) -> np.ndarray:
@@ -202,19 +185,6 @@ def test_an_iteration_of_em_is_the_twins(seed: int, targets: int):
     np.testing.assert_allclose(spread[heavy], want[2][heavy], rtol=1e-3, atol=1e-2)
 
 
-def test_moments_of_joined_clusters(rng):
-    """Blocks that are mixed, whole, and of no cluster: mass, mean and covariance of what has been joined."""
-    state = together(cloud(rng, HERE, 1.0), cloud(rng, moved(40), 1.0), cloud(rng, THERE, 1.0))
-    part = Cloud.of(state)
-    centres = np.array([HERE, moved(40)]).T.copy()
-    found = cluster(part, starting(part, centres, MODEL.sensor)[0], np.inf, 0)
-    mass, mean, cov = heavy_enough(found.mass, found.mean, found.covariance, np.ones((6, 2)), 1e3, 1.1, 3.0)
-    mine = state.state[:, :800]
-    np.testing.assert_allclose(mass, [2.0])
-    np.testing.assert_allclose(mean[:, 0], mine.mean(1))
-    np.testing.assert_allclose(cov[0], np.cov(mine, bias=True), rtol=1e-9, atol=1e-9)
-
-
 @both
 def test_edges(extractor, rng):
     nothing = ParticleBlocks.empty(6)
@@ -228,13 +198,6 @@ def test_edges(extractor, rng):
     assert extractor.extract(pile, seen(HERE), MODEL).weight.sum() == pytest.approx(3.0)
     with pytest.raises(ValueError, match="finite"):
         extractor.extract(ParticleBlocks(np.full((6, 3), np.nan, np.float32), np.array([0, 3]), 1.0), seen(), MODEL)
-
-
-@both
-def test_crossing_targets_are_two(extractor, rng):
-    crossing = HERE * [1, 1, -1, 1, 1, 1] + [6, 0, -6, 0, 0, 0]
-    state = together(cloud(rng, moved(0, 0, 6), 1.0), cloud(rng, crossing, 1.0))
-    assert len(extractor.extract(blocks(state), seen(HERE, crossing), MODEL)) == 2
 
 
 @both

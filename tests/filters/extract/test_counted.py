@@ -7,7 +7,7 @@ import pytest
 from extract_cases import HERE, MODEL, THERE, cloud, moved, seen, together
 
 from phdtrack.filters.extract import Components, KMeans, Mixture
-from phdtrack.filters.extract.counted import heaviest, united
+from phdtrack.filters.extract.counted import united
 from phdtrack.filters.intensities import Cardinalised
 from phdtrack.types import Estimates, GaussianMixture, Particles
 
@@ -51,7 +51,3 @@ def test_what_is_near_a_heavier_component_is_part_of_it(rng):
     np.testing.assert_array_equal(found.detection, [3, 1, 2])
     np.testing.assert_allclose(found.xyxy, MODEL.sensor.boxes(found.state))
     assert len(united(Estimates.empty(6), MODEL.sensor)) == 0
-
-
-def test_of_equally_probable_numbers_the_smaller_one():
-    assert len(heaviest(Estimates.empty(6), np.array([0.4, 0.2, 0.4]))) == 0
