@@ -13,7 +13,6 @@ from phdtrack.filters import MCMC
 from phdtrack.filters.intensities import JointSamples
 from phdtrack.kernels.mcmc import Chain, Options, jump_chain, option_tables
 
-PAIRS = [(0, 1), (0, 2), (1, 2)]
 # Two targets that were there, and a newborn one, at two measurements; each has two states of his own.
 CANDIDATE = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 2, 2])
 WHICH = np.array([-1, -1, 0, 0, 1, 1, -1, -1, 0, 0, 1, 1, 0, 0])
@@ -22,14 +21,6 @@ WEIGHT = np.array([0.1, 0.2, 1.5, 0.4, 0.3, 0.1, 0.2, 0.1, 0.9, 0.2, 0.5, 0.6, 0
 ABSENT = np.array([0.3, 0.5, 1.0])
 PLACE = np.array([[0.0, 0, 2, 2], [1, 0, 3, 2], [0.5, 0.5, 2.5, 2.5], [4, 4, 5, 5], [0.2, 0, 2, 2], [4, 4.5, 5, 5]])
 interactions = pytest.mark.parametrize("strength", [0.0, 2.0])
-
-
-def tables() -> Options:
-    return Options(*option_tables(CANDIDATE, WHICH, WEIGHT, ABSENT), MEMBER, PLACE)
-
-
-def settings(samples: int, strength: float, share: float = 0.2) -> Chain:
-    return Chain(50, 1, samples, share, strength, True, False, False)
 
 
 def law_of(strength: float) -> dict[tuple, float]:
@@ -46,8 +37,9 @@ def law_of(strength: float) -> dict[tuple, float]:
 @pytest.mark.parametrize("exchange", [0.0, 0.4])
 def test_the_chain_samples_the_posterior(strength: float, exchange: float, rng):
     """Numbers 0 to 3, births, deaths, clutter and associations at once; total variation below 0.02."""
-    law, can = law_of(strength), tables()
-    options, states, chance, counts = jump_chain(2, 2, can, np.array(PAIRS), settings(100_000, strength, exchange), rng)
+    law, can = law_of(strength), Options(*option_tables(CANDIDATE, WHICH, WEIGHT, ABSENT), MEMBER, PLACE)
+    chain = Chain(50, 1, 100_000, exchange, strength, True, False, False)
+    options, states, chance, counts = jump_chain(2, 2, can, np.array([(0, 1), (0, 2), (1, 2)]), chain, rng)
     assert (counts[:6, 1] > 0).all()
     assert (counts[6, 1] > 0) == (exchange > 0)
     assert (counts[:, 1].sum() < counts[:, 0].sum()) == (strength > 0)

@@ -34,7 +34,7 @@ def follow(filter_: PMB | MHT, model: Model, x: np.ndarray, noisy, alarms, frame
         state, _ = filter_.step(state, np.hstack([noisy(x), alarms()]), model, 1.0, RNG)
         found.append(told(state, model))
         truth.append(x)
-    return state, found, truth
+    return found, truth
 
 
 def stays_with(found, truth, near: float) -> None:
@@ -60,7 +60,7 @@ def test_points(transform: str):
         UniformClutter(2.0, FRAME[0] * FRAME[1]),
     )
     x = np.array([[100.0, 500], [100, 300], [3, -2], [1, 2]])
-    _, found, truth = follow(
+    found, truth = follow(
         PMB(transform=transform), model, x, lambda x: x[:2] + rng.normal(0, 2, (2, 2)),
         lambda: rng.uniform([[0], [0]], [[640], [480]], (2, 2)), 25,
     )  # fmt: skip
@@ -74,7 +74,7 @@ def test_the_ground_plane(transform: str):
     births = PlaneBirth(births_per_second=0.05, volume="region", borders=(-20.0, 0.0, 20.0, 40.0))
     model = Model(PlaneMotion(acceleration=0.02), sensor, births, UniformClutter(1.0, 1600.0))
     x = np.array([[-5.0, 5], [10, 25], [0.1, -0.1], [0.05, 0.1]])
-    _, found, truth = follow(
+    found, truth = follow(
         PMB(transform=transform), model, x, lambda x: measured_plane(x[:2] + rng.normal(0, 0.1, (2, 2))),
         lambda: measured_plane(rng.uniform([[-20], [0]], [[20], [40]], (2, 1))), 25,
     )  # fmt: skip
@@ -102,7 +102,7 @@ def test_bearings_and_range_with_sigma_points(filter_):
     def alarms() -> np.ndarray:
         return rng.uniform([[-np.pi / 2], [0]], [[np.pi / 2], [2000]], (2, 1))
 
-    _, found, truth = follow(replace(filter_, transform="unscented"), model, x, noisy, alarms, 20)
+    found, truth = follow(replace(filter_, transform="unscented"), model, x, noisy, alarms, 20)
     stays_with(found[5:], truth[5:], 60)
 
 

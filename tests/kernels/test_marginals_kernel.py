@@ -66,15 +66,6 @@ def test_with_cycles_they_are_nearly():
     assert np.max(error) < 0.25
 
 
-def test_no_pairs():
-    none = np.zeros(0, np.int64)
-    pair, missed, own = marginals(np.zeros(0), none, none, 3, 2)
-    assert len(pair) == 0
-    np.testing.assert_array_equal(missed, np.ones(3))
-    np.testing.assert_array_equal(own, np.ones(2))
-    assert [len(x) for x in marginals(np.zeros(0), none, none, 0, 0)] == [0, 0, 0]
-
-
 def test_impossible_and_certain_pairs():
     one = np.arange(2)
     pair, missed, own = marginals(np.array([0.0, 1e15]), one, one, 2, 2)

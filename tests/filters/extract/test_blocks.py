@@ -198,12 +198,3 @@ def test_edges(extractor, rng):
     assert extractor.extract(pile, seen(HERE), MODEL).weight.sum() == pytest.approx(3.0)
     with pytest.raises(ValueError, match="finite"):
         extractor.extract(ParticleBlocks(np.full((6, 3), np.nan, np.float32), np.array([0, 3]), 1.0), seen(), MODEL)
-
-
-@both
-def test_a_thousand_targets(extractor, rng):
-    at = np.array([[200.0 * (i % 40), 300.0 * (i // 40), 0, 0, 40, 100] for i in range(1000)])
-    state = together(*(cloud(rng, x, 1.0, 30) for x in at))
-    found = extractor.extract(blocks(state), seen(*at[rng.random(1000) < 0.95]), MODEL)
-    assert len(found) == 1000
-    assert found.weight.sum() == pytest.approx(1000, rel=1e-4)
