@@ -57,12 +57,6 @@ def test_what_is_within_bounds_passes(share: float, positive: float, count: int)
     Bounded(0, 1, 1, 0, 0, 1, free="anything")
 
 
-def test_bounds_are_those_of_the_annotations():
-    assert [name for name, _ in bounds(Bounded)] == [
-        "probability", "share", "positive", "non_negative", "count", "positive_count",
-    ]  # fmt: skip
-
-
 def test_every_record_of_settings_keeps_its_bounds():
     """Also where it is made by hand, without configuration: NaN is refused in every field that has bounds."""
     needed = {"frame_size": (640.0, 480.0), "boxes": [(0.0, 0.0, 1.0, 1.0)], "places": [], "file": "births.json"}

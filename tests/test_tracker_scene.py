@@ -90,7 +90,7 @@ def test_who_enters_where_nothing_is_false_is_reported_at_once(section):
     assert equal(trackers[0].tracks(), trackers[1].tracks())
 
 
-@pytest.mark.parametrize("section", [{}, {"delay": 3}, {"particles": True}], ids=["default", "delay", "particles"])
+@pytest.mark.parametrize("section", [{"delay": 3}, {"particles": True}], ids=["delay", "particles"])
 def test_a_resumed_run_is_bit_identical(section):
     whole, first, second = (tracker_of(**section) for _ in range(3))
     wanted = feed(whole, scans())

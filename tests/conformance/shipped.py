@@ -23,9 +23,8 @@ from phdtrack.filters import (
     ParticlePHD,
 )
 from phdtrack.filters.extract import Components, Joint, KMeans, Mixture, Raw
-from phdtrack.filters.hypotheses import Cluster, Hypotheses, Nodes
+from phdtrack.filters.hypotheses import Cluster, Nodes
 from phdtrack.filters.intensities import JointSamples
-from phdtrack.filters.pmb import Bernoullis
 from phdtrack.kernels.pmb import Layer
 from phdtrack.models import (
     BearingSensor,
@@ -203,37 +202,13 @@ def gaussians(x: np.ndarray, mass: float = 1.0) -> GaussianMixture:
 
 def intensity_for(extractor: object, x: np.ndarray, each: int, rng: np.random.Generator, mass: float = 1.0):
     """What the extractor can read about every column of ``x``: Gaussians or ``each`` particles, and their number."""
-    if isinstance(extractor, BestHypothesis):
-        return certain(x, mass)
-    if isinstance(extractor, BestBernoullis):
-        return believed(x, mass)
+    if isinstance(extractor, BestHypothesis | BestBernoullis):
+        labelled = MHT if isinstance(extractor, BestHypothesis) else PMB
+        return labelled(initial=gaussians(x, mass)).start(model_of(), rng)
     if isinstance(extractor, Joint):
         n = x.shape[1]
         return JointSamples(about(x, each, rng).state, np.full((n, each), mass), np.arange(n), n, x[:, :0])
     return gaussians(x, mass) if isinstance(extractor, Components) else about(x, each, rng, mass)
-
-
-def certain(x: np.ndarray, mass: float = 1.0) -> Hypotheses:
-    """A track about every column of ``x``, of which there is no other form, with this probability that it is there."""
-    d, n = x.shape
-    none = np.full(n, -1)
-    nodes = Nodes(
-        np.ascontiguousarray(x.T),
-        np.tile(np.eye(d), (n, 1, 1)),
-        np.full(n, mass),
-        none,
-        none,
-        np.arange(n),
-        np.zeros(n, np.int64),
-    )
-    return Hypotheses((nodes,), np.arange(n), (), n)
-
-
-def believed(x: np.ndarray, mass: float = 1.0) -> Bernoullis:
-    """A target about every column of ``x``, of one hypothesis, with this probability that it is there."""
-    d, n = x.shape
-    given = GaussianMixture(np.full(n, mass), x, np.tile(np.eye(d), (n, 1, 1)))
-    return PMB(initial=given).start(model_of(), np.random.default_rng(0))
 
 
 def about(x: np.ndarray, each: int, rng: np.random.Generator, mass: float = 1.0) -> Particles:

@@ -116,15 +116,3 @@ def test_rows_of_a_sequence(associator, seed: int):
     for a, b in zip(*results, strict=True):
         np.testing.assert_array_equal(a.xyxy, b.xyxy)
         np.testing.assert_array_equal(a.identity, b.identity)
-
-
-@associators
-def test_nothing_is_followed_in_an_empty_sequence(associator):
-    model = model_of()
-    state = associator.start()
-    assert len(associator.flush(state, model)) == len(associator.finish(state, model)) == 0
-    nothing = Raw().extract(Particles(np.zeros((6, 0)), np.zeros(0)), np.zeros((4, 0)), model)
-    for number in range(1, 6):
-        state, rows = associator.extend(state, nothing, np.zeros((4, 0)), number, 1.0, model)
-        assert len(rows) == 0
-    assert len(associator.flush(state, model)) == len(associator.finish(state, model)) == 0

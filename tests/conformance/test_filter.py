@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from shipped import BIRTHS, CLUTTERS, FILTERS, SENSORS, detections, fixed, frozen, keeps, mixture, model_of, often
 
+from composed import composed_step
 from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, PMB, ParticleCPHD, ParticlePHD
 from phdtrack.filters.hypotheses import Hypotheses
 from phdtrack.filters.intensities import Cardinalised
@@ -30,12 +31,6 @@ def points(state) -> np.ndarray:
     """(d, L) the states of an intensity: its particles, or the means of its Gaussians."""
     held = intensity(state)
     return held.mean if isinstance(held, GaussianMixture) else held.state
-
-
-def step(filter_, state, z, model, dt, rng):
-    predicted = filter_.predict(state, model, dt, rng)
-    updated, info = filter_.update(predicted, z, model, dt, rng)
-    return filter_.reduce(updated, rng), info
 
 
 def scans(rng, count: int) -> list[np.ndarray]:
@@ -79,7 +74,7 @@ def test_states_are_values_and_runs_repeat(filter_):
         rng = np.random.default_rng(5)
         state = frozen(filter_.start(model, rng))
         for z in scans(np.random.default_rng(6), 8):
-            state, _ = step(filter_, state, z, model, 1.0, rng)
+            state, _ = composed_step(filter_, state, z, model, 1.0, rng)
             frozen(state)
         results.append(state)
     np.testing.assert_array_equal(points(results[0]), points(results[1]))
@@ -107,7 +102,7 @@ def test_a_step_is_predict_update_and_reduce(filter_, dt: float):
     """On average over seeds, to 4.5 standard errors; what draws no random numbers to rounding."""
     model = model_of()
     ours = averages(type(filter_).step, filter_, model, dt, range(50))
-    theirs = averages(step, filter_, model, dt, range(100, 150))
+    theirs = averages(composed_step, filter_, model, dt, range(100, 150))
     error = np.sqrt((ours.var(0, ddof=1) + theirs.var(0, ddof=1)) / 50)
     rounding = 1e-6 * np.abs(theirs).max(0) + 1e-30
     np.testing.assert_array_less(np.abs(ours.mean(0) - theirs.mean(0)), 4.5 * error + rounding)
@@ -119,7 +114,7 @@ def test_a_step_without_a_faster_form_is_exactly_that(filter_):
     if isinstance(filter_, STARTED) and filter_.initial is not None:
         filter_ = replace(filter_, initial=mixture(model.motion.dim))
     ours = averages(type(filter_).step, filter_, model, 1.0, range(2))
-    np.testing.assert_allclose(ours, averages(step, filter_, model, 1.0, range(2)), rtol=1e-9)
+    np.testing.assert_allclose(ours, averages(composed_step, filter_, model, 1.0, range(2)), rtol=1e-9)
 
 
 def test_two_steady_targets_count_as_two(filter_, rng):
@@ -130,7 +125,7 @@ def test_two_steady_targets_count_as_two(filter_, rng):
     state = filter_.start(model, rng)
     z = model.sensor.measure(detections(np.random.default_rng(2), 2))
     for _ in range(12):
-        state, info = step(filter_, state, z, model, 1.0, rng)
+        state, info = composed_step(filter_, state, z, model, 1.0, rng)
     assert info.mass == pytest.approx(2, abs=0.35)
 
 
@@ -138,7 +133,7 @@ def test_nothing_comes_of_nothing(filter_, rng):
     model = model_of()
     state = filter_.start(model, rng)
     for _ in range(200):
-        state, info = step(filter_, state, np.zeros((4, 0)), model, 1.0, rng)
+        state, info = composed_step(filter_, state, np.zeros((4, 0)), model, 1.0, rng)
         assert np.isfinite(info.mass)
     assert info.mass < 0.1
 
@@ -148,7 +143,7 @@ def test_every_learned_scene_will_do(filter_, scene: str):
     """A step is what it is defined as, on average over seeds to 4.5 standard errors, and who is seen again is there."""
     model = replace(model_of(), birth=often(BIRTHS[scene]), clutter=CLUTTERS[scene])
     ours, theirs = (averages(advance, filter_, model, 1.0, seeds) for advance, seeds in (
-        (type(filter_).step, range(30)), (step, range(100, 130))
+        (type(filter_).step, range(30)), (composed_step, range(100, 130))
     ))  # fmt: skip
     error = np.sqrt((ours.var(0, ddof=1) + theirs.var(0, ddof=1)) / 30)
     rounding = 1e-6 * np.abs(theirs).max(0) + 1e-30
@@ -170,7 +165,7 @@ def test_every_sensor_will_do(filter_, scaling: str, rng):
     state = filter_.start(model, rng)
     z = model.sensor.measure(detections(np.random.default_rng(2), 2))
     for _ in range(6):
-        state, info = step(filter_, state, z, model, 1.0, rng)
+        state, info = composed_step(filter_, state, z, model, 1.0, rng)
     assert len(points(state)) == model.motion.dim
     assert np.isfinite(info.mass)
 

@@ -43,19 +43,6 @@ def test_a_moving_square_is_found(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", BACKGROUND)
-def test_repetition_and_reset_give_the_same(name: str) -> None:
-    frames = list(Scene(frames=40, squares=2))
-    detector = build(name)
-    first = [detector(frame).xyxy for frame in frames]
-    detector.reset()
-    second = [detector(frame).xyxy for frame in frames]
-    third = [build(name)(frame).xyxy for frame in frames[:1]]
-    assert all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
-    assert np.array_equal(first[0], third[0])
-    assert sum(map(len, first)) > 0
-
-
-@pytest.mark.parametrize("name", BACKGROUND)
 def test_an_empty_scene_stays_empty_and_frames_stay_unwritten(name: str) -> None:
     detector = build(name)
     for frame in Scene(frames=40, squares=0):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from pathlib import Path
 
 import cv2
@@ -122,9 +121,7 @@ def test_given_noise_grows_where_no_edge_shows_the_target() -> None:
     assert unseen[0, 0] > 100.0
 
 
-def test_settings_are_checked() -> None:
-    with pytest.raises(InputError, match=r"^MergedMeasurements.merge_probability"):
-        MergedMeasurements(merge_probability=1.5)
+def test_blobs_of_raw_detections_are_not_explained() -> None:
     with pytest.raises(InputError, match="does not fit"):
         config.load(None, ("filter.kind=none", "merged_measurements.kind=explained"))
 
@@ -183,36 +180,6 @@ def test_rows_rest_on_the_blob_that_they_share() -> None:
     alone = [n for n in range(90, case.info.frames) if len(case.table.at(n)) == 1]
     both = [n for n in alone if (corrected.detection[corrected.frame == n] == 0).sum() == 2]
     assert len(both) > 0.7 * len(alone)
-
-
-@pytest.mark.parametrize("filter_name", ["pmb", "particle-phd"])
-def test_a_resumed_run_is_the_run(filter_name: str) -> None:
-    case = merging("crossing", 1)
-    first, second = (tracker_of(case, filter_name, "explained") for _ in range(2))
-    # In the middle of the blob that both share.
-    middle = 125
-    for number in range(1, middle):
-        first.update(case.table.at(number))
-    second.load_state_dict(pickle.loads(pickle.dumps(first.state_dict())))
-    assert len(case.table.at(middle)) == 1
-    for number in range(middle, case.info.frames + 1):
-        a, b = first.update(case.table.at(number)), second.update(case.table.at(number))
-        np.testing.assert_array_equal(a.xyxy, b.xyxy)
-        np.testing.assert_array_equal(a.detection, b.detection)
-    np.testing.assert_array_equal(first.tracks().xyxy, second.tracks().xyxy)
-
-
-def test_frames_that_were_not_observed_and_empty_ones_pass() -> None:
-    case = merging("turning back", 2)
-    tracker = tracker_of(case, "gm-phd", "explained")
-    for number in range(1, case.info.frames + 1):
-        found = case.table.at(number)
-        if number % 7 == 0:
-            found = Detections.empty(observed=False)
-        elif number % 11 == 0:
-            found = Detections.empty()
-        tracker.update(found)
-    assert len(np.unique(tracker.tracks().identity)) >= 2
 
 
 @pytest.mark.parametrize(

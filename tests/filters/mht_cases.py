@@ -1,4 +1,4 @@
-"""Worlds, scans and readings for the tests of multiple hypotheses."""
+"""Worlds, scans and readings for the tests of multiple hypotheses and of multi-Bernoulli filters."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import itertools
 
 import numpy as np
 
-from phdtrack.filters import MHT
+from phdtrack.filters import MHT, PMB, BestBernoullis, BestHypothesis
 from phdtrack.filters.hypotheses import Hypotheses, before
+from phdtrack.filters.pmb import Bernoullis
 from phdtrack.models import BoxMotion, BoxSensor, FixedBirth, UniformClutter
 from phdtrack.protocols import Model
-from phdtrack.types import F8, GaussianMixture, UpdateInfo
+from phdtrack.types import F8, Estimates, GaussianMixture
 
 FRAME = (640.0, 480.0)
+RNG = np.random.default_rng(0)
 # Nothing is cut, pruned or decided.
 EVERYTHING = MHT(
     max_hypotheses=20000, hypothesis_threshold=1e-290, history=30, existence_threshold=1e-290, gate_probability=1.0
@@ -36,12 +38,34 @@ def boxes(*points: tuple[float, float], size: tuple[float, float] = (40.0, 80.0)
     return np.array([[x, y, *size] for x, y in points], np.float64).reshape(-1, 4).T.copy()
 
 
-def run(filter_: MHT, scans: list[F8], model: Model, dt: float = 1.0) -> tuple[Hypotheses, UpdateInfo]:
-    rng = np.random.default_rng(0)
-    state, info = filter_.start(model, rng), None
+def walk(start, velocity, count: int, rng=None, noise: float = 3.0) -> F8:
+    """(count, 2) positions, seen with noise."""
+    path = np.array(start, np.float64) + np.arange(count)[:, None] * np.array(velocity, np.float64)
+    return path if rng is None else path + noise * rng.standard_normal(path.shape)
+
+
+def scene(rng, frames: int, targets: int = 4, clutter: int = 3, detection: float = 0.85, size=FRAME) -> list[F8]:
+    """Targets that walk among false alarms."""
+    start, velocity = rng.uniform([100, 80], [size[0] - 100, size[1] - 80], (targets, 2)), rng.normal(0, 3, (targets, 2))
+    scans = []
+    for k in range(frames):
+        here = (start + k * velocity + 3 * rng.standard_normal((targets, 2)))[rng.random(targets) < detection]
+        scans.append(boxes(*here, *rng.uniform([0, 0], size, (clutter, 2))))
+    return scans
+
+
+def run(filter_: MHT | PMB, scans: list[F8], model: Model, dt: float = 1.0) -> tuple:
+    """The last state, and what the last update told."""
+    state, info = filter_.start(model, RNG), None
     for z in scans:
-        state, info = filter_.step(state, z, model, dt, rng)
+        state, info = filter_.step(state, z, model, dt, RNG)
     return state, info
+
+
+def told(state: Hypotheses | Bernoullis, model: Model, merge_iou: float = 1.0) -> Estimates:
+    """What is reported, with nobody left out for another's sake unless they overlap by more."""
+    kind = BestHypothesis if isinstance(state, Hypotheses) else BestBernoullis
+    return kind(merge_iou=merge_iou).extract(state, np.zeros((4, 0)), model)
 
 
 def histories(state: Hypotheses) -> list[tuple]:

@@ -59,13 +59,3 @@ def seen_by(rng, particles: Particles, count: int) -> np.ndarray:
     z = x[[0, 1, 4, 5]] + 0.1 * rng.standard_normal((4, count)) * np.vstack([x[4:6], x[4:6]])
     z[2:] = np.maximum(z[2:], 2.0)
     return z
-
-
-def freeze(particles: Particles) -> Particles:
-    particles.state.flags.writeable = particles.weight.flags.writeable = False
-    return particles
-
-
-def same(a: Particles, b: Particles) -> None:
-    np.testing.assert_array_equal(a.state, b.state)
-    np.testing.assert_array_equal(a.weight, b.weight)

@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from mht_cases import FRAME
 
-from phdtrack.filters import PMB, BestBernoullis
+from phdtrack.filters import PMB
 from phdtrack.filters.pmb import Bernoullis
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.protocols import Model
-from phdtrack.types import F8, Estimates, UpdateInfo
+from phdtrack.types import F8
+from reference.gm_twin import corrected
 
-FRAME = (640.0, 480.0)
-RNG = np.random.default_rng(0)
+# What a detection shows of a state, and its noise in `world`.
+H, NOISE = np.eye(6)[[0, 1, 4, 5]], 9 * np.eye(4)
 # Neither hidden states nor sources, and nothing is dropped.
 PLAIN = PMB(mean_visible_time=0.0, static_clutter_prior=0.0)
 EVERYTHING = PMB(
@@ -36,39 +38,11 @@ def without_births(model: Model) -> Model:
     return replace(model, birth=MeasurementBirth(births_per_second=0.0, volume="image", frame_size=FRAME))
 
 
-def run(filter_: PMB, scans: list[F8], model: Model, dt: float = 1.0) -> tuple[Bernoullis, UpdateInfo]:
-    """The last state, and what the last update told."""
-    state, info = filter_.start(model, RNG), None
-    for z in scans:
-        state, info = filter_.step(state, z, model, dt, RNG)
-    return state, info
-
-
-def told(state: Bernoullis, model: Model, **settings) -> Estimates:
-    """What is reported, with nobody left out for another's sake."""
-    return BestBernoullis(**{"merge_iou": 1.0, **settings}).extract(state, np.zeros((4, 0)), model)
-
-
-def walk(start, velocity, count: int, rng=None, noise: float = 3.0) -> np.ndarray:
-    """(count, 2) positions, seen with noise."""
-    path = np.array(start, np.float64) + np.arange(count)[:, None] * np.array(velocity, np.float64)
-    return path if rng is None else path + noise * rng.standard_normal(path.shape)
-
-
 def kalman(model: Model, mean: F8, cov: F8, z: F8 | None, dt: float) -> tuple[F8, F8]:
     """Predict, and update with one measurement (4,) where there is one."""
     moved, f, q = model.motion.transition(mean[:, None], dt)
     mean, cov = moved[:, 0], f[0] @ cov @ f[0].T + q[0]
-    return (mean, cov) if z is None else corrected(mean, cov, z)[:2]
-
-
-def corrected(mean: F8, cov: F8, z: F8) -> tuple[F8, F8, float]:
-    """After a measurement with the noise of `world`, and its density."""
-    h = np.eye(6)[[0, 1, 4, 5]]
-    s = h @ cov @ h.T + 9 * np.eye(4)
-    gain, step = cov @ h.T @ np.linalg.inv(s), z - h @ mean
-    density = np.exp(-0.5 * step @ np.linalg.solve(s, step)) / np.sqrt(np.linalg.det(2 * np.pi * s))
-    return mean + gain @ step, cov - gain @ h @ cov, float(density)
+    return (mean, cov) if z is None else corrected(mean, cov, z, H, NOISE)[:2]
 
 
 @dataclass(frozen=True)
@@ -106,7 +80,7 @@ def bernoulli(nobody: float, ways: list[One], z: F8, model: Model, firing: float
         p = firing if way.static else 0.0 if way.hidden else model.sensor.detection_probability
         out.append(replace(way, weight=way.weight * (1 - p), taken=(*way.taken, -1)))
         for j in range(z.shape[1]):
-            mean, cov, density = corrected(way.mean, way.cov, z[:, j])
+            mean, cov, density = corrected(way.mean, way.cov, z[:, j], H, NOISE)
             out.append(
                 replace(
                     way, weight=way.weight * p * density / kappa[j], taken=(*way.taken, j), mean=mean, cov=cov, hidden=False

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from mcmc_cases import apart, joint_law, ring, variation
 
-from inner_kernels import from_python
 from phdtrack.filters import MCMC
 from phdtrack.filters.intensities import JointSamples
-from phdtrack.kernels.mcmc import Chain, Options, Sample, _redraw, jump_chain, option_tables
+from phdtrack.kernels.mcmc import Chain, Options, jump_chain, option_tables
 
-PAIRS = [(0, 1), (0, 2), (1, 2)]
 # Two targets that were there, and a newborn one, at two measurements; each has two states of his own.
 CANDIDATE = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 2, 2])
 WHICH = np.array([-1, -1, 0, 0, 1, 1, -1, -1, 0, 0, 1, 1, 0, 0])
@@ -24,32 +21,6 @@ WEIGHT = np.array([0.1, 0.2, 1.5, 0.4, 0.3, 0.1, 0.2, 0.1, 0.9, 0.2, 0.5, 0.6, 0
 ABSENT = np.array([0.3, 0.5, 1.0])
 PLACE = np.array([[0.0, 0, 2, 2], [1, 0, 3, 2], [0.5, 0.5, 2.5, 2.5], [4, 4, 5, 5], [0.2, 0, 2, 2], [4, 4.5, 5, 5]])
 interactions = pytest.mark.parametrize("strength", [0.0, 2.0])
-
-
-def tables() -> Options:
-    return Options(*option_tables(CANDIDATE, WHICH, WEIGHT, ABSENT), MEMBER, PLACE)
-
-
-def settings(samples: int, strength: float, share: float = 0.2) -> Chain:
-    return Chain(50, 1, samples, share, strength, True, False, False)
-
-
-def test_tables_of_options():
-    can = tables()
-    assert can.first.tolist() == [0, 4, 8, 10], "absent, unseen and both measurements; a newborn target is seen"
-    assert can.seen_by.tolist() == [-1, -1, 0, 1, -1, -1, 0, 1, -1, 0]
-    np.testing.assert_allclose(can.total, [0.3, 0.3, 1.9, 0.4, 0.5, 0.3, 1.1, 1.1, 1.0, 1.2])
-    for o, (low, high) in enumerate(pairwise(can.start.tolist())):
-        np.testing.assert_allclose(can.running[low:high], np.cumsum(WEIGHT[low:high]))
-        assert high == low or can.running[high - 1] == can.total[o]
-
-
-def test_no_candidates(rng):
-    none = np.zeros(0, np.int64)
-    can = Options(*option_tables(none, none, np.zeros(0), np.zeros(0)), none, np.zeros((0, 4)))
-    options, states, chance, counts = jump_chain(0, 2, can, np.zeros((0, 2), np.int64), settings(5, 0.0), rng)
-    assert options.shape == states.shape == chance.shape == (0, 5)
-    assert counts.sum() == 0
 
 
 def law_of(strength: float) -> dict[tuple, float]:
@@ -66,8 +37,9 @@ def law_of(strength: float) -> dict[tuple, float]:
 @pytest.mark.parametrize("exchange", [0.0, 0.4])
 def test_the_chain_samples_the_posterior(strength: float, exchange: float, rng):
     """Numbers 0 to 3, births, deaths, clutter and associations at once; total variation below 0.02."""
-    law, can = law_of(strength), tables()
-    options, states, chance, counts = jump_chain(2, 2, can, np.array(PAIRS), settings(100_000, strength, exchange), rng)
+    law, can = law_of(strength), Options(*option_tables(CANDIDATE, WHICH, WEIGHT, ABSENT), MEMBER, PLACE)
+    chain = Chain(50, 1, 100_000, exchange, strength, True, False, False)
+    options, states, chance, counts = jump_chain(2, 2, can, np.array([(0, 1), (0, 2), (1, 2)]), chain, rng)
     assert (counts[:6, 1] > 0).all()
     assert (counts[6, 1] > 0) == (exchange > 0)
     assert (counts[:, 1].sum() < counts[:, 0].sum()) == (strength > 0)
@@ -83,72 +55,6 @@ def test_the_chain_samples_the_posterior(strength: float, exchange: float, rng):
         assert chance[c].mean() == pytest.approx(1 - exact[-1], abs=0.006)
         for i in np.unique(MEMBER[c == CANDIDATE]):
             assert chance[c][states[c] == i].sum() / 100_000 == pytest.approx(exact[i], abs=0.008)
-
-
-def moves_of(config: tuple, who: tuple[int, ...], strength: float) -> dict[tuple, float]:
-    """Where a step that moves ``who`` goes from ``config``, and with what probability: proposal times acceptance."""
-    held = {j for c, (j, _) in enumerate(config) if c not in who} - {-1}
-    choices = [
-        [(-1, -1, ABSENT[c])]
-        + [
-            (int(j), int(i), w)
-            for d, j, i, w in zip(CANDIDATE, WHICH, MEMBER, WEIGHT, strict=True)
-            if d == c and j not in held
-        ]
-        for c in who
-    ]
-    out: dict[tuple, float] = defaultdict(float)
-    log_psi = apart(PLACE, strength, True)
-    # Without interaction the law of those alone, given everybody else, is what is proposed.
-    for key, proposed in joint_law(choices, lambda _: 0.0).items():
-        new = list(config)
-        for c, one in zip(who, key, strict=True):
-            new[c] = one
-        alpha = min(1.0, np.exp(log_psi([i for _, i in new]) - log_psi([i for _, i in config])))
-        out[tuple(new)] += proposed * alpha
-        out[config] += proposed * (1 - alpha)
-    return out
-
-
-@interactions
-@pytest.mark.parametrize("who", [(0,), (1,), (2,), *PAIRS])
-def test_detailed_balance(who: tuple[int, ...], strength: float):
-    """π(x) q(x→y) α(x→y) = π(y) q(y→x) α(y→x) for every pair of configurations; adding and deleting among them."""
-    law = law_of(strength)
-    steps = {x: moves_of(x, who, strength) for x in law}
-    reached = 0
-    for x in law:
-        for y, there in steps[x].items():
-            assert law[x] * there == pytest.approx(law[y] * steps[y][x], rel=1e-9)
-            reached += x != y
-    assert reached > 100
-
-
-@interactions
-@pytest.mark.parametrize("who", [(0,), (2,), (0, 2)])
-def test_the_kernel_makes_these_moves(who: tuple[int, ...], strength: float, rng):
-    """Frequencies of single steps from some configurations, against the probabilities whose balance is tested above."""
-    can, (step,) = tables(), from_python(_redraw)
-    draws, counts = 20_000, np.zeros((7, 2), np.int64)
-    law = law_of(strength)
-    for x in [list(law)[k] for k in (0, 17, 41)]:
-        before = [
-            next(o for o in range(can.first[c] + (i >= 0), can.first[c + 1]) if can.seen_by[o] == j)
-            for c, (j, i) in enumerate(x)
-        ]
-        seen: Counter = Counter()
-        for _ in range(draws):
-            option, state, taken = np.array(before), np.array([i for _, i in x]), np.full(2, -1)
-            for c, (j, _) in enumerate(x):
-                if j >= 0:
-                    taken[j] = c
-            a, b = (*who, -1)[:2]
-            step(a, b, 2, can, Sample(option, state, taken), settings(1, strength), rng, counts)
-            seen[tuple(zip(can.seen_by[option].tolist(), state.tolist(), strict=True))] += 1
-        expected = moves_of(x, who, strength)
-        assert set(seen) <= set(expected)
-        for y, p in expected.items():
-            assert seen[y] / draws == pytest.approx(p, abs=5 * np.sqrt(p * (1 - p) / draws) + 1e-9)
 
 
 def predicted() -> JointSamples:

@@ -6,25 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mht_cases import FRAME, boxes, histories, run, world
+from mht_cases import FRAME, RNG, boxes, histories, run, scene, told, walk, world
 
 from phdtrack import config
-from phdtrack.filters import MHT, BestHypothesis
-from phdtrack.filters.hypotheses import Hypotheses
-from phdtrack.models import BearingSensor, FixedBirth, LocalClutter, MeasurementBirth, TurningMotion, UniformClutter
-from phdtrack.types import Detections, GaussianMixture, SequenceInfo
-
-RNG = np.random.default_rng(0)
-
-
-def told(state: Hypotheses, model, overlap: float = 1.0):
-    return BestHypothesis(merge_iou=overlap).extract(state, np.zeros((4, 0)), model)
-
-
-def walk(start, velocity, count: int, rng=None, noise: float = 2.0) -> np.ndarray:
-    """(count, 2) positions, seen with noise."""
-    path = np.array(start, np.float64) + np.arange(count)[:, None] * np.array(velocity)
-    return path if rng is None else path + noise * rng.standard_normal(path.shape)
+from phdtrack.filters import MHT
+from phdtrack.models import LocalClutter, MeasurementBirth, UniformClutter
+from phdtrack.types import SequenceInfo
+from reference.gm_twin import corrected
 
 
 @pytest.mark.parametrize("transform", ["linear", "unscented"])
@@ -33,7 +21,9 @@ def test_on_clean_data_it_is_a_kalman_filter_for_each_target(transform: str, dt:
     """Three targets far apart, always seen, nothing else; states and covariances of every frame, also as told later."""
     model = world(detection=0.999, clutter=1e-14, survival=0.999, birth=0.5)
     rng = np.random.default_rng(3)
-    paths = [walk(start, v, 25, rng) for start, v in (((150, 100), (3, 1)), ((450, 150), (-2, 2)), ((300, 400), (0, -3)))]
+    paths = [
+        walk(start, v, 25, rng, 2.0) for start, v in (((150, 100), (3, 1)), ((450, 150), (-2, 2)), ((300, 400), (0, -3)))
+    ]
     scans = [boxes(*(path[k] for path in paths)) for k in range(25)]
     state, info = run(MHT(transform=transform), scans, model, dt)
     found = told(state, model)
@@ -47,9 +37,7 @@ def test_on_clean_data_it_is_a_kalman_filter_for_each_target(transform: str, dt:
             if k:
                 moved, f, q = model.motion.transition(mean[:, None], dt)
                 mean, cov = moved[:, 0], f[0] @ cov @ f[0].T + q[0]
-            s = h @ cov @ h.T + 16 * np.eye(4)
-            gain = cov @ h.T @ np.linalg.inv(s)
-            mean, cov = mean + gain @ (z[:, j] - h @ mean), cov - gain @ h @ cov
+            mean, cov, _ = corrected(mean, cov, z[:, j], h, 16 * np.eye(4))
             means.append(mean)
         np.testing.assert_allclose(found.state[:, j], mean, rtol=0, atol=1e-9 * 640)
         np.testing.assert_allclose(found.covariance[j], cov, rtol=1e-9, atol=1e-9)
@@ -59,32 +47,9 @@ def test_on_clean_data_it_is_a_kalman_filter_for_each_target(transform: str, dt:
             assert past.tag.tolist() == found.tag.tolist()
 
 
-def scene(rng, frames: int, targets: int = 4, clutter: int = 3, detection: float = 0.85) -> list[np.ndarray]:
-    """Targets that walk among false alarms."""
-    start, velocity = rng.uniform([100, 80], [540, 400], (targets, 2)), rng.normal(0, 3, (targets, 2))
-    scans = []
-    for k in range(frames):
-        here = (start + k * velocity + 2 * rng.standard_normal((targets, 2)))[rng.random(targets) < detection]
-        scans.append(boxes(*here, *rng.uniform([0, 0], FRAME, (clutter, 2))))
-    return scans
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_order_of_the_detections_does_not_matter(seed: int):
-    rng = np.random.default_rng(seed)
-    model, scans = world(clutter=1e-8), scene(rng, 20)
-    mixed = [z[:, rng.permutation(z.shape[1])] for z in scans]
-    (one, first), (two, second) = run(MHT(), scans, model), run(MHT(), mixed, model)
-    assert first.mass == pytest.approx(second.mass, rel=1e-9)
-    a, b = told(one, model), told(two, model)
-    order, other = np.lexsort(a.state), np.lexsort(b.state)
-    np.testing.assert_allclose(a.state[:, order], b.state[:, other], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(np.sort(first.clutter_probability), np.sort(second.clutter_probability), atol=1e-9)
-
-
 def test_two_that_cross_keep_their_labels():
     model, rng = world(detection=0.95), np.random.default_rng(1)
-    paths = walk((150, 180), (8, 1), 40, rng), walk((470, 200), (-8, 0.5), 40, rng)
+    paths = walk((150, 180), (8, 1), 40, rng, 2.0), walk((470, 200), (-8, 0.5), 40, rng, 2.0)
     state, labels = MHT().start(model, RNG), []
     for k in range(40):
         state, _ = MHT().step(state, boxes(paths[0][k], paths[1][k]), model, 1.0, RNG)
@@ -97,7 +62,7 @@ def test_two_that_cross_keep_their_labels():
 
 
 def test_one_that_is_hidden_for_some_frames_comes_back_as_itself():
-    model, path = world(detection=0.8, survival=0.99), walk((200, 200), (5, 2), 30, np.random.default_rng(2))
+    model, path = world(detection=0.8, survival=0.99), walk((200, 200), (5, 2), 30, np.random.default_rng(2), 2.0)
     state, weights, tags = MHT().start(model, RNG), [], []
     for k in range(30):
         z = boxes() if 15 <= k < 20 else boxes(path[k])
@@ -181,62 +146,11 @@ def test_the_longer_a_target_is_missed_the_less_patience_there_is():
         assert state.mass == pytest.approx(before * np.exp(-k / 4), rel=1e-9)
 
 
-def test_unscented_with_bearings_and_range():
-    """The turning targets of the nonlinear scenario, each where it is."""
-    sensor, rng = BearingSensor(), np.random.default_rng(8)
-    motion = TurningMotion()
-    x = np.array([[400.0, -500], [700, 300], [5, -3], [-8, 6], [0.01, -0.02]])
-    place = GaussianMixture(np.full(2, 0.05), x.copy(), np.tile(np.diag([900.0, 900, 100, 100, 0.01]), (2, 1, 1)))
-    model = replace(world(detection=0.95), motion=motion, sensor=sensor, birth=FixedBirth(place),
-                    clutter=UniformClutter(5.0, np.pi * 2000))  # fmt: skip
-    state = (filter_ := MHT(transform="unscented")).start(model, rng)
-    for _ in range(20):
-        x = motion.transition(x, 1.0)[0]
-        noise = np.linalg.cholesky(sensor.covariance(sensor.expected(x), x)) @ rng.standard_normal((2, 2, 1))
-        alarms = np.vstack([rng.uniform(-np.pi / 2, np.pi / 2, 5), rng.uniform(0, 2000, 5)])
-        state, _ = filter_.step(state, np.hstack([sensor.expected(x) + noise[:, :, 0].T, alarms]), model, 1.0, rng)
-    at = state.leaves.mean[state.best()[state.leaves.r[state.best()] > 0.5], :2].T
-    assert at.shape == (2, 2)
-    assert np.hypot(*(np.sort(at, axis=1) - np.sort(x[:2], axis=1))).max() < 40
-
-
-def test_initial_targets_are_tracks():
-    model = world()
-    place = GaussianMixture(np.array([1.0, 0.4]), np.tile(np.array([[200.0], [100], [0], [0], [40], [80]]), 2),
-                            np.tile(4 * np.eye(6), (2, 1, 1)))  # fmt: skip
-    place.mean[0, 1] = 400
-    state = MHT(initial=place).start(model, RNG)
-    assert state.mass == pytest.approx(1.4)
-    state, _ = MHT().step(state, boxes((201, 100), (399, 101)), model, 1.0, RNG)
-    assert told(state, model).tag.tolist() == [0, 1]
-
-
-def crowd(clutter: int, frames: int) -> tuple[object, list[Detections]]:
-    """Ten walkers and so many false alarms a frame, and the tracker of the default settings."""
-    rng = np.random.default_rng(1)
-    start, velocity, size = (
-        rng.uniform([200, 150], [1000, 550], (10, 2)),
-        rng.normal(0, 2, (10, 2)),
-        rng.uniform(40, 90, (10, 2)),
-    )
-    found = []
-    for k in range(frames):
-        seen = rng.random(10) < 0.9
-        centre = np.vstack(
-            [(start + k * velocity + rng.normal(0, 2, (10, 2)))[seen], rng.uniform(0, [1280, 720], (clutter, 2))]
-        )
-        sides = np.vstack([size[seen], rng.uniform(30, 100, (clutter, 2))])
-        found.append(Detections.of(np.hstack([centre - sides / 2, centre + sides / 2])))
-    stages = config.build(config.load(sets=["filter.kind=mht"]), SequenceInfo(1280, 720, 25.0))
-    return stages, found
-
-
 def test_fifty_false_alarms_a_frame_are_bounded():
     """Nodes, hypotheses and clusters stop growing after as many frames as the past is long."""
-    stages, found = crowd(50, 60)
+    stages = config.build(config.load(sets=["filter.kind=mht"]), SequenceInfo(1280, 720, 25.0))
     state, sizes = stages.filter.start(stages.model, RNG), []
-    for detections in found:
-        z = stages.model.sensor.measure(detections)
+    for z in scene(np.random.default_rng(1), 60, 10, 50, 0.9, (1280.0, 720.0)):
         state, _ = stages.filter.step(state, z, stages.model, 1.0, RNG)
         hypotheses = [len(c.weight) for c in state.clusters]
         assert max(hypotheses, default=0) <= 300

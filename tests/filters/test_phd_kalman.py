@@ -15,7 +15,7 @@ from phdtrack.filters import ParticlePHD
 from phdtrack.models import BoxMotion, BoxSensor, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
-from reference import phd_twin as twin
+from reference import gm_twin as twin
 
 STEPS = 20
 ROWS = [0, 1, 4, 5]

@@ -4,58 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import mht_cases
 import numpy as np
 import pytest
-from pmb_cases import FRAME, PLAIN, RNG, run, told, walk, without_births, world
+from mht_cases import FRAME, RNG, boxes, run, scene, told, walk
+from pmb_cases import PLAIN, world
 
 from phdtrack import config
 from phdtrack.errors import InputError
 from phdtrack.filters import PMB
 from phdtrack.models import BoxMotion, SplitSpawn
-from phdtrack.types import GaussianMixture, SequenceInfo
-
-boxes = mht_cases.boxes
-
-
-def test_an_empty_scan_makes_a_target_less_believed():
-    """r p_S (1 − p_D) / (1 − r p_S p_D)."""
-    model = world(detection=0.8, survival=0.9)
-    state, _ = run(PLAIN, [boxes((200, 200)), boxes((201, 202))], model)
-    r = state.present.targets["r"][0]
-    for _ in range(3):
-        state, info = PLAIN.step(state, boxes(), model, 1.0, RNG)
-        r = 0.9 * r * 0.2 / (1 - 0.9 * r * 0.8)
-        assert state.present.targets["r"][0] == pytest.approx(r, rel=1e-9)
-    assert info.evidence.shape == (0,)
-
-
-def chain(hidden: float, filter_: PMB, seconds: float) -> float:
-    """Probability of the second state of a two-state Markov chain after ``seconds``."""
-    rate, settled = (
-        1 / filter_.mean_visible_time + 1 / filter_.mean_occluded_time,
-        filter_.mean_occluded_time / (filter_.mean_visible_time + filter_.mean_occluded_time),
-    )
-    return settled + (hidden - settled) * np.exp(-rate * seconds)
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [{}, {"mean_visible_time": 0.3, "mean_occluded_time": 5.0}, {"mean_visible_time": 100.0, "mean_occluded_time": 0.01}],
-)
-def test_who_is_in_view_gets_hidden_as_a_markov_chain(settings: dict):
-    filter_, model = replace(PMB(static_clutter_prior=0.0), **settings), world(survival=1.0)
-    state, _ = run(filter_, [boxes((200, 200))], model)
-    assert state.present.hypotheses["occluded"].tolist() == [0]
-    whole = filter_.predict(state, model, 5.0, RNG)
-    assert whole.present.hypotheses["occluded"][0] == pytest.approx(chain(0.0, filter_, 0.2), rel=1e-12)
-    halves = filter_.predict(filter_.predict(state, model, 2.5, RNG), model, 2.5, RNG)
-    assert halves.present.hypotheses["occluded"][0] == pytest.approx(whole.present.hypotheses["occluded"][0], rel=1e-12)
-    late = filter_.predict(whole, model, 1e6, RNG)
-    assert late.present.hypotheses["occluded"][0] == pytest.approx(
-        filter_.mean_occluded_time / (filter_.mean_visible_time + filter_.mean_occluded_time)
-    )
-    assert replace(filter_, mean_visible_time=0.0).predict(state, model, 5.0, RNG).present.hypotheses["occluded"][0] == 0
+from phdtrack.types import SequenceInfo
 
 
 def test_misses_in_a_row_are_believed_where_targets_get_hidden():
@@ -89,49 +47,6 @@ def test_labels_are_unique_and_rise():
         ever |= new
     assert len(ever) > 100
     assert len(ended) > 50
-
-
-def scene(rng, frames: int, targets: int = 4, clutter: int = 3, detection: float = 0.85) -> list[np.ndarray]:
-    """Targets that walk among false alarms."""
-    start, velocity = rng.uniform([100, 80], [540, 400], (targets, 2)), rng.normal(0, 3, (targets, 2))
-    scans = []
-    for k in range(frames):
-        here = (start + k * velocity + 3 * rng.standard_normal((targets, 2)))[rng.random(targets) < detection]
-        scans.append(boxes(*here, *rng.uniform([0, 0], FRAME, (clutter, 2))))
-    return scans
-
-
-@pytest.mark.parametrize("transform", ["linear", "unscented"])
-@pytest.mark.parametrize("seed", range(3))
-def test_the_order_of_the_detections_does_not_matter(seed: int, transform: str):
-    """But for which labels are given; fused and not."""
-    rng = np.random.default_rng(seed)
-    model, scans = world(clutter=1e-9, birth=1e-9), scene(rng, 20)
-    filter_ = PMB(transform=transform)
-    mixed = [z[:, rng.permutation(z.shape[1])] for z in scans]
-    (one, first), (two, second) = run(filter_, scans, model), run(filter_, mixed, model)
-    assert first.mass == pytest.approx(second.mass, rel=1e-6)
-    np.testing.assert_allclose(np.sort(first.clutter_probability), np.sort(second.clutter_probability), atol=1e-6)
-    a, b = one.mixture(), two.mixture()
-    assert len(a) == len(b) > 5
-    order, other = np.argsort(a.weight), np.argsort(b.weight)
-    np.testing.assert_allclose(a.weight[order], b.weight[other], rtol=1e-5, atol=1e-8)
-    sure = a.weight[order] > 0.3
-    np.testing.assert_allclose(a.mean[:, order][:, sure], b.mean[:, other][:, sure], rtol=1e-6, atol=1e-6)
-
-
-def test_the_order_of_the_targets_does_not_matter():
-    rng, model = np.random.default_rng(4), without_births(world(clutter=1e-8))
-    mean = np.vstack([rng.uniform(250, 330, (2, 6)), rng.normal(0, 2, (2, 6)), np.full((1, 6), 40.0), np.full((1, 6), 80.0)])
-    root = rng.normal(0, 3, (6, 6, 6)) * np.eye(6)
-    cov, weight = root @ root.transpose(0, 2, 1) + 4 * np.eye(6), rng.uniform(0.1, 1, 6)
-    z, order = boxes(*rng.uniform(250, 330, (7, 2))), rng.permutation(6)
-    one, first = run(replace(PMB(), initial=GaussianMixture(weight, mean, cov)), [z, z + 1], model)
-    given = GaussianMixture(weight[order], mean[:, order], cov[order])
-    two, second = run(replace(PMB(), initial=given), [z, z + 1], model)
-    assert first.mass == pytest.approx(second.mass, rel=1e-6)
-    at = np.searchsorted(two.present.targets["label"], np.argsort(order)[one.present.targets["label"]])
-    np.testing.assert_allclose(two.present.targets["r"][at], one.present.targets["r"], rtol=1e-5, atol=1e-9)
 
 
 def seen_by_a_source(seed: int, frames: int = 150) -> list[np.ndarray]:
@@ -215,21 +130,6 @@ def test_spawning_has_no_form():
     state, _ = run(PMB(), [boxes((300, 200))], world())
     with pytest.raises(InputError, match="spawning"):
         PMB().step(state, boxes((301, 200)), model, 1.0, RNG)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"static_clutter_prior": 1.5},
-        {"mean_occluded_time": 0.0},
-        {"max_hypotheses": 0},
-        {"mean_visible_time": -1.0},
-        {"existence_threshold": 0.0},
-    ],
-)
-def test_settings_out_of_bounds_are_refused(wrong: dict):
-    with pytest.raises(InputError, match=next(iter(wrong))):
-        PMB(**wrong)
 
 
 def test_rare_births_among_much_clutter_are_seen_a_second_time():

@@ -6,7 +6,8 @@ import itertools
 
 import numpy as np
 import pytest
-from pmb_cases import RNG, world
+from mht_cases import RNG
+from pmb_cases import world
 
 from phdtrack.filters import PMB
 from phdtrack.filters.pmb import Bernoullis

@@ -8,28 +8,12 @@ import mht_cases
 import numpy as np
 import pytest
 import test_mht_enumeration
-from pmb_cases import (
-    EVERYTHING,
-    PLAIN,
-    RNG,
-    One,
-    bernoulli,
-    corrected,
-    kalman,
-    moved_on,
-    pasts,
-    run,
-    told,
-    walk,
-    without_births,
-    world,
-)  # fmt: skip
+from mht_cases import RNG, boxes, run, told, walk
+from pmb_cases import EVERYTHING, PLAIN, One, bernoulli, kalman, moved_on, pasts, without_births, world
 
 from phdtrack.filters import PMB
 from phdtrack.types import GaussianMixture
 from reference.mht_twin import enumerate_histories, summed
-
-boxes = mht_cases.boxes
 
 
 @pytest.mark.parametrize("transform", ["linear", "unscented"])
@@ -124,20 +108,6 @@ def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float):
         assert now.hypotheses["occluded"][i] == pytest.approx(hidden, rel=1e-8, abs=1e-12)
         np.testing.assert_allclose(now.mean[i], mine[0].mean, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(now.covariance[i], mine[0].cov, rtol=1e-8, atol=1e-8)
-
-
-def test_a_false_alarm_is_as_probable_as_bayes_has_it():
-    """One target that is there or not, one measurement: it is its, a new target's or nobody's."""
-    model = world(clutter=3e-8, birth=2e-8, detection=0.8, survival=0.95)
-    state, _ = run(replace(PLAIN, gate_probability=1.0), [boxes((300, 200))], model)
-    mean, cov = kalman(model, state.present.mean[0], state.present.covariance[0], None, 1.0)
-    r, q = 0.95 * state.present.targets["r"][0], corrected(mean, cov, boxes((303, 204))[:, 0])[2]
-    its, born, false = r * 0.8 * q, (1 - r * 0.8) * 0.8 * 2e-8, (1 - r * 0.8) * 3e-8
-    state, info = replace(PLAIN, gate_probability=1.0).step(state, boxes((303, 204)), model, 1.0, RNG)
-    total = its + born + false
-    assert info.clutter_probability[0] == pytest.approx(false / total, rel=1e-9)
-    assert info.mass_born == pytest.approx(born / total, rel=1e-9)
-    assert state.present.targets["r"][1] == pytest.approx(born / total, rel=1e-9)
 
 
 HISTORIES = {

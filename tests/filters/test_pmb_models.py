@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import mht_cases
 import numpy as np
 import pytest
-from pmb_cases import FRAME, PLAIN, RNG, told, world
+from mht_cases import FRAME, RNG, told
+from pmb_cases import PLAIN, world
 
-from phdtrack.filters import PMB
+from phdtrack.filters import MHT, PMB
 from phdtrack.models import (
     BearingSensor,
-    BoxMotion,
     FixedBirth,
     PlaneBirth,
     PlaneMotion,
@@ -26,10 +25,8 @@ from phdtrack.models import (
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
 
-boxes = mht_cases.boxes
 
-
-def follow(filter_: PMB, model: Model, x: np.ndarray, noisy, alarms, frames: int) -> tuple:
+def follow(filter_: PMB | MHT, model: Model, x: np.ndarray, noisy, alarms, frames: int) -> tuple:
     """Estimates of each frame, and where the targets ``x`` (d, n) were, seen with noise among false alarms."""
     state, found, truth = filter_.start(model, RNG), [], []
     for _ in range(frames):
@@ -37,7 +34,7 @@ def follow(filter_: PMB, model: Model, x: np.ndarray, noisy, alarms, frames: int
         state, _ = filter_.step(state, np.hstack([noisy(x), alarms()]), model, 1.0, RNG)
         found.append(told(state, model))
         truth.append(x)
-    return state, found, truth
+    return found, truth
 
 
 def stays_with(found, truth, near: float) -> None:
@@ -63,7 +60,7 @@ def test_points(transform: str):
         UniformClutter(2.0, FRAME[0] * FRAME[1]),
     )
     x = np.array([[100.0, 500], [100, 300], [3, -2], [1, 2]])
-    _, found, truth = follow(
+    found, truth = follow(
         PMB(transform=transform), model, x, lambda x: x[:2] + rng.normal(0, 2, (2, 2)),
         lambda: rng.uniform([[0], [0]], [[640], [480]], (2, 2)), 25,
     )  # fmt: skip
@@ -77,7 +74,7 @@ def test_the_ground_plane(transform: str):
     births = PlaneBirth(births_per_second=0.05, volume="region", borders=(-20.0, 0.0, 20.0, 40.0))
     model = Model(PlaneMotion(acceleration=0.02), sensor, births, UniformClutter(1.0, 1600.0))
     x = np.array([[-5.0, 5], [10, 25], [0.1, -0.1], [0.05, 0.1]])
-    _, found, truth = follow(
+    found, truth = follow(
         PMB(transform=transform), model, x, lambda x: measured_plane(x[:2] + rng.normal(0, 0.1, (2, 2))),
         lambda: measured_plane(rng.uniform([[-20], [0]], [[20], [40]], (2, 1))), 25,
     )  # fmt: skip
@@ -89,7 +86,8 @@ def measured_plane(xy: np.ndarray) -> np.ndarray:
     return np.vstack([xy, np.tile([[0.01], [0.0], [0.01]], xy.shape[1])])
 
 
-def test_bearings_and_range_with_sigma_points():
+@pytest.mark.parametrize("filter_", [PMB(mean_visible_time=0.0, static_clutter_prior=0.0), MHT()], ids=["pmb", "mht"])
+def test_bearings_and_range_with_sigma_points(filter_):
     """The turning targets of the nonlinear scenario."""
     rng, sensor, motion = np.random.default_rng(8), BearingSensor(), TurningMotion()
     x = np.array([[400.0, -500], [700, 300], [5, -3], [-8, 6], [0.01, -0.02]])
@@ -104,26 +102,8 @@ def test_bearings_and_range_with_sigma_points():
     def alarms() -> np.ndarray:
         return rng.uniform([[-np.pi / 2], [0]], [[np.pi / 2], [2000]], (2, 1))
 
-    filter_ = PMB(transform="unscented", mean_visible_time=0.0, static_clutter_prior=0.0)
-    _, found, truth = follow(filter_, model, x, noisy, alarms, 20)
+    found, truth = follow(replace(filter_, transform="unscented"), model, x, noisy, alarms, 20)
     stays_with(found[5:], truth[5:], 60)
-
-
-def test_a_camera_that_pans_keeps_every_label():
-    """Twenty pixels to and fro, more than between neighbours; without being told of it labels are lost."""
-    rng, model = np.random.default_rng(3), replace(world(), motion=BoxMotion(frame_size=(2000.0, 2000.0)))
-    place = np.array([[200.0, 200], [235, 210], [400, 300]])
-    shifts = np.cumsum(rng.choice([-20.0, 20.0], (30, 2)), axis=0)
-    for aware in (True, False):
-        filter_, labels, before = PMB(static_clutter_prior=0.0), [], np.zeros(2)
-        state = filter_.start(model, RNG)
-        for shift in shifts:
-            warp = np.eye(3)
-            warp[:2, 2], before = shift - before, shift
-            z = boxes(*(place + shift + rng.normal(0, 2, (3, 2))))
-            state, _ = filter_.step(state, z, replace(model, warp=warp) if aware else model, 1.0, RNG)
-            labels.append(told(state, model).tag.tolist())
-        assert (all(tags == labels[10] for tags in labels[5:]) and len(labels[10]) == 3) == aware
 
 
 def simulated(rng, model: Model, frames: int, arrivals: float, alarms: float) -> tuple[list, np.ndarray]:
@@ -166,23 +146,3 @@ def test_the_expected_number_is_the_number_on_average():
     bias, standard = np.mean(error) + unseen, np.std(error, ddof=1) / np.sqrt(20)
     assert np.mean(masses) > 4
     assert abs(bias) < 3 * standard + 0.02
-
-
-def test_errors_are_as_large_as_the_covariances_say():
-    """NEES of one target over 60 runs: the mean of position, velocity and size within the 99.9 % region of χ²₆/6."""
-    model, nees = world(detection=0.9, survival=1.0, clutter=1e-10), []
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        x = np.array([300.0, 200, 0, 0, 40, 80])
-        x[2:4] = rng.normal(0, model.sensor.birth_speed_pixels / np.sqrt(2), 2)
-        state = PLAIN.start(model, RNG)
-        for k in range(25):
-            mean, _, q = model.motion.transition(x[:, None], 1.0)
-            x = mean[:, 0] + rng.multivariate_normal(np.zeros(6), q[0], method="eigh")
-            z = x[[0, 1, 4, 5]] + 3 * rng.standard_normal(4)
-            state, _ = PLAIN.step(state, z[:, None] if k < 2 or rng.random() < 0.9 else np.zeros((4, 0)), model, 1.0, RNG)
-        found = told(state, model)
-        assert len(found) == 1
-        step = found.state[:, 0] - x
-        nees.append(step @ np.linalg.solve(found.covariance[0], step))
-    assert np.mean(nees) == pytest.approx(6, abs=3.3 * np.sqrt(12 / 60))

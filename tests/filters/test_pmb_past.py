@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import mht_cases
 import numpy as np
 import pytest
-from pmb_cases import FRAME, RNG, run, told, walk, world
+from mht_cases import FRAME, RNG, boxes, run, told, walk
+from pmb_cases import world
 
 from phdtrack.arrays import iou
 from phdtrack.filters import PMB, BestBernoullis
 from phdtrack.filters.pmb import Bernoullis
-
-boxes = mht_cases.boxes
 
 
 def traced(state: Bernoullis, model, min_weight: float, merge_iou: float) -> list[dict[int, tuple]]:
@@ -83,19 +81,6 @@ def test_replaying_what_is_told_gives_what_tracing_back_gives(seed: int, depth: 
     assert depth == 1 or revised > 0
 
 
-def test_what_was_wrong_is_told_anew():
-    """A false alarm lies nearer to where the target is expected; the frames after it show who the target was."""
-    model = world(detection=0.9, clutter=1e-8)
-    path = walk((200, 200), (0, 0), 16)
-    path[8:] += np.arange(1, 9)[:, None] * [4.0, 0.0]
-    scans = [boxes(here) for here in path]
-    scans[8] = boxes(path[8], path[7] + [-1.0, 0.0])
-    first, last = (run(PMB(), scans[:n], model)[0] for n in (9, 13))
-    assert told(first, model).tag.tolist() == told(last, model).tag.tolist() == [0]
-    assert told(first, model).detection.tolist() == [1]
-    assert traced(last, model, 0.5, 1.0)[-4][0][1] == 0
-
-
 def test_an_ended_target_is_still_told_of_where_it_was():
     """Soon after the last detection nobody is there; the frames before show him until they are no longer told of."""
     model, path = world(detection=0.9, survival=0.8), walk((200, 200), (2, 2), 12)
@@ -107,13 +92,3 @@ def test_an_ended_target_is_still_told_of_where_it_was():
         assert len(seen) == max(0, 10 - (n - 13))
         assert len(told(state, model)) == 0
     assert len(state) == state.ended.size == 0, "and then forgotten"
-
-
-def test_a_frame_that_nobody_observed_is_predicted_and_told_of():
-    model, path = world(detection=0.9, survival=0.95), walk((200, 200), (2, 2), 10)
-    state, _ = run(PMB(), [boxes(here) for here in path], model)
-    ahead = PMB().predict(state, model, 1.0, RNG)
-    found = told(ahead, model)
-    assert found.detection.tolist() == [-1]
-    np.testing.assert_allclose(found.weight, 0.95 * state.mass, rtol=1e-9)
-    assert found.past[-1] is None or found.past[-1].detection.tolist() == [0]

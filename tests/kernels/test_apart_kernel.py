@@ -39,15 +39,3 @@ def test_they_are_those_of_the_definition(count: int, overlap: float):
         assert found == left_of(boxes, overlap)
         went += count - len(found)
     assert went or count < 17
-
-
-def test_who_has_gone_takes_nobody_along():
-    """Each overlaps the next: the second goes for the first, and the third stays because the second has gone."""
-    boxes = np.array([[10.0 * k, 0, 10.0 * k + 25, 20] for k in range(5)])
-    assert apart(boxes, np.arange(5), 0.3).tolist() == [0, 2, 4]
-    turned = boxes[::-1].copy()
-    assert apart(turned, turned[:, 0].argsort(), 0.3).tolist() == [0, 2, 4]
-
-
-def test_nobody():
-    assert apart(np.zeros((0, 4)), np.zeros(0, np.int64), 0.5).tolist() == []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import binom
 
 from phdtrack.kernels.esf import log_add, log_products, log_sums_without, thinned
 from reference import esf_twin as twin
@@ -21,14 +20,6 @@ def assert_logs(found, exact, relative: float) -> None:
     np.testing.assert_array_equal(np.isneginf(found), np.isneginf(expected))
     here = np.isfinite(expected)
     np.testing.assert_allclose(found[here], expected[here], rtol=0, atol=relative)
-
-
-def test_sums_over_subsets(rng):
-    b = rng.uniform(0, 3, 9)
-    found = log_products(np.zeros(9), logs(b), 9)
-    np.testing.assert_allclose(np.exp(found[-1]), twin.enumerated(b), rtol=1e-13)
-    np.testing.assert_allclose(np.exp(found[4, :5]), twin.enumerated(b[:4]), rtol=1e-13)
-    assert np.isneginf(found[4, 5:]).all()
 
 
 # What a logarithm of size 1e4 can tell of its number, over some factors: 1e4 · 2⁻⁵³ · 30.
@@ -50,30 +41,6 @@ def test_a_cut_at_the_most_targets_that_there_can_be(rng):
     assert cut.shape == (9, 4)
     assert_logs(cut[-1], twin.coefficients(a, b)[:4], 1e-13)
     assert_logs(log_sums_without(logs(a), logs(b), cut, logs(w)), twin.sums_without(a, b, w), 1e-13)
-
-
-def test_the_order_of_factors_is_irrelevant(rng):
-    a, b, w = 10.0 ** rng.uniform(-30, 30, (3, 60))
-    order = rng.permutation(60)
-    found, turned = (log_sums_without(*f, log_products(*f, 60), logs(w)) for f in _both(logs(a), logs(b), order))
-    np.testing.assert_allclose(turned, found[order], rtol=0, atol=1e-10)
-
-
-def _both(log_a, log_b, order):
-    return (log_a, log_b), (log_a[order], log_b[order])
-
-
-def test_hundreds_of_factors_agree_with_multiplying_anew(rng):
-    """A few hundred detections, most of them clutter; the sum without one, computed from the products of the others."""
-    m = 300
-    chance = np.where(np.arange(m) % 10 == 0, 1 - 1e-9, rng.uniform(0, 1e-3, m))
-    log_a, log_b, log_w = logs(1 - chance), logs(chance), rng.normal(0, 20, m)
-    found = log_sums_without(log_a, log_b, log_products(log_a, log_b, m), log_w)
-    for k in (0, 1, 150, 151, 299):
-        rest = np.delete(np.arange(m), k)
-        left = log_products(log_a[rest], log_b[rest], m)[-1]
-        terms = left + log_w[: len(left)]
-        assert found[k] == pytest.approx(terms.max() + np.log(np.exp(terms - terms.max()).sum()), abs=1e-10)
 
 
 def test_no_factors():
@@ -99,9 +66,3 @@ def test_thinning_is_binomial(keep: float, rng):
     np.testing.assert_allclose(found, twin.thinned(p, keep), rtol=1e-13, atol=1e-300)
     assert found.sum() == pytest.approx(1, rel=1e-14)
     assert found @ np.arange(12) == pytest.approx(keep * (p @ np.arange(12)), rel=1e-13)
-
-
-def test_thinning_of_a_known_number_is_the_binomial():
-    p = np.zeros(201)
-    p[200] = 1
-    np.testing.assert_allclose(thinned(p, 0.9), binom.pmf(np.arange(201), 200, 0.9), rtol=1e-10, atol=1e-280)

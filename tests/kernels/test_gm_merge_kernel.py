@@ -61,22 +61,6 @@ def test_reduction_is_the_printed_one(d: int, seed: int):
     assert len(twin.reduce(w, mean, cov, 1e-5, 2.0, 0, False)[0]) < before, "something was merged"
 
 
-def test_the_strongest_head_wins_where_two_are_near():
-    """A wide weak Gaussian between two strong ones joins the stronger, though the other is nearer."""
-    mean = np.array([[0.0, 10, 6], [0, 0, 0]])
-    cov = np.stack([np.eye(2), np.eye(2), 25 * np.eye(2)])
-    w, found, _ = kernel(np.array([1.0, 0.9, 0.1]), mean, cov, 0.0, 2.0, 0, False)
-    np.testing.assert_allclose(w, [1.1, 0.9])
-    np.testing.assert_allclose(found[0], [0.6 / 1.1, 10])
-
-
-def test_the_distance_is_in_the_weaker_ones_covariance_and_the_bound_counts():
-    mean = np.array([[0.0, 4.0], [0, 0]])
-    for variance, count in ((4.0, 1), (3.99, 2)):
-        cov = np.stack([100 * np.eye(2), variance * np.eye(2)])
-        assert len(kernel(np.array([1.0, 0.5]), mean, cov, 0.0, 2.0, 0, False)[0]) == count
-
-
 def test_mean_and_covariance_of_the_mixture_stay(rng):
     w, mean, cov = mixture(rng, 50, 6, 30.0)
     far = mean + 1e6

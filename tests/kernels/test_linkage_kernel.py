@@ -19,11 +19,6 @@ def test_components(seed: int):
     np.testing.assert_array_equal(components(count, first, second), twins.components(count, first, second))
 
 
-def test_a_long_chain_is_one():
-    order = np.random.default_rng(1).permutation(500)
-    assert not components(500, order[:-1].copy(), order[1:].copy()).any()
-
-
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=100, deadline=None)
 def test_competing_tracks(seed: int):

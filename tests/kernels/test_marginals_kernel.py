@@ -66,31 +66,6 @@ def test_with_cycles_they_are_nearly():
     assert np.max(error) < 0.25
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_every_target_and_every_measurement_is_accounted_for(seed: int):
-    rng = np.random.default_rng(seed)
-    pair, missed, own = of_table(odds(rng, 30, 40, 0.2))
-    np.testing.assert_allclose(pair.sum(1) + missed, 1, rtol=1e-12)
-    np.testing.assert_allclose(pair.sum(0) + own, 1, atol=1e-4)
-    for probability in (pair, missed, own):
-        assert ((probability >= 0) & (probability <= 1)).all()
-
-
-def test_the_order_of_pairs_does_not_matter():
-    rng = np.random.default_rng(3)
-    psi = odds(rng, 12, 9)
-    same(of_table(psi), of_table(psi, rng.permutation(np.count_nonzero(psi))), rtol=1e-10, atol=1e-15)
-
-
-def test_no_pairs():
-    none = np.zeros(0, np.int64)
-    pair, missed, own = marginals(np.zeros(0), none, none, 3, 2)
-    assert len(pair) == 0
-    np.testing.assert_array_equal(missed, np.ones(3))
-    np.testing.assert_array_equal(own, np.ones(2))
-    assert [len(x) for x in marginals(np.zeros(0), none, none, 0, 0)] == [0, 0, 0]
-
-
 def test_impossible_and_certain_pairs():
     one = np.arange(2)
     pair, missed, own = marginals(np.array([0.0, 1e15]), one, one, 2, 2)

@@ -71,6 +71,7 @@ def test_the_number_of_newborn_follows_what_is_predicted(rng):
     born = birth.sample(z, np.array([0.0, 0.7494, 1.2]), sensor, 1.0, rng)
     nearest = np.argmin(np.abs(born.state[0][:, None] - z[0]), axis=1)
     np.testing.assert_array_equal(np.bincount(nearest, minlength=3), [1000, 251, 0])
+    assert len(MeasurementBirth(0.0, 1000, "local").sample(z, np.zeros(3), sensor, 1.0, rng)) == 0
 
 
 def test_newborn_lie_in_the_region_with_positive_sizes_and_any_direction(rng):
@@ -97,14 +98,6 @@ def test_nothing_is_born_without_extent(sensor: BoxSensor, rng):
             assert np.isfinite(born.weight).all()
 
 
-def test_no_detection_and_no_rate_bring_nothing(rng):
-    sensor = BoxSensor(scaling="previous")
-    none = MeasurementBirth(0.01, 1000, "local").sample(np.zeros((4, 0)), np.zeros(0), sensor, 1.0, rng)
-    assert none.state.shape == (8, 0)
-    assert len(MeasurementBirth(0.0, 1000, "local").sample(columns(ALONE), np.zeros(1), BoxSensor(), 1.0, rng)) == 0
-    assert len(MeasurementBirth(0.1, 1000, "local").sample(columns(ALONE), np.ones(1), BoxSensor(), 1.0, rng)) == 0
-
-
 def test_where_positions_cannot_be_told_apart_no_weight_is_infinite(rng):
     """At 1e16 pixels two positions are 2 apart: newborn of a box of 4 fall out of their own region."""
     z, sensor = np.array([[1e16], [25.0], [4.0], [50.0]]), BoxSensor()
@@ -115,15 +108,6 @@ def test_where_positions_cannot_be_told_apart_no_weight_is_infinite(rng):
 def test_the_image_volume_needs_the_size_of_the_frame(rng):
     with pytest.raises(InputError, match="frame-size"):
         MeasurementBirth(volume="image").sample(columns(ALONE), np.zeros(1), BoxSensor(), 1.0, rng)
-
-
-def test_the_same_seed_draws_the_same():
-    drawn = [
-        MeasurementBirth(volume="local").sample(columns(APART), np.zeros(3), BoxSensor(), 1.0, np.random.default_rng(5))
-        for _ in range(2)
-    ]
-    np.testing.assert_array_equal(drawn[0].state, drawn[1].state)
-    np.testing.assert_array_equal(drawn[0].weight, drawn[1].weight)
 
 
 @pytest.mark.parametrize("scaling", ["particle", "previous", "given"])
@@ -172,15 +156,3 @@ def test_spawned_mass_and_place(rng):
     for nothing in (SplitSpawn(rate=0.0), SplitSpawn(fraction=0.0), NoSpawn()):
         assert nothing.sample(parents, 1.0, rng).state.shape == (6, 0)
     assert len(SplitSpawn().sample(Particles(np.zeros((6, 0)), np.zeros(0)), 1.0, rng)) == 0
-
-
-@pytest.mark.parametrize(
-    "birth", [MeasurementBirth(volume="local"), MeasurementBirth(frame_size=FRAME), UniformBirth(FRAME)], ids=str
-)
-def test_inputs_are_left_alone(birth, rng):
-    z, covered = columns(OVERLAPPING), np.zeros(3)
-    z.flags.writeable = covered.flags.writeable = False
-    birth.sample(z, covered, BoxSensor(scaling="detection"), 1.0, rng)
-    state, weight = np.ones((6, 9)), np.full(9, 0.1)
-    state.flags.writeable = weight.flags.writeable = False
-    SplitSpawn(rate=1.0).sample(Particles(state, weight), 1.0, rng)

@@ -33,6 +33,15 @@ def test_local_clutter_integrates_to_its_rate_over_each_neighbourhood(rng):
         assert LocalClutter(0.3).intensity(z)[0] * volume == pytest.approx(0.3, rel=0.04)
 
 
+def test_where_neighbourhoods_overlap_densities_add_up(rng):
+    z = np.stack([rng.uniform(0, 150, 40), rng.uniform(0, 150, 40), rng.uniform(15, 40, 40), rng.uniform(30, 90, 40)])
+    kappa = LocalClutter(0.7).intensity(z)
+    for i in range(40):
+        near = [j for j in range(40) if in_neighbourhood(z[:, [i]], z[:, [j]])[0]]
+        assert kappa[i] == pytest.approx(sum(0.7 / local_volume(z[:, [j]])[0] for j in near))
+    assert (kappa > 1.5 * 0.7 / local_volume(z)).any()
+
+
 def test_volumes_and_rates_that_make_no_sense():
     with pytest.raises(InputError, match="frame"):
         image_volume((0, 480))

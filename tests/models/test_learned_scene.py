@@ -5,14 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phdtrack import config
-from phdtrack.filters import GMPHD, PMB
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
 from phdtrack.models.scene import SceneBirth, SceneClutter, with_scene
 from phdtrack.models.volumes import image_volume, local_volume
 from phdtrack.protocols import Model
 from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal, uniform_density
-from phdtrack.types import F8, SequenceInfo
+from phdtrack.types import F8
 from reference import context_twin as twin
 
 SIZE = (640.0, 480.0)
@@ -98,12 +96,6 @@ def test_what_a_density_says_of_detections(d: int, rows: tuple[int, ...], rng):
     assert (density == 0).any()
 
 
-def test_nothing_detected(rng):
-    p = learned(rng, 6, 3)
-    assert SceneBirth(1.0, p).around((np.zeros((6, 0)), np.zeros((0, 6, 6))), 1.0).density.shape == (0,)
-    assert SceneClutter(1.0, marginal(p, (0, 1, 4, 5)), 0.4).intensity(np.zeros((8, 0))).shape == (0,)
-
-
 def test_without_gaussians_it_is_uniform_birth_over_the_image():
     scene, plain = SceneBirth(0.02, ANYWHERE), MeasurementBirth(0.02, 1000, "image", SIZE)
     covered = np.array([0.0, 0.4])
@@ -147,25 +139,6 @@ def test_gaussian_newborn_are_the_learned_ones_and_the_uniform_part_about_detect
     np.testing.assert_array_equal(found.mean[0], birth.density.mean[:, 0])
     for ours, theirs in zip(found.around, uniform.around, strict=True):
         np.testing.assert_allclose(ours, theirs)
-
-
-def test_covered_detections_bring_nothing_and_rates_scale():
-    birth = SceneBirth(0.5, entrance())
-    assert len(birth.sample(Z, np.ones(2), SENSOR, 1.0, np.random.default_rng(5))) == 0
-    assert birth.expected(Z, 3.0) == 1.5
-    assert replace(birth, around_detections=0.05).expected(Z, 2.0) == pytest.approx(2 * 0.05 * 2)
-    one, three = (birth.sample(Z, np.zeros(2), SENSOR, dt, np.random.default_rng(6)).mass for dt in (1.0, 3.0))
-    assert three == pytest.approx(3 * one)
-
-
-def test_clutter_integrates_to_its_rate_and_never_vanishes():
-    p = marginal(entrance(), (0, 1, 4, 5))
-    clutter, rng = SceneClutter(3.0, p), np.random.default_rng(7)
-    points = np.concatenate([p.sample(50_000, rng), rng.uniform(p.low[:, None], p.high[:, None], (4, 50_000))], axis=1)
-    ratio = clutter.intensity(points) / (0.5 * p(points) + 0.5 / p.volume)
-    assert ratio.mean() == pytest.approx(3, abs=5 * ratio.std() / np.sqrt(ratio.size) + 0.01)
-    outside = np.array([[-50.0], [200], [40], [80]])
-    assert clutter.intensity(outside)[0] == pytest.approx(3.0 * p.uniform / p.volume)
 
 
 # Added to births and false alarms around each detection
@@ -214,17 +187,6 @@ def test_their_particles_have_the_evidence_of_gamma_and_the_velocities_of_the_pl
     assert all(born.state[2].mean() > 2 for born in drawn)
 
 
-def test_their_gaussians_have_gamma_at_their_detection_and_the_velocity_of_the_place():
-    z = np.array([[500.0, 110], [400, 215], [40, 42], [80, 84]])
-    birth = SceneBirth(0.01, entrance(), around_detections=0.05, among=square())
-    at, found = birth.around(SENSOR.states(z), 1.0), birth.gaussians(z, SENSOR, 1.0).around
-    np.testing.assert_array_equal(found.mean, at.mean.T)
-    np.testing.assert_array_equal(found.density, at.density)
-    np.testing.assert_array_equal(found.covariance, at.covariance)
-    assert abs(found.mean[0, 2]) < 0.1
-    assert found.mean[1, 2] > 3.5
-
-
 # In a whole model
 
 
@@ -236,22 +198,6 @@ def test_a_scene_of_which_nothing_is_known_has_the_default_densities(rng):
         for ours, theirs in zip(mine.around, default.around, strict=True):
             np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
         assert model.birth.expected(z, dt) == pytest.approx(MODEL.birth.expected(z, dt))
-
-
-@pytest.mark.parametrize("recursion", [PMB(), GMPHD()], ids=["pmb", "gm-phd"])
-def test_filters_do_there_what_they_do_with_the_default_model(recursion, rng):
-    """Walkers among false alarms, frame by frame, with gaps: the same targets."""
-    models = with_scene(MODEL, *BLANK, 300), MODEL
-    states = [recursion.start(MODEL, rng)] * 2
-    walkers = np.array([[100.0, 500], [200, 210], [40, 50], [90, 100]])
-    for k in range(15):
-        walkers[:2] += np.array([[4.0, -5], [1, 1]])
-        z = np.ascontiguousarray(np.hstack([walkers + rng.normal(0, 1, (4, 2)), boxes(rng, 3)]))
-        steps = [recursion.step(s, z, m, 1.0 + (k % 5 == 4), rng) for s, m in zip(states, models, strict=True)]
-        states, info = zip(*steps, strict=True)
-        np.testing.assert_allclose(info[0].evidence, info[1].evidence, rtol=1e-6)
-        assert info[0].mass == pytest.approx(info[1].mass, rel=1e-6)
-    assert info[0].mass > 1.5
 
 
 def test_what_was_not_learned_stays_as_it_is():
@@ -270,10 +216,3 @@ def test_what_was_not_learned_stays_as_it_is():
     image = replace(MODEL, birth=MeasurementBirth(0.05, 300, "image", SIZE), clutter=UniformClutter(2.0, ANY_BOX.volume))
     own = with_scene(image, births, clutter, followed, 300)
     assert own.birth.around_detections == own.clutter.around_detections == 0
-
-
-def test_a_scene_is_added_to_the_default_settings():
-    model = config.build(config.load(), SequenceInfo(640, 480, 25.0)).model
-    over = with_scene(model, *BLANK, 300)
-    assert over.birth.around_detections == model.birth.births_per_second > 0
-    assert over.clutter.around_detections == model.clutter.clutter_per_frame > 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, multivariate_normal
+from scipy.stats import chi2
 
 from phdtrack.errors import InputError
 from phdtrack.models import PlaneSensor
@@ -60,17 +60,6 @@ def test_the_noise_of_a_person_is_that_of_his_detection(rng):
     np.testing.assert_allclose(sensor.noise(x)[:2] ** 2, z[[2, 4]])
 
 
-def test_likelihood_and_distance_against_scipy(rng):
-    sensor, x, z = measured(rng, 12)
-    at = x + rng.normal(0, 0.3, x.shape)
-    for i in range(12):
-        cov = z[[2, 3, 3, 4], i].reshape(2, 2)
-        want = multivariate_normal.logpdf(z[:2, i], at[:2, i], cov)
-        assert sensor.log_likelihood(z[:, [i]], at[:, [i]])[0] == pytest.approx(want)
-        step = z[:2, i] - at[:2, i]
-        assert sensor.distance2(z[:, [i]], at[:, [i]])[0] == pytest.approx(step @ np.linalg.solve(cov, step))
-
-
 def test_what_the_gate_cuts_is_bounded(rng):
     """States at distance G in any direction are inside of it; of draws of the noise it cuts less than χ² says."""
     sensor, _, z = measured(rng, 10, gate_probability=1 - float(np.exp(-(2.5**2) / 2)))
@@ -114,9 +103,6 @@ def test_the_field_of_view_falls_with_the_visible_part():
     p, boxes = sensor.p_detect(x), sensor.boxes(x)
     inside = np.clip((640 - boxes[:, 0]) / (boxes[:, 2] - boxes[:, 0]), 0, 1)
     np.testing.assert_allclose(p, 0.9 * inside, atol=1e-12)
-    assert p[0] == pytest.approx(0.9)
-    assert p[-1] == 0
-    assert (np.diff(p) <= 0).all()
     np.testing.assert_array_equal(PlaneSensor(camera=CAMERA, frame_size=FRAME, view=False).p_detect(x), 0.9)
     np.testing.assert_array_equal(PlaneSensor(camera=CAMERA).p_detect(x), 0.9)
 

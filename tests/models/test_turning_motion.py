@@ -5,15 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.errors import InputError
 from phdtrack.models import PlaneMotion, TurningMotion
 from phdtrack.models.bearing import SMALL, slopes, turned
-
-START = np.array([[3.0], [20.0], [12.0], [-4.0], [0.05]])
 
 
 def states(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -73,45 +69,3 @@ def test_the_series_meets_the_closed_form():
     x = np.array([[0.0, 0], [0, 0], [50, 50], [20, 20], [SMALL * (1 - 1e-12), SMALL * (1 + 1e-12)]])
     below, above = slopes(x, 1.0)
     np.testing.assert_allclose(below, above, rtol=1e-9)
-
-
-@pytest.mark.parametrize("dt", [0.05, 1.0, 2.5])
-@pytest.mark.parametrize("form", ["piecewise", "continuous"])
-def test_draws_have_the_moments_of_the_transition(form: str, dt: float, rng):
-    """Means and covariances within four and a half standard errors."""
-    n = 40_000
-    motion = TurningMotion(acceleration=1.3, turning=0.1, form=form)
-    mean, _, (cov,) = motion.transition(START, dt)
-    x = motion.sample(np.repeat(START, n, axis=1), dt, rng)
-    spread = np.sqrt(np.diag(cov))
-    assert np.all(np.abs(x.mean(1) - mean[:, 0]) <= 4.5 * spread / math.sqrt(n))
-    error = np.sqrt((np.outer(spread, spread) ** 2 + cov**2) / n)
-    assert np.all(np.abs(np.cov(x) - cov) <= 4.5 * error + 1e-12)
-
-
-def test_the_printed_noise_at_one_second():
-    """Q = σ_w² B Bᵀ with B = (T²/2, T) along each axis, and σ_u² of the turn rate [V06 §IV-C]."""
-    _, _, (q,) = TurningMotion(acceleration=15.0, turning=0.02, form="piecewise").transition(START, 1.0)
-    b = np.vstack([0.5 * np.eye(2), np.eye(2)])
-    np.testing.assert_allclose(q[:4, :4], 225 * b @ b.T)
-    np.testing.assert_allclose(q[4], [0, 0, 0, 0, 0.02**2])
-
-
-def test_whole_steps_of_the_turn_rate_compose():
-    motion = TurningMotion(turning=0.03)
-    one, three = (motion.transition(START, dt)[2][0, 4, 4] for dt in (0.5, 1.5))
-    assert three == pytest.approx(3 * one)
-    assert one == pytest.approx(0.03**2 * 0.5)
-
-
-def test_survival_is_a_power_of_the_interval_inside_and_zero_outside():
-    motion = TurningMotion(survival_probability=0.9, borders=(-5.0, 0.0, 5.0, 10.0))
-    x = np.zeros((5, 3))
-    x[:2] = [[-5.0, 5.1, 0], [0.0, 3, 10.1]]
-    np.testing.assert_allclose(motion.p_survive(x, 1.5), [0.9**1.5, 0, 0])
-
-
-@pytest.mark.parametrize(("wrong", "says"), [({"turning": -1.0}, "turning"), ({"borders": (1.0, 0, 0, 2)}, "left, low")])
-def test_settings_out_of_bounds(wrong, says: str):
-    with pytest.raises(InputError, match=says):
-        TurningMotion(**wrong)

@@ -22,19 +22,6 @@ def similarity(scale: float, angle: float, x: float, y: float) -> np.ndarray:
     return np.array([[c, -s, x], [s, c, y], [0.0, 0.0, 1.0]])
 
 
-def test_a_camera_that_stands_changes_nothing_to_the_bit(rng):
-    x = some(rng)
-    np.testing.assert_array_equal(warp_of.warp_states(x, np.eye(3), SIZES), x)
-    np.testing.assert_array_equal(warp_of.warp_jacobian(x, np.eye(3), SIZES), np.tile(np.eye(6), (20, 1, 1)))
-
-
-def test_a_shift_moves_places_by_itself_and_nothing_else(rng):
-    x, shift = some(rng), similarity(1.0, 0.0, 7.5, -3.25)
-    moved = warp_of.warp_states(x, shift, SIZES)
-    np.testing.assert_array_equal(moved[:2], x[:2] + np.array([[7.5], [-3.25]]))
-    np.testing.assert_array_equal(moved[2:], x[2:])
-
-
 def test_there_and_back(rng):
     x = some(rng)
     home = warp_of.warp_states(warp_of.warp_states(x, STEEP, SIZES), warp_of.back(STEEP), SIZES)

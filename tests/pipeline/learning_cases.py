@@ -15,7 +15,7 @@ from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.simulate.detector import detect
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
 
-DETECTOR = DetectorModel(occlusion=2.0, clutter_rate=1.0, places=5)
+DETECTOR = DetectorModel(occlusion=2.0, clutter_rate=1.0, places=5, place_fire=0.5)
 
 
 @dataclass(frozen=True)

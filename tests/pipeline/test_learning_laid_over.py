@@ -25,7 +25,7 @@ def steps(built, table, frames, fps=25.0):
     return list(pipeline.run(built, numbered, np.random.default_rng(0)))
 
 
-@pytest.mark.parametrize("kind", ["pmb", "gm-phd", "particle-phd", "mht"])
+@pytest.mark.parametrize("kind", ["pmb", "particle-phd"])
 def test_as_long_as_nothing_is_in_use_tracks_are_the_same(kind):
     scene, filter_kind = street(1, 250), f"filter.kind={kind}"
     runs = [

@@ -3,35 +3,61 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from spies import INFO, spying
 
 from phdtrack import config, pipeline
 from phdtrack.errors import InputError
 from phdtrack.filters import ParticlePHD
-from phdtrack.types import Detections
+from phdtrack.protocols import Stages
+from phdtrack.types import Detections, SequenceInfo
 
+INFO = SequenceInfo(640, 480, 25.0)
 BOX = Detections.of([[100, 100, 140, 200]])
 
 
-KINDS = {"pmb": [], "particle-phd": ["filter.kind=particle-phd", "filter.particles_per_target=200", "birth.particles=200"]}
+class Recorded:
+    """A stage whose calls are written down: the method and its arguments."""
+
+    def __init__(self, inner, calls: list) -> None:
+        self.inner, self.calls = inner, calls
+
+    def __getattr__(self, name: str):
+        def call(*arguments):
+            self.calls.append((name, *arguments))
+            return getattr(self.inner, name)(*arguments)
+
+        return call
 
 
-@pytest.fixture(params=KINDS)
-def stages(request):
-    return config.build(config.load(sets=KINDS[request.param]), INFO)
+def recorded(rate: float = 25.0) -> tuple[Stages, list]:
+    """The stages of the PMB filter, and the calls of filter, extractor and associator after the start."""
+    built, calls = config.build(config.load(sets=[f"time.units_per_second={rate}"]), INFO), []
+    own = {name: Recorded(getattr(built, name), calls) for name in ("filter", "extractor", "associator")}
+    return replace(built, **own), calls
 
 
-def test_a_frame_is_predicted_updated_reduced_extracted_and_linked(rng):
-    stages, filter_, extractor, associator = spying()
-    state, step = pipeline.advance(stages, pipeline.start(stages, rng), BOX, 1, 0.0, rng)
-    assert filter_.calls == [("predict", 1.0), ("update", 1.0, (4, 1)), ("reduce",)]
-    assert extractor.seen == [(("predict", 1.0), ("update", (4, 1)))]
-    assert associator.frames == [(1, 1.0)]
-    assert (state.number, state.time, state.association) == (1, 0.0, 1)
-    assert (step.number, step.time, len(step.tracks), len(step.estimates)) == (1, 0.0, 1, 1)
+def advanced(stages: Stages, calls: list, frames, rng):
+    """The state and the step after the last of the frames; only their calls are left."""
+    state = pipeline.start(stages, rng)
+    calls.clear()
+    for number, time, found in frames:
+        state, step = pipeline.advance(stages, state, found, number, time, rng)
+    return state, step
+
+
+def test_a_frame_is_filtered_extracted_and_linked(rng):
+    stages, calls = recorded()
+    state, step = advanced(stages, calls, [(1, 0.0, BOX)], rng)
+    assert [name for name, *_ in calls] == ["step", "extract", "extend"]
+    (_, _, z, _, dt, _), (_, seen, shown, _), (_, _, estimates, _, number, interval, _) = calls
+    assert (dt, interval, number) == (1.0, 1.0, 1)
+    assert shown is z
+    assert seen is state.intensity
+    assert estimates is step.estimates
+    assert (state.number, state.time) == (step.number, step.time) == (1, 0.0)
     assert step.detections is BOX
     assert len(step.seconds) == 3
     assert min(step.seconds) >= 0
@@ -44,21 +70,27 @@ def test_a_frame_is_predicted_updated_reduced_extracted_and_linked(rng):
     (1000.0, [0.0, 0.001, 3600.0], [1, 1, 3599999]),
 ])  # fmt: skip
 def test_intervals_are_those_of_the_times(rate: float, times: list[float], intervals: list[float], rng):
-    stages, filter_, _, associator = spying(rate)
-    list(pipeline.run(stages, [(k, t, BOX) for k, t in enumerate(times, 1)], rng))
-    assert [dt for name, dt, *_ in (c for c in filter_.calls if c[0] == "predict")] == pytest.approx(intervals)
-    assert [dt for name, dt, *_ in (c for c in filter_.calls if c[0] == "update")] == pytest.approx(intervals)
-    assert [dt for _, dt in associator.frames] == pytest.approx(intervals)
+    stages, calls = recorded(rate)
+    advanced(stages, calls, [(k, t, BOX) for k, t in enumerate(times, 1)], rng)
+    assert [call[4] for call in calls if call[0] == "step"] == pytest.approx(intervals)
+    assert [call[5] for call in calls if call[0] == "extend"] == pytest.approx(intervals)
 
 
 def test_a_frame_that_nobody_looked_at_is_only_predicted(rng):
-    stages, filter_, _, associator = spying()
+    stages, calls = recorded()
     unseen = Detections(BOX.xyxy, BOX.confidence, BOX.class_id, observed=False)
-    _, step = pipeline.advance(stages, pipeline.start(stages, rng), unseen, 1, 0.0, rng)
-    assert filter_.calls == [("predict", 1.0)]
-    assert associator.frames == [(1, 1.0)]
+    _, step = advanced(stages, calls, [(1, 0.0, unseen)], rng)
+    assert [name for name, *_ in calls] == ["predict", "extract", "extend"]
     assert len(step.estimates) == 0, "its boxes are not taken up"
     assert len(step.info.evidence) == len(step.info.clutter) == 0
+
+
+KINDS = {"pmb": [], "particle-phd": ["filter.kind=particle-phd", "filter.particles_per_target=200", "birth.particles=200"]}
+
+
+@pytest.fixture(params=KINDS)
+def stages(request):
+    return config.build(config.load(sets=KINDS[request.param]), INFO)
 
 
 def test_an_empty_frame_is_not_an_unobserved_one(stages, rng):
@@ -90,14 +122,10 @@ def test_numbers_and_times_must_grow(stages, rng, number: int, time: float):
     assert rng.bit_generator.state == drawn, "nothing happened"
 
 
-def test_the_first_time_must_be_a_number(stages, rng):
-    with pytest.raises(InputError, match="seconds"):
-        pipeline.advance(stages, pipeline.start(stages, rng), BOX, 1, math.nan, rng)
-
-
-def test_the_first_frame_is_1(stages, rng):
-    with pytest.raises(InputError, match="from 1, got 0"):
-        pipeline.advance(stages, pipeline.start(stages, rng), BOX, 0, 0.0, rng)
+@pytest.mark.parametrize(("number", "time", "says"), [(1, math.nan, "seconds"), (0, 0.0, "from 1, got 0")])
+def test_the_first_frame_is_1_at_some_time(stages, rng, number: int, time: float, says: str):
+    with pytest.raises(InputError, match=says):
+        pipeline.advance(stages, pipeline.start(stages, rng), BOX, number, time, rng)
 
 
 def test_states_are_values(stages):

@@ -28,12 +28,8 @@ def image_density(points, rate, frame):
 
 
 def local_density(points, z, rate):
-    total = np.zeros(points.shape[1])
-    for x, y, w, h in z.T:
-        near = (np.abs(points[0] - x) <= w) & (np.abs(points[1] - y) <= h)
-        near &= (np.abs(points[2] - w) <= w / 2) & (np.abs(points[3] - h) <= h / 2)
-        total += near * rate / (2 * w * 2 * h * w * h)
-    return total
+    """Of births spread evenly over the neighbourhood of each detection."""
+    return sum(in_neighbourhood(points, d) * rate / (4 * (d[2] * d[3]) ** 2) for d in z.T)
 
 
 def mass(z, sigma, density, count, rng):

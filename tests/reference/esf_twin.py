@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
-from itertools import combinations
 
 
 def coefficients(a, b) -> list[Fraction]:
@@ -13,11 +12,6 @@ def coefficients(a, b) -> list[Fraction]:
     for low, high in zip(map(Fraction, a), map(Fraction, b), strict=True):
         out = [low * x + high * y for x, y in zip([*out, Fraction(0)], [Fraction(0), *out], strict=True)]
     return out
-
-
-def enumerated(b) -> list[float]:
-    """The elementary symmetric functions as they are defined: sums over subsets."""
-    return [math.fsum(math.prod(chosen) for chosen in combinations(b, j)) for j in range(len(b) + 1)]
 
 
 def sums_without(a, b, w) -> list[Fraction]:

@@ -20,12 +20,21 @@ def density(step, cov):
     return math.exp(-0.5 * distance2) / math.sqrt(np.linalg.det(2 * math.pi * cov))
 
 
-def kalman(mean, cov, z, h, r):
-    """Mean and covariance after a measurement, in Joseph's form."""
+def corrected(mean, cov, z, h, r):
+    """Mean and covariance after a measurement, and its density."""
     s = h @ cov @ h.T + r
     gain = cov @ h.T @ np.linalg.inv(s)
-    rest = np.eye(len(mean)) - gain @ h
-    return mean + gain @ (z - h @ mean), rest @ cov @ rest.T + gain @ r @ gain.T
+    return mean + gain @ (z - h @ mean), cov - gain @ h @ cov, density(z - h @ mean, s)
+
+
+def kalman(mean, cov, measurements, f, q, h, r):
+    """Means (K, d) and covariances (K, d, d) of the Kalman filter after each measurement, predicted first."""
+    means, covs = [], []
+    for z in measurements:
+        mean, cov, _ = corrected(f @ mean, f @ cov @ f.T + q, z, h, r)
+        means.append(mean)
+        covs.append(cov)
+    return np.array(means), np.array(covs)
 
 
 def update(weight, mean, cov, z, h, noise, p_detect, clutter):
@@ -37,9 +46,8 @@ def update(weight, mean, cov, z, h, noise, p_detect, clutter):
     for j in range(z.shape[1]):
         terms = []
         for i in range(len(weight)):
-            s = h @ cov[i] @ h.T + noise(i, j)
-            terms.append(p_detect[i] * weight[i] * density(z[:, j] - h @ mean[:, i], s))
-            m, p = kalman(mean[:, i], cov[i], z[:, j], h, noise(i, j))
+            m, p, q = corrected(mean[:, i], cov[i], z[:, j], h, noise(i, j))
+            terms.append(p_detect[i] * weight[i] * q)
             means.append(m)
             covs.append(p)
         evidence.append(math.fsum(terms))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.types import GaussianMixture
+from reference.gm_twin import corrected
 
 
 @dataclass(frozen=True)
@@ -20,19 +21,6 @@ class Track:
     alive: bool
     mean: np.ndarray
     cov: np.ndarray
-
-
-def density(z, mean, cov) -> float:
-    step = z - mean
-    return float(np.exp(-0.5 * step @ np.linalg.solve(cov, step)) / np.sqrt(np.linalg.det(2 * np.pi * cov)))
-
-
-def corrected(track_mean, track_cov, z, noise, rows):
-    """Kalman's update, and the density of z."""
-    h = np.eye(len(track_mean))[rows]
-    s = h @ track_cov @ h.T + noise
-    gain = track_cov @ h.T @ np.linalg.inv(s)
-    return track_mean + gain @ (z - h @ track_mean), track_cov - gain @ h @ track_cov, density(z, h @ track_mean, s)
 
 
 def enumerate_histories(scans, model, dt: float):
@@ -83,7 +71,7 @@ def assigned(weight, false, tracks, k, z, births, kappa, model, rows):
                 continue
             mean, cov = (births.mean[:, 0], births.covariance[0]) if c == -2 else (tracks[c].mean, tracks[c].cov)
             noise = model.sensor.covariance(z[:, [j]], mean[:, None])[0]
-            new_mean, new_cov, q = corrected(mean, cov, z[: len(rows), j], noise, rows)
+            new_mean, new_cov, q = corrected(mean, cov, z[: len(rows), j], np.eye(len(mean))[rows], noise)
             if c == -2:
                 w *= births.weight[0] * float(model.sensor.p_detect(mean[:, None])[0]) * q
                 now.append(Track(((k, j),), True, new_mean, new_cov))

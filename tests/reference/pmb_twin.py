@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.arrays import chi2_quantile
+from reference.gm_twin import corrected, density
 
 
 def propagated(psi: np.ndarray, rounds: int, settled: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -59,11 +60,6 @@ class Hypothesis:
     source: int = -1
 
 
-def density(step: np.ndarray, cov: np.ndarray) -> float:
-    """N(step; 0, cov)."""
-    return float(np.exp(-0.5 * step @ np.linalg.solve(cov, step)) / np.sqrt(np.linalg.det(2 * np.pi * cov)))
-
-
 def updated(targets, z, h, noise, p_d, clutter, new, s, rounds, settled):
     """The update of the Poisson multi-Bernoulli filter, one target, hypothesis and measurement at a time [W15].
 
@@ -102,9 +98,7 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, rounds, settled):
                     continue
                 probability = pair[t, j] * share[t, c, j] / psi[t, j]
                 false[j] += probability * x.static
-                gain = x.cov @ h.T @ np.linalg.inv(h @ x.cov @ h.T + noise)
-                cov = x.cov - gain @ h @ x.cov
-                mean = x.mean + gain @ (z[j] - h @ x.mean)
+                mean, cov, _ = corrected(x.mean, x.cov, z[j], h, noise)
                 options.append(Hypothesis(probability, mean, cov, x.static, 0.0, j, c))
         after = sum(x.weight for x in options)
         kept = sorted(

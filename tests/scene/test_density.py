@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.scene import SceneDensity, uniform_density
+from phdtrack.scene import SceneDensity
 from phdtrack.scene.mixture import mass_inside
 
 LOW, HIGH = np.array([0.0, 0.0, -2.0]), np.array([10.0, 6.0, 2.0])
@@ -56,12 +56,6 @@ def test_draws_follow_the_density():
         mean = (density * points[r]).sum()
         deviation = np.sqrt((density * points[r] ** 2).sum() - mean**2)
         assert drawn[r].mean() == pytest.approx(mean, abs=5 * deviation / np.sqrt(200_000) + 2e-3 * (HIGH - LOW)[r])
-
-
-def test_uniform_alone():
-    p = uniform_density(LOW, HIGH)
-    np.testing.assert_allclose(p(np.array([[1.0], [1.0], [1.0]])), 1 / 240)
-    assert len(p) == 0
 
 
 @pytest.mark.parametrize(

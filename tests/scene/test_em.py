@@ -84,24 +84,6 @@ def test_explains_what_it_has_not_seen(case, uniform):
     assert np.max(behind) < 0.3
 
 
-def test_the_density_integrates_to_one_after_every_update():
-    dim, counts, _ = CASES["clutter"]
-    p, rng = known(dim), np.random.default_rng(5)
-    samples = p.sample(300, rng)
-    now = begin(p, counts, samples)
-    points = p.sample(20_000, np.random.default_rng(6))
-    proposal = p(points)
-    for part in np.split(samples, 6, axis=1):
-        now = learn(now, part, passes=3)
-        assert now.weight.sum() == pytest.approx(1, abs=1e-9)
-        assert (np.linalg.eigvalsh(now.covariance) > 0).all()
-        # Importance sampling from the truth with a uniform part: the standard error is stated by the sample itself.
-        mixed = np.concatenate([points, rng.uniform(p.low[:, None], p.high[:, None], points.shape)], axis=1)
-        ratio = now(mixed) / (0.5 * p(mixed) + 0.5 / p.volume)
-        assert ratio.mean() == pytest.approx(1, abs=5 * ratio.std() / np.sqrt(ratio.size) + 2e-3)
-    assert proposal.min() > 0
-
-
 def test_equal_samples_keep_the_covariances_above_the_floor():
     p = known(4)
     samples = np.tile(p.mean[:, :1], 200)

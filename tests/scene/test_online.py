@@ -91,17 +91,6 @@ def test_places_are_found_beside_boxes_from_anywhere():
     assert -density.log(unseen).mean() == pytest.approx(entropy + np.log(3), abs=0.3)
 
 
-def test_strays_pull_no_place_over():
-    rng = np.random.default_rng(3)
-    strays = rng.uniform(0, 1, (4, 6)) * HIGH[:, None]
-    samples = np.hstack([boxes(PLACES[0], 200, rng), strays])
-    density = follow(samples[:, rng.permutation(206)])
-    nearest = np.argmin(np.abs(density.mean - PLACES[0][:, None]).max(axis=0))
-    deviation = np.sqrt(np.diag(density.covariance[nearest]))
-    np.testing.assert_allclose(deviation, 0.1 * np.tile(PLACES[0, 2:], 2), rtol=0.25)
-    assert 0.01 < density.uniform < 0.08
-
-
 # A part: rate, forgetting, trust
 
 

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from experiments.counting_scene import Counting
-from phdtrack import Tracker, config, pipeline
+from phdtrack import config, pipeline
 from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD, MHT, ParticlePHD
-from phdtrack.models import FixedBirth
-from phdtrack.models.learning import RatesState, with_clutter, with_detection
+from phdtrack.models.learning import RatesState
 from phdtrack.scene.rates import ScoreScale
 from phdtrack.simulate import DetectorModel, detect
-from phdtrack.types import Detections, GaussianMixture, SequenceInfo
+from phdtrack.types import Detections, SequenceInfo
 
 FRAMES = 300
 LEARNED = (
@@ -61,17 +60,6 @@ def test_rates_replace_those_of_the_model_in_steps():
     assert again.birth is model.birth
 
 
-def test_parts_of_another_kind_stay():
-    """Births at given places have no rate that is learned, nor have a sensor and false alarms of a user's own."""
-    built, own = stages(), object()
-    given = FixedBirth(GaussianMixture(np.ones(1), np.zeros((6, 1)), np.eye(6)[None]))
-    model = replace(built.model, birth=given, sensor=own, clutter=own)
-    assert with_detection(model, 0.5).sensor is own
-    assert with_clutter(model, 0.5).clutter is own
-    learned = built.learning.model(knowing(built, births=0.003), replace(built.model, birth=given))
-    assert learned.birth is given
-
-
 @pytest.mark.parametrize("volume", ["image", "local"])
 def test_odds_divide_the_false_alarms(volume):
     built = stages(f"clutter.volume={volume}")
@@ -101,27 +89,6 @@ def test_a_low_score_confirms_but_starts_nobody(recursion):
 
     assert mass([0.1]) < 0.2 * mass([0.9]) < 0.2
     assert mass([0.9, 0.9, 0.9, 0.1]) > 0.9
-
-
-def test_a_saved_tracker_goes_on_bit_by_bit():
-    scene = Counting(6, frames=80)
-    rng = np.random.default_rng(5)
-    found = detect(scene.figures(rng), scene.info, rng, DetectorModel(p_detect=0.8, scores="informative")).table
-    size = (scene.width, scene.height)
-    whole, first, second = (
-        Tracker(size, filter="gm-phd", rates={"kind": "learned", "detection": True, "clutter": True}) for _ in range(3)
-    )
-    for number in range(1, 81):
-        rows = whole.update(found.at(number))
-        if number <= 50:
-            first.update(found.at(number))
-            if number == 50:
-                second.load_state_dict(first.state_dict())
-        else:
-            assert np.array_equal(second.update(found.at(number)).xyxy, rows.xyxy)
-    assert whole.rates == second.rates
-    assert whole.rates.time > 2.5
-    assert Tracker(size, filter="gm-phd", rates={"kind": "none"}).rates is None
 
 
 def test_frames_that_nobody_saw_teach_nothing():

@@ -11,7 +11,6 @@ from phdtrack.scene.training import (
     PRIOR,
     WIDENING,
     births_in,
-    distance_gone,
     first_state,
     measurement_volume,
     state_volume,
@@ -57,12 +56,6 @@ def test_rows_may_show_less_than_a_box():
     tracks = Tracks.concatenate([track(1, 1, 9, (0, 0), (0, 0)), track(2, 3, 70, (50, 60), (2, -1))])
     metres = 0.1 * (tracks.xyxy[:, :2] + tracks.xyxy[:, 2:]).T / 2
     np.testing.assert_allclose(births_in(tracks, fps=10, rate=1, shown=metres), np.array([[5, 6, 2, -1]]).T)
-
-
-def test_how_far_a_track_has_gone_is_told_in_sizes():
-    """40 frames of 3 pixels, between the middles of the first and of the last fifth 32 of them; √(30 · 120) = 60."""
-    one = track(1, 2, 40, (50, 60), (3, 0), (30, 120))
-    assert distance_gone(to_cxcywh(one.xyxy)) == pytest.approx(32 * 3 / 60)
 
 
 def test_light_that_trembles_teaches_no_births():

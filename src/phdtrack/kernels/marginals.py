@@ -42,10 +42,12 @@ def _islands(target: I8, which: I8, pairs: int, targets: int, measurements: int)
 def beliefs(odds: F8, target: I8, which: I8, pairs: int, targets: int, measurements: int) -> tuple[F8, F8, F8]:
     """As `marginals`, of the first ``pairs`` rows."""
     mu, nu = np.empty(pairs), np.empty(pairs)
-    seen, claimed, moved = np.empty(targets), np.zeros(measurements), np.empty(targets)
+    seen, claimed, moved = np.empty(targets), np.empty(measurements), np.empty(targets)
     island, live = _islands(target, which, pairs, targets, measurements), np.empty(pairs, np.int64)
     for e in range(pairs):
         nu[e], live[e] = 1.0, e
+    for j in range(measurements):
+        claimed[j] = 0.0
     # A literal zero is a type of its own.
     turn, count = 0 * pairs, pairs
     while True:
@@ -76,7 +78,8 @@ def beliefs(odds: F8, target: I8, which: I8, pairs: int, targets: int, measureme
                 live[left] = live[k]
                 left += 1
         count = left
-    seen = np.zeros(targets)
+    for t in range(targets):
+        seen[t] = 0.0
     for e in range(pairs):
         seen[target[e]] += odds[e] * nu[e]
     for e in range(pairs):

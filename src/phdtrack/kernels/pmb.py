@@ -139,7 +139,7 @@ def predicted_layer(layer: Layer, p: Predicted, noise: F8, occlude: float, reapp
     occlude, reappear : probabilities that a visible target is occluded after the interval, and an occluded one visible.
     """
     targets, hypotheses = layer.targets.copy(), layer.hypotheses.copy()
-    mean, cov, p_survive = p.mean.copy(), p.covariance.copy(), p.p_survive
+    mean, cov, p_survive, old_mean, old_cov = p.mean.copy(), p.covariance.copy(), p.p_survive, layer.mean, layer.covariance
     for t in range(targets.size):
         target = targets[t]
         stay = presence = 0.0
@@ -152,9 +152,10 @@ def predicted_layer(layer: Layer, p: Predicted, noise: F8, occlude: float, reapp
             if stay > 0.0:
                 h.weight *= p_survive[c] / stay
             if h.static:
-                copy_gaussian(layer.mean, layer.covariance, c, mean, cov, c)
+                copy_gaussian(old_mean, old_cov, c, mean, cov, c)
                 for a in range(mean.shape[1]):
-                    cov[c, a, a] = max(cov[c, a, a], STATIC_SHARE * noise[a, c] * noise[a, c])
+                    least = STATIC_SHARE * noise[a, c] * noise[a, c]
+                    cov[c, a, a] = cov[c, a, a] if cov[c, a, a] > least else least
             else:
                 h.occluded = h.occluded * (1.0 - reappear) + (1.0 - h.occluded) * occlude
                 presence += target.r * h.weight
@@ -262,8 +263,9 @@ def write_kept(layer: Layer, p_detect: F8, options: Options, limit: float, out: 
     ``out`` has the Gaussians of the options with a measurement. Hypotheses within √``limit`` deviations of a heavier one are
     counted as that one. ``p_detect`` (C,) of hypotheses.
     """
-    hypotheses, mean, cov, old = out.hypotheses, out.mean, out.covariance, layer.hypotheses
-    count, source, taken, weight = options.kept, options.source, options.taken, options.weight
+    targets, hypotheses, mean, cov = out
+    old_targets, old, old_mean, old_cov = layer
+    exists, count, source, taken, weight = options
     number, k, end = 0 * count.size, 0 * count.size, 0 * count.size
     for t in range(count.size):
         total, begin, option, end = 0.0, k, end, end + count[t]
@@ -273,7 +275,7 @@ def write_kept(layer: Layer, p_detect: F8, options: Options, limit: float, out: 
             c, j, h = source[i], taken[i], hypotheses[k]
             h.static, h.parent, h.detection, h.target, h.occluded = old[c].static, old[c].parent, j, number, 0.0
             if j < 0:
-                copy_gaussian(layer.mean, layer.covariance, c, mean, cov, k)
+                copy_gaussian(old_mean, old_cov, c, mean, cov, k)
                 if not h.static:
                     h.occluded = min(old[c].occluded / max(1.0 - p_detect[c], TINY), 1.0)
             elif k < i:
@@ -285,24 +287,26 @@ def write_kept(layer: Layer, p_detect: F8, options: Options, limit: float, out: 
                 h.weight = weight[i] / total
                 k += 1
         if k > begin:
-            before = layer.targets[t]
-            write_target(out, number, before.label, options.exists[t], before.max_presence, begin, k)
+            before = old_targets[t]
+            write_target(targets, hypotheses, number, before.label, exists[t], before.max_presence, begin, k)
             number += 1
     return number, k
 
 
 @njit(**INNER)
-def write_target(out: Layer, t: int, label: int, r: float, max_presence: float, begin: int, end: int) -> None:
-    """Write target t, whose hypotheses are written, to ``out``; ``max_presence`` is the greatest before."""
-    target, total, best = out.targets[t], 0.0, -1
+def write_target(
+    targets: Records, hypotheses: Records, t: int, label: int, r: float, max_presence: float, begin: int, end: int
+) -> None:
+    """Write target t, whose hypotheses are written; ``max_presence`` is the greatest before."""
+    target, total, best = targets[t], 0.0, -1
     for c in range(begin, end):
-        h = out.hypotheses[c]
+        h = hypotheses[c]
         if not h.static:
             total += h.weight
-            if best < 0 or h.weight > out.hypotheses[best].weight:
+            if best < 0 or h.weight > hypotheses[best].weight:
                 best = c
     target.label, target.r, target.begin, target.end, target.best = label, r, begin, end, best
-    target.presence, target.max_presence = r * total, max(max_presence, r * total)
+    target.presence, target.max_presence = r * total, r * total if r * total > max_presence else max_presence
 
 
 @njit(**INNER)
@@ -311,16 +315,18 @@ def write_new(r_new: F8, new: NewTargets, prior: float, fresh: int, t: int, k: i
 
     They come in the order of the measurements and are labelled from ``fresh`` on; ``prior`` is that of static clutter.
     """
+    targets, hypotheses, mean, cov = out
+    new_mean, new_cov = new.mean, new.covariance
     for j in range(r_new.size):
         if r_new[j] > 0.0:
             begin = k
             for kind in range(2 if prior > 0.0 else 1):
-                h = out.hypotheses[k]
+                h = hypotheses[k]
                 h.weight, h.static, h.occluded = prior if kind == 1 else 1.0 - prior, kind == 1, 0.0
                 h.target, h.detection, h.parent = t, j, -1
-                copy_gaussian(new.mean, new.covariance, j, out.mean, out.covariance, k)
+                copy_gaussian(new_mean, new_cov, j, mean, cov, k)
                 k += 1
-            write_target(out, t, fresh, r_new[j], 0.0, begin, k)
+            write_target(targets, hypotheses, t, fresh, r_new[j], 0.0, begin, k)
             t, fresh = t + 1, fresh + 1
     return k
 

@@ -90,7 +90,7 @@ class MeasurementBirth:
             everywhere: F8 = self.births_per_second / image_volume(self.frame_size) * ((z[2] > 0) & (z[3] > 0))
             return everywhere
         each = self.births_per_second / local_volume(z)
-        local: F8 = summed_densities(np.ascontiguousarray(z[:4]), each, REACH, *SIZES)
+        local: F8 = summed_densities(np.ascontiguousarray(z[:4]), z[0].argsort(), each, REACH, *SIZES)
         return local
 
     def expected(self, z: F8, seconds: float) -> float:

@@ -47,7 +47,8 @@ class LocalClutter:
         """κ(z) = Σ_j rate / V(z_j) over the detections z_j in whose neighbourhood z lies, its own included."""
         if z.shape[1] == 0:
             return np.zeros(0)
-        out: F8 = summed_densities(np.ascontiguousarray(z[:4]), self.clutter_per_frame / local_volume(z), REACH, *SIZES)
+        density = self.clutter_per_frame / local_volume(z)
+        out: F8 = summed_densities(np.ascontiguousarray(z[:4]), z[0].argsort(), density, REACH, *SIZES)
         return out
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from phdtrack.errors import InputError
 from phdtrack.filters.extract import Components
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.protocols import Model
@@ -56,9 +54,3 @@ def test_states_have_the_tags_of_their_components():
     np.testing.assert_array_equal(found.tag, [7, 9])
     np.testing.assert_array_equal(found.take(np.array([1])).tag, [9])
     assert len(Components().extract(MIXTURE, Z, MODEL).tag) == 0
-
-
-def test_settings_out_of_bounds():
-    for wrong in ({"min_weight": 0.0}, {"merge_iou": 0.0}):
-        with pytest.raises(InputError, match=next(iter(wrong))):
-            Components(**wrong)
