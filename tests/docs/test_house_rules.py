@@ -27,20 +27,13 @@ MAX_PARAMETERS, MAX_KERNEL_PARAMETERS = 8, 10
 MAX_TEST_LINES, MAX_EXPERIMENT_LINES = 24_000, 4_000
 MAX_LOADED_MODULES, MAX_LOADED_LINES = 90, 11_000
 ALLOWED = {
-    "lines": 40_300,
-    "files": 220,
-    "test lines": 33_500,
-    "experiment lines": 5_700,
-    "top level": 10,
-    "long files": 2,
-    "small files": 12,
-    "long functions": 27,
-    "many parameters": 50,
-    "no sections": 520,
-    "circles": 1,
-    "hasattr": 3,
-    "loaded modules": 300,
-    "loaded lines": 36_000,
+    "lines": 34_500,
+    "test lines": 25_200,
+    "experiment lines": 5_300,
+    "long files": 1,
+    "small files": 1,
+    "long functions": 1,
+    "no sections": 142,
 }
 
 
@@ -188,9 +181,10 @@ def test_no_function_takes_many_parameters() -> None:
 
 
 def test_public_functions_say_what_goes_in_and_what_comes_back() -> None:
+    """Kernels and the command line are no part of the public library: their records and options say what goes in."""
     found = []
     for part in functions():
-        if part.public and len(parameters(part.node)) >= 3 and not commands(part.path, part.node):
+        if part.public and len(parameters(part.node)) >= 3 and not {"kernels", "cli"} & set(part.path.parts):
             text, returns = ast.get_docstring(part.node) or "", part.node.returns
             silent = returns is None or ast.unparse(returns) == "None"
             if "Parameters\n-----" not in text or not (silent or re.search("(Returns|Yields)\n-----", text)):
