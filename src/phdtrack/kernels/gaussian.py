@@ -270,16 +270,21 @@ class Places(NamedTuple):
     Attributes
     ----------
     along, across : that component, and the other one.
-    head : (cells,) the first measurement in each cell.     after : (N,) the next one in the same cell. −1 for none.
-    low, scale : a value lies in cell (value − low)·scale; all in one, of scale 0, where both components are angles.
+    first, second : (N,) both of each measurement, by cells.     order : (N,) which one it is.
+    begin : (cells + 1,) where each cell begins.
+    low, scale : a value lies in cell (value − low)·scale.
+    near : whether what is far along an axis is far altogether: not of angles, which are all in one cell.
     """
 
     along: int
     across: int
-    head: I8
-    after: I8
+    first: F8
+    second: F8
+    order: I8
+    begin: I8
     low: float
     scale: float
+    near: bool
 
 
 @njit(**INNER)
@@ -295,27 +300,33 @@ def cell(value: float, low: float, scale: float, count: int) -> int:
 def places_of(m: Measurements) -> Places:
     """The measurements in cells, about one in each. Raises ValueError where a measurement is NaN or infinite."""
     z, period = m.z, m.period
-    n, along, low, widest = len(z), 0 * len(z), 0.0, 0.0
-    for a in range(z.shape[1]):
+    n, along, low, widest, near = len(z), 0 * len(z), 0.0, 0.0, False
+    for a in range(len(period)):
         least, most, total = np.inf, -np.inf, 0.0
         for j in range(n):
-            value = z[j, a]
-            least, most = value if value < least else least, value if value > most else most
-            total += value
+            least, most, total = min(least, z[j, a]), max(most, z[j, a]), total + z[j, a]
         if not np.isfinite(total):
             raise ValueError("measurements must be finite")
         if period[a] == 0.0 and a < 2 and most - least > widest:
-            along, low, widest = a, least, most - least
+            along, low, widest, near = a, least, most - least, True
     across = 1 - along if len(period) > 1 and period[1 - along] == 0.0 else along
-    cells = n if widest > 0.0 else 1
-    scale, head, after = cells / widest if widest > 0.0 else 0.0, np.empty(cells, np.int64), np.empty(n, np.int64)
-    for c in range(cells):
-        head[c] = -1
+    count = n if near else 1
+    scale, begin, number = count / widest if near else 0.0, np.empty(count + 1, np.int64), np.empty(n, np.int64)
+    for c in range(count + 1):
+        begin[c] = 0
+    for j in range(n):
+        number[j] = cell(z[j, along], low, scale, count)
+        begin[number[j]] += 1
+    # From the last one back: a cell's end becomes its beginning.
+    for c in range(count):
+        begin[c + 1] += begin[c]
+    first, second, order = np.empty(n), np.empty(n), np.empty(n, np.int64)
     for back in range(n):
         j = n - 1 - back
-        c = cell(z[j, along], low, scale, cells)
-        after[j], head[c] = head[c], j
-    return Places(along, across, head, after, low, scale)
+        begin[number[j]] -= 1
+        k = begin[number[j]]
+        order[k], first[k], second[k] = j, z[j, along], z[j, across]
+    return Places(along, across, first, second, order, begin, low, scale, near)
 
 
 @njit(**INNER)
@@ -340,41 +351,37 @@ def gated(e: Expected, m: Measurements, places: Places, gate: float, active: F8)
     active : (J,) Gaussians at which this is 0 are left out.
     """
     rows, seen, spread, noise, z, extra, period = e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period
-    along, across, head, after, low, scale = places
+    along, across, first, second, order, begin, low, scale, near = places
     root, y, wide, high = np.empty((rows.size, rows.size)), np.empty(rows.size), 0.0, 0.0
     for j in range(len(extra)):
-        along2, across2 = extra[j, along, along], extra[j, across, across]
-        wide, high = along2 if along2 > wide else wide, across2 if across2 > high else high
+        wide, high = max(wide, extra[j, along, along]), max(high, extra[j, across, across])
     row, other, room, found = rows[along], rows[across], 2 * len(seen) + 2 * len(z) + 16, 0 * len(z)
     gaussian, measurement = np.empty(room, np.int64), np.empty(room, np.int64)
     distance2, log_density = np.empty(room), np.empty(room)
-    cells, limit = head.size, gate * gate
+    cells, limit = begin.size - 1, gate * gate
     for i in range(len(seen)):
         if not active[i] > 0.0:
             continue
-        reach, width, x, middle = np.inf, np.inf, seen[i, row], seen[i, other]
-        # What is far along an axis is far altogether, but for angles.
-        if scale > 0.0:
-            reach, width = spread[i, row, row] + wide, spread[i, other, other] + high
-            if len(noise) > 0:
-                reach, width = reach + noise[i, along, along], width + noise[i, across, across]
-            reach, width = gate * np.sqrt(reach), gate * np.sqrt(width)
+        reach, width = spread[i, row, row] + wide, spread[i, other, other] + high
+        if len(noise) > 0:
+            reach, width = reach + noise[i, along, along], width + noise[i, across, across]
+        reach, width = gate * np.sqrt(reach) if near else np.inf, gate * np.sqrt(width) if near else np.inf
+        x, middle = seen[i, row], seen[i, other]
         log_det, known = 0.0, False
-        for c in range(cell(x - reach, low, scale, cells), cell(x + reach, low, scale, cells) + 1):
-            j = head[c]
-            while j >= 0:
-                if abs(z[j, along] - x) <= reach and abs(z[j, across] - middle) <= width:
-                    if len(extra) > 0 or not known:
-                        log_det, known = innovation_root(spread, rows, noise, extra, i, j, period, root), True
-                    d2 = whitened(seen, rows, z, i, j, period, root, y)
-                    if d2 <= limit:
-                        if found == gaussian.size:
-                            gaussian, measurement = longer(gaussian), longer(measurement)
-                            distance2, log_density = longer(distance2), longer(log_density)
-                        gaussian[found], measurement[found] = i, j
-                        distance2[found], log_density[found] = d2, -0.5 * (d2 + log_det)
-                        found += 1
-                j = after[j]
+        for k in range(begin[cell(x - reach, low, scale, cells)], begin[cell(x + reach, low, scale, cells) + 1]):
+            if abs(first[k] - x) > reach or abs(second[k] - middle) > width:
+                continue
+            j = order[k]
+            if len(extra) > 0 or not known:
+                log_det, known = innovation_root(spread, rows, noise, extra, i, j, period, root), True
+            d2 = whitened(seen, rows, z, i, j, period, root, y)
+            if d2 <= limit:
+                if found == gaussian.size:
+                    gaussian, measurement = longer(gaussian), longer(measurement)
+                    distance2, log_density = longer(distance2), longer(log_density)
+                gaussian[found], measurement[found] = i, j
+                distance2[found], log_density[found] = d2, -0.5 * (d2 + log_det)
+                found += 1
     return Pairs(gaussian[:found], measurement[:found], distance2[:found], log_density[:found])
 
 
