@@ -140,7 +140,7 @@ def has_threads() -> bool:
 
 def threaded(crowd: Crowd, threads: int, *, worst: bool = True) -> AnyStages:
     """The workload's stages with that many threads."""
-    return stages(crowd, worst=worst, sets=(f"filter.threads={threads}", ""))
+    return stages(crowd, worst=worst, sets=(f"filter.threads={threads}",))
 
 
 def _threads(scale: Scale, say: Callable[[str], None]) -> tuple[dict[str, Any], list[Row]]:
