@@ -15,7 +15,7 @@ from phdtrack.errors import InputError
 
 AnyPath = str | os.PathLike[str]
 
-# Where benchmarks put the file that somebody who names the folder of a sequence has in mind.
+# Where benchmarks put the file that is meant when the folder of a sequence is named.
 _USUAL = ("gt/gt.txt", "det/det.txt", "gt.txt", "det.txt", "tracks.csv", "detections.csv")
 
 

@@ -103,7 +103,7 @@ class Tracker:
         ----------
         detections : (N, 4…6) array of left, top, right, bottom[, confidence[, class]] in pixels, or an object with
             ``.xyxy`` (and ``.confidence``, ``.class_id``); empty for a frame in which nothing was detected;
-            `Detections.empty(observed=False)` for a frame that nobody looked at.
+            `Detections.empty(observed=False)` for a frame without detection.
         frame : its number from 1; default one more than the last. Numbers left out are frames that were dropped.
         timestamp : its time in seconds; default from the number and ``fps``.
         warp : how the camera moved since the last update: the (3, 3) homography, or (2, 3) affine map, that takes pixels of
@@ -155,7 +155,7 @@ class Tracker:
 
     @property
     def rates(self) -> Rates | None:
-        """p_D, false alarms, births and the worth of scores as they are estimated now; None where rates are not learned."""
+        """Estimates of p_D, false alarms, births and the likelihood ratios of scores; None where rates are not learned."""
         if self._state.learned is None:
             return None
         from phdtrack.models.learning import RatesState

@@ -9,7 +9,7 @@ Conventions, stated once:
 * Times are seconds. A model's interval ``dt`` is in the model's own time unit (`protocols.Model.rate` units a second).
 * States are columns: an array of L states of dimension d has shape (d, L), so that each component is contiguous.
   Rows 0 and 1 of every state are its position.
-* Nothing is None where an empty array will do; nobody writes into an array he received.
+* Nothing is None where an empty array will do; no function writes into an array that it received.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Detections:
     confidence : (N,) float64; 1 where the detector gives none.
     class_id : (N,) int64; 0 where the detector gives none.
     covariance : (N, 4, 4) of (centre x, centre y, width, height) in pixels², or None where the detector states none.
-    observed : False for a frame that nobody looked at (predict only), which is not the same as an empty frame.
+    observed : False for a frame without detection (predict only), which is not the same as an empty frame.
     """
 
     xyxy: F8
@@ -244,7 +244,7 @@ class ChainInfo:
     moves : names of the kinds of moves.
     proposed, accepted : (k,) int64, how often each was proposed and accepted.
     effective : how many independent samples would tell the targets' mean positions as well as the chain does: by the
-        variance of means over batches of it, the least over targets and coordinates. NaN where nobody is there.
+        variance of means over batches of it, the least over targets and coordinates. NaN without targets.
     """
 
     moves: tuple[str, ...]
@@ -387,7 +387,7 @@ class Tracks:
     frame : (M,) int64 from 1.        identity : (M,) int64 from 1.        xyxy : (M, 4) float64, pixels.
     confidence : (M,) float64 in [0, 1].
     detection : (M,) index among that frame's detections, −1: predicted or bridged.
-    confirmed : (M,) bool; False for rows given before the track was long enough to be believed.
+    confirmed : (M,) bool; False for rows given before the track was long enough to be confirmed.
     """
 
     frame: I8

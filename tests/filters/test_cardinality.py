@@ -95,7 +95,7 @@ def test_poisson_numbers_add_and_thin_to_poisson_numbers(births: float):
     assert mean(after) == pytest.approx(6.3 + births, rel=1e-11)
 
 
-def test_nobody_stays_nobody():
+def test_no_targets_stay_no_targets():
     found = factors(np.ones(1), 0.0, 0.0, np.zeros(2), np.ones(2))
     np.testing.assert_array_equal(found.cardinality, [1.0])
     np.testing.assert_array_equal(found.detected, [0.0, 0.0])

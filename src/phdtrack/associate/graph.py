@@ -112,8 +112,8 @@ class GraphMatching:
     window : seconds over which states are linked; M07's K = 50 frames at 25 Hz.
     min_track_length : states, and detections that a track is led back to, below which a corrected track is discarded; states
         below which an online track is not confirmed.
-    loose_end_distance : deviations from a typical prediction at which a link is worth two loose ends.
-    gap_cost : nats per second by which a link is worth less for the time without a state.
+    loose_end_distance : deviations from a typical prediction at which a link gains as much as two loose ends.
+    gap_cost : nats per second that a link loses for the time without a state.
     min_link_gain : share of loose_end_distance²/2 that a track's links must gain on average, or it is discarded (offline) or
         not confirmed (online). Links between false alarms are poor.
     max_link_distance : deviations that linked states may be apart.

@@ -109,7 +109,8 @@ def with_options(command: Command) -> Command:
         command(**values, **made)
 
     run.__doc__, run.__annotations__ = command.__doc__, {one.name: one.annotation for one in options}
-    run.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
+    # Read by `inspect.signature`, and so by typer.
+    run.__dict__["__signature__"] = inspect.Signature(options)
     return run
 
 

@@ -46,7 +46,7 @@ _ONLY_BOXES = "a density of them is learned for boxes in the image only (motion.
 UNATTENDED = 200
 LIMITS = (
     "No person has checked them. A person who sits or stands in one place for nine tenths of the stretch, or for two thirds "
-    "of it while detected in every other frame only, is taken for a false alarm there, and so are people whom others hide "
+    "of it while detected in every other frame only, is taken for a false alarm there, and so are people hidden by others "
     "in a crowd (in a simulated one a quarter of what was taken were people, in streets 3 %). To check them: phdtrack "
     "label suggests the same boxes."
 )

@@ -52,7 +52,7 @@ class Weighing:
     cardinality: F8
 
 
-def nobody() -> F8:
+def no_targets() -> F8:
     """(1,) no target, for certain."""
     return np.ones(1)
 
@@ -113,7 +113,7 @@ def factors(cardinality: F8, mass: float, missed: float, evidence: F8, clutter: 
     Poisson: the factors are those of the PHD filter then.
     """
     if mass < _TINY:
-        return Weighing(1.0, np.zeros(len(evidence)), nobody())
+        return Weighing(1.0, np.zeros(len(evidence)), no_targets())
     with np.errstate(divide="ignore"):
         prior = np.log(cardinality)
         phi = float(np.log(min(max(missed / mass, 0.0), 1.0)))

@@ -15,7 +15,7 @@ import numpy as np
 
 from phdtrack.arrays import GATE
 from phdtrack.errors import Count, NonNegative, Share, check
-from phdtrack.filters.cardinality import nobody, poisson, survived, weigh
+from phdtrack.filters.cardinality import no_targets, poisson, survived, weigh
 from phdtrack.filters.intensities import Cardinalised
 from phdtrack.filters.phd_gaussian import GMPHD, rows_of, tagged
 from phdtrack.kernels.gm_update import phd_mixture, phd_terms
@@ -86,7 +86,7 @@ class GMCPHD:
     def reduce(self, state: State, rng: np.random.Generator) -> State:
         """Prune, merge, cap; the number stays, unless nothing is left."""
         mixture = _intensity(self).reduce(state.intensity, rng)
-        return Cardinalised(mixture, state.cardinality if len(mixture) else nobody())
+        return Cardinalised(mixture, state.cardinality if len(mixture) else no_targets())
 
     def step(self, state: State, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[State, UpdateInfo]:
         """Predict, update and reduce."""

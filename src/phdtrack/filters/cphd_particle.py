@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.errors import Count, InputError, PositiveCount, check
-from phdtrack.filters.cardinality import nobody, poisson, survived, weigh
+from phdtrack.filters.cardinality import no_targets, poisson, survived, weigh
 from phdtrack.filters.intensities import Cardinalised, UpdatedParticles
 from phdtrack.filters.phd_particle import ParticlePHD
 from phdtrack.protocols import Model
@@ -86,7 +86,7 @@ class ParticleCPHD:
     def reduce(self, state: State, rng: np.random.Generator) -> State:
         """Systematic resampling to ρ particles per expected target; the number stays, unless nothing is left."""
         particles = self._phd.reduce(state.intensity, rng)
-        return Cardinalised(particles, state.cardinality if len(particles) else nobody())
+        return Cardinalised(particles, state.cardinality if len(particles) else no_targets())
 
     def step(self, state: State, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[State, UpdateInfo]:
         """Predict, update and reduce."""

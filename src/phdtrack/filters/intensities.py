@@ -1,9 +1,9 @@
-"""What filters carry from frame to frame beside particles and mixtures: an intensity with a number, samples of everybody."""
+"""States of filters besides particles and mixtures: an intensity with a cardinality distribution, joint samples."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -61,6 +61,13 @@ class Cardinalised(Generic[Points]):
     def mass(self) -> float:
         """The integral of the intensity: the expected number of targets."""
         return self.intensity.mass
+
+
+def parts(state: Any, *, counted: bool) -> tuple[Any, F8 | None]:
+    """The intensity of a state, and the probabilities (n,) of 0, 1, 2, … targets if they are there and to be used."""
+    if isinstance(state, Cardinalised):
+        return state.intensity, state.cardinality if counted else None
+    return state, None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ The posterior of a frame is that of all targets at once, given what the frame be
 A Markov chain draws samples of it (`kernels.mcmc`). Unlike the PHD filters this one knows its targets one by one: a label is
 one for a target's life.
 
-**Associations unknown** [K05]. What is sampled is who is there, who gave which measurement, and where everybody is, (E, a,
+**Associations unknown** [K05]. Sampled are which targets exist, which gave which measurement, and where each is, (E, a,
 X). Every target gives one measurement at most, with probability p_D, every measurement comes of one target at most, and the
 rest is Poisson clutter of density κ. With ψ = exp(−strength · penalty) for every pair of targets, the interaction that
 keeps them apart [K05], and in units of the scan's being all clutter,
@@ -300,17 +300,17 @@ def _given_update(
     old, new = order[known], order[~known]
     n, dim, count = len(order), model.motion.dim, settings.samples
     none = np.zeros(1, np.int64)
-    everybody, chain = np.empty((dim, n, count)), ChainInfo(GIVEN_MOVES[:1], none, none, float("nan"))
+    every_target, chain = np.empty((dim, n, count)), ChainInfo(GIVEN_MOVES[:1], none, none, float("nan"))
     if len(old):
         before = replace(state, origin=model.warp_states(state.state), interval=dt) if state.interval == 0 else state
         origin = before.origin.reshape(dim, *state.chance.shape)[:, np.searchsorted(state.label, label[old])]
         kept, chain = _given_samples(settings, origin, before.interval, np.ascontiguousarray(z[:, old]), model, rng)
-        everybody[:, known] = kept
+        every_target[:, known] = kept
     mean, cov = model.sensor.states(z[:, new])
     born = draw(GaussianMixture(np.ones(len(new)), mean, cov), count, 1.0, rng)
-    everybody[:, ~known] = born.state.reshape(dim, len(new), count)
+    every_target[:, ~known] = born.state.reshape(dim, len(new), count)
     fresh = max(state.fresh, int(label.max(initial=-1)) + 1)
-    samples = JointSamples(everybody.reshape(dim, -1), np.ones((n, count)), label[order], fresh, np.zeros((dim, 0)))
+    samples = JointSamples(every_target.reshape(dim, -1), np.ones((n, count)), label[order], fresh, np.zeros((dim, 0)))
     number = np.eye(1, n + 1, n)[0]
     return samples, UpdateInfo(float(n), float(len(new)), float(n), np.ones(n), np.zeros(n), 0, number, chain)
 

@@ -13,7 +13,7 @@ The probability of each pair over all ways to give every target at most one meas
 one target, is found by loopy belief propagation (`kernels.marginals`). Then r is the probability of all hypotheses of the
 target that are left, which are weighed by theirs: the product of Bernoulli densities that is nearest to the posterior
 [W15], but the hypotheses of a target are kept with their pasts instead of being replaced by their mean. So targets that
-cannot be told apart for some frames are not blurred, and the past is read from the hypothesis that wins.
+cannot be separated for some frames are not blurred, and the past is read from the hypothesis that wins.
 
 Two things that a constant p_D does not say about detectors are hidden states of a hypothesis.
 

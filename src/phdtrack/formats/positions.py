@@ -47,7 +47,7 @@ def read_positions(path: AnyPath) -> Positions:
 
     Raises
     ------
-    InputError : the file is missing, a line is malformed, a number is not finite, or somebody is twice in one frame.
+    InputError : the file is missing, a line is malformed, a number is not finite, or an identity is twice in one frame.
     """
     text = scan(Path(path), load(path))
     if len(text) and text.width != len(_COLUMNS):
@@ -63,7 +63,7 @@ def read_positions(path: AnyPath) -> Positions:
     order = np.lexsort((values[:, 1], values[:, 0]))
     frame, identity = values[order, :2].T.astype(np.int64)
     again = repeated(values[:, 1], values[:, 0]) >= 0
-    enforce(text.origin, Rule(again, "expected everybody at most once in a frame, came somebody twice", values))
+    enforce(text.origin, Rule(again, "expected each identity at most once in a frame, came one twice", values))
     return Positions(frame, identity, np.ascontiguousarray(values[order][:, _PLANE].T))
 
 

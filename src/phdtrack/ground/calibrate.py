@@ -1,4 +1,4 @@
-"""A homography from points that somebody clicked: pixels and their places on the ground.
+"""A homography from clicked points: pixels and their places on the ground.
 
 The direct linear transform in normalised coordinates gives a first matrix; least squares on the distances in the image,
 where the clicks err, gives the final one. Layouts that leave the matrix open (all points, or all but one, near a line) are

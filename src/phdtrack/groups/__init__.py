@@ -1,4 +1,4 @@
-"""Groups of people: who walks with whom, how many they are, where, and what becomes of them [E13 §5].
+"""Groups of people: members, number, place, and how they change [E13 §5].
 
 intensity ─cluster→ Groups ─contours→ polygons
                       └─life cycle→ identities and events ─encounters→ warnings

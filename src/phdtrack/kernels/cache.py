@@ -92,7 +92,7 @@ def digest(sources: Path) -> str:
 def _somewhere() -> Path:
     """The folder that Numba takes for functions of this package; RuntimeError where it finds none."""
     if os.path.expanduser("~") == "~" and not (numba.config.CACHE_DIR or os.access(SOURCES, os.W_OK)):
-        # Nobody knows this user: Numba would make a folder called "~" where the process happens to be.
+        # A user without a home folder: Numba would make a folder called "~" where the process happens to be.
         raise RuntimeError("no home")
     probe: Any = njit(cache=True)(_probe)
     return Path(probe.stats.cache_path)

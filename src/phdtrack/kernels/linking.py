@@ -71,7 +71,7 @@ class Terms(NamedTuple):
     Attributes
     ----------
     window : model time over which states are linked.
-    loose_end : deviations from a typical prediction at which a link is worth two loose ends.
+    loose_end : deviations from a typical prediction at which a link gains as much as two loose ends.
     gap_cost : nats per model time unit without a state.
     max_distance : deviations that linked states may be apart.
     """

@@ -226,7 +226,7 @@ def _penalty(place: F8, a: int, b: int, boxes: bool) -> float:
 
 @njit(**INNER)
 def _free(o: int, a: int, b: int, can: Options, now: Sample) -> float:
-    """Weight of an option for candidates a or b; 0 where its measurement is somebody else's."""
+    """Weight of an option for candidates a or b; 0 where its measurement belongs to another target."""
     j = can.seen_by[o]
     if j < 0 or now.taken[j] < 0 or now.taken[j] == a or now.taken[j] == b:
         weight: float = can.total[o]
@@ -274,7 +274,7 @@ def _choose(a: int, b: int, begin: int, can: Options, now: Sample, rng: np.rando
 
 @njit(**INNER)
 def _kind(was: int, becomes: int, absence: int, newborn: bool, can: Options) -> int:
-    """Which row of the counts a change of option belongs to; −1 where somebody stays away."""
+    """Which row of the counts a change of option belongs to; −1 where a target stays absent."""
     if was == absence:
         if becomes == absence:
             return -1
@@ -286,7 +286,7 @@ def _kind(was: int, becomes: int, absence: int, newborn: bool, can: Options) -> 
 
 @njit(**INNER)
 def _crowd(a: int, b: int, i: int, k: int, can: Options, now: Sample, boxes: bool) -> float:
-    """Penalties of ``a`` in state ``i`` and ``b`` in state ``k`` (−1: not there) with everybody and each other."""
+    """Penalties of ``a`` in state ``i`` and ``b`` in state ``k`` (−1: not there) with all other targets and each other."""
     total = _penalty(can.place, i, k, boxes) if i >= 0 and k >= 0 else 0.0
     for c in range(now.state.size):
         if now.state[c] >= 0 and c != a and c != b:

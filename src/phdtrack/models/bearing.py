@@ -265,7 +265,7 @@ class BearingSensor:
 
     @property
     def occlusion(self) -> bool:
-        """Nobody hides anybody."""
+        """Targets hide no others."""
         return False
 
     def particle_model(self, z: F8) -> SensorNumbers:

@@ -57,7 +57,7 @@ from phdtrack.kernels.box import (
 from phdtrack.kernels.particle_models import BoxWalk, GivenSize, OwnSize, SensorNumbers, SizeBefore
 from phdtrack.models import warp as warp_of
 from phdtrack.models.births import NoSpawn, Spawn
-from phdtrack.models.occlusion import NOBODY, Hiders, seen_part
+from phdtrack.models.occlusion import NO_HIDERS, Hiders, seen_part
 from phdtrack.types import F8, Detections, ParticleBlocks, Particles
 
 _SCALINGS = {"particle": PARTICLE, "detection": DETECTION, "fixed": FIXED, "given": GIVEN, "previous": PREVIOUS}
@@ -104,7 +104,7 @@ class BoxSensor:
     gate_probability: Share = GATE
     occlusion: bool = False
     min_detection_probability: Probability = 0.1
-    hiders: Hiders = NOBODY
+    hiders: Hiders = NO_HIDERS
 
     @property
     def _gate(self) -> float:
@@ -393,7 +393,7 @@ class BoxMotion:
         if d == 8:
             f[6:8] = np.eye(2, 8, 4)
             mean[6:8] = x[4:6]
-        # By planes, which is how whoever predicts many states goes through it.
+        # By planes, as the kernels that predict many states read it.
         noise = np.zeros((d, d, n))
         box_motion_noise(mean[4:6], float(dt), self.acceleration, self.size_noise, self.min_size, self.scaled_noise, noise)
         # One Jacobian for all, as np.broadcast_to would give it in more time than the rest takes for a few states.

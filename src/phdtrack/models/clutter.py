@@ -72,8 +72,8 @@ class ScoredClutter:
     """κ(z, s) of the detections of one frame, each with a score s, for a g(z|x) that leaves scores out.
 
     With p(s|object) taken out of numerator and denominator of every ratio of the update, what is left of the scores is
-    κ(z)/odds, odds = p(s|object)/p(s|false alarm): a detection of low odds has to be explained by somebody who is there
-    already, and starts nobody.
+    κ(z)/odds, odds = p(s|object)/p(s|false alarm): a detection of low odds can only be explained by a target that
+    exists already, and starts none.
 
     Parameters
     ----------

@@ -7,12 +7,12 @@ of one single other covers [E13 §6],
     p_D(x) = p_D · max(1 − c^1.5, least)
 
 The exponent was measured: of boxes that are covered to 5, 22, 45, 65 and 87 %, detectors find .98, .86, .72, .50 and .18 of
-what they find of free ones. The union of several hiders would be more exact by what two
-hide beside each other of a third, and would cost a sweep over their edges for every particle.
+what they find of free ones. The union of several hiders would be more exact where two hide different parts of a third,
+and would cost a sweep over their edges for every particle.
 
-Those who hide are the targets that the last frame showed, where the motion expects them now, and not the boxes of this
-frame: a box says that somebody is seen, and not who. Where p_D falls for people whom this frame shows, what is left of their
-weight beside the part that a detection explains counts them twice. A target does not hide itself: a state within the 99 %
+The targets that hide are those that the last frame showed, where the motion expects them now, and not the boxes of this
+frame: a box does not say which target is seen. And if p_D fell for people whom this frame shows, the weight that remains of
+the undetected part would count them twice. A target does not hide itself: a state within the 99 %
 region of the sensor's noise about a hider is that hider's own.
 """
 
@@ -62,14 +62,14 @@ class Hiders:
         return i[some], j[some], share[some]
 
 
-NOBODY = Hiders(np.zeros((0, 4)), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)))
-"""Nobody who could hide."""
+NO_HIDERS = Hiders(np.zeros((0, 4)), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)))
+"""No target that could hide another."""
 
 
 def seen_part(hiders: Hiders, place: F8, xyxy: F8, depth: F8, region: float, least: float) -> F8:
     """(L,) share of p_D that is left, max(1 − c^1.5, least), of targets with ``place`` (r, L), boxes (L, 4), ``depth`` (L,).
 
-    A hider hides nobody within the squared distance ``region`` of it, in deviations: that is itself.
+    A hider hides no target within the squared distance ``region`` of it, in deviations: that is itself.
     """
     which, hider, part = hiders.over(xyxy, depth)
     apart = (place[:, which] - hiders.place[:, hider]) / hiders.noise[:, hider]

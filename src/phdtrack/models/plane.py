@@ -37,7 +37,7 @@ from phdtrack.errors import InputError, NonNegative, Positive, Probability, Shar
 from phdtrack.ground import ground_covariance
 from phdtrack.kernels.particle_models import SensorNumbers, Walk, position_numbers, walk
 from phdtrack.models.births import NoSpawn, Spawn
-from phdtrack.models.occlusion import NOBODY, Hiders, seen_part
+from phdtrack.models.occlusion import NO_HIDERS, Hiders, seen_part
 from phdtrack.models.volumes import EVERYWHERE, Region, check_region, inside
 from phdtrack.models.warp import no_image
 from phdtrack.protocols import Camera
@@ -191,7 +191,7 @@ class PlaneSensor:
     borders: Region = EVERYWHERE
     frame_size: tuple[float, float] = (0.0, 0.0)
     camera: Camera | None = None
-    hiders: Hiders = NOBODY
+    hiders: Hiders = NO_HIDERS
 
     @property
     def _gate(self) -> float:
@@ -352,7 +352,7 @@ class PlaneSensor:
     def boxes(self, x: F8) -> F8:
         """(n, 4) boxes of people of the nominal size standing there, as wide as the camera sees metres across at the foot.
 
-        A camera that knows no heights (a homography) gives the height by the same scale. A person whom no pixel shows has a
+        A camera that knows no heights (a homography) gives the height by the same scale. A person outside of the image has a
         box of one pixel far outside of the image.
         """
         wide, tall = self.size

@@ -190,7 +190,7 @@ class PointSensor:
 
     @property
     def occlusion(self) -> bool:
-        """Points hide nobody."""
+        """Points hide no others."""
         return False
 
     def particle_model(self, z: F8) -> SensorNumbers:

@@ -93,7 +93,7 @@ class ChainSummary:
         moves = ", ".join(f"{name} {100 * share:.0f} %" for name, share in self.acceptance.items())
         text = f"The chain accepted, of the moves that it proposed: {moves or 'there were none'}."
         if math.isfinite(self.effective):
-            text += f" Its samples of a frame were worth {self.effective:.0f} independent ones on average."
+            text += f" Its samples of a frame were as good as {self.effective:.0f} independent ones on average."
         return text
 
     @property
@@ -102,7 +102,7 @@ class ChainSummary:
         if not self.low > 0.5:
             return ""
         return (
-            f"the chain moved little: in {100 * self.low:.0f} % of the frames its samples are worth fewer than "
+            f"the chain moved little: in {100 * self.low:.0f} % of the frames its samples are as good as fewer than "
             f"{LOW_EFFECTIVE:.0f} independent ones; more filter.samples, or a greater filter.thin, make positions surer"
         )
 

@@ -125,9 +125,9 @@ GARDEN = replace(_WATCHED, name="garden", arrivals=0.12)
 """Few people among a dozen trees in a strong wind: most detections are false, and always in the same places."""
 _COLUMNS = tuple((left, 0.3, left + 0.06, 0.86) for left in (0.15, 0.45, 0.75))
 ARCADE = replace(_WATCHED, name="arcade", rows=(0.56, 0.82), arrivals=0.25, obstacles=_COLUMNS)
-"""Everybody passes behind three columns, and tracks begin again next to them."""
+"""All people pass behind three columns, and tracks begin again next to them."""
 EMPTY = Scenario("empty", frames=300, arrivals=0.0)
-"""Nobody comes: every detection is false."""
+"""No people: every detection is false."""
 
 NAMED: MappingProxyType[str, Scenario] = MappingProxyType(
     {w.name: w for w in (STREET, CROSSING, OCCLUSION, CROWD, CORRIDOR, YARD, GARDEN, ARCADE, EMPTY)}

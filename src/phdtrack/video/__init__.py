@@ -6,7 +6,7 @@ Both are imported when the first file is opened, so that importing this package 
 
 Numbers and times, for every kind of source:
 
-* A frame's number counts from 1. In a video it counts decoded frames; headers are not believed, for they lie. In a
+* A frame's number counts from 1. In a video it counts decoded frames; headers, often wrong, are not used. In a
   folder of images it follows the numbers in the names, so that a missing file is a missing frame.
 * A frame's time is in seconds since the first frame. In a video it is what the stream says (a variable rate and dropped
   frames give the true intervals); where the stream says nothing, or goes back, one frame interval is added to the last.

@@ -185,7 +185,7 @@ def _view(image: Image, xyxy: F8, width: int) -> _View:
 
 
 def _between(before: _View, after: _View, settings: SparseFlow) -> F8 | None:
-    """(3, 3) how the camera moved between two views, in pixels of the video; None where it cannot be told."""
+    """(3, 3) how the camera moved between two views, in pixels of the video; None where it cannot be measured."""
     import cv2
 
     found, arrived = _followed(before, after, settings)

@@ -1,6 +1,6 @@
 """What every source of frames has, the clock that turns time stamps into times, and video files decoded by PyAV.
 
-A video is opened twice: once for its first frame, which settles size, orientation and rate (headers are not believed), and
+A video is opened twice: once for its first frame, which settles size, orientation and rate (headers are often wrong), and
 once for each iteration. Packets that cannot be decoded are skipped and reported in `VideoSource.problem`; a file cut short
 gives the frames that it has. Portrait recordings of telephones are turned upright, as players do.
 """
@@ -26,7 +26,7 @@ class VideoSource(Source, Protocol):
 
     @property
     def note(self) -> str:
-        """What was assumed because nobody said it (the rate of a folder of images); empty where nothing was."""
+        """What was assumed because it was not given (the rate of a folder of images); empty where nothing was."""
 
     @property
     def problem(self) -> str:

@@ -32,7 +32,7 @@ from phdtrack.filters.extract.peaks import (
     united,
     with_floor,
 )
-from phdtrack.filters.intensities import Cardinalised
+from phdtrack.filters.intensities import Cardinalised, parts
 from phdtrack.kernels.blocks import Blocks, block_moments, claim, reaching, summarise, unreached
 from phdtrack.kernels.em import em_step
 from phdtrack.kernels.grid import Grid, make_grid, overlapping_pairs
@@ -83,11 +83,10 @@ class KMeans:
         -------
         states : in no particular order.
         """
-        if not isinstance(state, Cardinalised):
-            return self._peaks(state, self.min_weight, self.split_weight, z, model)
-        if not self.counted:
-            return self._peaks(state.intensity, self.min_weight, self.split_weight, z, model)
-        return heaviest(self._peaks(state.intensity, LIGHTEST_CLUSTER, NEVER_SPLIT, z, model), state.cardinality)
+        intensity, number = parts(state, counted=self.counted)
+        if number is None:
+            return self._peaks(intensity, self.min_weight, self.split_weight, z, model)
+        return heaviest(self._peaks(intensity, LIGHTEST_CLUSTER, NEVER_SPLIT, z, model), number)
 
     def _peaks(self, state: Intensity, lightest: float, split: float, z: F8, model: Model) -> Estimates:
         """The clusters of at least the mass ``lightest``; those above ``split`` are divided."""
@@ -136,12 +135,11 @@ class Mixture:
         -------
         states : in no particular order.
         """
-        if not isinstance(state, Cardinalised):
-            return self._peaks(state, self.min_weight, self.split_weight, z, model)
-        if not self.counted:
-            return self._peaks(state.intensity, self.min_weight, self.split_weight, z, model)
-        peaks = self._peaks(state.intensity, LIGHTEST_COMPONENT, NEVER_SPLIT, z, model)
-        return heaviest(united(peaks, model.sensor), state.cardinality)
+        intensity, number = parts(state, counted=self.counted)
+        if number is None:
+            return self._peaks(intensity, self.min_weight, self.split_weight, z, model)
+        peaks = self._peaks(intensity, LIGHTEST_COMPONENT, NEVER_SPLIT, z, model)
+        return heaviest(united(peaks, model.sensor), number)
 
     def _peaks(self, state: Intensity, lightest: float, split: float, z: F8, model: Model) -> Estimates:
         """The components of at least the mass ``lightest``; those above ``split`` are divided."""

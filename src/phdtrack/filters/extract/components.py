@@ -13,7 +13,7 @@ import numpy as np
 
 from phdtrack.errors import Positive, Share, check
 from phdtrack.filters.extract.peaks import LIGHTEST_COMPONENT, finish, heaviest, join_unresolved, kept
-from phdtrack.filters.intensities import Cardinalised, JointSamples
+from phdtrack.filters.intensities import Cardinalised, JointSamples, parts
 from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, Particles
@@ -52,11 +52,10 @@ class Components:
         -------
         states : in the order of the components.
         """
-        if isinstance(state, GaussianMixture):
-            return self._peaks(state, self.min_weight, z, model)
-        if not self.counted:
-            return self._peaks(state.intensity, self.min_weight, z, model)
-        return heaviest(self._peaks(state.intensity, LIGHTEST_COMPONENT, z, model), state.cardinality)
+        intensity, number = parts(state, counted=self.counted)
+        if number is None:
+            return self._peaks(intensity, self.min_weight, z, model)
+        return heaviest(self._peaks(intensity, LIGHTEST_COMPONENT, z, model), number)
 
     def _peaks(self, state: GaussianMixture, lightest: float, z: F8, model: Model) -> Estimates:
         """The components of at least this weight."""
