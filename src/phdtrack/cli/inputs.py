@@ -59,17 +59,10 @@ class Inputs:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Blank:
-    """Frames without pictures: ``info.frames`` of them, at the rate of ``info``. Nothing can go wrong with them."""
-
-    info: SequenceInfo
-    note: str = ""
-    problem: str = ""
-
-    def __iter__(self) -> Iterator[Frame]:
-        for number in range(1, self.info.frames + 1):
-            yield Frame(number, (number - 1) / self.info.fps, NO_PICTURE)
+def blank(info: SequenceInfo) -> VideoSource:
+    """``info.frames`` frames without pictures, at the rate of ``info``."""
+    numbers = range(1, info.frames + 1)
+    return VideoSource(info, lambda _: ((number, (number - 1) / info.fps, NO_PICTURE, "") for number in numbers))
 
 
 def detected(detector: Detector, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Detections, float]]:
@@ -115,7 +108,7 @@ def _with_file(given: SourceOptions, path: Path, last: int) -> Inputs:
     problem = f"the detections come from {path}, so there is no detector that this could change"
     refuse(useless, problem, "--detections")
     table, pictures = read_detections(path), bool(given.source)
-    frames = _video(given) if pictures else Blank(_sequence(given, path, table, last))
+    frames = _video(given) if pictures else blank(_sequence(given, path, table, last))
     seen, left_out = within_frame(table, frames.info, path)
     name, again = given.source or str(path), not pictures or comes_again(given.source)
     return Inputs(frames.info, frames, TableDetector(seen), name, str(path), pictures, again, left_out)

@@ -87,7 +87,7 @@ class CameraObserver(RunObserver):
     """Writes the camera's motion for another run to read, and reports how far the camera went."""
 
     def __init__(self, kind: str, info: SequenceInfo) -> None:
-        self._kind, self._path, self._first = kind, CameraPath(info.width, info.height), True
+        self._kind, self._info, self._warps = kind, info, list[F8]()
 
     def open(self, directory: RunDirectory, files: ExitStack) -> None:
         """Open the file of the motion."""
@@ -95,16 +95,15 @@ class CameraObserver(RunObserver):
 
     def take(self, step: Step, state: TrackingState) -> None:
         """Write one motion; before the first frame there is none."""
-        if not self._first:
-            self._path.add(step.warp)
-            if len(step.warp):
-                self._file.append(step.number, step.warp)
-        self._first = False
+        if self._warps and len(step.warp):
+            self._file.append(step.number, step.warp)
+        self._warps.append(step.warp)
 
     def report(self) -> Report:
         """How far the camera went, and how often that is not known."""
-        said = (self._path.sentence(),)
-        document: dict[str, object] = {"camera_motion": {"kind": self._kind} | self._path.document()}
+        path = CameraPath.of(self._warps[1:], self._info.width, self._info.height)
+        said = lines("camera_motion.txt", path=path)
+        document: dict[str, object] = {"camera_motion": {"kind": self._kind} | asdict(path)}
         return Report(document, said, render("camera_motion.html", sentences=said))
 
 

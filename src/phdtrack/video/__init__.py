@@ -12,8 +12,7 @@ Numbers and times, for every kind of source:
   frames give the true intervals); where the stream says nothing, or goes back, one frame interval is added to the last.
 """
 
-from phdtrack.video.sources import open_source
-from phdtrack.video.stream import VideoSource
+from phdtrack.video.sources import VideoSource, open_source
 from phdtrack.video.writer import VideoWriter
 
 __all__ = ["VideoSource", "VideoWriter", "open_source"]

@@ -10,7 +10,7 @@ Pictures are scaled down first. What moves in them and was not detected is outvo
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -105,62 +105,44 @@ class CameraMotion:
         return np.eye(3) if warp is None else warp
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class CameraPath:
-    """Sums over the frames so far, for pictures of ``width`` and ``height`` pixels.
+    """How far a camera went; motions that are not known count as none.
 
     Attributes
     ----------
-    frames : motions added; ``unmeasured`` of them are not known and count as none.
-    pixels : way of what is in the middle of the picture, frame by frame; ``largest`` is the longest such step.
-    turned : degrees turned about the line of sight, either way.
-    zoomed : factor by which sizes have changed in all.
+    frames, frames_unmeasured : motions, and how many of them are not known.
+    pixels, largest_step_pixels : way of what is in the middle of the picture, frame by frame, and its longest step.
+    degrees_turned, zoomed : turned about the line of sight, either way; factor by which sizes have changed in all.
     """
 
-    width: float
-    height: float
-    frames: int = 0
-    unmeasured: int = 0
-    pixels: float = 0.0
-    largest: float = 0.0
-    turned: float = 0.0
-    zoomed: float = 1.0
+    frames: int
+    frames_unmeasured: int
+    pixels: float
+    largest_step_pixels: float
+    degrees_turned: float
+    zoomed: float
 
-    def add(self, warp: F8) -> None:
-        """One more frame, whose pixels ``warp`` (3, 3) leads to; `types.STILL` where it is not known."""
-        self.frames += 1
-        if len(warp) == 0:
-            self.unmeasured += 1
-            return
-        middle = np.array([self.width / 2, self.height / 2])
-        # A unit step to the right, as a state's velocity.
-        moved = warp_of.warp_states(np.array([[*middle, 1.0, 0.0, 1.0]]).T, warp, (4,))[:, 0]
-        step = float(np.hypot(*(moved[:2] - middle)))
-        self.pixels += step
-        self.largest = max(self.largest, step)
-        self.turned += abs(math.degrees(math.atan2(moved[3], moved[2])))
-        self.zoomed *= float(moved[4])
+    @classmethod
+    def of(cls, warps: Sequence[F8], width: float, height: float) -> CameraPath:
+        """The path of a camera.
 
-    def sentence(self) -> str:
-        """In plain words."""
-        if not self.frames:
-            return "the camera's motion: there is only one frame"
-        lost = f"; in {self.unmeasured} of {self.frames} frames it could not be measured and was taken for none"
-        return (
-            f"the camera moved by {self.pixels:.0f} pixels in all in the middle of the picture, at most "
-            f"{self.largest:.1f} from one frame to the next{lost if self.unmeasured else ''}"
-        )
+        Parameters
+        ----------
+        warps : maps (3, 3) from each frame to the next, `types.STILL` where not known.
+        width, height : of the pictures, pixels.
 
-    def document(self) -> dict[str, object]:
-        """The same for programs."""
-        return {
-            "frames": self.frames,
-            "frames_unmeasured": self.unmeasured,
-            "pixels": self.pixels,
-            "largest_step_pixels": self.largest,
-            "degrees_turned": self.turned,
-            "zoomed": self.zoomed,
-        }
+        Returns
+        -------
+        The path.
+        """
+        # A unit step to the right, as a state's velocity, in the middle of the picture.
+        unit = np.array([[width / 2, height / 2, 1.0, 0.0, 1.0]]).T
+        known = [warp_of.warp_states(unit, warp, (4,))[:, 0] for warp in warps if len(warp)]
+        x, y, right, down, size = np.array(known).reshape(-1, 5).T
+        step, turned = np.hypot(x - width / 2, y - height / 2), np.abs(np.degrees(np.arctan2(down, right)))
+        sums = float(step.sum()), float(step.max(initial=0.0)), float(turned.sum()), float(size.prod())
+        return cls(len(warps), len(warps) - len(known), *sums)
 
 
 class _View(NamedTuple):

@@ -5,6 +5,10 @@ each name says which frame it is, counted from the first file as frame 1 in step
 missing from ``000001.jpg 000002.jpg 000004.jpg`` is a dropped frame, and the time between frames 2 and 4 is two intervals.
 Names without numbers, names whose numbers do not increase, and names in which more than nine frames in ten would be missing
 (time stamps) are only counted.
+
+A video is opened twice: once for its first frame, which settles size, orientation and rate (headers are often wrong), and
+once for each iteration. Packets that cannot be decoded are skipped and reported in `VideoSource.problem`; a file cut short
+gives the frames that it has. Portrait recordings of telephones are turned upright, as players do.
 """
 
 from __future__ import annotations
@@ -14,18 +18,60 @@ import glob
 import math
 import re
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.types import Frame, Image, SequenceInfo
-from phdtrack.video.stream import Clock, Recording, VideoSource, assumed_rate, video_file
 
 SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp"})
-_MOST_MISSING = 10
+_MOST_MISSING, _DEFAULT_FPS = 10, 25.0
+Read = tuple[int, float | None, Image, str]
+"""A frame's number, its time stamp in seconds (None where the stream has none), its picture, and where it is in words."""
+
+
+@dataclass(slots=True, eq=False)
+class VideoSource:
+    """Frames in order; their times are seconds since the first one, strictly increasing.
+
+    A stamp that is missing, or not later than the one before, counts as one interval after it. A stream that jumps back (two
+    recordings joined) goes on from there, with the intervals that its later stamps have.
+
+    Attributes
+    ----------
+    info : size in pixels as shown, rate, name; ``frames`` is 0 where only decoding gives it.
+    read : given this record, the frames; it sets ``problem``.
+    note : what was assumed because it was not given (the rate of a folder of images); empty where nothing was.
+    problem : after the iteration: why the frames ended early, or which were lost; empty where all were read.
+    """
+
+    info: SequenceInfo
+    read: Callable[[VideoSource], Iterator[Read]]
+    note: str = ""
+    problem: str = ""
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The frames. Raises `InputError` for a picture of another size than the first; empty ones pass."""
+        self.problem, interval = "", 1 / self.info.fps
+        last, zero = -interval, math.nan
+        for number, stamp, image, where in self.read(self):
+            high, wide = image.shape[:2]
+            if image.size and (wide, high) != (self.info.width, self.info.height):
+                raise InputError(
+                    f"this frame is {wide}x{high} pixels, the first one {self.info.width}x{self.info.height}",
+                    where=where,
+                    cure="All frames of a sequence need one size: split the input where the size changes.",
+                )
+            moment = math.nan if stamp is None else stamp - zero
+            last = moment if moment > last else last + interval
+            if stamp is not None:
+                zero = stamp - last
+            yield Frame(number, last, image)
 
 
 def open_source(spec: str | Path | int, *, fps: float = 0.0) -> VideoSource:
@@ -48,7 +94,7 @@ def open_source(spec: str | Path | int, *, fps: float = 0.0) -> VideoSource:
     if path.is_dir():
         return _images([file for file in path.iterdir() if file.suffix.lower() in SUFFIXES], fps, path)
     if "://" in text or path.exists():
-        return video_file(text, fps)
+        return _video(text, fps)
     if text.isdecimal():
         return _camera(int(text), fps)
     if set(text) & set("*?["):
@@ -63,27 +109,28 @@ def open_source(spec: str | Path | int, *, fps: float = 0.0) -> VideoSource:
     raise InputError("there is no such file or folder", where=text, cure=cure)
 
 
-def _images(files: Sequence[Path], fps: float, folder: Path) -> Recording:
+def _rate(rate: float, what: str) -> tuple[float, str]:
+    """The rate in frames per second, and a note where it is not known (0)."""
+    return (rate, "") if rate > 0 else (_DEFAULT_FPS, f"{what} not state its rate; {_DEFAULT_FPS:g} frames a second assumed")
+
+
+def _images(files: Sequence[Path], fps: float, folder: Path) -> VideoSource:
     """Images as frames. MOTChallenge puts those of every sequence into ``NAME/img1``, which is called NAME."""
     folder = folder.resolve()
     name = folder.parent.name if folder.name == "img1" else folder.name
     if not files:
         raise InputError("there is no image", where=name, cure=f"Files that end in {', '.join(sorted(SUFFIXES))} are read.")
-    paths = sorted(files, key=lambda path: natural_key(path.name))
+    # Runs of digits compare as numbers.
+    paths = sorted(files, key=lambda path: re.sub(r"\d+", lambda digits: digits[0].zfill(30), path.name))
     numbers = frame_numbers([path.stem for path in paths])
-    rate, note = assumed_rate(fps, "images do")
+    rate, note = _rate(fps, "images do")
     height, width = _image(paths[0]).shape[:2]
 
-    def read(_: Recording) -> Iterator[tuple[Frame, str]]:
+    def read(_: VideoSource) -> Iterator[Read]:
         for path, number in zip(paths, numbers, strict=True):
-            yield Frame(number, (number - 1) / rate, _image(path)), f"{path}, frame {number}"
+            yield number, (number - 1) / rate, _image(path), f"{path}, frame {number}"
 
-    return Recording(SequenceInfo(width, height, rate, len(paths), name), read, note)
-
-
-def natural_key(text: str) -> list[tuple[int, int, str]]:
-    """A sort key by which runs of digits compare as numbers."""
-    return [(0, int(part), part) if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", text) if part]
+    return VideoSource(SequenceInfo(width, height, rate, len(paths), name), read, note)
 
 
 def frame_numbers(stems: Sequence[str]) -> list[int]:
@@ -115,10 +162,10 @@ def _image(path: Path) -> Image:
     return np.asarray(image, np.uint8)
 
 
-def _camera(index: int, fps: float) -> Recording:
+def _camera(index: int, fps: float) -> VideoSource:
     """Frames of camera ``index`` (from 0), until it stops or the caller does.
 
-    A frame's time is when it arrived: a camera delivers no time stamps that mean the same on every system.
+    A frame's stamp is when it arrived: a camera delivers no time stamps that mean the same on every system.
     """
     import cv2
 
@@ -131,21 +178,105 @@ def _camera(index: int, fps: float) -> Recording:
     if fps:
         capture.set(cv2.CAP_PROP_FPS, fps)
     width, height = (round(capture.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-    rate, note = assumed_rate(fps or capture.get(cv2.CAP_PROP_FPS), f"camera {index} does")
+    rate, note = _rate(fps or capture.get(cv2.CAP_PROP_FPS), f"camera {index} does")
 
-    def read(made: Recording) -> Iterator[tuple[Frame, str]]:
-        clock, number = Clock(1.0 / rate), 0
+    def read(source: VideoSource) -> Iterator[Read]:
+        number = 0
         try:
-            while True:
-                ok, image = capture.read()
-                arrived = time.monotonic()
-                if not ok:
-                    made.problem = f"camera {index}: no more pictures after frame {number}"
-                    return
+            while (shot := capture.read())[0]:
                 number += 1
-                frame = Frame(number, clock(arrived), np.asarray(image, np.uint8))
-                yield frame, f"camera {index}, frame {number}"
+                yield number, time.monotonic(), np.asarray(shot[1], np.uint8), f"camera {index}, frame {number}"
+            source.problem = f"camera {index}: no more pictures after frame {number}"
         finally:
             capture.release()
 
-    return Recording(SequenceInfo(width, height, rate, 0, f"camera{index}"), read, note)
+    return VideoSource(SequenceInfo(width, height, rate, 0, f"camera{index}"), read, note)
+
+
+def _video(path: str, fps: float) -> VideoSource:
+    """The frames of a video file or of an address that FFmpeg can open, in order of presentation.
+
+    ``fps`` above 0 replaces the stream's time stamps. Raises `InputError` where no frame can be decoded.
+    """
+    losses: list[tuple[int, str]] = []
+    container, stream = _open(path)
+    with container:
+        stated = stream.average_rate or stream.guessed_rate or stream.base_rate
+        picture = next(_pictures(container, stream, losses), None)
+    if picture is None:
+        raise InputError(
+            f"no frame could be decoded{f' ({losses[0][1]})' if losses else ''}",
+            where=path,
+            cure="The file is empty or damaged: copy it again, or convert it (ffmpeg -i IN -c:v libx264 OUT.mp4).",
+        )
+    rate, note = _rate(float(fps or stated or 0), f"{path} does")
+    height, width = _upright(picture).shape[:2]
+
+    def read(source: VideoSource) -> Iterator[Read]:
+        losses: list[tuple[int, str]] = []
+        number = 0
+        container, stream = _open(path)
+        with container:
+            for number, picture in enumerate(_pictures(container, stream, losses), start=1):
+                yield number, None if fps else picture.time, _upright(picture), f"{path}, frame {number}"
+        if losses:
+            after, reason = losses[0]
+            source.problem = f"{path}: damaged after frame {after} ({reason}); {number} frames could be decoded"
+        elif number < stream.frames:
+            source.problem = f"{path}: ends after frame {number}, its header announces {stream.frames}; it may be cut short"
+
+    return VideoSource(SequenceInfo(width, height, rate, name=Path(path).stem), read, note)
+
+
+def _reason(error: Exception) -> str:
+    """What FFmpeg says, without its call and number."""
+    return str(getattr(error, "strerror", "") or error)
+
+
+def _open(path: str) -> tuple[Any, Any]:
+    """The container and its first video stream."""
+    import av
+
+    try:
+        container: Any = av.open(path)
+    except (av.FFmpegError, OSError) as error:
+        raise InputError(
+            f"this cannot be read as a video ({_reason(error)})",
+            where=path,
+            cure="Check that it is a whole video file: an mp4 cut off while it was recorded or copied has no index. "
+            "`ffmpeg -i IN -c:v libx264 OUT.mp4` converts most other kinds.",
+        ) from None
+    if not container.streams.video:
+        container.close()
+        raise InputError("there is no video in this file", where=path, cure="Give one with pictures.")
+    stream = container.streams.video[0]
+    stream.thread_type = "AUTO"
+    return container, stream
+
+
+def _pictures(container: Any, stream: Any, losses: list[tuple[int, str]]) -> Iterator[Any]:
+    """The decoded pictures; what fails is added to ``losses``, with the number of the frame before it, and passed over."""
+    import av
+
+    number = 0
+    try:
+        for packet in container.demux(stream):
+            try:
+                pictures = packet.decode()
+            except av.FFmpegError as error:
+                losses.append((number, _reason(error)))
+                continue
+            for picture in pictures:
+                if picture.is_corrupt:
+                    losses.append((number, "parts of a picture are missing"))
+                number += 1
+                yield picture
+    except av.FFmpegError as error:
+        losses.append((number, _reason(error)))
+
+
+def _upright(picture: Any) -> Image:
+    """(H, W, 3) BGR uint8, turned by the orientation that the recording carries."""
+    image: Image = picture.to_ndarray(format="bgr24")
+    turns = round(picture.rotation / 90) % 4
+    return np.ascontiguousarray(np.rot90(image, turns)) if turns else image

@@ -11,13 +11,9 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.types import Image
 
-ENCODERS = (
-    *("libx264", "libopenh264", "h264_videotoolbox", "h264_mf"),
-    *("h264_nvenc", "h264_qsv", "h264_amf", "h264_v4l2m2m"),
-)
+ENCODERS = ["libx264", "libopenh264", "h264_videotoolbox", "h264_mf", "h264_nvenc", "h264_qsv", "h264_amf", "h264_v4l2m2m"]
 _LARGEST_DENOMINATOR = 1001
-# x264 paints other pictures with another number of threads, and a rendered scene is to be the same on every machine: so
-# many, whatever the cores are, and each with a frame of its own: what they share comes out differently now and then.
+# The same on every machine, each thread with a frame of its own: x264's pictures depend on the number of threads.
 _THREADS = 4
 
 
@@ -36,17 +32,20 @@ class VideoWriter:
 
     def __init__(self, path: str | Path, width: int, height: int, fps: float, *, quality: int = 23) -> None:
         if width < 1 or height < 1 or not fps > 0 or not np.isfinite(fps):
-            problem = f"a video needs a size and a rate above 0, not {width}x{height} at {fps} per second"
-            raise InputError(problem, where=path)
+            raise InputError(
+                f"a video needs a size and a rate above 0, not {width}x{height} at {fps} per second", where=path
+            )
         import av
 
         self._path, self._width, self._height = str(path), width, height
         rate = Fraction(fps).limit_denominator(_LARGEST_DENOMINATOR)
         padded = (width + width % 2, height + height % 2)
-        name = _working_encoder(*padded, rate)
+        name, options = _working_encoder(*padded, rate), dict[str, str]()
+        if name == "libx264":
+            options = {"crf": str(quality), "preset": "veryfast", "x264-params": f"threads={_THREADS}:sliced-threads=0"}
         try:
             self._container: Any = av.open(self._path, "w", format="mp4", options={"movflags": "+faststart"})
-            self._stream: Any = self._container.add_stream(name, rate=rate, options=_options(name, quality))
+            self._stream: Any = self._container.add_stream(name, rate=rate, options=options)
             self._stream.width, self._stream.height = padded
             self._stream.pix_fmt = "yuv420p"
             self._container.start_encoding()
@@ -69,8 +68,8 @@ class VideoWriter:
             )
         if not self._open:
             raise InputError("this video is closed already", where=self._path)
-        odd = ((0, self._height % 2), (0, self._width % 2), (0, 0))
-        padded = np.pad(image, odd, mode="edge") if self._height % 2 or self._width % 2 else np.ascontiguousarray(image)
+        odd = (self._height % 2, self._width % 2)
+        padded = np.pad(image, ((0, odd[0]), (0, odd[1]), (0, 0)), mode="edge") if any(odd) else np.ascontiguousarray(image)
         picture = av.VideoFrame.from_ndarray(padded, format="bgr24")
         picture.pts = self.frames
         picture.time_base = 1 / self._stream.codec_context.framerate
@@ -91,12 +90,6 @@ class VideoWriter:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _options(encoder: str, quality: int) -> dict[str, str]:
-    if encoder != "libx264":
-        return {}
-    return {"crf": str(quality), "preset": "veryfast", "x264-params": f"threads={_THREADS}:sliced-threads=0"}
 
 
 def _working_encoder(width: int, height: int, rate: Fraction) -> str:
