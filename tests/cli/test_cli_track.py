@@ -156,7 +156,6 @@ def as_toml(configuration: dict[str, Any]) -> str:
         (["{clip}", "--set", "detector.window=2.5"], ["detector.window", "whole number"]),
         (["{clip}", "--set", "detector.window=0"], ["detector.window"]),
         (["{clip}", "--detector", "mog2", "--set", "detector.min_area=-1"], ["detector.min_area", "-1"]),
-        (["{clip}", "--detector", "callable"], ["--detector", "phdtrack.Tracker"]),
         (["{clip}", "--config", "nowhere.toml"], ["nowhere.toml"]),
         (["{clip}", "--truth", "nowhere.txt"], ["nowhere.txt"]),
         (["--detections", "nowhere.txt"], ["nowhere.txt"]),

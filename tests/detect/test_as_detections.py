@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from phdtrack.detect.convert import as_detections, check_inside
+from phdtrack.detect.convert import as_detections
 from phdtrack.errors import InputError
 from phdtrack.types import Detections
 
@@ -20,13 +21,6 @@ class Boxes:
     xyxy: Any
     confidence: Any = None
     class_id: Any = None
-
-
-@dataclass
-class OtherNames:
-    xyxy: Any
-    conf: Any
-    cls: Any
 
 
 def test_columns() -> None:
@@ -44,7 +38,7 @@ def test_objects() -> None:
     assert as_detections(Boxes(box)).confidence[0] == 1
     found = as_detections(Boxes(box, np.array([0.5]), np.array([2])))
     assert (found.confidence[0], found.class_id[0]) == (0.5, 2)
-    found = as_detections(OtherNames(box, [0.5], [2.0]))
+    found = as_detections(SimpleNamespace(xyxy=box, conf=[0.5], cls=[2.0]))
     assert (found.confidence[0], found.class_id[0]) == (0.5, 2)
     ours = Detections.of(box)
     assert as_detections(ours) is ours
@@ -83,12 +77,3 @@ def test_a_covariance_must_fit() -> None:
     bad = Detections(np.array([[0, 0, 1, 1.0]]), np.ones(1), np.zeros(1, np.int64), np.zeros((1, 3, 3)))
     with pytest.raises(InputError, match="covariance"):
         as_detections(bad)
-
-
-def test_boxes_outside_the_frame() -> None:
-    found = as_detections([[-5, 0, 3, 4], [90, 40, 130, 60], [100, 0, 110, 10]])
-    with pytest.raises(InputError, match=r"frame 3: row 2 .*outside the frame of 100x50"):
-        check_inside(found, 100, 50, where="frame 3")
-    assert len(check_inside(found, 100, 50, drop=True)) == 2
-    assert found.xyxy[0, 0] == -5
-    assert check_inside(found, 200, 50) is found

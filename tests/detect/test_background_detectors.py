@@ -9,7 +9,7 @@ from detect_scenes import HEIGHT, WIDTH, Scene
 
 from phdtrack.arrays import iou
 from phdtrack.detect import make_detector
-from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector, MeanBackgroundSettings, median_image, relit
+from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector, median_image, relit
 from phdtrack.errors import InputError
 from phdtrack.protocols import Detector
 from phdtrack.types import Detections, Frame, Image
@@ -117,11 +117,11 @@ def test_the_signed_form_sees_only_the_dark() -> None:
     both = image.copy()
     both[20:60, 20:50] = 20
     both[20:60, 100:130] = 240
-    frame = Frame(1, 0.0, both)
-    absolute = MeanBackgroundDetector(MeanBackgroundSettings(), background=[image])
-    signed = MeanBackgroundDetector(MeanBackgroundSettings(signed=True), background=[image])
-    assert len(absolute(frame)) == 2
-    dark = signed(frame)
+    absolute, signed = MeanBackgroundDetector(frames=1), MeanBackgroundDetector(frames=1, signed=True)
+    for detector in (absolute, signed):
+        detector(Frame(1, 0.0, image))
+    assert len(absolute(Frame(2, 0.04, both))) == 2
+    dark = signed(Frame(2, 0.04, both))
     assert len(dark) == 1
     np.testing.assert_allclose(dark.xyxy, [[20, 20, 50, 60]], atol=3)
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from phdtrack.detect.components import BlobSettings, detections
-from phdtrack.detect.convert import as_detections, check_inside
+from phdtrack.detect.components import BlobSettings
+from phdtrack.detect.convert import as_detections
 from phdtrack.types import Image
 
 SHAPE = (144, 176)
@@ -33,8 +33,7 @@ def test_any_mask_gives_valid_boxes_within_the_frame(
     mask = mask_of(*drawn)
     mask[np.random.default_rng(seed).random(SHAPE) < salt] = 255
     before = mask.copy()
-    found = as_detections(detections(mask, BlobSettings(peel=peel)))
-    assert len(check_inside(found, SHAPE[1], SHAPE[0])) == len(found)
+    found = as_detections(BlobSettings(peel=peel).detections(mask))
     if len(found):
         assert found.xyxy.min() >= 0
         assert (found.xyxy.max(axis=0) <= [SHAPE[1], SHAPE[0]] * 2).all()
@@ -43,31 +42,31 @@ def test_any_mask_gives_valid_boxes_within_the_frame(
 
 @pytest.mark.parametrize("peel", [0.0, 0.002, 0.01])
 def test_one_rectangle_gives_its_box(peel: float) -> None:
-    found = detections(mask_of((40, 30, 64, 90)), BlobSettings(peel=peel))
+    found = BlobSettings(peel=peel).detections(mask_of((40, 30, 64, 90)))
     np.testing.assert_allclose(found.xyxy, [[40, 30, 64, 90]], atol=1)
 
 
 def test_specks_and_bridges_go_and_gaps_close() -> None:
-    assert len(detections(mask_of((10, 10, 12, 12), (90, 90, 93, 92)), BlobSettings())) == 0
+    assert len(BlobSettings().detections(mask_of((10, 10, 12, 12), (90, 90, 93, 92)))) == 0
     bridged = mask_of((20, 20, 40, 60), (60, 20, 80, 60), (40, 39, 60, 41))
-    assert len(detections(bridged, BlobSettings(split=0))) == 2
+    assert len(BlobSettings(split=0).detections(bridged)) == 2
     gap = mask_of((20, 20, 40, 50), (20, 52, 40, 90))
-    assert len(detections(gap, BlobSettings(join=0))) == 1
+    assert len(BlobSettings(join=0).detections(gap)) == 1
 
 
 def test_three_in_a_row_are_parted_and_a_wide_thing_is_not() -> None:
     mask = np.zeros(SHAPE, np.uint8)
     for x in (40, 62, 84):
         cv2.ellipse(mask, (x, 70), (13, 40), 0, 0, 360, 255, -1)
-    assert len(detections(mask, BlobSettings())) == 3
-    assert len(detections(mask, BlobSettings(split=0))) == 1
-    assert len(detections(mask_of((30, 60, 130, 100)), BlobSettings())) == 1
+    assert len(BlobSettings().detections(mask)) == 3
+    assert len(BlobSettings(split=0).detections(mask)) == 1
+    assert len(BlobSettings().detections(mask_of((30, 60, 130, 100)))) == 1
 
 
 def test_one_behind_the_other_is_not_joined() -> None:
     fragments = mask_of((60, 20, 92, 60), (60, 68, 92, 110))
-    assert len(detections(fragments, BlobSettings(join=0.15))) == 1
+    assert len(BlobSettings(join=0.15).detections(fragments)) == 1
     slender = mask_of((60, 10, 76, 66), (60, 74, 76, 134))
-    assert len(detections(slender, BlobSettings(join=0.15))) == 2
+    assert len(BlobSettings(join=0.15).detections(slender)) == 2
     beside = mask_of((40, 20, 60, 60), (70, 20, 90, 60))
-    assert len(detections(beside, BlobSettings(join=0.15))) == 2
+    assert len(BlobSettings(join=0.15).detections(beside)) == 2

@@ -24,7 +24,7 @@ import numpy as np
 
 from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions
 from phdtrack.cli.output import progress
-from phdtrack.detect import TableDetector, make_detector, typed
+from phdtrack.detect import TableDetector, make_detector
 from phdtrack.detect.convert import within_frame
 from phdtrack.errors import InputError
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
@@ -143,9 +143,6 @@ def _detector(given: SourceOptions, parameters: dict[str, Any]) -> Detector:
     """The detector that the options name. Raises `InputError` where there is none, or nothing to look at."""
     if given.detector == "file":
         raise InputError("the detector file reads a file of detections", where="--detector", cure="Say --detections FILE.")
-    if given.detector == "callable":
-        cure = "Use phdtrack.Tracker there."
-        raise InputError("a callable is a function of your own program", where="--detector", cure=cure)
     if not given.source:
         cure = "Name a video, a folder of images or a camera's number; or say --detections FILE."
         raise InputError("nothing to work on", where="SOURCE", cure=cure)
@@ -154,7 +151,7 @@ def _detector(given: SourceOptions, parameters: dict[str, Any]) -> Detector:
         raise InputError("expected a video, and by its name this is a table", where=given.source, cure=cure)
     name = given.detector or DEFAULT_DETECTOR
     try:
-        return make_detector(name, max_width=given.max_width, mask=given.mask, **typed(name, parameters))
+        return make_detector(name, max_width=given.max_width, mask=given.mask, **parameters)
     except InputError as error:
         # In the user's own words: detector.min_area, not the record of settings that refused the value.
         setting = error.where.rpartition(".")[2]

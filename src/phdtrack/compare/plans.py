@@ -16,7 +16,7 @@ from typing import Any
 
 from phdtrack import config
 from phdtrack.config import Settings
-from phdtrack.detect import DETECTORS, detector_names, detector_parameters, make_detector, typed
+from phdtrack.detect import detector_parameters, make_detector
 from phdtrack.detect.convert import within_frame
 from phdtrack.errors import InputError
 from phdtrack.formats import find_seqinfo, read_detections, read_truth
@@ -354,11 +354,11 @@ def _detector_parameters(
     """By the name of a detector those of the settings that it has."""
     out: dict[str, Mapping[str, Any]] = {}
     for name in names:
-        if name in DETECTORS and name not in dict(detector_names()):
+        if name == "file":
             cure = "For detections in a file say --detections."
             raise InputError(f"{name} does not look at a video", where="--detectors", cure=cure)
         known = {entry.name for entry in detector_parameters(name)}
-        out[name] = typed(name, {key: value for key, value in parameters.items() if key in known})
+        out[name] = {key: value for key, value in parameters.items() if key in known}
         make_detector(name, max_width=max_width, **out[name])
     for key in parameters:
         if names and not any(key in values for values in out.values()):

@@ -38,7 +38,6 @@ import numpy as np
 from annotated_types import Gt, Lt
 from numpy.typing import NDArray
 
-from phdtrack.detect import components as blobs
 from phdtrack.detect.components import BlobSettings, Contour, check_same_size
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, check
 from phdtrack.types import F8, Bool, Detections, Frame, Image
@@ -66,9 +65,9 @@ _GHOST_SECONDS = 0.2
 _MARGIN = np.ones((5, 5), np.uint8)
 
 
-@dataclass(frozen=True, slots=True)
-class ChangeSettings:
-    """How the `ChangeDetector` decides.
+@dataclass(eq=False)
+class ChangeDetector:
+    """Boxes around whatever differs from the learned scene; nothing on the first frame.
 
     Attributes
     ----------
@@ -98,17 +97,10 @@ class ChangeSettings:
         check(self)
         for name, value in (("window", self.window), ("samples", self.samples)):
             if value % 2 != 1:
-                raise InputError(f"expected an odd whole number, got {value!r}", where=f"ChangeSettings.{name}")
-
-
-class ChangeDetector:
-    """Boxes around whatever differs from the learned scene. Nothing on the first frame; settings in `ChangeSettings`."""
-
-    def __init__(self, settings: ChangeSettings | None = None) -> None:
-        self.settings = settings or ChangeSettings()
+                raise InputError(f"expected an odd whole number, got {value!r}", where=f"ChangeDetector.{name}")
         # χ² quantile by the cube-root approximation of Wilson and Hilferty, within 1 % for 3 degrees.
         c = 2.0 / (9.0 * CHANNELS)
-        z = NormalDist().inv_cdf(1.0 - self.settings.false_alarm)
+        z = NormalDist().inv_cdf(1.0 - self.false_alarm)
         self._threshold = CHANNELS * max(0.0, 1.0 - c + z * c**0.5) ** 3
         self.reset()
 
@@ -127,18 +119,18 @@ class ChangeDetector:
         self._sample(frame)
         expected = relit(cv2.convertScaleAbs(self._reference), frame.image, self._foreground)
         energy = self._energy(planes, _planes(expected))
-        mask = blobs.clean(self._changed(energy), self.settings.blobs)
-        found = blobs.components(mask, self.settings.blobs)
+        mask = self.blobs.clean(self._changed(energy))
+        found = self.blobs.components(mask)
         ghosts = [contour for contour in found if _is_ghost(contour, frame.image, expected)]
         self._adapt(frame, energy, mask, ghosts)
         real = [contour for contour in found if not any(contour is ghost for ghost in ghosts)]
-        return Detections.of(blobs.boxes(real, mask.shape, self.settings.blobs))
+        return Detections.of(self.blobs.boxes(real, mask.shape))
 
     def _begin(self, frame: Frame) -> None:
         """Take the first frame as the reference."""
         shape = frame.image.shape[:2]
-        self._samples, self._due = [frame.image], frame.time + self.settings.learn / self.settings.samples
-        self._learning = self.settings.samples > 1
+        self._samples, self._due = [frame.image], frame.time + self.learn / self.samples
+        self._learning = self.samples > 1
         self._reference: F4 = frame.image.astype(np.float32)
         self._foreground: Image = np.zeros(shape, np.uint8)
         self._scene: F4 = np.full(shape, float(CHANNELS), np.float32)
@@ -151,9 +143,9 @@ class ChangeDetector:
         """Take the frame for the first reference if one is due; of every other one the median, and the scene's noise."""
         if not self._learning or frame.time < self._due:
             return
-        self._due += self.settings.learn / self.settings.samples
+        self._due += self.learn / self.samples
         self._samples.append(frame.image)
-        self._learning = len(self._samples) < self.settings.samples
+        self._learning = len(self._samples) < self.samples
         if len(self._samples) % 2 == 0:
             return
         self._reference = median_image(self._samples).astype(np.float32)
@@ -177,12 +169,11 @@ class ChangeDetector:
 
     def _energy(self, image: Planes, expected: Planes) -> F4:
         """(H, W) Σ_c d_c² / σ_c², the variances of local light and camera added."""
-        light = self.settings
         terms = (
-            (cv2.subtract(expected[0], image[0]), _LOG_SCALE * light.shadow, 0),
-            (cv2.subtract(image[0], expected[0]), _LOG_SCALE * light.glare, 0),
-            (cv2.absdiff(image[1], expected[1]), light.chroma, 1),
-            (cv2.absdiff(image[2], expected[2]), light.chroma, 2),
+            (cv2.subtract(expected[0], image[0]), _LOG_SCALE * self.shadow, 0),
+            (cv2.subtract(image[0], expected[0]), _LOG_SCALE * self.glare, 0),
+            (cv2.absdiff(image[1], expected[1]), self.chroma, 1),
+            (cv2.absdiff(image[2], expected[2]), self.chroma, 2),
         )
         # A difference of 8-bit planes has 256 values: one look-up per term is all the arithmetic there is.
         total: F4 = np.zeros(image[0].shape, np.float32)
@@ -195,23 +186,23 @@ class ChangeDetector:
     def _changed(self, energy: F4) -> Image:
         """The raw mask: the window's mean must pass, and half of it the pixel itself, which keeps outlines sharp."""
         normal = energy / np.maximum(self._scene * np.float32(1 / CHANNELS), np.float32(1))
-        side = (self.settings.window, self.settings.window)
+        side = (self.window, self.window)
         window: Image = cv2.compare(cv2.blur(normal, side), self._threshold, cv2.CMP_GT)
         pixel: Image = cv2.compare(normal, self._threshold / 2, cv2.CMP_GT)
         return window & pixel
 
     def _adapt(self, frame: Frame, energy: F4, mask: Image, ghosts: list[Contour]) -> None:
         """Let reference and scene noise follow, by the time that has passed."""
-        settings, passed = self.settings, max(0.0, frame.time - self._time)
+        passed = max(0.0, frame.time - self._time)
         self._time = frame.time
         self._foreground = cv2.dilate(mask, _MARGIN)
         background = cv2.bitwise_not(self._foreground)
-        cv2.accumulateWeighted(energy, self._scene, min(0.2, passed / settings.adapt), background)
+        cv2.accumulateWeighted(energy, self._scene, min(0.2, passed / self.adapt), background)
         np.minimum(self._scene, np.float32(CHANNELS * _LOUDEST), out=self._scene)
         if self._learning:
             return
-        cv2.accumulateWeighted(frame.image, self._reference, min(1.0, passed / settings.adapt), background)
-        cv2.accumulateWeighted(frame.image, self._reference, min(1.0, passed / settings.adapt_objects), self._foreground)
+        cv2.accumulateWeighted(frame.image, self._reference, min(1.0, passed / self.adapt), background)
+        cv2.accumulateWeighted(frame.image, self._reference, min(1.0, passed / self.adapt_objects), self._foreground)
         left = np.zeros_like(mask)
         cv2.drawContours(left, ghosts, -1, 255, cv2.FILLED)
         # The time since its first frame: however few frames a second there are, one alone is not enough.
@@ -300,9 +291,9 @@ def _edge(image: Image, where: Bool) -> float:
     return float(gradient[where].mean())
 
 
-@dataclass(frozen=True, slots=True)
-class MeanBackgroundSettings:
-    """How the `MeanBackgroundDetector` decides.
+@dataclass(eq=False)
+class MeanBackgroundDetector:
+    """Boxes around what differs from the mean of the first frames.
 
     Attributes
     ----------
@@ -321,45 +312,26 @@ class MeanBackgroundSettings:
 
     def __post_init__(self) -> None:
         check(self)
-
-
-class MeanBackgroundDetector:
-    """Boxes around what differs from the mean of the first frames.
-
-    ``background`` are frames (H, W, 3) to learn from beforehand; with them detection starts with the first frame.
-    """
-
-    def __init__(self, settings: MeanBackgroundSettings | None = None, background: Sequence[Image] = ()) -> None:
-        self.settings = settings or MeanBackgroundSettings()
-        self._given = [_grey(image) for image in background]
         self.reset()
 
     def reset(self) -> None:
-        """Forget the background, except frames given beforehand."""
-        self._seen = len(self._given)
-        self._wanted = self._seen or self.settings.frames
-        self._sum: F4 | None = np.sum(self._given, axis=0, dtype=np.float32) if self._given else None
+        """Forget the background."""
+        self._seen = 0
 
     def __call__(self, frame: Frame) -> Detections:
         """[D14 §II-B] The boxes of what differs from the background; none while it is learned."""
-        grey = _grey(frame.image)
-        if self._sum is None:
-            self._sum = np.zeros(grey.shape, np.float32)
+        grey = cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY).astype(np.float32)
+        if not self._seen:
+            self._sum: F4 = np.zeros(grey.shape, np.float32)
         check_same_size(frame, self._sum.shape)
-        if self._seen < self._wanted:
+        if self._seen < self.frames:
             self._sum += grey
             self._seen += 1
             return Detections.empty()
         difference = self._sum / np.float32(self._seen) - grey
-        if not self.settings.signed:
+        if not self.signed:
             difference = np.abs(difference)
-        if self.settings.smooth > 0:
-            difference = cv2.GaussianBlur(difference, (0, 0), self.settings.smooth)
-        mask = cv2.compare(difference, self.settings.threshold, cv2.CMP_GT)
-        return blobs.detections(np.asarray(mask, np.uint8), self.settings.blobs)
-
-
-def _grey(image: Image) -> F4:
-    """The grey values (H, W)."""
-    grey: F4 = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
-    return grey
+        if self.smooth > 0:
+            difference = cv2.GaussianBlur(difference, (0, 0), self.smooth)
+        mask = cv2.compare(difference, self.threshold, cv2.CMP_GT)
+        return self.blobs.detections(np.asarray(mask, np.uint8))

@@ -36,6 +36,17 @@ _SLENDEREST = 3.5
 _WIDEST = 0.8
 
 
+def check_same_size(frame: Frame, shape: tuple[int, ...]) -> None:
+    """Raise InputError where ``frame`` is not of the (H, W) ``shape`` that the detector has learned."""
+    if frame.image.shape[:2] != shape[:2]:
+        got, learned = (f"{size[1]}x{size[0]}" for size in (frame.image.shape, shape))
+        raise InputError(
+            f"this frame is {got} pixels, the background was learned at {learned}",
+            where=f"frame {frame.number}",
+            cure="Call reset() before another video.",
+        )
+
+
 @dataclass(frozen=True, slots=True)
 class BlobSettings:
     """How a mask becomes boxes.
@@ -59,62 +70,41 @@ class BlobSettings:
     def __post_init__(self) -> None:
         check(self)
 
+    def clean(self, mask: Image) -> Image:
+        """(H, W) uint8, 255 where ``mask`` (H, W) still is foreground after peeling and closing."""
+        height = mask.shape[0]
+        radius = round(self.peel * height)  # 0 in small pictures, where a pixel is a good part of an arm
+        speck, across, along = 2 * max(1, radius) + 1, *(max(1, round(self.closing * height / k)) | 1 for k in (3, 1))
+        peeled = cv2.erode(mask, np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)) if radius else mask
+        opened = cv2.morphologyEx(peeled, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (speck, speck)))
+        element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (across, along))
+        return np.asarray(cv2.morphologyEx(opened, cv2.MORPH_CLOSE, element), np.uint8)
 
-def check_same_size(frame: Frame, shape: tuple[int, ...]) -> None:
-    """Raise InputError where ``frame`` is not of the (H, W) ``shape`` that the detector has learned."""
-    if frame.image.shape[:2] != shape[:2]:
-        got, learned = (f"{size[1]}x{size[0]}" for size in (frame.image.shape, shape))
-        raise InputError(
-            f"this frame is {got} pixels, the background was learned at {learned}",
-            where=f"frame {frame.number}",
-            cure="Call reset() before another video.",
-        )
+    def components(self, mask: Image) -> list[Contour]:
+        """The outer contours (n, 1, 2) of what is large enough in a cleaned ``mask``, objects that touch parted."""
+        found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        least = self.min_area * mask.size
+        large = (np.asarray(contour, np.int32) for contour in found if cv2.contourArea(contour) >= least)
+        return [part for contour in large for part in _split(contour, self.split, least)]
 
+    def boxes(self, contours: Sequence[Contour], shape: tuple[int, ...]) -> F8:
+        """(N, 4) xyxy of the objects in the components, from top to bottom, in a frame of (H, W, ...) ``shape``."""
+        height, width = shape[:2]
+        found: list[Box] = []
+        for x, y, w, h in map(cv2.boundingRect, contours):
+            box = x, y, x + w, y + h
+            while partner := next((other for other in found if _belong(box, other, self.join)), None):
+                found.remove(partner)
+                box = _union(box, partner)
+            found.append(box)
+        rows = np.array(sorted(found, key=lambda box: (box[1], box[0])), np.float64).reshape(-1, 4)
+        grown = round(self.peel * height)
+        inside: F8 = np.clip(rows + np.array([-grown, -grown, grown, grown]), 0, [width, height, width, height])
+        return inside
 
-def clean(mask: Image, settings: BlobSettings) -> Image:
-    """(H, W) uint8, 255 where ``mask`` (H, W) still is foreground after peeling and closing."""
-    height = mask.shape[0]
-    radius = round(settings.peel * height)  # 0 in small pictures, where a pixel is a good part of an arm
-    speck, across, along = 2 * max(1, radius) + 1, *(max(1, round(settings.closing * height / k)) | 1 for k in (3, 1))
-    peeled = cv2.erode(mask, np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)) if radius else mask
-    opened = cv2.morphologyEx(peeled, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (speck, speck)))
-    element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (across, along))
-    return np.asarray(cv2.morphologyEx(opened, cv2.MORPH_CLOSE, element), np.uint8)
-
-
-def components(mask: Image, settings: BlobSettings) -> list[Contour]:
-    """The outer contours (n, 1, 2) of what is large enough in a cleaned ``mask``, objects that touch parted."""
-    found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    least = settings.min_area * mask.size
-    large = (np.asarray(contour, np.int32) for contour in found if cv2.contourArea(contour) >= least)
-    return [part for contour in large for part in _split(contour, settings.split, least)]
-
-
-def boxes(contours: Sequence[Contour], shape: tuple[int, ...], settings: BlobSettings) -> F8:
-    """(N, 4) xyxy of the objects in the components, from top to bottom.
-
-    Parameters
-    ----------
-    contours : outlines of the components.
-    shape : (H, W, ...) of the frame.
-    settings : which fragments are joined, and what was peeled.
-
-    Returns
-    -------
-    The boxes, in the frame.
-    """
-    height, width = shape[:2]
-    found = [(x, y, x + w, y + h) for x, y, w, h in map(cv2.boundingRect, contours)]
-    joined = _join(found, settings.join) if settings.join > 0 else found
-    rows = np.array(sorted(joined, key=lambda box: (box[1], box[0])), np.float64).reshape(-1, 4)
-    grown = round(settings.peel * height)
-    inside: F8 = np.clip(rows + np.array([-grown, -grown, grown, grown]), 0, [width, height, width, height])
-    return inside
-
-
-def detections(mask: Image, settings: BlobSettings) -> Detections:
-    """The detections in a raw foreground ``mask`` (H, W) uint8."""
-    return Detections.of(boxes(components(clean(mask, settings), settings), mask.shape, settings))
+    def detections(self, mask: Image) -> Detections:
+        """The detections in a raw foreground ``mask`` (H, W) uint8."""
+        return Detections.of(self.boxes(self.components(self.clean(mask)), mask.shape))
 
 
 def _split(contour: Contour, depth: float, least: float) -> list[Contour]:
@@ -149,18 +139,6 @@ def _valley(filled: Image, depth: float) -> int | None:
     return lowest if ratio[lowest] <= depth else None
 
 
-def _join(parts: list[Box], gap: float) -> list[Box]:
-    """The boxes, with fragments that stand one above the other made one."""
-    joined: list[Box] = []
-    for part in parts:
-        box = part
-        while partner := next((other for other in joined if _belong(box, other, gap)), None):
-            joined.remove(partner)
-            box = _union(box, partner)
-        joined.append(box)
-    return joined
-
-
 def _union(a: Box, b: Box) -> Box:
     """The box that holds both."""
     return min(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), max(a[3], b[3])
@@ -171,5 +149,5 @@ def _belong(a: Box, b: Box, gap: float) -> bool:
     left, top, right, bottom = _union(a, b)
     width, height = right - left, bottom - top
     shared, between = min(a[2], b[2]) - max(a[0], b[0]), max(a[1], b[1]) - min(a[3], b[3])
-    aligned = shared > _ALIGNED * min(a[2] - a[0], b[2] - b[0])
+    aligned = gap > 0 and shared > _ALIGNED * min(a[2] - a[0], b[2] - b[0])
     return aligned and between < gap * height and width < _WIDEST * height and height < _SLENDEREST * width

@@ -1,4 +1,4 @@
-"""From whatever a detector hands over to `Detections`, with every value checked. Shared by detectors and the tracker.
+"""From whatever a detector hands over to `Detections`, with every value checked.
 
 Accepted: a `Detections`; anything with ``.xyxy`` and, where it has them, ``.confidence`` (or ``.conf``) and ``.class_id``
 (or ``.cls``), as supervision and ultralytics write them; an array-like of shape (N, 4) xyxy, (N, 5) with confidence,
@@ -17,7 +17,6 @@ from phdtrack.errors import InputError
 from phdtrack.types import F8, Detections, DetectionTable, SequenceInfo
 
 _COLUMNS = "boxes as (N, 4) left, top, right, bottom; (N, 5) with confidence; (N, 6) with confidence and class"
-
 _LARGEST_CLASS = 2.0**53
 
 
@@ -40,50 +39,17 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
         if n and (table.ndim != 2 or table.shape[1] != 4):
             raise InputError(f"expected .xyxy of shape (N, 4), got {table.shape}", where=where)
         score, label = (_attribute(obj, names, n, where) for names in (("confidence", "conf"), ("class_id", "cls")))
-    elif not n:
-        return Detections.empty()
-    elif table.ndim != 2 or table.shape[1] not in (4, 5, 6):
+    elif n and (table.ndim != 2 or table.shape[1] not in (4, 5, 6)):
         cure = "A single box is an array of one row: [[left, top, right, bottom]]." if table.ndim == 1 else ""
         raise InputError(f"expected {_COLUMNS}; got an array of shape {table.shape}", where=where, cure=cure)
     else:
-        score, label = (table[:, k] if table.shape[1] > k else None for k in (4, 5))
+        score, label = (table[:, k] if n and table.shape[1] > k else None for k in (4, 5))
     label = np.zeros(n) if label is None else label
     whole = (np.abs(label) < _LARGEST_CLASS) & (np.rint(label) == label)
     if not whole.all():
         row = int(np.argmin(whole))
         raise InputError(f"row {row} (from 0): the class must be a whole number, not {label[row]:g}", where=where)
-    return _checked(Detections.of(table[:, :4] if n else np.zeros((0, 4)), score, label.astype(np.int64)), where)
-
-
-def check_inside(detections: Detections, width: int, height: int, *, where: str = "", drop: bool = False) -> Detections:
-    """The detections of a frame of ``width`` x ``height`` pixels; boxes that overlap its edge are fine.
-
-    Parameters
-    ----------
-    detections : of one frame.
-    width, height : of the frame, pixels.
-    where : what the message names.
-    drop : leave boxes outside out instead of raising.
-
-    Returns
-    -------
-    The detections.
-
-    Raises
-    ------
-    InputError : a box is wholly outside.
-    """
-    inside = share_inside(detections.xyxy, width, height) > 0
-    if inside.all():
-        return detections
-    if drop:
-        return detections.take(inside)
-    row = int(np.argmin(inside))
-    raise InputError(
-        f"row {row} (from 0), box {_box(detections.xyxy[row])}, lies outside the frame of {width}x{height} pixels",
-        where=where,
-        cure="Boxes are left, top, right, bottom in pixels of the original video; check their scale and order.",
-    )
+    return _checked(Detections.of(table[:, :4] if n else [], score, label.astype(np.int64)), where)
 
 
 def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple[DetectionTable, tuple[str, ...]]:
@@ -107,11 +73,10 @@ def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple
     if kept.all():
         return table, ()
     outside = int((~kept).sum())
-    first = int(table.frame[~kept][0])
     said = f"{outside} of {len(table)} boxes lie outside the frame of {info.width}x{info.height} pixels"
     if outside == len(table):
         raise InputError(said, where=path, cure="Boxes are in pixels of the original video: check them, or --frame-size.")
-    sentence = f"{path}: {said} and are left out, the first in frame {first}"
+    sentence = f"{path}: {said} and are left out, the first in frame {int(table.frame[~kept][0])}"
     return DetectionTable(table.frame[kept], table.detections.take(kept)), (sentence,)
 
 
@@ -139,34 +104,24 @@ def _attribute(obj: object, names: tuple[str, str], n: int, where: str) -> F8 | 
     return None
 
 
-def _checked(detections: Detections, where: str) -> Detections:
-    """``detections`` itself, where its shapes agree and its values make sense."""
-    xyxy, n, cov = detections.xyxy, len(detections.xyxy), detections.covariance
-    shapes = xyxy.shape, detections.confidence.shape, detections.class_id.shape
+def _checked(found: Detections, where: str) -> Detections:
+    """``found`` itself, where its shapes agree and its values make sense."""
+    xyxy, n, cov = found.xyxy, len(found.xyxy), found.covariance
+    shapes = xyxy.shape, found.confidence.shape, found.class_id.shape
     if shapes != ((n, 4), (n,), (n,)):
         got = f"{shapes[0]}, {shapes[1]} and {shapes[2]}"
         raise InputError(f"expected xyxy (N, 4), confidence (N,) and class_id (N,), got {got}", where=where)
-    finite = np.isfinite(xyxy).all(axis=1) & np.isfinite(detections.confidence)
+    finite = np.isfinite(xyxy).all(axis=1) & np.isfinite(found.confidence)
     sized = (xyxy[:, 2] > xyxy[:, 0]) & (xyxy[:, 3] > xyxy[:, 1])
-    if not finite.all():
-        row = int(np.argmin(finite))
-        raise InputError(
-            f"row {row} (from 0) is not finite: box {_box(xyxy[row])}, confidence {detections.confidence[row]:g}",
-            where=where,
-            cure="Leave out boxes that the detector could not compute.",
-        )
-    if not sized.all():
-        row = int(np.argmin(sized))
-        raise InputError(
-            f"row {row} (from 0), box {_box(xyxy[row])}, has no width or height",
-            where=where,
-            cure="Boxes are left, top, right, bottom with left < right and top < bottom; convert from x, y, width, height.",
-        )
+    if not (finite & sized).all():
+        row = int(np.argmin(finite if not finite.all() else sized))
+        box = "[" + ", ".join(f"{value:g}" for value in xyxy[row]) + "]"
+        problem = f"row {row} (from 0), box {box}, has no width or height"
+        cure = "Boxes are left, top, right, bottom with left < right and top < bottom; convert from x, y, width, height."
+        if not finite.all():
+            problem = f"row {row} (from 0) is not finite: box {box}, confidence {found.confidence[row]:g}"
+            cure = "Leave out boxes that the detector could not compute."
+        raise InputError(problem, where=where, cure=cure)
     if cov is not None and (cov.shape != (n, 4, 4) or not np.isfinite(cov).all()):
         raise InputError(f"expected a finite covariance of shape {(n, 4, 4)}, got {cov.shape}", where=where)
-    return detections
-
-
-def _box(box: F8) -> str:
-    """The box in words."""
-    return "[" + ", ".join(f"{value:g}" for value in box) + "]"
+    return found

@@ -61,11 +61,6 @@ class ExpectedTargets:
     hidden: F8
     separate: F8
 
-    @classmethod
-    def empty(cls) -> ExpectedTargets:
-        """No targets."""
-        return cls(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros(0), np.zeros(0))
-
     def __len__(self) -> int:
         return len(self.existence)
 
@@ -102,7 +97,7 @@ class MergedMeasurements:
 
     def start(self) -> ExpectedTargets:
         """No targets are expected."""
-        return ExpectedTargets.empty()
+        return ExpectedTargets(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros(0), np.zeros(0))
 
     def explain(
         self, state: ExpectedTargets, detections: Detections, model: Model, dt: float
@@ -120,7 +115,7 @@ class MergedMeasurements:
         -------
         The targets, and the explanation.
         """
-        targets = predicted(state, model, dt)
+        targets = _predicted(state, model, dt)
         if not (detections.observed and len(targets) and len(detections)):
             return targets, Explanation.unchanged(detections)
         boxes = to_xyxy(model.sensor.expected(targets.state)[:4])
@@ -181,30 +176,21 @@ class _Frame:
     def spread(self) -> F8:
         """(n, 4, 4) covariances of the targets' edges."""
         rows = list(self.model.sensor.observed)
-        out: F8 = EDGES @ self.targets.covariance[:, rows][:, :, rows] @ EDGES.T
-        return out
+        return np.asarray(EDGES @ self.targets.covariance[:, rows][:, :, rows] @ EDGES.T)
 
     @cached_property
     def z(self) -> F8:
         """(m, N) the blobs as measurements."""
         return self.model.sensor.measure(self.blobs)
 
-    @cached_property
-    def known(self) -> Bool:
-        """(N,) which blobs show a possible state."""
-        return np.asarray(np.isfinite(self.z).all(axis=0), np.bool_)
-
-    @cached_property
-    def touching(self) -> Bool:
-        """(N, n) which blobs meet which targets, whose edges are moved out by a deviation."""
-        reach = np.sqrt(np.maximum(np.einsum("nii->ni", self.spread), 0.0))
-        blobs, low, high = self.blobs.xyxy[:, None], self.boxes - reach, self.boxes + reach
-        meet = (blobs[..., :2] <= high[:, 2:]) & (low[:, :2] <= blobs[..., 2:])
-        return np.asarray(meet.all(axis=2) & self.known[:, None], np.bool_)
-
     def members(self) -> Members:
         """The targets of each blob in the best explanation."""
-        touching = self.touching
+        known: Bool = np.asarray(np.isfinite(self.z).all(axis=0))
+        # The targets' edges are moved out by a deviation.
+        reach = np.sqrt(np.maximum(np.einsum("nii->ni", self.spread), 0.0))
+        edges, low, high = self.blobs.xyxy[:, None], self.boxes - reach, self.boxes + reach
+        meet = (edges[..., :2] <= high[:, 2:]) & (low[:, :2] <= edges[..., 2:])
+        touching = np.asarray(meet.all(axis=2) & known[:, None], np.bool_)
         out: Members = [tuple(np.flatnonzero(row).tolist()) for row in touching]
         if max(touching.sum(axis=0).max(), touching.sum(axis=1).max()) < 2:
             return out
@@ -213,16 +199,16 @@ class _Frame:
         covered = np.where(touching, shared, 0.0).max(axis=0) / np.maximum(area(self.boxes), TINY)
         missed = np.log(np.maximum(1 - r * (p + (1 - p) * np.minimum(covered, 1.0)), TINY))
         seen = np.log(np.maximum(r * p, TINY))
-        clutter, z = np.zeros(len(out)), np.ascontiguousarray(self.z[:, self.known])
-        clutter[self.known] = np.log(np.maximum(self.model.clutter.intensity(z), TINY))
+        clutter, z = np.zeros(len(out)), np.ascontiguousarray(self.z[:, known])
+        clutter[known] = np.log(np.maximum(self.model.clutter.intensity(z), TINY))
         smaller = np.minimum(area(self.blobs.xyxy)[:, None], area(self.boxes))
         out = [()] * len(out)
 
         @cache
         def likelihood(blob: int, targets: tuple[int, ...]) -> float:
-            return self.fit(blob, targets) + float(seen[list(targets)].sum()) if targets else float(clutter[blob])
+            return self._fit(blob, targets) + float(seen[list(targets)].sum()) if targets else float(clutter[blob])
 
-        for blobs, targets, pairs in groups(touching, shared / np.maximum(smaller, TINY)):
+        for blobs, targets, pairs in _groups(touching, shared / np.maximum(smaller, TINY)):
             if len(blobs) == len(targets) == 1:
                 out[blobs[0]] = (targets[0],)
                 continue
@@ -238,16 +224,16 @@ class _Frame:
                 out[b] = several
         return out
 
-    def fit(self, blob: int, targets: tuple[int, ...]) -> float:
+    def _fit(self, blob: int, targets: tuple[int, ...]) -> float:
         """Log-likelihood of the blob's edges where it is these targets, one or more, that were detected."""
         index, k = np.array(targets), len(targets)
         boxes, rule = self.boxes[index], self.rule
         ready = self.targets.separate[index] >= rule.min_separate_time
-        if k > 1 and not (ready.all() and (self.targets.hidden[index][hidden(boxes)] <= rule.max_hidden_time).all()):
+        if k > 1 and not (ready.all() and (self.targets.hidden[index][_hidden(boxes)] <= rule.max_hidden_time).all()):
             return -math.inf
         z, state = self.z[:, [blob] * k], np.ascontiguousarray(self.targets.state[:, index])
         noise = EDGES @ self.model.sensor.covariance(z, state) @ EDGES.T
-        mean, covariance = outline(boxes, self.spread[index] + noise)
+        mean, covariance = _outline(boxes, self.spread[index] + noise)
         step = self.blobs.xyxy[blob] - mean
         distance2 = float(step @ np.linalg.solve(covariance, step))
         if distance2 > GATE**2:
@@ -256,7 +242,7 @@ class _Frame:
         return log_density + (k - 1) * math.log(max(rule.merge_probability, TINY))
 
 
-def groups(touching: Bool, strength: F8) -> Iterator[tuple[list[int], list[int], Bool]]:
+def _groups(touching: Bool, strength: F8) -> Iterator[tuple[list[int], list[int], Bool]]:
     """Blobs, targets and pairs (N, n) of the groups that pairs ``touching`` (N, n) connect, of at most `GROUP` members.
 
     The strongest pairs are joined first; one that would make a group too large is left out.
@@ -274,32 +260,30 @@ def groups(touching: Bool, strength: F8) -> Iterator[tuple[list[int], list[int],
         yield blobs, targets, kept
 
 
-def owners(boxes: F8) -> I8:
+def _owners(boxes: F8) -> I8:
     """(4,) which of the boxes (k, 4) has each edge of their union."""
-    out: I8 = (boxes * OUTWARD).argmax(axis=0)
-    return out
+    return np.asarray((boxes * OUTWARD).argmax(axis=0))
 
 
-def hidden(boxes: F8) -> Bool:
+def _hidden(boxes: F8) -> Bool:
     """(k,) which of the boxes (k, 4) have neither the left nor the right edge of their union."""
-    return ~np.isin(np.arange(len(boxes)), owners(boxes)[[0, 2]])
+    return ~np.isin(np.arange(len(boxes)), _owners(boxes)[[0, 2]])
 
 
-def outline(boxes: F8, covariance: F8) -> tuple[F8, F8]:
+def _outline(boxes: F8, covariance: F8) -> tuple[F8, F8]:
     """The union of boxes (k, 4) with edges of covariance (k, 4, 4) as a Gaussian: its mean (4,) and covariance (4, 4)."""
-    owner, side = owners(boxes), np.arange(4)
+    owner, side = _owners(boxes), np.arange(4)
     same = owner[:, None] == owner[None, :]
     return boxes[owner, side], np.where(same, covariance[owner[:, None], side[:, None], side[None, :]], 0.0)
 
 
-def placed(blob: F8, boxes: F8) -> tuple[F8, F8]:
-    """Where a merged blob (4,) puts its targets' boxes (k, 4), of unchanged size, and how uncertain that is.
+def _placed(blob: F8, boxes: F8) -> tuple[F8, F8]:
+    """Boxes (k, 4) that a merged blob (4,) gives its targets' boxes (k, 4), their size unchanged, and deviations (k, 2).
 
     A target lies where the edges that it has put it, midway if it has both; one that has none along an axis stays where it
-    is expected, inside the blob. Returns boxes (k, 4), and (k, 2) the standard deviation along x and y of a uniform place
-    in the blob for targets that have no edge there, 0 for the others.
+    is expected, inside the blob, and its standard deviation there is that of a uniform place in the blob; else it is 0.
     """
-    owner, k = owners(boxes), np.arange(len(boxes))
+    owner, k = _owners(boxes), np.arange(len(boxes))
     out, slack = boxes.copy(), np.zeros((len(boxes), 2))
     for axis in (0, 1):
         low, high = blob[axis], blob[axis + 2]
@@ -314,7 +298,7 @@ def placed(blob: F8, boxes: F8) -> tuple[F8, F8]:
     return out, slack
 
 
-def predicted(targets: ExpectedTargets, model: Model, dt: float) -> ExpectedTargets:
+def _predicted(targets: ExpectedTargets, model: Model, dt: float) -> ExpectedTargets:
     """The targets ``dt`` time units later."""
     if not len(targets):
         return targets
@@ -332,7 +316,7 @@ def _timed(targets: ExpectedTargets, members: Members, boxes: F8, seconds: float
         index = list(several)
         if len(index) == 1:
             separate[index] += seconds
-        out_of_sight[index] = np.where(hidden(boxes[index]), out_of_sight[index] + seconds, 0.0) if index else 0.0
+        out_of_sight[index] = np.where(_hidden(boxes[index]), out_of_sight[index] + seconds, 0.0) if index else 0.0
     return replace(targets, hidden=out_of_sight, separate=separate)
 
 
@@ -349,7 +333,7 @@ def _divided(detections: Detections, members: Members, boxes: F8) -> Explanation
     for b, several in enumerate(members):
         if len(several) > 1:
             rows = slice(part[b], part[b] + len(several))
-            xyxy[rows], slack = placed(detections.xyxy[b], boxes[list(several)])
+            xyxy[rows], slack = _placed(detections.xyxy[b], boxes[list(several)])
             variance[rows, :2] = np.square(slack)
     covariance = None if out.covariance is None else out.covariance + variance[:, :, None] * np.eye(4)
     return Explanation(replace(out, xyxy=xyxy, covariance=covariance), source, part, target, changed=True)

@@ -17,7 +17,6 @@ import numpy as np
 from annotated_types import Gt
 
 from phdtrack.arrays import iou
-from phdtrack.detect import components as blobs
 from phdtrack.detect.components import BlobSettings, check_same_size
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, Probability, check
 from phdtrack.types import F8, I8, Detections, Frame, Image
@@ -28,17 +27,13 @@ SearchStep = Annotated[float, Gt(1)]
 _SURELY_FOREGROUND = 200
 _FALLBACK_INTERVAL = 1.0 / 25.0
 _WINDOW = (64, 128)
-_BODY = (0.55, 0.8)
-# Of each subtractor: its function, the name of its threshold and the usual value of that.
-_METHODS = {
-    "mog2": ("createBackgroundSubtractorMOG2", "varThreshold", 16.0),
-    "knn": ("createBackgroundSubtractorKNN", "dist2Threshold", 400.0),
-}
+# Width and height of a person in a box of the support vector machine.
+_BODY = np.array([0.55, 0.8])
 
 
-@dataclass(frozen=True, slots=True)
-class SubtractorSettings:
-    """How a `SubtractorDetector` decides.
+@dataclass(eq=False)
+class SubtractorDetector:
+    """Boxes around the foreground of an OpenCV subtractor.
 
     Attributes
     ----------
@@ -56,43 +51,33 @@ class SubtractorSettings:
     blobs: BlobSettings = field(default_factory=BlobSettings)
 
     def __post_init__(self) -> None:
-        if self.method not in _METHODS:
-            problem = f"method must be one of {', '.join(_METHODS)}, not {self.method!r}"
-            raise InputError(problem, where="SubtractorSettings")
         check(self)
-
-
-class SubtractorDetector:
-    """Boxes around the foreground of an OpenCV subtractor."""
-
-    def __init__(self, settings: SubtractorSettings | None = None) -> None:
-        self.settings = settings or SubtractorSettings()
         self.reset()
 
     def reset(self) -> None:
         """Forget the scene."""
-        self._subtractor: Any = None
+        self._seen = 0
+        if self.method == "mog2":
+            self._subtractor: Any = cv2.createBackgroundSubtractorMOG2(varThreshold=self.threshold or 16.0)
+        else:
+            self._subtractor = cv2.createBackgroundSubtractorKNN(dist2Threshold=self.threshold or 400.0)
 
     def __call__(self, frame: Frame) -> Detections:
         """The boxes of the foreground in ``frame``; none during the warm-up."""
-        settings = self.settings
-        if self._subtractor is None:
-            function, name, usual = _METHODS[settings.method]
-            self._subtractor = getattr(cv2, function)(**{name: settings.threshold or usual, "detectShadows": True})
-            self._shape = frame.image.shape
-            self._seen, self._began, self._time = 0, frame.time, frame.time
+        if not self._seen:
+            self._shape, self._began, self._time = frame.image.shape, frame.time, frame.time
         check_same_size(frame, self._shape)
         self._seen += 1
         passed, self._time = frame.time - self._time, frame.time
         interval = passed if passed > 0 else _FALLBACK_INTERVAL
         # OpenCV's own rule for early frames (half of what a plain mean would give them), the time constant later.
-        rate = max(0.5 / self._seen, min(1.0, interval / settings.adapt))
+        rate = max(0.5 / self._seen, min(1.0, interval / self.adapt))
         # KNN draws the samples that it replaces from OpenCV's generator, which is global: seeded, a run can be repeated.
         cv2.setRNGSeed(self._seen)
         mask = self._subtractor.apply(frame.image, learningRate=rate)
-        if frame.time - self._began < settings.warmup:
+        if frame.time - self._began < self.warmup:
             return Detections.empty()
-        return blobs.detections(np.asarray(cv2.compare(mask, _SURELY_FOREGROUND, cv2.CMP_GT), np.uint8), settings.blobs)
+        return self.blobs.detections(np.asarray(cv2.compare(mask, _SURELY_FOREGROUND, cv2.CMP_GT), np.uint8))
 
 
 def from_opencv(name: str) -> Any:
@@ -121,9 +106,9 @@ def cascade_file(name: str) -> Path:
     return path
 
 
-@dataclass(frozen=True, slots=True)
-class FaceSettings:
-    """How the `FaceDetector` searches.
+@dataclass(eq=False)
+class FaceDetector:
+    """Boxes around what a Viola-Jones cascade accepts, face by face; it remembers nothing.
 
     Attributes
     ----------
@@ -142,14 +127,7 @@ class FaceSettings:
 
     def __post_init__(self) -> None:
         check(self)
-
-
-class FaceDetector:
-    """Boxes around what the cascade accepts, face by face; it remembers nothing."""
-
-    def __init__(self, settings: FaceSettings | None = None) -> None:
-        self.settings = settings or FaceSettings()
-        path = cascade_file(self.settings.cascade)
+        path = cascade_file(self.cascade)
         self._classifier: Any = from_opencv("CascadeClassifier")(str(path))
         if self._classifier.empty():
             raise InputError("this is not a cascade that OpenCV can read", where=path)
@@ -159,20 +137,19 @@ class FaceDetector:
 
     def __call__(self, frame: Frame) -> Detections:
         """[M07] The faces in ``frame``."""
-        settings = self.settings
-        grey = _enlarged(cv2.equalizeHist(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)), settings.scale)
-        least = max(1, round(settings.min_size * grey.shape[0]))
+        grey = _enlarged(cv2.equalizeHist(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)), self.scale)
+        least = max(1, round(self.min_size * grey.shape[0]))
         found = self._classifier.detectMultiScale(
-            grey, scaleFactor=settings.step, minNeighbors=settings.neighbours, minSize=(least, least)
+            grey, scaleFactor=self.step, minNeighbors=self.neighbours, minSize=(least, least)
         )
-        boxes = np.array(found, np.float64).reshape(-1, 4) / settings.scale
+        boxes = np.array(found, np.float64).reshape(-1, 4) / self.scale
         boxes[:, 2:] += boxes[:, :2]
         return Detections.of(boxes[np.lexsort((boxes[:, 0], boxes[:, 1]))])
 
 
-@dataclass(frozen=True, slots=True)
-class PersonSettings:
-    """How the `PersonDetector` searches.
+@dataclass(eq=False)
+class PersonDetector:
+    """Boxes around pedestrians; it remembers nothing.
 
     Attributes
     ----------
@@ -192,14 +169,7 @@ class PersonSettings:
     def __post_init__(self) -> None:
         check(self)
         if self.stride % 8:
-            raise InputError(f"expected a multiple of 8, got {self.stride}", where="PersonSettings.stride")
-
-
-class PersonDetector:
-    """Boxes around pedestrians; it remembers nothing."""
-
-    def __init__(self, settings: PersonSettings | None = None) -> None:
-        self.settings = settings or PersonSettings()
+            raise InputError(f"expected a multiple of 8, got {self.stride}", where="PersonDetector.stride")
         self._hog: Any = from_opencv("HOGDescriptor")()
         self._hog.setSVMDetector(from_opencv("HOGDescriptor_getDefaultPeopleDetector")())
 
@@ -208,23 +178,20 @@ class PersonDetector:
 
     def __call__(self, frame: Frame) -> Detections:
         """The pedestrians in ``frame``, the strongest first."""
-        settings = self.settings
-        image = _enlarged(frame.image, settings.scale)
+        image = _enlarged(frame.image, self.scale)
         if image.shape[1] < _WINDOW[0] or image.shape[0] < _WINDOW[1]:
             return Detections.empty()
-        stride = (settings.stride, settings.stride)
         windows, margins = self._hog.detectMultiScale(
-            image, hitThreshold=settings.threshold, winStride=stride, scale=settings.step, groupThreshold=0
+            image, hitThreshold=self.threshold, winStride=(self.stride, self.stride), scale=self.step, groupThreshold=0
         )
-        left, top, width, height = np.array(windows, np.float64).reshape(-1, 4).T / settings.scale
-        score: F8 = np.array(margins, np.float64).reshape(-1)
-        dx, dy, cx, cy = width * _BODY[0] / 2, height * _BODY[1] / 2, left + width / 2, top + height / 2
-        boxes = np.stack([cx - dx, cy - dy, cx + dx, cy + dy], axis=1)
-        kept = strongest(boxes, score, settings.overlap)
+        corner, size = np.hsplit(np.array(windows, np.float64).reshape(-1, 4) / self.scale, 2)
+        score, middle, reach = np.array(margins, np.float64).reshape(-1), corner + size / 2, size * _BODY / 2
+        boxes = np.hstack([middle - reach, middle + reach])
+        kept = _strongest(boxes, score, self.overlap)
         return Detections.of(boxes[kept], score[kept])
 
 
-def strongest(boxes: F8, score: F8, overlap: float) -> I8:
+def _strongest(boxes: F8, score: F8, overlap: float) -> I8:
     """Indices of the boxes (N, 4), by falling ``score`` (N,), whose IoU with every stronger kept one is ≤ ``overlap``.
 
     `cv2.dnn.NMSBoxes` leaves out scores below 0, and margins may be.
@@ -239,6 +206,4 @@ def strongest(boxes: F8, score: F8, overlap: float) -> I8:
 
 def _enlarged(image: Image, scale: float) -> Image:
     """The picture, enlarged."""
-    if scale == 1:
-        return image
     return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR), np.uint8)
