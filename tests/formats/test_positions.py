@@ -23,7 +23,7 @@ def test_positions_are_sorted_and_lose_their_height(tmp_path):
     ("reader", "text", "message"),
     [
         (read_positions, "1 2 3\n", r"line 1: expected 8 columns .*came 3"),
-        (read_positions, LINE.format(1, 1) + LINE.format(1, 1), r"line 2: .*somebody twice"),
+        (read_positions, LINE.format(1, 1) + LINE.format(1, 1), r"line 2: .*came one twice"),
         (read_positions, LINE.format(1, 1) + LINE.format(2.5, 1), r"line 2: .*whole number for the frame"),
         (read_positions, LINE.format(1, 1) + "2 1 nan 0 0 0 0 0\n", r"line 2: .*finite"),
         (read_positions, LINE.format(1, 1) + "2 1 x 0 0 0 0 0\n", r"line 2: .*number for the x"),
