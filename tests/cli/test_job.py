@@ -20,7 +20,7 @@ from phdtrack.cli.job import Job, Outcome, paced, run
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
 from phdtrack.filters.extract import Raw
-from phdtrack.formats import read_detections, read_tracks
+from phdtrack.formats import DetectionsWriter, read_detections, read_tracks
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth
 from phdtrack.protocols import Model, Stages
 from phdtrack.report import About
@@ -177,6 +177,22 @@ def test_an_interrupt_in_the_loop_stops_the_stages(job: Job, directory: rundir.R
     assert len(list(open_source(directory.file(rundir.VIDEO)))) == outcome.frames
     assert any("stopped by Ctrl-C after frame" in warning for warning in outcome.warnings)
     assert threading.active_count() == before
+
+
+def test_an_interrupt_while_a_frame_is_written_waits_for_its_end(
+    job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = DetectionsWriter.append
+
+    def signalling(self: DetectionsWriter, number: int, found: Detections) -> None:
+        if number == 7:
+            signal.raise_signal(signal.SIGINT)
+        real(self, number, found)
+
+    monkeypatch.setattr(DetectionsWriter, "append", signalling)
+    outcome = run(job, directory)
+    assert isinstance(outcome.stop, KeyboardInterrupt)
+    consistent(directory, outcome, 7)
 
 
 def test_stopped_while_drawing(job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch) -> None:

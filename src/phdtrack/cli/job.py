@@ -10,7 +10,9 @@ Decoding, detecting and tracking overlap (`inputs.ahead`), and so do decoding, d
 from __future__ import annotations
 
 import math
+import signal
 import sys
+import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -201,15 +203,16 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progr
                     rows = tracker.update(found, frame.number, frame.time, warp if len(warp) else None)
                     step = tracker.step
                     assert step is not None
-                    detections.append(frame.number, found)
-                    states.append(frame.number, frame.time, step.estimates)
-                    online.append(rows, places(sensor, rows.xyxy))
-                    for observer in job.observers:
-                        observer.take(step, tracker.state)
-                    image = frame.image if inputs.pictures else None
-                    done.recorder.add(image, step, shown_particles(stages, tracker.state.intensity), seconds)
-                    seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
-                    done.seen.append(seen)
+                    with _uninterrupted():  # no frame stands in one file and not in another
+                        detections.append(frame.number, found)
+                        states.append(frame.number, frame.time, step.estimates)
+                        online.append(rows, places(sensor, rows.xyxy))
+                        for observer in job.observers:
+                            observer.take(step, tracker.state)
+                        image = frame.image if inputs.pictures else None
+                        done.recorder.add(image, step, shown_particles(stages, tracker.state.intensity), seconds)
+                        seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
+                        done.seen.append(seen)
                     advance(len(done.seen))
                     pace.frame()
             held = tracker.flush()
@@ -220,6 +223,22 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progr
             done.stop = _as_meant(stop)
         done.seconds, done.left_out, done.lost = pace.seconds, pace.left_out, inputs.source.problem
     return done
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Ctrl-C that comes within the block is raised at its end; elsewhere than in the main thread none comes."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if came:
+        raise KeyboardInterrupt
 
 
 def _draw(job: Job, again: Iterable[Frame], directory: RunDirectory, done: _Progress, tracks: Tracks) -> Stop | None:
