@@ -39,6 +39,8 @@ from phdtrack.kernels import CACHE
 from phdtrack.models import PlaneSensor
 from phdtrack.protocols import AnyStages, Sensor
 from phdtrack.report import About, Annotator, Recorder, report_html, run_document, sentences, write_run
+from phdtrack.report.pages import lines
+from phdtrack.report.record import LOW_EFFECTIVE
 from phdtrack.report.words import write_text
 from phdtrack.tracker import Tracker
 from phdtrack.types import F8, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Tracks, Truth
@@ -150,9 +152,10 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         if job.video and (job.inputs.pictures or any(observer.draws for observer in job.observers)):
             done.cut = _draw(job, again(), directory, done, tracks)
     notes, doubts = _confirmation(job, done)
-    chain = done.recorder.chain
-    if chain is not None:
-        notes, doubts = [*notes, chain.sentence], [*doubts, *filter(None, [chain.warning])]
+    record = done.recorder.record(tracks, job.about, job.truth)
+    if record.chain is not None:
+        moves, *too_few = lines("chain.txt", chain=record.chain, least=LOW_EFFECTIVE)
+        notes, doubts = [*notes, moves], [*doubts, *too_few]
     said = replace(
         job.about,
         seconds=time.perf_counter() - clock,
@@ -162,7 +165,7 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         warnings=(*_problems(job, done), *doubts),
         notes=(*notes, _WHICH),
     )
-    record, reports = done.recorder.record(tracks, said, job.truth), [observer.report() for observer in job.observers]
+    record, reports = replace(record, about=said), [observer.report() for observer in job.observers]
     sections = "\n".join(report.section for report in reports)
     page = report_html(record, job.configuration | {"input": job.read}, sections)
     write_text(directory.file(rundir.REPORT), page)

@@ -35,10 +35,10 @@ from phdtrack.models import PlaneSensor
 from phdtrack.models.scene import FalseAlarmRatio, with_scene
 from phdtrack.models.volumes import EVERYWHERE
 from phdtrack.protocols import AnyStages
-from phdtrack.report.pages import SceneTraining, render
+from phdtrack.report.pages import render
 from phdtrack.scene import LearnedDensity, Scene, TrackedObjects, write_scene
 from phdtrack.scene.training import Training, births_in, learn_births, learn_clutter, learn_objects, with_prior
-from phdtrack.types import F8, Detections, Image, Tracks
+from phdtrack.types import F8, Detections, Tracks
 from phdtrack.video import open_source
 
 _ONLY_BOXES = "a density of them is learned for boxes in the image only (motion.kind=box)"
@@ -93,22 +93,22 @@ def learn(
     data = TrainingData(found, stretch, build(settings, found.info), seed, file, marks)
     frames = open_source(source.source, fps=source.fps) if source.source else ()
     picture = next((frame.image for frame in frames), NO_PICTURE)
-    training, lead = train(data, births, clutter, picture, output)
-    write_scene(target, training.scene)
+    scene, born, alarms = train(data, births, clutter, output)
+    write_scene(target, scene)
     page = target.with_name(target.name.removesuffix(".json") + ".html")
     use = f"phdtrack track {source.source or f'--detections {source.detections}'} --scene {target}"
-    text = render("scene.html", title="Learned scene", training=training, lead=lead, command=use)
+    words = {"title": "Learned scene", "command": use}
+    text = render("scene.html", scene=scene, births=born, alarms=alarms, image=picture, **words)
     page.write_text(text, encoding="utf-8")
     output.say(f"{target}, with its maps in {page}; use it: {use}")
-    followed = training.scene.followed
     output.document(
         {
             "scene": str(target),
             "report": str(page),
-            "gain": {"births": training.births_gain, "clutter": training.clutter_gain},
+            "gain": {"births": born.gain, "clutter": alarms.gain},
             "births": births,
             "clutter": clutter,
-            "followed": None if followed is None else followed.share,
+            "followed": None if scene.followed is None else scene.followed.share,
         }
     )
 
@@ -207,8 +207,8 @@ class TrainingData:
         return Lesson(training, f"{part}: {text}; {gain}", f"{text}{by}.")
 
 
-def train(data: TrainingData, births: str, clutter: str, picture: Image, output: Output) -> tuple[SceneTraining, str]:
-    """What was learned of a scene, with ``picture`` as the ground of its maps, and a summary of it in words.
+def train(data: TrainingData, births: str, clutter: str, output: Output) -> tuple[Scene, Lesson, Lesson]:
+    """What was learned of a scene, and of births and of false alarms apart.
 
     ``births`` and ``clutter`` are as the options have them. Raises `InputError` where nothing could be learned.
     """
@@ -237,12 +237,7 @@ def train(data: TrainingData, births: str, clutter: str, picture: Image, output:
     notes |= {"births from": births, "clutter from": clutter, "first": data.stretch.start, "last": data.stretch.stop - 1}
     info, name, rate = data.found.info, data.found.name, data.stages.model.rate
     scene = Scene(info.width, info.height, rate, name, born.learned, alarms.learned, notes, followed)
-    lead = " ".join(
-        f"{part}: {counted(len(learned.density), 'place')} from {counted(learned.samples, 'sample')}."
-        for part, learned in (("Births", scene.births), ("False alarms", scene.clutter))
-        if learned is not None
-    )
-    return SceneTraining(scene, picture, born.gain, alarms.gain, born.source, alarms.source), lead
+    return scene, born, alarms
 
 
 def clutter_of_labels(data: TrainingData) -> tuple[Training, str]:

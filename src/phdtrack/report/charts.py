@@ -3,8 +3,7 @@
 `Figure` objects are made directly: neither pyplot nor a display is needed and no rcParams change. matplotlib takes half a
 second to import: it is imported where a figure is made. Long runs are thinned to block means, as the time axis says.
 
-The photograph is turned grey and darkened, so that colour belongs to the data. Without video the same pictures are drawn on
-a dark ground. Axes are pixels of the original video.
+Photographs are turned grey and darkened, so that colour belongs to the data; axes are pixels of the original video.
 """
 
 from __future__ import annotations
@@ -109,10 +108,10 @@ def count_chart(record: RunRecord) -> Picture:
         _band(axes, times, np.maximum(low - 0.5, 0), high + 0.5, label="number, 90 %", step="mid")
     _plot(axes, times, record.n_detections, ".", color=_GREY, markersize=3, alpha=0.7, label="detections")
     if len(record.truth_count):
-        _steps(axes, times, record.truth_count, color=_GREEN, linewidth=5, alpha=0.4, label="truth")
-    _steps(axes, times, record.track_count, color=_ORANGE, label="tracks")
+        _plot(axes, times, record.truth_count, drawstyle="steps-mid", color=_GREEN, linewidth=5, alpha=0.4, label="truth")
+    _plot(axes, times, record.track_count, drawstyle="steps-mid", color=_ORANGE, label="tracks")
     _plot(axes, times, record.mass, color=_BLUE, label="expected count (mass of the filter)")
-    return _to_svg(axes, bottom=0)
+    return _chart(axes, bottom=0)
 
 
 def group_chart(series: GroupSeries) -> Picture:
@@ -123,8 +122,8 @@ def group_chart(series: GroupSeries) -> Picture:
     low, high = np.maximum(series.people - series.deviation, 0), series.people + series.deviation
     _band(axes, times, low, high, label="one deviation")
     _plot(axes, times, series.people, color=_BLUE, label="people estimated")
-    _steps(axes, times, series.groups, color=_ORANGE, label="groups")
-    return _to_svg(axes, bottom=0)
+    _plot(axes, times, series.groups, drawstyle="steps-mid", color=_ORANGE, label="groups")
+    return _chart(axes, bottom=0)
 
 
 def lifetime_chart(record: RunRecord) -> Picture:
@@ -137,12 +136,12 @@ def lifetime_chart(record: RunRecord) -> Picture:
     # thousands, and become pixels where outlines would swell the file.
     order = np.lexsort((record.tracks.frame, record.tracks.predicted, row))
     row, frame, predicted = row[order], record.tracks.frame[order], record.tracks.predicted[order]
-    cut = (np.diff(row, prepend=-1) != 0) | np.diff(predicted, prepend=False) | (np.diff(frame, prepend=0) > 1)
-    first = np.flatnonzero(cut)
-    last = np.append(first[1:], len(row)) - 1 if len(first) else first
+    first = np.flatnonzero(
+        (np.diff(row, prepend=-1) != 0) | np.diff(predicted, prepend=False) | (np.diff(frame, prepend=0) > 1)
+    )
+    last = np.append(first[1:], len(row))[: len(first)] - 1
     start, end = (np.interp(frame[k], record.numbers, record.times) for k in (first, last))
-    shades = np.where(predicted[first], 0.35, 1.0).tolist()
-    colours = [(*np.divide(identity_colour(int(names[k])), 255), a) for k, a in zip(row[first], shades, strict=True)]
+    colours = [(*_rgb(int(names[row[k]])), 0.35 if predicted[k] else 1.0) for k in first]
     thick = 0.8 * 72 * (height - 0.6) / max(len(names), 1)
     bars = axes.hlines(row[first], start, end + _interval(record), colors=colours, linewidth=thick)
     bars.set(capstyle="butt", rasterized=len(first) > _OUTLINES)
@@ -152,20 +151,20 @@ def lifetime_chart(record: RunRecord) -> Picture:
         axes.set_yticks([])
         axes.set_ylabel(f"{len(names)} identities, the lowest number on top", fontsize=10, color=_INK)
     axes.set_ylim(max(len(names), 1) - 0.4, -0.6)
-    return _to_svg(axes)
+    return _chart(axes)
 
 
 def timing_chart(record: RunRecord) -> Picture:
     """Milliseconds of each stage over the run, stacked. The scale leaves out single spikes, such as a first compilation."""
     axes = _time_axes(record.times, "milliseconds per frame", 2.7, limit=_BARS)
     time, table = thinned(record.times, _BARS), thinned(1000 * record.seconds, _BARS)
-    if len(table) == 1:
-        time, table = time + np.array([0.0, _interval(record)]), np.repeat(table, 2, axis=0)
     if len(table):
-        axes.stackplot(time, table.T, labels=STAGES, colors=(_GREY, _BLUE, _ORANGE, _GREEN), step="post", linewidth=0)
+        # The last step is as wide as a frame.
+        time, steps = np.append(time, time[-1] + _interval(record)), np.vstack([table, table[-1:]]).T
+        axes.stackplot(time, steps, labels=STAGES, colors=(_GREY, _BLUE, _ORANGE, _GREEN), step="post", linewidth=0)
         total = table.sum(axis=1)
         axes.set_ylim(0, max(min(1.25 * float(np.quantile(total, 0.97)), 1.05 * float(total.max())), 1e-3))
-    return _to_svg(axes)
+    return _chart(axes)
 
 
 def learning_chart(course: Sequence[SceneUpdate], rate: float) -> Picture:
@@ -176,30 +175,29 @@ def learning_chart(course: Sequence[SceneUpdate], rate: float) -> Picture:
     axes = _chart_axes(_figure(_WIDE, 2.8), "time in seconds", "rate")
     time = np.array([one.time for one in course])
     clutter, births = np.array([one.clutter for one in course]), np.array([one.births for one in course]) * rate * 60
-    _plot(axes, time, clutter, color=_RED, label="false alarms a frame")
-    _plot(axes, time, births, color=_GREEN, label="births a minute")
     unit = 0.01 * float(max(clutter.max(), births.max(), 1e-3))
-    used = ((3, _RED, [one.clutter_used for one in course]), (7, _GREEN, [one.births_used for one in course]))
-    for place, colour, known in used:
+    for values, colour, label, place, used in (
+        (clutter, _RED, "false alarms a frame", 3, [one.clutter_used for one in course]),
+        (births, _GREEN, "births a minute", 7, [one.births_used for one in course]),
+    ):
+        _plot(axes, time, values, color=colour, label=label)
         low, high = -(place + 2) * unit, -place * unit
-        axes.fill_between(time, low, high, where=np.array(known) > 0, color=colour, linewidth=0, step="post")
-    return _to_svg(axes)
+        axes.fill_between(time, low, high, where=np.array(used) > 0, color=colour, linewidth=0, step="post")
+    return _chart(axes)
 
 
 def rates_chart(course: Sequence[Rates], rule: RatesLearning) -> Picture:
     """Estimates of p_D and of false alarms over time, and at the right the odds of the best and the worst score."""
-    figure = _figure(_WIDE, 2.6)
-    time, detection, alarms, best, worst = np.array(
-        [(one.time, one.detection, one.clutter, one.highest, one.lowest) for one in course]
-    ).T
+    figure, time = _figure(_WIDE, 2.6), np.array([one.time for one in course])
+    alarms = f"false alarms{', share' if rule.priors.clutter_each else ' a frame'}"
     left = _chart_axes(figure, "time in seconds", "rate", 121)
-    _plot(left, time, detection, color="#2b6cb0", label="p_D")
-    _plot(left, time, alarms, color=_RED, label=f"false alarms{', share' if rule.priors.clutter_each else ' a frame'}")
+    _plot(left, time, np.array([one.detection for one in course]), color=_BLUE, label="p_D")
+    _plot(left, time, np.array([one.clutter for one in course]), color=_RED, label=alarms)
     left.set_ylim(bottom=0)
     right = _chart_axes(figure, "time in seconds", "odds of a score", 122)
-    _plot(right, time, best, color=_GREEN, label="best")
-    _plot(right, time, worst, color="#8a6d3b", label="worst")
-    return _to_svg(right, bottom=0)
+    _plot(right, time, np.array([one.highest for one in course]), color=_GREEN, label="best")
+    _plot(right, time, np.array([one.lowest for one in course]), color=_ORANGE, label="worst")
+    return _chart(right, bottom=0)
 
 
 def score_chart(places: F8 | Sequence[str], x_label: str, y_label: str, methods: Sequence[MethodScores]) -> Picture:
@@ -228,7 +226,7 @@ def score_chart(places: F8 | Sequence[str], x_label: str, y_label: str, methods:
         axes.set_xlim(-0.5, max(len(names), 1) - 0.5)
     crowded = named and max(map(len, names), default=0) * len(names) > _LABEL_ROOM
     axes.set_xticks(x, names, rotation=25 if crowded else 0, ha="right" if crowded else "center")
-    return _to_svg(axes)
+    return _chart(axes)
 
 
 def trajectory_picture(record: RunRecord) -> Picture:
@@ -236,27 +234,24 @@ def trajectory_picture(record: RunRecord) -> Picture:
     missing; a ring where it appeared, its number where it was last seen."""
     from matplotlib.collections import LineCollection
 
-    info = record.info
-    if not (info.width > 0 and info.height > 0):
-        # A frame that holds all tracks, where its size is not known.
-        reach = np.maximum(np.ceil(record.tracks.xyxy.max(axis=0, initial=1.0)), 1).astype(int)
-        info = SequenceInfo(int(reach[2]), int(reach[3]), info.fps)
-    axes = _over_scene(info, record.background, _WIDE, darkness=0.4)
-    tracks = record.by_identity()
-    colours = ["#{:02x}{:02x}{:02x}".format(*identity_colour(int(rows.identity[0]))) for rows in tracks]
-    for width, alpha in ((0.8, 0.8), (1.8, 1.0)):
+    axes, tracks = _over_scene(record.info, record.background, _WIDE, darkness=0.4), record.tracks
+    rows = [np.flatnonzero(tracks.identity == identity) for identity in np.unique(tracks.identity)]
+    paths = [tracks.take(own[np.argsort(tracks.frame[own])]) for own in rows]
+    colours = [_rgb(int(path.identity[0])) for path in paths]
+    for width, alpha, thin in ((0.8, 0.8, True), (1.8, 1.0, False)):
         ways = []
-        for rows in tracks:
-            way = np.where(rows.predicted[:, None] & (alpha == 1), np.nan, feet(rows.xyxy))
-            ways.append(np.insert(way, np.flatnonzero(np.diff(rows.frame) > 1) + 1, np.nan, axis=0))
+        for path in paths:
+            way = np.where(path.predicted[:, None] & (not thin), np.nan, feet(path.xyxy))
+            ways.append(np.insert(way, np.flatnonzero(np.diff(path.frame) > 1) + 1, np.nan, axis=0))
         axes.add_collection(LineCollection(ways, colors=colours, linewidths=width, alpha=alpha))
-    for rows, colour in zip(tracks, colours, strict=True):
-        (x, y), (x_end, y_end), name = feet(rows.xyxy[:1])[0], feet(rows.xyxy[-1:])[0], str(rows.identity[0])
-        axes.scatter(x, y, s=24, facecolors="none", edgecolors=colour, linewidths=1.0)
-        if len(tracks) <= _LABELS:
+    for path, colour in zip(paths, colours, strict=True):
+        (x, y), (x_end, y_end) = feet(path.xyxy)[[0, -1]].tolist()
+        axes.scatter(x, y, s=24, facecolors="none", edgecolors=[colour], linewidths=1.0)
+        if len(paths) <= _LABELS:
             plate = {"boxstyle": "round,pad=0.2", "facecolor": colour, "linewidth": 0}
-            axes.text(x_end, y_end, name, color="black", fontsize=7.5, ha="center", va="center", bbox=plate, clip_on=True)
-    return _to_jpeg(axes)
+            name, middle = str(path.identity[0]), {"ha": "center", "va": "center"}
+            axes.text(x_end, y_end, name, color="black", fontsize=7.5, bbox=plate, clip_on=True, **middle)
+    return _photograph(axes)
 
 
 def heat_picture(heat: HeatMap, info: SequenceInfo) -> Picture:
@@ -276,7 +271,7 @@ def heat_picture(heat: HeatMap, info: SequenceInfo) -> Picture:
     bar = axes.figure.colorbar(ScalarMappable(Normalize(0, top), "inferno"), ax=axes, shrink=0.75, aspect=30, pad=0.015)
     bar.set_label(f"objects in {heat.cell:g} × {heat.cell:g} pixels", fontsize=10, color=_INK)
     bar.ax.tick_params(labelsize=9, colors=_INK)
-    return _to_jpeg(axes)
+    return _photograph(axes)
 
 
 def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: bool) -> Picture:
@@ -310,7 +305,7 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
         axes.annotate("", xy=tuple(start + way), xytext=tuple(start), arrowprops=style)
     # Of a plan the far end is above, of a picture row 0.
     axes.set(xlim=(left, left + wide), ylim=(top, top + high) if ground else (top + high, top))
-    return _to_jpeg(axes)
+    return _photograph(axes)
 
 
 def jpeg(image: Image, max_width: int = 1400) -> Picture:
@@ -335,18 +330,18 @@ def _block(length: int, limit: int) -> int:
 
 
 def _interval(record: RunRecord) -> float:
-    """The median time between frames in seconds, else that of the stated rate."""
-    steps = np.diff(record.times)
-    stated = 1 / record.info.fps if record.info.fps > 1e-3 else 1.0
-    return float(np.median(steps[steps > 0])) if (steps > 0).any() else stated
+    """The time between frames in seconds, by the stated rate."""
+    return 1 / record.info.fps if record.info.fps > 1e-3 else 1.0
+
+
+def _rgb(identity: int) -> tuple[float, float, float]:
+    """The colour of an identity as matplotlib takes it."""
+    red, green, blue = identity_colour(identity)
+    return red / 255, green / 255, blue / 255
 
 
 def _plot(axes: Axes, times: F8, values: F8 | I8, *style: str, **look: Any) -> None:
     axes.plot(thinned(times, _POINTS), thinned(values, _POINTS), *style, **look)
-
-
-def _steps(axes: Axes, times: F8, values: I8, **look: Any) -> None:
-    _plot(axes, times, values, drawstyle="steps-mid", **look)
 
 
 def _band(axes: Axes, times: F8, low: F8, high: F8, **look: Any) -> None:
@@ -406,7 +401,7 @@ def _shade(axes: Axes, density: F8, top: float, extent: tuple[float, float, floa
     axes.imshow(density, cmap="inferno", extent=extent, alpha=alpha, vmin=0, vmax=top, interpolation=interpolation)
 
 
-def _to_svg(axes: Axes, bottom: float | None = None) -> Picture:
+def _chart(axes: Axes, bottom: float | None = None) -> Picture:
     """The figure with legends above its axes, as SVG on a transparent ground: text as outlines, no date."""
     axes.set_ylim(bottom=bottom)
     for each in axes.figure.axes:
@@ -415,22 +410,19 @@ def _to_svg(axes: Axes, bottom: float | None = None) -> Picture:
             look = {"ncols": len(handles), "frameon": False, "fontsize": 9.0, "labelcolor": _INK}
             each.legend(loc="lower left", bbox_to_anchor=(0, 1), **look)
     nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
-    return _picture(axes, "svg", transparent=True, metadata=nothing)
+    data, width, height = _saved(axes, format="svg", transparent=True, metadata=nothing)
+    return Picture("image/svg+xml", data[data.index(b"<svg") :], width, height)
 
 
-def _to_jpeg(axes: Axes) -> Picture:
-    """The figure as JPEG on white, for photographs."""
-    return _picture(axes, "jpg", dpi=144, facecolor="white", pil_kwargs={"quality": 87})
+def _photograph(axes: Axes) -> Picture:
+    """The figure as JPEG on white."""
+    return Picture("image/jpeg", *_saved(axes, format="jpg", dpi=144, facecolor="white", pil_kwargs={"quality": 87}))
 
 
-def _picture(axes: Axes, kind: str, **look: Any) -> Picture:
-    from matplotlib.figure import Figure
-
-    figure, buffer = axes.figure, io.BytesIO()
-    assert isinstance(figure, Figure)
-    figure.savefig(buffer, format=kind, **look)
+def _saved(axes: Axes, **look: Any) -> tuple[bytes, int, int]:
+    """The figure as a file, its width and height in CSS pixels."""
+    figure, buffer = axes.get_figure(root=True), io.BytesIO()
+    assert figure is not None
+    figure.savefig(buffer, **look)
     wide, high = (round(96 * float(inches)) for inches in figure.get_size_inches())
-    data = buffer.getvalue()
-    if kind == "svg":
-        return Picture("image/svg+xml", data[data.index(b"<svg") :], wide, high)
-    return Picture("image/jpeg", data, wide, high)
+    return buffer.getvalue(), wide, high

@@ -1,18 +1,14 @@
 """Boxes drawn on frames: the annotated video, and the mistakes of several methods side by side.
 
-An annotated frame shows, from the back to the front:
-
-* detections: thin white outlines; thin red ones with a cross where the filter takes them for false alarms (posterior
-  clutter probability above one half);
-* trails of the last seconds of each track, at the foot of its box, fading;
-* tracks not yet confirmed: a faint outline, no label;
-* tracks: an outline in the colour of the identity and its number; dashed where no detection supports the box in this frame;
-* a header: frame number, number of tracks, the filter's expected count.
+An annotated frame shows detections as thin white outlines, red and crossed where the filter takes them for false alarms
+(posterior clutter probability above one half); fading trails at the feet of tracks; tracks in the colour of their identity
+with its number, dashed where no detection supports the box; tracks not yet confirmed faintly and without a number; and a
+header: frame number, number of tracks, the filter's expected count.
 
 The twelve colours of identities are light enough for dark pictures and strong enough for white paper. Consecutive ones
 differ by at least 40 units of CIE L*a*b*, for normal sight and in the simulation of protanopia and deuteranopia by
 Machado, Oliveira and Fernandes (2009). They repeat, so that wherever an identity is drawn its number stands there too.
-Colours are RGB here, BGR in the picture. `outline` and `plate` write into the picture that they are given.
+Colours are RGB here, BGR in the picture. `plate` writes into the picture that it is given.
 """
 
 from __future__ import annotations
@@ -95,15 +91,13 @@ class Annotator:
         ------
         InputError : the picture is not (H, W, 3) uint8, or the probabilities do not fit the detections.
         """
-        where, known = f"frame {number}", len(clutter_probability)
+        where, known, count = f"frame {number}", len(clutter_probability), len(detections)
         if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
             raise InputError(f"expected a BGR picture (H, W, 3) of uint8, got {image.shape} of {image.dtype}", where=where)
-        if known not in (0, len(detections)):
-            raise InputError(
-                f"expected a clutter probability for each of {len(detections)} detections, got {known}", where=where
-            )
+        if known not in (0, count):
+            raise InputError(f"expected a clutter probability for each of {count} detections, got {known}", where=where)
         pen, glaze, rows = Pen.of(image), _Glaze(image), tracks.take(tracks.frame == number)
-        false_alarm = clutter_probability > 0.5 if known else np.zeros(len(detections), np.bool_)
+        false_alarm = clutter_probability > 0.5 if known else np.zeros(count, np.bool_)
         for false, colour in ((False, WHITE), (True, _FALSE_ALARM)):
             for _, box in _corners(detections.xyxy[false_alarm == false], image):
                 glaze.box(box, colour, pen.thin, 0.75, crossed=false)
@@ -116,7 +110,7 @@ class Annotator:
                 glaze.box(box, colour, pen.line, 0.4)
         out, confirmed = glaze.mixed(), [each for each in boxes if rows.confirmed[each[0]]]
         for k, box, colour in confirmed:
-            outline(out, box, colour, pen, dashed=bool(rows.predicted[k]))
+            _outline(out, box, colour, pen, dashed=bool(rows.predicted[k]))
         for k, box, colour in confirmed:
             plate(out, str(rows.identity[k]), box[:2], colour, pen)
         count = int(rows.confirmed.sum())
@@ -194,15 +188,8 @@ def _corners(boxes: F8, image: Image) -> list[tuple[int, list[int]]]:
     return list(zip(seen.tolist(), cut.tolist(), strict=True))
 
 
-def outline(image: Image, box: Sequence[int], colour: Rgb, pen: Pen, *, dashed: bool = False) -> None:
-    """Draw a closed rectangle, or one of dashes whose corners are always drawn, so that the shape stays clear.
-
-    Parameters
-    ----------
-    image : is drawn on.
-    box, colour, pen : where, and how.
-    dashed : whether there are gaps.
-    """
+def _outline(image: Image, box: Sequence[int], colour: Rgb, pen: Pen, *, dashed: bool = False) -> None:
+    """A closed rectangle, or one of dashes whose corners are always drawn, so that the shape stays clear."""
     if not dashed:
         cv2.rectangle(image, box[:2], box[2:], colour[::-1], pen.line)
         return
@@ -278,19 +265,8 @@ class Mistakes:
         """The method and its mistakes in words."""
         return f"{self.method}: {len(self.missed)} missed, {len(self.false)} false, {int(self.switched.sum())} switched"
 
-    def drawn(self, ground: Image, scale: float, detections: F8) -> Image:
-        """A copy of ``ground`` with the boxes, whose pixels are ``scale`` times as large there.
-
-        Parameters
-        ----------
-        ground : (h, w, 3) BGR.
-        scale : pixels of the ground per pixel of the video.
-        detections : (N, 4) what the method was given.
-
-        Returns
-        -------
-        (h, w, 3) BGR.
-        """
+    def _drawn(self, ground: Image, scale: float, detections: F8) -> Image:
+        """A copy of ``ground`` with the boxes, whose pixels are ``scale`` times as large there as in the video."""
         pen, glaze = Pen.of(ground), _Glaze(ground)
         for _, box in _corners(detections * scale, ground):
             glaze.box(box, WHITE, pen.thin, 0.6)
@@ -299,11 +275,11 @@ class Mistakes:
         out = glaze.mixed()
         for k, box in _corners(self.found * scale, ground):
             colour = SWITCHED if self.switched[k] else RIGHT
-            outline(out, box, colour, pen)
+            _outline(out, box, colour, pen)
             plate(out, str(self.identity[k]), box[:2], colour, pen)
         # On top: where a box is wrong, the one that it should have been is what one wants to see.
         for _, box in _corners(self.missed * scale, ground):
-            outline(out, box, MISSED, pen, dashed=True)
+            _outline(out, box, MISSED, pen, dashed=True)
         plate(out, self.title, (0, 0), BLACK, pen, opacity=0.75)
         return out
 
@@ -337,7 +313,7 @@ def side_by_side(
     out = np.full((2 * _BAR + rows * (high + _GAP) + _GAP, columns * (wide + _GAP) + _GAP, 3), 20, np.uint8)
     for i, one in enumerate(methods):
         top, left = _BAR + _GAP + (i // columns) * (high + _GAP), _GAP + (i % columns) * (wide + _GAP)
-        out[top : top + high, left : left + wide] = one.drawn(ground, wide / size[0], detections)
+        out[top : top + high, left : left + wide] = one._drawn(ground, wide / size[0], detections)
     pen, x = Pen.of(np.zeros((480, 640, 3), np.uint8)), _GAP
     plate(out, heading, (_GAP, _BAR - 4), BLACK, pen)
     for label, colour in _LEGEND.items():

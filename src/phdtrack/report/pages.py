@@ -8,10 +8,8 @@ shows, become �.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -20,9 +18,6 @@ from markupsafe import Markup
 from phdtrack.files import json_value
 from phdtrack.report import charts, words
 from phdtrack.report.record import STAGES, RunRecord
-from phdtrack.report.words import flattened
-from phdtrack.scene import Scene
-from phdtrack.types import Image
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -77,9 +72,9 @@ def report_html(record: RunRecord, config: Mapping[str, object], more: str = "")
     -------
     The whole page.
     """
-    title = record.about.title or record.info.name or "Tracking run"
-    lead, settings = " ".join(sentences(record)), flattened(config)
-    return str(render("run.html", title=title, lead=lead, record=record, more=Markup(more), settings=settings))
+    title, lead = record.about.title or record.info.name or "Tracking run", " ".join(sentences(record))
+    known = {"record": record, "more": Markup(more), "settings": words.flattened(config)}
+    return str(render("run.html", title=title, lead=lead, **known))
 
 
 def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, object]:
@@ -105,12 +100,12 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
             name: dict(zip(("mean", "median", "p95", "share"), record.stage_times[name], strict=True))
             for name in (STAGES if len(record) else ())
         },
-        "tracks": record.n_objects,
+        "tracks": len(record.lifetimes),
         "track_rows": len(record.tracks),
         "predicted_rows": int(record.tracks.predicted.sum()),
         "detections": int(record.n_detections.sum()),
         "expected_false_alarms": record.false_alarms,
-        "expected_count_mean": float(record.mass.mean()) if len(record) else math.nan,
+        "expected_count_mean": record.mean_mass,
         "scores": dict(about.scores),
         "warnings": about.warnings,
         "notes": about.notes,
@@ -119,23 +114,3 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
         "chain": record.chain,
     }
     return {key: json_value(value) for key, value in document.items()}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SceneTraining:
-    """A learned scene and what is known of its training.
-
-    Attributes
-    ----------
-    scene : what was learned.
-    image : (H, W, 3) BGR frame, or (0, 0, 3).
-    births_gain, clutter_gain : nats per sample that was left out, above a uniform density; NaN where unknown.
-    births_from, clutter_from : the samples in words.
-    """
-
-    scene: Scene
-    image: Image
-    births_gain: float = math.nan
-    clutter_gain: float = math.nan
-    births_from: str = ""
-    clutter_from: str = ""

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from phdtrack.errors import InputError
 from phdtrack.types import F8, I8, ChainInfo, Image, Particles, SequenceInfo, Step, Tracks, Truth
 
 STAGES = ("detect", "filter", "extract", "associate")
@@ -22,6 +21,7 @@ NO_IMAGE: Image = np.zeros((0, 0, 3), np.uint8)
 LOW_EFFECTIVE = 20.0
 """Effective samples below which positions are doubtful: their error by chance is 1/√20 = 22 % of their posterior spread."""
 _HEAT_MAPS, _PICTURE_WIDTH, _CELLS_ACROSS = 4, 800, 128
+_BINOMIAL = np.array([1, 4, 6, 4, 1]) / 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,38 +87,17 @@ class ChainSummary:
     effective: float
     low: float
 
-    @property
-    def sentence(self) -> str:
-        """The same in words."""
-        moves = ", ".join(f"{name} {100 * share:.0f} %" for name, share in self.acceptance.items())
-        text = f"The chain accepted, of the moves that it proposed: {moves or 'there were none'}."
-        if math.isfinite(self.effective):
-            text += f" Its samples of a frame were as good as {self.effective:.0f} independent ones on average."
-        return text
-
-    @property
-    def warning(self) -> str:
-        """What to do where the chain moved too little; empty where it moved well enough."""
-        if not self.low > 0.5:
-            return ""
-        return (
-            f"the chain moved little: in {100 * self.low:.0f} % of the frames its samples are as good as fewer than "
-            f"{LOW_EFFECTIVE:.0f} independent ones; more filter.samples, or a greater filter.thin, make positions surer"
-        )
-
-
-def chain_summary(frames: Sequence[ChainInfo]) -> ChainSummary | None:
-    """The chains of all frames in one summary; None without any."""
-    if not frames:
-        return None
-    proposed, accepted = (np.array(each) for each in zip(*((f.proposed, f.accepted) for f in frames), strict=True))
-    shares = zip(frames[0].moves, proposed.T, (accepted / np.maximum(proposed, 1)).T, strict=True)
-    means = {name: float(share[times > 0].mean()) for name, times, share in shares if times.any()}
-    effective = np.array([frame.effective for frame in frames])
-    known = effective[np.isfinite(effective)]
-    if not len(known):
-        return ChainSummary(means, math.nan, 0.0)
-    return ChainSummary(means, float(known.mean()), float((known < LOW_EFFECTIVE).mean()))
+    @classmethod
+    def of(cls, frames: Sequence[ChainInfo]) -> ChainSummary | None:
+        """The chains of all frames in one summary; None without any."""
+        if not frames:
+            return None
+        proposed, accepted = (np.array(each) for each in zip(*((f.proposed, f.accepted) for f in frames), strict=True))
+        shares = zip(frames[0].moves, proposed.T, (accepted / np.maximum(proposed, 1)).T, strict=True)
+        means = {name: float(share[times > 0].mean()) for name, times, share in shares if times.any()}
+        effective = np.array([frame.effective for frame in frames])
+        known = effective[np.isfinite(effective)]
+        return cls(means, _mean(known), float((known < LOW_EFFECTIVE).sum()) / max(len(known), 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,19 +140,14 @@ class RunRecord:
         return len(self.numbers)
 
     @property
-    def known_mass(self) -> F8:
-        """The expected numbers of objects in the frames in which the filter gives one."""
-        return self.mass[np.isfinite(self.mass)]
+    def mean_mass(self) -> float:
+        """The expected number of objects, mean over the frames in which the filter gives one; NaN without such frames."""
+        return _mean(self.mass[np.isfinite(self.mass)])
 
     @property
     def track_count(self) -> I8:
         """(F,) tracks in each frame."""
         return _count(self.tracks.frame, self.numbers)
-
-    @property
-    def n_objects(self) -> int:
-        """Number of identities."""
-        return len(self.lifetimes)
 
     @property
     def lifetimes(self) -> I8:
@@ -184,11 +158,6 @@ class RunRecord:
     def false_alarms(self) -> float:
         """Expected number of false alarms among all detections; frames in which it is unknown (NaN) count as none."""
         return float(np.nansum(self.clutter_mass))
-
-    @property
-    def seconds_of_video(self) -> float:
-        """From the first to the last frame."""
-        return float(np.ptp(self.times)) if len(self) else 0.0
 
     @property
     def frames_per_second(self) -> float:
@@ -210,18 +179,11 @@ class RunRecord:
         columns = np.array([table.mean(axis=0), np.median(table, axis=0), np.quantile(table, 0.95, axis=0), share])
         return dict(zip((*STAGES, "together"), columns.T.tolist(), strict=True))
 
-    def by_identity(self) -> tuple[Tracks, ...]:
-        """The rows of each identity, ascending, each in the order of frames."""
-        order = np.lexsort((self.tracks.frame, self.tracks.identity))
-        cuts = np.flatnonzero(np.diff(self.tracks.identity[order])) + 1
-        return tuple(self.tracks.take(index) for index in np.split(order, cuts) if len(index))
-
 
 class Recorder:
     """Collects a `RunRecord` while a run goes on: `add` every frame in order, `record` at the end or when it breaks off.
 
-    Of a stream of unknown length it keeps the frames whose index is a multiple of a stride. When these are too many, every
-    other one is dropped and the stride doubles: what is kept is always spread evenly.
+    Pictures are kept of frames whose index is a multiple of a stride, which doubles when they become too many.
     """
 
     def __init__(self, info: SequenceInfo) -> None:
@@ -259,11 +221,6 @@ class Recorder:
             self._stride *= 2
             self._kept = [each for each in self._kept if each[0] % self._stride == 0]
 
-    @property
-    def chain(self) -> ChainSummary | None:
-        """How the chain of an MCMC filter has moved so far; None of other filters."""
-        return chain_summary(self._chains)
-
     def record(self, tracks: Tracks, about: About, truth: Truth | None = None) -> RunRecord:
         """Everything so far; collecting may go on.
 
@@ -297,12 +254,12 @@ class Recorder:
             truth_count=np.zeros(0, np.int64) if truth is None else _count(truth.frame[~truth.distractor], numbers),
             heat_maps=tuple(maps[i] for i in shown),
             background=images[len(images) // 2] if images else NO_IMAGE,
-            chain=self.chain,
+            chain=ChainSummary.of(self._chains),
         )
 
 
-def density_map(particles: Particles, info: SequenceInfo, cell: float, *, smooth: int = 2) -> F8:
-    """The expected number of objects in each cell of the frame [M07 Fig. 1].
+def density_map(particles: Particles, info: SequenceInfo, cell: float) -> F8:
+    """The expected number of objects in each cell of the frame [M07 Fig. 1], smoothed against the grain of few particles.
 
     Its sum is the mass of the particles inside the frame.
 
@@ -311,30 +268,20 @@ def density_map(particles: Particles, info: SequenceInfo, cell: float, *, smooth
     particles : (d, N) states with x and y, pixels, in rows 0 and 1, and their weights.
     info : the size of the frame.
     cell : side of a cell, pixels.
-    smooth : passes with the kernel (1, 2, 1)/4 along both axes, against the grain of few particles; they lose no mass.
 
     Returns
     -------
     (gh, gw) numbers; row 0 is the top of the frame, the last row and column may reach beyond its edge.
-
-    Raises
-    ------
-    InputError : the cell or the frame has no size.
     """
-    if not (cell > 0 and info.width > 0 and info.height > 0):
-        raise InputError(
-            f"expected a cell and a frame of positive size, got a cell of {cell} and a frame of {info.width}×{info.height}",
-            cure="Give the frame size of the sequence.",
-        )
-    shape = (math.ceil(info.height / cell), math.ceil(info.width / cell))
-    x, y = particles.state[0], particles.state[1]
+    shape = math.ceil(info.height / cell), math.ceil(info.width / cell)
+    x, y = particles.state[:2]
     inside = (x >= 0) & (y >= 0) & (x < info.width) & (y < info.height)
-    place = (y[inside] / cell).astype(np.int64) * shape[1] + (x[inside] / cell).astype(np.int64)
-    grid: F8 = np.bincount(place, particles.weight[inside], shape[0] * shape[1]).astype(np.float64).reshape(shape)
-    for _ in range(2 * smooth):
-        padded = np.pad(grid, ((1, 1), (0, 0)), "edge")
-        grid = ((padded[:-2] + 2 * grid + padded[2:]) / 4).T
-    return np.ascontiguousarray(grid)
+    row, column = (y[inside] / cell).astype(np.int64), (x[inside] / cell).astype(np.int64)
+    grid = np.bincount(row * shape[1] + column, particles.weight[inside], shape[0] * shape[1]).astype(np.float64)
+    # Reflected at the edges, so that no mass is lost.
+    return np.asarray(
+        cv2.sepFilter2D(grid.reshape(shape), -1, _BINOMIAL, _BINOMIAL, borderType=cv2.BORDER_REFLECT), np.float64
+    )
 
 
 def shrunk(image: Image, width: int) -> Image:
@@ -344,6 +291,11 @@ def shrunk(image: Image, width: int) -> Image:
         return image
     small: Image = cv2.resize(image, (width, max(1, round(high * width / wide))), interpolation=cv2.INTER_AREA)
     return small
+
+
+def _mean(values: F8) -> float:
+    """Of no values NaN."""
+    return float(values.mean()) if len(values) else math.nan
 
 
 def _count(frame: I8, numbers: I8) -> I8:
