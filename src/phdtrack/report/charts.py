@@ -249,8 +249,8 @@ def trajectory_picture(record: RunRecord) -> Picture:
         axes.scatter(x, y, s=24, facecolors="none", edgecolors=[colour], linewidths=1.0)
         if len(paths) <= _LABELS:
             plate = {"boxstyle": "round,pad=0.2", "facecolor": colour, "linewidth": 0}
-            name, middle = str(path.identity[0]), {"ha": "center", "va": "center"}
-            axes.text(x_end, y_end, name, color="black", fontsize=7.5, bbox=plate, clip_on=True, **middle)
+            label = axes.text(x_end, y_end, str(path.identity[0]), color="black", fontsize=7.5, bbox=plate, clip_on=True)
+            label.set(ha="center", va="center")
     return _photograph(axes)
 
 
